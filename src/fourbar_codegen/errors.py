@@ -1,0 +1,79 @@
+"""The package's exceptions: one base class, one subclass per part of the line."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+__all__ = ["AssemblyError", "BuildError", "CacheError", "FourbarError", "ModelError", "SimulationError"]
+
+
+class FourbarError(Exception):
+    """Base class of every error that this package raises on purpose."""
+
+
+class ModelError(FourbarError, ValueError):
+    """A model, or a value handed to a compiled model, does not fit.
+
+    The message names what was given and what is allowed.
+    """
+
+
+class BuildError(FourbarError, RuntimeError):
+    """A build tool could not be run, or refused its input.
+
+    Parameters
+    ----------
+    message : str
+        What was attempted, and what to do.
+    command : sequence of str, optional
+        The command that failed.
+    exit_code : int or None, optional
+        Its exit code; None if it could not be started.
+    output : str, optional
+        What the tool printed, unchanged.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        command: Sequence[str] = (),
+        exit_code: int | None = None,
+        output: str = "",
+    ) -> None:
+        self.message = message
+        self.command = tuple(command)
+        self.exit_code = exit_code
+        self.output = output
+        details = [message]
+        if self.command:
+            details.append("command: " + " ".join(self.command))
+        if exit_code is not None:
+            details.append(f"exit code: {exit_code}")
+        if output.strip():
+            details.append(output.strip())
+        super().__init__("\n".join(details))
+
+
+class CacheError(FourbarError, OSError):
+    """The folder of compiled models cannot be used."""
+
+
+class SimulationError(FourbarError, ArithmeticError):
+    """The equations cannot be evaluated at the state that was given."""
+
+
+class AssemblyError(SimulationError):
+    """No configuration was found in which the loops close.
+
+    Parameters
+    ----------
+    message : str
+        What failed, with the residual.
+    residual : sequence of float
+        The position constraints at the best configuration found, in the model's units.
+    """
+
+    def __init__(self, message: str, residual: Sequence[float] = ()) -> None:
+        self.residual = tuple(float(value) for value in residual)
+        super().__init__(message)

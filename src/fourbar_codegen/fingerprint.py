@@ -1,0 +1,87 @@
+"""A digest of nested plain data and SymPy expressions, the same on every machine and in every process."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+
+import sympy as sm
+from sympy.core.function import AppliedUndef
+
+__all__ = ["fingerprint"]
+
+
+def fingerprint(data: object) -> str:
+    """Digest dataclasses, tuples, mappings, strings, numbers and SymPy expressions.
+
+    Parameters
+    ----------
+    data : object
+
+    Returns
+    -------
+    str
+        64 hexadecimal digits.
+
+    Notes
+    -----
+    An expression is written as a graph, every distinct node once, because the expressions of chained
+    frames are exponentially larger as trees.
+
+    Examples
+    --------
+    >>> import sympy as sm
+    >>> x, y = sm.symbols("x y")
+    >>> fingerprint((x + y, 1)) == fingerprint((y + x, 1)) != fingerprint((x - y, 1))
+    True
+    """
+    writer = _Writer()
+    writer.write(data)
+    return writer.hash.hexdigest()
+
+
+class _Writer:
+    def __init__(self) -> None:
+        self.hash = hashlib.sha256()
+        self.numbers: dict[sm.Basic, int] = {}
+
+    def line(self, *words: object) -> None:
+        # repr delimits the words, so that no two sequences of words share a text.
+        self.hash.update(repr(words).encode())
+
+    def write(self, data: object) -> None:
+        if isinstance(data, sm.Basic):
+            self.line("expression", self.node(data))
+        elif is_dataclass(data) and not isinstance(data, type):
+            self.line(type(data).__name__, len(fields(data)))
+            for field in fields(data):
+                self.line(field.name)
+                self.write(getattr(data, field.name))
+        elif isinstance(data, Mapping):
+            self.line("mapping", len(data))
+            for key, value in data.items():
+                self.write(key)
+                self.write(value)
+        elif isinstance(data, tuple | list):
+            self.line("sequence", len(data))
+            for item in data:
+                self.write(item)
+        elif data is None or isinstance(data, bool | int | float | str):
+            self.line(type(data).__name__, data)
+        else:
+            raise TypeError(f"Cannot digest a {type(data).__name__}.")
+
+    def node(self, expr: sm.Basic) -> int:
+        number = self.numbers.get(expr)
+        if number is None:
+            arguments = [self.node(argument) for argument in expr.args]
+            if isinstance(expr, AppliedUndef):
+                head = f"function {expr.func.__name__}"
+            elif arguments:
+                head = type(expr).__name__
+            else:
+                head = sm.srepr(expr)
+            number = self.numbers[expr] = len(self.numbers)
+            self.line(head, *arguments)
+        return number

@@ -1,0 +1,261 @@
+"""Equations -> Program: one straight-line function for everything that is evaluated together.
+
+For each function: keep the statements it needs, put those used once where they are used, move what depends
+on parameters alone into `prepare`, and let SymPy's `cse` share what is left in common.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter
+from collections.abc import Sequence
+
+import sympy as sm
+
+from fourbar_codegen.equations import Equations, Result
+from fourbar_codegen.program import Array, Assignment, Function, Program, Sizes
+from fourbar_codegen.tape import Tape, free_symbols
+
+__all__ = ["lower"]
+
+Statements = tuple[tuple[sm.Symbol, sm.Expr], ...]
+
+
+def lower(name: str, equations: Equations) -> Program:
+    """Lower equations to a program.
+
+    Parameters
+    ----------
+    name : str
+        The model's name.
+    equations : Equations
+
+    Returns
+    -------
+    Program
+        With functions `prepare`, `default_inputs`, `dynamics`, `position`, `velocity`, `energy` and
+        `sensitivity`.
+
+    Examples
+    --------
+    >>> from fourbar_codegen.equations import form_equations
+    >>> from fourbar_codegen.models import four_bar
+    >>> [f.name for f in lower("four_bar", form_equations(four_bar())).functions][:2]
+    ['prepare', 'default_inputs']
+    """
+    e = equations
+    time = Array("t", (e.time,))
+    state = Array("x", (*e.coordinates, *e.speeds))
+    coordinates = Array("q", e.coordinates)
+    inputs = Array("r", e.inputs)
+    held = (Array("accelerations", e.accelerations), Array("multipliers", e.multipliers))
+    # name, summary, arguments before and after the constants, results
+    specifications: list[tuple[str, str, list[Array], list[Array], list[Result]]] = [
+        ("default_inputs", "Inputs r from their expressions; NaN without one.", [time], [], [e.default_inputs]),
+        (
+            "dynamics",
+            "q', and M, f, J, gamma of M u' = f + J^T lambda, J u' + gamma = 0.",
+            [time, state],
+            [inputs],
+            [e.coordinate_rates, e.mass_matrix, e.forcing, e.constraint_jacobian, e.acceleration_bias],
+        ),
+        (
+            "position",
+            "Holonomic constraints Phi(q, t) and dPhi/dq.",
+            [time, coordinates],
+            [],
+            [e.position_constraints, e.position_jacobian],
+        ),
+        (
+            "velocity",
+            "J and b of the velocity constraints J u + b = 0.",
+            [time, state],
+            [],
+            [e.constraint_jacobian, e.velocity_bias],
+        ),
+        ("energy", "Kinetic and potential energy.", [time, state], [], [e.energies]),
+        (
+            "sensitivity",
+            "d/dx of q', and of f - M u' + J^T lambda and -(J u' + gamma) with u' and lambda held.",
+            [time, state],
+            [inputs, *held],
+            [e.coordinate_rate_jacobian, e.residual_jacobian],
+        ),
+    ]
+    pool = _Constants(e.tape, e.parameters)
+    lowered = [_lower_results(e.tape, pool, results) for *_, results in specifications]
+    constants, prepare = pool.finish(lowered)
+    functions = tuple(
+        Function(name, summary, (*before, constants, *after), statements, results)
+        for (name, summary, before, after, _), (statements, results) in zip(specifications, lowered, strict=True)
+    )
+    sizes = Sizes(
+        n_q=len(e.coordinates),
+        n_u=len(e.speeds),
+        n_p=len(e.parameters),
+        n_r=len(e.inputs),
+        n_h=len(e.position_constraints.entries),
+        n_c=len(e.velocity_bias.entries),
+        n_constants=len(constants.symbols),
+    )
+    return Program(name, sizes, (prepare, *functions))
+
+
+class _Constants:
+    """What depends on parameters alone, collected from all functions for `prepare`."""
+
+    def __init__(self, tape: Tape, parameters: tuple[sm.Symbol, ...]) -> None:
+        self.tape = tape
+        self.parameters = parameters
+        self.values: dict[sm.Symbol, sm.Expr] = {}
+        self._symbols: dict[sm.Expr, sm.Symbol] = {}
+        self._known: set[sm.Symbol] = set(parameters)
+        self._of_statement: dict[sm.Symbol, sm.Expr] = {}
+
+    def is_constant(self, expr: sm.Basic) -> bool:
+        return bool(expr.free_symbols <= self._known)
+
+    def define(self, expr: sm.Expr) -> sm.Expr:
+        """Store a constant expression; signs, single symbols and numbers stay where they are."""
+        if expr.is_number or expr.is_Atom or (-expr).is_Atom:
+            return expr
+        if expr.could_extract_minus_sign():
+            return -self.define(-expr)
+        symbol = self._symbols.get(expr)
+        if symbol is None:
+            symbol = self._symbols[expr] = sm.Symbol(f"k:{len(self.values):08d}", real=True)
+            self.values[symbol] = expr
+            self._known.add(symbol)
+        return symbol
+
+    def split_statements(self, symbols: Sequence[sm.Symbol]) -> tuple[Statements, dict[sm.Symbol, sm.Expr]]:
+        """The statements that vary in time, and what stands for those that do not."""
+        varying = []
+        for symbol in symbols:
+            expr = self.tape.statements[symbol].xreplace(self._of_statement)
+            if symbol in self._of_statement:
+                continue
+            if self.is_constant(expr):
+                self._of_statement[symbol] = self.define(expr)
+            else:
+                varying.append((symbol, expr))
+        return tuple(varying), self._of_statement
+
+    def hoist(self, expr: sm.Expr) -> sm.Expr:
+        """The expression with its constant factors and terms, gathered, replaced by one symbol each."""
+        if not expr.args or expr.is_number:
+            return expr
+        if self.is_constant(expr):
+            return self.define(expr)
+        if isinstance(expr, sm.Add | sm.Mul):
+            constant = expr.func(*(a for a in expr.args if self.is_constant(a)))
+            varying = (self.hoist(a) for a in expr.args if not self.is_constant(a))
+            return expr.func(self.define(constant), *varying)
+        return expr.func(*(self.hoist(a) if isinstance(a, sm.Expr) else a for a in expr.args))
+
+    def finish(self, lowered: Sequence[tuple[Statements, tuple[Assignment, ...]]]) -> tuple[Array, Function]:
+        """The array of constants that the lowered functions use, and the function that fills it."""
+        used: set[sm.Basic] = set()
+        for statements, results in lowered:
+            used.update(*(expr.free_symbols for _, expr in statements))
+            used.update(*(entry.free_symbols for result in results for entry in result.entries))
+        derived = tuple(symbol for symbol in self.values if symbol in used)
+        entries = (*self.parameters, *derived)
+        body, assigned = _share(tuple(self.values.items()), entries)
+        prepare = Function(
+            "prepare",
+            "The parameters, and behind them all that is derived from them alone.",
+            (Array("p", self.parameters),),
+            body,
+            (Assignment("constants", (len(entries),), assigned),),
+        )
+        return Array("constants", entries), prepare
+
+
+def _lower_results(
+    tape: Tape, constants: _Constants, results: Sequence[Result]
+) -> tuple[Statements, tuple[Assignment, ...]]:
+    entries = [entry for result in results for entry in result.entries]
+    statements, replaced = constants.split_statements(tape.reach(entries))
+    statements, entries = _inline(statements, [entry.xreplace(replaced) for entry in entries])
+    statements = tuple((symbol, constants.hoist(expr)) for symbol, expr in statements)
+    statements, shared = _share(statements, [constants.hoist(entry) for entry in entries])
+    assignments, position = [], 0
+    for result in results:
+        size = len(result.entries)
+        assignments.append(Assignment(result.name, result.shape, shared[position : position + size]))
+        position += size
+    return statements, tuple(assignments)
+
+
+def _inline(statements: Statements, entries: Sequence[sm.Expr]) -> tuple[Statements, list[sm.Expr]]:
+    """Put products and sums that are used once into the products and sums that use them.
+
+    The longer sums and products are what `cse` finds common parts in. A sum stays out of a product, which
+    it would be multiplied out with.
+    """
+    uses: Counter[sm.Basic] = Counter()
+    for expr in [*(expr for _, expr in statements), *entries]:
+        uses.update(node for node in sm.preorder_traversal(expr) if node.is_Symbol)
+    pending: dict[sm.Expr, sm.Expr] = {}
+
+    def visit(expr: sm.Expr) -> sm.Expr:
+        if not isinstance(expr, sm.Add | sm.Mul):
+            return expr
+        arguments = []
+        for argument in map(visit, expr.args):
+            factor, rest = argument.as_coeff_Mul()
+            value = pending.get(rest)
+            if value is not None and (value.is_Mul or (expr.is_Add and abs(factor) == 1)):
+                argument = factor * pending.pop(rest)
+            arguments.append(argument)
+        return expr.func(*arguments)
+
+    kept: dict[sm.Symbol, sm.Expr | None] = {}
+    for symbol, statement in statements:
+        expr = visit(statement)
+        if uses[symbol] == 1 and isinstance(expr, sm.Add | sm.Mul):
+            pending[symbol] = expr
+            kept[symbol] = None
+        else:
+            kept[symbol] = expr
+    entries = [visit(entry) for entry in entries]
+    # What found no place to go stays where it was.
+    kept.update(pending)
+    return tuple((symbol, expr) for symbol, expr in kept.items() if expr is not None), entries
+
+
+def _share(statements: Statements, entries: Sequence[sm.Expr]) -> tuple[Statements, tuple[sm.Expr, ...]]:
+    """Joint common subexpression elimination, then statements in order of use, numbered anew."""
+    names = (sm.Symbol(f"x:{number:08d}", real=True) for number in itertools.count())
+    expressions = [*(expr for _, expr in statements), *entries]
+    replacements, reduced = sm.cse(expressions, symbols=names, order="canonical", list=True)
+    values = dict(replacements)
+    values.update(zip((symbol for symbol, _ in statements), reduced, strict=False))
+    renamed: dict[sm.Basic, sm.Expr] = {}
+    ordered: list[tuple[sm.Symbol, sm.Expr]] = []
+
+    def emit(roots: sm.Expr) -> None:
+        # Depth first without recursion: programs are thousands of statements deep.
+        stack = [(roots, False)]
+        while stack:
+            expr, ready = stack.pop()
+            if ready:
+                value = values[expr].xreplace(renamed)
+                if value.is_Atom or (-value).is_Atom:
+                    renamed[expr] = value
+                    continue
+                symbol = sm.Symbol(f"z:{len(ordered):08d}", real=True)
+                ordered.append((symbol, value))
+                renamed[expr] = symbol
+                continue
+            if expr in values:
+                if expr in renamed:
+                    continue
+                stack.append((expr, True))
+                expr = values[expr]
+            stack.extend((s, False) for s in reversed(free_symbols(expr)) if s in values and s not in renamed)
+
+    for entry in reduced[len(statements) :]:
+        emit(entry)
+    return tuple(ordered), tuple(entry.xreplace(renamed) for entry in reduced[len(statements) :])

@@ -1,0 +1,369 @@
+"""System -> Mechanism: what a SymPy System says, as plain data.
+
+This is the only place that reads SymPy's mechanics objects. Everything that the equations depend on is
+in the `Mechanism`, so its fingerprint is the fingerprint of the equations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import sympy as sm
+import sympy.physics.mechanics as me
+from sympy.core.function import AppliedUndef
+from sympy.physics.mechanics.system import System
+
+from fourbar_codegen.errors import ModelError
+
+__all__ = ["Body", "Components", "Frame", "Load", "Mechanism", "Vector", "read_mechanism", "walk"]
+
+Components = tuple[sm.Expr, sm.Expr, sm.Expr]
+"""Components of a vector along the axes of one frame."""
+
+Vector = tuple[tuple[int, Components], ...]
+"""A vector as SymPy stores it: a sum of components, each in the frame of the given number."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A reference frame: its direction cosines relative to its parent, and its angular velocity.
+
+    Attributes
+    ----------
+    name : str
+    parent : int
+        Number of the parent frame; the inertial frame, number 0, is its own parent.
+    dcm : tuple of Expr
+        The 9 entries, row by row, of the matrix whose row i holds axis i of this frame in the parent's axes.
+    angular_velocity : Vector or None
+        In the inertial frame; None where SymPy knows none.
+    """
+
+    name: str
+    parent: int
+    dcm: tuple[sm.Expr, ...]
+    angular_velocity: Vector | None
+
+
+@dataclass(frozen=True)
+class Body:
+    """A rigid body, or a particle (whose `inertia` is None).
+
+    Attributes
+    ----------
+    name : str
+    mass : Expr
+    velocity : Vector
+        Of the mass centre, in the inertial frame.
+    frame : int or None
+        The body-fixed frame.
+    inertia_frame : int or None
+        The frame in whose axes the central inertia is given.
+    inertia : tuple of Expr or None
+        The 9 entries of the central inertia.
+    potential_energy : Expr
+    """
+
+    name: str
+    mass: sm.Expr
+    velocity: Vector
+    frame: int | None
+    inertia_frame: int | None
+    inertia: tuple[sm.Expr, ...] | None
+    potential_energy: sm.Expr
+
+
+@dataclass(frozen=True)
+class Load:
+    """A force at a point or a torque on a frame.
+
+    Attributes
+    ----------
+    kind : {"force", "torque"}
+    name : str
+    vector : Vector
+    velocity : Vector
+        What the load does work on: the point's velocity, or the frame's angular velocity.
+    position : Vector or None
+        The point's position from the System's fixed point; None for a torque or where SymPy knows none.
+    """
+
+    kind: Literal["force", "torque"]
+    name: str
+    vector: Vector
+    velocity: Vector
+    position: Vector | None
+
+
+@dataclass(frozen=True)
+class Mechanism:
+    """All that the equations of motion of a System depend on.
+
+    Attributes
+    ----------
+    time : Symbol
+    coordinates, speeds : tuple of Expr
+        Generalized coordinates and speeds; the independent ones first.
+    n_dependent_coordinates, n_dependent_speeds : int
+    kinematic_equations, holonomic_constraints, velocity_constraints : tuple of Expr
+        Each to be zero. The velocity constraints follow from the holonomic constraints, in their order, if
+        `velocity_constraints_derived`; then the nonholonomic ones stand behind them.
+    """
+
+    time: sm.Symbol
+    coordinates: tuple[sm.Expr, ...]
+    speeds: tuple[sm.Expr, ...]
+    n_dependent_coordinates: int
+    n_dependent_speeds: int
+    frames: tuple[Frame, ...]
+    bodies: tuple[Body, ...]
+    loads: tuple[Load, ...]
+    kinematic_equations: tuple[sm.Expr, ...]
+    holonomic_constraints: tuple[sm.Expr, ...]
+    velocity_constraints: tuple[sm.Expr, ...]
+    velocity_constraints_derived: bool
+
+    def labelled_loads(self) -> Iterator[tuple[str, Iterable[sm.Expr]]]:
+        """The loads' vectors, with words that say where they stand in the System."""
+        for load in self.loads:
+            yield f"the {load.name}", _entries(load.vector)
+
+    def labelled_structure(self) -> Iterator[tuple[str, Iterable[sm.Expr]]]:
+        """All other expressions, likewise."""
+        for frame in self.frames[1:]:
+            yield f"the orientation of frame {frame.name}", frame.dcm
+            yield f"the angular velocity of frame {frame.name}", _entries(frame.angular_velocity)
+        for body in self.bodies:
+            yield f"the mass of body {body.name}", (body.mass,)
+            yield f"the velocity of body {body.name}", _entries(body.velocity)
+            yield f"the inertia of body {body.name}", body.inertia or ()
+            yield f"the potential energy of body {body.name}", (body.potential_energy,)
+        for load in self.loads:
+            yield f"the velocity at the {load.name}", _entries(load.velocity)
+            yield f"the position of the {load.name}", _entries(load.position)
+        for label, group in (
+            ("kinematic differential equation", self.kinematic_equations),
+            ("holonomic constraint", self.holonomic_constraints),
+            ("velocity constraint", self.velocity_constraints),
+        ):
+            for number, expr in enumerate(group, start=1):
+                yield f"{label} {number}", (expr,)
+
+
+def _entries(vector: Vector | None) -> Iterator[sm.Expr]:
+    for _, components in vector or ():
+        yield from components
+
+
+def walk(expressions: Iterable[sm.Basic]) -> Iterator[sm.Basic]:
+    """Every distinct subexpression once; functions of time and derivatives are not descended into.
+
+    Expressions of chained frames are small as graphs and exponential as trees, so `atoms` and
+    `free_symbols`, which visit trees, are not for them.
+    """
+    seen: set[sm.Basic] = set()
+    stack = list(expressions)
+    while stack:
+        node = stack.pop()
+        if node in seen:
+            continue
+        seen.add(node)
+        yield node
+        if not isinstance(node, AppliedUndef | sm.Derivative):
+            stack.extend(node.args)
+
+
+def read_mechanism(system: System) -> Mechanism:
+    """Read a System.
+
+    Parameters
+    ----------
+    system : sympy.physics.mechanics.System
+        As for its ``form_eoms``.
+
+    Returns
+    -------
+    Mechanism
+
+    Raises
+    ------
+    ModelError
+        If the numbers of coordinates, speeds, kinematic equations and constraints do not fit together, or
+        a velocity or orientation that the equations need is not defined.
+    """
+    if not isinstance(system, System):
+        raise ModelError(f"A Model needs a sympy.physics.mechanics System, not a {type(system).__name__}.")
+    _check_counts(system)
+    reader = _Reader(system)
+    bodies = tuple(reader.body(body) for body in system.bodies)
+    loads = list(system.loads)
+    for actuator in system.actuators:
+        loads.extend(actuator.to_loads())
+    read_loads = tuple(reader.load(load) for load in loads)
+    derived = system._vel_constrs is None  # what the System's own getter asks
+    velocity_constraints = system.nonholonomic_constraints if derived else system.velocity_constraints
+    return Mechanism(
+        time=me.dynamicsymbols._t,
+        coordinates=tuple(system.q),
+        speeds=tuple(system.u),
+        n_dependent_coordinates=len(system.q_dep),
+        n_dependent_speeds=len(system.u_dep),
+        frames=reader.frames(),
+        bodies=bodies,
+        loads=read_loads,
+        kinematic_equations=tuple(system.kdes),
+        holonomic_constraints=tuple(system.holonomic_constraints),
+        velocity_constraints=tuple(velocity_constraints),
+        velocity_constraints_derived=derived,
+    )
+
+
+def _check_counts(system: System) -> None:
+    """Accept what KanesMethod accepts: as many dependent variables as constraints."""
+    problems = []
+    n_velocity = (
+        len(system.holonomic_constraints) + len(system.nonholonomic_constraints)
+        if system._vel_constrs is None
+        else len(system.velocity_constraints)
+    )
+    if not len(system.u):
+        problems.append("it has no generalized speeds: add joints, or call add_speeds")
+    if not system.bodies:
+        problems.append("it has no bodies: call add_bodies, or add joints")
+    if len(system.kdes) != len(system.q):
+        problems.append(
+            f"it has {len(system.q)} generalized coordinates {_names(system.q)} but {len(system.kdes)} kinematic "
+            "differential equations: give one for each coordinate with add_kdes"
+        )
+    if len(system.q_dep) != len(system.holonomic_constraints):
+        problems.append(
+            f"it has {len(system.holonomic_constraints)} holonomic constraints but {len(system.q_dep)} dependent "
+            f"coordinates {_names(system.q_dep)}: set q_ind and q_dep, one dependent coordinate for each constraint"
+        )
+    if len(system.u_dep) != n_velocity:
+        problems.append(
+            f"it has {n_velocity} velocity constraints (holonomic and nonholonomic) but {len(system.u_dep)} "
+            f"dependent speeds {_names(system.u_dep)}: set u_ind and u_dep, one dependent speed for each constraint"
+        )
+    if len(system.u_aux):
+        problems.append(f"it has auxiliary speeds {_names(system.u_aux)}, which are not supported: leave them out")
+    if problems:
+        raise ModelError("The System cannot be compiled: " + "; ".join(problems) + ".")
+
+
+def _names(functions: Iterable[Any]) -> str:
+    return "(" + ", ".join(str(f.func) for f in functions) + ")"
+
+
+class _Reader:
+    """Numbers the frames that vectors refer to, while it reads the vectors."""
+
+    def __init__(self, system: System) -> None:
+        self.inertial = system.frame
+        self.fixed_point = system.fixed_point
+        self.parents = _orientation_tree(system.frame)
+        self.numbers: dict[me.ReferenceFrame, int] = {system.frame: 0}
+
+    def number(self, frame: me.ReferenceFrame, used_by: str) -> int:
+        if frame not in self.parents:
+            raise ModelError(
+                f"Frame {frame.name}, used by {used_by}, is not oriented relative to the System's frame "
+                f"{self.inertial.name}: call {frame.name}.orient_axis or another of its orient methods."
+            )
+        if frame not in self.numbers:
+            self.number(self.parents[frame], used_by)
+            self.numbers[frame] = len(self.numbers)
+        return self.numbers[frame]
+
+    def vector(self, vector: me.Vector, used_by: str) -> Vector:
+        # A zero vector has no components; SymPy writes it as 0 in places.
+        parts = vector.args if isinstance(vector, me.Vector) else []
+        return tuple((self.number(frame, used_by), tuple(matrix)) for matrix, frame in parts)
+
+    def velocity(self, point: me.Point, used_by: str) -> Vector:
+        try:
+            velocity = point.vel(self.inertial)
+        except ValueError as error:
+            raise ModelError(
+                f"The velocity of point {point.name}, used by {used_by}, is not defined in frame "
+                f"{self.inertial.name}: set its position from a moving point, or its velocity."
+            ) from error
+        return self.vector(velocity, used_by)
+
+    def angular_velocity(self, frame: me.ReferenceFrame, used_by: str) -> Vector:
+        try:
+            angular_velocity = frame.ang_vel_in(self.inertial)
+        except ValueError as error:
+            raise ModelError(
+                f"The angular velocity of frame {frame.name}, used by {used_by}, is not defined in frame "
+                f"{self.inertial.name}: orient the frame, or call {frame.name}.set_ang_vel."
+            ) from error
+        return self.vector(angular_velocity, used_by)
+
+    def position(self, point: me.Point, used_by: str) -> Vector | None:
+        try:
+            return self.vector(point.pos_from(self.fixed_point), used_by)
+        except ValueError:
+            return None
+
+    def body(self, body: me.RigidBody | me.Particle) -> Body:
+        name = f"body {body.name}"
+        mass, potential_energy = sm.sympify(body.mass), sm.sympify(body.potential_energy)
+        velocity = self.velocity(body.masscenter, name)
+        if isinstance(body, me.Particle):
+            return Body(body.name, mass, velocity, None, None, None, potential_energy)
+        self.angular_velocity(body.frame, name)
+        # The inertia stays in the frame it was given in, which need not be fixed in the body (the wheel of a
+        # bicycle is simplest in a frame that does not spin with it); mixed frames go to the body's own.
+        dyadic = body.central_inertia
+        frames = {frame for _, *axes in dyadic.args for frame in (axis.args[0][1] for axis in axes)}
+        frame = frames.pop() if len(frames) == 1 else body.frame
+        self.angular_velocity(frame, name)
+        inertia = tuple(dyadic.to_matrix(frame)) if dyadic.args else (sm.S.Zero,) * 9
+        return Body(
+            body.name, mass, velocity, self.number(body.frame, name), self.number(frame, name), inertia, potential_energy
+        )
+
+    def load(self, load: Any) -> Load:
+        location, vector = load
+        if isinstance(location, me.ReferenceFrame):
+            name = f"torque on frame {location.name}"
+            return Load("torque", name, self.vector(vector, name), self.angular_velocity(location, name), None)
+        name = f"force at point {location.name}"
+        return Load(
+            "force", name, self.vector(vector, name), self.velocity(location, name), self.position(location, name)
+        )
+
+    def frames(self) -> tuple[Frame, ...]:
+        angular_velocities: list[Vector | None] = []
+        # An angular velocity may name frames that nothing else did; they take the next numbers.
+        while len(angular_velocities) < len(self.numbers):
+            frame = list(self.numbers)[len(angular_velocities)]
+            try:
+                angular_velocities.append(self.angular_velocity(frame, f"frame {frame.name}"))
+            except ModelError:
+                angular_velocities.append(None)
+        # The direction cosines between neighbours are the ones that orient_axis and its like stored.
+        return tuple(
+            Frame(frame.name, self.numbers[self.parents[frame]], tuple(frame.dcm(self.parents[frame])), velocity)
+            for frame, velocity in zip(self.numbers, angular_velocities, strict=True)
+        )
+
+
+def _orientation_tree(root: me.ReferenceFrame) -> dict[me.ReferenceFrame, me.ReferenceFrame]:
+    """The parent of every frame that is oriented relative to `root`, nearest first.
+
+    ``ReferenceFrame.dcm`` finds its way by listing every path in the graph and multiplies out what lies on
+    it; one breadth-first pass over the neighbours keeps the tree as it was modelled.
+    """
+    parents = {root: root}
+    queue = [root]
+    for frame in queue:
+        neighbours: Sequence[me.ReferenceFrame] = list(frame._dcm_dict)
+        for neighbour in neighbours:
+            if neighbour not in parents:
+                parents[neighbour] = frame
+                queue.append(neighbour)
+    return parents

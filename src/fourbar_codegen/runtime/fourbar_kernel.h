@@ -1,0 +1,57 @@
+/* The interface between a compiled model and whatever calls it.
+ *
+ * Arguments stand in the order (t, x, constants, r):
+ *   t          time
+ *   x          state, coordinates q then speeds u, n_q + n_u values
+ *   constants  n_constants values that `prepare` derives from the n_p parameters p
+ *   r          inputs, n_r values
+ *   work       work_size bytes, aligned for double, that one call at a time may use
+ * Matrices are stored row by row. Functions that can fail return an FB_STATUS.
+ */
+#ifndef FOURBAR_KERNEL_H
+#define FOURBAR_KERNEL_H
+
+#include <stddef.h>
+
+#define FB_ABI_VERSION 1
+#define FB_CAPSULE_NAME "fourbar_codegen.kernel"
+
+enum FB_STATUS {
+    FB_OK = 0,
+    FB_CONSTRAINTS_DEPENDENT = 1, /* J has lost rank and J u' + gamma = 0 has no solution */
+    FB_MASS_SINGULAR = 2,         /* T^T M T is not positive definite */
+    FB_NOT_FINITE = 3             /* a result is infinite or not a number */
+};
+
+typedef struct fb_kernel {
+    int abi_version;
+    size_t struct_size;
+    size_t work_size;
+    int n_q, n_u, n_p, n_r;
+    int n_h; /* position constraints */
+    int n_c; /* velocity constraints */
+    int n_constants;
+
+    void (*prepare)(const double *p, double *constants);
+    void (*default_inputs)(double t, const double *constants, double *r);
+    /* x' = rhs(t, x) */
+    int (*rhs)(double t, const double *x, const double *constants, const double *r, double *rates, void *work);
+    /* d rhs / d x, n_x by n_x */
+    int (*jacobian)(double t, const double *x, const double *constants, const double *r, double *matrix, void *work);
+    /* u' and the multipliers lambda of M u' = f + J^T lambda */
+    int (*accelerations)(double t, const double *x, const double *constants, const double *r, double *accelerations,
+                         double *multipliers, void *work);
+    /* q', M, f, J, gamma of M u' = f + J^T lambda, J u' + gamma = 0 */
+    void (*dynamics)(double t, const double *x, const double *constants, const double *r, double *coordinate_rates,
+                     double *mass_matrix, double *forcing, double *constraint_jacobian, double *acceleration_bias);
+    /* Phi(q, t) and dPhi/dq */
+    void (*position)(double t, const double *q, const double *constants, double *position_constraints,
+                     double *position_jacobian);
+    /* J and b of J u + b = 0 */
+    void (*velocity)(double t, const double *x, const double *constants, double *constraint_jacobian,
+                     double *velocity_bias);
+    /* kinetic and potential energy */
+    void (*energy)(double t, const double *x, const double *constants, double *energies);
+} fb_kernel;
+
+#endif

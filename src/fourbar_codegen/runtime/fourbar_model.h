@@ -1,0 +1,102 @@
+/* The part of a kernel that is the same for every model: it solves what the generated functions set up.
+ *
+ * Included once, at the end of a generated source, which defines N_Q, N_U, ..., the functions `prepare` to
+ * `sensitivity`, and FB_KERNEL, the name of the table.
+ */
+#include "fourbar_kernel.h"
+#include "fourbar_solve.h"
+
+#include <math.h>
+
+enum { N_X = N_Q + N_U };
+
+typedef struct fb_work {
+    double coordinate_rates[FB_AT_LEAST_1(N_Q)];
+    double mass_matrix[N_U * N_U];
+    double forcing[N_U];
+    double constraint_jacobian[FB_AT_LEAST_1(N_C * N_U)];
+    double acceleration_bias[FB_AT_LEAST_1(N_C)];
+    fb_factors factors;
+    double accelerations[N_U];
+    double multipliers[FB_AT_LEAST_1(N_C)];
+    double residual_jacobian[(N_U + N_C) * N_X];
+} fb_work;
+
+static inline int solve_accelerations(double t, const double *restrict x, const double *restrict constants,
+                                      const double *restrict r, double *restrict coordinate_rates,
+                                      double *restrict rates, fb_work *restrict w)
+{
+    dynamics(t, x, constants, r, coordinate_rates, w->mass_matrix, w->forcing, w->constraint_jacobian,
+             w->acceleration_bias);
+    const int status = fb_factor(w->mass_matrix, w->constraint_jacobian, &w->factors);
+    if (status != FB_OK)
+        return status;
+    return fb_solve(w->forcing, w->acceleration_bias, &w->factors, rates, FB_CONSISTENCY_TOLERANCE);
+}
+
+static int rhs(double t, const double *x, const double *constants, const double *r, double *rates, void *work)
+{
+    const int status = solve_accelerations(t, x, constants, r, rates, rates + N_Q, work);
+    if (status != FB_OK)
+        return status;
+    double zero = 0.0;
+    for (int i = 0; i < N_X; ++i)
+        zero += 0.0 * rates[i]; /* infinite and not-a-number rates make it not a number */
+    return zero == 0.0 ? FB_OK : FB_NOT_FINITE;
+}
+
+static int accelerations(double t, const double *x, const double *constants, const double *r, double *rates,
+                         double *multipliers, void *work)
+{
+    fb_work *const w = work;
+    const int status = solve_accelerations(t, x, constants, r, w->coordinate_rates, rates, w);
+    if (status != FB_OK)
+        return status;
+    fb_multipliers(w->mass_matrix, w->forcing, rates, &w->factors, multipliers);
+    return FB_OK;
+}
+
+/* Differentiating M u' = f + J^T lambda and J u' + gamma = 0 in the direction of x_j gives equations for
+ * du'/dx_j with the same matrices; the right-hand sides are the columns of residual_jacobian. */
+static int jacobian(double t, const double *x, const double *constants, const double *r, double *matrix, void *work)
+{
+    fb_work *const w = work;
+    const int status = accelerations(t, x, constants, r, w->accelerations, w->multipliers, work);
+    if (status != FB_OK)
+        return status;
+    sensitivity(t, x, constants, r, w->accelerations, w->multipliers, matrix, w->residual_jacobian);
+    for (int j = 0; j < N_X; ++j) {
+        double column[N_U];
+        for (int i = 0; i < N_U; ++i)
+            w->forcing[i] = w->residual_jacobian[i * N_X + j];
+        for (int i = 0; i < N_C; ++i)
+            w->acceleration_bias[i] = -w->residual_jacobian[(N_U + i) * N_X + j];
+        /* Redundant rows hold in every direction in which the state can move; others are not asked about. */
+        fb_solve(w->forcing, w->acceleration_bias, &w->factors, column, INFINITY);
+        for (int i = 0; i < N_U; ++i)
+            matrix[(N_Q + i) * N_X + j] = column[i];
+    }
+    return FB_OK;
+}
+
+const fb_kernel FB_KERNEL = {
+    .abi_version = FB_ABI_VERSION,
+    .struct_size = sizeof(fb_kernel),
+    .work_size = sizeof(fb_work),
+    .n_q = N_Q,
+    .n_u = N_U,
+    .n_p = N_P,
+    .n_r = N_R,
+    .n_h = N_H,
+    .n_c = N_C,
+    .n_constants = N_CONSTANTS,
+    .prepare = prepare,
+    .default_inputs = default_inputs,
+    .rhs = rhs,
+    .jacobian = jacobian,
+    .accelerations = accelerations,
+    .dynamics = dynamics,
+    .position = position,
+    .velocity = velocity,
+    .energy = energy,
+};

@@ -1,0 +1,253 @@
+/* Solves M u' = f + J^T lambda, J u' + gamma = 0 for the sizes N_U and N_C.
+ *
+ * The speeds are split into N_C dependent and the other, independent ones by Gaussian elimination of J with
+ * complete pivoting: P S J Q = L [U_d U_i], S a scaling of the rows. With A = -U_d^-1 U_i, T = [A; 1] and
+ * e = -U_d^-1 L^-1 P S gamma, every u' = T u_i' + [e; 0] satisfies the constraints, and T^T J^T = 0 leaves
+ *
+ *     (T^T M T) u_i' = T^T (f - M [e; 0]),
+ *
+ * symmetric and positive definite even where M alone is singular. Here dependent speeds stand first.
+ * u' does not depend on the split, so the best one is chosen anew in each call.
+ */
+#ifndef FOURBAR_SOLVE_H
+#define FOURBAR_SOLVE_H
+
+#include "fourbar_kernel.h"
+
+#include <math.h>
+
+#define FB_AT_LEAST_1(n) ((n) > 0 ? (n) : 1)
+
+/* Pivots of J below this share of the largest are rounding errors: 1000 times the precision of double. */
+#define FB_RANK_TOLERANCE 2e-13
+/* Rows dropped as redundant must be satisfied to this share of the right-hand side. */
+#define FB_CONSISTENCY_TOLERANCE 1e-8
+
+typedef struct fb_factors {
+    int rank;
+    int row[FB_AT_LEAST_1(N_C)], column[N_U]; /* P, Q */
+    double scale[FB_AT_LEAST_1(N_C)];   /* S, in the order of the rows of L */
+    double inverse[FB_AT_LEAST_1(N_C)]; /* 1 / the diagonal of U_d */
+    double lu[FB_AT_LEAST_1(N_C)][N_U]; /* L below the diagonal, U_d on and above it, then A */
+    double mass[N_U][N_U];              /* Q^T M Q */
+    double reduced[N_U][N_U];           /* T^T M T = L D L^T: L below the diagonal, 1/D on it */
+} fb_factors;
+
+/* Not fmax, which is a call into the library because it has to skip what is not a number. */
+static inline double fb_max(double a, double b)
+{
+    return a > b ? a : b;
+}
+
+static inline void fb_swap_double(double *a, double *b)
+{
+    const double c = *a;
+    *a = *b;
+    *b = c;
+}
+
+static inline void fb_swap_int(int *a, int *b)
+{
+    const int c = *a;
+    *a = *b;
+    *b = c;
+}
+
+/* P S J Q = L [U_d U_i]; returns the rank. */
+static inline int fb_eliminate(const double *restrict jacobian, fb_factors *restrict s)
+{
+    double largest = 0.0;
+    for (int j = 0; j < N_U; ++j)
+        s->column[j] = j;
+    for (int i = 0; i < N_C; ++i) {
+        double size = 0.0;
+        for (int j = 0; j < N_U; ++j)
+            size = fb_max(size, fabs(jacobian[i * N_U + j]));
+        s->scale[i] = size;
+        largest = fb_max(largest, size);
+    }
+    for (int i = 0; i < N_C; ++i) {
+        /* A row that is nothing but rounding errors must not be scaled up to look like a constraint. */
+        s->scale[i] = s->scale[i] > FB_RANK_TOLERANCE * largest ? 1.0 / s->scale[i] : 0.0;
+        s->row[i] = i;
+        for (int j = 0; j < N_U; ++j)
+            s->lu[i][j] = s->scale[i] * jacobian[i * N_U + j];
+    }
+    for (int k = 0; k < N_C; ++k) {
+        int pivot_row = k, pivot_column = k;
+        double pivot = -1.0;
+        for (int i = k; i < N_C; ++i)
+            for (int j = k; j < N_U; ++j)
+                if (fabs(s->lu[i][j]) > pivot) {
+                    pivot = fabs(s->lu[i][j]);
+                    pivot_row = i;
+                    pivot_column = j;
+                }
+        if (!(pivot > FB_RANK_TOLERANCE))
+            return k;
+        if (pivot_row != k) {
+            for (int j = 0; j < N_U; ++j)
+                fb_swap_double(&s->lu[k][j], &s->lu[pivot_row][j]);
+            fb_swap_int(&s->row[k], &s->row[pivot_row]);
+            fb_swap_double(&s->scale[k], &s->scale[pivot_row]);
+        }
+        if (pivot_column != k) {
+            for (int i = 0; i < N_C; ++i)
+                fb_swap_double(&s->lu[i][k], &s->lu[i][pivot_column]);
+            fb_swap_int(&s->column[k], &s->column[pivot_column]);
+        }
+        s->inverse[k] = 1.0 / s->lu[k][k];
+        for (int i = k + 1; i < N_C; ++i) {
+            const double factor = s->lu[i][k] *= s->inverse[k];
+            for (int j = k + 1; j < N_U; ++j)
+                s->lu[i][j] -= factor * s->lu[k][j];
+        }
+    }
+    return N_C;
+}
+
+/* A and T^T M T = L D L^T for a given rank, which the compiler knows where J has full rank. */
+static inline int fb_reduce(const double *restrict mass_matrix, fb_factors *restrict s, const int rank)
+{
+    for (int k = rank - 1; k >= 0; --k) {
+        for (int j = rank; j < N_U; ++j) {
+            double sum = s->lu[k][j];
+            for (int i = k + 1; i < rank; ++i)
+                sum += s->lu[k][i] * s->lu[i][j];
+            s->lu[k][j] = -s->inverse[k] * sum;
+        }
+    }
+    for (int i = 0; i < N_U; ++i)
+        for (int j = 0; j < N_U; ++j)
+            s->mass[i][j] = mass_matrix[s->column[i] * N_U + s->column[j]];
+    for (int b = rank; b < N_U; ++b) {
+        double product[N_U]; /* column b of M T */
+        for (int i = 0; i < N_U; ++i) {
+            product[i] = s->mass[i][b];
+            for (int d = 0; d < rank; ++d)
+                product[i] += s->mass[i][d] * s->lu[d][b];
+        }
+        for (int a = b; a < N_U; ++a) {
+            double sum = product[a];
+            for (int d = 0; d < rank; ++d)
+                sum += s->lu[d][a] * product[d];
+            s->reduced[a][b] = sum;
+        }
+    }
+    for (int b = rank; b < N_U; ++b) {
+        if (!(s->reduced[b][b] > 0.0))
+            return FB_MASS_SINGULAR;
+        s->reduced[b][b] = 1.0 / s->reduced[b][b];
+        for (int a = N_U - 1; a > b; --a) {
+            const double factor = s->reduced[a][b] * s->reduced[b][b];
+            for (int c = b + 1; c <= a; ++c)
+                s->reduced[a][c] -= factor * s->reduced[c][b];
+            s->reduced[a][b] = factor;
+        }
+    }
+    return FB_OK;
+}
+
+/* w = L^-1 P S gamma; whether the rows beyond the rank hold, to the share `tolerance` of the others. */
+static inline int fb_forward(const double *restrict acceleration_bias, const fb_factors *restrict s,
+                             double *restrict w, const int rank, const double tolerance)
+{
+    double size = 0.0;
+    for (int i = 0; i < N_C; ++i) {
+        w[i] = s->scale[i] * acceleration_bias[s->row[i]];
+        if (rank < N_C && s->scale[i] == 0.0)
+            w[i] = acceleration_bias[s->row[i]];
+        size = fb_max(size, fabs(w[i]));
+        for (int k = 0; k < i && k < rank; ++k)
+            w[i] -= s->lu[i][k] * w[k];
+    }
+    for (int i = rank; i < N_C; ++i)
+        if (!(fabs(w[i]) <= tolerance * size))
+            return FB_CONSTRAINTS_DEPENDENT;
+    return FB_OK;
+}
+
+/* u' from f and w = L^-1 P S gamma. */
+static inline void fb_back(const double *restrict forcing, const double *restrict w, const fb_factors *restrict s,
+                           double *restrict accelerations, const int rank)
+{
+    double v[N_U] = {0.0}, g[N_U];
+    for (int k = rank - 1; k >= 0; --k) {
+        double sum = -w[k];
+        for (int i = k + 1; i < rank; ++i)
+            sum -= s->lu[k][i] * v[i];
+        v[k] = sum * s->inverse[k];
+    }
+    for (int i = 0; i < N_U; ++i) {
+        g[i] = forcing[s->column[i]];
+        for (int d = 0; d < rank; ++d)
+            g[i] -= s->mass[i][d] * v[d];
+    }
+    for (int a = rank; a < N_U; ++a) {
+        double sum = g[a];
+        for (int d = 0; d < rank; ++d)
+            sum += s->lu[d][a] * g[d];
+        for (int c = rank; c < a; ++c)
+            sum -= s->reduced[a][c] * v[c];
+        v[a] = sum;
+    }
+    for (int a = N_U - 1; a >= rank; --a) {
+        v[a] *= s->reduced[a][a];
+        for (int c = a + 1; c < N_U; ++c)
+            v[a] -= s->reduced[c][a] * v[c];
+    }
+    for (int d = 0; d < rank; ++d)
+        for (int a = rank; a < N_U; ++a)
+            v[d] += s->lu[d][a] * v[a];
+    for (int i = 0; i < N_U; ++i)
+        accelerations[s->column[i]] = v[i];
+}
+
+/* The factors of M and J, for as many right-hand sides as follow. */
+static inline int fb_factor(const double *restrict mass_matrix, const double *restrict constraint_jacobian,
+                            fb_factors *restrict s)
+{
+    s->rank = fb_eliminate(constraint_jacobian, s);
+    return s->rank == N_C ? fb_reduce(mass_matrix, s, N_C) : fb_reduce(mass_matrix, s, s->rank);
+}
+
+/* u' for one right-hand side (f, gamma). */
+static inline int fb_solve(const double *restrict forcing, const double *restrict acceleration_bias,
+                           const fb_factors *restrict s, double *restrict accelerations, const double tolerance)
+{
+    double w[FB_AT_LEAST_1(N_C)];
+    if (s->rank == N_C) {
+        const int status = fb_forward(acceleration_bias, s, w, N_C, tolerance);
+        fb_back(forcing, w, s, accelerations, N_C);
+        return status;
+    }
+    const int status = fb_forward(acceleration_bias, s, w, s->rank, tolerance);
+    fb_back(forcing, w, s, accelerations, s->rank);
+    return status;
+}
+
+/* The multipliers of J_d^T lambda = (M u' - f)_d; zero for rows dropped as redundant. */
+static inline void fb_multipliers(const double *restrict mass_matrix, const double *restrict forcing,
+                                  const double *restrict accelerations, const fb_factors *restrict s,
+                                  double *restrict multipliers)
+{
+    double y[FB_AT_LEAST_1(N_C)];
+    for (int k = 0; k < s->rank; ++k) {
+        const int j = s->column[k];
+        double sum = -forcing[j];
+        for (int i = 0; i < N_U; ++i)
+            sum += mass_matrix[j * N_U + i] * accelerations[i];
+        for (int i = 0; i < k; ++i)
+            sum -= s->lu[i][k] * y[i];
+        y[k] = sum * s->inverse[k];
+    }
+    for (int i = 0; i < N_C; ++i)
+        multipliers[s->row[i]] = 0.0;
+    for (int k = s->rank - 1; k >= 0; --k) {
+        for (int i = k + 1; i < s->rank; ++i)
+            y[k] -= s->lu[i][k] * y[i];
+        multipliers[s->row[k]] = s->scale[k] * y[k];
+    }
+}
+
+#endif

@@ -1,0 +1,193 @@
+"""Straight-line code under construction: every expression once, derivatives statement by statement.
+
+The expressions of chained reference frames are small as graphs and exponential as trees. A tape keeps them as
+graphs: each compound expression is stored under a symbol the first time it is met (hash-consing), and
+larger expressions refer to the symbol. Derivatives are taken on the tape by the chain rule (forward
+accumulation; Griewank and Walther, *Evaluating Derivatives*, 2nd ed. 2008, section 3.1), so they cost a
+small multiple of what they differentiate.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Collection, Container, Iterable, Mapping, Sequence
+
+import sympy as sm
+from sympy.functions.special.delta_functions import DiracDelta
+
+from fourbar_codegen.errors import ModelError
+
+__all__ = ["Direction", "Tape", "free_symbols"]
+
+
+def free_symbols(expr: sm.Basic) -> list[sm.Symbol]:
+    """The symbols of a small expression in an order that does not depend on hashes."""
+    return sorted(expr.free_symbols, key=lambda symbol: symbol.name)  # type: ignore[no-any-return]
+
+
+class Tape:
+    """Statements ``symbol = expression`` in order of evaluation.
+
+    Attributes
+    ----------
+    statements : dict of Symbol to Expr
+        Each expression refers to leaf symbols and to symbols that were stored before.
+    """
+
+    def __init__(self) -> None:
+        self.statements: dict[sm.Symbol, sm.Expr] = {}
+        self._position: dict[sm.Symbol, int] = {}
+        self._symbols: dict[sm.Expr, sm.Symbol] = {}
+        self._partials: dict[sm.Symbol, tuple[tuple[sm.Symbol, sm.Expr], ...]] = {}
+
+    def define(self, expr: sm.Expr) -> sm.Expr:
+        """Store an expression unless it is stored already; return what stands for it.
+
+        That is a number, a symbol, or a symbol times a number: numerical factors stay outside, so that
+        ``x``, ``-x`` and ``2*x`` share one statement.
+        """
+        if expr.is_Atom:
+            return expr
+        factor, rest = expr.as_coeff_Mul()
+        if rest.could_extract_minus_sign():
+            factor, rest = -factor, -rest
+        if rest.is_Atom:
+            return factor * rest
+        symbol = self._symbols.get(rest)
+        if symbol is None:
+            # No leaf has such a name: theirs contain a colon. Digits of fixed width make SymPy's ordering of
+            # arguments the order of definition.
+            symbol = sm.Symbol(f"z_{len(self.statements):08d}", real=True)
+            self._symbols[rest] = symbol
+            self._position[symbol] = len(self.statements)
+            self.statements[symbol] = rest
+        return factor * symbol
+
+    def convert(self, expr: sm.Expr, leaves: Mapping[sm.Basic, sm.Expr]) -> sm.Expr:
+        """Store an expression node by node, with `leaves` in place of its symbols and functions of time.
+
+        Raises
+        ------
+        ModelError
+            If it contains something that is neither a leaf nor computable.
+        """
+        memo: dict[sm.Basic, sm.Basic] = {}
+
+        def visit(node: sm.Basic) -> sm.Basic:
+            done = memo.get(node)
+            if done is None:
+                if node in leaves:
+                    done = leaves[node]
+                elif not node.args:
+                    if isinstance(node, sm.Symbol) or node.is_finite is False:
+                        raise ModelError(f"{node} in {expr} cannot be compiled.")
+                    done = node
+                else:
+                    done = node.func(*[visit(argument) for argument in node.args])
+                    if isinstance(done, sm.Max | sm.Min):
+                        # Their derivatives are step functions; those of Piecewise are Piecewise.
+                        done = done.rewrite(sm.Piecewise)
+                    if isinstance(done, sm.Expr):
+                        done = self.define(done)
+                memo[node] = done
+            return done
+
+        return visit(expr)  # type: ignore[return-value]
+
+    def reach(self, expressions: Iterable[sm.Basic], known: Container[sm.Symbol] = ()) -> list[sm.Symbol]:
+        """Symbols of all statements that the expressions need, in order of evaluation, short of what is known."""
+        found: set[sm.Symbol] = set()
+        stack = [symbol for expr in expressions for symbol in expr.free_symbols]
+        while stack:
+            symbol = stack.pop()
+            if symbol in self.statements and symbol not in found and symbol not in known:
+                found.add(symbol)
+                stack.extend(self.statements[symbol].free_symbols)
+        return sorted(found, key=self._position.__getitem__)
+
+    def depends(self, expressions: Iterable[sm.Expr], leaves: Collection[sm.Symbol]) -> bool:
+        """Whether any of the leaves takes part in the expressions' values."""
+        expressions = tuple(expressions)
+        used = {s for expr in expressions for s in expr.free_symbols}
+        used.update(s for symbol in self.reach(expressions) for s in self.statements[symbol].free_symbols)
+        return not used.isdisjoint(leaves)
+
+    def partials(self, symbol: sm.Symbol) -> tuple[tuple[sm.Symbol, sm.Expr], ...]:
+        """Derivatives of one statement with respect to the symbols in it."""
+        known = self._partials.get(symbol)
+        if known is None:
+            expr = self.statements[symbol]
+            known = tuple((s, self.define(_derivative(expr, s))) for s in free_symbols(expr))
+            self._partials[symbol] = known
+        return known
+
+    def evaluate(self, expressions: Sequence[sm.Expr], values: Mapping[sm.Symbol, float]) -> list[float]:
+        """Numbers for expressions, given one for every leaf that they depend on."""
+        statements = [(symbol, self.statements[symbol]) for symbol in self.reach(expressions)]
+        function = sm.lambdify(list(values), list(expressions), modules="math", cse=lambda e: (statements, e))
+        return [float(value) for value in function(*values.values())]
+
+    def vanish(self, expressions: Sequence[sm.Expr]) -> list[bool]:
+        """Whether each expression is zero wherever the leaves are, as told by its values at random points.
+
+        A function that is not identically zero is zero at a random point with probability zero; the
+        tolerance allows for rounding errors in expressions of terms around 1.
+        """
+        leaves = sorted(
+            {s for e in expressions for s in e.free_symbols}.union(
+                *(self.statements[s].free_symbols for s in self.reach(expressions))
+            )
+            - self.statements.keys(),
+            key=lambda symbol: symbol.name,
+        )
+        generator = random.Random(1)
+        vanishing = [True] * len(expressions)
+        for _ in range(2):
+            try:
+                values = self.evaluate(expressions, {leaf: generator.uniform(0.5, 1.5) for leaf in leaves})
+            except (ArithmeticError, ValueError):
+                return [expression.is_zero is True for expression in expressions]
+            vanishing = [known and abs(value) < 1e-9 for known, value in zip(vanishing, values, strict=True)]
+        return vanishing
+
+
+class Direction:
+    """Differentiation along one direction in the space of the leaves.
+
+    Parameters
+    ----------
+    tape : Tape
+    seed : mapping of Symbol to Expr
+        The derivative of each leaf; leaves not named have none.
+    """
+
+    def __init__(self, tape: Tape, seed: Mapping[sm.Symbol, sm.Expr]) -> None:
+        self.tape = tape
+        self._known: dict[sm.Symbol, sm.Expr] = dict(seed)
+
+    def __call__(self, expr: sm.Expr) -> sm.Expr:
+        """The derivative of an expression in leaves and tape symbols."""
+        known, tape = self._known, self.tape
+        for symbol in tape.reach([expr], known):
+            known[symbol] = tape.define(self._chain(tape.partials(symbol)))
+        return tape.define(self._chain((s, _derivative(expr, s)) for s in free_symbols(expr)))
+
+    def give(self, expr: sm.Expr, derivative: sm.Expr) -> None:
+        """Take a derivative that is known from elsewhere instead of forming it by the chain rule."""
+        factor, symbol = expr.as_coeff_Mul()
+        if symbol in self.tape.statements:
+            self._known.setdefault(symbol, self.tape.define(derivative / factor))
+
+    def _chain(self, partials: Iterable[tuple[sm.Symbol, sm.Expr]]) -> sm.Expr:
+        terms = []
+        for symbol, partial in partials:
+            rate = self._known.get(symbol, sm.S.Zero)
+            if not rate.is_zero:
+                terms.append(self.tape.define(partial * rate))
+        return sm.Add(*terms)
+
+
+def _derivative(expr: sm.Expr, symbol: sm.Symbol) -> sm.Expr:
+    derivative = expr.diff(symbol)
+    # A jump has no derivative where it jumps; everywhere else it is zero.
+    return derivative.replace(DiracDelta, lambda *_: sm.S.Zero) if derivative.has(DiracDelta) else derivative

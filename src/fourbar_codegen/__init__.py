@@ -1,0 +1,73 @@
+"""Compile SymPy mechanisms to C and simulate them with their loops closed.
+
+The names below are imported where they are first used: importing the package imports neither SymPy nor SciPy.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from fourbar_codegen.errors import (
+    AssemblyError,
+    BuildError,
+    CacheError,
+    FourbarError,
+    ModelError,
+    SimulationError,
+)
+
+if TYPE_CHECKING:
+    from fourbar_codegen import models
+    from fourbar_codegen.build import get_include
+    from fourbar_codegen.compile import build_model, compile_model, generate_sources
+    from fourbar_codegen.compiled import CompiledModel, load
+    from fourbar_codegen.model import Model, Parameter
+    from fourbar_codegen.trajectory import Trajectory
+
+__all__ = [
+    "AssemblyError",
+    "BuildError",
+    "CacheError",
+    "CompiledModel",
+    "FourbarError",
+    "Model",
+    "ModelError",
+    "Parameter",
+    "SimulationError",
+    "Trajectory",
+    "build_model",
+    "compile_model",
+    "generate_sources",
+    "get_include",
+    "load",
+    "models",
+]
+
+_HOME = {
+    "CompiledModel": "compiled",
+    "Model": "model",
+    "Parameter": "model",
+    "Trajectory": "trajectory",
+    "build_model": "compile",
+    "compile_model": "compile",
+    "generate_sources": "compile",
+    "get_include": "build",
+    "load": "compiled",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name == "models":
+        return import_module("fourbar_codegen.models")
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("fourbar_codegen")
+    if name in _HOME:
+        return getattr(import_module(f"fourbar_codegen.{_HOME[name]}"), name)
+    raise AttributeError(f"module 'fourbar_codegen' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

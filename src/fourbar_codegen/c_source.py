@@ -33,7 +33,7 @@ RESERVED = frozenset(
 )
 
 
-class _Printer(C99CodePrinter):  # type: ignore[misc]
+class _Printer(C99CodePrinter):
     """C99 with integer powers as products, numbers as literals and symbols by their place."""
 
     def __init__(self, names: Mapping[sm.Symbol, str]) -> None:
@@ -47,7 +47,7 @@ class _Printer(C99CodePrinter):  # type: ignore[misc]
     def _print_NumberSymbol(self, expr: sm.NumberSymbol) -> str:
         return repr(float(expr))
 
-    def _print_NaN(self, expr: sm.Expr) -> str:
+    def _print_NaN(self, _: sm.Expr) -> str:
         return "NAN"
 
     def _print_Pow(self, expr: sm.Pow) -> str:

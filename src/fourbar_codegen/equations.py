@@ -155,7 +155,7 @@ def form_equations(model: Model) -> Equations:
     for number, row in enumerate(jacobian, start=1):
         if tape.depends(row, u):
             raise ModelError(f"Velocity constraint {number} is not linear in the generalized speeds.")
-    at_rest = {symbol: sm.S.Zero for symbol in u}
+    at_rest = dict.fromkeys(u, sm.S.Zero)
     velocity_bias = tuple(_substitute(tape, expr, at_rest) for expr in velocities)
     acceleration_bias = tuple(rate(expr) for expr in velocities)
     n_c = len(velocities)

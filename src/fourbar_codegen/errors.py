@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 __all__ = ["AssemblyError", "BuildError", "CacheError", "FourbarError", "ModelError", "SimulationError"]
 
@@ -74,6 +74,6 @@ class AssemblyError(SimulationError):
         The position constraints at the best configuration found, in the model's units.
     """
 
-    def __init__(self, message: str, residual: Sequence[float] = ()) -> None:
+    def __init__(self, message: str, residual: Iterable[float] = ()) -> None:
         self.residual = tuple(float(value) for value in residual)
         super().__init__(message)

@@ -67,9 +67,14 @@ class Kane:
         for number in known[1:]:
             parent = frames[number].parent
             # Rates of the axes relative to the parent frame, two ways; the rows of dcm are the axes.
-            relative = self._subtract(
-                self._express(self._angular_velocity(number), parent), self._express(self._angular_velocity(parent), parent)
-            ) if parent in known else ZERO
+            relative = (
+                self._subtract(
+                    self._express(self._angular_velocity(number), parent),
+                    self._express(self._angular_velocity(parent), parent),
+                )
+                if parent in known
+                else ZERO
+            )
             for row in self._dcm(number):
                 expected = self._cross(relative, row)
                 differences += [self.rate(x) - y for x, y in zip(row, expected, strict=True)]
@@ -174,7 +179,9 @@ class Kane:
     # Vectors on the tape.
 
     def _convert(self, vector: Vector) -> Vector:
-        return tuple((frame, _three([self.tape.convert(e, self.leaves) for e in components])) for frame, components in vector)
+        return tuple(
+            (frame, _three([self.tape.convert(e, self.leaves) for e in components])) for frame, components in vector
+        )
 
     def _angular_velocity(self, frame: int | None) -> Vector:
         assert frame is not None
@@ -186,7 +193,8 @@ class Kane:
 
     def _inertia(self, body: Body) -> tuple[int, Rotation]:
         """The frame in whose axes the central inertia is given, and its matrix there."""
-        assert body.inertia is not None and body.inertia_frame is not None
+        assert body.inertia is not None
+        assert body.inertia_frame is not None
         return body.inertia_frame, self._convert_matrix(body.inertia)
 
     def _rotation(self, source: int, target: int) -> Rotation:

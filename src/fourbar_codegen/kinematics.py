@@ -92,10 +92,8 @@ def _blocks(matrix: Sequence[Sequence[sm.Expr]]) -> list[tuple[tuple[int, ...], 
         columns = {column for column, entry in enumerate(entries) if not entry.is_zero}
         joined = [block for block in blocks if block[1] & columns]
         blocks = [block for block in blocks if not block[1] & columns]
-        blocks.append(
-            ({row}.union(*(rows for rows, _ in joined)), columns.union(*(own for _, own in joined)))
-        )
-    for rows, columns in blocks:
+        blocks.append(({row}.union(*(rows for rows, _ in joined)), columns.union(*(own for _, own in joined))))
+    for rows, _ in blocks:
         if len(rows) > LARGEST_BLOCK:
             raise ModelError(
                 f"{len(rows)} kinematic differential equations are coupled; at most {LARGEST_BLOCK} coordinates' rates "

@@ -323,7 +323,13 @@ class _Reader:
         self.angular_velocity(frame, name)
         inertia = tuple(dyadic.to_matrix(frame)) if dyadic.args else (sm.S.Zero,) * 9
         return Body(
-            body.name, mass, velocity, self.number(body.frame, name), self.number(frame, name), inertia, potential_energy
+            body.name,
+            mass,
+            velocity,
+            self.number(body.frame, name),
+            self.number(frame, name),
+            inertia,
+            potential_energy,
         )
 
     def load(self, load: Any) -> Load:

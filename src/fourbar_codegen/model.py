@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING
 import sympy as sm
 from sympy.core.function import AppliedUndef
 
+from fourbar_codegen.arguments import finite_number
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.mechanism import Mechanism, read_mechanism, walk
 
@@ -44,15 +44,8 @@ class Parameter:
     description: str = ""
 
     def __post_init__(self) -> None:
-        if self.value is None:
-            return
-        try:
-            value = float(self.value)
-        except (TypeError, ValueError) as error:
-            raise ModelError(f"A parameter's value is a real number, not {self.value!r}.") from error
-        if not math.isfinite(value):
-            raise ModelError(f"A parameter's value is a finite number, not {value}.")
-        object.__setattr__(self, "value", value)
+        if self.value is not None:
+            object.__setattr__(self, "value", finite_number(self.value, "a parameter"))
 
 
 class Model:
@@ -211,13 +204,13 @@ class Model:
                     )
 
     def _check_initial(self, given: Mapping[sm.Expr, float]) -> dict[str, float]:
-        states = dict(zip((*self.mechanism.coordinates, *self.mechanism.speeds), (*self.coordinates, *self.speeds)))
+        states = {*self.mechanism.coordinates, *self.mechanism.speeds}
         initial = {}
         for function, value in given.items():
             if function not in states:
-                raise ModelError(f"{function} in initial= is none of the states {tuple(states.values())}.")
-            initial[states[function]] = Parameter(value).value
-        return initial  # type: ignore[return-value]  # Parameter(None) is not reached: values are numbers
+                raise ModelError(f"{function} in initial= is none of the states {(*self.coordinates, *self.speeds)}.")
+            initial[_name(function)] = finite_number(value, f"initial {_name(function)}")
+        return initial
 
 
 def _name(function: sm.Expr) -> str:

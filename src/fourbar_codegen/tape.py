@@ -22,7 +22,7 @@ __all__ = ["Direction", "Tape", "free_symbols"]
 
 def free_symbols(expr: sm.Basic) -> list[sm.Symbol]:
     """The symbols of a small expression in an order that does not depend on hashes."""
-    return sorted(expr.free_symbols, key=lambda symbol: symbol.name)  # type: ignore[no-any-return]
+    return sorted(expr.free_symbols, key=lambda symbol: symbol.name)
 
 
 class Tape:
@@ -92,7 +92,7 @@ class Tape:
                 memo[node] = done
             return done
 
-        return visit(expr)  # type: ignore[return-value]
+        return visit(expr)
 
     def reach(self, expressions: Iterable[sm.Basic], known: Container[sm.Symbol] = ()) -> list[sm.Symbol]:
         """Symbols of all statements that the expressions need, in order of evaluation, short of what is known."""

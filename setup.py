@@ -1,0 +1,38 @@
+"""Extension modules; all metadata is in pyproject.toml.
+
+The runtime, and every model whose generated sources are in generated/. It generates nothing itself.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from Cython.Build import cythonize
+from setuptools import Extension, setup
+
+RUNTIME = "src/fourbar_codegen/runtime"
+MACROS = [("NPY_NO_DEPRECATED_API", "NPY_1_7_API_VERSION")]
+
+
+def extension(name: str, sources: list[Path | str], folder: Path | str) -> Extension:
+    return Extension(
+        f"fourbar_codegen.{name}",
+        [str(source) for source in sources],
+        include_dirs=[str(folder), RUNTIME, np.get_include()],
+        depends=[str(path) for path in sorted(Path(RUNTIME).glob("*.h"))],
+        define_macros=MACROS,
+        extra_compile_args=["-O3", "-fno-tree-vectorize"],
+    )
+
+
+models = [
+    extension(f"prebuilt.{wrapper.stem}", [wrapper, wrapper.with_name(f"{wrapper.stem}_kernel.c")], wrapper.parent)
+    for wrapper in sorted(Path("generated").glob("*/*.pyx"))
+]
+
+setup(
+    ext_modules=cythonize(
+        [extension("runtime.evaluator", [f"{RUNTIME}/evaluator.pyx"], RUNTIME), *models],
+        build_dir="build/cython",
+        include_path=[RUNTIME],
+    )
+)

@@ -1,0 +1,280 @@
+"""The command line ``fourbar``."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+import fourbar_codegen as fb
+
+if TYPE_CHECKING:
+    from fourbar_codegen import CompiledModel, Model, Trajectory
+
+__all__ = ["main"]
+
+MODEL_HELP = (
+    "MODEL is the name of a model that comes with the package (four_bar), or FILE.py:FUNCTION or MODULE:FUNCTION, a "
+    "function without arguments that returns a Model."
+)
+
+
+class _Commands(click.Group):
+    """Prints the package's errors in a line instead of a traceback."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except fb.FourbarError as error:
+            raise click.ClickException(str(error)) from error
+
+
+@click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="fourbar_codegen", prog_name="fourbar")
+def main() -> None:
+    """Compile SymPy mechanisms to C and simulate them with their loops closed."""
+
+
+def _pairs(_: click.Context, __: click.Parameter, texts: tuple[str, ...]) -> dict[str, float]:
+    """NAME=VALUE options as a dictionary."""
+    pairs = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        try:
+            pairs[name.strip()] = float(value)
+        except ValueError:
+            equals = ""
+        if not equals or not name.strip():
+            raise click.BadParameter(f"{text!r} is not NAME=VALUE with a number, for instance l2=0.45.")
+    return pairs
+
+
+@main.command(help="Simulate a model and write its trajectory to files.\n\n" + MODEL_HELP)
+@click.argument("model", default="four_bar")
+@click.option(
+    "-p",
+    "--parameter",
+    "parameters",
+    multiple=True,
+    callback=_pairs,
+    metavar="NAME=VALUE",
+    help="Override a parameter; may be repeated.",
+)
+@click.option(
+    "-i",
+    "--initial",
+    multiple=True,
+    callback=_pairs,
+    metavar="NAME=VALUE",
+    help="Initial value of an independent coordinate or speed, or guess of a dependent coordinate; may be repeated.",
+)
+@click.option(
+    "-r",
+    "--input",
+    "inputs",
+    multiple=True,
+    callback=_pairs,
+    metavar="NAME=VALUE",
+    help="Hold an input at a number instead of its expression; may be repeated.",
+)
+@click.option(
+    "-t", "--time", "t_span", nargs=2, type=float, default=(0.0, 4.0), show_default=True, help="First and last time, s."
+)
+@click.option("--method", default="DOP853", show_default=True, help="DOP853, RK45, RK23, Radau, BDF or LSODA.")
+@click.option("--rtol", default=1e-6, show_default=True, help="Relative tolerance.")
+@click.option("--atol", default=1e-9, show_default=True, help="Absolute tolerance.")
+@click.option(
+    "--samples",
+    type=click.IntRange(min=2),
+    help="Store this many equally spaced times instead of the integrator's steps.",
+)
+@click.option(
+    "-o",
+    "--output",
+    "outputs",
+    multiple=True,
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Write the trajectory: .csv, .npz, or .png for a plot (needs Matplotlib); may be repeated.",
+)
+def simulate(
+    model: str,
+    parameters: dict[str, float],
+    initial: dict[str, float],
+    inputs: dict[str, float],
+    t_span: tuple[float, float],
+    method: str,
+    rtol: float,
+    atol: float,
+    samples: int | None,
+    outputs: tuple[Path, ...],
+) -> None:
+    import numpy as np
+    import scipy.integrate  # noqa: F401  # so that the time below is the simulation's
+
+    compiled = _compiled(model)
+    x0 = _initial_state(compiled, initial, t_span[0], parameters)
+    begin = time.perf_counter()
+    trajectory = compiled.simulate(
+        t_span,
+        x0,
+        method=method,
+        parameters=parameters,
+        inputs=inputs,
+        rtol=rtol,
+        atol=atol,
+        t_eval=None if samples is None else np.linspace(*t_span, samples),
+    )
+    _report(trajectory, method, time.perf_counter() - begin)
+    for path in outputs:
+        click.echo(f"Written: {trajectory.save(path)}")
+    if not trajectory.success:
+        raise fb.SimulationError(trajectory.message)
+
+
+def _initial_state(compiled: CompiledModel, initial: dict[str, float], t: float, parameters: dict[str, float]) -> Any:
+    """Values by name, handed to the argument that takes them."""
+    n_qi = compiled.n_q - compiled.manifest["n_dependent_coordinates"]
+    n_ui = compiled.n_u - compiled.manifest["n_dependent_speeds"]
+    groups = (compiled.coordinates[:n_qi], compiled.speeds[:n_ui], compiled.coordinates[n_qi:])
+    unknown = sorted(set(initial) - {name for group in groups for name in group})
+    if unknown:
+        raise fb.ModelError(
+            f"No initial value can be given for {', '.join(unknown)}: give independent coordinates "
+            f"({', '.join(groups[0])}), independent speeds ({', '.join(groups[1])}) or guesses of dependent "
+            f"coordinates ({', '.join(groups[2]) or 'none'})."
+        )
+    coordinates, speeds, guess = ({name: initial[name] for name in group if name in initial} for group in groups)
+    return compiled.initial_state(coordinates, speeds, t=t, guess=guess, parameters=parameters)
+
+
+def _report(trajectory: Trajectory, method: str, seconds: float) -> None:
+    model = trajectory.model
+    click.echo(f"Model {model.name}, {method}, from t = {trajectory.t[0]:g} s to t = {trajectory.t[-1]:g} s")
+    click.echo("\nState          initial              final")
+    for name, first, last in zip(model.states, trajectory.y[:, 0], trajectory.y[:, -1], strict=True):
+        click.echo(f"  {name:<8} {first:>16.10f}  {last:>16.10f}")
+    click.echo(
+        f"\n{len(trajectory.t)} stored times, {trajectory.nfev} evaluations of the right-hand side, "
+        f"{seconds * 1e3:.2f} ms"
+    )
+    if model.n_h:
+        residual = abs(trajectory.constraint_residual).max(axis=0)
+        click.echo(
+            f"Loop residual: {residual[0]:.2e} at the start, {residual[-1]:.2e} at the end, "
+            f"{residual.max():.2e} at most"
+        )
+    if model.manifest["has_potential_energy"]:
+        click.echo(f"Energy: {trajectory.energy[0]:.6f} J at the start, {trajectory.energy[-1]:.6f} J at the end")
+
+
+@main.command(help="Write a model's generated C and Cython sources to OUTPUT/NAME.\n\n" + MODEL_HELP)
+@click.argument("model", default="four_bar")
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=Path("generated"),
+    show_default=True,
+    help="Folder in which the model's folder is made.",
+)
+def generate(model: str, output: Path) -> None:
+    source = _model(model)
+    folder = output / source.name
+    texts = fb.generate_sources(source)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, text in texts.items():
+            (folder / name).write_text(text, encoding="utf-8", newline="\n")
+            click.echo(f"Written: {folder / name}")
+    except OSError as error:
+        raise fb.BuildError(f"The sources cannot be written to {folder}: {error.strerror}.") from error
+
+
+@main.command(
+    help="Compile a model to an extension module in OUTPUT, for fourbar_codegen.load or for use with NumPy alone.\n\n"
+    + MODEL_HELP
+)
+@click.argument("model", default="four_bar")
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=Path("build"),
+    show_default=True,
+    help="Folder in which the model's folder is made.",
+)
+def build(model: str, output: Path) -> None:
+    source = _model(model)
+    begin = time.perf_counter()
+    module = fb.build_model(source, output / source.name)
+    click.echo(f"Built in {time.perf_counter() - begin:.1f} s: {module}")
+
+
+@main.command(help="Show a model's names, defaults, sizes and operation counts.\n\n" + MODEL_HELP)
+@click.argument("model", default="four_bar")
+def info(model: str) -> None:
+    from fourbar_codegen.cache import cache_folder
+
+    compiled = _compiled(model)
+    manifest = compiled.manifest
+    click.echo(f"Model {compiled.name}")
+    for kind, names, dependent in (
+        ("coordinates", compiled.coordinates, manifest["n_dependent_coordinates"]),
+        ("speeds", compiled.speeds, manifest["n_dependent_speeds"]),
+    ):
+        split = len(names) - dependent
+        click.echo(f"{kind}: {', '.join(names[:split])} independent; {', '.join(names[split:]) or 'none'} dependent")
+    click.echo(f"constraints: {compiled.n_h} on positions, {compiled.n_c} on velocities")
+    click.echo("parameters:")
+    for entry in manifest["parameters"]:
+        value = "no default" if entry["default"] is None else f"{entry['default']:g}"
+        click.echo(f"  {entry['name']:<8} {value:>10} {entry['unit']:<10} {entry['description']}".rstrip())
+    click.echo("inputs:")
+    for entry in manifest["inputs"]:
+        click.echo(f"  {entry['name']:<8} {entry['expression'] or 'no expression'}")
+    click.echo("operations: " + ", ".join(f"{name} {count}" for name, count in manifest["operations"].items()))
+    click.echo(f"cache of compiled models: {cache_folder()}")
+
+
+def _compiled(model: str) -> CompiledModel:
+    """A model that comes compiled, or one compiled now."""
+    if ":" not in model:
+        return fb.load(model)
+    return fb.compile_model(_model(model))
+
+
+def _model(text: str) -> Model:
+    """The Model that MODEL names."""
+    place, colon, function = text.rpartition(":")
+    if not colon:
+        if text not in fb.models.__all__:
+            raise fb.ModelError(
+                f"There is no model {text!r}; there are {', '.join(fb.models.__all__)}, and FILE.py:FUNCTION or "
+                "MODULE:FUNCTION for your own."
+            )
+        return getattr(fb.models, text)()  # type: ignore[no-any-return]
+    try:
+        maker = getattr(_module(place), function)
+    except (ImportError, AttributeError, OSError, SyntaxError) as error:
+        raise fb.ModelError(f"{text} cannot be imported: {error}.") from error
+    model = maker()
+    if not isinstance(model, fb.Model):
+        raise fb.ModelError(f"{text}() returned a {type(model).__name__}, not a fourbar_codegen.Model.")
+    return model
+
+
+def _module(place: str) -> Any:
+    if not place.endswith(".py"):
+        return importlib.import_module(place)
+    spec = importlib.util.spec_from_file_location(Path(place).stem, place)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"{place} is not a Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module

@@ -1,0 +1,134 @@
+"""The pipeline: Model -> Equations -> Program -> C and Cython text -> extension module -> CompiledModel."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fourbar_codegen.build import build_extension, toolchain
+from fourbar_codegen.c_source import header_text, kernel_text
+from fourbar_codegen.cache import cached
+from fourbar_codegen.compiled import CompiledModel
+from fourbar_codegen.cython_source import manifest_of, manifest_text, wrapper_text
+from fourbar_codegen.equations import form_equations
+from fourbar_codegen.errors import ModelError
+from fourbar_codegen.fingerprint import fingerprint
+from fourbar_codegen.lower import lower
+from fourbar_codegen.model import Model
+
+__all__ = ["build_model", "compile_model", "generate_sources", "key_of"]
+
+
+def generate_sources(model: Model) -> dict[str, str]:
+    """Generate a model's sources.
+
+    Parameters
+    ----------
+    model : Model
+
+    Returns
+    -------
+    dict of str to str
+        Text by file name: the kernel's C source and header, the Cython wrapper, and manifest.json. The same
+        model gives the same text, on every machine and in every process.
+
+    Raises
+    ------
+    ModelError
+        If the model has something that cannot be compiled.
+
+    Examples
+    --------
+    >>> import fourbar_codegen as fb
+    >>> sorted(fb.generate_sources(fb.models.four_bar()))
+    ['four_bar.h', 'four_bar.pyx', 'four_bar_kernel.c', 'manifest.json']
+    """
+    equations = form_equations(model)
+    program = lower(model.name, equations)
+    manifest = manifest_of(model, program)
+    names = {
+        "coordinates": model.coordinates,
+        "speeds": model.speeds,
+        "parameters": tuple(model.parameters),
+        "inputs": model.inputs,
+    }
+    return {
+        f"{model.name}_kernel.c": kernel_text(program, names),
+        f"{model.name}.h": header_text(program, names),
+        f"{model.name}.pyx": wrapper_text(model, manifest),
+        "manifest.json": manifest_text(manifest),
+    }
+
+
+def key_of(model: Model) -> str:
+    """The key of a model in the cache: a digest of all that its compiled module depends on.
+
+    That is the whole mechanism as the equations see it, the names, defaults and inputs, this package's own
+    sources, and the tools: Python, NumPy, SymPy, Cython, the compiler and its flags.
+    """
+    described = (
+        model.name,
+        model.mechanism,
+        {symbol.name: parameter for symbol, parameter in model.parameter_symbols.items()},
+        model.input_expressions,
+        model.initial,
+        model.potential_energy,
+    )
+    return fingerprint((described, toolchain()))
+
+
+def build_model(model: Model, folder: Path) -> Path:
+    """Generate a model's sources into a folder and compile them there.
+
+    Parameters
+    ----------
+    model : Model
+    folder : Path
+        Created if it does not exist.
+
+    Returns
+    -------
+    Path
+        The extension module.
+
+    Raises
+    ------
+    ModelError, BuildError
+    """
+    sources = generate_sources(model)
+    return build_extension(model.name, sources, folder)
+
+
+def compile_model(model: Model) -> CompiledModel:
+    """Compile a model, or load it from the cache if the same model was compiled before.
+
+    The cache is in the user's cache folder, or in the folder that the environment variable
+    ``FOURBAR_CODEGEN_CACHE`` names.
+
+    Parameters
+    ----------
+    model : Model
+
+    Returns
+    -------
+    CompiledModel
+
+    Raises
+    ------
+    ModelError
+        If the model has something that cannot be compiled.
+    BuildError
+        If there is no C compiler, or it fails; with its output.
+    CacheError
+        If the cache's folder cannot be written.
+
+    Examples
+    --------
+    >>> import fourbar_codegen as fb
+    >>> fb.compile_model(fb.models.four_bar()).n_x
+    6
+    """
+    if not isinstance(model, Model):
+        raise ModelError(
+            f"compile_model takes a Model, not a {type(model).__name__}: wrap a System in fb.Model(system)."
+        )
+    return CompiledModel.from_file(cached(model.name, key_of(model), lambda folder: build_model(model, folder)))

@@ -1,0 +1,424 @@
+"""CompiledModel: a loaded extension module, its names, and what can be asked of it."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from importlib import import_module, machinery, util
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fourbar_codegen.arguments import Values, named_values
+from fourbar_codegen.errors import ModelError
+from fourbar_codegen.runtime.evaluator import Evaluator, Ode
+
+if TYPE_CHECKING:
+    from fourbar_codegen.simulate import Event, InputSource
+    from fourbar_codegen.trajectory import Trajectory
+
+__all__ = ["CompiledModel", "load"]
+
+Floats = NDArray[np.float64]
+
+
+def load(name: str | Path) -> CompiledModel:
+    """Load a model that is compiled already; neither SymPy nor a compiler is needed.
+
+    Parameters
+    ----------
+    name : str or Path
+        The name of a model that comes with the package, ``"four_bar"``, or the path of an extension module
+        that ``fourbar build`` or `build_model` made.
+
+    Returns
+    -------
+    CompiledModel
+
+    Raises
+    ------
+    ModelError
+        If there is no such model, or the file is not a compiled model.
+
+    Examples
+    --------
+    >>> load("four_bar").coordinates
+    ('q1', 'q2', 'q3')
+    """
+    path = Path(name)
+    if path.suffix and path.is_file():
+        return CompiledModel.from_file(path)
+    folder = Path(__file__).parent / "prebuilt"
+    known = sorted({p.name.split(".")[0] for s in machinery.EXTENSION_SUFFIXES for p in folder.glob(f"*{s}")})
+    if str(name) not in known:
+        raise ModelError(
+            f"There is no compiled model {str(name)!r}: it is neither one of the package's "
+            f"({', '.join(known) or 'none'}) nor the path of an extension module."
+        )
+    return CompiledModel.from_module(import_module(f"fourbar_codegen.prebuilt.{name}"))
+
+
+class CompiledModel(Evaluator):
+    """A mechanism's equations of motion, compiled.
+
+    Made by `compile_model` and `load`. Arguments stand in the order (t, x, p, r): time, state x = [q; u],
+    parameters, inputs. Parameters and inputs are arrays in order, or mappings from names or SymPy symbols
+    that may leave out what has a default.
+
+    Attributes
+    ----------
+    name : str
+    coordinates, speeds : tuple of str
+        Generalized coordinates and speeds, the independent ones first.
+    states : tuple of str
+        Both.
+    parameters, inputs : tuple of str
+    defaults : dict of str to float or None
+        Parameter values; None where every call has to give one.
+    units, descriptions : dict of str to str
+        Of the parameters.
+    manifest : dict
+        All that is known of the model, as in the manifest.json beside the generated sources.
+    n_q, n_u, n_x, n_p, n_r : int
+        Numbers of coordinates, speeds, states, parameters and inputs.
+    n_h, n_c : int
+        Numbers of position constraints and of velocity constraints.
+
+    Examples
+    --------
+    >>> import fourbar_codegen as fb
+    >>> four_bar = fb.load("four_bar")
+    >>> trajectory = four_bar.simulate((0.0, 1.0))
+    >>> trajectory.success
+    True
+    """
+
+    def __init__(self, capsule: object, manifest: dict[str, Any]) -> None:  # noqa: ARG002  # Evaluator takes it
+        self.manifest = manifest
+        self.name: str = manifest["name"]
+        self.coordinates: tuple[str, ...] = tuple(manifest["coordinates"])
+        self.speeds: tuple[str, ...] = tuple(manifest["speeds"])
+        self.states = (*self.coordinates, *self.speeds)
+        self.parameters: tuple[str, ...] = tuple(entry["name"] for entry in manifest["parameters"])
+        self.inputs: tuple[str, ...] = tuple(entry["name"] for entry in manifest["inputs"])
+        self.defaults: dict[str, float | None] = {e["name"]: e["default"] for e in manifest["parameters"]}
+        self.units: dict[str, str] = {e["name"]: e["unit"] for e in manifest["parameters"]}
+        self.descriptions: dict[str, str] = {e["name"]: e["description"] for e in manifest["parameters"]}
+
+    @classmethod
+    def from_module(cls, module: Any) -> CompiledModel:
+        """The model that an imported extension module holds."""
+        try:
+            return cls(module.kernel, json.loads(module.manifest))
+        except AttributeError as error:
+            raise ModelError(f"{module.__name__} is not a compiled model: it has no kernel and manifest.") from error
+
+    @classmethod
+    def from_file(cls, path: Path) -> CompiledModel:
+        """The model in an extension module that is not on Python's path."""
+        name = path.name.split(".")[0]
+        loader = machinery.ExtensionFileLoader(name, str(path))
+        try:
+            spec = util.spec_from_file_location(name, path, loader=loader)
+            assert spec is not None
+            module = util.module_from_spec(spec)
+            loader.exec_module(module)
+        except ImportError as error:
+            raise ModelError(f"{path} cannot be loaded as a compiled model: {error}.") from error
+        return cls.from_module(module)
+
+    def __repr__(self) -> str:
+        return (
+            f"<CompiledModel {self.name}: coordinates {', '.join(self.coordinates)}; speeds {', '.join(self.speeds)}; "
+            f"parameters {', '.join(self.parameters) or 'none'}; inputs {', '.join(self.inputs) or 'none'}>"
+        )
+
+    # Names to arrays.
+
+    def parameter_values(self, p: Values) -> ArrayLike:
+        """All parameter values in order, for an array or a mapping.
+
+        Raises
+        ------
+        ModelError
+            If a name is not a parameter's, or a parameter has neither value nor default.
+        """
+        if not isinstance(p, Mapping):
+            return p
+        return named_values(p, self.parameters, self.defaults, "parameter")
+
+    def input_values(self, r: Values, defaults: Sequence[float]) -> ArrayLike:
+        """All input values in order, for an array or a mapping."""
+        if not isinstance(r, Mapping):
+            return r
+        known = {name: None if math.isnan(value) else value for name, value in zip(self.inputs, defaults, strict=True)}
+        return named_values(r, self.inputs, known, "input")
+
+    def missing(self) -> str:
+        """What has to be given in every call."""
+        parameters = [name for name, value in self.defaults.items() if value is None]
+        inputs = [entry["name"] for entry in self.manifest["inputs"] if entry["expression"] is None]
+        parts = [
+            f"{kind} {', '.join(names)}" for kind, names in (("parameters", parameters), ("inputs", inputs)) if names
+        ]
+        return f"The model {self.name} has no default for its {' and '.join(parts)}: give them in the call."
+
+    # Matrices and vectors.
+
+    def tree_mass_matrix(self, t: float, x: ArrayLike, p: Values | None = None) -> Floats:
+        """M of Kane's equations M u' = f with all speeds independent, shape (n_u, n_u).
+
+        Parameters
+        ----------
+        t, x, p
+            As for `rhs`.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> fb.load("four_bar").tree_mass_matrix(0.0, [0.0] * 6).shape
+        (3, 3)
+        """
+        return self.dynamics(t, x, p, np.zeros(self.n_r))[1]
+
+    def tree_forcing(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
+        """F of Kane's equations M u' = f with all speeds independent, shape (n_u,)."""
+        return self.dynamics(t, x, p, r)[2]
+
+    def mass_matrix(self, t: float, x: ArrayLike, p: Values | None = None) -> Floats:
+        """SymPy's ``System.mass_matrix``, shape (n_u, n_u).
+
+        In the model's own partition: Kane's equations projected on the independent speeds, above the
+        constraints' Jacobian. See `forcing`.
+
+        Parameters
+        ----------
+        t, x, p
+            As for `rhs`.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> four_bar = fb.load("four_bar")
+        >>> four_bar.mass_matrix(0.0, four_bar.initial_state()).shape
+        (3, 3)
+        """
+        _, mass_matrix, _, jacobian, _ = self.dynamics(t, x, p, np.zeros(self.n_r))
+        return np.vstack((self._projection(jacobian).T @ mass_matrix, jacobian))
+
+    def forcing(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
+        """SymPy's ``System.forcing``, shape (n_u,): ``mass_matrix @ u' = forcing``."""
+        _, _, forcing, jacobian, bias = self.dynamics(t, x, p, r)
+        return np.concatenate((self._projection(jacobian).T @ forcing, -bias))
+
+    def _projection(self, jacobian: Floats) -> Floats:
+        """T with u = T u_i + ... for the model's own independent speeds, shape (n_u, n_u - n_c)."""
+        n_i = self.n_u - self.n_c
+        dependent = -np.linalg.solve(jacobian[:, n_i:], jacobian[:, :n_i])
+        return np.vstack((np.eye(n_i), dependent))
+
+    def position_constraints(self, t: float, q: ArrayLike, p: Values | None = None) -> Floats:
+        """Residuals of the holonomic constraints, shape (n_h,), in the constraints' units.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> fb.load("four_bar").position_constraints(0.0, [0.0, 0.0, 0.0]).tolist()
+        [3.0, 0.0]
+        """
+        return self.position(t, q, p)[0]
+
+    def velocity_constraints(self, t: float, x: ArrayLike, p: Values | None = None) -> Floats:
+        """Residuals J u + b of the velocity constraints, shape (n_c,)."""
+        jacobian, bias = self.velocity(t, x, p)
+        residual: Floats = jacobian @ np.asarray(x, dtype=float)[self.n_q :] + bias
+        return residual
+
+    def constraint_jacobian(self, t: float, q: ArrayLike, p: Values | None = None) -> Floats:
+        """J of the velocity constraints J u + b = 0, shape (n_c, n_u)."""
+        return self.velocity(t, np.concatenate((np.asarray(q, dtype=float), np.zeros(self.n_u))), p)[0]
+
+    def multipliers(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
+        """Multipliers lambda of M u' = f + J^T lambda, shape (n_c,): reactions conjugate to the constraints."""
+        return self.accelerations(t, x, p, r)[1]
+
+    def kinetic_energy(self, t: float, x: ArrayLike, p: Values | None = None) -> float:
+        """Kinetic energy, J."""
+        return float(self.energy(t, x, p)[0])
+
+    def potential_energy(self, t: float, x: ArrayLike, p: Values | None = None) -> float:
+        """Potential energy, J: as given with the Model, or of the forces that are constant, such as gravity.
+
+        Raises
+        ------
+        ModelError
+            If the System does not define the position of a point that a constant force acts on.
+        """
+        if not self.manifest["has_potential_energy"]:
+            raise ModelError(
+                f"The potential energy of {self.name} is not known: a constant force acts on a point whose position "
+                "from the System's fixed point is not defined. Give potential_energy= to the Model."
+            )
+        return float(self.energy(t, x, p)[1])
+
+    # Initial states and simulation.
+
+    def initial_state(
+        self,
+        coordinates: Values | None = None,
+        speeds: Values | None = None,
+        *,
+        t: float = 0.0,
+        guess: Values | None = None,
+        parameters: Values | None = None,
+    ) -> Floats:
+        """A state that satisfies all constraints, from the independent coordinates and speeds.
+
+        The dependent coordinates are found by SciPy's ``fsolve`` on the position constraints with their
+        Jacobian, the dependent speeds from the velocity constraints, which are linear in them.
+
+        Parameters
+        ----------
+        coordinates, speeds : array_like or mapping, optional
+            Values of the independent ones; the model's initial values where left out.
+        t : float, optional
+            Time, s.
+        guess : array_like or mapping, optional
+            Where to start the search for the dependent coordinates; the model's guess, or 0, otherwise. It
+            decides which of several ways to close the loop is found.
+        parameters : array_like or mapping, optional
+            The defaults otherwise.
+
+        Returns
+        -------
+        ndarray, shape (n_x,)
+
+        Raises
+        ------
+        ModelError
+            If an argument has a wrong shape or name, or is not finite.
+        AssemblyError
+            If the loops do not close, or the dependent speeds are not determined.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> x0 = fb.load("four_bar").initial_state({"q1": -0.5}, {"u1": -0.1}, guess=[-1.5, -1.5])
+        >>> x0.round(6).tolist()
+        [-0.5, -2.246416, -1.497827, -0.1, 0.071583, -0.027469]
+        """
+        from fourbar_codegen.initial import initial_state
+
+        return initial_state(self, coordinates, speeds, t=t, guess=guess, parameters=parameters)
+
+    def ode(self, parameters: Values | None = None, inputs: Mapping[Any, InputSource] | None = None) -> Ode:
+        """The right-hand side as a callable f(t, x), for `scipy.integrate.solve_ivp` and its like.
+
+        Parameters
+        ----------
+        parameters : array_like or mapping, optional
+            The defaults otherwise.
+        inputs : mapping, optional
+            As for `simulate`.
+
+        Returns
+        -------
+        Ode
+            Callable, with its Jacobian as ``.jac``.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> from scipy.integrate import solve_ivp
+        >>> four_bar = fb.load("four_bar")
+        >>> f = four_bar.ode({"l2": 0.45})
+        >>> x0 = four_bar.initial_state(parameters={"l2": 0.45})
+        >>> solve_ivp(f, (0.0, 1.0), x0, method="Radau", jac=f.jac).success
+        True
+        """
+        from fourbar_codegen.simulate import bind
+
+        return bind(self, parameters, inputs)
+
+    def simulate(
+        self,
+        t_span: Sequence[float],
+        x0: ArrayLike | None = None,
+        *,
+        method: str = "DOP853",
+        parameters: Values | None = None,
+        inputs: Mapping[Any, InputSource] | None = None,
+        t_eval: ArrayLike | None = None,
+        rtol: float = 1e-6,
+        atol: float | ArrayLike = 1e-9,
+        events: Event | Sequence[Event] | None = None,
+        constraints: str = "none",
+        dense_output: bool = False,
+    ) -> Trajectory:
+        """Integrate the equations of motion with SciPy's ``solve_ivp``.
+
+        Parameters
+        ----------
+        t_span : (float, float)
+            First and last time, s.
+        x0 : array_like, shape (n_x,), optional
+            Initial state; the one that follows from the model's initial values otherwise.
+        method : {"DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA"}, optional
+            The implicit ones (the last three) are given the compiled Jacobian.
+        parameters : array_like or mapping, optional
+            The defaults otherwise.
+        inputs : mapping of input to source, optional
+            For each input a number, a table ``(times, values)`` to interpolate linearly (held constant
+            beyond its ends), or a callable of (t, x); its expression otherwise.
+        t_eval : array_like, optional
+            Times at which to store the state.
+        rtol, atol : float, optional
+            Relative and absolute tolerance of the integrator.
+        events : callable or sequence of callables, optional
+            As for ``solve_ivp``: functions of (t, x), with attributes ``terminal`` and ``direction``.
+        constraints : {"none"}, optional
+            How to keep the loops closed during the integration. With "none", only the accelerations satisfy
+            the constraints, and the loops drift open by the integrator's error.
+        dense_output : bool, optional
+            Whether to keep an interpolant as ``trajectory.sol``.
+
+        Returns
+        -------
+        Trajectory
+            With ``success`` False and a sentence in ``message`` if the integrator could not finish.
+
+        Raises
+        ------
+        ModelError
+            If an argument has a wrong shape or name, or is not finite.
+        AssemblyError
+            If `x0` is left out and the loops do not close.
+        SimulationError
+            If the equations cannot be evaluated at the initial state.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> trajectory = fb.load("four_bar").simulate((0.0, 4.0), inputs={"F": 0.0}, rtol=1e-8, atol=1e-8)
+        >>> bool(abs(trajectory.constraint_residual).max() < 1e-6)
+        True
+        """
+        from fourbar_codegen.simulate import simulate
+
+        return simulate(
+            self,
+            t_span,
+            x0,
+            method=method,
+            parameters=parameters,
+            inputs=inputs,
+            t_eval=t_eval,
+            rtol=rtol,
+            atol=atol,
+            events=events,
+            constraints=constraints,
+            dense_output=dense_output,
+        )

@@ -1,0 +1,110 @@
+"""Consistent initial states: independent values in, a state with the loops closed out."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fourbar_codegen.arguments import Values, named_array
+from fourbar_codegen.errors import AssemblyError
+
+if TYPE_CHECKING:
+    from fourbar_codegen.compiled import CompiledModel
+
+__all__ = ["initial_state"]
+
+Floats = NDArray[np.float64]
+
+# Configurations count as closed if the dependent coordinates are right to this, in their units.
+COORDINATE_TOLERANCE = 1e-10
+# Guesses tried before a loop is said not to close, beside the one that was given.
+FURTHER_GUESSES = 40
+# Dependent speeds are not determined if J_d is singular to this share.
+SINGULAR = 1e-12
+
+
+def initial_state(
+    model: CompiledModel,
+    coordinates: Values | None,
+    speeds: Values | None,
+    *,
+    t: float,
+    guess: Values | None,
+    parameters: Values | None,
+) -> Floats:
+    """A state that satisfies all constraints; see `CompiledModel.initial_state`."""
+    n_qi = model.n_q - model.manifest["n_dependent_coordinates"]
+    n_ui = model.n_u - model.manifest["n_dependent_speeds"]
+    initial = model.manifest["initial"]
+    p = None if parameters is None else np.array(model.parameter_values(parameters), dtype=float)
+    q_i = named_array(coordinates, model.coordinates[:n_qi], initial, "independent coordinate")
+    u_i = named_array(speeds, model.speeds[:n_ui], initial, "independent speed")
+    dependent = model.coordinates[n_qi:]
+    start = named_array(guess, dependent, {**dict.fromkeys(dependent, 0.0), **initial}, "dependent coordinate")
+    q = _close(model, t, q_i, start, p) if model.n_h else np.concatenate((q_i, start))
+    return np.concatenate((q, _dependent_speeds(model, t, q, u_i, p)))
+
+
+def _close(model: CompiledModel, t: float, q_i: Floats, start: Floats, p: ArrayLike | None) -> Floats:
+    """Coordinates that satisfy the position constraints, by fsolve."""
+    from scipy.optimize import fsolve
+
+    n_i = len(q_i)
+
+    def assemble(dependent: Floats) -> Floats:
+        return np.concatenate((q_i, dependent))
+
+    def residual(dependent: Floats) -> Floats:
+        return model.position(t, assemble(dependent), p)[0]
+
+    def jacobian(dependent: Floats) -> Floats:
+        return model.position(t, assemble(dependent), p)[1][:, n_i:]
+
+    def search(begin: Floats) -> tuple[Floats, Floats, bool]:
+        # fsolve's own verdict compares steps; what counts here is the residual, in units of the coordinates.
+        found = fsolve(residual, begin, fprime=jacobian, xtol=1e-13, full_output=True)[0]
+        error, slopes = model.position(t, assemble(found), p)
+        return found, error, bool(np.abs(error).max() <= COORDINATE_TOLERANCE * np.abs(slopes).max())
+
+    found, error, closed = search(start)
+    if closed:
+        return assemble(found)
+    generator = np.random.default_rng(0)
+    attempts = [search(start + generator.uniform(-np.pi, np.pi, len(start))) for _ in range(FURTHER_GUESSES)]
+    message = (
+        f"The loop does not close from the guess {_named(model.coordinates[n_i:], start)} with "
+        f"{_named(model.coordinates[:n_i], q_i)}: the position constraints keep the residual {error} "
+        f"at {_named(model.coordinates[n_i:], found)}."
+    )
+    others = [f for f, _, ok in attempts if ok]
+    if others:
+        message += f" It closes from other guesses, for instance guess={others[0].round(3).tolist()}."
+    else:
+        error = min((error, *(e for _, e, _ in attempts)), key=lambda e: float(np.abs(e).max()))
+        message += (
+            f" The loop cannot be closed from {FURTHER_GUESSES} other guesses either; the smallest residual is {error}."
+            " Check the parameters (a link may be too long or too short) and the independent coordinates."
+        )
+    raise AssemblyError(message, error)
+
+
+def _dependent_speeds(model: CompiledModel, t: float, q: Floats, u_i: Floats, p: ArrayLike | None) -> Floats:
+    """All speeds: the dependent ones solve J_d u_d = -(J_i u_i + b)."""
+    n_i = len(u_i)
+    jacobian, bias = model.velocity(t, np.concatenate((q, np.zeros(model.n_u))), p)
+    if not model.n_c:
+        return u_i
+    sizes = np.linalg.svd(jacobian[:, n_i:], compute_uv=False)
+    if not sizes[-1] > SINGULAR * sizes[0]:
+        raise AssemblyError(
+            f"The dependent speeds ({', '.join(model.speeds[n_i:])}) do not follow from the independent ones at "
+            f"{_named(model.coordinates, q)}: the constraints' Jacobian with respect to them is singular. Start from "
+            "another configuration, or choose other independent speeds."
+        )
+    return np.concatenate((u_i, np.linalg.solve(jacobian[:, n_i:], -(jacobian[:, :n_i] @ u_i + bias))))
+
+
+def _named(names: tuple[Any, ...], values: Floats) -> str:
+    return ", ".join(f"{name} = {value:.6g}" for name, value in zip(names, values, strict=True)) or "none"

@@ -1,0 +1,1 @@
+"""Models compiled with the package, from the sources in generated/."""

@@ -1,0 +1,493 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
+"""Calls kernels: argument checks, evaluation, and the right-hand side as a callable for an integrator."""
+
+cimport numpy as cnp
+from cpython.mem cimport PyMem_Calloc, PyMem_Free, PyMem_Malloc
+from cpython.pycapsule cimport PyCapsule_GetPointer
+from libc.math cimport NAN
+
+import numpy as np
+
+from fourbar_codegen.errors import ModelError, SimulationError
+
+cnp.import_array()
+
+cdef extern from "fourbar_kernel.h":
+    const int FB_ABI_VERSION
+    const char *FB_CAPSULE_NAME
+    int FB_OK
+    int FB_CONSTRAINTS_DEPENDENT
+    int FB_MASS_SINGULAR
+    int FB_NOT_FINITE
+    ctypedef struct fb_kernel:
+        int abi_version
+        size_t struct_size
+        size_t work_size
+        int n_q, n_u, n_p, n_r, n_h, n_c, n_constants
+        void (*prepare)(const double *, double *) noexcept nogil
+        void (*default_inputs)(double, const double *, double *) noexcept nogil
+        int (*rhs)(double, const double *, const double *, const double *, double *, void *) noexcept nogil
+        int (*jacobian)(double, const double *, const double *, const double *, double *, void *) noexcept nogil
+        int (*accelerations)(double, const double *, const double *, const double *, double *, double *,
+                             void *) noexcept nogil
+        void (*dynamics)(double, const double *, const double *, const double *, double *, double *, double *,
+                         double *, double *) noexcept nogil
+        void (*position)(double, const double *, const double *, double *, double *) noexcept nogil
+        void (*velocity)(double, const double *, const double *, double *, double *) noexcept nogil
+        void (*energy)(double, const double *, const double *, double *) noexcept nogil
+
+
+cdef cnp.ndarray _new(int rows, int columns=-1):
+    cdef cnp.npy_intp shape[2]
+    shape[0] = rows
+    shape[1] = columns
+    return cnp.PyArray_EMPTY(1 if columns < 0 else 2, shape, cnp.NPY_DOUBLE, 0)
+
+
+cdef inline double *_data(cnp.ndarray array) noexcept:
+    return <double *>cnp.PyArray_DATA(array)
+
+
+cdef const double *_read(object values, int n, double *buffer, str what) except? NULL:
+    """A pointer to n doubles: the array's own memory where it is contiguous, else a copy in the buffer."""
+    cdef bint own = (cnp.PyArray_CheckExact(values) and cnp.PyArray_TYPE(values) == cnp.NPY_DOUBLE
+                     and cnp.PyArray_ISBEHAVED_RO(values))
+    cdef cnp.ndarray array
+    cdef char *entry
+    cdef cnp.npy_intp stride
+    cdef int i
+    if not own:
+        try:
+            values = np.array(values, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise ModelError(f"{what} must be {n} real numbers, not {values!r}.") from error
+    array = <cnp.ndarray>values
+    if cnp.PyArray_NDIM(array) != 1 or cnp.PyArray_DIM(array, 0) != n:
+        raise ModelError(f"{what} must have shape ({n},), not {values.shape}.")
+    stride = cnp.PyArray_STRIDE(array, 0)
+    if own and (stride == sizeof(double) or n < 2):
+        return _data(array)
+    entry = <char *>cnp.PyArray_DATA(array)
+    for i in range(n):
+        buffer[i] = (<double *>entry)[0]
+        entry += stride
+    return buffer
+
+
+cdef inline bint _finite(const double *values, int n) noexcept:
+    cdef double zero = 0.0
+    cdef int i
+    for i in range(n):
+        zero += 0.0 * values[i]
+    return zero == 0.0
+
+
+cdef class Evaluator:
+    """Evaluates one kernel.
+
+    Parameters
+    ----------
+    capsule : object
+        The kernel, as a generated module exports it.
+    manifest : dict
+        The manifest of the same module, decoded.
+    """
+
+    cdef const fb_kernel *kernel
+    cdef object capsule
+    cdef readonly int n_q, n_u, n_x, n_p, n_r, n_h, n_c
+    cdef double *default_constants
+    cdef double *constants
+    cdef double *parameters
+    cdef double *state
+    cdef double *inputs
+    cdef void *work
+    cdef bint defaults_known
+    cdef bint inputs_known
+
+    def __cinit__(self, capsule, manifest):
+        cdef const fb_kernel *kernel = <const fb_kernel *>PyCapsule_GetPointer(capsule, FB_CAPSULE_NAME)
+        if kernel.abi_version != FB_ABI_VERSION or kernel.struct_size != sizeof(fb_kernel):
+            raise ModelError(
+                f"The compiled model has kernel interface {kernel.abi_version}, this package has {FB_ABI_VERSION}: "
+                "build the model again."
+            )
+        self.kernel = kernel
+        self.capsule = capsule
+        self.n_q, self.n_u, self.n_p, self.n_r = kernel.n_q, kernel.n_u, kernel.n_p, kernel.n_r
+        self.n_h, self.n_c, self.n_x = kernel.n_h, kernel.n_c, kernel.n_q + kernel.n_u
+        self.default_constants = <double *>PyMem_Calloc(kernel.n_constants + 1, sizeof(double))
+        self.constants = <double *>PyMem_Calloc(kernel.n_constants + 1, sizeof(double))
+        self.parameters = <double *>PyMem_Calloc(self.n_p + 1, sizeof(double))
+        self.state = <double *>PyMem_Calloc(self.n_x + 1, sizeof(double))
+        self.inputs = <double *>PyMem_Calloc(self.n_r + 1, sizeof(double))
+        self.work = PyMem_Malloc(kernel.work_size)
+        if not (self.default_constants and self.constants and self.parameters and self.state and self.inputs
+                and self.work):
+            raise MemoryError
+        defaults = [NAN if entry["default"] is None else entry["default"] for entry in manifest["parameters"]]
+        cdef const double *p = _read(defaults, self.n_p, self.parameters, "The default parameters")
+        self.defaults_known = _finite(p, self.n_p)
+        self.inputs_known = all(entry["expression"] is not None for entry in manifest["inputs"])
+        kernel.prepare(p, self.default_constants)
+
+    def __dealloc__(self):
+        PyMem_Free(self.default_constants)
+        PyMem_Free(self.constants)
+        PyMem_Free(self.parameters)
+        PyMem_Free(self.state)
+        PyMem_Free(self.inputs)
+        PyMem_Free(self.work)
+
+    def parameter_values(self, p):
+        """All parameter values in order; a subclass that knows their names also takes mappings."""
+        return p
+
+    def input_values(self, r, defaults):
+        """All input values in order; likewise, with the values of the expressions as defaults."""
+        return r
+
+    def missing(self):
+        """A sentence that names what has no default."""
+        return "A parameter or an input has no default and was not given."
+
+    cdef const double *_constants_of(self, object p) except NULL:
+        cdef const double *values
+        if p is None:
+            if not self.defaults_known:
+                raise ModelError(self.missing())
+            return self.default_constants
+        if type(p) is not np.ndarray:
+            p = self.parameter_values(p)
+        values = _read(p, self.n_p, self.parameters, "The parameters p")
+        if not _finite(values, self.n_p):
+            raise ModelError(f"The parameters p must be finite, not {p!r}.")
+        self.kernel.prepare(values, self.constants)
+        return self.constants
+
+    cdef const double *_inputs_of(self, double t, const double *constants, object r) except NULL:
+        cdef const double *values
+        if r is None:
+            if not self.inputs_known:
+                raise ModelError(self.missing())
+            self.kernel.default_inputs(t, constants, self.inputs)
+            return self.inputs
+        if type(r) is not np.ndarray:
+            self.kernel.default_inputs(t, constants, self.inputs)
+            r = self.input_values(r, [self.inputs[i] for i in range(self.n_r)])
+        values = _read(r, self.n_r, self.inputs, "The inputs r")
+        if not _finite(values, self.n_r):
+            raise ModelError(f"The inputs r must be finite, not {r!r}.")
+        for i in range(self.n_r):
+            self.inputs[i] = values[i]  # r may be an array made here, which goes with this call
+        return self.inputs
+
+    cdef const double *_state_of(self, double t, object x, int n) except NULL:
+        cdef const double *values = _read(x, n, self.state, "The state x" if n == self.n_x else "The coordinates q")
+        if not (_finite(values, n) and _finite(&t, 1)):
+            raise ModelError(f"Time and state must be finite, not t = {t}, x = {x!r}.")
+        return values
+
+    def rhs(self, double t, x, p=None, r=None, out=None):
+        """The right-hand side of x' = f(t, x).
+
+        Parameters
+        ----------
+        t : float
+            Time, s.
+        x : array_like, shape (n_x,)
+            State: coordinates, then speeds.
+        p : array_like, shape (n_p,), or mapping, optional
+            Parameters: all in order, or some by name; the defaults otherwise.
+        r : array_like, shape (n_r,), or mapping, optional
+            Inputs; their expressions otherwise.
+        out : ndarray, shape (n_x,), optional
+            Where to write the result; contiguous, of floats.
+
+        Returns
+        -------
+        ndarray, shape (n_x,)
+            x'; a fresh array unless `out` is given.
+
+        Raises
+        ------
+        ModelError
+            If an argument has a wrong shape or name, or is not finite.
+        SimulationError
+            If the mechanism is in a singular position.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> four_bar = fb.load("four_bar")
+        >>> x0 = four_bar.initial_state([-0.5], [-0.1])
+        >>> four_bar.rhs(0.0, x0).round(6).tolist()
+        [-0.1, 0.071583, -0.027469, -9.269182, 6.637037, -2.55111]
+        """
+        cdef const double *state = self._state_of(t, x, self.n_x)
+        cdef const double *constants = self._constants_of(p)
+        cdef const double *inputs = self._inputs_of(t, constants, r)
+        cdef cnp.ndarray result = _new(self.n_x) if out is None else self._output(out)
+        cdef int status = self.kernel.rhs(t, state, constants, inputs, _data(result), self.work)
+        if status != FB_OK:
+            raise SimulationError(failure(status, t, x))
+        return result
+
+    cdef cnp.ndarray _output(self, object out):
+        if not (isinstance(out, np.ndarray) and out.dtype == np.float64 and out.shape == (self.n_x,)
+                and cnp.PyArray_ISCARRAY(out)):
+            raise ModelError(f"out must be a contiguous, writable array of {self.n_x} floats.")
+        return out
+
+    def jacobian(self, double t, x, p=None, r=None):
+        """The derivatives of the right-hand side with respect to the state.
+
+        They follow from M u' = f + J^T lambda and J u' + gamma = 0, differentiated in C.
+
+        Parameters
+        ----------
+        t, x, p, r
+            As for `rhs`.
+
+        Returns
+        -------
+        ndarray, shape (n_x, n_x)
+            Entry (i, j) is the derivative of x'_i with respect to x_j.
+
+        Raises
+        ------
+        ModelError, SimulationError
+            As for `rhs`.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> four_bar = fb.load("four_bar")
+        >>> four_bar.jacobian(0.0, four_bar.initial_state([-0.5], [-0.1])).shape
+        (6, 6)
+        """
+        cdef const double *state = self._state_of(t, x, self.n_x)
+        cdef const double *constants = self._constants_of(p)
+        cdef const double *inputs = self._inputs_of(t, constants, r)
+        cdef cnp.ndarray result = _new(self.n_x, self.n_x)
+        cdef int status = self.kernel.jacobian(t, state, constants, inputs, _data(result), self.work)
+        if status != FB_OK:
+            raise SimulationError(failure(status, t, x))
+        return result
+
+    def accelerations(self, double t, x, p=None, r=None):
+        """u', shape (n_u,), and the constraints' multipliers lambda, shape (n_c,)."""
+        cdef const double *state = self._state_of(t, x, self.n_x)
+        cdef const double *constants = self._constants_of(p)
+        cdef const double *inputs = self._inputs_of(t, constants, r)
+        cdef cnp.ndarray accelerations = _new(self.n_u)
+        cdef cnp.ndarray multipliers = _new(self.n_c)
+        cdef int status = self.kernel.accelerations(
+            t, state, constants, inputs, _data(accelerations), _data(multipliers), self.work)
+        if status != FB_OK:
+            raise SimulationError(failure(status, t, x))
+        return accelerations, multipliers
+
+    def dynamics(self, double t, x, p=None, r=None):
+        """q', M, f, J and gamma of M u' = f + J^T lambda, J u' + gamma = 0."""
+        cdef const double *state = self._state_of(t, x, self.n_x)
+        cdef const double *constants = self._constants_of(p)
+        cdef const double *inputs = self._inputs_of(t, constants, r)
+        cdef cnp.ndarray rates = _new(self.n_q)
+        cdef cnp.ndarray mass_matrix = _new(self.n_u, self.n_u)
+        cdef cnp.ndarray forcing = _new(self.n_u)
+        cdef cnp.ndarray jacobian = _new(self.n_c, self.n_u)
+        cdef cnp.ndarray bias = _new(self.n_c)
+        self.kernel.dynamics(t, state, constants, inputs, _data(rates), _data(mass_matrix), _data(forcing),
+                             _data(jacobian), _data(bias))
+        return rates, mass_matrix, forcing, jacobian, bias
+
+    def position(self, double t, q, p=None):
+        """The position constraints, shape (n_h,), and their derivatives by q, shape (n_h, n_q)."""
+        cdef const double *coordinates = self._state_of(t, q, self.n_q)
+        cdef const double *constants = self._constants_of(p)
+        cdef cnp.ndarray constraints = _new(self.n_h)
+        cdef cnp.ndarray jacobian = _new(self.n_h, self.n_q)
+        self.kernel.position(t, coordinates, constants, _data(constraints), _data(jacobian))
+        return constraints, jacobian
+
+    def velocity(self, double t, x, p=None):
+        """J, shape (n_c, n_u), and b, shape (n_c,), of the velocity constraints J u + b = 0."""
+        cdef const double *state = self._state_of(t, x, self.n_x)
+        cdef const double *constants = self._constants_of(p)
+        cdef cnp.ndarray jacobian = _new(self.n_c, self.n_u)
+        cdef cnp.ndarray bias = _new(self.n_c)
+        self.kernel.velocity(t, state, constants, _data(jacobian), _data(bias))
+        return jacobian, bias
+
+    def energy(self, double t, x, p=None):
+        """Kinetic and potential energy, shape (2,)."""
+        cdef const double *state = self._state_of(t, x, self.n_x)
+        cdef const double *constants = self._constants_of(p)
+        cdef cnp.ndarray energies = _new(2)
+        self.kernel.energy(t, state, constants, _data(energies))
+        return energies
+
+    def default_inputs(self, double t, p=None):
+        """The inputs' expressions at one time, shape (n_r,); NaN where there is none."""
+        cdef cnp.ndarray inputs = _new(self.n_r)
+        self.kernel.default_inputs(t, self._constants_of(p), _data(inputs))
+        return inputs
+
+    def along(self, times, states, p=None):
+        """Position constraints, shape (n_h, n_t), and energies, shape (2, n_t), at states in columns."""
+        cdef cnp.ndarray t = np.ascontiguousarray(times, dtype=np.float64)
+        cdef cnp.ndarray x = np.ascontiguousarray(np.transpose(states), dtype=np.float64)
+        cdef const double *constants = self._constants_of(p)
+        cdef int n_t = cnp.PyArray_DIM(t, 0)
+        cdef cnp.ndarray constraints = _new(n_t, self.n_h)
+        cdef cnp.ndarray energies = _new(n_t, 2)
+        cdef cnp.ndarray jacobian = _new(self.n_h, self.n_q)
+        cdef int i
+        for i in range(n_t):
+            self.kernel.position(_data(t)[i], _data(x) + i * self.n_x, constants, _data(constraints) + i * self.n_h,
+                                 _data(jacobian))
+            self.kernel.energy(_data(t)[i], _data(x) + i * self.n_x, constants, _data(energies) + 2 * i)
+        return constraints.T, energies.T
+
+
+def failure(int status, double t, x):
+    """A sentence for a kernel's status."""
+    where = f"at t = {t:.9g}, x = {np.array2string(np.asarray(x), precision=6, separator=', ')}"
+    if status == FB_CONSTRAINTS_DEPENDENT:
+        return (
+            f"The mechanism is in a singular position {where}: the constraints' Jacobian has lost rank, and no "
+            "acceleration satisfies them all."
+        )
+    if status == FB_MASS_SINGULAR:
+        return (
+            f"The mass matrix is not positive definite {where}: some motion that the constraints allow moves no mass, "
+            "or a mass or inertia is negative."
+        )
+    return f"The equations of motion are not finite {where}: a division by zero, or a coordinate beyond its range."
+
+
+cdef class Ode:
+    """The right-hand side with parameters and inputs bound: f(t, x) for an integrator.
+
+    Where the equations cannot be evaluated, it returns NaN, so that an integrator with step control rejects
+    the step; `failure` then says why.
+
+    Parameters
+    ----------
+    evaluator : Evaluator
+    p : array_like or None
+    sources : sequence of length n_r
+        For each input None (its expression), a float, a table (times, values) or a callable of (t, x).
+    """
+
+    cdef Evaluator evaluator
+    cdef double *constants
+    cdef double *inputs
+    cdef list variable
+    cdef readonly object failure
+
+    def __cinit__(self, Evaluator evaluator, p, sources):
+        cdef const double *constants = evaluator._constants_of(p)
+        cdef int i
+        self.evaluator = evaluator
+        self.constants = <double *>PyMem_Calloc(evaluator.kernel.n_constants + 1, sizeof(double))
+        self.inputs = <double *>PyMem_Calloc(evaluator.n_r + 1, sizeof(double))
+        if not (self.constants and self.inputs):
+            raise MemoryError
+        for i in range(evaluator.kernel.n_constants):
+            self.constants[i] = constants[i]
+        self.variable = [(i, source) for i, source in enumerate(sources) if source is not None]
+        self.failure = None
+
+    def __dealloc__(self):
+        PyMem_Free(self.constants)
+        PyMem_Free(self.inputs)
+
+    cdef int _set_inputs(self, double t, object x) except -1:
+        cdef int i
+        self.evaluator.kernel.default_inputs(t, self.constants, self.inputs)
+        for i, source in self.variable:
+            if type(source) is float:
+                self.inputs[i] = source
+            elif type(source) is Table:
+                self.inputs[i] = (<Table>source).value(t)
+            else:
+                self.inputs[i] = source(t, x)
+        return 0
+
+    def input_values(self, double t, x):
+        """The inputs at one time and state, shape (n_r,)."""
+        cdef cnp.ndarray result = _new(self.evaluator.n_r)
+        cdef int i
+        self._set_inputs(t, x)
+        for i in range(self.evaluator.n_r):
+            _data(result)[i] = self.inputs[i]
+        return result
+
+    cdef object _fail(self, int status, double t, object x, cnp.ndarray result, double value):
+        self.failure = failure(status, t, x)
+        result.fill(value)
+        return result
+
+    def __call__(self, double t, x):
+        """x', shape (n_x,), a fresh array."""
+        cdef Evaluator evaluator = self.evaluator
+        cdef const double *state = _read(x, evaluator.n_x, evaluator.state, "The state x")
+        self._set_inputs(t, x)
+        cdef cnp.ndarray result = _new(evaluator.n_x)
+        cdef int status = evaluator.kernel.rhs(t, state, self.constants, self.inputs, _data(result), evaluator.work)
+        if status != FB_OK:
+            return self._fail(status, t, x, result, NAN)
+        return result
+
+    def jac(self, double t, x):
+        """d f / d x, shape (n_x, n_x)."""
+        cdef Evaluator evaluator = self.evaluator
+        cdef const double *state = _read(x, evaluator.n_x, evaluator.state, "The state x")
+        self._set_inputs(t, x)
+        cdef cnp.ndarray result = _new(evaluator.n_x, evaluator.n_x)
+        cdef int status = evaluator.kernel.jacobian(t, state, self.constants, self.inputs, _data(result), evaluator.work)
+        if status != FB_OK:
+            # Zeros, since factorizations refuse NaN; the right-hand side is NaN here and fails the step.
+            return self._fail(status, t, x, result, 0.0)
+        return result
+
+
+cdef class Table:
+    """A function of time by linear interpolation, held constant before the first and after the last time.
+
+    Parameters
+    ----------
+    times, values : array_like, shape (n,)
+        Times strictly increasing.
+    """
+
+    cdef cnp.ndarray times
+    cdef cnp.ndarray values
+    cdef int position
+
+    def __init__(self, times, values):
+        self.times = np.array(times, dtype=np.float64)
+        self.values = np.array(values, dtype=np.float64)
+        self.position = 0
+
+    cdef double value(self, double t) noexcept:
+        cdef const double *times = _data(self.times)
+        cdef const double *values = _data(self.values)
+        cdef int last = cnp.PyArray_DIM(self.times, 0) - 1
+        cdef int low = 0, high = last, middle
+        if t <= times[0]:
+            return values[0]
+        if not t < times[last]:
+            return values[last]
+        middle = self.position  # integrators move on slowly: the interval of the last call is the first guess
+        while not (times[middle] <= t < times[middle + 1]):
+            if t < times[middle]:
+                high = middle
+            else:
+                low = middle + 1
+            middle = (low + high) // 2
+        self.position = middle
+        return values[middle] + (values[middle + 1] - values[middle]) * (t - times[middle]) / (
+            times[middle + 1] - times[middle])

@@ -1,0 +1,156 @@
+"""Simulation: the compiled right-hand side, handed to SciPy's integrators."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fourbar_codegen.arguments import Values, finite_number, name_of
+from fourbar_codegen.errors import ModelError
+from fourbar_codegen.runtime.evaluator import Ode, Table
+from fourbar_codegen.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from fourbar_codegen.compiled import CompiledModel
+
+__all__ = ["Event", "InputSource", "bind", "simulate"]
+
+Floats = NDArray[np.float64]
+Event = Callable[[float, Floats], float]
+InputSource = float | tuple[ArrayLike, ArrayLike] | Callable[[float, Floats], float]
+
+EXPLICIT = ("DOP853", "RK45", "RK23")
+IMPLICIT = ("Radau", "BDF", "LSODA")
+
+
+def bind(model: CompiledModel, parameters: Values | None, inputs: Mapping[Any, InputSource] | None) -> Ode:
+    """The right-hand side with parameters and inputs bound; see `CompiledModel.ode`."""
+    return Ode(model, parameters, _sources(model, inputs or {}))
+
+
+def _sources(model: CompiledModel, inputs: Mapping[Any, InputSource]) -> list[object]:
+    """For each input None, a float, a Table or a callable."""
+    sources: dict[str, object] = dict.fromkeys(model.inputs)
+    for key, source in inputs.items():
+        name = name_of(key)
+        if name not in sources:
+            raise ModelError(f"There is no input {name!r}; there are {', '.join(model.inputs) or 'none'}.")
+        if callable(source):
+            sources[name] = source
+        elif isinstance(source, tuple | list):
+            sources[name] = _table(name, source)
+        else:
+            sources[name] = finite_number(source, f"input {name}")
+    missing = [e["name"] for e in model.manifest["inputs"] if e["expression"] is None and sources[e["name"]] is None]
+    if missing:
+        raise ModelError(f"No source for input {', '.join(missing)}: give one in inputs=, there is no expression.")
+    return list(sources.values())
+
+
+def _table(name: str, source: Sequence[ArrayLike]) -> Table:
+    shape = "a table (times, values) of two arrays of equal length, times strictly increasing"
+    try:
+        times, values = (np.asarray(column, dtype=float) for column in source)
+    except (TypeError, ValueError) as error:
+        raise ModelError(f"Input {name} must be a number, {shape}, or a callable of (t, x).") from error
+    if times.ndim != 1 or times.shape != values.shape or len(times) < 2 or not (np.diff(times) > 0).all():
+        raise ModelError(f"Input {name} must be {shape}; the arrays have shapes {times.shape} and {values.shape}.")
+    if not (np.isfinite(times).all() and np.isfinite(values).all()):
+        raise ModelError(f"The table of input {name} must be finite.")
+    return Table(times, values)
+
+
+def simulate(
+    model: CompiledModel,
+    t_span: Sequence[float],
+    x0: ArrayLike | None,
+    *,
+    method: str,
+    parameters: Values | None,
+    inputs: Mapping[Any, InputSource] | None,
+    t_eval: ArrayLike | None,
+    rtol: float,
+    atol: float | ArrayLike,
+    events: Event | Sequence[Event] | None,
+    constraints: str,
+    dense_output: bool,
+) -> Trajectory:
+    """Integrate the equations of motion; see `CompiledModel.simulate`."""
+    from scipy.integrate import solve_ivp
+
+    if method not in (*EXPLICIT, *IMPLICIT):
+        raise ModelError(f"There is no method {method!r}; there are {', '.join((*EXPLICIT, *IMPLICIT))}.")
+    if constraints != "none":
+        raise ModelError(
+            f"constraints must be 'none', not {constraints!r}: loops are not kept closed by projection yet."
+        )
+    start, end = _span(t_span)
+    if t_eval is not None:
+        t_eval = _times(t_eval, start, end)
+    p = None if parameters is None else np.array(model.parameter_values(parameters), dtype=float)
+    state = model.initial_state(t=start, parameters=p) if x0 is None else np.array(x0, dtype=float)
+    ode = bind(model, p, inputs)
+    _check_start(model, ode, start, state, p)
+    options: dict[str, Any] = {"rtol": finite_number(rtol, "rtol"), "atol": atol}
+    # A callable input may depend on the state, which the compiled Jacobian does not know of.
+    if method in IMPLICIT and not any(callable(source) for source in (inputs or {}).values()):
+        options["jac"] = ode.jac
+    result = solve_ivp(
+        ode, (start, end), state, method=method, t_eval=t_eval, events=events, dense_output=dense_output, **options
+    )
+    message = result.message
+    if not result.success:
+        reached = result.t[-1] if len(result.t) else start
+        message = f"The integration stopped at t = {reached:.9g}: {ode.failure or message}"
+    return Trajectory(
+        model=model,
+        parameters=p,
+        t=result.t,
+        y=result.y,
+        sol=result.sol,
+        t_events=result.t_events,
+        y_events=result.y_events,
+        nfev=result.nfev,
+        njev=result.njev,
+        nlu=result.nlu,
+        status=result.status,
+        success=bool(result.success),
+        message=message,
+    )
+
+
+def _span(t_span: Sequence[float]) -> tuple[float, float]:
+    try:
+        start, end = (finite_number(t, "t_span") for t in t_span)
+    except (TypeError, ValueError) as error:
+        if isinstance(error, ModelError):
+            raise
+        raise ModelError(f"t_span must be two times, not {t_span!r}.") from error
+    if start == end:
+        raise ModelError(f"t_span must be two different times, not {t_span!r}.")
+    return start, end
+
+
+def _times(t_eval: ArrayLike, start: float, end: float) -> Floats:
+    try:
+        times = np.array(t_eval, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise ModelError(f"t_eval must be an array of times, not {t_eval!r}.") from error
+    forward = 1.0 if end > start else -1.0
+    if times.ndim != 1 or not np.isfinite(times).all() or not (np.diff(forward * times) > 0).all():
+        raise ModelError("t_eval must be a one-dimensional array of times in the order of t_span, each once.")
+    if len(times) and not (min(start, end) <= times.min() and times.max() <= max(start, end)):
+        raise ModelError(
+            f"t_eval must lie within t_span ({start:g}, {end:g}); it goes from {times.min()} to {times.max()}."
+        )
+    return times
+
+
+def _check_start(model: CompiledModel, ode: Ode, t: float, state: Floats, p: Floats | None) -> None:
+    """Raise where the first evaluation would fail: an integrator could not even choose a first step."""
+    rates = ode(t, state)
+    if not (np.isfinite(state).all() and np.isfinite(rates).all()):
+        model.rhs(t, state, p, ode.input_values(t, state))

@@ -1,0 +1,183 @@
+"""Trajectory: the result of a simulation, with SciPy's names."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourbar_codegen.arguments import name_of
+from fourbar_codegen.errors import ModelError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from fourbar_codegen.compiled import CompiledModel
+
+__all__ = ["Trajectory"]
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """States over time.
+
+    Attributes
+    ----------
+    t : ndarray, shape (n_t,)
+        Times, s.
+    y : ndarray, shape (n_x, n_t)
+        States in columns: coordinates, then speeds.
+    sol : callable or None
+        Interpolant of the state, if ``dense_output`` was asked for.
+    t_events, y_events : list of ndarray or None
+        Times and states of each event.
+    nfev, njev, nlu : int
+        Numbers of evaluations of the right-hand side and its Jacobian, and of factorizations.
+    status : int
+        0: the end was reached; 1: a terminal event; -1: the integrator failed.
+    success : bool
+    message : str
+        Why it ended.
+    model : CompiledModel
+    parameters : ndarray or None
+        The parameter values, if they are not the defaults.
+
+    Examples
+    --------
+    >>> import fourbar_codegen as fb
+    >>> trajectory = fb.load("four_bar").simulate((0.0, 1.0), t_eval=[0.0, 0.5, 1.0])
+    >>> trajectory["q1"].shape, trajectory.q.shape, trajectory.energy.shape
+    ((3,), (3, 3), (3,))
+    """
+
+    model: CompiledModel
+    parameters: Floats | None = field(repr=False)
+    t: Floats = field(repr=False)
+    y: Floats = field(repr=False)
+    sol: Callable[[Any], Floats] | None = field(repr=False)
+    t_events: list[Floats] | None = field(repr=False)
+    y_events: list[Floats] | None = field(repr=False)
+    nfev: int
+    njev: int
+    nlu: int
+    status: int
+    success: bool
+    message: str
+
+    @property
+    def q(self) -> Floats:
+        """Generalized coordinates, shape (n_q, n_t)."""
+        return self.y[: self.model.n_q]
+
+    @property
+    def u(self) -> Floats:
+        """Generalized speeds, shape (n_u, n_t)."""
+        return self.y[self.model.n_q :]
+
+    def __getitem__(self, name: Any) -> Floats:
+        """A coordinate or speed over time, by name or SymPy symbol, shape (n_t,)."""
+        states = self.model.states
+        if name_of(name) not in states:
+            raise ModelError(f"There is no state {name_of(name)!r}; there are {', '.join(states)}.")
+        values: Floats = self.y[states.index(name_of(name))]
+        return values
+
+    @cached_property
+    def _derived(self) -> tuple[Floats, Floats]:
+        return self.model.along(self.t, self.y, self.parameters)
+
+    @property
+    def constraint_residual(self) -> Floats:
+        """Residuals of the position constraints, shape (n_h, n_t), in the constraints' units."""
+        return self._derived[0]
+
+    @property
+    def kinetic_energy(self) -> Floats:
+        """Kinetic energy, J, shape (n_t,)."""
+        values: Floats = self._derived[1][0]
+        return values
+
+    @property
+    def potential_energy(self) -> Floats:
+        """Potential energy, J, shape (n_t,); NaN where the model does not know it."""
+        values: Floats = self._derived[1][1]
+        return values
+
+    @property
+    def energy(self) -> Floats:
+        """Kinetic plus potential energy, J, shape (n_t,)."""
+        return self.kinetic_energy + self.potential_energy
+
+    def columns(self) -> dict[str, Floats]:
+        """Everything over time by name: t, the states, the residuals and the energies, each of shape (n_t,)."""
+        columns = {"t": self.t, **dict(zip(self.model.states, self.y, strict=True))}
+        columns.update({f"constraint_residual_{i}": row for i, row in enumerate(self.constraint_residual, start=1)})
+        columns["kinetic_energy"] = self.kinetic_energy
+        columns["potential_energy"] = self.potential_energy
+        return columns
+
+    def save(self, path: str | Path) -> Path:
+        """Write the trajectory to a file.
+
+        Parameters
+        ----------
+        path : str or Path
+            Its ending tells the kind: ``.csv`` (a row for each time, all digits), ``.npz`` (NumPy, an array
+            for each name) or ``.png`` (a plot; needs Matplotlib). Missing folders are made.
+
+        Returns
+        -------
+        Path
+
+        Raises
+        ------
+        ModelError
+            If the ending is another one, the file cannot be written, or Matplotlib is missing.
+        """
+        path = Path(path)
+        writers: dict[str, Callable[[Path], None]] = {
+            ".csv": self._save_csv,
+            ".npz": self._save_npz,
+            ".png": self._save_png,
+        }
+        if path.suffix not in writers:
+            raise ModelError(f"A trajectory is saved as {', '.join(writers)}; {path.name!r} ends otherwise.")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            writers[path.suffix](path)
+        except OSError as error:
+            raise ModelError(f"{path} cannot be written: {error.strerror}.") from error
+        return path
+
+    def _save_csv(self, path: Path) -> None:
+        columns = self.columns()
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(columns)
+            writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
+
+    def _save_npz(self, path: Path) -> None:
+        arrays: dict[str, Any] = dict(self.columns())
+        np.savez(path, **arrays)
+
+    def _save_png(self, path: Path) -> None:
+        self.plot().savefig(path, dpi=120)
+
+    def plot(self) -> Figure:
+        """Coordinates, loop residual and energy over time; needs Matplotlib, the extra ``visual``.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+        """
+        from fourbar_codegen.visual import plot_trajectory
+
+        return plot_trajectory(self)

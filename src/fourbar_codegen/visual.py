@@ -1,0 +1,63 @@
+"""Pictures of trajectories, with Matplotlib."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fourbar_codegen.errors import ModelError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from fourbar_codegen.trajectory import Trajectory
+
+__all__ = ["plot_trajectory"]
+
+
+def plot_trajectory(trajectory: Trajectory) -> Figure:
+    """Coordinates, loop residual and energy over time, one above the other.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Made without pyplot: it appears on no screen by itself and needs not be closed.
+
+    Raises
+    ------
+    ModelError
+        If Matplotlib is not installed.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise ModelError("Plots need Matplotlib: pip install 'fourbar_codegen[visual]'.") from error
+
+    model = trajectory.model
+    figure = Figure(figsize=(7.0, 7.5), layout="constrained")
+    coordinates, residual, energy = figure.subplots(3, 1, sharex=True)
+    for name, values in zip(model.coordinates, trajectory.q, strict=True):
+        coordinates.plot(trajectory.t, values, label=name)
+    coordinates.set_ylabel("coordinates (rad or m)")
+    coordinates.legend(loc="upper right")
+    # Zero has no place on a logarithmic axis; half the smallest normal step of double around 1 stands for it.
+    size = np.abs(trajectory.constraint_residual).max(axis=0, initial=0.0)
+    residual.semilogy(trajectory.t, np.maximum(size, np.finfo(float).eps / 2), color="tab:red")
+    residual.set_ylabel("loop residual (constraints' unit)")
+    for label, values in (
+        ("kinetic", trajectory.kinetic_energy),
+        ("potential", trajectory.potential_energy),
+        ("sum", trajectory.energy),
+    ):
+        if np.isfinite(values).any():
+            energy.plot(trajectory.t, values, label=label)
+    energy.set_ylabel("energy (J)")
+    energy.set_xlabel("time (s)")
+    energy.legend(loc="upper right")
+    figure.suptitle(model.name)
+    return figure

@@ -10,12 +10,10 @@ import shutil
 import subprocess
 import sys
 import sysconfig
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
-from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 from fourbar_codegen.errors import BuildError
 
@@ -23,11 +21,13 @@ __all__ = ["build_extension", "get_include", "toolchain"]
 
 PACKAGE = Path(__file__).parent
 
+# Position-independent code without debugging information, which would double the file.
+COMMON_FLAGS = ("-fPIC", "-g0")
 # Scalar straight-line code stores results that vectorized loops would reload two at a time, which stalls the
 # processor: -fno-tree-vectorize takes 10 % off the four-bar's evaluation.
-KERNEL_FLAGS = ("-O3", "-fno-tree-vectorize", "-g0")
+KERNEL_FLAGS = (*COMMON_FLAGS, "-O3", "-fno-tree-vectorize")
 # The wrapper only passes pointers on; what counts is how long its compilation takes.
-WRAPPER_FLAGS = ("-O1", "-g0", "-Wno-unused-function")
+WRAPPER_FLAGS = (*COMMON_FLAGS, "-O1", "-DNPY_NO_DEPRECATED_API=NPY_1_7_API_VERSION")
 
 
 def get_include() -> str:
@@ -45,27 +45,54 @@ def get_include() -> str:
 def toolchain() -> dict[str, object]:
     """All that changes a compiled module besides the model: this package, Python and the build tools.
 
-    No process is started: a compiler is known by its path, size and date.
+    No process is started: a compiler is known by its path, size and date, Cython by the file that holds its
+    version.
     """
-    compiler = shlex.split(os.environ.get("CC") or sysconfig.get_config_var("CC") or "cc")
+    import numpy as np
+    import sympy as sm
+
+    cython = find_spec("Cython")
+    compiler = _compiler()
     return {
         "package": _package_digest(),
         "python": f"{sys.implementation.cache_tag} {sysconfig.get_config_var('EXT_SUFFIX')}",
-        "versions": {name: version(name) for name in ("numpy", "sympy", "cython")},
+        "numpy": np.__version__,
+        "sympy": sm.__version__,
+        "cython": _digest([Path(cython.origin).with_name("Shadow.py")]) if cython and cython.origin else "",
         "compiler": compiler,
         "compiler file": _file_identity(shutil.which(compiler[0])),
-        "flags": [*KERNEL_FLAGS, *_machine_flags(), *WRAPPER_FLAGS],
-        "environment": {name: os.environ.get(name, "") for name in ("CFLAGS", "CPPFLAGS", "LDFLAGS", "LDSHARED")},
+        "flags": [KERNEL_FLAGS, WRAPPER_FLAGS, _machine_flags(), _user_flags("CFLAGS"), _link_flags()],
         "processor": _processor(),
     }
+
+
+def _compiler() -> list[str]:
+    """The C compiler: the environment's, or the one that Python was built with."""
+    return shlex.split(os.environ.get("CC") or sysconfig.get_config_var("CC") or "cc")
+
+
+def _link_flags() -> list[str]:
+    """How to link an extension module on this system: what Python's own build adds to its compiler."""
+    command = shlex.split(sysconfig.get_config_var("LDSHARED") or "cc -shared")
+    own = shlex.split(sysconfig.get_config_var("CC") or "cc")
+    flags = command[len(own) :] if command[: len(own)] == own else command[1:]
+    return [*flags, *_user_flags("LDFLAGS")]
+
+
+def _user_flags(variable: str) -> list[str]:
+    return shlex.split(os.environ.get(variable, ""))
 
 
 @cache
 def _package_digest() -> str:
     """Digest of the package's own sources, so that a change to the generator reaches the cache's keys."""
+    return _digest(sorted(path for path in PACKAGE.rglob("*") if path.suffix in {".py", ".h"}))
+
+
+def _digest(paths: Iterable[Path]) -> str:
     digest = hashlib.sha256()
-    for path in sorted(p for p in PACKAGE.rglob("*") if p.suffix in {".py", ".h"}):
-        digest.update(path.relative_to(PACKAGE).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+    for path in paths:
+        digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()
 
 
@@ -120,17 +147,18 @@ def build_extension(name: str, sources: Mapping[str, str], folder: Path) -> Path
             (folder / filename).write_text(text, encoding="utf-8", newline="\n")
     except OSError as error:
         raise BuildError(f"The sources cannot be written to {folder}: {error}.") from error
-    wrapper = _cythonize(folder / f"{name}.pyx")
-    compiler = _Compiler(folder)
-    kernel = folder / f"{name}_kernel.c"
+    from concurrent.futures import ThreadPoolExecutor
+
+    kernel, wrapper = folder / f"{name}_kernel.c", _cythonize(folder / f"{name}.pyx")
     with ThreadPoolExecutor(2) as pool:
         jobs = [
-            pool.submit(compiler.compile, kernel, (*KERNEL_FLAGS, *_machine_flags())),
-            pool.submit(compiler.compile, wrapper, WRAPPER_FLAGS),
+            pool.submit(_compile, kernel, (*KERNEL_FLAGS, *_machine_flags())),
+            pool.submit(_compile, wrapper, WRAPPER_FLAGS),
         ]
-        objects = [path for job in jobs for path in job.result()]
-    module = compiler.link(objects, name)
-    for leftover in (wrapper, *map(Path, objects)):
+        objects = [job.result() for job in jobs]
+    module = folder / f"{name}{sysconfig.get_config_var('EXT_SUFFIX')}"
+    _run([*_compiler(), *map(str, objects), *_link_flags(), "-o", str(module)])
+    for leftover in (wrapper, *objects):
         leftover.unlink()
     return module
 
@@ -149,40 +177,17 @@ def _cythonize(source: Path) -> Path:
     return Path(result.c_file)
 
 
-class _Compiler:
-    """The C compiler that Python's build configuration, or the environment variable CC, names."""
+def _compile(source: Path, flags: Sequence[str]) -> Path:
+    import numpy as np
 
-    def __init__(self, folder: Path) -> None:
-        from distutils import ccompiler
-        from distutils import sysconfig as build_configuration
-
-        import numpy as np
-        import setuptools  # noqa: F401  # provides distutils
-
-        self.folder = folder
-        compiler: Any = ccompiler.new_compiler()
-        build_configuration.customize_compiler(compiler)
-        compiler.spawn = _run
-        self.compiler = compiler
-        self.include = [str(folder), get_include(), np.get_include(), sysconfig.get_path("include")]
-
-    def compile(self, source: Path, flags: Sequence[str]) -> list[str]:
-        # Objects go beside their sources; distutils would repeat an absolute path below output_dir.
-        return self.compiler.compile(  # type: ignore[no-any-return]
-            [str(source)],
-            output_dir="/" if source.is_absolute() else "",
-            include_dirs=self.include,
-            macros=[("NPY_NO_DEPRECATED_API", "NPY_1_7_API_VERSION")],
-            extra_postargs=list(flags),
-        )
-
-    def link(self, objects: Sequence[str], name: str) -> Path:
-        target = self.folder / f"{name}{sysconfig.get_config_var('EXT_SUFFIX')}"
-        self.compiler.link_shared_object(list(objects), str(target))
-        return target
+    target = source.with_suffix(".o")
+    folders = [str(source.parent), get_include(), np.get_include(), sysconfig.get_path("include")]
+    include = [word for folder in folders for word in ("-I", folder)]
+    _run([*_compiler(), *flags, *_user_flags("CFLAGS"), *include, "-c", str(source), "-o", str(target)])
+    return target
 
 
-def _run(command: Sequence[str], **_: object) -> None:
+def _run(command: Sequence[str]) -> None:
     """Run a tool; its output becomes part of the error if it fails."""
     try:
         done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import sympy as sm
 from sympy.printing.c import C99CodePrinter
 from sympy.printing.codeprinter import PrintMethodNotImplementedError
+from sympy.printing.precedence import PRECEDENCE
 
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.program import Array, Function, Program
@@ -53,12 +54,11 @@ class _Printer(C99CodePrinter):
     def _print_Pow(self, expr: sm.Pow) -> str:
         # gcc leaves pow(x, 3) a call into the library; products are ten times faster and vectorize.
         base, exponent = expr.as_base_exp()
-        if exponent.is_Integer and 0 < abs(int(exponent)) <= 16:
-            factor = self.parenthesize(base, 50)
-            product = "*".join([factor] * abs(int(exponent)))
-            if exponent > 0:
-                return product
-            return f"1.0/{product}" if exponent == -1 else f"1.0/({product})"
+        if exponent.is_Integer and 1 < abs(int(exponent)) <= 16:
+            factor = self.parenthesize(base, PRECEDENCE["Mul"] + 1)
+            # The parentheses keep x**2 whole where the printer of products divides by it.
+            product = f"({'*'.join([factor] * abs(int(exponent)))})"
+            return product if exponent > 0 else f"1.0/{product}"
         if exponent == sm.Rational(-1, 2):
             return f"1.0/sqrt({self._print(base)})"
         return super()._print_Pow(expr)  # type: ignore[no-any-return]

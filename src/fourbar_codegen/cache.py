@@ -6,6 +6,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable
+from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 
 from fourbar_codegen.errors import CacheError
@@ -17,10 +18,12 @@ VARIABLE = "FOURBAR_CODEGEN_CACHE"
 
 def cache_folder() -> Path:
     """The folder of compiled models: the user's cache folder, or what FOURBAR_CODEGEN_CACHE names."""
+    chosen = os.environ.get(VARIABLE)
+    if chosen:
+        return Path(chosen)
     import platformdirs
 
-    chosen = os.environ.get(VARIABLE)
-    return Path(chosen) if chosen else platformdirs.user_cache_path("fourbar_codegen", appauthor=False)
+    return platformdirs.user_cache_path("fourbar_codegen", appauthor=False)
 
 
 def cached(name: str, key: str, build: Callable[[Path], Path]) -> Path:
@@ -49,13 +52,13 @@ def cached(name: str, key: str, build: Callable[[Path], Path]) -> Path:
     A module is built in a temporary folder, under a lock, and moved to its place in one step: other
     processes see it whole or not at all, and a failed build leaves nothing behind.
     """
-    from filelock import FileLock
-
     root = cache_folder()
     place = root / f"{name}-{key[:32]}"
     found = _module_in(place, name)
     if found is not None:
         return found
+    from filelock import FileLock
+
     try:
         root.mkdir(parents=True, exist_ok=True)
         with FileLock(root / f"{place.name}.lock"):
@@ -77,6 +80,4 @@ def cached(name: str, key: str, build: Callable[[Path], Path]) -> Path:
 
 
 def _module_in(place: Path, name: str) -> Path | None:
-    from importlib.machinery import EXTENSION_SUFFIXES
-
     return next((path for suffix in EXTENSION_SUFFIXES if (path := place / f"{name}{suffix}").is_file()), None)

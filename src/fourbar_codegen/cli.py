@@ -91,7 +91,9 @@ def _pairs(_: click.Context, __: click.Parameter, texts: tuple[str, ...]) -> dic
 @click.option(
     "--samples",
     type=click.IntRange(min=2),
-    help="Store this many equally spaced times instead of the integrator's steps.",
+    default=401,
+    show_default=True,
+    help="Number of equally spaced times to store.",
 )
 @click.option(
     "-o",
@@ -110,7 +112,7 @@ def simulate(
     method: str,
     rtol: float,
     atol: float,
-    samples: int | None,
+    samples: int,
     outputs: tuple[Path, ...],
 ) -> None:
     import numpy as np
@@ -127,7 +129,7 @@ def simulate(
         inputs=inputs,
         rtol=rtol,
         atol=atol,
-        t_eval=None if samples is None else np.linspace(*t_span, samples),
+        t_eval=np.linspace(*t_span, samples),
     )
     _report(trajectory, method, time.perf_counter() - begin)
     for path in outputs:

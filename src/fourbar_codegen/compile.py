@@ -5,14 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from fourbar_codegen.build import build_extension, toolchain
-from fourbar_codegen.c_source import header_text, kernel_text
 from fourbar_codegen.cache import cached
 from fourbar_codegen.compiled import CompiledModel
-from fourbar_codegen.cython_source import manifest_of, manifest_text, wrapper_text
-from fourbar_codegen.equations import form_equations
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.fingerprint import fingerprint
-from fourbar_codegen.lower import lower
 from fourbar_codegen.model import Model
 
 __all__ = ["build_model", "compile_model", "generate_sources", "key_of"]
@@ -42,15 +38,21 @@ def generate_sources(model: Model) -> dict[str, str]:
     >>> sorted(fb.generate_sources(fb.models.four_bar()))
     ['four_bar.h', 'four_bar.pyx', 'four_bar_kernel.c', 'manifest.json']
     """
+    # Imported here: a model that is in the cache needs none of it.
+    from fourbar_codegen.c_source import header_text, kernel_text
+    from fourbar_codegen.cython_source import manifest_of, manifest_text, wrapper_text
+    from fourbar_codegen.equations import form_equations
+    from fourbar_codegen.lower import lower
+
     equations = form_equations(model)
     program = lower(model.name, equations)
-    manifest = manifest_of(model, program)
     names = {
         "coordinates": model.coordinates,
         "speeds": model.speeds,
-        "parameters": tuple(model.parameters),
+        "parameters": tuple(symbol.name.partition(":")[2] for symbol in equations.parameters),
         "inputs": model.inputs,
     }
+    manifest = manifest_of(model, program, names)
     return {
         f"{model.name}_kernel.c": kernel_text(program, names),
         f"{model.name}.h": header_text(program, names),
@@ -68,7 +70,8 @@ def key_of(model: Model) -> str:
     described = (
         model.name,
         model.mechanism,
-        {symbol.name: parameter for symbol, parameter in model.parameter_symbols.items()},
+        model.parameters,
+        model.named_parameters,
         model.input_expressions,
         model.initial,
         model.potential_energy,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import sympy as sm
@@ -15,13 +16,15 @@ __all__ = ["manifest_of", "manifest_text", "wrapper_text"]
 MANIFEST_FORMAT = 1
 
 
-def manifest_of(model: Model, program: Program) -> dict[str, Any]:
+def manifest_of(model: Model, program: Program, names: Mapping[str, Sequence[str]]) -> dict[str, Any]:
     """What a compiled model knows of itself: names, order, defaults, units, operation counts.
 
     Parameters
     ----------
     model : Model
     program : Program
+    names : mapping of str to sequence of str
+        The model's `coordinates`, `speeds`, `parameters` and `inputs`, as compiled.
 
     Returns
     -------
@@ -32,17 +35,17 @@ def manifest_of(model: Model, program: Program) -> dict[str, Any]:
     return {
         "format": MANIFEST_FORMAT,
         "name": model.name,
-        "coordinates": list(model.coordinates),
-        "speeds": list(model.speeds),
+        "coordinates": list(names["coordinates"]),
+        "speeds": list(names["speeds"]),
         "n_dependent_coordinates": model.mechanism.n_dependent_coordinates,
         "n_dependent_speeds": model.mechanism.n_dependent_speeds,
         "parameters": [
             {"name": name, "default": p.value, "unit": p.unit, "description": p.description}
-            for name, p in model.parameters.items()
+            for name, p in ((name, model.parameters[name]) for name in names["parameters"])
         ],
         "inputs": [
             {"name": name, "expression": None if expression is None else str(expression)}
-            for name, expression in zip(model.inputs, model.input_expressions.values(), strict=True)
+            for name, expression in zip(names["inputs"], model.input_expressions.values(), strict=True)
         ],
         "initial": model.initial,
         "has_potential_energy": energies[1] is not sm.nan,

@@ -53,7 +53,8 @@ class Equations:
     tape : Tape
     time : Symbol
     coordinates, speeds, parameters, inputs : tuple of Symbol
-        The leaves, in the order of the state and argument arrays.
+        The leaves, in the order of the state and argument arrays. Of the parameters, those that the model
+        names or the equations need.
     accelerations : tuple of Symbol
         Leaves that stand for u' in `residual_jacobian`.
     multipliers : tuple of Symbol
@@ -176,35 +177,43 @@ def form_equations(model: Model) -> Equations:
     )
 
     inputs = [sm.S.NaN if e is None else tape.convert(e, leaves) for e in model.input_expressions.values()]
+    results = {
+        "default_inputs": _vector("inputs", inputs),
+        "coordinate_rates": _vector("coordinate_rates", q_rates),
+        "mass_matrix": _matrix("mass_matrix", mass_matrix, n_u),
+        "forcing": _vector("forcing", forcing),
+        "position_constraints": _vector("position_constraints", positions),
+        "position_jacobian": _matrix("position_jacobian", [[d(e) for d in along_q] for e in positions], len(q)),
+        "constraint_jacobian": _matrix("constraint_jacobian", jacobian, n_u),
+        "velocity_bias": _vector("velocity_bias", velocity_bias),
+        "acceleration_bias": _vector("acceleration_bias", acceleration_bias),
+        "energies": _vector(
+            "energies", [kane.kinetic_energy(), kane.potential_energy(model.potential_energy, {time, *q, *u, *r})]
+        ),
+        "coordinate_rate_jacobian": _matrix(
+            "coordinate_rate_jacobian", [[d(e) for d in (*along_q, *along_u)] for e in q_rates], len(q) + n_u
+        ),
+        "residual_jacobian": _matrix(
+            "residual_jacobian",
+            [[d(e) for d in (*along_q, *along_u)] for e in (*dynamic, *kinematic)],
+            len(q) + n_u,
+        ),
+    }
+    entries = [entry for result in results.values() for entry in result.entries]
     return Equations(
         tape=tape,
         time=time,
         coordinates=q,
         speeds=u,
-        parameters=p,
+        parameters=tuple(
+            leaf
+            for symbol, leaf in zip(model.parameter_symbols, p, strict=True)
+            if symbol in model.named_parameters or tape.depends(entries, {leaf})
+        ),
         inputs=r,
         accelerations=a,
         multipliers=lam,
-        default_inputs=_vector("inputs", inputs),
-        coordinate_rates=_vector("coordinate_rates", q_rates),
-        mass_matrix=_matrix("mass_matrix", mass_matrix, n_u),
-        forcing=_vector("forcing", forcing),
-        position_constraints=_vector("position_constraints", positions),
-        position_jacobian=_matrix("position_jacobian", [[d(e) for d in along_q] for e in positions], len(q)),
-        constraint_jacobian=_matrix("constraint_jacobian", jacobian, n_u),
-        velocity_bias=_vector("velocity_bias", velocity_bias),
-        acceleration_bias=_vector("acceleration_bias", acceleration_bias),
-        energies=_vector(
-            "energies", [kane.kinetic_energy(), kane.potential_energy(model.potential_energy, {time, *q, *u, *r})]
-        ),
-        coordinate_rate_jacobian=_matrix(
-            "coordinate_rate_jacobian", [[d(e) for d in (*along_q, *along_u)] for e in q_rates], len(q) + n_u
-        ),
-        residual_jacobian=_matrix(
-            "residual_jacobian",
-            [[d(e) for d in (*along_q, *along_u)] for e in (*dynamic, *kinematic)],
-            len(q) + n_u,
-        ),
+        **results,
     )
 
 

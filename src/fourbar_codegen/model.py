@@ -59,7 +59,7 @@ class Model:
         A Python identifier; names the compiled module.
     parameters : mapping of Symbol to float or Parameter, optional
         Default values. Symbols of the System that are not named here follow in alphabetical order, without
-        a default.
+        a default, as far as the equations need them (a body's automatic inertia symbols often drop out).
     inputs : mapping of function of time to Expr, float or None, optional
         Every function of time in the loads that is neither coordinate nor speed, with its default: an
         expression of time and parameters, a number, or None if every run has to give it.
@@ -106,6 +106,7 @@ class Model:
         self.mechanism: Mechanism = read_mechanism(system)
         self.input_expressions = {f: None if e is None else sm.sympify(e) for f, e in (inputs or {}).items()}
         self.potential_energy = None if potential_energy is None else sm.sympify(potential_energy)
+        self.named_parameters = tuple(parameters or {})
         self.parameter_symbols = self._collect_parameters(parameters or {})
         self._check_names()
         self._check_inputs()
@@ -128,7 +129,7 @@ class Model:
 
     @cached_property
     def parameters(self) -> dict[str, Parameter]:
-        """The parameters by name, in the order of the compiled model."""
+        """All symbols of the System by name, the ones that were named first."""
         return {symbol.name: parameter for symbol, parameter in self.parameter_symbols.items()}
 
     def __repr__(self) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.arguments import Values, finite_number, name_of
+from fourbar_codegen.arguments import Values, finite_number, name_of, named_array
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.runtime.evaluator import Ode, Table
 from fourbar_codegen.trajectory import Trajectory
@@ -91,15 +91,16 @@ def simulate(
     if t_eval is not None:
         t_eval = _times(t_eval, start, end)
     p = None if parameters is None else np.array(model.parameter_values(parameters), dtype=float)
-    state = model.initial_state(t=start, parameters=p) if x0 is None else np.array(x0, dtype=float)
+    state = model.initial_state(t=start, parameters=p) if x0 is None else named_array(x0, model.states, {}, "state")
     ode = bind(model, p, inputs)
     _check_start(model, ode, start, state, p)
-    options: dict[str, Any] = {"rtol": finite_number(rtol, "rtol"), "atol": atol}
+    options: dict[str, Any] = {"rtol": _tolerance(rtol, "rtol", (1,)), "atol": _tolerance(atol, "atol", (1, model.n_x))}
     # A callable input may depend on the state, which the compiled Jacobian does not know of.
     if method in IMPLICIT and not any(callable(source) for source in (inputs or {}).values()):
         options["jac"] = ode.jac
+    solver = _failing_softly(method, ode) if method in IMPLICIT else method
     result = solve_ivp(
-        ode, (start, end), state, method=method, t_eval=t_eval, events=events, dense_output=dense_output, **options
+        ode, (start, end), state, method=solver, t_eval=t_eval, events=events, dense_output=dense_output, **options
     )
     message = result.message
     if not result.success:
@@ -147,6 +148,39 @@ def _times(t_eval: ArrayLike, start: float, end: float) -> Floats:
             f"t_eval must lie within t_span ({start:g}, {end:g}); it goes from {times.min()} to {times.max()}."
         )
     return times
+
+
+def _failing_softly(method: str, ode: Ode) -> type:
+    """An implicit integrator that ends, with what it has, where the equations cannot be evaluated.
+
+    The explicit ones reject a step that is not a number and go down with their step size. Of the implicit
+    ones, Radau and BDF stop with an exception from the factorization, and LSODA goes on with what is not a
+    number. ``OdeSolver`` documents `_step_impl` as the place to say otherwise.
+    """
+    import scipy.integrate
+
+    class FailingSoftly(getattr(scipy.integrate, method)):  # type: ignore[misc]
+        def _step_impl(self) -> tuple[bool, str | None]:
+            try:
+                success, message = super()._step_impl()
+            except ValueError:
+                if ode.failure is None:
+                    raise
+                return False, ode.failure
+            return (success, message) if np.isfinite(self.y).all() else (False, ode.failure)
+
+    return FailingSoftly
+
+
+def _tolerance(value: ArrayLike, name: str, sizes: tuple[int, ...]) -> Floats:
+    try:
+        tolerance = np.array(value, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise ModelError(f"{name} must be a positive number, not {value!r}.") from error
+    if tolerance.ndim > 1 or tolerance.size not in sizes or not (np.isfinite(tolerance) & (tolerance > 0)).all():
+        arrays = "".join(f" or an array of shape ({size},)" for size in sizes if size > 1)
+        raise ModelError(f"{name} must be a positive number{arrays}, not {value!r}.")
+    return tolerance
 
 
 def _check_start(model: CompiledModel, ode: Ode, t: float, state: Floats, p: Floats | None) -> None:

@@ -44,7 +44,7 @@ def plot_trajectory(trajectory: Trajectory) -> Figure:
     for name, values in zip(model.coordinates, trajectory.q, strict=True):
         coordinates.plot(trajectory.t, values, label=name)
     coordinates.set_ylabel("coordinates (rad or m)")
-    coordinates.legend(loc="upper right")
+    coordinates.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     # Zero has no place on a logarithmic axis; half the smallest normal step of double around 1 stands for it.
     size = np.abs(trajectory.constraint_residual).max(axis=0, initial=0.0)
     residual.semilogy(trajectory.t, np.maximum(size, np.finfo(float).eps / 2), color="tab:red")
@@ -58,6 +58,6 @@ def plot_trajectory(trajectory: Trajectory) -> Figure:
             energy.plot(trajectory.t, values, label=label)
     energy.set_ylabel("energy (J)")
     energy.set_xlabel("time (s)")
-    energy.legend(loc="upper right")
+    energy.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     figure.suptitle(model.name)
     return figure

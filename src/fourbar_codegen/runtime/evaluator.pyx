@@ -353,6 +353,8 @@ cdef class Evaluator:
 
 def failure(int status, double t, x):
     """A sentence for a kernel's status."""
+    if not np.isfinite(x).all():
+        status = FB_NOT_FINITE
     where = f"at t = {t:.9g}, x = {np.array2string(np.asarray(x), precision=6, separator=', ')}"
     if status == FB_CONSTRAINTS_DEPENDENT:
         return (
@@ -364,7 +366,10 @@ def failure(int status, double t, x):
             f"The mass matrix is not positive definite {where}: some motion that the constraints allow moves no mass, "
             "or a mass or inertia is negative."
         )
-    return f"The equations of motion are not finite {where}: a division by zero, or a coordinate beyond its range."
+    return (
+        f"The equations of motion are not finite {where}: a division by zero, a coordinate beyond its range, "
+        "or an input that is not finite."
+    )
 
 
 cdef class Ode:
@@ -426,7 +431,9 @@ cdef class Ode:
         return result
 
     cdef object _fail(self, int status, double t, object x, cnp.ndarray result, double value):
-        self.failure = failure(status, t, x)
+        # Integrators go on from NaN with states of NaN; what is to be reported is how it began.
+        if self.failure is None or np.isfinite(x).all():
+            self.failure = failure(status, t, x)
         result.fill(value)
         return result
 
@@ -439,6 +446,8 @@ cdef class Ode:
         cdef int status = evaluator.kernel.rhs(t, state, self.constants, self.inputs, _data(result), evaluator.work)
         if status != FB_OK:
             return self._fail(status, t, x, result, NAN)
+        if self.failure is not None:
+            self.failure = None
         return result
 
     def jac(self, double t, x):

@@ -39,10 +39,10 @@ static int rhs(double t, const double *x, const double *constants, const double 
     const int status = solve_accelerations(t, x, constants, r, rates, rates + N_Q, work);
     if (status != FB_OK)
         return status;
-    double zero = 0.0;
     for (int i = 0; i < N_X; ++i)
-        zero += 0.0 * rates[i]; /* infinite and not-a-number rates make it not a number */
-    return zero == 0.0 ? FB_OK : FB_NOT_FINITE;
+        if (!isfinite(rates[i]))
+            return FB_NOT_FINITE;
+    return FB_OK;
 }
 
 static int accelerations(double t, const double *x, const double *constants, const double *r, double *rates,

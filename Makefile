@@ -1,0 +1,35 @@
+# make run, make test, make lint, make bench: each sets up what it needs in .venv.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+INSTALLED := $(VENV)/installed
+# What a compiled part is made of; the Python files are used where they stand.
+SOURCES := pyproject.toml setup.py $(wildcard src/fourbar_codegen/runtime/*.pyx src/fourbar_codegen/runtime/*.h generated/*/*)
+
+.PHONY: run test lint bench generate clean
+
+run: $(INSTALLED)
+	$(BIN)/fourbar simulate four_bar -o results/four_bar.csv -o results/four_bar.npz -o results/four_bar.png
+
+test: $(INSTALLED)
+	$(BIN)/python -m pytest
+
+lint: $(INSTALLED)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+bench: $(INSTALLED)
+	$(BIN)/python benchmarks/four_bar.py --output results/benchmark.json
+
+generate: $(INSTALLED)
+	$(BIN)/fourbar generate four_bar -o generated
+
+$(INSTALLED): $(SOURCES)
+	$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "Python 3.11 or newer is needed; name one: make PYTHON=python3.12")'
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --editable '.[test,visual]'
+	touch $@
+
+clean:
+	rm -rf $(VENV) build results src/*.egg-info src/fourbar_codegen/*/*.so

@@ -1,0 +1,186 @@
+"""The compiled four-bar against the tutorial's own code, side by side in one run.
+
+Every row times both in turn, so that a busy machine slows both, and compares their medians. Prints a table of
+ratios and writes them, with the machine and the versions, as JSON.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+import timeit
+from collections.abc import Callable
+from datetime import date
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+from scipy.integrate import solve_ivp
+from tutorial import Floats, tutorial_four_bar
+
+import fourbar_codegen as fb
+
+ROOT = Path(__file__).parent.parent
+ROUNDS = 15
+
+
+def timed(function: Callable[[], object]) -> float:
+    """Seconds of one call."""
+    begin = time.perf_counter()
+    function()
+    return time.perf_counter() - begin
+
+
+def evaluation(function: Callable[[float, Floats], Floats], x: Floats, number: int) -> Callable[[], float]:
+    """A measure of one evaluation, called as an integrator written in Python calls it."""
+    timer = timeit.Timer("function(0.5, x)", globals={"function": function, "x": x})
+    return lambda: timer.timeit(number) / number
+
+
+def compare(*measures: Callable[[], float], rounds: int = ROUNDS) -> list[float]:
+    """Medians of several measures, taken in turn."""
+    samples = [[measure() for measure in measures] for _ in range(rounds)]
+    return [statistics.median(column) for column in zip(*samples, strict=True)]
+
+
+def evaluation_inside_c(flags: list[str], t: float, x: Floats, p: list[float]) -> Callable[[], float]:
+    """A measure of the kernel called in a loop by a C program."""
+    folder = Path(tempfile.mkdtemp())
+    program = folder / "inside_c"
+    sources = ROOT / "generated" / "four_bar"
+    command = [os.environ.get("CC", "cc"), "-O3", "-fno-tree-vectorize", *flags, "-D_POSIX_C_SOURCE=199309L"]
+    command += ["-I", fb.get_include(), "-I", str(sources), str(ROOT / "benchmarks" / "inside_c.c")]
+    subprocess.run([*command, str(sources / "four_bar_kernel.c"), "-o", str(program), "-lm"], check=True)
+    arguments = [str(program), "200000", repr(t), *(repr(float(value)) for value in (*x, *p))]
+
+    def measure() -> float:
+        return float(subprocess.run(arguments, check=True, capture_output=True, text=True).stdout.split()[0])
+
+    return measure
+
+
+TUTORIAL_PROCESS = """
+import sys
+sys.path.insert(0, {folder!r})
+from tutorial import tutorial_four_bar
+from scipy.integrate import solve_ivp
+tutorial = tutorial_four_bar()
+x0 = tutorial.initial_state([-0.5], [-0.1], [-1.5, -1.5], [0.5, -0.5])
+assert solve_ivp(tutorial.rhs, (0, 4), x0).success
+"""
+
+COMPILED_PROCESS = """
+import fourbar_codegen as fb
+four_bar = fb.load("four_bar")
+assert four_bar.simulate((0.0, 4.0), method="RK45", rtol=1e-3, atol=1e-6).success
+"""
+
+
+def process(code: str) -> Callable[[], float]:
+    """A measure of a fresh Python process."""
+    return lambda: timed(lambda: subprocess.run([sys.executable, "-c", code], check=True))
+
+
+COMPILE_PROCESS = """
+import time
+import timeit
+import fourbar_codegen as fb
+model = fb.models.four_bar()
+begin = time.perf_counter()
+fb.compile_model(model)
+print(time.perf_counter() - begin)
+"""
+
+
+def compile_in_fresh_process(cold: bool) -> Callable[[], float]:
+    """A measure of compile_model in a process that has imported SymPy and made the model."""
+    kept = tempfile.mkdtemp()
+
+    def measure() -> float:
+        folder = tempfile.mkdtemp() if cold else kept
+        environment = {**os.environ, "FOURBAR_CODEGEN_CACHE": folder}
+        command = [sys.executable, "-c", COMPILE_PROCESS]
+        done = subprocess.run(command, check=True, capture_output=True, text=True, env=environment)
+        return float(done.stdout)
+
+    if not cold:
+        measure()
+    return measure
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--output", type=Path, default=Path("results/benchmark.json"), help="where to write JSON")
+    parser.add_argument("--rounds", type=int, default=ROUNDS, help="samples of each measure")
+    options = parser.parse_args()
+
+    tutorial = tutorial_four_bar()
+    four_bar = fb.load("four_bar")
+    x0 = tutorial.initial_state([-0.5], [-0.1], [-1.5, -1.5], [0.5, -0.5])
+    ode = four_bar.ode()
+    rows: list[dict[str, object]] = []
+
+    def row(name: str, unit: str, target: float | None, slow: Callable[[], float], *fast: Callable[[], float]) -> None:
+        scale = {"us": 1e6, "ms": 1e3, "s": 1.0}[unit]
+        medians = compare(slow, *fast, rounds=options.rounds if unit != "s" else max(3, options.rounds // 3))
+        ratio = medians[0] / medians[1] if fast else None
+        rows.append(
+            {"name": name, "unit": unit, "tutorial": medians[0] * scale if fast else None,
+             "compiled": medians[-1] * scale, "ratio": ratio, "target": target}
+        )  # fmt: skip
+        left = f"{medians[0] * scale:10.4f}" if fast else " " * 10
+        right = f"{ratio:8.1f}" if ratio else " " * 8
+        print(f"{name:<46} {left} {medians[-1] * scale:10.4f} {unit:<3} {right}   {target or ''}", flush=True)
+
+    def solve(function: Callable[[float, Floats], Floats], **how: object) -> Callable[[], float]:
+        return lambda: timed(lambda: solve_ivp(function, (0, 4), x0, **how))
+
+    precise = {"method": "DOP853", "rtol": 1e-10, "atol": 1e-10}
+    zero = np.zeros(6)
+
+    def free(_: float, __: Floats) -> Floats:
+        return zero
+
+    print(f"{'':<46} {'tutorial':>10} {'compiled':>10}     {'ratio':>8}   target")
+    one = evaluation(tutorial.rhs, x0, 500)
+    row("evaluation from Python, CompiledModel.rhs(t, x)", "us", 80, one, evaluation(four_bar.rhs, x0, 5000))
+    row("evaluation from Python, ode()(t, x)", "us", 80, one, evaluation(ode, x0, 5000))
+    p = list(tutorial.p_values)
+    row("evaluation inside C, as in the wheel", "us", 200, one, evaluation_inside_c([], 0.5, x0, p))
+    if platform.machine() == "x86_64":
+        row("evaluation inside C, -march=native", "us", 200, one, evaluation_inside_c(["-march=native"], 0.5, x0, p))
+    row("solve_ivp, 4 s, default RK45", "ms", 7, solve(tutorial.rhs), solve(ode))
+    row("solve_ivp, 4 s, DOP853 at 1e-10", "ms", None, solve(tutorial.rhs, **precise), solve(ode, **precise))
+    # What no right-hand side can change: SciPy's own share of the run, at the same number of evaluations.
+    row("  of this SciPy itself: a free right-hand side", "ms", None,
+        lambda: timed(lambda: solve_ivp(free, (0, 4), x0, first_step=4 / 19, max_step=4 / 19)))  # fmt: skip
+    assert (
+        abs(solve_ivp(free, (0, 4), x0, first_step=4 / 19, max_step=4 / 19).nfev - solve_ivp(ode, (0, 4), x0).nfev) < 10
+    )
+    row("fresh process, import to trajectory", "s", 2.5,
+        process(TUTORIAL_PROCESS.format(folder=str(ROOT / "benchmarks"))), process(COMPILED_PROCESS))  # fmt: skip
+    row("compile_model, cold", "s", None, compile_in_fresh_process(cold=True))
+    row("compile_model, warm", "s", None, compile_in_fresh_process(cold=False))
+
+    report = {
+        "date": date.today().isoformat(),
+        "machine": f"{platform.machine()}, {os.cpu_count()} cores, {platform.system()}",
+        "versions": {name: version(name) for name in ("fourbar_codegen", "sympy", "numpy", "scipy", "cython")}
+        | {"python": platform.python_version()},
+        "rounds": options.rounds,
+        "rows": rows,
+    }
+    options.output.parent.mkdir(parents=True, exist_ok=True)
+    options.output.write_text(json.dumps(report, indent=2) + "\n")
+    print(f"Written: {options.output}")
+
+
+if __name__ == "__main__":
+    main()

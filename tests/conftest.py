@@ -1,0 +1,33 @@
+"""Shared fixtures, and a run on CI that fails where something was skipped."""
+
+import os
+
+import pytest
+from tutorial import tutorial_four_bar
+
+import fourbar_codegen as fb
+
+
+@pytest.fixture(scope="session", autouse=True)
+def own_cache(tmp_path_factory):
+    """No test reads or writes the user's cache."""
+    folder = tmp_path_factory.mktemp("cache")
+    os.environ["FOURBAR_CODEGEN_CACHE"] = str(folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def four_bar():
+    return fb.load("four_bar")
+
+
+@pytest.fixture(scope="session")
+def tutorial():
+    return tutorial_four_bar()
+
+
+def pytest_sessionfinish(session, exitstatus):
+    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+    if os.environ.get("CI") and reporter and reporter.stats.get("skipped") and exitstatus == 0:
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+        reporter.write_line("On CI every test has to run; some were skipped.", red=True)

@@ -1,0 +1,197 @@
+"""Whatever is wrong gets an error of the package's own that names it and says what is allowed."""
+
+import numpy as np
+import pytest
+import sympy as sm
+import sympy.physics.mechanics as me
+from sympy.physics.mechanics.system import System
+
+import fourbar_codegen as fb
+from fourbar_codegen.models import four_bar as make_four_bar
+
+X = [0.1] * 6
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda m: m.rhs(0.0, X, {"l9": 1.0}), ["'l9'", "l1, l2, l3, l4"]),
+        (lambda m: m.rhs(0.0, X, {"l2": "long"}), ["parameter l2", "'long'"]),
+        (lambda m: m.rhs(0.0, X, {"l2": np.inf}), ["parameter l2", "inf"]),
+        (lambda m: m.rhs(0.0, X, [1.0, 2.0]), ["parameters p", "(8,)", "(2,)"]),
+        (lambda m: m.rhs(0.0, X, [np.nan] * 8), ["parameters p", "finite"]),
+        (lambda m: m.rhs(0.0, X, r={"G": 1.0}), ["'G'", "F"]),
+        (lambda m: m.rhs(0.0, X, r=[1.0, 2.0]), ["inputs r", "(1,)", "(2,)"]),
+        (lambda m: m.rhs(0.0, X, r=[np.nan]), ["inputs r", "finite"]),
+        (lambda m: m.rhs(0.0, [0.1] * 5), ["(6,)", "(5,)"]),
+        (lambda m: m.rhs(0.0, np.zeros((6, 1))), ["(6,)", "(6, 1)"]),
+        (lambda m: m.rhs(0.0, 1.0), ["(6,)", "()"]),
+        (lambda m: m.rhs(0.0, ["a"] * 6), ["6 real numbers"]),
+        (lambda m: m.rhs(0.0, [1j] * 6), ["6 real numbers"]),
+        (lambda m: m.rhs(0.0, [np.nan, *X[1:]]), ["finite", "nan"]),
+        (lambda m: m.rhs(np.inf, X), ["finite", "inf"]),
+        (lambda m: m.rhs(0.0, X, out=np.empty(5)), ["out", "6"]),
+        (lambda m: m.jacobian(0.0, [0.1] * 5), ["(6,)", "(5,)"]),
+        (lambda m: m.position_constraints(0.0, X), ["(3,)", "(6,)"]),
+        (lambda m: m.mass_matrix(0.0, X, {"m": 1.0}), ["'m'", "rho"]),
+        (lambda m: m.initial_state({"q2": 1.0}), ["'q2'", "independent coordinate", "q1"]),
+        (lambda m: m.initial_state([1.0, 2.0]), ["independent coordinates", "(1,)", "(2,)"]),
+        (lambda m: m.initial_state([np.nan]), ["finite"]),
+        (lambda m: m.initial_state(guess={"q1": 1.0}), ["'q1'", "dependent coordinate", "q2, q3"]),
+        (lambda m: m.initial_state(["a"]), ["must be numbers"]),
+        (lambda m: m.simulate((0.0, 1.0), X, method="Euler"), ["'Euler'", "DOP853", "Radau"]),
+        (lambda m: m.simulate((0.0, 1.0), X, constraints="project"), ["'project'", "'none'"]),
+        (lambda m: m.simulate((0.0, np.nan), X), ["t_span", "nan"]),
+        (lambda m: m.simulate((0.0,), X), ["t_span", "two times"]),
+        (lambda m: m.simulate((1.0, 1.0), X), ["t_span", "different"]),
+        (lambda m: m.simulate(3.0, X), ["t_span", "3.0"]),
+        (lambda m: m.simulate((0.0, 1.0), [0.1] * 5), ["(6,)", "(5,)"]),
+        (lambda m: m.simulate((0.0, 1.0), [np.nan] * 6), ["finite"]),
+        (lambda m: m.simulate((0.0, 1.0), ["a"] * 6), ["states", "numbers"]),
+        (lambda m: m.simulate((0.0, 1.0), t_eval=[0.0, 2.0]), ["t_eval", "2.0"]),
+        (lambda m: m.simulate((0.0, 1.0), t_eval=[0.5, 0.2]), ["t_eval", "order"]),
+        (lambda m: m.simulate((0.0, 1.0), t_eval="now"), ["t_eval", "'now'"]),
+        (lambda m: m.simulate((0.0, 1.0), rtol=np.nan), ["rtol", "nan"]),
+        (lambda m: m.simulate((0.0, 1.0), rtol=-1.0), ["rtol", "-1.0"]),
+        (lambda m: m.simulate((0.0, 1.0), atol=-1.0), ["atol", "-1.0"]),
+        (lambda m: m.simulate((0.0, 1.0), atol=[1e-6] * 5), ["atol", "(6,)"]),
+        (lambda m: m.simulate((0.0, 1.0), inputs={"G": 1.0}), ["'G'", "F"]),
+        (lambda m: m.simulate((0.0, 1.0), inputs={"F": "big"}), ["F", "'big'"]),
+        (lambda m: m.simulate((0.0, 1.0), inputs={"F": np.nan}), ["F", "nan"]),
+        (lambda m: m.simulate((0.0, 1.0), inputs={"F": ([0, 1], [1])}), ["F", "(2,)", "(1,)"]),
+        (lambda m: m.simulate((0.0, 1.0), inputs={"F": ([1, 0], [1, 2])}), ["F", "increasing"]),
+        (lambda m: m.simulate((0.0, 1.0), inputs={"F": ([0, 1], [1, np.nan])}), ["F", "finite"]),
+        (lambda m: m.simulate((0.0, 1.0), inputs={"F": (1, 2, 3)}), ["F", "table"]),
+        (lambda m: m.simulate((0.0, 0.1))["q9"], ["'q9'", "q1, q2, q3"]),
+        (lambda m: m.simulate((0.0, 0.1)).save("run.xyz"), [".csv", "run.xyz"]),
+        (lambda m: m.simulate((0.0, 0.1)).save("/dev/null/run.csv"), ["/dev/null/run.csv"]),
+        (lambda m: fb.load("five_bar"), ["'five_bar'", "four_bar"]),
+        (lambda m: fb.load(__file__), ["test_bad_input.py", "compiled model"]),
+        (lambda m: fb.compile_model(make_four_bar().system), ["Model", "System"]),
+        (lambda m: fb.Parameter(np.nan), ["finite"]),
+        (lambda m: fb.Parameter("heavy"), ["'heavy'"]),
+    ],
+)
+def test_error_names_what_is_wrong_and_what_is_allowed(four_bar, call, words):
+    with pytest.raises(fb.ModelError) as caught:
+        call(four_bar)
+    for word in words:
+        assert word in str(caught.value)
+
+
+def test_loop_that_cannot_close(four_bar):
+    with pytest.raises(fb.AssemblyError, match=r"cannot be closed .* smallest residual") as caught:
+        four_bar.initial_state(parameters={"l2": 5.0})
+    # Links 1, 3 and 4 reach 2.5 m at most: a gap of 2.5 m remains whatever the angles, q1 = -0.5 given more.
+    assert np.linalg.norm(caught.value.residual) > 2.5
+
+
+def test_loop_that_closes_from_another_guess():
+    four_bar = fb.load("four_bar")
+    with pytest.raises(fb.AssemblyError, match="closes from other guesses") as caught:
+        four_bar.initial_state({"q1": 3.0}, guess=[-2.39, -2.49])
+    text = str(caught.value).split("guess=[")[1].split("]")[0]
+    closed = four_bar.initial_state({"q1": 3.0}, guess=[float(word) for word in text.split(",")])
+    np.testing.assert_allclose(four_bar.position_constraints(0.0, closed[:3]), 0.0, atol=1e-12)
+
+
+def pendulum(**changes):
+    """A pendulum's System with something left out or added."""
+    q, u = me.dynamicsymbols("q u")
+    m, g, length = sm.symbols("m g l")
+    frame, bar = me.ReferenceFrame("N"), me.ReferenceFrame("B")
+    origin, bob = me.Point("O"), me.Point("P")
+    origin.set_vel(frame, 0)
+    if "no orientation" not in changes:
+        bar.orient_axis(frame, frame.z, q)
+        bar.set_ang_vel(frame, u * frame.z)
+    if "no velocity" not in changes:
+        bob.set_pos(origin, length * bar.x)
+        bob.set_vel(frame, length * u * bar.y)
+    system = System(frame, origin)
+    system.add_bodies(me.Particle("bob", bob, changes.get("mass", m)))
+    system.add_loads(me.Force(bob, changes.get("force", m * g * frame.x)))
+    system.add_coordinates(q)
+    system.add_speeds(u)
+    system.add_kdes(changes.get("kde", u - q.diff(me.dynamicsymbols._t)))
+    return system
+
+
+q, u = me.dynamicsymbols("q u")
+F = me.dynamicsymbols("F")
+t = me.dynamicsymbols._t
+m, g, length = sm.symbols("m g l")
+
+
+def with_constraint(expr):
+    system = pendulum()
+    system.add_holonomic_constraints(expr)
+    return system
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: fb.Model("system"), ["System", "str"]),
+        (lambda: fb.Model(System()), ["no generalized speeds", "no bodies"]),
+        (
+            lambda: fb.Model(with_constraint(q)),
+            ["1 holonomic constraints", "0 dependent coordinates", "0 dependent speeds"],
+        ),
+        (lambda: fb.Model(pendulum(**{"no orientation": True})), ["B", "not oriented"]),
+        (lambda: fb.Model(pendulum(**{"no velocity": True})), ["velocity of point P", "N"]),
+        (lambda: fb.Model(pendulum(mass=F)), ["F(t)", "mass of body bob", "inputs"]),
+        (lambda: fb.Model(pendulum(mass=F), inputs={F: 1}), ["F(t)", "mass of body bob", "rates"]),
+        (lambda: fb.Model(pendulum(mass=u.diff(t))), ["Derivative(u(t), t)", "mass of body bob"]),
+        (lambda: fb.Model(pendulum(mass=sm.Symbol("q"))), ["q", "more than one"]),
+        (lambda: fb.Model(pendulum(), parameters={sm.Symbol("h"): 1.0}), ["h", "g, l, m"]),
+        (lambda: fb.Model(pendulum(), parameters={m: "heavy"}), ["'heavy'"]),
+        (lambda: fb.Model(pendulum(), parameters={m: np.inf}), ["finite"]),
+        (lambda: fb.Model(pendulum(), initial={F: 1.0}), ["F(t)", "'q', 'u'"]),
+        (lambda: fb.Model(pendulum(), name="my model"), ["'my model'", "underscores"]),
+        (lambda: fb.Model(pendulum(mass=F), inputs={F: q}), ["input F", "time and parameters"]),
+        (lambda: fb.generate_sources(fb.Model(pendulum(kde=u - q.diff(t) ** 2))), ["equation 1", "not linear"]),
+        (lambda: fb.generate_sources(fb.Model(pendulum(kde=u - q))), ["do not determine", "(q)"]),
+        (lambda: fb.generate_sources(fb.Model(pendulum(mass=sm.zoo))), ["zoo", "cannot be compiled"]),
+        (lambda: fb.generate_sources(fb.Model(pendulum(mass=sm.zeta(m)))), ["zeta", "C99"]),
+    ],
+)
+def test_models_that_cannot_be_compiled(make, words):
+    with pytest.raises(fb.ModelError) as caught:
+        make()
+    for word in words:
+        assert word in str(caught.value)
+
+
+def test_values_without_default_have_to_be_given():
+    model = fb.Model(pendulum(), name="bare", parameters={m: 1.0})
+    compiled = fb.compile_model(model)
+    assert compiled.defaults == {"m": 1.0, "g": None, "l": None}
+    with pytest.raises(fb.ModelError, match="parameters g, l"):
+        compiled.rhs(0.0, [0.1, 0.2])
+    with pytest.raises(fb.ModelError, match="parameter l"):
+        compiled.rhs(0.0, [0.1, 0.2], {"g": 9.81})
+    # l q'' = -g sin q, the bar's axis x down along gravity.
+    rates = compiled.rhs(0.0, [0.1, 0.2], {"g": 9.81, "l": 2.0})
+    np.testing.assert_allclose(rates, [0.2, -9.81 / 2 * np.sin(0.1)], rtol=1e-15)
+
+
+@pytest.mark.parametrize("command", ["no-such-compiler-here", "false"])
+def test_compiler_that_is_missing_or_fails(monkeypatch, tmp_path, command):
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
+    monkeypatch.setenv("CC", command)
+    with pytest.raises(fb.BuildError) as caught:
+        fb.compile_model(make_four_bar())
+    assert command in str(caught.value)
+    assert caught.value.command[0] == command
+    assert [path for path in tmp_path.iterdir() if path.is_dir()] == []
+    assert fb.load("four_bar").simulate((0.0, 0.1)).success
+
+
+def test_compilers_own_message_is_shown(monkeypatch, tmp_path):
+    monkeypatch.setenv("CFLAGS", "--no-such-flag")
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
+    with pytest.raises(fb.BuildError, match="no-such-flag") as caught:
+        fb.compile_model(make_four_bar())
+    assert caught.value.exit_code == 1
+    assert "unrecognized" in caught.value.output

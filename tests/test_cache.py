@@ -1,0 +1,233 @@
+"""The cache: keys that digest everything, warm calls that form nothing, builds that are whole or absent."""
+
+import subprocess
+import sys
+import threading
+
+import pytest
+import sympy as sm
+import sympy.physics.mechanics as me
+from sympy.physics.mechanics.system import System
+
+import fourbar_codegen as fb
+from fourbar_codegen import build, fingerprint
+from fourbar_codegen import compile as pipeline
+
+
+def slider(change=""):
+    """A block on a wall and a bar pinned to it, with one thing changed."""
+    q1, q2, u1, u2 = me.dynamicsymbols("q1 q2 u1 u2")
+    t = me.dynamicsymbols._t
+    force = me.dynamicsymbols("F")
+    m, length, k, c, g = sm.symbols("m l k c g")
+    wall, turned = me.ReferenceFrame("N"), me.ReferenceFrame("A")
+    origin, block, tip = me.Point("O"), me.Point("B"), me.Point("T")
+    origin.set_vel(wall, 0)
+    turned.orient_axis(wall, wall.z, 2 * q2 if change == "orientation" else q2)
+    turned.set_ang_vel(wall, (2 if change == "angular velocity" else 1) * u2 * wall.z)
+    block.set_pos(origin, (q1 + (1 if change == "position" else 0)) * wall.x)
+    block.set_vel(wall, u1 * (wall.x + (wall.y if change == "velocity" else 0)))
+    tip.set_pos(block, length * turned.x)
+    tip.v2pt_theory(block, wall, turned)
+    system = System(wall, origin)
+    system.add_bodies(me.Particle("block", block, 2 * m if change == "mass" else m))
+    inertia = me.inertia(turned, 0, 0, m * length**2 / (3 if change == "inertia" else 12))
+    system.add_bodies(me.RigidBody("bar", tip, turned, m, (inertia, tip)))
+    if change == "body":
+        system.add_bodies(me.Particle("another", tip, m))
+    system.add_loads(me.Force(block, (force + (k if change == "load" else 0)) * wall.x))
+    system.add_loads(me.Force(block if change == "point of a load" else tip, -m * g * wall.y))
+    system.add_loads(me.Force(block, -c * wall.x))
+    torque = -k * q2 - (c * u2 if change == "actuator" else 0)
+    system.add_actuators(me.TorqueActuator(torque, wall.z, turned, wall))
+    first, second = (q2, q1) if change == "partition of the coordinates" else (q1, q2)
+    system.q_ind, system.q_dep = [first], [second]
+    first, second = (u2, u1) if change == "partition of the speeds" else (u1, u2)
+    system.u_ind, system.u_dep = [first], [second]
+    factor = 2 if change == "kinematic equation" else 1
+    system.add_kdes(*(factor * u - q.diff(t) for q, u in ((q1, u1), (q2, u2))))
+    system.add_holonomic_constraints(q1 - length * sm.cos(q2) - (1 if change == "holonomic constraint" else 0))
+    if change == "velocity constraint":
+        system.velocity_constraints = [u1 + length * u2]
+    parameters = {m: 1.0, length: 0.5, k: 2.0, c: 0.1, g: 9.81}
+    if change == "default":
+        parameters[m] = 1.5
+    if change == "unit":
+        parameters[m] = fb.Parameter(1.0, "kg")
+    if change == "order of the parameters":
+        parameters = dict(reversed(parameters.items()))
+    return fb.Model(
+        system,
+        name="another_name" if change == "name" else "slider",
+        parameters=parameters,
+        inputs={force: sm.cos(t) if change == "input" else sm.sin(t)},
+        initial={q2: 0.1 if change == "initial value" else 0.2},
+        potential_energy=m * g * q1 if change == "potential energy" else None,
+    )
+
+
+CHANGES = [
+    "orientation", "angular velocity", "position", "velocity", "mass", "inertia", "body", "load", "point of a load",
+    "actuator", "partition of the coordinates", "partition of the speeds", "kinematic equation", "holonomic constraint",
+    "velocity constraint", "default", "unit", "order of the parameters", "name", "input", "initial value",
+    "potential energy",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_key_knows_every_part_of_the_model(change):
+    assert pipeline.key_of(slider()) == pipeline.key_of(slider())
+    assert pipeline.key_of(slider(change)) != pipeline.key_of(slider())
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "package",
+        "abi",
+        "python",
+        "numpy",
+        "sympy",
+        "cython",
+        "compiler",
+        "compiler file",
+        "flags",
+        "CFLAGS",
+        "processor",
+    ],
+)
+def test_key_knows_the_toolchain(change, monkeypatch, tmp_path):
+    model = slider()
+    key = pipeline.key_of(model)
+    build._package_digest.cache_clear()
+    if change in {"package", "abi"}:
+        # The kernel's interface is one of the package's headers: any change to a source file counts.
+        (tmp_path / "runtime").mkdir()
+        for path in build.PACKAGE.rglob("*"):
+            if path.suffix in {".py", ".h"} and path.parent in {build.PACKAGE, build.PACKAGE / "runtime"}:
+                text = path.read_text()
+                if path.name == ("fourbar_kernel.h" if change == "abi" else "lower.py"):
+                    text += "\n"
+                (tmp_path / path.relative_to(build.PACKAGE)).write_text(text)
+        monkeypatch.setattr(build, "PACKAGE", tmp_path)
+    elif change == "python":
+        monkeypatch.setattr(build.sys, "implementation", type("Fake", (), {"cache_tag": "cpython-399"}))
+    elif change in {"numpy", "sympy"}:
+        monkeypatch.setattr(f"{change}.__version__", "0")
+    elif change == "cython":
+        (tmp_path / "Shadow.py").write_text('__version__ = "0"')
+        spec = type("Spec", (), {"origin": str(tmp_path / "__init__.py")})
+        monkeypatch.setattr(build, "find_spec", lambda name: spec)
+    elif change == "compiler":
+        monkeypatch.setenv("CC", "clang")
+    elif change == "compiler file":
+        compiler = tmp_path / "mycc"
+        compiler.write_text("#!/bin/sh\n")
+        compiler.chmod(0o755)
+        monkeypatch.setenv("CC", str(compiler))
+        key = pipeline.key_of(model)
+        compiler.write_text("#!/bin/sh\n# another version\n")
+    elif change == "flags":
+        monkeypatch.setattr(build, "KERNEL_FLAGS", ("-O2",))
+    elif change == "CFLAGS":
+        monkeypatch.setenv("CFLAGS", "-ffast-math")
+    elif change == "processor":
+        monkeypatch.setattr(build, "_processor", lambda: "another")
+    changed = pipeline.key_of(model)
+    build._package_digest.cache_clear()
+    assert changed != key
+
+
+def test_key_is_the_same_in_every_process():
+    code = (
+        "import fourbar_codegen as fb\nfrom fourbar_codegen.compile import key_of\nprint(key_of(fb.models.four_bar()))"
+    )
+    import os
+
+    keys = {
+        subprocess.run(
+            [sys.executable, "-c", code],
+            capture_output=True,
+            text=True,
+            check=True,
+            env={**os.environ, "PYTHONHASHSEED": seed},
+        ).stdout
+        for seed in ("1", "2")
+    }
+    assert keys == {pipeline.key_of(fb.models.four_bar()) + "\n"}
+
+
+def test_fingerprint_tells_structures_apart():
+    x = sm.Symbol("x")
+    different = [
+        (1, 2),
+        (1, (2,)),
+        ((1,), 2),
+        ("1", 2),
+        (1.0, 2),
+        (x, 2),
+        ("x", 2),
+        (sm.Function("x")(x), 2),
+        {1: 2},
+        None,
+    ]
+    assert len({fingerprint.fingerprint(data) for data in different}) == len(different)
+    with pytest.raises(TypeError, match="object"):
+        fingerprint.fingerprint(object())
+
+
+def test_warm_call_forms_no_equations(monkeypatch):
+    cold = fb.compile_model(slider())
+
+    def forbidden(*_):
+        raise AssertionError("a warm call must not come here")
+
+    monkeypatch.setattr(pipeline, "generate_sources", forbidden)
+    monkeypatch.setattr(pipeline, "build_extension", forbidden)
+    warm = fb.compile_model(slider())
+    x = [0.5, 0.1, 0.2, 0.3]
+    assert warm.rhs(0.0, x).tolist() == cold.rhs(0.0, x).tolist()
+
+
+def test_failed_build_leaves_nothing_and_the_next_one_succeeds(monkeypatch, tmp_path):
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
+    monkeypatch.setenv("CC", "false")
+    with pytest.raises(fb.BuildError, match="exit code: 1"):
+        fb.compile_model(slider())
+    assert [path for path in tmp_path.iterdir() if path.is_dir()] == []
+    monkeypatch.delenv("CC")
+    assert fb.compile_model(slider()).n_x == 4
+
+
+def test_concurrent_calls_build_once(monkeypatch, tmp_path):
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
+    calls = []
+    real = pipeline.build_extension
+    monkeypatch.setattr(pipeline, "build_extension", lambda *a: calls.append(a) or real(*a))
+    models = [slider() for _ in range(3)]
+    results = []
+    threads = [threading.Thread(target=lambda m=m: results.append(fb.compile_model(m))) for m in models]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(results) == 3
+    assert len(calls) == 1
+
+
+def test_folder_in_the_cache_holds_sources_and_module_only(monkeypatch, tmp_path):
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
+    fb.compile_model(slider())
+    (folder,) = [path for path in tmp_path.iterdir() if path.is_dir()]
+    kinds = sorted(path.name.split(".", 1)[1].split(".")[-1] for path in folder.iterdir())
+    assert kinds == ["c", "h", "json", "pyx", "so"]
+
+
+def test_unwritable_cache(monkeypatch, tmp_path):
+    # A file where the folder should be: no user may write there, root included.
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(blocked))
+    with pytest.raises(fb.CacheError, match=r"FOURBAR_CODEGEN_CACHE"):
+        fb.compile_model(slider())
+    assert blocked.read_text() == ""

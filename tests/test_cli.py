@@ -1,0 +1,131 @@
+"""The command line, as a user calls it."""
+
+import csv
+import importlib.metadata
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import fourbar_codegen as fb
+from fourbar_codegen.cli import main
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+def test_simulate_writes_what_is_asked_for(tmp_path, four_bar):
+    paths = [tmp_path / name for name in ("run.csv", "run.npz", "run.png")]
+    result = run("simulate", "-p", "l2=0.45", "-t", 0, 2, *(word for path in paths for word in ("-o", path)))
+    assert result.exit_code == 0, result.output
+    assert all(path.exists() and str(path) in result.output for path in paths)
+    expected = four_bar.simulate((0.0, 2.0), parameters={"l2": 0.45}, t_eval=np.linspace(0, 2, 401))
+    np.testing.assert_array_equal(np.load(paths[1])["q1"], expected["q1"])
+    with paths[0].open() as file:
+        assert len(list(csv.reader(file))) == 402
+
+
+def test_simulate_prints_initial_state_and_residual():
+    output = run("simulate", "--method", "RK45", "--rtol", "1e-3", "--atol", "1e-6").output
+    assert "-2.2464155374" in output  # published: q2 of the tutorial's initial state
+    assert "122 evaluations" in output  # published: the tutorial's run
+    assert "1.56e-02 at the end" in output  # published: how far its loop has opened
+    assert "Energy" in output
+
+
+def test_simulate_takes_initial_values_guesses_and_inputs(four_bar):
+    result = run("simulate", "-i", "q1=-0.6", "-i", "u1=0.2", "-i", "q2=1.5", "-i", "q3=1.5", "-r", "F=0", "-t", 0, 0.1)
+    assert result.exit_code == 0, result.output
+    x0 = four_bar.initial_state([-0.6], [0.2], guess=[1.5, 1.5])
+    for name, value in zip(four_bar.states, x0, strict=True):
+        assert f"  {name:<8} {value:>16.10f}" in result.output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["simulate", "-p", "l9=1"], "'l9'"),
+        (["simulate", "-p", "l2"], "NAME=VALUE"),
+        (["simulate", "-p", "l2=long"], "NAME=VALUE"),
+        (["simulate", "-p", "l2=5"], "cannot be closed"),
+        (["simulate", "-p", "l2=nan"], "finite"),
+        (["simulate", "-i", "u2=1"], "u2"),
+        (["simulate", "-r", "G=1"], "'G'"),
+        (["simulate", "--method", "Euler"], "'Euler'"),
+        (["simulate", "--rtol", "-1"], "rtol"),
+        (["simulate", "-t", "1", "1"], "t_span"),
+        (["simulate", "-o", "run.xyz"], "run.xyz"),
+        (["simulate", "-o", "/dev/null/x.csv"], "/dev/null/x.csv"),
+        (["simulate", "five_bar"], "'five_bar'"),
+        (["info", "no_such_file.py:model"], "no_such_file.py"),
+        (["info", "no_such_module:model"], "no_such_module"),
+        (["generate", "os:getcwd"], "str"),
+        (["generate", "four_bar", "-o", "/dev/null"], "/dev/null"),
+        (["build", "four_bar", "-o", "/dev/null"], "/dev/null"),
+    ],
+)
+def test_errors_are_one_paragraph_without_a_traceback(arguments, words):
+    result = run(*arguments)
+    assert result.exit_code != 0
+    assert words in result.output
+    assert "Traceback" not in result.output
+    assert isinstance(result.exception, SystemExit)
+
+
+def test_unfinished_simulation_exits_with_an_error(tmp_path):
+    # The sum of the lengths of two neighbours equals that of the others, and the linkage starts near its
+    # singular position, moving towards it.
+    source = tmp_path / "falling.py"
+    source.write_text(
+        "import sympy as sm, sympy.physics.mechanics as me\n"
+        "from sympy.physics.mechanics.system import System\n"
+        "import fourbar_codegen as fb\n"
+        "def model():\n"
+        "    q, u = me.dynamicsymbols('q u')\n"
+        "    m = sm.Symbol('m')\n"
+        "    wall, block = me.RigidBody('wall'), me.RigidBody('block', mass=m)\n"
+        "    system = System.from_newtonian(wall)\n"
+        "    system.add_joints(me.PrismaticJoint('slide', wall, block, q, u))\n"
+        "    system.add_loads(me.Force(block.masscenter, sm.sqrt(1 - q) * wall.x))\n"
+        "    return fb.Model(system, name='falling', parameters={m: 1}, initial={q: 0, u: 1})\n"
+    )
+    target = tmp_path / "run.csv"
+    result = run("simulate", f"{source}:model", "-o", target)
+    assert result.exit_code == 1
+    assert "stopped at t = " in result.output
+    assert target.exists()  # what was reached is not lost
+
+
+def test_generate_and_build_and_load(tmp_path, four_bar):
+    assert run("generate", "-o", tmp_path / "sources").exit_code == 0
+    assert json.loads((tmp_path / "sources" / "four_bar" / "manifest.json").read_text())["name"] == "four_bar"
+    result = run("build", "four_bar", "-o", tmp_path / "built")
+    assert result.exit_code == 0, result.output
+    module = Path(result.output.split(": ")[-1].strip())
+    assert module.parent == tmp_path / "built" / "four_bar"
+    loaded = fb.load(module)
+    np.testing.assert_allclose(loaded.rhs(0.0, [0.1] * 6), four_bar.rhs(0.0, [0.1] * 6), rtol=1e-12)
+
+
+def test_info_lists_names_defaults_and_operations():
+    output = run("info").output
+    for words in ("q1 independent; q2, q3 dependent", "l2              0.5 m", "100*sin(pi*t)", "dynamics"):
+        assert words in output
+
+
+def test_help_and_version():
+    for command in ("simulate", "generate", "build", "info"):
+        result = run(command, "--help")
+        assert result.exit_code == 0
+        assert "MODEL" in result.output
+    version = importlib.metadata.version("fourbar_codegen")
+    assert version in run("--version").output
+    done = subprocess.run(
+        [sys.executable, "-m", "fourbar_codegen", "--help"], capture_output=True, text=True, check=True
+    )
+    assert "simulate" in done.stdout

@@ -1,0 +1,106 @@
+"""The generated text: the same everywhere, as committed, and clean C."""
+
+import json
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import sympy as sm
+
+import fourbar_codegen as fb
+from fourbar_codegen.c_source import _Printer
+
+ROOT = Path(__file__).parent.parent
+COMMITTED = ROOT / "generated" / "four_bar"
+NAMES = ["four_bar.h", "four_bar.pyx", "four_bar_kernel.c", "manifest.json"]
+
+
+@pytest.mark.parametrize("seed", ["0", "4711"])
+def test_regenerating_gives_the_committed_text(tmp_path, seed):
+    command = [sys.executable, "-m", "fourbar_codegen", "generate", "four_bar", "-o", str(tmp_path)]
+    subprocess.run(command, check=True, capture_output=True, env={**os.environ, "PYTHONHASHSEED": seed})
+    assert sorted(path.name for path in (tmp_path / "four_bar").iterdir()) == NAMES
+    for name in NAMES:
+        assert (tmp_path / "four_bar" / name).read_bytes() == (COMMITTED / name).read_bytes(), name
+
+
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+@pytest.mark.parametrize("optimization", ["-O0", "-O3"])
+def test_kernel_compiles_without_warnings(tmp_path, compiler, optimization):
+    command = [compiler, "-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Werror", optimization]
+    command += ["-I", fb.get_include(), "-c", str(COMMITTED / "four_bar_kernel.c"), "-o", str(tmp_path / "kernel.o")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_module_serves_on_its_own_with_numpy_alone(four_bar, tmp_path):
+    fb.build_model(fb.models.four_bar(), tmp_path)
+    x0 = four_bar.initial_state()
+    p = list(four_bar.defaults.values())
+    script = f"""
+import sys
+sys.path.insert(0, {str(tmp_path)!r})
+for name in ("fourbar_codegen", "sympy", "scipy"):
+    sys.modules[name] = None  # importing them fails
+import four_bar, json
+names = [entry["name"] for entry in json.loads(four_bar.manifest)["parameters"]]
+print(json.dumps([names, four_bar.rhs(0.0, {x0.tolist()}, {p}, [0.0]).tolist()]))
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    names, rates = json.loads(done.stdout)
+    assert tuple(names) == four_bar.parameters
+    # This build may use other instructions than the installed one; the condition of J_d is near 3 here.
+    assert rates == pytest.approx(four_bar.rhs(0.0, x0).tolist(), rel=1e-13)
+
+
+def test_manifest_names_everything():
+    manifest = json.loads((COMMITTED / "manifest.json").read_text())
+    assert manifest["coordinates"] == ["q1", "q2", "q3"]
+    assert manifest["speeds"] == ["u1", "u2", "u3"]
+    assert [entry["name"] for entry in manifest["parameters"]] == ["rho", "l1", "l2", "l3", "l4", "k", "c", "g"]
+    assert all(entry["unit"] and entry["description"] for entry in manifest["parameters"])
+    assert manifest["inputs"] == [{"name": "F", "expression": "100*sin(pi*t)"}]
+
+
+def test_generated_text_names_no_tool_version():
+    import numpy
+    import scipy
+
+    text = "".join((COMMITTED / name).read_text() for name in NAMES)
+    for version in (sm.__version__, numpy.__version__, scipy.__version__, sys.version.split()[0]):
+        assert version not in text
+
+
+x, y, z = sm.symbols("x y z", real=True)
+
+
+@pytest.mark.parametrize(
+    "expr",
+    [
+        z * x / y**2,
+        x / (y * z) ** 2,
+        x / (y + z) ** 3,
+        1 / x**2 + y**-1,
+        -(x**2) / y**4,
+        (x + y) ** 2 / (x - z) ** 2,
+        x ** sm.Rational(3, 2) / sm.sqrt(y),
+        1 / sm.sqrt(x + y**2),
+        x**-y,
+        sm.Rational(1, 12) * x**3 - sm.pi * y,
+        sm.exp(-(x**2)) * sm.log(y) ** 2,
+        sm.atan2(y, x) ** 2 / sm.tan(z) ** 2,
+        (x**2) ** z,
+        sm.E**x / sm.sqrt(2),
+    ],
+    ids=str,
+)
+def test_printed_expressions_mean_what_they_say(expr):
+    # Arithmetic of doubles is written alike in C and in Python.
+    values = {"x": 1.3, "y": 0.7, "z": 2.1}
+    text = _Printer({x: "x", y: "y", z: "z"}).doprint(expr)
+    value = eval(text, {**vars(math), **values})
+    assert value == pytest.approx(float(expr.subs({x: 1.3, y: 0.7, z: 2.1})), rel=1e-14)
+    assert "pow" not in str(text) or not (expr.is_Pow and expr.exp.is_Integer)

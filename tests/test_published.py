@@ -1,0 +1,155 @@
+"""Numbers that stand in print or were computed by other means than this package."""
+
+import numpy as np
+import pytest
+import sympy as sm
+import sympy.physics.mechanics as me
+from sympy.physics.mechanics.system import System
+
+import fourbar_codegen as fb
+
+# The tutorial's numbers: SymBRiM tutorial "Four-bar Linkage". The printed ones have 8 to 15 digits; the full
+# ones come from a code in absolute angles with the constraints in a KKT matrix, without SymPy.
+Q0_PRINTED = [-0.5, -2.24641553739307, -1.49782726919522]
+U0_PRINTED = [-0.1, 0.0715829929380234, -0.0274688413154955]
+RATES_PRINTED = [-0.1, 0.07158299, -0.02746884, -9.26918156, 6.63703663, -2.55110976]
+Q0 = [-0.5, -2.2464155373927537, -1.4978272691959325]
+ACCELERATIONS = [-9.26918156051222, 6.637036631995938, -2.5511097559793323]
+
+
+def test_initial_state_of_the_tutorial(four_bar):
+    x0 = four_bar.initial_state({"q1": -0.5}, {"u1": -0.1}, guess=[-1.5, -1.5])
+    np.testing.assert_allclose(x0[:3], Q0, rtol=0, atol=1e-9)
+    # The tutorial's own fsolve stopped 2e-12 short of the full-precision values.
+    np.testing.assert_allclose(x0, [*Q0_PRINTED, *U0_PRINTED], rtol=0, atol=1e-9)
+
+
+def test_rates_of_the_tutorial(four_bar):
+    x0 = np.array([*Q0, *four_bar.initial_state({"q1": -0.5}, {"u1": -0.1})[3:]])
+    rates = four_bar.rhs(0.0, x0)
+    np.testing.assert_allclose(rates[3:], ACCELERATIONS, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(rates, RATES_PRINTED, rtol=0, atol=5.1e-9)  # half a unit of the last printed digit
+
+
+def test_four_bar_matrices_of_sympy(four_bar):
+    # SymPy, test_jointsmethod.py, test_four_bar_linkage_with_manual_constraints: no gravity, no loads.
+    p = {"l1": 0.13, "l2": 0.24, "l3": 0.21, "l4": 0.34, "rho": 997, "g": 0, "k": 0, "c": 0}
+    x = [2.1, 0.6655470375077588, 2.527408138024188, 0.2, -0.17963733938852067, 0.1309060540601612]
+    mass_matrix = [
+        [34.52709815256506, 7.003948798374735, -4.939690970641498],
+        [-2.203792703880936e-14, 0.2071702479957077, 0.2842917573033711],
+        [-0.1300000000000123, -0.008836934896046506, 0.1864891330060847],
+    ]
+    forcing = [-0.031211821321648, -0.00066022608181, 0.001813559741243]
+    accelerations = [0.004875813576770118, -0.019901808571747004, 0.01218057311407353]
+    np.testing.assert_allclose(four_bar.mass_matrix(0.0, x, p), mass_matrix, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(four_bar.forcing(0.0, x, p, [0.0]), forcing, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(four_bar.rhs(0.0, x, p, [0.0])[3:], accelerations, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(four_bar.position_constraints(0.0, x[:3], p), 0.0, atol=1e-10)
+    np.testing.assert_allclose(four_bar.velocity_constraints(0.0, x, p), 0.0, atol=1e-10)
+
+
+def rolling_disc():
+    """A disc on a horizontal plane, with implicit kinematics and the constraints substituted into a velocity.
+
+    As in SymPy, test_kane5.py: yaw q1, lean q2, spin q3, contact point (q4, q5); u1 to u3 are the components of
+    the angular velocity along the disc's own axes, so that the mass matrix has rows of zeros for u4 and u5.
+    """
+    q1, q2, q3, q4, q5, u1, u2, u3, u4, u5 = me.dynamicsymbols("q1:6 u1:6")
+    t = me.dynamicsymbols._t
+    g, r, m = sm.symbols("g r m")
+    ground, leaning, disc = me.ReferenceFrame("N"), me.ReferenceFrame("L"), me.ReferenceFrame("D")
+    leaning.orient_body_fixed(ground, (q1, q2, 0), "zxy")
+    disc.orient_axis(leaning, leaning.y, q3)
+    by_rates = disc.ang_vel_in(ground)
+    by_speeds = u1 * disc.x + u2 * disc.y + u3 * disc.z
+    disc.set_ang_vel(ground, by_speeds)
+    origin, center = me.Point("O"), me.Point("C")
+    origin.set_vel(ground, 0)
+    contact = origin.locatenew("P", q4 * ground.x + q5 * ground.y)
+    contact.set_vel(ground, u4 * ground.x + u5 * ground.y)
+    center.set_pos(contact, r * leaning.z)
+    center.set_vel(ground, by_speeds.cross(r * leaning.z))
+    slip = contact.vel(ground) + disc.ang_vel_in(leaning).cross(-r * leaning.z)
+
+    system = System(ground, origin)
+    inertia = me.inertia(disc, m * r**2 / 4, m * r**2 / 2, m * r**2 / 4)
+    system.add_bodies(me.RigidBody("disc", center, disc, m, (inertia, center)))
+    system.apply_uniform_gravity(-g * ground.z)
+    system.q_ind = [q1, q2, q3, q4, q5]
+    system.u_ind, system.u_dep = [u1, u2, u3], [u4, u5]
+    system.add_kdes(*((by_rates - by_speeds).dot(axis) for axis in disc), q4.diff(t) - u4, q5.diff(t) - u5)
+    system.add_nonholonomic_constraints(slip.dot(ground.x), slip.dot(ground.y))
+    return fb.Model(system, name="rolling_disc", parameters={g: 9.81, r: 0.26, m: 3.43})
+
+
+@pytest.mark.parametrize(
+    ("q", "u", "expected"),
+    [
+        (
+            [0.3, 0.1, 1.97, -0.35, 2.27],
+            [-0.2, 1.3, 0.15],
+            [
+                0.126603940595934,
+                0.215942571601660,
+                1.28736069604936,
+                0.319764288376543,
+                0.0989146857254898,
+                -0.925848952664489,
+                -0.0181350656532944,
+                2.91695398184589,
+                -0.00992793421754526,
+                0.0412861634829171,
+            ],
+        ),
+        (
+            [3.97, -0.28, 8.2, -0.35, 2.27],
+            [-0.25, -2.2, 0.62],
+            [
+                0.0259159090798597,
+                0.668041660387416,
+                -2.19283799213811,
+                0.385441810852219,
+                0.420109283790573,
+                1.45030568179066,
+                -0.0110924422400793,
+                -8.35617840186040,
+                -0.154098542632173,
+                -0.146102664410010,
+            ],
+        ),
+    ],
+)
+def test_rolling_disc_of_sympy(q, u, expected):
+    # SymPy, test_kane5.py, and its tolerance.
+    disc = fb.compile_model(rolling_disc())
+    x0 = disc.initial_state(q, u)
+    np.testing.assert_allclose(disc.rhs(0.0, x0), expected, rtol=0, atol=1e-10)
+
+
+def test_pendulum_in_cartesian_coordinates():
+    # IFToMM benchmark A01: 1 kg, 1 m, g = 9.81, from (-1, 0) at rest; positions from elliptic functions.
+    x, y, vx, vy = me.dynamicsymbols("x y v_x v_y")
+    t = me.dynamicsymbols._t
+    m, length, g = sm.symbols("m l g")
+    frame, origin, point = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
+    origin.set_vel(frame, 0)
+    point.set_pos(origin, x * frame.x + y * frame.y)
+    point.set_vel(frame, vx * frame.x + vy * frame.y)
+    system = System(frame, origin)
+    system.add_bodies(me.Particle("bob", point, m))
+    system.apply_uniform_gravity(-g * frame.y)
+    system.q_ind, system.q_dep, system.u_ind, system.u_dep = [y], [x], [vy], [vx]
+    system.add_kdes(vy - y.diff(t), vx - x.diff(t))
+    system.add_holonomic_constraints(x**2 + y**2 - length**2)
+    model = fb.Model(system, name="pendulum", parameters={m: 1.0, length: 1.0, g: 9.81}, initial={x: -1.0, y: 0.0})
+    pendulum = fb.compile_model(model)
+    x0 = pendulum.initial_state([0.0], [0.0])
+    # It swings through x = 0, where y cannot be independent: the solve chooses its own split.
+    run = pendulum.simulate((0.0, 10.0), x0, rtol=1e-12, atol=1e-12, t_eval=[1.0, 2.0, 5.0, 10.0])
+    expected_x = [0.98629175113186, -0.79356619534332, -0.94230543504376, -0.27508746257612]
+    expected_y = [-0.16501085312554, -0.60848393044379, -0.33475433841400, -0.96141920509913]
+    # Global error: some 1000 times the tolerance of a step over four periods.
+    np.testing.assert_allclose(run["x"], expected_x, atol=1e-8)
+    np.testing.assert_allclose(run["y"], expected_y, atol=1e-8)
+    np.testing.assert_allclose(run.energy, 0.0, atol=1e-8)

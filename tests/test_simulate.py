@@ -1,0 +1,220 @@
+"""Initial states and simulations: what goes in, what comes out."""
+
+import csv
+
+import numpy as np
+import pytest
+import sympy.physics.mechanics as me
+from scipy.integrate import solve_ivp
+
+import fourbar_codegen as fb
+
+METHODS = ["DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA"]
+
+
+@pytest.fixture(scope="module")
+def reference(four_bar):
+    """The end of the tutorial's run, by SciPy on the right-hand side with tight tolerances."""
+    x0 = four_bar.initial_state()
+    return solve_ivp(four_bar.ode(), (0, 4), x0, method="DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_reaches_the_same_end(four_bar, reference, method):
+    run = four_bar.simulate((0.0, 4.0), method=method, rtol=1e-7, atol=1e-9)
+    assert run.success
+    assert run.t[-1] == 4.0
+    # Tolerances hold for a step; the errors of up to 1000 steps add up.
+    np.testing.assert_allclose(run.y[:, -1], reference, rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize("method", ["Radau", "BDF", "LSODA"])
+def test_implicit_methods_use_the_compiled_jacobian(four_bar, method, monkeypatch):
+    given = {}
+    monkeypatch.setattr(
+        "scipy.integrate.solve_ivp", lambda *a, **options: given.update(options) or solve_ivp(*a, **options)
+    )
+    four_bar.simulate((0.0, 1.0), method=method)
+    x0 = four_bar.initial_state()
+    np.testing.assert_array_equal(given["jac"](0.5, x0), four_bar.jacobian(0.5, x0))
+    # Feedback makes the force depend on the state, which the compiled Jacobian cannot know.
+    given.clear()
+    four_bar.simulate((0.0, 1.0), method=method, inputs={"F": lambda t, x: -x[3]})
+    assert "jac" not in given
+
+
+def test_result_has_scipys_names_and_shapes(four_bar):
+    run = four_bar.simulate((0.0, 1.0), t_eval=np.linspace(0, 1, 11), dense_output=True)
+    assert run.t.shape == (11,)
+    assert run.y.shape == (6, 11)
+    assert run.q.shape == run.u.shape == (3, 11)
+    assert run["q2"].tolist() == run.y[1].tolist()
+    assert run["u3"].tolist() == run.y[5].tolist()
+    assert run[me.dynamicsymbols("q1")].tolist() == run.y[0].tolist()
+    assert run.sol(0.5).shape == (6,)
+    assert run.constraint_residual.shape == (2, 11)
+    assert run.kinetic_energy.shape == run.potential_energy.shape == run.energy.shape == (11,)
+    assert (run.status, run.success) == (0, True)
+    assert run.t_events is None
+    assert run.y_events is None
+
+
+def test_residual_and_energies_along_a_trajectory_are_the_models(four_bar):
+    parameters = {"l2": 0.45}
+    run = four_bar.simulate((0.0, 1.0), parameters=parameters, t_eval=[0.0, 0.7, 1.0])
+    for i, t in enumerate(run.t):
+        residual = four_bar.position_constraints(t, run.q[:, i], parameters)
+        np.testing.assert_array_equal(run.constraint_residual[:, i], residual)
+        assert run.kinetic_energy[i] == four_bar.kinetic_energy(t, run.y[:, i], parameters)
+        assert run.potential_energy[i] == four_bar.potential_energy(t, run.y[:, i], parameters)
+
+
+def test_events(four_bar):
+    def lowest(t, x):
+        return x[3]
+
+    lowest.terminal = True
+    run = four_bar.simulate((0.0, 4.0), events=lowest, rtol=1e-9)
+    assert run.status == 1
+    assert run.t_events[0].shape == (1,)
+    assert abs(run.y_events[0][0, 3]) < 1e-9
+
+
+class TestInputs:
+    """The force F as expression, number, table and callable."""
+
+    t = np.linspace(0.0, 1.0, 20001)
+
+    def end(self, four_bar, **options):
+        return four_bar.simulate((0.0, 1.0), rtol=1e-10, atol=1e-10, **options).y[:, -1]
+
+    def test_callable_of_time_is_the_expression(self, four_bar):
+        end = self.end(four_bar, inputs={"F": lambda t, x: 100 * np.sin(np.pi * t)})
+        np.testing.assert_allclose(end, self.end(four_bar), rtol=0, atol=1e-12)
+
+    def test_table(self, four_bar):
+        table = (self.t, 100 * np.sin(np.pi * self.t))
+        # Linear interpolation errs by h^2/8 F'' = 3e-7 N, in accelerations of 10 rad/s^2 from some 100 N.
+        np.testing.assert_allclose(self.end(four_bar, inputs={"F": table}), self.end(four_bar), rtol=0, atol=1e-7)
+
+    def test_table_agrees_with_numpy(self, four_bar):
+        generator = np.random.default_rng(1)
+        times, values = np.sort(generator.uniform(0, 1, 30)), generator.normal(size=30)
+        ode = four_bar.ode(inputs={"F": (times, values)})
+        x0 = four_bar.initial_state()
+        for t in [*generator.uniform(-0.2, 1.2, 500), times[0], times[-1], *times]:
+            assert ode.input_values(t, x0)[0] == pytest.approx(np.interp(t, times, values), rel=1e-12, abs=1e-12)
+
+    def test_number(self, four_bar):
+        constant = self.end(four_bar, inputs={"F": 30.0})
+        as_table = self.end(four_bar, inputs={me.dynamicsymbols("F"): ([0.0, 1.0], [30.0, 30.0])})
+        np.testing.assert_allclose(constant, as_table, rtol=0, atol=1e-12)
+        assert np.abs(constant - self.end(four_bar)).max() > 0.1
+
+    def test_feedback_sees_the_state(self, four_bar):
+        seen = []
+        run = four_bar.simulate((0.0, 0.1), inputs={"F": lambda t, x: seen.append(np.array(x)) or -20 * x[3]})
+        assert run.success
+        assert len(seen) >= run.nfev
+        assert all(x.shape == (6,) for x in seen)
+        np.testing.assert_array_equal(seen[0], run.y[:, 0])
+
+    def test_feedback_with_an_implicit_method(self, four_bar):
+        def feedback(t, x):
+            return -200 * x[3]
+
+        implicit = self.end(four_bar, inputs={"F": feedback}, method="Radau")
+        np.testing.assert_allclose(implicit, self.end(four_bar, inputs={"F": feedback}), rtol=0, atol=1e-6)
+
+    def test_exception_in_a_callable_comes_through(self, four_bar):
+        def broken(t, x):
+            raise ZeroDivisionError("mine")
+
+        with pytest.raises(ZeroDivisionError, match="mine"):
+            four_bar.simulate((0.0, 1.0), inputs={"F": broken})
+
+
+def test_callables_of_the_right_hand_side_return_fresh_arrays(four_bar):
+    ode, x0 = four_bar.ode(), four_bar.initial_state()
+    first = ode(0.0, x0)
+    kept = first.copy()
+    second = ode(0.0, 2 * x0)
+    assert second is not first
+    np.testing.assert_array_equal(first, kept)
+    np.testing.assert_array_equal(ode(0.0, x0), four_bar.rhs(0.0, x0))
+    np.testing.assert_array_equal(ode.jac(0.0, x0), four_bar.jacobian(0.0, x0))
+
+
+def test_any_layout_of_the_state(four_bar):
+    x0 = four_bar.initial_state()
+    expected = four_bar.rhs(0.0, x0)
+    strided = np.repeat(x0, 2)[::2]
+    column = np.asfortranarray(np.column_stack((x0, x0)))[:, 1]
+    backwards = x0[::-1].copy()[::-1]
+    for x in (strided, column, backwards, x0.tolist(), tuple(x0), x0.astype(">f8"), np.ma.array(x0)):
+        np.testing.assert_array_equal(four_bar.rhs(0.0, x), expected)
+        np.testing.assert_array_equal(four_bar.ode()(0.0, x), expected)
+    out = np.empty(6)
+    assert four_bar.rhs(0.0, x0, out=out) is out
+    np.testing.assert_array_equal(out, expected)
+
+
+def test_parameters_by_name_by_symbol_and_in_order(four_bar):
+    import sympy as sm
+
+    x0 = four_bar.initial_state()
+    values = np.array(list(four_bar.defaults.values()))
+    values[four_bar.parameters.index("l2")] = 0.45
+    expected = four_bar.rhs(0.0, x0, values)
+    np.testing.assert_array_equal(four_bar.rhs(0.0, x0, {"l2": 0.45}), expected)
+    np.testing.assert_array_equal(four_bar.rhs(0.0, x0, {sm.Symbol("l2"): 0.45}), expected)
+    np.testing.assert_array_equal(four_bar.ode({"l2": 0.45})(0.0, x0), expected)
+    assert np.abs(four_bar.rhs(0.0, x0) - expected).max() > 0.1
+
+
+def test_inputs_of_a_single_evaluation(four_bar):
+    x0 = four_bar.initial_state()
+    np.testing.assert_array_equal(four_bar.rhs(0.5, x0, r=[100.0]), four_bar.rhs(0.5, x0))
+    np.testing.assert_array_equal(four_bar.rhs(0.5, x0, r={"F": 100.0}), four_bar.rhs(0.5, x0))
+    np.testing.assert_array_equal(four_bar.rhs(0.5, x0, r={}), four_bar.rhs(0.5, x0))
+
+
+def test_initial_state_finds_the_assembly_that_the_guess_is_near(four_bar):
+    down = four_bar.initial_state({"q1": -0.5}, guess={"q2": -1.5, "q3": -1.5})
+    up = four_bar.initial_state({"q1": -0.5}, guess={"q2": 1.5, "q3": 1.5})
+    assert down[1] < 0 < up[1]
+    for x in (down, up):
+        np.testing.assert_allclose(four_bar.position_constraints(0.0, x[:3]), 0.0, atol=1e-14)
+        np.testing.assert_allclose(four_bar.velocity_constraints(0.0, x), 0.0, atol=1e-14)
+
+
+def test_saved_files_hold_the_trajectory(four_bar, tmp_path):
+    run = four_bar.simulate((0.0, 1.0), t_eval=np.linspace(0, 1, 5))
+    with run.save(tmp_path / "new folder" / "run.csv").open() as file:
+        header, *rows = csv.reader(file)
+    assert header[:7] == ["t", "q1", "q2", "q3", "u1", "u2", "u3"]
+    np.testing.assert_array_equal(np.array(rows, dtype=float).T[1:7], run.y)
+    arrays = np.load(run.save(tmp_path / "run.npz"))
+    np.testing.assert_array_equal(arrays["q3"], run["q3"])
+    np.testing.assert_array_equal(arrays["kinetic_energy"], run.kinetic_energy)
+    picture = run.save(tmp_path / "run.png").read_bytes()
+    assert picture.startswith(b"\x89PNG")
+
+
+def test_run_into_a_singular_position_is_a_value_with_a_sentence():
+    # Both bars of a parallelogram in line: J loses rank, and the motion cannot go on along the constraint.
+    four_bar = fb.load("four_bar")
+    parameters = {"l1": 1.0, "l2": 1.0, "l3": 1.0, "l4": 1.0, "k": 0.0, "c": 0.0, "g": 0.0}
+    with pytest.raises(fb.SimulationError, match="singular position"):
+        four_bar.rhs(0.0, [np.pi, np.pi, np.pi, 1.0, 0.5, 0.25], parameters, [0.0])
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_integrator_failure_is_a_value_with_a_sentence(four_bar, method):
+    run = four_bar.simulate((0.0, 1.0), method=method, inputs={"F": lambda t, x: 10.0 if t < 0.5 else np.nan})
+    assert not run.success
+    assert run.status == -1
+    assert run.message.startswith("The integration stopped at t = 0.")
+    assert "not finite" in run.message
+    assert 0.3 < run.t[-1] <= 0.5
+    assert np.isfinite(run.y).all()

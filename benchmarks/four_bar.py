@@ -20,6 +20,7 @@ from collections.abc import Callable
 from datetime import date
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -115,9 +116,32 @@ def compile_in_fresh_process(cold: bool) -> Callable[[], float]:
     return measure
 
 
+def write_readme(report: dict[str, Any]) -> None:
+    """Replace the table in README.md."""
+    lines = ["| | the tutorial's code | compiled | ratio |", "|---|---|---|---|"]
+    for row in report["rows"]:
+        left = f"{row['tutorial']:.3g} {row['unit']}" if row["tutorial"] else ""
+        lines.append(
+            f"| {row['name'].strip()} | {left} | {row['compiled']:.3g} {row['unit']} | "
+            + (f"{row['ratio']:.3g} |" if row["ratio"] else "|")
+        )
+    versions = ", ".join(f"{name} {number}" for name, number in report["versions"].items())
+    text = (
+        "Medians of measures taken in turn, against the tutorial's own code (`lambdify` with `cse=True` and\n"
+        "`numpy.linalg.solve`). SciPy's own share of `solve_ivp` is listed apart: no right-hand side can change it.\n\n"
+        + "\n".join(lines)
+        + f"\n\nWritten by `make bench` on {report['date']}; {report['machine']}; {versions}.\n"
+    )
+    path = ROOT / "README.md"
+    begin, end = "<!-- benchmark -->\n", "<!-- end of benchmark -->"
+    before, _, rest = path.read_text().partition(begin)
+    path.write_text(before + begin + text + end + rest.partition(end)[2])
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--output", type=Path, default=Path("results/benchmark.json"), help="where to write JSON")
+    parser.add_argument("--readme", action="store_true", help="write the table into README.md as well")
     parser.add_argument("--rounds", type=int, default=ROUNDS, help="samples of each measure")
     options = parser.parse_args()
 
@@ -180,6 +204,8 @@ def main() -> None:
     options.output.parent.mkdir(parents=True, exist_ok=True)
     options.output.write_text(json.dumps(report, indent=2) + "\n")
     print(f"Written: {options.output}")
+    if options.readme:
+        write_readme(report)
 
 
 if __name__ == "__main__":

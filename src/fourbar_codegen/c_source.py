@@ -22,10 +22,10 @@ __all__ = ["header_text", "kernel_text"]
 LINE = 110
 
 RESERVED = frozenset(
-    # C keywords and the macros of <math.h>
+    # C keywords, the macros of <math.h>, and those that compilers define for their system
     "auto break case char const continue default do double else enum extern float for goto if inline int long "
     "register restrict return short signed sizeof static struct switch typedef union unsigned void volatile while "
-    "NAN INFINITY HUGE_VAL bool true false asm typeof NULL "
+    "NAN INFINITY HUGE_VAL bool true false asm typeof NULL unix linux i386 errno signgam "
     # names that the templates and the runtime's headers use
     "t x q p r constants accelerations multipliers work status i j k "
     # functions that the printer may call
@@ -47,6 +47,10 @@ class _Printer(C99CodePrinter):
 
     def _print_NumberSymbol(self, expr: sm.NumberSymbol) -> str:
         return repr(float(expr))
+
+    def _print_Integer(self, expr: sm.Integer) -> str:
+        # Beyond the range of int, a literal needs to be one of double.
+        return str(expr) if abs(int(expr)) < 2**31 else repr(float(expr))
 
     def _print_NaN(self, _: sm.Expr) -> str:
         return "NAN"

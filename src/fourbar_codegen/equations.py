@@ -23,25 +23,10 @@ from fourbar_codegen.errors import ModelError
 from fourbar_codegen.kane import Kane
 from fourbar_codegen.kinematics import solve_kinematics
 from fourbar_codegen.model import Model
+from fourbar_codegen.program import Result
 from fourbar_codegen.tape import Direction, Tape
 
-__all__ = ["Equations", "Result", "form_equations"]
-
-
-@dataclass(frozen=True)
-class Result:
-    """A named array of expressions in tape symbols and leaves, row by row.
-
-    Attributes
-    ----------
-    name : str
-    shape : tuple of int
-    entries : tuple of Expr
-    """
-
-    name: str
-    shape: tuple[int, ...]
-    entries: tuple[sm.Expr, ...]
+__all__ = ["Equations", "form_equations"]
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 
 import sympy as sm
 
-from fourbar_codegen.equations import Equations, Result
-from fourbar_codegen.program import Array, Assignment, Function, Program, Sizes
+from fourbar_codegen.equations import Equations
+from fourbar_codegen.program import Array, Function, Program, Result, Sizes
 from fourbar_codegen.tape import Tape, free_symbols
 
 __all__ = ["lower"]
@@ -132,9 +132,9 @@ class _Constants:
         """The statements that vary in time, and what stands for those that do not."""
         varying = []
         for symbol in symbols:
-            expr = self.tape.statements[symbol].xreplace(self._of_statement)
             if symbol in self._of_statement:
                 continue
+            expr = self.tape.statements[symbol].xreplace(self._of_statement)
             if self.is_constant(expr):
                 self._of_statement[symbol] = self.define(expr)
             else:
@@ -153,7 +153,7 @@ class _Constants:
             return expr.func(self.define(constant), *varying)
         return expr.func(*(self.hoist(a) if isinstance(a, sm.Expr) else a for a in expr.args))
 
-    def finish(self, lowered: Sequence[tuple[Statements, tuple[Assignment, ...]]]) -> tuple[Array, Function]:
+    def finish(self, lowered: Sequence[tuple[Statements, tuple[Result, ...]]]) -> tuple[Array, Function]:
         """The array of constants that the lowered functions use, and the function that fills it."""
         used: set[sm.Basic] = set()
         for statements, results in lowered:
@@ -167,25 +167,25 @@ class _Constants:
             "The parameters, and behind them all that is derived from them alone.",
             (Array("p", self.parameters),),
             body,
-            (Assignment("constants", (len(entries),), assigned),),
+            (Result("constants", (len(entries),), assigned),),
         )
         return Array("constants", entries), prepare
 
 
 def _lower_results(
     tape: Tape, constants: _Constants, results: Sequence[Result]
-) -> tuple[Statements, tuple[Assignment, ...]]:
+) -> tuple[Statements, tuple[Result, ...]]:
     entries = [entry for result in results for entry in result.entries]
     statements, replaced = constants.split_statements(tape.reach(entries))
     statements, entries = _inline(statements, [entry.xreplace(replaced) for entry in entries])
     statements = tuple((symbol, constants.hoist(expr)) for symbol, expr in statements)
     statements, shared = _share(statements, [constants.hoist(entry) for entry in entries])
-    assignments, position = [], 0
+    lowered, position = [], 0
     for result in results:
         size = len(result.entries)
-        assignments.append(Assignment(result.name, result.shape, shared[position : position + size]))
+        lowered.append(Result(result.name, result.shape, shared[position : position + size]))
         position += size
-    return statements, tuple(assignments)
+    return statements, tuple(lowered)
 
 
 def _inline(statements: Statements, entries: Sequence[sm.Expr]) -> tuple[Statements, list[sm.Expr]]:

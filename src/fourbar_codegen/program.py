@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import sympy as sm
 
-__all__ = ["Array", "Assignment", "Function", "Program", "Sizes"]
+__all__ = ["Array", "Function", "Program", "Result", "Sizes"]
 
 
 @dataclass(frozen=True)
@@ -28,8 +28,8 @@ class Array:
 
 
 @dataclass(frozen=True)
-class Assignment:
-    """A result array, row by row, in terms of arguments and statements.
+class Result:
+    """A named array of expressions, row by row.
 
     Attributes
     ----------
@@ -55,14 +55,14 @@ class Function:
     arguments : tuple of Array
     statements : tuple of (Symbol, Expr)
         In order of evaluation; every symbol is assigned once.
-    results : tuple of Assignment
+    results : tuple of Result
     """
 
     name: str
     summary: str
     arguments: tuple[Array, ...]
     statements: tuple[tuple[sm.Symbol, sm.Expr], ...]
-    results: tuple[Assignment, ...]
+    results: tuple[Result, ...]
 
     def __post_init__(self) -> None:
         known = [symbol for array in self.arguments for symbol in array.symbols]

@@ -1,0 +1,32 @@
+"""What README.md shows is what happens."""
+
+import re
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from fourbar_codegen.cli import main
+
+README = (Path(__file__).parent.parent / "README.md").read_text()
+BLOCKS = re.findall(r"```(python|text)\n(.*?)```", README, flags=re.DOTALL)
+EXAMPLES = [(code, text) for (kind, code), (_, text) in zip(BLOCKS, BLOCKS[1:], strict=False) if kind == "python"]
+
+
+@pytest.mark.parametrize(("code", "text"), EXAMPLES, ids=["four-bar", "own System"])
+def test_examples_print_what_stands_below_them(code, text, capsys):
+    exec(compile(code, "README.md", "exec"), {})
+    assert capsys.readouterr().out == text
+
+
+def test_command_prints_what_stands_below_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (shown,) = [text for kind, text in BLOCKS if text.startswith("$ fourbar")]
+    command, _, expected = shown.partition("\n")
+    result = CliRunner().invoke(main, command.removeprefix("$ fourbar ").split())
+    assert result.exit_code == 0
+
+    def without_time(text):
+        return re.sub(r"[\d.]+ ms", "... ms", text)
+
+    assert without_time(result.output) == without_time(expected)

@@ -1,5 +1,6 @@
 """What README.md shows is what happens."""
 
+import itertools
 import re
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from fourbar_codegen.cli import main
 
 README = (Path(__file__).parent.parent / "README.md").read_text()
 BLOCKS = re.findall(r"```(python|text)\n(.*?)```", README, flags=re.DOTALL)
-EXAMPLES = [(code, text) for (kind, code), (_, text) in zip(BLOCKS, BLOCKS[1:], strict=False) if kind == "python"]
+EXAMPLES = [(code, text) for (kind, code), (_, text) in itertools.pairwise(BLOCKS) if kind == "python"]
 
 
 @pytest.mark.parametrize(("code", "text"), EXAMPLES, ids=["four-bar", "own System"])

@@ -55,39 +55,40 @@ class Kane:
     def use_poisson_rates(self) -> None:
         """Let `rate` take the rates of direction cosines from the angular velocities.
 
-        Poisson's equations, R* = R [w x] (Kane, Likins and Levinson, *Spacecraft Dynamics*, 1983, section
-        1.10), are far shorter than what the chain rule makes of products of direction cosines, and
-        constraints are full of those. They hold where a frame's angular velocity is the one that follows
-        from its orientation; where a user set another one (with a constraint substituted into it, say), the
-        chain rule stays.
+        Poisson's equations, R* = R [w x] (Kane, Likins and Levinson, *Spacecraft Dynamics*, 1983, chapter 1),
+        are far shorter than what the chain rule makes of products of direction cosines, and constraints are
+        full of those. They hold where a frame's angular velocity is the one that follows from its orientation;
+        where a user set another one (with a constraint substituted into it, say), the chain rule stays.
         """
         frames = self.mechanism.frames
-        known = [number for number, frame in enumerate(frames) if frame.angular_velocity is not None]
+        candidates = [
+            number
+            for number, frame in enumerate(frames)
+            if number != INERTIAL
+            and frame.angular_velocity is not None
+            and frames[frame.parent].angular_velocity is not None
+        ]
+        # The rates of each frame's axes in its parent, by the chain rule and by the angular velocities.
         differences: list[sm.Expr] = []
-        for number in known[1:]:
+        for number in candidates:
             parent = frames[number].parent
-            # Rates of the axes relative to the parent frame, two ways; the rows of dcm are the axes.
-            relative = (
-                self._subtract(
-                    self._express(self._angular_velocity(number), parent),
-                    self._express(self._angular_velocity(parent), parent),
-                )
-                if parent in known
-                else ZERO
+            relative = self._subtract(
+                self._express(self._angular_velocity(number), parent),
+                self._express(self._angular_velocity(parent), parent),
             )
-            for row in self._dcm(number):
-                expected = self._cross(relative, row)
-                differences += [self.rate(x) - y for x, y in zip(row, expected, strict=True)]
-        vanishing = self.tape.vanish(differences)
+            for axis in self._dcm(number):
+                expected = self._cross(relative, axis)
+                differences += [self.rate(x) - y for x, y in zip(axis, expected, strict=True)]
+        vanishing = iter(self.tape.vanish(differences))
         consistent = {INERTIAL}
-        for position, number in enumerate(known[1:]):
-            if frames[number].parent not in consistent or not all(vanishing[9 * position : 9 * position + 9]):
-                continue
-            consistent.add(number)
-            angular_velocity = self._express(self._angular_velocity(number), number)
-            for row in self._rotation(number, INERTIAL):
-                for entry, derivative in zip(row, self._cross(row, angular_velocity), strict=True):
-                    self.rate.give(entry, derivative)
+        for number in candidates:
+            agree = [next(vanishing) for _ in range(9)]
+            if all(agree) and frames[number].parent in consistent:
+                consistent.add(number)
+                angular_velocity = self._express(self._angular_velocity(number), number)
+                for row in self._rotation(number, INERTIAL):
+                    for entry, derivative in zip(row, self._cross(row, angular_velocity), strict=True):
+                        self.rate.give(entry, derivative)
 
     def mass_matrix_and_forcing(self) -> tuple[list[list[sm.Expr]], list[sm.Expr]]:
         """M, shape (n_u, n_u), and f, shape (n_u,), of M u' = f.

@@ -20,7 +20,7 @@ def extension(name: str, sources: list[Path | str], folder: Path | str) -> Exten
         include_dirs=[str(folder), RUNTIME, np.get_include()],
         depends=[str(path) for path in sorted(Path(RUNTIME).glob("*.h"))],
         define_macros=MACROS,
-        extra_compile_args=["-O3", "-fno-tree-vectorize"],
+        extra_compile_args=["-O3", "-fno-tree-vectorize", "-g0"],
     )
 
 

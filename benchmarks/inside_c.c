@@ -1,5 +1,5 @@
 /* Time of one evaluation inside C: arguments N, T, the state, the parameters; prints seconds per evaluation. */
-#include "four_bar.h"
+#include "four_bar_kernel.h"
 
 #include <stdio.h>
 #include <stdlib.h>

@@ -15,7 +15,7 @@ from fourbar_codegen.c_source import _Printer
 
 ROOT = Path(__file__).parent.parent
 COMMITTED = ROOT / "generated" / "four_bar"
-NAMES = ["four_bar.h", "four_bar.pyx", "four_bar_kernel.c", "manifest.json"]
+NAMES = ["four_bar.pyx", "four_bar_kernel.c", "four_bar_kernel.h", "manifest.json"]
 
 
 @pytest.mark.parametrize("seed", ["0", "4711"])

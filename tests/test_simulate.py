@@ -1,6 +1,8 @@
 """Initial states and simulations: what goes in, what comes out."""
 
 import csv
+import pickle
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -218,3 +220,39 @@ def test_integrator_failure_is_a_value_with_a_sentence(four_bar, method):
     assert "not finite" in run.message
     assert 0.3 < run.t[-1] <= 0.5
     assert np.isfinite(run.y).all()
+
+
+def test_models_and_trajectories_go_to_other_processes(four_bar):
+    run = four_bar.simulate((0.0, 0.5))
+    again = pickle.loads(pickle.dumps(run))
+    np.testing.assert_array_equal(again.y, run.y)
+    np.testing.assert_array_equal(again.energy, run.energy)
+    np.testing.assert_array_equal(again.model.rhs(0.0, run.y[:, 0]), four_bar.rhs(0.0, run.y[:, 0]))
+
+
+def test_threads_do_not_disturb_each_other(four_bar):
+    # Mappings and callables run Python in the middle of a call, where another thread may come in.
+    x0 = four_bar.initial_state()
+    lengths = np.linspace(0.4, 0.5, 8)
+    expected = [four_bar.rhs(0.0, x0, {"l2": length}, {"F": 10 * length}) for length in lengths]
+
+    def work(i):
+        for _ in range(500):
+            rates = four_bar.rhs(0.0, x0.tolist(), {"l2": lengths[i]}, {"F": 10 * lengths[i]})
+            np.testing.assert_array_equal(rates, expected[i])
+
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(work, range(8)))
+
+
+def test_feedback_may_ask_the_same_model(four_bar):
+    def energy(t, x):
+        # Other values, another layout and other parameters than those of the evaluation that asks.
+        strided = np.repeat(0.5 * np.array(x), 2)[::2]
+        return np.tanh(four_bar.rhs(t, strided, {"l2": 0.45}, {"F": 1.0})[3])
+
+    run = four_bar.simulate((0.0, 0.5), inputs={"F": energy}, t_eval=[0.0, 0.5])
+    table_free = solve_ivp(
+        lambda t, x: four_bar.rhs(t, x, r=[energy(t, x)]), (0.0, 0.5), run.y[:, 0], "DOP853", rtol=1e-6, atol=1e-9
+    )
+    np.testing.assert_array_equal(run.y[:, -1], table_free.y[:, -1])

@@ -8,7 +8,7 @@ from cpython.pycapsule cimport PyCapsule_New
 
 cnp.import_array()
 
-cdef extern from "four_bar.h":
+cdef extern from "four_bar_kernel.h":
     const char *FB_CAPSULE_NAME
     int FB_OK
     ctypedef struct fb_kernel:

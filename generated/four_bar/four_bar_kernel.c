@@ -8,7 +8,7 @@
  * The functions below evaluate straight-line code; fourbar_model.h, included at the end, solves the
  * equations that they set up. Matrices are stored row by row.
  */
-#include "four_bar.h"
+#include "four_bar_kernel.h"
 
 #include <math.h>
 

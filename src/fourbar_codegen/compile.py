@@ -36,7 +36,7 @@ def generate_sources(model: Model) -> dict[str, str]:
     --------
     >>> import fourbar_codegen as fb
     >>> sorted(fb.generate_sources(fb.models.four_bar()))
-    ['four_bar.h', 'four_bar.pyx', 'four_bar_kernel.c', 'manifest.json']
+    ['four_bar.pyx', 'four_bar_kernel.c', 'four_bar_kernel.h', 'manifest.json']
     """
     # Imported here: a model that is in the cache needs none of it.
     from fourbar_codegen.c_source import header_text, kernel_text
@@ -55,7 +55,7 @@ def generate_sources(model: Model) -> dict[str, str]:
     manifest = manifest_of(model, program, names)
     return {
         f"{model.name}_kernel.c": kernel_text(program, names),
-        f"{model.name}.h": header_text(program, names),
+        f"{model.name}_kernel.h": header_text(program, names),
         f"{model.name}.pyx": wrapper_text(model, manifest),
         "manifest.json": manifest_text(manifest),
     }

@@ -80,6 +80,8 @@ class CompiledModel(Evaluator):
         Parameter values; None where every call has to give one.
     units, descriptions : dict of str to str
         Of the parameters.
+    path : Path
+        The extension module.
     manifest : dict
         All that is known of the model, as in the manifest.json beside the generated sources.
     n_q, n_u, n_x, n_p, n_r : int
@@ -98,6 +100,7 @@ class CompiledModel(Evaluator):
 
     def __init__(self, capsule: object, manifest: dict[str, Any]) -> None:  # noqa: ARG002  # Evaluator takes it
         self.manifest = manifest
+        self.path = Path()
         self.name: str = manifest["name"]
         self.coordinates: tuple[str, ...] = tuple(manifest["coordinates"])
         self.speeds: tuple[str, ...] = tuple(manifest["speeds"])
@@ -112,9 +115,11 @@ class CompiledModel(Evaluator):
     def from_module(cls, module: Any) -> CompiledModel:
         """The model that an imported extension module holds."""
         try:
-            return cls(module.kernel, json.loads(module.manifest))
-        except AttributeError as error:
-            raise ModelError(f"{module.__name__} is not a compiled model: it has no kernel and manifest.") from error
+            model = cls(module.kernel, json.loads(module.manifest))
+        except (AttributeError, ValueError) as error:
+            raise ModelError(f"{module.__name__} is not a compiled model: {error}.") from error
+        model.path = Path(module.__file__)
+        return model
 
     @classmethod
     def from_file(cls, path: Path) -> CompiledModel:
@@ -129,6 +134,10 @@ class CompiledModel(Evaluator):
         except ImportError as error:
             raise ModelError(f"{path} cannot be loaded as a compiled model: {error}.") from error
         return cls.from_module(module)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Other processes load the same module.
+        return load, (str(self.path),)
 
     def __repr__(self) -> str:
         return (

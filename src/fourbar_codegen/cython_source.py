@@ -79,7 +79,7 @@ from cpython.pycapsule cimport PyCapsule_New
 
 cnp.import_array()
 
-cdef extern from "{name}.h":
+cdef extern from "{name}_kernel.h":
     const char *FB_CAPSULE_NAME
     int FB_OK
     ctypedef struct fb_kernel:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import keyword
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,6 +20,9 @@ if TYPE_CHECKING:
     from sympy.physics.mechanics.system import System
 
 __all__ = ["Model", "Parameter"]
+
+IMPORTED = frozenset({"cpython", "cython", "libc", "numpy"})
+"""What the generated module imports itself."""
 
 
 @dataclass(frozen=True)
@@ -99,8 +103,10 @@ class Model:
         initial: Mapping[sm.Expr, float] | None = None,
         potential_energy: sm.Expr | None = None,
     ) -> None:
-        if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
+        if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
             raise ModelError(f"A model's name is letters, digits and underscores, a letter first; not {name!r}.")
+        if keyword.iskeyword(name) or name in IMPORTED:
+            raise ModelError(f"A model cannot be named {name!r}: its module could not be imported beside Python's own.")
         self.system = system
         self.name = name
         self.mechanism: Mechanism = read_mechanism(system)

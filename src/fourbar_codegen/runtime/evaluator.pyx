@@ -48,30 +48,20 @@ cdef inline double *_data(cnp.ndarray array) noexcept:
     return <double *>cnp.PyArray_DATA(array)
 
 
-cdef const double *_read(object values, int n, double *buffer, str what) except? NULL:
-    """A pointer to n doubles: the array's own memory where it is contiguous, else a copy in the buffer."""
-    cdef bint own = (cnp.PyArray_CheckExact(values) and cnp.PyArray_TYPE(values) == cnp.NPY_DOUBLE
-                     and cnp.PyArray_ISBEHAVED_RO(values))
+cdef cnp.ndarray _vector(object values, int n, str what):
+    """The values as a contiguous array of n doubles: the same array if it is one already."""
     cdef cnp.ndarray array
-    cdef char *entry
-    cdef cnp.npy_intp stride
-    cdef int i
-    if not own:
+    if (cnp.PyArray_CheckExact(values) and cnp.PyArray_TYPE(values) == cnp.NPY_DOUBLE
+            and cnp.PyArray_ISCARRAY_RO(values)):
+        array = <cnp.ndarray>values
+    else:
         try:
-            values = np.array(values, dtype=np.float64)
+            array = np.array(values, dtype=np.float64, order="C")
         except (TypeError, ValueError) as error:
             raise ModelError(f"{what} must be {n} real numbers, not {values!r}.") from error
-    array = <cnp.ndarray>values
     if cnp.PyArray_NDIM(array) != 1 or cnp.PyArray_DIM(array, 0) != n:
-        raise ModelError(f"{what} must have shape ({n},), not {values.shape}.")
-    stride = cnp.PyArray_STRIDE(array, 0)
-    if own and (stride == sizeof(double) or n < 2):
-        return _data(array)
-    entry = <char *>cnp.PyArray_DATA(array)
-    for i in range(n):
-        buffer[i] = (<double *>entry)[0]
-        entry += stride
-    return buffer
+        raise ModelError(f"{what} must have shape ({n},), not {(<object>array).shape}.")
+    return array
 
 
 cdef inline bint _finite(const double *values, int n) noexcept:
@@ -98,12 +88,13 @@ cdef class Evaluator:
     cdef readonly int n_q, n_u, n_x, n_p, n_r, n_h, n_c
     cdef double *default_constants
     cdef double *constants
-    cdef double *parameters
-    cdef double *state
     cdef double *inputs
     cdef void *work
     cdef bint defaults_known
     cdef bint inputs_known
+
+    # One set of buffers serves all threads: a method first gets its arguments, which may run Python and let
+    # another thread in, then fills the buffers and calls the kernel without a step of Python in between.
 
     def __cinit__(self, capsule, manifest):
         cdef const fb_kernel *kernel = <const fb_kernel *>PyCapsule_GetPointer(capsule, FB_CAPSULE_NAME)
@@ -118,24 +109,19 @@ cdef class Evaluator:
         self.n_h, self.n_c, self.n_x = kernel.n_h, kernel.n_c, kernel.n_q + kernel.n_u
         self.default_constants = <double *>PyMem_Calloc(kernel.n_constants + 1, sizeof(double))
         self.constants = <double *>PyMem_Calloc(kernel.n_constants + 1, sizeof(double))
-        self.parameters = <double *>PyMem_Calloc(self.n_p + 1, sizeof(double))
-        self.state = <double *>PyMem_Calloc(self.n_x + 1, sizeof(double))
         self.inputs = <double *>PyMem_Calloc(self.n_r + 1, sizeof(double))
         self.work = PyMem_Malloc(kernel.work_size)
-        if not (self.default_constants and self.constants and self.parameters and self.state and self.inputs
-                and self.work):
+        if not (self.default_constants and self.constants and self.inputs and self.work):
             raise MemoryError
-        defaults = [NAN if entry["default"] is None else entry["default"] for entry in manifest["parameters"]]
-        cdef const double *p = _read(defaults, self.n_p, self.parameters, "The default parameters")
-        self.defaults_known = _finite(p, self.n_p)
+        values = [NAN if entry["default"] is None else entry["default"] for entry in manifest["parameters"]]
+        cdef cnp.ndarray defaults = _vector(values, self.n_p, "The default parameters")
+        self.defaults_known = _finite(_data(defaults), self.n_p)
         self.inputs_known = all(entry["expression"] is not None for entry in manifest["inputs"])
-        kernel.prepare(p, self.default_constants)
+        kernel.prepare(_data(defaults), self.default_constants)
 
     def __dealloc__(self):
         PyMem_Free(self.default_constants)
         PyMem_Free(self.constants)
-        PyMem_Free(self.parameters)
-        PyMem_Free(self.state)
         PyMem_Free(self.inputs)
         PyMem_Free(self.work)
 
@@ -151,42 +137,55 @@ cdef class Evaluator:
         """A sentence that names what has no default."""
         return "A parameter or an input has no default and was not given."
 
-    cdef const double *_constants_of(self, object p) except NULL:
-        cdef const double *values
+    cdef cnp.ndarray _parameters(self, object p):
+        """All parameters, or None for the defaults."""
+        cdef cnp.ndarray values
         if p is None:
             if not self.defaults_known:
                 raise ModelError(self.missing())
-            return self.default_constants
+            return None
         if type(p) is not np.ndarray:
             p = self.parameter_values(p)
-        values = _read(p, self.n_p, self.parameters, "The parameters p")
-        if not _finite(values, self.n_p):
+        values = _vector(p, self.n_p, "The parameters p")
+        if not _finite(_data(values), self.n_p):
             raise ModelError(f"The parameters p must be finite, not {p!r}.")
-        self.kernel.prepare(values, self.constants)
-        return self.constants
+        return values
 
-    cdef const double *_inputs_of(self, double t, const double *constants, object r) except NULL:
-        cdef const double *values
+    cdef cnp.ndarray _inputs(self, double t, cnp.ndarray parameters, object r):
+        """All inputs, or None for their expressions."""
+        cdef cnp.ndarray values
         if r is None:
             if not self.inputs_known:
                 raise ModelError(self.missing())
-            self.kernel.default_inputs(t, constants, self.inputs)
-            return self.inputs
+            return None
         if type(r) is not np.ndarray:
-            self.kernel.default_inputs(t, constants, self.inputs)
-            r = self.input_values(r, [self.inputs[i] for i in range(self.n_r)])
-        values = _read(r, self.n_r, self.inputs, "The inputs r")
-        if not _finite(values, self.n_r):
+            values = _new(self.n_r)
+            self.kernel.default_inputs(t, self._prepare(parameters), _data(values))
+            r = self.input_values(r, values.tolist())
+        values = _vector(r, self.n_r, "The inputs r")
+        if not _finite(_data(values), self.n_r):
             raise ModelError(f"The inputs r must be finite, not {r!r}.")
-        for i in range(self.n_r):
-            self.inputs[i] = values[i]  # r may be an array made here, which goes with this call
-        return self.inputs
+        return values
 
-    cdef const double *_state_of(self, double t, object x, int n) except NULL:
-        cdef const double *values = _read(x, n, self.state, "The state x" if n == self.n_x else "The coordinates q")
-        if not (_finite(values, n) and _finite(&t, 1)):
+    cdef cnp.ndarray _state(self, double t, object x, int n):
+        cdef cnp.ndarray values = _vector(x, n, "The state x" if n == self.n_x else "The coordinates q")
+        if not (_finite(_data(values), n) and _finite(&t, 1)):
             raise ModelError(f"Time and state must be finite, not t = {t}, x = {x!r}.")
         return values
+
+    cdef const double *_prepare(self, cnp.ndarray parameters) noexcept:
+        """The constants of the parameters, in the buffer."""
+        if parameters is None:
+            return self.default_constants
+        self.kernel.prepare(_data(parameters), self.constants)
+        return self.constants
+
+    cdef const double *_fill(self, double t, const double *constants, cnp.ndarray inputs) noexcept:
+        """The inputs, or their expressions' values in the buffer."""
+        if inputs is None:
+            self.kernel.default_inputs(t, constants, self.inputs)
+            return self.inputs
+        return _data(inputs)
 
     def rhs(self, double t, x, p=None, r=None, out=None):
         """The right-hand side of x' = f(t, x).
@@ -224,19 +223,23 @@ cdef class Evaluator:
         >>> four_bar.rhs(0.0, x0).round(6).tolist()
         [-0.1, 0.071583, -0.027469, -9.269182, 6.637037, -2.55111]
         """
-        cdef const double *state = self._state_of(t, x, self.n_x)
-        cdef const double *constants = self._constants_of(p)
-        cdef const double *inputs = self._inputs_of(t, constants, r)
-        cdef cnp.ndarray result = _new(self.n_x) if out is None else self._output(out)
-        cdef int status = self.kernel.rhs(t, state, constants, inputs, _data(result), self.work)
+        cdef cnp.ndarray parameters = self._parameters(p)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r)
+        cdef cnp.ndarray state = self._state(t, x, self.n_x)
+        cdef cnp.ndarray result = _new(self.n_x) if out is None else self._output(out, state)
+        cdef const double *constants = self._prepare(parameters)
+        cdef int status = self.kernel.rhs(
+            t, _data(state), constants, self._fill(t, constants, inputs), _data(result), self.work)
         if status != FB_OK:
             raise SimulationError(failure(status, t, x))
         return result
 
-    cdef cnp.ndarray _output(self, object out):
+    cdef cnp.ndarray _output(self, object out, cnp.ndarray state):
         if not (isinstance(out, np.ndarray) and out.dtype == np.float64 and out.shape == (self.n_x,)
                 and cnp.PyArray_ISCARRAY(out)):
             raise ModelError(f"out must be a contiguous, writable array of {self.n_x} floats.")
+        if abs(_data(out) - _data(state)) < self.n_x:
+            raise ModelError("out must not share memory with x.")
         return out
 
     def jacobian(self, double t, x, p=None, r=None):
@@ -266,83 +269,90 @@ cdef class Evaluator:
         >>> four_bar.jacobian(0.0, four_bar.initial_state([-0.5], [-0.1])).shape
         (6, 6)
         """
-        cdef const double *state = self._state_of(t, x, self.n_x)
-        cdef const double *constants = self._constants_of(p)
-        cdef const double *inputs = self._inputs_of(t, constants, r)
+        cdef cnp.ndarray parameters = self._parameters(p)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r)
+        cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray result = _new(self.n_x, self.n_x)
-        cdef int status = self.kernel.jacobian(t, state, constants, inputs, _data(result), self.work)
+        cdef const double *constants = self._prepare(parameters)
+        cdef int status = self.kernel.jacobian(
+            t, _data(state), constants, self._fill(t, constants, inputs), _data(result), self.work)
         if status != FB_OK:
             raise SimulationError(failure(status, t, x))
         return result
 
     def accelerations(self, double t, x, p=None, r=None):
         """u', shape (n_u,), and the constraints' multipliers lambda, shape (n_c,)."""
-        cdef const double *state = self._state_of(t, x, self.n_x)
-        cdef const double *constants = self._constants_of(p)
-        cdef const double *inputs = self._inputs_of(t, constants, r)
+        cdef cnp.ndarray parameters = self._parameters(p)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r)
+        cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray accelerations = _new(self.n_u)
         cdef cnp.ndarray multipliers = _new(self.n_c)
+        cdef const double *constants = self._prepare(parameters)
         cdef int status = self.kernel.accelerations(
-            t, state, constants, inputs, _data(accelerations), _data(multipliers), self.work)
+            t, _data(state), constants, self._fill(t, constants, inputs), _data(accelerations), _data(multipliers),
+            self.work)
         if status != FB_OK:
             raise SimulationError(failure(status, t, x))
         return accelerations, multipliers
 
     def dynamics(self, double t, x, p=None, r=None):
         """q', M, f, J and gamma of M u' = f + J^T lambda, J u' + gamma = 0."""
-        cdef const double *state = self._state_of(t, x, self.n_x)
-        cdef const double *constants = self._constants_of(p)
-        cdef const double *inputs = self._inputs_of(t, constants, r)
+        cdef cnp.ndarray parameters = self._parameters(p)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r)
+        cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray rates = _new(self.n_q)
         cdef cnp.ndarray mass_matrix = _new(self.n_u, self.n_u)
         cdef cnp.ndarray forcing = _new(self.n_u)
         cdef cnp.ndarray jacobian = _new(self.n_c, self.n_u)
         cdef cnp.ndarray bias = _new(self.n_c)
-        self.kernel.dynamics(t, state, constants, inputs, _data(rates), _data(mass_matrix), _data(forcing),
-                             _data(jacobian), _data(bias))
+        cdef const double *constants = self._prepare(parameters)
+        self.kernel.dynamics(t, _data(state), constants, self._fill(t, constants, inputs), _data(rates),
+                             _data(mass_matrix), _data(forcing), _data(jacobian), _data(bias))
         return rates, mass_matrix, forcing, jacobian, bias
 
     def position(self, double t, q, p=None):
         """The position constraints, shape (n_h,), and their derivatives by q, shape (n_h, n_q)."""
-        cdef const double *coordinates = self._state_of(t, q, self.n_q)
-        cdef const double *constants = self._constants_of(p)
+        cdef cnp.ndarray parameters = self._parameters(p)
+        cdef cnp.ndarray coordinates = self._state(t, q, self.n_q)
         cdef cnp.ndarray constraints = _new(self.n_h)
         cdef cnp.ndarray jacobian = _new(self.n_h, self.n_q)
-        self.kernel.position(t, coordinates, constants, _data(constraints), _data(jacobian))
+        self.kernel.position(t, _data(coordinates), self._prepare(parameters), _data(constraints), _data(jacobian))
         return constraints, jacobian
 
     def velocity(self, double t, x, p=None):
         """J, shape (n_c, n_u), and b, shape (n_c,), of the velocity constraints J u + b = 0."""
-        cdef const double *state = self._state_of(t, x, self.n_x)
-        cdef const double *constants = self._constants_of(p)
+        cdef cnp.ndarray parameters = self._parameters(p)
+        cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray jacobian = _new(self.n_c, self.n_u)
         cdef cnp.ndarray bias = _new(self.n_c)
-        self.kernel.velocity(t, state, constants, _data(jacobian), _data(bias))
+        self.kernel.velocity(t, _data(state), self._prepare(parameters), _data(jacobian), _data(bias))
         return jacobian, bias
 
     def energy(self, double t, x, p=None):
         """Kinetic and potential energy, shape (2,)."""
-        cdef const double *state = self._state_of(t, x, self.n_x)
-        cdef const double *constants = self._constants_of(p)
+        cdef cnp.ndarray parameters = self._parameters(p)
+        cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray energies = _new(2)
-        self.kernel.energy(t, state, constants, _data(energies))
+        self.kernel.energy(t, _data(state), self._prepare(parameters), _data(energies))
         return energies
 
     def default_inputs(self, double t, p=None):
         """The inputs' expressions at one time, shape (n_r,); NaN where there is none."""
+        cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = _new(self.n_r)
-        self.kernel.default_inputs(t, self._constants_of(p), _data(inputs))
+        self.kernel.default_inputs(t, self._prepare(parameters), _data(inputs))
         return inputs
 
     def along(self, times, states, p=None):
         """Position constraints, shape (n_h, n_t), and energies, shape (2, n_t), at states in columns."""
         cdef cnp.ndarray t = np.ascontiguousarray(times, dtype=np.float64)
         cdef cnp.ndarray x = np.ascontiguousarray(np.transpose(states), dtype=np.float64)
-        cdef const double *constants = self._constants_of(p)
+        cdef cnp.ndarray parameters = self._parameters(p)
         cdef int n_t = cnp.PyArray_DIM(t, 0)
         cdef cnp.ndarray constraints = _new(n_t, self.n_h)
         cdef cnp.ndarray energies = _new(n_t, 2)
         cdef cnp.ndarray jacobian = _new(self.n_h, self.n_q)
+        cdef const double *constants = self._prepare(parameters)
         cdef int i
         for i in range(n_t):
             self.kernel.position(_data(t)[i], _data(x) + i * self.n_x, constants, _data(constraints) + i * self.n_h,
@@ -389,43 +399,57 @@ cdef class Ode:
     cdef Evaluator evaluator
     cdef double *constants
     cdef double *inputs
-    cdef list variable
+    cdef list fixed
+    cdef list tables
+    cdef list callables
     cdef readonly object failure
 
     def __cinit__(self, Evaluator evaluator, p, sources):
-        cdef const double *constants = evaluator._constants_of(p)
+        cdef cnp.ndarray parameters = evaluator._parameters(p)
+        cdef const double *constants
         cdef int i
         self.evaluator = evaluator
         self.constants = <double *>PyMem_Calloc(evaluator.kernel.n_constants + 1, sizeof(double))
         self.inputs = <double *>PyMem_Calloc(evaluator.n_r + 1, sizeof(double))
         if not (self.constants and self.inputs):
             raise MemoryError
+        constants = evaluator._prepare(parameters)
         for i in range(evaluator.kernel.n_constants):
             self.constants[i] = constants[i]
-        self.variable = [(i, source) for i, source in enumerate(sources) if source is not None]
+        self.fixed, self.tables, self.callables = [], [], []
+        for i, source in zip(range(evaluator.n_r), sources, strict=True):
+            if type(source) is Table:
+                self.tables.append((i, source))
+            elif callable(source):
+                self.callables.append((i, source))
+            elif source is not None:
+                self.fixed.append((i, float(source)))
         self.failure = None
 
     def __dealloc__(self):
         PyMem_Free(self.constants)
         PyMem_Free(self.inputs)
 
-    cdef int _set_inputs(self, double t, object x) except -1:
+    cdef list _called(self, double t, object x):
+        """The values of the callables, which run Python, before the buffer is filled."""
+        return [(i, <double>source(t, x)) for i, source in self.callables]
+
+    cdef int _fill(self, double t, list called) except -1:
         cdef int i
         self.evaluator.kernel.default_inputs(t, self.constants, self.inputs)
-        for i, source in self.variable:
-            if type(source) is float:
-                self.inputs[i] = source
-            elif type(source) is Table:
-                self.inputs[i] = (<Table>source).value(t)
-            else:
-                self.inputs[i] = source(t, x)
+        for i, value in self.fixed:
+            self.inputs[i] = value
+        for i, table in self.tables:
+            self.inputs[i] = (<Table>table).value(t)
+        for i, value in called:
+            self.inputs[i] = value
         return 0
 
     def input_values(self, double t, x):
         """The inputs at one time and state, shape (n_r,)."""
         cdef cnp.ndarray result = _new(self.evaluator.n_r)
         cdef int i
-        self._set_inputs(t, x)
+        self._fill(t, self._called(t, x))
         for i in range(self.evaluator.n_r):
             _data(result)[i] = self.inputs[i]
         return result
@@ -440,10 +464,12 @@ cdef class Ode:
     def __call__(self, double t, x):
         """x', shape (n_x,), a fresh array."""
         cdef Evaluator evaluator = self.evaluator
-        cdef const double *state = _read(x, evaluator.n_x, evaluator.state, "The state x")
-        self._set_inputs(t, x)
+        cdef list called = self._called(t, x) if self.callables else self.callables
+        cdef cnp.ndarray state = _vector(x, evaluator.n_x, "The state x")
         cdef cnp.ndarray result = _new(evaluator.n_x)
-        cdef int status = evaluator.kernel.rhs(t, state, self.constants, self.inputs, _data(result), evaluator.work)
+        self._fill(t, called)
+        cdef int status = evaluator.kernel.rhs(
+            t, _data(state), self.constants, self.inputs, _data(result), evaluator.work)
         if status != FB_OK:
             return self._fail(status, t, x, result, NAN)
         if self.failure is not None:
@@ -453,10 +479,12 @@ cdef class Ode:
     def jac(self, double t, x):
         """d f / d x, shape (n_x, n_x)."""
         cdef Evaluator evaluator = self.evaluator
-        cdef const double *state = _read(x, evaluator.n_x, evaluator.state, "The state x")
-        self._set_inputs(t, x)
+        cdef list called = self._called(t, x) if self.callables else self.callables
+        cdef cnp.ndarray state = _vector(x, evaluator.n_x, "The state x")
         cdef cnp.ndarray result = _new(evaluator.n_x, evaluator.n_x)
-        cdef int status = evaluator.kernel.jacobian(t, state, self.constants, self.inputs, _data(result), evaluator.work)
+        self._fill(t, called)
+        cdef int status = evaluator.kernel.jacobian(
+            t, _data(state), self.constants, self.inputs, _data(result), evaluator.work)
         if status != FB_OK:
             # Zeros, since factorizations refuse NaN; the right-hand side is NaN here and fails the step.
             return self._fail(status, t, x, result, 0.0)

@@ -7,8 +7,8 @@
  *
  * fourbar_kernel.h says how to call it.
  */
-#ifndef FOURBAR_CODEGEN_FOUR_BAR_H
-#define FOURBAR_CODEGEN_FOUR_BAR_H
+#ifndef FOURBAR_CODEGEN_four_bar_KERNEL_H
+#define FOURBAR_CODEGEN_four_bar_KERNEL_H
 
 #include "fourbar_kernel.h"
 

@@ -5,6 +5,7 @@ import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
 from sympy.physics.mechanics.system import System
+from systems import pendulum
 
 import fourbar_codegen as fb
 from fourbar_codegen.models import four_bar as make_four_bar
@@ -94,28 +95,6 @@ def test_loop_that_closes_from_another_guess():
     text = str(caught.value).split("guess=[")[1].split("]")[0]
     closed = four_bar.initial_state({"q1": 3.0}, guess=[float(word) for word in text.split(",")])
     np.testing.assert_allclose(four_bar.position_constraints(0.0, closed[:3]), 0.0, atol=1e-12)
-
-
-def pendulum(**changes):
-    """A pendulum's System with something left out or added."""
-    q, u = me.dynamicsymbols("q u")
-    m, g, length = sm.symbols("m g l")
-    frame, bar = me.ReferenceFrame("N"), me.ReferenceFrame("B")
-    origin, bob = me.Point("O"), me.Point("P")
-    origin.set_vel(frame, 0)
-    if "no orientation" not in changes:
-        bar.orient_axis(frame, frame.z, q)
-        bar.set_ang_vel(frame, u * frame.z)
-    if "no velocity" not in changes:
-        bob.set_pos(origin, length * bar.x)
-        bob.set_vel(frame, length * u * bar.y)
-    system = System(frame, origin)
-    system.add_bodies(me.Particle("bob", bob, changes.get("mass", m)))
-    system.add_loads(me.Force(bob, changes.get("force", m * g * frame.x)))
-    system.add_coordinates(q)
-    system.add_speeds(u)
-    system.add_kdes(changes.get("kde", u - q.diff(me.dynamicsymbols._t)))
-    return system
 
 
 q, u = me.dynamicsymbols("q u")

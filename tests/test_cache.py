@@ -6,65 +6,11 @@ import threading
 
 import pytest
 import sympy as sm
-import sympy.physics.mechanics as me
-from sympy.physics.mechanics.system import System
+from systems import slider
 
 import fourbar_codegen as fb
 from fourbar_codegen import build, fingerprint
 from fourbar_codegen import compile as pipeline
-
-
-def slider(change=""):
-    """A block on a wall and a bar pinned to it, with one thing changed."""
-    q1, q2, u1, u2 = me.dynamicsymbols("q1 q2 u1 u2")
-    t = me.dynamicsymbols._t
-    force = me.dynamicsymbols("F")
-    m, length, k, c, g = sm.symbols("m l k c g")
-    wall, turned = me.ReferenceFrame("N"), me.ReferenceFrame("A")
-    origin, block, tip = me.Point("O"), me.Point("B"), me.Point("T")
-    origin.set_vel(wall, 0)
-    turned.orient_axis(wall, wall.z, 2 * q2 if change == "orientation" else q2)
-    turned.set_ang_vel(wall, (2 if change == "angular velocity" else 1) * u2 * wall.z)
-    block.set_pos(origin, (q1 + (1 if change == "position" else 0)) * wall.x)
-    block.set_vel(wall, u1 * (wall.x + (wall.y if change == "velocity" else 0)))
-    tip.set_pos(block, length * turned.x)
-    tip.v2pt_theory(block, wall, turned)
-    system = System(wall, origin)
-    system.add_bodies(me.Particle("block", block, 2 * m if change == "mass" else m))
-    inertia = me.inertia(turned, 0, 0, m * length**2 / (3 if change == "inertia" else 12))
-    system.add_bodies(me.RigidBody("bar", tip, turned, m, (inertia, tip)))
-    if change == "body":
-        system.add_bodies(me.Particle("another", tip, m))
-    system.add_loads(me.Force(block, (force + (k if change == "load" else 0)) * wall.x))
-    system.add_loads(me.Force(block if change == "point of a load" else tip, -m * g * wall.y))
-    system.add_loads(me.Force(block, -c * wall.x))
-    torque = -k * q2 - (c * u2 if change == "actuator" else 0)
-    system.add_actuators(me.TorqueActuator(torque, wall.z, turned, wall))
-    first, second = (q2, q1) if change == "partition of the coordinates" else (q1, q2)
-    system.q_ind, system.q_dep = [first], [second]
-    first, second = (u2, u1) if change == "partition of the speeds" else (u1, u2)
-    system.u_ind, system.u_dep = [first], [second]
-    factor = 2 if change == "kinematic equation" else 1
-    system.add_kdes(*(factor * u - q.diff(t) for q, u in ((q1, u1), (q2, u2))))
-    system.add_holonomic_constraints(q1 - length * sm.cos(q2) - (1 if change == "holonomic constraint" else 0))
-    if change == "velocity constraint":
-        system.velocity_constraints = [u1 + length * u2]
-    parameters = {m: 1.0, length: 0.5, k: 2.0, c: 0.1, g: 9.81}
-    if change == "default":
-        parameters[m] = 1.5
-    if change == "unit":
-        parameters[m] = fb.Parameter(1.0, "kg")
-    if change == "order of the parameters":
-        parameters = dict(reversed(parameters.items()))
-    return fb.Model(
-        system,
-        name="another_name" if change == "name" else "slider",
-        parameters=parameters,
-        inputs={force: sm.cos(t) if change == "input" else sm.sin(t)},
-        initial={q2: 0.1 if change == "initial value" else 0.2},
-        potential_energy=m * g * q1 if change == "potential energy" else None,
-    )
-
 
 CHANGES = [
     "orientation", "angular velocity", "position", "velocity", "mass", "inertia", "body", "load", "point of a load",

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import sympy as sm
+from systems import pendulum, rolling_disc, slider
 
 import fourbar_codegen as fb
 from fourbar_codegen.c_source import _Printer
@@ -27,11 +28,23 @@ def test_regenerating_gives_the_committed_text(tmp_path, seed):
         assert (tmp_path / "four_bar" / name).read_bytes() == (COMMITTED / name).read_bytes(), name
 
 
+MODELS = {
+    "four_bar": fb.models.four_bar,
+    "no constraints": lambda: fb.Model(pendulum(), name="pendulum"),
+    "holonomic": slider,
+    "nonholonomic, implicit kinematics": rolling_disc,
+}
+
+
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 @pytest.mark.parametrize("optimization", ["-O0", "-O3"])
-def test_kernel_compiles_without_warnings(tmp_path, compiler, optimization):
+@pytest.mark.parametrize("model", MODELS.values(), ids=MODELS.keys())
+def test_kernel_compiles_without_warnings(tmp_path, compiler, optimization, model):
+    for name, text in fb.generate_sources(model()).items():
+        (tmp_path / name).write_text(text)
+    (kernel,) = tmp_path.glob("*_kernel.c")
     command = [compiler, "-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Werror", optimization]
-    command += ["-I", fb.get_include(), "-c", str(COMMITTED / "four_bar_kernel.c"), "-o", str(tmp_path / "kernel.o")]
+    command += ["-I", fb.get_include(), "-c", str(kernel), "-o", str(tmp_path / "kernel.o")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
 

@@ -2,9 +2,7 @@
 
 import numpy as np
 import pytest
-import sympy as sm
-import sympy.physics.mechanics as me
-from sympy.physics.mechanics.system import System
+from systems import cartesian_pendulum, rolling_disc
 
 import fourbar_codegen as fb
 
@@ -47,40 +45,6 @@ def test_four_bar_matrices_of_sympy(four_bar):
     np.testing.assert_allclose(four_bar.rhs(0.0, x, p, [0.0])[3:], accelerations, rtol=0, atol=1e-10)
     np.testing.assert_allclose(four_bar.position_constraints(0.0, x[:3], p), 0.0, atol=1e-10)
     np.testing.assert_allclose(four_bar.velocity_constraints(0.0, x, p), 0.0, atol=1e-10)
-
-
-def rolling_disc():
-    """A disc on a horizontal plane, with implicit kinematics and the constraints substituted into a velocity.
-
-    As in SymPy, test_kane5.py: yaw q1, lean q2, spin q3, contact point (q4, q5); u1 to u3 are the components of
-    the angular velocity along the disc's own axes, so that the mass matrix has rows of zeros for u4 and u5.
-    """
-    q1, q2, q3, q4, q5, u1, u2, u3, u4, u5 = me.dynamicsymbols("q1:6 u1:6")
-    t = me.dynamicsymbols._t
-    g, r, m = sm.symbols("g r m")
-    ground, leaning, disc = me.ReferenceFrame("N"), me.ReferenceFrame("L"), me.ReferenceFrame("D")
-    leaning.orient_body_fixed(ground, (q1, q2, 0), "zxy")
-    disc.orient_axis(leaning, leaning.y, q3)
-    by_rates = disc.ang_vel_in(ground)
-    by_speeds = u1 * disc.x + u2 * disc.y + u3 * disc.z
-    disc.set_ang_vel(ground, by_speeds)
-    origin, center = me.Point("O"), me.Point("C")
-    origin.set_vel(ground, 0)
-    contact = origin.locatenew("P", q4 * ground.x + q5 * ground.y)
-    contact.set_vel(ground, u4 * ground.x + u5 * ground.y)
-    center.set_pos(contact, r * leaning.z)
-    center.set_vel(ground, by_speeds.cross(r * leaning.z))
-    slip = contact.vel(ground) + disc.ang_vel_in(leaning).cross(-r * leaning.z)
-
-    system = System(ground, origin)
-    inertia = me.inertia(disc, m * r**2 / 4, m * r**2 / 2, m * r**2 / 4)
-    system.add_bodies(me.RigidBody("disc", center, disc, m, (inertia, center)))
-    system.apply_uniform_gravity(-g * ground.z)
-    system.q_ind = [q1, q2, q3, q4, q5]
-    system.u_ind, system.u_dep = [u1, u2, u3], [u4, u5]
-    system.add_kdes(*((by_rates - by_speeds).dot(axis) for axis in disc), q4.diff(t) - u4, q5.diff(t) - u5)
-    system.add_nonholonomic_constraints(slip.dot(ground.x), slip.dot(ground.y))
-    return fb.Model(system, name="rolling_disc", parameters={g: 9.81, r: 0.26, m: 3.43})
 
 
 @pytest.mark.parametrize(
@@ -129,21 +93,7 @@ def test_rolling_disc_of_sympy(q, u, expected):
 
 def test_pendulum_in_cartesian_coordinates():
     # IFToMM benchmark A01: 1 kg, 1 m, g = 9.81, from (-1, 0) at rest; positions from elliptic functions.
-    x, y, vx, vy = me.dynamicsymbols("x y v_x v_y")
-    t = me.dynamicsymbols._t
-    m, length, g = sm.symbols("m l g")
-    frame, origin, point = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
-    origin.set_vel(frame, 0)
-    point.set_pos(origin, x * frame.x + y * frame.y)
-    point.set_vel(frame, vx * frame.x + vy * frame.y)
-    system = System(frame, origin)
-    system.add_bodies(me.Particle("bob", point, m))
-    system.apply_uniform_gravity(-g * frame.y)
-    system.q_ind, system.q_dep, system.u_ind, system.u_dep = [y], [x], [vy], [vx]
-    system.add_kdes(vy - y.diff(t), vx - x.diff(t))
-    system.add_holonomic_constraints(x**2 + y**2 - length**2)
-    model = fb.Model(system, name="pendulum", parameters={m: 1.0, length: 1.0, g: 9.81}, initial={x: -1.0, y: 0.0})
-    pendulum = fb.compile_model(model)
+    pendulum = fb.compile_model(cartesian_pendulum())
     x0 = pendulum.initial_state([0.0], [0.0])
     # It swings through x = 0, where y cannot be independent: the solve chooses its own split.
     run = pendulum.simulate((0.0, 10.0), x0, rtol=1e-12, atol=1e-12, t_eval=[1.0, 2.0, 5.0, 10.0])

@@ -107,9 +107,9 @@ static void default_inputs(double t, const double *restrict constants, double *r
 }
 
 /* q', and M, f, J, gamma of M u' = f + J^T lambda, J u' + gamma = 0. */
-static void dynamics(double t, const double *restrict x, const double *restrict constants, const double
-    *restrict r, double *restrict coordinate_rates, double *restrict mass_matrix, double *restrict forcing,
-    double *restrict constraint_jacobian, double *restrict acceleration_bias)
+static void dynamics(double t, const double *restrict x, const double *restrict constants,
+    const double *restrict r, double *restrict coordinate_rates, double *restrict mass_matrix,
+    double *restrict forcing, double *restrict constraint_jacobian, double *restrict acceleration_bias)
 {
     (void)t;
     const double q1 = x[0];
@@ -236,8 +236,8 @@ static void dynamics(double t, const double *restrict x, const double *restrict 
 }
 
 /* Holonomic constraints Phi(q, t) and dPhi/dq. */
-static void position(double t, const double *restrict q, const double *restrict constants, double *restrict
-    position_constraints, double *restrict position_jacobian)
+static void position(double t, const double *restrict q, const double *restrict constants,
+    double *restrict position_constraints, double *restrict position_jacobian)
 {
     (void)t;
     const double q1 = q[0];
@@ -278,8 +278,8 @@ static void position(double t, const double *restrict q, const double *restrict 
 }
 
 /* J and b of the velocity constraints J u + b = 0. */
-static void velocity(double t, const double *restrict x, const double *restrict constants, double *restrict
-    constraint_jacobian, double *restrict velocity_bias)
+static void velocity(double t, const double *restrict x, const double *restrict constants,
+    double *restrict constraint_jacobian, double *restrict velocity_bias)
 {
     (void)t;
     const double q1 = x[0];
@@ -317,8 +317,8 @@ static void velocity(double t, const double *restrict x, const double *restrict 
 }
 
 /* Kinetic and potential energy. */
-static void energy(double t, const double *restrict x, const double *restrict constants, double *restrict
-    energies)
+static void energy(double t, const double *restrict x, const double *restrict constants,
+    double *restrict energies)
 {
     (void)t;
     const double q1 = x[0];
@@ -382,9 +382,9 @@ static void energy(double t, const double *restrict x, const double *restrict co
 }
 
 /* d/dx of q', and of f - M u' + J^T lambda and -(J u' + gamma) with u' and lambda held. */
-static void sensitivity(double t, const double *restrict x, const double *restrict constants, const double
-    *restrict r, const double *restrict accelerations, const double *restrict multipliers, double *restrict
-    coordinate_rate_jacobian, double *restrict residual_jacobian)
+static void sensitivity(double t, const double *restrict x, const double *restrict constants,
+    const double *restrict r, const double *restrict accelerations, const double *restrict multipliers,
+    double *restrict coordinate_rate_jacobian, double *restrict residual_jacobian)
 {
     (void)t;
     const double q1 = x[0];

@@ -161,13 +161,10 @@ def _function_text(function: Function) -> str:
     printer = _Printer(names)
     parameters = [_parameter(array) for array in function.arguments]
     parameters += [f"double *restrict {result.name}" for result in function.results]
-    head = textwrap.wrap(
-        f"static void {function.name}(" + ", ".join(parameters) + ")",
-        LINE,
-        subsequent_indent="    ",
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
+    # No line breaks within a parameter: textwrap leaves the spaces alone that are not ASCII.
+    text = f"static void {function.name}(".replace(" ", "\xa0") + ", ".join(p.replace(" ", "\xa0") for p in parameters)
+    wrapped = textwrap.wrap(f"{text})", LINE, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False)
+    head = [line.replace("\xa0", " ") for line in wrapped]
     used = {s for _, expr in function.statements for s in expr.free_symbols}
     used |= {s for result in function.results for expr in result.entries for s in expr.free_symbols}
     body = [line for array in function.arguments for line in _unpack(array, used, names)]

@@ -203,12 +203,18 @@ static inline void fb_back(const double *restrict forcing, const double *restric
         accelerations[s->column[i]] = v[i];
 }
 
+/* Whether no row is redundant: then the loops have lengths that the compiler knows. */
+static inline int fb_full_rank(const fb_factors *s)
+{
+    return N_C == 0 || s->rank == N_C;
+}
+
 /* The factors of M and J, for as many right-hand sides as follow. */
 static inline int fb_factor(const double *restrict mass_matrix, const double *restrict constraint_jacobian,
                             fb_factors *restrict s)
 {
     s->rank = fb_eliminate(constraint_jacobian, s);
-    return s->rank == N_C ? fb_reduce(mass_matrix, s, N_C) : fb_reduce(mass_matrix, s, s->rank);
+    return fb_full_rank(s) ? fb_reduce(mass_matrix, s, N_C) : fb_reduce(mass_matrix, s, s->rank);
 }
 
 /* u' for one right-hand side (f, gamma). */
@@ -216,7 +222,7 @@ static inline int fb_solve(const double *restrict forcing, const double *restric
                            const fb_factors *restrict s, double *restrict accelerations, const double tolerance)
 {
     double w[FB_AT_LEAST_1(N_C)];
-    if (s->rank == N_C) {
+    if (fb_full_rank(s)) {
         const int status = fb_forward(acceleration_bias, s, w, N_C, tolerance);
         fb_back(forcing, w, s, accelerations, N_C);
         return status;

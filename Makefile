@@ -20,7 +20,7 @@ lint: $(INSTALLED)
 	$(BIN)/mypy
 
 bench: $(INSTALLED)
-	$(BIN)/python benchmarks/four_bar.py --output results/benchmark.json --readme
+	$(BIN)/python benchmarks/four_bar.py --output results/benchmark.json
 
 generate: $(INSTALLED)
 	$(BIN)/fourbar generate four_bar -o generated

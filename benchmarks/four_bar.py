@@ -130,7 +130,8 @@ def write_readme(report: dict[str, Any]) -> None:
         "Medians of measures taken in turn, against the tutorial's own code (`lambdify` with `cse=True` and\n"
         "`numpy.linalg.solve`). SciPy's own share of `solve_ivp` is listed apart: no right-hand side can change it.\n\n"
         + "\n".join(lines)
-        + f"\n\nWritten by `make bench` on {report['date']}; {report['machine']}; {versions}.\n"
+        + f"\n\nWritten by `python benchmarks/four_bar.py --readme` on {report['date']}; {report['machine']};\n"
+        + f"{versions}.\n"
     )
     path = ROOT / "README.md"
     begin, end = "<!-- benchmark -->\n", "<!-- end of benchmark -->"

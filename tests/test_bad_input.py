@@ -29,6 +29,18 @@ X = [0.1] * 6
         (lambda m: m.rhs(0.0, 1.0), ["(6,)", "()"]),
         (lambda m: m.rhs(0.0, ["a"] * 6), ["6 real numbers"]),
         (lambda m: m.rhs(0.0, [1j] * 6), ["6 real numbers"]),
+        (lambda m: m.rhs(0.0, np.array([1j] * 6)), ["6 real numbers"]),
+        (lambda m: m.rhs(0.0, ["1"] * 6), ["6 real numbers"]),
+        (lambda m: m.rhs(0.0, [10**400] * 6), ["6 real numbers"]),
+        (lambda m: m.rhs(0.0, X, {"l2": 10**400}), ["parameter l2"]),
+        (lambda m: m.initial_state(parameters="abc"), ["parameters p", "'abc'"]),
+        (lambda m: m.constraint_jacobian(0.0, "abc"), ["coordinates", "'abc'"]),
+        (lambda m: m.along([0.0, 1.0], [X]), ["(6, 2)", "(1, 6)"]),
+        (lambda m: m.simulate((0.0, 1.0), t_eval=[]), ["t_eval"]),
+        (lambda m: m.simulate((0.0, 1.0), events=5), ["events", "5"]),
+        (lambda m: m.simulate((0.0, 1.0), atol=[1e-3]), ["atol", "(6,)"]),
+        (lambda m: m.simulate((0.0, 1.0), inputs=[1.0]), ["inputs", "mapping", "F"]),
+        (lambda m: m.simulate((0.0, 1.0), inputs={"F": lambda t, x: None}), ["input 1", "None"]),
         (lambda m: m.rhs(0.0, [np.nan, *X[1:]]), ["finite", "nan"]),
         (lambda m: m.rhs(np.inf, X), ["finite", "inf"]),
         (lambda m: m.rhs(0.0, X, out=np.empty(5)), ["out", "6"]),
@@ -103,6 +115,16 @@ t = me.dynamicsymbols._t
 m, g, length = sm.symbols("m g l")
 
 
+class custom(sm.Function):
+    """A function that SymPy does not come with."""
+
+
+def constrained(expr):
+    system = with_constraint(expr)
+    system.q_ind, system.q_dep, system.u_ind, system.u_dep = [], [q], [], [u]
+    return system
+
+
 def with_constraint(expr):
     system = pendulum()
     system.add_holonomic_constraints(expr)
@@ -130,6 +152,20 @@ def with_constraint(expr):
         (lambda: fb.Model(pendulum(), initial={F: 1.0}), ["F(t)", "'q', 'u'"]),
         (lambda: fb.Model(pendulum(), name="my model"), ["'my model'", "underscores"]),
         (lambda: fb.Model(pendulum(), name="import"), ["'import'"]),
+        (lambda: fb.Model(pendulum(), name="fb"), ["'fb'"]),
+        (lambda: fb.Model(pendulum(), name=5), ["5"]),
+        (lambda: fb.Model(pendulum(), parameters=5), ["parameters=", "5"]),
+        (lambda: fb.Model(pendulum(mass=F), inputs={"F": 1}), ["inputs=", "'F'"]),
+        (lambda: fb.Model(pendulum(mass=F), inputs={F: "a"}), ["F(t)", "'a'"]),
+        (lambda: fb.Model(pendulum(mass=F), inputs={F: sm.I}), ["F(t)", "real"]),
+        (lambda: fb.Model(pendulum(mass=F), inputs={F: q.diff(t)}), ["input F", "time and parameters"]),
+        (lambda: fb.Model(pendulum(), potential_energy="a"), ["potential_energy", "'a'"]),
+        (lambda: fb.Model(pendulum(), inputs={F: 1}, potential_energy=F), ["F(t)", "potential energy"]),
+        (lambda: fb.Model(pendulum(mass=sm.Symbol("kinetic_energy"))), ["columns", "kinetic_energy"]),
+        (lambda: fb.Model(constrained(u)), ["Holonomic constraint 1", "u(t)"]),
+        (lambda: fb.generate_sources(fb.Model(pendulum(mass=sm.Sum(m, (sm.Symbol("i"), 0, 3))))), ["Sum"]),
+        (lambda: fb.generate_sources(fb.Model(pendulum(mass=custom(m)))), ["custom"]),
+        (lambda: fb.generate_sources(pendulum()), ["Model", "System"]),
         (lambda: fb.Model(pendulum(), name="numpy"), ["'numpy'"]),
         (lambda: fb.Model(pendulum(mass=F), inputs={F: q}), ["input F", "time and parameters"]),
         (lambda: fb.generate_sources(fb.Model(pendulum(kde=u - q.diff(t) ** 2))), ["equation 1", "not linear"]),
@@ -177,3 +213,77 @@ def test_compilers_own_message_is_shown(monkeypatch, tmp_path):
         fb.compile_model(make_four_bar())
     assert caught.value.exit_code == 1
     assert "unrecognized" in caught.value.output
+
+
+def test_failed_build_leaves_the_users_folder_alone(monkeypatch, tmp_path):
+    monkeypatch.setenv("CC", "false")
+    with pytest.raises(fb.BuildError):
+        fb.build_model(make_four_bar(), tmp_path / "built")
+    assert not (tmp_path / "built").exists()
+
+
+@pytest.mark.parametrize(("variable", "text"), [("CC", 'gcc "'), ("CFLAGS", '-O"'), ("CC", "true")])
+def test_odd_compiler_settings(monkeypatch, tmp_path, variable, text):
+    monkeypatch.setenv(variable, text)
+    with pytest.raises(fb.BuildError, match=f"{variable}|made no"):
+        fb.build_model(make_four_bar(), tmp_path)
+
+
+def test_fast_math_does_not_hide_what_is_not_a_number(monkeypatch, tmp_path):
+    monkeypatch.setenv("CFLAGS", "-ffast-math")
+    four_bar = fb.load(fb.build_model(make_four_bar(), tmp_path))
+    ode = four_bar.ode()
+    assert np.isnan(ode(0.0, [np.nan] * 6)).all()
+    assert "not finite" in ode.failure
+
+
+def test_module_that_was_built_again(tmp_path):
+    fb.load(fb.build_model(fb.Model(pendulum(), name="again", parameters={m: 1.0}), tmp_path))
+    path = fb.build_model(fb.Model(pendulum(), name="again", parameters={m: 2.0}), tmp_path)
+    with pytest.raises(fb.ModelError, match="built again"):
+        fb.load(path)
+
+
+def test_failed_write_leaves_the_old_file(four_bar, tmp_path, monkeypatch):
+    run = four_bar.simulate((0.0, 0.1))
+    path = run.save(tmp_path / "run.csv")
+    old = path.read_text()
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("csv.writer", full)
+    with pytest.raises(fb.ModelError, match="No space left"):
+        run.save(path)
+    assert path.read_text() == old
+    assert [p.name for p in tmp_path.iterdir()] == ["run.csv"]
+
+
+def test_run_that_ends_before_the_first_stored_time(four_bar):
+    def now(t, x):
+        return t - 0.1
+
+    now.terminal = True
+    run = four_bar.simulate((0.0, 1.0), t_eval=[0.5], events=now)
+    assert run.status == 1
+    assert run.t.shape == (0,)
+    assert run.y.shape == (6, 0)
+    assert run.energy.shape == (0,)
+    assert run["q1"].shape == (0,)
+
+
+def test_series_are_read_by_their_index(four_bar):
+    class Series:
+        """As of pandas: named values that are not a Mapping."""
+
+        def __init__(self, values):
+            self.values = values
+
+        def keys(self):
+            return self.values.keys()
+
+        def items(self):
+            return self.values.items()
+
+    values = dict(reversed(four_bar.defaults.items()))
+    np.testing.assert_array_equal(four_bar.rhs(0.0, X, Series(values)), four_bar.rhs(0.0, X))

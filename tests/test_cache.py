@@ -1,8 +1,10 @@
 """The cache: keys that digest everything, warm calls that form nothing, builds that are whole or absent."""
 
+import shutil
 import subprocess
 import sys
 import threading
+from pathlib import Path
 
 import pytest
 import sympy as sm
@@ -149,7 +151,7 @@ def test_concurrent_calls_build_once(monkeypatch, tmp_path):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     calls = []
     real = pipeline.build_extension
-    monkeypatch.setattr(pipeline, "build_extension", lambda *a: calls.append(a) or real(*a))
+    monkeypatch.setattr(pipeline, "build_extension", lambda *a, **k: calls.append(a) or real(*a, **k))
     models = [slider() for _ in range(3)]
     results = []
     threads = [threading.Thread(target=lambda m=m: results.append(fb.compile_model(m))) for m in models]
@@ -165,8 +167,8 @@ def test_folder_in_the_cache_holds_sources_and_module_only(monkeypatch, tmp_path
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     fb.compile_model(slider())
     (folder,) = [path for path in tmp_path.iterdir() if path.is_dir()]
-    kinds = sorted(path.name.split(".", 1)[1].split(".")[-1] for path in folder.iterdir())
-    assert kinds == ["c", "h", "json", "pyx", "so"]
+    kinds = sorted(path.suffix for path in folder.iterdir())
+    assert kinds == ["", ".c", ".h", ".json", ".pyx", ".so"]
 
 
 def test_unwritable_cache(monkeypatch, tmp_path):
@@ -177,3 +179,37 @@ def test_unwritable_cache(monkeypatch, tmp_path):
     with pytest.raises(fb.CacheError, match=r"FOURBAR_CODEGEN_CACHE"):
         fb.compile_model(slider())
     assert blocked.read_text() == ""
+
+
+def truncate(module):
+    with module.open("r+b") as file:
+        file.truncate(20000)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        truncate,
+        lambda module: module.write_bytes(b""),
+        lambda module: module.unlink(),
+        lambda module: (module.parent / "checksum").unlink(),
+        lambda module: (shutil.rmtree(module.parent), module.parent.write_text("a file")),
+        lambda module: module.parent.rename(f"{module.parent}.building"),  # as of a process that was killed
+    ],
+    ids=["truncated", "empty", "missing", "no checksum", "a file", "left behind"],
+)
+def test_damaged_entry_is_built_anew(monkeypatch, tmp_path, damage):
+    # In processes of their own: the module must not be in memory already.
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
+    code = (
+        "import sys; sys.path.insert(0, 'tests')\n"
+        "import fourbar_codegen as fb; from systems import slider\n"
+        "model = fb.compile_model(slider()); print(model.path, model.rhs(0.0, [0.5, 0.1, 0.2, 0.3]))"
+    )
+
+    def run():
+        return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+
+    first = run()
+    damage(Path(first.split()[0]))
+    assert run() == first

@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from importlib.util import find_spec
@@ -26,6 +27,10 @@ COMMON_FLAGS = ("-fPIC", "-g0")
 # Scalar straight-line code stores results that vectorized loops would reload two at a time, which stalls the
 # processor: -fno-tree-vectorize takes 10 % off the four-bar's evaluation.
 KERNEL_FLAGS = (*COMMON_FLAGS, "-O3", "-fno-tree-vectorize")
+# Behind the user's flags: a kernel has to notice what is not a number, and so have integrators.
+STRICT_FLAGS = ("-fno-fast-math", "-fno-finite-math-only")
+# For what is built on the machine that it is used on.
+MACHINE_FLAGS = ("-march=native",) if platform.machine() == "x86_64" else ()
 # The wrapper only passes pointers on; what counts is how long its compilation takes.
 WRAPPER_FLAGS = (*COMMON_FLAGS, "-O1", "-DNPY_NO_DEPRECATED_API=NPY_1_7_API_VERSION")
 
@@ -61,14 +66,14 @@ def toolchain() -> dict[str, object]:
         "cython": _digest([Path(cython.origin).with_name("Shadow.py")]) if cython and cython.origin else "",
         "compiler": compiler,
         "compiler file": _file_identity(shutil.which(compiler[0])),
-        "flags": [KERNEL_FLAGS, WRAPPER_FLAGS, _machine_flags(), _user_flags("CFLAGS"), _link_flags()],
+        "flags": [KERNEL_FLAGS, STRICT_FLAGS, WRAPPER_FLAGS, MACHINE_FLAGS, _user_flags("CFLAGS"), _link_flags()],
         "processor": _processor(),
     }
 
 
 def _compiler() -> list[str]:
     """The C compiler: the environment's, or the one that Python was built with."""
-    return shlex.split(os.environ.get("CC") or sysconfig.get_config_var("CC") or "cc")
+    return _user_flags("CC") or shlex.split(sysconfig.get_config_var("CC") or "cc")
 
 
 def _link_flags() -> list[str]:
@@ -80,7 +85,11 @@ def _link_flags() -> list[str]:
 
 
 def _user_flags(variable: str) -> list[str]:
-    return shlex.split(os.environ.get(variable, ""))
+    try:
+        return shlex.split(os.environ.get(variable, ""))
+    except ValueError as error:
+        text = os.environ[variable]
+        raise BuildError(f"The environment variable {variable} cannot be read: {error}, in {text!r}.") from error
 
 
 @cache
@@ -104,11 +113,6 @@ def _file_identity(path: str | None) -> list[object]:
     return [str(resolved), status.st_size, status.st_mtime_ns]
 
 
-def _machine_flags() -> tuple[str, ...]:
-    """Flags for the machine at hand: what is built here is used here."""
-    return ("-march=native",) if platform.machine() in {"x86_64", "AMD64"} and os.name == "posix" else ()
-
-
 def _processor() -> str:
     """What -march=native stands for; a cache folder may be shared between machines."""
     try:
@@ -119,7 +123,7 @@ def _processor() -> str:
     return f"{platform.machine()} {platform.processor()} {flags.strip()}"
 
 
-def build_extension(name: str, sources: Mapping[str, str], folder: Path) -> Path:
+def build_extension(name: str, sources: Mapping[str, str], folder: Path, *, portable: bool) -> Path:
     """Write sources into a folder and compile them to an extension module there.
 
     Parameters
@@ -129,7 +133,9 @@ def build_extension(name: str, sources: Mapping[str, str], folder: Path) -> Path
     sources : mapping of str to str
         Text by file name.
     folder : Path
-        Created if it does not exist.
+        Created if it does not exist; it is touched only when all has been built.
+    portable : bool
+        Whether the module may be used on another machine of the same kind.
 
     Returns
     -------
@@ -141,25 +147,33 @@ def build_extension(name: str, sources: Mapping[str, str], folder: Path) -> Path
     BuildError
         If the folder cannot be written, or a tool is missing or fails; with the tool's output.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for filename, text in sources.items():
-            (folder / filename).write_text(text, encoding="utf-8", newline="\n")
-    except OSError as error:
-        raise BuildError(f"The sources cannot be written to {folder}: {error}.") from error
+    with tempfile.TemporaryDirectory() as temporary:
+        module = _build(name, sources, Path(temporary), () if portable else MACHINE_FLAGS)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            for filename in (*sources, module.name):
+                # By way of a new file: a module that a process has loaded must not change under its feet.
+                (folder / filename).unlink(missing_ok=True)
+                shutil.copyfile(module.with_name(filename), folder / filename)
+        except OSError as error:
+            raise BuildError(f"{folder} cannot be written: {error.strerror}.") from error
+    return folder / module.name
+
+
+def _build(name: str, sources: Mapping[str, str], folder: Path, machine_flags: tuple[str, ...]) -> Path:
+    for filename, text in sources.items():
+        (folder / filename).write_text(text, encoding="utf-8", newline="\n")
     from concurrent.futures import ThreadPoolExecutor
 
     kernel, wrapper = folder / f"{name}_kernel.c", _cythonize(folder / f"{name}.pyx")
     with ThreadPoolExecutor(2) as pool:
         jobs = [
-            pool.submit(_compile, kernel, (*KERNEL_FLAGS, *_machine_flags())),
+            pool.submit(_compile, kernel, (*KERNEL_FLAGS, *machine_flags)),
             pool.submit(_compile, wrapper, WRAPPER_FLAGS),
         ]
         objects = [job.result() for job in jobs]
     module = folder / f"{name}{sysconfig.get_config_var('EXT_SUFFIX')}"
-    _run([*_compiler(), *map(str, objects), *_link_flags(), "-o", str(module)])
-    for leftover in (wrapper, *objects):
-        leftover.unlink()
+    _run([*_compiler(), *map(str, objects), *_link_flags(), "-o", str(module)], module)
     return module
 
 
@@ -183,21 +197,28 @@ def _compile(source: Path, flags: Sequence[str]) -> Path:
     target = source.with_suffix(".o")
     folders = [str(source.parent), get_include(), np.get_include(), sysconfig.get_path("include")]
     include = [word for folder in folders for word in ("-I", folder)]
-    _run([*_compiler(), *flags, *_user_flags("CFLAGS"), *include, "-c", str(source), "-o", str(target)])
+    _run(
+        [*_compiler(), *flags, *_user_flags("CFLAGS"), *STRICT_FLAGS, *include, "-c", str(source), "-o", str(target)],
+        target,
+    )
     return target
 
 
-def _run(command: Sequence[str]) -> None:
-    """Run a tool; its output becomes part of the error if it fails."""
+def _run(command: Sequence[str], target: Path) -> None:
+    """Run a compiler that is to make a file; its output becomes part of the error if it fails."""
     try:
         done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
     except OSError as error:
         raise BuildError(
             f"The C compiler {command[0]!r} could not be started: {error.strerror}. Install one (for instance gcc or "
-            "clang), or name one in the environment variable CC. Models that are built already go on working.",
+            "clang), or name one in the environment variable CC. Models that are built already can be loaded with "
+            "fourbar_codegen.load.",
             command=command,
         ) from error
-    if done.returncode:
+    if done.returncode or not target.is_file():
         raise BuildError(
-            "The C compiler failed.", command=command, exit_code=done.returncode, output=done.stdout + done.stderr
+            "The C compiler failed." if done.returncode else f"The C compiler made no {target.name}.",
+            command=command,
+            exit_code=done.returncode,
+            output=done.stdout + done.stderr,
         )

@@ -25,7 +25,7 @@ RESERVED = frozenset(
     # C keywords, the macros of <math.h>, and those that compilers define for their system
     "auto break case char const continue default do double else enum extern float for goto if inline int long "
     "register restrict return short signed sizeof static struct switch typedef union unsigned void volatile while "
-    "NAN INFINITY HUGE_VAL bool true false asm typeof NULL unix linux i386 errno signgam "
+    "NAN INFINITY HUGE_VAL bool true false asm typeof NULL unix linux i386 errno signgam math_errhandling "
     # names that the templates and the runtime's headers use
     "t x q p r constants accelerations multipliers work status i j k "
     # functions that the printer may call
@@ -52,6 +52,9 @@ class _Printer(C99CodePrinter):
         # Beyond the range of int, a literal needs to be one of double.
         return str(expr) if abs(int(expr)) < 2**31 else repr(float(expr))
 
+    def _print_ImaginaryUnit(self, expr: sm.Expr) -> str:
+        raise PrintMethodNotImplementedError(f"{expr} is not real")
+
     def _print_NaN(self, _: sm.Expr) -> str:
         return "NAN"
 
@@ -63,6 +66,8 @@ class _Printer(C99CodePrinter):
             # The parentheses keep x**2 whole where the printer of products divides by it.
             product = f"({'*'.join([factor] * abs(int(exponent)))})"
             return product if exponent > 0 else f"1.0/{product}"
+        if exponent == sm.Rational(1, 3):
+            return f"pow({self._print(base)}, 1.0/3.0)"  # not cbrt: of a negative number, it is not a number in SymPy
         if exponent == sm.Rational(-1, 2):
             return f"1.0/sqrt({self._print(base)})"
         return super()._print_Pow(expr)  # type: ignore[no-any-return]
@@ -181,7 +186,7 @@ def _function_text(function: Function) -> str:
 def _print(printer: _Printer, expr: sm.Expr) -> str:
     try:
         return printer.doprint(expr)  # type: ignore[no-any-return]
-    except PrintMethodNotImplementedError as error:
+    except (PrintMethodNotImplementedError, OverflowError) as error:
         kind = type(expr).__name__
         raise ModelError(f"The model contains {kind} or an expression in it that C99 does not have: {error}") from error
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
-import tempfile
 from collections.abc import Callable
-from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 
 from fourbar_codegen.errors import CacheError
@@ -14,13 +13,14 @@ from fourbar_codegen.errors import CacheError
 __all__ = ["cache_folder", "cached"]
 
 VARIABLE = "FOURBAR_CODEGEN_CACHE"
+CHECKSUM = "checksum"
 
 
 def cache_folder() -> Path:
     """The folder of compiled models: the user's cache folder, or what FOURBAR_CODEGEN_CACHE names."""
     chosen = os.environ.get(VARIABLE)
     if chosen:
-        return Path(chosen)
+        return Path(chosen).expanduser()
     import platformdirs
 
     return platformdirs.user_cache_path("fourbar_codegen", appauthor=False)
@@ -53,24 +53,28 @@ def cached(name: str, key: str, build: Callable[[Path], Path]) -> Path:
     processes see it whole or not at all, and a failed build leaves nothing behind.
     """
     root = cache_folder()
-    place = root / f"{name}-{key[:32]}"
-    found = _module_in(place, name)
-    if found is not None:
-        return found
-    from filelock import FileLock
-
+    place = root / f"{name[:32]}-{key[:32]}"
     try:
+        found = _module_in(place)
+        if found is not None:
+            return found
+        from filelock import FileLock
+
         root.mkdir(parents=True, exist_ok=True)
         with FileLock(root / f"{place.name}.lock"):
-            found = _module_in(place, name)
+            found = _module_in(place)
             if found is not None:
                 return found
-            temporary = Path(tempfile.mkdtemp(prefix=f"{name}-building-", dir=root))
+            temporary = root / f"{place.name}.building"
             try:
+                _remove(temporary)  # of a process that was killed
+                temporary.mkdir()
                 module = build(temporary)
+                (temporary / CHECKSUM).write_text(f"{_digest(module)}  {module.name}\n", encoding="utf-8")
+                _remove(place)  # damaged, or it would have been found
                 temporary.replace(place)
             finally:
-                shutil.rmtree(temporary, ignore_errors=True)
+                _remove(temporary)
             return place / module.name
     except OSError as error:
         raise CacheError(
@@ -79,5 +83,22 @@ def cached(name: str, key: str, build: Callable[[Path], Path]) -> Path:
         ) from error
 
 
-def _module_in(place: Path, name: str) -> Path | None:
-    return next((path for suffix in EXTENSION_SUFFIXES if (path := place / f"{name}{suffix}").is_file()), None)
+def _module_in(place: Path) -> Path | None:
+    """The module in a folder of the cache, if it is there and undamaged: loading a damaged one may end Python."""
+    try:
+        digest, _, name = (place / CHECKSUM).read_text(encoding="utf-8").strip().partition("  ")
+        module = place / name
+        return module if _digest(module) == digest else None
+    except (FileNotFoundError, NotADirectoryError, IsADirectoryError, UnicodeDecodeError):
+        return None
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)

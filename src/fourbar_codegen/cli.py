@@ -90,7 +90,7 @@ def _pairs(_: click.Context, __: click.Parameter, texts: tuple[str, ...]) -> dic
 @click.option("--atol", default=1e-9, show_default=True, help="Absolute tolerance.")
 @click.option(
     "--samples",
-    type=click.IntRange(min=2),
+    type=click.IntRange(min=2, max=10_000_000),
     default=401,
     show_default=True,
     help="Number of equally spaced times to store.",
@@ -118,6 +118,12 @@ def simulate(
     import numpy as np
     import scipy.integrate  # noqa: F401  # so that the time below is the simulation's
 
+    from fourbar_codegen.trajectory import check_ending
+
+    for path in outputs:
+        check_ending(path)
+    if not np.isfinite(t_span).all():
+        raise fb.ModelError(f"The first and last time must be finite, not {t_span}.")
     compiled = _compiled(model)
     x0 = _initial_state(compiled, initial, t_span[0], parameters)
     begin = time.perf_counter()
@@ -156,6 +162,8 @@ def _initial_state(compiled: CompiledModel, initial: dict[str, float], t: float,
 
 def _report(trajectory: Trajectory, method: str, seconds: float) -> None:
     model = trajectory.model
+    if not len(trajectory.t):
+        return
     click.echo(f"Model {model.name}, {method}, from t = {trajectory.t[0]:g} s to t = {trajectory.t[-1]:g} s")
     click.echo("\nState          initial              final")
     for name, first, last in zip(model.states, trajectory.y[:, 0], trajectory.y[:, -1], strict=True):
@@ -245,6 +253,8 @@ def info(model: str) -> None:
 
 def _compiled(model: str) -> CompiledModel:
     """A model that comes compiled, or one compiled now."""
+    if model.endswith(".py"):
+        raise fb.ModelError(f"Name the function in {model} that returns the Model: {model}:FUNCTION.")
     if ":" not in model:
         return fb.load(model)
     return fb.compile_model(_model(model))
@@ -261,10 +271,11 @@ def _model(text: str) -> Model:
             )
         return getattr(fb.models, text)()  # type: ignore[no-any-return]
     try:
-        maker = getattr(_module(place), function)
-    except (ImportError, AttributeError, OSError, SyntaxError) as error:
-        raise fb.ModelError(f"{text} cannot be imported: {error}.") from error
-    model = maker()
+        model = getattr(_module(place), function)()
+    except fb.FourbarError:
+        raise
+    except Exception as error:  # it is the user's code that runs here
+        raise fb.ModelError(f"{text} could not be called: {type(error).__name__}: {error}") from error
     if not isinstance(model, fb.Model):
         raise fb.ModelError(f"{text}() returned a {type(model).__name__}, not a fourbar_codegen.Model.")
     return model
@@ -272,6 +283,7 @@ def _model(text: str) -> Model:
 
 def _module(place: str) -> Any:
     if not place.endswith(".py"):
+        sys.path.insert(0, "")  # as for python -m
         return importlib.import_module(place)
     spec = importlib.util.spec_from_file_location(Path(place).stem, place)
     if spec is None or spec.loader is None:

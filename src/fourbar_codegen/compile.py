@@ -38,6 +38,7 @@ def generate_sources(model: Model) -> dict[str, str]:
     >>> sorted(fb.generate_sources(fb.models.four_bar()))
     ['four_bar.pyx', 'four_bar_kernel.c', 'four_bar_kernel.h', 'manifest.json']
     """
+    _require_model(model)
     # Imported here: a model that is in the cache needs none of it.
     from fourbar_codegen.c_source import header_text, kernel_text
     from fourbar_codegen.cython_source import manifest_of, manifest_text, wrapper_text
@@ -79,14 +80,21 @@ def key_of(model: Model) -> str:
     return fingerprint((described, toolchain()))
 
 
-def build_model(model: Model, folder: Path) -> Path:
-    """Generate a model's sources into a folder and compile them there.
+def _require_model(model: object) -> None:
+    if not isinstance(model, Model):
+        raise ModelError(f"A Model is needed, not a {type(model).__name__}: wrap a System in fourbar_codegen.Model.")
+
+
+def build_model(model: Model, folder: str | Path) -> Path:
+    """Compile a model to an extension module in a folder, beside its sources.
+
+    The module runs on other machines of the same kind, with NumPy alone or through `load`.
 
     Parameters
     ----------
     model : Model
-    folder : Path
-        Created if it does not exist.
+    folder : str or Path
+        Created if it does not exist; it is touched only when all has been built.
 
     Returns
     -------
@@ -97,8 +105,7 @@ def build_model(model: Model, folder: Path) -> Path:
     ------
     ModelError, BuildError
     """
-    sources = generate_sources(model)
-    return build_extension(model.name, sources, folder)
+    return build_extension(model.name, generate_sources(model), Path(folder), portable=True)
 
 
 def compile_model(model: Model) -> CompiledModel:
@@ -130,8 +137,9 @@ def compile_model(model: Model) -> CompiledModel:
     >>> fb.compile_model(fb.models.four_bar()).n_x
     6
     """
-    if not isinstance(model, Model):
-        raise ModelError(
-            f"compile_model takes a Model, not a {type(model).__name__}: wrap a System in fb.Model(system)."
-        )
-    return CompiledModel.from_file(cached(model.name, key_of(model), lambda folder: build_model(model, folder)))
+    _require_model(model)
+
+    def build(folder: Path) -> Path:
+        return build_extension(model.name, generate_sources(model), folder, portable=False)
+
+    return CompiledModel.from_file(cached(model.name, key_of(model), build))

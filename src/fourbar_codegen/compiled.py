@@ -7,13 +7,14 @@ import math
 from collections.abc import Mapping, Sequence
 from importlib import import_module, machinery, util
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.arguments import Values, named_values
-from fourbar_codegen.errors import ModelError
+from fourbar_codegen.arguments import Values, is_mapping, named_array, named_values
+from fourbar_codegen.errors import ModelError, SimulationError
 from fourbar_codegen.runtime.evaluator import Evaluator, Ode
 
 if TYPE_CHECKING:
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
 __all__ = ["CompiledModel", "load"]
 
 Floats = NDArray[np.float64]
+
+# What this process loaded from files: the system goes on giving out the first module of a path.
+_LOADED: dict[str, tuple[int, int, int]] = {}
 
 
 def load(name: str | Path) -> CompiledModel:
@@ -56,7 +60,7 @@ def load(name: str | Path) -> CompiledModel:
     if str(name) not in known:
         raise ModelError(
             f"There is no compiled model {str(name)!r}: it is neither one of the package's "
-            f"({', '.join(known) or 'none'}) nor the path of an extension module."
+            f"({', '.join(known) or 'none'}) nor the path of an extension module that fourbar build made."
         )
     return CompiledModel.from_module(import_module(f"fourbar_codegen.prebuilt.{name}"))
 
@@ -107,7 +111,9 @@ class CompiledModel(Evaluator):
         self.states = (*self.coordinates, *self.speeds)
         self.parameters: tuple[str, ...] = tuple(entry["name"] for entry in manifest["parameters"])
         self.inputs: tuple[str, ...] = tuple(entry["name"] for entry in manifest["inputs"])
-        self.defaults: dict[str, float | None] = {e["name"]: e["default"] for e in manifest["parameters"]}
+        self.defaults: Mapping[str, float | None] = MappingProxyType(
+            {e["name"]: e["default"] for e in manifest["parameters"]}
+        )
         self.units: dict[str, str] = {e["name"]: e["unit"] for e in manifest["parameters"]}
         self.descriptions: dict[str, str] = {e["name"]: e["description"] for e in manifest["parameters"]}
 
@@ -125,6 +131,13 @@ class CompiledModel(Evaluator):
     def from_file(cls, path: Path) -> CompiledModel:
         """The model in an extension module that is not on Python's path."""
         name = path.name.split(".")[0]
+        status = path.stat()
+        identity = (status.st_ino, status.st_size, status.st_mtime_ns)
+        if _LOADED.setdefault(str(path.resolve()), identity) != identity:
+            raise ModelError(
+                f"{path} was built again after this process loaded it, and a module cannot be loaded anew: restart "
+                "Python, or build into another folder."
+            )
         loader = machinery.ExtensionFileLoader(name, str(path))
         try:
             spec = util.spec_from_file_location(name, path, loader=loader)
@@ -147,7 +160,7 @@ class CompiledModel(Evaluator):
 
     # Names to arrays.
 
-    def parameter_values(self, p: Values) -> ArrayLike:
+    def parameter_values(self, p: Values) -> Values:
         """All parameter values in order, for an array or a mapping.
 
         Raises
@@ -155,13 +168,13 @@ class CompiledModel(Evaluator):
         ModelError
             If a name is not a parameter's, or a parameter has neither value nor default.
         """
-        if not isinstance(p, Mapping):
+        if not is_mapping(p):
             return p
         return named_values(p, self.parameters, self.defaults, "parameter")
 
-    def input_values(self, r: Values, defaults: Sequence[float]) -> ArrayLike:
+    def input_values(self, r: Values, defaults: Sequence[float]) -> Values:
         """All input values in order, for an array or a mapping."""
-        if not isinstance(r, Mapping):
+        if not is_mapping(r):
             return r
         known = {name: None if math.isnan(value) else value for name, value in zip(self.inputs, defaults, strict=True)}
         return named_values(r, self.inputs, known, "input")
@@ -226,7 +239,13 @@ class CompiledModel(Evaluator):
     def _projection(self, jacobian: Floats) -> Floats:
         """T with u = T u_i + ... for the model's own independent speeds, shape (n_u, n_u - n_c)."""
         n_i = self.n_u - self.n_c
-        dependent = -np.linalg.solve(jacobian[:, n_i:], jacobian[:, :n_i])
+        try:
+            dependent = -np.linalg.solve(jacobian[:, n_i:], jacobian[:, :n_i])
+        except np.linalg.LinAlgError as error:
+            raise SimulationError(
+                f"The dependent speeds ({', '.join(self.speeds[n_i:])}) do not follow from the independent ones in "
+                "this configuration: the constraints' Jacobian with respect to them is singular."
+            ) from error
         return np.vstack((np.eye(n_i), dependent))
 
     def position_constraints(self, t: float, q: ArrayLike, p: Values | None = None) -> Floats:
@@ -248,7 +267,8 @@ class CompiledModel(Evaluator):
 
     def constraint_jacobian(self, t: float, q: ArrayLike, p: Values | None = None) -> Floats:
         """J of the velocity constraints J u + b = 0, shape (n_c, n_u)."""
-        return self.velocity(t, np.concatenate((np.asarray(q, dtype=float), np.zeros(self.n_u))), p)[0]
+        coordinates = named_array(q, self.coordinates, {}, "coordinate")
+        return self.velocity(t, np.concatenate((coordinates, np.zeros(self.n_u))), p)[0]
 
     def multipliers(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
         """Multipliers lambda of M u' = f + J^T lambda, shape (n_c,): reactions conjugate to the constraints."""

@@ -38,7 +38,7 @@ def initial_state(
     n_qi = model.n_q - model.manifest["n_dependent_coordinates"]
     n_ui = model.n_u - model.manifest["n_dependent_speeds"]
     initial = model.manifest["initial"]
-    p = None if parameters is None else np.array(model.parameter_values(parameters), dtype=float)
+    p = model.parameter_vector(parameters)
     q_i = named_array(coordinates, model.coordinates[:n_qi], initial, "independent coordinate")
     u_i = named_array(speeds, model.speeds[:n_ui], initial, "independent speed")
     dependent = model.coordinates[n_qi:]

@@ -167,14 +167,14 @@ class Kane:
             return self.tape.define(sm.Add(*of_bodies))
         terms = []
         for load in self.mechanism.loads:
-            force = self._convert(load.vector)
-            if load.kind == "torque" or not load.velocity or any(frame != INERTIAL for frame, _ in force):
+            if load.kind == "torque" or not load.velocity:
                 continue
-            if self.tape.depends((entry for _, components in force for entry in components), variables):
+            force = self._express(self._convert(load.vector), INERTIAL)
+            if self.tape.depends(force, variables):
                 continue
             if load.position is None:
                 return sm.S.NaN
-            terms.append(-self._dot(force, self._convert(load.position)))
+            terms.append(-self._dot(((INERTIAL, force),), self._convert(load.position)))
         return self.tape.define(sm.Add(*terms))
 
     # Vectors on the tape.

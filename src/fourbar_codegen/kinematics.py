@@ -21,9 +21,9 @@ def solve_kinematics(
 ) -> tuple[sm.Expr, ...]:
     """Solve the kinematic differential equations for the coordinates' rates.
 
-    Equations that share no rate are solved apart. Within a block, Cramer's rule needs no pivot that might
-    vanish at some configuration; where the block's determinant vanishes, the rates are not finite, and the
-    evaluation says so.
+    Equations with one unknown rate are solved first, then blocks that share no rate, each apart. Within a
+    block, Cramer's rule needs no pivot that might vanish at some configuration; where the block's determinant
+    vanishes, the rates are not finite, and the evaluation says so.
 
     Parameters
     ----------
@@ -65,14 +65,31 @@ def solve_kinematics(
         rest.append(tape.convert(equation, without_rates))
 
     solution: dict[int, sm.Expr] = {}
-    for rows, columns in _blocks(matrix):
+
+    def move_known(row: int) -> None:
+        """Take the rates that are solved for to the right-hand side."""
+        for column in [c for c, entry in enumerate(matrix[row]) if c in solution and not entry.is_zero]:
+            rest[row] = tape.define(rest[row] + tape.define(matrix[row][column] * solution[column]))
+            matrix[row][column] = sm.S.Zero
+
+    # Equations with one unknown rate, as long as there are any: triangular ones are solved by that alone.
+    open_rows = list(range(len(matrix)))
+    while singles := [row for row in open_rows if sum(not entry.is_zero for entry in matrix[row]) == 1]:
+        single = singles[0]
+        unknown = next(column for column, entry in enumerate(matrix[single]) if not entry.is_zero)
+        solution[unknown] = tape.define(-rest[single] / matrix[single][unknown])
+        open_rows.remove(single)
+        for number in open_rows:
+            move_known(number)
+
+    for rows, columns in _blocks(matrix, open_rows, [c for c in range(len(rates)) if c not in solution]):
         determinant = _determinant(tape, matrix, rows, columns) if len(rows) == len(columns) else sm.S.Zero
         if determinant.is_zero:
-            unknown = ", ".join(str(mechanism.coordinates[column].func) for column in columns)
+            names = ", ".join(str(mechanism.coordinates[column].func) for column in columns) or "none"
             numbers = ", ".join(str(row + 1) for row in rows) or "none"
             raise ModelError(
-                f"The kinematic differential equations do not determine the rates of ({unknown}); the equations that "
-                f"contain them are number {numbers}."
+                f"The kinematic differential equations do not determine the rates of ({names}); the equations left "
+                f"for them are number {numbers}."
             )
         for k, column in enumerate(columns):
             # Cramer's rule: cofactors of the column, times the right-hand sides -rest.
@@ -84,22 +101,23 @@ def solve_kinematics(
     return tuple(solution[column] for column in range(len(rates)))
 
 
-def _blocks(matrix: Sequence[Sequence[sm.Expr]]) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
-    """Rows and columns of the matrix's independent blocks, in order of their first column."""
-    size = len(matrix)
-    blocks: list[tuple[set[int], set[int]]] = [(set(), {column}) for column in range(size)]
-    for row, entries in enumerate(matrix):
-        columns = {column for column, entry in enumerate(entries) if not entry.is_zero}
-        joined = [block for block in blocks if block[1] & columns]
-        blocks = [block for block in blocks if not block[1] & columns]
-        blocks.append(({row}.union(*(rows for rows, _ in joined)), columns.union(*(own for _, own in joined))))
-    for rows, _ in blocks:
-        if len(rows) > LARGEST_BLOCK:
+def _blocks(
+    matrix: Sequence[Sequence[sm.Expr]], rows: Sequence[int], columns: Sequence[int]
+) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
+    """Rows and columns of the matrix's independent blocks."""
+    blocks: list[tuple[set[int], set[int]]] = [(set(), {column}) for column in columns]
+    for row in rows:
+        own = {column for column in columns if not matrix[row][column].is_zero}
+        joined = [block for block in blocks if block[1] & own]
+        blocks = [block for block in blocks if not block[1] & own]
+        blocks.append(({row}.union(*(r for r, _ in joined)), own.union(*(c for _, c in joined))))
+    for block_rows, _ in blocks:
+        if len(block_rows) > LARGEST_BLOCK:
             raise ModelError(
-                f"{len(rows)} kinematic differential equations are coupled; at most {LARGEST_BLOCK} coordinates' rates "
-                "may depend on each other."
+                f"{len(block_rows)} kinematic differential equations are coupled; at most {LARGEST_BLOCK} coordinates' "
+                "rates may depend on each other."
             )
-    return sorted((tuple(sorted(rows)), tuple(sorted(columns))) for rows, columns in blocks)
+    return sorted((tuple(sorted(r)), tuple(sorted(c))) for r, c in blocks)
 
 
 def _determinant(

@@ -242,7 +242,8 @@ def _share(statements: Statements, entries: Sequence[sm.Expr]) -> tuple[Statemen
             expr, ready = stack.pop()
             if ready:
                 value = values[expr].xreplace(renamed)
-                if value.is_Atom or (-value).is_Atom:
+                # Conditions stay where they are used: a statement holds a number.
+                if not isinstance(value, sm.Expr) or value.is_Atom or (-value).is_Atom:
                     renamed[expr] = value
                     continue
                 symbol = sm.Symbol(f"z:{len(ordered):08d}", real=True)
@@ -258,4 +259,10 @@ def _share(statements: Statements, entries: Sequence[sm.Expr]) -> tuple[Statemen
 
     for entry in reduced[len(statements) :]:
         emit(entry)
-    return tuple(ordered), tuple(entry.xreplace(renamed) for entry in reduced[len(statements) :])
+    results = tuple(entry.xreplace(renamed) for entry in reduced[len(statements) :])
+    # Terms that cancelled on the way leave statements that nothing uses.
+    used = {symbol for entry in results for symbol in entry.free_symbols}
+    for symbol, value in reversed(ordered):
+        if symbol in used:
+            used.update(value.free_symbols)
+    return tuple((symbol, value) for symbol, value in ordered if symbol in used), results

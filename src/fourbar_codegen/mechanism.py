@@ -312,7 +312,7 @@ class _Reader:
         name = f"body {body.name}"
         mass, potential_energy = sm.sympify(body.mass), sm.sympify(body.potential_energy)
         velocity = self.velocity(body.masscenter, name)
-        if isinstance(body, me.Particle):
+        if not isinstance(body, me.RigidBody):  # the deprecated Body is a RigidBody and a Particle
             return Body(body.name, mass, velocity, None, None, None, potential_energy)
         self.angular_velocity(body.frame, name)
         # The inertia stays in the frame it was given in, which need not be fixed in the body (the wheel of a

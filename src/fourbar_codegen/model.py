@@ -7,12 +7,12 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import sympy as sm
 from sympy.core.function import AppliedUndef
 
-from fourbar_codegen.arguments import finite_number
+from fourbar_codegen.arguments import finite_number, is_mapping
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.mechanism import Mechanism, read_mechanism, walk
 
@@ -21,8 +21,11 @@ if TYPE_CHECKING:
 
 __all__ = ["Model", "Parameter"]
 
-IMPORTED = frozenset({"cpython", "cython", "libc", "numpy"})
-"""What the generated module imports itself."""
+IMPORTED = frozenset({"cpython", "cython", "libc", "numpy", "fb", "fourbar"})
+"""What the generated module imports and includes itself."""
+
+COLUMNS = re.compile(r"kinetic_energy|potential_energy|constraint_residual_\d+|file|allow_pickle")
+"""Names of a trajectory's own columns, and of the arguments of numpy.savez, which takes columns by name."""
 
 
 @dataclass(frozen=True)
@@ -110,13 +113,15 @@ class Model:
         self.system = system
         self.name = name
         self.mechanism: Mechanism = read_mechanism(system)
-        self.input_expressions = {f: None if e is None else sm.sympify(e) for f, e in (inputs or {}).items()}
-        self.potential_energy = None if potential_energy is None else sm.sympify(potential_energy)
-        self.named_parameters = tuple(parameters or {})
-        self.parameter_symbols = self._collect_parameters(parameters or {})
+        self.input_expressions = self._read_inputs(_mapping(inputs, "inputs"))
+        self.potential_energy = None if potential_energy is None else _expression(potential_energy, "potential_energy")
+        parameters = _mapping(parameters, "parameters")
+        self.named_parameters = tuple(parameters)
+        self.parameter_symbols = self._collect_parameters(parameters)
         self._check_names()
         self._check_inputs()
-        self.initial = self._check_initial(initial or {})
+        self._check_holonomic_constraints()
+        self.initial = self._check_initial(_mapping(initial, "initial"))
 
     @property
     def coordinates(self) -> tuple[str, ...]:
@@ -143,6 +148,12 @@ class Model:
             f"<Model {self.name}: {len(self.coordinates)} coordinates, {len(self.speeds)} speeds, "
             f"{len(self.parameter_symbols)} parameters, {len(self.inputs)} inputs>"
         )
+
+    def _read_inputs(self, inputs: Mapping[sm.Expr, sm.Expr | float | None]) -> dict[sm.Expr, sm.Expr | None]:
+        for function in inputs:
+            if not isinstance(function, AppliedUndef) or function.args != (self.mechanism.time,):
+                raise ModelError(f"inputs= has functions of {self.mechanism.time} as keys, not {function!r}.")
+        return {f: None if e is None else _expression(e, f"the input {f}") for f, e in inputs.items()}
 
     def _collect_parameters(self, given: Mapping[sm.Symbol, float | Parameter]) -> dict[sm.Symbol, Parameter]:
         """The given symbols in their order, then the others by name; nothing that the model does not use."""
@@ -188,6 +199,9 @@ class Model:
                 f"These names stand for more than one symbol: {', '.join(repeated)}. Coordinates, speeds, inputs and "
                 "parameters are found by name, so each needs its own."
             )
+        columns = sorted(name for name in names if COLUMNS.fullmatch(name))
+        if columns:
+            raise ModelError(f"Trajectories have columns named {', '.join(columns)}; give the symbols other names.")
         if self.mechanism.time.name in names:
             raise ModelError(f"{self.mechanism.time.name} is the name of time; give the other symbol another name.")
 
@@ -196,18 +210,31 @@ class Model:
         inputs = set(self.input_expressions)
         allowed = {self.mechanism.time, *self.parameter_symbols}
         for name, expression in zip(self.inputs, self.input_expressions.values(), strict=True):
-            functions = [] if expression is None else [n for n in walk([expression]) if isinstance(n, AppliedUndef)]
-            if functions or (expression is not None and not expression.free_symbols <= allowed):
+            if expression is None:
+                continue
+            functions = any(isinstance(node, AppliedUndef | sm.Derivative) for node in walk([expression]))
+            if functions or not expression.free_symbols <= allowed:
                 raise ModelError(
                     f"The expression of input {name} may contain time and parameters only, not {expression}. State "
                     "feedback goes into the loads, or in at run time as a callable of (t, x)."
                 )
-        for label, expressions in self.mechanism.labelled_structure():
+        potential = [] if self.potential_energy is None else [("the potential energy", (self.potential_energy,))]
+        for label, expressions in (*self.mechanism.labelled_structure(), *potential):
             for node in walk(expressions):
                 if node in inputs:
                     raise ModelError(
                         f"Input {node} appears in {label}, where its rates would be needed. Write prescribed motion as "
                         "an expression of time and parameters instead of an input."
+                    )
+
+    def _check_holonomic_constraints(self) -> None:
+        speeds = set(self.mechanism.speeds)
+        for number, expression in enumerate(self.mechanism.holonomic_constraints, start=1):
+            for node in walk([expression]):
+                if node in speeds or isinstance(node, sm.Derivative):
+                    raise ModelError(
+                        f"Holonomic constraint {number} contains {node}: it may depend on coordinates and time only. A "
+                        "constraint on speeds goes to add_nonholonomic_constraints."
                     )
 
     def _check_initial(self, given: Mapping[sm.Expr, float]) -> dict[str, float]:
@@ -218,6 +245,25 @@ class Model:
                 raise ModelError(f"{function} in initial= is none of the states {(*self.coordinates, *self.speeds)}.")
             initial[_name(function)] = finite_number(value, f"initial {_name(function)}")
         return initial
+
+
+def _mapping(given: Any, argument: str) -> Mapping[Any, Any]:
+    if given is None:
+        return {}
+    if not is_mapping(given):
+        raise ModelError(f"{argument}= must be a mapping from symbols to values, not {given!r}.")
+    return given
+
+
+def _expression(given: Any, what: str) -> sm.Expr:
+    """A SymPy expression; text is not evaluated."""
+    try:
+        expression = sm.sympify(given, strict=True)
+    except sm.SympifyError as error:
+        raise ModelError(f"{what} must be an expression or a number, not {given!r}.") from error
+    if not isinstance(expression, sm.Expr) or expression.is_extended_real is False or expression.is_finite is False:
+        raise ModelError(f"{what} must be a real and finite expression, not {given!r}.")
+    return expression
 
 
 def _name(function: sm.Expr) -> str:

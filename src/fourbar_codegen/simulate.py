@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.arguments import Values, finite_number, name_of, named_array
+from fourbar_codegen.arguments import Values, finite_number, is_mapping, name_of, named_array
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.runtime.evaluator import Ode, Table
 from fourbar_codegen.trajectory import Trajectory
@@ -28,11 +28,15 @@ IMPLICIT = ("Radau", "BDF", "LSODA")
 
 def bind(model: CompiledModel, parameters: Values | None, inputs: Mapping[Any, InputSource] | None) -> Ode:
     """The right-hand side with parameters and inputs bound; see `CompiledModel.ode`."""
-    return Ode(model, parameters, _sources(model, inputs or {}))
+    return Ode(model, parameters, _sources(model, {} if inputs is None else inputs))
 
 
 def _sources(model: CompiledModel, inputs: Mapping[Any, InputSource]) -> list[object]:
     """For each input None, a float, a Table or a callable."""
+    if not is_mapping(inputs):
+        raise ModelError(
+            f"inputs must be a mapping from the inputs' names ({', '.join(model.inputs)}), not {inputs!r}."
+        )
     sources: dict[str, object] = dict.fromkeys(model.inputs)
     for key, source in inputs.items():
         name = name_of(key)
@@ -51,16 +55,13 @@ def _sources(model: CompiledModel, inputs: Mapping[Any, InputSource]) -> list[ob
 
 
 def _table(name: str, source: Sequence[ArrayLike]) -> Table:
-    shape = "a table (times, values) of two arrays of equal length, times strictly increasing"
     try:
-        times, values = (np.asarray(column, dtype=float) for column in source)
-    except (TypeError, ValueError) as error:
-        raise ModelError(f"Input {name} must be a number, {shape}, or a callable of (t, x).") from error
-    if times.ndim != 1 or times.shape != values.shape or len(times) < 2 or not (np.diff(times) > 0).all():
-        raise ModelError(f"Input {name} must be {shape}; the arrays have shapes {times.shape} and {values.shape}.")
-    if not (np.isfinite(times).all() and np.isfinite(values).all()):
-        raise ModelError(f"The table of input {name} must be finite.")
-    return Table(times, values)
+        times, values = source
+        return Table(times, values)
+    except ValueError as error:  # also of the wrong number of columns
+        raise ModelError(
+            f"Input {name} must be a number, a table (times, values), or a callable of (t, x). {error}"
+        ) from error
 
 
 def simulate(
@@ -90,27 +91,34 @@ def simulate(
     start, end = _span(t_span)
     if t_eval is not None:
         t_eval = _times(t_eval, start, end)
-    p = None if parameters is None else np.array(model.parameter_values(parameters), dtype=float)
+    p = model.parameter_vector(parameters)
     state = model.initial_state(t=start, parameters=p) if x0 is None else named_array(x0, model.states, {}, "state")
     ode = bind(model, p, inputs)
     _check_start(model, ode, start, state, p)
-    options: dict[str, Any] = {"rtol": _tolerance(rtol, "rtol", (1,)), "atol": _tolerance(atol, "atol", (1, model.n_x))}
+    options: dict[str, Any] = {"rtol": _tolerance(rtol, "rtol"), "atol": _tolerance(atol, "atol", model.n_x)}
     # A callable input may depend on the state, which the compiled Jacobian does not know of.
     if method in IMPLICIT and not any(callable(source) for source in (inputs or {}).values()):
         options["jac"] = ode.jac
     solver = _failing_softly(method, ode) if method in IMPLICIT else method
     result = solve_ivp(
-        ode, (start, end), state, method=solver, t_eval=t_eval, events=events, dense_output=dense_output, **options
+        ode,
+        (start, end),
+        state,
+        method=solver,
+        t_eval=t_eval,
+        events=_events(events),
+        dense_output=dense_output,
+        **options,
     )
     message = result.message
     if not result.success:
-        reached = result.t[-1] if len(result.t) else start
-        message = f"The integration stopped at t = {reached:.9g}: {ode.failure or message}"
+        message = f"The integration stopped at t = {ode.time:.9g}: {ode.failure or message}"
     return Trajectory(
         model=model,
         parameters=p,
-        t=result.t,
-        y=result.y,
+        # Where no time was stored, SciPy gives lists.
+        t=np.asarray(result.t, dtype=float),
+        y=np.reshape(result.y, (model.n_x, len(result.t))),
         sol=result.sol,
         t_events=result.t_events,
         y_events=result.y_events,
@@ -138,12 +146,12 @@ def _span(t_span: Sequence[float]) -> tuple[float, float]:
 def _times(t_eval: ArrayLike, start: float, end: float) -> Floats:
     try:
         times = np.array(t_eval, dtype=float)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ModelError(f"t_eval must be an array of times, not {t_eval!r}.") from error
     forward = 1.0 if end > start else -1.0
-    if times.ndim != 1 or not np.isfinite(times).all() or not (np.diff(forward * times) > 0).all():
+    if times.ndim != 1 or not times.size or not np.isfinite(times).all() or not (np.diff(forward * times) > 0).all():
         raise ModelError("t_eval must be a one-dimensional array of times in the order of t_span, each once.")
-    if len(times) and not (min(start, end) <= times.min() and times.max() <= max(start, end)):
+    if not (min(start, end) <= times.min() and times.max() <= max(start, end)):
         raise ModelError(
             f"t_eval must lie within t_span ({start:g}, {end:g}); it goes from {times.min()} to {times.max()}."
         )
@@ -172,15 +180,21 @@ def _failing_softly(method: str, ode: Ode) -> type:
     return FailingSoftly
 
 
-def _tolerance(value: ArrayLike, name: str, sizes: tuple[int, ...]) -> Floats:
+def _tolerance(value: ArrayLike, name: str, size: int = 0) -> Floats:
+    allowed = "a positive number" + (f" or an array of shape ({size},)" if size else "")
     try:
         tolerance = np.array(value, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise ModelError(f"{name} must be a positive number, not {value!r}.") from error
-    if tolerance.ndim > 1 or tolerance.size not in sizes or not (np.isfinite(tolerance) & (tolerance > 0)).all():
-        arrays = "".join(f" or an array of shape ({size},)" for size in sizes if size > 1)
-        raise ModelError(f"{name} must be a positive number{arrays}, not {value!r}.")
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ModelError(f"{name} must be {allowed}, not {value!r}.") from error
+    if tolerance.shape not in {(), (size,)} or not (np.isfinite(tolerance) & (tolerance > 0)).all():
+        raise ModelError(f"{name} must be {allowed}, not {value!r}.")
     return tolerance
+
+
+def _events(events: Event | Sequence[Event] | None) -> Event | Sequence[Event] | None:
+    if not (events is None or callable(events) or (isinstance(events, list | tuple) and all(map(callable, events)))):
+        raise ModelError(f"events must be a callable of (t, x) or a sequence of them, not {events!r}.")
+    return events
 
 
 def _check_start(model: CompiledModel, ode: Ode, t: float, state: Floats, p: Floats | None) -> None:

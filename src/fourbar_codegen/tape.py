@@ -13,7 +13,9 @@ import random
 from collections.abc import Collection, Container, Iterable, Mapping, Sequence
 
 import sympy as sm
+from sympy.concrete.expr_with_limits import ExprWithLimits
 from sympy.functions.special.delta_functions import DiracDelta
+from sympy.printing.codeprinter import PrintMethodNotImplementedError
 
 from fourbar_codegen.errors import ModelError
 
@@ -78,15 +80,19 @@ class Tape:
             if done is None:
                 if node in leaves:
                     done = leaves[node]
+                elif not _computable(node):
+                    raise ModelError(f"{node} in {expr} cannot be compiled.")
                 elif not node.args:
-                    if isinstance(node, sm.Symbol) or node.is_finite is False:
-                        raise ModelError(f"{node} in {expr} cannot be compiled.")
                     done = node
                 else:
                     done = node.func(*[visit(argument) for argument in node.args])
                     if isinstance(done, sm.Max | sm.Min):
                         # Their derivatives are step functions; those of Piecewise are Piecewise.
                         done = done.rewrite(sm.Piecewise)
+                    elif isinstance(done, sm.Mod):
+                        # C's fmod has the sign of the dividend, SymPy's Mod that of the divisor.
+                        dividend, divisor = done.args
+                        done = dividend - divisor * self.define(sm.floor(self.define(dividend / divisor)))
                     if isinstance(done, sm.Expr):
                         done = self.define(done)
                 memo[node] = done
@@ -131,7 +137,8 @@ class Tape:
         """Whether each expression is zero wherever the leaves are, as told by its values at random points.
 
         A function that is not identically zero is zero at a random point with probability zero; the
-        tolerance allows for rounding errors in expressions of terms around 1.
+        tolerance allows for rounding errors in expressions of terms around 1. Where fewer than three of the
+        points can be evaluated, nothing is said to vanish that SymPy does not know to.
         """
         leaves = sorted(
             {s for e in expressions for s in e.free_symbols}.union(
@@ -141,14 +148,15 @@ class Tape:
             key=lambda symbol: symbol.name,
         )
         generator = random.Random(1)
-        vanishing = [True] * len(expressions)
-        for _ in range(2):
+        samples = []
+        for _ in range(8):
             try:
-                values = self.evaluate(expressions, {leaf: generator.uniform(0.5, 1.5) for leaf in leaves})
-            except (ArithmeticError, ValueError):
-                return [expression.is_zero is True for expression in expressions]
-            vanishing = [known and abs(value) < 1e-9 for known, value in zip(vanishing, values, strict=True)]
-        return vanishing
+                samples.append(self.evaluate(expressions, {leaf: generator.uniform(-3.0, 3.0) for leaf in leaves}))
+            except (ArithmeticError, ValueError, TypeError, NameError, PrintMethodNotImplementedError):
+                continue  # outside of a function's range, or a function that Python does not have
+        if len(samples) < 3:
+            return [expression.is_zero is True for expression in expressions]
+        return [all(abs(value) < 1e-9 for value in values) for values in zip(*samples, strict=True)]
 
 
 class Direction:
@@ -169,8 +177,19 @@ class Direction:
         """The derivative of an expression in leaves and tape symbols."""
         known, tape = self._known, self.tape
         for symbol in tape.reach([expr], known):
-            known[symbol] = tape.define(self._chain(tape.partials(symbol)))
-        return tape.define(self._chain((s, _derivative(expr, s)) for s in free_symbols(expr)))
+            statement = tape.statements[symbol]
+            if isinstance(statement, sm.Piecewise):
+                # Branch by branch: a branch that is not taken may have a derivative that is not a number.
+                known[symbol] = tape.define(
+                    sm.Piecewise(*((self._of_expression(branch), condition) for branch, condition in statement.args))
+                )
+            else:
+                known[symbol] = tape.define(self._chain(tape.partials(symbol)))
+        return self._of_expression(expr)
+
+    def _of_expression(self, expr: sm.Expr) -> sm.Expr:
+        """The derivative of an expression whose tape symbols are differentiated already."""
+        return self.tape.define(self._chain((s, _derivative(expr, s)) for s in free_symbols(expr)))
 
     def give(self, expr: sm.Expr, derivative: sm.Expr) -> None:
         """Take a derivative that is known from elsewhere instead of forming it by the chain rule."""
@@ -187,7 +206,21 @@ class Direction:
         return sm.Add(*terms)
 
 
+def _computable(node: sm.Basic) -> bool:
+    """Whether a node has a value in double arithmetic, its arguments apart."""
+    if isinstance(node, ExprWithLimits) or node is sm.nan:
+        return False
+    if isinstance(node, sm.Function):
+        return type(node).__module__.startswith("sympy.")
+    return bool(node.args) or not (isinstance(node, sm.Symbol) or node.is_finite is False)
+
+
 def _derivative(expr: sm.Expr, symbol: sm.Symbol) -> sm.Expr:
+    if isinstance(expr, sm.floor | sm.ceiling):
+        return sm.S.Zero
+    if expr.is_Pow and expr.base == symbol and symbol not in expr.exp.free_symbols:
+        # SymPy's n x**n / x is not a number at x = 0.
+        return expr.exp * symbol ** (expr.exp - 1)
     derivative = expr.diff(symbol)
     # A jump has no derivative where it jumps; everywhere else it is zero.
     return derivative.replace(DiracDelta, lambda *_: sm.S.Zero) if derivative.has(DiracDelta) else derivative

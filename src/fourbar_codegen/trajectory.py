@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
     from fourbar_codegen.compiled import CompiledModel
 
-__all__ = ["Trajectory"]
+__all__ = ["Trajectory", "check_ending"]
 
 Floats = NDArray[np.float64]
 
@@ -143,33 +144,20 @@ class Trajectory:
             If the ending is another one, the file cannot be written, or Matplotlib is missing.
         """
         path = Path(path)
-        writers: dict[str, Callable[[Path], None]] = {
-            ".csv": self._save_csv,
-            ".npz": self._save_npz,
-            ".png": self._save_png,
-        }
-        if path.suffix not in writers:
-            raise ModelError(f"A trajectory is saved as {', '.join(writers)}; {path.name!r} ends otherwise.")
+        writer = check_ending(path)
+        # Into a file beside it first: whatever goes wrong, the old file stays, and no half of a new one.
+        part = path.with_name(f"{path.name}.part")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            writers[path.suffix](path)
+            try:
+                with part.open("wb") as file:
+                    writer(self, file)
+                part.replace(path)
+            finally:
+                part.unlink(missing_ok=True)
         except OSError as error:
-            raise ModelError(f"{path} cannot be written: {error.strerror}.") from error
+            raise ModelError(f"{path} cannot be written: {error.strerror or error}.") from error
         return path
-
-    def _save_csv(self, path: Path) -> None:
-        columns = self.columns()
-        with path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow(columns)
-            writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
-
-    def _save_npz(self, path: Path) -> None:
-        arrays: dict[str, Any] = dict(self.columns())
-        np.savez(path, **arrays)
-
-    def _save_png(self, path: Path) -> None:
-        self.plot().savefig(path, dpi=120)
 
     def plot(self) -> Figure:
         """Coordinates, loop residual and energy over time; needs Matplotlib, the extra ``visual``.
@@ -181,3 +169,35 @@ class Trajectory:
         from fourbar_codegen.visual import plot_trajectory
 
         return plot_trajectory(self)
+
+
+def _write_csv(trajectory: Trajectory, file: IO[bytes]) -> None:
+    columns = trajectory.columns()
+    with io.TextIOWrapper(file, encoding="utf-8", newline="") as text:
+        writer = csv.writer(text)
+        writer.writerow(columns)
+        writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
+
+
+def _write_npz(trajectory: Trajectory, file: IO[bytes]) -> None:
+    arrays: dict[str, Any] = dict(trajectory.columns())
+    np.savez(file, **arrays)
+
+
+def _write_png(trajectory: Trajectory, file: IO[bytes]) -> None:
+    trajectory.plot().savefig(file, dpi=120, format="png")
+
+
+_WRITERS: dict[str, Callable[[Trajectory, IO[bytes]], None]] = {
+    ".csv": _write_csv,
+    ".npz": _write_npz,
+    ".png": _write_png,
+}
+
+
+def check_ending(path: Path) -> Callable[[Trajectory, IO[bytes]], None]:
+    """What writes a file with the ending of the path, or a ModelError."""
+    writer = _WRITERS.get(path.suffix.lower())
+    if writer is None:
+        raise ModelError(f"A trajectory is saved as {', '.join(_WRITERS)}; {path.name!r} ends otherwise.")
+    return writer

@@ -17,7 +17,7 @@ __all__ = ["plot_trajectory"]
 
 
 def plot_trajectory(trajectory: Trajectory) -> Figure:
-    """Coordinates, loop residual and energy over time, one above the other.
+    """Coordinates, loop residual (where there are loops) and energy over time, one above the other.
 
     Parameters
     ----------
@@ -39,16 +39,18 @@ def plot_trajectory(trajectory: Trajectory) -> Figure:
         raise ModelError("Plots need Matplotlib: pip install 'fourbar_codegen[visual]'.") from error
 
     model = trajectory.model
-    figure = Figure(figsize=(7.0, 7.5), layout="constrained")
-    coordinates, residual, energy = figure.subplots(3, 1, sharex=True)
+    panels = 3 if model.n_h else 2
+    figure = Figure(figsize=(7.0, 2.5 * panels), layout="constrained")
+    coordinates, *residuals, energy = figure.subplots(panels, 1, sharex=True)
     for name, values in zip(model.coordinates, trajectory.q, strict=True):
         coordinates.plot(trajectory.t, values, label=name)
     coordinates.set_ylabel("coordinates (rad or m)")
     coordinates.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
-    # Zero has no place on a logarithmic axis; half the smallest normal step of double around 1 stands for it.
-    size = np.abs(trajectory.constraint_residual).max(axis=0, initial=0.0)
-    residual.semilogy(trajectory.t, np.maximum(size, np.finfo(float).eps / 2), color="tab:red")
-    residual.set_ylabel("loop residual (constraints' unit)")
+    for residual in residuals:
+        # Zero has no place on a logarithmic axis; half the smallest normal step of double around 1 stands for it.
+        size = np.abs(trajectory.constraint_residual).max(axis=0)
+        residual.semilogy(trajectory.t, np.maximum(size, np.finfo(float).eps / 2), color="tab:red")
+        residual.set_ylabel("loop residual (constraints' unit)")
     for label, values in (
         ("kinetic", trajectory.kinetic_energy),
         ("potential", trajectory.potential_energy),

@@ -56,8 +56,11 @@ cdef cnp.ndarray _vector(object values, int n, str what):
         array = <cnp.ndarray>values
     else:
         try:
-            array = np.array(values, dtype=np.float64, order="C")
-        except (TypeError, ValueError) as error:
+            given = np.asarray(values)
+            if given.dtype.kind not in "biufO":  # not complex, text, time
+                raise TypeError(given.dtype)
+            array = np.array(given, dtype=np.float64, order="C")
+        except (TypeError, ValueError, OverflowError) as error:
             raise ModelError(f"{what} must be {n} real numbers, not {values!r}.") from error
     if cnp.PyArray_NDIM(array) != 1 or cnp.PyArray_DIM(array, 0) != n:
         raise ModelError(f"{what} must have shape ({n},), not {(<object>array).shape}.")
@@ -336,6 +339,11 @@ cdef class Evaluator:
         self.kernel.energy(t, _data(state), self._prepare(parameters), _data(energies))
         return energies
 
+    def parameter_vector(self, p):
+        """The parameters as `rhs` takes them, checked, as an array of their own; None for the defaults."""
+        cdef cnp.ndarray values = self._parameters(p)
+        return None if values is None else np.array(values)
+
     def default_inputs(self, double t, p=None):
         """The inputs' expressions at one time, shape (n_r,); NaN where there is none."""
         cdef cnp.ndarray parameters = self._parameters(p)
@@ -348,6 +356,9 @@ cdef class Evaluator:
         cdef cnp.ndarray t = np.ascontiguousarray(times, dtype=np.float64)
         cdef cnp.ndarray x = np.ascontiguousarray(np.transpose(states), dtype=np.float64)
         cdef cnp.ndarray parameters = self._parameters(p)
+        if np.ndim(t) != 1 or np.shape(x) != (np.size(t), self.n_x):
+            raise ModelError(
+                f"{np.size(t)} times need states of shape ({self.n_x}, {np.size(t)}), not {np.shape(states)}.")
         cdef int n_t = cnp.PyArray_DIM(t, 0)
         cdef cnp.ndarray constraints = _new(n_t, self.n_h)
         cdef cnp.ndarray energies = _new(n_t, 2)
@@ -363,7 +374,7 @@ cdef class Evaluator:
 
 def failure(int status, double t, x):
     """A sentence for a kernel's status."""
-    if not np.isfinite(x).all():
+    if not np.isfinite(np.asarray(x, dtype=np.float64)).all():
         status = FB_NOT_FINITE
     where = f"at t = {t:.9g}, x = {np.array2string(np.asarray(x), precision=6, separator=', ')}"
     if status == FB_CONSTRAINTS_DEPENDENT:
@@ -377,7 +388,7 @@ def failure(int status, double t, x):
             "or a mass or inertia is negative."
         )
     return (
-        f"The equations of motion are not finite {where}: a division by zero, a coordinate beyond its range, "
+        f"The equations of motion, or their derivatives, are not finite {where}: a division by zero, a coordinate beyond its range, "
         "or an input that is not finite."
     )
 
@@ -386,7 +397,7 @@ cdef class Ode:
     """The right-hand side with parameters and inputs bound: f(t, x) for an integrator.
 
     Where the equations cannot be evaluated, it returns NaN, so that an integrator with step control rejects
-    the step; `failure` then says why.
+    the step; `failure` then says why. `time` is the time of the last call.
 
     Parameters
     ----------
@@ -403,8 +414,9 @@ cdef class Ode:
     cdef list tables
     cdef list callables
     cdef readonly object failure
+    cdef readonly double time
 
-    def __cinit__(self, Evaluator evaluator, p, sources):
+    def __cinit__(self, Evaluator evaluator not None, p, sources):
         cdef cnp.ndarray parameters = evaluator._parameters(p)
         cdef const double *constants
         cdef int i
@@ -432,7 +444,14 @@ cdef class Ode:
 
     cdef list _called(self, double t, object x):
         """The values of the callables, which run Python, before the buffer is filled."""
-        return [(i, <double>source(t, x)) for i, source in self.callables]
+        cdef list called = []
+        for i, source in self.callables:
+            value = source(t, x)
+            try:
+                called.append((i, <double>value))
+            except (TypeError, OverflowError) as error:
+                raise ModelError(f"The callable of input {i + 1} must return a number, not {value!r}.") from error
+        return called
 
     cdef int _fill(self, double t, list called) except -1:
         cdef int i
@@ -456,7 +475,7 @@ cdef class Ode:
 
     cdef object _fail(self, int status, double t, object x, cnp.ndarray result, double value):
         # Integrators go on from NaN with states of NaN; what is to be reported is how it began.
-        if self.failure is None or np.isfinite(x).all():
+        if self.failure is None or np.isfinite(np.asarray(x, dtype=np.float64)).all():
             self.failure = failure(status, t, x)
         result.fill(value)
         return result
@@ -467,6 +486,7 @@ cdef class Ode:
         cdef list called = self._called(t, x) if self.callables else self.callables
         cdef cnp.ndarray state = _vector(x, evaluator.n_x, "The state x")
         cdef cnp.ndarray result = _new(evaluator.n_x)
+        self.time = t
         self._fill(t, called)
         cdef int status = evaluator.kernel.rhs(
             t, _data(state), self.constants, self.inputs, _data(result), evaluator.work)
@@ -498,15 +518,30 @@ cdef class Table:
     ----------
     times, values : array_like, shape (n,)
         Times strictly increasing.
+
+    Raises
+    ------
+    ModelError
+        If they are not.
     """
 
     cdef cnp.ndarray times
     cdef cnp.ndarray values
     cdef int position
 
-    def __init__(self, times, values):
-        self.times = np.array(times, dtype=np.float64)
-        self.values = np.array(values, dtype=np.float64)
+    def __cinit__(self, times, values):
+        try:
+            self.times = np.array(times, dtype=np.float64)
+            self.values = np.array(values, dtype=np.float64)
+        except (TypeError, ValueError, OverflowError) as error:
+            raise ModelError("A table has two arrays of numbers, (times, values).") from error
+        shapes = np.shape(self.times), np.shape(self.values)
+        if shapes[0] != shapes[1] or len(shapes[0]) != 1 or shapes[0][0] < 2:
+            raise ModelError(f"A table has two arrays of the same length, not of the shapes {shapes[0]} and {shapes[1]}.")
+        if not (np.isfinite(self.times).all() and np.isfinite(self.values).all()):
+            raise ModelError("A table has finite times and values.")
+        if not (np.diff(self.times) > 0).all():
+            raise ModelError("A table has strictly increasing times.")
         self.position = 0
 
     cdef double value(self, double t) noexcept:

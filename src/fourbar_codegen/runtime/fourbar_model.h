@@ -34,15 +34,20 @@ static inline int solve_accelerations(double t, const double *restrict x, const 
     return fb_solve(w->forcing, w->acceleration_bias, &w->factors, rates, FB_CONSISTENCY_TOLERANCE);
 }
 
+static inline int all_finite(const double *values, const int n)
+{
+    for (int i = 0; i < n; ++i)
+        if (!isfinite(values[i]))
+            return FB_NOT_FINITE;
+    return FB_OK;
+}
+
 static int rhs(double t, const double *x, const double *constants, const double *r, double *rates, void *work)
 {
     const int status = solve_accelerations(t, x, constants, r, rates, rates + N_Q, work);
     if (status != FB_OK)
         return status;
-    for (int i = 0; i < N_X; ++i)
-        if (!isfinite(rates[i]))
-            return FB_NOT_FINITE;
-    return FB_OK;
+    return all_finite(rates, N_X);
 }
 
 static int accelerations(double t, const double *x, const double *constants, const double *r, double *rates,
@@ -76,7 +81,7 @@ static int jacobian(double t, const double *x, const double *constants, const do
         for (int i = 0; i < N_U; ++i)
             matrix[(N_Q + i) * N_X + j] = column[i];
     }
-    return FB_OK;
+    return all_finite(matrix, N_X * N_X);
 }
 
 const fb_kernel FB_KERNEL = {

@@ -131,3 +131,12 @@ def cartesian_pendulum():
     system.add_kdes(vy - y.diff(t), vx - x.diff(t))
     system.add_holonomic_constraints(x**2 + y**2 - length**2)
     return fb.Model(system, name="pendulum", parameters={m: 1.0, length: 1.0, g: 9.81}, initial={x: -1.0, y: 0.0})
+
+
+def fixed():
+    """A pendulum held by a constraint: no degree of freedom."""
+    q, u = me.dynamicsymbols("q u")
+    system = pendulum()
+    system.add_holonomic_constraints(q - 1)
+    system.q_ind, system.q_dep, system.u_ind, system.u_dep = [], [q], [], [u]
+    return fb.Model(system, name="fixed")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 import sympy as sm
-from systems import pendulum, rolling_disc, slider
+from systems import fixed, pendulum, rolling_disc, slider
 
 import fourbar_codegen as fb
 from fourbar_codegen.c_source import _Printer
@@ -33,6 +33,7 @@ MODELS = {
     "no constraints": lambda: fb.Model(pendulum(), name="pendulum"),
     "holonomic": slider,
     "nonholonomic, implicit kinematics": rolling_disc,
+    "no degree of freedom": fixed,
 }
 
 

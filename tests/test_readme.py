@@ -31,3 +31,9 @@ def test_command_prints_what_stands_below_it(tmp_path, monkeypatch):
         return re.sub(r"[\d.]+ ms", "... ms", text)
 
     assert without_time(result.output) == without_time(expected)
+
+
+def test_number_of_tests_is_the_one_shown(request):
+    config = request.config
+    if config.args_source is pytest.Config.ArgsSource.TESTPATHS and not config.option.keyword:  # the whole suite
+        assert f" {request.session.testscollected} passed in " in README

@@ -394,7 +394,8 @@ class CompiledModel(Evaluator):
         t_span : (float, float)
             First and last time, s.
         x0 : array_like, shape (n_x,), optional
-            Initial state; the one that follows from the model's initial values otherwise.
+            Initial state, taken as it is (`initial_state` makes consistent ones); the one that follows from
+            the model's initial values otherwise.
         method : {"DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA"}, optional
             The implicit ones (the last three) are given the compiled Jacobian.
         parameters : array_like or mapping, optional

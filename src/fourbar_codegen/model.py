@@ -62,6 +62,7 @@ class Model:
     ----------
     system : sympy.physics.mechanics.System
         As its ``form_eoms`` takes it. It is read once, here: later changes to it do not reach the Model.
+        Accelerations follow from the velocities; those set with ``Point.set_acc`` are not read.
     name : str, optional
         A Python identifier; names the compiled module.
     parameters : mapping of Symbol to float or Parameter, optional

@@ -67,7 +67,8 @@ static inline int fb_eliminate(const double *restrict jacobian, fb_factors *rest
         largest = fb_max(largest, size);
     }
     for (int i = 0; i < N_C; ++i) {
-        /* A row that is nothing but rounding errors must not be scaled up to look like a constraint. */
+        /* A row that is nothing but rounding errors must not be scaled up to look like a constraint. Rows are
+         * told apart from that only within the precision of double: give constraints units of like size. */
         s->scale[i] = s->scale[i] > FB_RANK_TOLERANCE * largest ? 1.0 / s->scale[i] : 0.0;
         s->row[i] = i;
         for (int j = 0; j < N_U; ++j)
@@ -203,6 +204,12 @@ static inline void fb_back(const double *restrict forcing, const double *restric
         accelerations[s->column[i]] = v[i];
 }
 
+/* The rank, in a form that tells the compiler that it lies between 0 and N_C. */
+static inline int fb_rank(const fb_factors *s)
+{
+    return s->rank < 0 ? 0 : s->rank < N_C ? s->rank : N_C;
+}
+
 /* Whether no row is redundant: then the loops have lengths that the compiler knows. */
 static inline int fb_full_rank(const fb_factors *s)
 {
@@ -214,7 +221,7 @@ static inline int fb_factor(const double *restrict mass_matrix, const double *re
                             fb_factors *restrict s)
 {
     s->rank = fb_eliminate(constraint_jacobian, s);
-    return fb_full_rank(s) ? fb_reduce(mass_matrix, s, N_C) : fb_reduce(mass_matrix, s, s->rank);
+    return fb_full_rank(s) ? fb_reduce(mass_matrix, s, N_C) : fb_reduce(mass_matrix, s, fb_rank(s));
 }
 
 /* u' for one right-hand side (f, gamma). */
@@ -227,8 +234,8 @@ static inline int fb_solve(const double *restrict forcing, const double *restric
         fb_back(forcing, w, s, accelerations, N_C);
         return status;
     }
-    const int status = fb_forward(acceleration_bias, s, w, s->rank, tolerance);
-    fb_back(forcing, w, s, accelerations, s->rank);
+    const int status = fb_forward(acceleration_bias, s, w, fb_rank(s), tolerance);
+    fb_back(forcing, w, s, accelerations, fb_rank(s));
     return status;
 }
 

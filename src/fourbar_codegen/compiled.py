@@ -207,7 +207,19 @@ class CompiledModel(Evaluator):
         return self.dynamics(t, x, p, np.zeros(self.n_r))[1]
 
     def tree_forcing(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
-        """F of Kane's equations M u' = f with all speeds independent, shape (n_u,)."""
+        """The vector f of Kane's equations M u' = f with all speeds independent, shape (n_u,).
+
+        Parameters
+        ----------
+        t, x, p, r
+            As for `rhs`.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> fb.load("four_bar").tree_forcing(0.0, [0.0] * 6).round(1).tolist()
+        [-2374.0, -1417.5, -240.3]
+        """
         return self.dynamics(t, x, p, r)[2]
 
     def mass_matrix(self, t: float, x: ArrayLike, p: Values | None = None) -> Floats:
@@ -221,6 +233,11 @@ class CompiledModel(Evaluator):
         t, x, p
             As for `rhs`.
 
+        Raises
+        ------
+        SimulationError
+            If the model's own dependent speeds do not follow from the independent ones in this configuration.
+
         Examples
         --------
         >>> import fourbar_codegen as fb
@@ -232,7 +249,27 @@ class CompiledModel(Evaluator):
         return np.vstack((self._projection(jacobian).T @ mass_matrix, jacobian))
 
     def forcing(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
-        """SymPy's ``System.forcing``, shape (n_u,): ``mass_matrix @ u' = forcing``."""
+        """SymPy's ``System.forcing``, shape (n_u,): ``mass_matrix @ u' = forcing``.
+
+        Parameters
+        ----------
+        t, x, p, r
+            As for `rhs`.
+
+        Raises
+        ------
+        SimulationError
+            If the model's own dependent speeds do not follow from the independent ones in this configuration.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> four_bar = fb.load("four_bar")
+        >>> x0 = four_bar.initial_state()
+        >>> residual = four_bar.mass_matrix(0.0, x0) @ four_bar.rhs(0.0, x0)[3:] - four_bar.forcing(0.0, x0)
+        >>> bool(abs(residual).max() < 1e-9)
+        True
+        """
         _, _, forcing, jacobian, bias = self.dynamics(t, x, p, r)
         return np.concatenate((self._projection(jacobian).T @ forcing, -bias))
 
@@ -251,6 +288,13 @@ class CompiledModel(Evaluator):
     def position_constraints(self, t: float, q: ArrayLike, p: Values | None = None) -> Floats:
         """Residuals of the holonomic constraints, shape (n_h,), in the constraints' units.
 
+        Parameters
+        ----------
+        t : float
+        q : array_like, shape (n_q,)
+        p : array_like or mapping, optional
+            As for `rhs`.
+
         Examples
         --------
         >>> import fourbar_codegen as fb
@@ -260,31 +304,102 @@ class CompiledModel(Evaluator):
         return self.position(t, q, p)[0]
 
     def velocity_constraints(self, t: float, x: ArrayLike, p: Values | None = None) -> Floats:
-        """Residuals J u + b of the velocity constraints, shape (n_c,)."""
+        """Residuals J u + b of the velocity constraints, shape (n_c,), holonomic ones first.
+
+        Parameters
+        ----------
+        t, x, p
+            As for `rhs`.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> four_bar = fb.load("four_bar")
+        >>> bool(abs(four_bar.velocity_constraints(0.0, four_bar.initial_state())).max() < 1e-14)
+        True
+        """
         jacobian, bias = self.velocity(t, x, p)
         residual: Floats = jacobian @ np.asarray(x, dtype=float)[self.n_q :] + bias
         return residual
 
     def constraint_jacobian(self, t: float, q: ArrayLike, p: Values | None = None) -> Floats:
-        """J of the velocity constraints J u + b = 0, shape (n_c, n_u)."""
+        """J of the velocity constraints J u + b = 0, shape (n_c, n_u).
+
+        Parameters
+        ----------
+        t : float
+        q : array_like, shape (n_q,)
+        p : array_like or mapping, optional
+            As for `rhs`.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> abs(fb.load("four_bar").constraint_jacobian(0.0, [0.0, 0.0, 0.0])).round(3).tolist()
+        [[0.0, 0.0, 0.0], [2.2, 1.7, 0.7]]
+        """
         coordinates = named_array(q, self.coordinates, {}, "coordinate")
         return self.velocity(t, np.concatenate((coordinates, np.zeros(self.n_u))), p)[0]
 
     def multipliers(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
-        """Multipliers lambda of M u' = f + J^T lambda, shape (n_c,): reactions conjugate to the constraints."""
+        """Multipliers lambda of M u' = f + J^T lambda, shape (n_c,).
+
+        They are the generalized reactions conjugate to the constraints as they were written: for the four-bar,
+        the force (N) of the ground on the end of link 4.
+
+        Parameters
+        ----------
+        t, x, p, r
+            As for `rhs`.
+
+        Raises
+        ------
+        SimulationError
+            In a singular position.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> four_bar = fb.load("four_bar")
+        >>> four_bar.multipliers(0.0, four_bar.initial_state()).shape
+        (2,)
+        """
         return self.accelerations(t, x, p, r)[1]
 
     def kinetic_energy(self, t: float, x: ArrayLike, p: Values | None = None) -> float:
-        """Kinetic energy, J."""
+        """Kinetic energy, J.
+
+        Parameters
+        ----------
+        t, x, p
+            As for `rhs`.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> fb.load("four_bar").kinetic_energy(0.0, [0.1, 0.2, 0.3, 0.0, 0.0, 0.0])
+        0.0
+        """
         return float(self.energy(t, x, p)[0])
 
     def potential_energy(self, t: float, x: ArrayLike, p: Values | None = None) -> float:
         """Potential energy, J: as given with the Model, or of the forces that are constant, such as gravity.
 
+        Parameters
+        ----------
+        t, x, p
+            As for `rhs`.
+
         Raises
         ------
         ModelError
             If the System does not define the position of a point that a constant force acts on.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> fb.load("four_bar").potential_energy(0.0, [0.0] * 6)
+        0.0
         """
         if not self.manifest["has_potential_energy"]:
             raise ModelError(

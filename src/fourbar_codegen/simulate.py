@@ -175,7 +175,7 @@ def _failing_softly(method: str, ode: Ode) -> type:
                 if ode.failure is None:
                     raise
                 return False, ode.failure
-            return (success, message) if np.isfinite(self.y).all() else (False, ode.failure)
+            return (success, message) if np.isfinite(self.y).all() else (False, "the state is not a number")
 
     return FailingSoftly
 

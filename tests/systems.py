@@ -140,3 +140,17 @@ def fixed():
     system.add_holonomic_constraints(q - 1)
     system.q_ind, system.q_dep, system.u_ind, system.u_dep = [], [q], [], [u]
     return fb.Model(system, name="fixed")
+
+
+def coordinate_free():
+    """A block whose position nobody asks for: a speed and no coordinate."""
+    v = me.dynamicsymbols("v")
+    m, b = sm.symbols("m b")
+    frame, origin, point = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
+    origin.set_vel(frame, 0)
+    point.set_vel(frame, v * frame.x)
+    system = System(frame, origin)
+    system.add_bodies(me.Particle("block", point, m))
+    system.add_speeds(v)
+    system.add_loads(me.Force(point, -b * v * frame.x))
+    return fb.Model(system, name="coordinate_free", parameters={m: 2.0, b: 3.0})

@@ -7,7 +7,7 @@ import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
 from sympy.physics.mechanics.system import System
-from systems import cartesian_pendulum, rolling_disc, slider
+from systems import cartesian_pendulum, coordinate_free, rolling_disc, slider
 from tutorial import Tutorial
 
 import fourbar_codegen as fb
@@ -138,6 +138,14 @@ def test_jacobian_where_a_branch_is_not_taken():
         # m v^2 / 2 + m g q + 1000 m (2/5) (-q)^(5/2), conserved to the tolerances of some 1000 steps
         energy = run["u"] ** 2 / 2 + 9.81 * run["q"] + 400 * np.maximum(-run["q"], 0.0) ** 2.5
         np.testing.assert_allclose(energy, 9.81, atol=1e-3)
+
+
+def test_speed_without_a_coordinate():
+    block = fb.compile_model(coordinate_free())
+    # m v' = -b v
+    assert block.rhs(0.0, [4.0]).tolist() == [-6.0]
+    assert block.jacobian(0.0, [4.0]).tolist() == [[-1.5]]
+    assert block.simulate((0.0, 1.0), [1.0], rtol=1e-10, atol=1e-12).y[0, -1] == pytest.approx(np.exp(-1.5), rel=1e-9)
 
 
 def test_jacobian_of_friction_at_rest():

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 import sympy as sm
-from systems import fixed, pendulum, rolling_disc, slider
+from systems import cartesian_pendulum, coordinate_free, fixed, pendulum, rolling_disc, slider
 
 import fourbar_codegen as fb
 from fourbar_codegen.c_source import _Printer
@@ -34,11 +34,13 @@ MODELS = {
     "holonomic": slider,
     "nonholonomic, implicit kinematics": rolling_disc,
     "no degree of freedom": fixed,
+    "no coordinates": coordinate_free,
+    "nothing but one constraint": cartesian_pendulum,
 }
 
 
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
-@pytest.mark.parametrize("optimization", ["-O0", "-O3"])
+@pytest.mark.parametrize("optimization", ["-O0", "-O2", "-O3"])
 @pytest.mark.parametrize("model", MODELS.values(), ids=MODELS.keys())
 def test_kernel_compiles_without_warnings(tmp_path, compiler, optimization, model):
     for name, text in fb.generate_sources(model()).items():

@@ -5,6 +5,7 @@ SymPy's C99 printer prints the expressions, the templates here lay them out.
 
 from __future__ import annotations
 
+import math
 import re
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
@@ -54,6 +55,11 @@ class _Printer(C99CodePrinter):
 
     def _print_ImaginaryUnit(self, expr: sm.Expr) -> str:
         raise PrintMethodNotImplementedError(f"{expr} is not real")
+
+    def _print_Float(self, expr: sm.Float) -> str:
+        if not math.isfinite(float(expr)):
+            raise OverflowError(f"{expr} is beyond the range of double")
+        return super()._print_Float(expr)  # type: ignore[no-any-return]
 
     def _print_NaN(self, _: sm.Expr) -> str:
         return "NAN"

@@ -44,7 +44,9 @@ static inline int all_finite(const double *values, const int n)
 
 static int rhs(double t, const double *x, const double *constants, const double *r, double *rates, void *work)
 {
-    const int status = solve_accelerations(t, x, constants, r, rates, rates + N_Q, work);
+    fb_work *const w = work;
+    double *const coordinate_rates = N_Q > 0 ? rates : w->coordinate_rates;
+    const int status = solve_accelerations(t, x, constants, r, coordinate_rates, rates + N_Q, w);
     if (status != FB_OK)
         return status;
     return all_finite(rates, N_X);

@@ -110,7 +110,7 @@ class Model:
         if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
             raise ModelError(f"A model's name is letters, digits and underscores, a letter first; not {name!r}.")
         if keyword.iskeyword(name) or name in IMPORTED:
-            raise ModelError(f"A model cannot be named {name!r}: its module could not be imported beside Python's own.")
+            raise ModelError(f"A model cannot be named {name!r}: Python or the generated code needs that name.")
         self.system = system
         self.name = name
         self.mechanism: Mechanism = read_mechanism(system)

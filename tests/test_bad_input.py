@@ -287,3 +287,4 @@ def test_series_are_read_by_their_index(four_bar):
 
     values = dict(reversed(four_bar.defaults.items()))
     np.testing.assert_array_equal(four_bar.rhs(0.0, X, Series(values)), four_bar.rhs(0.0, X))
+    assert four_bar.simulate((0.0, 0.1), method="Radau", inputs=Series({"F": 1.0})).success

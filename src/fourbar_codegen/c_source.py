@@ -65,7 +65,7 @@ class _Printer(C99CodePrinter):
         return "NAN"
 
     def _print_Pow(self, expr: sm.Pow) -> str:
-        # gcc leaves pow(x, 3) a call into the library; products are ten times faster and vectorize.
+        # gcc leaves pow(x, 3) a call into the library; products are faster and can be vectorized.
         base, exponent = expr.as_base_exp()
         if exponent.is_Integer and 1 < abs(int(exponent)) <= 16:
             factor = self.parenthesize(base, PRECEDENCE["Mul"] + 1)

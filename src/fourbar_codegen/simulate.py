@@ -97,7 +97,7 @@ def simulate(
     _check_start(model, ode, start, state, p)
     options: dict[str, Any] = {"rtol": _tolerance(rtol, "rtol"), "atol": _tolerance(atol, "atol", model.n_x)}
     # A callable input may depend on the state, which the compiled Jacobian does not know of.
-    if method in IMPLICIT and not any(callable(source) for source in (inputs or {}).values()):
+    if method in IMPLICIT and not ode.has_callables:
         options["jac"] = ode.jac
     solver = _failing_softly(method, ode) if method in IMPLICIT else method
     result = solve_ivp(

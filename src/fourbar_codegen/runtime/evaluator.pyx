@@ -464,6 +464,11 @@ cdef class Ode:
             self.inputs[i] = value
         return 0
 
+    @property
+    def has_callables(self):
+        """Whether an input is a callable, whose dependence on the state `jac` does not know of."""
+        return bool(self.callables)
+
     def input_values(self, double t, x):
         """The inputs at one time and state, shape (n_r,)."""
         cdef cnp.ndarray result = _new(self.evaluator.n_r)

@@ -10,7 +10,7 @@ import pytest
 import fourbar_codegen
 
 PACKAGE = Path(fourbar_codegen.__file__).parent
-RUN = ["arguments", "compiled", "initial", "simulate", "trajectory", "visual", "report"]
+RUN = ["arguments", "compiled", "initial", "simulate", "solvers", "trajectory", "visual", "report"]
 GENERATION = [
     "model", "mechanism", "fingerprint", "tape", "kinematics", "kane", "equations", "program", "lower", "c_source",
     "cython_source",

@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+import scipy.integrate
 import sympy.physics.mechanics as me
 from scipy.integrate import solve_ivp
 
@@ -30,12 +31,48 @@ def test_every_method_reaches_the_same_end(four_bar, reference, method):
     np.testing.assert_allclose(run.y[:, -1], reference, rtol=0, atol=1e-4)
 
 
+@pytest.mark.parametrize("method", ["RK23", "RK45", "DOP853"])
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-6, 1e-10])
+@pytest.mark.parametrize("end", [4.0, -3.0])
+def test_steps_in_c_are_scipys(four_bar, method, tolerance, end):
+    x0 = np.repeat(four_bar.initial_state(), 2)[::2]
+    how = {"rtol": tolerance, "atol": np.full(6, tolerance), "max_step": 0.5, "dense_output": True}
+    scipys = solve_ivp(four_bar.ode(), (0.0, end), x0, method=method, **how)
+    ours = solve_ivp(four_bar.ode(), (0.0, end), x0, method=getattr(fb.solvers, method), **how)
+    assert (ours.nfev, len(ours.t), ours.status) == (scipys.nfev, len(scipys.t), 0)
+    # The error estimate is a difference of sums, of the size of the tolerance; its rounding errors, 1e-16 / 1e-10
+    # and more where it happens to be small, change the steps.
+    np.testing.assert_allclose(ours.t, scipys.t, rtol=0, atol=1e-6)
+    # The solutions differ by less than the change of steps, as the truncation errors do: by far less than they are.
+    times = np.linspace(0.0, end, 50)
+    np.testing.assert_allclose(ours.sol(times), scipys.sol(times), rtol=0, atol=1e-9)
+
+
+def test_steps_in_c_take_scipys_options(four_bar):
+    x0 = four_bar.initial_state()
+    first = fb.solvers.RK45(four_bar.ode(), 0.0, x0, 4.0, first_step=0.01)
+    first.step()
+    assert first.t == 0.01
+    with pytest.raises(fb.ModelError, match=r"scipy\.integrate\.RK45"):
+        solve_ivp(lambda t, x: -x, (0.0, 1.0), [1.0], method=fb.solvers.RK45)
+
+
+def test_an_error_in_a_callable_input_ends_a_step_in_c(four_bar):
+    def force(t, x):
+        if t > 1.0:
+            raise LookupError("no force beyond 1 s")
+        return 0.0
+
+    with pytest.raises(LookupError, match="beyond 1 s"):
+        four_bar.simulate((0.0, 4.0), inputs={"F": force})
+
+
 @pytest.mark.parametrize("method", ["Radau", "BDF", "LSODA"])
 def test_implicit_methods_use_the_compiled_jacobian(four_bar, method, monkeypatch):
     given = {}
-    monkeypatch.setattr(
-        "scipy.integrate.solve_ivp", lambda *a, **options: given.update(options) or solve_ivp(*a, **options)
-    )
+    scipys = getattr(scipy.integrate, method)
+    construct = scipys.__init__
+    monkeypatch.setattr(scipys, "__init__", lambda *a, **options: given.update(options) or construct(*a, **options))
     four_bar.simulate((0.0, 1.0), method=method)
     x0 = four_bar.initial_state()
     np.testing.assert_array_equal(given["jac"](0.5, x0), four_bar.jacobian(0.5, x0))
@@ -255,4 +292,5 @@ def test_feedback_may_ask_the_same_model(four_bar):
     table_free = solve_ivp(
         lambda t, x: four_bar.rhs(t, x, r=[energy(t, x)]), (0.0, 0.5), run.y[:, 0], "DOP853", rtol=1e-6, atol=1e-9
     )
-    np.testing.assert_array_equal(run.y[:, -1], table_free.y[:, -1])
+    # The sums of SciPy's steps are rounded in another order.
+    np.testing.assert_allclose(run.y[:, -1], table_free.y[:, -1], rtol=1e-12)

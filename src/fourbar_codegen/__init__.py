@@ -18,7 +18,7 @@ from fourbar_codegen.errors import (
 )
 
 if TYPE_CHECKING:
-    from fourbar_codegen import models
+    from fourbar_codegen import models, solvers
     from fourbar_codegen.build import get_include
     from fourbar_codegen.compile import build_model, compile_model, generate_sources
     from fourbar_codegen.compiled import CompiledModel, load
@@ -42,6 +42,7 @@ __all__ = [
     "get_include",
     "load",
     "models",
+    "solvers",
 ]
 
 _HOME = {
@@ -58,8 +59,8 @@ _HOME = {
 
 
 def __getattr__(name: str) -> Any:
-    if name == "models":
-        return import_module("fourbar_codegen.models")
+    if name in {"models", "solvers"}:
+        return import_module(f"fourbar_codegen.{name}")
     if name == "__version__":
         from importlib.metadata import version
 

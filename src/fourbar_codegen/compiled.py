@@ -471,7 +471,7 @@ class CompiledModel(Evaluator):
         Returns
         -------
         Ode
-            Callable, with its Jacobian as ``.jac``.
+            Callable, with its Jacobian as ``.jac``. The integrators in `fourbar_codegen.solvers` call it from C.
 
         Examples
         --------
@@ -481,6 +481,8 @@ class CompiledModel(Evaluator):
         >>> f = four_bar.ode({"l2": 0.45})
         >>> x0 = four_bar.initial_state(parameters={"l2": 0.45})
         >>> solve_ivp(f, (0.0, 1.0), x0, method="Radau", jac=f.jac).success
+        True
+        >>> solve_ivp(f, (0.0, 1.0), x0, method=fb.solvers.DOP853).success
         True
         """
         from fourbar_codegen.simulate import bind
@@ -512,7 +514,8 @@ class CompiledModel(Evaluator):
             Initial state, taken as it is (`initial_state` makes consistent ones); the one that follows from
             the model's initial values otherwise.
         method : {"DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA"}, optional
-            The implicit ones (the last three) are given the compiled Jacobian.
+            SciPy's, by `fourbar_codegen.solvers`: the explicit ones (the first three) take their steps in C, the
+            implicit ones are given the compiled Jacobian.
         parameters : array_like or mapping, optional
             The defaults otherwise.
         inputs : mapping of input to source, optional

@@ -22,8 +22,7 @@ Floats = NDArray[np.float64]
 Event = Callable[[float, Floats], float]
 InputSource = float | tuple[ArrayLike, ArrayLike] | Callable[[float, Floats], float]
 
-EXPLICIT = ("DOP853", "RK45", "RK23")
-IMPLICIT = ("Radau", "BDF", "LSODA")
+METHODS = ("DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA")
 
 
 def bind(model: CompiledModel, parameters: Values | None, inputs: Mapping[Any, InputSource] | None) -> Ode:
@@ -82,8 +81,10 @@ def simulate(
     """Integrate the equations of motion; see `CompiledModel.simulate`."""
     from scipy.integrate import solve_ivp
 
-    if method not in (*EXPLICIT, *IMPLICIT):
-        raise ModelError(f"There is no method {method!r}; there are {', '.join((*EXPLICIT, *IMPLICIT))}.")
+    from fourbar_codegen import solvers
+
+    if method not in METHODS:
+        raise ModelError(f"There is no method {method!r}; there are {', '.join(METHODS)}.")
     if constraints != "none":
         raise ModelError(
             f"constraints must be 'none', not {constraints!r}: loops are not kept closed by projection yet."
@@ -96,15 +97,11 @@ def simulate(
     ode = bind(model, p, inputs)
     _check_start(model, ode, start, state, p)
     options: dict[str, Any] = {"rtol": _tolerance(rtol, "rtol"), "atol": _tolerance(atol, "atol", model.n_x)}
-    # A callable input may depend on the state, which the compiled Jacobian does not know of.
-    if method in IMPLICIT and not ode.has_callables:
-        options["jac"] = ode.jac
-    solver = _failing_softly(method, ode) if method in IMPLICIT else method
     result = solve_ivp(
         ode,
         (start, end),
         state,
-        method=solver,
+        method=getattr(solvers, method),
         t_eval=t_eval,
         events=_events(events),
         dense_output=dense_output,
@@ -156,28 +153,6 @@ def _times(t_eval: ArrayLike, start: float, end: float) -> Floats:
             f"t_eval must lie within t_span ({start:g}, {end:g}); it goes from {times.min()} to {times.max()}."
         )
     return times
-
-
-def _failing_softly(method: str, ode: Ode) -> type:
-    """An implicit integrator that ends, with what it has, where the equations cannot be evaluated.
-
-    The explicit ones reject a step that is not a number and go down with their step size. Of the implicit
-    ones, Radau and BDF stop with an exception from the factorization, and LSODA goes on with what is not a
-    number. ``OdeSolver`` documents `_step_impl` as the place to say otherwise.
-    """
-    import scipy.integrate
-
-    class FailingSoftly(getattr(scipy.integrate, method)):  # type: ignore[misc]
-        def _step_impl(self) -> tuple[bool, str | None]:
-            try:
-                success, message = super()._step_impl()
-            except ValueError:
-                if ode.failure is None:
-                    raise
-                return False, ode.failure
-            return (success, message) if np.isfinite(self.y).all() else (False, "the state is not a number")
-
-    return FailingSoftly
 
 
 def _tolerance(value: ArrayLike, name: str, size: int = 0) -> Floats:

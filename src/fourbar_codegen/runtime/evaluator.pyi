@@ -48,5 +48,22 @@ class Ode:
     def input_values(self, t: float, x: ArrayLike) -> Floats: ...
     def jac(self, t: float, x: ArrayLike) -> Floats: ...
 
+class Stepper:
+    def __init__(
+        self,
+        ode: Ode,
+        tableau: tuple[Floats, Floats, Floats],
+        error: ArrayLike,
+        error_exponent: float,
+        t_bound: float,
+        direction: float,
+        max_step: float,
+        rtol: ArrayLike,
+        atol: ArrayLike,
+    ) -> None: ...
+    def step(
+        self, t: float, h_abs: float, x: ArrayLike, stages: Floats
+    ) -> tuple[float, float, float, Floats, int, bool]: ...
+
 class Table:
     def __init__(self, times: ArrayLike, values: ArrayLike) -> None: ...

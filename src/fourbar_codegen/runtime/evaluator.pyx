@@ -36,6 +36,27 @@ cdef extern from "fourbar_kernel.h":
         void (*velocity)(double, const double *, const double *, double *, double *) noexcept nogil
         void (*energy)(double, const double *, const double *, double *) noexcept nogil
 
+cdef extern from "fourbar_runge_kutta.h":
+    int FB_STEP_TOO_SMALL
+    ctypedef int (*fb_function)(void *, double, const double *, double *) except -1
+    ctypedef struct fb_runge_kutta:
+        int n_stages
+        const double *a
+        const double *b
+        const double *c
+        const double *error
+        int n_errors
+        double error_exponent
+        int n
+        fb_function function
+        void *context
+        double t_bound, direction, max_step
+        const double *rtol
+        const double *atol
+        double t, h, h_abs
+        int n_evaluations
+    int fb_step(fb_runge_kutta *, const double *, double *, double *) except -1
+
 
 cdef cnp.ndarray _new(int rows, int columns=-1):
     cdef cnp.npy_intp shape[2]
@@ -64,6 +85,14 @@ cdef cnp.ndarray _vector(object values, int n, str what):
             raise ModelError(f"{what} must be {n} real numbers, not {values!r}.") from error
     if cnp.PyArray_NDIM(array) != 1 or cnp.PyArray_DIM(array, 0) != n:
         raise ModelError(f"{what} must have shape ({n},), not {(<object>array).shape}.")
+    return array
+
+
+cdef cnp.ndarray _copy(const double *values, int n):
+    cdef cnp.ndarray array = _new(n)
+    cdef int i
+    for i in range(n):
+        _data(array)[i] = values[i]
     return array
 
 
@@ -478,27 +507,32 @@ cdef class Ode:
             _data(result)[i] = self.inputs[i]
         return result
 
-    cdef object _fail(self, int status, double t, object x, cnp.ndarray result, double value):
+    cdef int _fail(self, int status, double t, const double *x, double *result, int n, double value) except -1:
         # Integrators go on from NaN with states of NaN; what is to be reported is how it began.
-        if self.failure is None or np.isfinite(np.asarray(x, dtype=np.float64)).all():
-            self.failure = failure(status, t, x)
-        result.fill(value)
-        return result
+        cdef int i
+        if self.failure is None or _finite(x, self.evaluator.n_x):
+            self.failure = failure(status, t, _copy(x, self.evaluator.n_x))
+        for i in range(n):
+            result[i] = value
+        return 0
+
+    cdef int _rates(self, double t, const double *x, list called, double *result) except -1:
+        cdef Evaluator evaluator = self.evaluator
+        self.time = t
+        self._fill(t, called)
+        cdef int status = evaluator.kernel.rhs(t, x, self.constants, self.inputs, result, evaluator.work)
+        if status != FB_OK:
+            return self._fail(status, t, x, result, evaluator.n_x, NAN)
+        if self.failure is not None:
+            self.failure = None
+        return 0
 
     def __call__(self, double t, x):
         """x', shape (n_x,), a fresh array."""
-        cdef Evaluator evaluator = self.evaluator
         cdef list called = self._called(t, x) if self.callables else self.callables
-        cdef cnp.ndarray state = _vector(x, evaluator.n_x, "The state x")
-        cdef cnp.ndarray result = _new(evaluator.n_x)
-        self.time = t
-        self._fill(t, called)
-        cdef int status = evaluator.kernel.rhs(
-            t, _data(state), self.constants, self.inputs, _data(result), evaluator.work)
-        if status != FB_OK:
-            return self._fail(status, t, x, result, NAN)
-        if self.failure is not None:
-            self.failure = None
+        cdef cnp.ndarray state = _vector(x, self.evaluator.n_x, "The state x")
+        cdef cnp.ndarray result = _new(self.evaluator.n_x)
+        self._rates(t, _data(state), called, _data(result))
         return result
 
     def jac(self, double t, x):
@@ -512,8 +546,86 @@ cdef class Ode:
             t, _data(state), self.constants, self.inputs, _data(result), evaluator.work)
         if status != FB_OK:
             # Zeros, since factorizations refuse NaN; the right-hand side is NaN here and fails the step.
-            return self._fail(status, t, x, result, 0.0)
+            self._fail(status, t, _data(state), _data(result), evaluator.n_x * evaluator.n_x, 0.0)
         return result
+
+
+cdef int _stage(void *context, double t, const double *x, double *result) except -1:
+    """An `Ode` as the function of a Runge-Kutta step."""
+    cdef Ode ode = <Ode>context
+    cdef list called = ode.callables
+    if called:
+        called = ode._called(t, _copy(x, ode.evaluator.n_x))
+    return ode._rates(t, x, called, result)
+
+
+cdef class Stepper:
+    """Steps of an explicit Runge-Kutta method, without Python between their stages.
+
+    Parameters
+    ----------
+    ode : Ode
+        The right-hand side.
+    tableau : (array_like, array_like, array_like), shapes (s, s), (s,), (s,)
+        The method's coefficients a, b, c.
+    error : array_like, shape (s + 1,) or (2, s + 1)
+        Weights of the error estimate; with two rows, of those of fifth and third order of DOP853.
+    error_exponent : float
+        Of the step control.
+    t_bound : float
+        The end of the run.
+    direction : float
+        1, or -1 for a run backwards.
+    max_step : float
+        The longest step.
+    rtol, atol : array_like, shape () or (n_x,)
+        Relative and absolute tolerance.
+    """
+
+    cdef fb_runge_kutta method
+    cdef tuple kept
+
+    def __cinit__(self, Ode ode not None, tableau, error, double error_exponent, double t_bound, double direction,
+                  double max_step, rtol, atol):
+        cdef int n = ode.evaluator.n_x
+        cdef cnp.ndarray a, b, c, errors, relative, absolute
+        a, b, c = (np.array(part, dtype=np.float64, order="C") for part in tableau)
+        errors = np.array(error, dtype=np.float64, order="C")
+        relative, absolute = np.full(n, rtol, dtype=np.float64), np.full(n, atol, dtype=np.float64)
+        self.kept = (ode, a, b, c, errors, relative, absolute)
+        cdef int n_stages = cnp.PyArray_DIM(b, 0)
+        self.method = fb_runge_kutta(
+            n_stages=n_stages, a=_data(a), b=_data(b), c=_data(c), error=_data(errors),
+            n_errors=cnp.PyArray_NDIM(errors), error_exponent=error_exponent, n=n, function=_stage, context=<void *>ode, t_bound=t_bound,
+            direction=direction, max_step=max_step, rtol=_data(relative),
+            atol=_data(absolute), t=0.0, h=0.0, h_abs=0.0, n_evaluations=0)
+
+    def step(self, double t, double h_abs, x, cnp.ndarray stages not None):
+        """One accepted step.
+
+        Parameters
+        ----------
+        t, h_abs : float
+            Time and the step's proposed length.
+        x : array_like, shape (n_x,)
+        stages : ndarray, shape (s + 1, n_x)
+            Its first row is x' at t; the others are written.
+
+        Returns
+        -------
+        t, h, h_abs : float
+            The time reached, the step taken, the next step's proposed length.
+        x : ndarray, shape (n_x,)
+        n_evaluations : int
+        accepted : bool
+            False if the step became too small for the precision of t.
+        """
+        cdef cnp.ndarray state = _vector(x, self.method.n, "The state x")
+        cdef cnp.ndarray x_new = _new(self.method.n)
+        self.method.t, self.method.h_abs, self.method.n_evaluations = t, h_abs, 0
+        cdef int status = fb_step(&self.method, _data(state), _data(x_new), _data(stages))
+        return (self.method.t, self.method.h, self.method.h_abs, x_new, self.method.n_evaluations,
+                status != FB_STEP_TOO_SMALL)
 
 
 cdef class Table:

@@ -165,13 +165,10 @@ def _build(name: str, sources: Mapping[str, str], folder: Path, machine_flags: t
         (folder / filename).write_text(text, encoding="utf-8", newline="\n")
     from concurrent.futures import ThreadPoolExecutor
 
-    kernel, wrapper = folder / f"{name}_kernel.c", _cythonize(folder / f"{name}.pyx")
-    with ThreadPoolExecutor(2) as pool:
-        jobs = [
-            pool.submit(_compile, kernel, (*KERNEL_FLAGS, *machine_flags)),
-            pool.submit(_compile, wrapper, WRAPPER_FLAGS),
-        ]
-        objects = [job.result() for job in jobs]
+    with ThreadPoolExecutor(1) as pool:
+        kernel = pool.submit(_compile, folder / f"{name}_kernel.c", (*KERNEL_FLAGS, *machine_flags))
+        wrapper = _compile(_cythonize(folder / f"{name}.pyx"), WRAPPER_FLAGS)
+        objects = [kernel.result(), wrapper]
     module = folder / f"{name}{sysconfig.get_config_var('EXT_SUFFIX')}"
     _run([*_compiler(), *map(str, objects), *_link_flags(), "-o", str(module)], module)
     return module

@@ -9,6 +9,7 @@ import math
 import re
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 import sympy as sm
 from sympy.printing.c import C99CodePrinter
@@ -22,13 +23,19 @@ __all__ = ["header_text", "kernel_text"]
 
 LINE = 110
 
+PART = 500
+"""Statements in one C function. Compilers need more than linear time for longer ones."""
+
+CARRIED = "carried"
+"""The array through which the parts of a longer function hand on values."""
+
 RESERVED = frozenset(
     # C keywords, the macros of <math.h>, and those that compilers define for their system
     "auto break case char const continue default do double else enum extern float for goto if inline int long "
     "register restrict return short signed sizeof static struct switch typedef union unsigned void volatile while "
     "NAN INFINITY HUGE_VAL bool true false asm typeof NULL unix linux i386 errno signgam math_errhandling "
     # names that the templates and the runtime's headers use
-    "t x q p r constants accelerations multipliers work status i j k "
+    "t x q p r constants accelerations multipliers work status i j k carried "
     # functions that the printer may call
     "acos acosh asin asinh atan atan2 atanh cbrt ceil copysign cos cosh erf erfc exp exp2 expm1 fabs floor fma fmax "
     "fmin fmod hypot lgamma log log10 log1p log2 pow round sin sinh sqrt tan tanh tgamma trunc main".split()
@@ -169,24 +176,94 @@ def _comment(name: str) -> str:
 
 def _function_text(function: Function) -> str:
     names = _local_names(function)
+    parts = _parts(function)
+    last = len(parts) - 1
+    carried = _carried(parts)
+    texts = [_part_text(function, parts, number, names, carried) for number in range(last + 1)]
+    if last:
+        arguments = [array.name for array in function.arguments] + [result.name for result in function.results]
+        calls = [f"    {function.name}_{number + 1}({', '.join([*arguments, CARRIED])});" for number in range(last + 1)]
+        head = _head(function, function.name, [])
+        texts.append("\n".join([*head, "{", f"    double {CARRIED}[{max(len(carried), 1)}];", *calls, "}"]))
+    texts[0] = f"/* {function.summary} */\n{texts[0]}"
+    return "\n\n".join(texts)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Consecutive statements of a function, and the entries of its results that can be stored behind them.
+
+    Attributes
+    ----------
+    statements : tuple of (Symbol, Expr)
+    stores : tuple of (str, int, Expr)
+        Name of the result, position in it, value.
+    """
+
+    statements: tuple[tuple[sm.Symbol, sm.Expr], ...]
+    stores: tuple[tuple[str, int, sm.Expr], ...]
+
+    def used(self) -> set[sm.Symbol]:
+        """All symbols in the statements' expressions and the stored values."""
+        expressions = [*(expr for _, expr in self.statements), *(expr for *_, expr in self.stores)]
+        return {symbol for expr in expressions for symbol in expr.free_symbols}
+
+
+def _parts(function: Function) -> list[_Part]:
+    count = -(-len(function.statements) // PART) or 1
+    size = -(-len(function.statements) // count)
+    defined_in = {symbol: number // size for number, (symbol, _) in enumerate(function.statements)}
+    stores: list[list[tuple[str, int, sm.Expr]]] = [[] for _ in range(count)]
+    for result in function.results:
+        for position, expr in enumerate(result.entries):
+            part = max((defined_in.get(symbol, 0) for symbol in expr.free_symbols), default=0)
+            stores[part].append((result.name, position, expr))
+    return [_Part(function.statements[i * size : (i + 1) * size], tuple(stores[i])) for i in range(count)]
+
+
+def _carried(parts: Sequence[_Part]) -> dict[sm.Symbol, int]:
+    """The places of the values that one part hands on to later ones."""
+    later: set[sm.Symbol] = set()
+    carried: list[sm.Symbol] = []
+    for part in reversed(parts):
+        carried += [symbol for symbol, _ in part.statements if symbol in later]
+        later |= part.used()
+    return {symbol: place for place, symbol in enumerate(carried)}
+
+
+def _part_text(
+    function: Function,
+    parts: Sequence[_Part],
+    number: int,
+    names: Mapping[sm.Symbol, str],
+    carried: Mapping[sm.Symbol, int],
+) -> str:
     printer = _Printer(names)
+    part, used = parts[number], parts[number].used()
+    own = {symbol for symbol, _ in part.statements}
+    body = [line for array in function.arguments for line in _unpack(array, used, names)]
+    body += [f"    const double {names[s]} = {CARRIED}[{place}];" for s, place in carried.items() if s in used - own]
+    for symbol, expr in part.statements:
+        body.append(_statement(f"const double {names[symbol]} = {_print(printer, expr)};"))
+    body += [f"    {CARRIED}[{place}] = {names[s]};" for s, place in carried.items() if s in own]
+    stored = {name for name, *_ in part.stores}
+    body += [f"    (void){result.name};" for result in function.results if result.name not in stored]
+    body += [_statement(f"{name}[{position}] = {_print(printer, expr)};") for name, position, expr in part.stores]
+    if len(parts) == 1:
+        head = _head(function, function.name, [])
+    else:
+        head = _head(function, f"{function.name}_{number + 1}", [f"double *restrict {CARRIED}"], "FB_PART ")
+    return "\n".join([*head, "{", *body, "}"])
+
+
+def _head(function: Function, name: str, more: Sequence[str], prefix: str = "") -> list[str]:
     parameters = [_parameter(array) for array in function.arguments]
     parameters += [f"double *restrict {result.name}" for result in function.results]
+    parameters += more
     # No line breaks within a parameter: textwrap leaves the spaces alone that are not ASCII.
-    text = f"static void {function.name}(".replace(" ", "\xa0") + ", ".join(p.replace(" ", "\xa0") for p in parameters)
+    text = f"static {prefix}void {name}(".replace(" ", "\xa0") + ", ".join(p.replace(" ", "\xa0") for p in parameters)
     wrapped = textwrap.wrap(f"{text})", LINE, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False)
-    head = [line.replace("\xa0", " ") for line in wrapped]
-    used = {s for _, expr in function.statements for s in expr.free_symbols}
-    used |= {s for result in function.results for expr in result.entries for s in expr.free_symbols}
-    body = [line for array in function.arguments for line in _unpack(array, used, names)]
-    for symbol, expr in function.statements:
-        body.append(_statement(f"const double {names[symbol]} = {_print(printer, expr)};"))
-    for result in function.results:
-        if not result.entries:
-            body.append(f"    (void){result.name};")
-        for position, expr in enumerate(result.entries):
-            body.append(_statement(f"{result.name}[{position}] = {_print(printer, expr)};"))
-    return "\n".join([f"/* {function.summary} */", *head, "{", *body, "}"])
+    return [line.replace("\xa0", " ") for line in wrapped]
 
 
 def _print(printer: _Printer, expr: sm.Expr) -> str:

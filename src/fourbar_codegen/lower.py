@@ -7,6 +7,7 @@ on parameters alone into `prepare`, and let SymPy's `cse` share what is left in 
 from __future__ import annotations
 
 import itertools
+import operator
 from collections import Counter
 from collections.abc import Sequence
 
@@ -148,9 +149,9 @@ class _Constants:
         if self.is_constant(expr):
             return self.define(expr)
         if isinstance(expr, sm.Add | sm.Mul):
-            constant = expr.func(*(a for a in expr.args if self.is_constant(a)))
-            varying = (self.hoist(a) for a in expr.args if not self.is_constant(a))
-            return expr.func(self.define(constant), *varying)
+            constants = [a for a in expr.args if self.is_constant(a)]
+            varying = [a for a in expr.args if not self.is_constant(a)]
+            return expr.func(self.define(expr.func(*constants)), *map(self.hoist, varying))
         return expr.func(*(self.hoist(a) if isinstance(a, sm.Expr) else a for a in expr.args))
 
     def finish(self, lowered: Sequence[tuple[Statements, tuple[Result, ...]]]) -> tuple[Array, Function]:
@@ -209,7 +210,7 @@ def _inline(statements: Statements, entries: Sequence[sm.Expr]) -> tuple[Stateme
             if value is not None and (value.is_Mul or (expr.is_Add and abs(factor) == 1)):
                 argument = factor * pending.pop(rest)
             arguments.append(argument)
-        return expr.func(*arguments)
+        return expr if all(map(operator.is_, arguments, expr.args)) else expr.func(*arguments)
 
     kept: dict[sm.Symbol, sm.Expr | None] = {}
     for symbol, statement in statements:

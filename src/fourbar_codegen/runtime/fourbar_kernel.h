@@ -16,6 +16,13 @@
 #define FB_ABI_VERSION 1
 #define FB_CAPSULE_NAME "fourbar_codegen.kernel"
 
+/* Long functions are printed in parts, which the compiler must not put together again. */
+#if defined(__GNUC__)
+#define FB_PART __attribute__((noinline))
+#else
+#define FB_PART
+#endif
+
 enum FB_STATUS {
     FB_OK = 0,
     FB_CONSTRAINTS_DEPENDENT = 1, /* J has lost rank and J u' + gamma = 0 has no solution */

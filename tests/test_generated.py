@@ -78,7 +78,7 @@ def test_manifest_names_everything():
     assert manifest["speeds"] == ["u1", "u2", "u3"]
     assert [entry["name"] for entry in manifest["parameters"]] == ["rho", "l1", "l2", "l3", "l4", "k", "c", "g"]
     assert all(entry["unit"] and entry["description"] for entry in manifest["parameters"])
-    assert manifest["inputs"] == [{"name": "F", "expression": "100*sin(pi*t)"}]
+    assert manifest["inputs"] == [{"name": "F", "expression": "100*sin(pi*t)", "of": "F", "order": 0}]
 
 
 def test_generated_text_names_no_tool_version():

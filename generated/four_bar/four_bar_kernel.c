@@ -4,6 +4,7 @@
  *   x, state: q1, q2, q3, u1, u2, u3
  *   p, parameters: rho, l1, l2, l3, l4, k, c, g
  *   r, inputs: F
+ *   outputs: none
  *
  * The functions below evaluate straight-line code; fourbar_model.h, included at the end, solves the
  * equations that they set up. Matrices are stored row by row.
@@ -19,7 +20,8 @@ enum {
     N_R = 1,
     N_H = 2,
     N_C = 2,
-    N_CONSTANTS = 28
+    N_O = 0,
+    N_CONSTANTS = 46
 };
 
 /* The parameters, and behind them all that is derived from them alone. */
@@ -35,38 +37,68 @@ static void prepare(const double *restrict p, double *restrict constants)
     const double g = p[7];
     const double z0 = l3*rho;
     const double z1 = l4*rho;
-    const double z2 = g*z0;
-    const double z3 = g*z1;
-    const double z4 = (l4*l4);
-    const double z5 = z1*z4;
-    const double z6 = (l4*l4*l4);
-    const double z7 = rho*z6;
-    const double z8 = (1.0/12.0)*z7;
-    const double z9 = (1.0/4.0)*z5 + z8;
-    const double z10 = l2*rho;
-    const double z11 = (l2*l2);
-    const double z12 = z10*z11;
-    const double z13 = (l2*l2*l2);
-    const double z14 = rho*z13;
-    const double z15 = (l3*l3*l3);
-    const double z16 = rho*z15;
-    const double z17 = z8 + (1.0/12.0)*z16;
-    const double z18 = (1.0/4.0)*z12 + (1.0/12.0)*z14 + z17;
-    const double z19 = (l3*l3);
-    const double z20 = z0*z19;
-    const double z21 = z17 + (1.0/4.0)*z20;
-    const double z22 = g*z10;
-    const double z23 = (1.0/2.0)*z22;
-    const double z24 = (1.0/2.0)*z2;
-    const double z25 = (1.0/2.0)*z3;
+    const double z2 = l2*rho;
+    const double z3 = g*z2;
+    const double z4 = g*z0;
+    const double z5 = g*z1;
+    const double z6 = (l4*l4);
+    const double z7 = z1*z6;
+    const double z8 = (l4*l4*l4);
+    const double z9 = rho*z8;
+    const double z10 = (1.0/12.0)*z9;
+    const double z11 = (1.0/4.0)*z7 + z10;
+    const double z12 = (l2*l2);
+    const double z13 = z2*z12;
+    const double z14 = (l2*l2*l2);
+    const double z15 = rho*z14;
+    const double z16 = (l3*l3*l3);
+    const double z17 = rho*z16;
+    const double z18 = z10 + (1.0/12.0)*z17;
+    const double z19 = (1.0/4.0)*z13 + (1.0/12.0)*z15 + z18;
+    const double z20 = (l3*l3);
+    const double z21 = z0*z20;
+    const double z22 = z18 + (1.0/4.0)*z21;
+    const double z23 = (1.0/2.0)*z3;
+    const double z24 = (1.0/2.0)*z4;
+    const double z25 = (1.0/2.0)*z5;
     const double z26 = (1.0/2.0)*l4;
     const double z27 = (1.0/2.0)*z0;
     const double z28 = (1.0/2.0)*z1;
-    const double z29 = (1.0/8.0)*z10;
-    const double z30 = (1.0/24.0)*z14;
-    const double z31 = (1.0/24.0)*z16;
-    const double z32 = (1.0/24.0)*z7;
+    const double z29 = (1.0/8.0)*z2;
+    const double z30 = (1.0/24.0)*z15;
+    const double z31 = (1.0/24.0)*z17;
+    const double z32 = (1.0/24.0)*z9;
     const double z33 = 2*l2;
+    const double z34 = g*rho;
+    const double z35 = g*l3;
+    const double z36 = g*l4;
+    const double z37 = l4*z6;
+    const double z38 = (1.0/12.0)*z8;
+    const double z39 = (1.0/4.0)*z37 + z38;
+    const double z40 = rho*z6;
+    const double z41 = l4*z1;
+    const double z42 = z40 + 2*z41;
+    const double z43 = (1.0/4.0)*z40;
+    const double z44 = (1.0/4.0)*z42 + z43;
+    const double z45 = l2*z12;
+    const double z46 = (1.0/12.0)*z16 + z38;
+    const double z47 = (1.0/12.0)*z14 + (1.0/4.0)*z45 + z46;
+    const double z48 = g*l2;
+    const double z49 = (1.0/2.0)*z48;
+    const double z50 = rho*z12;
+    const double z51 = l2*z2;
+    const double z52 = z50 + 2*z51;
+    const double z53 = (1.0/4.0)*z50 + (1.0/4.0)*z52;
+    const double z54 = rho*z20;
+    const double z55 = (1.0/4.0)*z54;
+    const double z56 = (1.0/2.0)*z2;
+    const double z57 = l3*z20;
+    const double z58 = z46 + (1.0/4.0)*z57;
+    const double z59 = (1.0/2.0)*z35;
+    const double z60 = l3*z0;
+    const double z61 = z54 + 2*z60;
+    const double z62 = z55 + (1.0/4.0)*z61;
+    const double z63 = (1.0/2.0)*z36;
     constants[0] = rho;
     constants[1] = l1;
     constants[2] = l2;
@@ -77,24 +109,42 @@ static void prepare(const double *restrict p, double *restrict constants)
     constants[7] = g;
     constants[8] = z0;
     constants[9] = z1;
-    constants[10] = z2;
-    constants[11] = z3;
-    constants[12] = z9;
-    constants[13] = z18;
-    constants[14] = z17;
-    constants[15] = z8;
-    constants[16] = z21;
-    constants[17] = z23;
-    constants[18] = z24;
-    constants[19] = z25;
-    constants[20] = z26;
-    constants[21] = z27;
-    constants[22] = z28;
-    constants[23] = z29;
-    constants[24] = z30;
-    constants[25] = z31;
-    constants[26] = z32;
-    constants[27] = z33;
+    constants[10] = z3;
+    constants[11] = z4;
+    constants[12] = z5;
+    constants[13] = z11;
+    constants[14] = z19;
+    constants[15] = z18;
+    constants[16] = z10;
+    constants[17] = z22;
+    constants[18] = z23;
+    constants[19] = z24;
+    constants[20] = z25;
+    constants[21] = z26;
+    constants[22] = z27;
+    constants[23] = z28;
+    constants[24] = z29;
+    constants[25] = z30;
+    constants[26] = z31;
+    constants[27] = z32;
+    constants[28] = z33;
+    constants[29] = z34;
+    constants[30] = z35;
+    constants[31] = z36;
+    constants[32] = z39;
+    constants[33] = z44;
+    constants[34] = z47;
+    constants[35] = z46;
+    constants[36] = z38;
+    constants[37] = z49;
+    constants[38] = z53;
+    constants[39] = z55;
+    constants[40] = z43;
+    constants[41] = z56;
+    constants[42] = z58;
+    constants[43] = z59;
+    constants[44] = z62;
+    constants[45] = z63;
 }
 
 /* Inputs r from their expressions; NaN without one. */
@@ -125,7 +175,6 @@ static void dynamics(double t, const double *restrict x, const double *restrict 
     const double c = constants[6];
     const double k8 = constants[8];
     const double k9 = constants[9];
-    const double k10 = constants[10];
     const double k11 = constants[11];
     const double k12 = constants[12];
     const double k13 = constants[13];
@@ -135,6 +184,7 @@ static void dynamics(double t, const double *restrict x, const double *restrict 
     const double k17 = constants[17];
     const double k18 = constants[18];
     const double k19 = constants[19];
+    const double k20 = constants[20];
     const double r_F = r[0];
     const double z0 = cos(q1);
     const double z1 = sin(q1);
@@ -168,18 +218,18 @@ static void dynamics(double t, const double *restrict x, const double *restrict 
     const double z29 = z13 + z28;
     const double z30 = (z29*z29);
     const double z31 = z24 + z30;
-    const double z32 = k8*z16 + k9*z31 + k13;
+    const double z32 = k8*z16 + k9*z31 + k14;
     const double z33 = z6*z8 + z12*z14;
     const double z34 = z22*z23 + z28*z29;
-    const double z35 = k8*z33 + k9*z34 + k14;
+    const double z35 = k8*z33 + k9*z34 + k15;
     const double z36 = z21*z23 + z27*z29;
-    const double z37 = k9*z36 + k15;
+    const double z37 = k9*z36 + k16;
     const double z38 = (z22*z22);
     const double z39 = (z28*z28);
     const double z40 = z38 + z39;
-    const double z41 = k9*z40 + k16;
+    const double z41 = k9*z40 + k17;
     const double z42 = z21*z22 + z27*z28;
-    const double z43 = k9*z42 + k15;
+    const double z43 = k9*z42 + k16;
     const double z44 = u1 + u2;
     const double z45 = l3*(z44*z44);
     const double z46 = z10*z45;
@@ -197,12 +247,12 @@ static void dynamics(double t, const double *restrict x, const double *restrict 
     const double z58 = z19*z56 + z50 + z51;
     const double z59 = z23*z57 - z29*z58;
     const double z60 = z5 + z7;
-    const double z61 = k8*z53 + k9*z59 + k10*z14 + k11*z29 + k17*z13 + c*u2 + k_*q2 + r_F*z60;
+    const double z61 = k8*z53 + k9*z59 + k11*z14 + k12*z29 + k18*z13 + c*u2 + k_*q2 + r_F*z60;
     const double z62 = z6*z49 - z12*z52;
     const double z63 = z22*z57 - z28*z58;
-    const double z64 = k8*z62 + k9*z63 + k11*z28 + k18*z11 + r_F*z5;
+    const double z64 = k8*z62 + k9*z63 + k12*z28 + k19*z11 + r_F*z5;
     const double z65 = z21*z57 - z27*z58;
-    const double z66 = k9*z65 + k19*z26;
+    const double z66 = k9*z65 + k20*z26;
     const double z67 = z20 + z60;
     const double z68 = z5 + z20;
     const double z69 = z11 + z26;
@@ -221,7 +271,7 @@ static void dynamics(double t, const double *restrict x, const double *restrict 
     mass_matrix[5] = z43;
     mass_matrix[6] = z37;
     mass_matrix[7] = z43;
-    mass_matrix[8] = k12;
+    mass_matrix[8] = k13;
     forcing[0] = -z61;
     forcing[1] = -z64;
     forcing[2] = -z66;
@@ -237,7 +287,7 @@ static void dynamics(double t, const double *restrict x, const double *restrict 
 
 /* Holonomic constraints Phi(q, t) and dPhi/dq. */
 static void position(double t, const double *restrict q, const double *restrict constants,
-    double *restrict position_constraints, double *restrict position_jacobian)
+    const double *restrict r, double *restrict position_constraints, double *restrict position_jacobian)
 {
     (void)t;
     const double q1 = q[0];
@@ -247,6 +297,7 @@ static void position(double t, const double *restrict q, const double *restrict 
     const double l2 = constants[2];
     const double l3 = constants[3];
     const double l4 = constants[4];
+    (void)r;
     const double z0 = cos(q1);
     const double z1 = sin(q1);
     const double z2 = cos(q2);
@@ -279,7 +330,7 @@ static void position(double t, const double *restrict q, const double *restrict 
 
 /* J and b of the velocity constraints J u + b = 0. */
 static void velocity(double t, const double *restrict x, const double *restrict constants,
-    double *restrict constraint_jacobian, double *restrict velocity_bias)
+    const double *restrict r, double *restrict constraint_jacobian, double *restrict velocity_bias)
 {
     (void)t;
     const double q1 = x[0];
@@ -288,6 +339,7 @@ static void velocity(double t, const double *restrict x, const double *restrict 
     const double l2 = constants[2];
     const double l3 = constants[3];
     const double l4 = constants[4];
+    (void)r;
     const double z0 = cos(q1);
     const double z1 = sin(q1);
     const double z2 = cos(q2);
@@ -318,7 +370,7 @@ static void velocity(double t, const double *restrict x, const double *restrict 
 
 /* Kinetic and potential energy. */
 static void energy(double t, const double *restrict x, const double *restrict constants,
-    double *restrict energies)
+    const double *restrict r, double *restrict energies)
 {
     (void)t;
     const double q1 = x[0];
@@ -330,16 +382,17 @@ static void energy(double t, const double *restrict x, const double *restrict co
     const double l2 = constants[2];
     const double l3 = constants[3];
     const double l4 = constants[4];
-    const double k10 = constants[10];
     const double k11 = constants[11];
-    const double k17 = constants[17];
-    const double k20 = constants[20];
+    const double k12 = constants[12];
+    const double k18 = constants[18];
     const double k21 = constants[21];
     const double k22 = constants[22];
     const double k23 = constants[23];
     const double k24 = constants[24];
     const double k25 = constants[25];
     const double k26 = constants[26];
+    const double k27 = constants[27];
+    (void)r;
     const double z0 = u1 + u2;
     const double z1 = u3 + z0;
     const double z2 = l2*u1;
@@ -371,14 +424,28 @@ static void energy(double t, const double *restrict x, const double *restrict co
     const double z28 = z15 + z16 + z21*z27;
     const double z29 = (z28*z28);
     const double z30 = z26 + z29;
-    const double z31 = k21*z19 + k22*z30 + k23*z3 + k24*(u1*u1) + k25*(z0*z0) + k26*(z1*z1);
+    const double z31 = k22*z19 + k23*z30 + k24*z3 + k25*(u1*u1) + k26*(z0*z0) + k27*(z1*z1);
     const double z32 = l2*z5;
     const double z33 = l3*z8;
     const double z34 = z32 + (1.0/2.0)*z33;
-    const double z35 = k20*z24 + z32 + z33;
-    const double z36 = k10*z34 + k11*z35 + k17*z32;
+    const double z35 = k21*z24 + z32 + z33;
+    const double z36 = k11*z34 + k12*z35 + k18*z32;
     energies[0] = z31;
     energies[1] = z36;
+}
+
+/* The outputs, with u' and lambda given. */
+static void output(double t, const double *restrict x, const double *restrict constants,
+    const double *restrict r, const double *restrict accelerations, const double *restrict multipliers,
+    double *restrict outputs)
+{
+    (void)t;
+    (void)x;
+    (void)constants;
+    (void)r;
+    (void)accelerations;
+    (void)multipliers;
+    (void)outputs;
 }
 
 /* d/dx of q', and of f - M u' + J^T lambda and -(J u' + gamma) with u' and lambda held. */
@@ -400,10 +467,10 @@ static void sensitivity(double t, const double *restrict x, const double *restri
     const double c = constants[6];
     const double k8 = constants[8];
     const double k9 = constants[9];
-    const double k10 = constants[10];
     const double k11 = constants[11];
-    const double k17 = constants[17];
-    const double k27 = constants[27];
+    const double k12 = constants[12];
+    const double k18 = constants[18];
+    const double k28 = constants[28];
     const double r_F = r[0];
     const double u1_rate = accelerations[0];
     const double u2_rate = accelerations[1];
@@ -435,9 +502,9 @@ static void sensitivity(double t, const double *restrict x, const double *restri
     const double z22 = -z5*z11 + z9*z10;
     const double z23 = l4*z22;
     const double z24 = z19 + z23;
-    const double z25 = -k10*z8 - k11*z16 - k17*z1 + lambda0*z24 + lambda1*z21 + r_F*z19;
-    const double z26 = k10*z6;
-    const double z27 = k11*z15;
+    const double z25 = -k11*z8 - k12*z16 - k18*z1 + lambda0*z24 + lambda1*z21 + r_F*z19;
+    const double z26 = k11*z6;
+    const double z27 = k12*z15;
     const double z28 = r_F*z17;
     const double z29 = z17 + z23;
     const double z30 = lambda0*z29;
@@ -502,7 +569,7 @@ static void sensitivity(double t, const double *restrict x, const double *restri
     const double z89 = z80 - z81;
     const double z90 = k8*z88 + k9*z89;
     const double z91 = u1_rate*z83 + u2_rate*z90 + u3_rate*z76 + k8*z50 + k9*z68 + k_ + z32;
-    const double z92 = k11*z13;
+    const double z92 = k12*z13;
     const double z93 = lambda0*z23;
     const double z94 = lambda1*z13;
     const double z95 = -1.0/2.0*z92 + z93 + z94;
@@ -594,7 +661,7 @@ static void sensitivity(double t, const double *restrict x, const double *restri
     const double z181 = l3*z180;
     const double z182 = z179 + 2*z181;
     const double z183 = u1*z2;
-    const double z184 = k27*z183 + z182;
+    const double z184 = k28*z183 + z182;
     const double z185 = z53*z178;
     const double z186 = u3_rate*z13;
     const double z187 = z185 + z186;
@@ -607,7 +674,7 @@ static void sensitivity(double t, const double *restrict x, const double *restri
     const double z194 = 2*z165;
     const double z195 = l3*z169;
     const double z196 = z194 + 2*z195;
-    const double z197 = k27*z173 + z196;
+    const double z197 = k28*z173 + z196;
     coordinate_rate_jacobian[0] = 0;
     coordinate_rate_jacobian[1] = 0;
     coordinate_rate_jacobian[2] = 0;
@@ -656,6 +723,381 @@ static void sensitivity(double t, const double *restrict x, const double *restri
     residual_jacobian[27] = z197;
     residual_jacobian[28] = z196;
     residual_jacobian[29] = z194;
+}
+
+/* The same derivatives with respect to the parameters. */
+static void parameter_sensitivity(double t, const double *restrict x, const double *restrict constants,
+    const double *restrict r, const double *restrict accelerations, const double *restrict multipliers,
+    double *restrict coordinate_rate_parameter_jacobian, double *restrict residual_parameter_jacobian)
+{
+    (void)t;
+    const double q1 = x[0];
+    const double q2 = x[1];
+    const double q3 = x[2];
+    const double u1 = x[3];
+    const double u2 = x[4];
+    const double u3 = x[5];
+    const double rho = constants[0];
+    const double l2 = constants[2];
+    const double l3 = constants[3];
+    const double l4 = constants[4];
+    const double k8 = constants[8];
+    const double k9 = constants[9];
+    const double k10 = constants[10];
+    const double k11 = constants[11];
+    const double k12 = constants[12];
+    const double k22 = constants[22];
+    const double k23 = constants[23];
+    const double k29 = constants[29];
+    const double k30 = constants[30];
+    const double k31 = constants[31];
+    const double k32 = constants[32];
+    const double k33 = constants[33];
+    const double k34 = constants[34];
+    const double k35 = constants[35];
+    const double k36 = constants[36];
+    const double k37 = constants[37];
+    const double k38 = constants[38];
+    const double k39 = constants[39];
+    const double k40 = constants[40];
+    const double k41 = constants[41];
+    const double k42 = constants[42];
+    const double k43 = constants[43];
+    const double k44 = constants[44];
+    const double k45 = constants[45];
+    const double r_F = r[0];
+    const double u1_rate = accelerations[0];
+    const double u2_rate = accelerations[1];
+    const double u3_rate = accelerations[2];
+    const double lambda0 = multipliers[0];
+    const double lambda1 = multipliers[1];
+    const double z0 = cos(q1);
+    const double z1 = l2*z0;
+    const double z2 = sin(q1);
+    const double z3 = cos(q2);
+    const double z4 = sin(q2);
+    const double z5 = z0*z3 - z2*z4;
+    const double z6 = l3*z5;
+    const double z7 = (1.0/2.0)*z6;
+    const double z8 = z1 + z7;
+    const double z9 = z0*z4 + z2*z3;
+    const double z10 = l3*z9;
+    const double z11 = (1.0/2.0)*z10;
+    const double z12 = l2*z2;
+    const double z13 = z11 + z12;
+    const double z14 = u1 + u2;
+    const double z15 = (z14*z14);
+    const double z16 = l3*z15;
+    const double z17 = z5*z16;
+    const double z18 = (u1*u1);
+    const double z19 = l2*z18;
+    const double z20 = z0*z19;
+    const double z21 = (1.0/2.0)*z17 + z20;
+    const double z22 = z9*z16;
+    const double z23 = z2*z19;
+    const double z24 = (1.0/2.0)*z22 + z23;
+    const double z25 = -z8*z24 + z13*z21;
+    const double z26 = cos(q3);
+    const double z27 = sin(q3);
+    const double z28 = z5*z26 - z9*z27;
+    const double z29 = l4*z28;
+    const double z30 = (1.0/2.0)*z29;
+    const double z31 = z6 + z30;
+    const double z32 = z1 + z31;
+    const double z33 = z5*z27 + z9*z26;
+    const double z34 = l4*z33;
+    const double z35 = (1.0/2.0)*z34;
+    const double z36 = z10 + z35;
+    const double z37 = z12 + z36;
+    const double z38 = u3 + z14;
+    const double z39 = (z38*z38);
+    const double z40 = l4*z39;
+    const double z41 = (1.0/2.0)*z40;
+    const double z42 = z17 + z20 + z28*z41;
+    const double z43 = z22 + z23 + z33*z41;
+    const double z44 = -z32*z43 + z37*z42;
+    const double z45 = (z13*z13);
+    const double z46 = (z8*z8);
+    const double z47 = z45 + z46;
+    const double z48 = (z37*z37);
+    const double z49 = (z32*z32);
+    const double z50 = z48 + z49;
+    const double z51 = k34 + l3*z47 + l4*z50;
+    const double z52 = z7*z8 + z11*z13;
+    const double z53 = z31*z32 + z36*z37;
+    const double z54 = k35 + l3*z52 + l4*z53;
+    const double z55 = z30*z32 + z35*z37;
+    const double z56 = k36 + l4*z55;
+    const double z57 = u1_rate*z51 + u2_rate*z54 + u3_rate*z56 + k30*z8 + k31*z32 + k37*z1 + l3*z25 + l4*z44;
+    const double z58 = z0*z18;
+    const double z59 = z2*z18;
+    const double z60 = -z0*z24 + z2*z21 - z8*z59 + z13*z58;
+    const double z61 = -z0*z43 + z2*z42 - z32*z59 + z37*z58;
+    const double z62 = z0*z30 + z2*z35;
+    const double z63 = k9*z62;
+    const double z64 = k10*z0 + k29*z1;
+    const double z65 = 2*z0;
+    const double z66 = 2*z2;
+    const double z67 = z8*z65 + z13*z66;
+    const double z68 = z32*z65 + z37*z66;
+    const double z69 = k8*z67 + k9*z68 + k38;
+    const double z70 = z0*z7 + z2*z11;
+    const double z71 = z0*z31 + z2*z36;
+    const double z72 = k8*z70 + k9*z71;
+    const double z73 = u1_rate*z69 + u2_rate*z72 + u3_rate*z63 + k8*z60 + k9*z61 + k11*z0 + k12*z0 +
+        lambda0*z2 - lambda1*z0 + r_F*z2 + (1.0/2.0)*z64;
+    const double z74 = k12*z5;
+    const double z75 = r_F*z9;
+    const double z76 = z5*z30 + z9*z35;
+    const double z77 = k9*z76;
+    const double z78 = u3_rate*z77;
+    const double z79 = lambda0*z9;
+    const double z80 = lambda1*z5;
+    const double z81 = z74 + z75 + z78 + z79 - z80;
+    const double z82 = z5*z15;
+    const double z83 = z9*z15;
+    const double z84 = z9*z21;
+    const double z85 = z5*z24;
+    const double z86 = -1.0/2.0*z8*z83 + (1.0/2.0)*z13*z82 + (1.0/2.0)*z84 - 1.0/2.0*z85;
+    const double z87 = z9*z42;
+    const double z88 = z5*z43;
+    const double z89 = z87 - z88;
+    const double z90 = -z32*z83 + z37*z82 + z89;
+    const double z91 = k11*z5;
+    const double z92 = z9*z13;
+    const double z93 = z5*z8;
+    const double z94 = z92 + z93;
+    const double z95 = z9*z37;
+    const double z96 = z5*z32;
+    const double z97 = 2*z95 + 2*z96;
+    const double z98 = k8*z94 + k9*z97 + k39 + rho*z47;
+    const double z99 = z9*z11 + z92;
+    const double z100 = z5*z7 + z93;
+    const double z101 = (1.0/2.0)*z99 + (1.0/2.0)*z100;
+    const double z102 = z9*z36;
+    const double z103 = z5*z31;
+    const double z104 = z95 + z96 + z102 + z103;
+    const double z105 = k8*z101 + k9*z104 + k39 + rho*z52;
+    const double z106 = u1_rate*z98 + u2_rate*z105 + k8*z86 + k9*z90 + k29*z8 + rho*z25 + z81 + (1.0/2.0)*z91;
+    const double z107 = lambda0*z33;
+    const double z108 = lambda1*z28;
+    const double z109 = z107 - z108;
+    const double z110 = k12*z28;
+    const double z111 = z109 + (1.0/2.0)*z110;
+    const double z112 = z28*z39;
+    const double z113 = (1.0/2.0)*z112;
+    const double z114 = z33*z39;
+    const double z115 = (1.0/2.0)*z114;
+    const double z116 = z33*z42;
+    const double z117 = z28*z43;
+    const double z118 = (1.0/2.0)*z116 - 1.0/2.0*z117;
+    const double z119 = -z32*z115 + z37*z113 + z118;
+    const double z120 = z33*z37;
+    const double z121 = z28*z32;
+    const double z122 = z120 + z121;
+    const double z123 = k9*z122 + k40 + rho*z50;
+    const double z124 = z33*z36;
+    const double z125 = z28*z31;
+    const double z126 = (1.0/2.0)*z120 + (1.0/2.0)*z121 + (1.0/2.0)*z124 + (1.0/2.0)*z125;
+    const double z127 = k9*z126 + k40 + rho*z53;
+    const double z128 = z33*z34;
+    const double z129 = (1.0/2.0)*z128;
+    const double z130 = z120 + z129;
+    const double z131 = z28*z29;
+    const double z132 = (1.0/2.0)*z131;
+    const double z133 = z121 + z132;
+    const double z134 = (1.0/2.0)*z130 + (1.0/2.0)*z133;
+    const double z135 = k9*z134 + k40 + rho*z55;
+    const double z136 = u1_rate*z123 + u2_rate*z127 + u3_rate*z135 + k9*z119 + k29*z32 + rho*z44 + z111;
+    const double z137 = k8*z8 + k9*z32 + k41*z1;
+    const double z138 = -z7*z24 + z11*z21;
+    const double z139 = -z31*z43 + z36*z42;
+    const double z140 = (z36*z36);
+    const double z141 = (z31*z31);
+    const double z142 = z140 + z141;
+    const double z143 = k42 + l4*z142;
+    const double z144 = z30*z31 + z35*z36;
+    const double z145 = k36 + l4*z144;
+    const double z146 = u1_rate*z54 + u2_rate*z143 + u3_rate*z145 + k31*z31 + k43*z6 + l3*z138 + l4*z139;
+    const double z147 = -z7*z59 + z11*z58;
+    const double z148 = -z31*z59 + z36*z58;
+    const double z149 = u1_rate*z72 + k8*z147 + k9*z148;
+    const double z150 = z11*z82 + z84;
+    const double z151 = z7*z83 + z85;
+    const double z152 = (1.0/2.0)*z150 - 1.0/2.0*z151;
+    const double z153 = -z31*z83 + z36*z82 + z89;
+    const double z154 = k29*z6 + z91;
+    const double z155 = 2*z102 + 2*z103;
+    const double z156 = k9*z155 + k44;
+    const double z157 = u1_rate*z105 + u2_rate*z156 + k8*z152 + k9*z153 + rho*z138 + z81 + (1.0/2.0)*z154;
+    const double z158 = -z31*z115 + z36*z113 + z118;
+    const double z159 = z124 + z125;
+    const double z160 = k9*z159 + k40 + rho*z142;
+    const double z161 = z124 + z129;
+    const double z162 = z125 + z132;
+    const double z163 = (1.0/2.0)*z161 + (1.0/2.0)*z162;
+    const double z164 = k9*z163 + k40 + rho*z144;
+    const double z165 = u1_rate*z127 + u2_rate*z160 + u3_rate*z164 + k9*z158 + k29*z31 + rho*z139 + z111;
+    const double z166 = k9*z31 + k22*z6;
+    const double z167 = -z30*z43 + z35*z42;
+    const double z168 = u1_rate*z56 + u2_rate*z145 + u3_rate*k32 + k45*z29 + l4*z167;
+    const double z169 = -z30*z59 + z35*z58;
+    const double z170 = u1_rate*z63 + k9*z169;
+    const double z171 = -z30*z83 + z35*z82;
+    const double z172 = u1_rate*z77 + u2_rate*z77 + k9*z171;
+    const double z173 = z35*z112 + z116;
+    const double z174 = z30*z114 + z117;
+    const double z175 = (1.0/2.0)*z173 - 1.0/2.0*z174;
+    const double z176 = k29*z29 + z110;
+    const double z177 = u1_rate*z135 + u2_rate*z164 + u3_rate*k33 + k9*z175 + rho*z167 + z109 +
+        (1.0/2.0)*z176;
+    const double z178 = u1_rate*z2 + z0*z18;
+    const double z179 = u1_rate*z9 + u2_rate*z9 + z5*z15;
+    const double z180 = (z38*z38);
+    const double z181 = u1_rate*z33 + u2_rate*z33 + u3_rate*z33 + z28*z180;
+    const double z182 = -u1_rate*z0 + z2*z18;
+    const double z183 = u1_rate*z5 + u2_rate*z5 - z9*z15;
+    const double z184 = u1_rate*z28 + u2_rate*z28 + u3_rate*z28 - z33*z180;
+    coordinate_rate_parameter_jacobian[0] = 0;
+    coordinate_rate_parameter_jacobian[1] = 0;
+    coordinate_rate_parameter_jacobian[2] = 0;
+    coordinate_rate_parameter_jacobian[3] = 0;
+    coordinate_rate_parameter_jacobian[4] = 0;
+    coordinate_rate_parameter_jacobian[5] = 0;
+    coordinate_rate_parameter_jacobian[6] = 0;
+    coordinate_rate_parameter_jacobian[7] = 0;
+    coordinate_rate_parameter_jacobian[8] = 0;
+    coordinate_rate_parameter_jacobian[9] = 0;
+    coordinate_rate_parameter_jacobian[10] = 0;
+    coordinate_rate_parameter_jacobian[11] = 0;
+    coordinate_rate_parameter_jacobian[12] = 0;
+    coordinate_rate_parameter_jacobian[13] = 0;
+    coordinate_rate_parameter_jacobian[14] = 0;
+    coordinate_rate_parameter_jacobian[15] = 0;
+    coordinate_rate_parameter_jacobian[16] = 0;
+    coordinate_rate_parameter_jacobian[17] = 0;
+    coordinate_rate_parameter_jacobian[18] = 0;
+    coordinate_rate_parameter_jacobian[19] = 0;
+    coordinate_rate_parameter_jacobian[20] = 0;
+    coordinate_rate_parameter_jacobian[21] = 0;
+    coordinate_rate_parameter_jacobian[22] = 0;
+    coordinate_rate_parameter_jacobian[23] = 0;
+    residual_parameter_jacobian[0] = -z57;
+    residual_parameter_jacobian[1] = 0;
+    residual_parameter_jacobian[2] = -z73;
+    residual_parameter_jacobian[3] = -z106;
+    residual_parameter_jacobian[4] = -z136;
+    residual_parameter_jacobian[5] = -q2;
+    residual_parameter_jacobian[6] = -u2;
+    residual_parameter_jacobian[7] = -z137;
+    residual_parameter_jacobian[8] = -z146;
+    residual_parameter_jacobian[9] = 0;
+    residual_parameter_jacobian[10] = -z149;
+    residual_parameter_jacobian[11] = -z157;
+    residual_parameter_jacobian[12] = -z165;
+    residual_parameter_jacobian[13] = 0;
+    residual_parameter_jacobian[14] = 0;
+    residual_parameter_jacobian[15] = -z166;
+    residual_parameter_jacobian[16] = -z168;
+    residual_parameter_jacobian[17] = 0;
+    residual_parameter_jacobian[18] = -z170;
+    residual_parameter_jacobian[19] = -z172;
+    residual_parameter_jacobian[20] = -z177;
+    residual_parameter_jacobian[21] = 0;
+    residual_parameter_jacobian[22] = 0;
+    residual_parameter_jacobian[23] = -k23*z29;
+    residual_parameter_jacobian[24] = 0;
+    residual_parameter_jacobian[25] = 0;
+    residual_parameter_jacobian[26] = z178;
+    residual_parameter_jacobian[27] = z179;
+    residual_parameter_jacobian[28] = z181;
+    residual_parameter_jacobian[29] = 0;
+    residual_parameter_jacobian[30] = 0;
+    residual_parameter_jacobian[31] = 0;
+    residual_parameter_jacobian[32] = 0;
+    residual_parameter_jacobian[33] = 0;
+    residual_parameter_jacobian[34] = z182;
+    residual_parameter_jacobian[35] = -z183;
+    residual_parameter_jacobian[36] = -z184;
+    residual_parameter_jacobian[37] = 0;
+    residual_parameter_jacobian[38] = 0;
+    residual_parameter_jacobian[39] = 0;
+}
+
+/* The same derivatives with respect to the inputs. */
+static void input_sensitivity(double t, const double *restrict x, const double *restrict constants,
+    const double *restrict r, const double *restrict accelerations, const double *restrict multipliers,
+    double *restrict coordinate_rate_input_jacobian, double *restrict residual_input_jacobian)
+{
+    (void)t;
+    const double q1 = x[0];
+    const double q2 = x[1];
+    const double l2 = constants[2];
+    const double l3 = constants[3];
+    (void)r;
+    (void)accelerations;
+    (void)multipliers;
+    const double z0 = sin(q1);
+    const double z1 = cos(q1);
+    const double z2 = cos(q2);
+    const double z3 = sin(q2);
+    const double z4 = z0*z2 + z1*z3;
+    const double z5 = l3*z4;
+    const double z6 = l2*z0 + z5;
+    coordinate_rate_input_jacobian[0] = 0;
+    coordinate_rate_input_jacobian[1] = 0;
+    coordinate_rate_input_jacobian[2] = 0;
+    residual_input_jacobian[0] = -z6;
+    residual_input_jacobian[1] = -z5;
+    residual_input_jacobian[2] = 0;
+    residual_input_jacobian[3] = 0;
+    residual_input_jacobian[4] = 0;
+}
+
+/* d/dq of the velocity constraints J u + b. */
+static void velocity_sensitivity(double t, const double *restrict x, const double *restrict constants,
+    const double *restrict r, double *restrict velocity_jacobian)
+{
+    (void)t;
+    const double q1 = x[0];
+    const double q2 = x[1];
+    const double q3 = x[2];
+    const double u1 = x[3];
+    const double u2 = x[4];
+    const double u3 = x[5];
+    const double l2 = constants[2];
+    const double l3 = constants[3];
+    const double l4 = constants[4];
+    (void)r;
+    const double z0 = l2*u1;
+    const double z1 = u1 + u2;
+    const double z2 = l3*z1;
+    const double z3 = cos(q1);
+    const double z4 = sin(q1);
+    const double z5 = cos(q2);
+    const double z6 = sin(q2);
+    const double z7 = z3*z5 - z4*z6;
+    const double z8 = z2*z7;
+    const double z9 = u3 + z1;
+    const double z10 = l4*z9;
+    const double z11 = z3*z6 + z4*z5;
+    const double z12 = cos(q3);
+    const double z13 = sin(q3);
+    const double z14 = z7*z12 - z11*z13;
+    const double z15 = z10*z14;
+    const double z16 = z8 + z15;
+    const double z17 = z0*z3 + z16;
+    const double z18 = z2*z11;
+    const double z19 = z7*z13 + z11*z12;
+    const double z20 = z10*z19;
+    const double z21 = z18 + z20;
+    const double z22 = z0*z4 + z21;
+    velocity_jacobian[0] = -z17;
+    velocity_jacobian[1] = -z16;
+    velocity_jacobian[2] = -z15;
+    velocity_jacobian[3] = -z22;
+    velocity_jacobian[4] = -z21;
+    velocity_jacobian[5] = -z20;
 }
 
 #define FB_KERNEL four_bar_kernel

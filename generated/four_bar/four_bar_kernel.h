@@ -4,6 +4,7 @@
  *   x, state: q1, q2, q3, u1, u2, u3
  *   p, parameters: rho, l1, l2, l3, l4, k, c, g
  *   r, inputs: F
+ *   outputs: none
  *
  * fourbar_kernel.h says how to call it.
  */

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from fourbar_codegen.build import get_include
     from fourbar_codegen.compile import build_model, compile_model, generate_sources
     from fourbar_codegen.compiled import CompiledModel, load
-    from fourbar_codegen.model import Model, Parameter
+    from fourbar_codegen.model import Model, Parameter, joint_force, multiplier
     from fourbar_codegen.trajectory import Trajectory
 
 __all__ = [
@@ -40,8 +40,10 @@ __all__ = [
     "compile_model",
     "generate_sources",
     "get_include",
+    "joint_force",
     "load",
     "models",
+    "multiplier",
     "solvers",
 ]
 
@@ -54,7 +56,9 @@ _HOME = {
     "compile_model": "compile",
     "generate_sources": "compile",
     "get_include": "build",
+    "joint_force": "model",
     "load": "compiled",
+    "multiplier": "model",
 }
 
 

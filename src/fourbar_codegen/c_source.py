@@ -93,7 +93,7 @@ def kernel_text(program: Program, names: Mapping[str, Sequence[str]]) -> str:
     ----------
     program : Program
     names : mapping of str to sequence of str
-        What the model calls its `coordinates`, `speeds`, `parameters` and `inputs`.
+        What the model calls its `coordinates`, `speeds`, `parameters`, `inputs` and `outputs`.
 
     Returns
     -------
@@ -125,6 +125,7 @@ enum {{
     N_R = {sizes.n_r},
     N_H = {sizes.n_h},
     N_C = {sizes.n_c},
+    N_O = {sizes.n_o},
     N_CONSTANTS = {sizes.n_constants}
 }};
 
@@ -161,10 +162,11 @@ def _layout_comment(names: Mapping[str, Sequence[str]]) -> str:
         ("x", "state", (*names["coordinates"], *names["speeds"])),
         ("p", "parameters", names["parameters"]),
         ("r", "inputs", names["inputs"]),
+        ("outputs", "", names["outputs"]),
     )
     lines = []
     for letter, word, entries in rows:
-        text = f"{letter}, {word}: " + (", ".join(map(_comment, entries)) or "none")
+        text = f"{letter}{word and ', '}{word}: " + (", ".join(map(_comment, entries)) or "none")
         lines += textwrap.wrap(text, 96, initial_indent=" *   ", subsequent_indent=" *     ", break_on_hyphens=False)
     return "\n".join([" * Arguments", *lines])
 

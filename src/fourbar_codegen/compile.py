@@ -52,6 +52,7 @@ def generate_sources(model: Model) -> dict[str, str]:
         "speeds": model.speeds,
         "parameters": tuple(symbol.name.partition(":")[2] for symbol in equations.parameters),
         "inputs": model.inputs,
+        "outputs": model.outputs,
     }
     manifest = manifest_of(model, program, names)
     return {
@@ -74,8 +75,10 @@ def key_of(model: Model) -> str:
         model.parameters,
         model.named_parameters,
         model.input_expressions,
+        model.derived_parameters,
         model.initial,
         model.potential_energy,
+        model.output_expressions,
     )
     return fingerprint((described, toolchain()))
 

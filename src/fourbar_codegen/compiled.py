@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.arguments import Values, is_mapping, named_array, named_values
+from fourbar_codegen.arguments import Values, is_mapping, name_of, named_array, named_values
 from fourbar_codegen.errors import ModelError, SimulationError
 from fourbar_codegen.runtime.evaluator import Evaluator, Ode
 
@@ -79,7 +79,7 @@ class CompiledModel(Evaluator):
         Generalized coordinates and speeds, the independent ones first.
     states : tuple of str
         Both.
-    parameters, inputs : tuple of str
+    parameters, inputs, outputs : tuple of str
     defaults : dict of str to float or None
         Parameter values; None where every call has to give one.
     units, descriptions : dict of str to str
@@ -90,8 +90,8 @@ class CompiledModel(Evaluator):
         All that is known of the model, as in the manifest.json beside the generated sources.
     n_q, n_u, n_x, n_p, n_r : int
         Numbers of coordinates, speeds, states, parameters and inputs.
-    n_h, n_c : int
-        Numbers of position constraints and of velocity constraints.
+    n_h, n_c, n_o : int
+        Numbers of position constraints, of velocity constraints, and of outputs.
 
     Examples
     --------
@@ -111,6 +111,7 @@ class CompiledModel(Evaluator):
         self.states = (*self.coordinates, *self.speeds)
         self.parameters: tuple[str, ...] = tuple(entry["name"] for entry in manifest["parameters"])
         self.inputs: tuple[str, ...] = tuple(entry["name"] for entry in manifest["inputs"])
+        self.outputs: tuple[str, ...] = tuple(manifest["outputs"])
         self.defaults: Mapping[str, float | None] = MappingProxyType(
             {e["name"]: e["default"] for e in manifest["parameters"]}
         )
@@ -177,6 +178,9 @@ class CompiledModel(Evaluator):
         if not is_mapping(r):
             return r
         known = {name: None if math.isnan(value) else value for name, value in zip(self.inputs, defaults, strict=True)}
+        # An input that prescribes a motion and is given without its rates is at rest.
+        given = {name_of(key) for key in r}
+        known.update({e["name"]: 0.0 for e in self.manifest["inputs"] if e["order"] and e["of"] in given})
         return named_values(r, self.inputs, known, "input")
 
     def missing(self) -> str:
@@ -285,15 +289,15 @@ class CompiledModel(Evaluator):
             ) from error
         return np.vstack((np.eye(n_i), dependent))
 
-    def position_constraints(self, t: float, q: ArrayLike, p: Values | None = None) -> Floats:
+    def position_constraints(self, t: float, q: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
         """Residuals of the holonomic constraints, shape (n_h,), in the constraints' units.
 
         Parameters
         ----------
         t : float
         q : array_like, shape (n_q,)
-        p : array_like or mapping, optional
-            As for `rhs`.
+        p, r : array_like or mapping, optional
+            As for `rhs`; the inputs count where they prescribe a motion.
 
         Examples
         --------
@@ -301,15 +305,15 @@ class CompiledModel(Evaluator):
         >>> fb.load("four_bar").position_constraints(0.0, [0.0, 0.0, 0.0]).tolist()
         [3.0, 0.0]
         """
-        return self.position(t, q, p)[0]
+        return self.position(t, q, p, r)[0]
 
-    def velocity_constraints(self, t: float, x: ArrayLike, p: Values | None = None) -> Floats:
+    def velocity_constraints(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
         """Residuals J u + b of the velocity constraints, shape (n_c,), holonomic ones first.
 
         Parameters
         ----------
-        t, x, p
-            As for `rhs`.
+        t, x, p, r
+            As for `rhs`; the inputs count where they prescribe a motion.
 
         Examples
         --------
@@ -318,19 +322,19 @@ class CompiledModel(Evaluator):
         >>> bool(abs(four_bar.velocity_constraints(0.0, four_bar.initial_state())).max() < 1e-14)
         True
         """
-        jacobian, bias = self.velocity(t, x, p)
+        jacobian, bias = self.velocity(t, x, p, r)
         residual: Floats = jacobian @ np.asarray(x, dtype=float)[self.n_q :] + bias
         return residual
 
-    def constraint_jacobian(self, t: float, q: ArrayLike, p: Values | None = None) -> Floats:
+    def constraint_jacobian(self, t: float, q: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
         """J of the velocity constraints J u + b = 0, shape (n_c, n_u).
 
         Parameters
         ----------
         t : float
         q : array_like, shape (n_q,)
-        p : array_like or mapping, optional
-            As for `rhs`.
+        p, r : array_like or mapping, optional
+            As for `rhs`; the inputs count where they prescribe a motion.
 
         Examples
         --------
@@ -339,7 +343,7 @@ class CompiledModel(Evaluator):
         [[0.0, 0.0, 0.0], [2.2, 1.7, 0.7]]
         """
         coordinates = named_array(q, self.coordinates, {}, "coordinate")
-        return self.velocity(t, np.concatenate((coordinates, np.zeros(self.n_u))), p)[0]
+        return self.velocity(t, np.concatenate((coordinates, np.zeros(self.n_u))), p, r)[0]
 
     def multipliers(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
         """Multipliers lambda of M u' = f + J^T lambda, shape (n_c,).
@@ -366,13 +370,35 @@ class CompiledModel(Evaluator):
         """
         return self.accelerations(t, x, p, r)[1]
 
-    def kinetic_energy(self, t: float, x: ArrayLike, p: Values | None = None) -> float:
+    def output(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
+        """The outputs, shape (n_o,), in the order of ``outputs``.
+
+        Parameters
+        ----------
+        t, x, p, r
+            As for `rhs`.
+
+        Raises
+        ------
+        SimulationError
+            In a singular position.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> four_bar = fb.load("four_bar")
+        >>> four_bar.outputs, four_bar.output(0.0, four_bar.initial_state()).shape
+        ((), (0,))
+        """
+        return self.held(t, x, *self.accelerations(t, x, p, r), p, r)[0]
+
+    def kinetic_energy(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> float:
         """Kinetic energy, J.
 
         Parameters
         ----------
-        t, x, p
-            As for `rhs`.
+        t, x, p, r
+            As for `rhs`; the inputs count where they prescribe a motion.
 
         Examples
         --------
@@ -380,15 +406,15 @@ class CompiledModel(Evaluator):
         >>> fb.load("four_bar").kinetic_energy(0.0, [0.1, 0.2, 0.3, 0.0, 0.0, 0.0])
         0.0
         """
-        return float(self.energy(t, x, p)[0])
+        return float(self.energy(t, x, p, r)[0])
 
-    def potential_energy(self, t: float, x: ArrayLike, p: Values | None = None) -> float:
+    def potential_energy(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> float:
         """Potential energy, J: as given with the Model, or of the forces that are constant, such as gravity.
 
         Parameters
         ----------
-        t, x, p
-            As for `rhs`.
+        t, x, p, r
+            As for `rhs`; the inputs count where they prescribe a motion.
 
         Raises
         ------
@@ -406,7 +432,7 @@ class CompiledModel(Evaluator):
                 f"The potential energy of {self.name} is not known: a constant force acts on a point whose position "
                 "from the System's fixed point is not defined. Give potential_energy= to the Model."
             )
-        return float(self.energy(t, x, p)[1])
+        return float(self.energy(t, x, p, r)[1])
 
     # Initial states and simulation.
 
@@ -418,6 +444,7 @@ class CompiledModel(Evaluator):
         t: float = 0.0,
         guess: Values | None = None,
         parameters: Values | None = None,
+        inputs: Mapping[Any, InputSource] | None = None,
     ) -> Floats:
         """A state that satisfies all constraints, from the independent coordinates and speeds.
 
@@ -435,6 +462,8 @@ class CompiledModel(Evaluator):
             decides which of several ways to close the loop is found.
         parameters : array_like or mapping, optional
             The defaults otherwise.
+        inputs : mapping, optional
+            As for `simulate`; those count that prescribe a motion.
 
         Returns
         -------
@@ -456,7 +485,7 @@ class CompiledModel(Evaluator):
         """
         from fourbar_codegen.initial import initial_state
 
-        return initial_state(self, coordinates, speeds, t=t, guess=guess, parameters=parameters)
+        return initial_state(self, coordinates, speeds, t=t, guess=guess, parameters=parameters, inputs=inputs)
 
     def ode(self, parameters: Values | None = None, inputs: Mapping[Any, InputSource] | None = None) -> Ode:
         """The right-hand side as a callable f(t, x), for `scipy.integrate.solve_ivp` and its like.
@@ -520,7 +549,8 @@ class CompiledModel(Evaluator):
             The defaults otherwise.
         inputs : mapping of input to source, optional
             For each input a number, a table ``(times, values)`` to interpolate linearly (held constant
-            beyond its ends), or a callable of (t, x); its expression otherwise.
+            beyond its ends), or a callable of (t, x); its expression otherwise. Where an input prescribes a
+            motion, a cubic spline is laid through a table, for its rates, and a callable is refused.
         t_eval : array_like, optional
             Times at which to store the state.
         rtol, atol : float, optional

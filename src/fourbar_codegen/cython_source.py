@@ -13,7 +13,7 @@ from fourbar_codegen.program import Program
 
 __all__ = ["manifest_of", "manifest_text", "wrapper_text"]
 
-MANIFEST_FORMAT = 1
+MANIFEST_FORMAT = 2
 
 
 def manifest_of(model: Model, program: Program, names: Mapping[str, Sequence[str]]) -> dict[str, Any]:
@@ -24,7 +24,7 @@ def manifest_of(model: Model, program: Program, names: Mapping[str, Sequence[str
     model : Model
     program : Program
     names : mapping of str to sequence of str
-        The model's `coordinates`, `speeds`, `parameters` and `inputs`, as compiled.
+        The model's `coordinates`, `speeds`, `parameters`, `inputs` and `outputs`, as compiled.
 
     Returns
     -------
@@ -43,10 +43,17 @@ def manifest_of(model: Model, program: Program, names: Mapping[str, Sequence[str
             {"name": name, "default": p.value, "unit": p.unit, "description": p.description}
             for name, p in ((name, model.parameters[name]) for name in names["parameters"])
         ],
+        "derived_parameters": {symbol.name: str(expr) for symbol, expr in model.derived_parameters.items()},
         "inputs": [
-            {"name": name, "expression": None if expression is None else str(expression)}
-            for name, expression in zip(names["inputs"], model.input_expressions.values(), strict=True)
+            {
+                "name": entry.name,
+                "expression": None if entry.expression is None else str(entry.expression),
+                "of": entry.of,
+                "order": entry.order,
+            }
+            for entry in model.input_entries
         ],
+        "outputs": list(names["outputs"]),
         "initial": model.initial,
         "has_potential_energy": energies[1] is not sm.nan,
         "operations": {function.name: function.operations for function in program.functions},

@@ -16,13 +16,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import sympy as sm
 
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.kane import Kane
 from fourbar_codegen.kinematics import solve_kinematics
-from fourbar_codegen.model import Model
+from fourbar_codegen.linear import TooManyCoupledError, UndeterminedError, solve_linear
+from fourbar_codegen.model import Model, multiplier
 from fourbar_codegen.program import Result
 from fourbar_codegen.tape import Direction, Tape
 
@@ -46,6 +48,8 @@ class Equations:
         Leaves that stand for the constraints' multipliers there.
     default_inputs : Result
         The inputs' expressions, (n_r,); NaN where there is none.
+    outputs : Result
+        The outputs, (n_o,), for u' and multipliers in `accelerations` and `multipliers`.
     coordinate_rates : Result
         q', (n_q,).
     mass_matrix, forcing : Result
@@ -56,10 +60,13 @@ class Equations:
         J, (n_c, n_u); b and gamma, (n_c,). Rows of holonomic constraints first, if they are derived.
     energies : Result
         Kinetic and potential energy, (2,); the latter NaN if a position that it needs is not defined.
-    coordinate_rate_jacobian : Result
-        dq'/dx, (n_q, n_x).
-    residual_jacobian : Result
-        d/dx of (f - M u' + J^T lambda, -(J u' + gamma)) at fixed u' and lambda, (n_u + n_c, n_x).
+    velocity_jacobian : Result
+        d(J u + b)/dq, (n_c, n_q).
+    coordinate_rate_jacobian, coordinate_rate_parameter_jacobian, coordinate_rate_input_jacobian : Result
+        Derivatives of q' with respect to x, p and r, (n_q, n_x), (n_q, n_p) and (n_q, n_r).
+    residual_jacobian, residual_parameter_jacobian, residual_input_jacobian : Result
+        Derivatives of (f - M u' + J^T lambda, -(J u' + gamma)) at fixed u' and lambda, (n_u + n_c, n_x),
+        (n_u + n_c, n_p) and (n_u + n_c, n_r).
     """
 
     tape: Tape
@@ -71,6 +78,7 @@ class Equations:
     accelerations: tuple[sm.Symbol, ...]
     multipliers: tuple[sm.Symbol, ...]
     default_inputs: Result
+    outputs: Result
     coordinate_rates: Result
     mass_matrix: Result
     forcing: Result
@@ -80,8 +88,13 @@ class Equations:
     velocity_bias: Result
     acceleration_bias: Result
     energies: Result
+    velocity_jacobian: Result
     coordinate_rate_jacobian: Result
+    coordinate_rate_parameter_jacobian: Result
+    coordinate_rate_input_jacobian: Result
     residual_jacobian: Result
+    residual_parameter_jacobian: Result
+    residual_input_jacobian: Result
 
 
 def form_equations(model: Model) -> Equations:
@@ -99,7 +112,7 @@ def form_equations(model: Model) -> Equations:
     ------
     ModelError
         If the kinematic equations do not determine q', or are not linear in q' and u, or a velocity
-        constraint is not linear in u.
+        constraint is not linear in u, or unknown forces do not follow from the auxiliary speeds' equations.
 
     Examples
     --------
@@ -114,29 +127,46 @@ def form_equations(model: Model) -> Equations:
     u = tuple(sm.Symbol(f"u:{name}", real=True) for name in model.speeds)
     p = tuple(sm.Symbol(f"p:{name}", real=True) for name in model.parameters)
     r = tuple(sm.Symbol(f"r:{name}", real=True) for name in model.inputs)
-    n_u = len(u)
+    speeds = mechanism.speeds
+    aux = tuple(sm.Symbol(f"w:{number}", real=True) for number in range(len(mechanism.auxiliary_speeds)))
+    n_q, n_u = len(q), len(u)
 
     leaves: dict[sm.Basic, sm.Expr] = {mechanism.time: time}
     leaves.update(zip(mechanism.coordinates, q, strict=True))
-    leaves.update(zip(mechanism.speeds, u, strict=True))
+    leaves.update(zip(speeds, u, strict=True))
+    leaves.update(dict.fromkeys(mechanism.auxiliary_speeds, sm.S.Zero))
     leaves.update(zip(model.parameter_symbols, p, strict=True))
-    leaves.update(zip(model.input_expressions, r, strict=True))
+    for symbol, expr in model.derived_parameters.items():
+        leaves[symbol] = tape.convert(expr, leaves)
+    r_of = {entry.function: symbol for entry, symbol in zip(model.input_entries, r, strict=True)}
+    leaves.update(r_of)
     q_rates = solve_kinematics(tape, mechanism, leaves, u)
     leaves.update(zip((c.diff(mechanism.time) for c in mechanism.coordinates), q_rates, strict=True))
+    unknown = tuple(sm.Symbol(f"n:{number}", real=True) for number in range(len(model.noncontributing)))
+    leaves.update(zip(model.noncontributing, unknown, strict=True))
 
-    along_q = [Direction(tape, {symbol: sm.S.One}) for symbol in q]
-    along_u = [Direction(tape, {symbol: sm.S.One}) for symbol in u]
-    # The rate of a function of (q, u, t) while u is held.
-    rate = Direction(tape, {time: sm.S.One, **dict(zip(q, q_rates, strict=True))})
+    along = {symbol: Direction(tape, {symbol: sm.S.One}) for symbol in (*q, *u, *aux, *unknown)}
+    along_u = [along[symbol] for symbol in u]
+    # The rate of a function of (q, u, r, t) while u is held: of the inputs, those whose rates are inputs too.
+    r_rates = {symbol: r_of[f.diff(mechanism.time)] for f, symbol in r_of.items() if f.diff(mechanism.time) in r_of}
+    rate = Direction(tape, {time: sm.S.One, **dict(zip(q, q_rates, strict=True)), **r_rates})
 
-    kane = Kane(tape, mechanism, leaves, along_u, rate)
+    auxiliary = dict(zip(mechanism.auxiliary_speeds, aux, strict=True))
+    kane = Kane(tape, mechanism, leaves, auxiliary, [along[symbol] for symbol in (*u, *aux)], rate)
     kane.use_poisson_rates()
     mass_matrix, forcing = kane.mass_matrix_and_forcing()
+    # The unknown forces, which auxiliary speeds bring out, act through these columns.
+    columns = [[along[symbol](entry) for entry in forcing] for symbol in unknown]
+    forcing = [_substitute(tape, entry, dict.fromkeys(unknown, sm.S.Zero)) for entry in forcing]
+    if tape.depends([*chain(*mass_matrix, *columns), *forcing], {*aux, *unknown}):
+        raise ModelError("Velocities must be linear in the auxiliary speeds, and loads in the unknown forces.")
 
     positions = tuple(tape.convert(expr, leaves) for expr in mechanism.holonomic_constraints)
     velocities = tuple(tape.convert(expr, leaves) for expr in mechanism.velocity_constraints)
+    with_auxiliary = tuple(tape.convert(expr, {**leaves, **auxiliary}) for expr in mechanism.velocity_constraints)
     if mechanism.velocity_constraints_derived:
         velocities = tuple(rate(expr) for expr in positions) + velocities
+        with_auxiliary = (sm.S.Zero,) * len(positions) + with_auxiliary
     jacobian = tuple(tuple(d(expr) for d in along_u) for expr in velocities)
     for number, row in enumerate(jacobian, start=1):
         if tape.depends(row, u):
@@ -148,58 +178,118 @@ def form_equations(model: Model) -> Equations:
 
     a = tuple(sm.Symbol(f"a:{name}", real=True) for name in model.speeds)
     lam = tuple(sm.Symbol(f"l:{number}", real=True) for number in range(n_c))
-    dynamic = tuple(
-        tape.define(
-            forcing[i]
-            - sum(tape.define(mass_matrix[i][j] * a[j]) for j in range(n_u))
-            + sum(tape.define(jacobian[k][i] * lam[k]) for k in range(n_c))
+
+    def balance(row: int, constraint_row: Sequence[sm.Expr]) -> sm.Expr:
+        """One row of f - M u' + J^T lambda."""
+        return tape.define(
+            forcing[row]
+            - sum(tape.define(mass_matrix[row][j] * a[j]) for j in range(n_u))
+            + sum(tape.define(constraint_row[k] * lam[k]) for k in range(n_c))
         )
-        for i in range(n_u)
-    )
+
+    dynamic = tuple(balance(i, [row[i] for row in jacobian]) for i in range(n_u))
     kinematic = tuple(
         tape.define(-acceleration_bias[k] - sum(tape.define(jacobian[k][j] * a[j]) for j in range(n_u)))
         for k in range(n_c)
     )
 
-    inputs = [sm.S.NaN if e is None else tape.convert(e, leaves) for e in model.input_expressions.values()]
+    auxiliary_jacobian = [[along[symbol](expr) for symbol in aux] for expr in with_auxiliary]
+    generalized = [-balance(n_u + i, [row[i] for row in auxiliary_jacobian]) for i in range(len(aux))]
+    if unknown:
+        n_i = n_u - mechanism.n_dependent_speeds
+        forces = _noncontributing(tape, columns, jacobian, auxiliary_jacobian, generalized, n_i)
+        if forces is None:
+            names = ", ".join(str(f.func) for f in model.noncontributing)
+            raise ModelError(
+                f"The unknown forces {names} do not follow from the auxiliary speeds "
+                f"{', '.join(str(w.func) for w in mechanism.auxiliary_speeds)}: they do work in the motion itself, "
+                "or at no auxiliary speed. Forces that are known are named in inputs=."
+            )
+    else:
+        forces = tuple(tape.define(entry) for entry in generalized)
+    leaves.update(zip(model.noncontributing, forces, strict=False))
+    leaves.update(zip((speed.diff(mechanism.time) for speed in speeds), a, strict=True))
+    leaves.update({multiplier(number): symbol for number, symbol in enumerate(lam, start=1)})
+    outputs = (*forces, *(tape.convert(expr, leaves) for expr in model.output_expressions.values()))
+
+    defaults = [sm.S.NaN if e.expression is None else tape.convert(e.expression, leaves) for e in model.input_entries]
     results = {
-        "default_inputs": _vector("inputs", inputs),
+        "default_inputs": _vector("inputs", defaults),
+        "outputs": _vector("outputs", outputs),
         "coordinate_rates": _vector("coordinate_rates", q_rates),
-        "mass_matrix": _matrix("mass_matrix", mass_matrix, n_u),
-        "forcing": _vector("forcing", forcing),
+        "mass_matrix": _matrix("mass_matrix", mass_matrix[:n_u], n_u),
+        "forcing": _vector("forcing", forcing[:n_u]),
         "position_constraints": _vector("position_constraints", positions),
-        "position_jacobian": _matrix("position_jacobian", [[d(e) for d in along_q] for e in positions], len(q)),
+        "position_jacobian": _matrix("position_jacobian", [[along[s](e) for s in q] for e in positions], n_q),
         "constraint_jacobian": _matrix("constraint_jacobian", jacobian, n_u),
         "velocity_bias": _vector("velocity_bias", velocity_bias),
         "acceleration_bias": _vector("acceleration_bias", acceleration_bias),
         "energies": _vector(
             "energies", [kane.kinetic_energy(), kane.potential_energy(model.potential_energy, {time, *q, *u, *r})]
         ),
-        "coordinate_rate_jacobian": _matrix(
-            "coordinate_rate_jacobian", [[d(e) for d in (*along_q, *along_u)] for e in q_rates], len(q) + n_u
-        ),
-        "residual_jacobian": _matrix(
-            "residual_jacobian",
-            [[d(e) for d in (*along_q, *along_u)] for e in (*dynamic, *kinematic)],
-            len(q) + n_u,
-        ),
+        "velocity_jacobian": _matrix("velocity_jacobian", [[along[s](e) for s in q] for e in velocities], n_q),
     }
     entries = [entry for result in results.values() for entry in result.entries]
+    needed = tuple(
+        leaf
+        for symbol, leaf in zip(model.parameter_symbols, p, strict=True)
+        if symbol in model.named_parameters or tape.depends(entries, {leaf})
+    )
+    for kind, variables in (("", (*q, *u)), ("_parameter", needed), ("_input", r)):
+        directions = [along.get(s) or Direction(tape, {s: sm.S.One}) for s in variables]
+        for name, rows in (("coordinate_rate", q_rates), ("residual", (*dynamic, *kinematic))):
+            result = f"{name}{kind}_jacobian"
+            results[result] = _matrix(result, [[d(e) for d in directions] for e in rows], len(variables))
     return Equations(
         tape=tape,
         time=time,
         coordinates=q,
         speeds=u,
-        parameters=tuple(
-            leaf
-            for symbol, leaf in zip(model.parameter_symbols, p, strict=True)
-            if symbol in model.named_parameters or tape.depends(entries, {leaf})
-        ),
+        parameters=needed,
         inputs=r,
         accelerations=a,
         multipliers=lam,
         **results,
     )
+
+
+def _noncontributing(
+    tape: Tape,
+    columns: Sequence[Sequence[sm.Expr]],
+    jacobian: Sequence[Sequence[sm.Expr]],
+    auxiliary_jacobian: Sequence[Sequence[sm.Expr]],
+    generalized: Sequence[sm.Expr],
+    n_i: int,
+) -> tuple[sm.Expr, ...] | None:
+    """The unknown forces F that keep the auxiliary speeds zero; None if they are not determined.
+
+    They act as B F on the speeds and as B_a F on the auxiliary ones. Forces that do no work in the motion are
+    reactions, B = J^T C, so that lambda, found without them, includes C F. What is left in the rows of the
+    auxiliary speeds is (B_a - J_a^T C) F = Q, with Q = M_a u' - f_a - J_a^T lambda.
+
+    Source: Kane and Levinson 1985, section 4.9, with constraints as multipliers.
+    """
+    n_u, n_c = len(columns[0]) - len(generalized), len(jacobian)
+    differences: list[sm.Expr] = []
+    matrix: list[list[sm.Expr]] = [[] for _ in generalized]
+    try:
+        for column in columns:
+            reaction: tuple[sm.Expr, ...] = (sm.S.Zero,) * n_c
+            if any(column[:n_u]):
+                of_dependent = [[jacobian[k][i] for k in range(n_c)] for i in range(n_i, n_u)]
+                reaction = solve_linear(tape, of_dependent, [-entry for entry in column[n_i:n_u]])
+            for i, entry in enumerate(column):
+                row = [line[i] for line in jacobian] if i < n_u else [line[i - n_u] for line in auxiliary_jacobian]
+                rest = tape.define(entry - sum(tape.define(j * c) for j, c in zip(row, reaction, strict=True)))
+                if i < n_i:
+                    differences.append(rest)
+                elif i >= n_u:
+                    matrix[i - n_u].append(rest)
+        if not all(tape.vanish(differences)):
+            return None
+        return solve_linear(tape, matrix, [-entry for entry in generalized])
+    except (UndeterminedError, TooManyCoupledError):
+        return None
 
 
 def _vector(name: str, entries: Sequence[sm.Expr]) -> Result:

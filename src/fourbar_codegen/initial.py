@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -9,11 +10,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.arguments import Values, named_array
 from fourbar_codegen.errors import AssemblyError
+from fourbar_codegen.runtime.evaluator import Ode
+from fourbar_codegen.simulate import input_sources
 
 if TYPE_CHECKING:
     from fourbar_codegen.compiled import CompiledModel
+    from fourbar_codegen.simulate import InputSource
 
-__all__ = ["initial_state"]
+__all__ = ["initial_state", "inputs_at"]
 
 Floats = NDArray[np.float64]
 
@@ -33,6 +37,7 @@ def initial_state(
     t: float,
     guess: Values | None,
     parameters: Values | None,
+    inputs: Mapping[Any, InputSource] | None,
 ) -> Floats:
     """A state that satisfies all constraints; see `CompiledModel.initial_state`."""
     n_qi = model.n_q - model.manifest["n_dependent_coordinates"]
@@ -43,11 +48,25 @@ def initial_state(
     u_i = named_array(speeds, model.speeds[:n_ui], initial, "independent speed")
     dependent = model.coordinates[n_qi:]
     start = named_array(guess, dependent, {**dict.fromkeys(dependent, 0.0), **initial}, "dependent coordinate")
-    q = _close(model, t, q_i, start, p) if model.n_h else np.concatenate((q_i, start))
-    return np.concatenate((q, _dependent_speeds(model, t, q, u_i, p)))
+    r = inputs_at(model, t, p, inputs)
+    q = _close(model, t, q_i, start, p, r) if model.n_h else np.concatenate((q_i, start))
+    return np.concatenate((q, _dependent_speeds(model, t, q, u_i, p, r)))
 
 
-def _close(model: CompiledModel, t: float, q_i: Floats, start: Floats, p: ArrayLike | None) -> Floats:
+def inputs_at(
+    model: CompiledModel, t: float, p: Floats | None, inputs: Mapping[Any, InputSource] | None
+) -> Floats | None:
+    """The inputs for what depends on configuration and motion alone: those that prescribe it count.
+
+    A callable may ask for the state, which is not known yet; it cannot prescribe a motion, and 0 stands for it.
+    """
+    if inputs is None:
+        return None  # the expressions
+    sources = [0.0 if callable(source) else source for source in input_sources(model, inputs)]
+    return np.nan_to_num(Ode(model, p, sources).input_values(t, np.zeros(model.n_x)))
+
+
+def _close(model: CompiledModel, t: float, q_i: Floats, start: Floats, p: ArrayLike | None, r: Floats | None) -> Floats:
     """Coordinates that satisfy the position constraints, by fsolve."""
     from scipy.optimize import fsolve
 
@@ -57,15 +76,15 @@ def _close(model: CompiledModel, t: float, q_i: Floats, start: Floats, p: ArrayL
         return np.concatenate((q_i, dependent))
 
     def residual(dependent: Floats) -> Floats:
-        return model.position(t, assemble(dependent), p)[0]
+        return model.position(t, assemble(dependent), p, r)[0]
 
     def jacobian(dependent: Floats) -> Floats:
-        return model.position(t, assemble(dependent), p)[1][:, n_i:]
+        return model.position(t, assemble(dependent), p, r)[1][:, n_i:]
 
     def search(begin: Floats) -> tuple[Floats, Floats, bool]:
         # fsolve's own verdict compares steps; what counts here is the residual, in units of the coordinates.
         found = fsolve(residual, begin, fprime=jacobian, xtol=1e-13, full_output=True)[0]
-        error, slopes = model.position(t, assemble(found), p)
+        error, slopes = model.position(t, assemble(found), p, r)
         return found, error, bool(np.abs(error).max() <= COORDINATE_TOLERANCE * np.abs(slopes).max())
 
     found, error, closed = search(start)
@@ -90,10 +109,12 @@ def _close(model: CompiledModel, t: float, q_i: Floats, start: Floats, p: ArrayL
     raise AssemblyError(message, error)
 
 
-def _dependent_speeds(model: CompiledModel, t: float, q: Floats, u_i: Floats, p: ArrayLike | None) -> Floats:
+def _dependent_speeds(
+    model: CompiledModel, t: float, q: Floats, u_i: Floats, p: ArrayLike | None, r: Floats | None
+) -> Floats:
     """All speeds: the dependent ones solve J_d u_d = -(J_i u_i + b)."""
     n_i = len(u_i)
-    jacobian, bias = model.velocity(t, np.concatenate((q, np.zeros(model.n_u))), p)
+    jacobian, bias = model.velocity(t, np.concatenate((q, np.zeros(model.n_u))), p, r)
     if not model.n_c:
         return u_i
     sizes = np.linalg.svd(jacobian[:, n_i:], compute_uv=False)

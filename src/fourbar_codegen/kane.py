@@ -30,8 +30,10 @@ class Kane:
     mechanism : Mechanism
     leaves : mapping of Basic to Expr
         What stands on the tape for the System's symbols, coordinates' rates included.
+    auxiliary : mapping of Basic to Symbol
+        What stands there for the auxiliary speeds, where they are not zero: in partial velocities.
     along_u : sequence of Direction
-        Differentiation with respect to each generalized speed.
+        Differentiation with respect to each generalized speed, then each auxiliary one.
     rate : Direction
         Differentiation with respect to time while the speeds are held.
     """
@@ -41,12 +43,15 @@ class Kane:
         tape: Tape,
         mechanism: Mechanism,
         leaves: Mapping[sm.Basic, sm.Expr],
+        auxiliary: Mapping[sm.Basic, sm.Symbol],
         along_u: Sequence[Direction],
         rate: Direction,
     ) -> None:
         self.tape = tape
         self.mechanism = mechanism
         self.leaves = leaves
+        self.leaves_of_partials = {**leaves, **auxiliary}
+        self.n_u = len(along_u) - len(auxiliary)
         self.along_u = along_u
         self.rate = rate
         self._rotations: dict[tuple[int, int], Rotation] = {}
@@ -91,23 +96,26 @@ class Kane:
                         self.rate.give(entry, derivative)
 
     def mass_matrix_and_forcing(self) -> tuple[list[list[sm.Expr]], list[sm.Expr]]:
-        """M, shape (n_u, n_u), and f, shape (n_u,), of M u' = f.
+        """M, shape (n_u + n_aux, n_u), and f, shape (n_u + n_aux,), of M u' = f + Q.
 
-        Source: Kane and Levinson 1985, sections 4.11 (generalized inertia forces) and 4.4 (active forces).
+        The rows of the auxiliary speeds, which are zero and stay so, stand last; Q is what keeps them zero.
+
+        Source: Kane and Levinson 1985, sections 4.11 (generalized inertia forces), 4.4 (active forces) and 4.9
+        (bringing noncontributing forces into evidence).
         """
-        n_u = len(self.along_u)
-        mass_terms: list[list[list[sm.Expr]]] = [[[] for _ in range(n_u)] for _ in range(n_u)]
-        force_terms: list[list[sm.Expr]] = [[] for _ in range(n_u)]
+        mass_terms: list[list[list[sm.Expr]]] = [[[] for _ in range(self.n_u)] for _ in self.along_u]
+        force_terms: list[list[sm.Expr]] = [[] for _ in self.along_u]
         for body in self.mechanism.bodies:
             self._add_translation(body, mass_terms, force_terms)
             if body.inertia is not None:
                 self._add_rotation(body, mass_terms, force_terms)
         for load in self.mechanism.loads:
             vector = self._convert(load.vector)
-            for r, partial in enumerate(self._partials(self._convert(load.velocity))):
+            for r, partial in enumerate(self._partials(load.velocity)):
                 force_terms[r].append(self._dot(vector, partial))
         mass_matrix = [
-            [self.tape.define(sm.Add(*mass_terms[min(r, s)][max(r, s)])) for s in range(n_u)] for r in range(n_u)
+            [self.tape.define(sm.Add(*mass_terms[max(r, s)][min(r, s)])) for s in range(self.n_u)]
+            for r in range(len(self.along_u))
         ]
         return mass_matrix, [self.tape.define(sm.Add(*terms)) for terms in force_terms]
 
@@ -118,13 +126,13 @@ class Kane:
         mass_rate = self.rate(mass)
         velocity = self._convert(body.velocity)
         acceleration = self._differentiate(velocity)
-        partials = self._partials(velocity)
+        partials = self._partials(body.velocity)
         for r, partial in enumerate(partials):
             force_terms[r].append(-self.tape.define(mass * self._dot(partial, acceleration)))
             if not mass_rate.is_zero:
                 force_terms[r].append(-self.tape.define(mass_rate * self._dot(partial, velocity)))
-            for s in range(r, len(partials)):
-                mass_terms[r][s].append(self.tape.define(mass * self._dot(partial, partials[s])))
+            for s, other in enumerate(partials[: min(r + 1, self.n_u)]):
+                mass_terms[r][s].append(self.tape.define(mass * self._dot(other, partial)))
 
     def _add_rotation(
         self, body: Body, mass_terms: list[list[list[sm.Expr]]], force_terms: list[list[sm.Expr]]
@@ -133,12 +141,13 @@ class Kane:
         angular_velocity = self._angular_velocity(body.frame)
         angular_momentum = self._multiply(inertia, self._express(angular_velocity, frame))
         momentum_rate = self._differentiate(((frame, angular_momentum),))
-        partials = [((frame, self._express(partial, frame)),) for partial in self._partials(angular_velocity)]
+        of_speeds = self._partials(self._stored_angular_velocity(body.frame))
+        partials = [((frame, self._express(partial, frame)),) for partial in of_speeds]
+        momenta = [((frame, self._multiply(inertia, partial[0][1])),) for partial in partials[: self.n_u]]
         for r, partial in enumerate(partials):
             force_terms[r].append(-self._dot(partial, momentum_rate))
-            momentum = ((frame, self._multiply(inertia, partial[0][1])),)
-            for s in range(r, len(partials)):
-                mass_terms[r][s].append(self._dot(momentum, partials[s]))
+            for s, momentum in enumerate(momenta[: r + 1]):
+                mass_terms[r][s].append(self._dot(momentum, partial))
 
     def kinetic_energy(self) -> sm.Expr:
         """The sum of m v.v / 2 + w.I.w / 2 over the bodies."""
@@ -179,18 +188,22 @@ class Kane:
 
     # Vectors on the tape.
 
-    def _convert(self, vector: Vector) -> Vector:
+    def _convert(self, vector: Vector, leaves: Mapping[sm.Basic, sm.Expr] | None = None) -> Vector:
+        leaves = self.leaves if leaves is None else leaves
         return tuple(
-            (frame, _three([self.tape.convert(e, self.leaves) for e in components])) for frame, components in vector
+            (frame, _three([self.tape.convert(e, leaves) for e in components])) for frame, components in vector
         )
 
     def _angular_velocity(self, frame: int | None) -> Vector:
+        return self._convert(self._stored_angular_velocity(frame))
+
+    def _stored_angular_velocity(self, frame: int | None) -> Vector:
         assert frame is not None
         vector = self.mechanism.frames[frame].angular_velocity
         if vector is None:
             name = self.mechanism.frames[frame].name
             raise ModelError(f"The angular velocity of frame {name} is not defined: call {name}.set_ang_vel.")
-        return self._convert(vector)
+        return vector
 
     def _inertia(self, body: Body) -> tuple[int, Rotation]:
         """The frame in whose axes the central inertia is given, and its matrix there."""
@@ -236,7 +249,8 @@ class Kane:
         return total
 
     def _partials(self, velocity: Vector) -> list[Vector]:
-        """Derivatives of a velocity with respect to the speeds."""
+        """Derivatives of a velocity, as it is stored, with respect to all speeds."""
+        velocity = self._convert(velocity, self.leaves_of_partials)
         partials = []
         for d in self.along_u:
             parts = [(frame, _three([d(entry) for entry in components])) for frame, components in velocity]

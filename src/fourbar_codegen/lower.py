@@ -34,8 +34,7 @@ def lower(name: str, equations: Equations) -> Program:
     Returns
     -------
     Program
-        With functions `prepare`, `default_inputs`, `dynamics`, `position`, `velocity`, `energy` and
-        `sensitivity`.
+        With functions `prepare`, `default_inputs`, `dynamics`, and the others below.
 
     Examples
     --------
@@ -49,7 +48,7 @@ def lower(name: str, equations: Equations) -> Program:
     state = Array("x", (*e.coordinates, *e.speeds))
     coordinates = Array("q", e.coordinates)
     inputs = Array("r", e.inputs)
-    held = (Array("accelerations", e.accelerations), Array("multipliers", e.multipliers))
+    held = (inputs, Array("accelerations", e.accelerations), Array("multipliers", e.multipliers))
     # name, summary, arguments before and after the constants, results
     specifications: list[tuple[str, str, list[Array], list[Array], list[Result]]] = [
         ("default_inputs", "Inputs r from their expressions; NaN without one.", [time], [], [e.default_inputs]),
@@ -64,23 +63,45 @@ def lower(name: str, equations: Equations) -> Program:
             "position",
             "Holonomic constraints Phi(q, t) and dPhi/dq.",
             [time, coordinates],
-            [],
+            [inputs],
             [e.position_constraints, e.position_jacobian],
         ),
         (
             "velocity",
             "J and b of the velocity constraints J u + b = 0.",
             [time, state],
-            [],
+            [inputs],
             [e.constraint_jacobian, e.velocity_bias],
         ),
-        ("energy", "Kinetic and potential energy.", [time, state], [], [e.energies]),
+        ("energy", "Kinetic and potential energy.", [time, state], [inputs], [e.energies]),
+        ("output", "The outputs, with u' and lambda given.", [time, state], [*held], [e.outputs]),
         (
             "sensitivity",
             "d/dx of q', and of f - M u' + J^T lambda and -(J u' + gamma) with u' and lambda held.",
             [time, state],
-            [inputs, *held],
+            [*held],
             [e.coordinate_rate_jacobian, e.residual_jacobian],
+        ),
+        (
+            "parameter_sensitivity",
+            "The same derivatives with respect to the parameters.",
+            [time, state],
+            [*held],
+            [e.coordinate_rate_parameter_jacobian, e.residual_parameter_jacobian],
+        ),
+        (
+            "input_sensitivity",
+            "The same derivatives with respect to the inputs.",
+            [time, state],
+            [*held],
+            [e.coordinate_rate_input_jacobian, e.residual_input_jacobian],
+        ),
+        (
+            "velocity_sensitivity",
+            "d/dq of the velocity constraints J u + b.",
+            [time, state],
+            [inputs],
+            [e.velocity_jacobian],
         ),
     ]
     pool = _Constants(e.tape, e.parameters)
@@ -97,6 +118,7 @@ def lower(name: str, equations: Equations) -> Program:
         n_r=len(e.inputs),
         n_h=len(e.position_constraints.entries),
         n_c=len(e.velocity_bias.entries),
+        n_o=len(e.outputs.entries),
         n_constants=len(constants.symbols),
     )
     return Program(name, sizes, (prepare, *functions))

@@ -107,6 +107,8 @@ class Mechanism:
     coordinates, speeds : tuple of Expr
         Generalized coordinates and speeds; the independent ones first.
     n_dependent_coordinates, n_dependent_speeds : int
+    auxiliary_speeds : tuple of Expr
+        Speeds that are zero, and stand in velocities for the sake of the forces that keep them so.
     kinematic_equations, holonomic_constraints, velocity_constraints : tuple of Expr
         Each to be zero. The velocity constraints follow from the holonomic constraints, in their order, if
         `velocity_constraints_derived`; then the nonholonomic ones stand behind them.
@@ -117,6 +119,7 @@ class Mechanism:
     speeds: tuple[sm.Expr, ...]
     n_dependent_coordinates: int
     n_dependent_speeds: int
+    auxiliary_speeds: tuple[sm.Expr, ...]
     frames: tuple[Frame, ...]
     bodies: tuple[Body, ...]
     loads: tuple[Load, ...]
@@ -175,13 +178,13 @@ def walk(expressions: Iterable[sm.Basic]) -> Iterator[sm.Basic]:
             stack.extend(node.args)
 
 
-def read_mechanism(system: System) -> Mechanism:
-    """Read a System.
+def read_mechanism(system: System | me.KanesMethod) -> Mechanism:
+    """Read a System or a KanesMethod.
 
     Parameters
     ----------
-    system : sympy.physics.mechanics.System
-        As for its ``form_eoms``.
+    system : System or KanesMethod
+        A System as for its ``form_eoms``; a KanesMethod with its bodies and loads.
 
     Returns
     -------
@@ -193,49 +196,118 @@ def read_mechanism(system: System) -> Mechanism:
         If the numbers of coordinates, speeds, kinematic equations and constraints do not fit together, or
         a velocity or orientation that the equations need is not defined.
     """
-    if not isinstance(system, System):
-        raise ModelError(f"A Model needs a sympy.physics.mechanics System, not a {type(system).__name__}.")
-    _check_counts(system)
-    reader = _Reader(system)
-    bodies = tuple(reader.body(body) for body in system.bodies)
-    loads = list(system.loads)
-    for actuator in system.actuators:
-        loads.extend(actuator.to_loads())
-    read_loads = tuple(reader.load(load) for load in loads)
-    derived = system._vel_constrs is None  # what the System's own getter asks
-    velocity_constraints = system.nonholonomic_constraints if derived else system.velocity_constraints
+    if isinstance(system, System):
+        description = _of_system(system)
+    elif isinstance(system, me.KanesMethod):
+        description = _of_kanes_method(system)
+    else:
+        raise ModelError(
+            f"A Model needs a System or a KanesMethod of sympy.physics.mechanics, not a {type(system).__name__}."
+        )
+    _check_counts(description)
+    reader = _Reader(description.frame, description.fixed_point)
+    bodies = tuple(reader.body(body) for body in description.bodies)
+    loads = tuple(reader.load(load) for load in description.loads)
     return Mechanism(
         time=me.dynamicsymbols._t,
-        coordinates=tuple(system.q),
-        speeds=tuple(system.u),
-        n_dependent_coordinates=len(system.q_dep),
-        n_dependent_speeds=len(system.u_dep),
+        coordinates=(*description.q_ind, *description.q_dep),
+        speeds=(*description.u_ind, *description.u_dep),
+        n_dependent_coordinates=len(description.q_dep),
+        n_dependent_speeds=len(description.u_dep),
+        auxiliary_speeds=tuple(description.u_aux),
         frames=reader.frames(),
         bodies=bodies,
-        loads=read_loads,
-        kinematic_equations=tuple(system.kdes),
-        holonomic_constraints=tuple(system.holonomic_constraints),
-        velocity_constraints=tuple(velocity_constraints),
-        velocity_constraints_derived=derived,
+        loads=loads,
+        kinematic_equations=tuple(description.kdes),
+        holonomic_constraints=tuple(description.holonomic_constraints),
+        velocity_constraints=tuple(description.velocity_constraints),
+        velocity_constraints_derived=description.derived,
     )
 
 
-def _check_counts(system: System) -> None:
+@dataclass(frozen=True)
+class _Description:
+    """What a System and a KanesMethod have in common; named as in a System."""
+
+    frame: me.ReferenceFrame
+    fixed_point: me.Point | None
+    bodies: Sequence[Any]
+    loads: Sequence[Any]
+    q_ind: Sequence[sm.Expr]
+    q_dep: Sequence[sm.Expr]
+    u_ind: Sequence[sm.Expr]
+    u_dep: Sequence[sm.Expr]
+    u_aux: Sequence[sm.Expr]
+    kdes: Sequence[sm.Expr]
+    holonomic_constraints: Sequence[sm.Expr]
+    velocity_constraints: Sequence[sm.Expr]
+    derived: bool  # whether the rates of the holonomic constraints are to stand before the velocity constraints
+
+
+def _of_system(system: System) -> _Description:
+    derived = system._vel_constrs is None  # what the System's own getter asks
+    return _Description(
+        frame=system.frame,
+        fixed_point=system.fixed_point,
+        bodies=system.bodies,
+        loads=_loads((*system.loads, *system.actuators)),
+        q_ind=system.q_ind[:],
+        q_dep=system.q_dep[:],
+        u_ind=system.u_ind[:],
+        u_dep=system.u_dep[:],
+        u_aux=system.u_aux[:],
+        kdes=system.kdes[:],
+        holonomic_constraints=system.holonomic_constraints[:],
+        velocity_constraints=(system.nonholonomic_constraints if derived else system.velocity_constraints)[:],
+        derived=derived,
+    )
+
+
+def _loads(items: Iterable[Any]) -> list[Any]:
+    """Loads as they are, and those that actuators stand for."""
+    return [load for item in items for load in (item.to_loads() if isinstance(item, me.ActuatorBase) else [item])]
+
+
+def _of_kanes_method(kane: me.KanesMethod) -> _Description:
+    """KanesMethod keeps kinematics and velocity constraints as matrices, and offers no public way to them."""
+    t = me.dynamicsymbols._t
+    q, u = sm.Matrix(kane.q), sm.Matrix(kane.u)
+    n_qi, n_ui = len(q) - len(kane._qdep), len(u) - len(kane._udep)
+    kdes = (
+        kane._k_kqdot_implicit * q.diff(t) + kane._k_ku_implicit * u + kane._f_k_implicit
+        if len(kane._k_kqdot_implicit)
+        else sm.Matrix()
+    )
+    return _Description(
+        frame=kane._inertial,
+        fixed_point=None,
+        bodies=kane.bodylist or (),
+        loads=_loads(kane.forcelist or ()),
+        q_ind=q[:n_qi],
+        q_dep=q[n_qi:],
+        u_ind=u[:n_ui],
+        u_dep=u[n_ui:],
+        u_aux=kane._uaux[:],
+        kdes=kdes[:],
+        holonomic_constraints=kane._f_h[:],
+        velocity_constraints=(kane._k_nh * u + kane._f_nh)[:] if kane._udep else (),
+        derived=False,
+    )
+
+
+def _check_counts(system: _Description) -> None:
     """Accept what KanesMethod accepts: as many dependent variables as constraints."""
     problems = []
-    n_velocity = (
-        len(system.holonomic_constraints) + len(system.nonholonomic_constraints)
-        if system._vel_constrs is None
-        else len(system.velocity_constraints)
-    )
-    if not len(system.u):
+    n_velocity = len(system.velocity_constraints) + (len(system.holonomic_constraints) if system.derived else 0)
+    if not system.u_ind and not system.u_dep:
         problems.append("it has no generalized speeds: add joints, or call add_speeds")
     if not system.bodies:
-        problems.append("it has no bodies: call add_bodies, or add joints")
-    if len(system.kdes) != len(system.q):
+        problems.append("it has no bodies: call add_bodies, or add joints; a KanesMethod takes them as bodies=")
+    n_q = len(system.q_ind) + len(system.q_dep)
+    if len(system.kdes) != n_q:
         problems.append(
-            f"it has {len(system.q)} generalized coordinates {_names(system.q)} but {len(system.kdes)} kinematic "
-            "differential equations: give one for each coordinate with add_kdes"
+            f"it has {n_q} generalized coordinates {_names((*system.q_ind, *system.q_dep))} but {len(system.kdes)} "
+            "kinematic differential equations: give one for each coordinate with add_kdes"
         )
     if len(system.q_dep) != len(system.holonomic_constraints):
         problems.append(
@@ -247,8 +319,6 @@ def _check_counts(system: System) -> None:
             f"it has {n_velocity} velocity constraints (holonomic and nonholonomic) but {len(system.u_dep)} "
             f"dependent speeds {_names(system.u_dep)}: set u_ind and u_dep, one dependent speed for each constraint"
         )
-    if len(system.u_aux):
-        problems.append(f"it has auxiliary speeds {_names(system.u_aux)}, which are not supported: leave them out")
     if problems:
         raise ModelError("The System cannot be compiled: " + "; ".join(problems) + ".")
 
@@ -260,11 +330,11 @@ def _names(functions: Iterable[Any]) -> str:
 class _Reader:
     """Numbers the frames that vectors refer to, while it reads the vectors."""
 
-    def __init__(self, system: System) -> None:
-        self.inertial = system.frame
-        self.fixed_point = system.fixed_point
-        self.parents = _orientation_tree(system.frame)
-        self.numbers: dict[me.ReferenceFrame, int] = {system.frame: 0}
+    def __init__(self, inertial: me.ReferenceFrame, fixed_point: me.Point | None) -> None:
+        self.inertial = inertial
+        self.fixed_point = fixed_point
+        self.parents = _orientation_tree(inertial)
+        self.numbers: dict[me.ReferenceFrame, int] = {inertial: 0}
 
     def number(self, frame: me.ReferenceFrame, used_by: str) -> int:
         if frame not in self.parents:
@@ -303,6 +373,8 @@ class _Reader:
         return self.vector(angular_velocity, used_by)
 
     def position(self, point: me.Point, used_by: str) -> Vector | None:
+        if self.fixed_point is None:
+            return None
         try:
             return self.vector(point.pos_from(self.fixed_point), used_by)
         except ValueError:

@@ -4,22 +4,24 @@ from __future__ import annotations
 
 import keyword
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import sympy as sm
 from sympy.core.function import AppliedUndef
 
-from fourbar_codegen.arguments import finite_number, is_mapping
+from fourbar_codegen.arguments import finite_number, is_mapping, name_of
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.mechanism import Mechanism, read_mechanism, walk
 
 if TYPE_CHECKING:
+    from sympy.physics.mechanics import KanesMethod, ReferenceFrame, Vector
     from sympy.physics.mechanics.system import System
 
-__all__ = ["Model", "Parameter"]
+__all__ = ["InputEntry", "Model", "Parameter", "joint_force", "multiplier"]
 
 IMPORTED = frozenset({"cpython", "cython", "libc", "numpy", "fb", "fourbar"})
 """What the generated module imports and includes itself."""
@@ -34,8 +36,9 @@ class Parameter:
 
     Attributes
     ----------
-    value : float or None
-        Its default; None if every run has to give it.
+    value : float, Expr or None
+        Its default; None if every run has to give it. A parameter whose value is an expression of others
+        always follows from them, and is none of the compiled model's parameters.
     unit : str
         As it is to be shown, for instance ``"kg m^2"``.
     description : str
@@ -46,13 +49,95 @@ class Parameter:
     9.81
     """
 
-    value: float | None = None
+    value: float | sm.Expr | None = None
     unit: str = ""
     description: str = ""
 
     def __post_init__(self) -> None:
-        if self.value is not None:
+        if self.value is not None and not getattr(self.value, "free_symbols", None):
             object.__setattr__(self, "value", finite_number(self.value, "a parameter"))
+
+
+@dataclass(frozen=True)
+class InputEntry:
+    """An entry of the array of inputs r.
+
+    Attributes
+    ----------
+    name : str
+        The input's name, with a prime for each time derivative.
+    function : Expr
+        The function of time, or its derivative.
+    expression : Expr or None
+        Its default.
+    of : str
+        The input's name.
+    order : int
+        How often it is differentiated: 0, or 1 and 2 for an input that prescribes a motion.
+    """
+
+    name: str
+    function: sm.Expr
+    expression: sm.Expr | None
+    of: str
+    order: int
+
+
+def multiplier(number: int) -> sm.Expr:
+    """What stands for a constraint's multiplier in the expression of an output.
+
+    Parameters
+    ----------
+    number : int
+        The constraint's, from 1: in the order of `CompiledModel.multipliers`, holonomic ones first.
+
+    Returns
+    -------
+    Expr
+
+    Examples
+    --------
+    >>> multiplier(2)
+    multiplier(2)
+    """
+    return sm.Function("multiplier", real=True)(sm.Integer(number))
+
+
+def joint_force(name: str, directions: Mapping[int, Vector], frame: ReferenceFrame) -> dict[str, sm.Expr]:
+    """The force in a joint that constraints close, as outputs of a Model.
+
+    Where constraint k keeps the component along e_k of the position (or velocity) of a point B relative to a
+    point A at zero, its multiplier is the force along e_k on the body of B; the body of A gets the opposite.
+    That holds as long as no velocity had the constraint substituted into it.
+
+    Parameters
+    ----------
+    name : str
+        The joint's.
+    directions : mapping of int to Vector
+        For each of the joint's constraints, its number (see `multiplier`) and the direction e_k that the
+        relative position is dotted with.
+    frame : ReferenceFrame
+        In whose axes the force is wanted.
+
+    Returns
+    -------
+    dict of str to Expr
+        Outputs ``{name}_x``, ``{name}_y`` and ``{name}_z``; in the constraints' units, newton for metres.
+
+    Source: Kane and Levinson 1985, section 4.9; Featherstone, *Rigid Body Dynamics Algorithms*, 2008, section 8.
+
+    Examples
+    --------
+    >>> from sympy.physics.mechanics import ReferenceFrame
+    >>> N = ReferenceFrame("N")
+    >>> joint_force("pin", {1: N.x, 2: N.y}, N)
+    {'pin_x': multiplier(1), 'pin_y': multiplier(2), 'pin_z': 0}
+    """
+    return {
+        f"{name}_{letter}": sm.Add(*(multiplier(k) * direction.dot(axis) for k, direction in directions.items()))
+        for letter, axis in zip("xyz", frame, strict=True)
+    }
 
 
 class Model:
@@ -60,23 +145,33 @@ class Model:
 
     Parameters
     ----------
-    system : sympy.physics.mechanics.System
-        As its ``form_eoms`` takes it. It is read once, here: later changes to it do not reach the Model.
-        Accelerations follow from the velocities; those set with ``Point.set_acc`` are not read.
+    system : sympy.physics.mechanics.System or KanesMethod
+        A System as its ``form_eoms`` takes it, or a KanesMethod with its bodies and loads. It is read once,
+        here: later changes to it do not reach the Model. Accelerations follow from the velocities; those set
+        with ``Point.set_acc`` are not read.
     name : str, optional
         A Python identifier; names the compiled module.
-    parameters : mapping of Symbol to float or Parameter, optional
-        Default values. Symbols of the System that are not named here follow in alphabetical order, without
-        a default, as far as the equations need them (a body's automatic inertia symbols often drop out).
+    parameters : mapping of Symbol to float, Expr or Parameter, optional
+        Default values, or expressions of other parameters. Symbols of the System that are not named here
+        follow in alphabetical order, without a default, as far as the equations need them (a
+        body's automatic inertia symbols often drop out).
     inputs : mapping of function of time to Expr, float or None, optional
-        Every function of time in the loads that is neither coordinate nor speed, with its default: an
-        expression of time and parameters, a number, or None if every run has to give it.
+        Every function of time that is neither coordinate nor speed, with its default: an expression of time
+        and parameters, a number, or None if every run has to give it. Where it prescribes a motion (stands in
+        an orientation, a position, a velocity, a constraint, or differentiated), its first and second rate
+        become inputs behind it, named with primes, with the derivatives of the expression as defaults.
     initial : mapping of coordinate or speed to float, optional
         Default initial values of the independent coordinates and speeds, and guesses of the dependent
         coordinates.
     potential_energy : Expr, optional
         In terms of coordinates, parameters and time. By default the sum of the bodies' ``potential_energy``
         and the potentials of all forces that are constant in the System's frame, such as gravity.
+    outputs : mapping of str to Expr, optional
+        What else is of interest, by name: expressions of time, coordinates, speeds, both differentiated once,
+        inputs, parameters, and multipliers (see `multiplier`, `joint_force`). With auxiliary speeds, outputs
+        come first that say what keeps them zero: the functions of time in the loads that are not named
+        otherwise, as many as there are auxiliary speeds; or the generalized noncontributing forces, under the
+        names of the auxiliary speeds, where the loads have none.
 
     Raises
     ------
@@ -99,13 +194,14 @@ class Model:
 
     def __init__(
         self,
-        system: System,
+        system: System | KanesMethod,
         *,
         name: str = "model",
-        parameters: Mapping[sm.Symbol, float | Parameter] | None = None,
+        parameters: Mapping[sm.Symbol, float | sm.Expr | Parameter] | None = None,
         inputs: Mapping[sm.Expr, sm.Expr | float | None] | None = None,
         initial: Mapping[sm.Expr, float] | None = None,
         potential_energy: sm.Expr | None = None,
+        outputs: Mapping[str, sm.Expr] | None = None,
     ) -> None:
         if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
             raise ModelError(f"A model's name is letters, digits and underscores, a letter first; not {name!r}.")
@@ -116,9 +212,14 @@ class Model:
         self.mechanism: Mechanism = read_mechanism(system)
         self.input_expressions = self._read_inputs(_mapping(inputs, "inputs"))
         self.potential_energy = None if potential_energy is None else _expression(potential_energy, "potential_energy")
+        self.output_expressions = {
+            name_of(key): _expression(e, f"output {name_of(key)}") for key, e in _mapping(outputs, "outputs").items()
+        }
+        self.noncontributing: tuple[sm.Expr, ...] = self._find_noncontributing()
+        self.input_entries = self._list_inputs()
         parameters = _mapping(parameters, "parameters")
         self.named_parameters = tuple(parameters)
-        self.parameter_symbols = self._collect_parameters(parameters)
+        self.parameter_symbols, self.derived_parameters = self._collect_parameters(parameters)
         self._check_names()
         self._check_inputs()
         self._check_holonomic_constraints()
@@ -136,8 +237,13 @@ class Model:
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Names of the inputs."""
-        return tuple(_name(r) for r in self.input_expressions)
+        """Names of the inputs, and of the rates of those that prescribe a motion."""
+        return tuple(entry.name for entry in self.input_entries)
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the outputs, those of the auxiliary speeds first."""
+        return (*map(_name, self.noncontributing or self.mechanism.auxiliary_speeds), *self.output_expressions)
 
     @cached_property
     def parameters(self) -> dict[str, Parameter]:
@@ -156,49 +262,106 @@ class Model:
                 raise ModelError(f"inputs= has functions of {self.mechanism.time} as keys, not {function!r}.")
         return {f: None if e is None else _expression(e, f"the input {f}") for f, e in inputs.items()}
 
-    def _collect_parameters(self, given: Mapping[sm.Symbol, float | Parameter]) -> dict[sm.Symbol, Parameter]:
-        """The given symbols in their order, then the others by name; nothing that the model does not use."""
-        mechanism = self.mechanism
-        known = {*mechanism.coordinates, *mechanism.speeds, *self.input_expressions}
-        rates = {q.diff(mechanism.time) for q in mechanism.coordinates}
-        found: set[sm.Symbol] = set()
-        labelled = [*mechanism.labelled_loads(), *mechanism.labelled_structure()]
-        labelled.append(("the potential energy", () if self.potential_energy is None else (self.potential_energy,)))
-        for name, expression in zip(self.inputs, self.input_expressions.values(), strict=True):
+    def _labelled(self) -> Iterator[tuple[str, Iterable[sm.Expr]]]:
+        """All expressions of the model, with words that say where they stand."""
+        yield from self.mechanism.labelled_loads()
+        yield from self.mechanism.labelled_structure()
+        if self.potential_energy is not None:
+            yield "the potential energy", (self.potential_energy,)
+        for function, expression in self.input_expressions.items():
             if expression is not None:
-                labelled.append((f"the expression of input {name}", (expression,)))
+                yield f"the expression of input {_name(function)}", (expression,)
+        for name, expression in self.output_expressions.items():
+            yield f"output {name}", (expression,)
+
+    def _find_noncontributing(self) -> tuple[sm.Expr, ...]:
+        """Functions of time in the loads that nobody named: the unknown forces that auxiliary speeds bring out."""
+        mechanism = self.mechanism
+        if not mechanism.auxiliary_speeds:
+            return ()
+        known = {*mechanism.coordinates, *mechanism.speeds, *mechanism.auxiliary_speeds, *self.input_expressions}
+        loads = chain.from_iterable(expressions for _, expressions in mechanism.labelled_loads())
+        found = [node for node in walk(loads) if isinstance(node, AppliedUndef) and node not in known]
+        if found and len(found) != len(mechanism.auxiliary_speeds):
+            raise ModelError(
+                f"The loads have {len(found)} functions of time that are neither coordinates nor speeds nor named in "
+                f"inputs= ({', '.join(sorted(map(_name, found)))}), for {len(mechanism.auxiliary_speeds)} auxiliary "
+                "speeds: there must be as many unknown forces, or none."
+            )
+        return tuple(sorted(found, key=_name))
+
+    def _list_inputs(self) -> tuple[InputEntry, ...]:
+        """The inputs, and behind each that prescribes a motion its first and second rate."""
+        t = self.mechanism.time
+        structure = walk(chain.from_iterable(expressions for _, expressions in self.mechanism.labelled_structure()))
+        prescribed = {node for node in structure if isinstance(node, AppliedUndef)}
+        everywhere = walk(chain.from_iterable(expressions for _, expressions in self._labelled()))
+        prescribed |= {node.expr for node in everywhere if isinstance(node, sm.Derivative)}
+        entries = []
+        for function, expression in self.input_expressions.items():
+            for order in range(3 if function in prescribed else 1):
+                default = expression if order == 0 or expression is None else expression.diff((t, order))
+                derivative = function if order == 0 else function.diff((t, order))
+                entries.append(InputEntry(_name(function) + order * "'", derivative, default, _name(function), order))
+        return tuple(entries)
+
+    def _collect_parameters(
+        self, given: Mapping[sm.Symbol, float | sm.Expr | Parameter]
+    ) -> tuple[dict[sm.Symbol, Parameter], dict[sm.Symbol, sm.Expr]]:
+        """The given symbols in their order, then the others by name; and those that are expressions of others."""
+        mechanism, t = self.mechanism, self.mechanism.time
+        entries = {entry.function for entry in self.input_entries}
+        known = {
+            *mechanism.coordinates,
+            *mechanism.speeds,
+            *mechanism.auxiliary_speeds,
+            *entries,
+            *self.noncontributing,
+        }
+        rates = {q.diff(t) for q in mechanism.coordinates} | entries
+        n_c = len(mechanism.velocity_constraints)
+        n_c += len(mechanism.holonomic_constraints) if mechanism.velocity_constraints_derived else 0
+        of_outputs = {multiplier(number) for number in range(1, n_c + 1)} | {u.diff(t) for u in mechanism.speeds}
+        values = {s: v.value if isinstance(v, Parameter) else v for s, v in given.items()}
+        derived = {s: sm.sympify(v) for s, v in values.items() if getattr(v, "free_symbols", None)}
+        found: set[sm.Symbol] = set()
+        labelled = [*self._labelled(), *((f"the expression of parameter {s}", (e,)) for s, e in derived.items())]
         for label, expressions in labelled:
+            extra = of_outputs if label.startswith("output ") else set()
             for node in walk(expressions):
                 if isinstance(node, sm.Symbol):
                     found.add(node)
-                elif isinstance(node, AppliedUndef) and node not in known:
+                elif isinstance(node, AppliedUndef) and node not in known | extra:
                     raise ModelError(
                         f"{node} in {label} is neither a coordinate {self.coordinates} nor a speed {self.speeds} nor "
                         f"an input {self.inputs}: add it to the System's coordinates or speeds, or name it in inputs=."
                     )
-                elif isinstance(node, sm.Derivative) and node not in rates:
+                elif isinstance(node, sm.Derivative) and node not in rates | extra:
                     raise ModelError(
                         f"{node} in {label} cannot be compiled: of all derivatives, only the first ones of the "
-                        f"coordinates {self.coordinates} may appear."
+                        f"coordinates {self.coordinates}, the first and second ones of inputs, and in outputs the "
+                        "first ones of the speeds may appear."
                     )
-        found.discard(mechanism.time)
+        found.discard(t)
         parameters: dict[sm.Symbol, Parameter] = {}
         for symbol, value in given.items():
             if symbol not in found:
                 names = ", ".join(sorted(s.name for s in found))
                 raise ModelError(f"Parameter {symbol} does not appear in the model; its symbols are {names}.")
-            parameters[symbol] = value if isinstance(value, Parameter) else Parameter(value)
-        for symbol in sorted(found - parameters.keys(), key=lambda s: s.name):
+            if symbol not in derived:
+                parameters[symbol] = value if isinstance(value, Parameter) else Parameter(value)
+        for symbol in sorted(found - parameters.keys() - derived.keys(), key=lambda s: s.name):
             parameters[symbol] = Parameter()
-        return parameters
+        return parameters, _in_order(derived)
 
     def _check_names(self) -> None:
-        names = [*self.coordinates, *self.speeds, *self.inputs, *(s.name for s in self.parameter_symbols)]
+        names = [*self.coordinates, *self.speeds, *self.inputs, *self.outputs]
+        names += [symbol.name for symbol in (*self.parameter_symbols, *self.derived_parameters)]
         repeated = sorted({name for name in names if names.count(name) > 1})
         if repeated:
             raise ModelError(
-                f"These names stand for more than one symbol: {', '.join(repeated)}. Coordinates, speeds, inputs and "
-                "parameters are found by name, so each needs its own."
+                f"These names stand for more than one symbol: {', '.join(repeated)}. Coordinates, speeds, inputs, "
+                "outputs and parameters are found by name, so each needs its own."
             )
         columns = sorted(name for name in names if COLUMNS.fullmatch(name))
         if columns:
@@ -207,25 +370,24 @@ class Model:
             raise ModelError(f"{self.mechanism.time.name} is the name of time; give the other symbol another name.")
 
     def _check_inputs(self) -> None:
-        """Inputs stand in loads alone, and their expressions know only time and parameters."""
-        inputs = set(self.input_expressions)
-        allowed = {self.mechanism.time, *self.parameter_symbols}
-        for name, expression in zip(self.inputs, self.input_expressions.values(), strict=True):
+        """Their expressions know only time and parameters; in the structure, they are differentiated once at most."""
+        allowed = {self.mechanism.time, *self.parameter_symbols, *self.derived_parameters}
+        for function, expression in self.input_expressions.items():
             if expression is None:
                 continue
             functions = any(isinstance(node, AppliedUndef | sm.Derivative) for node in walk([expression]))
             if functions or not expression.free_symbols <= allowed:
                 raise ModelError(
-                    f"The expression of input {name} may contain time and parameters only, not {expression}. State "
-                    "feedback goes into the loads, or in at run time as a callable of (t, x)."
+                    f"The expression of input {_name(function)} may contain time and parameters only, not "
+                    f"{expression}. State feedback goes into the loads, or in at run time as a callable of (t, x)."
                 )
-        potential = [] if self.potential_energy is None else [("the potential energy", (self.potential_energy,))]
-        for label, expressions in (*self.mechanism.labelled_structure(), *potential):
+        accelerations = {entry.function for entry in self.input_entries if entry.order == 2}
+        for label, expressions in self.mechanism.labelled_structure():
             for node in walk(expressions):
-                if node in inputs:
+                if node in accelerations:
                     raise ModelError(
-                        f"Input {node} appears in {label}, where its rates would be needed. Write prescribed motion as "
-                        "an expression of time and parameters instead of an input."
+                        f"{node} in {label} cannot be compiled: velocities and constraints may contain an input and "
+                        "its first derivative, whose rates are then inputs too."
                     )
 
     def _check_holonomic_constraints(self) -> None:
@@ -246,6 +408,19 @@ class Model:
                 raise ModelError(f"{function} in initial= is none of the states {(*self.coordinates, *self.speeds)}.")
             initial[_name(function)] = finite_number(value, f"initial {_name(function)}")
         return initial
+
+
+def _in_order(derived: Mapping[sm.Symbol, sm.Expr]) -> dict[sm.Symbol, sm.Expr]:
+    """Parameters that are expressions of others, each behind those that it needs."""
+    ordered: dict[sm.Symbol, sm.Expr] = {}
+    waiting = dict(derived)
+    while waiting:
+        ready = [symbol for symbol, e in waiting.items() if not e.free_symbols & waiting.keys()]
+        if not ready:
+            raise ModelError(f"The parameters {', '.join(s.name for s in waiting)} are expressions of each other.")
+        for symbol in ready:
+            ordered[symbol] = waiting.pop(symbol)
+    return ordered
 
 
 def _mapping(given: Any, argument: str) -> Mapping[Any, Any]:

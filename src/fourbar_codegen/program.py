@@ -104,8 +104,8 @@ class Sizes:
     ----------
     n_q, n_u, n_p, n_r : int
         Coordinates, speeds, parameters, inputs.
-    n_h, n_c : int
-        Position constraints; velocity constraints.
+    n_h, n_c, n_o : int
+        Position constraints; velocity constraints; outputs.
     n_constants : int
         Parameters and what is derived from them alone.
     """
@@ -116,6 +116,7 @@ class Sizes:
     n_r: int
     n_h: int
     n_c: int
+    n_o: int
     n_constants: int
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from fourbar_codegen.trajectory import Trajectory
 if TYPE_CHECKING:
     from fourbar_codegen.compiled import CompiledModel
 
-__all__ = ["Event", "InputSource", "bind", "simulate"]
+__all__ = ["Event", "InputSource", "bind", "input_sources", "simulate"]
 
 Floats = NDArray[np.float64]
 Event = Callable[[float, Floats], float]
@@ -27,40 +27,77 @@ METHODS = ("DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA")
 
 def bind(model: CompiledModel, parameters: Values | None, inputs: Mapping[Any, InputSource] | None) -> Ode:
     """The right-hand side with parameters and inputs bound; see `CompiledModel.ode`."""
-    return Ode(model, parameters, _sources(model, {} if inputs is None else inputs))
+    sources = input_sources(model, inputs)
+    missing = [
+        entry["name"]
+        for entry, source in zip(model.manifest["inputs"], sources, strict=True)
+        if entry["expression"] is None and source is None and not entry["order"]
+    ]
+    if missing:
+        raise ModelError(f"No source for input {', '.join(missing)}: give one in inputs=, there is no expression.")
+    return Ode(model, parameters, sources)
 
 
-def _sources(model: CompiledModel, inputs: Mapping[Any, InputSource]) -> list[object]:
-    """For each input None, a float, a Table or a callable."""
+def input_sources(model: CompiledModel, inputs: Mapping[Any, InputSource] | None) -> list[object]:
+    """For each entry of the inputs r None (its expression), a float, a Table or a callable."""
+    inputs = {} if inputs is None else inputs
+    entries = model.manifest["inputs"]
+    names = [entry["name"] for entry in entries if not entry["order"]]
     if not is_mapping(inputs):
-        raise ModelError(
-            f"inputs must be a mapping from the inputs' names ({', '.join(model.inputs)}), not {inputs!r}."
-        )
-    sources: dict[str, object] = dict.fromkeys(model.inputs)
+        raise ModelError(f"inputs must be a mapping from the inputs' names ({', '.join(names)}), not {inputs!r}.")
+    orders = {name: [entry["order"] for entry in entries if entry["of"] == name] for name in names}
+    sources: dict[str, list[object]] = {name: [None] * len(orders[name]) for name in names}
     for key, source in inputs.items():
         name = name_of(key)
         if name not in sources:
-            raise ModelError(f"There is no input {name!r}; there are {', '.join(model.inputs) or 'none'}.")
+            raise ModelError(f"There is no input {name!r}; there are {', '.join(names) or 'none'}.")
+        prescribed = len(orders[name]) > 1
         if callable(source):
-            sources[name] = source
+            if prescribed:
+                raise ModelError(
+                    f"Input {name} prescribes a motion, so that its rates are needed: give a number or a table (times, "
+                    "values), through which a cubic spline is laid, not a callable."
+                )
+            sources[name] = [source]
         elif isinstance(source, tuple | list):
-            sources[name] = _table(name, source)
+            times, values = _table(name, source)
+            sources[name] = list(_spline(times, values) if prescribed else [_linear(times, values)])
         else:
-            sources[name] = finite_number(source, f"input {name}")
-    missing = [e["name"] for e in model.manifest["inputs"] if e["expression"] is None and sources[e["name"]] is None]
-    if missing:
-        raise ModelError(f"No source for input {', '.join(missing)}: give one in inputs=, there is no expression.")
-    return list(sources.values())
+            value = finite_number(source, f"input {name}")
+            sources[name] = [value if order == 0 else 0.0 for order in orders[name]]
+    return [source for name in names for source in sources[name]]
 
 
-def _table(name: str, source: Sequence[ArrayLike]) -> Table:
+def _table(name: str, source: Sequence[ArrayLike]) -> tuple[Floats, Floats]:
+    """Times and values of a table, checked."""
+    what = f"Input {name} must be a number, a table (times, values), or a callable of (t, x)."
     try:
-        times, values = source
-        return Table(times, values)
-    except ValueError as error:  # also of the wrong number of columns
+        times, values = (np.array(column, dtype=float) for column in source)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ModelError(f"{what} A table has two arrays of numbers.") from error
+    if times.shape != values.shape or times.ndim != 1 or len(times) < 2:
         raise ModelError(
-            f"Input {name} must be a number, a table (times, values), or a callable of (t, x). {error}"
-        ) from error
+            f"{what} A table has two arrays of the same length, two or more, not of the shapes {times.shape} and "
+            f"{values.shape}."
+        )
+    if not (np.isfinite(times).all() and np.isfinite(values).all() and (np.diff(times) > 0).all()):
+        raise ModelError(f"{what} A table has finite values and strictly increasing times.")
+    return times, values
+
+
+def _linear(times: Floats, values: Floats) -> Table:
+    slopes = np.diff(values) / np.diff(times)
+    return Table(times, [slopes, values[:-1]], values[0], values[-1])
+
+
+def _spline(times: Floats, values: Floats) -> Iterator[Table]:
+    """A cubic spline through the table, its first and its second derivative; at rest outside."""
+    from scipy.interpolate import CubicSpline
+
+    spline = CubicSpline(times, values)
+    for order in range(3):
+        before, after = (values[0], values[-1]) if order == 0 else (0.0, 0.0)
+        yield Table(times, spline.derivative(order).c if order else spline.c, before, after)
 
 
 def simulate(
@@ -93,7 +130,11 @@ def simulate(
     if t_eval is not None:
         t_eval = _times(t_eval, start, end)
     p = model.parameter_vector(parameters)
-    state = model.initial_state(t=start, parameters=p) if x0 is None else named_array(x0, model.states, {}, "state")
+    state = (
+        model.initial_state(t=start, parameters=p, inputs=inputs)
+        if x0 is None
+        else named_array(x0, model.states, {}, "state")
+    )
     ode = bind(model, p, inputs)
     _check_start(model, ode, start, state, p)
     options: dict[str, Any] = {"rtol": _tolerance(rtol, "rtol"), "atol": _tolerance(atol, "atol", model.n_x)}
@@ -110,12 +151,17 @@ def simulate(
     message = result.message
     if not result.success:
         message = f"The integration stopped at t = {ode.time:.9g}: {ode.failure or message}"
+    # Where no time was stored, SciPy gives lists.
+    times, states = np.asarray(result.t, dtype=float), np.reshape(result.y, (model.n_x, len(result.t)))
+    r = np.empty((model.n_r, len(times)))
+    for i, t in enumerate(times):
+        r[:, i] = ode.input_values(t, states[:, i])
     return Trajectory(
         model=model,
         parameters=p,
-        # Where no time was stored, SciPy gives lists.
-        t=np.asarray(result.t, dtype=float),
-        y=np.reshape(result.y, (model.n_x, len(result.t))),
+        t=times,
+        y=states,
+        r=r,
         sol=result.sol,
         t_events=result.t_events,
         y_events=result.y_events,

@@ -36,6 +36,8 @@ class Trajectory:
         Times, s.
     y : ndarray, shape (n_x, n_t)
         States in columns: coordinates, then speeds.
+    r : ndarray, shape (n_r, n_t)
+        Inputs in columns.
     sol : callable or None
         Interpolant of the state, if ``dense_output`` was asked for.
     t_events, y_events : list of ndarray or None
@@ -63,6 +65,7 @@ class Trajectory:
     parameters: Floats | None = field(repr=False)
     t: Floats = field(repr=False)
     y: Floats = field(repr=False)
+    r: Floats = field(repr=False)
     sol: Callable[[Any], Floats] | None = field(repr=False)
     t_events: list[Floats] | None = field(repr=False)
     y_events: list[Floats] | None = field(repr=False)
@@ -84,16 +87,18 @@ class Trajectory:
         return self.y[self.model.n_q :]
 
     def __getitem__(self, name: Any) -> Floats:
-        """A coordinate or speed over time, by name or SymPy symbol, shape (n_t,)."""
-        states = self.model.states
-        if name_of(name) not in states:
-            raise ModelError(f"There is no state {name_of(name)!r}; there are {', '.join(states)}.")
-        values: Floats = self.y[states.index(name_of(name))]
-        return values
+        """A coordinate, speed, input or output over time, by name or SymPy symbol, shape (n_t,)."""
+        model = self.model
+        for names, rows in ((model.states, "y"), (model.inputs, "r"), (model.outputs, "outputs")):
+            if name_of(name) in names:
+                values: Floats = getattr(self, rows)[names.index(name_of(name))]
+                return values
+        names = (*model.states, *model.inputs, *model.outputs)
+        raise ModelError(f"There is no state, input or output {name_of(name)!r}; there are {', '.join(names)}.")
 
     @cached_property
-    def _derived(self) -> tuple[Floats, Floats]:
-        return self.model.along(self.t, self.y, self.parameters)
+    def _derived(self) -> tuple[Floats, Floats, Floats, Floats]:
+        return self.model.along(self.t, self.y, self.r, self.parameters)
 
     @property
     def constraint_residual(self) -> Floats:
@@ -117,9 +122,21 @@ class Trajectory:
         """Kinetic plus potential energy, J, shape (n_t,)."""
         return self.kinetic_energy + self.potential_energy
 
+    @property
+    def multipliers(self) -> Floats:
+        """Multipliers of the constraints, shape (n_c, n_t); NaN in singular positions."""
+        return self._derived[2]
+
+    @property
+    def outputs(self) -> Floats:
+        """Outputs, shape (n_o, n_t); NaN in singular positions."""
+        return self._derived[3]
+
     def columns(self) -> dict[str, Floats]:
-        """Everything over time by name: t, the states, the residuals and the energies, each of shape (n_t,)."""
+        """Everything over time by name, each of shape (n_t,): t, states, inputs, outputs, residuals, energies."""
         columns = {"t": self.t, **dict(zip(self.model.states, self.y, strict=True))}
+        columns.update(zip(self.model.inputs, self.r, strict=True))
+        columns.update(zip(self.model.outputs, self.outputs, strict=True))
         columns.update({f"constraint_residual_{i}": row for i, row in enumerate(self.constraint_residual, start=1)})
         columns["kinetic_energy"] = self.kinetic_energy
         columns["potential_energy"] = self.potential_energy

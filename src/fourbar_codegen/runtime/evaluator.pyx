@@ -19,22 +19,33 @@ cdef extern from "fourbar_kernel.h":
     int FB_CONSTRAINTS_DEPENDENT
     int FB_MASS_SINGULAR
     int FB_NOT_FINITE
+    ctypedef int fb_evaluation(double, const double *, const double *, const double *, double *, void *) noexcept nogil
+    ctypedef void fb_sensitivity(double, const double *, const double *, const double *, const double *,
+                                 const double *, double *, double *) noexcept nogil
     ctypedef struct fb_kernel:
         int abi_version
         size_t struct_size
         size_t work_size
-        int n_q, n_u, n_p, n_r, n_h, n_c, n_constants
+        int n_q, n_u, n_p, n_r, n_h, n_c, n_o, n_constants
         void (*prepare)(const double *, double *) noexcept nogil
         void (*default_inputs)(double, const double *, double *) noexcept nogil
-        int (*rhs)(double, const double *, const double *, const double *, double *, void *) noexcept nogil
-        int (*jacobian)(double, const double *, const double *, const double *, double *, void *) noexcept nogil
+        fb_evaluation *rhs
+        fb_evaluation *jacobian
+        fb_evaluation *parameter_jacobian
+        fb_evaluation *input_jacobian
         int (*accelerations)(double, const double *, const double *, const double *, double *, double *,
                              void *) noexcept nogil
         void (*dynamics)(double, const double *, const double *, const double *, double *, double *, double *,
                          double *, double *) noexcept nogil
-        void (*position)(double, const double *, const double *, double *, double *) noexcept nogil
-        void (*velocity)(double, const double *, const double *, double *, double *) noexcept nogil
-        void (*energy)(double, const double *, const double *, double *) noexcept nogil
+        void (*position)(double, const double *, const double *, const double *, double *, double *) noexcept nogil
+        void (*velocity)(double, const double *, const double *, const double *, double *, double *) noexcept nogil
+        void (*velocity_sensitivity)(double, const double *, const double *, const double *, double *) noexcept nogil
+        void (*energy)(double, const double *, const double *, const double *, double *) noexcept nogil
+        void (*output)(double, const double *, const double *, const double *, const double *, const double *,
+                       double *) noexcept nogil
+        fb_sensitivity *sensitivity
+        fb_sensitivity *parameter_sensitivity
+        fb_sensitivity *input_sensitivity
 
 cdef extern from "fourbar_runge_kutta.h":
     int FB_STEP_TOO_SMALL
@@ -117,13 +128,14 @@ cdef class Evaluator:
 
     cdef const fb_kernel *kernel
     cdef object capsule
-    cdef readonly int n_q, n_u, n_x, n_p, n_r, n_h, n_c
+    cdef readonly int n_q, n_u, n_x, n_p, n_r, n_h, n_c, n_o
     cdef double *default_constants
     cdef double *constants
     cdef double *inputs
     cdef void *work
     cdef bint defaults_known
     cdef bint inputs_known
+    cdef bint prescribed_known
 
     # One set of buffers serves all threads: a method first gets its arguments, which may run Python and let
     # another thread in, then fills the buffers and calls the kernel without a step of Python in between.
@@ -138,7 +150,7 @@ cdef class Evaluator:
         self.kernel = kernel
         self.capsule = capsule
         self.n_q, self.n_u, self.n_p, self.n_r = kernel.n_q, kernel.n_u, kernel.n_p, kernel.n_r
-        self.n_h, self.n_c, self.n_x = kernel.n_h, kernel.n_c, kernel.n_q + kernel.n_u
+        self.n_h, self.n_c, self.n_o, self.n_x = kernel.n_h, kernel.n_c, kernel.n_o, kernel.n_q + kernel.n_u
         self.default_constants = <double *>PyMem_Calloc(kernel.n_constants + 1, sizeof(double))
         self.constants = <double *>PyMem_Calloc(kernel.n_constants + 1, sizeof(double))
         self.inputs = <double *>PyMem_Calloc(self.n_r + 1, sizeof(double))
@@ -148,7 +160,9 @@ cdef class Evaluator:
         values = [NAN if entry["default"] is None else entry["default"] for entry in manifest["parameters"]]
         cdef cnp.ndarray defaults = _vector(values, self.n_p, "The default parameters")
         self.defaults_known = _finite(_data(defaults), self.n_p)
-        self.inputs_known = all(entry["expression"] is not None for entry in manifest["inputs"])
+        prescribed = {entry["of"] for entry in manifest["inputs"] if entry["order"]}
+        unknown = {entry["of"] for entry in manifest["inputs"] if entry["expression"] is None}
+        self.inputs_known, self.prescribed_known = not unknown, not unknown & prescribed
         kernel.prepare(_data(defaults), self.default_constants)
 
     def __dealloc__(self):
@@ -183,11 +197,11 @@ cdef class Evaluator:
             raise ModelError(f"The parameters p must be finite, not {p!r}.")
         return values
 
-    cdef cnp.ndarray _inputs(self, double t, cnp.ndarray parameters, object r):
-        """All inputs, or None for their expressions."""
+    cdef cnp.ndarray _inputs(self, double t, cnp.ndarray parameters, object r, bint known):
+        """All inputs, or None for their expressions, as far as these are known."""
         cdef cnp.ndarray values
         if r is None:
-            if not self.inputs_known:
+            if not known:
                 raise ModelError(self.missing())
             return None
         if type(r) is not np.ndarray:
@@ -256,7 +270,7 @@ cdef class Evaluator:
         [-0.1, 0.071583, -0.027469, -9.269182, 6.637037, -2.55111]
         """
         cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.inputs_known)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray result = _new(self.n_x) if out is None else self._output(out, state)
         cdef const double *constants = self._prepare(parameters)
@@ -301,12 +315,67 @@ cdef class Evaluator:
         >>> four_bar.jacobian(0.0, four_bar.initial_state([-0.5], [-0.1])).shape
         (6, 6)
         """
+        return self._differentiate(self.kernel.jacobian, self.n_x, t, x, p, r)
+
+    def parameter_jacobian(self, double t, x, p=None, r=None):
+        """The derivatives of the right-hand side with respect to the parameters.
+
+        Parameters
+        ----------
+        t, x, p, r
+            As for `rhs`.
+
+        Returns
+        -------
+        ndarray, shape (n_x, n_p)
+
+        Raises
+        ------
+        ModelError, SimulationError
+            As for `rhs`.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> four_bar = fb.load("four_bar")
+        >>> four_bar.parameter_jacobian(0.0, four_bar.initial_state([-0.5], [-0.1])).shape
+        (6, 8)
+        """
+        return self._differentiate(self.kernel.parameter_jacobian, self.n_p, t, x, p, r)
+
+    def input_jacobian(self, double t, x, p=None, r=None):
+        """The derivatives of the right-hand side with respect to the inputs.
+
+        Parameters
+        ----------
+        t, x, p, r
+            As for `rhs`.
+
+        Returns
+        -------
+        ndarray, shape (n_x, n_r)
+
+        Raises
+        ------
+        ModelError, SimulationError
+            As for `rhs`.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> four_bar = fb.load("four_bar")
+        >>> four_bar.input_jacobian(0.0, four_bar.initial_state([-0.5], [-0.1]))[:3].tolist()
+        [[0.0], [0.0], [0.0]]
+        """
+        return self._differentiate(self.kernel.input_jacobian, self.n_r, t, x, p, r)
+
+    cdef cnp.ndarray _differentiate(self, fb_evaluation *function, int columns, double t, x, p, r):
         cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.inputs_known)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
-        cdef cnp.ndarray result = _new(self.n_x, self.n_x)
+        cdef cnp.ndarray result = _new(self.n_x, columns)
         cdef const double *constants = self._prepare(parameters)
-        cdef int status = self.kernel.jacobian(
+        cdef int status = function(
             t, _data(state), constants, self._fill(t, constants, inputs), _data(result), self.work)
         if status != FB_OK:
             raise SimulationError(failure(status, t, x))
@@ -315,7 +384,7 @@ cdef class Evaluator:
     def accelerations(self, double t, x, p=None, r=None):
         """u', shape (n_u,), and the constraints' multipliers lambda, shape (n_c,)."""
         cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.inputs_known)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray accelerations = _new(self.n_u)
         cdef cnp.ndarray multipliers = _new(self.n_c)
@@ -330,7 +399,7 @@ cdef class Evaluator:
     def dynamics(self, double t, x, p=None, r=None):
         """q', M, f, J and gamma of M u' = f + J^T lambda, J u' + gamma = 0."""
         cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.inputs_known)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray rates = _new(self.n_q)
         cdef cnp.ndarray mass_matrix = _new(self.n_u, self.n_u)
@@ -342,31 +411,77 @@ cdef class Evaluator:
                              _data(mass_matrix), _data(forcing), _data(jacobian), _data(bias))
         return rates, mass_matrix, forcing, jacobian, bias
 
-    def position(self, double t, q, p=None):
+    def position(self, double t, q, p=None, r=None):
         """The position constraints, shape (n_h,), and their derivatives by q, shape (n_h, n_q)."""
         cdef cnp.ndarray parameters = self._parameters(p)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.prescribed_known)
         cdef cnp.ndarray coordinates = self._state(t, q, self.n_q)
         cdef cnp.ndarray constraints = _new(self.n_h)
         cdef cnp.ndarray jacobian = _new(self.n_h, self.n_q)
-        self.kernel.position(t, _data(coordinates), self._prepare(parameters), _data(constraints), _data(jacobian))
+        cdef const double *constants = self._prepare(parameters)
+        self.kernel.position(t, _data(coordinates), constants, self._fill(t, constants, inputs), _data(constraints),
+                             _data(jacobian))
         return constraints, jacobian
 
-    def velocity(self, double t, x, p=None):
+    def velocity(self, double t, x, p=None, r=None):
         """J, shape (n_c, n_u), and b, shape (n_c,), of the velocity constraints J u + b = 0."""
         cdef cnp.ndarray parameters = self._parameters(p)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.prescribed_known)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray jacobian = _new(self.n_c, self.n_u)
         cdef cnp.ndarray bias = _new(self.n_c)
-        self.kernel.velocity(t, _data(state), self._prepare(parameters), _data(jacobian), _data(bias))
+        cdef const double *constants = self._prepare(parameters)
+        self.kernel.velocity(t, _data(state), constants, self._fill(t, constants, inputs), _data(jacobian),
+                             _data(bias))
         return jacobian, bias
 
-    def energy(self, double t, x, p=None):
+    def velocity_sensitivity(self, double t, x, p=None, r=None):
+        """The derivatives of J u + b with respect to q, shape (n_c, n_q)."""
+        cdef cnp.ndarray parameters = self._parameters(p)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.prescribed_known)
+        cdef cnp.ndarray state = self._state(t, x, self.n_x)
+        cdef cnp.ndarray jacobian = _new(self.n_c, self.n_q)
+        cdef const double *constants = self._prepare(parameters)
+        self.kernel.velocity_sensitivity(t, _data(state), constants, self._fill(t, constants, inputs),
+                                         _data(jacobian))
+        return jacobian
+
+    def energy(self, double t, x, p=None, r=None):
         """Kinetic and potential energy, shape (2,)."""
         cdef cnp.ndarray parameters = self._parameters(p)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.prescribed_known)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray energies = _new(2)
-        self.kernel.energy(t, _data(state), self._prepare(parameters), _data(energies))
+        cdef const double *constants = self._prepare(parameters)
+        self.kernel.energy(t, _data(state), constants, self._fill(t, constants, inputs), _data(energies))
         return energies
+
+    def held(self, double t, x, accelerations, multipliers, p=None, r=None):
+        """What is evaluated for given u' and lambda: the outputs, and the sensitivities by x, p and r.
+
+        The latter are dq', shape (n_q, n), and d(f - M u' + J^T lambda, -(J u' + gamma)), shape (n_u + n_c, n).
+        """
+        cdef cnp.ndarray parameters = self._parameters(p)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.inputs_known)
+        cdef cnp.ndarray state = self._state(t, x, self.n_x)
+        cdef cnp.ndarray a = _vector(accelerations, self.n_u, "The accelerations")
+        cdef cnp.ndarray l = _vector(multipliers, self.n_c, "The multipliers")
+        cdef cnp.ndarray outputs = _new(self.n_o)
+        cdef cnp.ndarray rates, residuals
+        cdef list results = [outputs]
+        cdef const double *constants = self._prepare(parameters)
+        cdef const double *filled = self._fill(t, constants, inputs)
+        cdef fb_sensitivity *functions[3]
+        cdef int i, columns[3]
+        functions[0], columns[0] = self.kernel.sensitivity, self.n_x
+        functions[1], columns[1] = self.kernel.parameter_sensitivity, self.n_p
+        functions[2], columns[2] = self.kernel.input_sensitivity, self.n_r
+        self.kernel.output(t, _data(state), constants, filled, _data(a), _data(l), _data(outputs))
+        for i in range(3):
+            rates, residuals = _new(self.n_q, columns[i]), _new(self.n_u + self.n_c, columns[i])
+            functions[i](t, _data(state), constants, filled, _data(a), _data(l), _data(rates), _data(residuals))
+            results += [rates, residuals]
+        return results
 
     def parameter_vector(self, p):
         """The parameters as `rhs` takes them, checked, as an array of their own; None for the defaults."""
@@ -380,25 +495,42 @@ cdef class Evaluator:
         self.kernel.default_inputs(t, self._prepare(parameters), _data(inputs))
         return inputs
 
-    def along(self, times, states, p=None):
-        """Position constraints, shape (n_h, n_t), and energies, shape (2, n_t), at states in columns."""
+    def along(self, times, states, inputs, p=None):
+        """Position constraints, (n_h, n_t), energies, (2, n_t), multipliers, (n_c, n_t), and outputs, (n_o, n_t).
+
+        States and inputs stand in columns. Multipliers and outputs are NaN where the accelerations cannot be
+        evaluated.
+        """
         cdef cnp.ndarray t = np.ascontiguousarray(times, dtype=np.float64)
         cdef cnp.ndarray x = np.ascontiguousarray(np.transpose(states), dtype=np.float64)
+        cdef cnp.ndarray r = np.ascontiguousarray(np.transpose(inputs), dtype=np.float64)
         cdef cnp.ndarray parameters = self._parameters(p)
-        if np.ndim(t) != 1 or np.shape(x) != (np.size(t), self.n_x):
+        if np.ndim(t) != 1 or np.shape(x) != (np.size(t), self.n_x) or np.shape(r) != (np.size(t), self.n_r):
             raise ModelError(
-                f"{np.size(t)} times need states of shape ({self.n_x}, {np.size(t)}), not {np.shape(states)}.")
+                f"{np.size(t)} times need states of shape ({self.n_x}, {np.size(t)}), not {np.shape(states)}, and "
+                f"inputs of shape ({self.n_r}, {np.size(t)}), not {np.shape(inputs)}.")
         cdef int n_t = cnp.PyArray_DIM(t, 0)
         cdef cnp.ndarray constraints = _new(n_t, self.n_h)
         cdef cnp.ndarray energies = _new(n_t, 2)
+        cdef cnp.ndarray multipliers = np.full((n_t, self.n_c), NAN)
+        cdef cnp.ndarray outputs = np.full((n_t, self.n_o), NAN)
         cdef cnp.ndarray jacobian = _new(self.n_h, self.n_q)
+        cdef cnp.ndarray accelerations = _new(self.n_u)
         cdef const double *constants = self._prepare(parameters)
+        cdef const double *x_i
+        cdef const double *r_i
+        cdef double *lambda_i
+        cdef double t_i
         cdef int i
         for i in range(n_t):
-            self.kernel.position(_data(t)[i], _data(x) + i * self.n_x, constants, _data(constraints) + i * self.n_h,
-                                 _data(jacobian))
-            self.kernel.energy(_data(t)[i], _data(x) + i * self.n_x, constants, _data(energies) + 2 * i)
-        return constraints.T, energies.T
+            t_i, x_i, r_i = _data(t)[i], _data(x) + i * self.n_x, _data(r) + i * self.n_r
+            lambda_i = _data(multipliers) + i * self.n_c
+            self.kernel.position(t_i, x_i, constants, r_i, _data(constraints) + i * self.n_h, _data(jacobian))
+            self.kernel.energy(t_i, x_i, constants, r_i, _data(energies) + 2 * i)
+            if self.kernel.accelerations(t_i, x_i, constants, r_i, _data(accelerations), lambda_i, self.work) == FB_OK:
+                self.kernel.output(t_i, x_i, constants, r_i, _data(accelerations), lambda_i,
+                                   _data(outputs) + i * self.n_o)
+        return constraints.T, energies.T, multipliers.T, outputs.T
 
 
 def failure(int status, double t, x):
@@ -629,54 +761,55 @@ cdef class Stepper:
 
 
 cdef class Table:
-    """A function of time by linear interpolation, held constant before the first and after the last time.
+    """A function of time by polynomials between given times, constant before the first and after the last.
 
     Parameters
     ----------
-    times, values : array_like, shape (n,)
-        Times strictly increasing.
-
-    Raises
-    ------
-    ModelError
-        If they are not.
+    times : ndarray, shape (n,)
+        Strictly increasing.
+    coefficients : ndarray, shape (k + 1, n - 1)
+        Of the powers k to 0 of the time since the beginning of each interval, as ``scipy.interpolate.PPoly``
+        has them.
+    before, after : float
+        Values outside.
     """
 
     cdef cnp.ndarray times
-    cdef cnp.ndarray values
+    cdef cnp.ndarray coefficients
+    cdef double before, after
     cdef int position
 
-    def __cinit__(self, times, values):
-        try:
-            self.times = np.array(times, dtype=np.float64)
-            self.values = np.array(values, dtype=np.float64)
-        except (TypeError, ValueError, OverflowError) as error:
-            raise ModelError("A table has two arrays of numbers, (times, values).") from error
-        shapes = np.shape(self.times), np.shape(self.values)
-        if shapes[0] != shapes[1] or len(shapes[0]) != 1 or shapes[0][0] < 2:
-            raise ModelError(f"A table has two arrays of the same length, not of the shapes {shapes[0]} and {shapes[1]}.")
-        if not (np.isfinite(self.times).all() and np.isfinite(self.values).all()):
-            raise ModelError("A table has finite times and values.")
-        if not (np.diff(self.times) > 0).all():
-            raise ModelError("A table has strictly increasing times.")
+    def __cinit__(self, times, coefficients, double before, double after):
+        self.times = np.array(times, dtype=np.float64)
+        self.coefficients = np.array(np.transpose(coefficients), dtype=np.float64, order="C")
+        self.before, self.after = before, after
         self.position = 0
+        if np.ndim(self.coefficients) != 2 or np.shape(self.coefficients)[0] != np.size(self.times) - 1:
+            raise ModelError("A table of n times has coefficients for n - 1 intervals.")
 
     cdef double value(self, double t) noexcept:
         cdef const double *times = _data(self.times)
-        cdef const double *values = _data(self.values)
         cdef int last = cnp.PyArray_DIM(self.times, 0) - 1
-        cdef int low = 0, high = last, middle
-        if t <= times[0]:
-            return values[0]
-        if not t < times[last]:
-            return values[last]
+        cdef int n = cnp.PyArray_DIM(self.coefficients, 1)
+        cdef int low = 0, high = last, middle, i
+        cdef const double *coefficients
+        cdef double result
+        if t < times[0]:
+            return self.before
+        if not t <= times[last]:
+            return self.after
         middle = self.position  # integrators move on slowly: the interval of the last call is the first guess
-        while not (times[middle] <= t < times[middle + 1]):
+        if t == times[last]:
+            middle = last - 1
+        while not (times[middle] <= t <= times[middle + 1]):
             if t < times[middle]:
                 high = middle
             else:
                 low = middle + 1
             middle = (low + high) // 2
         self.position = middle
-        return values[middle] + (values[middle + 1] - values[middle]) * (t - times[middle]) / (
-            times[middle + 1] - times[middle])
+        coefficients = _data(self.coefficients) + middle * n
+        result = coefficients[0]
+        for i in range(1, n):
+            result = result * (t - times[middle]) + coefficients[i]
+        return result

@@ -13,7 +13,7 @@
 
 #include <stddef.h>
 
-#define FB_ABI_VERSION 1
+#define FB_ABI_VERSION 2
 #define FB_CAPSULE_NAME "fourbar_codegen.kernel"
 
 /* Long functions are printed in parts, which the compiler must not put together again. */
@@ -30,6 +30,14 @@ enum FB_STATUS {
     FB_NOT_FINITE = 3             /* a result is infinite or not a number */
 };
 
+/* Something with x' in it, which needs the equations solved. */
+typedef int fb_evaluation(double t, const double *x, const double *constants, const double *r, double *result,
+                          void *work);
+/* Derivatives of q' and of (f - M u' + J^T lambda, -(J u' + gamma)), with u' and lambda held. */
+typedef void fb_sensitivity(double t, const double *x, const double *constants, const double *r,
+                            const double *accelerations, const double *multipliers, double *coordinate_rate_jacobian,
+                            double *residual_jacobian);
+
 typedef struct fb_kernel {
     int abi_version;
     size_t struct_size;
@@ -37,14 +45,13 @@ typedef struct fb_kernel {
     int n_q, n_u, n_p, n_r;
     int n_h; /* position constraints */
     int n_c; /* velocity constraints */
+    int n_o; /* outputs */
     int n_constants;
 
     void (*prepare)(const double *p, double *constants);
     void (*default_inputs)(double t, const double *constants, double *r);
-    /* x' = rhs(t, x) */
-    int (*rhs)(double t, const double *x, const double *constants, const double *r, double *rates, void *work);
-    /* d rhs / d x, n_x by n_x */
-    int (*jacobian)(double t, const double *x, const double *constants, const double *r, double *matrix, void *work);
+    fb_evaluation *rhs;                                           /* x' */
+    fb_evaluation *jacobian, *parameter_jacobian, *input_jacobian; /* dx'/dx, dx'/dp, dx'/dr, each n_x by n */
     /* u' and the multipliers lambda of M u' = f + J^T lambda */
     int (*accelerations)(double t, const double *x, const double *constants, const double *r, double *accelerations,
                          double *multipliers, void *work);
@@ -52,13 +59,21 @@ typedef struct fb_kernel {
     void (*dynamics)(double t, const double *x, const double *constants, const double *r, double *coordinate_rates,
                      double *mass_matrix, double *forcing, double *constraint_jacobian, double *acceleration_bias);
     /* Phi(q, t) and dPhi/dq */
-    void (*position)(double t, const double *q, const double *constants, double *position_constraints,
-                     double *position_jacobian);
+    void (*position)(double t, const double *q, const double *constants, const double *r,
+                     double *position_constraints, double *position_jacobian);
     /* J and b of J u + b = 0 */
-    void (*velocity)(double t, const double *x, const double *constants, double *constraint_jacobian,
+    void (*velocity)(double t, const double *x, const double *constants, const double *r, double *constraint_jacobian,
                      double *velocity_bias);
+    /* d(J u + b)/dq */
+    void (*velocity_sensitivity)(double t, const double *x, const double *constants, const double *r,
+                                 double *velocity_jacobian);
     /* kinetic and potential energy */
-    void (*energy)(double t, const double *x, const double *constants, double *energies);
+    void (*energy)(double t, const double *x, const double *constants, const double *r, double *energies);
+    /* the outputs, for u' and lambda as given */
+    void (*output)(double t, const double *x, const double *constants, const double *r, const double *accelerations,
+                   const double *multipliers, double *outputs);
+    /* with respect to x, p and r */
+    fb_sensitivity *sensitivity, *parameter_sensitivity, *input_sensitivity;
 } fb_kernel;
 
 #endif

@@ -8,7 +8,10 @@
 
 #include <math.h>
 
-enum { N_X = N_Q + N_U };
+enum {
+    N_X = N_Q + N_U,
+    N_COLUMNS = N_X > N_P ? (N_X > N_R ? N_X : N_R) : (N_P > N_R ? N_P : N_R)
+};
 
 typedef struct fb_work {
     double coordinate_rates[FB_AT_LEAST_1(N_Q)];
@@ -19,7 +22,7 @@ typedef struct fb_work {
     fb_factors factors;
     double accelerations[N_U];
     double multipliers[FB_AT_LEAST_1(N_C)];
-    double residual_jacobian[(N_U + N_C) * N_X];
+    double residual_jacobian[(N_U + N_C) * N_COLUMNS];
 } fb_work;
 
 static inline int solve_accelerations(double t, const double *restrict x, const double *restrict constants,
@@ -63,27 +66,45 @@ static int accelerations(double t, const double *x, const double *constants, con
     return FB_OK;
 }
 
-/* Differentiating M u' = f + J^T lambda and J u' + gamma = 0 in the direction of x_j gives equations for
- * du'/dx_j with the same matrices; the right-hand sides are the columns of residual_jacobian. */
-static int jacobian(double t, const double *x, const double *constants, const double *r, double *matrix, void *work)
+/* Differentiating M u' = f + J^T lambda and J u' + gamma = 0 in some direction gives equations for the change of
+ * u' with the same matrices; the right-hand sides are the n columns of residual_jacobian. */
+static int differentiate(fb_sensitivity *function, const int n, double t, const double *x, const double *constants,
+                         const double *r, double *matrix, void *work)
 {
     fb_work *const w = work;
     const int status = accelerations(t, x, constants, r, w->accelerations, w->multipliers, work);
     if (status != FB_OK)
         return status;
-    sensitivity(t, x, constants, r, w->accelerations, w->multipliers, matrix, w->residual_jacobian);
-    for (int j = 0; j < N_X; ++j) {
+    function(t, x, constants, r, w->accelerations, w->multipliers, matrix, w->residual_jacobian);
+    for (int j = 0; j < n; ++j) {
         double column[N_U];
         for (int i = 0; i < N_U; ++i)
-            w->forcing[i] = w->residual_jacobian[i * N_X + j];
+            w->forcing[i] = w->residual_jacobian[i * n + j];
         for (int i = 0; i < N_C; ++i)
-            w->acceleration_bias[i] = -w->residual_jacobian[(N_U + i) * N_X + j];
+            w->acceleration_bias[i] = -w->residual_jacobian[(N_U + i) * n + j];
         /* Redundant rows hold in every direction in which the state can move; others are not asked about. */
         fb_solve(w->forcing, w->acceleration_bias, &w->factors, column, INFINITY);
         for (int i = 0; i < N_U; ++i)
-            matrix[(N_Q + i) * N_X + j] = column[i];
+            matrix[(N_Q + i) * n + j] = column[i];
     }
-    return all_finite(matrix, N_X * N_X);
+    return all_finite(matrix, N_X * n);
+}
+
+static int jacobian(double t, const double *x, const double *constants, const double *r, double *matrix, void *work)
+{
+    return differentiate(sensitivity, N_X, t, x, constants, r, matrix, work);
+}
+
+static int parameter_jacobian(double t, const double *x, const double *constants, const double *r, double *matrix,
+                              void *work)
+{
+    return differentiate(parameter_sensitivity, N_P, t, x, constants, r, matrix, work);
+}
+
+static int input_jacobian(double t, const double *x, const double *constants, const double *r, double *matrix,
+                          void *work)
+{
+    return differentiate(input_sensitivity, N_R, t, x, constants, r, matrix, work);
 }
 
 const fb_kernel FB_KERNEL = {
@@ -96,14 +117,22 @@ const fb_kernel FB_KERNEL = {
     .n_r = N_R,
     .n_h = N_H,
     .n_c = N_C,
+    .n_o = N_O,
     .n_constants = N_CONSTANTS,
     .prepare = prepare,
     .default_inputs = default_inputs,
     .rhs = rhs,
     .jacobian = jacobian,
+    .parameter_jacobian = parameter_jacobian,
+    .input_jacobian = input_jacobian,
     .accelerations = accelerations,
     .dynamics = dynamics,
     .position = position,
     .velocity = velocity,
+    .velocity_sensitivity = velocity_sensitivity,
     .energy = energy,
+    .output = output,
+    .sensitivity = sensitivity,
+    .parameter_sensitivity = parameter_sensitivity,
+    .input_sensitivity = input_sensitivity,
 };

@@ -1,0 +1,132 @@
+"""Prescribed motion: inputs whose rates enter; and parameters that follow from others."""
+
+import numpy as np
+import pytest
+import sympy as sm
+import sympy.physics.mechanics as me
+from sympy.physics.mechanics.system import System
+
+import fourbar_codegen as fb
+
+t = me.dynamicsymbols._t
+q, u, s = me.dynamicsymbols("q u s")
+m, length, g, w, a = sm.symbols("m l g w a")
+
+
+def driven_pendulum(default):
+    """A pendulum whose pivot moves along x as s(t): l q'' = -g sin q - s'' cos q."""
+    ground, rod = me.ReferenceFrame("N"), me.ReferenceFrame("B")
+    origin, pivot, bob = me.Point("O"), me.Point("P"), me.Point("Q")
+    rod.orient_axis(ground, ground.z, q)
+    rod.set_ang_vel(ground, u * ground.z)
+    origin.set_vel(ground, 0)
+    pivot.set_pos(origin, s * ground.x)
+    pivot.set_vel(ground, s.diff(t) * ground.x)
+    bob.set_pos(pivot, -length * rod.y)
+    bob.v2pt_theory(pivot, ground, rod)
+    system = System(ground, origin)
+    system.add_bodies(me.Particle("bob", bob, m))
+    system.apply_uniform_gravity(-g * ground.y)
+    system.add_coordinates(q)
+    system.add_speeds(u)
+    system.add_kdes(u - q.diff(t))
+    values = {m: 2.0, length: 0.5, g: 9.81} | ({} if default is None else {a: 0.1, w: 5.0})
+    return fb.Model(system, name="driven_pendulum", parameters=values, inputs={s: default})
+
+
+def test_rates_of_an_input_are_inputs():
+    pendulum = fb.compile_model(driven_pendulum(a * sm.sin(w * t)))
+    assert pendulum.inputs == ("s", "s'", "s''")
+    for time, angle, speed in ((0.0, 0.3, 1.0), (0.7, -1.2, 0.5)):
+        acceleration = -0.1 * 25 * np.sin(5 * time)
+        expected = (-9.81 * np.sin(angle) - acceleration * np.cos(angle)) / 0.5
+        x = [angle, speed]
+        assert pendulum.rhs(time, x)[1] == pytest.approx(expected, rel=1e-13)
+        assert pendulum.rhs(time, x, r=[9.0, 9.0, acceleration])[1] == pytest.approx(expected, rel=1e-13)
+        # At rest where it is given without its rates.
+        assert pendulum.rhs(time, x, r={"s": 3.0})[1] == pytest.approx(-9.81 * np.sin(angle) / 0.5, rel=1e-13)
+        np.testing.assert_allclose(
+            pendulum.input_jacobian(time, x), [[0, 0, 0], [0, 0, -np.cos(angle) / 0.5]], rtol=1e-13
+        )
+        # v = (s' + l u cos q, l u sin q)
+        rate = 0.5 * np.cos(5 * time)
+        energy = 0.5 * 2 * ((rate + 0.5 * speed * np.cos(angle)) ** 2 + (0.5 * speed * np.sin(angle)) ** 2)
+        assert pendulum.kinetic_energy(time, x) == pytest.approx(energy, rel=1e-13)
+
+
+def test_spline_through_a_table():
+    pendulum = fb.compile_model(driven_pendulum(None))
+    times = np.linspace(0.0, 2.0, 401)
+    spline = (times, 0.1 * np.sin(5 * times))
+    expected = fb.compile_model(driven_pendulum(a * sm.sin(w * t))).simulate((0.0, 2.0), [0.3, 0.0], rtol=1e-10)
+    run = pendulum.simulate((0.0, 2.0), [0.3, 0.0], inputs={"s": spline}, rtol=1e-10, t_eval=expected.t)
+    # The second derivative of a cubic spline errs by h^2 / 12 times the fourth: 1.3e-4 of 2.5, and more at the
+    # ends; over two seconds that makes less than 1e-3 of the motion.
+    np.testing.assert_allclose(run.y, expected.y, atol=1e-3)
+    np.testing.assert_allclose(run["s"], 0.1 * np.sin(5 * run.t), atol=1e-8)
+    np.testing.assert_allclose(run["s'"], 0.5 * np.cos(5 * run.t), atol=1e-5)
+
+
+def test_prescribed_motion_needs_its_rates():
+    pendulum = fb.compile_model(driven_pendulum(None))
+    with pytest.raises(fb.ModelError, match="s prescribes a motion"):
+        pendulum.simulate((0.0, 1.0), [0.0, 0.0], inputs={"s": lambda t, x: 0.0})
+    with pytest.raises(fb.ModelError, match="No source for input s"):
+        pendulum.simulate((0.0, 1.0), [0.0, 0.0])
+    with pytest.raises(fb.ModelError, match="inputs s"):
+        pendulum.kinetic_energy(0.0, [0.0, 0.0])
+
+
+def driven_slider_crank():
+    """Crank angle and slider of a slider-crank in plane, the crank's angle held by a constraint to s(t)."""
+    angle, x, rate, v = me.dynamicsymbols("angle x rate v")
+    crank, rod, mass = sm.symbols("r l m")
+    ground, arm = me.ReferenceFrame("N"), me.ReferenceFrame("A")
+    origin, pin, slider = me.Point("O"), me.Point("P"), me.Point("S")
+    arm.orient_axis(ground, ground.z, angle)
+    arm.set_ang_vel(ground, rate * ground.z)
+    origin.set_vel(ground, 0)
+    pin.set_pos(origin, crank * arm.x)
+    pin.v2pt_theory(origin, ground, arm)
+    slider.set_pos(origin, x * ground.x)
+    slider.set_vel(ground, v * ground.x)
+    system = System(ground, origin)
+    system.add_bodies(me.Particle("pin", pin, mass), me.Particle("slider", slider, mass))
+    distance = slider.pos_from(pin)
+    system.add_holonomic_constraints(angle - s, distance.dot(distance) - rod**2)
+    system.q_dep, system.u_dep = [angle, x], [rate, v]
+    system.add_kdes(rate - angle.diff(t), v - x.diff(t))
+    return fb.Model(system, name="driven_crank", parameters={crank: 0.2, rod: 0.7, mass: 3.0}, inputs={s: w * t})
+
+
+def test_constraint_that_prescribes_a_motion():
+    crank = fb.compile_model(driven_slider_crank())
+    p = {"w": 4.0}
+    for time in (0.0, 0.3, 1.0):
+        x0 = crank.initial_state(t=time, guess=[4.0 * time, 0.9], parameters=p)
+        # Slider-crank kinematics: x = r cos(a) + sqrt(l^2 - r^2 sin(a)^2), differentiated twice for a = w t.
+        angle = sm.Symbol("a")
+        position = 0.2 * sm.cos(angle) + sm.sqrt(0.49 - 0.04 * sm.sin(angle) ** 2)
+        expected = [float((4.0**k * position.diff((angle, k))).subs(angle, 4.0 * time)) for k in range(3)]
+        np.testing.assert_allclose(x0, [4.0 * time, expected[0], 4.0, expected[1]], atol=1e-9)
+        np.testing.assert_allclose(crank.rhs(time, x0, p)[2:], [0.0, expected[2]], atol=1e-8)
+        # The driving torque does the slider's work: power m v v', over w.
+        torque = 3.0 * expected[1] * expected[2] / 4.0
+        assert crank.multipliers(time, x0, p)[0] == pytest.approx(torque, abs=1e-8)
+    spline = (np.linspace(0.0, 1.0, 30), 4.0 * np.linspace(0.0, 1.0, 30))
+    x0 = crank.initial_state(t=0.3, guess=[1.2, 0.9], parameters={"w": 0.0}, inputs={"s": spline})
+    assert x0[2] == pytest.approx(4.0, rel=1e-12)
+
+
+def test_parameters_that_are_expressions_of_others():
+    density = sm.Symbol("density")
+    values = {m: density * length, length: 0.5, g: 9.81, density: 4.0}
+    model = fb.Model(driven_pendulum(None).system, name="derived", parameters=values, inputs={s: 0})
+    pendulum = fb.compile_model(model)
+    assert pendulum.parameters == ("l", "g", "density")
+    assert pendulum.manifest["derived_parameters"] == {"m": "density*l"}
+    # m l^2 u^2 / 2 for m = density l
+    assert pendulum.kinetic_energy(0.0, [0.0, 2.0]) == pytest.approx(4.0 * 0.5**3 * 2.0**2 / 2, rel=1e-14)
+    assert pendulum.kinetic_energy(0.0, [0.0, 2.0], {"l": 0.25}) == pytest.approx(4.0 * 0.25**3 * 2.0**2 / 2, rel=1e-14)
+    with pytest.raises(fb.ModelError, match="no parameter 'm'"):
+        pendulum.rhs(0.0, [0.0, 0.0], {"m": 1.0})

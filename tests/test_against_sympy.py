@@ -33,7 +33,9 @@ def test_right_hand_side_and_mass_matrix(four_bar, tutorial, closed):
         expected = mass_matrix[3:, 3:]
         assert np.abs(four_bar.mass_matrix(t, x) - expected).max() <= tolerance * np.abs(expected).max()
         expected = forcing[3:].ravel()
-        assert np.abs(four_bar.forcing(t, x) - expected).max() <= tolerance * np.abs(expected).max()
+        # The forcing is a difference of the bodies' forces, which may cancel: their size counts.
+        scale = np.abs(four_bar.tree_forcing(t, x)).max()
+        assert np.abs(four_bar.forcing(t, x) - expected).max() <= tolerance * scale
 
 
 def test_constraints(four_bar, tutorial):

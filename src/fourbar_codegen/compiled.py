@@ -278,16 +278,26 @@ class CompiledModel(Evaluator):
         return np.concatenate((self._projection(jacobian).T @ forcing, -bias))
 
     def _projection(self, jacobian: Floats) -> Floats:
-        """T with u = T u_i + ... for the model's own independent speeds, shape (n_u, n_u - n_c)."""
-        n_i = self.n_u - self.n_c
-        try:
-            dependent = -np.linalg.solve(jacobian[:, n_i:], jacobian[:, :n_i])
-        except np.linalg.LinAlgError as error:
+        """T with u = T u_i + ... for the model's own independent speeds, shape (n_u, n_ui)."""
+        n_i = self.n_u - self.manifest["n_dependent_speeds"]
+        return np.vstack((np.eye(n_i), self.eliminate(jacobian, n_i, self.speeds)))
+
+    def eliminate(self, matrix: Floats, n_independent: int, names: Sequence[str]) -> Floats:
+        """The dependent variables of ``matrix @ variables = 0`` in terms of the independent ones, which stand first.
+
+        Raises
+        ------
+        SimulationError
+            If they do not follow; `names` says what the dependent variables, the last ones, are called.
+        """
+        dependent = matrix[:, n_independent:]
+        solution, _, rank, _ = np.linalg.lstsq(dependent, -matrix[:, :n_independent])
+        if rank < dependent.shape[1]:
             raise SimulationError(
-                f"The dependent speeds ({', '.join(self.speeds[n_i:])}) do not follow from the independent ones in "
-                "this configuration: the constraints' Jacobian with respect to them is singular."
-            ) from error
-        return np.vstack((np.eye(n_i), dependent))
+                f"The dependent variables ({', '.join(names[n_independent:])}) do not follow from the independent ones "
+                "in this configuration: the constraints' Jacobian with respect to them is singular."
+            )
+        return np.asarray(solution, dtype=np.float64)
 
     def position_constraints(self, t: float, q: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
         """Residuals of the holonomic constraints, shape (n_h,), in the constraints' units.
@@ -434,7 +444,95 @@ class CompiledModel(Evaluator):
             )
         return float(self.energy(t, x, p, r)[1])
 
-    # Initial states and simulation.
+    # Linearization, initial states and simulation.
+
+    def linearize(
+        self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None
+    ) -> tuple[Floats, Floats]:
+        """A and B of d(q_i, u_i)/dt = A d(q_i, u_i) + B dr near a state that satisfies the constraints.
+
+        In the independent coordinates q_i and speeds u_i, as ``KanesMethod.linearize(A_and_B=True)``: the
+        dependent ones follow the constraints to first order.
+
+        Parameters
+        ----------
+        t, x, p, r
+            As for `rhs`.
+
+        Returns
+        -------
+        A : ndarray, shape (n_qi + n_ui, n_qi + n_ui)
+        B : ndarray, shape (n_qi + n_ui, n_r)
+
+        Raises
+        ------
+        ModelError
+            If an argument has a wrong shape or name, or is not finite.
+        SimulationError
+            If the dependent coordinates or speeds do not follow from the independent ones at this state.
+
+        Source: D. L. Peterson, G. Gede, M. Hubbard, "Symbolic linearization of equations of motion of
+        constrained multibody systems", *Multibody System Dynamics* 33 (2015).
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> four_bar = fb.load("four_bar")
+        >>> A, B = four_bar.linearize(0.0, four_bar.initial_state())
+        >>> A.shape, B.shape
+        ((2, 2), (2, 1))
+        """
+        from fourbar_codegen.linearize import linearize
+
+        return linearize(self, t, x, p, r)
+
+    def equilibrium(
+        self,
+        guess: Values | None = None,
+        *,
+        t: float = 0.0,
+        parameters: Values | None = None,
+        inputs: Mapping[Any, InputSource] | None = None,
+    ) -> Floats:
+        """A state of rest in which the mechanism stays.
+
+        Found by SciPy's ``least_squares`` on constraints and accelerations with compiled Jacobians. It may be
+        stable or not: the eigenvalues of `linearize` tell.
+
+        Parameters
+        ----------
+        guess : array_like, shape (n_q,), or mapping, optional
+            Coordinates at which to begin; the model's initial values, or 0, where left out.
+        t : float, optional
+            Time, s, at which inputs are taken.
+        parameters : array_like or mapping, optional
+            The defaults otherwise.
+        inputs : mapping, optional
+            As for `simulate`, but no callables.
+
+        Returns
+        -------
+        ndarray, shape (n_x,)
+            The coordinates, and speeds of 0.
+
+        Raises
+        ------
+        ModelError
+            If an argument has a wrong shape or name, or is not finite.
+        SimulationError
+            If no equilibrium was found; with where the search ended.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> four_bar = fb.load("four_bar")
+        >>> x = four_bar.equilibrium(four_bar.initial_state()[:3], inputs={"F": 0.0})
+        >>> bool(abs(four_bar.rhs(0.0, x, r={"F": 0.0})).max() < 1e-9)
+        True
+        """
+        from fourbar_codegen.linearize import equilibrium
+
+        return equilibrium(self, guess, t=t, parameters=parameters, inputs=inputs)
 
     def initial_state(
         self,

@@ -25,8 +25,10 @@ Floats = NDArray[np.float64]
 COORDINATE_TOLERANCE = 1e-10
 # Guesses tried before a loop is said not to close, beside the one that was given.
 FURTHER_GUESSES = 40
-# Dependent speeds are not determined if J_d is singular to this share.
+# Singular values of J_d below this share of the largest count as zero.
 SINGULAR = 1e-12
+# Velocity constraints count as satisfied to this share of their terms.
+CONSISTENT = 1e-10
 
 
 def initial_state(
@@ -68,7 +70,7 @@ def inputs_at(
 
 def _close(model: CompiledModel, t: float, q_i: Floats, start: Floats, p: ArrayLike | None, r: Floats | None) -> Floats:
     """Coordinates that satisfy the position constraints, by fsolve."""
-    from scipy.optimize import fsolve
+    from scipy.optimize import fsolve, leastsq
 
     n_i = len(q_i)
 
@@ -82,10 +84,16 @@ def _close(model: CompiledModel, t: float, q_i: Floats, start: Floats, p: ArrayL
         return model.position(t, assemble(dependent), p, r)[1][:, n_i:]
 
     def search(begin: Floats) -> tuple[Floats, Floats, bool]:
-        # fsolve's own verdict compares steps; what counts here is the residual, in units of the coordinates.
-        found = fsolve(residual, begin, fprime=jacobian, xtol=1e-13, full_output=True)[0]
-        error, slopes = model.position(t, assemble(found), p, r)
-        return found, error, bool(np.abs(error).max() <= COORDINATE_TOLERANCE * np.abs(slopes).max())
+        # The solvers' own verdict compares steps; what counts here is the residual, in units of the coordinates.
+        # fsolve needs as many constraints as unknowns, and these independent: redundant ones are for leastsq.
+        for solve in (fsolve, leastsq) if len(begin) == model.n_h else (leastsq,):
+            derivative = {"fprime" if solve is fsolve else "Dfun": jacobian}
+            found = solve(residual, begin, xtol=1e-13, full_output=True, **derivative)[0]
+            error, slopes = model.position(t, assemble(found), p, r)
+            closed = bool(np.abs(error).max() <= COORDINATE_TOLERANCE * np.abs(slopes).max())
+            if closed:
+                break
+        return found, error, closed
 
     found, error, closed = search(start)
     if closed:
@@ -112,19 +120,21 @@ def _close(model: CompiledModel, t: float, q_i: Floats, start: Floats, p: ArrayL
 def _dependent_speeds(
     model: CompiledModel, t: float, q: Floats, u_i: Floats, p: ArrayLike | None, r: Floats | None
 ) -> Floats:
-    """All speeds: the dependent ones solve J_d u_d = -(J_i u_i + b)."""
+    """All speeds: the dependent ones solve J_d u_d = -(J_i u_i + b); the least ones where that leaves a choice."""
     n_i = len(u_i)
     jacobian, bias = model.velocity(t, np.concatenate((q, np.zeros(model.n_u))), p, r)
     if not model.n_c:
         return u_i
-    sizes = np.linalg.svd(jacobian[:, n_i:], compute_uv=False)
-    if not sizes[-1] > SINGULAR * sizes[0]:
+    known = jacobian[:, :n_i] @ u_i + bias
+    u_d = np.linalg.lstsq(jacobian[:, n_i:], -known, rcond=SINGULAR)[0]
+    error = np.abs(jacobian[:, n_i:] @ u_d + known).max()
+    if not error <= CONSISTENT * max(np.abs(jacobian[:, n_i:]).max() * np.abs(u_d).max(), np.abs(known).max()):
         raise AssemblyError(
             f"The dependent speeds ({', '.join(model.speeds[n_i:])}) do not follow from the independent ones at "
             f"{_named(model.coordinates, q)}: the constraints' Jacobian with respect to them is singular. Start from "
             "another configuration, or choose other independent speeds."
         )
-    return np.concatenate((u_i, np.linalg.solve(jacobian[:, n_i:], -(jacobian[:, :n_i] @ u_i + bias))))
+    return np.concatenate((u_i, u_d))
 
 
 def _named(names: tuple[Any, ...], values: Floats) -> str:

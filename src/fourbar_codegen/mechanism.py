@@ -296,7 +296,7 @@ def _of_kanes_method(kane: me.KanesMethod) -> _Description:
 
 
 def _check_counts(system: _Description) -> None:
-    """Accept what KanesMethod accepts: as many dependent variables as constraints."""
+    """Accept as many dependent variables as constraints, or fewer where constraints are redundant."""
     problems = []
     n_velocity = len(system.velocity_constraints) + (len(system.holonomic_constraints) if system.derived else 0)
     if not system.u_ind and not system.u_dep:
@@ -309,16 +309,15 @@ def _check_counts(system: _Description) -> None:
             f"it has {n_q} generalized coordinates {_names((*system.q_ind, *system.q_dep))} but {len(system.kdes)} "
             "kinematic differential equations: give one for each coordinate with add_kdes"
         )
-    if len(system.q_dep) != len(system.holonomic_constraints):
-        problems.append(
-            f"it has {len(system.holonomic_constraints)} holonomic constraints but {len(system.q_dep)} dependent "
-            f"coordinates {_names(system.q_dep)}: set q_ind and q_dep, one dependent coordinate for each constraint"
-        )
-    if len(system.u_dep) != n_velocity:
-        problems.append(
-            f"it has {n_velocity} velocity constraints (holonomic and nonholonomic) but {len(system.u_dep)} "
-            f"dependent speeds {_names(system.u_dep)}: set u_ind and u_dep, one dependent speed for each constraint"
-        )
+    for kind, n_constraints, what, dependent, names in (
+        ("holonomic", len(system.holonomic_constraints), "coordinates", system.q_dep, "q_ind and q_dep"),
+        ("velocity", n_velocity, "speeds", system.u_dep, "u_ind and u_dep"),
+    ):
+        if len(dependent) > n_constraints or (n_constraints and not dependent):
+            problems.append(
+                f"it has {n_constraints} {kind} constraints but {len(dependent)} dependent {what} {_names(dependent)}: "
+                f"set {names}, one dependent variable for each constraint that is not redundant"
+            )
     if problems:
         raise ModelError("The System cannot be compiled: " + "; ".join(problems) + ".")
 

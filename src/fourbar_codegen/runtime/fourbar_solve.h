@@ -239,7 +239,45 @@ static inline int fb_solve(const double *restrict forcing, const double *restric
     return status;
 }
 
-/* The multipliers of J_d^T lambda = (M u' - f)_d; zero for rows dropped as redundant. */
+/* Of all lambda with y = K^T lambda, K = S^-1 P^T L, the shortest one: K (K^T K)^-1 y. It is what redundant rows
+ * leave open; with full rank it is the only one. */
+static inline void fb_shortest(const fb_factors *restrict s, const int rank, const double *restrict y,
+                               double *restrict multipliers)
+{
+    double k[FB_AT_LEAST_1(N_C)][FB_AT_LEAST_1(N_C)], normal[FB_AT_LEAST_1(N_C)][FB_AT_LEAST_1(N_C)];
+    double z[FB_AT_LEAST_1(N_C)];
+    for (int i = 0; i < N_C; ++i)
+        for (int j = 0; j < rank; ++j)
+            k[i][j] = s->scale[i] == 0.0 || j > i ? 0.0 : (j == i ? 1.0 : s->lu[i][j]) / s->scale[i];
+    /* K^T K = R^T R by Cholesky, R above the diagonal; z = R^-T y */
+    for (int j = 0; j < rank; ++j) {
+        z[j] = y[j];
+        for (int i = 0; i <= j; ++i) {
+            double sum = 0.0;
+            for (int m = 0; m < N_C; ++m)
+                sum += k[m][i] * k[m][j];
+            for (int m = 0; m < i; ++m)
+                sum -= normal[m][i] * normal[m][j];
+            normal[i][j] = i == j ? sqrt(sum) : sum / normal[i][i];
+        }
+        for (int m = 0; m < j; ++m)
+            z[j] -= normal[m][j] * z[m];
+        z[j] /= normal[j][j];
+    }
+    for (int j = rank - 1; j >= 0; --j) {
+        for (int m = j + 1; m < rank; ++m)
+            z[j] -= normal[j][m] * z[m];
+        z[j] /= normal[j][j];
+    }
+    for (int i = 0; i < N_C; ++i) {
+        double sum = 0.0;
+        for (int j = 0; j < rank; ++j)
+            sum += k[i][j] * z[j];
+        multipliers[s->row[i]] = sum;
+    }
+}
+
+/* The multipliers of J_d^T lambda = (M u' - f)_d; the shortest ones where rows are redundant. */
 static inline void fb_multipliers(const double *restrict mass_matrix, const double *restrict forcing,
                                   const double *restrict accelerations, const fb_factors *restrict s,
                                   double *restrict multipliers)
@@ -254,10 +292,12 @@ static inline void fb_multipliers(const double *restrict mass_matrix, const doub
             sum -= s->lu[i][k] * y[i];
         y[k] = sum * s->inverse[k];
     }
-    for (int i = 0; i < N_C; ++i)
-        multipliers[s->row[i]] = 0.0;
-    for (int k = s->rank - 1; k >= 0; --k) {
-        for (int i = k + 1; i < s->rank; ++i)
+    if (!fb_full_rank(s)) {
+        fb_shortest(s, fb_rank(s), y, multipliers);
+        return;
+    }
+    for (int k = N_C - 1; k >= 0; --k) {
+        for (int i = k + 1; i < N_C; ++i)
             y[k] -= s->lu[i][k] * y[i];
         multipliers[s->row[k]] = s->scale[k] * y[k];
     }

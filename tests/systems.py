@@ -81,58 +81,6 @@ def slider(change=""):
     )
 
 
-def rolling_disc():
-    """A disc on a horizontal plane, with implicit kinematics and the constraints substituted into a velocity.
-
-    As in SymPy, test_kane5.py: yaw q1, lean q2, spin q3, contact point (q4, q5); u1 to u3 are the components of
-    the angular velocity along the disc's own axes, so that the mass matrix has rows of zeros for u4 and u5.
-    """
-    q1, q2, q3, q4, q5, u1, u2, u3, u4, u5 = me.dynamicsymbols("q1:6 u1:6")
-    t = me.dynamicsymbols._t
-    g, r, m = sm.symbols("g r m")
-    ground, leaning, disc = me.ReferenceFrame("N"), me.ReferenceFrame("L"), me.ReferenceFrame("D")
-    leaning.orient_body_fixed(ground, (q1, q2, 0), "zxy")
-    disc.orient_axis(leaning, leaning.y, q3)
-    by_rates = disc.ang_vel_in(ground)
-    by_speeds = u1 * disc.x + u2 * disc.y + u3 * disc.z
-    disc.set_ang_vel(ground, by_speeds)
-    origin, center = me.Point("O"), me.Point("C")
-    origin.set_vel(ground, 0)
-    contact = origin.locatenew("P", q4 * ground.x + q5 * ground.y)
-    contact.set_vel(ground, u4 * ground.x + u5 * ground.y)
-    center.set_pos(contact, r * leaning.z)
-    center.set_vel(ground, by_speeds.cross(r * leaning.z))
-    slip = contact.vel(ground) + disc.ang_vel_in(leaning).cross(-r * leaning.z)
-
-    system = System(ground, origin)
-    inertia = me.inertia(disc, m * r**2 / 4, m * r**2 / 2, m * r**2 / 4)
-    system.add_bodies(me.RigidBody("disc", center, disc, m, (inertia, center)))
-    system.apply_uniform_gravity(-g * ground.z)
-    system.q_ind = [q1, q2, q3, q4, q5]
-    system.u_ind, system.u_dep = [u1, u2, u3], [u4, u5]
-    system.add_kdes(*((by_rates - by_speeds).dot(axis) for axis in disc), q4.diff(t) - u4, q5.diff(t) - u5)
-    system.add_nonholonomic_constraints(slip.dot(ground.x), slip.dot(ground.y))
-    return fb.Model(system, name="rolling_disc", parameters={g: 9.81, r: 0.26, m: 3.43})
-
-
-def cartesian_pendulum():
-    """IFToMM benchmark A01: a particle on a circle, one holonomic constraint, starting from (-1, 0) at rest."""
-    x, y, vx, vy = me.dynamicsymbols("x y v_x v_y")
-    t = me.dynamicsymbols._t
-    m, length, g = sm.symbols("m l g")
-    frame, origin, point = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
-    origin.set_vel(frame, 0)
-    point.set_pos(origin, x * frame.x + y * frame.y)
-    point.set_vel(frame, vx * frame.x + vy * frame.y)
-    system = System(frame, origin)
-    system.add_bodies(me.Particle("bob", point, m))
-    system.apply_uniform_gravity(-g * frame.y)
-    system.q_ind, system.q_dep, system.u_ind, system.u_dep = [y], [x], [vy], [vx]
-    system.add_kdes(vy - y.diff(t), vx - x.diff(t))
-    system.add_holonomic_constraints(x**2 + y**2 - length**2)
-    return fb.Model(system, name="pendulum", parameters={m: 1.0, length: 1.0, g: 9.81}, initial={x: -1.0, y: 0.0})
-
-
 def fixed():
     """A pendulum held by a constraint: no degree of freedom."""
     q, u = me.dynamicsymbols("q u")
@@ -154,3 +102,44 @@ def coordinate_free():
     system.add_speeds(v)
     system.add_loads(me.Force(point, -b * v * frame.x))
     return fb.Model(system, name="coordinate_free", parameters={m: 2.0, b: 3.0})
+
+
+def closed_by_auxiliary_speeds(*, unknown_forces):
+    """Four uniform bars in a plane, the closing joint given a velocity (u_x, u_y) that is zero."""
+    g, rho = sm.symbols("g rho")
+    l1, *moving = lengths = sm.symbols("l1:5")
+    t = me.dynamicsymbols._t
+    q, u = me.dynamicsymbols("q1:4"), me.dynamicsymbols("u1:4")
+    ux, uy, fx, fy = me.dynamicsymbols("u_x u_y F_x F_y")
+    ground, origin = me.ReferenceFrame("N"), me.Point("O")
+    origin.set_vel(ground, 0)
+    system = System(ground, origin)
+    parent, joint = ground, origin
+    for i, length in enumerate(moving):
+        bar, center, end = me.ReferenceFrame(f"B{i}"), me.Point(f"C{i}"), me.Point(f"P{i}")
+        bar.orient_axis(parent, ground.z, q[i])
+        bar.set_ang_vel(parent, u[i] * ground.z)
+        center.set_pos(joint, length / 2 * bar.x)
+        end.set_pos(joint, length * bar.x)
+        center.v2pt_theory(joint, ground, bar)
+        end.v2pt_theory(joint, ground, bar)
+        inertia = (me.inertia(bar, 0, 0, rho * length**3 / 12), center)
+        system.add_bodies(me.RigidBody(f"bar{i}", center, bar, rho * length, inertia))
+        parent, joint = bar, end
+    system.apply_uniform_gravity(-g * ground.y)
+    if unknown_forces:
+        system.add_loads(me.Force(joint, fx * ground.x + fy * ground.y))
+    loop = joint.pos_from(origin) - l1 * ground.x
+    system.add_holonomic_constraints(loop.dot(ground.x), loop.dot(ground.y))
+    slip = joint.vel(ground) - ux * ground.x - uy * ground.y
+    system.velocity_constraints = [slip.dot(ground.x), slip.dot(ground.y)]
+    system.q_ind, system.q_dep, system.u_ind, system.u_dep = q[:1], q[1:], u[:1], u[1:]
+    system.u_aux = [ux, uy]
+    system.add_kdes(*(ui - qi.diff(t) for qi, ui in zip(q, u, strict=True)))
+    values = {**dict(zip(lengths, (2.0, 1.0, 2.0, 1.0), strict=True)), rho: 5.0, g: 9.81}
+    return fb.Model(
+        system,
+        name="closed_by_auxiliary_speeds",
+        parameters=values,
+        outputs=fb.joint_force("closing", {1: ground.x, 2: ground.y}, ground),
+    )

@@ -7,7 +7,7 @@ import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
 from sympy.physics.mechanics.system import System
-from systems import cartesian_pendulum, coordinate_free, rolling_disc, slider
+from systems import coordinate_free, slider
 from tutorial import Tutorial
 
 import fourbar_codegen as fb
@@ -83,8 +83,6 @@ SYSTEMS = {
     "triangular kinematics": absolute_rates,
     "deprecated Body": deprecated_body,
     "holonomic": lambda: slider().system,
-    "holonomic, Cartesian": lambda: cartesian_pendulum().system,
-    "nonholonomic": lambda: rolling_disc().system,
     "Max": lambda: sliding(sm.Max(q, u)),
     "clipped": lambda: sliding(k * sm.Min(sm.Max(q, -sm.S.Half), sm.S.Half)),
     "contact": lambda: sliding(sm.Piecewise((1000 * (-q) ** sm.Rational(3, 2), q < 0), (0, True)) - g),

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 import sympy as sm
-from systems import cartesian_pendulum, coordinate_free, fixed, pendulum, rolling_disc, slider
+from systems import coordinate_free, fixed, pendulum, slider
 
 import fourbar_codegen as fb
 from fourbar_codegen.c_source import _Printer
@@ -32,10 +32,10 @@ MODELS = {
     "four_bar": fb.models.four_bar,
     "no constraints": lambda: fb.Model(pendulum(), name="pendulum"),
     "holonomic": slider,
-    "nonholonomic, implicit kinematics": rolling_disc,
+    "nonholonomic, implicit kinematics": fb.models.rolling_disc,
     "no degree of freedom": fixed,
     "no coordinates": coordinate_free,
-    "nothing but one constraint": cartesian_pendulum,
+    "nothing but one constraint": fb.models.cartesian_pendulum,
 }
 
 

@@ -5,68 +5,12 @@ import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
 from sympy.physics.mechanics.system import System
+from systems import closed_by_auxiliary_speeds
 
 import fourbar_codegen as fb
 
 t = me.dynamicsymbols._t
-g, rho = sm.symbols("g rho")
-lengths = sm.symbols("l1:5")
-
-
-def closed_by_auxiliary_speeds(*, unknown_forces):
-    """Four uniform bars in a plane, the closing joint given a velocity (u_x, u_y) that is zero."""
-    l1, *moving = lengths
-    q, u = me.dynamicsymbols("q1:4"), me.dynamicsymbols("u1:4")
-    ux, uy, fx, fy = me.dynamicsymbols("u_x u_y F_x F_y")
-    ground, origin = me.ReferenceFrame("N"), me.Point("O")
-    origin.set_vel(ground, 0)
-    system = System(ground, origin)
-    parent, joint = ground, origin
-    for i, length in enumerate(moving):
-        bar, center, end = me.ReferenceFrame(f"B{i}"), me.Point(f"C{i}"), me.Point(f"P{i}")
-        bar.orient_axis(parent, ground.z, q[i])
-        bar.set_ang_vel(parent, u[i] * ground.z)
-        center.set_pos(joint, length / 2 * bar.x)
-        end.set_pos(joint, length * bar.x)
-        center.v2pt_theory(joint, ground, bar)
-        end.v2pt_theory(joint, ground, bar)
-        inertia = (me.inertia(bar, 0, 0, rho * length**3 / 12), center)
-        system.add_bodies(me.RigidBody(f"bar{i}", center, bar, rho * length, inertia))
-        parent, joint = bar, end
-    system.apply_uniform_gravity(-g * ground.y)
-    if unknown_forces:
-        system.add_loads(me.Force(joint, fx * ground.x + fy * ground.y))
-    loop = joint.pos_from(origin) - l1 * ground.x
-    system.add_holonomic_constraints(loop.dot(ground.x), loop.dot(ground.y))
-    slip = joint.vel(ground) - ux * ground.x - uy * ground.y
-    system.velocity_constraints = [slip.dot(ground.x), slip.dot(ground.y)]
-    system.q_ind, system.q_dep, system.u_ind, system.u_dep = q[:1], q[1:], u[:1], u[1:]
-    system.u_aux = [ux, uy]
-    system.add_kdes(*(ui - qi.diff(t) for qi, ui in zip(q, u, strict=True)))
-    values = {**dict(zip(lengths, (2.0, 1.0, 2.0, 1.0), strict=True)), rho: 5.0, g: 9.81}
-    return fb.Model(
-        system,
-        name="closed_by_auxiliary_speeds",
-        parameters=values,
-        outputs=fb.joint_force("closing", {1: ground.x, 2: ground.y}, ground),
-    )
-
-
-# SymPy's documentation, four_bar_linkage_example: upright rectangle at rest. Link 4 presses on the ground with
-# its own weight and half of that of link 3: 5 * 9.81 * (1 + 2 / 2) N.
-RECTANGLE = [np.pi / 2, -np.pi / 2, -np.pi / 2, 0.0, 0.0, 0.0]
-
-
-@pytest.mark.parametrize("unknown_forces", [True, False])
-def test_closing_joint_force_of_sympys_documentation(unknown_forces):
-    linkage = fb.compile_model(closed_by_auxiliary_speeds(unknown_forces=unknown_forces))
-    names = ("F_x", "F_y") if unknown_forces else ("u_x", "u_y")
-    assert linkage.outputs == (*names, "closing_x", "closing_y", "closing_z")
-    np.testing.assert_allclose(linkage.rhs(0.0, RECTANGLE), 0.0, atol=1e-13)
-    by_auxiliary_speeds, by_multipliers = np.split(linkage.output(0.0, RECTANGLE), [2])
-    # The force on the end of link 4; the documentation prints the opposite, the force on the ground.
-    np.testing.assert_allclose(by_multipliers, [0.0, 98.1, 0.0], atol=1e-12)
-    np.testing.assert_allclose(by_auxiliary_speeds, [0.0, 98.1], atol=1e-12)
+g = sm.Symbol("g")
 
 
 def test_force_in_a_joint_of_the_tree():

@@ -28,6 +28,7 @@ def whipple_bicycle() -> Model:
         Coordinates q1, q2 (m), the place of the rear contact; q3, q4, q5 (rad), yaw, roll and pitch of the
         rear frame; q6 (rad), the rear wheel's angle; q7 (rad), steer; q8 (rad), the front wheel's angle.
         Speeds u1 to u8, their rates. The independent speeds are roll, rear wheel and steer.
+        It begins upright, with 5 m/s.
 
     Examples
     --------
@@ -129,5 +130,5 @@ def whipple_bicycle() -> Model:
             ie31: Parameter(0.009119225261946298, "kg m^2", "front frame"),
             g: Parameter(9.81, "m/s^2", "gravitational acceleration"),
         },
-        initial={q5: sm.pi / 10, u6: -10.0},
+        initial={**dict.fromkeys(q, 0), q5: sm.pi / 10, u4: 0.0, u6: -5.0 / 0.3, u7: 0.0},
     )

@@ -1,10 +1,6 @@
-"""Numbers that stand in print or were computed by other means than this package."""
+"""The SymBRiM tutorial, and SymPy's four-bar matrices."""
 
 import numpy as np
-import pytest
-from systems import cartesian_pendulum, rolling_disc
-
-import fourbar_codegen as fb
 
 # The tutorial's numbers: SymBRiM tutorial "Four-bar Linkage". The printed ones have 8 to 15 digits; the full
 # ones come from a code in absolute angles with the constraints in a KKT matrix, without SymPy.
@@ -45,61 +41,3 @@ def test_four_bar_matrices_of_sympy(four_bar):
     np.testing.assert_allclose(four_bar.rhs(0.0, x, p, [0.0])[3:], accelerations, rtol=0, atol=1e-10)
     np.testing.assert_allclose(four_bar.position_constraints(0.0, x[:3], p), 0.0, atol=1e-10)
     np.testing.assert_allclose(four_bar.velocity_constraints(0.0, x, p), 0.0, atol=1e-10)
-
-
-@pytest.mark.parametrize(
-    ("q", "u", "expected"),
-    [
-        (
-            [0.3, 0.1, 1.97, -0.35, 2.27],
-            [-0.2, 1.3, 0.15],
-            [
-                0.126603940595934,
-                0.215942571601660,
-                1.28736069604936,
-                0.319764288376543,
-                0.0989146857254898,
-                -0.925848952664489,
-                -0.0181350656532944,
-                2.91695398184589,
-                -0.00992793421754526,
-                0.0412861634829171,
-            ],
-        ),
-        (
-            [3.97, -0.28, 8.2, -0.35, 2.27],
-            [-0.25, -2.2, 0.62],
-            [
-                0.0259159090798597,
-                0.668041660387416,
-                -2.19283799213811,
-                0.385441810852219,
-                0.420109283790573,
-                1.45030568179066,
-                -0.0110924422400793,
-                -8.35617840186040,
-                -0.154098542632173,
-                -0.146102664410010,
-            ],
-        ),
-    ],
-)
-def test_rolling_disc_of_sympy(q, u, expected):
-    # SymPy, test_kane5.py, and its tolerance.
-    disc = fb.compile_model(rolling_disc())
-    x0 = disc.initial_state(q, u)
-    np.testing.assert_allclose(disc.rhs(0.0, x0), expected, rtol=0, atol=1e-10)
-
-
-def test_pendulum_in_cartesian_coordinates():
-    # IFToMM benchmark A01: 1 kg, 1 m, g = 9.81, from (-1, 0) at rest; positions from elliptic functions.
-    pendulum = fb.compile_model(cartesian_pendulum())
-    x0 = pendulum.initial_state([0.0], [0.0])
-    # It swings through x = 0, where y cannot be independent: the solve chooses its own split.
-    run = pendulum.simulate((0.0, 10.0), x0, rtol=1e-12, atol=1e-12, t_eval=[1.0, 2.0, 5.0, 10.0])
-    expected_x = [0.98629175113186, -0.79356619534332, -0.94230543504376, -0.27508746257612]
-    expected_y = [-0.16501085312554, -0.60848393044379, -0.33475433841400, -0.96141920509913]
-    # Global error: some 1000 times the tolerance of a step over four periods.
-    np.testing.assert_allclose(run["x"], expected_x, atol=1e-8)
-    np.testing.assert_allclose(run["y"], expected_y, atol=1e-8)
-    np.testing.assert_allclose(run.energy, 0.0, atol=1e-8)

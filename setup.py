@@ -25,7 +25,7 @@ def extension(name: str, sources: list[Path | str], folder: Path | str) -> Exten
 
 
 models = [
-    extension(f"prebuilt.{wrapper.stem}", [wrapper, wrapper.with_name(f"{wrapper.stem}_kernel.c")], wrapper.parent)
+    extension(f"prebuilt.{wrapper.stem}", [wrapper, *sorted(wrapper.parent.glob("*.c"))], wrapper.parent)
     for wrapper in sorted(Path("generated").glob("*/*.pyx"))
 ]
 

@@ -57,7 +57,7 @@ def evaluation_inside_c(flags: list[str], t: float, x: Floats, p: list[float]) -
     sources = ROOT / "generated" / "four_bar"
     command = [os.environ.get("CC", "cc"), "-O3", "-fno-tree-vectorize", *flags, "-D_POSIX_C_SOURCE=199309L"]
     command += ["-I", fb.get_include(), "-I", str(sources), str(ROOT / "benchmarks" / "inside_c.c")]
-    subprocess.run([*command, str(sources / "four_bar_kernel.c"), "-o", str(program), "-lm"], check=True)
+    subprocess.run([*command, *map(str, sources.glob("*.c")), "-o", str(program), "-lm"], check=True)
     arguments = [str(program), "200000", repr(t), *(repr(float(value)) for value in (*x, *p))]
 
     def measure() -> float:

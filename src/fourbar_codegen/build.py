@@ -11,7 +11,7 @@ import subprocess
 import sys
 import sysconfig
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -27,6 +27,8 @@ COMMON_FLAGS = ("-fPIC", "-g0")
 # Scalar straight-line code stores results that vectorized loops would reload two at a time, which stalls the
 # processor: -fno-tree-vectorize takes 10 % off the four-bar's evaluation.
 KERNEL_FLAGS = (*COMMON_FLAGS, "-O3", "-fno-tree-vectorize")
+# What the compiler does beyond -O1 takes it half as long again, for a few per cent of long straight-line code.
+DERIVATIVES_FLAGS = (*COMMON_FLAGS, "-O1")
 # Behind the user's flags: a kernel has to notice what is not a number, and so have integrators.
 STRICT_FLAGS = ("-fno-fast-math", "-fno-finite-math-only")
 # For what is built on the machine that it is used on.
@@ -66,7 +68,15 @@ def toolchain() -> dict[str, object]:
         "cython": _digest([Path(cython.origin).with_name("Shadow.py")]) if cython and cython.origin else "",
         "compiler": compiler,
         "compiler file": _file_identity(shutil.which(compiler[0])),
-        "flags": [KERNEL_FLAGS, STRICT_FLAGS, WRAPPER_FLAGS, MACHINE_FLAGS, _user_flags("CFLAGS"), _link_flags()],
+        "flags": [
+            KERNEL_FLAGS,
+            DERIVATIVES_FLAGS,
+            STRICT_FLAGS,
+            WRAPPER_FLAGS,
+            MACHINE_FLAGS,
+            _user_flags("CFLAGS"),
+            _link_flags(),
+        ],
         "processor": _processor(),
     }
 
@@ -123,19 +133,28 @@ def _processor() -> str:
     return f"{platform.machine()} {platform.processor()} {flags.strip()}"
 
 
-def build_extension(name: str, sources: Mapping[str, str], folder: Path, *, portable: bool) -> Path:
+def build_extension(
+    name: str,
+    sources: Mapping[str, str],
+    folder: Path,
+    *,
+    portable: bool,
+    check: Callable[[Path], None] | None = None,
+) -> Path:
     """Write sources into a folder and compile them to an extension module there.
 
     Parameters
     ----------
     name : str
-        The module's name; `sources` has ``{name}.pyx`` and ``{name}_kernel.c``.
+        The module's name; `sources` has ``{name}.pyx``, ``{name}_kernel.c`` and ``{name}_derivatives.c``.
     sources : mapping of str to str
         Text by file name.
     folder : Path
         Created if it does not exist; it is touched only when all has been built.
     portable : bool
         Whether the module may be used on another machine of the same kind.
+    check : callable, optional
+        Called with the module before it comes to the folder, where it does not come if this raises.
 
     Returns
     -------
@@ -149,6 +168,8 @@ def build_extension(name: str, sources: Mapping[str, str], folder: Path, *, port
     """
     with tempfile.TemporaryDirectory() as temporary:
         module = _build(name, sources, Path(temporary), () if portable else MACHINE_FLAGS)
+        if check is not None:
+            check(module)
         try:
             folder.mkdir(parents=True, exist_ok=True)
             for filename in (*sources, module.name):
@@ -165,10 +186,13 @@ def _build(name: str, sources: Mapping[str, str], folder: Path, machine_flags: t
         (folder / filename).write_text(text, encoding="utf-8", newline="\n")
     from concurrent.futures import ThreadPoolExecutor
 
-    with ThreadPoolExecutor(1) as pool:
-        kernel = pool.submit(_compile, folder / f"{name}_kernel.c", (*KERNEL_FLAGS, *machine_flags))
+    with ThreadPoolExecutor(2) as pool:
+        jobs = [
+            pool.submit(_compile, folder / f"{name}_derivatives.c", (*DERIVATIVES_FLAGS, *machine_flags)),
+            pool.submit(_compile, folder / f"{name}_kernel.c", (*KERNEL_FLAGS, *machine_flags)),
+        ]
         wrapper = _compile(_cythonize(folder / f"{name}.pyx"), WRAPPER_FLAGS)
-        objects = [kernel.result(), wrapper]
+        objects = [*(job.result() for job in jobs), wrapper]
     module = folder / f"{name}{sysconfig.get_config_var('EXT_SUFFIX')}"
     _run([*_compiler(), *map(str, objects), *_link_flags(), "-o", str(module)], module)
     return module

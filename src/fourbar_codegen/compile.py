@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from fourbar_codegen.build import build_extension, toolchain
 from fourbar_codegen.cache import cached
@@ -10,6 +11,9 @@ from fourbar_codegen.compiled import CompiledModel
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.fingerprint import fingerprint
 from fourbar_codegen.model import Model
+
+if TYPE_CHECKING:
+    from fourbar_codegen.equations import Equations
 
 __all__ = ["build_model", "compile_model", "generate_sources", "key_of"]
 
@@ -24,7 +28,7 @@ def generate_sources(model: Model) -> dict[str, str]:
     Returns
     -------
     dict of str to str
-        Text by file name: the kernel's C source and header, the Cython wrapper, and manifest.json. The same
+        Text by file name: the C sources and header, the Cython wrapper, and manifest.json. The same
         model gives the same text, on every machine and in every process.
 
     Raises
@@ -36,11 +40,16 @@ def generate_sources(model: Model) -> dict[str, str]:
     --------
     >>> import fourbar_codegen as fb
     >>> sorted(fb.generate_sources(fb.models.four_bar()))
-    ['four_bar.pyx', 'four_bar_kernel.c', 'four_bar_kernel.h', 'manifest.json']
+    ['four_bar.pyx', 'four_bar_derivatives.c', 'four_bar_kernel.c', 'four_bar_kernel.h', 'manifest.json']
     """
+    return _generate(model)[1]
+
+
+def _generate(model: Model) -> tuple[Equations, dict[str, str]]:
+    """The equations, and the sources made of them."""
     _require_model(model)
     # Imported here: a model that is in the cache needs none of it.
-    from fourbar_codegen.c_source import header_text, kernel_text
+    from fourbar_codegen.c_source import derivatives_text, header_text, kernel_text
     from fourbar_codegen.cython_source import manifest_of, manifest_text, wrapper_text
     from fourbar_codegen.equations import form_equations
     from fourbar_codegen.lower import lower
@@ -55,8 +64,9 @@ def generate_sources(model: Model) -> dict[str, str]:
         "outputs": model.outputs,
     }
     manifest = manifest_of(model, program, names)
-    return {
+    return equations, {
         f"{model.name}_kernel.c": kernel_text(program, names),
+        f"{model.name}_derivatives.c": derivatives_text(program, names),
         f"{model.name}_kernel.h": header_text(program, names),
         f"{model.name}.pyx": wrapper_text(model, manifest),
         "manifest.json": manifest_text(manifest),
@@ -88,7 +98,7 @@ def _require_model(model: object) -> None:
         raise ModelError(f"A Model is needed, not a {type(model).__name__}: wrap a System in fourbar_codegen.Model.")
 
 
-def build_model(model: Model, folder: str | Path) -> Path:
+def build_model(model: Model, folder: str | Path, *, check: bool = True) -> Path:
     """Compile a model to an extension module in a folder, beside its sources.
 
     The module runs on other machines of the same kind, with NumPy alone or through `load`.
@@ -98,6 +108,8 @@ def build_model(model: Model, folder: str | Path) -> Path:
     model : Model
     folder : str or Path
         Created if it does not exist; it is touched only when all has been built.
+    check : bool, optional
+        Whether to compare the compiled functions with the equations, at random states.
 
     Returns
     -------
@@ -107,11 +119,23 @@ def build_model(model: Model, folder: str | Path) -> Path:
     Raises
     ------
     ModelError, BuildError
+        As for `compile_model`.
     """
-    return build_extension(model.name, generate_sources(model), Path(folder), portable=True)
+    return _build(model, Path(folder), portable=True, check=check)
 
 
-def compile_model(model: Model) -> CompiledModel:
+def _build(model: Model, folder: Path, *, portable: bool, check: bool) -> Path:
+    equations, sources = _generate(model)
+
+    def compare(module: Path) -> None:
+        from fourbar_codegen.verify import verify
+
+        verify(equations, CompiledModel.from_file(module))
+
+    return build_extension(model.name, sources, folder, portable=portable, check=compare if check else None)
+
+
+def compile_model(model: Model, *, check: bool = True) -> CompiledModel:
     """Compile a model, or load it from the cache if the same model was compiled before.
 
     The cache is in the user's cache folder, or in the folder that the environment variable
@@ -120,6 +144,8 @@ def compile_model(model: Model) -> CompiledModel:
     Parameters
     ----------
     model : Model
+    check : bool, optional
+        Whether to compare the compiled functions with the equations, evaluated in Python at random states.
 
     Returns
     -------
@@ -130,7 +156,7 @@ def compile_model(model: Model) -> CompiledModel:
     ModelError
         If the model has something that cannot be compiled.
     BuildError
-        If there is no C compiler, or it fails; with its output.
+        If there is no C compiler, or it fails, with its output; or the comparison fails.
     CacheError
         If the cache's folder cannot be written.
 
@@ -143,6 +169,6 @@ def compile_model(model: Model) -> CompiledModel:
     _require_model(model)
 
     def build(folder: Path) -> Path:
-        return build_extension(model.name, generate_sources(model), folder, portable=False)
+        return _build(model, folder, portable=False, check=check)
 
     return CompiledModel.from_file(cached(model.name, key_of(model), build))

@@ -56,7 +56,7 @@ def manifest_of(model: Model, program: Program, names: Mapping[str, Sequence[str
         "outputs": list(names["outputs"]),
         "initial": model.initial,
         "has_potential_energy": energies[1] is not sm.nan,
-        "operations": {function.name: function.operations for function in program.functions},
+        "operations": {function.name: function.operations for function in (*program.functions, *program.derivatives)},
     }
 
 

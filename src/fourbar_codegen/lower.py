@@ -121,7 +121,8 @@ def lower(name: str, equations: Equations) -> Program:
         n_o=len(e.outputs.entries),
         n_constants=len(constants.symbols),
     )
-    return Program(name, sizes, (prepare, *functions))
+    first = next(i for i, function in enumerate(functions) if function.name == "sensitivity")
+    return Program(name, sizes, (prepare, *functions[:first]), functions[first:])
 
 
 class _Constants:

@@ -130,8 +130,11 @@ class Program:
     sizes : Sizes
     functions : tuple of Function
         `prepare` first, which derives the constants that all others take.
+    derivatives : tuple of Function
+        Those that give derivatives: longer than the others, and called less often.
     """
 
     name: str
     sizes: Sizes
     functions: tuple[Function, ...]
+    derivatives: tuple[Function, ...]

@@ -15,9 +15,9 @@ from collections.abc import Collection, Container, Iterable, Mapping, Sequence
 import sympy as sm
 from sympy.concrete.expr_with_limits import ExprWithLimits
 from sympy.functions.special.delta_functions import DiracDelta
-from sympy.printing.codeprinter import PrintMethodNotImplementedError
 
 from fourbar_codegen.errors import ModelError
+from fourbar_codegen.numeric import number
 
 __all__ = ["Direction", "Tape", "free_symbols"]
 
@@ -129,9 +129,10 @@ class Tape:
 
     def evaluate(self, expressions: Sequence[sm.Expr], values: Mapping[sm.Symbol, float]) -> list[float]:
         """Numbers for expressions, given one for every leaf that they depend on."""
-        statements = [(symbol, self.statements[symbol]) for symbol in self.reach(expressions)]
-        function = sm.lambdify(list(values), list(expressions), modules="math", cse=lambda e: (statements, e))
-        return [float(value) for value in function(*values.values())]
+        known = dict(values)
+        for symbol in self.reach(expressions):
+            known[symbol] = number(self.statements[symbol], known)
+        return [number(expr, known) for expr in expressions]
 
     def vanish(self, expressions: Sequence[sm.Expr]) -> list[bool]:
         """Whether each expression is zero wherever the leaves are, as told by its values at random points.
@@ -152,8 +153,8 @@ class Tape:
         for _ in range(8):
             try:
                 samples.append(self.evaluate(expressions, {leaf: generator.uniform(-3.0, 3.0) for leaf in leaves}))
-            except (ArithmeticError, ValueError, TypeError, NameError, PrintMethodNotImplementedError):
-                continue  # outside of a function's range, or a function that Python does not have
+            except (ArithmeticError, ValueError, TypeError):
+                continue  # outside of a function's range
         if len(samples) < 3:
             return [expression.is_zero is True for expression in expressions]
         return [all(abs(value) < 1e-9 for value in values) for values in zip(*samples, strict=True)]

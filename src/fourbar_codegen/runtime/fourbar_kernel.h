@@ -38,6 +38,9 @@ typedef void fb_sensitivity(double t, const double *x, const double *constants, 
                             const double *accelerations, const double *multipliers, double *coordinate_rate_jacobian,
                             double *residual_jacobian);
 
+typedef void fb_velocity_sensitivity(double t, const double *x, const double *constants, const double *r,
+                                     double *velocity_jacobian);
+
 typedef struct fb_kernel {
     int abi_version;
     size_t struct_size;
@@ -65,8 +68,7 @@ typedef struct fb_kernel {
     void (*velocity)(double t, const double *x, const double *constants, const double *r, double *constraint_jacobian,
                      double *velocity_bias);
     /* d(J u + b)/dq */
-    void (*velocity_sensitivity)(double t, const double *x, const double *constants, const double *r,
-                                 double *velocity_jacobian);
+    fb_velocity_sensitivity *velocity_sensitivity;
     /* kinetic and potential energy */
     void (*energy)(double t, const double *x, const double *constants, const double *r, double *energies);
     /* the outputs, for u' and lambda as given */

@@ -1,7 +1,7 @@
 /* The part of a kernel that is the same for every model: it solves what the generated functions set up.
  *
  * Included once, at the end of a generated source, which defines N_Q, N_U, ..., the functions `prepare` to
- * `sensitivity`, and FB_KERNEL, the name of the table.
+ * `output`, and FB_NAME(function), the names of the table `kernel` and of the derivatives, which stand elsewhere.
  */
 #include "fourbar_kernel.h"
 #include "fourbar_solve.h"
@@ -92,22 +92,22 @@ static int differentiate(fb_sensitivity *function, const int n, double t, const 
 
 static int jacobian(double t, const double *x, const double *constants, const double *r, double *matrix, void *work)
 {
-    return differentiate(sensitivity, N_X, t, x, constants, r, matrix, work);
+    return differentiate(FB_NAME(sensitivity), N_X, t, x, constants, r, matrix, work);
 }
 
 static int parameter_jacobian(double t, const double *x, const double *constants, const double *r, double *matrix,
                               void *work)
 {
-    return differentiate(parameter_sensitivity, N_P, t, x, constants, r, matrix, work);
+    return differentiate(FB_NAME(parameter_sensitivity), N_P, t, x, constants, r, matrix, work);
 }
 
 static int input_jacobian(double t, const double *x, const double *constants, const double *r, double *matrix,
                           void *work)
 {
-    return differentiate(input_sensitivity, N_R, t, x, constants, r, matrix, work);
+    return differentiate(FB_NAME(input_sensitivity), N_R, t, x, constants, r, matrix, work);
 }
 
-const fb_kernel FB_KERNEL = {
+const fb_kernel FB_NAME(kernel) = {
     .abi_version = FB_ABI_VERSION,
     .struct_size = sizeof(fb_kernel),
     .work_size = sizeof(fb_work),
@@ -129,10 +129,10 @@ const fb_kernel FB_KERNEL = {
     .dynamics = dynamics,
     .position = position,
     .velocity = velocity,
-    .velocity_sensitivity = velocity_sensitivity,
+    .velocity_sensitivity = FB_NAME(velocity_sensitivity),
     .energy = energy,
     .output = output,
-    .sensitivity = sensitivity,
-    .parameter_sensitivity = parameter_sensitivity,
-    .input_sensitivity = input_sensitivity,
+    .sensitivity = FB_NAME(sensitivity),
+    .parameter_sensitivity = FB_NAME(parameter_sensitivity),
+    .input_sensitivity = FB_NAME(input_sensitivity),
 };

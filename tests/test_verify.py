@@ -1,0 +1,43 @@
+"""The comparison of compiled functions with their equations notices what goes wrong in between."""
+
+import re
+
+import pytest
+from systems import slider
+
+import fourbar_codegen as fb
+import fourbar_codegen.c_source
+
+WRONG_MULTIPLIERS = """\
+#include "fourbar_solve.h"
+#define fb_multipliers(mass_matrix, forcing, accelerations, s, multipliers) ((multipliers)[0] = 70.0)
+#include "fourbar_model.h"
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "pattern", "replacement", "function"),
+    [
+        ("kernel_text", r"(mass_matrix\[0\] = )", r"\1-", "function dynamics, result mass_matrix"),
+        ("kernel_text", r"(forcing\[1\] = )", r"\g<1>1.001*", "function dynamics, result forcing"),
+        ("kernel_text", r"(energies\[0\] = )", r"\g<1>1.0 + ", "function energy"),
+        ("kernel_text", r"(position_jacobian\[1\] = )", r"\1-", "function position"),
+        ("derivatives_text", r"(residual_jacobian\[1\] = )", r"\g<1>1.0 + ", "function sensitivity"),
+        ("kernel_text", r"#include \"fourbar_model.h\"", WRONG_MULTIPLIERS, "solution of M u'"),
+    ],
+)
+def test_a_defect_is_found_and_named(tmp_path, monkeypatch, text, pattern, replacement, function):
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
+    original = getattr(fourbar_codegen.c_source, text)
+
+    def damaged(*arguments):
+        changed, count = re.subn(pattern, replacement, original(*arguments), count=1)
+        assert count == 1
+        return changed
+
+    monkeypatch.setattr(fourbar_codegen.c_source, text, damaged)
+    with pytest.raises(fb.BuildError, match=function):
+        fb.compile_model(slider())
+    # Nothing of it is kept.
+    assert not [path for path in tmp_path.iterdir() if path.is_dir()]
+    assert fb.compile_model(slider(), check=False).name == "slider"

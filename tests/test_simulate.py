@@ -9,6 +9,7 @@ import pytest
 import scipy.integrate
 import sympy.physics.mechanics as me
 from scipy.integrate import solve_ivp
+from systems import coordinate_free
 
 import fourbar_codegen as fb
 
@@ -294,3 +295,63 @@ def test_feedback_may_ask_the_same_model(four_bar):
     )
     # The sums of SciPy's steps are rounded in another order.
     np.testing.assert_allclose(run.y[:, -1], table_free.y[:, -1], rtol=1e-12)
+
+
+@pytest.mark.parametrize("method", ["RK23", "RK45", "DOP853"])
+def test_a_step_without_bound_ends_the_run(four_bar, method):
+    # In free fall, without gravity, every step is exact and the next one ten times as long.
+    block = fb.compile_model(coordinate_free())
+    run = solve_ivp(block.ode({"b": 0.0}), (0.0, np.inf), [1.0], method=getattr(fb.solvers, method))
+    assert not run.success
+    assert "not finite" in run.message
+    solver = getattr(fb.solvers, method)(four_bar.ode(), 0.0, four_bar.initial_state(), 1.0)
+    solver.step()
+    with pytest.raises(fb.ModelError, match="contiguous array of"):
+        solver._stepper.step(0.0, 0.1, four_bar.initial_state(), np.zeros((1, 1)))
+
+
+def test_a_live_solver_follows_its_settings(four_bar):
+    x0 = four_bar.initial_state()
+    ends = []
+    for solvers in (fb.solvers, scipy.integrate):
+        solver = solvers.RK45(four_bar.ode(), 0.0, x0, 1.0)
+        solver.step()
+        solver.t_bound, solver.max_step, solver.rtol = 2.0, 0.05, 1e-8
+        steps = 0
+        while solver.status == "running":
+            solver.step()
+            steps += 1
+        ends.append((solver.t, steps, solver.nfev))
+    assert ends[0] == ends[1]
+
+
+@pytest.mark.parametrize("method", ["BDF", "Radau", "RK45"])
+def test_a_callables_own_error_is_not_taken_for_a_failure(four_bar, method):
+    count = 0
+
+    def force(t, x):
+        nonlocal count
+        if t < 0.3:
+            return 0.0
+        count += 1
+        if count == 1:
+            return float("nan")
+        raise ValueError("an error of the controller's own")
+
+    with pytest.raises(ValueError, match="the controller's own"):
+        four_bar.simulate((0.0, 1.0), method=method, inputs={"F": force})
+
+
+def test_a_callable_may_use_the_state_as_its_own(four_bar):
+    def force(t, x):
+        x[:] = 0.0
+        return 10.0
+
+    expected = four_bar.simulate((0.0, 1.0), inputs={"F": 10.0})
+    np.testing.assert_array_equal(four_bar.simulate((0.0, 1.0), inputs={"F": force}).y, expected.y)
+
+
+def test_lsoda_with_a_band(four_bar):
+    x0 = four_bar.initial_state()
+    run = solve_ivp(four_bar.ode(), (0.0, 1.0), x0, method=fb.solvers.LSODA, lband=5, uband=5)
+    assert run.success

@@ -155,12 +155,6 @@ def form_equations(model: Model) -> Equations:
     kane = Kane(tape, mechanism, leaves, auxiliary, [along[symbol] for symbol in (*u, *aux)], rate)
     kane.use_poisson_rates()
     mass_matrix, forcing = kane.mass_matrix_and_forcing()
-    # The unknown forces, which auxiliary speeds bring out, act through these columns.
-    columns = [[along[symbol](entry) for entry in forcing] for symbol in unknown]
-    forcing = [_substitute(tape, entry, dict.fromkeys(unknown, sm.S.Zero)) for entry in forcing]
-    if tape.depends([*chain(*mass_matrix, *columns), *forcing], {*aux, *unknown}):
-        raise ModelError("Velocities must be linear in the auxiliary speeds, and loads in the unknown forces.")
-
     positions = tuple(tape.convert(expr, leaves) for expr in mechanism.holonomic_constraints)
     velocities = tuple(tape.convert(expr, leaves) for expr in mechanism.velocity_constraints)
     with_auxiliary = tuple(tape.convert(expr, {**leaves, **auxiliary}) for expr in mechanism.velocity_constraints)
@@ -179,22 +173,27 @@ def form_equations(model: Model) -> Equations:
     a = tuple(sm.Symbol(f"a:{name}", real=True) for name in model.speeds)
     lam = tuple(sm.Symbol(f"l:{number}", real=True) for number in range(n_c))
 
-    def balance(row: int, constraint_row: Sequence[sm.Expr]) -> sm.Expr:
-        """One row of f - M u' + J^T lambda."""
-        return tape.define(
-            forcing[row]
-            - sum(tape.define(mass_matrix[row][j] * a[j]) for j in range(n_u))
-            + sum(tape.define(constraint_row[k] * lam[k]) for k in range(n_c))
-        )
+    # The unknown forces, which auxiliary speeds bring out, act through these columns.
+    balance = kane.balance(a)
+    columns = [[along[symbol](entry) for entry in balance] for symbol in unknown]
+    balance = [_substitute(tape, entry, dict.fromkeys(unknown, sm.S.Zero)) for entry in balance]
+    forcing = [_substitute(tape, entry, dict.fromkeys(unknown, sm.S.Zero)) for entry in forcing]
+    if tape.depends([*chain(*mass_matrix, *columns), *balance], {*aux, *unknown}):
+        raise ModelError("Velocities must be linear in the auxiliary speeds, and loads in the unknown forces.")
 
-    dynamic = tuple(balance(i, [row[i] for row in jacobian]) for i in range(n_u))
+    # f - M u' + J^T lambda; the rows of the auxiliary speeds last.
+    auxiliary_jacobian = [[along[symbol](expr) for symbol in aux] for expr in with_auxiliary]
+    all_columns = zip(*([*row, *more] for row, more in zip(jacobian, auxiliary_jacobian, strict=True)), strict=True)
+    dynamic = [
+        tape.define(row + sum(tape.define(j * symbol) for j, symbol in zip(column, lam, strict=True)))
+        for row, column in zip(balance, all_columns if lam else [()] * len(balance), strict=True)
+    ]
     kinematic = tuple(
         tape.define(-acceleration_bias[k] - sum(tape.define(jacobian[k][j] * a[j]) for j in range(n_u)))
         for k in range(n_c)
     )
 
-    auxiliary_jacobian = [[along[symbol](expr) for symbol in aux] for expr in with_auxiliary]
-    generalized = [-balance(n_u + i, [row[i] for row in auxiliary_jacobian]) for i in range(len(aux))]
+    generalized = [-row for row in dynamic[n_u:]]
     if unknown:
         n_i = n_u - mechanism.n_dependent_speeds
         forces = _noncontributing(tape, columns, jacobian, auxiliary_jacobian, generalized, n_i)
@@ -217,8 +216,8 @@ def form_equations(model: Model) -> Equations:
         "default_inputs": _vector("inputs", defaults),
         "outputs": _vector("outputs", outputs),
         "coordinate_rates": _vector("coordinate_rates", q_rates),
-        "mass_matrix": _matrix("mass_matrix", mass_matrix[:n_u], n_u),
-        "forcing": _vector("forcing", forcing[:n_u]),
+        "mass_matrix": _matrix("mass_matrix", mass_matrix, n_u),
+        "forcing": _vector("forcing", forcing),
         "position_constraints": _vector("position_constraints", positions),
         "position_jacobian": _matrix("position_jacobian", [[along[s](e) for s in q] for e in positions], n_q),
         "constraint_jacobian": _matrix("constraint_jacobian", jacobian, n_u),
@@ -237,7 +236,7 @@ def form_equations(model: Model) -> Equations:
     )
     for kind, variables in (("", (*q, *u)), ("_parameter", needed), ("_input", r)):
         directions = [along.get(s) or Direction(tape, {s: sm.S.One}) for s in variables]
-        for name, rows in (("coordinate_rate", q_rates), ("residual", (*dynamic, *kinematic))):
+        for name, rows in (("coordinate_rate", q_rates), ("residual", (*dynamic[:n_u], *kinematic))):
             result = f"{name}{kind}_jacobian"
             results[result] = _matrix(result, [[d(e) for d in directions] for e in rows], len(variables))
     return Equations(

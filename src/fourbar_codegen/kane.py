@@ -7,6 +7,7 @@ the direction cosines of neighbouring frames only where a dot product needs one 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 
 import sympy as sm
 
@@ -19,6 +20,27 @@ __all__ = ["Kane"]
 INERTIAL = 0
 ZERO: Components = (sm.S.Zero, sm.S.Zero, sm.S.Zero)
 Rotation = tuple[Components, Components, Components]
+
+
+@dataclass(frozen=True)
+class _Inertia:
+    """A momentum, times `weight`: of the mass centre, or about it.
+
+    Attributes
+    ----------
+    weight : Expr
+    partials : list of Vector
+        Partial velocities, or partial angular velocities, with respect to all speeds.
+    momenta : list of Vector
+        What the momentum gains with each speed, auxiliary ones apart.
+    rate : Vector
+        The momentum's rate in the inertial frame for u' = 0.
+    """
+
+    weight: sm.Expr
+    partials: Sequence[Vector]
+    momenta: Sequence[Vector]
+    rate: Vector
 
 
 class Kane:
@@ -96,58 +118,71 @@ class Kane:
                         self.rate.give(entry, derivative)
 
     def mass_matrix_and_forcing(self) -> tuple[list[list[sm.Expr]], list[sm.Expr]]:
-        """M, shape (n_u + n_aux, n_u), and f, shape (n_u + n_aux,), of M u' = f + Q.
+        """M, shape (n_u, n_u), and f, shape (n_u,), of M u' = f.
 
-        The rows of the auxiliary speeds, which are zero and stay so, stand last; Q is what keeps them zero.
-
-        Source: Kane and Levinson 1985, sections 4.11 (generalized inertia forces), 4.4 (active forces) and 4.9
-        (bringing noncontributing forces into evidence).
+        Source: Kane and Levinson 1985, sections 4.11 (generalized inertia forces) and 4.4 (active forces).
         """
-        mass_terms: list[list[list[sm.Expr]]] = [[[] for _ in range(self.n_u)] for _ in self.along_u]
-        force_terms: list[list[sm.Expr]] = [[] for _ in self.along_u]
-        for body in self.mechanism.bodies:
-            self._add_translation(body, mass_terms, force_terms)
-            if body.inertia is not None:
-                self._add_rotation(body, mass_terms, force_terms)
+        define, n_u = self.tape.define, self.n_u
+        inertias = self._inertias()
+        active = self.active_forces()
+        lower = [
+            [
+                define(sm.Add(*(define(i.weight * self._dot(i.momenta[s], i.partials[r])) for i in inertias)))
+                for s in range(r + 1)
+            ]
+            for r in range(n_u)
+        ]
+        forcing = [
+            define(active[r] - sm.Add(*(define(i.weight * self._dot(i.partials[r], i.rate)) for i in inertias)))
+            for r in range(n_u)
+        ]
+        return [[lower[max(r, s)][min(r, s)] for s in range(n_u)] for r in range(n_u)], forcing
+
+    def balance(self, accelerations: Sequence[sm.Expr]) -> list[sm.Expr]:
+        """The forces f - M u' for given u', shape (n_u + n_aux,), without M: of each body in each partial velocity.
+
+        The rows of the auxiliary speeds, which are zero and stay so, stand last.
+
+        Source: Kane and Levinson 1985, sections 4.11 and 4.9 (bringing noncontributing forces into evidence).
+        """
+        define = self.tape.define
+        terms: list[list[sm.Expr]] = [[force] for force in self.active_forces()]
+        for inertia in self._inertias():
+            total = inertia.rate
+            for momentum, acceleration in zip(inertia.momenta, accelerations, strict=True):
+                total = self._sum(total, self._scale(acceleration, momentum))
+            for row, partial in zip(terms, inertia.partials, strict=True):
+                row.append(-define(inertia.weight * self._dot(partial, total)))
+        return [define(sm.Add(*row)) for row in terms]
+
+    def active_forces(self) -> list[sm.Expr]:
+        """The sum of F . v_r + T . w_r over the loads, shape (n_u + n_aux,)."""
+        terms: list[list[sm.Expr]] = [[] for _ in self.along_u]
         for load in self.mechanism.loads:
             vector = self._convert(load.vector)
-            for r, partial in enumerate(self._partials(load.velocity)):
-                force_terms[r].append(self._dot(vector, partial))
-        mass_matrix = [
-            [self.tape.define(sm.Add(*mass_terms[max(r, s)][min(r, s)])) for s in range(self.n_u)]
-            for r in range(len(self.along_u))
-        ]
-        return mass_matrix, [self.tape.define(sm.Add(*terms)) for terms in force_terms]
+            for row, partial in zip(terms, self._partials(load.velocity), strict=True):
+                row.append(self._dot(vector, partial))
+        return [self.tape.define(sm.Add(*row)) for row in terms]
 
-    def _add_translation(
-        self, body: Body, mass_terms: list[list[list[sm.Expr]]], force_terms: list[list[sm.Expr]]
-    ) -> None:
-        mass = self.tape.convert(body.mass, self.leaves)
-        mass_rate = self.rate(mass)
-        velocity = self._convert(body.velocity)
-        acceleration = self._differentiate(velocity)
-        partials = self._partials(body.velocity)
-        for r, partial in enumerate(partials):
-            force_terms[r].append(-self.tape.define(mass * self._dot(partial, acceleration)))
-            if not mass_rate.is_zero:
-                force_terms[r].append(-self.tape.define(mass_rate * self._dot(partial, velocity)))
-            for s, other in enumerate(partials[: min(r + 1, self.n_u)]):
-                mass_terms[r][s].append(self.tape.define(mass * self._dot(other, partial)))
-
-    def _add_rotation(
-        self, body: Body, mass_terms: list[list[list[sm.Expr]]], force_terms: list[list[sm.Expr]]
-    ) -> None:
-        frame, inertia = self._inertia(body)
-        angular_velocity = self._angular_velocity(body.frame)
-        angular_momentum = self._multiply(inertia, self._express(angular_velocity, frame))
-        momentum_rate = self._differentiate(((frame, angular_momentum),))
-        of_speeds = self._partials(self._stored_angular_velocity(body.frame))
-        partials = [((frame, self._express(partial, frame)),) for partial in of_speeds]
-        momenta = [((frame, self._multiply(inertia, partial[0][1])),) for partial in partials[: self.n_u]]
-        for r, partial in enumerate(partials):
-            force_terms[r].append(-self._dot(partial, momentum_rate))
-            for s, momentum in enumerate(momenta[: r + 1]):
-                mass_terms[r][s].append(self._dot(momentum, partial))
+    def _inertias(self) -> list[_Inertia]:
+        """Translation and rotation of every body."""
+        inertias = []
+        for body in self.mechanism.bodies:
+            mass = self.tape.convert(body.mass, self.leaves)
+            velocity = self._convert(body.velocity)
+            partials = self._partials(body.velocity)
+            inertias.append(_Inertia(mass, partials, partials[: self.n_u], self._differentiate(velocity)))
+            mass_rate = self.rate(mass)
+            if mass_rate:
+                inertias.append(_Inertia(mass_rate, partials, [()] * self.n_u, velocity))
+            if body.inertia is not None:
+                frame, inertia = self._inertia(body)
+                stored = self._stored_angular_velocity(body.frame)
+                partials = [((frame, self._express(partial, frame)),) for partial in self._partials(stored)]
+                momenta = [((frame, self._multiply(inertia, partial[0][1])),) for partial in partials[: self.n_u]]
+                momentum = self._multiply(inertia, self._express(self._convert(stored), frame))
+                inertias.append(_Inertia(sm.S.One, partials, momenta, self._differentiate(((frame, momentum),))))
+        return inertias
 
     def kinetic_energy(self) -> sm.Expr:
         """The sum of m v.v / 2 + w.I.w / 2 over the bodies."""
@@ -274,6 +309,17 @@ class Kane:
 
     def _inner(self, a: Components, b: Components) -> sm.Expr:
         return self.tape.define(sm.Add(*(self.tape.define(x * y) for x, y in zip(a, b, strict=True))))
+
+    def _scale(self, factor: sm.Expr, vector: Vector) -> Vector:
+        return tuple(
+            (frame, _three([self.tape.define(factor * c) for c in components])) for frame, components in vector
+        )
+
+    def _sum(self, a: Vector, b: Vector) -> Vector:
+        total = dict(a)
+        for frame, components in b:
+            total[frame] = self._add(total[frame], components) if frame in total else components
+        return tuple(total.items())
 
     def _cross(self, a: Components, b: Components) -> Components:
         define = self.tape.define

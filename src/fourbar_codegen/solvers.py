@@ -1,8 +1,8 @@
 """SciPy's integrators for a compiled right-hand side.
 
 Subclasses that replace `_step_impl`, which ``scipy.integrate.OdeSolver`` documents as the place for a method
-of one's own. All else is SciPy's: the options, the choice of steps, events, dense output, and, but for
-rounding errors, every number.
+of one's own. All else is SciPy's: the options, the choice of steps, events and dense output; numbers differ by
+rounding errors. Of the explicit ones, hooks such as `_estimate_error_norm` are not called.
 
 Examples
 --------
@@ -17,6 +17,7 @@ True
 
 from __future__ import annotations
 
+import operator
 from typing import Any
 
 import numpy as np
@@ -36,8 +37,8 @@ class _Compiled(scipy.integrate.OdeSolver):
         if not isinstance(fun, Ode):
             name = type(self).__name__
             raise ModelError(
-                f"fourbar_codegen.solvers.{name} integrates what CompiledModel.ode() returns, not {fun!r}: "
-                f"for other functions there is scipy.integrate.{name}."
+                f"fourbar_codegen.solvers.{name} integrates what CompiledModel.ode() returns, without args=, not "
+                f"{fun!r}: for other functions there is scipy.integrate.{name}."
             )
         self._ode = fun
         super().__init__(fun, t0, y0, t_bound, **options)
@@ -54,10 +55,13 @@ class _Explicit(_Compiled):
 
     def __init__(self, fun: Ode, t0: float, y0: ArrayLike, t_bound: float, **options: Any) -> None:
         super().__init__(fun, t0, y0, t_bound, **options)
+        self._settings: tuple[Any, ...] = ()
+
+    def _make_stepper(self) -> Stepper:
         weights = np.zeros((self.n_stages, self.n_stages))
         weights[:, : self.A.shape[1]] = self.A
-        self._stepper = Stepper(
-            fun,
+        return Stepper(
+            self._ode,
             (weights, self.B, self.C),
             self._error_weights(),
             self.error_exponent,
@@ -72,10 +76,16 @@ class _Explicit(_Compiled):
         return self.E  # type: ignore[no-any-return]
 
     def _step_impl(self) -> tuple[bool, str | None]:
+        # They may be changed between steps.
+        settings = (self.t_bound, self.direction, self.max_step, self.rtol, self.atol)
+        if not self._settings or not all(map(operator.is_, settings, self._settings)):
+            self._settings, self._stepper = settings, self._make_stepper()
         self.K[0] = self.f
-        t, h, h_abs, y, evaluations, accepted = self._stepper.step(self.t, self.h_abs, self.y, self.K)
+        t, h, h_abs, y, evaluations, problem = self._stepper.step(self.t, self.h_abs, self.y, self.K)
         self.nfev += evaluations
-        if not accepted:
+        if problem == "infinite":
+            return False, "The step's length is not finite: give a finite end, or max_step."
+        if problem:
             return False, self.TOO_SMALL_STEP
         self.h_previous, self.y_old = h, self.y
         self.t, self.h_abs, self.y, self.f = t, h_abs, y, self.K[-1].copy()
@@ -107,18 +117,21 @@ class _Implicit(_Compiled):
 
     def __init__(self, fun: Ode, t0: float, y0: ArrayLike, t_bound: float, **options: Any) -> None:
         # A callable input may depend on the state, which the compiled Jacobian does not know of.
-        if options.get("jac") is None and isinstance(fun, Ode) and not fun.has_callables:
+        banded = options.get("lband") is not None or options.get("uband") is not None
+        if options.get("jac") is None and isinstance(fun, Ode) and not fun.has_callables and not banded:
             options["jac"] = fun.jac
         super().__init__(fun, t0, y0, t_bound, **options)
 
     def _step_impl(self) -> tuple[bool, str | None]:
         try:
             success, message = super()._step_impl()
-        except ValueError:
-            if self._ode.failure is None:
+        except ValueError as error:
+            if self._ode.failure is None and "infs or NaNs" not in str(error):
                 raise
-            return False, self._ode.failure
-        return (success, message) if np.isfinite(self.y).all() else (False, "the state is not a number")
+            return False, self._ode.failure or "the method's own numbers are beyond the range of double"
+        if np.isfinite(self.y).all():
+            return success, message
+        return False, self._ode.failure or "the state is not finite"
 
 
 class Radau(_Implicit, scipy.integrate.Radau):

@@ -1,6 +1,7 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
 """Calls kernels: argument checks, evaluation, and the right-hand side as a callable for an integrator."""
 
+cimport cython
 cimport numpy as cnp
 from cpython.mem cimport PyMem_Calloc, PyMem_Free, PyMem_Malloc
 from cpython.pycapsule cimport PyCapsule_GetPointer
@@ -48,6 +49,7 @@ cdef extern from "fourbar_kernel.h":
         fb_sensitivity *input_sensitivity
 
 cdef extern from "fourbar_runge_kutta.h":
+    int FB_STEP_ACCEPTED
     int FB_STEP_TOO_SMALL
     ctypedef int (*fb_function)(void *, double, const double *, double *) except -1
     ctypedef struct fb_runge_kutta:
@@ -554,6 +556,7 @@ def failure(int status, double t, x):
     )
 
 
+@cython.final
 cdef class Ode:
     """The right-hand side with parameters and inputs bound: f(t, x) for an integrator.
 
@@ -607,10 +610,15 @@ cdef class Ode:
         """The values of the callables, which run Python, before the buffer is filled."""
         cdef list called = []
         for i, source in self.callables:
-            value = source(t, x)
+            try:
+                value = source(t, np.array(x, dtype=np.float64))  # a copy: what it does to it stays its own affair
+            except BaseException:
+                self.failure = None  # the equations have not failed, the callable has
+                raise
             try:
                 called.append((i, <double>value))
             except (TypeError, OverflowError) as error:
+                self.failure = None
                 raise ModelError(f"The callable of input {i + 1} must return a number, not {value!r}.") from error
         return called
 
@@ -725,7 +733,10 @@ cdef class Stepper:
         errors = np.array(error, dtype=np.float64, order="C")
         relative, absolute = np.full(n, rtol, dtype=np.float64), np.full(n, atol, dtype=np.float64)
         self.kept = (ode, a, b, c, errors, relative, absolute)
-        cdef int n_stages = cnp.PyArray_DIM(b, 0)
+        cdef int n_stages = np.size(b)
+        if (np.shape(a) != (n_stages, n_stages) or np.shape(c) != (n_stages,)
+                or np.shape(errors) not in {(n_stages + 1,), (2, n_stages + 1)}):
+            raise ModelError("The shapes of a Runge-Kutta method's coefficients do not agree.")
         self.method = fb_runge_kutta(
             n_stages=n_stages, a=_data(a), b=_data(b), c=_data(c), error=_data(errors),
             n_errors=cnp.PyArray_NDIM(errors), error_exponent=error_exponent, n=n, function=_stage, context=<void *>ode, t_bound=t_bound,
@@ -749,15 +760,19 @@ cdef class Stepper:
             The time reached, the step taken, the next step's proposed length.
         x : ndarray, shape (n_x,)
         n_evaluations : int
-        accepted : bool
-            False if the step became too small for the precision of t.
+        problem : {"", "too small", "infinite"}
+            Of the step's length; otherwise the step was accepted.
         """
         cdef cnp.ndarray state = _vector(x, self.method.n, "The state x")
         cdef cnp.ndarray x_new = _new(self.method.n)
+        if (cnp.PyArray_NDIM(stages) != 2 or cnp.PyArray_TYPE(stages) != cnp.NPY_DOUBLE
+                or not cnp.PyArray_ISCARRAY(stages) or cnp.PyArray_DIM(stages, 0) != self.method.n_stages + 1
+                or cnp.PyArray_DIM(stages, 1) != self.method.n):
+            raise ModelError(f"The stages must be a contiguous array of {self.method.n_stages + 1} states.")
         self.method.t, self.method.h_abs, self.method.n_evaluations = t, h_abs, 0
         cdef int status = fb_step(&self.method, _data(state), _data(x_new), _data(stages))
         return (self.method.t, self.method.h, self.method.h_abs, x_new, self.method.n_evaluations,
-                status != FB_STEP_TOO_SMALL)
+                "" if status == FB_STEP_ACCEPTED else "too small" if status == FB_STEP_TOO_SMALL else "infinite")
 
 
 cdef class Table:

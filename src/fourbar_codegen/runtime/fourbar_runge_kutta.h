@@ -13,7 +13,7 @@
 #define FB_MIN_FACTOR 0.2
 #define FB_MAX_FACTOR 10.0
 
-enum { FB_STEP_ACCEPTED = 0, FB_STEP_TOO_SMALL = 1 };
+enum { FB_STEP_ACCEPTED = 0, FB_STEP_TOO_SMALL = 1, FB_STEP_INFINITE = 2 };
 
 /* x' at (t, x), not a number where it cannot be evaluated; negative stops the step and is handed on. */
 typedef int (*fb_function)(void *context, double t, const double *x, double *rates);
@@ -50,11 +50,13 @@ static inline double fb_error_norm(const fb_runge_kutta *s, double h, const doub
             if (s->n_errors == 2)
                 error3 += stages[k * s->n + i] * s->error[s->n_stages + 1 + k];
         }
-        sum += (error / scale) * (error / scale);
+        /* The step counts before the square, which may overflow; but not in DOP853, as in SciPy. */
+        const double weighted = s->n_errors == 1 ? error * h / scale : error / scale;
+        sum += weighted * weighted;
         sum3 += (error3 / scale) * (error3 / scale);
     }
     if (s->n_errors == 1)
-        return fabs(h) * sqrt(sum / s->n);
+        return sqrt(sum / s->n);
     return sum == 0.0 && sum3 == 0.0 ? 0.0 : fabs(h) * sum / sqrt((sum + 0.01 * sum3) * s->n);
 }
 
@@ -75,6 +77,8 @@ static inline int fb_step(fb_runge_kutta *s, const double *x, double *x_new, dou
             t_new = s->t_bound;
         const double h = t_new - t;
         h_abs = fabs(h);
+        if (!isfinite(h))
+            return FB_STEP_INFINITE;
         for (int k = 1; k <= s->n_stages; ++k) {
             const double *weights = k < s->n_stages ? s->a + k * s->n_stages : s->b;
             for (int i = 0; i < n; ++i) {

@@ -20,8 +20,10 @@
 
 /* Pivots of J below this share of the largest are rounding errors: 1000 times the precision of double. */
 #define FB_RANK_TOLERANCE 2e-13
-/* Rows dropped as redundant must be satisfied to this share of the right-hand side. */
+/* Rows dropped as redundant must be satisfied to this share of gamma and u', or nearly: where both vanish, what is
+ * left of them is rounding errors. */
 #define FB_CONSISTENCY_TOLERANCE 1e-8
+#define FB_NEARLY 1e-12
 
 typedef struct fb_factors {
     int rank;
@@ -149,9 +151,9 @@ static inline int fb_reduce(const double *restrict mass_matrix, fb_factors *rest
     return FB_OK;
 }
 
-/* w = L^-1 P S gamma; whether the rows beyond the rank hold, to the share `tolerance` of the others. */
-static inline int fb_forward(const double *restrict acceleration_bias, const fb_factors *restrict s,
-                             double *restrict w, const int rank, const double tolerance)
+/* w = L^-1 P S gamma; returns the size of P S gamma. */
+static inline double fb_forward(const double *restrict acceleration_bias, const fb_factors *restrict s,
+                                double *restrict w, const int rank)
 {
     double size = 0.0;
     for (int i = 0; i < N_C; ++i) {
@@ -162,10 +164,7 @@ static inline int fb_forward(const double *restrict acceleration_bias, const fb_
         for (int k = 0; k < i && k < rank; ++k)
             w[i] -= s->lu[i][k] * w[k];
     }
-    for (int i = rank; i < N_C; ++i)
-        if (!(fabs(w[i]) <= tolerance * size))
-            return FB_CONSTRAINTS_DEPENDENT;
-    return FB_OK;
+    return size;
 }
 
 /* u' from f and w = L^-1 P S gamma. */
@@ -230,13 +229,19 @@ static inline int fb_solve(const double *restrict forcing, const double *restric
 {
     double w[FB_AT_LEAST_1(N_C)];
     if (fb_full_rank(s)) {
-        const int status = fb_forward(acceleration_bias, s, w, N_C, tolerance);
+        fb_forward(acceleration_bias, s, w, N_C);
         fb_back(forcing, w, s, accelerations, N_C);
-        return status;
+        return FB_OK;
     }
-    const int status = fb_forward(acceleration_bias, s, w, fb_rank(s), tolerance);
+    /* The rows beyond the rank have to hold by themselves. */
+    double size = fb_forward(acceleration_bias, s, w, fb_rank(s));
     fb_back(forcing, w, s, accelerations, fb_rank(s));
-    return status;
+    for (int i = 0; i < N_U; ++i)
+        size = fb_max(size, fabs(accelerations[i]));
+    for (int i = fb_rank(s); i < N_C; ++i)
+        if (!(fabs(w[i]) <= tolerance * size + FB_NEARLY))
+            return FB_CONSTRAINTS_DEPENDENT;
+    return FB_OK;
 }
 
 /* Of all lambda with y = K^T lambda, K = S^-1 P^T L, the shortest one: K (K^T K)^-1 y. It is what redundant rows

@@ -1,0 +1,105 @@
+"""Constraints that repeat each other."""
+
+import numpy as np
+import pytest
+import sympy as sm
+import sympy.physics.mechanics as me
+from sympy.physics.mechanics.system import System
+
+import fourbar_codegen as fb
+
+
+def pendulum(*constraints):
+    """The pendulum in Cartesian coordinates with constraints of one's own, one dependent coordinate."""
+    x, y, vx, vy = me.dynamicsymbols("x y v_x v_y")
+    m, length, g = sm.symbols("m l g")
+    ground, origin, point = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
+    origin.set_vel(ground, 0)
+    point.set_pos(origin, x * ground.x + y * ground.y)
+    point.set_vel(ground, vx * ground.x + vy * ground.y)
+    system = System(ground, origin)
+    system.add_bodies(me.Particle("bob", point, m))
+    system.apply_uniform_gravity(-g * ground.y)
+    system.q_ind, system.q_dep, system.u_ind, system.u_dep = [y], [x], [vy], [vx]
+    t = me.dynamicsymbols._t
+    system.add_kdes(vy - y.diff(t), vx - x.diff(t))
+    circle = x**2 + y**2 - length**2
+    system.add_holonomic_constraints(*(c.subs(sm.Symbol("circle"), circle) for c in constraints))
+    return fb.Model(system, name="pendulum", parameters={m: 1.0, length: 1.0, g: 9.81}, initial={x: -1.0})
+
+
+circle = sm.Symbol("circle")
+
+
+@pytest.mark.parametrize("constraints", [(circle, 2 * circle), (circle, 3 * circle, -0.2 * circle)])
+def test_repeated_constraints_change_nothing_but_the_multipliers(constraints):
+    single = fb.compile_model(fb.models.cartesian_pendulum())
+    repeated = fb.compile_model(pendulum(*constraints))
+    x0 = single.initial_state([0.6], [0.5])
+    np.testing.assert_allclose(repeated.initial_state([0.6], [0.5]), x0, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(repeated.rhs(0.0, x0), single.rhs(0.0, x0), rtol=1e-13)
+    # J^T lambda = M u' - f has many solutions; NumPy's lstsq gives the shortest.
+    _, mass_matrix, forcing, jacobian, _ = repeated.dynamics(0.0, x0)
+    reaction = mass_matrix @ repeated.rhs(0.0, x0)[2:] - forcing
+    expected = np.linalg.lstsq(jacobian.T, reaction)[0]
+    np.testing.assert_allclose(repeated.multipliers(0.0, x0), expected, rtol=1e-12)
+    run = repeated.simulate((0.0, 1.0), x0, rtol=1e-10, atol=1e-10)
+    np.testing.assert_allclose(
+        run.y[:, -1], single.simulate((0.0, 1.0), x0, rtol=1e-10, atol=1e-10).y[:, -1], atol=1e-7
+    )
+    np.testing.assert_allclose(
+        repeated.jacobian(0.0, x0),
+        single.jacobian(0.0, x0),
+        rtol=0,
+        atol=1e-12 * np.abs(repeated.jacobian(0.0, x0)).max(),
+    )
+
+
+def test_parallelogram_with_a_bar_too_many():
+    # Three uprights under one bar across: two loops, four constraints, of which three are independent.
+    p, v = me.dynamicsymbols("p0:3"), me.dynamicsymbols("v0:3")
+    c, w = me.dynamicsymbols("c w")
+    t = me.dynamicsymbols._t
+    m, length, g = sm.symbols("m l g")
+    ground, origin = me.ReferenceFrame("N"), me.Point("O")
+    origin.set_vel(ground, 0)
+    system = System(ground, origin)
+    tops = []
+    for i in range(3):
+        bar, top = me.ReferenceFrame(f"B{i}"), me.Point(f"T{i}")
+        bar.orient_axis(ground, ground.z, -p[i])
+        bar.set_ang_vel(ground, -v[i] * ground.z)
+        foot = origin.locatenew(f"A{i}", i * length * ground.x)
+        foot.set_vel(ground, 0)
+        top.set_pos(foot, length * bar.y)
+        top.v2pt_theory(foot, ground, bar)
+        system.add_bodies(me.Particle(f"top{i}", top, m))
+        tops.append(top)
+    across = me.ReferenceFrame("C")
+    across.orient_axis(ground, ground.z, -c)
+    across.set_ang_vel(ground, -w * ground.z)
+    for i in (1, 2):
+        gap = tops[0].pos_from(origin) + i * length * across.x - tops[i].pos_from(origin)
+        system.add_holonomic_constraints(gap.dot(ground.x), gap.dot(ground.y))
+    system.apply_uniform_gravity(-g * ground.y)
+    system.q_ind, system.q_dep, system.u_ind, system.u_dep = p[:1], [*p[1:], c], v[:1], [*v[1:], w]
+    system.add_kdes(*(ui - qi.diff(t) for qi, ui in zip((*p, c), (*v, w), strict=True)))
+    model = fb.Model(system, name="parallelogram", parameters={m: 1.0, length: 1.0, g: 9.81})
+    compiled = fb.compile_model(model)
+    x0 = compiled.initial_state({"p0": 0.5}, {"v0": 0.7}, guess=[0.4, 0.6, 0.1])
+    np.testing.assert_allclose(x0, [0.5, 0.5, 0.5, 0.0, 0.7, 0.7, 0.7, 0.0], atol=1e-9)
+    # All masses swing alike, as inverted pendulums: l p'' = g sin p.
+    expected = 9.81 * np.sin(0.5)
+    np.testing.assert_allclose(compiled.rhs(0.0, x0)[4:], [expected] * 3 + [0.0], atol=1e-8)
+    run = compiled.simulate((0.0, 0.5), x0, rtol=1e-9, atol=1e-9)
+    assert run.success
+    np.testing.assert_allclose(run["p0"], run["p2"], atol=1e-7)
+
+
+def test_contradictory_constraints_are_an_error():
+    contradictory = fb.compile_model(pendulum(circle, circle - me.dynamicsymbols._t))
+    with pytest.raises(fb.AssemblyError):
+        contradictory.initial_state([0.6], [0.5], t=1.0)
+    with pytest.raises(fb.SimulationError, match="no acceleration satisfies"):
+        # d^2/dt^2 of the second is the same for t, so a quadratic time is needed for a contradiction in u'.
+        fb.compile_model(pendulum(circle, circle - me.dynamicsymbols._t**2)).rhs(0.0, [0.6, -0.8, 0.0, 0.0])

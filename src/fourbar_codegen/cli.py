@@ -247,7 +247,9 @@ def info(model: str) -> None:
     click.echo("inputs:")
     for entry in manifest["inputs"]:
         click.echo(f"  {entry['name']:<8} {entry['expression'] or 'no expression'}")
-    click.echo("operations: " + ", ".join(f"{name} {count}" for name, count in manifest["operations"].items()))
+    click.echo("operations (written out in full):")
+    for function, count in manifest["operations"].items():
+        click.echo(f"  {function:<22} {count:>7} ({manifest['operations_before_sharing'][function]:.4g})")
     click.echo(f"cache of compiled models: {cache_folder()}")
 
 

@@ -56,6 +56,9 @@ def manifest_of(model: Model, program: Program, names: Mapping[str, Sequence[str
         "outputs": list(names["outputs"]),
         "initial": model.initial,
         "has_potential_energy": energies[1] is not sm.nan,
+        "operations_before_sharing": {
+            function.name: function.operations_before_sharing for function in (*program.functions, *program.derivatives)
+        },
         "operations": {function.name: function.operations for function in (*program.functions, *program.derivatives)},
     }
 

@@ -111,9 +111,10 @@ def lower(name: str, equations: Equations) -> Program:
         _lower_results(e.tape, pool, results, joint_cse=i < first) for i, (*_, results) in enumerate(specifications)
     ]
     constants, prepare = pool.finish(lowered)
+    written_out = _WrittenOut(e.tape)
     functions = tuple(
-        Function(name, summary, (*before, constants, *after), statements, results)
-        for (name, summary, before, after, _), (statements, results) in zip(specifications, lowered, strict=True)
+        Function(name, summary, (*before, constants, *after), statements, results, written_out.operations(formed))
+        for (name, summary, before, after, formed), (statements, results) in zip(specifications, lowered, strict=True)
     )
     sizes = Sizes(
         n_q=len(e.coordinates),
@@ -195,8 +196,27 @@ class _Constants:
             (Array("p", self.parameters),),
             body,
             (Result("constants", (len(entries),), assigned),),
+            0,  # what it computes is counted where it is used
         )
         return Array("constants", entries), prepare
+
+
+class _WrittenOut:
+    """Counts the operations of expressions with everything that they refer to put in its place."""
+
+    def __init__(self, tape: Tape) -> None:
+        self.tape = tape
+        self._known: dict[sm.Basic, int] = {}
+
+    def operations(self, results: Sequence[Result]) -> int:
+        entries = [entry for result in results for entry in result.entries]
+        for symbol in self.tape.reach(entries, self._known):
+            self._known[symbol] = self._count(self.tape.statements[symbol])
+        return sum(map(self._count, entries))
+
+    def _count(self, expr: sm.Expr) -> int:
+        leaves = (node for node in sm.preorder_traversal(expr) if node.is_Symbol)
+        return int(sm.count_ops(expr)) + sum(self._known.get(leaf, 0) for leaf in leaves)
 
 
 def _lower_results(

@@ -56,6 +56,8 @@ class Function:
     statements : tuple of (Symbol, Expr)
         In order of evaluation; every symbol is assigned once.
     results : tuple of Result
+    operations_before_sharing : int
+        Number of operations if every result were written out in full, nothing evaluated once for two places.
     """
 
     name: str
@@ -63,6 +65,7 @@ class Function:
     arguments: tuple[Array, ...]
     statements: tuple[tuple[sm.Symbol, sm.Expr], ...]
     results: tuple[Result, ...]
+    operations_before_sharing: int
 
     def __post_init__(self) -> None:
         known = [symbol for array in self.arguments for symbol in array.symbols]

@@ -20,7 +20,7 @@ from fourbar_codegen.errors import (
 if TYPE_CHECKING:
     from fourbar_codegen import models, solvers
     from fourbar_codegen.build import get_include
-    from fourbar_codegen.compile import build_model, compile_model, generate_sources
+    from fourbar_codegen.compile import build_model, build_wheel, compile_model, generate_sources
     from fourbar_codegen.compiled import CompiledModel, load
     from fourbar_codegen.model import Model, Parameter, joint_force, multiplier
     from fourbar_codegen.trajectory import Trajectory
@@ -37,6 +37,7 @@ __all__ = [
     "SimulationError",
     "Trajectory",
     "build_model",
+    "build_wheel",
     "compile_model",
     "generate_sources",
     "get_include",
@@ -53,6 +54,7 @@ _HOME = {
     "Parameter": "model",
     "Trajectory": "trajectory",
     "build_model": "compile",
+    "build_wheel": "compile",
     "compile_model": "compile",
     "generate_sources": "compile",
     "get_include": "build",

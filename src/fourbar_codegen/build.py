@@ -18,7 +18,7 @@ from pathlib import Path
 
 from fourbar_codegen.errors import BuildError
 
-__all__ = ["build_extension", "get_include", "toolchain"]
+__all__ = ["build_extension", "get_include", "pack_wheel", "toolchain"]
 
 PACKAGE = Path(__file__).parent
 
@@ -181,6 +181,76 @@ def build_extension(
     return folder / module.name
 
 
+WHEEL_SETUP = """\
+from setuptools import Distribution, setup
+
+
+class Binary(Distribution):
+    def has_ext_modules(self):
+        return True  # it is there already
+
+
+setup(
+    distclass=Binary,
+    name={name!r},
+    version={version!r},
+    description={description!r},
+    packages=[{name!r}],
+    package_data={{{name!r}: ["*"]}},
+    install_requires={requires!r},
+)
+"""
+
+WHEEL_INIT = '''\
+"""Compiled equations of motion of the model "{name}": ``fourbar_codegen.load({name!r})``, or `rhs` with NumPy alone."""
+
+from {name}.{name} import kernel, manifest, rhs
+
+__all__ = ["kernel", "manifest", "rhs"]
+'''
+
+
+def pack_wheel(module: Path, folder: Path, *, version: str, requires: Sequence[str]) -> Path:
+    """Pack an extension module, and what lies beside it, into a wheel for Pythons and machines like this one.
+
+    Parameters
+    ----------
+    module : Path
+        As `build_extension` made it, in a folder of its own.
+    folder : Path
+        Where the wheel comes; created if it does not exist.
+    version : str
+        Of the wheel.
+    requires : sequence of str
+        What it depends on.
+
+    Returns
+    -------
+    Path
+        The wheel.
+
+    Raises
+    ------
+    BuildError
+        If setuptools is missing or fails, or the folder cannot be written.
+    """
+    name = module.name.split(".")[0]
+    with tempfile.TemporaryDirectory() as temporary:
+        project = Path(temporary)
+        shutil.copytree(module.parent, project / name)
+        (project / name / "__init__.py").write_text(WHEEL_INIT.format(name=name), encoding="utf-8")
+        description = f"Compiled equations of motion of the model {name}"
+        setup = WHEEL_SETUP.format(name=name, version=version, description=description, requires=list(requires))
+        (project / "setup.py").write_text(setup, encoding="utf-8")
+        _run([sys.executable, "setup.py", "--quiet", "bdist_wheel"], project / "dist", tool="setuptools", cwd=project)
+        (wheel,) = (project / "dist").glob("*.whl")
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            return Path(shutil.copy(wheel, folder))
+        except OSError as error:
+            raise BuildError(f"{folder} cannot be written: {error.strerror}.") from error
+
+
 def _build(name: str, sources: Mapping[str, str], folder: Path, machine_flags: tuple[str, ...]) -> Path:
     for filename, text in sources.items():
         (folder / filename).write_text(text, encoding="utf-8", newline="\n")
@@ -225,10 +295,10 @@ def _compile(source: Path, flags: Sequence[str]) -> Path:
     return target
 
 
-def _run(command: Sequence[str], target: Path) -> None:
-    """Run a compiler that is to make a file; its output becomes part of the error if it fails."""
+def _run(command: Sequence[str], target: Path, tool: str = "the C compiler", cwd: Path | None = None) -> None:
+    """Run a tool that is to make a file or folder; its output becomes part of the error if it fails."""
     try:
-        done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+        done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False, cwd=cwd)
     except OSError as error:
         raise BuildError(
             f"The C compiler {command[0]!r} could not be started: {error.strerror}. Install one (for instance gcc or "
@@ -236,9 +306,10 @@ def _run(command: Sequence[str], target: Path) -> None:
             "fourbar_codegen.load.",
             command=command,
         ) from error
-    if done.returncode or not target.is_file():
+    if done.returncode or not target.exists():
+        name = tool[0].upper() + tool[1:]
         raise BuildError(
-            "The C compiler failed." if done.returncode else f"The C compiler made no {target.name}.",
+            f"{name} failed." if done.returncode else f"{name} made no {target.name}.",
             command=command,
             exit_code=done.returncode,
             output=done.stdout + done.stderr,

@@ -216,13 +216,15 @@ def generate(model: str, output: Path) -> None:
     type=click.Path(file_okay=False, path_type=Path),
     default=Path("build"),
     show_default=True,
-    help="Folder in which the model's folder is made.",
+    help="Folder in which the model's folder, or the wheel, is made.",
 )
-def build(model: str, output: Path) -> None:
+@click.option("--wheel", is_flag=True, help="Make a wheel, to be installed without SymPy or a compiler.")
+@click.option("--version", default="0.1.0", show_default=True, help="Version of the wheel.")
+def build(model: str, output: Path, wheel: bool, version: str) -> None:
     source = _model(model)
     begin = time.perf_counter()
-    module = fb.build_model(source, output / source.name)
-    click.echo(f"Built in {time.perf_counter() - begin:.1f} s: {module}")
+    made = fb.build_wheel(source, output, version=version) if wheel else fb.build_model(source, output / source.name)
+    click.echo(f"Built in {time.perf_counter() - begin:.1f} s: {made}")
 
 
 @main.command(help="Show a model's names, defaults, sizes and operation counts.\n\n" + MODEL_HELP)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
+import tempfile
+from importlib.metadata import version as distribution_version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fourbar_codegen.build import build_extension, toolchain
+from fourbar_codegen.build import build_extension, pack_wheel, toolchain
 from fourbar_codegen.cache import cached
 from fourbar_codegen.compiled import CompiledModel
 from fourbar_codegen.errors import ModelError
@@ -15,7 +18,7 @@ from fourbar_codegen.model import Model
 if TYPE_CHECKING:
     from fourbar_codegen.equations import Equations
 
-__all__ = ["build_model", "compile_model", "generate_sources", "key_of"]
+__all__ = ["build_model", "build_wheel", "compile_model", "generate_sources", "key_of"]
 
 
 def generate_sources(model: Model) -> dict[str, str]:
@@ -122,6 +125,46 @@ def build_model(model: Model, folder: str | Path, *, check: bool = True) -> Path
         As for `compile_model`.
     """
     return _build(model, Path(folder), portable=True, check=check)
+
+
+def build_wheel(model: Model, folder: str | Path, *, version: str = "0.1.0", check: bool = True) -> Path:
+    """Compile a model into a wheel, for ``pip install`` on machines without SymPy or a compiler.
+
+    Installed, ``fourbar_codegen.load`` finds the model by its name; the package of that name has ``rhs`` for use
+    with NumPy alone.
+
+    Parameters
+    ----------
+    model : Model
+        Its name becomes the wheel's.
+    folder : str or Path
+        Where the wheel comes; created if it does not exist.
+    version : str, optional
+        Of the wheel.
+    check : bool, optional
+        As for `build_model`.
+
+    Returns
+    -------
+    Path
+        The wheel, for the Python and the kind of machine that it was made on.
+
+    Raises
+    ------
+    ModelError, BuildError
+        As for `compile_model`; or if the version is not one.
+
+    Source: PEP 427, by setuptools.
+    """
+    if not isinstance(version, str) or not re.fullmatch(r"\d+(\.\d+)*((a|b|rc|\.post|\.dev)\d+)?", version):
+        raise ModelError(f"A version looks like 1.0 or 0.2.1, not {version!r}.")
+    import numpy as np
+
+    own = ".".join(distribution_version("fourbar_codegen").split(".")[:2])
+    requires = [f"numpy>={np.__version__.split('.')[0]}.0", f"fourbar_codegen~={own}.0"]
+    with tempfile.TemporaryDirectory() as temporary:
+        module = _build(model, Path(temporary) / model.name, portable=True, check=check)
+        return pack_wheel(module, Path(folder), version=version, requires=requires)
 
 
 def _build(model: Model, folder: Path, *, portable: bool, check: bool) -> Path:

@@ -35,8 +35,8 @@ def load(name: str | Path) -> CompiledModel:
     Parameters
     ----------
     name : str or Path
-        The name of a model that comes with the package, ``"four_bar"``, or the path of an extension module
-        that ``fourbar build`` or `build_model` made.
+        The name of a model that comes with the package, ``"four_bar"``, or that was installed from a wheel
+        of `build_wheel`; or the path of an extension module that ``fourbar build`` or `build_model` made.
 
     Returns
     -------
@@ -57,12 +57,14 @@ def load(name: str | Path) -> CompiledModel:
         return CompiledModel.from_file(path)
     folder = Path(__file__).parent / "prebuilt"
     known = sorted({p.name.split(".")[0] for s in machinery.EXTENSION_SUFFIXES for p in folder.glob(f"*{s}")})
-    if str(name) not in known:
-        raise ModelError(
-            f"There is no compiled model {str(name)!r}: it is neither one of the package's "
-            f"({', '.join(known) or 'none'}) nor the path of an extension module that fourbar build made."
-        )
-    return CompiledModel.from_module(import_module(f"fourbar_codegen.prebuilt.{name}"))
+    if str(name) in known:
+        return CompiledModel.from_module(import_module(f"fourbar_codegen.prebuilt.{name}"))
+    if str(name).isidentifier() and util.find_spec(str(name)) and util.find_spec(f"{name}.{name}"):
+        return CompiledModel.from_module(import_module(f"{name}.{name}"))
+    raise ModelError(
+        f"There is no compiled model {str(name)!r}: it is neither one of the package's ({', '.join(known) or 'none'}) "
+        "nor one installed from a wheel, nor the path of an extension module that fourbar build made."
+    )
 
 
 class CompiledModel(Evaluator):

@@ -89,6 +89,7 @@ SYSTEMS = {
     "two branches with one condition": lambda: sliding(sm.Piecewise((k * q**2, q > 0), (q, True)) * sm.sign(q)),
     "Mod": lambda: sliding(sm.Mod(q, 2) + sm.Mod(t, k)),
     "friction": lambda: sliding(-k * sm.Abs(u) ** 1.8 * sm.sign(u)),
+    "table by a spline": lambda: sliding(-k * sm.interpolating_spline(3, q, [-2, -1, 0, 1, 2], [3, 1, 0, 2, 1])),
     "atan2, exp, explicit time": lambda: sliding(k * sm.atan2(q, u) * sm.exp(-t) + sm.sqrt(2) * sm.pi),
 }
 

@@ -74,6 +74,12 @@ class _Printer(C99CodePrinter):
     def _print_NaN(self, _: sm.Expr) -> str:
         return "NAN"
 
+    def _print_Piecewise(self, expr: sm.Piecewise) -> str:
+        if expr.args[-1].cond != sm.true:
+            # Outside of all conditions, such as beyond the ends of a spline, it has no value.
+            expr = sm.Piecewise(*expr.args, (sm.nan, True), evaluate=False)
+        return super()._print_Piecewise(expr)  # type: ignore[no-any-return]
+
     def _print_Pow(self, expr: sm.Pow) -> str:
         # gcc leaves pow(x, 3) a call into the library; products are faster and can be vectorized.
         base, exponent = expr.as_base_exp()

@@ -20,7 +20,9 @@ lint: $(INSTALLED)
 	$(BIN)/mypy
 
 bench: $(INSTALLED)
+	$(BIN)/python -m pip install --quiet --editable '.[bench]'
 	$(BIN)/python benchmarks/four_bar.py --output results/benchmark.json
+	$(BIN)/python benchmarks/models.py --output results/models.json
 
 generate: $(INSTALLED)
 	$(BIN)/fourbar generate four_bar -o generated

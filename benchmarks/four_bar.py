@@ -10,18 +10,14 @@ import argparse
 import json
 import os
 import platform
-import statistics
 import subprocess
 import sys
 import tempfile
-import time
-import timeit
 from collections.abc import Callable
-from datetime import date
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from measure import circumstances, compare, evaluation, replace_in_readme, timed
 from scipy.integrate import solve_ivp
 from tutorial import Floats, tutorial_four_bar
 
@@ -29,25 +25,6 @@ import fourbar_codegen as fb
 
 ROOT = Path(__file__).parent.parent
 ROUNDS = 15
-
-
-def timed(function: Callable[[], object]) -> float:
-    """Seconds of one call."""
-    begin = time.perf_counter()
-    function()
-    return time.perf_counter() - begin
-
-
-def evaluation(function: Callable[[float, Floats], Floats], x: Floats, number: int) -> Callable[[], float]:
-    """A measure of one evaluation, called as an integrator written in Python calls it."""
-    timer = timeit.Timer("function(0.5, x)", globals={"function": function, "x": x})
-    return lambda: timer.timeit(number) / number
-
-
-def compare(*measures: Callable[[], float], rounds: int = ROUNDS) -> list[float]:
-    """Medians of several measures, taken in turn."""
-    samples = [[measure() for measure in measures] for _ in range(rounds)]
-    return [statistics.median(column) for column in zip(*samples, strict=True)]
 
 
 def evaluation_inside_c(flags: list[str], t: float, x: Floats, p: list[float]) -> Callable[[], float]:
@@ -124,18 +101,11 @@ def write_readme(report: dict[str, Any]) -> None:
             f"| {row['name'].strip()} | {left} | {row['compiled']:.3g} {row['unit']} | "
             + (f"{row['ratio']:.3g} |" if row["ratio"] else "|")
         )
-    versions = ", ".join(f"{name} {number}" for name, number in report["versions"].items())
     text = (
         "Medians of measures taken in turn, against the tutorial's own code (`lambdify` with `cse=True` and\n"
         "`numpy.linalg.solve`). Steps in C: `method=fb.solvers.RK45` or `DOP853`, as in `simulate`.\n\n"
-        + "\n".join(lines)
-        + f"\n\nWritten by `python benchmarks/four_bar.py --readme` on {report['date']}; {report['machine']};\n"
-        + f"{versions}.\n"
     )
-    path = ROOT / "README.md"
-    begin, end = "<!-- benchmark -->\n", "<!-- end of benchmark -->"
-    before, _, rest = path.read_text().partition(begin)
-    path.write_text(before + begin + text + end + rest.partition(end)[2])
+    replace_in_readme("benchmark", text + "\n".join(lines), "four_bar.py", report)
 
 
 def main() -> None:
@@ -187,14 +157,7 @@ def main() -> None:
     row("compile_model, cold", "s", None, compile_in_fresh_process(cold=True))
     row("compile_model, warm", "s", None, compile_in_fresh_process(cold=False))
 
-    report = {
-        "date": date.today().isoformat(),
-        "machine": f"{platform.machine()}, {os.cpu_count()} cores, {platform.system()}",
-        "versions": {name: version(name) for name in ("fourbar_codegen", "sympy", "numpy", "scipy", "cython")}
-        | {"python": platform.python_version()},
-        "rounds": options.rounds,
-        "rows": rows,
-    }
+    report = circumstances() | {"rounds": options.rounds, "rows": rows}
     options.output.parent.mkdir(parents=True, exist_ok=True)
     options.output.write_text(json.dumps(report, indent=2) + "\n")
     print(f"Written: {options.output}")

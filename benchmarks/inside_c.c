@@ -20,7 +20,8 @@ int main(int argc, char **argv)
         return 2;
     const int n = atoi(argv[1]);
     const double t = atof(argv[2]);
-    double x[16], p[16], r[4], rates[16], sum = 0.0;
+    double *x = malloc((size_t)n_x * sizeof(double)), *rates = malloc((size_t)n_x * sizeof(double)), sum = 0.0;
+    double *p = malloc((size_t)(k->n_p + 1) * sizeof(double)), *r = malloc((size_t)(k->n_r + 1) * sizeof(double));
     double *constants = malloc((size_t)k->n_constants * sizeof(double));
     void *work = malloc(k->work_size);
     for (int i = 0; i < n_x; ++i)
@@ -39,6 +40,10 @@ int main(int argc, char **argv)
     }
     const double end = seconds();
     printf("%.17g %.17g\n", (end - begin) / n, sum);
+    free(x);
+    free(rates);
+    free(p);
+    free(r);
     free(constants);
     free(work);
     return 0;

@@ -69,6 +69,8 @@ def slider(change=""):
         parameters[m] = 1.5
     if change == "unit":
         parameters[m] = fb.Parameter(1.0, "kg")
+    if change == "parameter as an expression":
+        parameters[c] = k / 20
     if change == "order of the parameters":
         parameters = dict(reversed(parameters.items()))
     return fb.Model(
@@ -78,6 +80,7 @@ def slider(change=""):
         inputs={force: sm.cos(t) if change == "input" else sm.sin(t)},
         initial={q2: 0.1 if change == "initial value" else 0.2},
         potential_energy=m * g * q1 if change == "potential energy" else None,
+        outputs={"height": length * sm.sin(q2)} if change == "output" else None,
     )
 
 

@@ -10,9 +10,10 @@ import pytest
 import fourbar_codegen
 
 PACKAGE = Path(fourbar_codegen.__file__).parent
-RUN = ["arguments", "compiled", "initial", "simulate", "solvers", "trajectory", "visual", "report"]
+RUN = ["arguments", "compiled", "initial", "linearize", "simulate", "solvers", "trajectory", "visual", "report"]
 GENERATION = [
-    "model", "mechanism", "fingerprint", "tape", "kinematics", "kane", "equations", "program", "lower", "c_source",
+    "model", "mechanism", "fingerprint", "tape", "numeric", "linear",
+    "kinematics", "kane", "equations", "program", "lower", "c_source",
     "cython_source",
 ]  # fmt: skip
 

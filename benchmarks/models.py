@@ -1,0 +1,148 @@
+"""Other models than the four-bar: evaluation, operations and time to compile, side by side in one run.
+
+Against `lambdify` with ``cse=True`` and `numpy.linalg.solve` on SymPy's own equations, and against PyDy's Cython
+generator with its default solver (NumPy's) where PyDy is installed: ``pip install 'fourbar_codegen[bench]'``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from measure import circumstances, compare, evaluation, replace_in_readme
+from tutorial import Tutorial
+
+import fourbar_codegen as fb
+
+MODELS: dict[str, Callable[[], fb.Model]] = {
+    "rolling disc": fb.models.rolling_disc,
+    "closed chain of 8 links": lambda: fb.models.chain(8, closed=True),
+    "Whipple bicycle": fb.models.whipple_bicycle,
+}
+
+PROCESS = """
+import sys, time
+import sympy.physics.mechanics
+sys.path.insert(0, {folder!r})
+import models
+begin = time.perf_counter()
+model = models.MODELS[{name!r}]()
+{statement}
+print(time.perf_counter() - begin)
+"""
+
+# What each way needs from a System to a function.
+COMPILED = "models.fb.compile_model(model)"
+LAMBDIFIED = "models.Tutorial(model.system, {s: 1.0 for s in model.parameter_symbols}, {})"
+
+
+def in_fresh_process(name: str, statement: str, *, cold: bool) -> Callable[[], float]:
+    """A measure of the time from a function that makes a System to a function that evaluates it."""
+    kept = tempfile.mkdtemp()
+    code = PROCESS.format(folder=str(Path(__file__).parent), name=name, statement=statement)
+
+    def measure() -> float:
+        cache = tempfile.mkdtemp() if cold else kept
+        environment = {**os.environ, "FOURBAR_CODEGEN_CACHE": cache}
+        command = [sys.executable, "-W", "ignore", "-c", code]
+        return float(subprocess.run(command, check=True, capture_output=True, text=True, env=environment).stdout)
+
+    if not cold:
+        measure()
+    return measure
+
+
+def pydy_function(reference: Tutorial) -> Callable[[float, Any], Any]:
+    """PyDy's Cython right-hand side, in the order (t, x)."""
+    from pydy.codegen.ode_function_generators import generate_ode_function
+
+    system = reference.system
+    function = generate_ode_function(
+        system.forcing_full,
+        system.q[:],
+        system.u[:],
+        list(reference.p),
+        mass_matrix=system.mass_matrix_full,
+        generator="cython",
+        constants_arg_type="array",
+    )
+    constants = np.array(reference.p_values)
+    return lambda t, x: function(x, t, constants)
+
+
+def measure_model(name: str, rounds: int) -> dict[str, Any]:
+    model = MODELS[name]()
+    values = {symbol: float(parameter.value) for symbol, parameter in model.parameter_symbols.items()}
+    reference = Tutorial(model.system, values, {})
+    compiled = fb.compile_model(model)
+    x = compiled.initial_state({"q3": 0.4} if name == "rolling disc" else None)
+    np.testing.assert_allclose(compiled.rhs(0.5, x), reference.rhs(0.5, x), rtol=1e-6, atol=1e-6)
+    measures = [evaluation(reference.rhs, x, 200), evaluation(compiled.rhs, x, 5000)]
+    if find_spec("pydy"):
+        measures.append(evaluation(pydy_function(reference), x, 1000))
+    lambdified, own, *pydy = compare(*measures, rounds=rounds)
+    cold = [in_fresh_process(name, statement, cold=True) for statement in (LAMBDIFIED, COMPILED)]
+    slow, fast = compare(*cold, rounds=3)
+    (warm,) = compare(in_fresh_process(name, COMPILED, cold=False), rounds=3)
+    return {
+        "model": name,
+        "lambdify us": lambdified * 1e6,
+        "PyDy us": pydy[0] * 1e6 if pydy else None,
+        "compiled us": own * 1e6,
+        "against lambdify": lambdified / own,
+        "against PyDy": pydy[0] / own if pydy else None,
+        "operations": compiled.manifest["operations"]["dynamics"],
+        "SymPy to function s": slow,
+        "System to module s": fast,
+        "warm s": warm,
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--output", type=Path, default=Path("results/models.json"), help="where to write JSON")
+    parser.add_argument("--readme", action="store_true", help="write the table into README.md as well")
+    parser.add_argument("--rounds", type=int, default=11, help="samples of each evaluation")
+    options = parser.parse_args()
+    if not find_spec("pydy"):
+        print("PyDy is not installed: pip install 'fourbar_codegen[bench]'")
+    rows: list[dict[str, Any]] = []
+    for name in MODELS:
+        rows.append(measure_model(name, options.rounds))
+        print(json.dumps(rows[-1]), flush=True)
+    lines = [
+        "| | lambdify | PyDy, Cython | compiled | ratios | operations | lambdify made in | compiled in | warm |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for row in rows:
+        pydy = f"{row['PyDy us']:.3g} us" if row["PyDy us"] else ""
+        ratios = f"{row['against lambdify']:.3g}" + (f", {row['against PyDy']:.3g}" if pydy else "")
+        lines.append(
+            f"| {row['model']} | {row['lambdify us']:.3g} us | {pydy} | {row['compiled us']:.3g} us | {ratios} | "
+            f"{row['operations']} | {row['SymPy to function s']:.3g} s | {row['System to module s']:.3g} s | "
+            f"{row['warm s']:.2g} s |"
+        )
+    report = circumstances() | {"rounds": options.rounds, "rows": rows}
+    options.output.parent.mkdir(parents=True, exist_ok=True)
+    options.output.write_text(json.dumps(report, indent=2) + "\n")
+    print("\n".join([*lines, f"Written: {options.output}"]))
+    if options.readme:
+        text = (
+            "One evaluation from Python, against `lambdify` with `numpy.linalg.solve`, and PyDy's Cython generator\n"
+            "with its default solver; operations of q', M, f, J and gamma, the solve apart; and the time from a\n"
+            "function that makes the System to one that evaluates it (warm: from the cache).\n\n"
+        )
+        replace_in_readme("models", text + "\n".join(lines), "models.py", report)
+
+
+if __name__ == "__main__":
+    main()

@@ -40,7 +40,7 @@ X = [0.1] * 6
         (lambda m: m.simulate((0.0, 1.0), events=5), ["events", "5"]),
         (lambda m: m.simulate((0.0, 1.0), atol=[1e-3]), ["atol", "(6,)"]),
         (lambda m: m.simulate((0.0, 1.0), inputs=[1.0]), ["inputs", "mapping", "F"]),
-        (lambda m: m.simulate((0.0, 1.0), inputs={"F": lambda t, x: None}), ["input 1", "None"]),
+        (lambda m: m.simulate((0.0, 1.0), inputs={"F": lambda t, x: None}), ["input F", "None"]),
         (lambda m: m.rhs(0.0, [np.nan, *X[1:]]), ["finite", "nan"]),
         (lambda m: m.rhs(np.inf, X), ["finite", "inf"]),
         (lambda m: m.rhs(0.0, X, out=np.empty(5)), ["out", "6"]),

@@ -14,7 +14,7 @@ constraints J u + b = 0 enter as rows J u' + gamma = 0; they are solved numerica
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 
@@ -24,6 +24,7 @@ from fourbar_codegen.errors import ModelError
 from fourbar_codegen.kane import Kane
 from fourbar_codegen.kinematics import solve_kinematics
 from fourbar_codegen.linear import TooManyCoupledError, UndeterminedError, solve_linear
+from fourbar_codegen.mechanism import Mechanism
 from fourbar_codegen.model import Model, multiplier
 from fourbar_codegen.program import Result
 from fourbar_codegen.tape import Direction, Tape
@@ -155,20 +156,13 @@ def form_equations(model: Model) -> Equations:
     kane = Kane(tape, mechanism, leaves, auxiliary, [along[symbol] for symbol in (*u, *aux)], rate)
     kane.use_poisson_rates()
     mass_matrix, forcing = kane.mass_matrix_and_forcing()
-    positions = tuple(tape.convert(expr, leaves) for expr in mechanism.holonomic_constraints)
-    velocities = tuple(tape.convert(expr, leaves) for expr in mechanism.velocity_constraints)
-    with_auxiliary = tuple(tape.convert(expr, {**leaves, **auxiliary}) for expr in mechanism.velocity_constraints)
-    if mechanism.velocity_constraints_derived:
-        velocities = tuple(rate(expr) for expr in positions) + velocities
-        with_auxiliary = (sm.S.Zero,) * len(positions) + with_auxiliary
-    jacobian = tuple(tuple(d(expr) for d in along_u) for expr in velocities)
-    for number, row in enumerate(jacobian, start=1):
+    constraints = _constraints(tape, mechanism, leaves, auxiliary, along_u, [along[symbol] for symbol in aux], rate)
+    for number, row in enumerate(constraints.jacobian, start=1):
         if tape.depends(row, u):
             raise ModelError(f"Velocity constraint {number} is not linear in the generalized speeds.")
+    n_c = len(constraints.velocities)
     at_rest = dict.fromkeys(u, sm.S.Zero)
-    velocity_bias = tuple(_substitute(tape, expr, at_rest) for expr in velocities)
-    acceleration_bias = tuple(rate(expr) for expr in velocities)
-    n_c = len(velocities)
+    velocity_bias = tuple(_substitute(tape, expr, at_rest) for expr in constraints.velocities)
 
     a = tuple(sm.Symbol(f"a:{name}", real=True) for name in model.speeds)
     lam = tuple(sm.Symbol(f"l:{number}", real=True) for number in range(n_c))
@@ -181,36 +175,35 @@ def form_equations(model: Model) -> Equations:
     if tape.depends([*chain(*mass_matrix, *columns), *balance], {*aux, *unknown}):
         raise ModelError("Velocities must be linear in the auxiliary speeds, and loads in the unknown forces.")
 
-    # f - M u' + J^T lambda; the rows of the auxiliary speeds last.
-    auxiliary_jacobian = [[along[symbol](expr) for symbol in aux] for expr in with_auxiliary]
-    all_columns = zip(*([*row, *more] for row, more in zip(jacobian, auxiliary_jacobian, strict=True)), strict=True)
+    # f - M u' + J^T lambda, the rows of the auxiliary speeds last; and -(J u' + gamma).
     dynamic = [
-        tape.define(row + sum(tape.define(j * symbol) for j, symbol in zip(column, lam, strict=True)))
-        for row, column in zip(balance, all_columns if lam else [()] * len(balance), strict=True)
+        tape.define(
+            row + sum(tape.define(line[i] * symbol) for line, symbol in zip(constraints.rows(), lam, strict=True))
+        )
+        for i, row in enumerate(balance)
     ]
-    kinematic = tuple(
-        tape.define(-acceleration_bias[k] - sum(tape.define(jacobian[k][j] * a[j]) for j in range(n_u)))
-        for k in range(n_c)
-    )
+    kinematic = [
+        tape.define(-bias - sum(tape.define(entry * symbol) for entry, symbol in zip(row, a, strict=True)))
+        for row, bias in zip(constraints.jacobian, constraints.acceleration_bias, strict=True)
+    ]
 
-    generalized = [-row for row in dynamic[n_u:]]
+    # What keeps the auxiliary speeds zero: Q = M u' - f - J^T lambda in their rows, or the forces that give it.
+    forces: tuple[sm.Expr, ...] | None = tuple(tape.define(-row) for row in dynamic[n_u:])
     if unknown:
-        n_i = n_u - mechanism.n_dependent_speeds
-        forces = _noncontributing(tape, columns, jacobian, auxiliary_jacobian, generalized, n_i)
-        if forces is None:
-            names = ", ".join(str(f.func) for f in model.noncontributing)
-            raise ModelError(
-                f"The unknown forces {names} do not follow from the auxiliary speeds "
-                f"{', '.join(str(w.func) for w in mechanism.auxiliary_speeds)}: they do work in the motion itself, "
-                "or at no auxiliary speed. Forces that are known are named in inputs=."
-            )
-    else:
-        forces = tuple(tape.define(entry) for entry in generalized)
+        forces = _noncontributing(tape, columns, constraints, dynamic[n_u:], n_u - mechanism.n_dependent_speeds)
+    if forces is None:
+        names = ", ".join(str(f.func) for f in model.noncontributing)
+        raise ModelError(
+            f"The unknown forces {names} do not follow from the auxiliary speeds "
+            f"{', '.join(str(w.func) for w in mechanism.auxiliary_speeds)}: they do work in the motion itself, "
+            "or at no auxiliary speed. Forces that are known are named in inputs=."
+        )
     leaves.update(zip(model.noncontributing, forces, strict=False))
     leaves.update(zip((speed.diff(mechanism.time) for speed in speeds), a, strict=True))
     leaves.update({multiplier(number): symbol for number, symbol in enumerate(lam, start=1)})
     outputs = (*forces, *(tape.convert(expr, leaves) for expr in model.output_expressions.values()))
 
+    changing = {time, *q, *u, *r, *a, *lam}
     defaults = [sm.S.NaN if e.expression is None else tape.convert(e.expression, leaves) for e in model.input_entries]
     results = {
         "default_inputs": _vector("inputs", defaults),
@@ -218,15 +211,19 @@ def form_equations(model: Model) -> Equations:
         "coordinate_rates": _vector("coordinate_rates", q_rates),
         "mass_matrix": _matrix("mass_matrix", mass_matrix, n_u),
         "forcing": _vector("forcing", forcing),
-        "position_constraints": _vector("position_constraints", positions),
-        "position_jacobian": _matrix("position_jacobian", [[along[s](e) for s in q] for e in positions], n_q),
-        "constraint_jacobian": _matrix("constraint_jacobian", jacobian, n_u),
-        "velocity_bias": _vector("velocity_bias", velocity_bias),
-        "acceleration_bias": _vector("acceleration_bias", acceleration_bias),
-        "energies": _vector(
-            "energies", [kane.kinetic_energy(), kane.potential_energy(model.potential_energy, {time, *q, *u, *r})]
+        "position_constraints": _vector("position_constraints", constraints.positions),
+        "position_jacobian": _matrix(
+            "position_jacobian", [[along[s](e) for s in q] for e in constraints.positions], n_q
         ),
-        "velocity_jacobian": _matrix("velocity_jacobian", [[along[s](e) for s in q] for e in velocities], n_q),
+        "constraint_jacobian": _matrix("constraint_jacobian", constraints.jacobian, n_u),
+        "velocity_bias": _vector("velocity_bias", velocity_bias),
+        "acceleration_bias": _vector("acceleration_bias", constraints.acceleration_bias),
+        "energies": _vector(
+            "energies", [kane.kinetic_energy(), kane.potential_energy(model.potential_energy, changing)]
+        ),
+        "velocity_jacobian": _matrix(
+            "velocity_jacobian", [[along[s](e) for s in q] for e in constraints.velocities], n_q
+        ),
     }
     entries = [entry for result in results.values() for entry in result.entries]
     needed = tuple(
@@ -252,41 +249,79 @@ def form_equations(model: Model) -> Equations:
     )
 
 
+@dataclass(frozen=True)
+class _Constraints:
+    """Positions Phi, velocities J u + b, J by speeds and by auxiliary speeds, and gamma."""
+
+    positions: tuple[sm.Expr, ...]
+    velocities: tuple[sm.Expr, ...]
+    jacobian: tuple[tuple[sm.Expr, ...], ...]
+    auxiliary_jacobian: tuple[tuple[sm.Expr, ...], ...]
+    acceleration_bias: tuple[sm.Expr, ...]
+
+    def rows(self) -> list[tuple[sm.Expr, ...]]:
+        """The rows of both Jacobians as one."""
+        return [(*row, *more) for row, more in zip(self.jacobian, self.auxiliary_jacobian, strict=True)]
+
+
+def _constraints(
+    tape: Tape,
+    mechanism: Mechanism,
+    leaves: Mapping[sm.Basic, sm.Expr],
+    auxiliary: Mapping[sm.Basic, sm.Expr],
+    along_u: Sequence[Direction],
+    along_auxiliary: Sequence[Direction],
+    rate: Direction,
+) -> _Constraints:
+    positions = tuple(tape.convert(expr, leaves) for expr in mechanism.holonomic_constraints)
+    velocities = tuple(tape.convert(expr, leaves) for expr in mechanism.velocity_constraints)
+    # The same with the auxiliary speeds, which the rates of positions do not have.
+    general = tuple(tape.convert(expr, {**leaves, **auxiliary}) for expr in mechanism.velocity_constraints)
+    if mechanism.velocity_constraints_derived:
+        velocities = (*(rate(expr) for expr in positions), *velocities)
+        general = (*(sm.S.Zero for _ in positions), *general)
+    return _Constraints(
+        positions,
+        velocities,
+        tuple(tuple(d(expr) for d in along_u) for expr in velocities),
+        tuple(tuple(d(expr) for d in along_auxiliary) for expr in general),
+        tuple(rate(expr) for expr in velocities),
+    )
+
+
 def _noncontributing(
     tape: Tape,
     columns: Sequence[Sequence[sm.Expr]],
-    jacobian: Sequence[Sequence[sm.Expr]],
-    auxiliary_jacobian: Sequence[Sequence[sm.Expr]],
-    generalized: Sequence[sm.Expr],
+    constraints: _Constraints,
+    rest: Sequence[sm.Expr],
     n_i: int,
 ) -> tuple[sm.Expr, ...] | None:
     """The unknown forces F that keep the auxiliary speeds zero; None if they are not determined.
 
     They act as B F on the speeds and as B_a F on the auxiliary ones. Forces that do no work in the motion are
     reactions, B = J^T C, so that lambda, found without them, includes C F. What is left in the rows of the
-    auxiliary speeds is (B_a - J_a^T C) F = Q, with Q = M_a u' - f_a - J_a^T lambda.
+    auxiliary speeds is (B_a - J_a^T C) F + rest = 0, with rest = f_a - M_a u' + J_a^T lambda.
 
     Source: Kane and Levinson 1985, section 4.9, with constraints as multipliers.
     """
-    n_u, n_c = len(columns[0]) - len(generalized), len(jacobian)
-    differences: list[sm.Expr] = []
-    matrix: list[list[sm.Expr]] = [[] for _ in generalized]
+    rows, n_c = constraints.rows(), len(constraints.jacobian)
+    n_u = len(columns[0]) - len(rest)
+    work: list[sm.Expr] = []
+    matrix: list[list[sm.Expr]] = [[] for _ in rest]
     try:
         for column in columns:
             reaction: tuple[sm.Expr, ...] = (sm.S.Zero,) * n_c
             if any(column[:n_u]):
-                of_dependent = [[jacobian[k][i] for k in range(n_c)] for i in range(n_i, n_u)]
+                of_dependent = [[row[i] for row in rows] for i in range(n_i, n_u)]
                 reaction = solve_linear(tape, of_dependent, [-entry for entry in column[n_i:n_u]])
             for i, entry in enumerate(column):
-                row = [line[i] for line in jacobian] if i < n_u else [line[i - n_u] for line in auxiliary_jacobian]
-                rest = tape.define(entry - sum(tape.define(j * c) for j, c in zip(row, reaction, strict=True)))
+                terms = (tape.define(row[i] * c) for row, c in zip(rows, reaction, strict=True))
+                difference = tape.define(entry - sum(terms))
                 if i < n_i:
-                    differences.append(rest)
+                    work.append(difference)
                 elif i >= n_u:
-                    matrix[i - n_u].append(rest)
-        if not all(tape.vanish(differences)):
-            return None
-        return solve_linear(tape, matrix, [-entry for entry in generalized])
+                    matrix[i - n_u].append(difference)
+        return solve_linear(tape, matrix, rest) if all(tape.vanish(work)) else None
     except (UndeterminedError, TooManyCoupledError):
         return None
 

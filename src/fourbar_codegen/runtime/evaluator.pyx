@@ -577,6 +577,7 @@ cdef class Ode:
     cdef list fixed
     cdef list tables
     cdef list callables
+    cdef tuple names
     cdef readonly object failure
     cdef readonly double time
 
@@ -593,6 +594,7 @@ cdef class Ode:
         for i in range(evaluator.kernel.n_constants):
             self.constants[i] = constants[i]
         self.fixed, self.tables, self.callables = [], [], []
+        self.names = getattr(evaluator, "inputs", None) or tuple(range(1, evaluator.n_r + 1))
         for i, source in zip(range(evaluator.n_r), sources, strict=True):
             if type(source) is Table:
                 self.tables.append((i, source))
@@ -619,7 +621,7 @@ cdef class Ode:
                 called.append((i, <double>value))
             except (TypeError, OverflowError) as error:
                 self.failure = None
-                raise ModelError(f"The callable of input {i + 1} must return a number, not {value!r}.") from error
+                raise ModelError(f"The callable of input {self.names[i]} must return a number, not {value!r}.") from error
         return called
 
     cdef int _fill(self, double t, list called) except -1:

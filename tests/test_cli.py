@@ -108,8 +108,8 @@ def test_generate_and_build_and_load(tmp_path, four_bar):
     assert result.exit_code == 0, result.output
     module = Path(result.output.split(": ")[-1].strip())
     assert module.parent == tmp_path / "built" / "four_bar"
-    assert run("build", "four_bar", "--wheel", "-o", tmp_path / "dist").exit_code == 0
-    assert list((tmp_path / "dist").glob("four_bar-0.1.0-*.whl"))
+    assert run("build", "slider_crank", "--wheel", "-o", tmp_path / "dist").exit_code == 0
+    assert list((tmp_path / "dist").glob("slider_crank-0.1.0-*.whl"))
     loaded = fb.load(module)
     np.testing.assert_allclose(loaded.rhs(0.0, [0.1] * 6), four_bar.rhs(0.0, [0.1] * 6), rtol=1e-12)
 

@@ -5,6 +5,8 @@ import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
 from scipy.optimize import minimize_scalar
+from sympy.physics.mechanics.system import System
+from systems import coordinate_free
 
 import fourbar_codegen as fb
 
@@ -72,12 +74,80 @@ def test_equilibrium_is_where_the_potential_is_least(four_bar):
 
 
 def test_no_equilibrium(four_bar):
+    # A disc stands upright, and nowhere else.
     disc = fb.compile_model(fb.models.rolling_disc())
-    # Upright it stands, lying down it falls through the plane: no other place.
     upright = disc.equilibrium({"q2": 0.1, "q3": 0.4})
     assert upright[1] == pytest.approx(0.0, abs=1e-9)
-    force = fb.compile_model(fb.models.slider_crank())
+    x0 = four_bar.initial_state()[:3]
     with pytest.raises(fb.SimulationError, match="No equilibrium was found"):
-        four_bar.equilibrium(four_bar.initial_state()[:3], inputs={"F": 1e6}, parameters={"l2": 5.0})
+        four_bar.equilibrium(x0, inputs={"F": 1e6}, parameters={"l2": 5.0})
     with pytest.raises(fb.ModelError, match="coordinate"):
-        force.equilibrium([0.0])
+        four_bar.equilibrium([0.0])
+    with pytest.raises(fb.ModelError, match="not callables"):
+        four_bar.equilibrium(x0, inputs={"F": lambda t, x: 5.0})
+    with pytest.raises(fb.ModelError, match="no coordinates"):
+        fb.compile_model(coordinate_free()).equilibrium()
+
+
+def on_a_line(*forces, kdes=None, constraint=None, **inputs):
+    """Particles of 1 kg on a line, each under a force."""
+    q, u = me.dynamicsymbols(f"q1:{len(forces) + 1}"), me.dynamicsymbols(f"u1:{len(forces) + 1}")
+    ground, origin = me.ReferenceFrame("N"), me.Point("O")
+    origin.set_vel(ground, 0)
+    system = System(ground, origin)
+    for i, force in enumerate(forces):
+        point = origin.locatenew(f"P{i}", q[i] * ground.x)
+        point.set_vel(ground, u[i] * ground.x)
+        system.add_bodies(me.Particle(f"p{i}", point, 1))
+        system.add_loads(me.Force(point, force * ground.x))
+    system.add_kdes(*(kdes or [ui - qi.diff(me.dynamicsymbols._t) for qi, ui in zip(q, u, strict=True)]))
+    system.q_ind, system.u_ind = q, u
+    if constraint is not None:
+        system.add_holonomic_constraints(constraint)
+        system.q_ind, system.q_dep, system.u_ind, system.u_dep = q[:-1], q[-1:], u[:-1], u[-1:]
+    return fb.Model(system, name="line", inputs={me.dynamicsymbols(name): value for name, value in inputs.items()})
+
+
+def test_an_equilibrium_is_one_of_every_part():
+    q1, u1, v = me.dynamicsymbols("q1 u1 v")
+    stiff = fb.compile_model(on_a_line(-1e9 * q1, sm.Float(9.81)))
+    with pytest.raises(fb.SimulationError, match="No equilibrium"):
+        stiff.equilibrium()
+    moving = fb.compile_model(on_a_line(-q1, kdes=[u1 + v - q1.diff(me.dynamicsymbols._t)], v=3))
+    with pytest.raises(fb.SimulationError, match="No equilibrium"):
+        moving.equilibrium()
+
+
+def test_inputs_in_constraints_move_what_depends_on_them():
+    # u1' = -4 (q1 - q2), and q2 follows the input s.
+    q1, q2, s = me.dynamicsymbols("q1 q2 s")
+    excited = fb.compile_model(on_a_line(-4 * (q1 - q2), 0 * q2, constraint=q2 - s, s=0))
+    A, B = excited.linearize(0.0, [0.0] * 4)
+    np.testing.assert_allclose(A, [[0.0, 1.0], [-4.0, 0.0]], atol=1e-14)
+    np.testing.assert_allclose(B, [[0.0, 0.0, 0.0], [4.0, 0.0, 0.0]], atol=1e-14)
+    with pytest.raises(fb.ModelError, match="violates the constraints"):
+        excited.linearize(0.0, [1.0, 2.0, 3.0, 4.0])
+    with pytest.raises(fb.ModelError, match="state"):
+        excited.linearize(0.0, "abc")
+
+
+def test_quaternions_without_their_norm_have_no_equilibrium_to_search():
+    e, w = me.dynamicsymbols("e0:4"), me.dynamicsymbols("w1:4")
+    ground, body = me.ReferenceFrame("N"), me.ReferenceFrame("B")
+    body.orient_quaternion(ground, e)
+    by_rates = body.ang_vel_in(ground)
+    by_speeds = sum((speed * axis for speed, axis in zip(w, body, strict=True)), 0 * body.x)
+    body.set_ang_vel(ground, by_speeds)
+    origin, center = me.Point("O"), me.Point("C")
+    origin.set_vel(ground, 0)
+    center.set_pos(origin, -body.z)
+    center.v2pt_theory(origin, ground, body)
+    system = System(ground, origin)
+    system.add_bodies(me.RigidBody("b", center, body, 1, (me.inertia(body, 1, 2, 3), center)))
+    system.apply_uniform_gravity(-9.81 * ground.z)
+    system.q_ind, system.u_ind = e, w
+    norm = sum(entry * entry.diff(me.dynamicsymbols._t) for entry in e)
+    system.add_kdes(*((by_rates - by_speeds).dot(axis) for axis in body), norm)
+    top = fb.compile_model(fb.Model(system, name="top"))
+    with pytest.raises(fb.ModelError, match="norm of a quaternion"):
+        top.equilibrium([1.0, 0.1, 0.0, 0.0])

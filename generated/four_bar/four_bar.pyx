@@ -114,7 +114,7 @@ manifest = (
     '    "sensitivity": 6111,\n'
     '    "parameter_sensitivity": 5689,\n'
     '    "input_sensitivity": 21,\n'
-    '    "velocity_sensitivity": 196\n'
+    '    "constraint_sensitivity": 196\n'
     '  },\n'
     '  "operations": {\n'
     '    "prepare": 59,\n'
@@ -127,7 +127,7 @@ manifest = (
     '    "sensitivity": 404,\n'
     '    "parameter_sensitivity": 429,\n'
     '    "input_sensitivity": 12,\n'
-    '    "velocity_sensitivity": 45\n'
+    '    "constraint_sensitivity": 45\n'
     '  }\n'
     '}\n'
 )

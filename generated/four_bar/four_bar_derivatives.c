@@ -509,9 +509,10 @@ void four_bar_input_sensitivity(double t, const double *restrict x, const double
     residual_input_jacobian[4] = 0;
 }
 
-/* d/dq of the velocity constraints J u + b. */
-void four_bar_velocity_sensitivity(double t, const double *restrict x, const double *restrict constants,
-    const double *restrict r, double *restrict velocity_jacobian)
+/* d/dq of the velocity constraints J u + b; d/dr of the position constraints and of J u + b. */
+void four_bar_constraint_sensitivity(double t, const double *restrict x, const double *restrict constants,
+    const double *restrict r, double *restrict velocity_jacobian, double *restrict position_input_jacobian,
+    double *restrict velocity_input_jacobian)
 {
     (void)t;
     const double q1 = x[0];
@@ -550,4 +551,8 @@ void four_bar_velocity_sensitivity(double t, const double *restrict x, const dou
     velocity_jacobian[3] = -z18;
     velocity_jacobian[4] = -z19;
     velocity_jacobian[5] = -z17;
+    position_input_jacobian[0] = 0;
+    position_input_jacobian[1] = 0;
+    velocity_input_jacobian[0] = 0;
+    velocity_input_jacobian[1] = 0;
 }

@@ -16,6 +16,6 @@
 extern const fb_kernel four_bar_kernel;
 
 fb_sensitivity four_bar_sensitivity, four_bar_parameter_sensitivity, four_bar_input_sensitivity;
-fb_velocity_sensitivity four_bar_velocity_sensitivity;
+fb_constraint_sensitivity four_bar_constraint_sensitivity;
 
 #endif

@@ -135,6 +135,7 @@ enum {{
     N_H = {sizes.n_h},
     N_C = {sizes.n_c},
     N_O = {sizes.n_o},
+    N_RANK = {sizes.rank},
     N_CONSTANTS = {sizes.n_constants}
 }};
 
@@ -196,7 +197,7 @@ def header_text(program: Program, names: Mapping[str, Sequence[str]]) -> str:
 extern const fb_kernel {program.name}_kernel;
 
 fb_sensitivity {program.name}_sensitivity, {program.name}_parameter_sensitivity, {program.name}_input_sensitivity;
-fb_velocity_sensitivity {program.name}_velocity_sensitivity;
+fb_constraint_sensitivity {program.name}_constraint_sensitivity;
 
 #endif
 """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 import tempfile
 from importlib.metadata import version as distribution_version
 from pathlib import Path
@@ -156,7 +157,13 @@ def build_wheel(model: Model, folder: str | Path, *, version: str = "0.1.0", che
 
     Source: PEP 427, by setuptools.
     """
-    if not isinstance(version, str) or not re.fullmatch(r"\d+(\.\d+)*((a|b|rc|\.post|\.dev)\d+)?", version):
+    _require_model(model)
+    if model.name == "fourbar_codegen" or model.name in sys.stdlib_module_names or model.name == "four_bar":
+        raise ModelError(
+            f"A wheel cannot be named {model.name!r}: there is such a module already. Give the Model another name."
+        )
+    pattern = r"[0-9]+(\.[0-9]+)*((a|b|rc|\.post|\.dev)[0-9]+)?"
+    if not isinstance(version, str) or not re.fullmatch(pattern, version):
         raise ModelError(f"A version looks like 1.0 or 0.2.1, not {version!r}.")
     import numpy as np
 

@@ -52,6 +52,8 @@ def load(name: str | Path) -> CompiledModel:
     >>> load("four_bar").coordinates
     ('q1', 'q2', 'q3')
     """
+    if not isinstance(name, str | Path):
+        raise ModelError(f"A compiled model is known by its name or its path, not {name!r}.")
     path = Path(name)
     if path.suffix and path.is_file():
         return CompiledModel.from_file(path)
@@ -59,8 +61,14 @@ def load(name: str | Path) -> CompiledModel:
     known = sorted({p.name.split(".")[0] for s in machinery.EXTENSION_SUFFIXES for p in folder.glob(f"*{s}")})
     if str(name) in known:
         return CompiledModel.from_module(import_module(f"fourbar_codegen.prebuilt.{name}"))
-    if str(name).isidentifier() and util.find_spec(str(name)) and util.find_spec(f"{name}.{name}"):
-        return CompiledModel.from_module(import_module(f"{name}.{name}"))
+    if str(name).isidentifier():
+        # As build_wheel packs it: a package with a module of the same name.
+        try:
+            found = util.find_spec(f"{name}.{name}")
+        except (ImportError, ValueError):
+            found = None
+        if found is not None:
+            return CompiledModel.from_module(import_module(f"{name}.{name}"))
     raise ModelError(
         f"There is no compiled model {str(name)!r}: it is neither one of the package's ({', '.join(known) or 'none'}) "
         "nor one installed from a wheel, nor the path of an extension module that fourbar build made."
@@ -454,7 +462,7 @@ class CompiledModel(Evaluator):
         """A and B of d(q_i, u_i)/dt = A d(q_i, u_i) + B dr near a state that satisfies the constraints.
 
         In the independent coordinates q_i and speeds u_i, as ``KanesMethod.linearize(A_and_B=True)``: the
-        dependent ones follow the constraints to first order.
+        dependent ones follow the constraints to first order, also where inputs stand in these.
 
         Parameters
         ----------
@@ -469,7 +477,7 @@ class CompiledModel(Evaluator):
         Raises
         ------
         ModelError
-            If an argument has a wrong shape or name, or is not finite.
+            If an argument has a wrong shape or name, or is not finite, or the state violates the constraints.
         SimulationError
             If the dependent coordinates or speeds do not follow from the independent ones at this state.
 

@@ -47,6 +47,7 @@ class Equations:
         Leaves that stand for u' in `residual_jacobian`.
     multipliers : tuple of Symbol
         Leaves that stand for the constraints' multipliers there.
+    n_dependent_speeds : int
     default_inputs : Result
         The inputs' expressions, (n_r,); NaN where there is none.
     outputs : Result
@@ -61,8 +62,10 @@ class Equations:
         J, (n_c, n_u); b and gamma, (n_c,). Rows of holonomic constraints first, if they are derived.
     energies : Result
         Kinetic and potential energy, (2,); the latter NaN if a position that it needs is not defined.
-    velocity_jacobian : Result
-        d(J u + b)/dq, (n_c, n_q).
+    velocity_jacobian, velocity_input_jacobian : Result
+        d(J u + b)/dq, (n_c, n_q), and d(J u + b)/dr, (n_c, n_r).
+    position_input_jacobian : Result
+        dPhi/dr, (n_h, n_r).
     coordinate_rate_jacobian, coordinate_rate_parameter_jacobian, coordinate_rate_input_jacobian : Result
         Derivatives of q' with respect to x, p and r, (n_q, n_x), (n_q, n_p) and (n_q, n_r).
     residual_jacobian, residual_parameter_jacobian, residual_input_jacobian : Result
@@ -78,6 +81,7 @@ class Equations:
     inputs: tuple[sm.Symbol, ...]
     accelerations: tuple[sm.Symbol, ...]
     multipliers: tuple[sm.Symbol, ...]
+    n_dependent_speeds: int
     default_inputs: Result
     outputs: Result
     coordinate_rates: Result
@@ -90,6 +94,8 @@ class Equations:
     acceleration_bias: Result
     energies: Result
     velocity_jacobian: Result
+    velocity_input_jacobian: Result
+    position_input_jacobian: Result
     coordinate_rate_jacobian: Result
     coordinate_rate_parameter_jacobian: Result
     coordinate_rate_input_jacobian: Result
@@ -225,6 +231,10 @@ def form_equations(model: Model) -> Equations:
             "velocity_jacobian", [[along[s](e) for s in q] for e in constraints.velocities], n_q
         ),
     }
+    along_r = [Direction(tape, {symbol: sm.S.One}) for symbol in r]
+    for kind, rows in (("velocity", constraints.velocities), ("position", constraints.positions)):
+        result = f"{kind}_input_jacobian"
+        results[result] = _matrix(result, [[d(e) for d in along_r] for e in rows], len(r))
     entries = [entry for result in results.values() for entry in result.entries]
     needed = tuple(
         leaf
@@ -245,6 +255,7 @@ def form_equations(model: Model) -> Equations:
         inputs=r,
         accelerations=a,
         multipliers=lam,
+        n_dependent_speeds=mechanism.n_dependent_speeds,
         **results,
     )
 

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.arguments import Values, named_array
-from fourbar_codegen.errors import SimulationError
-from fourbar_codegen.initial import inputs_at
+from fourbar_codegen.arguments import Values, finite_number, named_array
+from fourbar_codegen.errors import ModelError, SimulationError
+from fourbar_codegen.simulate import bind, input_sources
 
 if TYPE_CHECKING:
     from fourbar_codegen.compiled import CompiledModel
@@ -22,35 +22,46 @@ Floats = NDArray[np.float64]
 
 # An equilibrium counts as found if the coordinates are right to this, in their units.
 COORDINATE_TOLERANCE = 1e-9
+# A state counts as one of the mechanism if the constraints hold to this, in their units and those of the state.
+CLOSED = 1e-6
 
 
 def linearize(
     model: CompiledModel, t: float, x: ArrayLike, p: Values | None, r: Values | None
 ) -> tuple[Floats, Floats]:
     """A and B of the motion near a state; see `CompiledModel.linearize`."""
-    state = np.asarray(x, dtype=float)
-    n_q, n_u = model.n_q, model.n_u
+    t, state = finite_number(t, "t"), named_array(x, model.states, {}, "state")
+    n_q, n_r = model.n_q, model.n_r
     n_qi = n_q - model.manifest["n_dependent_coordinates"]
-    n_ui = n_u - model.manifest["n_dependent_speeds"]
-    by_state = model.jacobian(t, state, p, r)
-    by_inputs = model.input_jacobian(t, state, p, r)
-    # Phi_q dq = 0 and J du + d(J u + b)/dq dq = 0 give all coordinates and speeds in terms of the independent ones.
-    dq = np.vstack((np.eye(n_qi), model.eliminate(model.position(t, state[:n_q], p, r)[1], n_qi, model.coordinates)))
+    n_ui = model.n_u - model.manifest["n_dependent_speeds"]
+    _check_constraints(model, t, state, p, r)
+    # Phi_q dq + Phi_r dr = 0 and J du + d(J u + b)/dq dq + d(J u + b)/dr dr = 0 give all coordinates and speeds in
+    # terms of the independent ones and the inputs: `change` has a column for each of dq_i, du_i and dr.
+    velocity_by_q, position_by_r, velocity_by_r = model.constraint_sensitivity(t, state, p, r)
+    position_by_q = model.position(t, state[:n_q], p, r)[1]
+    free = np.eye(n_qi + n_ui + n_r)
+    dq_i, du_i, dr = np.split(free, [n_qi, n_qi + n_ui])
+    known = position_by_q[:, :n_qi] @ dq_i + position_by_r @ dr
+    dq = np.vstack((dq_i, model.eliminate(np.hstack((known, position_by_q[:, n_qi:])), len(free), model.coordinates)))
     constraints, _ = model.velocity(t, state, p, r)
-    by_speeds = model.eliminate(constraints, n_ui, model.speeds)
-    change = model.velocity_sensitivity(t, state, p, r) @ dq
-    by_coordinates = model.eliminate(
-        np.hstack((change, constraints[:, n_ui:])), n_qi, (*n_qi * ("",), *model.speeds[n_ui:])
-    )
-    tangent = np.block(
-        [
-            [dq, np.zeros((n_q, n_ui))],
-            [np.zeros((n_ui, n_qi)), np.eye(n_ui)],
-            [by_coordinates, by_speeds],
-        ]
-    )
-    independent = [*range(n_qi), *range(n_q, n_q + n_ui)]
-    return (by_state @ tangent)[independent], by_inputs[independent]
+    known = constraints[:, :n_ui] @ du_i + velocity_by_q @ dq + velocity_by_r @ dr
+    du = np.vstack((du_i, model.eliminate(np.hstack((known, constraints[:, n_ui:])), len(free), model.speeds)))
+    rates = model.jacobian(t, state, p, r) @ np.vstack((dq, du)) + model.input_jacobian(t, state, p, r) @ dr
+    independent = rates[[*range(n_qi), *range(n_q, n_q + n_ui)]]
+    return independent[:, : n_qi + n_ui], independent[:, n_qi + n_ui :]
+
+
+def _check_constraints(model: CompiledModel, t: float, x: Floats, p: Values | None, r: Values | None) -> None:
+    """Raise where the state is not one of the mechanism: what would be linearized is not its motion."""
+    positions = model.position_constraints(t, x[: model.n_q], p, r)
+    velocities = model.velocity_constraints(t, x, p, r)
+    scale = 1.0 + np.abs(x).max(initial=0.0)
+    error = max(np.abs(positions).max(initial=0.0), np.abs(velocities).max(initial=0.0))
+    if not error <= CLOSED * scale:
+        raise ModelError(
+            f"The state violates the constraints: positions by {positions}, velocities by {velocities}. "
+            "initial_state makes states that satisfy them."
+        )
 
 
 def equilibrium(
@@ -64,10 +75,22 @@ def equilibrium(
     """A state of rest that lasts; see `CompiledModel.equilibrium`."""
     from scipy.optimize import least_squares
 
+    if not model.n_q:
+        raise ModelError(f"The model {model.name} has no coordinates, whose values an equilibrium is.")
+    if model.n_q - model.manifest["n_dependent_coordinates"] > model.n_u:
+        raise ModelError(
+            f"The model {model.name} has more independent coordinates than speeds: what they are cannot be searched. "
+            "Make the relation between them (such as the norm of a quaternion) a holonomic constraint."
+        )
+    t = finite_number(t, "t")
+    if any(map(callable, input_sources(model, inputs))):
+        raise ModelError(
+            "An equilibrium is searched with inputs that are numbers, tables or expressions, not callables."
+        )
     defaults = {**dict.fromkeys(model.coordinates, 0.0), **model.manifest["initial"]}
     start = named_array(guess, model.coordinates, {n: defaults[n] for n in model.coordinates}, "coordinate")
     p = model.parameter_vector(parameters)
-    r = inputs_at(model, t, p, inputs)
+    r = bind(model, p, inputs).input_values(t, np.zeros(model.n_x))
 
     def at_rest(q: Floats) -> Floats:
         return np.concatenate((q, np.zeros(model.n_u)))
@@ -78,7 +101,7 @@ def equilibrium(
             (
                 model.position_constraints(t, q, p, r),
                 model.velocity_constraints(t, x, p, r),
-                model.rhs(t, x, p, r)[model.n_q :],
+                model.rhs(t, x, p, r),
             )
         )
 
@@ -87,18 +110,18 @@ def equilibrium(
         return np.vstack(
             (
                 model.position(t, q, p, r)[1],
-                model.velocity_sensitivity(t, x, p, r),
-                model.jacobian(t, x, p, r)[model.n_q :, : model.n_q],
+                model.constraint_sensitivity(t, x, p, r)[0],
+                model.jacobian(t, x, p, r)[:, : model.n_q],
             )
         )
 
     found = least_squares(residual, start, jac=slopes, x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15).x
-    error, scale = np.abs(residual(found)).max(), np.abs(slopes(found)).max()
-    if not error <= COORDINATE_TOLERANCE * max(scale, 1.0):
+    errors, scales = np.abs(residual(found)), np.abs(slopes(found)).max(axis=1)
+    if not (errors <= COORDINATE_TOLERANCE * np.maximum(scales, 1.0)).all():
         names = ", ".join(f"{name} = {value:.6g}" for name, value in zip(model.coordinates, found, strict=True))
         raise SimulationError(
             f"No equilibrium was found from the guess {start.tolist()}: the search ended at {names}, where constraints "
-            f"and accelerations are up to {error:.3g} instead of 0. Give another guess, or inputs that hold the "
+            f"and accelerations are up to {errors.max():.3g} instead of 0. Give another guess, or inputs that hold the "
             "mechanism."
         )
     return at_rest(found)

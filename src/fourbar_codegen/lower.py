@@ -98,11 +98,11 @@ def lower(name: str, equations: Equations) -> Program:
             [e.coordinate_rate_input_jacobian, e.residual_input_jacobian],
         ),
         (
-            "velocity_sensitivity",
-            "d/dq of the velocity constraints J u + b.",
+            "constraint_sensitivity",
+            "d/dq of the velocity constraints J u + b; d/dr of the position constraints and of J u + b.",
             [time, state],
             [inputs],
-            [e.velocity_jacobian],
+            [e.velocity_jacobian, e.position_input_jacobian, e.velocity_input_jacobian],
         ),
     ]
     pool = _Constants(e.tape, e.parameters)
@@ -124,6 +124,7 @@ def lower(name: str, equations: Equations) -> Program:
         n_h=len(e.position_constraints.entries),
         n_c=len(e.velocity_bias.entries),
         n_o=len(e.outputs.entries),
+        rank=e.n_dependent_speeds,
         n_constants=len(constants.symbols),
     )
     return Program(name, sizes, (prepare, *functions[:first]), functions[first:])

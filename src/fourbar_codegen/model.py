@@ -95,11 +95,18 @@ def multiplier(number: int) -> sm.Expr:
     -------
     Expr
 
+    Raises
+    ------
+    ModelError
+        If it is not a number of a constraint.
+
     Examples
     --------
     >>> multiplier(2)
     multiplier(2)
     """
+    if not isinstance(number, int) or isinstance(number, bool) or number < 1:
+        raise ModelError(f"A multiplier has the number of its constraint, from 1; not {number!r}.")
     return sm.Function("multiplier", real=True)(sm.Integer(number))
 
 
@@ -125,6 +132,11 @@ def joint_force(name: str, directions: Mapping[int, Vector], frame: ReferenceFra
     dict of str to Expr
         Outputs ``{name}_x``, ``{name}_y`` and ``{name}_z``; in the constraints' units, newton for metres.
 
+    Raises
+    ------
+    ModelError
+        If the directions are no mapping to vectors, or not known in the frame.
+
     Source: Kane and Levinson 1985, section 4.9; Featherstone, *Rigid Body Dynamics Algorithms*, 2008, section 8.
 
     Examples
@@ -134,10 +146,18 @@ def joint_force(name: str, directions: Mapping[int, Vector], frame: ReferenceFra
     >>> joint_force("pin", {1: N.x, 2: N.y}, N)
     {'pin_x': multiplier(1), 'pin_y': multiplier(2), 'pin_z': 0}
     """
-    return {
-        f"{name}_{letter}": sm.Add(*(multiplier(k) * direction.dot(axis) for k, direction in directions.items()))
-        for letter, axis in zip("xyz", frame, strict=True)
-    }
+    try:
+        return {
+            f"{name}_{letter}": sm.Add(*(multiplier(k) * direction.dot(axis) for k, direction in directions.items()))
+            for letter, axis in zip("xyz", frame, strict=True)
+        }
+    except (AttributeError, TypeError, ValueError) as error:
+        if isinstance(error, ModelError):
+            raise
+        raise ModelError(
+            f"joint_force takes a mapping from numbers of constraints to vectors, and a frame that these are oriented "
+            f"in, not {directions!r} and {frame!r}: {error}"
+        ) from error
 
 
 class Model:
@@ -148,7 +168,8 @@ class Model:
     system : sympy.physics.mechanics.System or KanesMethod
         A System as its ``form_eoms`` takes it, or a KanesMethod with its bodies and loads. It is read once,
         here: later changes to it do not reach the Model. Accelerations follow from the velocities; those set
-        with ``Point.set_acc`` are not read.
+        with ``Point.set_acc`` are not read. Of redundant constraints, only as many dependent coordinates and
+        speeds are to be named as there are independent ones.
     name : str, optional
         A Python identifier; names the compiled module.
     parameters : mapping of Symbol to float, Expr or Parameter, optional
@@ -323,7 +344,7 @@ class Model:
         n_c += len(mechanism.holonomic_constraints) if mechanism.velocity_constraints_derived else 0
         of_outputs = {multiplier(number) for number in range(1, n_c + 1)} | {u.diff(t) for u in mechanism.speeds}
         values = {s: v.value if isinstance(v, Parameter) else v for s, v in given.items()}
-        derived = {s: sm.sympify(v) for s, v in values.items() if getattr(v, "free_symbols", None)}
+        derived = {s: _of_parameters(s, v, t) for s, v in values.items() if getattr(v, "free_symbols", None)}
         found: set[sm.Symbol] = set()
         labelled = [*self._labelled(), *((f"the expression of parameter {s}", (e,)) for s, e in derived.items())]
         for label, expressions in labelled:
@@ -331,6 +352,9 @@ class Model:
             for node in walk(expressions):
                 if isinstance(node, sm.Symbol):
                     found.add(node)
+                elif isinstance(node, AppliedUndef) and node.func == multiplier(1).func and extra:
+                    if node not in extra:
+                        raise ModelError(f"{node} in {label}: the model has {n_c} constraints on velocities.")
                 elif isinstance(node, AppliedUndef) and node not in known | extra:
                     raise ModelError(
                         f"{node} in {label} is neither a coordinate {self.coordinates} nor a speed {self.speeds} nor "
@@ -345,6 +369,8 @@ class Model:
         found.discard(t)
         parameters: dict[sm.Symbol, Parameter] = {}
         for symbol, value in given.items():
+            if not isinstance(symbol, sm.Symbol):
+                raise ModelError(f"parameters= has Symbols as keys, not {symbol!r}.")
             if symbol not in found:
                 names = ", ".join(sorted(s.name for s in found))
                 raise ModelError(f"Parameter {symbol} does not appear in the model; its symbols are {names}.")
@@ -381,6 +407,12 @@ class Model:
                     f"The expression of input {_name(function)} may contain time and parameters only, not "
                     f"{expression}. State feedback goes into the loads, or in at run time as a callable of (t, x)."
                 )
+        for entry in self.input_entries:
+            if entry.expression is not None and entry.expression.has(sm.Derivative, sm.DiracDelta, sm.Subs):
+                raise ModelError(
+                    f"Input {entry.of} prescribes a motion, so that its first two rates are needed; its expression "
+                    f"{self.input_expressions[entry.function.expr]} does not have them everywhere."
+                )
         accelerations = {entry.function for entry in self.input_entries if entry.order == 2}
         for label, expressions in self.mechanism.labelled_structure():
             for node in walk(expressions):
@@ -408,6 +440,14 @@ class Model:
                 raise ModelError(f"{function} in initial= is none of the states {(*self.coordinates, *self.speeds)}.")
             initial[_name(function)] = finite_number(value, f"initial {_name(function)}")
         return initial
+
+
+def _of_parameters(symbol: sm.Symbol, value: Any, time: sm.Symbol) -> sm.Expr:
+    """The expression of a parameter, checked."""
+    expression = _expression(value, f"the expression of parameter {symbol}")
+    if any(node == time or isinstance(node, AppliedUndef | sm.Derivative) for node in walk([expression])):
+        raise ModelError(f"The expression of parameter {symbol} may contain parameters only, not {expression}.")
+    return expression
 
 
 def _in_order(derived: Mapping[sm.Symbol, sm.Expr]) -> dict[sm.Symbol, sm.Expr]:

@@ -109,6 +109,8 @@ class Sizes:
         Coordinates, speeds, parameters, inputs.
     n_h, n_c, n_o : int
         Position constraints; velocity constraints; outputs.
+    rank : int
+        The number of velocity constraints that are not redundant: that of dependent speeds.
     n_constants : int
         Parameters and what is derived from them alone.
     """
@@ -120,6 +122,7 @@ class Sizes:
     n_h: int
     n_c: int
     n_o: int
+    rank: int
     n_constants: int
 
 

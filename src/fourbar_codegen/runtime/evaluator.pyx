@@ -40,7 +40,8 @@ cdef extern from "fourbar_kernel.h":
                          double *, double *) noexcept nogil
         void (*position)(double, const double *, const double *, const double *, double *, double *) noexcept nogil
         void (*velocity)(double, const double *, const double *, const double *, double *, double *) noexcept nogil
-        void (*velocity_sensitivity)(double, const double *, const double *, const double *, double *) noexcept nogil
+        void (*constraint_sensitivity)(double, const double *, const double *, const double *, double *, double *,
+                                       double *) noexcept nogil
         void (*energy)(double, const double *, const double *, const double *, double *) noexcept nogil
         void (*output)(double, const double *, const double *, const double *, const double *, const double *,
                        double *) noexcept nogil
@@ -437,16 +438,18 @@ cdef class Evaluator:
                              _data(bias))
         return jacobian, bias
 
-    def velocity_sensitivity(self, double t, x, p=None, r=None):
-        """The derivatives of J u + b with respect to q, shape (n_c, n_q)."""
+    def constraint_sensitivity(self, double t, x, p=None, r=None):
+        """d(J u + b)/dq, shape (n_c, n_q), dPhi/dr, shape (n_h, n_r), and d(J u + b)/dr, shape (n_c, n_r)."""
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.prescribed_known)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
-        cdef cnp.ndarray jacobian = _new(self.n_c, self.n_q)
+        cdef cnp.ndarray by_coordinates = _new(self.n_c, self.n_q)
+        cdef cnp.ndarray positions, velocities
+        positions, velocities = _new(self.n_h, self.n_r), _new(self.n_c, self.n_r)
         cdef const double *constants = self._prepare(parameters)
-        self.kernel.velocity_sensitivity(t, _data(state), constants, self._fill(t, constants, inputs),
-                                         _data(jacobian))
-        return jacobian
+        self.kernel.constraint_sensitivity(t, _data(state), constants, self._fill(t, constants, inputs),
+                                           _data(by_coordinates), _data(positions), _data(velocities))
+        return by_coordinates, positions, velocities
 
     def energy(self, double t, x, p=None, r=None):
         """Kinetic and potential energy, shape (2,)."""

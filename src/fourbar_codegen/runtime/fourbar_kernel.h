@@ -38,8 +38,9 @@ typedef void fb_sensitivity(double t, const double *x, const double *constants, 
                             const double *accelerations, const double *multipliers, double *coordinate_rate_jacobian,
                             double *residual_jacobian);
 
-typedef void fb_velocity_sensitivity(double t, const double *x, const double *constants, const double *r,
-                                     double *velocity_jacobian);
+typedef void fb_constraint_sensitivity(double t, const double *x, const double *constants, const double *r,
+                                       double *velocity_jacobian, double *position_input_jacobian,
+                                       double *velocity_input_jacobian);
 
 typedef struct fb_kernel {
     int abi_version;
@@ -67,8 +68,8 @@ typedef struct fb_kernel {
     /* J and b of J u + b = 0 */
     void (*velocity)(double t, const double *x, const double *constants, const double *r, double *constraint_jacobian,
                      double *velocity_bias);
-    /* d(J u + b)/dq */
-    fb_velocity_sensitivity *velocity_sensitivity;
+    /* d(J u + b)/dq, dPhi/dr and d(J u + b)/dr */
+    fb_constraint_sensitivity *constraint_sensitivity;
     /* kinetic and potential energy */
     void (*energy)(double t, const double *x, const double *constants, const double *r, double *energies);
     /* the outputs, for u' and lambda as given */

@@ -34,7 +34,7 @@ static inline int solve_accelerations(double t, const double *restrict x, const 
     const int status = fb_factor(w->mass_matrix, w->constraint_jacobian, &w->factors);
     if (status != FB_OK)
         return status;
-    return fb_solve(w->forcing, w->acceleration_bias, &w->factors, rates, FB_CONSISTENCY_TOLERANCE);
+    return fb_solve(w->forcing, w->acceleration_bias, &w->factors, rates);
 }
 
 static inline int all_finite(const double *values, const int n)
@@ -83,7 +83,7 @@ static int differentiate(fb_sensitivity *function, const int n, double t, const 
         for (int i = 0; i < N_C; ++i)
             w->acceleration_bias[i] = -w->residual_jacobian[(N_U + i) * n + j];
         /* Redundant rows hold in every direction in which the state can move; others are not asked about. */
-        fb_solve(w->forcing, w->acceleration_bias, &w->factors, column, INFINITY);
+        fb_solve(w->forcing, w->acceleration_bias, &w->factors, column);
         for (int i = 0; i < N_U; ++i)
             matrix[(N_Q + i) * n + j] = column[i];
     }
@@ -129,7 +129,7 @@ const fb_kernel FB_NAME(kernel) = {
     .dynamics = dynamics,
     .position = position,
     .velocity = velocity,
-    .velocity_sensitivity = FB_NAME(velocity_sensitivity),
+    .constraint_sensitivity = FB_NAME(constraint_sensitivity),
     .energy = energy,
     .output = output,
     .sensitivity = FB_NAME(sensitivity),

@@ -23,6 +23,9 @@
 /* Rows dropped as redundant must be satisfied to this share of gamma and u', or nearly: where both vanish, what is
  * left of them is rounding errors. */
 #define FB_CONSISTENCY_TOLERANCE 1e-8
+/* Those that the model says are redundant, by having fewer dependent speeds than constraints, may be so on the
+ * constraint manifold alone, from which a run drifts. */
+#define FB_DRIFT_TOLERANCE 1e-3
 #define FB_NEARLY 1e-12
 
 typedef struct fb_factors {
@@ -76,7 +79,7 @@ static inline int fb_eliminate(const double *restrict jacobian, fb_factors *rest
         for (int j = 0; j < N_U; ++j)
             s->lu[i][j] = s->scale[i] * jacobian[i * N_U + j];
     }
-    for (int k = 0; k < N_C; ++k) {
+    for (int k = 0; k < N_RANK; ++k) {
         int pivot_row = k, pivot_column = k;
         double pivot = -1.0;
         for (int i = k; i < N_C; ++i)
@@ -106,7 +109,7 @@ static inline int fb_eliminate(const double *restrict jacobian, fb_factors *rest
                 s->lu[i][j] -= factor * s->lu[k][j];
         }
     }
-    return N_C;
+    return N_RANK;
 }
 
 /* A and T^T M T = L D L^T for a given rank, which the compiler knows where J has full rank. */
@@ -203,10 +206,10 @@ static inline void fb_back(const double *restrict forcing, const double *restric
         accelerations[s->column[i]] = v[i];
 }
 
-/* The rank, in a form that tells the compiler that it lies between 0 and N_C. */
+/* The rank, in a form that tells the compiler that it lies between 0 and N_RANK. */
 static inline int fb_rank(const fb_factors *s)
 {
-    return s->rank < 0 ? 0 : s->rank < N_C ? s->rank : N_C;
+    return s->rank < 0 ? 0 : s->rank < N_RANK ? s->rank : N_RANK;
 }
 
 /* Whether no row is redundant: then the loops have lengths that the compiler knows. */
@@ -225,7 +228,7 @@ static inline int fb_factor(const double *restrict mass_matrix, const double *re
 
 /* u' for one right-hand side (f, gamma). */
 static inline int fb_solve(const double *restrict forcing, const double *restrict acceleration_bias,
-                           const fb_factors *restrict s, double *restrict accelerations, const double tolerance)
+                           const fb_factors *restrict s, double *restrict accelerations)
 {
     double w[FB_AT_LEAST_1(N_C)];
     if (fb_full_rank(s)) {
@@ -234,6 +237,7 @@ static inline int fb_solve(const double *restrict forcing, const double *restric
         return FB_OK;
     }
     /* The rows beyond the rank have to hold by themselves. */
+    const double tolerance = fb_rank(s) == N_RANK ? FB_DRIFT_TOLERANCE : FB_CONSISTENCY_TOLERANCE;
     double size = fb_forward(acceleration_bias, s, w, fb_rank(s));
     fb_back(forcing, w, s, accelerations, fb_rank(s));
     for (int i = 0; i < N_U; ++i)

@@ -114,3 +114,10 @@ def test_contradictory_constraints_are_an_error():
     with pytest.raises(fb.SimulationError, match="no acceleration satisfies"):
         # d^2/dt^2 of the second is the same for t, so a quadratic time is needed for a contradiction in u'.
         fb.compile_model(pendulum(circle, circle - me.dynamicsymbols._t**2)).rhs(0.0, [0.6, -0.8, 0.0, 0.0])
+
+
+def test_constraints_that_are_not_redundant_need_a_dependent_speed_each():
+    both = fb.compile_model(pendulum(circle, me.dynamicsymbols("x") - sm.S.Half * me.dynamicsymbols("y")))
+    closing = np.array([0.5, 1.0]) / np.sqrt(1.25)
+    with pytest.raises(fb.AssemblyError, match="2 velocity constraints are independent"):
+        both.initial_state([closing[1]], [0.0], guess=[closing[0]])

@@ -27,6 +27,9 @@ COORDINATE_TOLERANCE = 1e-10
 FURTHER_GUESSES = 40
 # Singular values of J_d below this share of the largest count as zero.
 SINGULAR = 1e-12
+# Rows of J count as independent of each other from this share of the largest singular value on; those that are
+# redundant on the constraint manifold alone differ by the error of the position.
+INDEPENDENT = 1e-6
 # Velocity constraints count as satisfied to this share of their terms.
 CONSISTENT = 1e-10
 
@@ -125,6 +128,12 @@ def _dependent_speeds(
     jacobian, bias = model.velocity(t, np.concatenate((q, np.zeros(model.n_u))), p, r)
     if not model.n_c:
         return u_i
+    rank = np.linalg.matrix_rank(jacobian, rtol=INDEPENDENT)
+    if rank > model.n_u - n_i:
+        raise AssemblyError(
+            f"{rank} velocity constraints are independent of each other at {_named(model.coordinates, q)}, but the "
+            f"model has {model.n_u - n_i} dependent speeds ({', '.join(model.speeds[n_i:])}): name one for each."
+        )
     known = jacobian[:, :n_i] @ u_i + bias
     u_d = np.linalg.lstsq(jacobian[:, n_i:], -known, rcond=SINGULAR)[0]
     error = np.abs(jacobian[:, n_i:] @ u_d + known).max()

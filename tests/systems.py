@@ -146,3 +146,24 @@ def closed_by_auxiliary_speeds(*, unknown_forces):
         parameters=values,
         outputs=fb.joint_force("closing", {1: ground.x, 2: ground.y}, ground),
     )
+
+
+def quaternion_top():
+    """A body on a ball joint in quaternions: four coordinates, three speeds, implicit kinematics."""
+    e, w = me.dynamicsymbols("e0:4"), me.dynamicsymbols("w1:4")
+    ground, body = me.ReferenceFrame("N"), me.ReferenceFrame("B")
+    body.orient_quaternion(ground, e)
+    by_rates = body.ang_vel_in(ground)
+    by_speeds = sum((speed * axis for speed, axis in zip(w, body, strict=True)), 0 * body.x)
+    body.set_ang_vel(ground, by_speeds)
+    origin, center = me.Point("O"), me.Point("C")
+    origin.set_vel(ground, 0)
+    center.set_pos(origin, -body.z)
+    center.v2pt_theory(origin, ground, body)
+    system = System(ground, origin)
+    system.add_bodies(me.RigidBody("b", center, body, 1, (me.inertia(body, 1, 2, 3), center)))
+    system.apply_uniform_gravity(-9.81 * ground.z)
+    system.q_ind, system.u_ind = e, w
+    norm = sum(entry * entry.diff(me.dynamicsymbols._t) for entry in e)
+    system.add_kdes(*((by_rates - by_speeds).dot(axis) for axis in body), norm)
+    return system

@@ -7,7 +7,7 @@ import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
 from sympy.physics.mechanics.system import System
-from systems import coordinate_free, slider
+from systems import coordinate_free, quaternion_top, slider
 from tutorial import Tutorial
 
 import fourbar_codegen as fb
@@ -157,6 +157,20 @@ def test_jacobian_that_does_not_exist_is_an_error():
     assert cone.rhs(0.0, [0.0, 0.0]).tolist() == [0.0, 0.0]
     with pytest.raises(fb.SimulationError, match="derivatives"):
         cone.jacobian(0.0, [0.0, 0.0])
+
+
+def test_a_system_that_validate_system_refuses():
+    system = quaternion_top()
+    with pytest.raises(ValueError, match="number of generalized coordinates 4"):
+        system.validate_system()
+    top = fb.compile_model(fb.Model(system, name="top"))
+    reference = Tutorial(quaternion_top(), {}, {})
+    generator = np.random.default_rng(5)
+    for _ in range(10):
+        x = generator.normal(size=7)
+        x[:4] /= np.linalg.norm(x[:4])  # off the unit sphere, SymPy's direction cosines are none
+        # Some 50 products of numbers around 1, on both sides.
+        np.testing.assert_allclose(top.rhs(0.0, x), reference.rhs(0.0, x), rtol=0, atol=1000 * EPS)
 
 
 def test_potential_energy_of_gravity_in_a_tilted_frame():

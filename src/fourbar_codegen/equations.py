@@ -182,10 +182,9 @@ def form_equations(model: Model) -> Equations:
         raise ModelError("Velocities must be linear in the auxiliary speeds, and loads in the unknown forces.")
 
     # f - M u' + J^T lambda, the rows of the auxiliary speeds last; and -(J u' + gamma).
+    lines = constraints.rows()
     dynamic = [
-        tape.define(
-            row + sum(tape.define(line[i] * symbol) for line, symbol in zip(constraints.rows(), lam, strict=True))
-        )
+        tape.define(row + sum(tape.define(line[i] * symbol) for line, symbol in zip(lines, lam, strict=True)))
         for i, row in enumerate(balance)
     ]
     kinematic = [

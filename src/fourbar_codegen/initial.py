@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from fourbar_codegen.compiled import CompiledModel
     from fourbar_codegen.simulate import InputSource
 
-__all__ = ["initial_state", "inputs_at"]
+__all__ = ["initial_state"]
 
 Floats = NDArray[np.float64]
 
@@ -53,12 +53,12 @@ def initial_state(
     u_i = named_array(speeds, model.speeds[:n_ui], initial, "independent speed")
     dependent = model.coordinates[n_qi:]
     start = named_array(guess, dependent, {**dict.fromkeys(dependent, 0.0), **initial}, "dependent coordinate")
-    r = inputs_at(model, t, p, inputs)
+    r = _inputs_at(model, t, p, inputs)
     q = _close(model, t, q_i, start, p, r) if model.n_h else np.concatenate((q_i, start))
     return np.concatenate((q, _dependent_speeds(model, t, q, u_i, p, r)))
 
 
-def inputs_at(
+def _inputs_at(
     model: CompiledModel, t: float, p: Floats | None, inputs: Mapping[Any, InputSource] | None
 ) -> Floats | None:
     """The inputs for what depends on configuration and motion alone: those that prescribe it count.

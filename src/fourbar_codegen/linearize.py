@@ -36,7 +36,7 @@ def linearize(
     n_ui = model.n_u - model.manifest["n_dependent_speeds"]
     _check_constraints(model, t, state, p, r)
     # Phi_q dq + Phi_r dr = 0 and J du + d(J u + b)/dq dq + d(J u + b)/dr dr = 0 give all coordinates and speeds in
-    # terms of the independent ones and the inputs: `change` has a column for each of dq_i, du_i and dr.
+    # terms of the independent ones and the inputs. Each array has a column for every entry of dq_i, du_i and dr.
     velocity_by_q, position_by_r, velocity_by_r = model.constraint_sensitivity(t, state, p, r)
     position_by_q = model.position(t, state[:n_q], p, r)[1]
     free = np.eye(n_qi + n_ui + n_r)

@@ -12,8 +12,8 @@ import fourbar_codegen
 PACKAGE = Path(fourbar_codegen.__file__).parent
 RUN = ["arguments", "compiled", "initial", "linearize", "simulate", "solvers", "trajectory", "visual", "report"]
 GENERATION = [
-    "model", "mechanism", "fingerprint", "tape", "numeric", "linear",
-    "kinematics", "kane", "equations", "program", "lower", "c_source",
+    "model", "mechanism", "fingerprint", "tape", "numeric", "convert", "derivatives", "identities",
+    "linear", "motion", "kinematics", "kane", "equations", "share", "program", "lower", "c_source",
     "cython_source",
 ]  # fmt: skip
 

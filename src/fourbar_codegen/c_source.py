@@ -8,16 +8,31 @@ from __future__ import annotations
 import math
 import re
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 
 import sympy as sm
 from sympy.printing.c import C99CodePrinter
 from sympy.printing.codeprinter import PrintMethodNotImplementedError
-from sympy.printing.precedence import PRECEDENCE
 
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.program import Array, Function, Program
+from fourbar_codegen.tape import (
+    ONE,
+    Call,
+    Leaf,
+    Node,
+    Number,
+    Product,
+    Reciprocal,
+    Scalar,
+    Sum,
+    magnitude,
+    operands,
+    placeholder,
+)
 
 __all__ = ["derivatives_text", "header_text", "kernel_text"]
 
@@ -28,6 +43,9 @@ LONGEST = 500
 
 PART = 200
 """Statements in each part of a longer one."""
+
+INLINED = 8
+"""Operands of the longest expression that stands in another one, instead of on a line of its own."""
 
 CARRIED = "carried"
 """The array through which the parts of a longer function hand on values."""
@@ -46,15 +64,15 @@ RESERVED = frozenset(
 
 
 class _Printer(C99CodePrinter):
-    """C99 with integer powers as products, numbers as literals and symbols by their place."""
+    """C99 with numbers as literals and placeholders by the text of their arguments."""
 
-    def __init__(self, names: Mapping[sm.Symbol, str]) -> None:
+    def __init__(self, arguments: Mapping[sm.Symbol, str]) -> None:
         # No macros such as M_PI: they are not part of C99.
         super().__init__({"strict": True, "math_macros": {}})
-        self.names = names
+        self.arguments = arguments
 
     def _print_Symbol(self, expr: sm.Symbol) -> str:
-        return self.names[expr]
+        return self.arguments[expr]
 
     def _print_NumberSymbol(self, expr: sm.NumberSymbol) -> str:
         return repr(float(expr))
@@ -71,27 +89,19 @@ class _Printer(C99CodePrinter):
             raise OverflowError(f"{expr} is beyond the range of double")
         return super()._print_Float(expr)  # type: ignore[no-any-return]
 
-    def _print_NaN(self, _: sm.Expr) -> str:
-        return "NAN"
-
     def _print_Piecewise(self, expr: sm.Piecewise) -> str:
         if expr.args[-1].cond != sm.true:
             # Outside of all conditions, such as beyond the ends of a spline, it has no value.
             expr = sm.Piecewise(*expr.args, (sm.nan, True), evaluate=False)
         return super()._print_Piecewise(expr)  # type: ignore[no-any-return]
 
+    def _print_NaN(self, _: sm.Expr) -> str:
+        return "NAN"
+
     def _print_Pow(self, expr: sm.Pow) -> str:
-        # gcc leaves pow(x, 3) a call into the library; products are faster and can be vectorized.
-        base, exponent = expr.as_base_exp()
-        if exponent.is_Integer and 1 < abs(int(exponent)) <= 16:
-            factor = self.parenthesize(base, PRECEDENCE["Mul"] + 1)
-            # The parentheses keep x**2 whole where the printer of products divides by it.
-            product = f"({'*'.join([factor] * abs(int(exponent)))})"
-            return product if exponent > 0 else f"1.0/{product}"
-        if exponent == sm.Rational(1, 3):
-            return f"pow({self._print(base)}, 1.0/3.0)"  # not cbrt: of a negative number, it is not a number in SymPy
-        if exponent == sm.Rational(-1, 2):
-            return f"1.0/sqrt({self._print(base)})"
+        if expr.exp == sm.Rational(1, 3):
+            # Not cbrt: of a negative number, the root is not a number in SymPy.
+            return f"pow({self._print(expr.base)}, 1.0/3.0)"
         return super()._print_Pow(expr)  # type: ignore[no-any-return]
 
 
@@ -223,17 +233,17 @@ def _comment(name: str) -> str:
 
 
 def _function_text(function: Function, name: str, storage: str) -> str:
-    names = _local_names(function)
-    parts = _parts(function)
+    text = _Text(function)
+    parts = _parts(function, text)
     last = len(parts) - 1
     carried = _carried(parts)
     if not last:
         head = _head(function, f"{storage}void {name}", [])
-        return "\n".join([f"/* {function.summary} */", *head, "{", *_body(function, parts[0], names, carried), "}"])
+        return "\n".join([f"/* {function.summary} */", *head, "{", *_body(function, parts[0], text, carried), "}"])
     texts = []
     for number, part in enumerate(parts, start=1):
         head = _head(function, f"static FB_PART void {function.name}_{number}", [f"double *restrict {CARRIED}"])
-        texts.append("\n".join([*head, "{", *_body(function, part, names, carried), "}"]))
+        texts.append("\n".join([*head, "{", *_body(function, part, text, carried), "}"]))
     arguments = [array.name for array in function.arguments] + [result.name for result in function.results]
     calls = [f"    {function.name}_{number + 1}({', '.join([*arguments, CARRIED])});" for number in range(last + 1)]
     head = _head(function, f"{storage}void {name}", [])
@@ -242,62 +252,181 @@ def _function_text(function: Function, name: str, storage: str) -> str:
     return "\n\n".join(texts)
 
 
-@dataclass(frozen=True)
-class _Part:
-    """Consecutive statements of a function, and the entries of its results that can be stored behind them.
+class _Text:
+    """The text of a function's operations, those used once written where they are used.
 
     Attributes
     ----------
-    statements : tuple of (Symbol, Expr)
-    stores : tuple of (str, int, Expr)
-        Name of the result, position in it, value.
+    names : dict of int to str
+        What the arguments and the nodes that have a line of their own are called.
+    lines : list of int
+        The latter nodes, in order of evaluation.
     """
 
-    statements: tuple[tuple[sm.Symbol, sm.Expr], ...]
-    stores: tuple[tuple[str, int, sm.Expr], ...]
+    def __init__(self, function: Function) -> None:
+        self.operations = dict(function.statements)
+        self.names = _argument_names(function)
+        uses = Counter(operand for operation in self.operations.values() for operand in operands(operation))
+        uses.update(entry.node for result in function.results for entry in result.entries)
+        named = {a for o in self.operations.values() if isinstance(o, Call) for a in o.arguments}
+        named.update(node for node, count in uses.items() if count > 1)
+        lengths: dict[int, int] = {}  # operands in the text of what has no line of its own
+        for node, operation in self.operations.items():
+            length = sum(lengths.get(operand, 1) for operand in operands(operation))
+            if node not in named and not isinstance(operation, Call) and length <= INLINED:
+                lengths[node] = length
+        self.lines = [node for node in self.operations if node not in lengths]
+        self.names.update((node, f"z{position}") for position, node in enumerate(self.lines))
 
-    def used(self) -> set[sm.Symbol]:
-        """All symbols in the statements' expressions and the stored values."""
-        expressions = [*(expr for _, expr in self.statements), *(expr for *_, expr in self.stores)]
-        return {symbol for expr in expressions for symbol in expr.free_symbols}
+    def referred(self, node: int) -> set[int]:
+        """The nodes that the text of a node names; of one that has a name, itself."""
+        found: set[int] = set()
+        stack = [node]
+        while stack:
+            node = stack.pop()
+            if node in self.names:
+                found.add(node)
+            elif node != ONE:
+                stack.extend(operands(self.operations[node]))
+        return found
+
+    def referred_by(self, line: int) -> set[int]:
+        """The nodes that a line names on its right-hand side."""
+        return {name for operand in operands(self.operations[line]) for name in self.referred(operand)}
+
+    def value(self, line: int) -> str:
+        """The right-hand side of a line."""
+        return self._operation(self.operations[line])[0]
+
+    def scalar(self, scalar: Scalar) -> str:
+        """A result."""
+        if scalar.is_number:
+            return _literal(scalar.coefficient)
+        return self._multiple(scalar.coefficient, scalar.node)
+
+    def _multiple(self, coefficient: Number, node: int) -> str:
+        if coefficient == 1:
+            return self._node(node)[0]
+        text = self._within_product(node)
+        return f"-{text}" if coefficient == -1 else f"{_literal(coefficient)}*{text}"
+
+    def _within_product(self, node: int) -> str:
+        text, is_sum = self._node(node)
+        return f"({text})" if is_sum else text
+
+    def _node(self, node: int) -> tuple[str, bool]:
+        """The text of an operand, and whether it is a sum, which products put in parentheses."""
+        name = self.names.get(node)
+        return (name, False) if name is not None else self._operation(self.operations[node])
+
+    def _operation(self, operation: Node) -> tuple[str, bool]:
+        match operation:
+            case Sum(terms):
+                text = ""
+                for node, coefficient in terms:
+                    number = magnitude(coefficient)
+                    sign = "-" if coefficient < 0 else "+"
+                    term = _literal(number) if node == ONE else self._term(number, node)
+                    text += f" {sign} {term}" if text else ("-" if coefficient < 0 else "") + term
+                return text, True
+            case Product(factors):
+                over = [f for f in factors if f not in self.names and isinstance(self.operations[f], Reciprocal)]
+                above = "*".join(self._within_product(factor) for factor in factors if factor not in over)
+                below = "".join(f"/{self._denominator(factor)}" for factor in over)
+                return (above or "1.0") + below, False
+            case Reciprocal():
+                return f"1.0/{self._below(operation.node)}", False
+            case Call(expression, arguments):
+                names = {placeholder(i): self._node(argument)[0] for i, argument in enumerate(arguments)}
+                return _print(_Printer(names), expression), False
+        raise TypeError(f"{operation} has no text")
+
+    def _term(self, number: Number, node: int) -> str:
+        """A term of a sum: a sum in it stands in parentheses, whatever its sign."""
+        return self._within_product(node) if number == 1 else self._multiple(number, node)
+
+    def _denominator(self, reciprocal: int) -> str:
+        operation = self.operations[reciprocal]
+        assert isinstance(operation, Reciprocal)
+        return self._below(operation.node)
+
+    def _below(self, node: int) -> str:
+        return self._node(node)[0] if node in self.names else f"({self._node(node)[0]})"
 
 
-def _parts(function: Function) -> list[_Part]:
-    count = 1 if len(function.statements) <= LONGEST else -(-len(function.statements) // PART)
-    size = max(1, -(-len(function.statements) // count))
-    defined_in = {symbol: number // size for number, (symbol, _) in enumerate(function.statements)}
-    stores: list[list[tuple[str, int, sm.Expr]]] = [[] for _ in range(count)]
+def _literal(value: Number) -> str:
+    if isinstance(value, Fraction):
+        return f"({float(value.numerator)!r}/{float(value.denominator)!r})"
+    if math.isnan(value):
+        return "NAN"
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise ModelError(f"The model contains {value}, which is beyond the range of double.")
+    return repr(number)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Consecutive lines of a function, and the entries of its results that can be stored behind them.
+
+    Attributes
+    ----------
+    lines : tuple of int
+    stores : tuple of (str, int, Scalar)
+        Name of the result, position in it, value.
+    used : frozenset of int
+        The nodes that lines and stores name.
+    """
+
+    lines: tuple[int, ...]
+    stores: tuple[tuple[str, int, Scalar], ...]
+    used: frozenset[int]
+
+
+def _parts(function: Function, text: _Text) -> list[_Part]:
+    count = 1 if len(text.lines) <= LONGEST else -(-len(text.lines) // PART)
+    size = max(1, -(-len(text.lines) // count))
+    defined_in = {node: position // size for position, node in enumerate(text.lines)}
+    stores: list[list[tuple[str, int, Scalar]]] = [[] for _ in range(count)]
+    used: list[set[int]] = [set() for _ in range(count)]
     for result in function.results:
-        for position, expr in enumerate(result.entries):
-            part = max((defined_in.get(symbol, 0) for symbol in expr.free_symbols), default=0)
-            stores[part].append((result.name, position, expr))
-    return [_Part(function.statements[i * size : (i + 1) * size], tuple(stores[i])) for i in range(count)]
+        for position, entry in enumerate(result.entries):
+            referred = text.referred(entry.node)
+            part = max((defined_in.get(node, 0) for node in referred), default=0)
+            stores[part].append((result.name, position, entry))
+            used[part] |= referred
+    parts = []
+    for i in range(count):
+        lines = tuple(text.lines[i * size : (i + 1) * size])
+        names = used[i].union(*(text.referred_by(line) for line in lines))
+        parts.append(_Part(lines, tuple(stores[i]), frozenset(names)))
+    return parts
 
 
-def _carried(parts: Sequence[_Part]) -> dict[sm.Symbol, int]:
+def _carried(parts: Sequence[_Part]) -> dict[int, int]:
     """The places of the values that one part hands on to later ones."""
-    later: set[sm.Symbol] = set()
-    carried: list[sm.Symbol] = []
+    later: set[int] = set()
+    carried: list[int] = []
     for part in reversed(parts):
-        carried += [symbol for symbol, _ in part.statements if symbol in later]
-        later |= part.used()
-    return {symbol: place for place, symbol in enumerate(carried)}
+        carried += [node for node in part.lines if node in later]
+        later |= part.used
+    return {node: place for place, node in enumerate(carried)}
 
 
-def _body(
-    function: Function, part: _Part, names: Mapping[sm.Symbol, str], carried: Mapping[sm.Symbol, int]
-) -> list[str]:
+def _body(function: Function, part: _Part, text: _Text, carried: Mapping[int, int]) -> list[str]:
     """The lines of a function, or of a part of one."""
-    printer, used = _Printer(names), part.used()
-    own = {symbol for symbol, _ in part.statements}
-    body = [line for array in function.arguments for line in _unpack(array, used, names)]
-    body += [f"    const double {names[s]} = {CARRIED}[{place}];" for s, place in carried.items() if s in used - own]
-    for symbol, expr in part.statements:
-        body.append(_statement(f"const double {names[symbol]} = {_print(printer, expr)};"))
-    body += [f"    {CARRIED}[{place}] = {names[s]};" for s, place in carried.items() if s in own]
+    names, own = text.names, set(part.lines)
+    body = [line for array in function.arguments for line in _unpack(array, part.used, names)]
+    outside = sorted((carried[node], node) for node in part.used - own if node in carried)
+    body += [f"    const double {names[node]} = {CARRIED}[{place}];" for place, node in outside]
+    body += [_statement(f"const double {names[line]} = {text.value(line)};") for line in part.lines]
+    body += [f"    {CARRIED}[{carried[line]}] = {names[line]};" for line in part.lines if line in carried]
     stored = {name for name, *_ in part.stores}
     body += [f"    (void){result.name};" for result in function.results if result.name not in stored]
-    body += [_statement(f"{name}[{position}] = {_print(printer, expr)};") for name, position, expr in part.stores]
+    body += [_statement(f"{name}[{position}] = {text.scalar(entry)};") for name, position, entry in part.stores]
     return body
 
 
@@ -328,32 +457,29 @@ def _parameter(array: Array) -> str:
     return "double t" if array.name == "t" else f"const double *restrict {array.name}"
 
 
-def _unpack(array: Array, used: Iterable[sm.Basic], names: Mapping[sm.Symbol, str]) -> list[str]:
+def _unpack(array: Array, used: Collection[int], names: Mapping[int, str]) -> list[str]:
     """Names for the entries of an argument that the function reads."""
-    used = set(used)
     if array.name == "t":
-        return [] if array.symbols[0] in used else ["    (void)t;"]
+        return [] if array.nodes[0] in used else ["    (void)t;"]
     lines = [
-        f"    const double {names[symbol]} = {array.name}[{position}];"
-        for position, symbol in enumerate(array.symbols)
-        if symbol in used
+        f"    const double {names[node]} = {array.name}[{position}];"
+        for position, node in enumerate(array.nodes)
+        if node in used
     ]
     return lines or [f"    (void){array.name};"]
 
 
-def _local_names(function: Function) -> dict[sm.Symbol, str]:
-    """C identifiers for all symbols of a function: the user's own names where C allows them, all distinct."""
-    names: dict[sm.Symbol, str] = {}
+def _argument_names(function: Function) -> dict[int, str]:
+    """C identifiers for all arguments of a function: the user's own names where C allows them, all distinct."""
+    names: dict[int, str] = {}
     taken = set(RESERVED) | {result.name for result in function.results} | {array.name for array in function.arguments}
     for array in function.arguments:
-        for position, symbol in enumerate(array.symbols):
-            kind, _, name = symbol.name.partition(":")
+        for position, (node, leaf) in enumerate(zip(array.nodes, array.leaves, strict=True)):
+            kind, name = leaf or Leaf("k", f"k{position}")
             if kind == "t":
-                names[symbol] = "t"
+                names[node] = "t"
                 continue
-            if kind == "k":
-                name = f"k{position}"
-            elif kind == "a":
+            if kind == "a":
                 name = f"{name}_rate"
             elif kind == "l":
                 name = f"lambda{name}"
@@ -364,7 +490,5 @@ def _local_names(function: Function) -> dict[sm.Symbol, str]:
             while identifier in taken:
                 identifier += "_"
             taken.add(identifier)
-            names[symbol] = identifier
-    for position, (symbol, _) in enumerate(function.statements):
-        names[symbol] = f"z{position}"
+            names[node] = identifier
     return names

@@ -63,7 +63,7 @@ def _generate(model: Model) -> tuple[Equations, dict[str, str]]:
     names = {
         "coordinates": model.coordinates,
         "speeds": model.speeds,
-        "parameters": tuple(symbol.name.partition(":")[2] for symbol in equations.parameters),
+        "parameters": tuple(leaf.name for leaf in program.parameters),
         "inputs": model.inputs,
         "outputs": model.outputs,
     }

@@ -6,8 +6,6 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import sympy as sm
-
 from fourbar_codegen.model import Model
 from fourbar_codegen.program import Program
 
@@ -55,7 +53,7 @@ def manifest_of(model: Model, program: Program, names: Mapping[str, Sequence[str
         ],
         "outputs": list(names["outputs"]),
         "initial": model.initial,
-        "has_potential_energy": energies[1] is not sm.nan,
+        "has_potential_energy": not energies[1].is_nan,
         "operations_before_sharing": {
             function.name: function.operations_before_sharing for function in (*program.functions, *program.derivatives)
         },

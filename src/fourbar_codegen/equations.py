@@ -14,20 +14,24 @@ constraints J u + b = 0 enter as rows J u' + gamma = 0; they are solved numerica
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain
 
 import sympy as sm
 
+from fourbar_codegen.convert import Conversion, substitute
+from fourbar_codegen.derivatives import Direction, pull_back
 from fourbar_codegen.errors import ModelError
+from fourbar_codegen.identities import recognize, vanish
 from fourbar_codegen.kane import Kane
 from fourbar_codegen.kinematics import solve_kinematics
 from fourbar_codegen.linear import TooManyCoupledError, UndeterminedError, solve_linear
 from fourbar_codegen.mechanism import Mechanism
 from fourbar_codegen.model import Model, multiplier
+from fourbar_codegen.motion import Motion
 from fourbar_codegen.program import Result
-from fourbar_codegen.tape import Direction, Tape
+from fourbar_codegen.tape import Scalar, Tape
 
 __all__ = ["Equations", "form_equations"]
 
@@ -39,13 +43,13 @@ class Equations:
     Attributes
     ----------
     tape : Tape
-    time : Symbol
-    coordinates, speeds, parameters, inputs : tuple of Symbol
+    time : Scalar
+    coordinates, speeds, parameters, inputs : tuple of Scalar
         The leaves, in the order of the state and argument arrays. Of the parameters, those that the model
         names or the equations need.
-    accelerations : tuple of Symbol
+    accelerations : tuple of Scalar
         Leaves that stand for u' in `residual_jacobian`.
-    multipliers : tuple of Symbol
+    multipliers : tuple of Scalar
         Leaves that stand for the constraints' multipliers there.
     n_dependent_speeds : int
     default_inputs : Result
@@ -74,13 +78,13 @@ class Equations:
     """
 
     tape: Tape
-    time: sm.Symbol
-    coordinates: tuple[sm.Symbol, ...]
-    speeds: tuple[sm.Symbol, ...]
-    parameters: tuple[sm.Symbol, ...]
-    inputs: tuple[sm.Symbol, ...]
-    accelerations: tuple[sm.Symbol, ...]
-    multipliers: tuple[sm.Symbol, ...]
+    time: Scalar
+    coordinates: tuple[Scalar, ...]
+    speeds: tuple[Scalar, ...]
+    parameters: tuple[Scalar, ...]
+    inputs: tuple[Scalar, ...]
+    accelerations: tuple[Scalar, ...]
+    multipliers: tuple[Scalar, ...]
     n_dependent_speeds: int
     default_inputs: Result
     outputs: Result
@@ -129,71 +133,73 @@ def form_equations(model: Model) -> Equations:
     """
     mechanism = model.mechanism
     tape = Tape()
-    time = sm.Symbol("t:", real=True)
-    q = tuple(sm.Symbol(f"q:{name}", real=True) for name in model.coordinates)
-    u = tuple(sm.Symbol(f"u:{name}", real=True) for name in model.speeds)
-    p = tuple(sm.Symbol(f"p:{name}", real=True) for name in model.parameters)
-    r = tuple(sm.Symbol(f"r:{name}", real=True) for name in model.inputs)
+    time = tape.leaf("t", "")
+    q = tuple(tape.leaf("q", name) for name in model.coordinates)
+    u = tuple(tape.leaf("u", name) for name in model.speeds)
+    p = tuple(tape.leaf("p", name) for name in model.parameters)
+    r = tuple(tape.leaf("r", name) for name in model.inputs)
     speeds = mechanism.speeds
-    aux = tuple(sm.Symbol(f"w:{number}", real=True) for number in range(len(mechanism.auxiliary_speeds)))
+    aux = tuple(tape.leaf("w", number) for number in range(len(mechanism.auxiliary_speeds)))
+    a = tuple(tape.leaf("a", name) for name in model.speeds)
     n_q, n_u = len(q), len(u)
 
-    leaves: dict[sm.Basic, sm.Expr] = {mechanism.time: time}
+    leaves: dict[sm.Basic, Scalar] = {mechanism.time: time}
+    convert = Conversion(tape, leaves)
     leaves.update(zip(mechanism.coordinates, q, strict=True))
     leaves.update(zip(speeds, u, strict=True))
-    leaves.update(dict.fromkeys(mechanism.auxiliary_speeds, sm.S.Zero))
+    leaves.update(dict.fromkeys(mechanism.auxiliary_speeds, tape.zero))
     leaves.update(zip(model.parameter_symbols, p, strict=True))
     for symbol, expr in model.derived_parameters.items():
-        leaves[symbol] = tape.convert(expr, leaves)
+        leaves[symbol] = convert(expr)
     r_of = {entry.function: symbol for entry, symbol in zip(model.input_entries, r, strict=True)}
     leaves.update(r_of)
-    q_rates = solve_kinematics(tape, mechanism, leaves, u)
+    q_rates = tuple(recognize(tape, solve_kinematics(tape, mechanism, leaves, u)))
     leaves.update(zip((c.diff(mechanism.time) for c in mechanism.coordinates), q_rates, strict=True))
-    unknown = tuple(sm.Symbol(f"n:{number}", real=True) for number in range(len(model.noncontributing)))
+    unknown = tuple(tape.leaf("n", number) for number in range(len(model.noncontributing)))
     leaves.update(zip(model.noncontributing, unknown, strict=True))
 
-    along = {symbol: Direction(tape, {symbol: sm.S.One}) for symbol in (*q, *u, *aux, *unknown)}
-    along_u = [along[symbol] for symbol in u]
-    # The rate of a function of (q, u, r, t) while u is held: of the inputs, those whose rates are inputs too.
+    # The rate of a function of (q, u, r, t) with u held, or with u' given: of the inputs, those whose rates are inputs.
     r_rates = {symbol: r_of[f.diff(mechanism.time)] for f, symbol in r_of.items() if f.diff(mechanism.time) in r_of}
-    rate = Direction(tape, {time: sm.S.One, **dict(zip(q, q_rates, strict=True)), **r_rates})
+    held = {time: tape.one, **dict(zip(q, q_rates, strict=True)), **r_rates}
+    rate = Direction(tape, held)
+    total_rate = Direction(tape, {**held, **dict(zip(u, a, strict=True))})
 
-    auxiliary = dict(zip(mechanism.auxiliary_speeds, aux, strict=True))
-    kane = Kane(tape, mechanism, leaves, auxiliary, [along[symbol] for symbol in (*u, *aux)], rate)
-    kane.use_poisson_rates()
-    mass_matrix, forcing = kane.mass_matrix_and_forcing()
-    constraints = _constraints(tape, mechanism, leaves, auxiliary, along_u, [along[symbol] for symbol in aux], rate)
+    motion = virtual = Motion(tape, mechanism, convert, rate)
+    convert_virtual = convert
+    if aux:
+        convert_virtual = Conversion(tape, {**leaves, **dict(zip(mechanism.auxiliary_speeds, aux, strict=True))})
+        virtual = Motion(tape, mechanism, convert_virtual, rate)
+    kane = Kane(tape, motion, virtual, u, aux)
+    kane.use_poisson_rates([rate, total_rate])
+    mass_matrix = kane.mass_matrix()
+    forcing = kane.generalized_forces(rate)[:n_u]
+    formed = tape.reach([*q_rates, *chain(*mass_matrix), *forcing])
+    constraints = _constraints(tape, mechanism, convert, convert_virtual, u, aux, rate, formed)
     for number, row in enumerate(constraints.jacobian, start=1):
         if tape.depends(row, u):
             raise ModelError(f"Velocity constraint {number} is not linear in the generalized speeds.")
     n_c = len(constraints.velocities)
-    at_rest = dict.fromkeys(u, sm.S.Zero)
-    velocity_bias = tuple(_substitute(tape, expr, at_rest) for expr in constraints.velocities)
+    velocity_bias = substitute(tape, constraints.velocities, dict.fromkeys(u, tape.zero))
+    lam = tuple(tape.leaf("l", number) for number in range(n_c))
 
-    a = tuple(sm.Symbol(f"a:{name}", real=True) for name in model.speeds)
-    lam = tuple(sm.Symbol(f"l:{number}", real=True) for number in range(n_c))
-
-    # The unknown forces, which auxiliary speeds bring out, act through these columns.
-    balance = kane.balance(a)
-    columns = [[along[symbol](entry) for entry in balance] for symbol in unknown]
-    balance = [_substitute(tape, entry, dict.fromkeys(unknown, sm.S.Zero)) for entry in balance]
-    forcing = [_substitute(tape, entry, dict.fromkeys(unknown, sm.S.Zero)) for entry in forcing]
+    # f - M u', the rows of the auxiliary speeds last. The unknown forces, which those bring out, act through columns.
+    balance = kane.generalized_forces(total_rate)
+    columns: list[list[Scalar]] = []
+    if unknown:
+        gradients = [pull_back(tape, [(entry, tape.one)], unknown) for entry in balance]
+        columns = [list(column) for column in zip(*gradients, strict=True)]
+        balance = substitute(tape, balance, dict.fromkeys(unknown, tape.zero))
+        forcing = substitute(tape, forcing, dict.fromkeys(unknown, tape.zero))
     if tape.depends([*chain(*mass_matrix, *columns), *balance], {*aux, *unknown}):
         raise ModelError("Velocities must be linear in the auxiliary speeds, and loads in the unknown forces.")
 
-    # f - M u' + J^T lambda, the rows of the auxiliary speeds last; and -(J u' + gamma).
-    lines = constraints.rows()
-    dynamic = [
-        tape.define(row + sum(tape.define(line[i] * symbol) for line, symbol in zip(lines, lam, strict=True)))
-        for i, row in enumerate(balance)
-    ]
-    kinematic = [
-        tape.define(-bias - sum(tape.define(entry * symbol) for entry, symbol in zip(row, a, strict=True)))
-        for row, bias in zip(constraints.jacobian, constraints.acceleration_bias, strict=True)
-    ]
+    # f - M u' + J^T lambda; and -(J u' + gamma), the rate of the constraints for given u'.
+    reactions = pull_back(tape, list(zip(constraints.virtual_velocities, lam, strict=True)), (*u, *aux))
+    dynamic = [row + reaction for row, reaction in zip(balance, reactions, strict=True)]
+    kinematic = [-total_rate(expr) for expr in constraints.velocities]
 
     # What keeps the auxiliary speeds zero: Q = M u' - f - J^T lambda in their rows, or the forces that give it.
-    forces: tuple[sm.Expr, ...] | None = tuple(tape.define(-row) for row in dynamic[n_u:])
+    forces: tuple[Scalar, ...] | None = tuple(-row for row in dynamic[n_u:])
     if unknown:
         forces = _noncontributing(tape, columns, constraints, dynamic[n_u:], n_u - mechanism.n_dependent_speeds)
     if forces is None:
@@ -203,13 +209,16 @@ def form_equations(model: Model) -> Equations:
             f"{', '.join(str(w.func) for w in mechanism.auxiliary_speeds)}: they do work in the motion itself, "
             "or at no auxiliary speed. Forces that are known are named in inputs=."
         )
+    # From here on they stand for themselves no more.
     leaves.update(zip(model.noncontributing, forces, strict=False))
     leaves.update(zip((speed.diff(mechanism.time) for speed in speeds), a, strict=True))
     leaves.update({multiplier(number): symbol for number, symbol in enumerate(lam, start=1)})
-    outputs = (*forces, *(tape.convert(expr, leaves) for expr in model.output_expressions.values()))
+    convert = Conversion(tape, leaves)
+    outputs = (*forces, *(convert(expr) for expr in model.output_expressions.values()))
 
-    changing = {time, *q, *u, *r, *a, *lam}
-    defaults = [sm.S.NaN if e.expression is None else tape.convert(e.expression, leaves) for e in model.input_entries]
+    changing = (time, *q, *u, *r, *a, *lam, *unknown)
+    nan = tape.number(float("nan"))
+    defaults = [nan if e.expression is None else convert(e.expression) for e in model.input_entries]
     results = {
         "default_inputs": _vector("inputs", defaults),
         "outputs": _vector("outputs", outputs),
@@ -217,9 +226,7 @@ def form_equations(model: Model) -> Equations:
         "mass_matrix": _matrix("mass_matrix", mass_matrix, n_u),
         "forcing": _vector("forcing", forcing),
         "position_constraints": _vector("position_constraints", constraints.positions),
-        "position_jacobian": _matrix(
-            "position_jacobian", [[along[s](e) for s in q] for e in constraints.positions], n_q
-        ),
+        "position_jacobian": _matrix("position_jacobian", _position_jacobian(tape, constraints, q, q_rates, u), n_q),
         "constraint_jacobian": _matrix("constraint_jacobian", constraints.jacobian, n_u),
         "velocity_bias": _vector("velocity_bias", velocity_bias),
         "acceleration_bias": _vector("acceleration_bias", constraints.acceleration_bias),
@@ -227,13 +234,12 @@ def form_equations(model: Model) -> Equations:
             "energies", [kane.kinetic_energy(), kane.potential_energy(model.potential_energy, changing)]
         ),
         "velocity_jacobian": _matrix(
-            "velocity_jacobian", [[along[s](e) for s in q] for e in constraints.velocities], n_q
+            "velocity_jacobian", [pull_back(tape, [(e, tape.one)], q) for e in constraints.velocities], n_q
         ),
     }
-    along_r = [Direction(tape, {symbol: sm.S.One}) for symbol in r]
     for kind, rows in (("velocity", constraints.velocities), ("position", constraints.positions)):
         result = f"{kind}_input_jacobian"
-        results[result] = _matrix(result, [[d(e) for d in along_r] for e in rows], len(r))
+        results[result] = _matrix(result, [pull_back(tape, [(e, tape.one)], r) for e in rows], len(r))
     entries = [entry for result in results.values() for entry in result.entries]
     needed = tuple(
         leaf
@@ -241,7 +247,7 @@ def form_equations(model: Model) -> Equations:
         if symbol in model.named_parameters or tape.depends(entries, {leaf})
     )
     for kind, variables in (("", (*q, *u)), ("_parameter", needed), ("_input", r)):
-        directions = [along.get(s) or Direction(tape, {s: sm.S.One}) for s in variables]
+        directions = [Direction(tape, {s: tape.one}) for s in variables]
         for name, rows in (("coordinate_rate", q_rates), ("residual", (*dynamic[:n_u], *kinematic))):
             result = f"{name}{kind}_jacobian"
             results[result] = _matrix(result, [[d(e) for d in directions] for e in rows], len(variables))
@@ -261,15 +267,21 @@ def form_equations(model: Model) -> Equations:
 
 @dataclass(frozen=True)
 class _Constraints:
-    """Positions Phi, velocities J u + b, J by speeds and by auxiliary speeds, and gamma."""
+    """Positions Phi, velocities J u + b, J by speeds and by auxiliary speeds, and gamma.
 
-    positions: tuple[sm.Expr, ...]
-    velocities: tuple[sm.Expr, ...]
-    jacobian: tuple[tuple[sm.Expr, ...], ...]
-    auxiliary_jacobian: tuple[tuple[sm.Expr, ...], ...]
-    acceleration_bias: tuple[sm.Expr, ...]
+    The velocities begin with the rates of the positions if they are `derived`; `virtual_velocities` are the velocities
+    with the auxiliary speeds where they are not zero.
+    """
 
-    def rows(self) -> list[tuple[sm.Expr, ...]]:
+    positions: tuple[Scalar, ...]
+    derived: bool
+    velocities: tuple[Scalar, ...]
+    virtual_velocities: tuple[Scalar, ...]
+    jacobian: tuple[tuple[Scalar, ...], ...]
+    auxiliary_jacobian: tuple[tuple[Scalar, ...], ...]
+    acceleration_bias: tuple[Scalar, ...]
+
+    def rows(self) -> list[tuple[Scalar, ...]]:
         """The rows of both Jacobians as one."""
         return [(*row, *more) for row, more in zip(self.jacobian, self.auxiliary_jacobian, strict=True)]
 
@@ -277,35 +289,56 @@ class _Constraints:
 def _constraints(
     tape: Tape,
     mechanism: Mechanism,
-    leaves: Mapping[sm.Basic, sm.Expr],
-    auxiliary: Mapping[sm.Basic, sm.Expr],
-    along_u: Sequence[Direction],
-    along_auxiliary: Sequence[Direction],
+    convert: Conversion,
+    convert_virtual: Conversion,
+    u: Sequence[Scalar],
+    aux: Sequence[Scalar],
     rate: Direction,
+    formed: Sequence[int],
 ) -> _Constraints:
-    positions = tuple(tape.convert(expr, leaves) for expr in mechanism.holonomic_constraints)
-    velocities = tuple(tape.convert(expr, leaves) for expr in mechanism.velocity_constraints)
-    # The same with the auxiliary speeds, which the rates of positions do not have.
-    general = tuple(tape.convert(expr, {**leaves, **auxiliary}) for expr in mechanism.velocity_constraints)
+    positions = recognize(tape, [convert(expr) for expr in mechanism.holonomic_constraints], formed)
+    velocities = recognize(tape, [convert(expr) for expr in mechanism.velocity_constraints], formed)
+    virtual = (
+        recognize(tape, [convert_virtual(expr) for expr in mechanism.velocity_constraints], formed)
+        if aux
+        else velocities
+    )
     if mechanism.velocity_constraints_derived:
-        velocities = (*(rate(expr) for expr in positions), *velocities)
-        general = (*(sm.S.Zero for _ in positions), *general)
+        # The rates of positions do not have the auxiliary speeds.
+        derived = [rate(expr) for expr in positions]
+        velocities, virtual = [*derived, *velocities], [*derived, *virtual]
+    gradients = [pull_back(tape, [(expr, tape.one)], (*u, *aux)) for expr in virtual]
     return _Constraints(
-        positions,
-        velocities,
-        tuple(tuple(d(expr) for d in along_u) for expr in velocities),
-        tuple(tuple(d(expr) for d in along_auxiliary) for expr in general),
+        tuple(positions),
+        mechanism.velocity_constraints_derived,
+        tuple(velocities),
+        tuple(virtual),
+        tuple(tuple(gradient[: len(u)]) for gradient in gradients),
+        tuple(tuple(gradient[len(u) :]) for gradient in gradients),
         tuple(rate(expr) for expr in velocities),
     )
 
 
+def _position_jacobian(
+    tape: Tape, constraints: _Constraints, q: Sequence[Scalar], q_rates: Sequence[Scalar], u: Sequence[Scalar]
+) -> list[list[Scalar]]:
+    """dPhi/dq; a coordinate whose rate is a speed of its own has that speed's column of J, which stands already."""
+    rows = [pull_back(tape, [(expr, tape.one)], q) for expr in constraints.positions]
+    if constraints.derived:
+        for j, rate in enumerate(q_rates):
+            if rate in u and not tape.depends([*q_rates[:j], *q_rates[j + 1 :]], [rate]):
+                for row, of_speeds in zip(rows, constraints.jacobian, strict=False):
+                    row[j] = of_speeds[u.index(rate)]
+    return rows
+
+
 def _noncontributing(
     tape: Tape,
-    columns: Sequence[Sequence[sm.Expr]],
+    columns: Sequence[Sequence[Scalar]],
     constraints: _Constraints,
-    rest: Sequence[sm.Expr],
+    rest: Sequence[Scalar],
     n_i: int,
-) -> tuple[sm.Expr, ...] | None:
+) -> tuple[Scalar, ...] | None:
     """The unknown forces F that keep the auxiliary speeds zero; None if they are not determined.
 
     They act as B F on the speeds and as B_a F on the auxiliary ones. Forces that do no work in the motion are
@@ -316,37 +349,29 @@ def _noncontributing(
     """
     rows, n_c = constraints.rows(), len(constraints.jacobian)
     n_u = len(columns[0]) - len(rest)
-    work: list[sm.Expr] = []
-    matrix: list[list[sm.Expr]] = [[] for _ in rest]
+    work: list[Scalar] = []
+    matrix: list[list[Scalar]] = [[] for _ in rest]
     try:
         for column in columns:
-            reaction: tuple[sm.Expr, ...] = (sm.S.Zero,) * n_c
+            reaction: tuple[Scalar, ...] = (tape.zero,) * n_c
             if any(column[:n_u]):
                 of_dependent = [[row[i] for row in rows] for i in range(n_i, n_u)]
                 reaction = solve_linear(tape, of_dependent, [-entry for entry in column[n_i:n_u]])
             for i, entry in enumerate(column):
-                terms = (tape.define(row[i] * c) for row, c in zip(rows, reaction, strict=True))
-                difference = tape.define(entry - sum(terms))
+                terms = [row[i] * c for row, c in zip(rows, reaction, strict=True)]
+                difference = tape.sum([entry, *(-term for term in terms)])
                 if i < n_i:
                     work.append(difference)
                 elif i >= n_u:
                     matrix[i - n_u].append(difference)
-        return solve_linear(tape, matrix, rest) if all(tape.vanish(work)) else None
+        return solve_linear(tape, matrix, rest) if all(vanish(tape, work)) else None
     except (UndeterminedError, TooManyCoupledError):
         return None
 
 
-def _vector(name: str, entries: Sequence[sm.Expr]) -> Result:
+def _vector(name: str, entries: Sequence[Scalar]) -> Result:
     return Result(name, (len(entries),), tuple(entries))
 
 
-def _matrix(name: str, rows: Sequence[Sequence[sm.Expr]], columns: int) -> Result:
+def _matrix(name: str, rows: Sequence[Sequence[Scalar]], columns: int) -> Result:
     return Result(name, (len(rows), columns), tuple(entry for row in rows for entry in row))
-
-
-def _substitute(tape: Tape, expr: sm.Expr, values: dict[sm.Symbol, sm.Expr]) -> sm.Expr:
-    """The expression with leaves replaced, statement by statement."""
-    known: dict[sm.Basic, sm.Expr] = dict(values)
-    for symbol in tape.reach([expr]):
-        known[symbol] = tape.define(tape.statements[symbol].xreplace(known))
-    return tape.define(expr.xreplace(known))

@@ -6,17 +6,19 @@ from collections.abc import Mapping, Sequence
 
 import sympy as sm
 
+from fourbar_codegen.convert import Conversion
+from fourbar_codegen.derivatives import pull_back
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.linear import LARGEST_BLOCK, TooManyCoupledError, UndeterminedError, solve_linear
 from fourbar_codegen.mechanism import Mechanism
-from fourbar_codegen.tape import Direction, Tape
+from fourbar_codegen.tape import Scalar, Tape
 
 __all__ = ["solve_kinematics"]
 
 
 def solve_kinematics(
-    tape: Tape, mechanism: Mechanism, leaves: Mapping[sm.Basic, sm.Expr], u: Sequence[sm.Symbol]
-) -> tuple[sm.Expr, ...]:
+    tape: Tape, mechanism: Mechanism, leaves: Mapping[sm.Basic, Scalar], u: Sequence[Scalar]
+) -> tuple[Scalar, ...]:
     """Solve the kinematic differential equations for the coordinates' rates.
 
     See `solve_linear` for how. Where a determinant vanishes, the rates are not finite, and the evaluation says so.
@@ -25,14 +27,14 @@ def solve_kinematics(
     ----------
     tape : Tape
     mechanism : Mechanism
-    leaves : mapping of Basic to Expr
+    leaves : mapping of Basic to Scalar
         What stands on the tape for time, coordinates, speeds and parameters.
-    u : sequence of Symbol
+    u : sequence of Scalar
         The speeds' leaves.
 
     Returns
     -------
-    tuple of Expr
+    tuple of Scalar
         q', shape (n_q,).
 
     Raises
@@ -41,24 +43,21 @@ def solve_kinematics(
         If an equation is not linear in q' and u, or the equations do not determine q'.
     """
     rates = [coordinate.diff(mechanism.time) for coordinate in mechanism.coordinates]
-    symbols = [sm.Symbol(f"v:{number}", real=True) for number in range(len(rates))]
-    with_rates = {**leaves, **dict(zip(rates, symbols, strict=True))}
-    without_rates = {**leaves, **dict.fromkeys(rates, sm.S.Zero)}
-    along = [Direction(tape, {symbol: sm.S.One}) for symbol in symbols]
-    along_u = [Direction(tape, {symbol: sm.S.One}) for symbol in u]
+    unknown = [tape.leaf("v", number) for number in range(len(rates))]
+    with_rates = Conversion(tape, {**leaves, **dict(zip(rates, unknown, strict=True))})
+    without_rates = Conversion(tape, {**leaves, **dict.fromkeys(rates, tape.zero)})
 
-    matrix: list[list[sm.Expr]] = []
-    rest: list[sm.Expr] = []
+    matrix: list[list[Scalar]] = []
+    rest: list[Scalar] = []
     for number, equation in enumerate(mechanism.kinematic_equations, start=1):
-        converted = tape.convert(equation, with_rates)
-        row = [d(converted) for d in along]
-        if tape.depends([*row, *(d(converted) for d in along_u)], {*symbols, *u}):
+        gradient = pull_back(tape, [(with_rates(equation), tape.one)], [*unknown, *u])
+        if tape.depends(gradient, [*unknown, *u]):
             raise ModelError(
                 f"Kinematic differential equation {number}, {equation}, is not linear in the coordinates' rates and "
                 "the speeds."
             )
-        matrix.append(row)
-        rest.append(tape.convert(equation, without_rates))
+        matrix.append(gradient[: len(rates)])
+        rest.append(without_rates(equation))
 
     try:
         return solve_linear(tape, matrix, rest)

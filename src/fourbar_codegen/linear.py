@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import sympy as sm
-
-from fourbar_codegen.tape import Tape
+from fourbar_codegen.tape import Scalar, Tape
 
 __all__ = ["LARGEST_BLOCK", "TooManyCoupledError", "UndeterminedError", "solve_linear"]
 
@@ -33,7 +31,7 @@ class TooManyCoupledError(Exception):
     """More equations depend on each other than `LARGEST_BLOCK`; the argument is their number."""
 
 
-def solve_linear(tape: Tape, matrix: Sequence[Sequence[sm.Expr]], constants: Sequence[sm.Expr]) -> tuple[sm.Expr, ...]:
+def solve_linear(tape: Tape, matrix: Sequence[Sequence[Scalar]], constants: Sequence[Scalar]) -> tuple[Scalar, ...]:
     """Solve ``matrix @ unknowns + constants = 0``.
 
     Equations with one unknown are solved first, then blocks that share no unknown, each apart. Within a
@@ -43,12 +41,12 @@ def solve_linear(tape: Tape, matrix: Sequence[Sequence[sm.Expr]], constants: Seq
     Parameters
     ----------
     tape : Tape
-    matrix : sequence of sequence of Expr, shape (n, n)
-    constants : sequence of Expr, shape (n,)
+    matrix : sequence of sequence of Scalar, shape (n, n)
+    constants : sequence of Scalar, shape (n,)
 
     Returns
     -------
-    tuple of Expr
+    tuple of Scalar
         The unknowns.
 
     Raises
@@ -58,28 +56,22 @@ def solve_linear(tape: Tape, matrix: Sequence[Sequence[sm.Expr]], constants: Seq
     TooManyCoupledError
         If a block is too large for expansion by minors.
     """
-    rows = [list(row) for row in matrix]
+    rows = [{column: entry for column, entry in enumerate(row) if entry} for row in matrix]
     rest = list(constants)
-    solution: dict[int, sm.Expr] = {}
-
-    def move_known(row: int) -> None:
-        """Take the unknowns that are solved for to the right-hand side."""
-        for column in [c for c, entry in enumerate(rows[row]) if c in solution and entry]:
-            rest[row] = tape.define(rest[row] + tape.define(rows[row][column] * solution[column]))
-            rows[row][column] = sm.S.Zero
+    solution: dict[int, Scalar] = {}
 
     # Equations with one unknown, as long as there are any: triangular ones are solved by that alone.
     remaining = list(range(len(rows)))
-    while singles := [row for row in remaining if sum(bool(entry) for entry in rows[row]) == 1]:
-        single = singles[0]
-        unknown = next(column for column, entry in enumerate(rows[single]) if entry)
-        solution[unknown] = tape.define(-rest[single] / rows[single][unknown])
+    while (single := next((row for row in remaining if len(rows[row]) == 1), None)) is not None:
+        [(unknown, entry)] = rows[single].items()
+        solution[unknown] = -rest[single] / entry
         remaining.remove(single)
-        for number in remaining:
-            move_known(number)
+        for row in remaining:
+            if unknown in rows[row]:
+                rest[row] = rest[row] + rows[row].pop(unknown) * solution[unknown]
 
     for block, columns in _blocks(rows, remaining, [c for c in range(len(rows)) if c not in solution]):
-        determinant = _determinant(tape, rows, block, columns) if len(block) == len(columns) else sm.S.Zero
+        determinant = _determinant(tape, rows, block, columns) if len(block) == len(columns) else tape.zero
         if not determinant:
             raise UndeterminedError(block, columns)
         for k, column in enumerate(columns):
@@ -88,17 +80,17 @@ def solve_linear(tape: Tape, matrix: Sequence[Sequence[sm.Expr]], constants: Seq
                 (-1) ** (i + k + 1) * rest[row] * _determinant(tape, rows, _without(block, i), _without(columns, k))
                 for i, row in enumerate(block)
             ]
-            solution[column] = tape.define(tape.define(sm.Add(*terms)) / determinant)
+            solution[column] = tape.sum(terms) / determinant
     return tuple(solution[column] for column in range(len(rows)))
 
 
 def _blocks(
-    matrix: Sequence[Sequence[sm.Expr]], rows: Sequence[int], columns: Sequence[int]
+    matrix: Sequence[dict[int, Scalar]], rows: Sequence[int], columns: Sequence[int]
 ) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
     """Rows and columns of the matrix's independent blocks."""
     blocks: list[tuple[set[int], set[int]]] = [(set(), {column}) for column in columns]
     for row in rows:
-        own = {column for column in columns if matrix[row][column]}
+        own = set(matrix[row])
         joined = [block for block in blocks if block[1] & own]
         blocks = [block for block in blocks if not block[1] & own]
         blocks.append(({row}.union(*(r for r, _ in joined)), own.union(*(c for _, c in joined))))
@@ -109,17 +101,17 @@ def _blocks(
 
 
 def _determinant(
-    tape: Tape, matrix: Sequence[Sequence[sm.Expr]], rows: tuple[int, ...], columns: tuple[int, ...]
-) -> sm.Expr:
+    tape: Tape, matrix: Sequence[dict[int, Scalar]], rows: tuple[int, ...], columns: tuple[int, ...]
+) -> Scalar:
     """Expansion along the first row; the tape stores each smaller determinant once."""
     if not rows:
-        return sm.S.One
-    terms = [
-        (-1) ** k * matrix[rows[0]][column] * _determinant(tape, matrix, rows[1:], _without(columns, k))
+        return tape.one
+    first = matrix[rows[0]]
+    return tape.sum(
+        (-1) ** k * first[column] * _determinant(tape, matrix, rows[1:], _without(columns, k))
         for k, column in enumerate(columns)
-        if matrix[rows[0]][column]
-    ]
-    return tape.define(sm.Add(*terms))
+        if column in first
+    )
 
 
 def _without(numbers: tuple[int, ...], position: int) -> tuple[int, ...]:

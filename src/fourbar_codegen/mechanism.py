@@ -6,7 +6,7 @@ in the `Mechanism`, so its fingerprint is the fingerprint of the equations.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -17,7 +17,7 @@ from sympy.physics.mechanics.system import System
 
 from fourbar_codegen.errors import ModelError
 
-__all__ = ["Body", "Components", "Frame", "Load", "Mechanism", "Vector", "read_mechanism", "walk"]
+__all__ = ["Body", "Components", "Frame", "Load", "Mechanism", "Point", "Vector", "read_mechanism", "walk"]
 
 Components = tuple[sm.Expr, sm.Expr, sm.Expr]
 """Components of a vector along the axes of one frame."""
@@ -38,13 +38,37 @@ class Frame:
     dcm : tuple of Expr
         The 9 entries, row by row, of the matrix whose row i holds axis i of this frame in the parent's axes.
     angular_velocity : Vector or None
-        In the inertial frame; None where SymPy knows none.
+        In the frame `reference`; None where SymPy knows none.
+    reference : int
+        The parent frame, or the inertial one where that makes fewer components.
     """
 
     name: str
     parent: int
     dcm: tuple[sm.Expr, ...]
     angular_velocity: Vector | None
+    reference: int
+
+
+@dataclass(frozen=True)
+class Point:
+    """A point that a body or a load needs, or that lies between two such.
+
+    Attributes
+    ----------
+    name : str
+    parent : int or None
+        Number of the point, smaller than its own, that its position is given from.
+    offset : Vector
+        Its position from the parent.
+    velocity : Vector or None
+        In the inertial frame, as SymPy has it; None where it has none, and nothing asks for it but other points.
+    """
+
+    name: str
+    parent: int | None
+    offset: Vector
+    velocity: Vector | None
 
 
 @dataclass(frozen=True)
@@ -55,8 +79,8 @@ class Body:
     ----------
     name : str
     mass : Expr
-    velocity : Vector
-        Of the mass centre, in the inertial frame.
+    point : int
+        The mass centre.
     frame : int or None
         The body-fixed frame.
     inertia_frame : int or None
@@ -68,7 +92,7 @@ class Body:
 
     name: str
     mass: sm.Expr
-    velocity: Vector
+    point: int
     frame: int | None
     inertia_frame: int | None
     inertia: tuple[sm.Expr, ...] | None
@@ -84,8 +108,8 @@ class Load:
     kind : {"force", "torque"}
     name : str
     vector : Vector
-    velocity : Vector
-        What the load does work on: the point's velocity, or the frame's angular velocity.
+    place : int
+        The point that the force acts on, or the frame that the torque acts on.
     position : Vector or None
         The point's position from the System's fixed point; None for a torque or where SymPy knows none.
     """
@@ -93,7 +117,7 @@ class Load:
     kind: Literal["force", "torque"]
     name: str
     vector: Vector
-    velocity: Vector
+    place: int
     position: Vector | None
 
 
@@ -121,6 +145,7 @@ class Mechanism:
     n_dependent_speeds: int
     auxiliary_speeds: tuple[sm.Expr, ...]
     frames: tuple[Frame, ...]
+    points: tuple[Point, ...]
     bodies: tuple[Body, ...]
     loads: tuple[Load, ...]
     kinematic_equations: tuple[sm.Expr, ...]
@@ -138,13 +163,13 @@ class Mechanism:
         for frame in self.frames[1:]:
             yield f"the orientation of frame {frame.name}", frame.dcm
             yield f"the angular velocity of frame {frame.name}", _entries(frame.angular_velocity)
+        for point in self.points:
+            yield f"the velocity of point {point.name}", _entries(point.velocity)
         for body in self.bodies:
             yield f"the mass of body {body.name}", (body.mass,)
-            yield f"the velocity of body {body.name}", _entries(body.velocity)
             yield f"the inertia of body {body.name}", body.inertia or ()
             yield f"the potential energy of body {body.name}", (body.potential_energy,)
         for load in self.loads:
-            yield f"the velocity at the {load.name}", _entries(load.velocity)
             yield f"the position of the {load.name}", _entries(load.position)
         for label, group in (
             ("kinematic differential equation", self.kinematic_equations),
@@ -206,6 +231,9 @@ def read_mechanism(system: System | me.KanesMethod) -> Mechanism:
         )
     _check_counts(description)
     reader = _Reader(description.frame, description.fixed_point)
+    points = [(body.masscenter, f"body {body.name}") for body in description.bodies]
+    points += [(place, f"force at point {place.name}") for place, _ in description.loads if isinstance(place, me.Point)]
+    reader.read_points(points)
     bodies = tuple(reader.body(body) for body in description.bodies)
     loads = tuple(reader.load(load) for load in description.loads)
     return Mechanism(
@@ -215,6 +243,7 @@ def read_mechanism(system: System | me.KanesMethod) -> Mechanism:
         n_dependent_coordinates=len(description.q_dep),
         n_dependent_speeds=len(description.u_dep),
         auxiliary_speeds=tuple(description.u_aux),
+        points=tuple(reader.points),
         frames=reader.frames(),
         bodies=bodies,
         loads=loads,
@@ -332,8 +361,12 @@ class _Reader:
     def __init__(self, inertial: me.ReferenceFrame, fixed_point: me.Point | None) -> None:
         self.inertial = inertial
         self.fixed_point = fixed_point
-        self.parents = _orientation_tree(inertial)
+        # ``ReferenceFrame.dcm`` finds its way by listing every path in the graph and multiplies out what lies on
+        # it; one breadth-first pass over the neighbours keeps the tree as it was modelled.
+        self.parents = _neighbours(inertial, lambda frame: frame._dcm_dict)
         self.numbers: dict[me.ReferenceFrame, int] = {inertial: 0}
+        self.points: list[Point] = []
+        self.point_numbers: dict[me.Point, int] = {}
 
     def number(self, frame: me.ReferenceFrame, used_by: str) -> int:
         if frame not in self.parents:
@@ -361,6 +394,47 @@ class _Reader:
             ) from error
         return self.vector(velocity, used_by)
 
+    def read_points(self, needed: Iterable[tuple[me.Point, str]]) -> None:
+        """Read the velocities of points, given with what uses them, and the tree of positions that joins them."""
+        velocities = {}
+        for point, used_by in needed:
+            if point not in velocities:
+                velocities[point] = self.velocity(point, used_by)
+        parents: dict[me.Point, me.Point | None] = {}
+        for point in velocities:
+            if point not in parents:
+                component = _neighbours(point, _positions)
+                at_rest = [p for p in component if p._vel_dict.get(self.inertial) == 0]
+                root = next((p for p in (self.fixed_point, *at_rest) if p in component), point)
+                parents.update(_neighbours(root, _positions))
+                parents[root] = None
+        for point in velocities:
+            self._add_point(point, parents, velocities)
+
+    def _add_point(
+        self, point: me.Point, parents: dict[me.Point, me.Point | None], velocities: dict[me.Point, Vector]
+    ) -> None:
+        path: list[me.Point] = []
+        ancestor: me.Point | None = point
+        while ancestor is not None and ancestor not in self.point_numbers:
+            path.append(ancestor)
+            ancestor = parents[ancestor]
+        for member in reversed(path):
+            name = f"point {member.name}"
+            parent = parents[member]
+            offset: Vector = ()
+            velocity = velocities.get(member)
+            if velocity is None and self.inertial in member._vel_dict:
+                velocity = self.vector(member._vel_dict[self.inertial], name)
+            if parent is not None:
+                try:
+                    offset = self.vector(member._pos_dict[parent], name)
+                except ModelError:
+                    parent = None  # in a frame that is not oriented
+            number = None if parent is None else self.point_numbers[parent]
+            self.point_numbers[member] = len(self.points)
+            self.points.append(Point(member.name, number, offset, velocity))
+
     def angular_velocity(self, frame: me.ReferenceFrame, used_by: str) -> Vector:
         try:
             angular_velocity = frame.ang_vel_in(self.inertial)
@@ -382,9 +456,9 @@ class _Reader:
     def body(self, body: me.RigidBody | me.Particle) -> Body:
         name = f"body {body.name}"
         mass, potential_energy = sm.sympify(body.mass), sm.sympify(body.potential_energy)
-        velocity = self.velocity(body.masscenter, name)
+        point = self.point_numbers[body.masscenter]
         if not isinstance(body, me.RigidBody):  # the deprecated Body is a RigidBody and a Particle
-            return Body(body.name, mass, velocity, None, None, None, potential_energy)
+            return Body(body.name, mass, point, None, None, None, potential_energy)
         self.angular_velocity(body.frame, name)
         # The inertia stays in the frame it was given in, which need not be fixed in the body (the wheel of a
         # bicycle is simplest in a frame that does not spin with it); mixed frames go to the body's own.
@@ -396,7 +470,7 @@ class _Reader:
         return Body(
             body.name,
             mass,
-            velocity,
+            point,
             self.number(body.frame, name),
             self.number(frame, name),
             inertia,
@@ -407,11 +481,11 @@ class _Reader:
         location, vector = load
         if isinstance(location, me.ReferenceFrame):
             name = f"torque on frame {location.name}"
-            return Load("torque", name, self.vector(vector, name), self.angular_velocity(location, name), None)
+            self.angular_velocity(location, name)
+            return Load("torque", name, self.vector(vector, name), self.number(location, name), None)
         name = f"force at point {location.name}"
-        return Load(
-            "force", name, self.vector(vector, name), self.velocity(location, name), self.position(location, name)
-        )
+        number = self.point_numbers[location]
+        return Load("force", name, self.vector(vector, name), number, self.position(location, name))
 
     def frames(self) -> tuple[Frame, ...]:
         angular_velocities: list[Vector | None] = []
@@ -423,24 +497,46 @@ class _Reader:
             except ModelError:
                 angular_velocities.append(None)
         # The direction cosines between neighbours are the ones that orient_axis and its like stored.
-        return tuple(
-            Frame(frame.name, self.numbers[self.parents[frame]], tuple(frame.dcm(self.parents[frame])), velocity)
-            for frame, velocity in zip(self.numbers, angular_velocities, strict=True)
-        )
+        frames = []
+        for (frame, number), velocity in zip(self.numbers.items(), angular_velocities, strict=True):
+            parent = self.numbers[self.parents[frame]]
+            relative = _difference(velocity, angular_velocities[parent])
+            frames.append(
+                Frame(
+                    frame.name,
+                    parent,
+                    tuple(frame.dcm(self.parents[frame])),
+                    *((velocity, 0) if relative is None or not number else (relative, parent)),
+                )
+            )
+        return tuple(frames)
 
 
-def _orientation_tree(root: me.ReferenceFrame) -> dict[me.ReferenceFrame, me.ReferenceFrame]:
-    """The parent of every frame that is oriented relative to `root`, nearest first.
+def _difference(a: Vector | None, b: Vector | None) -> Vector | None:
+    """A - b where that has fewer components than a; None if not."""
+    if a is None or b is None:
+        return None
+    parts = dict(a)
+    for frame, components in b:
+        mine = parts.get(frame, (sm.S.Zero,) * 3)
+        parts[frame] = tuple(x - y for x, y in zip(mine, components, strict=True))
+    difference = tuple((frame, c) for frame, c in parts.items() if any(c))
+    return difference if sum(map(bool, _entries(difference))) < sum(map(bool, _entries(a))) else None
 
-    ``ReferenceFrame.dcm`` finds its way by listing every path in the graph and multiplies out what lies on
-    it; one breadth-first pass over the neighbours keeps the tree as it was modelled.
-    """
+
+def _neighbours(root: Any, links: Callable[[Any], Iterable[Any]]) -> dict[Any, Any]:
+    """The parent of everything that links lead to from a root, nearest first; the root is its own."""
     parents = {root: root}
     queue = [root]
-    for frame in queue:
-        neighbours: Sequence[me.ReferenceFrame] = list(frame._dcm_dict)
-        for neighbour in neighbours:
+    for item in queue:
+        for neighbour in links(item):
             if neighbour not in parents:
-                parents[neighbour] = frame
+                parents[neighbour] = item
                 queue.append(neighbour)
     return parents
+
+
+def _positions(point: me.Point) -> Iterable[me.Point]:
+    """The points that a point's position is given from, or theirs from it."""
+    positions: dict[me.Point, me.Vector] = point._pos_dict
+    return positions

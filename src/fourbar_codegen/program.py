@@ -1,30 +1,38 @@
 """The intermediate representation: straight-line functions between arrays.
 
-Plain frozen data over SymPy expressions. What can be printed is decided by what builds it (`lower`), how it
+Plain frozen data. What can be printed is decided by what builds it (`lower`), how it
 is printed by what reads it (`c_source`); in between, a Program checks itself.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import sympy as sm
 
-__all__ = ["Array", "Function", "Program", "Result", "Sizes"]
+from fourbar_codegen.share import Statements
+from fourbar_codegen.tape import ONE, Call, Leaf, Node, Product, Reciprocal, Scalar, Sum, operands
+
+__all__ = ["Array", "Function", "Program", "Result", "Sizes", "operations_of"]
 
 
 @dataclass(frozen=True)
 class Array:
-    """An argument that holds one symbol in each entry.
+    """An argument that holds one node in each entry.
 
     Attributes
     ----------
     name : str
-    symbols : tuple of Symbol
+    nodes : tuple of int
+    leaves : tuple of Leaf or None
+        What each entry is called; None for a constant that is derived from parameters.
     """
 
     name: str
-    symbols: tuple[sm.Symbol, ...]
+    nodes: tuple[int, ...]
+    leaves: tuple[Leaf | None, ...]
 
 
 @dataclass(frozen=True)
@@ -35,12 +43,12 @@ class Result:
     ----------
     name : str
     shape : tuple of int
-    entries : tuple of Expr
+    entries : tuple of Scalar
     """
 
     name: str
     shape: tuple[int, ...]
-    entries: tuple[sm.Expr, ...]
+    entries: tuple[Scalar, ...]
 
 
 @dataclass(frozen=True)
@@ -53,8 +61,8 @@ class Function:
     summary : str
         A sentence on what it computes.
     arguments : tuple of Array
-    statements : tuple of (Symbol, Expr)
-        In order of evaluation; every symbol is assigned once.
+    statements : tuple of (int, Node)
+        The nodes in order of evaluation; every one is assigned once.
     results : tuple of Result
     operations_before_sharing : int
         Number of operations if every result were written out in full, nothing evaluated once for two places.
@@ -63,40 +71,50 @@ class Function:
     name: str
     summary: str
     arguments: tuple[Array, ...]
-    statements: tuple[tuple[sm.Symbol, sm.Expr], ...]
+    statements: Statements
     results: tuple[Result, ...]
     operations_before_sharing: int
 
     def __post_init__(self) -> None:
-        known = [symbol for array in self.arguments for symbol in array.symbols]
-        defined = set(known)
-        if len(defined) != len(known):
-            raise ValueError(f"{self.name}: an argument symbol stands in two places")
-        for symbol, expr in self.statements:
-            if symbol in defined:
-                raise ValueError(f"{self.name}: {symbol} is assigned twice")
-            self._check_defined(expr, defined)
-            defined.add(symbol)
+        known = [node for array in self.arguments for node in array.nodes]
+        defined = {ONE, *known}
+        if len(defined) != len(known) + 1:
+            raise ValueError(f"{self.name}: an argument stands in two places")
+        for node, operation in self.statements:
+            if node in defined:
+                raise ValueError(f"{self.name}: node {node} is assigned twice")
+            self._check_defined(operands(operation), defined)
+            defined.add(node)
         for result in self.results:
-            size = 1
-            for length in result.shape:
-                size *= length
-            if size != len(result.entries):
+            if math.prod(result.shape) != len(result.entries):
                 raise ValueError(f"{self.name}: {result.name} has {len(result.entries)} entries, shape {result.shape}")
-            for expr in result.entries:
-                self._check_defined(expr, defined)
+            self._check_defined([entry.node for entry in result.entries], defined)
 
-    def _check_defined(self, expr: sm.Expr, defined: set[sm.Symbol]) -> None:
-        missing = expr.free_symbols - defined
+    def _check_defined(self, nodes: Iterable[int], defined: set[int]) -> None:
+        missing = set(nodes) - defined
         if missing:
-            raise ValueError(f"{self.name}: {sorted(map(str, missing))} used before definition")
+            raise ValueError(f"{self.name}: nodes {sorted(missing)} used before definition")
 
     @property
     def operations(self) -> int:
         """Number of additions, multiplications, divisions and function calls."""
-        expressions = [expr for _, expr in self.statements]
-        expressions += [expr for result in self.results for expr in result.entries]
-        return sum(int(sm.count_ops(expr)) for expr in expressions)
+        counted = sum(map(operations_of, (operation for _, operation in self.statements)))
+        entries = [entry for result in self.results for entry in result.entries]
+        return counted + sum(not entry.is_number and entry.coefficient != 1 for entry in entries)
+
+
+def operations_of(operation: Node) -> int:
+    """Number of operations of one node."""
+    match operation:
+        case Sum(terms):
+            return len(terms) - 1 + sum(node != ONE and abs(coefficient) != 1 for node, coefficient in terms)
+        case Product(factors):
+            return len(factors) - 1
+        case Call(expression, _):
+            return int(sm.count_ops(expression))
+        case Reciprocal():
+            return 1
+    return 0
 
 
 @dataclass(frozen=True)
@@ -144,3 +162,9 @@ class Program:
     sizes: Sizes
     functions: tuple[Function, ...]
     derivatives: tuple[Function, ...]
+
+    @property
+    def parameters(self) -> tuple[Leaf, ...]:
+        """The parameters, in order."""
+        [array] = self.functions[0].arguments
+        return tuple(leaf for leaf in array.leaves if leaf is not None)

@@ -1,239 +1,364 @@
-"""Straight-line code under construction: every expression once, derivatives statement by statement.
+"""Straight-line code under construction: every expression once.
 
-The expressions of chained reference frames are small as graphs and exponential as trees. A tape keeps them as
-graphs: each compound expression is stored under a symbol the first time it is met (hash-consing), and
-larger expressions refer to the symbol. Derivatives are taken on the tape by the chain rule (forward
-accumulation; Griewank and Walther, *Evaluating Derivatives*, 2nd ed. 2008, section 3.1), so they cost a
-small multiple of what they differentiate.
+The expressions of chained reference frames are small as graphs and exponential as trees. A tape keeps them as a
+graph: each operation is stored as a node the first time it is met, and found again whenever it is met once more
+(hash-consing). Nodes are plain tuples of numbers, a hundred times cheaper to make than SymPy's expressions; SymPy
+stays inside the functions, such as sin or Piecewise.
 """
 
 from __future__ import annotations
 
-import random
-from collections.abc import Collection, Container, Iterable, Mapping, Sequence
+import math
+from collections.abc import Container, Iterable, Mapping, Sequence
+from fractions import Fraction
+from typing import Any, NamedTuple
 
 import sympy as sm
-from sympy.concrete.expr_with_limits import ExprWithLimits
-from sympy.functions.special.delta_functions import DiracDelta
 
-from fourbar_codegen.errors import ModelError
 from fourbar_codegen.numeric import number
 
-__all__ = ["Direction", "Tape", "free_symbols"]
+__all__ = [
+    "ONE",
+    "Call",
+    "Leaf",
+    "Node",
+    "Number",
+    "Product",
+    "Reciprocal",
+    "Scalar",
+    "Sum",
+    "Tape",
+    "operands",
+    "placeholder",
+]
+
+Number = int | Fraction | float
+ONE = 0
+"""The node whose multiples are the numbers."""
 
 
-def free_symbols(expr: sm.Basic) -> list[sm.Symbol]:
-    """The symbols of a small expression in an order that does not depend on hashes."""
-    return sorted(expr.free_symbols, key=lambda symbol: symbol.name)
-
-
-class Tape:
-    """Statements ``symbol = expression`` in order of evaluation.
+class Leaf(NamedTuple):
+    """An argument of the program: time, a coordinate, a parameter, ...
 
     Attributes
     ----------
-    statements : dict of Symbol to Expr
-        Each expression refers to leaf symbols and to symbols that were stored before.
+    kind : str
+        What it is, in a letter or two.
+    name : str
+        What it is called in the model, or its number.
+    """
+
+    kind: str
+    name: str
+
+
+class Sum(NamedTuple):
+    """The sum of nodes times numbers.
+
+    Attributes
+    ----------
+    terms : tuple of (int, Number)
+        Node and coefficient, in the order of the nodes.
+    """
+
+    terms: tuple[tuple[int, Number], ...]
+
+
+class Product(NamedTuple):
+    """The product of nodes.
+
+    Attributes
+    ----------
+    factors : tuple of int
+        In order; a square has its factor twice.
+    """
+
+    factors: tuple[int, ...]
+
+
+class Reciprocal(NamedTuple):
+    """One over a node.
+
+    Attributes
+    ----------
+    node : int
+    """
+
+    node: int
+
+
+class Call(NamedTuple):
+    """A function of nodes that is not arithmetic.
+
+    Attributes
+    ----------
+    expression : Expr
+        In ``placeholder(0)``, ``placeholder(1)``, ..., which stand for the arguments.
+    arguments : tuple of int
+    """
+
+    expression: sm.Expr
+    arguments: tuple[int, ...]
+
+
+Node = Leaf | Sum | Product | Reciprocal | Call
+
+
+def operands(operation: Node) -> tuple[int, ...]:
+    """The nodes that an operation refers to."""
+    kind = type(operation)
+    if kind is Product:
+        return operation.factors  # type: ignore[union-attr]
+    if kind is Sum:
+        return tuple([term for term, _ in operation.terms if term != ONE])  # type: ignore[union-attr]
+    if kind is Call:
+        return operation.arguments  # type: ignore[union-attr]
+    return (operation.node,) if kind is Reciprocal else ()  # type: ignore[union-attr]
+
+
+def placeholder(position: int) -> sm.Symbol:
+    """The symbol that stands for an argument in the expression of a `Call`."""
+    return sm.Symbol(f"_{position:03d}", real=True)
+
+
+class Scalar:
+    """A number times a node of a tape; arithmetic with it stores nodes there.
+
+    Numerical factors stay outside of nodes, so that ``x``, ``-x`` and ``2*x`` share one.
+    """
+
+    __slots__ = ("coefficient", "node", "tape")
+
+    def __init__(self, tape: Tape, coefficient: Number, node: int) -> None:
+        self.tape = tape
+        self.coefficient = coefficient
+        self.node = node
+
+    @property
+    def is_number(self) -> bool:
+        """Whether no node is involved."""
+        return self.node == ONE
+
+    @property
+    def is_nan(self) -> bool:
+        """Whether it is not a number in the sense of floating-point arithmetic."""
+        return self.coefficient != self.coefficient
+
+    def __bool__(self) -> bool:
+        return self.coefficient != 0
+
+    def __eq__(self, other: object) -> bool:
+        if isinstance(other, Scalar):
+            return self.node == other.node and self.coefficient == other.coefficient
+        return NotImplemented
+
+    def __hash__(self) -> int:
+        return hash((self.node, self.coefficient))
+
+    def __neg__(self) -> Scalar:
+        return Scalar(self.tape, -self.coefficient, self.node)
+
+    def __add__(self, other: Scalar) -> Scalar:
+        return self.tape.sum((self, other))
+
+    def __sub__(self, other: Scalar) -> Scalar:
+        return self.tape.sum((self, -other))
+
+    def __mul__(self, other: Scalar | Number) -> Scalar:
+        return self.tape.product((self, other)) if isinstance(other, Scalar) else self._times(other)
+
+    def __rmul__(self, other: Number) -> Scalar:
+        return self._times(other)
+
+    def __truediv__(self, other: Scalar | Number) -> Scalar:
+        if isinstance(other, Scalar):
+            return self * other.tape.power(other, -1)
+        return self._times(_inverse(other))
+
+    def _times(self, factor: Number) -> Scalar:
+        coefficient = self.coefficient * factor
+        return Scalar(self.tape, coefficient, self.node if coefficient else ONE)
+
+    def __repr__(self) -> str:
+        return f"{self.coefficient} {self.tape.nodes[self.node]}"
+
+
+class Tape:
+    """Nodes in order of evaluation: each refers to nodes before it.
+
+    Attributes
+    ----------
+    nodes : list of Node
+        Number 0 is `ONE`.
     """
 
     def __init__(self) -> None:
-        self.statements: dict[sm.Symbol, sm.Expr] = {}
-        self._position: dict[sm.Symbol, int] = {}
-        self._symbols: dict[sm.Expr, sm.Symbol] = {}
-        self._partials: dict[sm.Symbol, tuple[tuple[sm.Symbol, sm.Expr], ...]] = {}
+        self.nodes: list[Node] = [Product(())]
+        self._numbers: dict[tuple[type, Any], int] = {}
+        self.zero = Scalar(self, 0, ONE)
+        self.one = Scalar(self, 1, ONE)
 
-    def define(self, expr: sm.Expr) -> sm.Expr:
-        """Store an expression unless it is stored already; return what stands for it.
+    def number(self, value: Number) -> Scalar:
+        """A number."""
+        return Scalar(self, value, ONE)
 
-        That is a number, a symbol, or a symbol times a number: numerical factors stay outside, so that
-        ``x``, ``-x`` and ``2*x`` share one statement.
-        """
-        if expr.is_Atom:
-            return expr
-        factor, rest = expr.as_coeff_Mul()
-        if rest.could_extract_minus_sign():
-            factor, rest = -factor, -rest
-        if rest.is_Atom:
-            return factor * rest
-        symbol = self._symbols.get(rest)
-        if symbol is None:
-            # No leaf has such a name: theirs contain a colon. Digits of fixed width make SymPy's ordering of
-            # arguments the order of definition.
-            symbol = sm.Symbol(f"z_{len(self.statements):08d}", real=True)
-            self._symbols[rest] = symbol
-            self._position[symbol] = len(self.statements)
-            self.statements[symbol] = rest
-        return factor * symbol
+    def leaf(self, kind: str, name: object) -> Scalar:
+        """An argument of the program."""
+        return self._node(Leaf(kind, str(name)))
 
-    def convert(self, expr: sm.Expr, leaves: Mapping[sm.Basic, sm.Expr]) -> sm.Expr:
-        """Store an expression node by node, with `leaves` in place of its symbols and functions of time.
+    def store(self, operation: Node) -> int:
+        """The number of an operation, which has its operands in order and no numerical factor."""
+        key = (type(operation), operation)
+        known = self._numbers.get(key)
+        if known is None:
+            known = self._numbers[key] = len(self.nodes)
+            self.nodes.append(operation)
+        return known
+
+    def _node(self, operation: Node) -> Scalar:
+        return Scalar(self, 1, self.store(operation))
+
+    def sum(self, terms: Iterable[Scalar]) -> Scalar:
+        """The sum of any number of scalars; like terms are collected."""
+        total: dict[int, Number] = {}
+        for term in terms:
+            if term.coefficient:
+                total[term.node] = total.get(term.node, 0) + term.coefficient
+        items = sorted((node, coefficient) for node, coefficient in total.items() if coefficient)
+        if len(items) < 2:
+            return Scalar(self, items[0][1], items[0][0]) if items else self.zero
+        # The sign of the first term is the sum's, and so is a factor that all terms have.
+        size = magnitude(items[0][1])
+        factor: Number = size if all(magnitude(coefficient) == size for _, coefficient in items) else 1
+        if items[0][1] < 0:
+            factor = -factor
+        if factor != 1:
+            inverse = _inverse(factor)
+            items = [(node, _plain(coefficient * inverse)) for node, coefficient in items]
+        return self._node(Sum(tuple(items)))._times(factor)
+
+    def product(self, factors: Iterable[Scalar]) -> Scalar:
+        """The product of any number of scalars; powers of one node are collected."""
+        coefficient: Number = 1
+        powers: dict[int, int] = {}
+        for factor in factors:
+            coefficient = coefficient * factor.coefficient
+            if not coefficient:
+                return self.zero
+            node, exponent = factor.node, 1
+            if node != ONE:
+                operation = self.nodes[node]
+                if type(operation) is Reciprocal:
+                    node, exponent = operation.node, -1
+                powers[node] = powers.get(node, 0) + exponent
+        nodes: list[int] = []
+        for node, exponent in powers.items():
+            nodes += self._power(node, exponent)
+        return Scalar(self, _plain(coefficient), self._product(nodes))
+
+    def _product(self, nodes: list[int]) -> int:
+        if len(nodes) < 2:
+            return nodes[0] if nodes else ONE
+        return self._node(Product(tuple(sorted(nodes)))).node
+
+    def _power(self, node: int, exponent: int) -> list[int]:
+        """Factors of an integer power, by squaring."""
+        if exponent < 0:
+            node, exponent = self._node(Reciprocal(node)).node, -exponent
+        factors = []
+        while exponent > 2:
+            if exponent % 2:
+                factors.append(node)
+            node, exponent = self._product([node, node]), exponent // 2
+        return [*factors, *[node] * exponent]
+
+    def power(self, base: Scalar, exponent: int) -> Scalar:
+        """An integer power."""
+        factor: Number = _inverse(base.coefficient) if exponent < 0 else base.coefficient
+        coefficient: Number = factor ** abs(exponent)
+        if base.node == ONE or not exponent:
+            return self.number(_plain(coefficient))
+        node, operation = base.node, self.nodes[base.node]
+        if type(operation) is Reciprocal:
+            node, exponent = operation.node, -exponent
+        return Scalar(self, _plain(coefficient), self._product(self._power(node, exponent)))
+
+    def call(self, expression: sm.Expr, arguments: tuple[int, ...]) -> Scalar:
+        """A function that is not arithmetic, as `Call` has it; `convert.apply` finds out what is."""
+        return self._node(Call(expression, arguments))
+
+    def multiple(self, scalar: Scalar) -> Scalar:
+        """A scalar as a node of its own, its numerical factor inside."""
+        return scalar if scalar.coefficient == 1 else self._node(Sum(((scalar.node, scalar.coefficient),)))
+
+    def reach(self, scalars: Iterable[Scalar], known: Container[int] = ()) -> list[int]:
+        """All nodes that the scalars need, in order of evaluation, leaves among them, short of what is known."""
+        found: set[int] = set()
+        stack = [scalar.node for scalar in scalars]
+        while stack:
+            node = stack.pop()
+            if node not in found and node not in known and node != ONE:
+                found.add(node)
+                stack.extend(operands(self.nodes[node]))
+        return sorted(found)
+
+    def depends(self, scalars: Iterable[Scalar], leaves: Iterable[Scalar]) -> bool:
+        """Whether any of the leaves takes part in the scalars' values."""
+        return not {leaf.node for leaf in leaves}.isdisjoint(self.reach(scalars))
+
+    def dependent(self, nodes: Iterable[int], leaves: Iterable[Scalar]) -> set[int]:
+        """Those of the nodes, given in order of evaluation, that depend on any of the leaves."""
+        found = {leaf.node for leaf in leaves}
+        for node in nodes:
+            if not found.isdisjoint(operands(self.nodes[node])):
+                found.add(node)
+        return found
+
+    def evaluate(self, scalars: Sequence[Scalar], values: Mapping[Scalar, float]) -> list[float]:
+        """Numbers for scalars, given one for every leaf that they depend on.
 
         Raises
         ------
-        ModelError
-            If it contains something that is neither a leaf nor computable.
+        ArithmeticError, ValueError, TypeError
+            Where one has no real and finite value.
         """
-        memo: dict[sm.Basic, sm.Basic] = {}
+        known = self.evaluate_nodes(self.reach(scalars), values)
+        return [float(scalar.coefficient) * known[scalar.node] for scalar in scalars]
 
-        def visit(node: sm.Basic) -> sm.Basic:
-            done = memo.get(node)
-            if done is None:
-                if node in leaves:
-                    done = leaves[node]
-                elif not _computable(node):
-                    raise ModelError(f"{node} in {expr} cannot be compiled.")
-                elif not node.args:
-                    done = node
-                else:
-                    done = node.func(*[visit(argument) for argument in node.args])
-                    if isinstance(done, sm.Max | sm.Min):
-                        # Their derivatives are step functions; those of Piecewise are Piecewise.
-                        done = done.rewrite(sm.Piecewise)
-                    elif isinstance(done, sm.Mod):
-                        # C's fmod has the sign of the dividend, SymPy's Mod that of the divisor.
-                        dividend, divisor = done.args
-                        done = dividend - divisor * self.define(sm.floor(self.define(dividend / divisor)))
-                    if isinstance(done, sm.Expr):
-                        done = self.define(done)
-                memo[node] = done
-            return done
-
-        return visit(expr)
-
-    def reach(self, expressions: Iterable[sm.Basic], known: Container[sm.Symbol] = ()) -> list[sm.Symbol]:
-        """Symbols of all statements that the expressions need, in order of evaluation, short of what is known."""
-        found: set[sm.Symbol] = set()
-        stack = [symbol for expr in expressions for symbol in expr.free_symbols]
-        while stack:
-            symbol = stack.pop()
-            if symbol in self.statements and symbol not in found and symbol not in known:
-                found.add(symbol)
-                stack.extend(self.statements[symbol].free_symbols)
-        return sorted(found, key=self._position.__getitem__)
-
-    def depends(self, expressions: Iterable[sm.Expr], leaves: Collection[sm.Symbol]) -> bool:
-        """Whether any of the leaves takes part in the expressions' values."""
-        expressions = tuple(expressions)
-        used = {s for expr in expressions for s in expr.free_symbols}
-        used.update(s for symbol in self.reach(expressions) for s in self.statements[symbol].free_symbols)
-        return not used.isdisjoint(leaves)
-
-    def partials(self, symbol: sm.Symbol) -> tuple[tuple[sm.Symbol, sm.Expr], ...]:
-        """Derivatives of one statement with respect to the symbols in it."""
-        known = self._partials.get(symbol)
-        if known is None:
-            expr = self.statements[symbol]
-            known = tuple((s, self.define(_derivative(expr, s))) for s in free_symbols(expr))
-            self._partials[symbol] = known
+    def evaluate_nodes(self, nodes: Iterable[int], values: Mapping[Scalar, float]) -> dict[int, float]:
+        """Numbers for nodes, given in order of evaluation."""
+        known = {leaf.node: value for leaf, value in values.items()}
+        known[ONE] = 1.0
+        for node in nodes:
+            if node in known:
+                continue
+            operation = self.nodes[node]
+            match operation:
+                case Sum(terms):
+                    known[node] = sum([known[term] * coefficient for term, coefficient in terms])
+                case Product(factors):
+                    known[node] = math.prod([known[factor] for factor in factors])
+                case Reciprocal(denominator):
+                    known[node] = 1.0 / known[denominator]
+                case Call(expression, arguments):
+                    stand_ins = {placeholder(i): known[argument] for i, argument in enumerate(arguments)}
+                    known[node] = number(expression, stand_ins)
+                case Leaf():
+                    raise ValueError(f"no value for {operation.name}")
         return known
 
-    def evaluate(self, expressions: Sequence[sm.Expr], values: Mapping[sm.Symbol, float]) -> list[float]:
-        """Numbers for expressions, given one for every leaf that they depend on."""
-        known = dict(values)
-        for symbol in self.reach(expressions):
-            known[symbol] = number(self.statements[symbol], known)
-        return [number(expr, known) for expr in expressions]
 
-    def vanish(self, expressions: Sequence[sm.Expr]) -> list[bool]:
-        """Whether each expression is zero wherever the leaves are, as told by its values at random points.
-
-        A function that is not identically zero is zero at a random point with probability zero; the
-        tolerance allows for rounding errors in expressions of terms around 1. Where fewer than three of the
-        points can be evaluated, nothing is said to vanish that SymPy does not know to.
-        """
-        leaves = sorted(
-            {s for e in expressions for s in e.free_symbols}.union(
-                *(self.statements[s].free_symbols for s in self.reach(expressions))
-            )
-            - self.statements.keys(),
-            key=lambda symbol: symbol.name,
-        )
-        generator = random.Random(1)
-        samples = []
-        for _ in range(8):
-            try:
-                samples.append(self.evaluate(expressions, {leaf: generator.uniform(-3.0, 3.0) for leaf in leaves}))
-            except (ArithmeticError, ValueError, TypeError):
-                continue  # outside of a function's range
-        if len(samples) < 3:
-            return [expression.is_zero is True for expression in expressions]
-        return [all(abs(value) < 1e-9 for value in values) for values in zip(*samples, strict=True)]
+def _inverse(value: Number) -> Number:
+    if not value:
+        raise ZeroDivisionError("a scalar divided by the number zero")
+    return 1.0 / value if isinstance(value, float) else _plain(1 / Fraction(value))
 
 
-class Direction:
-    """Differentiation along one direction in the space of the leaves.
-
-    Parameters
-    ----------
-    tape : Tape
-    seed : mapping of Symbol to Expr
-        The derivative of each leaf; leaves not named have none.
-    """
-
-    def __init__(self, tape: Tape, seed: Mapping[sm.Symbol, sm.Expr]) -> None:
-        self.tape = tape
-        self._known: dict[sm.Symbol, sm.Expr] = dict(seed)
-
-    def __call__(self, expr: sm.Expr) -> sm.Expr:
-        """The derivative of an expression in leaves and tape symbols."""
-        known, tape = self._known, self.tape
-        for symbol in tape.reach([expr], known):
-            statement = tape.statements[symbol]
-            if isinstance(statement, sm.Piecewise):
-                # Branch by branch: a branch that is not taken may have a derivative that is not a number.
-                known[symbol] = tape.define(
-                    sm.Piecewise(*((self._of_expression(branch), condition) for branch, condition in statement.args))
-                )
-            else:
-                known[symbol] = tape.define(self._chain(tape.partials(symbol)))
-        return self._of_expression(expr)
-
-    def _of_expression(self, expr: sm.Expr) -> sm.Expr:
-        """The derivative of an expression whose tape symbols are differentiated already."""
-        return self.tape.define(self._chain((s, _derivative(expr, s)) for s in free_symbols(expr)))
-
-    def give(self, expr: sm.Expr, derivative: sm.Expr) -> None:
-        """Take a derivative that is known from elsewhere instead of forming it by the chain rule."""
-        factor, symbol = expr.as_coeff_Mul()
-        if symbol in self.tape.statements:
-            self._known.setdefault(symbol, self.tape.define(derivative / factor))
-
-    def _chain(self, partials: Iterable[tuple[sm.Symbol, sm.Expr]]) -> sm.Expr:
-        terms = []
-        for symbol, partial in partials:
-            rate = self._known.get(symbol, sm.S.Zero)
-            if rate:  # asking an expression is_zero starts a search through its assumptions
-                terms.append(self.tape.define(partial * rate))
-        return sm.Add(*terms)
+def magnitude(value: Number) -> Number:
+    """abs, which type checkers do not know for fractions."""
+    return -value if value < 0 else value
 
 
-def _computable(node: sm.Basic) -> bool:
-    """Whether a node has a value in double arithmetic, its arguments apart."""
-    if isinstance(node, ExprWithLimits) or node is sm.nan:
-        return False
-    if isinstance(node, sm.Function):
-        return type(node).__module__.startswith("sympy.")
-    return bool(node.args) or not (isinstance(node, sm.Symbol) or node.is_finite is False)
-
-
-def _derivative(expr: sm.Expr, symbol: sm.Symbol) -> sm.Expr:
-    """The derivative of a statement; sums and products at hand, since SymPy's own way takes most of the time."""
-    if expr.is_Atom:
-        return sm.Integer(expr == symbol)
-    containing = [argument for argument in expr.args if symbol in argument.free_symbols]
-    if expr.is_Add:
-        return sm.Add(*(_derivative(term, symbol) for term in containing))
-    if expr.is_Mul:
-        products = []
-        for factor in containing:
-            others = [argument for argument in expr.args if argument is not factor]
-            products.append(sm.Mul(_derivative(factor, symbol), *others))
-        return sm.Add(*products)
-    if isinstance(expr, sm.floor | sm.ceiling):
-        return sm.S.Zero
-    if expr.is_Pow and expr.base == symbol and symbol not in expr.exp.free_symbols:
-        # SymPy's n x**n / x is not a number at x = 0.
-        return expr.exp * symbol ** (expr.exp - 1)
-    derivative = expr.diff(symbol)
-    # A jump has no derivative where it jumps; everywhere else it is zero.
-    return derivative.replace(DiracDelta, lambda *_: sm.S.Zero) if derivative.has(DiracDelta) else derivative
+def _plain(value: Number) -> Number:
+    """A whole fraction as an int."""
+    return value.numerator if isinstance(value, Fraction) and value.denominator == 1 else value

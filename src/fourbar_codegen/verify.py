@@ -11,12 +11,12 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-import sympy as sm
 from numpy.typing import NDArray
 
 from fourbar_codegen.equations import Equations
 from fourbar_codegen.errors import BuildError, SimulationError
 from fourbar_codegen.program import Result
+from fourbar_codegen.tape import Scalar
 
 if TYPE_CHECKING:
     from fourbar_codegen.compiled import CompiledModel
@@ -72,7 +72,7 @@ def verify(equations: Equations, compiled: CompiledModel) -> None:
             return
 
 
-def _random_values(e: Equations, compiled: CompiledModel, generator: random.Random) -> dict[sm.Symbol, float]:
+def _random_values(e: Equations, compiled: CompiledModel, generator: random.Random) -> dict[Scalar, float]:
     values = {
         leaf: generator.uniform(-1.0, 1.0)
         for leaf in (e.time, *e.coordinates, *e.speeds, *e.inputs, *e.accelerations, *e.multipliers)
@@ -86,20 +86,19 @@ def _results(e: Equations) -> list[Result]:
     return [value for value in vars(e).values() if isinstance(value, Result)]
 
 
-def _evaluate(e: Equations, values: Mapping[sm.Symbol, float]) -> dict[str, Floats]:
+def _evaluate(e: Equations, values: Mapping[Scalar, float]) -> dict[str, Floats]:
     results = _results(e)
-    entries = [sm.S.Zero if entry is sm.nan else entry for result in results for entry in result.entries]
-    numbers = iter(e.tape.evaluate(entries, values))
+    numbers = iter(e.tape.evaluate([entry for result in results for entry in result.entries], values))
     return {r.name: np.array([next(numbers) for _ in r.entries]).reshape(r.shape) for r in results}
 
 
-def _arrays(e: Equations, values: Mapping[sm.Symbol, float]) -> list[Floats]:
+def _arrays(e: Equations, values: Mapping[Scalar, float]) -> list[Floats]:
     groups = ((*e.coordinates, *e.speeds), e.parameters, e.inputs, e.accelerations, e.multipliers)
     return [np.array([values[leaf] for leaf in group]) for group in groups]
 
 
 def _compiled_results(
-    e: Equations, compiled: CompiledModel, values: Mapping[sm.Symbol, float]
+    e: Equations, compiled: CompiledModel, values: Mapping[Scalar, float]
 ) -> dict[str, Sequence[tuple[Result, Floats]]]:
     """What every compiled function gives, beside the results that it is to give."""
     t = values[e.time]
@@ -130,7 +129,7 @@ def _compiled_results(
 
 
 def _compare(model: str, function: str, result: Result, got: Floats, expected: Floats) -> None:
-    known = np.array([entry is not sm.nan for entry in result.entries], dtype=bool).reshape(result.shape)
+    known = np.array([not entry.is_nan for entry in result.entries], dtype=bool).reshape(result.shape)
     error = np.where(known, np.abs(got - expected), 0.0)
     finite = expected[np.isfinite(expected)]
     agree = (error <= TOLERANCE * (1.0 + np.abs(finite).max(initial=0.0))) | (np.isnan(got) & np.isnan(expected))
@@ -139,7 +138,7 @@ def _compare(model: str, function: str, result: Result, got: Floats, expected: F
 
 
 def _compare_solution(
-    compiled: CompiledModel, expected: Mapping[str, Floats], values: Mapping[sm.Symbol, float], e: Equations
+    compiled: CompiledModel, expected: Mapping[str, Floats], values: Mapping[Scalar, float], e: Equations
 ) -> None:
     """M u' = f + J^T lambda and J u' + gamma = 0 for what the compiled solve gives."""
     x, p, r, *_ = _arrays(e, values)

@@ -253,8 +253,8 @@ static inline int fb_solve(const double *restrict forcing, const double *restric
 static inline void fb_shortest(const fb_factors *restrict s, const int rank, const double *restrict y,
                                double *restrict multipliers)
 {
-    double k[FB_AT_LEAST_1(N_C)][FB_AT_LEAST_1(N_C)], normal[FB_AT_LEAST_1(N_C)][FB_AT_LEAST_1(N_C)];
-    double z[FB_AT_LEAST_1(N_C)];
+    double k[FB_AT_LEAST_1(N_C)][FB_AT_LEAST_1(N_C)] = {{0.0}}, normal[FB_AT_LEAST_1(N_C)][FB_AT_LEAST_1(N_C)];
+    double z[FB_AT_LEAST_1(N_C)] = {0.0};
     for (int i = 0; i < N_C; ++i)
         for (int j = 0; j < rank; ++j)
             k[i][j] = s->scale[i] == 0.0 || j > i ? 0.0 : (j == i ? 1.0 : s->lu[i][j]) / s->scale[i];
@@ -291,8 +291,8 @@ static inline void fb_multipliers(const double *restrict mass_matrix, const doub
                                   const double *restrict accelerations, const fb_factors *restrict s,
                                   double *restrict multipliers)
 {
-    double y[FB_AT_LEAST_1(N_C)];
-    for (int k = 0; k < s->rank; ++k) {
+    double y[FB_AT_LEAST_1(N_C)] = {0.0};
+    for (int k = 0; k < fb_rank(s); ++k) {
         const int j = s->column[k];
         double sum = -forcing[j];
         for (int i = 0; i < N_U; ++i)

@@ -1,0 +1,164 @@
+"""SymPy expressions -> nodes of a tape."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from fractions import Fraction
+
+import sympy as sm
+from sympy.concrete.expr_with_limits import ExprWithLimits
+
+from fourbar_codegen.errors import ModelError
+from fourbar_codegen.tape import ONE, Call, Leaf, Number, Product, Reciprocal, Scalar, Sum, Tape, placeholder
+
+__all__ = ["Conversion", "apply", "expression_of", "substitute"]
+
+
+class Conversion:
+    """Takes expressions to a tape, each subexpression once.
+
+    Parameters
+    ----------
+    tape : Tape
+    leaves : mapping of Basic to Scalar
+        What stands on the tape for symbols and functions of time. It may grow while this is in use.
+    """
+
+    def __init__(self, tape: Tape, leaves: Mapping[sm.Basic, Scalar]) -> None:
+        self.tape = tape
+        self.leaves = leaves
+        self._known: dict[sm.Basic, Scalar] = {}
+
+    def __call__(self, expression: sm.Expr) -> Scalar:
+        """What stands for an expression.
+
+        Raises
+        ------
+        ModelError
+            If it contains something that is neither a leaf nor computable.
+        """
+        known, leaves = self._known, self.leaves
+        # Depth first without recursion: the expressions of long chains are deep.
+        stack = [expression]
+        while stack:
+            node = stack[-1]
+            if node in known:
+                stack.pop()
+            elif node in leaves:
+                known[node] = leaves[node]
+            elif not _computable(node):
+                raise ModelError(f"{node} in {expression} cannot be compiled.")
+            elif missing := [argument for argument in _arguments(node) if argument not in known]:
+                stack.extend(reversed(missing))
+            else:
+                try:
+                    known[node] = self._operation(node)
+                except (ZeroDivisionError, TypeError):
+                    raise ModelError(f"{node} in {expression} cannot be compiled: it has no real value.") from None
+        return known[expression]
+
+    def _operation(self, node: sm.Expr) -> Scalar:
+        known, tape = self._known, self.tape
+        if node.is_Add:
+            return tape.sum([known[argument] for argument in node.args])
+        if node.is_Mul:
+            return tape.product([known[argument] for argument in node.args])
+        if node.is_number:
+            return tape.number(_number(node))
+        if node.is_Pow:
+            base, exponent = node.args
+            if exponent.is_Integer:
+                return tape.power(known[base], int(exponent))
+            if exponent.is_Rational and exponent < 0:
+                return tape.power(apply(tape, sm.Pow(placeholder(0), -exponent), [known[base]]), -1)
+        arguments = _arguments(node)
+        stand_ins = {argument: placeholder(i) for i, argument in enumerate(arguments)}
+        return apply(tape, _with_arguments(node, stand_ins), [known[argument] for argument in arguments])
+
+
+def apply(tape: Tape, function: sm.Expr, arguments: Sequence[Scalar]) -> Scalar:
+    """The value of a function, given as an expression in ``placeholder(0)``, ``placeholder(1)``, ..."""
+    nodes = list(dict.fromkeys(argument.node for argument in arguments if argument.node != ONE))
+    stand_ins = [
+        expression_of(a.coefficient) * (sm.S.One if a.node == ONE else placeholder(nodes.index(a.node)))
+        for a in arguments
+    ]
+    # Here SymPy takes signs and factors out: sin(-x) = -sin(x).
+    built = function.xreplace({placeholder(i): stand_in for i, stand_in in enumerate(stand_ins)})
+    factor, rest = built.as_coeff_Mul()
+    if isinstance(rest, sm.Max | sm.Min):
+        # Their derivatives are step functions; those of Piecewise are Piecewise.
+        rest = rest.rewrite(sm.Piecewise)
+    elif isinstance(rest, sm.Mod):
+        # C's fmod has the sign of the dividend, SymPy's Mod that of the divisor.
+        dividend, divisor = rest.args
+        rest = dividend - divisor * sm.floor(dividend / divisor)
+    leaves = {placeholder(i): Scalar(tape, 1, node) for i, node in enumerate(nodes)}
+    arithmetic = rest.is_Atom or rest.is_Add or rest.is_Mul or rest.is_number
+    power = rest.is_Pow and rest.exp.is_Rational and (rest.exp.is_Integer or rest.exp < 0)
+    if arithmetic or power or not all(_is_multiple(argument) for argument in _arguments(rest)):
+        return Conversion(tape, leaves)(rest) * _number(factor)
+    used = sorted(rest.free_symbols, key=lambda symbol: symbol.name)
+    called = rest.xreplace({symbol: placeholder(i) for i, symbol in enumerate(used)})
+    return tape.call(called, tuple(leaves[symbol].node for symbol in used)) * _number(factor)
+
+
+def substitute(tape: Tape, scalars: Sequence[Scalar], values: Mapping[Scalar, Scalar]) -> list[Scalar]:
+    """The scalars with leaves replaced."""
+    known = {leaf.node: value for leaf, value in values.items()}
+    known[ONE] = tape.one
+    for node in tape.reach(scalars, known):
+        operation = tape.nodes[node]
+        match operation:
+            case Sum(terms):
+                known[node] = tape.sum([known[term] * coefficient for term, coefficient in terms])
+            case Product(factors):
+                known[node] = tape.product([known[factor] for factor in factors])
+            case Reciprocal(denominator):
+                known[node] = tape.power(known[denominator], -1)
+            case Call(expression, arguments):
+                known[node] = apply(tape, expression, [known[argument] for argument in arguments])
+            case Leaf():
+                known[node] = Scalar(tape, 1, node)
+    return [known[scalar.node] * scalar.coefficient for scalar in scalars]
+
+
+def expression_of(value: Number) -> sm.Expr:
+    """A number as SymPy has it."""
+    return sm.Rational(value.numerator, value.denominator) if isinstance(value, Fraction) else sm.sympify(value)
+
+
+def _number(expression: sm.Expr) -> Number:
+    if expression.is_Integer:
+        return int(expression)
+    if expression.is_Rational:
+        return Fraction(int(expression.p), int(expression.q))
+    return float(expression)
+
+
+def _arguments(node: sm.Basic) -> list[sm.Expr]:
+    """The expressions that a node is made of; those in conditions and tuples count as its own."""
+    found: dict[sm.Expr, None] = {}
+    for argument in node.args:
+        found.update(dict.fromkeys([argument] if isinstance(argument, sm.Expr) else _arguments(argument)))
+    return list(found)
+
+
+def _with_arguments(node: sm.Basic, arguments: Mapping[sm.Expr, sm.Expr]) -> sm.Basic:
+    """The node with other expressions for those that `_arguments` finds."""
+    if not node.args:
+        return node
+    return node.func(*[arguments[a] if isinstance(a, sm.Expr) else _with_arguments(a, arguments) for a in node.args])
+
+
+def _is_multiple(argument: sm.Expr) -> bool:
+    return bool(argument.is_number or argument.as_coeff_Mul()[1].is_Symbol)
+
+
+def _computable(node: sm.Basic) -> bool:
+    """Whether a node has a value in double arithmetic, its arguments apart."""
+    if isinstance(node, ExprWithLimits) or node is sm.nan:
+        return False
+    if isinstance(node, sm.Function):
+        return type(node).__module__.startswith("sympy.")
+    return bool(node.args) or not (isinstance(node, sm.Symbol) or node.is_finite is False)

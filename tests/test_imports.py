@@ -13,7 +13,7 @@ PACKAGE = Path(fourbar_codegen.__file__).parent
 RUN = ["arguments", "compiled", "initial", "linearize", "simulate", "solvers", "trajectory", "visual", "report"]
 GENERATION = [
     "model", "mechanism", "fingerprint", "tape", "numeric", "convert", "derivatives", "identities",
-    "linear", "motion", "kinematics", "kane", "equations", "share", "program", "lower", "c_source",
+    "linear", "motion", "composite", "kinematics", "kane", "equations", "share", "program", "lower", "c_source",
     "cython_source",
 ]  # fmt: skip
 

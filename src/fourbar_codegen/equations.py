@@ -169,7 +169,7 @@ def form_equations(model: Model) -> Equations:
     if aux:
         convert_virtual = Conversion(tape, {**leaves, **dict(zip(mechanism.auxiliary_speeds, aux, strict=True))})
         virtual = Motion(tape, mechanism, convert_virtual, rate)
-    kane = Kane(tape, motion, virtual, u, aux)
+    kane = Kane(tape, motion, virtual, u, aux, rate)
     kane.use_poisson_rates([rate, total_rate])
     mass_matrix = kane.mass_matrix()
     forcing = kane.generalized_forces(rate)[:n_u]

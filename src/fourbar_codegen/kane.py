@@ -6,11 +6,12 @@ Source: T. R. Kane and D. A. Levinson, *Dynamics: Theory and Applications*, 1985
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import sympy as sm
 
+from fourbar_codegen.composite import CompositeBodies
 from fourbar_codegen.derivatives import Direction, pull_back
 from fourbar_codegen.identities import vanish
 from fourbar_codegen.mechanism import Body, Mechanism
@@ -32,6 +33,10 @@ from fourbar_codegen.motion import (
 from fourbar_codegen.tape import Scalar, Tape
 
 __all__ = ["Kane"]
+
+MANY = 8
+"""Bodies that some speed moves alike, from which on composites are sure to take fewer operations than the bodies one by
+one; with fewer, it is counted."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +67,8 @@ class Kane:
         Of the mechanism; and with the auxiliary speeds where they are not zero, for partial velocities.
     speeds, auxiliary : sequence of Scalar
         The leaves of the generalized speeds, and of the auxiliary ones.
+    rate : Direction
+        Differentiation with respect to time, with u' = 0.
     """
 
     def __init__(
@@ -71,6 +78,7 @@ class Kane:
         virtual: Motion,
         speeds: Sequence[Scalar],
         auxiliary: Sequence[Scalar],
+        rate: Direction,
     ) -> None:
         self.tape = tape
         self.motion = motion
@@ -78,6 +86,7 @@ class Kane:
         self.mechanism: Mechanism = motion.mechanism
         self.speeds = tuple(speeds)
         self.auxiliary = tuple(auxiliary)
+        self.rate = rate
         self._masses = [motion.convert(body.mass) for body in self.mechanism.bodies]
         self._inertias = [self._inertia(body) for body in self.mechanism.bodies]
 
@@ -121,24 +130,36 @@ class Kane:
         """
         tape, n_u = self.tape, len(self.speeds)
         along = [Direction(tape, {speed: tape.one}) for speed in self.speeds]
+        composites = CompositeBodies(self.motion, along, self.rate)
+        entries = self._entries_by_bodies(along, composites.entries())
+        if composites.largest < MANY:
+            apart = self._entries_by_bodies(along, {})
+            entries = min(entries, apart, key=lambda e: tape.count_operations(e.values()))
+        return [[entries[max(r, s), min(r, s)] for s in range(n_u)] for r in range(n_u)]
+
+    def _entries_by_bodies(
+        self, along: Sequence[Direction], known: Mapping[tuple[int, int], Scalar]
+    ) -> dict[tuple[int, int], Scalar]:
+        """The entries M_rs, r >= s, those that are not known as sums over the bodies."""
         partials = [Accumulated(self.motion, functools.partial(_rates_of_part, d)) for d in along]
-        entries: list[list[list[Scalar]]] = [[[] for _ in range(r + 1)] for r in range(n_u)]
+        terms: dict[tuple[int, int], list[Scalar]] = {(r, s): [] for r in range(len(along)) for s in range(r + 1)}
         for body, mass, inertia in zip(self.mechanism.bodies, self._masses, self._inertias, strict=True):
-            moving = [s for s in range(n_u) if partials[s](body.point)]
+            moving = [s for s, partial in enumerate(partials) if partial(body.point)]
             for i, r in enumerate(moving):
                 for s in moving[: i + 1]:
-                    product = self.motion.dot(partials[r](body.point), partials[s](body.point))
-                    entries[r][s].append(mass * product)
+                    if (r, s) not in known:
+                        product = self.motion.dot(partials[r](body.point), partials[s](body.point))
+                        terms[r, s].append(mass * product)
             if inertia is None:
                 continue
-            turns = [tuple(d(entry) for entry in inertia.angular_velocity) for d in along]
-            turning = [s for s in range(n_u) if any(turns[s])]
-            momenta = {s: multiply(inertia.matrix, turns[s]) for s in turning}  # type: ignore[arg-type]
+            turns = [_rates(d, inertia.angular_velocity) for d in along]
+            turning = [s for s, turn in enumerate(turns) if any(turn)]
+            momenta = {s: multiply(inertia.matrix, turns[s]) for s in turning}
             for i, r in enumerate(turning):
                 for s in turning[: i + 1]:
-                    entries[r][s].append(dot(momenta[s], turns[r]))  # type: ignore[arg-type]
-        lower = [[tape.sum(terms) for terms in row] for row in entries]
-        return [[lower[max(r, s)][min(r, s)] for s in range(n_u)] for r in range(n_u)]
+                    if (r, s) not in known:
+                        terms[r, s].append(dot(momenta[s], turns[r]))
+        return {pair: known.get(pair) or self.tape.sum(entry) for pair, entry in terms.items()}
 
     def generalized_forces(self, rate: Direction) -> list[Scalar]:
         """The forces of loads and of inertia, shape (n_u + n_aux,): f, or f - M u' for given u'.

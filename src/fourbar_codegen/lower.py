@@ -10,9 +10,9 @@ import itertools
 from collections.abc import Sequence
 
 from fourbar_codegen.equations import Equations
-from fourbar_codegen.program import Array, Function, Program, Result, Sizes, operations_of
+from fourbar_codegen.program import Array, Function, Program, Result, Sizes
 from fourbar_codegen.share import Statements, share
-from fourbar_codegen.tape import ONE, Leaf, Scalar, Tape, operands
+from fourbar_codegen.tape import ONE, Leaf, Scalar, Tape, operands, operations_of
 
 __all__ = ["lower"]
 

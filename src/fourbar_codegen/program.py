@@ -10,12 +10,10 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-import sympy as sm
-
 from fourbar_codegen.share import Statements
-from fourbar_codegen.tape import ONE, Call, Leaf, Node, Product, Reciprocal, Scalar, Sum, operands
+from fourbar_codegen.tape import ONE, Leaf, Scalar, operands, operations_of
 
-__all__ = ["Array", "Function", "Program", "Result", "Sizes", "operations_of"]
+__all__ = ["Array", "Function", "Program", "Result", "Sizes"]
 
 
 @dataclass(frozen=True)
@@ -101,20 +99,6 @@ class Function:
         counted = sum(map(operations_of, (operation for _, operation in self.statements)))
         entries = [entry for result in self.results for entry in result.entries]
         return counted + sum(not entry.is_number and entry.coefficient != 1 for entry in entries)
-
-
-def operations_of(operation: Node) -> int:
-    """Number of operations of one node."""
-    match operation:
-        case Sum(terms):
-            return len(terms) - 1 + sum(node != ONE and abs(coefficient) != 1 for node, coefficient in terms)
-        case Product(factors):
-            return len(factors) - 1
-        case Call(expression, _):
-            return int(sm.count_ops(expression))
-        case Reciprocal():
-            return 1
-    return 0
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,7 @@ __all__ = [
     "Sum",
     "Tape",
     "operands",
+    "operations_of",
     "placeholder",
 ]
 
@@ -114,6 +115,20 @@ def operands(operation: Node) -> tuple[int, ...]:
     if kind is Call:
         return operation.arguments  # type: ignore[union-attr]
     return (operation.node,) if kind is Reciprocal else ()  # type: ignore[union-attr]
+
+
+def operations_of(operation: Node) -> int:
+    """Number of operations of one node."""
+    match operation:
+        case Sum(terms):
+            return len(terms) - 1 + sum(node != ONE and abs(coefficient) != 1 for node, coefficient in terms)
+        case Product(factors):
+            return len(factors) - 1
+        case Call(expression, _):
+            return int(sm.count_ops(expression))
+        case Reciprocal():
+            return 1
+    return 0
 
 
 def placeholder(position: int) -> sm.Symbol:
@@ -301,6 +316,10 @@ class Tape:
                 found.add(node)
                 stack.extend(operands(self.nodes[node]))
         return sorted(found)
+
+    def count_operations(self, scalars: Iterable[Scalar]) -> int:
+        """Number of operations of all that the scalars need."""
+        return sum([operations_of(self.nodes[node]) for node in self.reach(scalars)])
 
     def depends(self, scalars: Iterable[Scalar], leaves: Iterable[Scalar]) -> bool:
         """Whether any of the leaves takes part in the scalars' values."""

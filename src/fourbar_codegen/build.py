@@ -44,7 +44,7 @@ def get_include() -> str:
     --------
     >>> import os
     >>> sorted(name for name in os.listdir(get_include()) if name.endswith(".h"))
-    ['fourbar_kernel.h', 'fourbar_model.h', 'fourbar_runge_kutta.h', 'fourbar_solve.h']
+    ['fourbar_kernel.h', 'fourbar_model.h', 'fourbar_runge_kutta.h', 'fourbar_solve.h', 'fourbar_sparse.h']
     """
     return str(PACKAGE / "runtime")
 

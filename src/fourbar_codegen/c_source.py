@@ -19,6 +19,7 @@ from sympy.printing.codeprinter import PrintMethodNotImplementedError
 
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.program import Array, Function, Program
+from fourbar_codegen.structure import Structure
 from fourbar_codegen.tape import (
     ONE,
     Call,
@@ -43,6 +44,9 @@ LONGEST = 500
 
 PART = 200
 """Statements in each part of a longer one."""
+
+ZEROS = 32
+"""Zeros in a result that are stored one by one."""
 
 INLINED = 8
 """Operands of the longest expression that stands in another one, instead of on a line of its own."""
@@ -148,12 +152,32 @@ enum {{
     N_RANK = {sizes.rank},
     N_CONSTANTS = {sizes.n_constants}
 }};
-
+{_structure_text(program.structure)}
 {functions}
 
 #define FB_NAME(function) {program.name}_##function
 #include "fourbar_model.h"
 """
+
+
+def _structure_text(structure: Structure | None) -> str:
+    """The tables of fourbar_sparse.h."""
+    if structure is None:
+        return ""
+    tables = structure.tables()
+    lines = [
+        "",
+        "/* M and J by their entries that are not zero, and the order of elimination; see fourbar_sparse.h. */",
+        "#define FB_SPARSE",
+        (
+            f"enum {{ N_MASS = {len(structure.mass_entries)}, N_JACOBIAN = {len(structure.jacobian_entries)}, "
+            f"N_BELOW = {len(tables['below'])} }};"
+        ),
+    ]
+    for name, values in tables.items():
+        text = f"static const int {name}[{max(len(values), 1)}] = {{{', '.join(map(str, values or [0]))}}};"
+        lines += textwrap.wrap(text, LINE, subsequent_indent="    ")
+    return "\n".join(lines) + "\n"
 
 
 def derivatives_text(program: Program, names: Mapping[str, Sequence[str]]) -> str:
@@ -375,6 +399,8 @@ class _Part:
     Attributes
     ----------
     lines : tuple of int
+    cleared : tuple of (str, int)
+        Name and length of results that are set to zero before anything is stored in them.
     stores : tuple of (str, int, Scalar)
         Name of the result, position in it, value.
     used : frozenset of int
@@ -382,6 +408,7 @@ class _Part:
     """
 
     lines: tuple[int, ...]
+    cleared: tuple[tuple[str, int], ...]
     stores: tuple[tuple[str, int, Scalar], ...]
     used: frozenset[int]
 
@@ -392,8 +419,14 @@ def _parts(function: Function, text: _Text) -> list[_Part]:
     defined_in = {node: position // size for position, node in enumerate(text.lines)}
     stores: list[list[tuple[str, int, Scalar]]] = [[] for _ in range(count)]
     used: list[set[int]] = [set() for _ in range(count)]
+    cleared: list[tuple[str, int]] = []
     for result in function.results:
+        sparse = sum(not entry for entry in result.entries) > ZEROS
+        if sparse:
+            cleared.append((result.name, len(result.entries)))
         for position, entry in enumerate(result.entries):
+            if sparse and not entry:
+                continue
             referred = text.referred(entry.node)
             part = max((defined_in.get(node, 0) for node in referred), default=0)
             stores[part].append((result.name, position, entry))
@@ -402,7 +435,7 @@ def _parts(function: Function, text: _Text) -> list[_Part]:
     for i in range(count):
         lines = tuple(text.lines[i * size : (i + 1) * size])
         names = used[i].union(*(text.referred_by(line) for line in lines))
-        parts.append(_Part(lines, tuple(stores[i]), frozenset(names)))
+        parts.append(_Part(lines, tuple(cleared if i == 0 else ()), tuple(stores[i]), frozenset(names)))
     return parts
 
 
@@ -424,7 +457,9 @@ def _body(function: Function, part: _Part, text: _Text, carried: Mapping[int, in
     body += [f"    const double {names[node]} = {CARRIED}[{place}];" for place, node in outside]
     body += [_statement(f"const double {names[line]} = {text.value(line)};") for line in part.lines]
     body += [f"    {CARRIED}[{carried[line]}] = {names[line]};" for line in part.lines if line in carried]
-    stored = {name for name, *_ in part.stores}
+    for name, length in part.cleared:
+        body += [f"    for (int i = 0; i < {length}; ++i)", f"        {name}[i] = 0.0;"]
+    stored = {name for name, *_ in (*part.cleared, *part.stores)}
     body += [f"    (void){result.name};" for result in function.results if result.name not in stored]
     body += [_statement(f"{name}[{position}] = {text.scalar(entry)};") for name, position, entry in part.stores]
     return body

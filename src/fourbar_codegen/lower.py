@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from fourbar_codegen.equations import Equations
 from fourbar_codegen.program import Array, Function, Program, Result, Sizes
 from fourbar_codegen.share import Statements, share
+from fourbar_codegen.structure import Structure, find_structure
 from fourbar_codegen.tape import ONE, Leaf, Scalar, Tape, operands, operations_of
 
 __all__ = ["lower"]
@@ -44,6 +45,8 @@ def lower(name: str, equations: Equations) -> Program:
     coordinates = _array("q", e.coordinates)
     inputs = _array("r", e.inputs)
     held = (inputs, _array("accelerations", e.accelerations), _array("multipliers", e.multipliers))
+    structure = _structure(e)
+    mass_matrix, constraint_jacobian = _entries(e, structure)
     # name, summary, arguments before and after the constants, results
     specifications: list[tuple[str, str, list[Array], list[Array], list[Result]]] = [
         ("default_inputs", "Inputs r from their expressions; NaN without one.", [time], [], [e.default_inputs]),
@@ -52,7 +55,7 @@ def lower(name: str, equations: Equations) -> Program:
             "q', and M, f, J, gamma of M u' = f + J^T lambda, J u' + gamma = 0.",
             [time, state],
             [inputs],
-            [e.coordinate_rates, e.mass_matrix, e.forcing, e.constraint_jacobian, e.acceleration_bias],
+            [e.coordinate_rates, mass_matrix, e.forcing, constraint_jacobian, e.acceleration_bias],
         ),
         (
             "position",
@@ -125,7 +128,26 @@ def lower(name: str, equations: Equations) -> Program:
         rank=e.n_dependent_speeds,
         n_constants=len(constants.nodes),
     )
-    return Program(name, sizes, (prepare, *functions[:first]), functions[first:])
+    return Program(name, sizes, (prepare, *functions[:first]), functions[first:], structure)
+
+
+def _structure(e: Equations) -> Structure | None:
+    n_u, n_c = len(e.speeds), len(e.velocity_bias.entries)
+    if e.n_dependent_speeds < n_c:
+        return None  # redundant constraints need pivoting
+    mass = tuple((i, j) for i in range(n_u) for j in range(i + 1) if e.mass_matrix.entries[i * n_u + j])
+    jacobian = tuple((i, j) for i in range(n_c) for j in range(n_u) if e.constraint_jacobian.entries[i * n_u + j])
+    return find_structure(n_u, n_c, mass, jacobian)
+
+
+def _entries(e: Equations, structure: Structure | None) -> tuple[Result, Result]:
+    """The mass matrix and the constraint Jacobian as `dynamics` gives them."""
+    if structure is None:
+        return e.mass_matrix, e.constraint_jacobian
+    n_u = len(e.speeds)
+    mass = tuple(e.mass_matrix.entries[i * n_u + j] for i, j in structure.mass_entries)
+    jacobian = tuple(e.constraint_jacobian.entries[i * n_u + j] for i, j in structure.jacobian_entries)
+    return Result("mass_matrix", (len(mass),), mass), Result("constraint_jacobian", (len(jacobian),), jacobian)
 
 
 class _Constants:

@@ -4,7 +4,12 @@
  * `output`, and FB_NAME(function), the names of the table `kernel` and of the derivatives, which stand elsewhere.
  */
 #include "fourbar_kernel.h"
+
+#ifdef FB_SPARSE
+#include "fourbar_sparse.h"
+#else
 #include "fourbar_solve.h"
+#endif
 
 #include <math.h>
 
@@ -15,15 +20,37 @@ enum {
 
 typedef struct fb_work {
     double coordinate_rates[FB_AT_LEAST_1(N_Q)];
-    double mass_matrix[N_U * N_U];
+    double mass_matrix[N_MASS];
     double forcing[N_U];
-    double constraint_jacobian[FB_AT_LEAST_1(N_C * N_U)];
+    double constraint_jacobian[FB_AT_LEAST_1(N_JACOBIAN)];
     double acceleration_bias[FB_AT_LEAST_1(N_C)];
     fb_factors factors;
     double accelerations[N_U];
     double multipliers[FB_AT_LEAST_1(N_C)];
     double residual_jacobian[(N_U + N_C) * N_COLUMNS];
 } fb_work;
+
+#ifdef FB_SPARSE
+/* The matrices of `dynamics` with their zeros. */
+static void full_dynamics(double t, const double *x, const double *constants, const double *r,
+                          double *coordinate_rates, double *mass_matrix, double *forcing, double *constraint_jacobian,
+                          double *acceleration_bias)
+{
+    double mass[N_MASS], jacobian[FB_AT_LEAST_1(N_JACOBIAN)];
+    dynamics(t, x, constants, r, coordinate_rates, mass, forcing, jacobian, acceleration_bias);
+    for (int i = 0; i < N_U * N_U; ++i)
+        mass_matrix[i] = 0.0;
+    for (int i = 0; i < N_MASS; ++i)
+        mass_matrix[mass_row[i] * N_U + mass_column[i]] = mass_matrix[mass_column[i] * N_U + mass_row[i]] = mass[i];
+    for (int i = 0; i < N_C * N_U; ++i)
+        constraint_jacobian[i] = 0.0;
+    for (int row = 0; row < N_C; ++row)
+        for (int i = jacobian_row[row]; i < jacobian_row[row + 1]; ++i)
+            constraint_jacobian[row * N_U + jacobian_column[i]] = jacobian[i];
+}
+#else
+#define full_dynamics dynamics
+#endif
 
 static inline int solve_accelerations(double t, const double *restrict x, const double *restrict constants,
                                       const double *restrict r, double *restrict coordinate_rates,
@@ -126,7 +153,7 @@ const fb_kernel FB_NAME(kernel) = {
     .parameter_jacobian = parameter_jacobian,
     .input_jacobian = input_jacobian,
     .accelerations = accelerations,
-    .dynamics = dynamics,
+    .dynamics = full_dynamics,
     .position = position,
     .velocity = velocity,
     .constraint_sensitivity = FB_NAME(constraint_sensitivity),

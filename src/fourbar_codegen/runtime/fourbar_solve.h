@@ -18,6 +18,8 @@
 
 #define FB_AT_LEAST_1(n) ((n) > 0 ? (n) : 1)
 
+enum { N_MASS = N_U * N_U, N_JACOBIAN = N_C * N_U };
+
 /* Pivots of J below this share of the largest are rounding errors: 1000 times the precision of double. */
 #define FB_RANK_TOLERANCE 2e-13
 /* Rows dropped as redundant must be satisfied to this share of gamma and u', or nearly: where both vanish, what is

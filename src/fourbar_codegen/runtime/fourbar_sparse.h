@@ -1,0 +1,182 @@
+/* Solves M u' = f + J^T lambda, J u' + gamma = 0 where most entries of M and J are zero.
+ *
+ * With a weight w > 0 for each constraint, u' and lambda are those of
+ *
+ *     [M + J^T w J   J^T] [  u'   ]   [f - J^T w gamma]
+ *     [     J         0 ] [-lambda] = [    -gamma     ]
+ *
+ * which is factored as L D L^T in an order that was chosen when the model was generated. No pivots have to be sought:
+ * the upper left block is positive definite wherever the equations determine u', and each constraint stands behind
+ * all speeds in it. What would be a pivoting failure is a state where the constraints depend on each other.
+ *
+ * Included once, by fourbar_model.h, behind the tables of the model:
+ *   mass_row, mass_column         where the entries of M stand, on and below the diagonal
+ *   jacobian_row, jacobian_column where those of J stand: the first of each row, and the columns
+ *   unknown                       what each step eliminates: speeds, and N_U and more for constraints
+ *   column, below                 the later steps that a step has an entry for: the first of them, and all
+ *   mass_place, jacobian_place, pair_place, target
+ *                                 places of M, J, the products of J^T w J, and of what a step subtracts
+ */
+#ifndef FOURBAR_SPARSE_H
+#define FOURBAR_SPARSE_H
+
+#include "fourbar_kernel.h"
+
+#include <math.h>
+
+#define FB_AT_LEAST_1(n) ((n) > 0 ? (n) : 1)
+
+enum { N_STEPS = N_U + N_C };
+
+/* Rows of J below this share of the largest are rounding errors. */
+#define FB_ROW_TOLERANCE 2e-13
+/* Pivots below this share of what was subtracted from them are rounding errors. */
+#define FB_PIVOT_TOLERANCE 1e-13
+/* Constraints that depend on others must be satisfied to this share of u' and gamma, or nearly. */
+#define FB_DRIFT_TOLERANCE 1e-3
+#define FB_NEARLY 1e-12
+
+typedef struct fb_factors {
+    double entries[N_STEPS + N_BELOW]; /* the inverse of D, and L column by column */
+    double jacobian[FB_AT_LEAST_1(N_JACOBIAN)];
+    double weight[FB_AT_LEAST_1(N_C)];
+    int dependent; /* whether constraints were left out */
+} fb_factors;
+
+/* The weights, which make both terms of M + J^T w J alike in size; zero for rows that are nothing but rounding errors.
+ * Those are told from others only within the precision of double: give constraints units of like size. */
+static inline void fb_weigh(const double *restrict diagonal, const double *restrict jacobian, double *restrict weight)
+{
+    double size[FB_AT_LEAST_1(N_C)], largest = 0.0;
+    for (int row = 0; row < N_C; ++row) {
+        size[row] = 0.0;
+        for (int i = jacobian_row[row]; i < jacobian_row[row + 1]; ++i)
+            size[row] += jacobian[i] * jacobian[i];
+        largest = size[row] > largest ? size[row] : largest;
+    }
+    for (int row = 0; row < N_C; ++row) {
+        double mass = 0.0;
+        for (int i = jacobian_row[row]; i < jacobian_row[row + 1]; ++i)
+            mass += diagonal[jacobian_column[i]];
+        const int counts = size[row] > FB_ROW_TOLERANCE * FB_ROW_TOLERANCE * largest;
+        weight[row] = counts ? (mass > 0.0 ? mass : 1.0) / size[row] : 0.0;
+    }
+}
+
+static inline int fb_factor(const double *restrict mass_matrix, const double *restrict constraint_jacobian,
+                            fb_factors *restrict s)
+{
+    double *restrict const entries = s->entries;
+    double diagonal[N_U] = {0.0}, size[N_STEPS];
+    for (int i = 0; i < N_STEPS + N_BELOW; ++i)
+        entries[i] = 0.0;
+    for (int i = 0; i < N_MASS; ++i) {
+        entries[mass_place[i]] += mass_matrix[i];
+        if (mass_row[i] == mass_column[i])
+            diagonal[mass_row[i]] = mass_matrix[i];
+    }
+    fb_weigh(diagonal, constraint_jacobian, s->weight);
+    for (int row = 0, pair = 0; row < N_C; ++row) {
+        for (int i = jacobian_row[row]; i < jacobian_row[row + 1]; ++i) {
+            s->jacobian[i] = constraint_jacobian[i];
+            entries[jacobian_place[i]] = s->weight[row] > 0.0 ? constraint_jacobian[i] : 0.0;
+            const double weighted = s->weight[row] * constraint_jacobian[i];
+            for (int j = jacobian_row[row]; j <= i; ++j)
+                entries[pair_place[pair++]] += weighted * constraint_jacobian[j];
+        }
+    }
+    for (int k = 0; k < N_STEPS; ++k)
+        size[k] = fabs(entries[k]);
+    s->dependent = 0;
+    for (int k = 0, next = 0; k < N_STEPS; ++k) {
+        const double pivot = unknown[k] < N_U ? entries[k] : -entries[k];
+        double inverse = 0.0;
+        if (pivot > FB_PIVOT_TOLERANCE * size[k])
+            inverse = 1.0 / entries[k];
+        else if (unknown[k] < N_U)
+            return FB_MASS_SINGULAR;
+        else
+            s->dependent = 1;
+        entries[k] = inverse;
+        double *restrict const l = entries + N_STEPS + column[k];
+        const int *restrict const later = below + column[k];
+        for (int i = column[k + 1] - column[k] - 1; i >= 0; --i) {
+            const double scaled = l[i] * inverse;
+            size[later[i]] += fabs(scaled * l[i]);
+            for (int j = 0; j <= i; ++j)
+                entries[target[next++]] -= scaled * l[j];
+            l[i] = scaled;
+        }
+    }
+    return FB_OK;
+}
+
+/* The unknowns for right-hand sides that stand in the order of the steps. */
+static inline void fb_substitute(const fb_factors *restrict s, double *restrict y)
+{
+    const double *restrict const l = s->entries + N_STEPS;
+    for (int k = 0; k < N_STEPS; ++k) {
+        for (int i = column[k]; i < column[k + 1]; ++i)
+            y[below[i]] -= l[i] * y[k];
+        y[k] *= s->entries[k];
+    }
+    for (int k = N_STEPS - 1; k >= 0; --k)
+        for (int i = column[k]; i < column[k + 1]; ++i)
+            y[k] -= l[i] * y[below[i]];
+}
+
+/* u' for one right-hand side (f, gamma). */
+static inline int fb_solve(const double *restrict forcing, const double *restrict acceleration_bias,
+                           const fb_factors *restrict s, double *restrict accelerations)
+{
+    double side[N_STEPS], y[N_STEPS];
+    for (int i = 0; i < N_U; ++i)
+        side[i] = forcing[i];
+    for (int row = 0; row < N_C; ++row) {
+        side[N_U + row] = -acceleration_bias[row];
+        for (int i = jacobian_row[row]; i < jacobian_row[row + 1]; ++i)
+            side[jacobian_column[i]] -= s->jacobian[i] * s->weight[row] * acceleration_bias[row];
+    }
+    for (int k = 0; k < N_STEPS; ++k)
+        y[k] = side[unknown[k]];
+    fb_substitute(s, y);
+    for (int k = 0; k < N_STEPS; ++k)
+        if (unknown[k] < N_U)
+            accelerations[unknown[k]] = y[k];
+    if (!s->dependent)
+        return FB_OK;
+    /* Constraints that were left out have to hold by themselves. */
+    for (int row = 0; row < N_C; ++row) {
+        double sum = acceleration_bias[row], size = fabs(sum);
+        for (int i = jacobian_row[row]; i < jacobian_row[row + 1]; ++i) {
+            sum += s->jacobian[i] * accelerations[jacobian_column[i]];
+            size += fabs(s->jacobian[i] * accelerations[jacobian_column[i]]);
+        }
+        if (!(fabs(sum) <= FB_DRIFT_TOLERANCE * size + FB_NEARLY))
+            return FB_CONSTRAINTS_DEPENDENT;
+    }
+    return FB_OK;
+}
+
+/* The multipliers of J^T lambda = M u' - f: with that on the right-hand side and no gamma, u' is zero. */
+static inline void fb_multipliers(const double *restrict mass_matrix, const double *restrict forcing,
+                                  const double *restrict accelerations, const fb_factors *restrict s,
+                                  double *restrict multipliers)
+{
+    double side[N_STEPS] = {0.0}, y[N_STEPS];
+    for (int i = 0; i < N_U; ++i)
+        side[i] = -forcing[i];
+    for (int i = 0; i < N_MASS; ++i) {
+        side[mass_row[i]] += mass_matrix[i] * accelerations[mass_column[i]];
+        if (mass_row[i] != mass_column[i])
+            side[mass_column[i]] += mass_matrix[i] * accelerations[mass_row[i]];
+    }
+    for (int k = 0; k < N_STEPS; ++k)
+        y[k] = side[unknown[k]];
+    fb_substitute(s, y);
+    for (int k = 0; k < N_STEPS; ++k)
+        if (unknown[k] >= N_U)
+            multipliers[unknown[k] - N_U] = y[k];
+}
+
+#endif

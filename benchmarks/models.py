@@ -33,7 +33,7 @@ PROCESS = """
 import sys, time
 import sympy.physics.mechanics
 sys.path.insert(0, {folder!r})
-import models
+import {script} as models
 model = models.MODELS[{name!r}]()
 begin = time.perf_counter()
 {statement}
@@ -50,10 +50,10 @@ def read_again(model: fb.Model) -> fb.Model:
     return fb.Model(model.system, name=model.name, parameters=model.parameter_symbols)
 
 
-def in_fresh_process(name: str, statement: str, *, cold: bool) -> Callable[[], float]:
+def in_fresh_process(name: str, statement: str, *, cold: bool, script: str = "models") -> Callable[[], float]:
     """A measure of the time from a System to a function that evaluates its right-hand side."""
     kept = tempfile.mkdtemp()
-    code = PROCESS.format(folder=str(Path(__file__).parent), name=name, statement=statement)
+    code = PROCESS.format(folder=str(Path(__file__).parent), script=script, name=name, statement=statement)
 
     def measure() -> float:
         cache = tempfile.mkdtemp() if cold else kept

@@ -1,5 +1,6 @@
 """The comparison of compiled functions with their equations notices what goes wrong in between."""
 
+import dataclasses
 import re
 
 import pytest
@@ -7,6 +8,7 @@ from systems import slider
 
 import fourbar_codegen as fb
 import fourbar_codegen.c_source
+import fourbar_codegen.equations
 
 WRONG_MULTIPLIERS = """\
 #include "fourbar_solve.h"
@@ -41,3 +43,31 @@ def test_a_defect_is_found_and_named(tmp_path, monkeypatch, text, pattern, repla
     # Nothing of it is kept.
     assert not [path for path in tmp_path.iterdir() if path.is_dir()]
     assert fb.compile_model(slider(), check=False).name == "slider"
+
+
+@pytest.mark.parametrize(
+    ("result", "entry", "identity"),
+    [
+        ("mass_matrix", 4, "w^T M w = 2 T(w)"),
+        ("forcing", 1, "dT/dt = P + u^T (M u' - f)"),
+        ("acceleration_bias", 1, "d(J u + b)/dt = J u' + gamma"),
+        ("constraint_jacobian", 2, "dPhi/dt = J u + b"),
+        ("energies", 0, "w^T M w = 2 T(w)"),
+        ("power", 0, "dT/dt = P + u^T (M u' - f)"),
+    ],
+)
+def test_a_wrong_equation_is_found_and_named(tmp_path, monkeypatch, result, entry, identity):
+    # What is compiled is what was formed; what was formed is wrong.
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
+    original = fourbar_codegen.equations.form_equations
+
+    def damaged(model):
+        equations = original(model)
+        right = getattr(equations, result)
+        entries = list(right.entries)
+        entries[entry] = entries[entry] * 2 + equations.tape.one
+        return dataclasses.replace(equations, **{result: dataclasses.replace(right, entries=tuple(entries))})
+
+    monkeypatch.setattr(fourbar_codegen.equations, "form_equations", damaged)
+    with pytest.raises(fb.BuildError, match=re.escape(f"do not satisfy {identity}")):
+        fb.compile_model(fb.models.four_bar())

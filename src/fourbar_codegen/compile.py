@@ -15,6 +15,7 @@ from fourbar_codegen.compiled import CompiledModel
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.fingerprint import fingerprint
 from fourbar_codegen.model import Model
+from fourbar_codegen.progress import Progress
 
 if TYPE_CHECKING:
     from fourbar_codegen.equations import Equations
@@ -46,10 +47,11 @@ def generate_sources(model: Model) -> dict[str, str]:
     >>> sorted(fb.generate_sources(fb.models.four_bar()))
     ['four_bar.pyx', 'four_bar_derivatives.c', 'four_bar_kernel.c', 'four_bar_kernel.h', 'manifest.json']
     """
-    return _generate(model)[1]
+    with Progress(f"fourbar_codegen: {getattr(model, 'name', '')}") as progress:
+        return _generate(model, progress)[1]
 
 
-def _generate(model: Model) -> tuple[Equations, dict[str, str]]:
+def _generate(model: Model, progress: Progress) -> tuple[Equations, dict[str, str]]:
     """The equations, and the sources made of them."""
     _require_model(model)
     # Imported here: a model that is in the cache needs none of it.
@@ -58,8 +60,11 @@ def _generate(model: Model) -> tuple[Equations, dict[str, str]]:
     from fourbar_codegen.equations import form_equations
     from fourbar_codegen.lower import lower
 
+    progress.stage("forming the equations")
     equations = form_equations(model)
+    progress.stage("sharing what is common")
     program = lower(model.name, equations)
+    progress.stage("printing")
     names = {
         "coordinates": model.coordinates,
         "speeds": model.speeds,
@@ -175,14 +180,17 @@ def build_wheel(model: Model, folder: str | Path, *, version: str = "0.1.0", che
 
 
 def _build(model: Model, folder: Path, *, portable: bool, check: bool) -> Path:
-    equations, sources = _generate(model)
+    with Progress(f"fourbar_codegen: {model.name}") as progress:
+        equations, sources = _generate(model, progress)
 
-    def compare(module: Path) -> None:
-        from fourbar_codegen.verify import verify
+        def compare(module: Path) -> None:
+            from fourbar_codegen.verify import verify
 
-        verify(equations, CompiledModel.from_file(module))
+            progress.stage("checking")
+            verify(equations, CompiledModel.from_file(module))
 
-    return build_extension(model.name, sources, folder, portable=portable, check=compare if check else None)
+        progress.stage("compiling")
+        return build_extension(model.name, sources, folder, portable=portable, check=compare if check else None)
 
 
 def compile_model(model: Model, *, check: bool = True) -> CompiledModel:

@@ -155,13 +155,14 @@ class CompositeBodies:
                 if not rigid:
                     return None
                 moved.add(point)
+            elif rigid and base is not None and turned and points[point].offset:
+                # Carried along, if only about the axis that it lies on.
+                moved.add(point)
+                anchors[base] = motion.zero
+                branches.append(point)
             elif any(any(components) for _, components in drift):
                 moved.add(point)
-                if rigid and base is not None:
-                    anchors[base] = motion.zero
-                    branches.append(point)
-                else:
-                    anchors[point] = motion.express(tuple(drift), INERTIAL)
+                anchors[point] = motion.express(tuple(drift), INERTIAL)
         if len(anchors) != 1:
             return None
         [(anchor, drift_of_anchor)] = anchors.items()

@@ -52,6 +52,8 @@ class Equations:
     multipliers : tuple of Scalar
         Leaves that stand for the constraints' multipliers there.
     n_dependent_speeds : int
+    velocity_constraints_derived : bool
+        Whether the velocity constraints begin with the rates of the position constraints.
     default_inputs : Result
         The inputs' expressions, (n_r,); NaN where there is none.
     outputs : Result
@@ -66,6 +68,9 @@ class Equations:
         J, (n_c, n_u); b and gamma, (n_c,). Rows of holonomic constraints first, if they are derived.
     energies : Result
         Kinetic and potential energy, (2,); the latter NaN if a position that it needs is not defined.
+    power : Result
+        What all loads do, (1,); NaN if that is not what changes the kinetic energy. It is made into nothing but a test
+        of the other results.
     velocity_jacobian, velocity_input_jacobian : Result
         d(J u + b)/dq, (n_c, n_q), and d(J u + b)/dr, (n_c, n_r).
     position_input_jacobian : Result
@@ -86,6 +91,7 @@ class Equations:
     accelerations: tuple[Scalar, ...]
     multipliers: tuple[Scalar, ...]
     n_dependent_speeds: int
+    velocity_constraints_derived: bool
     default_inputs: Result
     outputs: Result
     coordinate_rates: Result
@@ -97,6 +103,7 @@ class Equations:
     velocity_bias: Result
     acceleration_bias: Result
     energies: Result
+    power: Result
     velocity_jacobian: Result
     velocity_input_jacobian: Result
     position_input_jacobian: Result
@@ -230,6 +237,7 @@ def form_equations(model: Model) -> Equations:
         "constraint_jacobian": _matrix("constraint_jacobian", constraints.jacobian, n_u),
         "velocity_bias": _vector("velocity_bias", velocity_bias),
         "acceleration_bias": _vector("acceleration_bias", constraints.acceleration_bias),
+        "power": _vector("power", substitute(tape, [kane.power()], dict.fromkeys(unknown, tape.zero))),
         "energies": _vector(
             "energies", [kane.kinetic_energy(), kane.potential_energy(model.potential_energy, changing)]
         ),
@@ -261,6 +269,7 @@ def form_equations(model: Model) -> Equations:
         accelerations=a,
         multipliers=lam,
         n_dependent_speeds=mechanism.n_dependent_speeds,
+        velocity_constraints_derived=mechanism.velocity_constraints_derived,
         **results,
     )
 

@@ -87,6 +87,7 @@ class Kane:
         self.speeds = tuple(speeds)
         self.auxiliary = tuple(auxiliary)
         self.rate = rate
+        self._consistent = False
         self._masses = [motion.convert(body.mass) for body in self.mechanism.bodies]
         self._inertias = [self._inertia(body) for body in self.mechanism.bodies]
 
@@ -120,6 +121,7 @@ class Kane:
                     for entry, derivative in zip(row, cross(row, angular_velocity), strict=True):
                         for rate in rates:
                             rate.give(entry, derivative)
+        self._consistent = len(consistent) == len(frames)
 
     def mass_matrix(self) -> list[list[Scalar]]:
         """M of M u' = f, shape (n_u, n_u).
@@ -214,6 +216,26 @@ class Kane:
             for frame, components in parts:
                 projections += zip(components, motion.express(total, frame), strict=True)
         return pull_back(self.tape, projections, (*self.speeds, *self.auxiliary))
+
+    def power(self) -> Scalar:
+        """The sum of F . v + T . w over the loads; NaN where it is not what changes the kinetic energy.
+
+        That is where a mass varies, a frame does not turn as its angular velocity says, or a body's inertia is given in
+        a frame that may turn within the body.
+        """
+        motion = self.motion
+        within = all(body.inertia_frame == body.frame for body in self.mechanism.bodies)
+        if not (within and self._consistent) or any(map(self.rate, self._masses)):
+            return self.tape.number(float("nan"))
+        terms = []
+        for load in self.mechanism.loads:
+            vector = motion.vector(load.vector)
+            if load.kind == "force":
+                terms.append(motion.dot(vector, motion.velocity(load.place)))
+            else:
+                angular_velocity = ((load.place, motion.angular_velocity(load.place)),)
+                terms.append(motion.dot(((load.place, motion.express(vector, load.place)),), angular_velocity))
+        return self.tape.sum(terms)
 
     def kinetic_energy(self) -> Scalar:
         """The sum of m v.v / 2 + w.I.w / 2 over the bodies."""

@@ -25,6 +25,9 @@ Statements = tuple[tuple[int, Node], ...]
 Operand = TypeVar("Operand")
 Pair = TypeVar("Pair", bound=tuple[Number, ...])
 
+MANY = 5000
+"""Operations beyond which products share nothing: half of the time for a few per cent of the operations."""
+
 LONGEST = 40
 """Sums and products of more operands share nothing: their pairs are too many."""
 
@@ -45,10 +48,13 @@ def share(tape: Tape, roots: Sequence[Scalar], is_constant: Callable[[int], bool
     roots : list of Scalar
     """
     block = _Block(tape, _Flattening(tape, roots, is_constant).roots, is_constant)
-    block.share_products()
+    thorough = len(block.operations) <= MANY
+    if thorough:
+        block.share_products()
     block.factor_sums()
     block.share_sums()
-    block.share_products()
+    if thorough:
+        block.share_products()
     return tuple(block.operations.items()), block.roots
 
 
@@ -170,12 +176,15 @@ class _Block:
     def _take_up(self) -> None:
         """Store the operations as they are now, and keep those that the roots need."""
         tape = self.tape
-        made: dict[int, Scalar] = {}
+        made: dict[int, Scalar] = {}  # what nodes became, where they did not stay what they are
 
         def value(node: int) -> Scalar:
-            return made.get(node) or Scalar(tape, 1, node)
+            known = made.get(node)
+            return Scalar(tape, 1, node) if known is None else known
 
         for node, operation in self._reached(self.operations).items():
+            if operation == tape.nodes[node] and made.keys().isdisjoint(operands(operation)):
+                continue
             match operation:
                 case Sum(terms):
                     made[node] = tape.sum([value(term) * coefficient for term, coefficient in terms])

@@ -1,13 +1,15 @@
-"""The compiled functions against the equations they were made from, right after compilation.
+"""The compiled functions against the equations they were made from, and against mechanics, right after compilation.
 
-What lies between both is SymPy's `cse` and printer, hoisting, inlining, splitting, and the C compiler. The equations
-are evaluated in Python, statement by statement as they were formed, at random states.
+What lies between equations and functions is sharing, hoisting, the printer, splitting, and the C compiler. The
+equations are evaluated in Python, node by node as they were formed, at random states. What lies before them is told by
+identities that do not come from how they were formed: the kinetic energy is w^T M w / 2 in each direction w of the
+speeds, its change is what the loads do and M u' - f, and the constraints' rates are their changes from state to state.
 """
 
 from __future__ import annotations
 
 import random
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,6 +28,7 @@ __all__ = ["verify"]
 Floats = NDArray[np.float64]
 
 STATES = 2
+STEP = 1e-4
 ATTEMPTS = 8
 # Both sides round differently, and terms may cancel; a wrong sign or symbol is off by far more.
 TOLERANCE = 1e-7
@@ -67,6 +70,7 @@ def verify(equations: Equations, compiled: CompiledModel) -> None:
             for result, got in results:
                 _compare(compiled.name, function, result, got, expected[result.name])
         _compare_solution(compiled, expected, values, equations)
+        _check_identities(compiled, expected, values, equations)
         compared += 1
         if compared == STATES:
             return
@@ -153,10 +157,76 @@ def _compare_solution(
     _compare_sum(compiled.name, "J u' + gamma = 0", jacobian @ accelerations, -expected["acceleration_bias"])
 
 
+def _check_identities(
+    compiled: CompiledModel, expected: Mapping[str, Floats], values: Mapping[Scalar, float], e: Equations
+) -> None:
+    """Energy and constraints, whose changes are taken as differences between neighbouring states."""
+    t = values[e.time]
+    x, p, r, accelerations, _ = _arrays(e, values)
+    q_rates, mass_matrix, forcing = (expected[name] for name in ("coordinate_rates", "mass_matrix", "forcing"))
+    jacobian, bias = expected["constraint_jacobian"], expected["velocity_bias"]
+    n_q, u = compiled.n_q, x[compiled.n_q :]
+    by_name = dict(zip(compiled.inputs, r, strict=True))
+    r_rates = np.array([by_name.get(f"{name}'", 0.0) for name in compiled.inputs])
+
+    def energy(speeds: Floats) -> float:
+        return float(compiled.energy(t, np.concatenate((x[:n_q], speeds)), p, r)[0])
+
+    rest = energy(0.0 * u)
+    for direction in (u, accelerations):
+        double = np.array(energy(direction) + energy(-direction) - 2.0 * rest)
+        _expect(compiled.name, "w^T M w = 2 T(w)", np.array(direction @ mass_matrix @ direction), double)
+
+    def at(step: float, function: Callable[[float, Floats, Floats, Floats], Floats]) -> Floats:
+        moved = x + step * np.concatenate((q_rates, accelerations))
+        return np.asarray(function(t + step, moved, p, r + step * r_rates))
+
+    def changes(function: Callable[[float, Floats, Floats, Floats], Floats]) -> Floats | None:
+        """A derivative with respect to time, if two steps agree on it."""
+        coarse, fine = ((at(h, function) - at(-h, function)) / (2.0 * h) for h in (STEP, STEP / 4.0))
+        agree = np.abs(coarse - fine) <= 1e-4 * (1.0 + np.abs(fine).max(initial=0.0))
+        return fine if agree.all() else None
+
+    checks: list[tuple[str, Callable[[float, Floats, Floats, Floats], Floats], Floats]] = []
+    n_h = compiled.n_h if e.velocity_constraints_derived else 0
+    if n_h:
+        rates = (jacobian @ u + bias)[:n_h]
+        checks.append(("dPhi/dt = J u + b", lambda t, x, p, r: compiled.position(t, x[:n_q], p, r)[0], rates))
+    if compiled.n_c:
+        rates = jacobian @ accelerations + expected["acceleration_bias"]
+        checks.append(("d(J u + b)/dt = J u' + gamma", lambda t, x, p, r: _velocities(compiled, t, x, p, r), rates))
+    if rest == 0.0 and not e.power.entries[0].is_nan:
+        # Nothing moves but by the speeds: what the loads do, and what the forces do that are missing for this u',
+        # goes into the kinetic energy.
+        gain = expected["power"] + u @ (mass_matrix @ accelerations - forcing)
+        checks.append(("dT/dt = P + u^T (M u' - f)", lambda t, x, p, r: compiled.energy(t, x, p, r)[:1], gain))
+    for what, function, rates in checks:
+        found = changes(function)
+        if found is not None:
+            _expect(compiled.name, what, found, rates)
+
+
+def _velocities(compiled: CompiledModel, t: float, x: Floats, p: Floats, r: Floats) -> Floats:
+    jacobian, bias = compiled.velocity(t, x, p, r)
+    return jacobian @ x[compiled.n_q :] + bias
+
+
+def _expect(model: str, identity: str, left: Floats, right: Floats) -> None:
+    if not _alike(left, right):
+        raise BuildError(
+            f"The equations of model {model} do not satisfy {identity} at a random state:\n{left}\n"
+            f"instead of\n{right}\nThis is a defect of this package; check=False compiles without this test."
+        )
+
+
 def _compare_sum(model: str, what: str, got: Floats, expected: Floats) -> None:
-    size = max(np.abs(got).max(initial=0.0), np.abs(expected).max(initial=0.0))
-    if not (np.abs(got - expected) <= 1e-3 * (1.0 + size)).all():
+    if not _alike(got, expected):
         _fail(model, f"solution of {what}", got, expected)
+
+
+def _alike(a: Floats, b: Floats) -> bool:
+    size = max(np.abs(a).max(initial=0.0), np.abs(b).max(initial=0.0))
+    return bool((np.abs(a - b) <= 1e-3 * (1.0 + size)).all())
 
 
 def _fail(model: str, what: str, got: Floats, expected: Floats) -> None:

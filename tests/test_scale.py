@@ -1,0 +1,166 @@
+"""Long chains and many loops, against other implementations; and counts of operations.
+
+Tolerances are the 1e-10 that equations at scale are to hold, relative to the size of the terms.
+"""
+
+import json
+
+import numpy as np
+import pytest
+import sympy as sm
+import sympy.physics.mechanics as me
+from newton_euler import Link, joint_torques
+from scale import spherical_chain
+from sympy.physics.mechanics.models import n_link_pendulum_on_cart
+from sympy.physics.mechanics.system import System
+from tutorial import Tutorial
+
+import fourbar_codegen as fb
+
+G = 9.81
+X, Y, Z = np.eye(3)
+
+
+def bars(count):
+    return [Link(Z, X, X / 2, 1.0, np.diag([0.0, 0.0, 1 / 12]))] * count
+
+
+def balls(count):
+    inertia = np.diag([0.11, 0.12, 0.03])
+    bar = [Link(X), Link(Y), Link(Z, -0.8 * Z, -0.4 * Z, 1.3, inertia)]
+    return bar * count
+
+
+@pytest.mark.parametrize(
+    ("model", "links", "gravity"),
+    [
+        (lambda: fb.models.chain(12), bars(12), -G * Y),
+        (lambda: fb.models.chain(32), bars(32), -G * Y),
+        (lambda: fb.models.chain(32, closed=True), bars(32), -G * Y),
+        (lambda: spherical_chain(3), balls(3), -G * Z),
+        (lambda: spherical_chain(16), balls(16), -G * Z),
+    ],
+    ids=["12 links", "32 links", "32 closed links", "3 ball joints", "16 ball joints"],
+)
+def test_chain_against_recursive_newton_euler(model, links, gravity):
+    compiled = fb.compile_model(model())
+    generator = np.random.default_rng(3)
+    n = compiled.n_u
+    assert len(links) == n
+    for _ in range(5):
+        q, u = generator.uniform(-1, 1, n), generator.uniform(-1, 1, n)
+        x = np.concatenate((q, u))
+        # M u' - f for any u', by columns; M and f apart, and so every entry of M.
+        mass_matrix, forcing = compiled.tree_mass_matrix(0.0, x), compiled.tree_forcing(0.0, x)
+        bias, jacobian = joint_torques(links, gravity, q, u, np.zeros(n))
+        np.testing.assert_allclose(-forcing, bias, rtol=0, atol=1e-10 * np.abs(bias).max())
+        columns = [joint_torques(links, gravity, q, u, unit)[0] - bias for unit in np.eye(n)]
+        np.testing.assert_allclose(mass_matrix, np.array(columns).T, rtol=0, atol=1e-10 * np.abs(mass_matrix).max())
+        np.testing.assert_allclose(compiled.rhs(0.0, x)[:n], u, rtol=0, atol=0)
+        accelerations, multipliers = compiled.accelerations(0.0, x)
+        torques = joint_torques(links, gravity, q, u, accelerations)[0]
+        reactions = jacobian[: compiled.n_c].T @ multipliers
+        size = np.abs(bias).max() + np.abs(reactions).max(initial=0.0)
+        np.testing.assert_allclose(torques, reactions, rtol=0, atol=1e-10 * size)
+
+
+@pytest.mark.parametrize("links", [1, 3, 6])
+def test_pendulum_on_a_cart_of_sympys_models(links):
+    kane = n_link_pendulum_on_cart(links)
+    symbols = sorted(kane.mass_matrix_full.free_symbols | kane.forcing_full.free_symbols, key=str)
+    symbols = [symbol for symbol in symbols if symbol != me.dynamicsymbols._t]
+    values = [0.5 + 0.1 * i for i in range(len(symbols))]
+    force = me.dynamicsymbols("F")
+    inputs = {force: 0.7} if force in me.find_dynamicsymbols(kane.forcing_full) else {}
+    compiled = fb.compile_model(fb.Model(kane, parameters=dict(zip(symbols, values, strict=True)), inputs=inputs))
+    states = [*kane.q, *kane.u]
+    evaluate = sm.lambdify([states, symbols, list(inputs)], [kane.mass_matrix_full, kane.forcing_full], cse=True)
+    for x in np.random.default_rng(5).uniform(-1, 1, (20, len(states))):
+        expected = np.linalg.solve(*evaluate(x, values, list(inputs.values()))).ravel()
+        np.testing.assert_allclose(compiled.rhs(0.0, x), expected, rtol=1e-10, atol=1e-10 * np.abs(expected).max())
+
+
+def branches(arms, links):
+    """A hub that turns about a pin, and chains of bars on it that turn about axes of two kinds."""
+    m, length, g = sm.symbols("m l g")
+    ground = me.RigidBody("ground")
+    ground.masscenter.set_vel(ground.frame, 0)
+    system = System.from_newtonian(ground)
+    hub = me.RigidBody("hub", mass=m)
+    hub.inertia = (me.inertia(hub.frame, m, m, m), hub.masscenter)
+    system.add_joints(me.PinJoint("pin", ground, hub, joint_axis=ground.frame.z))
+    for arm in range(arms):
+        parent, start = hub, length * sm.Integer(arm + 1) * hub.frame.x
+        for number in range(links):
+            body = me.RigidBody(f"bar{arm}_{number}", mass=m)
+            body.inertia = (me.inertia(body.frame, m / 7, m / 5, m / 6), body.masscenter)
+            axis = parent.frame.y if (arm + number) % 2 else parent.frame.x
+            system.add_joints(
+                me.PinJoint(
+                    f"pin{arm}_{number}", parent, body, parent_point=start, child_point=-length * body.frame.x,
+                    joint_axis=axis,
+                )
+            )  # fmt: skip
+            parent, start = body, length * body.frame.x
+    system.apply_uniform_gravity(-g * ground.frame.y)
+    return fb.Model(system, name="branches", parameters={m: 1.1, length: 0.6, g: G})
+
+
+def test_branches_are_solved_by_their_structure():
+    model = branches(5, 2)
+    assert "#define FB_SPARSE" in fb.generate_sources(model)["branches_kernel.c"]
+    compiled = fb.compile_model(model)
+    # The ground's mass and inertia have no values, and no part in the equations.
+    values = {symbol: float(parameter.value or 1.0) for symbol, parameter in model.parameter_symbols.items()}
+    reference = Tutorial(model.system, values, {})
+    for x in np.random.default_rng(6).uniform(-1, 1, (20, compiled.n_x)):
+        expected = reference.rhs(0.0, x)
+        np.testing.assert_allclose(compiled.rhs(0.0, x), expected, rtol=0, atol=1e-10 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("loops", [1, 3, 10, 40])
+def test_row_of_parallelograms_in_closed_form(loops):
+    # [(N + 1) / 3 + N] L phi'' = [(N + 1) / 2 + N] g sin(phi), the bars across stay level (IFToMM benchmark A02).
+    compiled = fb.compile_model(fb.models.n_four_bar(loops))
+    upright = loops + 1
+    for angle in (0.0, 0.3, 1.2, -2.0):
+        x = np.zeros(compiled.n_x)
+        x[:upright], x[compiled.n_q : compiled.n_q + upright] = angle, 1.7
+        expected = ((loops + 1) / 2 + loops) / ((loops + 1) / 3 + loops) * G * np.sin(angle)
+        accelerations, multipliers = compiled.accelerations(0.0, x)
+        np.testing.assert_allclose(accelerations[:upright], expected, rtol=1e-10, atol=1e-10)
+        np.testing.assert_allclose(accelerations[upright:], 0.0, rtol=0, atol=1e-9)
+        _, mass_matrix, forcing, jacobian, _ = compiled.dynamics(0.0, x)
+        balance = mass_matrix @ accelerations - forcing - jacobian.T @ multipliers
+        np.testing.assert_allclose(balance, 0.0, rtol=0, atol=1e-10 * np.abs(forcing).max())
+
+
+def test_row_of_parallelograms_at_a_singular_position():
+    # All bars are level: the loops' constraints depend on each other, and still hold.
+    compiled = fb.compile_model(fb.models.n_four_bar(10))
+    x = np.zeros(compiled.n_x)
+    x[:11], x[compiled.n_q : compiled.n_q + 11] = np.pi / 2, 1.3
+    accelerations, _ = compiled.accelerations(0.0, x)
+    _, _, _, jacobian, bias = compiled.dynamics(0.0, x)
+    assert np.linalg.matrix_rank(jacobian) < compiled.n_c
+    np.testing.assert_allclose(jacobian @ accelerations, -bias, rtol=0, atol=1e-10 * np.abs(accelerations).max())
+    # Where they depend on each other and cannot hold, that is said.
+    x[compiled.n_q] = 0.4
+    with pytest.raises(fb.SimulationError):
+        compiled.accelerations(0.0, x)
+
+
+def operations(model, function="dynamics"):
+    return json.loads(fb.generate_sources(model)["manifest.json"])["operations"][function]
+
+
+def test_operations_of_a_chain_are_quadratic():
+    counts = [operations(fb.models.chain(links, closed=True)) for links in (8, 16, 32)]
+    assert counts[1] < 4 * counts[0]
+    assert counts[2] < 4 * counts[1]
+
+
+def test_operations_of_loops_are_linear():
+    counts = [operations(fb.models.n_four_bar(loops)) for loops in (5, 10, 20)]
+    assert counts[1] < 2.05 * counts[0]
+    assert counts[2] < 2.05 * counts[1]

@@ -12,7 +12,11 @@ import sympy as sm
 from systems import coordinate_free, fixed, pendulum, slider
 
 import fourbar_codegen as fb
-from fourbar_codegen.c_source import _Printer
+from fourbar_codegen.c_source import _Text
+from fourbar_codegen.convert import Conversion
+from fourbar_codegen.program import Array, Function, Result
+from fourbar_codegen.share import share
+from fourbar_codegen.tape import Tape
 
 ROOT = Path(__file__).parent.parent
 COMMITTED = ROOT / "generated" / "four_bar"
@@ -127,7 +131,14 @@ x, y, z = sm.symbols("x y z", real=True)
 def test_printed_expressions_mean_what_they_say(expr):
     # Arithmetic of doubles is written alike in C and in Python.
     values = {"x": 1.3, "y": 0.7, "z": 2.1}
-    text = _Printer({x: "x", y: "y", z: "z"}).doprint(expr)
-    value = eval(text, {**vars(math), **values})
-    assert value == pytest.approx(float(expr.subs({x: 1.3, y: 0.7, z: 2.1})), rel=1e-14)
-    assert "pow" not in str(text) or not (expr.is_Pow and expr.exp.is_Integer)
+    tape = Tape()
+    leaves = {symbol: tape.leaf("p", symbol.name) for symbol in (x, y, z)}
+    statements, [value] = share(tape, [Conversion(tape, leaves)(expr)], lambda _: False)
+    nodes = tuple(leaf.node for leaf in leaves.values())
+    arguments = (Array("p", nodes, tuple(tape.nodes[node] for node in nodes)),)
+    text = _Text(Function("f", "", arguments, statements, (Result("y", (1,), (value,)),), 0), "")
+    known = {**vars(math), **{text.names[leaf.node]: values[symbol.name] for symbol, leaf in leaves.items()}}
+    for line in text.lines:
+        known[text.names[line]] = eval(text.value(line), known)
+    assert eval(text.scalar(value), known) == pytest.approx(float(expr.subs({x: 1.3, y: 0.7, z: 2.1})), rel=1e-14)
+    assert not any("pow" in text.value(line) for line in text.lines) or not (expr.is_Pow and expr.exp.is_Integer)

@@ -10,6 +10,7 @@
  * equations that they set up. Matrices are stored row by row.
  */
 #include "four_bar_kernel.h"
+#include "fourbar_angle.h"
 
 #include <math.h>
 
@@ -102,7 +103,7 @@ static void prepare(const double *restrict p, double *restrict constants)
 static void default_inputs(double t, const double *restrict constants, double *restrict inputs)
 {
     (void)constants;
-    const double z0 = sin(3.1415926535897931*t);
+    const double z0 = fb_sin(3.1415926535897931*t);
     inputs[0] = 100.0*z0;
 }
 
@@ -137,10 +138,10 @@ static void dynamics(double t, const double *restrict x, const double *restrict 
     const double k19 = constants[19];
     const double k20 = constants[20];
     const double r_F = r[0];
-    const double z0 = sin(q1);
-    const double z1 = cos(q2);
-    const double z2 = cos(q1);
-    const double z3 = sin(q2);
+    const double z0 = fb_sin(q1);
+    const double z1 = fb_cos(q2);
+    const double z2 = fb_cos(q1);
+    const double z3 = fb_sin(q2);
     const double z4 = z0*z1 + z2*z3;
     const double z5 = l3*z4;
     const double z6 = l2*z0;
@@ -149,8 +150,8 @@ static void dynamics(double t, const double *restrict x, const double *restrict 
     const double z9 = l3*z8;
     const double z10 = l2*z2;
     const double z11 = (1.0/2.0)*z9 + z10;
-    const double z12 = cos(q3);
-    const double z13 = sin(q3);
+    const double z12 = fb_cos(q3);
+    const double z13 = fb_sin(q3);
     const double z14 = z12*z4 + z13*z8;
     const double z15 = l4*z14;
     const double z16 = z15 + z5;
@@ -224,13 +225,13 @@ static void position(double t, const double *restrict q, const double *restrict 
     const double l3 = constants[3];
     const double l4 = constants[4];
     (void)r;
-    const double z0 = cos(q1);
-    const double z1 = cos(q3);
-    const double z2 = cos(q2);
-    const double z3 = sin(q1);
-    const double z4 = sin(q2);
+    const double z0 = fb_cos(q1);
+    const double z1 = fb_cos(q3);
+    const double z2 = fb_cos(q2);
+    const double z3 = fb_sin(q1);
+    const double z4 = fb_sin(q2);
     const double z5 = z0*z2 - z3*z4;
-    const double z6 = sin(q3);
+    const double z6 = fb_sin(q3);
     const double z7 = z3*z2 + z0*z4;
     const double z8 = l4*(z1*z5 - z6*z7);
     const double z9 = z8 + l3*z5;
@@ -260,13 +261,13 @@ static void velocity(double t, const double *restrict x, const double *restrict 
     const double l3 = constants[3];
     const double l4 = constants[4];
     (void)r;
-    const double z0 = sin(q1);
-    const double z1 = cos(q3);
-    const double z2 = cos(q2);
-    const double z3 = cos(q1);
-    const double z4 = sin(q2);
+    const double z0 = fb_sin(q1);
+    const double z1 = fb_cos(q3);
+    const double z2 = fb_cos(q2);
+    const double z3 = fb_cos(q1);
+    const double z4 = fb_sin(q2);
     const double z5 = z0*z2 + z3*z4;
-    const double z6 = sin(q3);
+    const double z6 = fb_sin(q3);
     const double z7 = z3*z2 - z0*z4;
     const double z8 = l4*(z1*z5 + z6*z7);
     const double z9 = z8 + l3*z5;
@@ -308,12 +309,12 @@ static void energy(double t, const double *restrict x, const double *restrict co
     const double k25 = constants[25];
     (void)r;
     const double z0 = u1*l2;
-    const double z1 = sin(q1);
+    const double z1 = fb_sin(q1);
     const double z2 = u1 + u2;
     const double z3 = l3*z2;
-    const double z4 = cos(q2);
-    const double z5 = cos(q1);
-    const double z6 = sin(q2);
+    const double z4 = fb_cos(q2);
+    const double z5 = fb_cos(q1);
+    const double z6 = fb_sin(q2);
     const double z7 = z1*z4 + z5*z6;
     const double z8 = z3*z7;
     const double z9 = z0*z1 + (1.0/2.0)*z8;
@@ -322,8 +323,8 @@ static void energy(double t, const double *restrict x, const double *restrict co
     const double z12 = z0*z5 + (1.0/2.0)*z11;
     const double z13 = u3 + z2;
     const double z14 = l4*z13;
-    const double z15 = cos(q3);
-    const double z16 = sin(q3);
+    const double z15 = fb_cos(q3);
+    const double z16 = fb_sin(q3);
     const double z17 = z15*z7 + z16*z10;
     const double z18 = (1.0/2.0)*z8 + z9 + (1.0/2.0)*z14*z17;
     const double z19 = (1.0/2.0)*z11 + z12 + (1.0/2.0)*z14*(z15*z10 - z16*z7);

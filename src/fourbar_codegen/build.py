@@ -43,8 +43,8 @@ def get_include() -> str:
     Examples
     --------
     >>> import os
-    >>> sorted(name for name in os.listdir(get_include()) if name.endswith(".h"))
-    ['fourbar_kernel.h', 'fourbar_model.h', 'fourbar_runge_kutta.h', 'fourbar_solve.h', 'fourbar_sparse.h']
+    >>> "fourbar_kernel.h" in os.listdir(get_include())
+    True
     """
     return str(PACKAGE / "runtime")
 

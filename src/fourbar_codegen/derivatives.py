@@ -12,7 +12,7 @@ import sympy as sm
 from sympy.functions.special.delta_functions import DiracDelta
 
 from fourbar_codegen.convert import Conversion, apply
-from fourbar_codegen.tape import ONE, Call, Product, Reciprocal, Scalar, Sum, Tape, operands, placeholder
+from fourbar_codegen.tape import ONE, Call, Node, Product, Reciprocal, Scalar, Sum, Tape, operands, placeholder
 
 __all__ = ["Direction", "pull_back"]
 
@@ -52,7 +52,7 @@ class Direction:
             return tape.zero
         if isinstance(operation, Sum):
             return tape.sum([known[term] * coefficient for term, coefficient in operation.terms])
-        if isinstance(operation, Call) and isinstance(operation.expression, sm.Piecewise):
+        if isinstance(operation, Call) and _is_piecewise(operation):
             # Branch by branch: a branch that is not taken may have a derivative that is not a number.
             return _piecewise_rate(tape, operation, [known[argument] for argument in operation.arguments])
         terms = [(known[operand], partial) for operand, partial in _partials(tape, node)]
@@ -75,6 +75,10 @@ def pull_back(tape: Tape, scalars: Sequence[tuple[Scalar, Scalar]], leaves: Sequ
     """
     nodes = tape.reach([scalar for scalar, _ in scalars])
     dependent = tape.dependent(nodes, leaves)
+    if any(_is_piecewise(tape.nodes[node]) for node in dependent):
+        # Backwards, a branch that is not taken would have its derivative, which may not be a number, times zero.
+        directions = [Direction(tape, {leaf: tape.one}) for leaf in leaves]
+        return [tape.sum([weight * d(scalar) for scalar, weight in scalars]) for d in directions]
     parts: dict[int, list[Scalar]] = {}
     for scalar, weight in scalars:
         if scalar.node in dependent and weight:
@@ -90,6 +94,10 @@ def pull_back(tape: Tape, scalars: Sequence[tuple[Scalar, Scalar]], leaves: Sequ
             if operand in dependent:
                 parts.setdefault(operand, []).append(partial * adjoint)
     return [tape.sum(parts.get(leaf.node, ())) for leaf in leaves]
+
+
+def _is_piecewise(operation: Node) -> bool:
+    return isinstance(operation, Call) and isinstance(operation.expression, sm.Piecewise)
 
 
 def _partials(tape: Tape, node: int) -> list[tuple[int, Scalar]]:

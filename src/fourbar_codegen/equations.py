@@ -140,75 +140,164 @@ def form_equations(model: Model) -> Equations:
     """
     mechanism = model.mechanism
     tape = Tape()
-    time = tape.leaf("t", "")
-    q = tuple(tape.leaf("q", name) for name in model.coordinates)
-    u = tuple(tape.leaf("u", name) for name in model.speeds)
-    p = tuple(tape.leaf("p", name) for name in model.parameters)
-    r = tuple(tape.leaf("r", name) for name in model.inputs)
-    speeds = mechanism.speeds
-    aux = tuple(tape.leaf("w", number) for number in range(len(mechanism.auxiliary_speeds)))
-    a = tuple(tape.leaf("a", name) for name in model.speeds)
-    n_q, n_u = len(q), len(u)
-
-    leaves: dict[sm.Basic, Scalar] = {mechanism.time: time}
-    convert = Conversion(tape, leaves)
-    leaves.update(zip(mechanism.coordinates, q, strict=True))
-    leaves.update(zip(speeds, u, strict=True))
-    leaves.update(dict.fromkeys(mechanism.auxiliary_speeds, tape.zero))
-    leaves.update(zip(model.parameter_symbols, p, strict=True))
-    for symbol, expr in model.derived_parameters.items():
-        leaves[symbol] = convert(expr)
-    r_of = {entry.function: symbol for entry, symbol in zip(model.input_entries, r, strict=True)}
-    leaves.update(r_of)
-    q_rates = tuple(recognize(tape, solve_kinematics(tape, mechanism, leaves, u)))
+    v = _variables(tape, model)
+    leaves = _leaves(tape, model, v)
+    q_rates = tuple(recognize(tape, solve_kinematics(tape, mechanism, leaves, v.u)))
     leaves.update(zip((c.diff(mechanism.time) for c in mechanism.coordinates), q_rates, strict=True))
-    unknown = tuple(tape.leaf("n", number) for number in range(len(model.noncontributing)))
-    leaves.update(zip(model.noncontributing, unknown, strict=True))
+    leaves.update(zip(model.noncontributing, v.unknown, strict=True))
+    convert = convert_virtual = Conversion(tape, leaves)
 
     # The rate of a function of (q, u, r, t) with u held, or with u' given: of the inputs, those whose rates are inputs.
-    r_rates = {symbol: r_of[f.diff(mechanism.time)] for f, symbol in r_of.items() if f.diff(mechanism.time) in r_of}
-    held = {time: tape.one, **dict(zip(q, q_rates, strict=True)), **r_rates}
+    held = {v.time: tape.one, **dict(zip(v.q, q_rates, strict=True)), **_input_rates(model, v)}
     rate = Direction(tape, held)
-    total_rate = Direction(tape, {**held, **dict(zip(u, a, strict=True))})
+    total_rate = Direction(tape, {**held, **dict(zip(v.u, v.a, strict=True))})
 
     motion = virtual = Motion(tape, mechanism, convert, rate)
-    convert_virtual = convert
-    if aux:
-        convert_virtual = Conversion(tape, {**leaves, **dict(zip(mechanism.auxiliary_speeds, aux, strict=True))})
+    if v.aux:
+        convert_virtual = Conversion(tape, {**leaves, **dict(zip(mechanism.auxiliary_speeds, v.aux, strict=True))})
         virtual = Motion(tape, mechanism, convert_virtual, rate)
-    kane = Kane(tape, motion, virtual, u, aux, rate)
+    kane = Kane(tape, motion, virtual, v.u, v.aux, rate)
     kane.use_poisson_rates([rate, total_rate])
     mass_matrix = kane.mass_matrix()
-    forcing = kane.generalized_forces(rate)[:n_u]
-    formed = tape.reach([*q_rates, *chain(*mass_matrix), *forcing])
-    constraints = _constraints(tape, mechanism, convert, convert_virtual, u, aux, rate, formed)
-    for number, row in enumerate(constraints.jacobian, start=1):
-        if tape.depends(row, u):
-            raise ModelError(f"Velocity constraint {number} is not linear in the generalized speeds.")
-    n_c = len(constraints.velocities)
-    velocity_bias = substitute(tape, constraints.velocities, dict.fromkeys(u, tape.zero))
-    lam = tuple(tape.leaf("l", number) for number in range(n_c))
-
-    # f - M u', the rows of the auxiliary speeds last. The unknown forces, which those bring out, act through columns.
-    balance = kane.generalized_forces(total_rate)
-    columns: list[list[Scalar]] = []
-    if unknown:
-        gradients = [pull_back(tape, [(entry, tape.one)], unknown) for entry in balance]
-        columns = [list(column) for column in zip(*gradients, strict=True)]
-        balance = substitute(tape, balance, dict.fromkeys(unknown, tape.zero))
-        forcing = substitute(tape, forcing, dict.fromkeys(unknown, tape.zero))
-    if tape.depends([*chain(*mass_matrix, *columns), *balance], {*aux, *unknown}):
+    # f, and f - M u' with the rows of the auxiliary speeds last; the unknown forces, which those bring out, apart.
+    no_unknown = dict.fromkeys(v.unknown, tape.zero)
+    forcing = substitute(tape, kane.generalized_forces(rate)[: len(v.u)], no_unknown)
+    with_unknown = kane.generalized_forces(total_rate)
+    balance = substitute(tape, with_unknown, no_unknown)
+    columns = _columns(tape, with_unknown, v.unknown)
+    if tape.depends([*chain(*mass_matrix, *columns), *balance], {*v.aux, *v.unknown}):
         raise ModelError("Velocities must be linear in the auxiliary speeds, and loads in the unknown forces.")
 
+    formed = tape.reach([*q_rates, *chain(*mass_matrix), *forcing])
+    constraints = _constraints(tape, mechanism, convert, convert_virtual, v, rate, formed)
+    lam = tuple(tape.leaf("l", number) for number in range(len(constraints.velocities)))
     # f - M u' + J^T lambda; and -(J u' + gamma), the rate of the constraints for given u'.
-    reactions = pull_back(tape, list(zip(constraints.virtual_velocities, lam, strict=True)), (*u, *aux))
+    reactions = pull_back(tape, list(zip(constraints.virtual_velocities, lam, strict=True)), (*v.u, *v.aux))
     dynamic = [row + reaction for row, reaction in zip(balance, reactions, strict=True)]
     kinematic = [-total_rate(expr) for expr in constraints.velocities]
 
-    # What keeps the auxiliary speeds zero: Q = M u' - f - J^T lambda in their rows, or the forces that give it.
-    forces: tuple[Scalar, ...] | None = tuple(-row for row in dynamic[n_u:])
-    if unknown:
-        forces = _noncontributing(tape, columns, constraints, dynamic[n_u:], n_u - mechanism.n_dependent_speeds)
+    forces = _forces(tape, model, columns, constraints, dynamic[len(v.u) :])
+    # From here on the unknown forces stand for themselves no more.
+    leaves.update(zip(model.noncontributing, forces, strict=False))
+    leaves.update(zip((speed.diff(mechanism.time) for speed in mechanism.speeds), v.a, strict=True))
+    leaves.update({multiplier(number): symbol for number, symbol in enumerate(lam, start=1)})
+    convert = Conversion(tape, leaves)
+    nan = tape.number(float("nan"))
+    defaults = [nan if e.expression is None else convert(e.expression) for e in model.input_entries]
+    changing = (v.time, *v.q, *v.u, *v.r, *v.a, *lam, *v.unknown)
+    energies = [kane.kinetic_energy(), kane.potential_energy(model.potential_energy, changing)]
+
+    def gradients(rows: Sequence[Scalar], variables: Sequence[Scalar]) -> list[list[Scalar]]:
+        return [pull_back(tape, [(row, tape.one)], variables) for row in rows]
+
+    n_q, n_u, n_r = len(v.q), len(v.u), len(v.r)
+    results = [
+        _vector("outputs", [*forces, *(convert(expr) for expr in model.output_expressions.values())]),
+        _vector("coordinate_rates", q_rates),
+        _matrix("mass_matrix", mass_matrix, n_u),
+        _vector("forcing", forcing),
+        _vector("position_constraints", constraints.positions),
+        _matrix("position_jacobian", _position_jacobian(tape, constraints, v.q, q_rates, v.u), n_q),
+        _matrix("constraint_jacobian", constraints.jacobian, n_u),
+        _vector("velocity_bias", substitute(tape, constraints.velocities, dict.fromkeys(v.u, tape.zero))),
+        _vector("acceleration_bias", constraints.acceleration_bias),
+        _vector("energies", energies),
+        _vector("power", substitute(tape, [kane.power()], no_unknown)),
+        _matrix("velocity_jacobian", gradients(constraints.velocities, v.q), n_q),
+        _matrix("velocity_input_jacobian", gradients(constraints.velocities, v.r), n_r),
+        _matrix("position_input_jacobian", gradients(constraints.positions, v.r), n_r),
+    ]
+    default_inputs = _vector("inputs", defaults)
+    entries = [entry for result in (default_inputs, *results) for entry in result.entries]
+    needed = tuple(
+        leaf
+        for symbol, leaf in zip(model.parameter_symbols, v.p, strict=True)
+        if symbol in model.named_parameters or tape.depends(entries, {leaf})
+    )
+    for kind, variables in (("", (*v.q, *v.u)), ("_parameter", needed), ("_input", v.r)):
+        directions = [Direction(tape, {s: tape.one}) for s in variables]
+        for name, rows in (("coordinate_rate", q_rates), ("residual", (*dynamic[:n_u], *kinematic))):
+            columns_of_rows = [[d(row) for d in directions] for row in rows]
+            results.append(_matrix(f"{name}{kind}_jacobian", columns_of_rows, len(variables)))
+    return Equations(
+        tape=tape,
+        time=v.time,
+        coordinates=v.q,
+        speeds=v.u,
+        parameters=needed,
+        inputs=v.r,
+        accelerations=v.a,
+        multipliers=lam,
+        n_dependent_speeds=mechanism.n_dependent_speeds,
+        velocity_constraints_derived=mechanism.velocity_constraints_derived,
+        default_inputs=default_inputs,
+        **{result.name: result for result in results},
+    )
+
+
+@dataclass(frozen=True)
+class _Variables:
+    """The leaves of the tape: time, coordinates, speeds, parameters, inputs, u', auxiliary speeds, unknown forces."""
+
+    time: Scalar
+    q: tuple[Scalar, ...]
+    u: tuple[Scalar, ...]
+    p: tuple[Scalar, ...]
+    r: tuple[Scalar, ...]
+    a: tuple[Scalar, ...]
+    aux: tuple[Scalar, ...]
+    unknown: tuple[Scalar, ...]
+
+
+def _variables(tape: Tape, model: Model) -> _Variables:
+    return _Variables(
+        time=tape.leaf("t", ""),
+        q=tuple(tape.leaf("q", name) for name in model.coordinates),
+        u=tuple(tape.leaf("u", name) for name in model.speeds),
+        p=tuple(tape.leaf("p", name) for name in model.parameters),
+        r=tuple(tape.leaf("r", name) for name in model.inputs),
+        a=tuple(tape.leaf("a", name) for name in model.speeds),
+        aux=tuple(tape.leaf("w", number) for number in range(len(model.mechanism.auxiliary_speeds))),
+        unknown=tuple(tape.leaf("n", number) for number in range(len(model.noncontributing))),
+    )
+
+
+def _leaves(tape: Tape, model: Model, v: _Variables) -> dict[sm.Basic, Scalar]:
+    """What stands on the tape for the model's symbols and functions of time; auxiliary speeds are zero."""
+    mechanism = model.mechanism
+    leaves: dict[sm.Basic, Scalar] = {mechanism.time: v.time}
+    leaves.update(zip(mechanism.coordinates, v.q, strict=True))
+    leaves.update(zip(mechanism.speeds, v.u, strict=True))
+    leaves.update(dict.fromkeys(mechanism.auxiliary_speeds, tape.zero))
+    leaves.update(zip(model.parameter_symbols, v.p, strict=True))
+    for symbol, expr in model.derived_parameters.items():
+        leaves[symbol] = Conversion(tape, leaves)(expr)
+    leaves.update(zip((entry.function for entry in model.input_entries), v.r, strict=True))
+    return leaves
+
+
+def _input_rates(model: Model, v: _Variables) -> dict[Scalar, Scalar]:
+    """The rates of those inputs whose rates are inputs too."""
+    leaf_of = {entry.function: leaf for entry, leaf in zip(model.input_entries, v.r, strict=True)}
+    rates = {leaf: leaf_of.get(function.diff(model.mechanism.time)) for function, leaf in leaf_of.items()}
+    return {leaf: rate for leaf, rate in rates.items() if rate is not None}
+
+
+def _columns(tape: Tape, rows: Sequence[Scalar], unknown: Sequence[Scalar]) -> list[list[Scalar]]:
+    """The derivatives of the rows with respect to each of the unknown forces."""
+    gradients = [pull_back(tape, [(row, tape.one)], unknown) for row in rows]
+    return [[gradient[i] for gradient in gradients] for i in range(len(unknown))]
+
+
+def _forces(
+    tape: Tape, model: Model, columns: Sequence[Sequence[Scalar]], constraints: _Constraints, rest: Sequence[Scalar]
+) -> tuple[Scalar, ...]:
+    """What keeps the auxiliary speeds zero: Q = M u' - f - J^T lambda in their rows, or the forces that give it."""
+    if not model.noncontributing:
+        return tuple(-row for row in rest)
+    mechanism = model.mechanism
+    n_i = len(mechanism.speeds) - mechanism.n_dependent_speeds
+    forces = _noncontributing(tape, columns, constraints, rest, n_i)
     if forces is None:
         names = ", ".join(str(f.func) for f in model.noncontributing)
         raise ModelError(
@@ -216,62 +305,7 @@ def form_equations(model: Model) -> Equations:
             f"{', '.join(str(w.func) for w in mechanism.auxiliary_speeds)}: they do work in the motion itself, "
             "or at no auxiliary speed. Forces that are known are named in inputs=."
         )
-    # From here on they stand for themselves no more.
-    leaves.update(zip(model.noncontributing, forces, strict=False))
-    leaves.update(zip((speed.diff(mechanism.time) for speed in speeds), a, strict=True))
-    leaves.update({multiplier(number): symbol for number, symbol in enumerate(lam, start=1)})
-    convert = Conversion(tape, leaves)
-    outputs = (*forces, *(convert(expr) for expr in model.output_expressions.values()))
-
-    changing = (time, *q, *u, *r, *a, *lam, *unknown)
-    nan = tape.number(float("nan"))
-    defaults = [nan if e.expression is None else convert(e.expression) for e in model.input_entries]
-    results = {
-        "default_inputs": _vector("inputs", defaults),
-        "outputs": _vector("outputs", outputs),
-        "coordinate_rates": _vector("coordinate_rates", q_rates),
-        "mass_matrix": _matrix("mass_matrix", mass_matrix, n_u),
-        "forcing": _vector("forcing", forcing),
-        "position_constraints": _vector("position_constraints", constraints.positions),
-        "position_jacobian": _matrix("position_jacobian", _position_jacobian(tape, constraints, q, q_rates, u), n_q),
-        "constraint_jacobian": _matrix("constraint_jacobian", constraints.jacobian, n_u),
-        "velocity_bias": _vector("velocity_bias", velocity_bias),
-        "acceleration_bias": _vector("acceleration_bias", constraints.acceleration_bias),
-        "power": _vector("power", substitute(tape, [kane.power()], dict.fromkeys(unknown, tape.zero))),
-        "energies": _vector(
-            "energies", [kane.kinetic_energy(), kane.potential_energy(model.potential_energy, changing)]
-        ),
-        "velocity_jacobian": _matrix(
-            "velocity_jacobian", [pull_back(tape, [(e, tape.one)], q) for e in constraints.velocities], n_q
-        ),
-    }
-    for kind, rows in (("velocity", constraints.velocities), ("position", constraints.positions)):
-        result = f"{kind}_input_jacobian"
-        results[result] = _matrix(result, [pull_back(tape, [(e, tape.one)], r) for e in rows], len(r))
-    entries = [entry for result in results.values() for entry in result.entries]
-    needed = tuple(
-        leaf
-        for symbol, leaf in zip(model.parameter_symbols, p, strict=True)
-        if symbol in model.named_parameters or tape.depends(entries, {leaf})
-    )
-    for kind, variables in (("", (*q, *u)), ("_parameter", needed), ("_input", r)):
-        directions = [Direction(tape, {s: tape.one}) for s in variables]
-        for name, rows in (("coordinate_rate", q_rates), ("residual", (*dynamic[:n_u], *kinematic))):
-            result = f"{name}{kind}_jacobian"
-            results[result] = _matrix(result, [[d(e) for d in directions] for e in rows], len(variables))
-    return Equations(
-        tape=tape,
-        time=time,
-        coordinates=q,
-        speeds=u,
-        parameters=needed,
-        inputs=r,
-        accelerations=a,
-        multipliers=lam,
-        n_dependent_speeds=mechanism.n_dependent_speeds,
-        velocity_constraints_derived=mechanism.velocity_constraints_derived,
-        **results,
-    )
+    return forces
 
 
 @dataclass(frozen=True)
@@ -300,8 +334,7 @@ def _constraints(
     mechanism: Mechanism,
     convert: Conversion,
     convert_virtual: Conversion,
-    u: Sequence[Scalar],
-    aux: Sequence[Scalar],
+    v: _Variables,
     rate: Direction,
     formed: Sequence[int],
 ) -> _Constraints:
@@ -309,21 +342,24 @@ def _constraints(
     velocities = recognize(tape, [convert(expr) for expr in mechanism.velocity_constraints], formed)
     virtual = (
         recognize(tape, [convert_virtual(expr) for expr in mechanism.velocity_constraints], formed)
-        if aux
+        if v.aux
         else velocities
     )
     if mechanism.velocity_constraints_derived:
         # The rates of positions do not have the auxiliary speeds.
         derived = [rate(expr) for expr in positions]
         velocities, virtual = [*derived, *velocities], [*derived, *virtual]
-    gradients = [pull_back(tape, [(expr, tape.one)], (*u, *aux)) for expr in virtual]
+    gradients = [pull_back(tape, [(expr, tape.one)], (*v.u, *v.aux)) for expr in virtual]
+    for number, gradient in enumerate(gradients, start=1):
+        if tape.depends(gradient[: len(v.u)], v.u):
+            raise ModelError(f"Velocity constraint {number} is not linear in the generalized speeds.")
     return _Constraints(
         tuple(positions),
         mechanism.velocity_constraints_derived,
         tuple(velocities),
         tuple(virtual),
-        tuple(tuple(gradient[: len(u)]) for gradient in gradients),
-        tuple(tuple(gradient[len(u) :]) for gradient in gradients),
+        tuple(tuple(gradient[: len(v.u)]) for gradient in gradients),
+        tuple(tuple(gradient[len(v.u) :]) for gradient in gradients),
         tuple(rate(expr) for expr in velocities),
     )
 

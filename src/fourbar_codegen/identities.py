@@ -1,7 +1,10 @@
-"""Identities between expressions, told by their values at random points.
+"""Identities between expressions, told by their values at a random point.
 
-Functions that are not the same everywhere differ at a random point with probability one. Trigonometric identities,
-which SymPy needs minutes to prove and straight-line code does not show, are found this way in a millisecond.
+Trigonometric identities, which SymPy needs minutes to prove and straight-line code does not show, are found this way in
+a millisecond. The values are exact, integers modulo a prime of 127 bits: every angle has sine and cosine
+2 t / (1 + t^2) and (1 - t^2) / (1 + t^2) with a random t, every variable and every other function a random value.
+Rational functions that are not the same differ there but for one case in 10^30, and what holds for any value of a
+function holds whatever the function is.
 
 Source: J. T. Schwartz, "Fast probabilistic algorithms for verification of polynomial identities", *Journal of the ACM*
 27 (1980).
@@ -12,138 +15,132 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from fractions import Fraction
 
 import sympy as sm
 
 from fourbar_codegen.convert import substitute
-from fourbar_codegen.tape import ONE, Call, Leaf, Product, Reciprocal, Scalar, Sum, Tape, magnitude
+from fourbar_codegen.tape import ONE, Call, Leaf, Number, Product, Reciprocal, Scalar, Sum, Tape
 
 __all__ = ["recognize", "vanish"]
 
+PRIME = 2**127 - 1
+
 POINTS = 8
-FEWEST = 3
-EPS = 2.0**-52
-SAFETY = 100.0
-"""Differences up to so many times the bound of their rounding errors, which is one to first order, are none."""
-
-RELIABLE = 1e-6
-"""Nothing is said where that is more than this share of the terms."""
-
-ENTIRE = (sm.sin, sm.cos, sm.exp, sm.sinh, sm.cosh)
-"""Functions for which an identity that holds in some region holds everywhere."""
-
-
-def vanish(tape: Tape, scalars: Sequence[Scalar]) -> list[bool]:
-    """Whether each scalar is zero wherever the leaves are.
-
-    Where fewer than three of the points can be evaluated, nothing is said to vanish that is not the number zero.
-    """
-    return [not scalar for scalar in _recognize(tape, scalars, (), entire=False)]
+TOLERANCE = 1e-9
+MODERATE = 1e-6
 
 
 def recognize(tape: Tape, scalars: Sequence[Scalar], known: Iterable[int] = ()) -> list[Scalar]:
-    """The scalars with known nodes, or with zero, in place of nodes that have the same values or none.
+    """The scalars with known nodes, or with zero or one, in place of nodes that have the same values.
 
     Nodes are known that are given, or that come first. A constraint that was dotted out of a chain of frames, for
     example, has products of direction cosines in another order than the one in which the equations of motion need them,
     and so quadratically many of them.
     """
-    return _recognize(tape, scalars, known, entire=True)
-
-
-def _recognize(tape: Tape, scalars: Sequence[Scalar], known: Iterable[int], *, entire: bool) -> list[Scalar]:
     reached = tape.reach(scalars)
-    known = set(known)
-    nodes = sorted(known.union(reached))
-    samples = _samples(tape, nodes, entire=entire)
-    if len(samples) < FEWEST:
-        return list(scalars)
-    alike: dict[float, list[int]] = {}
+    given = set(known)
+    values = _exact_values(tape, sorted(given.union(reached)))
+    nodes = {1: ONE}
     same: dict[Scalar, Scalar] = {}
-    for node in (*sorted(known), *(node for node in reached if node not in known)):
-        operation = tape.nodes[node]
-        if isinstance(operation, Sum) and all(_cancels(operation, node, sample) for sample in samples):
-            same[Scalar(tape, 1, node)] = tape.zero
+    for node in (*sorted(given), *(node for node in reached if node not in given)):
+        value = values[node]
+        if value is None:
             continue
-        # Values that agree to more digits than these have the same key, but for one in a million.
-        candidates = alike.setdefault(float(f"{abs(samples[0].values[node]):.5e}"), [])
-        for candidate in candidates if node not in known else ():
-            sign = 1 if samples[0].values[node] * samples[0].values[candidate] > 0 else -1
-            if all(_equal(node, sign, candidate, sample) for sample in samples):
-                same[Scalar(tape, 1, node)] = Scalar(tape, sign, candidate)
-                break
-        else:
-            candidates.append(node)
+        if node not in given:
+            if not value:
+                same[Scalar(tape, 1, node)] = tape.zero
+                continue
+            for sign, other in ((1, nodes.get(value)), (-1, nodes.get(PRIME - value))):
+                if other is not None:
+                    same[Scalar(tape, 1, node)] = Scalar(tape, sign, other)
+                    break
+        nodes.setdefault(value, node)
     return substitute(tape, scalars, same)
 
 
-@dataclass(frozen=True)
-class _Sample:
-    """The nodes' values at a random point, and bounds of their rounding errors."""
-
-    values: dict[int, float]
-    errors: dict[int, float]
-
-
-def _cancels(operation: Sum, node: int, sample: _Sample) -> bool:
-    largest = max(abs(sample.values[term] * coefficient) for term, coefficient in operation.terms)
-    error = SAFETY * sample.errors[node]
-    return abs(sample.values[node]) <= error <= RELIABLE * largest
+def vanish(tape: Tape, scalars: Sequence[Scalar]) -> list[bool]:
+    """Whether each scalar is zero wherever the leaves are."""
+    nodes = tape.reach(scalars)
+    values = _exact_values(tape, nodes)
+    # Numbers such as the cosine of 0.3 make exact identities of nothing but sines and cosines inexact.
+    inexact = iter(_vanish_nearly(tape, scalars, nodes))
+    return [nearly or not scalar or values[scalar.node] == 0 for scalar, nearly in zip(scalars, inexact, strict=True)]
 
 
-def _equal(node: int, sign: int, other: int, sample: _Sample) -> bool:
-    values = sample.values
-    error = SAFETY * (sample.errors[node] + sample.errors[other])
-    return abs(values[node] - sign * values[other]) <= error <= RELIABLE * abs(values[node])
-
-
-def _samples(tape: Tape, nodes: Sequence[int], *, entire: bool) -> list[_Sample]:
-    """The nodes at random points, as far as they have values there.
-
-    Where identities are to hold everywhere, functions that are not entire are taken as independent variables.
-    """
+def _exact_values(tape: Tape, nodes: Sequence[int]) -> dict[int, int | None]:
+    """The nodes' values at a random point modulo the prime; None where there is none, or that is not known."""
     generator = random.Random(1)
-    samples = []
-    for _ in range(POINTS):
-        free: dict[Scalar, float] = {}
-        for node in nodes:
-            operation = tape.nodes[node]
-            opaque = entire and isinstance(operation, Call) and not isinstance(operation.expression, ENTIRE)
-            if isinstance(operation, Leaf) or opaque:
-                free[Scalar(tape, 1, node)] = generator.uniform(-3.0, 3.0)
-        try:
-            values = tape.evaluate_nodes(nodes, free)
-            samples.append(_Sample(values, _errors(tape, nodes, values)))
-        except (ArithmeticError, ValueError, TypeError):
-            continue  # outside of a function's range
-    return samples
-
-
-def _errors(tape: Tape, nodes: Sequence[int], values: dict[int, float]) -> dict[int, float]:
-    """Bounds of rounding errors to first order (Higham, *Accuracy and Stability*, 2nd ed. 2002, section 3.3)."""
-    errors: dict[int, float] = {ONE: 0.0}
+    angles: dict[tuple[sm.Expr, tuple[int, ...]], tuple[int, int]] = {}
+    known: dict[int, int | None] = {ONE: 1}
     for node in nodes:
-        value = values[node]
-        match tape.nodes[node]:
+        operation = tape.nodes[node]
+        value: int | None = 0
+        match operation:
             case Sum(terms):
-                errors[node] = sum([magnitude(c) * (errors[term] + EPS * abs(values[term])) for term, c in terms])
+                for term, coefficient in terms:
+                    part, factor = known[term], _residue(coefficient)
+                    value = None if value is None or part is None or factor is None else value + part * factor
             case Product(factors):
-                errors[node] = EPS * abs(value) + sum(
-                    [
-                        abs(math.prod([values[f] for f in _without(factors, i)])) * errors[f]
-                        for i, f in enumerate(factors)
-                    ]
-                )
+                value = 1
+                for factor_node in factors:
+                    part = known[factor_node]
+                    value = None if value is None or part is None else value * part % PRIME
             case Reciprocal(denominator):
-                errors[node] = value**2 * errors[denominator] + EPS * abs(value)
-            case Call(_, arguments):
-                # Functions of slopes around 1; elsewhere the bound is only a guess, and so less is found.
-                errors[node] = EPS * abs(value) + sum([errors[argument] for argument in arguments])
+                part = known[denominator]
+                value = pow(part, -1, PRIME) if part else None
+            case Call(expression, arguments) if isinstance(expression, sm.sin | sm.cos):
+                angle = (expression.args[0], arguments)
+                if angle not in angles:
+                    t = generator.randrange(PRIME)
+                    norm = pow(1 + t * t, -1, PRIME)
+                    angles[angle] = 2 * t * norm, (1 - t * t) * norm
+                value = angles[angle][isinstance(expression, sm.cos)]
+            case _:
+                value = generator.randrange(PRIME)
+        known[node] = None if value is None else value % PRIME
+    return known
+
+
+def _residue(value: Number) -> int | None:
+    if isinstance(value, int):
+        return value
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    fraction = Fraction(value)
+    return fraction.numerator * pow(fraction.denominator, -1, PRIME)
+
+
+def _vanish_nearly(tape: Tape, scalars: Sequence[Scalar], nodes: Sequence[int]) -> list[bool]:
+    """Whether scalars vanish but for rounding errors, if they are made of sines, cosines and numbers around 1."""
+    plain = _plain_nodes(tape, nodes)
+    tested = [Scalar(tape, 1, scalar.node) for scalar in scalars if scalar.node in plain]
+    leaves = [Scalar(tape, 1, node) for node in nodes if isinstance(tape.nodes[node], Leaf)]
+    generator = random.Random(1)
+    found = {scalar.node for scalar in tested}
+    for _ in range(POINTS):
+        point = {leaf: generator.uniform(-3.0, 3.0) for leaf in leaves}
+        try:
+            values = tape.evaluate(tested, point)
+        except ArithmeticError:
+            return [False] * len(scalars)
+        found -= {scalar.node for scalar, value in zip(tested, values, strict=True) if abs(value) > TOLERANCE}
+    return [scalar.node in found for scalar in scalars]
+
+
+def _plain_nodes(tape: Tape, nodes: Sequence[int]) -> set[int]:
+    plain = {ONE}
+    for node in nodes:
+        match tape.nodes[node]:
             case Leaf():
-                errors[node] = 0.0
-    return errors
-
-
-def _without(factors: tuple[int, ...], position: int) -> tuple[int, ...]:
-    return factors[:position] + factors[position + 1 :]
+                plain.add(node)
+            case Sum(terms):
+                if all(term in plain and MODERATE < abs(float(c)) < 1 / MODERATE for term, c in terms):
+                    plain.add(node)
+            case Product(factors):
+                if plain.issuperset(factors):
+                    plain.add(node)
+            case Call(expression, arguments):
+                if isinstance(expression, sm.sin | sm.cos) and plain.issuperset(arguments):
+                    plain.add(node)
+    return plain

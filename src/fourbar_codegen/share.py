@@ -227,8 +227,10 @@ class _Block:
         def replace(
             terms: list[tuple[int, Number]], key: tuple[int, int, Number], new: int
         ) -> list[tuple[int, Number]]:
-            scale = dict(terms)[key[0]]
-            return sorted((*((n, c) for n, c in terms if n not in key[:2]), (new, scale)))
+            rest = {n: c for n, c in terms if n not in key[:2]}
+            # The pair may stand in the sum as a term already.
+            rest[new] = rest.get(new, 0) + dict(terms)[key[0]]
+            return sorted((n, c) for n, c in rest.items() if c)
 
         _extract_pairs(items, keys, extract, replace)
         self.operations.update((node, Sum(tuple(terms))) for node, terms in items.items())

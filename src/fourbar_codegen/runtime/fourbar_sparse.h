@@ -33,7 +33,7 @@ enum { N_STEPS = N_U + N_C };
 /* Pivots below this share of what was subtracted from them are rounding errors. */
 #define FB_PIVOT_TOLERANCE 1e-13
 /* Constraints that depend on others must be satisfied to this share of u' and gamma, or nearly. */
-#define FB_DRIFT_TOLERANCE 1e-3
+#define FB_CONSISTENCY_TOLERANCE 1e-8
 #define FB_NEARLY 1e-12
 
 typedef struct fb_factors {
@@ -152,7 +152,7 @@ static inline int fb_solve(const double *restrict forcing, const double *restric
             sum += s->jacobian[i] * accelerations[jacobian_column[i]];
             size += fabs(s->jacobian[i] * accelerations[jacobian_column[i]]);
         }
-        if (!(fabs(sum) <= FB_DRIFT_TOLERANCE * size + FB_NEARLY))
+        if (!(fabs(sum) <= FB_CONSISTENCY_TOLERANCE * size + FB_NEARLY))
             return FB_CONSTRAINTS_DEPENDENT;
     }
     return FB_OK;

@@ -195,10 +195,11 @@ def test_potential_energy_of_gravity_in_a_tilted_frame():
 def test_names_of_all_kinds():
     names = ["lambda", "I", "in", "double", "x1", "I_{xx}", "z0", "k3", "M_PI", "EOF", "N_Q", "math_errhandling", "a'"]
     names += ["unix", "constants", "\u03b8", "a b", "a_b", "A_B", "*/ abort(); /*", '"', "\\", "new\nline", "pow", "x"]
+    names += ["fb_sin", "fb_angle_of", "target", "unknown"]
     symbols = [sm.Symbol(name) for name in names]
     values = {symbol: 1.0 + 0.1 * i for i, symbol in enumerate(symbols)}
     polynomial = sum(symbol * q**i for i, symbol in enumerate(symbols))
-    compiled = fb.compile_model(fb.Model(sliding(polynomial), parameters={m: 1.0, **values}))
+    compiled = fb.compile_model(fb.Model(sliding(polynomial + sm.sin(q)), parameters={m: 1.0, **values}))
     assert compiled.parameters == ("m", *names)
-    expected = np.polyval([*values.values()][::-1], 0.5)
+    expected = np.polyval([*values.values()][::-1], 0.5) + np.sin(0.5)
     assert compiled.rhs(0.0, [0.5, 0.0])[1] == pytest.approx(expected, rel=1e-14)

@@ -13,8 +13,8 @@ PACKAGE = Path(fourbar_codegen.__file__).parent
 RUN = ["arguments", "compiled", "initial", "linearize", "simulate", "solvers", "trajectory", "visual", "report"]
 GENERATION = [
     "model", "mechanism", "fingerprint", "tape", "numeric", "convert", "derivatives", "identities",
-    "linear", "motion", "composite", "kinematics", "kane", "equations", "share", "program", "lower", "c_source",
-    "cython_source",
+    "linear", "motion", "composite", "kinematics", "kane", "equations", "share", "program", "lower",
+    "c_expressions", "c_source", "cython_source",
 ]  # fmt: skip
 
 

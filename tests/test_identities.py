@@ -42,6 +42,8 @@ def convert():
         (sm.atan2(sm.sin(a), sm.cos(a)) - a, False),
         (sm.sqrt(a**2) - a, False),
         (sm.sin(a) ** 2 + sm.cos(b) ** 2 - 1, False),
+        (2**127 * a - a + b - b, False),
+        ((1 + sm.Integer(2) ** 127 * a) / (1 + a) - 1, False),
     ],
 )
 def test_what_vanishes(convert, expression, same):
@@ -159,6 +161,29 @@ def test_dependent_constraints_that_cannot_hold_are_refused(copies):
     x[compiled.n_q + copies :: 2] = 1.0
     with pytest.raises(fb.SimulationError):
         compiled.rhs(0.0, x)
+
+
+@pytest.mark.parametrize("copies", [1, 10])
+def test_constraints_that_are_not_finite_are_refused(copies):
+    d = sm.Symbol("d")
+    ground, origin = me.ReferenceFrame("N"), me.Point("O")
+    origin.set_vel(ground, 0)
+    system = System(ground, origin)
+    q, u = me.dynamicsymbols(f"q:{2 * copies}"), me.dynamicsymbols(f"u:{2 * copies}")
+    for number, (q_i, u_i) in enumerate(zip(q, u, strict=True)):
+        point = origin.locatenew(f"P{number}", q_i * ground.x)
+        point.set_vel(ground, u_i * ground.x)
+        system.add_bodies(me.Particle(f"particle{number}", point, 1 + number))
+        system.add_loads(me.Force(point, (3 - number) * ground.x))
+    system.add_kdes(*(u_i - q_i.diff(t) for q_i, u_i in zip(q, u, strict=True)))
+    system.add_nonholonomic_constraints(*(u[2 * i] + u[2 * i + 1] / d for i in range(copies)))
+    system.q_ind, system.u_ind, system.u_dep = q, u[::2], u[1::2]
+    compiled = fb.compile_model(fb.Model(system, name="divided", parameters={d: 1.0}))
+    x = np.zeros(compiled.n_x)
+    assert np.isfinite(compiled.rhs(0.0, x)).all()
+    for function in (compiled.rhs, compiled.accelerations, compiled.jacobian):
+        with pytest.raises(fb.SimulationError):
+            function(0.0, x, {"d": 0.0})
 
 
 def test_sine_and_cosine(tmp_path):

@@ -24,7 +24,8 @@ from fourbar_codegen.tape import ONE, Call, Leaf, Number, Product, Reciprocal, S
 
 __all__ = ["recognize", "vanish"]
 
-PRIME = 2**127 - 1
+PRIME = 0x6A09E667F3BCC908B2FB1366EA957D67
+"""The first prime behind the digits of the square root of 2: for primes such as 2**127 - 1, 2**127 would be 1."""
 
 POINTS = 8
 TOLERANCE = 1e-9
@@ -108,6 +109,8 @@ def _residue(value: Number) -> int | None:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     fraction = Fraction(value)
+    if fraction.denominator % PRIME == 0:
+        return None
     return fraction.numerator * pow(fraction.denominator, -1, PRIME)
 
 

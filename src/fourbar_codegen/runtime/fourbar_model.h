@@ -90,7 +90,7 @@ static int accelerations(double t, const double *x, const double *constants, con
     if (status != FB_OK)
         return status;
     fb_multipliers(w->mass_matrix, w->forcing, rates, &w->factors, multipliers);
-    return FB_OK;
+    return all_finite(rates, N_U) == FB_OK ? all_finite(multipliers, N_C) : FB_NOT_FINITE;
 }
 
 /* Differentiating M u' = f + J^T lambda and J u' + gamma = 0 in some direction gives equations for the change of

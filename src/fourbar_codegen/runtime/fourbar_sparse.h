@@ -63,9 +63,20 @@ static inline void fb_weigh(const double *restrict diagonal, const double *restr
     }
 }
 
+/* Whether all entries of a matrix are numbers: zero times anything else is not zero. */
+static inline int fb_finite(const double *restrict matrix, const int n)
+{
+    double sum = 0.0;
+    for (int i = 0; i < n; ++i)
+        sum += 0.0 * matrix[i];
+    return sum == 0.0;
+}
+
 static inline int fb_factor(const double *restrict mass_matrix, const double *restrict constraint_jacobian,
                             fb_factors *restrict s)
 {
+    if (!fb_finite(constraint_jacobian, N_JACOBIAN))
+        return FB_NOT_FINITE;
     double *restrict const entries = s->entries;
     double diagonal[N_U] = {0.0}, size[N_STEPS];
     for (int i = 0; i < N_STEPS + N_BELOW; ++i)

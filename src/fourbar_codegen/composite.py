@@ -15,7 +15,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from fourbar_codegen.derivatives import Direction
-from fourbar_codegen.motion import INERTIAL, Components, Motion, Rotation, add, cross, dot, multiply, scale
+from fourbar_codegen.motion import (
+    INERTIAL,
+    Components,
+    Motion,
+    Rotation,
+    add,
+    cross,
+    differentiate,
+    dot,
+    multiply,
+    scale,
+)
 from fourbar_codegen.tape import Scalar
 
 __all__ = ["CompositeBodies"]
@@ -135,7 +146,7 @@ class CompositeBodies:
         for number, frame in enumerate(frames):
             if frame.angular_velocity is None:
                 continue
-            relative = [(f, _along(along, c)) for f, c in motion.relative_angular_velocity(number)]
+            relative = [(f, differentiate(along, c)) for f, c in motion.relative_angular_velocity(number)]
             if any(any(components) for _, components in relative):
                 if turned:
                     return None
@@ -149,7 +160,7 @@ class CompositeBodies:
         branches: list[int] = []
         for point in range(len(points)):
             base, parts = motion.step(point)
-            drift = [(frame, _along(along, components)) for frame, components in parts]
+            drift = [(frame, differentiate(along, components)) for frame, components in parts]
             rigid = base is not None and self._is_rigid(point, turned, along)
             if base in moved:
                 if not rigid:
@@ -262,11 +273,6 @@ def _overlap(a: _Field, b: _Field) -> bool:
     """Whether two fields about the same anchor move something in common."""
     common = not set(a.branches).isdisjoint(b.branches) or not set(a.bodies).isdisjoint(b.bodies)
     return a.anchor == b.anchor and common
-
-
-def _along(direction: Direction, components: Components) -> Components:
-    x, y, z = components
-    return direction(x), direction(y), direction(z)
 
 
 def _matrix(rows: Sequence[Sequence[Scalar]]) -> Rotation:

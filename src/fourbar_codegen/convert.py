@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 
 import sympy as sm
 from sympy.concrete.expr_with_limits import ExprWithLimits
 
 from fourbar_codegen.errors import ModelError
-from fourbar_codegen.tape import ONE, Call, Leaf, Number, Product, Reciprocal, Scalar, Sum, Tape, placeholder
+from fourbar_codegen.tape import ONE, Call, Leaf, Node, Number, Product, Reciprocal, Scalar, Sum, Tape, placeholder
 
-__all__ = ["Conversion", "apply", "expression_of", "substitute"]
+__all__ = ["Conversion", "apply", "expression_of", "make_again", "substitute"]
 
 
 class Conversion:
@@ -109,18 +109,24 @@ def substitute(tape: Tape, scalars: Sequence[Scalar], values: Mapping[Scalar, Sc
     known[ONE] = tape.one
     for node in tape.reach(scalars, known):
         operation = tape.nodes[node]
-        match operation:
-            case Sum(terms):
-                known[node] = tape.sum([known[term] * coefficient for term, coefficient in terms])
-            case Product(factors):
-                known[node] = tape.product([known[factor] for factor in factors])
-            case Reciprocal(denominator):
-                known[node] = tape.power(known[denominator], -1)
-            case Call(expression, arguments):
-                known[node] = apply(tape, expression, [known[argument] for argument in arguments])
-            case Leaf():
-                known[node] = Scalar(tape, 1, node)
+        known[node] = (
+            Scalar(tape, 1, node) if isinstance(operation, Leaf) else make_again(tape, operation, known.__getitem__)
+        )
     return [known[scalar.node] * scalar.coefficient for scalar in scalars]
+
+
+def make_again(tape: Tape, operation: Node, value: Callable[[int], Scalar]) -> Scalar:
+    """An operation, not a leaf, on what its operands have become."""
+    match operation:
+        case Sum(terms):
+            return tape.sum([value(term) * coefficient for term, coefficient in terms])
+        case Product(factors):
+            return tape.product([value(factor) for factor in factors])
+        case Reciprocal(denominator):
+            return tape.power(value(denominator), -1)
+        case Call(expression, arguments):
+            return apply(tape, expression, [value(argument) for argument in arguments])
+    raise TypeError(f"{operation} is not an operation")
 
 
 def expression_of(value: Number) -> sm.Expr:

@@ -24,6 +24,7 @@ from fourbar_codegen.motion import (
     Vector,
     add,
     cross,
+    differentiate,
     dot,
     merged,
     multiply,
@@ -154,7 +155,7 @@ class Kane:
                         terms[r, s].append(mass * product)
             if inertia is None:
                 continue
-            turns = [_rates(d, inertia.angular_velocity) for d in along]
+            turns = [differentiate(d, inertia.angular_velocity) for d in along]
             turning = [s for s, turn in enumerate(turns) if any(turn)]
             momenta = {s: multiply(inertia.matrix, turns[s]) for s in turning}
             for i, r in enumerate(turning):
@@ -191,7 +192,7 @@ class Kane:
                 projections += zip(virtual.angular_velocity(load.place), torque, strict=True)
 
         def rate_of_part(frame: int, components: Components) -> Components:
-            return add(_rates(rate, components), cross(motion.angular_velocity(frame), components))
+            return add(differentiate(rate, components), cross(motion.angular_velocity(frame), components))
 
         accelerations = Accumulated(motion, rate_of_part)
         for body, mass, inertia in zip(self.mechanism.bodies, self._masses, self._inertias, strict=True):
@@ -202,7 +203,7 @@ class Kane:
             if inertia is not None:
                 assert body.frame is not None
                 spin = motion.angular_velocity(inertia.frame)
-                torque = add(_rates(rate, inertia.momentum), cross(spin, inertia.momentum))
+                torque = add(differentiate(rate, inertia.momentum), cross(spin, inertia.momentum))
                 virtual_velocity = virtual.angular_velocity_in(body.frame, inertia.frame)
                 projections += zip(virtual_velocity, negative(torque), strict=True)
         for point in reversed(range(len(forces))):
@@ -285,9 +286,4 @@ def _scaled(factor: Scalar, vector: Vector) -> Vector:
 
 
 def _rates_of_part(rate: Direction, _: int, components: Components) -> Components:
-    return _rates(rate, components)
-
-
-def _rates(rate: Direction, components: Components) -> Components:
-    x, y, z = components
-    return rate(x), rate(y), rate(z)
+    return differentiate(rate, components)

@@ -27,6 +27,7 @@ __all__ = [
     "Vector",
     "add",
     "cross",
+    "differentiate",
     "dot",
     "merged",
     "multiply",
@@ -67,6 +68,11 @@ def scale(factor: Scalar, a: Components) -> Components:
 def multiply(matrix: Rotation, a: Components) -> Components:
     """A matrix times a vector."""
     return _three([dot(row, a) for row in matrix])
+
+
+def differentiate(derivative: Callable[[Scalar], Scalar], a: Components) -> Components:
+    """The derivatives of components."""
+    return derivative(a[0]), derivative(a[1]), derivative(a[2])
 
 
 def negative(a: Components) -> Components:
@@ -204,7 +210,7 @@ class Motion:
         return base, parts
 
     def dot(self, a: Vector, b: Vector) -> Scalar:
-        """A . b, in the frame that both are written in or else in the inertial one."""
+        """The product a . b, in the frame that both are written in or else in the inertial one."""
         frames = {frame for frame, _ in (*a, *b)}
         frame = frames.pop() if len(frames) == 1 else INERTIAL
         return dot(self.express(a, frame), self.express(b, frame))
@@ -255,7 +261,7 @@ class Motion:
     def _rate_of_offset(self, offset: stored.Vector) -> Vector:
         parts = []
         for frame, components in self.vector(offset):
-            rates = _three([self._rate(entry) for entry in components])
+            rates = differentiate(self._rate, components)
             parts.append((frame, add(rates, cross(self.angular_velocity(frame), components))))
         return tuple(parts)
 

@@ -15,8 +15,8 @@ from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from typing import TypeVar
 
-from fourbar_codegen.convert import apply
-from fourbar_codegen.tape import ONE, Call, Leaf, Node, Number, Product, Reciprocal, Scalar, Sum, Tape, operands
+from fourbar_codegen.convert import make_again
+from fourbar_codegen.tape import ONE, Leaf, Node, Number, Product, Scalar, Sum, Tape, operands
 
 __all__ = ["Statements", "share"]
 
@@ -79,8 +79,7 @@ class _Flattening:
         self.roots = [self._multiple(root.node, root.coefficient) for root in roots]
 
     def _visit(self, node: int) -> None:
-        tape, made = self.tape, self._made
-        match tape.nodes[node]:
+        match self.tape.nodes[node]:
             case Sum(terms):
                 self._terms[node] = []
                 for term, coefficient in terms:
@@ -93,10 +92,8 @@ class _Flattening:
                 for factor in factors:
                     inner = self._factors.get(factor) if self.uses[factor] == 1 else None
                     self._factors[node] += inner or [self._value(factor)]
-            case Reciprocal(denominator):
-                made[node] = tape.power(self._value(denominator), -1)
-            case Call(expression, arguments):
-                made[node] = apply(tape, expression, [self._value(argument) for argument in arguments])
+            case operation:
+                self._made[node] = make_again(self.tape, operation, self._value)
 
     def _value(self, node: int) -> Scalar:
         """What a node becomes; a sum or product that is put into another one is not asked for."""
@@ -185,15 +182,7 @@ class _Block:
         for node, operation in self._reached(self.operations).items():
             if operation == tape.nodes[node] and made.keys().isdisjoint(operands(operation)):
                 continue
-            match operation:
-                case Sum(terms):
-                    made[node] = tape.sum([value(term) * coefficient for term, coefficient in terms])
-                case Product(factors):
-                    made[node] = tape.product([value(factor) for factor in factors])
-                case Reciprocal(denominator):
-                    made[node] = tape.power(value(denominator), -1)
-                case Call(expression, arguments):
-                    made[node] = apply(tape, expression, [value(argument) for argument in arguments])
+            made[node] = make_again(tape, operation, value)
         self.roots = [value(root.node) * root.coefficient for root in self.roots]
         self.operations = self._reached({})
 

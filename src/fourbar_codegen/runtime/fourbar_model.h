@@ -3,6 +3,7 @@
  * Included once, at the end of a generated source, which defines N_Q, N_U, ..., the functions `prepare` to
  * `output`, and FB_NAME(function), the names of the table `kernel` and of the derivatives, which stand elsewhere.
  */
+#include "fourbar_array.h"
 #include "fourbar_kernel.h"
 
 #ifdef FB_SPARSE
@@ -10,8 +11,6 @@
 #else
 #include "fourbar_solve.h"
 #endif
-
-#include <math.h>
 
 enum {
     N_X = N_Q + N_U,
@@ -62,14 +61,6 @@ static inline int solve_accelerations(double t, const double *restrict x, const 
     if (status != FB_OK)
         return status;
     return fb_solve(w->forcing, w->acceleration_bias, &w->factors, rates);
-}
-
-static inline int all_finite(const double *values, const int n)
-{
-    for (int i = 0; i < n; ++i)
-        if (!isfinite(values[i]))
-            return FB_NOT_FINITE;
-    return FB_OK;
 }
 
 static int rhs(double t, const double *x, const double *constants, const double *r, double *rates, void *work)

@@ -12,11 +12,10 @@
 #ifndef FOURBAR_SOLVE_H
 #define FOURBAR_SOLVE_H
 
+#include "fourbar_array.h"
 #include "fourbar_kernel.h"
 
 #include <math.h>
-
-#define FB_AT_LEAST_1(n) ((n) > 0 ? (n) : 1)
 
 enum { N_MASS = N_U * N_U, N_JACOBIAN = N_C * N_U };
 
@@ -277,15 +276,6 @@ static inline int fb_full_rank(const fb_factors *s)
     return N_C == 0 || s->rank == N_C;
 }
 
-/* Whether all entries of a matrix are numbers: zero times anything else is not zero. */
-static inline int fb_finite(const double *restrict matrix, const int n)
-{
-    double sum = 0.0;
-    for (int i = 0; i < n; ++i)
-        sum += 0.0 * matrix[i];
-    return sum == 0.0;
-}
-
 /* The factors of M and J, for as many right-hand sides as follow. */
 static inline int fb_factor(const double *restrict mass_matrix, const double *restrict constraint_jacobian,
                             fb_factors *restrict s)
@@ -293,7 +283,7 @@ static inline int fb_factor(const double *restrict mass_matrix, const double *re
     s->usual = FB_TRY_USUAL && fb_eliminate_usual(constraint_jacobian, s);
     if (s->usual)
         return fb_reduce(mass_matrix, s, N_C, 1);
-    if (!fb_finite(constraint_jacobian, N_C * N_U))
+    if (all_finite(constraint_jacobian, N_C * N_U) != FB_OK)
         return FB_NOT_FINITE;
     s->rank = fb_eliminate(constraint_jacobian, s);
     return fb_full_rank(s) ? fb_reduce(mass_matrix, s, N_C, 0) : fb_reduce(mass_matrix, s, fb_rank(s), 0);

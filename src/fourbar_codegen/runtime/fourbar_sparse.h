@@ -20,11 +20,10 @@
 #ifndef FOURBAR_SPARSE_H
 #define FOURBAR_SPARSE_H
 
+#include "fourbar_array.h"
 #include "fourbar_kernel.h"
 
 #include <math.h>
-
-#define FB_AT_LEAST_1(n) ((n) > 0 ? (n) : 1)
 
 enum { N_STEPS = N_U + N_C };
 
@@ -63,19 +62,10 @@ static inline void fb_weigh(const double *restrict diagonal, const double *restr
     }
 }
 
-/* Whether all entries of a matrix are numbers: zero times anything else is not zero. */
-static inline int fb_finite(const double *restrict matrix, const int n)
-{
-    double sum = 0.0;
-    for (int i = 0; i < n; ++i)
-        sum += 0.0 * matrix[i];
-    return sum == 0.0;
-}
-
 static inline int fb_factor(const double *restrict mass_matrix, const double *restrict constraint_jacobian,
                             fb_factors *restrict s)
 {
-    if (!fb_finite(constraint_jacobian, N_JACOBIAN))
+    if (all_finite(constraint_jacobian, N_JACOBIAN) != FB_OK)
         return FB_NOT_FINITE;
     double *restrict const entries = s->entries;
     double diagonal[N_U] = {0.0}, size[N_STEPS];

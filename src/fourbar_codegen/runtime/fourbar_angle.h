@@ -1,5 +1,4 @@
-/* Sine and cosine, inline, for code that needs both of many angles: with -march=native a four-bar's evaluation takes a
- * tenth less than with the C library's. The error is below 1.5 units in the last place.
+/* Sine and cosine, inline, for code that needs both of many angles. The error is below 1.5 units in the last place.
  *
  * x = n pi/2 + r with |r| <= pi/4; pi/2 is taken in three parts, of which the first two have 33 bits, so that their
  * products with n are exact (Cody and Waite, Software Manual for the Elementary Functions, 1980, chapter 8). sin r and

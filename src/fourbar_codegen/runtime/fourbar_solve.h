@@ -30,7 +30,7 @@ enum { N_MASS = N_U * N_U, N_JACOBIAN = N_C * N_U };
 #define FB_NEARLY 1e-12
 
 /* Whether the split into the speeds that the model calls dependent, which stand last there, and the others is tried
- * first: its places are known when the code is compiled, which saves a tenth of a four-bar's evaluation. */
+ * first: its places are known when the code is compiled. */
 #define FB_TRY_USUAL (N_C > 0 && N_C <= 4 && N_RANK == N_C)
 /* It is taken where its pivots are no less than this share of the largest in their row. */
 #define FB_USUAL_TOLERANCE 0.25

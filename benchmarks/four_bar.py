@@ -7,6 +7,7 @@ ratios and writes them, with the machine and the versions, as JSON.
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 import os
 import platform
@@ -17,7 +18,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from measure import circumstances, compare, evaluation, replace_in_readme, timed
+from measure import (
+    circumstances,
+    compare,
+    evaluation,
+    evaluation_inside_c,
+    floating_point_operations,
+    replace_in_readme,
+    timed,
+)
 from scipy.integrate import solve_ivp
 from tutorial import Floats, tutorial_four_bar
 
@@ -25,22 +34,6 @@ import fourbar_codegen as fb
 
 ROOT = Path(__file__).parent.parent
 ROUNDS = 15
-
-
-def evaluation_inside_c(flags: list[str], t: float, x: Floats, p: list[float]) -> Callable[[], float]:
-    """A measure of the kernel called in a loop by a C program."""
-    folder = Path(tempfile.mkdtemp())
-    program = folder / "inside_c"
-    sources = ROOT / "generated" / "four_bar"
-    command = [os.environ.get("CC", "cc"), "-O3", "-fno-tree-vectorize", *flags, "-D_POSIX_C_SOURCE=199309L"]
-    command += ["-I", fb.get_include(), "-I", str(sources), str(ROOT / "benchmarks" / "inside_c.c")]
-    subprocess.run([*command, *map(str, sources.glob("*.c")), "-o", str(program), "-lm"], check=True)
-    arguments = [str(program), "200000", repr(t), *(repr(float(value)) for value in (*x, *p))]
-
-    def measure() -> float:
-        return float(subprocess.run(arguments, check=True, capture_output=True, text=True).stdout.split()[0])
-
-    return measure
 
 
 TUTORIAL_PROCESS = """
@@ -121,7 +114,7 @@ def main() -> None:
     ode = four_bar.ode()
     rows: list[dict[str, object]] = []
 
-    def row(name: str, unit: str, target: float | None, slow: Callable[[], float], *fast: Callable[[], float]) -> None:
+    def row(name: str, unit: str, target: float | None, slow: Callable[[], float], *fast: Callable[[], float]) -> float:
         scale = {"us": 1e6, "ms": 1e3, "s": 1.0}[unit]
         medians = compare(slow, *fast, rounds=options.rounds if unit != "s" else max(3, options.rounds // 3))
         ratio = medians[0] / medians[1] if fast else None
@@ -132,6 +125,7 @@ def main() -> None:
         left = f"{medians[0] * scale:10.4f}" if fast else " " * 10
         right = f"{ratio:8.1f}" if ratio else " " * 8
         print(f"{name:<48} {left} {medians[-1] * scale:10.4f} {unit:<3} {right}   {target or ''}", flush=True)
+        return medians[-1]
 
     def solve(function: Callable[[float, Floats], Floats], **how: object) -> Callable[[], float]:
         return lambda: timed(lambda: solve_ivp(function, (0, 4), x0, **how))
@@ -141,10 +135,14 @@ def main() -> None:
     one = evaluation(tutorial.rhs, x0, 500)
     row("evaluation from Python, CompiledModel.rhs(t, x)", "us", 80, one, evaluation(four_bar.rhs, x0, 5000))
     row("evaluation from Python, ode()(t, x)", "us", 80, one, evaluation(ode, x0, 5000))
-    p = list(tutorial.p_values)
-    row("evaluation inside C, as in the wheel", "us", 200, one, evaluation_inside_c([], 0.5, x0, p))
-    if platform.machine() == "x86_64":
-        row("evaluation inside C, -march=native", "us", 200, one, evaluation_inside_c(["-march=native"], 0.5, x0, p))
+    sources = {path.name: path.read_text() for path in (ROOT / "generated" / "four_bar").glob("*.[ch]")}
+    inside = functools.partial(evaluation_inside_c, "four_bar", sources, t=0.5, x=x0, p=tutorial.p_values)
+    row("evaluation inside C, as in the wheel", "us", 200, one, inside(function="rhs", flags=[]))
+    native = ["-march=native"] if platform.machine() == "x86_64" else []
+    row("evaluation inside C, for this machine", "us", 200, one, inside(function="rhs", flags=native))
+    forming = row("forming q', M, f, J, gamma inside C", "us", None, inside(function="dynamics", flags=native))
+    executed = floating_point_operations(sources["four_bar_kernel.c"], four_bar.manifest["operations"]["dynamics"])
+    print(f"{'the same per floating-point operation':<48} {'':>10} {1e9 * forming / executed:10.4f} ns")
     row("solve_ivp, 4 s, default RK45, steps in C", "ms", 7,
         solve(tutorial.rhs), solve(ode, method=fb.solvers.RK45))  # fmt: skip
     row("solve_ivp, 4 s, DOP853 at 1e-10, steps in C", "ms", None,

@@ -1,8 +1,9 @@
-/* Time of one evaluation inside C: arguments N, T, the state, the parameters; prints seconds per evaluation. */
-#include "four_bar_kernel.h"
-
+/* Time of one evaluation inside C. KERNEL is the kernel's name, whose header comes before this file.
+ * Arguments: rhs or dynamics (forming the equations alone), N, T, the state, the parameters; prints seconds.
+ */
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 #include <time.h>
 
 static double seconds(void)
@@ -12,22 +13,27 @@ static double seconds(void)
     return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
 }
 
+static double *doubles(int n)
+{
+    return calloc((size_t)(n + 1), sizeof(double));
+}
+
 int main(int argc, char **argv)
 {
-    const fb_kernel *k = &four_bar_kernel;
+    const fb_kernel *k = &KERNEL;
     const int n_x = k->n_q + k->n_u;
-    if (argc != 3 + n_x + k->n_p)
+    if (argc != 4 + n_x + k->n_p)
         return 2;
-    const int n = atoi(argv[1]);
-    const double t = atof(argv[2]);
-    double *x = malloc((size_t)n_x * sizeof(double)), *rates = malloc((size_t)n_x * sizeof(double)), sum = 0.0;
-    double *p = malloc((size_t)(k->n_p + 1) * sizeof(double)), *r = malloc((size_t)(k->n_r + 1) * sizeof(double));
-    double *constants = malloc((size_t)k->n_constants * sizeof(double));
+    const int forming = strcmp(argv[1], "dynamics") == 0, n = atoi(argv[2]);
+    const double t = atof(argv[3]);
+    double *x = doubles(n_x), *p = doubles(k->n_p), *r = doubles(k->n_r), *constants = doubles(k->n_constants);
+    double *rates = doubles(n_x), *mass_matrix = doubles(k->n_u * k->n_u), *forcing = doubles(k->n_u);
+    double *constraint_jacobian = doubles(k->n_c * k->n_u), *acceleration_bias = doubles(k->n_c), sum = 0.0;
     void *work = malloc(k->work_size);
     for (int i = 0; i < n_x; ++i)
-        x[i] = atof(argv[3 + i]);
+        x[i] = atof(argv[4 + i]);
     for (int i = 0; i < k->n_p; ++i)
-        p[i] = atof(argv[3 + n_x + i]);
+        p[i] = atof(argv[4 + n_x + i]);
     k->prepare(p, constants);
     const double begin = seconds();
     for (int i = 0; i < n; ++i) {
@@ -35,16 +41,20 @@ int main(int argc, char **argv)
         const double shift = 1e-9 * i;
         x[0] += 1e-12;
         k->default_inputs(t + shift, constants, r);
-        k->rhs(t + shift, x, constants, r, rates, work);
-        sum += rates[n_x - 1];
+        if (forming) {
+            k->dynamics(t + shift, x, constants, r, rates, mass_matrix, forcing, constraint_jacobian,
+                        acceleration_bias);
+            sum += forcing[0];
+        } else {
+            k->rhs(t + shift, x, constants, r, rates, work);
+            sum += rates[n_x - 1];
+        }
     }
     const double end = seconds();
     printf("%.17g %.17g\n", (end - begin) / n, sum);
-    free(x);
-    free(rates);
-    free(p);
-    free(r);
-    free(constants);
+    double *all[] = {x, p, r, constants, rates, mass_matrix, forcing, constraint_jacobian, acceleration_bias};
+    for (size_t i = 0; i < sizeof all / sizeof *all; ++i)
+        free(all[i]);
     free(work);
     return 0;
 }

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import os
 import platform
+import re
 import statistics
+import subprocess
+import tempfile
 import time
 import timeit
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import date
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
+
+import fourbar_codegen as fb
 
 README = Path(__file__).parent.parent / "README.md"
 
@@ -27,6 +32,39 @@ def evaluation(function: Callable[[float, Any], object], x: Any, number: int) ->
     """A measure of one evaluation, called as an integrator written in Python calls it."""
     timer = timeit.Timer("function(0.5, x)", globals={"function": function, "x": x})
     return lambda: timer.timeit(number) / number
+
+
+def evaluation_inside_c(
+    name: str,
+    sources: Mapping[str, str],
+    function: str,
+    t: float,
+    x: Iterable[float],
+    p: Iterable[float],
+    flags: Sequence[str],
+) -> Callable[[], float]:
+    """A measure of a model's kernel called in a loop by a C program: `rhs`, or `dynamics`, forming alone."""
+    folder = Path(tempfile.mkdtemp())
+    for file, text in sources.items():
+        (folder / file).write_text(text)
+    program = folder / "inside_c"
+    command = [os.environ.get("CC", "cc"), "-O3", "-fno-tree-vectorize", *flags, "-D_POSIX_C_SOURCE=199309L"]
+    command += ["-I", fb.get_include(), "-I", str(folder), f"-DKERNEL={name}_kernel"]
+    command += ["-include", f"{name}_kernel.h", str(Path(__file__).parent / "inside_c.c")]
+    subprocess.run([*command, *map(str, folder.glob("*.c")), "-o", str(program), "-lm"], check=True)
+    arguments = [str(program), function, "200000", repr(t), *(repr(float(value)) for value in (*x, *p))]
+
+    def measure() -> float:
+        return float(subprocess.run(arguments, check=True, capture_output=True, text=True).stdout.split()[0])
+
+    return measure
+
+
+def floating_point_operations(kernel: str, counted: int) -> int:
+    """Operations of `dynamics` with each sine and cosine as what fourbar_sine.h needs: 44 for both."""
+    functions = re.findall(r"^static [^\n]*\bdynamics(?:_\d+)?\(.*?^}$", kernel, flags=re.DOTALL | re.MULTILINE)
+    sines = len(re.findall(r"\b(?:sin\[|cos\[|fb_sin\(|fb_cos\()", "".join(functions)))
+    return counted + 21 * sines
 
 
 def compare(*measures: Callable[[], float], rounds: int) -> list[float]:

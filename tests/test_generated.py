@@ -136,7 +136,7 @@ def test_printed_expressions_mean_what_they_say(expr):
     statements, [value] = share(tape, [Conversion(tape, leaves)(expr)], lambda _: False)
     nodes = tuple(leaf.node for leaf in leaves.values())
     arguments = (Array("p", nodes, tuple(tape.nodes[node] for node in nodes)),)
-    text = Text(Function("f", "", arguments, statements, (Result("y", (1,), (value,)),), 0), "")
+    text = Text(Function("f", "", arguments, statements, (Result("y", (1,), (value,)),), 0), inline_angles=False)
     known = {**vars(math), **{text.names[leaf.node]: values[symbol.name] for symbol, leaf in leaves.items()}}
     for line in text.lines:
         known[text.names[line]] = eval(text.value(line), known)

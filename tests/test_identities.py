@@ -186,14 +186,39 @@ def test_constraints_that_are_not_finite_are_refused(copies):
             function(0.0, x, {"d": 0.0})
 
 
-def test_sine_and_cosine(tmp_path):
+ONE = "{ s[i] = fb_sin(x[i]); c[i] = fb_cos(x[i]); }"
+FOUR = """{
+        /* each angle in another place of the four, beside others */
+        const double a = x[(i + 1) % n], b = i % 7 ? 0.5 : 1e300;
+        const fb_angles angles = i % 4 == 0   ? fb_angles_of(x[i], a, b, a)
+                                 : i % 4 == 1 ? fb_angles_of(b, x[i], a, a)
+                                 : i % 4 == 2 ? fb_angles_of(a, b, x[i], b)
+                                              : fb_angles_of(a, a, b, x[i]);
+        s[i] = angles.sin[i % 4];
+        c[i] = angles.cos[i % 4];
+    }"""
+
+
+@pytest.mark.parametrize("loop", [ONE, FOUR], ids=["one", "four"])
+@pytest.mark.parametrize("flags", [[], ["-march=native"]], ids=["portable", "native"])
+def test_sine_and_cosine(tmp_path, loop, flags):
     (tmp_path / "angle.c").write_text(
         '#include "fourbar_angle.h"\n'
-        "void angles(const double *x, double *s, double *c, int n)\n"
-        "{\n    for (int i = 0; i < n; ++i) {\n        s[i] = fb_sin(x[i]);\n        c[i] = fb_cos(x[i]);\n    }\n}\n"
+        f"void angles(const double *x, double *s, double *c, int n)\n{{\n    for (int i = 0; i < n; ++i) {loop}\n}}\n"
     )
     library = tmp_path / "angle.so"
-    command = ["cc", "-O2", "-shared", "-fPIC", "-I", fb.get_include(), str(tmp_path / "angle.c"), "-o", str(library)]
+    command = [
+        "cc",
+        "-O2",
+        *flags,
+        "-shared",
+        "-fPIC",
+        "-I",
+        fb.get_include(),
+        str(tmp_path / "angle.c"),
+        "-o",
+        str(library),
+    ]
     subprocess.run([*command, "-lm"], check=True)
     function = ctypes.CDLL(str(library)).angles
     array = np.ctypeslib.ndpointer(float)

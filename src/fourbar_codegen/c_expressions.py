@@ -32,13 +32,16 @@ from fourbar_codegen.tape import (
     placeholder,
 )
 
-__all__ = ["CARRIED", "Text"]
+__all__ = ["ANGLES", "CARRIED", "Text"]
 
 INLINED = 8
 """Operands of the longest expression that stands in another one, instead of on a line of its own."""
 
 CARRIED = "carried"
 """The array through which the parts of a longer function hand on values."""
+
+ANGLES = "angles"
+"""What the sines and cosines that are evaluated side by side are called, with a number behind."""
 
 RESERVED = frozenset(
     # C keywords, the macros of <math.h>, and those that compilers define for their system
@@ -61,8 +64,8 @@ class Text:
     Parameters
     ----------
     function : Function
-    angles : str
-        What stands before the names of sine and cosine.
+    inline_angles : bool
+        Whether sine and cosine are those of fourbar_angle.h, or the library's.
 
     Attributes
     ----------
@@ -72,8 +75,8 @@ class Text:
         The latter nodes, in order of evaluation.
     """
 
-    def __init__(self, function: Function, angles: str) -> None:
-        self.angles = angles
+    def __init__(self, function: Function, *, inline_angles: bool) -> None:
+        self.inline_angles = inline_angles
         self.operations = dict(function.statements)
         self.names = _argument_names(function)
         uses = Counter(operand for operation in self.operations.values() for operand in operands(operation))
@@ -103,6 +106,15 @@ class Text:
     def referred_by(self, line: int) -> set[int]:
         """The nodes that a line names on its right-hand side."""
         return {name for operand in operands(self.operations[line]) for name in self.referred(operand)}
+
+    def angle(self, line: int) -> tuple[str, int] | None:
+        """The function and the argument of a line that is an inline sine or cosine."""
+        operation = self.operations[line]
+        if not self.inline_angles or not isinstance(operation, Call):
+            return None
+        function = operation.expression
+        inline = isinstance(function, (sm.sin, sm.cos)) and function.args[0].is_Symbol
+        return (str(function.func), operation.arguments[0]) if inline else None
 
     def value(self, line: int) -> str:
         """The right-hand side of a line."""
@@ -148,7 +160,7 @@ class Text:
                 return f"1.0/{self._below(operation.node)}", False
             case Call(expression, arguments):
                 names = {placeholder(i): self._node(argument)[0] for i, argument in enumerate(arguments)}
-                return _print(_Printer(names, self.angles), expression), False
+                return _print(_Printer(names, "fb_" if self.inline_angles else ""), expression), False
         raise TypeError(f"{operation} has no text")
 
     def _term(self, number: Number, node: int) -> str:
@@ -250,7 +262,7 @@ def _argument_names(function: Function) -> dict[int, str]:
             elif kind == "l":
                 name = f"lambda{name}"
             identifier = re.sub(r"\W", "_", name, flags=re.ASCII)
-            if not re.match(r"[A-Za-z]", identifier) or re.fullmatch(r"z\d+|[A-Z0-9_]+|fb_\w*", identifier):
+            if not re.match(r"[A-Za-z]", identifier) or re.fullmatch(rf"(z|{ANGLES})\d+|[A-Z0-9_]+|fb_\w*", identifier):
                 # Leading digits and underscores; the temporaries' names; macros, which are written in capitals; the
                 # runtime's functions.
                 identifier = f"{kind}_{identifier}"

@@ -1,9 +1,5 @@
-/* Sine and cosine, inline, for code that needs both of many angles. The error is below 1.5 units in the last place.
- *
- * x = n pi/2 + r with |r| <= pi/4; pi/2 is taken in three parts, of which the first two have 33 bits, so that their
- * products with n are exact (Cody and Waite, Software Manual for the Elementary Functions, 1980, chapter 8). sin r and
- * cos r are polynomials that interpolate at Chebyshev points, within 2e-17. Where n has more than 20 bits, or x is not
- * finite, the library takes over.
+/* Sine and cosine, inline, for code that needs both of many angles: fourbar_sine.h for one angle, and for four of them
+ * side by side in vectors as long as the machine's. Where an angle is large or not finite, the library takes over.
  */
 #ifndef FOURBAR_ANGLE_H
 #define FOURBAR_ANGLE_H
@@ -12,61 +8,81 @@
 #include <stdint.h>
 #include <string.h>
 
+#if defined(__GNUC__)
+#define FB_INLINE inline __attribute__((always_inline))
+#else
+#define FB_INLINE inline
+#endif
+
 #define FB_LARGEST_ANGLE 1e6
 
-typedef struct fb_angle {
-    double sin, cos;
-} fb_angle;
+#define FB_REAL double
+#define FB_BITS uint64_t
+#define FB_SINE fb_sine_1
+#include "fourbar_sine.h"
 
-static inline uint64_t fb_bits(const double value)
+#ifdef __GNUC__
+#ifdef __AVX__
+#define FB_LANES 4
+#else
+#define FB_LANES 2
+#endif
+typedef double fb_lanes __attribute__((vector_size(FB_LANES * sizeof(double))));
+typedef uint64_t fb_lane_bits __attribute__((vector_size(FB_LANES * sizeof(uint64_t))));
+#define FB_REAL fb_lanes
+#define FB_BITS fb_lane_bits
+#define FB_SINE fb_sine_lanes
+#include "fourbar_sine.h"
+#else
+#define FB_LANES 1
+#endif
+
+static FB_INLINE double fb_sin(const double x)
 {
-    uint64_t bits;
-    memcpy(&bits, &value, sizeof bits);
-    return bits;
+    double s, c;
+    fb_sine_1(&x, &s, &c);
+    return fabs(x) < FB_LARGEST_ANGLE ? s : sin(x);
 }
 
-static inline double fb_double(const uint64_t bits)
+static FB_INLINE double fb_cos(const double x)
 {
-    double value;
-    memcpy(&value, &bits, sizeof value);
-    return value;
+    double s, c;
+    fb_sine_1(&x, &s, &c);
+    return fabs(x) < FB_LARGEST_ANGLE ? c : cos(x);
 }
 
-static inline fb_angle fb_angle_of(const double x)
+typedef struct fb_angles {
+    double sin[4], cos[4];
+} fb_angles;
+
+static FB_INLINE fb_angles fb_angles_of(const double x0, const double x1, const double x2, const double x3)
 {
-    /* Adding 1.5 * 2^52 rounds to the nearest integer n, and leaves it in the last bits. */
-    const double shifted = x * 0x1.45f306dc9c883p-1 + 0x1.8p52;
-    const double n = shifted - 0x1.8p52;
-    const double high = x - n * 0x1.921fb544p+0, middle = n * 0x1.0b4611a6p-34, near = high - middle;
-    const double r = near + (((high - near) - middle) - n * 0x1.3198a2e037073p-69);
-    const double z = r * r, zz = z * z;
-    const double p = (-0x1.5555555555555p-3 + z * 0x1.1111111110babp-7)
-                     + zz * ((-0x1.a01a019e820acp-13 + z * 0x1.71de37946eb45p-19)
-                             + zz * (-0x1.ae6008d0f0520p-26 + z * 0x1.5e0a4fb47ace3p-33));
-    const double q = (0x1.5555555555555p-5 + z * -0x1.6c16c16c16963p-10)
-                     + zz * ((0x1.a01a019f4ddfdp-16 + z * -0x1.27e4fa16cc1bcp-22)
-                             + zz * (0x1.1eeb67d014ecep-29 + z * -0x1.907cd8f26aa3fp-37));
-    const double half = 0.5 * z, above = 1.0 - half;
-    const uint64_t s = fb_bits(r + r * z * p), c = fb_bits(above + (((1.0 - above) - half) + zz * q));
-    /* In every other quadrant both change places; in two of four each changes its sign. */
-    const uint64_t quadrant = fb_bits(shifted), change = (s ^ c) & (UINT64_C(0) - (quadrant & 1));
-    fb_angle angle = {fb_double((s ^ change) ^ ((quadrant & 2) << 62)),
-                      fb_double((c ^ change) ^ (((quadrant + 1) & 2) << 62))};
-    if (!(fabs(x) < FB_LARGEST_ANGLE)) {
-        angle.sin = sin(x);
-        angle.cos = cos(x);
+    /* Entry by entry: compilers keep these in registers. */
+#if FB_LANES == 4
+    const fb_lanes x = {x0, x1, x2, x3};
+    fb_lanes s, c;
+    fb_sine_lanes(&x, &s, &c);
+    fb_angles angles = {{s[0], s[1], s[2], s[3]}, {c[0], c[1], c[2], c[3]}};
+#elif FB_LANES == 2
+    const fb_lanes x = {x0, x1}, y = {x2, x3};
+    fb_lanes s, c, sy, cy;
+    fb_sine_lanes(&x, &s, &c);
+    fb_sine_lanes(&y, &sy, &cy);
+    fb_angles angles = {{s[0], s[1], sy[0], sy[1]}, {c[0], c[1], cy[0], cy[1]}};
+#else
+    fb_angles angles;
+    fb_sine_1(&x0, angles.sin, angles.cos);
+    fb_sine_1(&x1, angles.sin + 1, angles.cos + 1);
+    fb_sine_1(&x2, angles.sin + 2, angles.cos + 2);
+    fb_sine_1(&x3, angles.sin + 3, angles.cos + 3);
+#endif
+    /* One comparison for the four; not true either where one is not a number. */
+    if (!(x0 * x0 + x1 * x1 + x2 * x2 + x3 * x3 < FB_LARGEST_ANGLE * FB_LARGEST_ANGLE)) {
+        const fb_angles each = {{fb_sin(x0), fb_sin(x1), fb_sin(x2), fb_sin(x3)},
+                                {fb_cos(x0), fb_cos(x1), fb_cos(x2), fb_cos(x3)}};
+        return each;
     }
-    return angle;
-}
-
-static inline double fb_sin(const double x)
-{
-    return fb_angle_of(x).sin;
-}
-
-static inline double fb_cos(const double x)
-{
-    return fb_angle_of(x).cos;
+    return angles;
 }
 
 #endif

@@ -128,7 +128,8 @@ static inline int fb_column(const fb_factors *restrict s, const int usual, const
     return usual ? (i < N_RANK ? N_U - N_RANK + i : i - N_RANK) : s->column[i];
 }
 
-/* S J Q = L [U_d U_i] with the model's own split; returns whether that is a good one. */
+/* J Q = L [U_d U_i] with the model's own split; returns whether that is a good one. With the rows in their order, and
+ * each pivot compared with its own row, no scaling is needed. */
 static inline int fb_eliminate_usual(const double *restrict jacobian, fb_factors *restrict s)
 {
     double lu[FB_AT_LEAST_1(N_C)][N_U], size[FB_AT_LEAST_1(N_C)], largest = 0.0;
@@ -141,12 +142,12 @@ static inline int fb_eliminate_usual(const double *restrict jacobian, fb_factors
     for (int i = 0; i < N_C; ++i) {
         if (!(size[i] > FB_NEAR_DEPENDENCE * largest))
             return 0;
-        s->scale[i] = 1.0 / size[i];
+        s->scale[i] = 1.0;
         for (int j = 0; j < N_U; ++j)
-            lu[i][j] = s->scale[i] * jacobian[i * N_U + fb_column(s, 1, j)];
+            lu[i][j] = jacobian[i * N_U + fb_column(s, 1, j)];
     }
     for (int k = 0; k < N_C; ++k) {
-        double pivot = FB_NEAR_DEPENDENCE;
+        double pivot = FB_NEAR_DEPENDENCE * size[k];
         for (int j = k; j < N_U; ++j)
             pivot = fb_max(pivot, fabs(lu[k][j]));
         if (!(fabs(lu[k][k]) > FB_USUAL_TOLERANCE * pivot))

@@ -87,6 +87,12 @@ SYSTEMS = {
     "clipped": lambda: sliding(k * sm.Min(sm.Max(q, -sm.S.Half), sm.S.Half)),
     "contact": lambda: sliding(sm.Piecewise((1000 * (-q) ** sm.Rational(3, 2), q < 0), (0, True)) - g),
     "two branches with one condition": lambda: sliding(sm.Piecewise((k * q**2, q > 0), (q, True)) * sm.sign(q)),
+    "sines of sines": lambda: sliding(
+        sm.sin(q + sm.cos(u))
+        + k * sm.cos(2 * q - k * t) * sm.sin(sm.sin(q) * k)
+        + sm.cos(q * u) * sm.cos(k)
+        + sm.sin(u)
+    ),
     "Mod": lambda: sliding(sm.Mod(q, 2) + sm.Mod(t, k)),
     "friction": lambda: sliding(-k * sm.Abs(u) ** 1.8 * sm.sign(u)),
     "table by a spline": lambda: sliding(-k * sm.interpolating_spline(3, q, [-2, -1, 0, 1, 2], [3, 1, 0, 2, 1])),

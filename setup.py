@@ -20,7 +20,8 @@ def extension(name: str, sources: list[Path | str], folder: Path | str) -> Exten
         include_dirs=[str(folder), RUNTIME, np.get_include()],
         depends=[str(path) for path in sorted(Path(RUNTIME).glob("*.h"))],
         define_macros=MACROS,
-        extra_compile_args=["-O3", "-fno-tree-vectorize", "-g0"],
+        # Behind the user's CFLAGS: what is not a number has to be noticed, and roundings are part of the method.
+        extra_compile_args=["-O3", "-fno-tree-vectorize", "-g0", "-fno-fast-math", "-fno-finite-math-only"],
     )
 
 

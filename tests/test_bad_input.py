@@ -307,3 +307,24 @@ def test_series_are_read_by_their_index(four_bar):
     values = dict(reversed(four_bar.defaults.items()))
     np.testing.assert_array_equal(four_bar.rhs(0.0, X, Series(values)), four_bar.rhs(0.0, X))
     assert four_bar.simulate((0.0, 0.1), method="Radau", inputs=Series({"F": 1.0})).success
+
+
+@pytest.mark.parametrize("loops", [1, 4])
+@pytest.mark.parametrize("unit", [1e-13, 1e-14])
+def test_a_constraint_in_units_far_from_another_is_refused_and_not_dropped(loops, unit):
+    # Closed chains with one loop constraint in another unit: one for the dense solve, a row of them for the sparse one.
+    row = fb.models.n_four_bar(loops)
+    system, scale = row.system, sm.Symbol("scale")
+    first, *others = system.holonomic_constraints
+    scaled = System(system.frame, system.fixed_point)
+    scaled.add_bodies(*system.bodies)
+    scaled.add_loads(*system.loads)
+    scaled.q_ind, scaled.q_dep, scaled.u_ind, scaled.u_dep = system.q_ind, system.q_dep, system.u_ind, system.u_dep
+    scaled.add_kdes(*system.kdes)
+    scaled.add_holonomic_constraints(scale * first, *others)
+    compiled = fb.compile_model(fb.Model(scaled, name="scaled", parameters={**row.parameter_symbols, scale: 1.0}))
+    x = np.linspace(0.3, 1.1, compiled.n_x)
+    expected = compiled.rhs(0.0, x)
+    np.testing.assert_allclose(compiled.rhs(0.0, x, {"scale": 1e-6}), expected, rtol=1e-9)
+    with pytest.raises(fb.SimulationError, match="units of like size"):
+        compiled.rhs(0.0, x, {"scale": unit})

@@ -477,7 +477,8 @@ cdef class Evaluator:
         cdef const double *constants = self._prepare(parameters)
         cdef const double *filled = self._fill(t, constants, inputs)
         cdef fb_sensitivity *functions[3]
-        cdef int i, columns[3]
+        cdef int i
+        cdef int columns[3]
         functions[0], columns[0] = self.kernel.sensitivity, self.n_x
         functions[1], columns[1] = self.kernel.parameter_sensitivity, self.n_p
         functions[2], columns[2] = self.kernel.input_sensitivity, self.n_r
@@ -546,7 +547,8 @@ def failure(int status, double t, x):
     if status == FB_CONSTRAINTS_DEPENDENT:
         return (
             f"The mechanism is in a singular position {where}: the constraints' Jacobian has lost rank, and no "
-            "acceleration satisfies them all."
+            "acceleration satisfies them all. (Or one constraint is smaller than another by the precision of double: "
+            "then give them units of like size.)"
         )
     if status == FB_MASS_SINGULAR:
         return (

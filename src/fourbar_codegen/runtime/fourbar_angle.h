@@ -4,6 +4,7 @@
 #ifndef FOURBAR_ANGLE_H
 #define FOURBAR_ANGLE_H
 
+#include <float.h>
 #include <math.h>
 #include <stdint.h>
 #include <string.h>
@@ -16,12 +17,21 @@
 
 #define FB_LARGEST_ANGLE 1e6
 
+#if FLT_EVAL_METHOD == 0
 #define FB_REAL double
 #define FB_BITS uint64_t
 #define FB_SINE fb_sine_1
 #include "fourbar_sine.h"
+#else
+/* Where intermediate results have more digits than double, it cannot be told how they are rounded. */
+static FB_INLINE void fb_sine_1(const double *restrict angle, double *restrict sine, double *restrict cosine)
+{
+    *sine = sin(*angle);
+    *cosine = cos(*angle);
+}
+#endif
 
-#ifdef __GNUC__
+#if defined(__GNUC__) && FLT_EVAL_METHOD == 0
 #ifdef __AVX__
 #define FB_LANES 4
 #else

@@ -8,6 +8,10 @@
 
 #define FB_AT_LEAST_1(n) ((n) > 0 ? (n) : 1)
 
+/* Of the largest row of J: what a row of zeros may be off by. A row between this and where rows count is refused rather
+ * than dropped, since it may be one in other units: constraints need units of like size. */
+#define FB_ROW_OF_ZEROS 4e-15
+
 static inline int all_finite(const double *values, const int n)
 {
     for (int i = 0; i < n; ++i)

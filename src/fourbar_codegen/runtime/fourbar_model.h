@@ -95,15 +95,15 @@ static int differentiate(fb_sensitivity *function, const int n, double t, const 
         return status;
     function(t, x, constants, r, w->accelerations, w->multipliers, matrix, w->residual_jacobian);
     for (int j = 0; j < n; ++j) {
-        double column[N_U];
+        double solution[N_U];
         for (int i = 0; i < N_U; ++i)
             w->forcing[i] = w->residual_jacobian[i * n + j];
         for (int i = 0; i < N_C; ++i)
             w->acceleration_bias[i] = -w->residual_jacobian[(N_U + i) * n + j];
         /* Redundant rows hold in every direction in which the state can move; others are not asked about. */
-        fb_solve(w->forcing, w->acceleration_bias, &w->factors, column);
+        fb_solve(w->forcing, w->acceleration_bias, &w->factors, solution);
         for (int i = 0; i < N_U; ++i)
-            matrix[(N_Q + i) * n + j] = column[i];
+            matrix[(N_Q + i) * n + j] = solution[i];
     }
     return all_finite(matrix, N_X * n);
 }

@@ -68,7 +68,7 @@ static inline void fb_swap_int(int *a, int *b)
     *b = c;
 }
 
-/* P S J Q = L [U_d U_i]; returns the rank. */
+/* P S J Q = L [U_d U_i]; returns the rank, -1 where it cannot be told. */
 static inline int fb_eliminate(const double *restrict jacobian, fb_factors *restrict s)
 {
     double largest = 0.0;
@@ -82,9 +82,11 @@ static inline int fb_eliminate(const double *restrict jacobian, fb_factors *rest
         largest = fb_max(largest, size);
     }
     for (int i = 0; i < N_C; ++i) {
-        /* A row that is nothing but rounding errors must not be scaled up to look like a constraint. Rows are
-         * told apart from that only within the precision of double: give constraints units of like size. */
-        s->scale[i] = s->scale[i] > FB_RANK_TOLERANCE * largest ? 1.0 / s->scale[i] : 0.0;
+        /* A row that is nothing but rounding errors must not be scaled up to look like a constraint. */
+        const int counts = s->scale[i] > FB_RANK_TOLERANCE * largest;
+        if (!counts && s->scale[i] > FB_ROW_OF_ZEROS * largest && N_RANK == N_C)
+            return -1;
+        s->scale[i] = counts ? 1.0 / s->scale[i] : 0.0;
         s->row[i] = i;
         for (int j = 0; j < N_U; ++j)
             s->lu[i][j] = s->scale[i] * jacobian[i * N_U + j];
@@ -282,11 +284,15 @@ static inline int fb_factor(const double *restrict mass_matrix, const double *re
                             fb_factors *restrict s)
 {
     s->usual = FB_TRY_USUAL && fb_eliminate_usual(constraint_jacobian, s);
-    if (s->usual)
-        return fb_reduce(mass_matrix, s, N_C, 1);
+    if (s->usual) {
+        const int status = fb_reduce(mass_matrix, s, N_C, 1);
+        return status == FB_OK || all_finite(constraint_jacobian, N_C * N_U) == FB_OK ? status : FB_NOT_FINITE;
+    }
     if (all_finite(constraint_jacobian, N_C * N_U) != FB_OK)
         return FB_NOT_FINITE;
     s->rank = fb_eliminate(constraint_jacobian, s);
+    if (s->rank < 0)
+        return FB_CONSTRAINTS_DEPENDENT;
     return fb_full_rank(s) ? fb_reduce(mass_matrix, s, N_C, 0) : fb_reduce(mass_matrix, s, fb_rank(s), 0);
 }
 

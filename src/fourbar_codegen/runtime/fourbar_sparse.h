@@ -43,10 +43,11 @@ typedef struct fb_factors {
 } fb_factors;
 
 /* The weights, which make both terms of M + J^T w J alike in size; zero for rows that are nothing but rounding errors.
- * Those are told from others only within the precision of double: give constraints units of like size. */
-static inline void fb_weigh(const double *restrict diagonal, const double *restrict jacobian, double *restrict weight)
+ * Returns whether a row is neither that nor one of zeros. */
+static inline int fb_weigh(const double *restrict diagonal, const double *restrict jacobian, double *restrict weight)
 {
     double size[FB_AT_LEAST_1(N_C)], largest = 0.0;
+    int tiny = 0;
     for (int row = 0; row < N_C; ++row) {
         size[row] = 0.0;
         for (int i = jacobian_row[row]; i < jacobian_row[row + 1]; ++i)
@@ -58,8 +59,10 @@ static inline void fb_weigh(const double *restrict diagonal, const double *restr
         for (int i = jacobian_row[row]; i < jacobian_row[row + 1]; ++i)
             mass += diagonal[jacobian_column[i]];
         const int counts = size[row] > FB_ROW_TOLERANCE * FB_ROW_TOLERANCE * largest;
+        tiny |= !counts && size[row] > FB_ROW_OF_ZEROS * FB_ROW_OF_ZEROS * largest;
         weight[row] = counts ? (mass > 0.0 ? mass : 1.0) / size[row] : 0.0;
     }
+    return tiny;
 }
 
 static inline int fb_factor(const double *restrict mass_matrix, const double *restrict constraint_jacobian,
@@ -76,7 +79,8 @@ static inline int fb_factor(const double *restrict mass_matrix, const double *re
         if (mass_row[i] == mass_column[i])
             diagonal[mass_row[i]] = mass_matrix[i];
     }
-    fb_weigh(diagonal, constraint_jacobian, s->weight);
+    if (fb_weigh(diagonal, constraint_jacobian, s->weight))
+        return FB_CONSTRAINTS_DEPENDENT;
     for (int row = 0, pair = 0; row < N_C; ++row) {
         for (int i = jacobian_row[row]; i < jacobian_row[row + 1]; ++i) {
             s->jacobian[i] = constraint_jacobian[i];

@@ -18,13 +18,14 @@ def extension(name: str, sources: list[Path | str], folder: Path | str) -> Exten
         f"fourbar_codegen.{name}",
         [str(source) for source in sources],
         include_dirs=[str(folder), RUNTIME, np.get_include()],
-        depends=[str(path) for path in sorted(Path(RUNTIME).glob("*.h"))],
+        depends=[str(path) for path in sorted(Path(RUNTIME).glob("*.h")) + sorted(Path(RUNTIME).glob("*.pxd"))],
         define_macros=MACROS,
         # Behind the user's CFLAGS: what is not a number has to be noticed, and roundings are part of the method.
         extra_compile_args=["-O3", "-fno-tree-vectorize", "-g0", "-fno-fast-math", "-fno-finite-math-only"],
     )
 
 
+runtime = [extension(f"runtime.{wrapper.stem}", [wrapper], RUNTIME) for wrapper in sorted(Path(RUNTIME).glob("*.pyx"))]
 models = [
     extension(f"prebuilt.{wrapper.stem}", [wrapper, *sorted(wrapper.parent.glob("*.c"))], wrapper.parent)
     for wrapper in sorted(Path("generated").glob("*/*.pyx"))
@@ -32,8 +33,8 @@ models = [
 
 setup(
     ext_modules=cythonize(
-        [extension("runtime.evaluator", [f"{RUNTIME}/evaluator.pyx"], RUNTIME), *models],
+        [*runtime, *models],
         build_dir="build/cython",
-        include_path=[RUNTIME],
+        include_path=["src"],
     )
 )

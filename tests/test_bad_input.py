@@ -54,7 +54,7 @@ X = [0.1] * 6
         (lambda m: m.initial_state(guess={"q1": 1.0}), ["'q1'", "dependent coordinate", "q2, q3"]),
         (lambda m: m.initial_state(["a"]), ["must be numbers"]),
         (lambda m: m.simulate((0.0, 1.0), X, method="Euler"), ["'Euler'", "DOP853", "Radau"]),
-        (lambda m: m.simulate((0.0, 1.0), X, constraints="project"), ["'project'", "'none'"]),
+        (lambda m: m.simulate((0.0, 1.0), X, constraints="glue"), ["'glue'", "'project'", "'none'"]),
         (lambda m: m.simulate((0.0, np.nan), X), ["t_span", "nan"]),
         (lambda m: m.simulate((0.0,), X), ["t_span", "two times"]),
         (lambda m: m.simulate((1.0, 1.0), X), ["t_span", "different"]),

@@ -10,7 +10,7 @@ import pytest
 import fourbar_codegen
 
 PACKAGE = Path(fourbar_codegen.__file__).parent
-RUN = ["arguments", "compiled", "initial", "linearize", "simulate", "solvers", "trajectory", "visual", "report"]
+RUN = ["arguments", "compiled", "initial", "integrate", "linearize", "simulate", "solvers", "trajectory", "visual"]
 GENERATION = [
     "model", "mechanism", "fingerprint", "tape", "numeric", "convert", "derivatives", "identities",
     "linear", "motion", "composite", "kinematics", "kane", "equations", "share", "program", "lower",

@@ -30,7 +30,7 @@ x = [0.3, 0.2, 0.0, 1.0]
 print(slider.rhs(0.5, x, [1.0, 0.5, 2.0, 0.1, 9.81], [0.3]).tolist())
 print(model.rhs(0.5, x, r=[0.3]).tolist())
 print(pickle.loads(pickle.dumps(model)).rhs(0.5, x, r=[0.3]).tolist())
-print(model.simulate((0.0, 0.1), x).success)
+print(model.simulate((0.0, 0.1), x, constraints="none").success)
 """
 
 

@@ -286,6 +286,59 @@ static void velocity(double t, const double *restrict x, const double *restrict 
     velocity_bias[1] = 0.0;
 }
 
+/* By how much the constraints are violated: Phi in the rows of J that are its rates, and J u + b. */
+static void closure(double t, const double *restrict x, const double *restrict constants,
+    const double *restrict r, double *restrict position_closure, double *restrict velocity_closure)
+{
+    (void)t;
+    const double q1 = x[0];
+    const double q2 = x[1];
+    const double q3 = x[2];
+    const double u1 = x[3];
+    const double u2 = x[4];
+    const double u3 = x[5];
+    const double l1 = constants[1];
+    const double l2 = constants[2];
+    const double l3 = constants[3];
+    const double l4 = constants[4];
+    (void)r;
+    const fb_angles angles0 = fb_angles_of(q3, q1, q2, 0.0);
+    const double z0 = angles0.cos[0];
+    const double z1 = angles0.cos[1];
+    const double z2 = angles0.cos[2];
+    const double z3 = angles0.sin[1];
+    const double z4 = angles0.sin[2];
+    const double z5 = z1*z2 - z3*z4;
+    const double z6 = angles0.sin[0];
+    const double z7 = z3*z2 + z1*z4;
+    const double z8 = z0*z5 - z6*z7;
+    const double z9 = z0*z7 + z6*z5;
+    const double z10 = u1*l2;
+    const double z11 = u1 + u2;
+    const double z12 = l3*z11;
+    const double z13 = l4*(u3 + z11);
+    position_closure[0] = l1 + l4*z8 + l3*z5 + l2*z1;
+    position_closure[1] = l4*z9 + l3*z7 + l2*z3;
+    velocity_closure[0] = -(z10*z3 + z12*z7 + z13*z9);
+    velocity_closure[1] = z10*z1 + z12*z5 + z13*z8;
+}
+
+/* K v, the change of the coordinates for a change v of what the speeds integrate to. */
+static void coordinate_change(double t, const double *restrict q, const double *restrict constants,
+    const double *restrict r, const double *restrict change, double *restrict coordinate_change)
+{
+    (void)t;
+    (void)q;
+    (void)constants;
+    (void)r;
+    const double u1_rate = change[0];
+    const double u2_rate = change[1];
+    const double u3_rate = change[2];
+    coordinate_change[0] = u1_rate;
+    coordinate_change[1] = u2_rate;
+    coordinate_change[2] = u3_rate;
+}
+
 /* Kinetic and potential energy. */
 static void energy(double t, const double *restrict x, const double *restrict constants,
     const double *restrict r, double *restrict energies)

@@ -86,6 +86,13 @@ def _pairs(_: click.Context, __: click.Parameter, texts: tuple[str, ...]) -> dic
     "-t", "--time", "t_span", nargs=2, type=float, default=(0.0, 4.0), show_default=True, help="First and last time, s."
 )
 @click.option("--method", default="DOP853", show_default=True, help="DOP853, RK45, RK23, Radau, BDF or LSODA.")
+@click.option(
+    "--constraints",
+    type=click.Choice(["project", "none"]),
+    default="project",
+    show_default=True,
+    help="Whether states are moved onto the constraints after each step.",
+)
 @click.option("--rtol", default=1e-6, show_default=True, help="Relative tolerance.")
 @click.option("--atol", default=1e-9, show_default=True, help="Absolute tolerance.")
 @click.option(
@@ -110,13 +117,13 @@ def simulate(
     inputs: dict[str, float],
     t_span: tuple[float, float],
     method: str,
+    constraints: str,
     rtol: float,
     atol: float,
     samples: int,
     outputs: tuple[Path, ...],
 ) -> None:
     import numpy as np
-    import scipy.integrate  # noqa: F401  # so that the time below is the simulation's
 
     from fourbar_codegen.trajectory import check_ending
 
@@ -131,6 +138,7 @@ def simulate(
         t_span,
         x0,
         method=method,
+        constraints=constraints,
         parameters=parameters,
         inputs=inputs,
         rtol=rtol,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module, machinery, util
 from pathlib import Path
 from types import MappingProxyType
@@ -15,10 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.arguments import Values, is_mapping, name_of, named_array, named_values
 from fourbar_codegen.errors import ModelError, SimulationError
-from fourbar_codegen.runtime.evaluator import Evaluator, Ode
+from fourbar_codegen.runtime.evaluator import Evaluator
+from fourbar_codegen.runtime.integrator import Ode
 
 if TYPE_CHECKING:
-    from fourbar_codegen.simulate import Event, InputSource
+    from fourbar_codegen.simulate import EventLike, InputSource
     from fourbar_codegen.trajectory import Trajectory
 
 __all__ = ["CompiledModel", "load"]
@@ -637,11 +638,14 @@ class CompiledModel(Evaluator):
         t_eval: ArrayLike | None = None,
         rtol: float = 1e-6,
         atol: float | ArrayLike = 1e-9,
-        events: Event | Sequence[Event] | None = None,
-        constraints: str = "none",
+        events: EventLike | Sequence[EventLike] | None = None,
+        constraints: str = "project",
         dense_output: bool = False,
+        max_step: float = math.inf,
+        max_steps: int | None = None,
+        progress: Callable[[float], object] | None = None,
     ) -> Trajectory:
-        """Integrate the equations of motion with SciPy's ``solve_ivp``.
+        """Integrate the equations of motion, with the loops closed.
 
         Parameters
         ----------
@@ -651,8 +655,8 @@ class CompiledModel(Evaluator):
             Initial state, taken as it is (`initial_state` makes consistent ones); the one that follows from
             the model's initial values otherwise.
         method : {"DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA"}, optional
-            SciPy's, by `fourbar_codegen.solvers`: the explicit ones (the first three) take their steps in C, the
-            implicit ones are given the compiled Jacobian.
+            The first two run in C, with the coefficients and the step control of SciPy's. The others are SciPy's by
+            `fourbar_codegen.solvers`: of RK23 the steps are in C, the implicit ones are given the compiled Jacobian.
         parameters : array_like or mapping, optional
             The defaults otherwise.
         inputs : mapping of input to source, optional
@@ -663,18 +667,31 @@ class CompiledModel(Evaluator):
             Times at which to store the state.
         rtol, atol : float, optional
             Relative and absolute tolerance of the integrator.
-        events : callable or sequence of callables, optional
-            As for ``solve_ivp``: functions of (t, x), with attributes ``terminal`` and ``direction``.
-        constraints : {"none"}, optional
-            How to keep the loops closed during the integration. With "none", only the accelerations satisfy
-            the constraints, and the loops drift open by the integrator's error.
+        events : sequence, or one of its entries, optional
+            Names of outputs, callables of (t, x) as for ``solve_ivp``, with attributes ``terminal`` and ``direction``,
+            or `Event` objects, which have these. Each change of sign is located on the interpolant. Outputs are
+            evaluated in C; callables after each step.
+        constraints : {"project", "none"}, optional
+            How to keep the loops closed. With "project", the positions and then the speeds are moved onto the
+            constraints after each accepted step, by the change that is least in the metric of the mass matrix; so is
+            every state that is handed out. With "none", only the accelerations satisfy the constraints, and the loops
+            drift open by the integrator's error. LSODA has a history of its own, so that only the states that it hands
+            out are moved.
         dense_output : bool, optional
             Whether to keep an interpolant as ``trajectory.sol``.
+        max_step : float, optional
+            The longest step, s.
+        max_steps : int, optional
+            The most steps, for the methods in C.
+        progress : callable, optional
+            It is called with the time reached, some times a second, by the methods in C. On a terminal, what takes
+            longer than a second says how far it is anyway.
 
         Returns
         -------
         Trajectory
-            With ``success`` False and a sentence in ``message`` if the integrator could not finish.
+            With ``success`` False and a sentence in ``message`` if the integrator could not finish: for instance at a
+            singular position, where the constraints' Jacobian loses rank.
 
         Raises
         ------
@@ -689,7 +706,7 @@ class CompiledModel(Evaluator):
         --------
         >>> import fourbar_codegen as fb
         >>> trajectory = fb.load("four_bar").simulate((0.0, 4.0), inputs={"F": 0.0}, rtol=1e-8, atol=1e-8)
-        >>> bool(abs(trajectory.constraint_residual).max() < 1e-6)
+        >>> bool(abs(trajectory.constraint_residual).max() < 1e-12)
         True
         """
         from fourbar_codegen.simulate import simulate
@@ -707,4 +724,7 @@ class CompiledModel(Evaluator):
             events=events,
             constraints=constraints,
             dense_output=dense_output,
+            max_step=max_step,
+            max_steps=max_steps,
+            progress=progress,
         )

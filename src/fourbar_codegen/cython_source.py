@@ -29,7 +29,10 @@ def manifest_of(model: Model, program: Program, names: Mapping[str, Sequence[str
     dict
         Plain data, as JSON has it.
     """
-    energies = next(f for f in program.functions if f.name == "energy").results[0].entries
+    functions = {function.name: function.results for function in program.functions}
+    energies = functions["energy"][0].entries
+    # Every position constraint has to have a row of J that is its rate.
+    closed, positions = functions["closure"][0].entries, functions["position"][0].entries
     return {
         "format": MANIFEST_FORMAT,
         "name": model.name,
@@ -53,6 +56,7 @@ def manifest_of(model: Model, program: Program, names: Mapping[str, Sequence[str
         ],
         "outputs": list(names["outputs"]),
         "initial": model.initial,
+        "can_project": sum(map(bool, closed)) == sum(map(bool, positions)),
         "has_potential_energy": not energies[1].is_nan,
         "operations_before_sharing": {
             function.name: function.operations_before_sharing for function in (*program.functions, *program.derivatives)

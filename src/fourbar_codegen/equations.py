@@ -14,7 +14,7 @@ constraints J u + b = 0 enter as rows J u' + gamma = 0; they are solved numerica
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import chain
 
@@ -66,6 +66,12 @@ class Equations:
         Phi, (n_h,), and dPhi/dq, (n_h, n_q).
     constraint_jacobian, velocity_bias, acceleration_bias : Result
         J, (n_c, n_u); b and gamma, (n_c,). Rows of holonomic constraints first, if they are derived.
+    position_closure, velocity_closure : Result
+        By how much the constraints are violated, row by row as in J: Phi where a row is its rate, else 0, (n_c,); and
+        J u + b, (n_c,).
+    coordinate_change : Result
+        K du, (n_q,), the change of the coordinates that goes with a change of the speeds' integrals, which stands in
+        `accelerations`.
     energies : Result
         Kinetic and potential energy, (2,); the latter NaN if a position that it needs is not defined.
     power : Result
@@ -102,6 +108,9 @@ class Equations:
     constraint_jacobian: Result
     velocity_bias: Result
     acceleration_bias: Result
+    position_closure: Result
+    velocity_closure: Result
+    coordinate_change: Result
     energies: Result
     power: Result
     velocity_jacobian: Result
@@ -201,6 +210,9 @@ def form_equations(model: Model) -> Equations:
         _matrix("constraint_jacobian", constraints.jacobian, n_u),
         _vector("velocity_bias", substitute(tape, constraints.velocities, dict.fromkeys(v.u, tape.zero))),
         _vector("acceleration_bias", constraints.acceleration_bias),
+        _vector("position_closure", _position_closure(tape, constraints, rate)),
+        _vector("velocity_closure", constraints.velocities),
+        _vector("coordinate_change", map(Direction(tape, dict(zip(v.u, v.a, strict=True))), q_rates)),
         _vector("energies", energies),
         _vector("power", substitute(tape, [kane.power()], no_unknown)),
         _matrix("velocity_jacobian", gradients(constraints.velocities, v.q), n_q),
@@ -364,6 +376,23 @@ def _constraints(
     )
 
 
+def _position_closure(tape: Tape, constraints: _Constraints, rate: Direction) -> list[Scalar]:
+    """For each velocity constraint the position constraint, or its negative, that it is the rate of, or zero."""
+    rows = [tape.zero] * len(constraints.velocities)
+    if constraints.derived:
+        rows[: len(constraints.positions)] = constraints.positions
+        return rows
+    for position in constraints.positions:
+        derived = rate(position)
+        free = [k for k, row in enumerate(rows) if not row]
+        for sign in (1, -1):
+            same = vanish(tape, [constraints.velocities[k] - derived * sign for k in free])
+            if any(same):
+                rows[free[same.index(True)]] = position * sign
+                break
+    return rows
+
+
 def _position_jacobian(
     tape: Tape, constraints: _Constraints, q: Sequence[Scalar], q_rates: Sequence[Scalar], u: Sequence[Scalar]
 ) -> list[list[Scalar]]:
@@ -414,8 +443,9 @@ def _noncontributing(
         return None
 
 
-def _vector(name: str, entries: Sequence[Scalar]) -> Result:
-    return Result(name, (len(entries),), tuple(entries))
+def _vector(name: str, entries: Iterable[Scalar]) -> Result:
+    entries = tuple(entries)
+    return Result(name, (len(entries),), entries)
 
 
 def _matrix(name: str, rows: Sequence[Sequence[Scalar]], columns: int) -> Result:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.arguments import Values, named_array
 from fourbar_codegen.errors import AssemblyError
-from fourbar_codegen.runtime.evaluator import Ode
+from fourbar_codegen.runtime.integrator import Ode
 from fourbar_codegen.simulate import input_sources
 
 if TYPE_CHECKING:

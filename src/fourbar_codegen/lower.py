@@ -71,6 +71,20 @@ def lower(name: str, equations: Equations) -> Program:
             [inputs],
             [e.constraint_jacobian, e.velocity_bias],
         ),
+        (
+            "closure",
+            "By how much the constraints are violated: Phi in the rows of J that are its rates, and J u + b.",
+            [time, state],
+            [inputs],
+            [e.position_closure, e.velocity_closure],
+        ),
+        (
+            "coordinate_change",
+            "K v, the change of the coordinates for a change v of what the speeds integrate to.",
+            [time, coordinates],
+            [inputs, _array("change", e.accelerations)],
+            [e.coordinate_change],
+        ),
         ("energy", "Kinetic and potential energy.", [time, state], [inputs], [e.energies]),
         ("output", "The outputs, with u' and lambda given.", [time, state], [*held], [e.outputs]),
         (

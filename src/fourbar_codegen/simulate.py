@@ -1,8 +1,10 @@
-"""Simulation: the compiled right-hand side, handed to SciPy's integrators."""
+"""Simulation: arguments checked and bound, and handed to an integrator."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,19 +12,21 @@ from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.arguments import Values, finite_number, is_mapping, name_of, named_array
 from fourbar_codegen.errors import ModelError
-from fourbar_codegen.runtime.evaluator import Ode, Table
+from fourbar_codegen.integrate import METHODS, Event, Result, integrate
+from fourbar_codegen.progress import Progress
+from fourbar_codegen.runtime.integrator import Ode, Table
 from fourbar_codegen.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from fourbar_codegen.compiled import CompiledModel
 
-__all__ = ["Event", "InputSource", "bind", "input_sources", "simulate"]
+__all__ = ["EventLike", "InputSource", "bind", "input_sources", "simulate"]
 
 Floats = NDArray[np.float64]
-Event = Callable[[float, Floats], float]
+EventLike = Event | str | Callable[[float, Floats], float]
 InputSource = float | tuple[ArrayLike, ArrayLike] | Callable[[float, Floats], float]
 
-METHODS = ("DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA")
+SCIPY_METHODS = ("RK23", "Radau", "BDF", "LSODA")
 
 
 def bind(model: CompiledModel, parameters: Values | None, inputs: Mapping[Any, InputSource] | None) -> Ode:
@@ -111,20 +115,23 @@ def simulate(
     t_eval: ArrayLike | None,
     rtol: float,
     atol: float | ArrayLike,
-    events: Event | Sequence[Event] | None,
+    events: EventLike | Sequence[EventLike] | None,
     constraints: str,
     dense_output: bool,
+    max_step: float,
+    max_steps: int | None,
+    progress: Callable[[float], object] | None,
 ) -> Trajectory:
     """Integrate the equations of motion; see `CompiledModel.simulate`."""
-    from scipy.integrate import solve_ivp
-
-    from fourbar_codegen import solvers
-
-    if method not in METHODS:
-        raise ModelError(f"There is no method {method!r}; there are {', '.join(METHODS)}.")
-    if constraints != "none":
+    if method not in (*METHODS, *SCIPY_METHODS):
+        raise ModelError(f"There is no method {method!r}; there are {', '.join((*METHODS, *SCIPY_METHODS))}.")
+    if constraints not in ("project", "none"):
+        raise ModelError(f"constraints must be 'project' or 'none', not {constraints!r}.")
+    projects = constraints == "project" and model.n_c > 0
+    if projects and not model.manifest["can_project"]:
         raise ModelError(
-            f"constraints must be 'none', not {constraints!r}: loops are not kept closed by projection yet."
+            "The velocity constraints of this model are not the rates of its position constraints, one by one, so that "
+            "states cannot be moved onto both: take constraints='none', or state them as rates."
         )
     start, end = _span(t_span)
     if t_eval is not None:
@@ -137,31 +144,31 @@ def simulate(
     )
     ode = bind(model, p, inputs)
     _check_start(model, ode, start, state, p)
-    options: dict[str, Any] = {"rtol": _tolerance(rtol, "rtol"), "atol": _tolerance(atol, "atol", model.n_x)}
-    result = solve_ivp(
-        ode,
-        (start, end),
-        state,
-        method=getattr(solvers, method),
-        t_eval=t_eval,
-        events=_events(events),
-        dense_output=dense_output,
-        **options,
-    )
-    message = result.message
-    if not result.success:
-        message = f"The integration stopped at t = {ode.time:.9g}: {ode.failure or message}"
-    # Where no time was stored, SciPy gives lists.
-    times, states = np.asarray(result.t, dtype=float), np.reshape(result.y, (model.n_x, len(result.t)))
-    r = np.empty((model.n_r, len(times)))
-    for i, t in enumerate(times):
-        r[:, i] = ode.input_values(t, states[:, i])
+    watched = _events(model, events)
+    tolerances = _tolerance(rtol, "rtol"), _tolerance(atol, "atol", model.n_x)
+    if method in METHODS:
+        with Progress(model.name) as shown:
+
+            def note(t: float) -> None:
+                shown.stage(f"simulating, t = {t:.6g} of {end:g} s")
+                if progress is not None:
+                    progress(t)
+
+            result = integrate(
+                model, ode, (start, end), state, method=method, t_eval=t_eval, rtol=tolerances[0], atol=tolerances[1],
+                events=watched, project=projects, dense_output=dense_output,
+                max_step=max_step, max_steps=max_steps, progress=note,
+            )  # fmt: skip
+    else:
+        ode.projects = projects
+        how = method, t_eval, tolerances, watched, dense_output, max_step
+        result = _solve_ivp(model, ode, (start, end), state, *how)
     return Trajectory(
         model=model,
         parameters=p,
-        t=times,
-        y=states,
-        r=r,
+        t=result.t,
+        y=result.y,
+        r=ode.inputs_along(result.t, result.y),
         sol=result.sol,
         t_events=result.t_events,
         y_events=result.y_events,
@@ -169,9 +176,88 @@ def simulate(
         njev=result.njev,
         nlu=result.nlu,
         status=result.status,
-        success=bool(result.success),
-        message=message,
+        success=result.status >= 0,
+        message=result.message,
     )
+
+
+def _solve_ivp(
+    model: CompiledModel,
+    ode: Ode,
+    span: tuple[float, float],
+    state: Floats,
+    method: str,
+    t_eval: Floats | None,
+    tolerances: tuple[Floats, Floats],
+    events: Sequence[Event] | None,
+    dense_output: bool,
+    max_step: float,
+) -> Result:
+    """By SciPy's integrators, whose steps are in Python."""
+    from scipy.integrate import solve_ivp
+
+    from fourbar_codegen import solvers
+
+    given = solve_ivp(
+        ode,
+        span,
+        state,
+        method=getattr(solvers, method),
+        t_eval=t_eval,
+        events=None if events is None else [_as_scipy_has_it(model, ode, event) for event in events],
+        dense_output=dense_output,
+        rtol=tolerances[0],
+        atol=tolerances[1],
+        max_step=max_step,
+    )
+    message = given.message
+    if not given.success:
+        message = f"The integration stopped at t = {ode.time:.9g}: {ode.failure or message}"
+    # Where no time was stored, SciPy gives lists.
+    times, states = np.asarray(given.t, dtype=float), np.reshape(given.y, (model.n_x, len(given.t)))
+    if ode.projects:
+        states = np.reshape([ode.project(t, x) for t, x in zip(times, states.T, strict=True)], (-1, model.n_x)).T
+    return Result(
+        t=times, y=states, sol=given.sol, t_events=given.t_events, y_events=given.y_events, nfev=given.nfev,
+        njev=given.njev, nlu=given.nlu, status=given.status, message=message, violations=(math.nan, math.nan),
+    )  # fmt: skip
+
+
+def _as_scipy_has_it(model: CompiledModel, ode: Ode, event: Event) -> Callable[[float, Floats], float]:
+    """A function with attributes."""
+    function = event.function
+    if callable(function):
+
+        def value(t: float, x: Floats) -> float:
+            return function(t, x)
+    else:
+        place = model.outputs.index(function)
+
+        def value(t: float, x: Floats) -> float:
+            return float(model.output(t, x, ode.parameters, ode.input_values(t, x))[place])
+
+    value.terminal, value.direction = event.terminal, event.direction  # type: ignore[attr-defined]
+    return value
+
+
+def _events(model: CompiledModel, events: object) -> list[Event] | None:
+    if events is None:
+        return None
+    watched = []
+    for event in events if isinstance(events, list | tuple) else [events]:
+        if not isinstance(event, Event):
+            given: Any = event
+            event = Event(given, getattr(given, "terminal", False), getattr(given, "direction", 0.0))
+        if not callable(event.function):
+            name = name_of(event.function)
+            if name not in model.outputs:
+                known = ", ".join(model.outputs) or "none"
+                raise ModelError(
+                    f"events must be callables of (t, x) or names of outputs ({known}), not {event.function!r}."
+                )
+            event = replace(event, function=name)
+        watched.append(event)
+    return watched
 
 
 def _span(t_span: Sequence[float]) -> tuple[float, float]:
@@ -210,12 +296,6 @@ def _tolerance(value: ArrayLike, name: str, size: int = 0) -> Floats:
     if tolerance.shape not in {(), (size,)} or not (np.isfinite(tolerance) & (tolerance > 0)).all():
         raise ModelError(f"{name} must be {allowed}, not {value!r}.")
     return tolerance
-
-
-def _events(events: Event | Sequence[Event] | None) -> Event | Sequence[Event] | None:
-    if not (events is None or callable(events) or (isinstance(events, list | tuple) and all(map(callable, events)))):
-        raise ModelError(f"events must be a callable of (t, x) or a sequence of them, not {events!r}.")
-    return events
 
 
 def _check_start(model: CompiledModel, ode: Ode, t: float, state: Floats, p: Floats | None) -> None:

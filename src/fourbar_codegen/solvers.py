@@ -25,13 +25,16 @@ import scipy.integrate
 from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.errors import ModelError
-from fourbar_codegen.runtime.evaluator import Ode, Stepper
+from fourbar_codegen.runtime.integrator import Ode, Stepper
 
 __all__ = ["BDF", "DOP853", "LSODA", "RK23", "RK45", "Radau"]
 
 
 class _Compiled(scipy.integrate.OdeSolver):
     """An integrator that knows that its right-hand side is compiled."""
+
+    t: float
+    y: NDArray[np.float64]
 
     def __init__(self, fun: Ode, t0: float, y0: ArrayLike, t_bound: float, **options: Any) -> None:
         if not isinstance(fun, Ode):
@@ -43,14 +46,17 @@ class _Compiled(scipy.integrate.OdeSolver):
         self._ode = fun
         super().__init__(fun, t0, y0, t_bound, **options)
 
+    def _project(self) -> None:
+        """Move the state that was reached onto the constraints, and evaluate it anew."""
+        self.y = self._ode.project(self.t, self.y)
+        self.f = self.fun(self.t, self.y)
+
 
 class _Explicit(_Compiled):
     """The stages of a step, and its control, in C: see ``runtime/fourbar_runge_kutta.h``."""
 
     # Of scipy.integrate.RungeKutta, which has no types.
-    t: float
     h_abs: float
-    y: NDArray[np.float64]
     f: NDArray[np.float64]
 
     def __init__(self, fun: Ode, t0: float, y0: ArrayLike, t_bound: float, **options: Any) -> None:
@@ -89,6 +95,9 @@ class _Explicit(_Compiled):
             return False, self.TOO_SMALL_STEP
         self.h_previous, self.y_old = h, self.y
         self.t, self.h_abs, self.y, self.f = t, h_abs, y, self.K[-1].copy()
+        if self._ode.projects:
+            self._project()
+            self.K[-1] = self.f
         return True, None
 
 
@@ -130,6 +139,8 @@ class _Implicit(_Compiled):
                 raise
             return False, self._ode.failure or "the method's own numbers are beyond the range of double"
         if np.isfinite(self.y).all():
+            if success and self._ode.projects:
+                self._project()
             return success, message
         return False, self._ode.failure or "the state is not finite"
 
@@ -141,6 +152,16 @@ class Radau(_Implicit, scipy.integrate.Radau):
 class BDF(_Implicit, scipy.integrate.BDF):
     """Backward differentiation of order 1 to 5: ``scipy.integrate.BDF`` with the compiled Jacobian."""
 
+    def _project(self) -> None:
+        # Its history are differences, of which the first is the state itself.
+        self.y = self.D[0] = self._ode.project(self.t, self.y)
+
 
 class LSODA(_Implicit, scipy.integrate.LSODA):
-    """Adams and BDF by turns, from ODEPACK: ``scipy.integrate.LSODA`` with the compiled Jacobian."""
+    """Adams and BDF by turns, from ODEPACK: ``scipy.integrate.LSODA`` with the compiled Jacobian.
+
+    Its history is its own, so that nothing is moved onto the constraints between its steps.
+    """
+
+    def _project(self) -> None:
+        pass

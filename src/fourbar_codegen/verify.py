@@ -116,6 +116,8 @@ def _compiled_results(
         ),
         "position": ([e.position_constraints, e.position_jacobian], compiled.position(t, x[: compiled.n_q], p, r)),
         "velocity": ([e.constraint_jacobian, e.velocity_bias], compiled.velocity(t, x, p, r)),
+        "closure": ([e.position_closure, e.velocity_closure], compiled.closure(t, x, p, r)),
+        "coordinate_change": ([e.coordinate_change], [compiled.coordinate_change(t, x, accelerations, p, r)]),
         "constraint_sensitivity": (
             [e.velocity_jacobian, e.position_input_jacobian, e.velocity_input_jacobian],
             compiled.constraint_sensitivity(t, x, p, r),

@@ -9,6 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 Floats = NDArray[np.float64]
 Values = ArrayLike | Mapping[object, float]
 
+OK: int
+NOT_CLOSED: int
+
 class Evaluator:
     n_q: int
     n_u: int
@@ -42,6 +45,12 @@ class Evaluator:
     def velocity(
         self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None
     ) -> tuple[Floats, Floats]: ...
+    def closure(
+        self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None
+    ) -> tuple[Floats, Floats]: ...
+    def coordinate_change(
+        self, t: float, x: ArrayLike, change: ArrayLike, p: Values | None = None, r: Values | None = None
+    ) -> Floats: ...
     def constraint_sensitivity(
         self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None
     ) -> tuple[Floats, Floats, Floats]: ...
@@ -61,32 +70,4 @@ class Evaluator:
         self, times: ArrayLike, states: ArrayLike, inputs: ArrayLike, p: Values | None = None
     ) -> tuple[Floats, Floats, Floats, Floats]: ...
 
-class Ode:
-    failure: str | None
-    time: float
-    @property
-    def has_callables(self) -> bool: ...
-    def __init__(self, evaluator: Evaluator, p: Values | None, sources: Sequence[object]) -> None: ...
-    def __call__(self, t: float, x: ArrayLike) -> Floats: ...
-    def input_values(self, t: float, x: ArrayLike) -> Floats: ...
-    def jac(self, t: float, x: ArrayLike) -> Floats: ...
-
-class Stepper:
-    def __init__(
-        self,
-        ode: Ode,
-        tableau: tuple[Floats, Floats, Floats],
-        error: ArrayLike,
-        error_exponent: float,
-        t_bound: float,
-        direction: float,
-        max_step: float,
-        rtol: ArrayLike,
-        atol: ArrayLike,
-    ) -> None: ...
-    def step(
-        self, t: float, h_abs: float, x: ArrayLike, stages: Floats
-    ) -> tuple[float, float, float, Floats, int, str]: ...
-
-class Table:
-    def __init__(self, times: ArrayLike, coefficients: ArrayLike, before: float, after: float) -> None: ...
+def failure(status: int, t: float, x: ArrayLike) -> str: ...

@@ -13,7 +13,7 @@
 
 #include <stddef.h>
 
-#define FB_ABI_VERSION 2
+#define FB_ABI_VERSION 3
 #define FB_CAPSULE_NAME "fourbar_codegen.kernel"
 
 /* Long functions are printed in parts, which the compiler must not put together again. */
@@ -27,7 +27,8 @@ enum FB_STATUS {
     FB_OK = 0,
     FB_CONSTRAINTS_DEPENDENT = 1, /* J has lost rank and J u' + gamma = 0 has no solution */
     FB_MASS_SINGULAR = 2,         /* T^T M T is not positive definite */
-    FB_NOT_FINITE = 3             /* a result is infinite or not a number */
+    FB_NOT_FINITE = 3,            /* a result is infinite or not a number */
+    FB_NOT_CLOSED = 4             /* no state close by satisfies the constraints */
 };
 
 /* Something with x' in it, which needs the equations solved. */
@@ -68,6 +69,20 @@ typedef struct fb_kernel {
     /* J and b of J u + b = 0 */
     void (*velocity)(double t, const double *x, const double *constants, const double *r, double *constraint_jacobian,
                      double *velocity_bias);
+    /* by how much the constraints are violated, row by row as in J: Phi, and J u + b */
+    void (*closure)(double t, const double *x, const double *constants, const double *r, double *position_closure,
+                    double *velocity_closure);
+    /* K v for q' = K u + k */
+    void (*coordinate_change)(double t, const double *q, const double *constants, const double *r, const double *change,
+                              double *coordinate_change);
+    /* Moves x onto the constraints, from which it has drifted; the largest violations that are left, as changes of
+     * coordinates and of speeds. `known` says that rhs was called with the same `work` at a state close to x. */
+    int (*project)(double t, double *x, const double *constants, const double *r, int known, double *violations,
+                   void *work);
+    /* Whether the constraints have changed their orientation from one call to the next: whether the determinant of the
+     * columns of J that rhs has taken for dependent when it was last called with `work` has another sign than it had.
+     * Then J has lost rank on the way, or a long step has jumped over a dead point of these speeds. */
+    int (*turned)(void *work);
     /* d(J u + b)/dq, dPhi/dr and d(J u + b)/dr */
     fb_constraint_sensitivity *constraint_sensitivity;
     /* kinetic and potential energy */

@@ -27,7 +27,23 @@ typedef struct fb_work {
     double accelerations[N_U];
     double multipliers[FB_AT_LEAST_1(N_C)];
     double residual_jacobian[(N_U + N_C) * N_COLUMNS];
+    double jacobian_before[FB_AT_LEAST_1(N_JACOBIAN)]; /* J when `turned` was last called */
+    int known_before;
 } fb_work;
+
+/* The largest entry of a row of J. */
+static inline double row_size(const fb_work *w, const int row)
+{
+    double size = 0.0;
+#ifdef FB_SPARSE
+    const int begin = jacobian_row[row], end = jacobian_row[row + 1];
+#else
+    const int begin = row * N_U, end = begin + N_U;
+#endif
+    for (int i = begin; i < end; ++i)
+        size = fabs(w->constraint_jacobian[i]) > size ? fabs(w->constraint_jacobian[i]) : size;
+    return size;
+}
 
 #ifdef FB_SPARSE
 /* The matrices of `dynamics` with their zeros. */
@@ -82,6 +98,96 @@ static int accelerations(double t, const double *x, const double *constants, con
         return status;
     fb_multipliers(w->mass_matrix, w->forcing, rates, &w->factors, multipliers);
     return all_finite(rates, N_U) == FB_OK ? all_finite(multipliers, N_C) : FB_NOT_FINITE;
+}
+
+/* Corrections of a projection that are tried with one factorization, and factorizations. */
+enum { CORRECTIONS = 8, FACTORIZATIONS = 3 };
+/* A state is on the constraints where they are violated by no more than this share of the coordinates or speeds, ... */
+#define FB_CLOSED 1e-13
+/* ... or where rounding errors allow no better, by no more than this one. */
+#define FB_NEARLY_CLOSED 1e-9
+
+/* The violations as changes of coordinates and speeds; returns the larger one in units of these. */
+static double violated(const double *restrict x, const double *restrict positions, const double *restrict velocities,
+                       const fb_work *restrict w, double *restrict violations)
+{
+    double q = 0.0, u = 0.0;
+    for (int i = 0; i < N_Q; ++i)
+        q = fabs(x[i]) > q ? fabs(x[i]) : q;
+    for (int i = N_Q; i < N_X; ++i)
+        u = fabs(x[i]) > u ? fabs(x[i]) : u;
+    violations[0] = violations[1] = 0.0;
+    for (int i = 0; i < N_C; ++i) {
+        const double size = row_size(w, i);
+        const double position = fabs(positions[i]) / size, velocity = fabs(velocities[i]) / size;
+        violations[0] = position > violations[0] ? position : violations[0];
+        violations[1] = velocity > violations[1] ? velocity : violations[1];
+    }
+    const double in_q = q > 0.0 ? violations[0] / q : violations[0], in_u = u > 0.0 ? violations[1] / u : violations[1];
+    return in_q > in_u ? in_q : in_u;
+}
+
+/* Newton's method with the factors of a state close by. A change v with J v = -Phi that is the least in the metric of M
+ * is what M v = J^T lambda, J v + Phi = 0 gives, so that the equations of motion are solved with other right-hand
+ * sides; q changes by K v. For the speeds likewise, with J u + b. Nonholonomic rows leave v alone.
+ */
+static int project(double t, double *x, const double *constants, const double *r, int known, double *violations,
+                   void *work)
+{
+    static const double at_rest[N_U] = {0.0};
+    fb_work *const w = work;
+    double positions[FB_AT_LEAST_1(N_C)], velocities[FB_AT_LEAST_1(N_C)], change[N_U];
+    double coordinate_changes[FB_AT_LEAST_1(N_Q)];
+    violations[0] = violations[1] = 0.0;
+    if (N_C == 0)
+        return FB_OK;
+    for (int attempt = 0; attempt < FACTORIZATIONS; ++attempt) {
+        if (attempt > 0 || !known) {
+            dynamics(t, x, constants, r, w->coordinate_rates, w->mass_matrix, w->forcing, w->constraint_jacobian,
+                     w->acceleration_bias);
+            const int status = fb_factor(w->mass_matrix, w->constraint_jacobian, &w->factors);
+            if (status != FB_OK)
+                return status;
+        }
+        double last = INFINITY;
+        for (int i = 0; i < CORRECTIONS; ++i) {
+            closure(t, x, constants, r, positions, velocities);
+            const double size = violated(x, positions, velocities, w, violations);
+            /* The first correction of the positions may open the velocities. */
+            const int stagnates = i > 1 && !(size < 0.5 * last);
+            if (size <= FB_CLOSED || (size <= FB_NEARLY_CLOSED && stagnates))
+                return FB_OK;
+            if (stagnates)
+                break;
+            last = size;
+            fb_solve(at_rest, positions, &w->factors, change);
+            coordinate_change(t, x, constants, r, change, coordinate_changes);
+            fb_solve(at_rest, velocities, &w->factors, change);
+            for (int j = 0; j < N_Q; ++j)
+                x[j] += coordinate_changes[j];
+            for (int j = 0; j < N_U; ++j)
+                x[N_Q + j] += change[j];
+        }
+    }
+    return FB_NOT_CLOSED;
+}
+
+static int turned(void *work)
+{
+    fb_work *const w = work;
+    int result = 0;
+#ifndef FB_SPARSE
+    if (N_C > 0 && fb_full_rank(&w->factors)) {
+        if (w->known_before)
+            result = fb_sign(w->constraint_jacobian, &w->factors) * fb_sign(w->jacobian_before, &w->factors) < 0;
+        for (int i = 0; i < N_JACOBIAN; ++i)
+            w->jacobian_before[i] = w->constraint_jacobian[i];
+        w->known_before = 1;
+    }
+#else
+    (void)w;
+#endif
+    return result;
 }
 
 /* Differentiating M u' = f + J^T lambda and J u' + gamma = 0 in some direction gives equations for the change of
@@ -147,6 +253,10 @@ const fb_kernel FB_NAME(kernel) = {
     .dynamics = full_dynamics,
     .position = position,
     .velocity = velocity,
+    .closure = closure,
+    .coordinate_change = coordinate_change,
+    .project = project,
+    .turned = turned,
     .constraint_sensitivity = FB_NAME(constraint_sensitivity),
     .energy = energy,
     .output = output,

@@ -267,6 +267,33 @@ static inline void fb_back(const double *restrict forcing, const double *restric
         accelerations[fb_column(s, usual, i)] = v[i];
 }
 
+/* The sign of the determinant of the columns of J that stand for the dependent speeds. */
+static inline int fb_sign(const double *restrict jacobian, const fb_factors *restrict s)
+{
+    double a[FB_AT_LEAST_1(N_C)][FB_AT_LEAST_1(N_C)];
+    int sign = 1;
+    for (int i = 0; i < N_C; ++i)
+        for (int j = 0; j < N_C; ++j)
+            a[i][j] = jacobian[i * N_U + s->column[j]];
+    for (int k = 0; k < N_C; ++k) {
+        int pivot = k;
+        for (int i = k + 1; i < N_C; ++i)
+            pivot = fabs(a[i][k]) > fabs(a[pivot][k]) ? i : pivot;
+        if (pivot != k)
+            sign = -sign;
+        for (int j = k; j < N_C; ++j)
+            fb_swap_double(&a[k][j], &a[pivot][j]);
+        if (a[k][k] == 0.0)
+            return 0;
+        if (a[k][k] < 0.0)
+            sign = -sign;
+        for (int i = k + 1; i < N_C; ++i)
+            for (int j = N_C - 1; j > k; --j)
+                a[i][j] -= a[i][k] / a[k][k] * a[k][j];
+    }
+    return sign;
+}
+
 /* The rank, in a form that tells the compiler that it lies between 0 and N_RANK. */
 static inline int fb_rank(const fb_factors *s)
 {

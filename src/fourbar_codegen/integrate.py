@@ -1,0 +1,297 @@
+"""Runs of the integrators in C: events, samples, dense output, and what there is to say at the end."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fourbar_codegen.errors import ModelError, SimulationError
+from fourbar_codegen.runtime.evaluator import NOT_CLOSED, OK, failure
+from fourbar_codegen.runtime.integrator import DenseOutput, Ode, Run
+
+if TYPE_CHECKING:
+    from fourbar_codegen.compiled import CompiledModel
+
+__all__ = ["METHODS", "Event", "Result", "integrate"]
+
+Floats = NDArray[np.float64]
+
+METHODS = ("DOP853", "RK45")
+
+PAUSE = 0.02
+"""Seconds after which a run in C looks up: for an interrupt from the keyboard, and to say how far it is."""
+
+SINGULAR = 1e-3
+"""A position is singular where the smallest singular value of J is below this share of the largest, with each row of J
+in units of the largest that its entries have been in the run, and the step's length collapses there."""
+
+CONSISTENT = 1e-3
+"""By how much, in units of the state, projection may move the state that a run begins from."""
+
+STATES = 100
+"""States along the run at which the entries of J are looked at for that."""
+
+REACHED_END = "The solver successfully reached the end of the integration interval."
+TERMINATED = "A termination event occurred."
+TOO_SMALL = "Required step size is less than spacing between numbers."
+INFINITE = "The step's length is not finite: give a finite end, or max_step."
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something to find the times of: where a function changes its sign.
+
+    Parameters
+    ----------
+    function : str or callable
+        The name of an output, which is evaluated in C; or a function of (t, x).
+    terminal : bool or int, optional
+        Whether the run ends with it; a number ends it with the event of that number.
+    direction : float, optional
+        Positive for changes from negative to positive alone, negative for the opposite ones, 0 for both.
+    """
+
+    function: str | Callable[[float, Floats], float]
+    terminal: bool | int = False
+    direction: float = 0.0
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a run gives; the names are those of ``solve_ivp``."""
+
+    t: Floats
+    y: Floats
+    sol: Callable[[Any], Floats] | None
+    t_events: list[Floats] | None
+    y_events: list[Floats] | None
+    nfev: int
+    njev: int
+    nlu: int
+    status: int
+    message: str
+    violations: tuple[float, float]
+
+
+def integrate(
+    model: CompiledModel,
+    ode: Ode,
+    span: tuple[float, float],
+    x0: Floats,
+    *,
+    method: str,
+    t_eval: Floats | None,
+    rtol: ArrayLike,
+    atol: ArrayLike,
+    events: Sequence[Event] | None,
+    project: bool,
+    dense_output: bool,
+    max_step: float,
+    max_steps: int | None,
+    progress: Callable[[float], object] | None,
+) -> Result:
+    """Integrate from one time to another.
+
+    Parameters
+    ----------
+    model : CompiledModel
+    ode : Ode
+        The right-hand side; nothing else may use it during the run.
+    span : (float, float)
+    x0 : ndarray, shape (n_x,)
+    method : {"DOP853", "RK45"}
+    t_eval : ndarray or None
+    rtol, atol : array_like
+    events : sequence of Event or None
+    project : bool
+        Whether states are moved onto the constraints.
+    dense_output : bool
+    max_step : float
+    max_steps : int or None
+    progress : callable of the time, or None
+
+    Returns
+    -------
+    Result
+    """
+    watch = _Watch(model, events or ())
+    run = Run(
+        ode, method, span[0], x0, span[1], max_step, rtol, atol, project, t_eval, watch.outputs,
+        bool(watch.callables) or dense_output,
+    )  # fmt: skip
+    status = run.begin()
+    moved = np.abs(run.x - x0).max(initial=0.0)
+    if status == NOT_CLOSED or moved > CONSISTENT * max(1.0, np.abs(x0).max(initial=0.0)):
+        raise ModelError(
+            f"The state x0 = {np.array2string(x0, precision=6, separator=', ')} violates the constraints: "
+            + (f"the nearest one that does not differs by {moved:.2g}. " if status == OK else "")
+            + "CompiledModel.initial_state() makes consistent states; constraints='none' takes x0 as it is."
+        )
+    if status != OK:
+        raise SimulationError(failure(status, span[0], x0))
+    watch.begin(run)
+    dense = DenseOutput(run) if dense_output else None
+    samples: list[tuple[Floats, Floats]] = []
+    ending: tuple[int, str] | None = None
+    steps = 16
+    while ending is None:
+        begin = time.perf_counter()
+        reason = run.on(steps if max_steps is None else min(steps, max_steps - run.n_steps))
+        if reason == "event":
+            if run.turned:
+                samples.append(run.take_samples())
+                singular = _Singular(model, ode, run, samples).within_step()
+                if singular:
+                    run.discard()
+                    ending = -1, singular
+                    break
+            if dense is not None:
+                dense.add()
+            end = watch.look(run)
+            if end is not None:
+                run.stop_at(end)
+                ending = 1, TERMINATED
+        elif reason == "full":
+            samples.append(run.take_samples())
+        elif reason == "paused":
+            steps = round(min(max(steps * PAUSE / (time.perf_counter() - begin), 1), 4 * steps))
+            if progress is not None:
+                progress(run.t)
+            if run.n_steps == max_steps:
+                ending = -1, f"It has taken max_steps = {max_steps} steps."
+        elif reason == "end":
+            ending = 0, REACHED_END
+        elif reason == "infinite":
+            ending = -1, INFINITE
+        else:
+            samples.append(run.take_samples())
+            singular = _Singular(model, ode, run, samples).here()
+            if singular or reason == "too small":
+                ending = -1, singular or ode.failure or TOO_SMALL
+    status, message = ending
+    while run.on(0) == "full":
+        samples.append(run.take_samples())
+    samples.append(run.take_samples())
+    if status < 0:
+        message = f"The integration stopped at t = {run.t:.9g}: {message}"
+    return Result(
+        t=np.concatenate([times for times, _ in samples]),
+        y=np.concatenate([states for _, states in samples]).T,
+        sol=dense,
+        t_events=None if events is None else [np.array(times) for times in watch.times],
+        y_events=None if events is None else [np.array(states) for states in watch.states],
+        nfev=run.n_evaluations,
+        njev=0,
+        nlu=0,
+        status=status,
+        message=message,
+        violations=run.violations,
+    )
+
+
+class _Singular:
+    """Tells whether a run has come to a singular position, where the constraints' Jacobian loses rank."""
+
+    def __init__(self, model: CompiledModel, ode: Ode, run: Run, samples: Sequence[tuple[Floats, Floats]]) -> None:
+        self.model, self.ode, self.run = model, ode, run
+        self.rank = model.manifest["n_dependent_speeds"]
+        passed = [sample for times, states in samples for sample in zip(times, states, strict=True)]
+        states = [(run.t, run.x), *passed[:: len(passed) // STATES + 1]]
+        if self.rank:
+            size = np.max([np.abs(self._jacobian(*state)).max(axis=1) for state in states], axis=0)
+            self.size = np.where(size > 0.0, size, 1.0)
+
+    def _jacobian(self, t: float, x: Floats) -> Floats:
+        return self.model.velocity(t, x, self.ode.parameters, self.ode.input_values(t, x))[0]
+
+    def _ratio(self, t: float, x: Floats) -> float:
+        """The smallest singular value of J by the largest, each row in units of its largest entries in the run."""
+        values = np.linalg.svd(self._jacobian(t, x) / self.size[:, np.newaxis], compute_uv=False)
+        return float(values[self.rank - 1] / values[0])
+
+    def here(self) -> str:
+        """A sentence, if it is where the run is."""
+        t, x = self.run.t, self.run.x
+        return self._sentence("runs into", t, x, ", and the steps collapse") if self.rank else ""
+
+    def within_step(self) -> str:
+        """A sentence, if it has been passed in the last step."""
+        begin, end = self.run.t_old, self.run.t
+        for _ in range(4):  # to within 1e-6 of the step
+            times = np.linspace(begin, end, 33)
+            ratios = [self._ratio(t, self.run.state_at(t)) for t in times[1:-1]]
+            least = 1 + int(np.argmin(ratios))
+            begin, end = times[least - 1], times[least + 1]
+        return self._sentence(
+            "passes", times[least], self.run.state_at(times[least]), ", and may go on in more than one way"
+        )
+
+    def _sentence(self, verb: str, t: float, x: Floats, more: str) -> str:
+        ratio = self._ratio(t, x)
+        if not ratio < SINGULAR:
+            return ""
+        where = ", ".join(f"{name} = {value:.6g}" for name, value in zip(self.model.coordinates, x, strict=False))
+        return (
+            f"The mechanism {verb} a singular position at t = {t:.6g}, {where}: the constraints' Jacobian loses rank "
+            f"(its smallest singular value is {ratio:.1e} of the largest){more}."
+        )
+
+
+class _Watch:
+    """Events as ``solve_ivp`` has them: found between the ends of each step, by Brent's method on the interpolant."""
+
+    def __init__(self, model: CompiledModel, events: Sequence[Event]) -> None:
+        self.events = events
+        self.times: list[Any] = [[] for _ in events]
+        self.states: list[Any] = [[] for _ in events]
+        self.callables = [(i, e.function) for i, e in enumerate(events) if callable(e.function)]
+        self.named = [i for i, e in enumerate(events) if not callable(e.function)]
+        self.outputs = [
+            (model.outputs.index(events[i].function), int(np.sign(events[i].direction))) for i in self.named
+        ]
+        self.values = [0.0] * len(events)
+
+    def begin(self, run: Run) -> None:
+        """The functions' values at the beginning."""
+        for place, i in enumerate(self.named):
+            self.values[i] = run.event_values[1][place]
+        for i, function in self.callables:
+            self.values[i] = float(function(run.t, run.x))
+
+    def look(self, run: Run) -> float | None:
+        """Note the events of the last step; the time of the one that ends the run."""
+        before = list(self.values)
+        self.begin(run)
+        found = []
+        for i, event in enumerate(self.events):
+            up, down = before[i] <= 0.0 <= self.values[i], before[i] >= 0.0 >= self.values[i]
+            if (up and event.direction >= 0) or (down and event.direction <= 0):
+                found.append((self._root(run, i, before[i]), i))
+        found.sort(key=lambda item: item[0], reverse=run.t < run.t_old)
+        for t, i in found:
+            self.times[i].append(t)
+            self.states[i].append(run.state_at(t))
+            terminal = self.events[i].terminal
+            if terminal and len(self.times[i]) >= int(terminal):
+                return t
+        return None
+
+    def _root(self, run: Run, i: int, before: float) -> float:
+        from scipy.optimize import brentq
+
+        known = {run.t_old: before, run.t: self.values[i]}
+
+        def value(t: float) -> float:
+            if t in known:
+                return known[t]
+            if i in self.named:
+                return float(run.event_values_at(t)[self.named.index(i)])
+            return float(self.events[i].function(t, run.state_at(t)))  # type: ignore[operator]
+
+        precision = 4 * np.finfo(float).eps
+        return float(brentq(value, run.t_old, run.t, xtol=precision, rtol=precision))

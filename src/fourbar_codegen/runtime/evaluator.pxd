@@ -1,0 +1,105 @@
+# cython: language_level=3
+"""What the runtime's extension modules share."""
+
+cimport numpy as cnp
+
+cdef extern from "fourbar_kernel.h":
+    const int FB_ABI_VERSION
+    const char *FB_CAPSULE_NAME
+    int FB_OK
+    int FB_CONSTRAINTS_DEPENDENT
+    int FB_MASS_SINGULAR
+    int FB_NOT_FINITE
+    int FB_NOT_CLOSED
+    ctypedef int fb_evaluation(double, const double *, const double *, const double *, double *, void *) noexcept nogil
+    ctypedef void fb_sensitivity(double, const double *, const double *, const double *, const double *,
+                                 const double *, double *, double *) noexcept nogil
+    ctypedef struct fb_kernel:
+        int abi_version
+        size_t struct_size
+        size_t work_size
+        int n_q, n_u, n_p, n_r, n_h, n_c, n_o, n_constants
+        void (*prepare)(const double *, double *) noexcept nogil
+        void (*default_inputs)(double, const double *, double *) noexcept nogil
+        fb_evaluation *rhs
+        fb_evaluation *jacobian
+        fb_evaluation *parameter_jacobian
+        fb_evaluation *input_jacobian
+        int (*accelerations)(double, const double *, const double *, const double *, double *, double *,
+                             void *) noexcept nogil
+        void (*dynamics)(double, const double *, const double *, const double *, double *, double *, double *,
+                         double *, double *) noexcept nogil
+        void (*position)(double, const double *, const double *, const double *, double *, double *) noexcept nogil
+        void (*velocity)(double, const double *, const double *, const double *, double *, double *) noexcept nogil
+        void (*closure)(double, const double *, const double *, const double *, double *, double *) noexcept nogil
+        void (*coordinate_change)(double, const double *, const double *, const double *, const double *,
+                                  double *) noexcept nogil
+        int (*project)(double, double *, const double *, const double *, int, double *, void *) noexcept nogil
+        int (*turned)(void *) noexcept nogil
+        void (*constraint_sensitivity)(double, const double *, const double *, const double *, double *, double *,
+                                       double *) noexcept nogil
+        void (*energy)(double, const double *, const double *, const double *, double *) noexcept nogil
+        void (*output)(double, const double *, const double *, const double *, const double *, const double *,
+                       double *) noexcept nogil
+        fb_sensitivity *sensitivity
+        fb_sensitivity *parameter_sensitivity
+        fb_sensitivity *input_sensitivity
+
+cdef extern from "fourbar_problem.h":
+    ctypedef struct fb_table:
+        int n_intervals, n_coefficients
+        const double *times
+        const double *coefficients
+        double before, after
+    ctypedef struct fb_source:
+        int input
+        double value
+        const fb_table *table
+        int interval
+    ctypedef struct fb_problem
+    ctypedef int fb_called_inputs(fb_problem *, double, const double *) noexcept nogil
+    ctypedef struct fb_problem:
+        const fb_kernel *kernel
+        double *constants
+        double *inputs
+        void *work
+        int n_sources
+        fb_source *sources
+        fb_called_inputs *called_inputs
+        void *caller
+        double t
+        int status
+        double failed_t
+        double *failed_x
+    int fb_fill_inputs(fb_problem *, double, const double *) noexcept nogil
+    int fb_problem_rates(void *, double, const double *, double *) noexcept nogil
+    int fb_problem_jacobian(fb_problem *, double, const double *, double *) noexcept nogil
+    int fb_problem_project(fb_problem *, double, double *, int, double *) noexcept nogil
+    int fb_finite(const double *, int) noexcept nogil
+
+
+cdef cnp.ndarray new_array(int rows, int columns=*)
+cdef inline double *data(cnp.ndarray array) noexcept:
+    return <double *>cnp.PyArray_DATA(array)
+
+cdef cnp.ndarray vector(object values, int n, str what)
+
+
+cdef class Evaluator:
+    cdef const fb_kernel *kernel
+    cdef object capsule
+    cdef readonly int n_q, n_u, n_x, n_p, n_r, n_h, n_c, n_o
+    cdef double *default_constants
+    cdef double *constants
+    cdef double *inputs
+    cdef void *work
+    cdef bint defaults_known
+    cdef bint inputs_known
+    cdef bint prescribed_known
+    cdef cnp.ndarray _parameters(self, object p)
+    cdef cnp.ndarray _inputs(self, double t, cnp.ndarray parameters, object r, bint known)
+    cdef cnp.ndarray _state(self, double t, object x, int n)
+    cdef const double *_prepare(self, cnp.ndarray parameters) noexcept
+    cdef const double *_fill(self, double t, const double *constants, cnp.ndarray inputs) noexcept
+    cdef cnp.ndarray _output(self, object out, cnp.ndarray state)
+    cdef cnp.ndarray _differentiate(self, fb_evaluation *function, int columns, double t, x, p, r)

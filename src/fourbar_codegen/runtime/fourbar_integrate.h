@@ -1,0 +1,439 @@
+/* A run of an explicit Runge-Kutta method: steps, projection onto the constraints, interpolation, samples.
+ *
+ * Error norm, first step and step control are those of SciPy's RK45 and DOP853 (E. Hairer, S. P. Norsett, G. Wanner,
+ * Solving Ordinary Differential Equations I, sections II.4 and II.5), so that a run without projection takes the same
+ * steps. Arrays of states are padded to whole blocks with zeros.
+ */
+#ifndef FOURBAR_INTEGRATE_H
+#define FOURBAR_INTEGRATE_H
+
+#include "fourbar_problem.h"
+#include "fourbar_tableau.h"
+
+#include <math.h>
+#include <string.h>
+
+/* Of the step control: by how much a step is kept shorter than the estimate allows, and changes at most. */
+#define FB_SAFETY 0.9
+#define FB_MIN_FACTOR 0.2
+#define FB_MAX_FACTOR 10.0
+
+/* Shares of the average step below which the steps have collapsed, and from which they have recovered. */
+#define FB_COLLAPSE 1e-5
+#define FB_RECOVERY 1e-3
+
+enum { FB_BLOCK = 8, FB_LARGEST_METHOD = 16 };
+
+enum FB_RUN {
+    FB_RUN_END = 0,       /* t_bound is reached */
+    FB_RUN_PAUSED = 1,    /* as many steps as asked for */
+    FB_RUN_FULL = 2,      /* no room for another sample */
+    FB_RUN_EVENT = 3,     /* a step to look at, before its samples are taken: an event function changed its sign, or the
+                             constraints their orientation */
+    FB_RUN_TOO_SMALL = 4, /* the step control asks for less than the spacing of doubles */
+    FB_RUN_INFINITE = 5,  /* the step's length is not finite */
+    FB_RUN_COLLAPSED = 6  /* steps have become much smaller than they were on average */
+};
+
+/* The weights of a linear combination of stages, without zeros. */
+typedef struct fb_weights {
+    int n;
+    int stage[FB_LARGEST_METHOD];
+    double weight[FB_LARGEST_METHOD];
+} fb_weights;
+
+typedef struct fb_run {
+    fb_problem *problem;
+    const fb_tableau *method;
+    fb_weights stage[FB_LARGEST_METHOD], error[2], more[4], dense[4];
+    int n, padded;
+    double direction, t_bound, max_step;
+    const double *rtol, *atol; /* (padded,), the padding not 0 */
+    int project;
+    /* the state, the last step, and the proposal for the next */
+    double t, t_old, h, h_abs;
+    double *x, *x_old, *scratch; /* (padded,) */
+    double *stages;              /* (s + 1 + n_more, padded): x' at the beginning, the stages, x' at the end */
+    double *interpolant;         /* (n_dense + 3, padded) */
+    int interpolant_known;
+    double violations[2]; /* the largest that projection left */
+    long n_evaluations, n_steps;
+    double t_begin;
+    int collapsed; /* whether that was said */
+    /* samples at given times, or after each step */
+    const double *times; /* or NULL */
+    long n_times, next_time;
+    double *sample_t, *sample_x; /* (room,), (room, n) */
+    long room, n_samples;
+    int pending; /* whether the last step's samples are still to be taken */
+    double until; /* no samples behind this time */
+    int turned;      /* whether the constraints' orientation has changed in the last step */
+    int look_at_all; /* whether every step is one to look at */
+    /* outputs whose changes of sign are events */
+    int n_events;
+    const int *event_output, *event_direction;
+    double *event_value, *event_old; /* (n_events,) */
+    double *outputs;                 /* (n_u + n_c + n_o,), scratch */
+} fb_run;
+
+static inline void fb_weights_of(const double *dense, const int n, fb_weights *weights)
+{
+    weights->n = 0;
+    for (int i = 0; i < n; ++i)
+        if (dense[i] != 0.0) {
+            weights->stage[weights->n] = i;
+            weights->weight[weights->n++] = dense[i];
+        }
+}
+
+static inline void fb_prepare_method(fb_run *s)
+{
+    const fb_tableau *const m = s->method;
+    const int n = m->n_stages;
+    for (int k = 1; k < n; ++k)
+        fb_weights_of(m->a + k * n, k, s->stage + k);
+    fb_weights_of(m->b, n, s->stage + n);
+    for (int i = 0; i < m->n_errors; ++i)
+        fb_weights_of(m->error + i * (n + 1), n + 1, s->error + i);
+    for (int i = 0; i < m->n_more; ++i)
+        fb_weights_of(m->more_a + i * (n + 1 + m->n_more), n + 1 + i, s->more + i);
+    for (int i = 0; i < m->n_dense; ++i)
+        fb_weights_of(m->dense + i * (n + 1 + m->n_more), n + 1 + m->n_more, s->dense + i);
+}
+
+/* base + factor times the weighted sum of stages; base may be NULL. */
+static inline void fb_combine(const fb_run *s, const fb_weights *w, const double factor, const double *base,
+                              double *restrict result)
+{
+    for (int i = 0; i < s->padded; i += FB_BLOCK) {
+        double sum[FB_BLOCK] = {0.0};
+        for (int j = 0; j < w->n; ++j) {
+            const double *const stage = s->stages + w->stage[j] * s->padded + i;
+            const double weight = w->weight[j];
+            for (int k = 0; k < FB_BLOCK; ++k)
+                sum[k] += weight * stage[k];
+        }
+        for (int k = 0; k < FB_BLOCK; ++k)
+            result[i + k] = (base ? base[i + k] : 0.0) + factor * sum[k];
+    }
+}
+
+static inline int fb_evaluate(fb_run *s, const double t, const double *x, double *rates)
+{
+    s->n_evaluations += 1;
+    return fb_problem_rates(s->problem, t, x, rates);
+}
+
+/* The root mean square of the error estimate in units of the tolerances. */
+static inline double fb_error_of(const fb_run *s, const double h, const double *x, const double *x_new,
+                                 double *restrict error, double *restrict error3)
+{
+    const int two = s->method->n_errors == 2;
+    fb_combine(s, s->error, two ? 1.0 : h, NULL, error);
+    if (two)
+        fb_combine(s, s->error + 1, 1.0, NULL, error3);
+    double sum = 0.0, sum3 = 0.0;
+    for (int i = 0; i < s->n; ++i) {
+        const double size = fabs(x[i]), size_new = fabs(x_new[i]);
+        const double scale = s->atol[i] + (size > size_new ? size : size_new) * s->rtol[i];
+        sum += (error[i] / scale) * (error[i] / scale);
+        if (two)
+            sum3 += (error3[i] / scale) * (error3[i] / scale);
+    }
+    if (!two)
+        return sqrt(sum / s->n);
+    return sum == 0.0 && sum3 == 0.0 ? 0.0 : fabs(h) * sum / sqrt((sum + 0.01 * sum3) * s->n);
+}
+
+static inline double fb_rms(const fb_run *s, const double *x, const double *y, const double *scale_by)
+{
+    double sum = 0.0;
+    for (int i = 0; i < s->n; ++i) {
+        const double scaled = (x[i] - (y ? y[i] : 0.0)) / (s->atol[i] + fabs(scale_by[i]) * s->rtol[i]);
+        sum += scaled * scaled;
+    }
+    return sqrt(sum / s->n);
+}
+
+/* x' at the beginning, and the length of the first step. */
+static inline int fb_begin(fb_run *s)
+{
+    double *const f0 = s->stages, *const f1 = s->stages + s->padded;
+    int status = fb_evaluate(s, s->t, s->x, f0);
+    if (status < 0)
+        return status;
+    s->problem->kernel->turned(s->problem->work);
+    const double interval = fabs(s->t_bound - s->t);
+    const double d0 = fb_rms(s, s->x, NULL, s->x), d1 = fb_rms(s, f0, NULL, s->x);
+    double h0 = d0 < 1e-5 || d1 < 1e-5 ? 1e-6 : 0.01 * d0 / d1;
+    h0 = h0 < interval ? h0 : interval;
+    for (int i = 0; i < s->padded; ++i)
+        s->scratch[i] = s->x[i] + h0 * s->direction * f0[i];
+    status = fb_evaluate(s, s->t + h0 * s->direction, s->scratch, f1);
+    if (status < 0)
+        return status;
+    const double d2 = fb_rms(s, f1, f0, s->x) / h0;
+    const double largest = d1 > d2 ? d1 : d2;
+    double h1 = d1 <= 1e-15 && d2 <= 1e-15 ? (h0 * 1e-3 > 1e-6 ? h0 * 1e-3 : 1e-6)
+                                           : pow(0.01 / largest, 1.0 / (s->method->order + 1.0));
+    h1 = 100.0 * h0 < h1 ? 100.0 * h0 : h1;
+    h1 = interval < h1 ? interval : h1;
+    s->h_abs = s->max_step < h1 ? s->max_step : h1;
+    return 0;
+}
+
+/* The stages of a step of length h, and x at its end in `scratch`. */
+static inline int fb_stages(fb_run *s, const double h)
+{
+    const fb_tableau *const m = s->method;
+    for (int k = 1; k <= m->n_stages; ++k) {
+        fb_combine(s, s->stage + k, h, s->x, s->scratch);
+        if (k < m->n_stages) {
+            const int status = fb_evaluate(s, s->t + m->c[k] * h, s->scratch, s->stages + k * s->padded);
+            if (status < 0)
+                return status;
+        }
+    }
+    return 0;
+}
+
+static inline void fb_note_violations(fb_run *s, const double *violations)
+{
+    for (int i = 0; i < 2; ++i)
+        s->violations[i] = violations[i] > s->violations[i] ? violations[i] : s->violations[i];
+}
+
+/* The step to t + h is taken: x' at its end in the last row of stages becomes that at the next one's beginning when
+ * that is taken. */
+static inline void fb_accept(fb_run *s, const double t_new)
+{
+    double *const x_new = s->scratch;
+    s->scratch = s->x_old;
+    s->x_old = s->x;
+    s->x = x_new;
+    s->t_old = s->t;
+    s->h = t_new - s->t;
+    s->t = t_new;
+    s->n_steps += 1;
+    s->interpolant_known = 0;
+    s->pending = 1;
+}
+
+/* One accepted step; negative from the caller of inputs, or an FB_RUN. */
+static inline int fb_step_on(fb_run *s)
+{
+    const fb_tableau *const m = s->method;
+    const double min_step = 10.0 * fabs(nextafter(s->t, s->direction * INFINITY) - s->t);
+    double *const end = s->stages + m->n_stages * s->padded;
+    double *const error = s->interpolant, *const error3 = s->interpolant + s->padded;
+    double h_abs = s->h_abs > s->max_step ? s->max_step : s->h_abs < min_step ? min_step : s->h_abs;
+    int rejected = 0;
+    s->interpolant_known = 0;
+    if (s->n_steps > 0)
+        memcpy(s->stages, end, (size_t)s->padded * sizeof *end);
+    for (;;) {
+        /* Also where it is not a number. */
+        if (!(h_abs >= min_step))
+            return FB_RUN_TOO_SMALL;
+        double t_new = s->t + h_abs * s->direction;
+        if (s->direction * (t_new - s->t_bound) > 0.0)
+            t_new = s->t_bound;
+        const double h = t_new - s->t;
+        h_abs = fabs(h);
+        if (!isfinite(h))
+            return FB_RUN_INFINITE;
+        int status = fb_stages(s, h);
+        /* With projection x' at the end is evaluated behind it, unless the error estimate needs it. */
+        const int first = !s->project || s->error[0].stage[s->error[0].n - 1] == m->n_stages;
+        if (status == 0 && first)
+            status = fb_evaluate(s, t_new, s->scratch, end);
+        if (status < 0)
+            return status;
+        double error_norm = fb_error_of(s, h, s->x, s->scratch, error, error3);
+        if (error_norm < 1.0 && s->project) {
+            double violations[2];
+            status = fb_problem_project(s->problem, t_new, s->scratch, 1, violations);
+            if (status < 0)
+                return status;
+            if (status == FB_OK) {
+                fb_note_violations(s, violations);
+                status = fb_evaluate(s, t_new, s->scratch, end);
+                if (status < 0)
+                    return status;
+            } else
+                error_norm = NAN;
+        }
+        if (error_norm < 1.0 && !fb_finite(end, s->n))
+            error_norm = NAN;
+        const double factor =
+            error_norm == 0.0 ? FB_MAX_FACTOR : FB_SAFETY * pow(error_norm, -1.0 / (m->order + 1.0));
+        if (error_norm < 1.0) {
+            const double largest = rejected ? 1.0 : FB_MAX_FACTOR;
+            s->h_abs = h_abs * (factor < largest ? factor : largest);
+            fb_accept(s, t_new);
+            return FB_RUN_PAUSED;
+        }
+        h_abs *= factor > FB_MIN_FACTOR ? factor : FB_MIN_FACTOR;
+        rejected = 1;
+    }
+}
+
+/* The coefficients of the last step's interpolant. */
+static inline int fb_prepare_interpolant(fb_run *s)
+{
+    const fb_tableau *const m = s->method;
+    if (s->interpolant_known)
+        return 0;
+    if (m->n_more == 0) {
+        for (int i = 0; i < m->n_dense; ++i)
+            fb_combine(s, s->dense + i, s->h, NULL, s->interpolant + i * s->padded);
+    } else {
+        for (int i = 0; i < m->n_more; ++i) {
+            double *const stage = s->stages + (m->n_stages + 1 + i) * s->padded;
+            fb_combine(s, s->more + i, s->h, s->x_old, s->scratch);
+            const int status = fb_evaluate(s, s->t_old + m->more_c[i] * s->h, s->scratch, stage);
+            if (status < 0)
+                return status;
+        }
+        const double *const f_old = s->stages, *const f = s->stages + m->n_stages * s->padded;
+        for (int i = 0; i < s->padded; ++i) {
+            const double change = s->x[i] - s->x_old[i];
+            s->interpolant[i] = change;
+            s->interpolant[s->padded + i] = s->h * f_old[i] - change;
+            s->interpolant[2 * s->padded + i] = 2.0 * change - s->h * (f[i] + f_old[i]);
+        }
+        for (int i = 0; i < m->n_dense; ++i)
+            fb_combine(s, s->dense + i, s->h, NULL, s->interpolant + (3 + i) * s->padded);
+    }
+    s->interpolant_known = 1;
+    return 0;
+}
+
+/* The interpolant: rows of coefficients for t in (t_old, t_old + h). */
+static inline void fb_interpolate(const fb_tableau *m, const double *coefficients, const int n, const int padded,
+                                  const double *x_old, const double y, double *restrict x)
+{
+    for (int i = 0; i < n; ++i) {
+        double sum = 0.0;
+        if (m->n_more == 0) {
+            for (int k = m->n_dense - 1; k >= 0; --k)
+                sum = (sum + coefficients[k * padded + i]) * y;
+        } else {
+            for (int k = m->n_dense + 2, turn = 0; k >= 0; --k, turn = !turn)
+                sum = (sum + coefficients[k * padded + i]) * (turn ? 1.0 - y : y);
+        }
+        x[i] = x_old[i] + sum;
+    }
+}
+
+/* The state at a time in the last step. */
+static inline int fb_state_at(fb_run *s, const double t, double *x)
+{
+    if (t == s->t) {
+        memcpy(x, s->x, (size_t)s->n * sizeof *x);
+        return 0;
+    }
+    const int status = fb_prepare_interpolant(s);
+    if (status < 0)
+        return status;
+    fb_interpolate(s->method, s->interpolant, s->n, s->padded, s->x_old, (t - s->t_old) / s->h, x);
+    if (!s->project)
+        return 0;
+    double violations[2];
+    const int closed = fb_problem_project(s->problem, t, x, 0, violations);
+    if (closed < 0)
+        return closed;
+    fb_note_violations(s, violations);
+    return 0;
+}
+
+/* The samples of the last step; FB_RUN_FULL where there is no room for them. */
+static inline int fb_sample(fb_run *s)
+{
+    if (s->times == NULL) {
+        if (s->n_samples == s->room)
+            return FB_RUN_FULL;
+        s->sample_t[s->n_samples] = s->t;
+        memcpy(s->sample_x + s->n_samples * s->n, s->x, (size_t)s->n * sizeof *s->x);
+        s->n_samples += 1;
+    } else {
+        while (s->next_time < s->n_times) {
+            const double t = s->times[s->next_time];
+            if (s->direction * (t - s->t) > 0.0 || s->direction * (t - s->until) > 0.0)
+                break;
+            if (s->n_samples == s->room)
+                return FB_RUN_FULL;
+            const int status = fb_state_at(s, t, s->sample_x + s->n_samples * s->n);
+            if (status < 0)
+                return status;
+            s->sample_t[s->n_samples++] = t;
+            s->next_time += 1;
+        }
+    }
+    s->pending = 0;
+    return FB_RUN_PAUSED;
+}
+
+/* The values of the outputs that are event functions. */
+static inline int fb_event_values(fb_run *s, const double t, const double *x, double *values)
+{
+    fb_problem *const p = s->problem;
+    const fb_kernel *const k = p->kernel;
+    double *const accelerations = s->outputs, *const multipliers = accelerations + k->n_u;
+    double *const outputs = multipliers + k->n_c;
+    const int called = fb_fill_inputs(p, t, x);
+    if (called < 0)
+        return called;
+    k->accelerations(t, x, p->constants, p->inputs, accelerations, multipliers, p->work);
+    k->output(t, x, p->constants, p->inputs, accelerations, multipliers, outputs);
+    for (int i = 0; i < s->n_events; ++i)
+        values[i] = outputs[s->event_output[i]];
+    return 0;
+}
+
+/* Whether a function with these values at both ends of a step has an event in it, as solve_ivp has it. */
+static inline int fb_is_event(const double before, const double after, const int direction)
+{
+    return (before <= 0.0 && after >= 0.0 && direction >= 0) || (before >= 0.0 && after <= 0.0 && direction <= 0);
+}
+
+/* Up to n steps; returns an FB_RUN, or negative from the caller of inputs. */
+static inline int fb_run_on(fb_run *s, long n)
+{
+    for (;;) {
+        if (s->pending) {
+            const int status = fb_sample(s);
+            if (status != FB_RUN_PAUSED)
+                return status;
+        }
+        if (s->t == s->t_bound)
+            return FB_RUN_END;
+        if (n-- <= 0)
+            return FB_RUN_PAUSED;
+        /* Once for each time that the steps collapse. */
+        const double share = s->n_steps > 9 ? s->h_abs * s->n_steps / fabs(s->t - s->t_begin) : 1.0;
+        if (share < FB_COLLAPSE && !s->collapsed) {
+            s->collapsed = 1;
+            return FB_RUN_COLLAPSED;
+        }
+        if (share > FB_RECOVERY)
+            s->collapsed = 0;
+        int status = fb_step_on(s);
+        if (status != FB_RUN_PAUSED)
+            return status;
+        s->turned = s->problem->kernel->turned(s->problem->work);
+        int look = s->look_at_all | s->turned;
+        if (s->n_events > 0) {
+            memcpy(s->event_old, s->event_value, (size_t)s->n_events * sizeof *s->event_old);
+            status = fb_event_values(s, s->t, s->x, s->event_value);
+            if (status < 0)
+                return status;
+            for (int i = 0; i < s->n_events; ++i)
+                look |= fb_is_event(s->event_old[i], s->event_value[i], s->event_direction[i]);
+        }
+        if (look)
+            return FB_RUN_EVENT;
+    }
+}
+
+#endif

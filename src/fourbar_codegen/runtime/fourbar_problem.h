@@ -1,0 +1,148 @@
+/* A kernel with its parameters and inputs: x' = f(t, x) for an integrator. */
+#ifndef FOURBAR_PROBLEM_H
+#define FOURBAR_PROBLEM_H
+
+#include "fourbar_kernel.h"
+
+#include <math.h>
+#include <string.h>
+
+/* A function of time by polynomials between given times, constant before the first and after the last. */
+typedef struct fb_table {
+    int n_intervals, n_coefficients;
+    const double *times;        /* (n_intervals + 1,), strictly increasing */
+    const double *coefficients; /* (n_intervals, n_coefficients), highest power first, of the time since the beginning */
+    double before, after;
+} fb_table;
+
+static inline double fb_table_value(const fb_table *table, const double t, int *interval)
+{
+    const double *times = table->times;
+    const int last = table->n_intervals;
+    if (t < times[0])
+        return table->before;
+    if (!(t <= times[last]))
+        return table->after;
+    /* Integrators move on slowly: the interval of the last call is the first guess. */
+    int low = 0, high = last, middle = t == times[last] ? last - 1 : *interval;
+    while (!(times[middle] <= t && t <= times[middle + 1])) {
+        if (t < times[middle])
+            high = middle;
+        else
+            low = middle + 1;
+        middle = (low + high) / 2;
+    }
+    *interval = middle;
+    const double *coefficients = table->coefficients + middle * table->n_coefficients;
+    double value = coefficients[0];
+    for (int i = 1; i < table->n_coefficients; ++i)
+        value = value * (t - times[middle]) + coefficients[i];
+    return value;
+}
+
+/* Where an input comes from that is not taken from its expression. */
+typedef struct fb_source {
+    int input;
+    double value;          /* where there is no table */
+    const fb_table *table; /* or NULL */
+    int interval;
+} fb_source;
+
+typedef struct fb_problem fb_problem;
+
+/* Gives the sources of inputs that a caller computes their values at (t, x); negative stops the integration. */
+typedef int fb_called_inputs(fb_problem *problem, double t, const double *x);
+
+struct fb_problem {
+    const fb_kernel *kernel;
+    double *constants; /* (n_constants,) */
+    double *inputs;    /* (n_r,) */
+    void *work;
+    int n_sources;
+    fb_source *sources;
+    fb_called_inputs *called_inputs; /* or NULL */
+    void *caller;
+    double t;   /* of the last evaluation */
+    int status; /* of that; where it was not FB_OK, also where the failure began */
+    double failed_t;
+    double *failed_x; /* (n_x,) */
+};
+
+static inline int fb_fill_inputs(fb_problem *s, const double t, const double *x)
+{
+    if (s->kernel->n_r == 0)
+        return 0;
+    const int called = s->called_inputs ? s->called_inputs(s, t, x) : 0;
+    if (called < 0)
+        return called;
+    s->kernel->default_inputs(t, s->constants, s->inputs);
+    for (int i = 0; i < s->n_sources; ++i) {
+        fb_source *const source = s->sources + i;
+        s->inputs[source->input] = source->table ? fb_table_value(source->table, t, &source->interval) : source->value;
+    }
+    return 0;
+}
+
+static inline int fb_finite(const double *values, const int n)
+{
+    double zero = 0.0;
+    for (int i = 0; i < n; ++i)
+        zero += 0.0 * values[i];
+    return zero == 0.0;
+}
+
+/* Integrators go on from NaN with states of NaN; what is to be reported is how it began. */
+static inline void fb_note_failure(fb_problem *s, const int status, const double t, const double *x)
+{
+    const int n = s->kernel->n_q + s->kernel->n_u;
+    if (status != FB_OK && (s->status == FB_OK || fb_finite(x, n))) {
+        s->failed_t = t;
+        memcpy(s->failed_x, x, (size_t)n * sizeof *x);
+        s->status = status;
+    } else if (status == FB_OK)
+        s->status = FB_OK;
+}
+
+/* x', not a number where the equations cannot be evaluated. */
+static inline int fb_problem_rates(void *problem, const double t, const double *x, double *rates)
+{
+    fb_problem *const s = problem;
+    const int called = fb_fill_inputs(s, t, x);
+    if (called < 0)
+        return called;
+    s->t = t;
+    const int status = s->kernel->rhs(t, x, s->constants, s->inputs, rates, s->work);
+    if (status != FB_OK || s->status != FB_OK)
+        fb_note_failure(s, status, t, x);
+    if (status != FB_OK)
+        for (int i = 0; i < s->kernel->n_q + s->kernel->n_u; ++i)
+            rates[i] = NAN;
+    return 0;
+}
+
+/* dx'/dx; zeros where the equations cannot be evaluated, since factorizations refuse what is not a number, while x' is
+ * not a number there and fails the step. */
+static inline int fb_problem_jacobian(fb_problem *s, const double t, const double *x, double *matrix)
+{
+    const int n = s->kernel->n_q + s->kernel->n_u;
+    const int called = fb_fill_inputs(s, t, x);
+    if (called < 0)
+        return called;
+    const int status = s->kernel->jacobian(t, x, s->constants, s->inputs, matrix, s->work);
+    if (status != FB_OK) {
+        fb_note_failure(s, status, t, x);
+        memset(matrix, 0, (size_t)(n * n) * sizeof *matrix);
+    }
+    return 0;
+}
+
+/* Moves x onto the constraints; `known` as for the kernel's function. */
+static inline int fb_problem_project(fb_problem *s, const double t, double *x, const int known, double *violations)
+{
+    const int called = fb_fill_inputs(s, t, x);
+    if (called < 0)
+        return called;
+    return s->kernel->project(t, x, s->constants, s->inputs, known, violations, s->work);
+}
+
+#endif

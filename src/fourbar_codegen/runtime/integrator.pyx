@@ -1,0 +1,590 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
+"""The right-hand side with parameters and inputs bound, and its integration in C."""
+
+cimport cython
+cimport numpy as cnp
+from cpython.mem cimport PyMem_Calloc, PyMem_Free
+from libc.math cimport NAN
+from libc.string cimport memcpy
+
+from fourbar_codegen.runtime.evaluator cimport (
+    FB_OK, Evaluator, data, fb_fill_inputs, fb_finite, fb_problem, fb_problem_jacobian, fb_problem_project, fb_problem_rates, fb_source,
+    fb_table, new_array, vector)
+
+import numpy as np
+
+from fourbar_codegen.errors import ModelError
+from fourbar_codegen.runtime.evaluator import failure
+
+cnp.import_array()
+
+cdef extern from "fourbar_runge_kutta.h":
+    int FB_STEP_ACCEPTED
+    int FB_STEP_TOO_SMALL
+    ctypedef int (*fb_function)(void *, double, const double *, double *) noexcept nogil
+    ctypedef struct fb_runge_kutta:
+        int n_stages
+        const double *a
+        const double *b
+        const double *c
+        const double *error
+        int n_errors
+        double error_exponent
+        int n
+        fb_function function
+        void *context
+        double t_bound, direction, max_step
+        const double *rtol
+        const double *atol
+        double t, h, h_abs
+        int n_evaluations
+    int fb_step(fb_runge_kutta *, const double *, double *, double *) noexcept nogil
+
+cdef extern from "fourbar_tableau.h":
+    ctypedef struct fb_tableau:
+        int n_stages, n_errors, n_more, n_dense
+    const fb_tableau fb_rk45, fb_dop853
+
+cdef extern from "fourbar_integrate.h":
+    int FB_BLOCK
+    int FB_RUN_END
+    int FB_RUN_PAUSED
+    int FB_RUN_FULL
+    int FB_RUN_EVENT
+    int FB_RUN_TOO_SMALL
+    int FB_RUN_INFINITE
+    int FB_RUN_COLLAPSED
+    ctypedef struct fb_run:
+        fb_problem *problem
+        const fb_tableau *method
+        int n, padded
+        double direction, t_bound, max_step
+        const double *rtol
+        const double *atol
+        int project
+        double t, t_old, h, h_abs
+        double *x
+        double *x_old
+        double *scratch
+        double *stages
+        double *interpolant
+        double violations[2]
+        long n_evaluations, n_steps
+        const double *times
+        long n_times, next_time
+        double *sample_t
+        double *sample_x
+        long room, n_samples
+        int pending
+        double until, t_begin
+        int turned
+        int look_at_all
+        int n_events
+        const int *event_output
+        const int *event_direction
+        double *event_value
+        double *event_old
+        double *outputs
+    void fb_prepare_method(fb_run *) noexcept nogil
+    int fb_begin(fb_run *) noexcept nogil
+    int fb_run_on(fb_run *, long) noexcept nogil
+    int fb_state_at(fb_run *, double, double *) noexcept nogil
+    int fb_prepare_interpolant(fb_run *) noexcept nogil
+    void fb_interpolate(const fb_tableau *, const double *, int, int, const double *, double, double *) noexcept nogil
+    int fb_event_values(fb_run *, double, const double *, double *) noexcept nogil
+
+
+cdef class Table:
+    """A function of time by polynomials between given times, constant before the first and after the last.
+
+    Parameters
+    ----------
+    times : ndarray, shape (n,)
+        Strictly increasing.
+    coefficients : ndarray, shape (k + 1, n - 1)
+        Of the powers k to 0 of the time since the beginning of each interval, as ``scipy.interpolate.PPoly``
+        has them.
+    before, after : float
+        Values outside.
+    """
+
+    cdef cnp.ndarray times
+    cdef cnp.ndarray coefficients
+    cdef fb_table table
+
+    def __cinit__(self, times, coefficients, double before, double after):
+        self.times = np.array(times, dtype=np.float64)
+        self.coefficients = np.array(np.transpose(coefficients), dtype=np.float64, order="C")
+        if np.ndim(self.coefficients) != 2 or np.shape(self.coefficients)[0] != np.size(self.times) - 1:
+            raise ModelError("A table of n times has coefficients for n - 1 intervals.")
+        self.table = fb_table(
+            n_intervals=cnp.PyArray_DIM(self.coefficients, 0), n_coefficients=cnp.PyArray_DIM(self.coefficients, 1),
+            times=data(self.times), coefficients=data(self.coefficients), before=before, after=after)
+
+
+cdef int _call_inputs(fb_problem *problem, double t, const double *x) noexcept with gil:
+    return (<Ode>problem.caller)._call(t, x)
+
+
+@cython.final
+cdef class Ode:
+    """The right-hand side with parameters and inputs bound: f(t, x) for an integrator.
+
+    Where the equations cannot be evaluated, it returns NaN, so that an integrator with step control rejects
+    the step; `failure` then says why. `time` is the time of the last call. `projects` asks the solvers of
+    `fourbar_codegen.solvers` to move each state onto the constraints.
+
+    Parameters
+    ----------
+    evaluator : Evaluator
+    p : array_like or None
+    sources : sequence of length n_r
+        For each input None (its expression), a float, a `Table` or a callable of (t, x).
+    """
+
+    cdef Evaluator evaluator
+    cdef fb_problem problem
+    cdef list kept
+    cdef list callables
+    cdef tuple names
+    cdef object error
+    cdef readonly object parameters
+    cdef public bint projects
+
+    def __cinit__(self, Evaluator evaluator not None, p, sources):
+        cdef cnp.ndarray parameters = evaluator._parameters(p)
+        cdef int i
+        self.evaluator, self.parameters = evaluator, parameters
+        self.problem.kernel = evaluator.kernel
+        self.problem.constants = <double *>PyMem_Calloc(evaluator.kernel.n_constants + 1, sizeof(double))
+        self.problem.inputs = <double *>PyMem_Calloc(evaluator.n_r + 1, sizeof(double))
+        self.problem.failed_x = <double *>PyMem_Calloc(evaluator.n_x + 1, sizeof(double))
+        self.problem.sources = <fb_source *>PyMem_Calloc(evaluator.n_r + 1, sizeof(fb_source))
+        self.problem.work = PyMem_Calloc(1, evaluator.kernel.work_size)
+        if not (self.problem.constants and self.problem.inputs and self.problem.failed_x and self.problem.sources
+                and self.problem.work):
+            raise MemoryError
+        memcpy(self.problem.constants, evaluator._prepare(parameters), evaluator.kernel.n_constants * sizeof(double))
+        self.kept, self.callables, self.error = [], [], None
+        self.names = getattr(evaluator, "inputs", None) or tuple(range(1, evaluator.n_r + 1))
+        for i, given in zip(range(evaluator.n_r), sources, strict=True):
+            if given is None:
+                continue
+            self.problem.sources[self.problem.n_sources].input = i
+            if type(given) is Table:
+                self.kept.append(given)
+                self.problem.sources[self.problem.n_sources].table = &(<Table>given).table
+            elif callable(given):
+                self.callables.append((i, self.problem.n_sources, given))
+            else:
+                self.problem.sources[self.problem.n_sources].value = float(given)
+            self.problem.n_sources += 1
+        if self.callables:
+            self.problem.called_inputs, self.problem.caller = _call_inputs, <void *>self
+
+    def __dealloc__(self):
+        PyMem_Free(self.problem.constants)
+        PyMem_Free(self.problem.inputs)
+        PyMem_Free(self.problem.failed_x)
+        PyMem_Free(self.problem.sources)
+        PyMem_Free(self.problem.work)
+
+    cdef int _call(self, double t, const double *x) noexcept:
+        """The callables' values; all of them first, since they may run whatever Python they like."""
+        cdef cnp.ndarray state
+        cdef list called = []
+        try:
+            for i, source, function in self.callables:
+                state = new_array(self.evaluator.n_x)  # of its own for each: what it does to it stays its own affair
+                memcpy(data(state), x, self.evaluator.n_x * sizeof(double))
+                value = function(t, state)
+                try:
+                    called.append((source, <double>value))
+                except (TypeError, OverflowError) as error:
+                    raise ModelError(
+                        f"The callable of input {self.names[i]} must return a number, not {value!r}.") from error
+        except BaseException as error:
+            self.problem.status = FB_OK  # the equations have not failed, the callable has
+            self.error = error
+            return -1
+        for source, value in called:
+            self.problem.sources[<int>source].value = value
+        return 0
+
+    cdef int check(self, int status) except -2:
+        """The status of something that may have called inputs; raises what they have raised."""
+        if status < 0 and self.error is not None:
+            error, self.error = self.error, None
+            raise error
+        return status
+
+    @property
+    def time(self):
+        """Of the last call."""
+        return self.problem.t
+
+    @property
+    def has_callables(self):
+        """Whether an input is a callable, whose dependence on the state `jac` does not know of."""
+        return bool(self.callables)
+
+    @property
+    def failure(self):
+        """Why the equations could not be evaluated when they last were, or None."""
+        cdef cnp.ndarray x
+        if self.problem.status == FB_OK:
+            return None
+        x = new_array(self.evaluator.n_x)
+        memcpy(data(x), self.problem.failed_x, self.evaluator.n_x * sizeof(double))
+        return failure(self.problem.status, self.problem.failed_t, x)
+
+    def input_values(self, double t, x):
+        """The inputs at one time and state, shape (n_r,)."""
+        cdef cnp.ndarray state = vector(x, self.evaluator.n_x, "The state x")
+        cdef cnp.ndarray result = new_array(self.evaluator.n_r)
+        self.check(fb_fill_inputs(&self.problem, t, data(state)))
+        memcpy(data(result), self.problem.inputs, self.evaluator.n_r * sizeof(double))
+        return result
+
+    def inputs_along(self, times, states):
+        """The inputs at times, for states in columns, shape (n_r, n)."""
+        cdef cnp.ndarray t = np.ascontiguousarray(times, dtype=np.float64)
+        cdef cnp.ndarray x = np.ascontiguousarray(np.transpose(states), dtype=np.float64)
+        cdef int i, n = np.size(t), n_x = self.evaluator.n_x, n_r = self.evaluator.n_r
+        cdef cnp.ndarray result = new_array(n, n_r)
+        if np.shape(x) != (n, n_x):
+            raise ModelError(f"{n} times need states of shape ({n_x}, {n}), not {np.shape(states)}.")
+        for i in range(n):
+            self.check(fb_fill_inputs(&self.problem, data(t)[i], data(x) + i * n_x))
+            memcpy(data(result) + i * n_r, self.problem.inputs, n_r * sizeof(double))
+        return result.T
+
+    def project(self, double t, x):
+        """The state moved onto the constraints, shape (n_x,); where it is too far from them, as it was."""
+        cdef cnp.ndarray state = vector(x, self.evaluator.n_x, "The state x").copy()
+        cdef double violations[2]
+        cdef int status = self.check(fb_problem_project(&self.problem, t, data(state), 0, violations))
+        return np.array(x) if status else state
+
+    def __call__(self, double t, x):
+        """x', shape (n_x,), a fresh array."""
+        cdef cnp.ndarray state = vector(x, self.evaluator.n_x, "The state x")
+        cdef cnp.ndarray result = new_array(self.evaluator.n_x)
+        self.check(fb_problem_rates(&self.problem, t, data(state), data(result)))
+        return result
+
+    def jac(self, double t, x):
+        """d f / d x, shape (n_x, n_x)."""
+        cdef cnp.ndarray state = vector(x, self.evaluator.n_x, "The state x")
+        cdef cnp.ndarray result = new_array(self.evaluator.n_x, self.evaluator.n_x)
+        self.check(fb_problem_jacobian(&self.problem, t, data(state), data(result)))
+        return result
+
+
+cdef class Stepper:
+    """Steps of an explicit Runge-Kutta method, without Python between their stages.
+
+    Parameters
+    ----------
+    ode : Ode
+        The right-hand side.
+    tableau : (array_like, array_like, array_like), shapes (s, s), (s,), (s,)
+        The method's coefficients a, b, c.
+    error : array_like, shape (s + 1,) or (2, s + 1)
+        Weights of the error estimate; with two rows, of those of fifth and third order of DOP853.
+    error_exponent : float
+        Of the step control.
+    t_bound : float
+        The end of the run.
+    direction : float
+        1, or -1 for a run backwards.
+    max_step : float
+        The longest step.
+    rtol, atol : array_like, shape () or (n_x,)
+        Relative and absolute tolerance.
+    """
+
+    cdef fb_runge_kutta method
+    cdef tuple kept
+
+    def __cinit__(self, Ode ode not None, tableau, error, double error_exponent, double t_bound, double direction,
+                  double max_step, rtol, atol):
+        cdef int n = ode.evaluator.n_x
+        cdef cnp.ndarray a, b, c, errors, relative, absolute
+        a, b, c = (np.array(part, dtype=np.float64, order="C") for part in tableau)
+        errors = np.array(error, dtype=np.float64, order="C")
+        relative, absolute = np.full(n, rtol, dtype=np.float64), np.full(n, atol, dtype=np.float64)
+        self.kept = (ode, a, b, c, errors, relative, absolute)
+        cdef int n_stages = np.size(b)
+        if (np.shape(a) != (n_stages, n_stages) or np.shape(c) != (n_stages,)
+                or np.shape(errors) not in {(n_stages + 1,), (2, n_stages + 1)}):
+            raise ModelError("The shapes of a Runge-Kutta method's coefficients do not agree.")
+        self.method = fb_runge_kutta(
+            n_stages=n_stages, a=data(a), b=data(b), c=data(c), error=data(errors),
+            n_errors=cnp.PyArray_NDIM(errors), error_exponent=error_exponent, n=n, function=fb_problem_rates, context=<void *>&ode.problem, t_bound=t_bound,
+            direction=direction, max_step=max_step, rtol=data(relative),
+            atol=data(absolute), t=0.0, h=0.0, h_abs=0.0, n_evaluations=0)
+
+    def step(self, double t, double h_abs, x, cnp.ndarray stages not None):
+        """One accepted step.
+
+        Parameters
+        ----------
+        t, h_abs : float
+            Time and the step's proposed length.
+        x : array_like, shape (n_x,)
+        stages : ndarray, shape (s + 1, n_x)
+            Its first row is x' at t; the others are written.
+
+        Returns
+        -------
+        t, h, h_abs : float
+            The time reached, the step taken, the next step's proposed length.
+        x : ndarray, shape (n_x,)
+        n_evaluations : int
+        problem : {"", "too small", "infinite"}
+            Of the step's length; otherwise the step was accepted.
+        """
+        cdef cnp.ndarray state = vector(x, self.method.n, "The state x")
+        cdef cnp.ndarray x_new = new_array(self.method.n)
+        if (cnp.PyArray_NDIM(stages) != 2 or cnp.PyArray_TYPE(stages) != cnp.NPY_DOUBLE
+                or not cnp.PyArray_ISCARRAY(stages) or cnp.PyArray_DIM(stages, 0) != self.method.n_stages + 1
+                or cnp.PyArray_DIM(stages, 1) != self.method.n):
+            raise ModelError(f"The stages must be a contiguous array of {self.method.n_stages + 1} states.")
+        self.method.t, self.method.h_abs, self.method.n_evaluations = t, h_abs, 0
+        cdef Ode ode = self.kept[0]
+        cdef int status = ode.check(fb_step(&self.method, data(state), data(x_new), data(stages)))
+        return (self.method.t, self.method.h, self.method.h_abs, x_new, self.method.n_evaluations,
+                "" if status == FB_STEP_ACCEPTED else "too small" if status == FB_STEP_TOO_SMALL else "infinite")
+
+
+_REASONS = {FB_RUN_END: "end", FB_RUN_PAUSED: "paused", FB_RUN_FULL: "full", FB_RUN_EVENT: "event",
+            FB_RUN_TOO_SMALL: "too small", FB_RUN_INFINITE: "infinite", FB_RUN_COLLAPSED: "collapsed"}
+
+
+@cython.final
+cdef class Run:
+    """A run of RK45 or DOP853 in C, without Python between its steps: see ``fourbar_integrate.h``.
+
+    Parameters
+    ----------
+    ode : Ode
+        The right-hand side; nothing else may call it during the run.
+    method : {"RK45", "DOP853"}
+    t, t_bound : float
+        Beginning and end.
+    x : array_like, shape (n_x,)
+        The state at the beginning.
+    max_step : float
+        The longest step.
+    rtol, atol : array_like, shape () or (n_x,)
+        Relative and absolute tolerance.
+    project : bool
+        Whether states are moved onto the constraints after each step.
+    times : array_like, shape (n,), or None
+        Times of the samples; None for a sample after each step.
+    events : sequence of (int, int)
+        Positions of outputs whose changes of sign are events, and the direction of these: 1, -1, or 0 for both.
+    look_at_all : bool
+        Whether to stop after each step.
+    """
+
+    cdef fb_run run
+    cdef readonly Ode ode
+    cdef list kept
+    cdef cnp.ndarray kept_t
+    cdef cnp.ndarray kept_x
+
+    def __cinit__(self, Ode ode not None, str method, double t, x, double t_bound, double max_step, rtol, atol,
+                  bint project, times, events, bint look_at_all):
+        cdef int n = ode.evaluator.n_x, rows
+        cdef cnp.ndarray state = vector(x, n, "The state x")
+        cdef fb_run *run = &self.run
+        run.method = &fb_rk45 if method == "RK45" else &fb_dop853
+        run.n, run.padded = n, (n + FB_BLOCK - 1) // FB_BLOCK * FB_BLOCK
+        rows = run.method.n_stages + 1 + run.method.n_more
+        self.ode, self.kept = ode, []
+        run.problem = &ode.problem
+        run.direction, run.t_bound, run.max_step = 1.0 if t_bound > t else -1.0, t_bound, max_step
+        run.project, run.t, run.t_begin, run.until = project, t, t, t_bound
+        run.x, run.x_old, run.scratch = self._zeros(1), self._zeros(1), self._zeros(1)
+        run.stages, run.interpolant = self._zeros(rows), self._zeros(run.method.n_dense + 3)
+        run.rtol, run.atol = self._padded(rtol), self._padded(atol)
+        memcpy(run.x, data(state), n * sizeof(double))
+        if times is not None:
+            run.times, run.n_times = <const double *>self._keep(np.array(times, dtype=np.float64)), np.size(times)
+        run.n_events, run.look_at_all = len(events), look_at_all
+        run.event_output = <const int *>self._keep(np.array([event[0] for event in events], dtype=np.intc))
+        run.event_direction = <const int *>self._keep(np.array([event[1] for event in events], dtype=np.intc))
+        run.event_value = <double *>self._keep(np.zeros(run.n_events + 1))
+        run.event_old = <double *>self._keep(np.zeros(run.n_events + 1))
+        run.outputs = <double *>self._keep(np.zeros(ode.evaluator.n_u + ode.evaluator.n_c + ode.evaluator.n_o + 1))
+        self._make_room(run.n_times if times is not None else 256)
+        fb_prepare_method(run)
+
+    cdef void *_keep(self, cnp.ndarray array):
+        self.kept.append(array)
+        return cnp.PyArray_DATA(array)
+
+    cdef double *_zeros(self, int rows):
+        return <double *>self._keep(np.zeros((rows, self.run.padded)))
+
+    cdef double *_padded(self, values):
+        array = np.ones(self.run.padded)
+        array[:self.run.n] = values
+        return <double *>self._keep(array)
+
+    def take_samples(self):
+        """The samples since the last call, shapes (n,) and (n, n_x)."""
+        cdef long n = self.run.n_samples
+        samples = (self.kept_t[:n].copy(), self.kept_x[:n].copy())
+        if n == self.run.room:
+            self._make_room(2 * n)
+        self.run.n_samples = 0
+        return samples
+
+    cdef int _make_room(self, long room) except -1:
+        self.kept_t, self.kept_x = np.empty(room), np.empty((room, self.run.n))
+        self.run.sample_t, self.run.sample_x, self.run.room = data(self.kept_t), data(self.kept_x), room
+        return 0
+
+    def begin(self):
+        """Move the state onto the constraints, and choose the first step; returns the kernel's status of the former."""
+        cdef int status = FB_OK
+        self.run.pending = 1
+        if self.run.project:
+            status = self.ode.check(
+                fb_problem_project(self.run.problem, self.run.t, self.run.x, 0, self.run.violations))
+        self.ode.check(fb_begin(&self.run))
+        if self.run.n_events:
+            self.ode.check(fb_event_values(&self.run, self.run.t, self.run.x, self.run.event_value))
+        return status
+
+    def on(self, long steps):
+        """Up to so many steps; why it stopped: "end", "paused", "full", "event", "too small", "infinite", "collapsed"."""
+        cdef int status
+        with nogil:
+            status = fb_run_on(&self.run, steps)
+        return _REASONS[self.ode.check(status)]
+
+    def state_at(self, double t):
+        """The state at a time in the last step, shape (n_x,)."""
+        cdef cnp.ndarray x = new_array(self.run.n)
+        self.ode.check(fb_state_at(&self.run, t, data(x)))
+        return x
+
+    def event_values_at(self, double t):
+        """The event functions at a time in the last step, shape (n_events,)."""
+        cdef cnp.ndarray x = self.state_at(t)
+        cdef cnp.ndarray values = new_array(self.run.n_events)
+        self.ode.check(fb_event_values(&self.run, t, data(x), data(values)))
+        return values
+
+    def stop_at(self, double t):
+        """End the run at a time in the last step: the state there is the last one, with no samples behind it."""
+        cdef cnp.ndarray x = self.state_at(t)
+        self.run.until = t
+        if self.run.times == NULL:
+            memcpy(self.run.x, data(x), self.run.n * sizeof(double))
+            self.run.t = t
+
+    def discard(self):
+        """Go back to before the last step, where the run ends."""
+        memcpy(self.run.x, self.run.x_old, self.run.n * sizeof(double))
+        self.run.t, self.run.pending = self.run.t_old, 0
+
+    @property
+    def turned(self):
+        """Whether the constraints' orientation has changed in the last step."""
+        return bool(self.run.turned)
+
+    @property
+    def t(self):
+        """The time reached."""
+        return self.run.t
+
+    @property
+    def t_old(self):
+        """Where the last step began."""
+        return self.run.t_old
+
+    @property
+    def n_steps(self):
+        """Steps taken."""
+        return self.run.n_steps
+
+    @property
+    def n_evaluations(self):
+        """Evaluations of the right-hand side."""
+        return self.run.n_evaluations
+
+    @property
+    def x(self):
+        """The state reached, shape (n_x,)."""
+        cdef cnp.ndarray x = new_array(self.run.n)
+        memcpy(data(x), self.run.x, self.run.n * sizeof(double))
+        return x
+
+    @property
+    def event_values(self):
+        """The event functions before and after the last step, two lists."""
+        cdef int i
+        return ([self.run.event_old[i] for i in range(self.run.n_events)],
+                [self.run.event_value[i] for i in range(self.run.n_events)])
+
+    @property
+    def violations(self):
+        """The largest violations of the constraints that projection left, as changes of coordinates and speeds."""
+        return self.run.violations[0], self.run.violations[1]
+
+
+@cython.final
+cdef class DenseOutput:
+    """The state at any time of a run, by the method's interpolant, moved onto the constraints if the run's are.
+
+    Parameters
+    ----------
+    run : Run
+    """
+
+    cdef Run run
+    cdef list times
+    cdef list steps
+
+    def __cinit__(self, Run run not None):
+        self.run, self.times, self.steps = run, [run.t], []
+
+    def add(self):
+        """The last step."""
+        cdef fb_run *run = &self.run.run
+        cdef int rows = run.method.n_dense + (3 if run.method.n_more else 0)
+        cdef cnp.ndarray step = new_array(rows + 2, run.padded)
+        self.run.ode.check(fb_prepare_interpolant(run))
+        memcpy(data(step), run.interpolant, rows * run.padded * sizeof(double))
+        memcpy(data(step) + rows * run.padded, run.x_old, run.padded * sizeof(double))
+        data(step)[(rows + 1) * run.padded], data(step)[(rows + 1) * run.padded + 1] = run.t_old, run.h
+        self.times.append(run.t)
+        self.steps.append(step)
+
+    def __call__(self, t):
+        """The state at times t: shape (n_x,) for a number, (n_x, n) for n of them."""
+        cdef cnp.ndarray at = np.array(t, dtype=np.float64, ndmin=1)
+        cdef cnp.ndarray x = np.empty((np.size(at), self.run.run.n))
+        cdef cnp.ndarray step
+        cdef fb_run *run = &self.run.run
+        cdef int i, rows = run.method.n_dense + (3 if run.method.n_more else 0)
+        cdef double violations[2]
+        cdef double *end
+        if np.ndim(at) != 1:
+            raise ModelError(f"Times must be a number or an array of one dimension, not of shape {np.shape(t)}.")
+        forward = np.array(self.times) * run.direction
+        places = np.clip(np.searchsorted(forward, at * run.direction) - 1, 0, len(self.steps) - 1)
+        for i in range(np.size(at)):
+            step = self.steps[places[i]]
+            end = data(step) + (rows + 1) * run.padded
+            fb_interpolate(run.method, data(step), run.n, run.padded, data(step) + rows * run.padded,
+                           (data(at)[i] - end[0]) / end[1], data(x) + i * run.n)
+            if run.project:
+                self.run.ode.check(
+                    fb_problem_project(run.problem, data(at)[i], data(x) + i * run.n, 0, violations))
+        return np.array(x.T) if np.ndim(t) else x[0]

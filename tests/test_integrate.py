@@ -1,0 +1,346 @@
+"""Runs in C: SciPy's steps, loops that stay closed, singular positions, events."""
+
+import _thread
+import re
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.integrate
+import sympy as sm
+import sympy.physics.mechanics as me
+from scipy.integrate import solve_ivp
+from sympy.physics.mechanics.system import System
+
+import fourbar_codegen as fb
+
+METHODS = ["RK45", "DOP853"]
+
+MODELS = {
+    "four_bar": (fb.models.four_bar, None, None),
+    "chain": (lambda: fb.models.chain(3), None, None),
+    "slider_crank": (fb.models.slider_crank, None, None),
+    "rolling_disc": (fb.models.rolling_disc, {"q3": 0.4}, None),
+    "whipple_bicycle": (fb.models.whipple_bicycle, {"q4": 0.1}, {"u6": -15.0, "u4": 0.3}),
+    "n_four_bar": (lambda: fb.models.n_four_bar(4), {"p0": 0.1}, None),  # for half a second: it is singular when level
+    "cartesian_pendulum": (fb.models.cartesian_pendulum, {"y": 0.0}, None),
+}
+
+
+@pytest.fixture(scope="module", params=MODELS)
+def case(request):
+    """A compiled model, a state that it is in motion from, and for how long to simulate it."""
+    make, coordinates, speeds = MODELS[request.param]
+    compiled = fb.compile_model(make())
+    duration = 0.5 if request.param == "n_four_bar" else 1.0
+    return compiled, compiled.initial_state(coordinates, speeds), duration
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_coefficients_are_scipys(method):
+    text = (Path(fb.get_include()) / "fourbar_tableau.h").read_text()
+
+    def array(name):
+        numbers = re.search(rf"\bfb_{method.lower()}_{name}\[\d+\] = {{(.*?)}};", text, flags=re.DOTALL)[1]
+        return np.array([float(number) for number in numbers.split(",")])
+
+    scipys = getattr(scipy.integrate, method)
+    stages = scipys.n_stages
+    np.testing.assert_array_equal(array("a").reshape(stages, stages)[:, : scipys.A.shape[1]], scipys.A)
+    np.testing.assert_array_equal(array("b"), scipys.B)
+    np.testing.assert_array_equal(array("c"), scipys.C)
+    if method == "RK45":
+        np.testing.assert_array_equal(array("error"), scipys.E)
+        np.testing.assert_array_equal(array("dense"), scipys.P.T.ravel())
+    else:
+        np.testing.assert_array_equal(array("error"), [*scipys.E5, *scipys.E3])
+        np.testing.assert_array_equal(array("dense"), scipys.D.ravel())
+        np.testing.assert_array_equal(array("more_a"), scipys.A_EXTRA.ravel())
+        np.testing.assert_array_equal(array("more_c"), scipys.C_EXTRA)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-6, 1e-9])
+@pytest.mark.parametrize("forward", [True, False])
+def test_without_projection_the_steps_are_scipys(case, method, tolerance, forward):
+    compiled, x0, duration = case
+    end = duration if forward else -0.7 * duration
+    how = {"rtol": tolerance, "atol": np.full(compiled.n_x, tolerance), "max_step": 0.4, "dense_output": True}
+    scipys = solve_ivp(compiled.ode(), (0.0, end), x0, method=method, **how)
+    ours = compiled.simulate((0.0, end), x0, method=method, constraints="none", **how)
+    assert (ours.nfev, len(ours.t), ours.status) == (scipys.nfev, len(scipys.t), 0)
+    # The error estimate is a difference of sums of the size of 1, of which rounding errors of 1e-16 remain: where it is
+    # 1e-9, seven digits are known, and where it happens to vanish, none. So steps may differ a little, and solutions by
+    # as much as these change their truncation errors, which are of the size of the tolerance. (Where none vanishes,
+    # steps agree to 1e-6: test_simulate.py, test_steps_in_c_are_scipys.)
+    times = np.linspace(0.0, end, 50)
+    scale = np.abs(scipys.y).max()
+    np.testing.assert_allclose(ours.sol(times), scipys.sol(times), rtol=0, atol=0.1 * tolerance * scale)
+    sampled = compiled.simulate((0.0, end), x0, method=method, constraints="none", t_eval=times, **how)
+    # At the ends of steps, the interpolant rounds once more.
+    np.testing.assert_allclose(sampled.y, ours.sol(times), rtol=0, atol=1e-15 * scale)
+    np.testing.assert_array_equal(sampled.t, times)
+
+
+@pytest.mark.parametrize("method", [*METHODS, "RK23", "Radau", "BDF", "LSODA"])
+def test_every_state_that_is_handed_out_satisfies_the_constraints(case, method):
+    compiled, x0, duration = case
+    times = np.linspace(0.0, duration, 33)
+    how = {"method": method, "rtol": 1e-4, "atol": 1e-5}
+    sampled = compiled.simulate((0.0, duration), x0, t_eval=times, **how)
+    stepped = compiled.simulate((0.0, duration), x0, dense_output=method in METHODS, **how)
+    assert sampled.success
+    assert stepped.success
+    states = [*zip(sampled.t, sampled.y.T, strict=True), *zip(stepped.t, stepped.y.T, strict=True)]
+    if method in METHODS:
+        states += list(zip(times, stepped.sol(times).T, strict=True))
+        # Of the end of a step, the interpolant is another approximation by rounding errors, and is projected itself.
+        np.testing.assert_allclose(stepped.sol(times), sampled.y, rtol=0, atol=1e-12 * np.abs(sampled.y).max())
+    for t, x in states:
+        positions, velocities = compiled.closure(t, x)
+        jacobian, _ = compiled.velocity(t, x)
+        # Rounding errors of a few dozen operations on coordinates and speeds.
+        size = np.abs(jacobian).max(initial=0.0) * np.abs(x).max()
+        assert np.abs(positions).max(initial=0.0) <= 1e-12 * size
+        assert np.abs(velocities).max(initial=0.0) <= 1e-12 * size
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_projection_does_not_cost_accuracy(case, method):
+    compiled, x0, duration = case
+    exact = solve_ivp(compiled.ode(), (0.0, duration), x0, method="DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
+    errors = {}
+    for constraints in ("none", "project"):
+        run = compiled.simulate((0.0, duration), x0, method=method, rtol=1e-7, atol=1e-7, constraints=constraints)
+        errors[constraints] = np.abs(run.y[:, -1] - exact).max()
+    # Both stay within the tolerances of some dozen steps; neither is the other's measure.
+    assert errors["project"] <= 2.0 * errors["none"] + 1e-9 * np.abs(exact).max()
+
+
+def test_a_pendulum_in_cartesian_coordinates_over_20_s():
+    # IFToMM multibody benchmark A01; figures from elliptic functions.
+    published = {
+        1: (0.98629175113186, -0.16501085312554),
+        2: (-0.79356619534332, -0.60848393044379),
+        5: (-0.94230543504376, -0.33475433841400),
+        10: (-0.27508746257612, -0.96141920509913),
+        20: (0.99690717399099, -0.07858808080933),
+    }
+    pendulum = fb.compile_model(fb.models.cartesian_pendulum())
+    x0 = pendulum.initial_state({"y": 0.0})
+    run = pendulum.simulate((0.0, 20.0), x0, t_eval=list(published), rtol=1e-11, atol=1e-11)
+    # 500 steps with relative errors of 1e-11 each.
+    np.testing.assert_allclose(np.array([run["x"], run["y"]]).T, list(published.values()), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(run.energy, run.energy[0], rtol=0, atol=1e-9)
+    assert np.abs(run.constraint_residual).max() < 1e-12
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-6, 1e-10])
+@pytest.mark.parametrize("method", METHODS)
+def test_the_tutorials_linkage_runs_into_a_singular_position(four_bar, method, tolerance):
+    # It is a change-point linkage, l1 + l4 = l2 + l3: whenever q1 reaches pi, all bars are collinear.
+    run = four_bar.simulate((0.0, 20.0), method=method, rtol=tolerance, atol=1e-3 * tolerance)
+    assert not run.success
+    assert run.status == -1
+    assert 5.3 < run.t[-1] < 6.0
+    assert f"stopped at t = {run.t[-1]:.9g}" in run.message
+    time, angle = re.search(r"singular position at t = (.*?), q1 = (.*?),", run.message).groups()
+    assert abs(float(time) - run.t[-1]) < 0.3
+    assert abs(np.sin(float(angle))) < 1e-3
+    # Without projection SciPy's RK45 needs 290,858 evaluations to get through to t = 20 s.
+    assert run.nfev < 10000
+
+
+def test_a_near_miss_is_passed(four_bar):
+    # A millimetre more of l1 and the bars never are collinear. (The tutorial's spring feeds energy into a linkage that
+    # turns around: it is left out.)
+    parameters = {"l1": 0.801, "k": 0.0, "c": 0.0}
+    x0 = four_bar.initial_state({"q1": -0.5}, {"u1": -0.1}, parameters=parameters)
+    run = four_bar.simulate((0.0, 20.0), x0, parameters=parameters, inputs={"F": 0.0}, rtol=1e-8, atol=1e-8)
+    assert run.success
+    np.testing.assert_allclose(run.energy, run.energy[0], rtol=1e-4)
+    assert np.abs(run.constraint_residual).max() < 1e-12
+
+
+def linkage(driven):
+    """A four-bar of massless-free textbook form, its angles from the ground, with one of them independent.
+
+    Two pivots on the ground, ends of bars at angles q1 and q2, q3 for the bar between them.
+    """
+    q, u = me.dynamicsymbols("q1:4"), me.dynamicsymbols("u1:4")
+    ground_length, a, b, c, m = sm.symbols("d a b c m")
+    t = me.dynamicsymbols._t
+    ground, origin = me.ReferenceFrame("N"), me.Point("O")
+    origin.set_vel(ground, 0)
+    system = System(ground, origin)
+    ends = []
+    for i, (base, length) in enumerate(((0, a), (ground_length * ground.x, b))):
+        frame, end = me.ReferenceFrame(f"A{i}"), me.Point(f"E{i}")
+        frame.orient_axis(ground, ground.z, q[i])
+        frame.set_ang_vel(ground, u[i] * ground.z)
+        end.set_pos(origin, base + length * frame.x)
+        end.set_vel(ground, length * u[i] * frame.y)
+        system.add_bodies(me.Particle(f"P{i}", end, m))
+        ends.append((frame, end))
+    coupler = me.ReferenceFrame("C")
+    coupler.orient_axis(ground, ground.z, q[2])
+    coupler.set_ang_vel(ground, u[2] * ground.z)
+    gap = ends[1][1].pos_from(ends[0][1]) - c * coupler.x
+    system.add_holonomic_constraints(gap.dot(ground.x), gap.dot(ground.y))
+    order = [driven, *(i for i in range(3) if i != driven)]
+    system.q_ind, system.q_dep = [q[driven]], [q[i] for i in order[1:]]
+    system.u_ind, system.u_dep = [u[driven]], [u[i] for i in order[1:]]
+    system.add_kdes(*(u_i - q_i.diff(t) for q_i, u_i in zip(q, u, strict=True)))
+    return fb.compile_model(fb.Model(system, name=f"linkage_{driven}", inputs={}))
+
+
+@pytest.mark.parametrize(
+    "lengths",
+    [
+        {"d": 4.0, "a": 1.0, "b": 3.0, "c": 3.5},  # Grashof: bar 1 turns around, bar 2 rocks
+        {"d": 4.0, "a": 3.0, "b": 2.5, "c": 2.0},  # not Grashof: all bars rock
+    ],
+    ids=["crank-rocker", "non-Grashof"],
+)
+def test_dead_points_of_the_chosen_coordinates_are_passed(lengths):
+    # Driven from bar 2, the dependent speeds do not follow from the independent one wherever it turns around; driven
+    # from bar 1, the same where that does. The motion is one and the same.
+    parameters = {**lengths, "m": 1.0}
+    first, second = linkage(0), linkage(1)
+    x1 = first.initial_state({"q1": 0.5}, {"u1": 1.5}, guess={"q2": 1.5, "q3": 0.5}, parameters=parameters)
+    named = dict(zip(first.states, x1, strict=True))
+    x2 = np.array([named[name] for name in second.states])
+    how = {"parameters": parameters, "rtol": 1e-10, "atol": 1e-10, "t_eval": np.linspace(0.0, 20.0, 401)}
+    runs = [first.simulate((0.0, 20.0), x1, **how), second.simulate((0.0, 20.0), x2, **how)]
+    u2 = runs[0]["u2"]
+    assert (u2[:-1] * u2[1:] < 0).sum() > 3  # it has turned around there
+    for run in runs:
+        assert run.success
+        assert run.nfev < 20000
+        # Nothing but the constraints acts: the energy stays, up to the tolerances of some hundred steps.
+        np.testing.assert_allclose(run.kinetic_energy, run.kinetic_energy[0], rtol=1e-7)
+        assert np.abs(run.constraint_residual).max() < 1e-11
+    for name in first.states:
+        np.testing.assert_allclose(runs[0][name], runs[1][name], rtol=0, atol=1e-6)
+
+
+def test_energy_of_a_conservative_four_bar_over_1000_s(four_bar):
+    parameters = {"k": 0.0, "c": 0.0, "l1": 0.9}
+    x0 = four_bar.initial_state({"q1": -0.5}, {"u1": -0.1}, parameters=parameters)
+    run = four_bar.simulate((0.0, 1000.0), x0, parameters=parameters, inputs={"F": 0.0}, rtol=1e-10, atol=1e-10)
+    assert run.success
+    np.testing.assert_allclose(run.energy, run.energy[0], rtol=1e-7)
+
+
+def kanes_pendulum(velocity):
+    """A pendulum in Cartesian coordinates by KanesMethod, which takes velocity constraints as they are given."""
+    x, y, vx, vy = me.dynamicsymbols("x y v_x v_y")
+    m, g, length = sm.symbols("m g l")
+    t = me.dynamicsymbols._t
+    ground, origin, bob = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
+    origin.set_vel(ground, 0)
+    bob.set_pos(origin, x * ground.x + y * ground.y)
+    bob.set_vel(ground, vx * ground.x + vy * ground.y)
+    kane = me.KanesMethod(
+        ground, [y], [vy], kd_eqs=[vy - y.diff(t), vx - x.diff(t)], q_dependent=[x], u_dependent=[vx],
+        configuration_constraints=[x**2 + y**2 - length**2], velocity_constraints=[velocity(x, y, vx, vy, length)],
+    )  # fmt: skip
+    kane.kanes_equations([me.Particle("bob", bob, m)], [(bob, -m * g * ground.y)])
+    values = {m: 1.0, g: 9.81, length: 1.0}
+    return fb.compile_model(fb.Model(kane, name="kanes", parameters=values, initial={x: -1.0, y: 0.0, vy: 0.0}))
+
+
+def test_velocity_constraints_that_are_the_positions_rates():
+    pendulum = kanes_pendulum(lambda x, y, vx, vy, length: -2 * (x * vx + y * vy))
+    run = pendulum.simulate((0.0, 1.0), rtol=1e-11, atol=1e-11)
+    # As above; y at t = 1 s of benchmark A01.
+    assert run["y"][-1] == pytest.approx(-0.16501085312554, abs=1e-9)
+    assert np.abs(run.constraint_residual).max() < 1e-12
+    other = kanes_pendulum(lambda x, y, vx, vy, length: (x * vx + y * vy) / length)
+    with pytest.raises(fb.ModelError, match="not the rates of its position constraints"):
+        other.simulate((0.0, 1.0))
+    assert other.simulate((0.0, 1.0), constraints="none").success
+
+
+def test_events_are_scipys(four_bar):
+    def turning(t, x):
+        return x[3]
+
+    def falling(t, x):
+        return x[0] + 1.0
+
+    falling.direction = -1.0
+    x0 = four_bar.initial_state()
+    how = {"rtol": 1e-10, "atol": 1e-10, "events": [turning, falling]}
+    scipys = solve_ivp(four_bar.ode(), (0.0, 4.0), x0, method="DOP853", **how)
+    ours = four_bar.simulate((0.0, 4.0), x0, constraints="none", **how)
+    assert [len(times) for times in ours.t_events] == [len(times) for times in scipys.t_events]
+    assert len(ours.t_events[0]) > 0
+    for times, expected in zip(ours.t_events, scipys.t_events, strict=True):
+        # Errors of 1e-10 in states that change by 1 per second.
+        np.testing.assert_allclose(times, expected, rtol=0, atol=1e-8)
+    for states, expected in zip(ours.y_events, scipys.y_events, strict=True):
+        np.testing.assert_allclose(states, expected, rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize("t_eval", [None, np.linspace(0.0, 3.0, 61)])
+def test_an_output_as_terminal_event(t_eval):
+    crank = fb.compile_model(fb.models.slider_crank())
+    name = crank.outputs[0]
+    x0 = crank.initial_state()
+    free = crank.simulate((0.0, 3.0), x0, t_eval=np.linspace(0.0, 3.0, 3001))
+    values = free[name]
+    crossings = np.flatnonzero(values[:-1] * values[1:] < 0)
+    assert len(crossings) >= 2
+    run = crank.simulate((0.0, 3.0), x0, t_eval=t_eval, events=fb.Event(name, terminal=2))
+    assert (run.status, run.success) == (1, True)
+    assert free.t[crossings[1]] <= run.t_events[0][1] <= free.t[crossings[1] + 1]
+    assert len(run.t_events[0]) == 2
+    if t_eval is None:
+        assert run.t[-1] == run.t_events[0][1]
+        assert abs(run[name][-1]) < 1e-8 * np.abs(values).max()
+    else:
+        assert run.t[-1] <= run.t_events[0][1] < run.t[-1] + 0.05
+    rising = crank.simulate((0.0, 3.0), x0, events=[fb.Event(name, direction=1), fb.Event(name, direction=-1)])
+    up, down = rising.t_events
+    assert len(up) + len(down) == len(crossings)
+    assert all(values[np.searchsorted(free.t, t)] >= 0 for t in up)
+
+
+def test_limits(four_bar):
+    run = four_bar.simulate((0.0, 4.0), max_steps=7)
+    assert not run.success
+    assert len(run.t) == 8
+    assert "max_steps = 7" in run.message
+    run = four_bar.simulate((0.0, 4.0), max_step=0.01)
+    assert np.diff(run.t).max() <= 0.01 * (1 + 1e-12)
+    assert len(run.t) >= 401
+
+
+def test_progress_and_interrupt(four_bar):
+    # A run of minutes, stopped from the keyboard.
+    seen = []
+    threading.Timer(0.5, _thread.interrupt_main).start()
+    begin = time.perf_counter()
+    parameters = {"l1": 0.9, "k": 0.0, "c": 0.0}
+    with pytest.raises(KeyboardInterrupt):
+        four_bar.simulate((0.0, 1e6), parameters=parameters, inputs={"F": 0.0}, progress=seen.append)
+    assert time.perf_counter() - begin < 0.5 + 0.1 + 0.5  # 0.1 s, and what a busy machine adds
+    assert len(seen) > 5
+    assert seen == sorted(seen)
+
+
+def test_a_state_far_from_the_constraints_is_refused(four_bar):
+    with pytest.raises(fb.ModelError, match="initial_state"):
+        four_bar.simulate((0.0, 1.0), [0.1] * 6)
+
+
+def test_the_tutorials_own_code_drifts(four_bar):
+    # What projection removes: the tutorial's loop is open by 1.56e-2 m at t = 4 s.
+    run = four_bar.simulate((0.0, 4.0), method="RK45", rtol=1e-3, atol=1e-6, constraints="none")
+    assert np.abs(run.constraint_residual[:, -1]).max() == pytest.approx(1.56e-2, abs=5e-5)
+    closed = four_bar.simulate((0.0, 4.0), method="RK45", rtol=1e-3, atol=1e-6)
+    assert np.abs(closed.constraint_residual).max() < 1e-14
+    assert len(closed.t) == len(run.t) == 19

@@ -309,6 +309,21 @@ def test_an_output_as_terminal_event(t_eval):
     assert all(values[np.searchsorted(free.t, t)] >= 0 for t in up)
 
 
+def test_baumgartes_stabilization_decays_as_it_should(four_bar):
+    # Phi'' + 2 a Phi' + a^2 Phi = 0, whatever the motion: Phi = (Phi_0 + (Phi_0' + a Phi_0) t) exp(-a t).
+    a, x0 = 8.0, np.add(four_bar.initial_state(), [0.01, -0.02, 0.03, 0.2, -0.1, 0.3])
+    t = np.linspace(0.0, 2.0, 21)
+    how = {"constraints": "baumgarte", "stabilization": a, "t_eval": t, "rtol": 1e-11, "atol": 1e-11}
+    for method in ("DOP853", "Radau"):
+        run = four_bar.simulate((0.0, 2.0), x0, method=method, **how | ({"rtol": 1e-8} if method == "Radau" else {}))
+        position, velocity = run.constraint_residual[:, :1], run.velocity_residual[:, :1]
+        expected = (position + (velocity + a * position) * t) * np.exp(-a * t)
+        # Errors of 1e-8 per step of Radau in coordinates, whose changes the violations are.
+        np.testing.assert_allclose(run.constraint_residual, expected, rtol=0, atol=1e-6 if method == "Radau" else 1e-9)
+    with pytest.raises(fb.ModelError, match="stabilization must be positive"):
+        four_bar.simulate((0.0, 1.0), constraints="baumgarte", stabilization=0.0)
+
+
 def test_limits(four_bar):
     run = four_bar.simulate((0.0, 4.0), max_steps=7)
     assert not run.success
@@ -317,6 +332,9 @@ def test_limits(four_bar):
     run = four_bar.simulate((0.0, 4.0), max_step=0.01)
     assert np.diff(run.t).max() <= 0.01 * (1 + 1e-12)
     assert len(run.t) >= 401
+    for wrong in ({"max_step": 0.0}, {"max_step": "long"}, {"max_steps": 0}, {"max_steps": 1.5}, {"progress": True}):
+        with pytest.raises(fb.ModelError, match=next(iter(wrong))):
+            four_bar.simulate((0.0, 1.0), **wrong)
 
 
 def test_progress_and_interrupt(four_bar):
@@ -344,3 +362,58 @@ def test_the_tutorials_own_code_drifts(four_bar):
     closed = four_bar.simulate((0.0, 4.0), method="RK45", rtol=1e-3, atol=1e-6)
     assert np.abs(closed.constraint_residual).max() < 1e-14
     assert len(closed.t) == len(run.t) == 19
+
+
+def rk4(function, t, x, h):
+    """The classical Runge-Kutta method, as textbooks have it."""
+    k1 = function(t, x)
+    k2 = function(t + h / 2, x + h / 2 * k1)
+    k3 = function(t + h / 2, x + h / 2 * k2)
+    k4 = function(t + h, x + h * k3)
+    return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+
+def test_stepper_is_the_classical_method(four_bar):
+    ode, x = four_bar.ode(), four_bar.initial_state()
+    stepper = four_bar.stepper(0.01, x, t=0.3, constraints="none")
+    for i in range(100):
+        x = rk4(ode, 0.3 + 0.01 * i, x, 0.01)
+        np.testing.assert_allclose(stepper.step(), x, rtol=0, atol=1e-12)  # rounding errors of 100 steps
+    assert stepper.t == pytest.approx(1.3, abs=1e-13)
+    x = stepper.step()
+    np.testing.assert_array_equal(stepper.x, x)
+
+
+def test_stepper_holds_inputs_and_keeps_loops_closed(four_bar):
+    stepper = four_bar.stepper(1e-3)
+    forces = np.repeat(np.random.default_rng(2).normal(scale=50.0, size=20), 50)
+    states = np.array([stepper.step([force] if i % 2 else {"F": force}) for i, force in enumerate(forces)])
+    for t, x in zip(1e-3 * np.arange(1, 1001), states, strict=True):
+        positions, velocities = four_bar.closure(t, x)
+        # 1e-13 of coordinates of 3 rad, of speeds of 10 rad/s.
+        assert np.abs(positions).max() < 1e-12
+        assert np.abs(velocities).max() < 1e-11
+    # The same force, piecewise constant, by DOP853 from jump to jump.
+    x = four_bar.initial_state()
+    for i, force in enumerate(forces[::50]):
+        x = four_bar.simulate((0.05 * i, 0.05 * (i + 1)), x, inputs={"F": force}, rtol=1e-11, atol=1e-11).y[:, -1]
+    # Fourth order: errors of h^4 = 1e-12, times the fifth derivatives' 1e4.
+    np.testing.assert_allclose(states[-1], x, rtol=0, atol=1e-7)
+
+
+def test_stepper_refuses_what_is_wrong(four_bar):
+    with pytest.raises(fb.ModelError, match="h must not be 0"):
+        four_bar.stepper(0.0)
+    with pytest.raises(fb.ModelError, match="initial_state"):
+        four_bar.stepper(0.1, [0.1] * 6)
+    stepper = four_bar.stepper(1e-3)
+    with pytest.raises(fb.ModelError, match="'G'"):
+        stepper.step({"G": 1.0})
+    with pytest.raises(fb.ModelError, match="finite"):
+        stepper.step([np.nan])
+    before = stepper.x
+    np.testing.assert_array_equal(stepper.x, before)
+    large = four_bar.stepper(1e200)
+    with pytest.raises(fb.SimulationError):
+        large.step()
+    assert large.t == 0.0

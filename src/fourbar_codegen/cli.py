@@ -88,10 +88,10 @@ def _pairs(_: click.Context, __: click.Parameter, texts: tuple[str, ...]) -> dic
 @click.option("--method", default="DOP853", show_default=True, help="DOP853, RK45, RK23, Radau, BDF or LSODA.")
 @click.option(
     "--constraints",
-    type=click.Choice(["project", "none"]),
+    type=click.Choice(["project", "baumgarte", "none"]),
     default="project",
     show_default=True,
-    help="Whether states are moved onto the constraints after each step.",
+    help="How to keep loops closed: project moves each state onto the constraints.",
 )
 @click.option("--rtol", default=1e-6, show_default=True, help="Relative tolerance.")
 @click.option("--atol", default=1e-9, show_default=True, help="Absolute tolerance.")

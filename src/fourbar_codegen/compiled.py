@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from fourbar_codegen.arguments import Values, is_mapping, name_of, named_array, named_values
 from fourbar_codegen.errors import ModelError, SimulationError
 from fourbar_codegen.runtime.evaluator import Evaluator
-from fourbar_codegen.runtime.integrator import Ode
+from fourbar_codegen.runtime.integrator import Ode, Stepper
 
 if TYPE_CHECKING:
     from fourbar_codegen.simulate import EventLike, InputSource
@@ -640,6 +640,7 @@ class CompiledModel(Evaluator):
         atol: float | ArrayLike = 1e-9,
         events: EventLike | Sequence[EventLike] | None = None,
         constraints: str = "project",
+        stabilization: float = 10.0,
         dense_output: bool = False,
         max_step: float = math.inf,
         max_steps: int | None = None,
@@ -671,12 +672,18 @@ class CompiledModel(Evaluator):
             Names of outputs, callables of (t, x) as for ``solve_ivp``, with attributes ``terminal`` and ``direction``,
             or `Event` objects, which have these. Each change of sign is located on the interpolant. Outputs are
             evaluated in C; callables after each step.
-        constraints : {"project", "none"}, optional
+        constraints : {"project", "baumgarte", "none"}, optional
             How to keep the loops closed. With "project", the positions and then the speeds are moved onto the
             constraints after each accepted step, by the change that is least in the metric of the mass matrix; so is
-            every state that is handed out. With "none", only the accelerations satisfy the constraints, and the loops
+            every state that is handed out. With "baumgarte", the
+            accelerations are such that violations decay, and these stay as large as what an integrator's error adds
+            within 1 / `stabilization`. With "none", only the accelerations satisfy the constraints, and the loops
             drift open by the integrator's error. LSODA has a history of its own, so that only the states that it hands
             out are moved.
+        stabilization : float, optional
+            The rate a, 1/s, at which "baumgarte" lets violations decay: Phi'' + 2 a Phi' + a^2 Phi = 0. Rates beyond
+            one by the step make the equations stiff. Source: J. Baumgarte, "Stabilization of constraints and integrals
+            of motion in dynamical systems", *Computer Methods in Applied Mechanics and Engineering* 1 (1972).
         dense_output : bool, optional
             Whether to keep an interpolant as ``trajectory.sol``.
         max_step : float, optional
@@ -723,8 +730,61 @@ class CompiledModel(Evaluator):
             atol=atol,
             events=events,
             constraints=constraints,
+            stabilization=stabilization,
             dense_output=dense_output,
             max_step=max_step,
             max_steps=max_steps,
             progress=progress,
         )
+
+    def stepper(
+        self,
+        h: float,
+        x0: ArrayLike | None = None,
+        *,
+        t: float = 0.0,
+        parameters: Values | None = None,
+        inputs: Mapping[Any, InputSource] | None = None,
+        constraints: str = "project",
+    ) -> Stepper:
+        """An object that advances the mechanism by steps of one length, for control loops and real time.
+
+        Parameters
+        ----------
+        h : float
+            The step, s.
+        x0 : array_like, shape (n_x,), optional
+            The state to begin from; the one that follows from the model's initial values otherwise.
+        t : float, optional
+            Time to begin at, s.
+        parameters : array_like or mapping, optional
+            The defaults otherwise.
+        inputs : mapping, optional
+            As for `simulate`; ``step(r)`` holds others.
+        constraints : {"project", "none"}, optional
+            As for `simulate`.
+
+        Returns
+        -------
+        Stepper
+            With the method ``step(r)`` and the attributes ``t`` and ``x``.
+
+        Raises
+        ------
+        ModelError
+            If an argument has a wrong shape or name, or is not finite.
+        AssemblyError
+            If `x0` is left out and the loops do not close.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> stepper = fb.load("four_bar").stepper(1e-3)
+        >>> for _ in range(100):
+        ...     x = stepper.step({"F": -20.0 * stepper.x[3]})
+        >>> round(stepper.t, 9), x.shape
+        (0.1, (6,))
+        """
+        from fourbar_codegen.simulate import make_stepper
+
+        return make_stepper(self, h, x0, t=t, parameters=parameters, inputs=inputs, constraints=constraints)

@@ -17,7 +17,7 @@ from fourbar_codegen.runtime.integrator import DenseOutput, Ode, Run
 if TYPE_CHECKING:
     from fourbar_codegen.compiled import CompiledModel
 
-__all__ = ["METHODS", "Event", "Result", "integrate"]
+__all__ = ["METHODS", "Event", "Result", "consistent", "integrate"]
 
 Floats = NDArray[np.float64]
 
@@ -120,20 +120,12 @@ def integrate(
     Result
     """
     watch = _Watch(model, events or ())
+    start = consistent(ode, span[0], x0) if project else x0
     run = Run(
-        ode, method, span[0], x0, span[1], max_step, rtol, atol, project, t_eval, watch.outputs,
+        ode, method, span[0], start, span[1], max_step, rtol, atol, project, t_eval, watch.outputs,
         bool(watch.callables) or dense_output,
     )  # fmt: skip
-    status = run.begin()
-    moved = np.abs(run.x - x0).max(initial=0.0)
-    if status == NOT_CLOSED or moved > CONSISTENT * max(1.0, np.abs(x0).max(initial=0.0)):
-        raise ModelError(
-            f"The state x0 = {np.array2string(x0, precision=6, separator=', ')} violates the constraints: "
-            + (f"the nearest one that does not differs by {moved:.2g}. " if status == OK else "")
-            + "CompiledModel.initial_state() makes consistent states; constraints='none' takes x0 as it is."
-        )
-    if status != OK:
-        raise SimulationError(failure(status, span[0], x0))
+    run.begin()
     watch.begin(run)
     dense = DenseOutput(run) if dense_output else None
     samples: list[tuple[Floats, Floats]] = []
@@ -192,6 +184,39 @@ def integrate(
         message=message,
         violations=run.violations,
     )
+
+
+def consistent(ode: Ode, t: float, x0: Floats) -> Floats:
+    """The state to begin from, moved onto the constraints.
+
+    Parameters
+    ----------
+    ode : Ode
+    t : float
+    x0 : ndarray, shape (n_x,)
+
+    Returns
+    -------
+    ndarray, shape (n_x,)
+
+    Raises
+    ------
+    ModelError
+        If it violates them by more than what rounding to four digits does.
+    SimulationError
+        If the equations cannot be evaluated there.
+    """
+    status, x = ode.closest(t, x0)
+    moved = np.abs(x - x0).max(initial=0.0)
+    if status == NOT_CLOSED or moved > CONSISTENT * max(1.0, np.abs(x0).max(initial=0.0)):
+        raise ModelError(
+            f"The state x0 = {np.array2string(x0, precision=6, separator=', ')} violates the constraints: "
+            + (f"the nearest one that does not differs by {moved:.2g}. " if status == OK else "")
+            + "CompiledModel.initial_state() makes consistent states; constraints='none' takes x0 as it is."
+        )
+    if status != OK:
+        raise SimulationError(failure(status, t, x0))
+    return x
 
 
 class _Singular:

@@ -12,15 +12,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.arguments import Values, finite_number, is_mapping, name_of, named_array
 from fourbar_codegen.errors import ModelError
-from fourbar_codegen.integrate import METHODS, Event, Result, integrate
+from fourbar_codegen.integrate import METHODS, Event, Result, consistent, integrate
 from fourbar_codegen.progress import Progress
-from fourbar_codegen.runtime.integrator import Ode, Table
+from fourbar_codegen.runtime.integrator import Ode, Stepper, Table
 from fourbar_codegen.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from fourbar_codegen.compiled import CompiledModel
 
-__all__ = ["EventLike", "InputSource", "bind", "input_sources", "simulate"]
+__all__ = ["EventLike", "InputSource", "bind", "input_sources", "make_stepper", "simulate"]
 
 Floats = NDArray[np.float64]
 EventLike = Event | str | Callable[[float, Floats], float]
@@ -117,6 +117,7 @@ def simulate(
     atol: float | ArrayLike,
     events: EventLike | Sequence[EventLike] | None,
     constraints: str,
+    stabilization: float,
     dense_output: bool,
     max_step: float,
     max_steps: int | None,
@@ -125,27 +126,23 @@ def simulate(
     """Integrate the equations of motion; see `CompiledModel.simulate`."""
     if method not in (*METHODS, *SCIPY_METHODS):
         raise ModelError(f"There is no method {method!r}; there are {', '.join((*METHODS, *SCIPY_METHODS))}.")
-    if constraints not in ("project", "none"):
-        raise ModelError(f"constraints must be 'project' or 'none', not {constraints!r}.")
-    projects = constraints == "project" and model.n_c > 0
-    if projects and not model.manifest["can_project"]:
-        raise ModelError(
-            "The velocity constraints of this model are not the rates of its position constraints, one by one, so that "
-            "states cannot be moved onto both: take constraints='none', or state them as rates."
-        )
+    projects = _projects(model, constraints, "baumgarte")
     start, end = _span(t_span)
     if t_eval is not None:
         t_eval = _times(t_eval, start, end)
     p = model.parameter_vector(parameters)
-    state = (
-        model.initial_state(t=start, parameters=p, inputs=inputs)
-        if x0 is None
-        else named_array(x0, model.states, {}, "state")
-    )
+    state = _state(model, x0, start, p, inputs)
     ode = bind(model, p, inputs)
+    if constraints == "baumgarte":
+        ode.stabilization = _positive(stabilization, "stabilization")
     _check_start(model, ode, start, state, p)
     watched = _events(model, events)
     tolerances = _tolerance(rtol, "rtol"), _tolerance(atol, "atol", model.n_x)
+    max_step = math.inf if max_step == math.inf else _positive(max_step, "max_step")
+    if not (max_steps is None or (isinstance(max_steps, int) and max_steps > 0)):
+        raise ModelError(f"max_steps must be a positive integer or None, not {max_steps!r}.")
+    if not (progress is None or callable(progress)):
+        raise ModelError(f"progress must be a callable of the time or None, not {progress!r}.")
     if method in METHODS:
         with Progress(model.name) as shown:
 
@@ -179,6 +176,55 @@ def simulate(
         success=result.status >= 0,
         message=result.message,
     )
+
+
+def make_stepper(
+    model: CompiledModel,
+    h: float,
+    x0: ArrayLike | None,
+    *,
+    t: float,
+    parameters: Values | None,
+    inputs: Mapping[Any, InputSource] | None,
+    constraints: str,
+) -> Stepper:
+    """Steps of one length; see `CompiledModel.stepper`."""
+    h, t = finite_number(h, "h"), finite_number(t, "t")
+    if h == 0.0:
+        raise ModelError("The step h must not be 0.")
+    projects = _projects(model, constraints)
+    p = model.parameter_vector(parameters)
+    state = _state(model, x0, t, p, inputs)
+    ode = bind(model, p, inputs)
+    _check_start(model, ode, t, state, p)
+    return Stepper(ode, h, t, consistent(ode, t, state) if projects else state, projects)
+
+
+def _projects(model: CompiledModel, constraints: str, *more: str) -> bool:
+    """Whether states are to be moved onto the constraints."""
+    allowed = ("project", *more, "none")
+    if constraints not in allowed:
+        raise ModelError(f"constraints must be {' or '.join(map(repr, allowed))}, not {constraints!r}.")
+    if constraints == "none" or not model.n_c:
+        return False
+    if not model.manifest["can_project"]:
+        raise ModelError(
+            "The velocity constraints of this model are not the rates of its position constraints, one by one, so that "
+            "it is not known how these are violated: take constraints='none', or state them as rates."
+        )
+    return constraints == "project"
+
+
+def _state(
+    model: CompiledModel,
+    x0: ArrayLike | None,
+    t: float,
+    p: Floats | None,
+    inputs: Mapping[Any, InputSource] | None,
+) -> Floats:
+    if x0 is None:
+        return model.initial_state(t=t, parameters=p, inputs=inputs)
+    return named_array(x0, model.states, {}, "state")
 
 
 def _solve_ivp(
@@ -285,6 +331,13 @@ def _times(t_eval: ArrayLike, start: float, end: float) -> Floats:
             f"t_eval must lie within t_span ({start:g}, {end:g}); it goes from {times.min()} to {times.max()}."
         )
     return times
+
+
+def _positive(value: float, what: str) -> float:
+    number = finite_number(value, what)
+    if number <= 0.0:
+        raise ModelError(f"{what} must be positive, not {value!r}.")
+    return number
 
 
 def _tolerance(value: ArrayLike, name: str, size: int = 0) -> Floats:

@@ -25,7 +25,7 @@ import scipy.integrate
 from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.errors import ModelError
-from fourbar_codegen.runtime.integrator import Ode, Stepper
+from fourbar_codegen.runtime.integrator import EmbeddedSteps, Ode
 
 __all__ = ["BDF", "DOP853", "LSODA", "RK23", "RK45", "Radau"]
 
@@ -63,10 +63,10 @@ class _Explicit(_Compiled):
         super().__init__(fun, t0, y0, t_bound, **options)
         self._settings: tuple[Any, ...] = ()
 
-    def _make_stepper(self) -> Stepper:
+    def _make_stepper(self) -> EmbeddedSteps:
         weights = np.zeros((self.n_stages, self.n_stages))
         weights[:, : self.A.shape[1]] = self.A
-        return Stepper(
+        return EmbeddedSteps(
             self._ode,
             (weights, self.B, self.C),
             self._error_weights(),
@@ -125,9 +125,8 @@ class _Implicit(_Compiled):
     """
 
     def __init__(self, fun: Ode, t0: float, y0: ArrayLike, t_bound: float, **options: Any) -> None:
-        # A callable input may depend on the state, which the compiled Jacobian does not know of.
         banded = options.get("lband") is not None or options.get("uband") is not None
-        if options.get("jac") is None and isinstance(fun, Ode) and not fun.has_callables and not banded:
+        if options.get("jac") is None and isinstance(fun, Ode) and fun.has_jacobian and not banded:
             options["jac"] = fun.jac
         super().__init__(fun, t0, y0, t_bound, **options)
 

@@ -97,7 +97,7 @@ class Trajectory:
         raise ModelError(f"There is no state, input or output {name_of(name)!r}; there are {', '.join(names)}.")
 
     @cached_property
-    def _derived(self) -> tuple[Floats, Floats, Floats, Floats]:
+    def _derived(self) -> tuple[Floats, Floats, Floats, Floats, Floats]:
         return self.model.along(self.t, self.y, self.r, self.parameters)
 
     @property
@@ -106,15 +106,20 @@ class Trajectory:
         return self._derived[0]
 
     @property
+    def velocity_residual(self) -> Floats:
+        """Residuals of the velocity constraints, J u + b, shape (n_c, n_t), in the constraints' units per second."""
+        return self._derived[1]
+
+    @property
     def kinetic_energy(self) -> Floats:
         """Kinetic energy, J, shape (n_t,)."""
-        values: Floats = self._derived[1][0]
+        values: Floats = self._derived[2][0]
         return values
 
     @property
     def potential_energy(self) -> Floats:
         """Potential energy, J, shape (n_t,); NaN where the model does not know it."""
-        values: Floats = self._derived[1][1]
+        values: Floats = self._derived[2][1]
         return values
 
     @property
@@ -125,12 +130,12 @@ class Trajectory:
     @property
     def multipliers(self) -> Floats:
         """Multipliers of the constraints, shape (n_c, n_t); NaN in singular positions."""
-        return self._derived[2]
+        return self._derived[3]
 
     @property
     def outputs(self) -> Floats:
         """Outputs, shape (n_o, n_t); NaN in singular positions."""
-        return self._derived[3]
+        return self._derived[4]
 
     def columns(self) -> dict[str, Floats]:
         """Everything over time by name, each of shape (n_t,): t, states, inputs, outputs, residuals, energies."""

@@ -22,6 +22,7 @@ cdef extern from "fourbar_kernel.h":
         void (*prepare)(const double *, double *) noexcept nogil
         void (*default_inputs)(double, const double *, double *) noexcept nogil
         fb_evaluation *rhs
+        int (*stabilized)(double, const double *, const double *, const double *, double, double *, void *) noexcept nogil
         fb_evaluation *jacobian
         fb_evaluation *parameter_jacobian
         fb_evaluation *input_jacobian
@@ -63,6 +64,7 @@ cdef extern from "fourbar_problem.h":
         double *constants
         double *inputs
         void *work
+        double stabilization
         int n_sources
         fb_source *sources
         fb_called_inputs *called_inputs

@@ -438,7 +438,8 @@ cdef class Evaluator:
         return inputs
 
     def along(self, times, states, inputs, p=None):
-        """Position constraints, (n_h, n_t), energies, (2, n_t), multipliers, (n_c, n_t), and outputs, (n_o, n_t).
+        """Position constraints, (n_h, n_t), J u + b, (n_c, n_t), energies, (2, n_t), multipliers, (n_c, n_t), and
+        outputs, (n_o, n_t).
 
         States and inputs stand in columns. Multipliers and outputs are NaN where the accelerations cannot be
         evaluated.
@@ -453,6 +454,8 @@ cdef class Evaluator:
                 f"inputs of shape ({self.n_r}, {np.size(t)}), not {np.shape(inputs)}.")
         cdef int n_t = cnp.PyArray_DIM(t, 0)
         cdef cnp.ndarray constraints = new_array(n_t, self.n_h)
+        cdef cnp.ndarray velocities = new_array(n_t, self.n_c)
+        cdef cnp.ndarray positions = new_array(self.n_c)
         cdef cnp.ndarray energies = new_array(n_t, 2)
         cdef cnp.ndarray multipliers = np.full((n_t, self.n_c), NAN)
         cdef cnp.ndarray outputs = np.full((n_t, self.n_o), NAN)
@@ -468,11 +471,12 @@ cdef class Evaluator:
             t_i, x_i, r_i = data(t)[i], data(x) + i * self.n_x, data(r) + i * self.n_r
             lambda_i = data(multipliers) + i * self.n_c
             self.kernel.position(t_i, x_i, constants, r_i, data(constraints) + i * self.n_h, data(jacobian))
+            self.kernel.closure(t_i, x_i, constants, r_i, data(positions), data(velocities) + i * self.n_c)
             self.kernel.energy(t_i, x_i, constants, r_i, data(energies) + 2 * i)
             if self.kernel.accelerations(t_i, x_i, constants, r_i, data(accelerations), lambda_i, self.work) == FB_OK:
                 self.kernel.output(t_i, x_i, constants, r_i, data(accelerations), lambda_i,
                                    data(outputs) + i * self.n_o)
-        return constraints.T, energies.T, multipliers.T, outputs.T
+        return constraints.T, velocities.T, energies.T, multipliers.T, outputs.T
 
 
 def failure(int status, double t, x):

@@ -278,6 +278,28 @@ static inline int fb_step_on(fb_run *s)
     }
 }
 
+/* A step of length h by a method without an error estimate; the status of the kernel where it cannot be taken. */
+static inline int fb_fixed_step(fb_run *s, const double h)
+{
+    fb_problem *const p = s->problem;
+    int status = fb_evaluate(s, s->t, s->x, s->stages);
+    if (status == 0)
+        status = fb_stages(s, h);
+    if (status < 0)
+        return status;
+    if (p->status != FB_OK || !fb_finite(s->scratch, s->n))
+        return p->status != FB_OK ? p->status : FB_NOT_FINITE;
+    if (s->project) {
+        double violations[2];
+        status = fb_problem_project(p, s->t + h, s->scratch, 1, violations);
+        if (status != FB_OK)
+            return status;
+        fb_note_violations(s, violations);
+    }
+    fb_accept(s, s->t + h);
+    return FB_OK;
+}
+
 /* The coefficients of the last step's interpolant. */
 static inline int fb_prepare_interpolant(fb_run *s)
 {

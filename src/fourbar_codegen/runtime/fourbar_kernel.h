@@ -56,6 +56,11 @@ typedef struct fb_kernel {
     void (*prepare)(const double *p, double *constants);
     void (*default_inputs)(double t, const double *constants, double *r);
     fb_evaluation *rhs;                                           /* x' */
+    /* the same, with gamma + 2 a (J u + b) + a^2 Phi in the place of gamma, so that violations Phi decay as
+     * Phi'' + 2 a Phi' + a^2 Phi = 0 (J. Baumgarte, "Stabilization of constraints and integrals of motion in dynamical
+     * systems", Computer Methods in Applied Mechanics and Engineering 1, 1972) */
+    int (*stabilized)(double t, const double *x, const double *constants, const double *r, double a, double *rates,
+                      void *work);
     fb_evaluation *jacobian, *parameter_jacobian, *input_jacobian; /* dx'/dx, dx'/dp, dx'/dr, each n_x by n */
     /* u' and the multipliers lambda of M u' = f + J^T lambda */
     int (*accelerations)(double t, const double *x, const double *constants, const double *r, double *accelerations,

@@ -89,6 +89,24 @@ static int rhs(double t, const double *x, const double *constants, const double 
     return all_finite(rates, N_X);
 }
 
+static int stabilized(double t, const double *x, const double *constants, const double *r, double a, double *rates,
+                      void *work)
+{
+    fb_work *const w = work;
+    double positions[FB_AT_LEAST_1(N_C)], velocities[FB_AT_LEAST_1(N_C)];
+    dynamics(t, x, constants, r, w->coordinate_rates, w->mass_matrix, w->forcing, w->constraint_jacobian,
+             w->acceleration_bias);
+    closure(t, x, constants, r, positions, velocities);
+    for (int i = 0; i < N_C; ++i)
+        w->acceleration_bias[i] += 2.0 * a * velocities[i] + a * a * positions[i];
+    int status = fb_factor(w->mass_matrix, w->constraint_jacobian, &w->factors);
+    if (status == FB_OK)
+        status = fb_solve(w->forcing, w->acceleration_bias, &w->factors, rates + N_Q);
+    for (int i = 0; i < N_Q; ++i)
+        rates[i] = w->coordinate_rates[i];
+    return status == FB_OK ? all_finite(rates, N_X) : status;
+}
+
 static int accelerations(double t, const double *x, const double *constants, const double *r, double *rates,
                          double *multipliers, void *work)
 {
@@ -246,6 +264,7 @@ const fb_kernel FB_NAME(kernel) = {
     .prepare = prepare,
     .default_inputs = default_inputs,
     .rhs = rhs,
+    .stabilized = stabilized,
     .jacobian = jacobian,
     .parameter_jacobian = parameter_jacobian,
     .input_jacobian = input_jacobian,

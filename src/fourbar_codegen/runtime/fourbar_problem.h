@@ -58,6 +58,7 @@ struct fb_problem {
     double *constants; /* (n_constants,) */
     double *inputs;    /* (n_r,) */
     void *work;
+    double stabilization; /* the rate a of Baumgarte's stabilization, 1/s; 0 for none */
     int n_sources;
     fb_source *sources;
     fb_called_inputs *called_inputs; /* or NULL */
@@ -111,7 +112,10 @@ static inline int fb_problem_rates(void *problem, const double t, const double *
     if (called < 0)
         return called;
     s->t = t;
-    const int status = s->kernel->rhs(t, x, s->constants, s->inputs, rates, s->work);
+    const int status =
+        s->stabilization > 0.0
+            ? s->kernel->stabilized(t, x, s->constants, s->inputs, s->stabilization, rates, s->work)
+            : s->kernel->rhs(t, x, s->constants, s->inputs, rates, s->work);
     if (status != FB_OK || s->status != FB_OK)
         fb_note_failure(s, status, t, x);
     if (status != FB_OK)

@@ -13,7 +13,7 @@ from fourbar_codegen.runtime.evaluator cimport (
 
 import numpy as np
 
-from fourbar_codegen.errors import ModelError
+from fourbar_codegen.errors import ModelError, SimulationError
 from fourbar_codegen.runtime.evaluator import failure
 
 cnp.import_array()
@@ -43,7 +43,7 @@ cdef extern from "fourbar_runge_kutta.h":
 cdef extern from "fourbar_tableau.h":
     ctypedef struct fb_tableau:
         int n_stages, n_errors, n_more, n_dense
-    const fb_tableau fb_rk45, fb_dop853
+    const fb_tableau fb_rk4, fb_rk45, fb_dop853
 
 cdef extern from "fourbar_integrate.h":
     int FB_BLOCK
@@ -87,6 +87,7 @@ cdef extern from "fourbar_integrate.h":
         double *outputs
     void fb_prepare_method(fb_run *) noexcept nogil
     int fb_begin(fb_run *) noexcept nogil
+    int fb_fixed_step(fb_run *, double) noexcept nogil
     int fb_run_on(fb_run *, long) noexcept nogil
     int fb_state_at(fb_run *, double, double *) noexcept nogil
     int fb_prepare_interpolant(fb_run *) noexcept nogil
@@ -224,9 +225,18 @@ cdef class Ode:
         return self.problem.t
 
     @property
-    def has_callables(self):
-        """Whether an input is a callable, whose dependence on the state `jac` does not know of."""
-        return bool(self.callables)
+    def stabilization(self):
+        """The rate of Baumgarte's stabilization of the constraints, 1/s; 0 for none."""
+        return self.problem.stabilization
+
+    @stabilization.setter
+    def stabilization(self, double rate):
+        self.problem.stabilization = rate
+
+    @property
+    def has_jacobian(self):
+        """Whether `jac` is the derivative: it does not know of callable inputs, nor of a stabilization."""
+        return not self.callables and self.problem.stabilization == 0.0
 
     @property
     def failure(self):
@@ -259,11 +269,16 @@ cdef class Ode:
             memcpy(data(result) + i * n_r, self.problem.inputs, n_r * sizeof(double))
         return result.T
 
-    def project(self, double t, x):
-        """The state moved onto the constraints, shape (n_x,); where it is too far from them, as it was."""
+    def closest(self, double t, x):
+        """The state moved onto the constraints, shape (n_x,), behind the kernel's status of that."""
         cdef cnp.ndarray state = vector(x, self.evaluator.n_x, "The state x").copy()
         cdef double violations[2]
         cdef int status = self.check(fb_problem_project(&self.problem, t, data(state), 0, violations))
+        return status, state
+
+    def project(self, double t, x):
+        """The state moved onto the constraints, shape (n_x,); where that cannot be done, as it was."""
+        status, state = self.closest(t, x)
         return np.array(x) if status else state
 
     def __call__(self, double t, x):
@@ -281,7 +296,7 @@ cdef class Ode:
         return result
 
 
-cdef class Stepper:
+cdef class EmbeddedSteps:
     """Steps of an explicit Runge-Kutta method, without Python between their stages.
 
     Parameters
@@ -449,16 +464,11 @@ cdef class Run:
         return 0
 
     def begin(self):
-        """Move the state onto the constraints, and choose the first step; returns the kernel's status of the former."""
-        cdef int status = FB_OK
+        """Choose the first step."""
         self.run.pending = 1
-        if self.run.project:
-            status = self.ode.check(
-                fb_problem_project(self.run.problem, self.run.t, self.run.x, 0, self.run.violations))
         self.ode.check(fb_begin(&self.run))
         if self.run.n_events:
             self.ode.check(fb_event_values(&self.run, self.run.t, self.run.x, self.run.event_value))
-        return status
 
     def on(self, long steps):
         """Up to so many steps; why it stopped: "end", "paused", "full", "event", "too small", "infinite", "collapsed"."""
@@ -536,6 +546,104 @@ cdef class Run:
     def violations(self):
         """The largest violations of the constraints that projection left, as changes of coordinates and speeds."""
         return self.run.violations[0], self.run.violations[1]
+
+
+@cython.final
+cdef class Stepper:
+    """Advances a mechanism by steps of one length, for control loops and real time.
+
+    Each step is one of the classical Runge-Kutta method (four evaluations, no control of the error), after which the
+    state is moved onto the constraints.
+
+    Attributes
+    ----------
+    t : float
+        Time, s.
+    x : ndarray, shape (n_x,)
+        The state: coordinates, then speeds.
+
+    Source: E. Hairer, S. P. Norsett, G. Wanner, *Solving Ordinary Differential Equations I*, section II.1.
+    """
+
+    cdef Ode ode
+    cdef fb_run run
+    cdef fb_source *own_sources
+    cdef fb_source *held
+    cdef int n_own_sources
+    cdef double h
+    cdef cnp.ndarray kept
+
+    def __cinit__(self, Ode ode not None, double h, double t, x, bint project):
+        cdef int i, n = ode.evaluator.n_x
+        cdef cnp.ndarray state = vector(x, n, "The state x")
+        cdef fb_run *run = &self.run
+        self.ode, self.h = ode, h
+        run.method, run.problem, run.project, run.t = &fb_rk4, &ode.problem, project, t
+        run.n, run.padded = n, (n + FB_BLOCK - 1) // FB_BLOCK * FB_BLOCK
+        self.kept = np.zeros((8, run.padded))
+        run.x, run.x_old, run.scratch = data(self.kept), data(self.kept) + run.padded, data(self.kept) + 2 * run.padded
+        run.stages = data(self.kept) + 3 * run.padded
+        memcpy(run.x, data(state), n * sizeof(double))
+        fb_prepare_method(run)
+        self.own_sources, self.n_own_sources = ode.problem.sources, ode.problem.n_sources
+        self.held = <fb_source *>PyMem_Calloc(ode.evaluator.n_r + 1, sizeof(fb_source))
+        if not self.held:
+            raise MemoryError
+        for i in range(ode.evaluator.n_r):
+            self.held[i].input = i
+
+    def __dealloc__(self):
+        if self.ode is not None and self.own_sources:
+            self.ode.problem.sources, self.ode.problem.n_sources = self.own_sources, self.n_own_sources
+        PyMem_Free(self.held)
+
+    def step(self, r=None):
+        """Advance by one step.
+
+        Parameters
+        ----------
+        r : array_like, shape (n_r,), or mapping, optional
+            Inputs to hold during the step; without it, the sources that the stepper was made with.
+
+        Returns
+        -------
+        ndarray, shape (n_x,)
+            The state at its end.
+
+        Raises
+        ------
+        ModelError
+            If an input has a wrong name, or is not finite.
+        SimulationError
+            If the equations cannot be evaluated, or no state close by satisfies the constraints; nothing is advanced.
+        """
+        cdef fb_problem *problem = &self.ode.problem
+        cdef cnp.ndarray values, x
+        cdef int i, status
+        if r is None:
+            problem.sources, problem.n_sources = self.own_sources, self.n_own_sources
+        else:
+            values = self.ode.evaluator._inputs(self.run.t, self.ode.parameters, r, True)
+            for i in range(self.ode.evaluator.n_r):
+                self.held[i].value = data(values)[i]
+            problem.sources, problem.n_sources = self.held, self.ode.evaluator.n_r
+        problem.status = FB_OK
+        status = self.ode.check(fb_fixed_step(&self.run, self.h))
+        if status != FB_OK:
+            raise SimulationError(self.ode.failure or failure(status, self.run.t, self.x))
+        x = new_array(self.run.n)
+        memcpy(data(x), self.run.x, self.run.n * sizeof(double))
+        return x
+
+    @property
+    def t(self):
+        return self.run.t
+
+    @property
+    def x(self):
+        cdef cnp.ndarray x = new_array(self.run.n)
+        memcpy(data(x), self.run.x, self.run.n * sizeof(double))
+        return x
 
 
 @cython.final

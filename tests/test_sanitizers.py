@@ -1,0 +1,146 @@
+"""Generated kernels and the runtime's C under the address and the undefined behaviour sanitizer."""
+
+import os
+import subprocess
+
+import pytest
+
+import fourbar_codegen as fb
+
+# All functions of a kernel, a projected run by each method with interpolated samples, and steps of one length.
+PROGRAM = """
+#include "fourbar_integrate.h"
+#include <stdio.h>
+#include <stdlib.h>
+
+static double *doubles(const int n)
+{
+    double *const array = calloc((size_t)(n > 0 ? n : 1), sizeof(double));
+    for (int i = 0; i < n; ++i)
+        array[i] = 0.3 + 0.1 * i - 0.17 * (i % 5);
+    return array;
+}
+
+static double evaluate(const fb_kernel *k, const double *p)
+{
+    const int n_x = k->n_q + k->n_u, n_y = k->n_u + k->n_c;
+    double *x = doubles(n_x), *c = doubles(k->n_constants), *r = doubles(k->n_r), *a = doubles(k->n_u);
+    double *l = doubles(k->n_c), *rates = doubles(n_x), *qs = doubles(k->n_q), *m = doubles(k->n_u * k->n_u);
+    double *f = doubles(k->n_u), *j = doubles(k->n_c * k->n_u), *g = doubles(k->n_c), *phi = doubles(k->n_h);
+    double *pq = doubles(k->n_h * k->n_q), *vq = doubles(k->n_c * k->n_q), *pr = doubles(k->n_h * k->n_r);
+    double *vr = doubles(k->n_c * k->n_r), *e = doubles(2), *o = doubles(k->n_o);
+    const int n[3] = {n_x, k->n_p, k->n_r};
+    fb_sensitivity *const of[3] = {k->sensitivity, k->parameter_sensitivity, k->input_sensitivity};
+    fb_evaluation *const by[3] = {k->jacobian, k->parameter_jacobian, k->input_jacobian};
+    void *work = calloc(1, k->work_size);
+    double violations[2], sum = 0.0;
+    k->prepare(p, c);
+    k->default_inputs(0.5, c, r);
+    k->rhs(0.5, x, c, r, rates, work);
+    k->accelerations(0.5, x, c, r, a, l, work);
+    k->dynamics(0.5, x, c, r, qs, m, f, j, g);
+    k->position(0.5, x, c, r, phi, pq);
+    k->velocity(0.5, x, c, r, j, g);
+    k->closure(0.5, x, c, r, l, g);
+    k->coordinate_change(0.5, x, c, r, a, qs);
+    k->constraint_sensitivity(0.5, x, c, r, vq, pr, vr);
+    k->energy(0.5, x, c, r, e);
+    k->output(0.5, x, c, r, a, l, o);
+    for (int i = 0; i < 3; ++i) {
+        double *q = doubles(k->n_q * n[i]), *y = doubles(n_y * n[i]), *all = doubles(n_x * n[i]);
+        of[i](0.5, x, c, r, a, l, q, y);
+        by[i](0.5, x, c, r, all, work);
+        sum += n[i] ? all[0] : 0.0;
+        free(q), free(y), free(all);
+    }
+    k->turned(work);
+    k->project(0.5, x, c, r, 0, violations, work);
+    sum += rates[0] + e[0];
+    double *const all[] = {x, c, r, a, l, rates, qs, m, f, j, g, phi, pq, vq, pr, vr, e, o};
+    for (size_t i = 0; i < sizeof all / sizeof *all; ++i)
+        free(all[i]);
+    free(work);
+    return sum;
+}
+
+static double run(const fb_kernel *k, const double *p, const double *x0, const fb_tableau *method)
+{
+    const int n = k->n_q + k->n_u, padded = (n + FB_BLOCK - 1) / FB_BLOCK * FB_BLOCK;
+    fb_problem problem = {.kernel = k, .constants = doubles(k->n_constants), .inputs = doubles(k->n_r),
+                          .work = calloc(1, k->work_size), .failed_x = doubles(n)};
+    double *const state = calloc((size_t)padded * 32, sizeof(double)), *const tolerance = doubles(padded);
+    double times[50], *const t = doubles(50), *const samples = doubles(50 * n);
+    k->prepare(p, problem.constants);
+    for (int i = 0; i < padded; ++i)
+        tolerance[i] = 1e-6;
+    for (int i = 0; i < 50; ++i)
+        times[i] = 0.01 * i;
+    memcpy(state, x0, (size_t)n * sizeof *x0);
+    fb_run s = {.problem = &problem, .method = method, .n = n, .padded = padded, .direction = 1.0, .t_bound = 0.5,
+                .max_step = INFINITY, .rtol = tolerance, .atol = tolerance, .project = k->n_c > 0, .until = 0.5,
+                .x = state, .x_old = state + padded, .scratch = state + 2 * padded, .stages = state + 3 * padded,
+                .interpolant = state + 20 * padded, .times = times, .n_times = 50, .sample_t = t, .sample_x = samples,
+                .room = 50, .pending = 1};
+    fb_prepare_method(&s);
+    if (method == &fb_rk4)
+        for (int i = 0; i < 50; ++i)
+            fb_fixed_step(&s, 0.01);
+    else {
+        fb_begin(&s);
+        fb_run_on(&s, 10000);
+    }
+    const double end = s.x[0];
+    free(problem.constants), free(problem.inputs), free(problem.work), free(problem.failed_x);
+    free(state), free(tolerance), free(t), free(samples);
+    return end;
+}
+
+int main(int argc, char **argv)
+{
+    const fb_kernel *const k = &KERNEL;
+    double *const p = doubles(k->n_p), *const x0 = doubles(k->n_q + k->n_u);
+    if (argc != 1 + k->n_p + k->n_q + k->n_u)
+        return 2;
+    for (int i = 0; i < k->n_p; ++i)
+        p[i] = atof(argv[1 + i]);
+    for (int i = 0; i < k->n_q + k->n_u; ++i)
+        x0[i] = atof(argv[1 + k->n_p + i]);
+    printf("%.17g", evaluate(k, p));
+    printf(" %.17g %.17g %.17g\\n", run(k, p, x0, &fb_rk4), run(k, p, x0, &fb_rk45), run(k, p, x0, &fb_dop853));
+    free(p), free(x0);
+    return 0;
+}
+"""
+
+MODELS = {
+    "four_bar": (fb.models.four_bar, None),
+    "slider_crank": (fb.models.slider_crank, None),
+    "rolling_disc": (fb.models.rolling_disc, {"q3": 0.4}),
+    "chain": (lambda: fb.models.chain(2), None),
+    "n_four_bar": (lambda: fb.models.n_four_bar(4), {"p0": 0.1}),
+    "whipple_bicycle": (fb.models.whipple_bicycle, None),
+    "cartesian_pendulum": (fb.models.cartesian_pendulum, {"y": 0.0}),
+}
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_kernel_and_runs_under_sanitizers(tmp_path, name):
+    make, coordinates = MODELS[name]
+    model = make()
+    for file, text in fb.generate_sources(model).items():
+        (tmp_path / file).write_text(text)
+    (tmp_path / "program.c").write_text(PROGRAM)
+    command = [os.environ.get("CC", "cc"), "-std=c11", "-O1", "-g", "-fsanitize=address,undefined"]
+    command += ["-fno-sanitize-recover=all", f"-I{fb.get_include()}", f"-I{tmp_path}", f"-DKERNEL={model.name}_kernel"]
+    command += ["-include", f"{model.name}_kernel.h", *map(str, sorted(tmp_path.glob("*.c")))]
+    subprocess.run([*command, "-o", str(tmp_path / "program"), "-lm"], check=True)
+    compiled = fb.compile_model(model)
+    x0 = compiled.initial_state(coordinates)
+    values = [repr(float(value)) for value in (*compiled.defaults.values(), *x0)]
+    done = subprocess.run([tmp_path / "program", *values], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    # The same runs by the package, built without sanitizers; rounding differs with the flags.
+    _, _, *ends = map(float, done.stdout.split())
+    for method, end in zip(("RK45", "DOP853"), ends, strict=True):
+        how = {"method": method, "rtol": 1e-6, "atol": 1e-6}
+        assert end == pytest.approx(compiled.simulate((0.0, 0.5), x0, **how).y[0, -1], rel=1e-6, abs=1e-8)

@@ -324,6 +324,101 @@ def test_baumgartes_stabilization_decays_as_it_should(four_bar):
         four_bar.simulate((0.0, 1.0), constraints="baumgarte", stabilization=0.0)
 
 
+@pytest.mark.parametrize("direction", [-1, 0, 1])
+def test_outputs_as_events_are_those_of_solve_ivp(direction):
+    crank = fb.compile_model(fb.models.slider_crank())
+    ode, x0 = crank.ode(), crank.initial_state()
+
+    def pin(t, x):
+        return crank.output(t, x, r=ode.input_values(t, x))[crank.outputs.index("pin_x")]
+
+    pin.direction = direction
+    how = {"method": "DOP853", "rtol": 1e-9, "atol": 1e-9}
+    (expected,) = solve_ivp(ode, (0.0, 2.0), x0, events=pin, **how).t_events
+    assert len(expected) > 2
+    for dense_output in (False, True):
+        run = crank.simulate(
+            (0.0, 2.0), x0, events=fb.Event("pin_x", direction=direction), dense_output=dense_output, **how
+        )
+        np.testing.assert_allclose(run.t_events[0], expected, rtol=0, atol=1e-6)  # tolerances of some dozen steps
+
+
+def particle(force, constraints, n_independent):
+    """A particle in space with constraints of its Cartesian coordinates, under a force."""
+    q, u = me.dynamicsymbols("x y z"), me.dynamicsymbols("v_x v_y v_z")
+    ground, origin, point = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
+    origin.set_vel(ground, 0)
+    axes = (ground.x, ground.y, ground.z)
+    point.set_pos(origin, sum((c * axis for c, axis in zip(q, axes, strict=True)), me.Vector(0)))
+    point.set_vel(ground, sum((c * axis for c, axis in zip(u, axes, strict=True)), me.Vector(0)))
+    system = System(ground, origin)
+    system.add_bodies(me.Particle("particle", point, sm.Symbol("m")))
+    system.add_loads(me.Force(point, sum((c * a for c, a in zip(force(q), axes, strict=True)), me.Vector(0))))
+    system.add_holonomic_constraints(*constraints(q))
+    system.q_ind, system.q_dep, system.u_ind, system.u_dep = (
+        q[:n_independent], q[n_independent:], u[:n_independent], u[n_independent:],
+    )  # fmt: skip
+    t = me.dynamicsymbols._t
+    system.add_kdes(*(u_i - q_i.diff(t) for q_i, u_i in zip(q, u, strict=True)))
+    return system
+
+
+def test_constraints_that_always_are_nearly_parallel_are_not_singular():
+    # J = [0 1 0; 0 1 1e-3]; its singular values' ratio is 5e-4 for ever, and steps collapse where the force jumps.
+    force = me.dynamicsymbols("F")
+    system = particle(lambda q: (force - q[0], 0, 0), lambda q: (q[1], q[1] + q[2] / 1000), 1)
+    compiled = fb.compile_model(fb.Model(system, parameters={sm.Symbol("m"): 1.0}, inputs={force: 0}))
+    inputs = {"F": lambda t, x: 0.0 if t < 5.0123456 else 1e3}
+    run = compiled.simulate((0.0, 20.0), [1.0, 0, 0, 0.5, 0, 0], inputs=inputs)
+    assert run.success
+    # x'' = F - x from the jump on.
+    a, b, s = np.cos(5.0123456) + 0.5 * np.sin(5.0123456), 0.5 * np.cos(5.0123456) - np.sin(5.0123456), 20 - 5.0123456
+    exact = 1e3 + (a - 1e3) * np.cos(s) + b * np.sin(s)
+    assert run["x"][-1] == pytest.approx(exact, rel=1e-4)
+
+
+def test_one_constraint_that_vanishes_is_a_singular_position():
+    # x z = 0: two planes that cross. A particle on one of them comes to where they do.
+    system = particle(lambda q: (0, 0, 0), lambda q: (q[0] * q[2],), 2)
+    compiled = fb.compile_model(fb.Model(system, parameters={sm.Symbol("m"): 1.0}))
+    x0 = dict.fromkeys(compiled.states, 0.0) | {"x": 1.0, "v_x": -1.0}
+    run = compiled.simulate((0.0, 3.0), x0, method="RK45")
+    assert not run.success
+    assert "singular position at t = 1" in run.message
+
+
+@pytest.mark.parametrize("miss", [1e-5, -1e-5])
+@pytest.mark.parametrize("method", METHODS)
+def test_a_miss_by_a_hundredth_of_a_millimetre(four_bar, method, miss):
+    parameters = {"l1": 0.8 + miss, "c": 0.0}
+    x0 = four_bar.initial_state(speeds={"u1": 6.0}, parameters=parameters)
+    how = {"parameters": parameters, "inputs": {"F": 0.0}, "method": method, "atol": 1e-12}
+    runs = [four_bar.simulate((0.0, 0.9), x0, rtol=rtol, **how) for rtol in (1e-6, 1e-9)]
+    assert all(run.success for run in runs)
+    assert np.abs(np.sin(runs[0].q[0])).min() < 0.3
+    np.testing.assert_allclose(runs[0].y[:3, -1], runs[1].y[:3, -1], rtol=0, atol=1e-3)
+
+
+def test_a_first_trial_beyond_where_the_equations_hold():
+    # The first step is chosen by a trial that leaves y > 0; SciPy goes on from there.
+    system = particle(lambda q: (0, 1 / sm.sqrt(q[1]), 0), lambda q: (q[2],), 2)
+    compiled = fb.compile_model(fb.Model(system, parameters={sm.Symbol("m"): 1.0}))
+    how = {"method": "DOP853", "rtol": 1e-3, "atol": np.array([1e-6, 1e-6, 1.0, 1.0, 1e3, 1.0])}
+    x0 = np.array([1000.0, 1e-6, 0.0, 0.0, -1e-2, 0.0])
+    scipys = solve_ivp(compiled.ode(), (0.0, 0.01), x0, **how)
+    ours = compiled.simulate((0.0, 0.01), x0, constraints="none", **how)
+    assert scipys.success
+    assert (ours.success, len(ours.t)) == (True, len(scipys.t))
+
+
+def test_samples_that_cannot_be_projected_are_the_interpolants():
+    system = particle(lambda q: (0, 0, 0), lambda q: (q[0] ** 2 + q[1] ** 2 - 1, q[2]), 1)
+    compiled = fb.compile_model(fb.Model(system, parameters={sm.Symbol("m"): 1.0}))
+    x0 = dict.fromkeys(compiled.states, 0.0) | {"x": 1.0, "v_y": 10.0}
+    run = compiled.simulate((0.0, 10.0), x0, rtol=1.0, atol=1.0, t_eval=np.linspace(0.0, 10.0, 5000))
+    assert np.abs(run.q).max() < 100.0  # on a circle of radius 1, at tolerances of 1
+
+
 def test_limits(four_bar):
     run = four_bar.simulate((0.0, 4.0), max_steps=7)
     assert not run.success
@@ -348,11 +443,22 @@ def test_progress_and_interrupt(four_bar):
     assert time.perf_counter() - begin < 0.5 + 0.1 + 0.5  # 0.1 s, and what a busy machine adds
     assert len(seen) > 5
     assert seen == sorted(seen)
+    del seen[:]
+    four_bar.simulate((0.0, 2e3), parameters=parameters, inputs={"F": 0.0}, progress=seen.append, dense_output=True)
+    assert seen
 
 
 def test_a_state_far_from_the_constraints_is_refused(four_bar):
     with pytest.raises(fb.ModelError, match="initial_state"):
         four_bar.simulate((0.0, 1.0), [0.1] * 6)
+    turned = np.add(four_bar.initial_state(), [200 * np.pi, 0, 0.3, 0, 0, 0])
+    with pytest.raises(fb.ModelError, match="violates the constraints"):
+        four_bar.simulate((0.0, 1.0), turned)
+    rounded = four_bar.initial_state().round(4)
+    assert four_bar.simulate((0.0, 1.0), rounded).success
+    for wrong in ({"direction": "up"}, {"direction": np.nan}, {"terminal": -1}, {"terminal": 2.7}):
+        with pytest.raises(fb.ModelError, match=next(iter(wrong))):
+            fb.Event("F", **wrong)
 
 
 def test_the_tutorials_own_code_drifts(four_bar):

@@ -67,7 +67,7 @@ static double run(const fb_kernel *k, const double *p, const double *x0, const f
 {
     const int n = k->n_q + k->n_u, padded = (n + FB_BLOCK - 1) / FB_BLOCK * FB_BLOCK;
     fb_problem problem = {.kernel = k, .constants = doubles(k->n_constants), .inputs = doubles(k->n_r),
-                          .work = calloc(1, k->work_size), .failed_x = doubles(n)};
+                          .work = calloc(1, k->work_size), .failed_x = doubles(n), .moved_x = doubles(n)};
     double *const state = calloc((size_t)padded * 32, sizeof(double)), *const tolerance = doubles(padded);
     double times[50], *const t = doubles(50), *const samples = doubles(50 * n);
     k->prepare(p, problem.constants);
@@ -90,7 +90,7 @@ static double run(const fb_kernel *k, const double *p, const double *x0, const f
         fb_run_on(&s, 10000);
     }
     const double end = s.x[0];
-    free(problem.constants), free(problem.inputs), free(problem.work), free(problem.failed_x);
+    free(problem.constants), free(problem.inputs), free(problem.work), free(problem.failed_x), free(problem.moved_x);
     free(state), free(tolerance), free(t), free(samples);
     return end;
 }

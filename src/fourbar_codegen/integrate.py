@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fourbar_codegen.arguments import finite_number
 from fourbar_codegen.errors import ModelError, SimulationError
 from fourbar_codegen.runtime.evaluator import NOT_CLOSED, OK, failure
 from fourbar_codegen.runtime.integrator import DenseOutput, Ode, Run
@@ -26,12 +27,15 @@ METHODS = ("DOP853", "RK45")
 PAUSE = 0.02
 """Seconds after which a run in C looks up: for an interrupt from the keyboard, and to say how far it is."""
 
-SINGULAR = 1e-3
-"""A position is singular where the smallest singular value of J is below this share of the largest, with each row of J
-in units of the largest that its entries have been in the run, and the step's length collapses there."""
+COLLAPSED, PASSED = 1e-3, 1e-4
+"""A position is singular where the smallest singular value of J is below this share of what it usually was in the run:
+where the steps' length collapses, or within a step over which the constraints have changed their orientation."""
 
 CONSISTENT = 1e-3
-"""By how much, in units of the state, projection may move the state that a run begins from."""
+"""By what share of the coordinates or speeds projection may move the state that a run begins from."""
+
+FLOOR = 1e-12
+"""And by how much in any case: rounding errors."""
 
 STATES = 100
 """States along the run at which the entries of J are looked at for that."""
@@ -59,6 +63,11 @@ class Event:
     function: str | Callable[[float, Floats], float]
     terminal: bool | int = False
     direction: float = 0.0
+
+    def __post_init__(self) -> None:
+        finite_number(self.direction, "an event's direction")
+        if not isinstance(self.terminal, int) or self.terminal < 0:
+            raise ModelError(f"An event's terminal must be True, False or a number of events, not {self.terminal!r}.")
 
 
 @dataclass(frozen=True)
@@ -120,7 +129,7 @@ def integrate(
     Result
     """
     watch = _Watch(model, events or ())
-    start = consistent(ode, span[0], x0) if project else x0
+    start = consistent(ode, model.n_q, span[0], x0) if project else x0
     run = Run(
         ode, method, span[0], start, span[1], max_step, rtol, atol, project, t_eval, watch.outputs,
         bool(watch.callables) or dense_output,
@@ -130,10 +139,14 @@ def integrate(
     dense = DenseOutput(run) if dense_output else None
     samples: list[tuple[Floats, Floats]] = []
     ending: tuple[int, str] | None = None
-    steps = 16
+    steps, noted = 16, time.perf_counter()
     while ending is None:
         begin = time.perf_counter()
         reason = run.on(steps if max_steps is None else min(steps, max_steps - run.n_steps))
+        now = time.perf_counter()
+        if progress is not None and now - noted >= PAUSE:
+            progress(run.t)
+            noted = now
         if reason == "event":
             if run.turned:
                 samples.append(run.take_samples())
@@ -151,9 +164,7 @@ def integrate(
         elif reason == "full":
             samples.append(run.take_samples())
         elif reason == "paused":
-            steps = round(min(max(steps * PAUSE / (time.perf_counter() - begin), 1), 4 * steps))
-            if progress is not None:
-                progress(run.t)
+            steps = round(min(max(steps * PAUSE / (now - begin), 1), 4 * steps))
             if run.n_steps == max_steps:
                 ending = -1, f"It has taken max_steps = {max_steps} steps."
         elif reason == "end":
@@ -174,7 +185,7 @@ def integrate(
     return Result(
         t=np.concatenate([times for times, _ in samples]),
         y=np.concatenate([states for _, states in samples]).T,
-        sol=dense,
+        sol=dense if run.n_steps else None,
         t_events=None if events is None else [np.array(times) for times in watch.times],
         y_events=None if events is None else [np.array(states) for states in watch.states],
         nfev=run.n_evaluations,
@@ -186,12 +197,14 @@ def integrate(
     )
 
 
-def consistent(ode: Ode, t: float, x0: Floats) -> Floats:
+def consistent(ode: Ode, n_q: int, t: float, x0: Floats) -> Floats:
     """The state to begin from, moved onto the constraints.
 
     Parameters
     ----------
     ode : Ode
+    n_q : int
+        The number of coordinates.
     t : float
     x0 : ndarray, shape (n_x,)
 
@@ -207,11 +220,16 @@ def consistent(ode: Ode, t: float, x0: Floats) -> Floats:
         If the equations cannot be evaluated there.
     """
     status, x = ode.closest(t, x0)
-    moved = np.abs(x - x0).max(initial=0.0)
-    if status == NOT_CLOSED or moved > CONSISTENT * max(1.0, np.abs(x0).max(initial=0.0)):
+    moved = np.abs(x - x0)
+    # Of angles, whole turns say nothing; of what is small as a whole, small changes are large.
+    size = np.concatenate(
+        [np.full(len(part), min(1.0, np.abs(part).max(initial=0.0))) for part in (x0[:n_q], x0[n_q:])]
+    )
+    size[n_q:] = np.maximum(size[n_q:], np.abs(x0[n_q:]))
+    if status == NOT_CLOSED or (moved > CONSISTENT * size + FLOOR).any():
         raise ModelError(
             f"The state x0 = {np.array2string(x0, precision=6, separator=', ')} violates the constraints: "
-            + (f"the nearest one that does not differs by {moved:.2g}. " if status == OK else "")
+            + (f"the nearest one that does not differs by {moved.max():.2g}. " if status == OK else "")
             + "CompiledModel.initial_state() makes consistent states; constraints='none' takes x0 as it is."
         )
     if status != OK:
@@ -220,50 +238,60 @@ def consistent(ode: Ode, t: float, x0: Floats) -> Floats:
 
 
 class _Singular:
-    """Tells whether a run has come to a singular position, where the constraints' Jacobian loses rank."""
+    """Tells whether a run has come to a singular position, where the constraints' Jacobian loses rank.
+
+    The measure is the smallest singular value of J by what it has been in the run (the median), with each row of J in
+    units of its largest entry in the run.
+    """
 
     def __init__(self, model: CompiledModel, ode: Ode, run: Run, samples: Sequence[tuple[Floats, Floats]]) -> None:
         self.model, self.ode, self.run = model, ode, run
         self.rank = model.manifest["n_dependent_speeds"]
-        passed = [sample for times, states in samples for sample in zip(times, states, strict=True)]
-        states = [(run.t, run.x), *passed[:: len(passed) // STATES + 1]]
         if self.rank:
-            size = np.max([np.abs(self._jacobian(*state)).max(axis=1) for state in states], axis=0)
-            self.size = np.where(size > 0.0, size, 1.0)
+            passed = [sample for times, states in samples for sample in zip(times, states, strict=True)]
+            passed = passed or [(run.t, run.x)]
+            # The last states of a run that collapses are all alike: those before count by the time they stand for.
+            at = np.linspace(run.t_begin, run.t_old, STATES)
+            order = np.searchsorted([abs(t - run.t_begin) for t, _ in passed], np.abs(at - run.t_begin))
+            jacobians = [self._jacobian(*passed[min(i, len(passed) - 1)]) for i in order]
+            size = np.abs(jacobians).max(axis=(0, 2))
+            self.size = np.where(size > 0.0, size, 1.0)[:, np.newaxis]
+            self.usual = float(np.median([self._least(jacobian) for jacobian in jacobians]))
 
     def _jacobian(self, t: float, x: Floats) -> Floats:
         return self.model.velocity(t, x, self.ode.parameters, self.ode.input_values(t, x))[0]
 
+    def _least(self, jacobian: Floats) -> float:
+        return float(np.linalg.svd(jacobian / self.size, compute_uv=False)[self.rank - 1])
+
     def _ratio(self, t: float, x: Floats) -> float:
-        """The smallest singular value of J by the largest, each row in units of its largest entries in the run."""
-        values = np.linalg.svd(self._jacobian(t, x) / self.size[:, np.newaxis], compute_uv=False)
-        return float(values[self.rank - 1] / values[0])
+        return self._least(self._jacobian(t, x)) / self.usual if self.usual else 0.0
 
     def here(self) -> str:
         """A sentence, if it is where the run is."""
-        t, x = self.run.t, self.run.x
-        return self._sentence("runs into", t, x, ", and the steps collapse") if self.rank else ""
+        if not self.rank:
+            return ""
+        return self._sentence("runs into", self.run.t, self.run.x, COLLAPSED, ", and the steps collapse")
 
     def within_step(self) -> str:
         """A sentence, if it has been passed in the last step."""
         begin, end = self.run.t_old, self.run.t
-        for _ in range(4):  # to within 1e-6 of the step
+        for _ in range(5):  # to within 1e-6 of the step
             times = np.linspace(begin, end, 33)
             ratios = [self._ratio(t, self.run.state_at(t)) for t in times[1:-1]]
             least = 1 + int(np.argmin(ratios))
             begin, end = times[least - 1], times[least + 1]
-        return self._sentence(
-            "passes", times[least], self.run.state_at(times[least]), ", and may go on in more than one way"
-        )
+        t = times[least]
+        return self._sentence("passes", t, self.run.state_at(t), PASSED, ", and may go on in more than one way")
 
-    def _sentence(self, verb: str, t: float, x: Floats, more: str) -> str:
+    def _sentence(self, verb: str, t: float, x: Floats, threshold: float, more: str) -> str:
         ratio = self._ratio(t, x)
-        if not ratio < SINGULAR:
+        if not ratio < threshold:
             return ""
         where = ", ".join(f"{name} = {value:.6g}" for name, value in zip(self.model.coordinates, x, strict=False))
         return (
             f"The mechanism {verb} a singular position at t = {t:.6g}, {where}: the constraints' Jacobian loses rank "
-            f"(its smallest singular value is {ratio:.1e} of the largest){more}."
+            f"(its smallest singular value is {ratio:.1e} of what it usually was){more}."
         )
 
 
@@ -291,6 +319,8 @@ class _Watch:
     def look(self, run: Run) -> float | None:
         """Note the events of the last step; the time of the one that ends the run."""
         before = list(self.values)
+        for place, i in enumerate(self.named):  # the steps between were not looked at
+            before[i] = run.event_values[0][place]
         self.begin(run)
         found = []
         for i, event in enumerate(self.events):

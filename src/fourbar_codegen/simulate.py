@@ -139,7 +139,7 @@ def simulate(
     watched = _events(model, events)
     tolerances = _tolerance(rtol, "rtol"), _tolerance(atol, "atol", model.n_x)
     max_step = math.inf if max_step == math.inf else _positive(max_step, "max_step")
-    if not (max_steps is None or (isinstance(max_steps, int) and max_steps > 0)):
+    if not (max_steps is None or (isinstance(max_steps, int | np.integer) and max_steps > 0)):
         raise ModelError(f"max_steps must be a positive integer or None, not {max_steps!r}.")
     if not (progress is None or callable(progress)):
         raise ModelError(f"progress must be a callable of the time or None, not {progress!r}.")
@@ -197,7 +197,7 @@ def make_stepper(
     state = _state(model, x0, t, p, inputs)
     ode = bind(model, p, inputs)
     _check_start(model, ode, t, state, p)
-    return Stepper(ode, h, t, consistent(ode, t, state) if projects else state, projects)
+    return Stepper(ode, h, t, consistent(ode, model.n_q, t, state) if projects else state, projects)
 
 
 def _projects(model: CompiledModel, constraints: str, *more: str) -> bool:
@@ -205,7 +205,7 @@ def _projects(model: CompiledModel, constraints: str, *more: str) -> bool:
     allowed = ("project", *more, "none")
     if constraints not in allowed:
         raise ModelError(f"constraints must be {' or '.join(map(repr, allowed))}, not {constraints!r}.")
-    if constraints == "none" or not model.n_c:
+    if constraints == "none" or not model.n_c + model.n_h:
         return False
     if not model.manifest["can_project"]:
         raise ModelError(

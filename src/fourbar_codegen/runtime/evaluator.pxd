@@ -73,6 +73,7 @@ cdef extern from "fourbar_problem.h":
         int status
         double failed_t
         double *failed_x
+        double *moved_x
     int fb_fill_inputs(fb_problem *, double, const double *) noexcept nogil
     int fb_problem_rates(void *, double, const double *, double *) noexcept nogil
     int fb_problem_jacobian(fb_problem *, double, const double *, double *) noexcept nogil

@@ -19,7 +19,7 @@
 #define FB_MAX_FACTOR 10.0
 
 /* Shares of the average step below which the steps have collapsed, and from which they have recovered. */
-#define FB_COLLAPSE 1e-5
+#define FB_COLLAPSE 1e-9
 #define FB_RECOVERY 1e-3
 
 enum { FB_BLOCK = 8, FB_LARGEST_METHOD = 16 };
@@ -166,17 +166,18 @@ static inline int fb_begin(fb_run *s)
     const double interval = fabs(s->t_bound - s->t);
     const double d0 = fb_rms(s, s->x, NULL, s->x), d1 = fb_rms(s, f0, NULL, s->x);
     double h0 = d0 < 1e-5 || d1 < 1e-5 ? 1e-6 : 0.01 * d0 / d1;
-    h0 = h0 < interval ? h0 : interval;
+    h0 = interval < h0 ? interval : h0;
     for (int i = 0; i < s->padded; ++i)
         s->scratch[i] = s->x[i] + h0 * s->direction * f0[i];
     status = fb_evaluate(s, s->t + h0 * s->direction, s->scratch, f1);
     if (status < 0)
         return status;
     const double d2 = fb_rms(s, f1, f0, s->x) / h0;
-    const double largest = d1 > d2 ? d1 : d2;
+    /* As Python compares: what is not a number, of a trial beyond where the equations hold, loses. */
+    const double largest = d2 > d1 ? d2 : d1;
     double h1 = d1 <= 1e-15 && d2 <= 1e-15 ? (h0 * 1e-3 > 1e-6 ? h0 * 1e-3 : 1e-6)
                                            : pow(0.01 / largest, 1.0 / (s->method->order + 1.0));
-    h1 = 100.0 * h0 < h1 ? 100.0 * h0 : h1;
+    h1 = h1 < 100.0 * h0 ? h1 : 100.0 * h0;
     h1 = interval < h1 ? interval : h1;
     s->h_abs = s->max_step < h1 ? s->max_step : h1;
     return 0;
@@ -365,7 +366,8 @@ static inline int fb_state_at(fb_run *s, const double t, double *x)
     const int closed = fb_problem_project(s->problem, t, x, 0, violations);
     if (closed < 0)
         return closed;
-    fb_note_violations(s, violations);
+    if (closed == FB_OK)
+        fb_note_violations(s, violations);
     return 0;
 }
 

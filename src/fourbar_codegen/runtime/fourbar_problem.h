@@ -67,6 +67,7 @@ struct fb_problem {
     int status; /* of that; where it was not FB_OK, also where the failure began */
     double failed_t;
     double *failed_x; /* (n_x,) */
+    double *moved_x;  /* (n_x,), scratch */
 };
 
 static inline int fb_fill_inputs(fb_problem *s, const double t, const double *x)
@@ -140,13 +141,18 @@ static inline int fb_problem_jacobian(fb_problem *s, const double t, const doubl
     return 0;
 }
 
-/* Moves x onto the constraints; `known` as for the kernel's function. */
+/* Moves x onto the constraints, and leaves it as it is where that fails; `known` as for the kernel's function. */
 static inline int fb_problem_project(fb_problem *s, const double t, double *x, const int known, double *violations)
 {
+    const size_t size = (size_t)(s->kernel->n_q + s->kernel->n_u) * sizeof *x;
     const int called = fb_fill_inputs(s, t, x);
     if (called < 0)
         return called;
-    return s->kernel->project(t, x, s->constants, s->inputs, known, violations, s->work);
+    memcpy(s->moved_x, x, size);
+    const int status = s->kernel->project(t, s->moved_x, s->constants, s->inputs, known, violations, s->work);
+    if (status == FB_OK)
+        memcpy(x, s->moved_x, size);
+    return status;
 }
 
 #endif

@@ -160,10 +160,11 @@ cdef class Ode:
         self.problem.constants = <double *>PyMem_Calloc(evaluator.kernel.n_constants + 1, sizeof(double))
         self.problem.inputs = <double *>PyMem_Calloc(evaluator.n_r + 1, sizeof(double))
         self.problem.failed_x = <double *>PyMem_Calloc(evaluator.n_x + 1, sizeof(double))
+        self.problem.moved_x = <double *>PyMem_Calloc(evaluator.n_x + 1, sizeof(double))
         self.problem.sources = <fb_source *>PyMem_Calloc(evaluator.n_r + 1, sizeof(fb_source))
         self.problem.work = PyMem_Calloc(1, evaluator.kernel.work_size)
-        if not (self.problem.constants and self.problem.inputs and self.problem.failed_x and self.problem.sources
-                and self.problem.work):
+        if not (self.problem.constants and self.problem.inputs and self.problem.failed_x and self.problem.moved_x
+                and self.problem.sources and self.problem.work):
             raise MemoryError
         memcpy(self.problem.constants, evaluator._prepare(parameters), evaluator.kernel.n_constants * sizeof(double))
         self.kept, self.callables, self.error = [], [], None
@@ -187,6 +188,7 @@ cdef class Ode:
         PyMem_Free(self.problem.constants)
         PyMem_Free(self.problem.inputs)
         PyMem_Free(self.problem.failed_x)
+        PyMem_Free(self.problem.moved_x)
         PyMem_Free(self.problem.sources)
         PyMem_Free(self.problem.work)
 
@@ -512,6 +514,11 @@ cdef class Run:
     def t(self):
         """The time reached."""
         return self.run.t
+
+    @property
+    def t_begin(self):
+        """Where the run began."""
+        return self.run.t_begin
 
     @property
     def t_old(self):

@@ -33,7 +33,7 @@ static double evaluate(const fb_kernel *k, const double *p)
     fb_sensitivity *const of[3] = {k->sensitivity, k->parameter_sensitivity, k->input_sensitivity};
     fb_evaluation *const by[3] = {k->jacobian, k->parameter_jacobian, k->input_jacobian};
     void *work = calloc(1, k->work_size);
-    double violations[2], sum = 0.0;
+    double sum = 0.0;
     k->prepare(p, c);
     k->default_inputs(0.5, c, r);
     k->rhs(0.5, x, c, r, rates, work);
@@ -54,7 +54,7 @@ static double evaluate(const fb_kernel *k, const double *p)
         free(q), free(y), free(all);
     }
     k->turned(work);
-    k->project(0.5, x, c, r, 0, violations, work);
+    k->project(0.5, x, c, r, 0, work);
     sum += rates[0] + e[0];
     double *const all[] = {x, c, r, a, l, rates, qs, m, f, j, g, phi, pq, vq, pr, vr, e, o};
     for (size_t i = 0; i < sizeof all / sizeof *all; ++i)

@@ -84,7 +84,6 @@ class Result:
     nlu: int
     status: int
     message: str
-    violations: tuple[float, float]
 
 
 def integrate(
@@ -193,7 +192,6 @@ def integrate(
         nlu=0,
         status=status,
         message=message,
-        violations=run.violations,
     )
 
 

@@ -265,7 +265,7 @@ def _solve_ivp(
         states = np.reshape([ode.project(t, x) for t, x in zip(times, states.T, strict=True)], (-1, model.n_x)).T
     return Result(
         t=times, y=states, sol=given.sol, t_events=given.t_events, y_events=given.y_events, nfev=given.nfev,
-        njev=given.njev, nlu=given.nlu, status=given.status, message=message, violations=(math.nan, math.nan),
+        njev=given.njev, nlu=given.nlu, status=given.status, message=message,
     )  # fmt: skip
 
 

@@ -53,7 +53,7 @@ class _Compiled(scipy.integrate.OdeSolver):
 
 
 class _Explicit(_Compiled):
-    """The stages of a step, and its control, in C: see ``runtime/fourbar_runge_kutta.h``."""
+    """The stages of a step, and its control, in C: see ``runtime/fourbar_integrate.h``."""
 
     # Of scipy.integrate.RungeKutta, which has no types.
     h_abs: float
@@ -95,9 +95,6 @@ class _Explicit(_Compiled):
             return False, self.TOO_SMALL_STEP
         self.h_previous, self.y_old = h, self.y
         self.t, self.h_abs, self.y, self.f = t, h_abs, y, self.K[-1].copy()
-        if self._ode.projects:
-            self._project()
-            self.K[-1] = self.f
         return True, None
 
 

@@ -35,7 +35,7 @@ cdef extern from "fourbar_kernel.h":
         void (*closure)(double, const double *, const double *, const double *, double *, double *) noexcept nogil
         void (*coordinate_change)(double, const double *, const double *, const double *, const double *,
                                   double *) noexcept nogil
-        int (*project)(double, double *, const double *, const double *, int, double *, void *) noexcept nogil
+        int (*project)(double, double *, const double *, const double *, int, void *) noexcept nogil
         int (*turned)(void *) noexcept nogil
         void (*constraint_sensitivity)(double, const double *, const double *, const double *, double *, double *,
                                        double *) noexcept nogil
@@ -77,7 +77,7 @@ cdef extern from "fourbar_problem.h":
     int fb_fill_inputs(fb_problem *, double, const double *) noexcept nogil
     int fb_problem_rates(void *, double, const double *, double *) noexcept nogil
     int fb_problem_jacobian(fb_problem *, double, const double *, double *) noexcept nogil
-    int fb_problem_project(fb_problem *, double, double *, int, double *) noexcept nogil
+    int fb_problem_project(fb_problem *, double, double *, int) noexcept nogil
     int fb_finite(const double *, int) noexcept nogil
 
 

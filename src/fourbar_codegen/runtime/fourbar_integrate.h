@@ -56,7 +56,6 @@ typedef struct fb_run {
     double *stages;              /* (s + 1 + n_more, padded): x' at the beginning, the stages, x' at the end */
     double *interpolant;         /* (n_dense + 3, padded) */
     int interpolant_known;
-    double violations[2]; /* the largest that projection left */
     long n_evaluations, n_steps;
     double t_begin;
     int collapsed; /* whether that was said */
@@ -198,12 +197,6 @@ static inline int fb_stages(fb_run *s, const double h)
     return 0;
 }
 
-static inline void fb_note_violations(fb_run *s, const double *violations)
-{
-    for (int i = 0; i < 2; ++i)
-        s->violations[i] = violations[i] > s->violations[i] ? violations[i] : s->violations[i];
-}
-
 /* The step to t + h is taken: x' at its end in the last row of stages becomes that at the next one's beginning when
  * that is taken. */
 static inline void fb_accept(fb_run *s, const double t_new)
@@ -252,12 +245,10 @@ static inline int fb_step_on(fb_run *s)
             return status;
         double error_norm = fb_error_of(s, h, s->x, s->scratch, error, error3);
         if (error_norm < 1.0 && s->project) {
-            double violations[2];
-            status = fb_problem_project(s->problem, t_new, s->scratch, 1, violations);
+            status = fb_problem_project(s->problem, t_new, s->scratch, 1);
             if (status < 0)
                 return status;
             if (status == FB_OK) {
-                fb_note_violations(s, violations);
                 status = fb_evaluate(s, t_new, s->scratch, end);
                 if (status < 0)
                     return status;
@@ -291,11 +282,9 @@ static inline int fb_fixed_step(fb_run *s, const double h)
     if (p->status != FB_OK || !fb_finite(s->scratch, s->n))
         return p->status != FB_OK ? p->status : FB_NOT_FINITE;
     if (s->project) {
-        double violations[2];
-        status = fb_problem_project(p, s->t + h, s->scratch, 1, violations);
+        status = fb_problem_project(p, s->t + h, s->scratch, 1);
         if (status != FB_OK)
             return status;
-        fb_note_violations(s, violations);
     }
     fb_accept(s, s->t + h);
     return FB_OK;
@@ -362,13 +351,9 @@ static inline int fb_state_at(fb_run *s, const double t, double *x)
     fb_interpolate(s->method, s->interpolant, s->n, s->padded, s->x_old, (t - s->t_old) / s->h, x);
     if (!s->project)
         return 0;
-    double violations[2];
-    const int closed = fb_problem_project(s->problem, t, x, 0, violations);
-    if (closed < 0)
-        return closed;
-    if (closed == FB_OK)
-        fb_note_violations(s, violations);
-    return 0;
+    /* Where that fails, the interpolant stands. */
+    const int closed = fb_problem_project(s->problem, t, x, 0);
+    return closed < 0 ? closed : 0;
 }
 
 /* The samples of the last step; FB_RUN_FULL where there is no room for them. */

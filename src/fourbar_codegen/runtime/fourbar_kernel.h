@@ -80,10 +80,9 @@ typedef struct fb_kernel {
     /* K v for q' = K u + k */
     void (*coordinate_change)(double t, const double *q, const double *constants, const double *r, const double *change,
                               double *coordinate_change);
-    /* Moves x onto the constraints, from which it has drifted; the largest violations that are left, as changes of
-     * coordinates and of speeds. `known` says that rhs was called with the same `work` at a state close to x. */
-    int (*project)(double t, double *x, const double *constants, const double *r, int known, double *violations,
-                   void *work);
+    /* Moves x onto the constraints, from which it has drifted. `known` says that rhs was called with the same `work` at
+     * a state close to x. */
+    int (*project)(double t, double *x, const double *constants, const double *r, int known, void *work);
     /* Whether the constraints have changed their orientation from one call to the next: whether the determinant of the
      * columns of J that rhs has taken for dependent when it was last called with `work` has another sign than it had.
      * Then J has lost rank on the way, or a long step has jumped over a dead point of these speeds. */

@@ -125,38 +125,35 @@ enum { CORRECTIONS = 8, FACTORIZATIONS = 3 };
 /* ... or where rounding errors allow no better, by no more than this one. */
 #define FB_NEARLY_CLOSED 1e-9
 
-/* The violations as changes of coordinates and speeds; returns the larger one in units of these. */
+/* The larger violation, as a change of coordinates in units of these, or of speeds. */
 static double violated(const double *restrict x, const double *restrict positions, const double *restrict velocities,
-                       const fb_work *restrict w, double *restrict violations)
+                       const fb_work *restrict w)
 {
-    double q = 0.0, u = 0.0;
+    double q = 0.0, u = 0.0, position = 0.0, velocity = 0.0;
     for (int i = 0; i < N_Q; ++i)
         q = fabs(x[i]) > q ? fabs(x[i]) : q;
     for (int i = N_Q; i < N_X; ++i)
         u = fabs(x[i]) > u ? fabs(x[i]) : u;
-    violations[0] = violations[1] = 0.0;
     for (int i = 0; i < N_C; ++i) {
         const double size = row_size(w, i);
-        const double position = fabs(positions[i]) / size, velocity = fabs(velocities[i]) / size;
-        violations[0] = position > violations[0] ? position : violations[0];
-        violations[1] = velocity > violations[1] ? velocity : violations[1];
+        position = fabs(positions[i]) / size > position ? fabs(positions[i]) / size : position;
+        velocity = fabs(velocities[i]) / size > velocity ? fabs(velocities[i]) / size : velocity;
     }
-    const double in_q = q > 0.0 ? violations[0] / q : violations[0], in_u = u > 0.0 ? violations[1] / u : violations[1];
-    return in_q > in_u ? in_q : in_u;
+    position = q > 0.0 ? position / q : position;
+    velocity = u > 0.0 ? velocity / u : velocity;
+    return position > velocity ? position : velocity;
 }
 
 /* Newton's method with the factors of a state close by. A change v with J v = -Phi that is the least in the metric of M
  * is what M v = J^T lambda, J v + Phi = 0 gives, so that the equations of motion are solved with other right-hand
  * sides; q changes by K v. For the speeds likewise, with J u + b. Nonholonomic rows leave v alone.
  */
-static int project(double t, double *x, const double *constants, const double *r, int known, double *violations,
-                   void *work)
+static int project(double t, double *x, const double *constants, const double *r, int known, void *work)
 {
     static const double at_rest[N_U] = {0.0};
     fb_work *const w = work;
     double positions[FB_AT_LEAST_1(N_C)], velocities[FB_AT_LEAST_1(N_C)], change[N_U];
     double coordinate_changes[FB_AT_LEAST_1(N_Q)];
-    violations[0] = violations[1] = 0.0;
     if (N_C == 0)
         return FB_OK;
     for (int attempt = 0; attempt < FACTORIZATIONS; ++attempt) {
@@ -170,7 +167,7 @@ static int project(double t, double *x, const double *constants, const double *r
         double last = INFINITY;
         for (int i = 0; i < CORRECTIONS; ++i) {
             closure(t, x, constants, r, positions, velocities);
-            const double size = violated(x, positions, velocities, w, violations);
+            const double size = violated(x, positions, velocities, w);
             /* The first correction of the positions may open the velocities. */
             const int stagnates = i > 1 && !(size < 0.5 * last);
             if (size <= FB_CLOSED || (size <= FB_NEARLY_CLOSED && stagnates))

@@ -142,14 +142,14 @@ static inline int fb_problem_jacobian(fb_problem *s, const double t, const doubl
 }
 
 /* Moves x onto the constraints, and leaves it as it is where that fails; `known` as for the kernel's function. */
-static inline int fb_problem_project(fb_problem *s, const double t, double *x, const int known, double *violations)
+static inline int fb_problem_project(fb_problem *s, const double t, double *x, const int known)
 {
     const size_t size = (size_t)(s->kernel->n_q + s->kernel->n_u) * sizeof *x;
     const int called = fb_fill_inputs(s, t, x);
     if (called < 0)
         return called;
     memcpy(s->moved_x, x, size);
-    const int status = s->kernel->project(t, s->moved_x, s->constants, s->inputs, known, violations, s->work);
+    const int status = s->kernel->project(t, s->moved_x, s->constants, s->inputs, known, s->work);
     if (status == FB_OK)
         memcpy(x, s->moved_x, size);
     return status;

@@ -18,31 +18,16 @@ from fourbar_codegen.runtime.evaluator import failure
 
 cnp.import_array()
 
-cdef extern from "fourbar_runge_kutta.h":
-    int FB_STEP_ACCEPTED
-    int FB_STEP_TOO_SMALL
-    ctypedef int (*fb_function)(void *, double, const double *, double *) noexcept nogil
-    ctypedef struct fb_runge_kutta:
+cdef extern from "fourbar_tableau.h":
+    ctypedef struct fb_tableau:
         int n_stages
         const double *a
         const double *b
         const double *c
-        const double *error
         int n_errors
-        double error_exponent
-        int n
-        fb_function function
-        void *context
-        double t_bound, direction, max_step
-        const double *rtol
-        const double *atol
-        double t, h, h_abs
-        int n_evaluations
-    int fb_step(fb_runge_kutta *, const double *, double *, double *) noexcept nogil
-
-cdef extern from "fourbar_tableau.h":
-    ctypedef struct fb_tableau:
-        int n_stages, n_errors, n_more, n_dense
+        const double *error
+        double order
+        int n_more, n_dense
     const fb_tableau fb_rk4, fb_rk45, fb_dop853
 
 cdef extern from "fourbar_integrate.h":
@@ -68,7 +53,6 @@ cdef extern from "fourbar_integrate.h":
         double *scratch
         double *stages
         double *interpolant
-        double violations[2]
         long n_evaluations, n_steps
         const double *times
         long n_times, next_time
@@ -87,6 +71,7 @@ cdef extern from "fourbar_integrate.h":
         double *outputs
     void fb_prepare_method(fb_run *) noexcept nogil
     int fb_begin(fb_run *) noexcept nogil
+    int fb_step_on(fb_run *) noexcept nogil
     int fb_fixed_step(fb_run *, double) noexcept nogil
     int fb_run_on(fb_run *, long) noexcept nogil
     int fb_state_at(fb_run *, double, double *) noexcept nogil
@@ -274,8 +259,7 @@ cdef class Ode:
     def closest(self, double t, x):
         """The state moved onto the constraints, shape (n_x,), behind the kernel's status of that."""
         cdef cnp.ndarray state = vector(x, self.evaluator.n_x, "The state x").copy()
-        cdef double violations[2]
-        cdef int status = self.check(fb_problem_project(&self.problem, t, data(state), 0, violations))
+        cdef int status = self.check(fb_problem_project(&self.problem, t, data(state), 0))
         return status, state
 
     def project(self, double t, x):
@@ -321,26 +305,31 @@ cdef class EmbeddedSteps:
         Relative and absolute tolerance.
     """
 
-    cdef fb_runge_kutta method
-    cdef tuple kept
+    cdef fb_run run
+    cdef fb_tableau tableau
+    cdef Ode ode
+    cdef list kept
 
     def __cinit__(self, Ode ode not None, tableau, error, double error_exponent, double t_bound, double direction,
                   double max_step, rtol, atol):
-        cdef int n = ode.evaluator.n_x
-        cdef cnp.ndarray a, b, c, errors, relative, absolute
-        a, b, c = (np.array(part, dtype=np.float64, order="C") for part in tableau)
-        errors = np.array(error, dtype=np.float64, order="C")
-        relative, absolute = np.full(n, rtol, dtype=np.float64), np.full(n, atol, dtype=np.float64)
-        self.kept = (ode, a, b, c, errors, relative, absolute)
-        cdef int n_stages = np.size(b)
+        cdef fb_run *run = &self.run
+        self.ode, self.kept = ode, [np.array(part, dtype=np.float64, order="C") for part in (*tableau, error)]
+        a, b, c, errors = self.kept
+        n_stages = np.size(b)
         if (np.shape(a) != (n_stages, n_stages) or np.shape(c) != (n_stages,)
                 or np.shape(errors) not in {(n_stages + 1,), (2, n_stages + 1)}):
             raise ModelError("The shapes of a Runge-Kutta method's coefficients do not agree.")
-        self.method = fb_runge_kutta(
-            n_stages=n_stages, a=data(a), b=data(b), c=data(c), error=data(errors),
-            n_errors=cnp.PyArray_NDIM(errors), error_exponent=error_exponent, n=n, function=fb_problem_rates, context=<void *>&ode.problem, t_bound=t_bound,
-            direction=direction, max_step=max_step, rtol=data(relative),
-            atol=data(absolute), t=0.0, h=0.0, h_abs=0.0, n_evaluations=0)
+        self.tableau = fb_tableau(
+            n_stages=n_stages, a=data(a), b=data(b), c=data(c), n_errors=np.ndim(errors), error=data(errors),
+            order=-1.0 / error_exponent - 1.0, n_more=0, n_dense=0)
+        run.method, run.problem, run.n = &self.tableau, &ode.problem, ode.evaluator.n_x
+        run.padded = (run.n + FB_BLOCK - 1) // FB_BLOCK * FB_BLOCK
+        run.direction, run.t_bound, run.max_step, run.project = direction, t_bound, max_step, ode.projects
+        self.kept += [np.zeros((n_stages + 6, run.padded)), _padded(rtol, run), _padded(atol, run)]
+        run.x = data(self.kept[4])
+        run.x_old, run.scratch, run.interpolant = run.x + run.padded, run.x + 2 * run.padded, run.x + 3 * run.padded
+        run.stages, run.rtol, run.atol = run.x + 5 * run.padded, data(self.kept[5]), data(self.kept[6])
+        fb_prepare_method(run)
 
     def step(self, double t, double h_abs, x, cnp.ndarray stages not None):
         """One accepted step.
@@ -362,17 +351,37 @@ cdef class EmbeddedSteps:
         problem : {"", "too small", "infinite"}
             Of the step's length; otherwise the step was accepted.
         """
-        cdef cnp.ndarray state = vector(x, self.method.n, "The state x")
-        cdef cnp.ndarray x_new = new_array(self.method.n)
+        cdef fb_run *run = &self.run
+        cdef cnp.ndarray state = vector(x, run.n, "The state x")
+        cdef int k, status, n_stages = self.tableau.n_stages
         if (cnp.PyArray_NDIM(stages) != 2 or cnp.PyArray_TYPE(stages) != cnp.NPY_DOUBLE
-                or not cnp.PyArray_ISCARRAY(stages) or cnp.PyArray_DIM(stages, 0) != self.method.n_stages + 1
-                or cnp.PyArray_DIM(stages, 1) != self.method.n):
-            raise ModelError(f"The stages must be a contiguous array of {self.method.n_stages + 1} states.")
-        self.method.t, self.method.h_abs, self.method.n_evaluations = t, h_abs, 0
-        cdef Ode ode = self.kept[0]
-        cdef int status = ode.check(fb_step(&self.method, data(state), data(x_new), data(stages)))
-        return (self.method.t, self.method.h, self.method.h_abs, x_new, self.method.n_evaluations,
-                "" if status == FB_STEP_ACCEPTED else "too small" if status == FB_STEP_TOO_SMALL else "infinite")
+                or not cnp.PyArray_ISCARRAY(stages) or cnp.PyArray_DIM(stages, 0) != n_stages + 1
+                or cnp.PyArray_DIM(stages, 1) != run.n):
+            raise ModelError(f"The stages must be a contiguous array of {n_stages + 1} states.")
+        run.t, run.h_abs, run.n_evaluations, run.n_steps = t, h_abs, 0, 0
+        memcpy(run.x, data(state), run.n * sizeof(double))
+        memcpy(run.stages, data(stages), run.n * sizeof(double))
+        with nogil:
+            status = fb_step_on(run)
+        self.ode.check(status)
+        for k in range(n_stages + 1):
+            memcpy(data(stages) + k * run.n, run.stages + k * run.padded, run.n * sizeof(double))
+        return (run.t, run.h, run.h_abs, _state_of(run), run.n_evaluations,
+                "" if status == FB_RUN_PAUSED else "too small" if status == FB_RUN_TOO_SMALL else "infinite")
+
+
+cdef cnp.ndarray _padded(values, const fb_run *run):
+    """Tolerances, and ones where states are padded with zeros."""
+    array = np.ones(run.padded)
+    array[:run.n] = values
+    return array
+
+
+cdef cnp.ndarray _state_of(const fb_run *run):
+    """The state reached, as an array of its own."""
+    cdef cnp.ndarray x = new_array(run.n)
+    memcpy(data(x), run.x, run.n * sizeof(double))
+    return x
 
 
 _REASONS = {FB_RUN_END: "end", FB_RUN_PAUSED: "paused", FB_RUN_FULL: "full", FB_RUN_EVENT: "event",
@@ -426,7 +435,7 @@ cdef class Run:
         run.project, run.t, run.t_begin, run.until = project, t, t, t_bound
         run.x, run.x_old, run.scratch = self._zeros(1), self._zeros(1), self._zeros(1)
         run.stages, run.interpolant = self._zeros(rows), self._zeros(run.method.n_dense + 3)
-        run.rtol, run.atol = self._padded(rtol), self._padded(atol)
+        run.rtol, run.atol = <double *>self._keep(_padded(rtol, run)), <double *>self._keep(_padded(atol, run))
         memcpy(run.x, data(state), n * sizeof(double))
         if times is not None:
             run.times, run.n_times = <const double *>self._keep(np.array(times, dtype=np.float64)), np.size(times)
@@ -445,11 +454,6 @@ cdef class Run:
 
     cdef double *_zeros(self, int rows):
         return <double *>self._keep(np.zeros((rows, self.run.padded)))
-
-    cdef double *_padded(self, values):
-        array = np.ones(self.run.padded)
-        array[:self.run.n] = values
-        return <double *>self._keep(array)
 
     def take_samples(self):
         """The samples since the last call, shapes (n,) and (n, n_x)."""
@@ -538,9 +542,7 @@ cdef class Run:
     @property
     def x(self):
         """The state reached, shape (n_x,)."""
-        cdef cnp.ndarray x = new_array(self.run.n)
-        memcpy(data(x), self.run.x, self.run.n * sizeof(double))
-        return x
+        return _state_of(&self.run)
 
     @property
     def event_values(self):
@@ -549,10 +551,6 @@ cdef class Run:
         return ([self.run.event_old[i] for i in range(self.run.n_events)],
                 [self.run.event_value[i] for i in range(self.run.n_events)])
 
-    @property
-    def violations(self):
-        """The largest violations of the constraints that projection left, as changes of coordinates and speeds."""
-        return self.run.violations[0], self.run.violations[1]
 
 
 @cython.final
@@ -625,7 +623,7 @@ cdef class Stepper:
             If the equations cannot be evaluated, or no state close by satisfies the constraints; nothing is advanced.
         """
         cdef fb_problem *problem = &self.ode.problem
-        cdef cnp.ndarray values, x
+        cdef cnp.ndarray values
         cdef int i, status
         if r is None:
             problem.sources, problem.n_sources = self.own_sources, self.n_own_sources
@@ -638,9 +636,7 @@ cdef class Stepper:
         status = self.ode.check(fb_fixed_step(&self.run, self.h))
         if status != FB_OK:
             raise SimulationError(self.ode.failure or failure(status, self.run.t, self.x))
-        x = new_array(self.run.n)
-        memcpy(data(x), self.run.x, self.run.n * sizeof(double))
-        return x
+        return _state_of(&self.run)
 
     @property
     def t(self):
@@ -648,9 +644,7 @@ cdef class Stepper:
 
     @property
     def x(self):
-        cdef cnp.ndarray x = new_array(self.run.n)
-        memcpy(data(x), self.run.x, self.run.n * sizeof(double))
-        return x
+        return _state_of(&self.run)
 
 
 @cython.final
@@ -688,7 +682,6 @@ cdef class DenseOutput:
         cdef cnp.ndarray step
         cdef fb_run *run = &self.run.run
         cdef int i, rows = run.method.n_dense + (3 if run.method.n_more else 0)
-        cdef double violations[2]
         cdef double *end
         if np.ndim(at) != 1:
             raise ModelError(f"Times must be a number or an array of one dimension, not of shape {np.shape(t)}.")
@@ -701,5 +694,5 @@ cdef class DenseOutput:
                            (data(at)[i] - end[0]) / end[1], data(x) + i * run.n)
             if run.project:
                 self.run.ode.check(
-                    fb_problem_project(run.problem, data(at)[i], data(x) + i * run.n, 0, violations))
+                    fb_problem_project(run.problem, data(at)[i], data(x) + i * run.n, 0))
         return np.array(x.T) if np.ndim(t) else x[0]

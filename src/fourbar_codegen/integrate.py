@@ -219,6 +219,8 @@ def consistent(ode: Ode, n_q: int, t: float, x0: Floats) -> Floats:
     """
     status, x = ode.closest(t, x0)
     moved = np.abs(x - x0)
+    if status == OK and not moved.max(initial=0.0) > FLOOR:
+        return x
     # Of angles, whole turns say nothing; of what is small as a whole, small changes are large.
     size = np.concatenate(
         [np.full(len(part), min(1.0, np.abs(part).max(initial=0.0))) for part in (x0[:n_q], x0[n_q:])]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -144,10 +145,13 @@ def simulate(
     if not (progress is None or callable(progress)):
         raise ModelError(f"progress must be a callable of the time or None, not {progress!r}.")
     if method in METHODS:
-        with Progress(model.name) as shown:
+        with ExitStack() as stack:
+            shown: list[Progress] = []  # made where a run is a long one
 
             def note(t: float) -> None:
-                shown.stage(f"simulating, t = {t:.6g} of {end:g} s")
+                if not shown:
+                    shown.append(stack.enter_context(Progress(model.name)))
+                shown[0].stage(f"simulating, t = {t:.6g} of {end:g} s")
                 if progress is not None:
                     progress(t)
 

@@ -507,6 +507,17 @@ def test_stepper_holds_inputs_and_keeps_loops_closed(four_bar):
     np.testing.assert_allclose(states[-1], x, rtol=0, atol=1e-7)
 
 
+def test_stepper_holds_inputs_in_the_place_of_callables(four_bar):
+    called = []
+    source = {"F": lambda t, x: called.append(t) or 7.0}
+    stepper, constant = four_bar.stepper(1e-3, inputs=source), four_bar.stepper(1e-3)
+    del called[:]
+    np.testing.assert_array_equal(stepper.step([30.0]), constant.step([30.0]))
+    assert not called
+    np.testing.assert_array_equal(stepper.step(), constant.step([7.0]))
+    assert called
+
+
 def test_stepper_refuses_what_is_wrong(four_bar):
     with pytest.raises(fb.ModelError, match="h must not be 0"):
         four_bar.stepper(0.0)

@@ -31,14 +31,14 @@ COLLAPSED, PASSED = 1e-3, 1e-4
 """A position is singular where the smallest singular value of J is below this share of what it usually was in the run:
 where the steps' length collapses, or within a step over which the constraints have changed their orientation."""
 
+STATES = 100
+"""States along the run that tell what it usually was."""
+
 CONSISTENT = 1e-3
 """By what share of the coordinates or speeds projection may move the state that a run begins from."""
 
 FLOOR = 1e-12
 """And by how much in any case: rounding errors."""
-
-STATES = 100
-"""States along the run at which the entries of J are looked at for that."""
 
 REACHED_END = "The solver successfully reached the end of the integration interval."
 TERMINATED = "A termination event occurred."

@@ -495,6 +495,8 @@ def failure(int status, double t, x):
             f"The mass matrix is not positive definite {where}: some motion that the constraints allow moves no mass, "
             "or a mass or inertia is negative."
         )
+    if status == FB_NOT_CLOSED:
+        return f"The loops cannot be closed {where}: no state close by satisfies the constraints."
     return (
         f"The equations of motion, or their derivatives, are not finite {where}: a division by zero, a coordinate beyond its range, "
         "or an input that is not finite."

@@ -2,6 +2,7 @@
 #ifndef FOURBAR_PROBLEM_H
 #define FOURBAR_PROBLEM_H
 
+#include "fourbar_array.h"
 #include "fourbar_kernel.h"
 
 #include <math.h>
@@ -87,10 +88,7 @@ static inline int fb_fill_inputs(fb_problem *s, const double t, const double *x)
 
 static inline int fb_finite(const double *values, const int n)
 {
-    double zero = 0.0;
-    for (int i = 0; i < n; ++i)
-        zero += 0.0 * values[i];
-    return zero == 0.0;
+    return all_finite(values, n) == FB_OK;
 }
 
 /* Integrators go on from NaN with states of NaN; what is to be reported is how it began. */

@@ -322,14 +322,12 @@ cdef class EmbeddedSteps:
         self.tableau = fb_tableau(
             n_stages=n_stages, a=data(a), b=data(b), c=data(c), n_errors=np.ndim(errors), error=data(errors),
             order=-1.0 / error_exponent - 1.0, n_more=0, n_dense=0)
-        run.method, run.problem, run.n = &self.tableau, &ode.problem, ode.evaluator.n_x
-        run.padded = (run.n + FB_BLOCK - 1) // FB_BLOCK * FB_BLOCK
+        _prepare(run, ode, &self.tableau)
         run.direction, run.t_bound, run.max_step, run.project = direction, t_bound, max_step, ode.projects
         self.kept += [np.zeros((n_stages + 6, run.padded)), _padded(rtol, run), _padded(atol, run)]
         run.x = data(self.kept[4])
         run.x_old, run.scratch, run.interpolant = run.x + run.padded, run.x + 2 * run.padded, run.x + 3 * run.padded
         run.stages, run.rtol, run.atol = run.x + 5 * run.padded, data(self.kept[5]), data(self.kept[6])
-        fb_prepare_method(run)
 
     def step(self, double t, double h_abs, x, cnp.ndarray stages not None):
         """One accepted step.
@@ -368,6 +366,14 @@ cdef class EmbeddedSteps:
             memcpy(data(stages) + k * run.n, run.stages + k * run.padded, run.n * sizeof(double))
         return (run.t, run.h, run.h_abs, _state_of(run), run.n_evaluations,
                 "" if status == FB_RUN_PAUSED else "too small" if status == FB_RUN_TOO_SMALL else "infinite")
+
+
+cdef int _prepare(fb_run *run, Ode ode, const fb_tableau *method) except -1:
+    """What a run is made of: the problem and its size, and the method."""
+    run.problem, run.method, run.n = &ode.problem, method, ode.evaluator.n_x
+    run.padded = (run.n + FB_BLOCK - 1) // FB_BLOCK * FB_BLOCK
+    fb_prepare_method(run)
+    return 0
 
 
 cdef cnp.ndarray _padded(values, const fb_run *run):
@@ -426,11 +432,9 @@ cdef class Run:
         cdef int n = ode.evaluator.n_x, rows
         cdef cnp.ndarray state = vector(x, n, "The state x")
         cdef fb_run *run = &self.run
-        run.method = &fb_rk45 if method == "RK45" else &fb_dop853
-        run.n, run.padded = n, (n + FB_BLOCK - 1) // FB_BLOCK * FB_BLOCK
+        _prepare(run, ode, &fb_rk45 if method == "RK45" else &fb_dop853)
         rows = run.method.n_stages + 1 + run.method.n_more
         self.ode, self.kept = ode, []
-        run.problem = &ode.problem
         run.direction, run.t_bound, run.max_step = 1.0 if t_bound > t else -1.0, t_bound, max_step
         run.project, run.t, run.t_begin, run.until = project, t, t, t_bound
         run.x, run.x_old, run.scratch = self._zeros(1), self._zeros(1), self._zeros(1)
@@ -446,7 +450,6 @@ cdef class Run:
         run.event_old = <double *>self._keep(np.zeros(run.n_events + 1))
         run.outputs = <double *>self._keep(np.zeros(ode.evaluator.n_u + ode.evaluator.n_c + ode.evaluator.n_o + 1))
         self._make_room(run.n_times if times is not None else 256)
-        fb_prepare_method(run)
 
     cdef void *_keep(self, cnp.ndarray array):
         self.kept.append(array)
@@ -552,7 +555,6 @@ cdef class Run:
                 [self.run.event_value[i] for i in range(self.run.n_events)])
 
 
-
 @cython.final
 cdef class Stepper:
     """Advances a mechanism by steps of one length, for control loops and real time.
@@ -572,9 +574,7 @@ cdef class Stepper:
 
     cdef Ode ode
     cdef fb_run run
-    cdef fb_source *own_sources
     cdef fb_source *held
-    cdef int n_own_sources
     cdef double h
     cdef cnp.ndarray kept
 
@@ -583,14 +583,12 @@ cdef class Stepper:
         cdef cnp.ndarray state = vector(x, n, "The state x")
         cdef fb_run *run = &self.run
         self.ode, self.h = ode, h
-        run.method, run.problem, run.project, run.t = &fb_rk4, &ode.problem, project, t
-        run.n, run.padded = n, (n + FB_BLOCK - 1) // FB_BLOCK * FB_BLOCK
+        _prepare(run, ode, &fb_rk4)
+        run.project, run.t = project, t
         self.kept = np.zeros((8, run.padded))
         run.x, run.x_old, run.scratch = data(self.kept), data(self.kept) + run.padded, data(self.kept) + 2 * run.padded
         run.stages = data(self.kept) + 3 * run.padded
         memcpy(run.x, data(state), n * sizeof(double))
-        fb_prepare_method(run)
-        self.own_sources, self.n_own_sources = ode.problem.sources, ode.problem.n_sources
         self.held = <fb_source *>PyMem_Calloc(ode.evaluator.n_r + 1, sizeof(fb_source))
         if not self.held:
             raise MemoryError
@@ -598,8 +596,6 @@ cdef class Stepper:
             self.held[i].input = i
 
     def __dealloc__(self):
-        if self.ode is not None and self.own_sources:
-            self.ode.problem.sources, self.ode.problem.n_sources = self.own_sources, self.n_own_sources
         PyMem_Free(self.held)
 
     def step(self, r=None):
@@ -623,17 +619,18 @@ cdef class Stepper:
             If the equations cannot be evaluated, or no state close by satisfies the constraints; nothing is advanced.
         """
         cdef fb_problem *problem = &self.ode.problem
+        cdef fb_problem own = problem[0]
         cdef cnp.ndarray values
         cdef int i, status
-        if r is None:
-            problem.sources, problem.n_sources = self.own_sources, self.n_own_sources
-        else:
+        if r is not None:
             values = self.ode.evaluator._inputs(self.run.t, self.ode.parameters, r, True)
             for i in range(self.ode.evaluator.n_r):
                 self.held[i].value = data(values)[i]
-            problem.sources, problem.n_sources = self.held, self.ode.evaluator.n_r
+            problem.sources, problem.n_sources, problem.called_inputs = self.held, self.ode.evaluator.n_r, NULL
         problem.status = FB_OK
-        status = self.ode.check(fb_fixed_step(&self.run, self.h))
+        status = fb_fixed_step(&self.run, self.h)
+        problem.sources, problem.n_sources, problem.called_inputs = own.sources, own.n_sources, own.called_inputs
+        self.ode.check(status)
         if status != FB_OK:
             raise SimulationError(self.ode.failure or failure(status, self.run.t, self.x))
         return _state_of(&self.run)

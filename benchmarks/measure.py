@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import platform
-import re
 import statistics
 import subprocess
 import tempfile
@@ -58,13 +57,6 @@ def evaluation_inside_c(
         return float(subprocess.run(arguments, check=True, capture_output=True, text=True).stdout.split()[0])
 
     return measure
-
-
-def floating_point_operations(kernel: str, counted: int) -> int:
-    """Operations of `dynamics` with each sine and cosine as what fourbar_sine.h needs: 44 for both."""
-    functions = re.findall(r"^static [^\n]*\bdynamics(?:_\d+)?\(.*?^}$", kernel, flags=re.DOTALL | re.MULTILINE)
-    sines = len(re.findall(r"\b(?:sin\[|cos\[|fb_sin\(|fb_cos\()", "".join(functions)))
-    return counted + 21 * sines
 
 
 def compare(*measures: Callable[[], float], rounds: int) -> list[float]:

@@ -24,7 +24,6 @@ from measure import (
     compare,
     evaluation,
     evaluation_inside_c,
-    floating_point_operations,
     replace_in_readme,
 )
 from tutorial import Tutorial
@@ -107,7 +106,6 @@ def measure_model(name: str, rounds: int) -> dict[str, Any]:
     inside = functools.partial(evaluation_inside_c, model.name, sources, t=0.5, x=x, p=p, flags=["-march=native"])
     whole, forming = compare(inside(function="rhs"), inside(function="dynamics"), rounds=rounds)
     operations = compiled.manifest["operations"]["dynamics"]
-    executed = floating_point_operations(sources[f"{model.name}_kernel.c"], operations)
     cold = [in_fresh_process(name, statement, cold=True) for statement in (LAMBDIFIED, COMPILED)]
     slow, fast = compare(*cold, rounds=3)
     (warm,) = compare(in_fresh_process(name, COMPILED, cold=False), rounds=3)
@@ -121,7 +119,7 @@ def measure_model(name: str, rounds: int) -> dict[str, Any]:
         "operations": operations,
         "inside C ns": whole * 1e9,
         "forming inside C ns": forming * 1e9,
-        "ns per floating-point operation": forming * 1e9 / executed,
+        "ns per operation": forming * 1e9 / operations,
         "SymPy to function s": slow,
         "System to module s": fast,
         "warm s": warm,
@@ -150,7 +148,7 @@ def main() -> None:
         lines.append(
             f"| {row['model']} | {row['lambdify us']:.3g} us | {pydy} | {row['compiled us']:.3g} us | {ratios} | "
             f"{row['inside C ns']:.3g} ns, {row['forming inside C ns']:.3g} ns, "
-            f"{row['ns per floating-point operation']:.2g} ns | "
+            f"{row['ns per operation']:.2g} ns | "
             f"{row['operations']} | {row['SymPy to function s']:.3g} s | {row['System to module s']:.3g} s | "
             f"{row['warm s']:.2g} s |"
         )
@@ -162,7 +160,7 @@ def main() -> None:
         text = (
             "One evaluation from Python, against `lambdify` with `numpy.linalg.solve`, and PyDy's Cython generator\n"
             "with its default solver; one inside C (`-march=native`), the forming of q', M, f, J and gamma in it,\n"
-            "and that per floating-point operation; operations of forming, a sine as one; and the time from the\n"
+            "and that per operation; operations of forming, a sine as one; and the time from the\n"
             "System to a function that evaluates it (warm: from the cache).\n\n"
         )
         replace_in_readme("models", text + "\n".join(lines), "models.py", report)

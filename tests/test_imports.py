@@ -13,7 +13,7 @@ PACKAGE = Path(fourbar_codegen.__file__).parent
 RUN = ["arguments", "compiled", "initial", "integrate", "linearize", "simulate", "solvers", "trajectory", "visual"]
 GENERATION = [
     "model", "mechanism", "fingerprint", "tape", "numeric", "convert", "derivatives", "identities",
-    "linear", "motion", "composite", "kinematics", "kane", "equations", "share", "program", "lower",
+    "linear", "motion", "composite", "kinematics", "kane", "equations", "angles", "share", "program", "lower",
     "c_expressions", "c_source", "cython_source",
 ]  # fmt: skip
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 
 from fourbar_codegen.c_expressions import ANGLES, CARRIED, Text
@@ -262,22 +262,52 @@ def _carried(parts: Sequence[_Part]) -> dict[int, int]:
 
 
 def _body(function: Function, part: _Part, text: Text, carried: Mapping[int, int]) -> list[str]:
-    """The lines of a function, or of a part of one."""
-    names, own = text.names, set(part.lines)
-    body = [line for array in function.arguments for line in _unpack(array, part.used, names)]
-    outside = sorted((carried[node], node) for node in part.used - own if node in carried)
-    body += [f"    const double {names[node]} = {CARRIED}[{place}];" for place, node in outside]
-    body += map(_statement, _assignments(part, text))
-    body += [f"    {CARRIED}[{carried[line]}] = {names[line]};" for line in part.lines if line in carried]
+    """The lines of a function, or of a part of one.
+
+    Arguments are named where they are first used, and results stored as soon as they are known, what is an argument
+    itself at last: compilers keep this order, and in it few values wait in registers.
+    """
+    names = text.names
+    given = {
+        node: f"const double {names[node]} = {array.name}[{position}];"
+        for array in function.arguments
+        for position, node in enumerate(array.nodes)
+        if node in part.used and names[node] != "t"
+    }
+    outside = part.used - set(part.lines)
+    given.update((node, f"const double {names[node]} = {CARRIED}[{carried[node]}];") for node in outside & set(carried))
+    stored = {name for name, *_ in (*part.cleared, *part.stores)}
+    body = [f"    (void){array.name};" for array in function.arguments if part.used.isdisjoint(array.nodes)]
+    body += [f"    (void){result.name};" for result in function.results if result.name not in stored]
     for name, length in part.cleared:
         body += [f"    for (int i = 0; i < {length}; ++i)", f"        {name}[i] = 0.0;"]
-    stored = {name for name, *_ in (*part.cleared, *part.stores)}
-    body += [f"    (void){result.name};" for result in function.results if result.name not in stored]
-    body += [_statement(f"{name}[{position}] = {text.scalar(entry)};") for name, position, entry in part.stores]
+    assigned = _assignments(part, text)
+    places = {statement.line: place for place, statement in enumerate(assigned, start=1)}
+    behind: list[list[_Statement]] = [[] for _ in range(len(assigned) + 1)]
+    for name, position, entry in part.stores:
+        reads = text.referred(entry.node)
+        place = max((places[node] for node in reads if node in places), default=len(assigned))
+        behind[place].append(_Statement(f"{name}[{position}] = {text.scalar(entry)};", reads))
+    for node in part.lines:
+        if node in carried:
+            behind[places[node]].append(_Statement(f"{CARRIED}[{carried[node]}] = {names[node]};", {node}))
+    for place, stores in enumerate(behind):
+        for statement in (*assigned[place - 1 : place], *stores):
+            body += ["    " + given.pop(node) for node in sorted(statement.reads & given.keys())]
+            body.append(_wrapped(statement.text))
     return body
 
 
-def _assignments(part: _Part, text: Text) -> list[str]:
+@dataclass(frozen=True)
+class _Statement:
+    """A statement, the nodes that it reads by name, and the one that it gives a name to, if it is one."""
+
+    text: str
+    reads: Set[int]
+    line: int | None = None
+
+
+def _assignments(part: _Part, text: Text) -> list[_Statement]:
     """A statement for each line; before those that need sines and cosines, these of several angles side by side."""
     inline = {line: call for line in part.lines if (call := text.angle(line))}
     behind: set[int] = set()  # the lines that need a sine or a cosine
@@ -292,7 +322,8 @@ def _assignments(part: _Part, text: Text) -> list[str]:
     for group, start in enumerate(range(0, len(angles), TOGETHER)):
         four = angles[start : start + TOGETHER]
         arguments = [text.names[angle] for angle in four] + ["0.0"] * (TOGETHER - len(four))
-        evaluated.append(f"const fb_angles {ANGLES}{group} = fb_angles_of({', '.join(arguments)});")
+        evaluation = f"const fb_angles {ANGLES}{group} = fb_angles_of({', '.join(arguments)});"
+        evaluated.append(_Statement(evaluation, set(four)))
         for line, (function, angle) in inline.items():
             if angle in four:
                 values[line] = f"{ANGLES}{group}.{function}[{four.index(angle)}]"
@@ -300,9 +331,10 @@ def _assignments(part: _Part, text: Text) -> list[str]:
     for line in reversed(part.lines):
         if line in needed:
             needed |= text.referred_by(line)
-    assigned = {
-        line: f"const double {text.names[line]} = {values.get(line) or text.value(line)};" for line in part.lines
-    }
+    assigned = {}
+    for line in part.lines:
+        right, reads = (values[line], set()) if line in values else (text.value(line), text.referred_by(line))
+        assigned[line] = _Statement(f"const double {text.names[line]} = {right};", reads, line)
     return [
         *(statement for line, statement in assigned.items() if line in needed),
         *evaluated,
@@ -320,22 +352,10 @@ def _head(function: Function, declared: str, more: Sequence[str]) -> list[str]:
     return [line.replace("\xa0", " ") for line in wrapped]
 
 
-def _statement(text: str) -> str:
+def _wrapped(text: str) -> str:
     lines = textwrap.wrap(text, LINE - 4, break_long_words=False, break_on_hyphens=False)
     return "\n".join(("    " if not number else "        ") + line for number, line in enumerate(lines))
 
 
 def _parameter(array: Array) -> str:
     return "double t" if array.name == "t" else f"const double *restrict {array.name}"
-
-
-def _unpack(array: Array, used: Collection[int], names: Mapping[int, str]) -> list[str]:
-    """Names for the entries of an argument that the function reads."""
-    if array.name == "t":
-        return [] if array.nodes[0] in used else ["    (void)t;"]
-    lines = [
-        f"    const double {names[node]} = {array.name}[{position}];"
-        for position, node in enumerate(array.nodes)
-        if node in used
-    ]
-    return lines or [f"    (void){array.name};"]

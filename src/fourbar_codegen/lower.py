@@ -1,7 +1,7 @@
 """Equations -> Program: one straight-line function for everything that is evaluated together.
 
-For each function: keep the operations it needs, move what depends on parameters alone into `prepare`, and share what
-is left in common.
+For each function: keep the operations it needs, add angles, move what depends on parameters alone into `prepare`, and
+share what is left in common.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 
+from fourbar_codegen.angles import add_angles
 from fourbar_codegen.equations import Equations
 from fourbar_codegen.program import Array, Function, Program, Result, Sizes
 from fourbar_codegen.share import Statements, share
@@ -121,8 +122,8 @@ def lower(name: str, equations: Equations) -> Program:
     written_out = _WrittenOut(e.tape)
     before_sharing = [written_out.operations(results) for *_, results in specifications]
     lowered = [
-        share(e.tape, [entry for result in results for entry in result.entries], pool.is_constant)
-        for *_, results in specifications
+        share(e.tape, add_angles(e.tape, entries, pool.is_constant), pool.is_constant)
+        for entries in ([entry for result in results for entry in result.entries] for *_, results in specifications)
     ]
     constants, prepare = pool.finish(lowered)
     functions = tuple(

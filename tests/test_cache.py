@@ -168,7 +168,7 @@ def test_folder_in_the_cache_holds_sources_and_module_only(monkeypatch, tmp_path
     fb.compile_model(slider())
     (folder,) = [path for path in tmp_path.iterdir() if path.is_dir()]
     kinds = sorted(path.suffix for path in folder.iterdir())
-    assert kinds == ["", ".c", ".c", ".h", ".json", ".pyx", ".so"]
+    assert kinds == ["", ".c", ".c", ".c", ".h", ".json", ".pyx", ".so"]
 
 
 def test_unwritable_cache(monkeypatch, tmp_path):

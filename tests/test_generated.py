@@ -20,7 +20,14 @@ from fourbar_codegen.tape import Tape
 
 ROOT = Path(__file__).parent.parent
 COMMITTED = ROOT / "generated" / "four_bar"
-NAMES = ["four_bar.pyx", "four_bar_derivatives.c", "four_bar_kernel.c", "four_bar_kernel.h", "manifest.json"]
+NAMES = [
+    "four_bar.pyx",
+    "four_bar_derivatives.c",
+    "four_bar_kernel.c",
+    "four_bar_kernel.h",
+    "four_bar_lanes.c",
+    "manifest.json",
+]
 
 
 @pytest.mark.parametrize("seed", ["0", "4711"])
@@ -44,7 +51,7 @@ MODELS = {
 
 
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
-@pytest.mark.parametrize("optimization", ["-O0", "-O2", "-O3"])
+@pytest.mark.parametrize("optimization", ["-O0", "-O2", "-O3", "-O3 -mavx2", "-O3 -mavx512f"])
 @pytest.mark.parametrize("model", MODELS.values(), ids=MODELS.keys())
 def test_kernel_compiles_without_warnings(tmp_path, compiler, optimization, model):
     for name, text in fb.generate_sources(model()).items():
@@ -60,7 +67,7 @@ def test_kernel_compiles_without_warnings(tmp_path, compiler, optimization, mode
         "-Wpedantic",
         "-Wshadow",
         "-Werror",
-        optimization,
+        *optimization.split(),
     ]
     command += ["-I", fb.get_include()]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)

@@ -10,7 +10,18 @@ import pytest
 import fourbar_codegen
 
 PACKAGE = Path(fourbar_codegen.__file__).parent
-RUN = ["arguments", "compiled", "initial", "integrate", "linearize", "simulate", "solvers", "trajectory", "visual"]
+RUN = [
+    "arguments",
+    "compiled",
+    "ensemble",
+    "initial",
+    "integrate",
+    "linearize",
+    "simulate",
+    "solvers",
+    "trajectory",
+    "visual",
+]
 GENERATION = [
     "model", "mechanism", "fingerprint", "tape", "numeric", "convert", "derivatives", "identities",
     "linear", "motion", "composite", "kinematics", "kane", "equations", "angles", "share", "program", "lower",

@@ -14,7 +14,7 @@ BLOCKS = re.findall(r"```(python|text)\n(.*?)```", README, flags=re.DOTALL)
 EXAMPLES = [(code, text) for (kind, code), (_, text) in itertools.pairwise(BLOCKS) if kind == "python"]
 
 
-@pytest.mark.parametrize(("code", "text"), EXAMPLES, ids=["four-bar", "own System", "forces"])
+@pytest.mark.parametrize(("code", "text"), EXAMPLES, ids=["four-bar", "own System", "ensemble", "forces"])
 def test_examples_print_what_stands_below_them(code, text, capsys):
     exec(compile(code, "README.md", "exec"), {})
     assert capsys.readouterr().out == text

@@ -7,8 +7,10 @@ import pytest
 
 import fourbar_codegen as fb
 
-# All functions of a kernel, a projected run by each method with interpolated samples, and steps of one length.
+# All functions of a kernel, a projected run by each method with interpolated samples, steps of one length, and, side by
+# side, more states than there are lanes, and more runs, with samples and an input held.
 PROGRAM = """
+#include "fourbar_batch.h"
 #include "fourbar_integrate.h"
 #include <stdio.h>
 #include <stdlib.h>
@@ -95,6 +97,53 @@ static double run(const fb_kernel *k, const double *p, const double *x0, const f
     return end;
 }
 
+static double together(const fb_kernel *k, const double *p, const double *x0, const fb_tableau *method)
+{
+    enum { N = 19 };
+    const int n_x = k->n_q + k->n_u;
+    double *const x = doubles(N * n_x), *const ps = doubles(N * k->n_p), *const rates = doubles(N * n_x), t[N];
+    double *const samples = doubles(N * n_x * 3), *const values = doubles(N), *const tolerance = doubles(n_x);
+    const double times[3] = {0.0, 0.123, 0.5};
+    const int stop = 0;
+    char status[N] = {0};
+    long counts[N], next = 0, ended = 0;
+    double sum = 0.0;
+    for (int i = 0; i < N; ++i) {
+        t[i] = 0.1 * i;
+        for (int j = 0; j < n_x; ++j)
+            x[j * N + i] = x0[j] + 0.01 * i;
+        for (int j = 0; j < k->n_p; ++j)
+            ps[j * N + i] = p[j];
+    }
+    const fb_batch batch = {N, {t, N}, {x, N}, {ps, N}, {NULL, 0}, rates};
+    const fb_batch held = {N, {t, 0}, {x, N}, {p, 0}, {NULL, 0}, rates};
+    fb_batch_one_by_one(k, &batch, 0, N);
+    if (k->lanes && k->lanes->width) {
+        k->lanes->batch(&batch, 0, 3);
+        k->lanes->batch(&batch, 3, N);
+        k->lanes->batch(&held, 0, N);
+    }
+    sum += rates[N];
+    for (int i = 0; i < n_x; ++i)
+        tolerance[i] = 1e-6;
+    for (int i = 0; i < N; ++i) {
+        memcpy(x + i * n_x, x0, (size_t)n_x * sizeof *x0);
+        memcpy(ps + i * k->n_p, p, (size_t)k->n_p * sizeof *p);
+    }
+    x[5 * n_x] = NAN;
+    const fb_source source = {.input = k->n_r - 1};
+    const fb_ensemble e = {.n = N, .x = x, .p = ps, .n_sources = k->n_r > 1, .sources = &source, .values = values,
+                           .method = method, .project = k->n_c > 0, .t_bound = 0.5, .max_step = INFINITY,
+                           .rtol = tolerance, .atol = tolerance, .times = times, .n_times = 3, .samples = samples,
+                           .status = status, .n_evaluations = counts, .next = &next, .n_ended = &ended,
+                           .stop = &stop};
+    if (k->lanes && k->lanes->width)
+        k->lanes->run(&e);
+    sum += samples[2];
+    free(x), free(ps), free(rates), free(samples), free(values), free(tolerance);
+    return sum;
+}
+
 int main(int argc, char **argv)
 {
     const fb_kernel *const k = &KERNEL;
@@ -107,6 +156,7 @@ int main(int argc, char **argv)
         x0[i] = atof(argv[1 + k->n_p + i]);
     printf("%.17g", evaluate(k, p));
     printf(" %.17g %.17g %.17g\\n", run(k, p, x0, &fb_rk4), run(k, p, x0, &fb_rk45), run(k, p, x0, &fb_dop853));
+    printf("%.17g %.17g\\n", together(k, p, x0, &fb_rk45), together(k, p, x0, &fb_dop853));
     free(p), free(x0);
     return 0;
 }
@@ -140,7 +190,7 @@ def test_kernel_and_runs_under_sanitizers(tmp_path, name):
     done = subprocess.run([tmp_path / "program", *values], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     # The same runs by the package, built without sanitizers; rounding differs with the flags.
-    _, _, *ends = map(float, done.stdout.split())
+    _, _, *ends, _, _ = map(float, done.stdout.split())
     for method, end in zip(("RK45", "DOP853"), ends, strict=True):
         how = {"method": method, "rtol": 1e-6, "atol": 1e-6}
         assert end == pytest.approx(compiled.simulate((0.0, 0.5), x0, **how).y[0, -1], rel=1e-6, abs=1e-8)

@@ -8,6 +8,7 @@
  *
  * The functions below evaluate straight-line code; fourbar_model.h, included at the end, solves the
  * equations that they set up. Matrices are stored row by row.
+ * fb_real is double, or several of them where states are evaluated side by side; see fourbar_real.h.
  */
 #include "four_bar_kernel.h"
 #include "fourbar_angle.h"
@@ -25,68 +26,70 @@ enum {
     N_RANK = 2,
     N_CONSTANTS = 44
 };
+#define FB_NAME(function) four_bar_##function
+#define FB_HAS_LANES
 
 /* The parameters, and behind them all that is derived from them alone. */
-static void prepare(const double *restrict p, double *restrict constants)
+static void prepare(const fb_real *restrict p, fb_real *restrict constants)
 {
-    const double rho = p[0];
-    const double l3 = p[3];
-    const double z0 = rho*l3;
+    const fb_real rho = p[0];
+    const fb_real l3 = p[3];
+    const fb_real z0 = rho*l3;
     constants[8] = z0;
     constants[11] = (1.0/2.0)*z0;
     constants[37] = (-1.0/2.0)*z0;
-    const double l4 = p[4];
-    const double z1 = rho*l4;
+    const fb_real l4 = p[4];
+    const fb_real z1 = rho*l4;
     constants[9] = z1;
     constants[13] = (1.0/2.0)*z1;
     constants[39] = (-1.0/2.0)*z1;
     constants[42] = l4*z1;
-    const double l2 = p[2];
-    const double z2 = l2*l2;
+    const fb_real l2 = p[2];
+    const fb_real z2 = l2*l2;
     constants[33] = (1.0/4.0)*rho*z2;
-    const double z3 = l2*z2;
+    const fb_real z3 = l2*z2;
     constants[26] = (1.0/12.0)*z3;
-    const double z4 = rho*z3;
+    const fb_real z4 = rho*z3;
     constants[22] = (1.0/12.0)*z4;
-    const double z5 = rho*l2;
+    const fb_real z5 = rho*l2;
     constants[21] = (1.0/4.0)*z5;
     constants[34] = (1.0/2.0)*z5;
     constants[35] = z5;
-    const double z6 = l3*l3;
+    const fb_real z6 = l3*l3;
     constants[38] = (1.0/4.0)*rho*z6;
-    const double z7 = l3*z6;
+    const fb_real z7 = l3*z6;
     constants[27] = (1.0/12.0)*z7;
-    const double z8 = rho*z7;
+    const fb_real z8 = rho*z7;
     constants[23] = (1.0/12.0)*z8;
-    const double z9 = l4*l4;
+    const fb_real z9 = l4*l4;
     constants[40] = (1.0/4.0)*rho*z9;
-    const double z10 = l4*z9;
+    const fb_real z10 = l4*z9;
     constants[28] = (1.0/12.0)*z10;
-    const double z11 = rho*z10;
+    const fb_real z11 = rho*z10;
     constants[14] = (1.0/12.0)*z11;
     constants[20] = (1.0/12.0)*z11 + (1.0/4.0)*z1*z9;
-    const double z12 = z8 + z11;
+    const fb_real z12 = z8 + z11;
     constants[10] = (1.0/12.0)*z4 + (1.0/4.0)*z5*z2 + (1.0/12.0)*z12;
     constants[12] = (1.0/12.0)*z12;
     constants[15] = (1.0/4.0)*z0*z6 + (1.0/12.0)*z12;
-    const double g = p[7];
-    const double z13 = rho*g;
+    const fb_real g = p[7];
+    const fb_real z13 = rho*g;
     constants[16] = l4*z13;
     constants[17] = l3*z13;
     constants[36] = z13;
-    const double z14 = l2*z13;
+    const fb_real z14 = l2*z13;
     constants[18] = z14;
     constants[24] = (1.0/2.0)*z14;
-    const double z15 = z0 + z1;
+    const fb_real z15 = z0 + z1;
     constants[0] = rho;
-    const double l1 = p[1];
+    const fb_real l1 = p[1];
     constants[1] = l1;
     constants[2] = l2;
     constants[3] = l3;
     constants[4] = l4;
-    const double k_ = p[5];
+    const fb_real k_ = p[5];
     constants[5] = k_;
-    const double c = p[6];
+    const fb_real c = p[6];
     constants[6] = c;
     constants[7] = g;
     constants[19] = (1.0/2.0)*l2;
@@ -100,117 +103,171 @@ static void prepare(const double *restrict p, double *restrict constants)
 }
 
 /* Inputs r from their expressions; NaN without one. */
-static void default_inputs(double t, const double *restrict constants, double *restrict inputs)
+static void default_inputs(fb_real t, const fb_real *restrict constants, fb_real *restrict inputs)
 {
     (void)constants;
-    const double z0 = fb_sin(3.1415926535897931*t);
+    const fb_real z0 = fb_sin(3.1415926535897931*t);
     inputs[0] = 100.0*z0;
 }
 
 /* q', and M, f, J, gamma of M u' = f + J^T lambda, J u' + gamma = 0. */
-static void dynamics(double t, const double *restrict x, const double *restrict constants,
-    const double *restrict r, double *restrict coordinate_rates, double *restrict mass_matrix,
-    double *restrict forcing, double *restrict constraint_jacobian, double *restrict acceleration_bias)
+static void dynamics(fb_real t, const fb_real *restrict x, const fb_real *restrict constants,
+    const fb_real *restrict r, fb_real *restrict coordinate_rates, fb_real *restrict mass_matrix,
+    fb_real *restrict forcing, fb_real *restrict constraint_jacobian, fb_real *restrict acceleration_bias)
 {
     (void)t;
-    const double q1 = x[0];
-    const double q2 = x[1];
-    const double z2 = q1 + q2;
-    const double q3 = x[2];
-    const double z11 = q3 + z2;
-    const fb_angles angles0 = fb_angles_of(q1, z2, z11, 0.0);
-    const double z0 = angles0.sin[0];
-    const double l2 = constants[2];
-    const double z1 = l2*z0;
-    const double z3 = angles0.sin[1];
-    const double l3 = constants[3];
-    const double z4 = l3*z3;
-    const double z5 = z1 + (1.0/2.0)*z4;
-    const double z6 = angles0.cos[0];
-    const double z7 = l2*z6;
-    const double z8 = angles0.cos[1];
-    const double z9 = l3*z8;
-    const double z10 = z7 + (1.0/2.0)*z9;
-    const double z12 = angles0.sin[2];
-    const double l4 = constants[4];
-    const double z13 = l4*z12;
+    const fb_real q1 = x[0];
+    const fb_real q2 = x[1];
+    const fb_real z2 = q1 + q2;
+    const fb_real q3 = x[2];
+    const fb_real z11 = q3 + z2;
+    const fb_angles angles0 = fb_angles_of(q1, z2, z11, fb_number(0.0));
+    const fb_real z0 = angles0.sin[0];
+    const fb_real l2 = constants[2];
+    const fb_real z1 = l2*z0;
+    const fb_real z3 = angles0.sin[1];
+    const fb_real l3 = constants[3];
+    const fb_real z4 = l3*z3;
+    const fb_real z5 = z1 + (1.0/2.0)*z4;
+    const fb_real z6 = angles0.cos[0];
+    const fb_real z7 = l2*z6;
+    const fb_real z8 = angles0.cos[1];
+    const fb_real z9 = l3*z8;
+    const fb_real z10 = z7 + (1.0/2.0)*z9;
+    const fb_real z12 = angles0.sin[2];
+    const fb_real l4 = constants[4];
+    const fb_real z13 = l4*z12;
     constraint_jacobian[2] = -z13;
-    const double z14 = z13 + z4;
+    const fb_real z14 = z13 + z4;
     constraint_jacobian[0] = -(z1 + z14);
     constraint_jacobian[1] = -z14;
-    const double z15 = z5 + (1.0/2.0)*z14;
-    const double z16 = angles0.cos[2];
-    const double z17 = l4*z16;
+    const fb_real z15 = z5 + (1.0/2.0)*z14;
+    const fb_real z16 = angles0.cos[2];
+    const fb_real z17 = l4*z16;
     constraint_jacobian[5] = z17;
-    const double z18 = z17 + z9;
+    const fb_real z18 = z17 + z9;
     constraint_jacobian[3] = z7 + z18;
     constraint_jacobian[4] = z18;
-    const double z19 = z10 + (1.0/2.0)*z18;
-    const double k8 = constants[8];
-    const double k9 = constants[9];
-    const double k10 = constants[10];
-    const double z20 = k8*(z5*z5 + z10*z10) + k10 + k9*(z15*z15 + z19*z19);
+    const fb_real z19 = z10 + (1.0/2.0)*z18;
+    const fb_real k8 = constants[8];
+    const fb_real k9 = constants[9];
+    const fb_real k10 = constants[10];
+    const fb_real z20 = k8*(z5*z5 + z10*z10) + k10 + k9*(z15*z15 + z19*z19);
     mass_matrix[0] = z20;
-    const double z21 = (1.0/2.0)*z13 + z4;
-    const double z22 = (1.0/2.0)*z17 + z9;
-    const double k15 = constants[15];
+    const fb_real z21 = (1.0/2.0)*z13 + z4;
+    const fb_real z22 = (1.0/2.0)*z17 + z9;
+    const fb_real k15 = constants[15];
     mass_matrix[4] = k9*(z21*z21 + z22*z22) + k15;
-    const double k11 = constants[11];
-    const double k12 = constants[12];
-    const double z23 = (z4*z5 + z9*z10)*k11 + k12 + k9*(z21*z15 + z22*z19);
+    const fb_real k11 = constants[11];
+    const fb_real k12 = constants[12];
+    const fb_real z23 = (z4*z5 + z9*z10)*k11 + k12 + k9*(z21*z15 + z22*z19);
     mass_matrix[1] = z23;
     mass_matrix[3] = z23;
-    const double k13 = constants[13];
-    const double k14 = constants[14];
-    const double z24 = k14 + k13*(z13*z15 + z17*z19);
+    const fb_real k13 = constants[13];
+    const fb_real k14 = constants[14];
+    const fb_real z24 = k14 + k13*(z13*z15 + z17*z19);
     mass_matrix[2] = z24;
     mass_matrix[6] = z24;
-    const double z25 = (z13*z21 + z17*z22)*k13 + k14;
+    const fb_real z25 = (z13*z21 + z17*z22)*k13 + k14;
     mass_matrix[5] = z25;
     mass_matrix[7] = z25;
-    const double u1 = x[3];
-    const double u2 = x[4];
-    const double z26 = u1 + u2;
-    const double z27 = z26*l3*z26;
-    const double z28 = z27*z8;
-    const double z29 = l2*u1*u1;
-    const double z30 = z6*z29;
-    const double z31 = (1.0/2.0)*z28 + z30;
-    const double u3 = x[5];
-    const double z32 = u3 + z26;
-    const double z33 = z32*l4*z32;
-    const double z34 = z28 + z33*z16;
+    const fb_real u1 = x[3];
+    const fb_real u2 = x[4];
+    const fb_real z26 = u1 + u2;
+    const fb_real z27 = z26*l3*z26;
+    const fb_real z28 = z27*z8;
+    const fb_real z29 = l2*u1*u1;
+    const fb_real z30 = z6*z29;
+    const fb_real z31 = (1.0/2.0)*z28 + z30;
+    const fb_real u3 = x[5];
+    const fb_real z32 = u3 + z26;
+    const fb_real z33 = z32*l4*z32;
+    const fb_real z34 = z28 + z33*z16;
     acceleration_bias[0] = -(z30 + z34);
-    const double z35 = k9*(z31 + (1.0/2.0)*z34);
-    const double z36 = z27*z3;
-    const double z37 = z0*z29;
-    const double z38 = (1.0/2.0)*z36 + z37;
-    const double z39 = z36 + z33*z12;
+    const fb_real z35 = k9*(z31 + (1.0/2.0)*z34);
+    const fb_real z36 = z27*z3;
+    const fb_real z37 = z0*z29;
+    const fb_real z38 = (1.0/2.0)*z36 + z37;
+    const fb_real z39 = z36 + z33*z12;
     acceleration_bias[1] = -(z37 + z39);
-    const double k16 = constants[16];
-    const double z40 = k16 - k9*(z38 + (1.0/2.0)*z39);
-    const double z41 = l4*(z12*z35 + z16*z40);
+    const fb_real k16 = constants[16];
+    const fb_real z40 = k16 - k9*(z38 + (1.0/2.0)*z39);
+    const fb_real z41 = l4*(z12*z35 + z16*z40);
     forcing[2] = (-1.0/2.0)*z41;
-    const double k17 = constants[17];
-    const double z42 = k17 - k8*z38 + z40;
-    const double r_F = r[0];
-    const double z43 = r_F + z35;
-    const double z44 = k8*z31 + z43;
-    const double z45 = z41 + l3*(z8*(z40 + z42) + z3*(z43 + z44));
+    const fb_real k17 = constants[17];
+    const fb_real z42 = k17 - k8*z38 + z40;
+    const fb_real r_F = r[0];
+    const fb_real z43 = r_F + z35;
+    const fb_real z44 = k8*z31 + z43;
+    const fb_real z45 = z41 + l3*(z8*(z40 + z42) + z3*(z43 + z44));
     forcing[1] = (-1.0/2.0)*z45;
-    const double k_ = constants[5];
-    const double c = constants[6];
-    const double k18 = constants[18];
-    const double k19 = constants[19];
-    const double z46 = u2*c + q2*k_ + (1.0/2.0)*z45 + k19*(2.0*z0*z44 + z6*(z42 + (k18 + z42)));
+    const fb_real k_ = constants[5];
+    const fb_real c = constants[6];
+    const fb_real k18 = constants[18];
+    const fb_real k19 = constants[19];
+    const fb_real z46 = u2*c + q2*k_ + (1.0/2.0)*z45 + k19*(2.0*z0*z44 + z6*(z42 + (k18 + z42)));
     coordinate_rates[0] = u1;
     coordinate_rates[1] = u2;
     coordinate_rates[2] = u3;
-    const double k20 = constants[20];
+    const fb_real k20 = constants[20];
     mass_matrix[8] = k20;
     forcing[0] = -z46;
 }
 
+/* By how much the constraints are violated: Phi in the rows of J that are its rates, and J u + b. */
+static void closure(fb_real t, const fb_real *restrict x, const fb_real *restrict constants,
+    const fb_real *restrict r, fb_real *restrict position_closure, fb_real *restrict velocity_closure)
+{
+    (void)t;
+    (void)r;
+    const fb_real q1 = x[0];
+    const fb_real q2 = x[1];
+    const fb_real z1 = q1 + q2;
+    const fb_real q3 = x[2];
+    const fb_real z2 = q3 + z1;
+    const fb_angles angles0 = fb_angles_of(q1, z2, z1, fb_number(0.0));
+    const fb_real z0 = angles0.cos[0];
+    const fb_real z3 = angles0.cos[1];
+    const fb_real z4 = angles0.cos[2];
+    const fb_real l1 = constants[1];
+    const fb_real l2 = constants[2];
+    const fb_real l3 = constants[3];
+    const fb_real l4 = constants[4];
+    position_closure[0] = l1 + l2*z0 + l4*z3 + l3*z4;
+    const fb_real z5 = angles0.sin[0];
+    const fb_real z6 = angles0.sin[1];
+    const fb_real z7 = angles0.sin[2];
+    position_closure[1] = l2*z5 + l4*z6 + l3*z7;
+    const fb_real u1 = x[3];
+    const fb_real z8 = u1*l2;
+    const fb_real u2 = x[4];
+    const fb_real z9 = u1 + u2;
+    const fb_real u3 = x[5];
+    const fb_real z10 = l4*(u3 + z9);
+    const fb_real z11 = l3*z9;
+    velocity_closure[0] = -(z8*z5 + z10*z6 + z11*z7);
+    velocity_closure[1] = z8*z0 + z10*z3 + z11*z4;
+}
+
+/* K v, the change of the coordinates for a change v of what the speeds integrate to. */
+static void coordinate_change(fb_real t, const fb_real *restrict q, const fb_real *restrict constants,
+    const fb_real *restrict r, const fb_real *restrict change, fb_real *restrict coordinate_change)
+{
+    (void)t;
+    (void)q;
+    (void)constants;
+    (void)r;
+    const fb_real u1_rate = change[0];
+    coordinate_change[0] = u1_rate;
+    const fb_real u2_rate = change[1];
+    coordinate_change[1] = u2_rate;
+    const fb_real u3_rate = change[2];
+    coordinate_change[2] = u3_rate;
+}
+
+#ifdef FB_SIDE_BY_SIDE
+#include "fourbar_lanes.h"
+#else
 /* Holonomic constraints Phi(q, t) and dPhi/dq. */
 static void position(double t, const double *restrict q, const double *restrict constants,
     const double *restrict r, double *restrict position_constraints, double *restrict position_jacobian)
@@ -284,57 +341,6 @@ static void velocity(double t, const double *restrict x, const double *restrict 
     velocity_bias[1] = 0.0;
 }
 
-/* By how much the constraints are violated: Phi in the rows of J that are its rates, and J u + b. */
-static void closure(double t, const double *restrict x, const double *restrict constants,
-    const double *restrict r, double *restrict position_closure, double *restrict velocity_closure)
-{
-    (void)t;
-    (void)r;
-    const double q1 = x[0];
-    const double q2 = x[1];
-    const double z1 = q1 + q2;
-    const double q3 = x[2];
-    const double z2 = q3 + z1;
-    const fb_angles angles0 = fb_angles_of(q1, z2, z1, 0.0);
-    const double z0 = angles0.cos[0];
-    const double z3 = angles0.cos[1];
-    const double z4 = angles0.cos[2];
-    const double l1 = constants[1];
-    const double l2 = constants[2];
-    const double l3 = constants[3];
-    const double l4 = constants[4];
-    position_closure[0] = l1 + l2*z0 + l4*z3 + l3*z4;
-    const double z5 = angles0.sin[0];
-    const double z6 = angles0.sin[1];
-    const double z7 = angles0.sin[2];
-    position_closure[1] = l2*z5 + l4*z6 + l3*z7;
-    const double u1 = x[3];
-    const double z8 = u1*l2;
-    const double u2 = x[4];
-    const double z9 = u1 + u2;
-    const double u3 = x[5];
-    const double z10 = l4*(u3 + z9);
-    const double z11 = l3*z9;
-    velocity_closure[0] = -(z8*z5 + z10*z6 + z11*z7);
-    velocity_closure[1] = z8*z0 + z10*z3 + z11*z4;
-}
-
-/* K v, the change of the coordinates for a change v of what the speeds integrate to. */
-static void coordinate_change(double t, const double *restrict q, const double *restrict constants,
-    const double *restrict r, const double *restrict change, double *restrict coordinate_change)
-{
-    (void)t;
-    (void)q;
-    (void)constants;
-    (void)r;
-    const double u1_rate = change[0];
-    coordinate_change[0] = u1_rate;
-    const double u2_rate = change[1];
-    coordinate_change[1] = u2_rate;
-    const double u3_rate = change[2];
-    coordinate_change[2] = u3_rate;
-}
-
 /* Kinetic and potential energy. */
 static void energy(double t, const double *restrict x, const double *restrict constants,
     const double *restrict r, double *restrict energies)
@@ -403,5 +409,5 @@ static void output(double t, const double *restrict x, const double *restrict co
     (void)outputs;
 }
 
-#define FB_NAME(function) four_bar_##function
 #include "fourbar_model.h"
+#endif

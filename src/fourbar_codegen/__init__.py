@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from fourbar_codegen.build import get_include
     from fourbar_codegen.compile import build_model, build_wheel, compile_model, generate_sources
     from fourbar_codegen.compiled import CompiledModel, load
+    from fourbar_codegen.ensemble import Ensemble
     from fourbar_codegen.integrate import Event
     from fourbar_codegen.model import Model, Parameter, joint_force, multiplier
     from fourbar_codegen.trajectory import Trajectory
@@ -31,6 +32,7 @@ __all__ = [
     "BuildError",
     "CacheError",
     "CompiledModel",
+    "Ensemble",
     "Event",
     "FourbarError",
     "Model",
@@ -52,6 +54,7 @@ __all__ = [
 
 _HOME = {
     "CompiledModel": "compiled",
+    "Ensemble": "ensemble",
     "Event": "integrate",
     "Model": "model",
     "Parameter": "model",

@@ -11,7 +11,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.errors import ModelError
 
-__all__ = ["Values", "finite_number", "is_mapping", "name_of", "named_array", "named_values"]
+__all__ = [
+    "Values",
+    "finite_number",
+    "is_mapping",
+    "name_of",
+    "named_array",
+    "named_columns",
+    "named_values",
+    "positive",
+    "sample_times",
+    "time_span",
+    "tolerance",
+]
 
 Values = ArrayLike | Mapping[Any, float]
 """Numbers in order, or by name or SymPy symbol."""
@@ -79,3 +91,111 @@ def named_array(
     if not np.isfinite(values).all():
         raise ModelError(f"The values of {kind}s ({', '.join(names)}) must be finite, not {values}.")
     return values
+
+
+def named_columns(
+    given: Any, names: Sequence[str], defaults: Mapping[str, float | None], kind: str, n: int | None = None
+) -> NDArray[np.float64]:
+    """Values for many states at once, in the order of the names.
+
+    Parameters
+    ----------
+    given : mapping or array_like
+        For each name a number, or an array with one for each state; or an array of shape (len(names),), for all states,
+        or (len(names), n).
+    names : sequence of str
+    defaults : mapping
+        What a mapping may leave out; None where it may not.
+    kind : str
+        What is named.
+    n : int, optional
+        The number of states, where it is known.
+
+    Returns
+    -------
+    ndarray, shape (len(names),) or (len(names), n)
+
+    Raises
+    ------
+    ModelError
+        If a name or a shape is wrong, or a value is missing. Values that are not finite are let through.
+    """
+    if is_mapping(given):
+        known: dict[str, Any] = {name: defaults.get(name) for name in names}
+        for key, value in given.items():
+            if name_of(key) not in known:
+                raise ModelError(f"There is no {kind} {name_of(key)!r}; there are {', '.join(names) or 'none'}.")
+            known[name_of(key)] = value
+        missing = [name for name, value in known.items() if value is None]
+        if missing:
+            raise ModelError(f"No value for {kind} {', '.join(missing)}: give one, there is no default.")
+        rows: list[Any] = [_numbers(value, f"{kind} {name}") for name, value in known.items()]
+        try:
+            # What all states have alike stays one column.
+            values = np.array(np.broadcast_arrays(*rows)) if rows else np.zeros(0)
+        except ValueError as error:
+            shapes = ", ".join(f"{name} {row.shape}" for name, row in zip(known, rows, strict=True) if row.ndim)
+            raise ModelError(f"The {kind}s must be numbers or arrays of one length, not {shapes}.") from error
+    else:
+        values = _numbers(given, f"the {kind}s {', '.join(names)}")
+    expected = f"({len(names)},)" if n is None else f"({len(names)},) or ({len(names)}, {n})"
+    sizes = {values.size} if n is None else {len(names), len(names) * n}
+    if values.ndim not in {1, 2} or len(values) != len(names) or values.size not in sizes:
+        raise ModelError(f"The {kind}s ({', '.join(names)}) must have shape {expected}, not {values.shape}.")
+    return np.ascontiguousarray(values)
+
+
+def _numbers(value: Any, what: str) -> NDArray[np.float64]:
+    try:
+        return np.array(value, dtype=float)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ModelError(f"The values of {what} must be real numbers, not {value!r}.") from error
+
+
+def time_span(t_span: Sequence[float]) -> tuple[float, float]:
+    """The first and the last time of a run, which differ."""
+    try:
+        start, end = (finite_number(t, "t_span") for t in t_span)
+    except (TypeError, ValueError) as error:
+        if isinstance(error, ModelError):
+            raise
+        raise ModelError(f"t_span must be two times, not {t_span!r}.") from error
+    if start == end:
+        raise ModelError(f"t_span must be two different times, not {t_span!r}.")
+    return start, end
+
+
+def sample_times(t_eval: ArrayLike, start: float, end: float) -> NDArray[np.float64]:
+    """Times of samples within a run, in its order."""
+    try:
+        times = np.array(t_eval, dtype=float)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ModelError(f"t_eval must be an array of times, not {t_eval!r}.") from error
+    forward = 1.0 if end > start else -1.0
+    if times.ndim != 1 or not times.size or not np.isfinite(times).all() or not (np.diff(forward * times) > 0).all():
+        raise ModelError("t_eval must be a one-dimensional array of times in the order of t_span, each once.")
+    if not (min(start, end) <= times.min() and times.max() <= max(start, end)):
+        raise ModelError(
+            f"t_eval must lie within t_span ({start:g}, {end:g}); it goes from {times.min()} to {times.max()}."
+        )
+    return times
+
+
+def positive(value: float, what: str) -> float:
+    """A positive finite number."""
+    number = finite_number(value, what)
+    if number <= 0.0:
+        raise ModelError(f"{what} must be positive, not {value!r}.")
+    return number
+
+
+def tolerance(value: ArrayLike, name: str, size: int = 0) -> NDArray[np.float64]:
+    """A positive tolerance, one for all states or one for each of `size`."""
+    allowed = "a positive number" + (f" or an array of shape ({size},)" if size else "")
+    try:
+        tolerance = np.array(value, dtype=float)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ModelError(f"{name} must be {allowed}, not {value!r}.") from error
+    if tolerance.shape not in {(), (size,)} or not (np.isfinite(tolerance) & (tolerance > 0)).all():
+        raise ModelError(f"{name} must be {allowed}, not {value!r}.")
+    return tolerance

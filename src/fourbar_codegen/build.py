@@ -259,7 +259,11 @@ def _build(name: str, sources: Mapping[str, str], folder: Path, machine_flags: t
     with ThreadPoolExecutor(2) as pool:
         jobs = [
             pool.submit(_compile, folder / f"{name}_derivatives.c", (*DERIVATIVES_FLAGS, *machine_flags)),
-            pool.submit(_compile, folder / f"{name}_kernel.c", (*KERNEL_FLAGS, *machine_flags)),
+            *(
+                pool.submit(_compile, folder / source, (*KERNEL_FLAGS, *machine_flags))
+                for source in (f"{name}_kernel.c", f"{name}_lanes.c")
+                if source in sources
+            ),
         ]
         wrapper = _compile(_cythonize(folder / f"{name}.pyx"), WRAPPER_FLAGS)
         objects = [*(job.result() for job in jobs), wrapper]

@@ -51,7 +51,7 @@ RESERVED = frozenset(
     # names that the templates and the runtime's headers use
     "t x q p r constants accelerations multipliers work status i j k carried "
     "mass_row mass_column mass_place jacobian_row jacobian_column jacobian_place pair_place unknown column below "
-    "target "
+    "target each lane "
     # functions that the printer may call
     "acos acosh asin asinh atan atan2 atanh cbrt ceil copysign cos cosh erf erfc exp exp2 expm1 fabs floor fma fmax "
     "fmin fmod hypot lgamma log log10 log1p log2 pow round sin sinh sqrt tan tanh tgamma trunc main".split()
@@ -64,6 +64,8 @@ class Text:
     Parameters
     ----------
     function : Function
+    real : {"fb_real", "double"}, optional
+        The type of its values.
     inline_angles : bool
         Whether sine and cosine are those of fourbar_angle.h, or the library's.
 
@@ -75,7 +77,8 @@ class Text:
         The latter nodes, in order of evaluation.
     """
 
-    def __init__(self, function: Function, *, inline_angles: bool) -> None:
+    def __init__(self, function: Function, real: str = "double", *, inline_angles: bool) -> None:
+        self.real = real
         self.inline_angles = inline_angles
         self.operations = dict(function.statements)
         self.names = _argument_names(function)
@@ -118,12 +121,23 @@ class Text:
 
     def value(self, line: int) -> str:
         """The right-hand side of a line."""
-        return self._operation(self.operations[line])[0]
+        operation, text = self.operations[line], self._operation(self.operations[line])[0]
+        if not isinstance(operation, Call) or self.real == "double" or _is_angle(operation):
+            return text
+        # What C has for doubles alone.
+        arguments = [self.names[argument] for argument in operation.arguments]
+        if not arguments:
+            return f"fb_number({text})"
+        return f"FB_EACH_{len(arguments)}(({text}), {', '.join(arguments)})"
+
+    def number(self, value: Number) -> str:
+        """A number as a value of the function's type."""
+        return f"fb_number({_literal(value)})" if self.real == "fb_real" else _literal(value)
 
     def scalar(self, scalar: Scalar) -> str:
         """A result."""
         if scalar.is_number:
-            return _literal(scalar.coefficient)
+            return self.number(scalar.coefficient)
         return self._multiple(scalar.coefficient, scalar.node)
 
     def _multiple(self, coefficient: Number, node: int) -> str:
@@ -160,7 +174,8 @@ class Text:
                 return f"1.0/{self._below(operation.node)}", False
             case Call(expression, arguments):
                 names = {placeholder(i): self._node(argument)[0] for i, argument in enumerate(arguments)}
-                return _print(_Printer(names, "fb_" if self.inline_angles else ""), expression), False
+                inline = self.inline_angles and (self.real == "double" or _is_angle(operation))
+                return _print(_Printer(names, "fb_" if inline else ""), expression), False
         raise TypeError(f"{operation} has no text")
 
     def _term(self, number: Number, node: int) -> str:
@@ -174,6 +189,11 @@ class Text:
 
     def _below(self, node: int) -> str:
         return self._node(node)[0] if node in self.names else f"({self._node(node)[0]})"
+
+
+def _is_angle(call: Call) -> bool:
+    """Whether it is a sine or a cosine of a multiple of an angle."""
+    return isinstance(call.expression, sm.sin | sm.cos) and len(call.arguments) == 1
 
 
 def _literal(value: Number) -> str:

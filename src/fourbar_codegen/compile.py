@@ -45,7 +45,8 @@ def generate_sources(model: Model) -> dict[str, str]:
     --------
     >>> import fourbar_codegen as fb
     >>> sorted(fb.generate_sources(fb.models.four_bar()))
-    ['four_bar.pyx', 'four_bar_derivatives.c', 'four_bar_kernel.c', 'four_bar_kernel.h', 'manifest.json']
+    ['four_bar.pyx', 'four_bar_derivatives.c', 'four_bar_kernel.c', 'four_bar_kernel.h', 'four_bar_lanes.c',
+     'manifest.json']
     """
     with Progress(f"fourbar_codegen: {getattr(model, 'name', '')}") as progress:
         return _generate(model, progress)[1]
@@ -55,7 +56,7 @@ def _generate(model: Model, progress: Progress) -> tuple[Equations, dict[str, st
     """The equations, and the sources made of them."""
     _require_model(model)
     # Imported here: a model that is in the cache needs none of it.
-    from fourbar_codegen.c_source import derivatives_text, header_text, kernel_text
+    from fourbar_codegen.c_source import derivatives_text, header_text, kernel_text, lanes_text
     from fourbar_codegen.cython_source import manifest_of, manifest_text, wrapper_text
     from fourbar_codegen.equations import form_equations
     from fourbar_codegen.lower import lower
@@ -73,8 +74,10 @@ def _generate(model: Model, progress: Progress) -> tuple[Equations, dict[str, st
         "outputs": model.outputs,
     }
     manifest = manifest_of(model, program, names)
+    lanes = lanes_text(program)
     return equations, {
         f"{model.name}_kernel.c": kernel_text(program, names),
+        **({f"{model.name}_lanes.c": lanes} if lanes else {}),
         f"{model.name}_derivatives.c": derivatives_text(program, names),
         f"{model.name}_kernel.h": header_text(program, names),
         f"{model.name}.pyx": wrapper_text(model, manifest),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -19,6 +20,7 @@ from fourbar_codegen.runtime.evaluator import Evaluator
 from fourbar_codegen.runtime.integrator import Ode, Stepper
 
 if TYPE_CHECKING:
+    from fourbar_codegen.ensemble import Ensemble
     from fourbar_codegen.simulate import EventLike, InputSource
     from fourbar_codegen.trajectory import Trajectory
 
@@ -74,6 +76,18 @@ def load(name: str | Path) -> CompiledModel:
         f"There is no compiled model {str(name)!r}: it is neither one of the package's ({', '.join(known) or 'none'}) "
         "nor one installed from a wheel, nor the path of an extension module that fourbar build made."
     )
+
+
+def _restore(name: str, path: str, sources: Mapping[str, str] | None) -> CompiledModel:
+    """A model from another process: its module, if that is there, or else built from its sources, and cached."""
+    if sources is None or Path(path).is_file():
+        return load(path if Path(path).is_file() else name)
+    from fourbar_codegen.build import build_extension, toolchain
+    from fourbar_codegen.cache import cached
+
+    key = hashlib.sha256(json.dumps([sources, toolchain()], sort_keys=True).encode()).hexdigest()
+    module = cached(name, key, lambda folder: build_extension(name, sources, folder, portable=False))
+    return CompiledModel.from_file(module)
 
 
 class CompiledModel(Evaluator):
@@ -161,8 +175,14 @@ class CompiledModel(Evaluator):
         return cls.from_module(module)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # Other processes load the same module.
-        return load, (str(self.path),)
+        # Other processes load the same module; on other machines it may have to be built first.
+        return _restore, (self.name, str(self.path), self._sources())
+
+    def _sources(self) -> dict[str, str] | None:
+        """The sources beside the module, or None."""
+        endings = (".pyx", "_kernel.c", "_kernel.h", "_lanes.c", "_derivatives.c")
+        files = [file for ending in endings if (file := self.path.with_name(f"{self.name}{ending}")).is_file()]
+        return {file.name: file.read_text(encoding="utf-8") for file in files} or None
 
     def __repr__(self) -> str:
         return (
@@ -736,6 +756,119 @@ class CompiledModel(Evaluator):
             max_steps=max_steps,
             progress=progress,
         )
+
+    def rhs_batch(
+        self, t: ArrayLike, x: ArrayLike, p: Values | None = None, r: Values | None = None, *, workers: int | None = 1
+    ) -> Floats:
+        """The right-hand side x' = f(t, x) at many states, side by side in vectors.
+
+        Parameters
+        ----------
+        t : float or array_like, shape (n,)
+        x : array_like, shape (n_x, n)
+            States in columns; or a mapping from names to arrays.
+        p : array_like, shape (n_p,) or (n_p, n), or mapping to numbers or arrays of length n, optional
+            Parameters; the defaults otherwise.
+        r : array_like, shape (n_r,) or (n_r, n), or mapping, optional
+            Inputs; their expressions otherwise.
+        workers : int or None, optional
+            Number of threads; None for one on each core.
+
+        Returns
+        -------
+        ndarray, shape (n_x, n)
+            x', NaN in the columns of states at which the equations cannot be evaluated. A state's rates are the same
+            to the bit whatever stands beside it.
+
+        Raises
+        ------
+        ModelError
+            If an argument has a wrong shape or name.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import fourbar_codegen as fb
+        >>> four_bar = fb.load("four_bar")
+        >>> states = np.tile(four_bar.initial_state(), (1000, 1)).T
+        >>> four_bar.rhs_batch(0.0, states, {"k": np.linspace(1.0, 5.0, 1000)}).shape
+        (6, 1000)
+        """
+        from fourbar_codegen.ensemble import evaluate
+
+        return evaluate(self, t, x, p, r, workers=workers)
+
+    def ensemble(
+        self,
+        t_span: Sequence[float],
+        x0: ArrayLike | Mapping[Any, ArrayLike] | None = None,
+        *,
+        method: str = "DOP853",
+        parameters: ArrayLike | Mapping[Any, ArrayLike] | None = None,
+        inputs: Mapping[Any, InputSource | Floats] | None = None,
+        t_eval: ArrayLike | None = None,
+        rtol: float = 1e-6,
+        atol: float | ArrayLike = 1e-9,
+        constraints: str = "project",
+        max_step: float = math.inf,
+        workers: int | None = None,
+        parallel: Any = None,
+        progress: bool = True,
+    ) -> Ensemble:
+        """Many runs over the same time, several side by side in vectors, and on all cores.
+
+        Parameters
+        ----------
+        t_span : (float, float)
+            First and last time, s.
+        x0 : array_like, shape (n_x,) or (n, n_x), or mapping, optional
+            Initial states of all members, or of each; by name, numbers or arrays of length n. Where they are left out,
+            `initial_state` makes one for each set of parameters.
+        method : {"DOP853", "RK45"}, optional
+        parameters : array_like, shape (n_p,) or (n, n_p), or mapping, optional
+            Likewise; the defaults otherwise.
+        inputs : mapping of input to source, optional
+            As for `simulate`, or an array of shape (n,) with a number for each member. With a callable, each member
+            runs alone.
+        t_eval : array_like, optional
+            Times at which to store the states; the first and the last one otherwise.
+        rtol, atol, constraints, max_step
+            As for `simulate`.
+        workers : int, optional
+            Number of threads; one on each core otherwise.
+        parallel : joblib.Parallel, optional
+            An engine that runs blocks of members instead of threads, with any of its backends: in processes, or on a
+            cluster. Where a worker does not find the compiled model, it builds it from its sources, once on each node.
+        progress : bool, optional
+            Whether a bar on the terminal says how far it is, where it takes longer than a second.
+
+        Returns
+        -------
+        Ensemble
+            A member that fails is marked there; the others go on. What a member gives is the same to the bit whatever
+            runs beside it, on however many threads; `simulate` gives the same up to rounding errors.
+
+        Raises
+        ------
+        ModelError
+            If an argument has a wrong shape or name, or is not finite.
+        AssemblyError
+            If `x0` is left out and the loops of a member do not close.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import fourbar_codegen as fb
+        >>> ensemble = fb.load("four_bar").ensemble((0.0, 4.0), parameters={"k": np.linspace(2.0, 4.0, 100)})
+        >>> ensemble.success.all(), ensemble["q1"].shape
+        (np.True_, (100, 2))
+        """
+        from fourbar_codegen.ensemble import run
+
+        return run(
+            self, t_span, x0, method=method, parameters=parameters, inputs=inputs, t_eval=t_eval, rtol=rtol, atol=atol,
+            constraints=constraints, max_step=max_step, workers=workers, parallel=parallel, progress=progress,
+        )  # fmt: skip
 
     def stepper(
         self,

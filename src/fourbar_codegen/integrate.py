@@ -18,7 +18,7 @@ from fourbar_codegen.runtime.integrator import DenseOutput, Ode, Run
 if TYPE_CHECKING:
     from fourbar_codegen.compiled import CompiledModel
 
-__all__ = ["METHODS", "Event", "Result", "consistent", "integrate"]
+__all__ = ["METHODS", "REACHED_END", "Event", "Result", "consistent", "integrate", "is_rounded"]
 
 Floats = NDArray[np.float64]
 
@@ -218,23 +218,28 @@ def consistent(ode: Ode, n_q: int, t: float, x0: Floats) -> Floats:
         If the equations cannot be evaluated there.
     """
     status, x = ode.closest(t, x0)
-    moved = np.abs(x - x0)
-    if status == OK and not moved.max(initial=0.0) > FLOOR:
-        return x
-    # Of angles, whole turns say nothing; of what is small as a whole, small changes are large.
-    size = np.concatenate(
-        [np.full(len(part), min(1.0, np.abs(part).max(initial=0.0))) for part in (x0[:n_q], x0[n_q:])]
-    )
-    size[n_q:] = np.maximum(size[n_q:], np.abs(x0[n_q:]))
-    if status == NOT_CLOSED or (moved > CONSISTENT * size + FLOOR).any():
+    if status == NOT_CLOSED or not is_rounded(n_q, x0, x):
         raise ModelError(
             f"The state x0 = {np.array2string(x0, precision=6, separator=', ')} violates the constraints: "
-            + (f"the nearest one that does not differs by {moved.max():.2g}. " if status == OK else "")
+            + (f"the nearest one that does not differs by {np.abs(x - x0).max():.2g}. " if status == OK else "")
             + "CompiledModel.initial_state() makes consistent states; constraints='none' takes x0 as it is."
         )
     if status != OK:
         raise SimulationError(failure(status, t, x0))
     return x
+
+
+def is_rounded(n_q: int, x0: Floats, x: Floats) -> Any:
+    """Whether states, or each of those in rows, differ from consistent ones by no more than rounding to four digits."""
+    moved = np.abs(x - x0)
+    if moved.max(initial=0.0) <= FLOOR:
+        return np.ones(x0.shape[:-1], dtype=bool)[()]
+    # Of angles, whole turns say nothing; of what is small as a whole, small changes are large.
+    size = np.empty_like(x0)
+    for part in (slice(None, n_q), slice(n_q, None)):
+        size[..., part] = np.minimum(1.0, np.abs(x0[..., part]).max(axis=-1, keepdims=True, initial=0.0))
+    size[..., n_q:] = np.maximum(size[..., n_q:], np.abs(x0[..., n_q:]))
+    return (moved <= CONSISTENT * size + FLOOR).all(axis=-1)
 
 
 class _Singular:

@@ -11,7 +11,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.arguments import Values, finite_number, is_mapping, name_of, named_array
+from fourbar_codegen.arguments import (
+    Values,
+    finite_number,
+    is_mapping,
+    name_of,
+    named_array,
+    positive,
+    sample_times,
+    time_span,
+    tolerance,
+)
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.integrate import METHODS, Event, Result, consistent, integrate
 from fourbar_codegen.progress import Progress
@@ -21,7 +31,7 @@ from fourbar_codegen.trajectory import Trajectory
 if TYPE_CHECKING:
     from fourbar_codegen.compiled import CompiledModel
 
-__all__ = ["EventLike", "InputSource", "bind", "input_sources", "make_stepper", "simulate"]
+__all__ = ["EventLike", "InputSource", "bind", "input_sources", "make_stepper", "projects", "simulate"]
 
 Floats = NDArray[np.float64]
 EventLike = Event | str | Callable[[float, Floats], float]
@@ -127,19 +137,18 @@ def simulate(
     """Integrate the equations of motion; see `CompiledModel.simulate`."""
     if method not in (*METHODS, *SCIPY_METHODS):
         raise ModelError(f"There is no method {method!r}; there are {', '.join((*METHODS, *SCIPY_METHODS))}.")
-    projects = _projects(model, constraints, "baumgarte")
-    start, end = _span(t_span)
-    if t_eval is not None:
-        t_eval = _times(t_eval, start, end)
+    closes = projects(model, constraints, "baumgarte")
+    start, end = time_span(t_span)
+    times = None if t_eval is None else sample_times(t_eval, start, end)
     p = model.parameter_vector(parameters)
     state = _state(model, x0, start, p, inputs)
     ode = bind(model, p, inputs)
     if constraints == "baumgarte":
-        ode.stabilization = _positive(stabilization, "stabilization")
+        ode.stabilization = positive(stabilization, "stabilization")
     _check_start(model, ode, start, state, p)
     watched = _events(model, events)
-    tolerances = _tolerance(rtol, "rtol"), _tolerance(atol, "atol", model.n_x)
-    max_step = math.inf if max_step == math.inf else _positive(max_step, "max_step")
+    tolerances = tolerance(rtol, "rtol"), tolerance(atol, "atol", model.n_x)
+    max_step = math.inf if max_step == math.inf else positive(max_step, "max_step")
     if not (max_steps is None or (isinstance(max_steps, int | np.integer) and max_steps > 0)):
         raise ModelError(f"max_steps must be a positive integer or None, not {max_steps!r}.")
     if not (progress is None or callable(progress)):
@@ -156,13 +165,13 @@ def simulate(
                     progress(t)
 
             result = integrate(
-                model, ode, (start, end), state, method=method, t_eval=t_eval, rtol=tolerances[0], atol=tolerances[1],
-                events=watched, project=projects, dense_output=dense_output,
+                model, ode, (start, end), state, method=method, t_eval=times, rtol=tolerances[0], atol=tolerances[1],
+                events=watched, project=closes, dense_output=dense_output,
                 max_step=max_step, max_steps=max_steps, progress=note,
             )  # fmt: skip
     else:
-        ode.projects = projects
-        how = method, t_eval, tolerances, watched, dense_output, max_step
+        ode.projects = closes
+        how = method, times, tolerances, watched, dense_output, max_step
         result = _solve_ivp(model, ode, (start, end), state, *how)
     return Trajectory(
         model=model,
@@ -196,15 +205,15 @@ def make_stepper(
     h, t = finite_number(h, "h"), finite_number(t, "t")
     if h == 0.0:
         raise ModelError("The step h must not be 0.")
-    projects = _projects(model, constraints)
+    closes = projects(model, constraints)
     p = model.parameter_vector(parameters)
     state = _state(model, x0, t, p, inputs)
     ode = bind(model, p, inputs)
     _check_start(model, ode, t, state, p)
-    return Stepper(ode, h, t, consistent(ode, model.n_q, t, state) if projects else state, projects)
+    return Stepper(ode, h, t, consistent(ode, model.n_q, t, state) if closes else state, closes)
 
 
-def _projects(model: CompiledModel, constraints: str, *more: str) -> bool:
+def projects(model: CompiledModel, constraints: str, *more: str) -> bool:
     """Whether states are to be moved onto the constraints."""
     allowed = ("project", *more, "none")
     if constraints not in allowed:
@@ -308,51 +317,6 @@ def _events(model: CompiledModel, events: object) -> list[Event] | None:
             event = replace(event, function=name)
         watched.append(event)
     return watched
-
-
-def _span(t_span: Sequence[float]) -> tuple[float, float]:
-    try:
-        start, end = (finite_number(t, "t_span") for t in t_span)
-    except (TypeError, ValueError) as error:
-        if isinstance(error, ModelError):
-            raise
-        raise ModelError(f"t_span must be two times, not {t_span!r}.") from error
-    if start == end:
-        raise ModelError(f"t_span must be two different times, not {t_span!r}.")
-    return start, end
-
-
-def _times(t_eval: ArrayLike, start: float, end: float) -> Floats:
-    try:
-        times = np.array(t_eval, dtype=float)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise ModelError(f"t_eval must be an array of times, not {t_eval!r}.") from error
-    forward = 1.0 if end > start else -1.0
-    if times.ndim != 1 or not times.size or not np.isfinite(times).all() or not (np.diff(forward * times) > 0).all():
-        raise ModelError("t_eval must be a one-dimensional array of times in the order of t_span, each once.")
-    if not (min(start, end) <= times.min() and times.max() <= max(start, end)):
-        raise ModelError(
-            f"t_eval must lie within t_span ({start:g}, {end:g}); it goes from {times.min()} to {times.max()}."
-        )
-    return times
-
-
-def _positive(value: float, what: str) -> float:
-    number = finite_number(value, what)
-    if number <= 0.0:
-        raise ModelError(f"{what} must be positive, not {value!r}.")
-    return number
-
-
-def _tolerance(value: ArrayLike, name: str, size: int = 0) -> Floats:
-    allowed = "a positive number" + (f" or an array of shape ({size},)" if size else "")
-    try:
-        tolerance = np.array(value, dtype=float)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise ModelError(f"{name} must be {allowed}, not {value!r}.") from error
-    if tolerance.shape not in {(), (size,)} or not (np.isfinite(tolerance) & (tolerance > 0)).all():
-        raise ModelError(f"{name} must be {allowed}, not {value!r}.")
-    return tolerance
 
 
 def _check_start(model: CompiledModel, ode: Ode, t: float, state: Floats, p: Floats | None) -> None:

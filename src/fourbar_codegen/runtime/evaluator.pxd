@@ -11,6 +11,7 @@ cdef extern from "fourbar_kernel.h":
     int FB_MASS_SINGULAR
     int FB_NOT_FINITE
     int FB_NOT_CLOSED
+    ctypedef struct fb_lanes
     ctypedef int fb_evaluation(double, const double *, const double *, const double *, double *, void *) noexcept nogil
     ctypedef void fb_sensitivity(double, const double *, const double *, const double *, const double *,
                                  const double *, double *, double *) noexcept nogil
@@ -45,6 +46,7 @@ cdef extern from "fourbar_kernel.h":
         fb_sensitivity *sensitivity
         fb_sensitivity *parameter_sensitivity
         fb_sensitivity *input_sensitivity
+        const fb_lanes *lanes
 
 cdef extern from "fourbar_problem.h":
     ctypedef struct fb_table:

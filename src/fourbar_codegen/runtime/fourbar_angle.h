@@ -1,21 +1,24 @@
-/* Sine and cosine, inline, for code that needs both of many angles: fourbar_sine.h for one angle, and for four of them
- * side by side in vectors as long as the machine's. Where an angle is large or not finite, the library takes over.
+/* Sine and cosine, inline, for code that needs both of many angles: by fourbar_sine.h, of four angles side by side in
+ * vectors as long as the machine's, or, where states stand side by side, of an angle of each. Where an angle is large
+ * or not finite, the library takes over.
  */
 #ifndef FOURBAR_ANGLE_H
 #define FOURBAR_ANGLE_H
+
+#include "fourbar_real.h"
 
 #include <float.h>
 #include <math.h>
 #include <stdint.h>
 #include <string.h>
 
-#if defined(__GNUC__)
-#define FB_INLINE inline __attribute__((always_inline))
-#else
-#define FB_INLINE inline
-#endif
-
 #define FB_LARGEST_ANGLE 1e6
+
+typedef struct fb_angles {
+    fb_real sin[4], cos[4];
+} fb_angles;
+
+#ifndef FB_SIDE_BY_SIDE
 
 #if FLT_EVAL_METHOD == 0
 #define FB_REAL double
@@ -33,18 +36,18 @@ static FB_INLINE void fb_sine_1(const double *restrict angle, double *restrict s
 
 #if defined(__GNUC__) && FLT_EVAL_METHOD == 0
 #ifdef __AVX__
-#define FB_LANES 4
+#define FB_PACKED 4
 #else
-#define FB_LANES 2
+#define FB_PACKED 2
 #endif
-typedef double fb_lanes __attribute__((vector_size(FB_LANES * sizeof(double))));
-typedef uint64_t fb_lane_bits __attribute__((vector_size(FB_LANES * sizeof(uint64_t))));
-#define FB_REAL fb_lanes
-#define FB_BITS fb_lane_bits
-#define FB_SINE fb_sine_lanes
+typedef double fb_pack __attribute__((vector_size(FB_PACKED * sizeof(double))));
+typedef uint64_t fb_pack_bits __attribute__((vector_size(FB_PACKED * sizeof(uint64_t))));
+#define FB_REAL fb_pack
+#define FB_BITS fb_pack_bits
+#define FB_SINE fb_sine_pack
 #include "fourbar_sine.h"
 #else
-#define FB_LANES 1
+#define FB_PACKED 1
 #endif
 
 static FB_INLINE double fb_sin(const double x)
@@ -61,23 +64,19 @@ static FB_INLINE double fb_cos(const double x)
     return fabs(x) < FB_LARGEST_ANGLE ? c : cos(x);
 }
 
-typedef struct fb_angles {
-    double sin[4], cos[4];
-} fb_angles;
-
 static FB_INLINE fb_angles fb_angles_of(const double x0, const double x1, const double x2, const double x3)
 {
     /* Entry by entry: compilers keep these in registers. */
-#if FB_LANES == 4
-    const fb_lanes x = {x0, x1, x2, x3};
-    fb_lanes s, c;
-    fb_sine_lanes(&x, &s, &c);
+#if FB_PACKED == 4
+    const fb_pack x = {x0, x1, x2, x3};
+    fb_pack s, c;
+    fb_sine_pack(&x, &s, &c);
     fb_angles angles = {{s[0], s[1], s[2], s[3]}, {c[0], c[1], c[2], c[3]}};
-#elif FB_LANES == 2
-    const fb_lanes x = {x0, x1}, y = {x2, x3};
-    fb_lanes s, c, sy, cy;
-    fb_sine_lanes(&x, &s, &c);
-    fb_sine_lanes(&y, &sy, &cy);
+#elif FB_PACKED == 2
+    const fb_pack x = {x0, x1}, y = {x2, x3};
+    fb_pack s, c, sy, cy;
+    fb_sine_pack(&x, &s, &c);
+    fb_sine_pack(&y, &sy, &cy);
     fb_angles angles = {{s[0], s[1], sy[0], sy[1]}, {c[0], c[1], cy[0], cy[1]}};
 #else
     fb_angles angles;
@@ -94,5 +93,57 @@ static FB_INLINE fb_angles fb_angles_of(const double x0, const double x1, const 
     }
     return angles;
 }
+
+#else
+
+#define FB_REAL fb_real
+#define FB_BITS fb_bits
+#define FB_SINE fb_sine_lanes
+#include "fourbar_sine.h"
+
+/* What the library has for the lanes whose angle is large. */
+static __attribute__((noinline)) void fb_large_angles(const fb_real *angle, fb_real *sine, fb_real *cosine)
+{
+    for (int lane = 0; lane < FB_WIDTH; ++lane)
+        if (!(fabs((*angle)[lane]) < FB_LARGEST_ANGLE)) {
+            (*sine)[lane] = sin((*angle)[lane]);
+            (*cosine)[lane] = cos((*angle)[lane]);
+        }
+}
+
+static FB_INLINE void fb_sine_and_cosine(const fb_real *angle, fb_real *sine, fb_real *cosine)
+{
+    fb_sine_lanes(angle, sine, cosine);
+    if (fb_any(~(fb_abs(*angle) < FB_LARGEST_ANGLE)))
+        fb_large_angles(angle, sine, cosine);
+}
+
+static FB_INLINE fb_real fb_sin(const fb_real x)
+{
+    fb_real s, c;
+    fb_sine_and_cosine(&x, &s, &c);
+    return s;
+}
+
+static FB_INLINE fb_real fb_cos(const fb_real x)
+{
+    fb_real s, c;
+    fb_sine_and_cosine(&x, &s, &c);
+    return c;
+}
+
+static FB_INLINE fb_angles fb_angles_of(const fb_real x0, const fb_real x1, const fb_real x2, const fb_real x3)
+{
+    const fb_real x[4] = {x0, x1, x2, x3};
+    fb_angles angles;
+    for (int i = 0; i < 4; ++i)
+        fb_sine_lanes(x + i, angles.sin + i, angles.cos + i);
+    if (fb_any(~(x0 * x0 + x1 * x1 + x2 * x2 + x3 * x3 < FB_LARGEST_ANGLE * FB_LARGEST_ANGLE)))
+        for (int i = 0; i < 4; ++i)
+            fb_large_angles(x + i, angles.sin + i, angles.cos + i);
+    return angles;
+}
+
+#endif
 
 #endif

@@ -12,6 +12,13 @@
  * than dropped, since it may be one in other units: constraints need units of like size. */
 #define FB_ROW_OF_ZEROS 4e-15
 
+/* Corrections of a projection that are tried with one factorization, and factorizations. */
+enum { CORRECTIONS = 8, FACTORIZATIONS = 3 };
+/* A state is on the constraints where they are violated by no more than this share of the coordinates or speeds, ... */
+#define FB_CLOSED 1e-13
+/* ... or where rounding errors allow no better, by no more than this one. */
+#define FB_NEARLY_CLOSED 1e-9
+
 static inline int all_finite(const double *values, const int n)
 {
     for (int i = 0; i < n; ++i)

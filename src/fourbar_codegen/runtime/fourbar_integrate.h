@@ -213,14 +213,35 @@ static inline void fb_accept(fb_run *s, const double t_new)
     s->pending = 1;
 }
 
+/* The least length of a step from t, ... */
+static inline double fb_least_step(const double t, const double direction)
+{
+    return 10.0 * fabs(nextafter(t, direction * INFINITY) - t);
+}
+
+/* ... the first length that is tried for a proposed one, ... */
+static inline double fb_first_length(const double h_abs, const double max_step, const double min_step)
+{
+    return h_abs > max_step ? max_step : h_abs < min_step ? min_step : h_abs;
+}
+
+/* ... and by how much it changes, for a factor that the error asks for; not a number is an error that is not known. */
+static inline double fb_change(const double factor, const int taken, const int rejected)
+{
+    if (!taken)
+        return factor > FB_MIN_FACTOR ? factor : FB_MIN_FACTOR;
+    const double largest = rejected ? 1.0 : FB_MAX_FACTOR;
+    return factor < largest ? factor : largest;
+}
+
 /* One accepted step; negative from the caller of inputs, or an FB_RUN. */
 static inline int fb_step_on(fb_run *s)
 {
     const fb_tableau *const m = s->method;
-    const double min_step = 10.0 * fabs(nextafter(s->t, s->direction * INFINITY) - s->t);
+    const double min_step = fb_least_step(s->t, s->direction);
     double *const end = s->stages + m->n_stages * s->padded;
     double *const error = s->interpolant, *const error3 = s->interpolant + s->padded;
-    double h_abs = s->h_abs > s->max_step ? s->max_step : s->h_abs < min_step ? min_step : s->h_abs;
+    double h_abs = fb_first_length(s->h_abs, s->max_step, min_step);
     int rejected = 0;
     s->interpolant_known = 0;
     if (s->n_steps > 0)
@@ -259,13 +280,12 @@ static inline int fb_step_on(fb_run *s)
             error_norm = NAN;
         const double factor =
             error_norm == 0.0 ? FB_MAX_FACTOR : FB_SAFETY * pow(error_norm, -1.0 / (m->order + 1.0));
+        h_abs *= fb_change(factor, error_norm < 1.0, rejected);
         if (error_norm < 1.0) {
-            const double largest = rejected ? 1.0 : FB_MAX_FACTOR;
-            s->h_abs = h_abs * (factor < largest ? factor : largest);
+            s->h_abs = h_abs;
             fb_accept(s, t_new);
             return FB_RUN_PAUSED;
         }
-        h_abs *= factor > FB_MIN_FACTOR ? factor : FB_MIN_FACTOR;
         rejected = 1;
     }
 }

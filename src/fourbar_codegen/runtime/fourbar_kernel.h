@@ -13,7 +13,7 @@
 
 #include <stddef.h>
 
-#define FB_ABI_VERSION 3
+#define FB_ABI_VERSION 4
 #define FB_CAPSULE_NAME "fourbar_codegen.kernel"
 
 /* Long functions are printed in parts, which the compiler must not put together again. */
@@ -42,6 +42,8 @@ typedef void fb_sensitivity(double t, const double *x, const double *constants, 
 typedef void fb_constraint_sensitivity(double t, const double *x, const double *constants, const double *r,
                                        double *velocity_jacobian, double *position_input_jacobian,
                                        double *velocity_input_jacobian);
+
+typedef struct fb_lanes fb_lanes; /* fourbar_batch.h */
 
 typedef struct fb_kernel {
     int abi_version;
@@ -96,6 +98,7 @@ typedef struct fb_kernel {
                    const double *multipliers, double *outputs);
     /* with respect to x, p and r */
     fb_sensitivity *sensitivity, *parameter_sensitivity, *input_sensitivity;
+    const fb_lanes *lanes; /* the same for several states side by side, or NULL */
 } fb_kernel;
 
 #endif

@@ -118,13 +118,6 @@ static int accelerations(double t, const double *x, const double *constants, con
     return all_finite(rates, N_U) == FB_OK ? all_finite(multipliers, N_C) : FB_NOT_FINITE;
 }
 
-/* Corrections of a projection that are tried with one factorization, and factorizations. */
-enum { CORRECTIONS = 8, FACTORIZATIONS = 3 };
-/* A state is on the constraints where they are violated by no more than this share of the coordinates or speeds, ... */
-#define FB_CLOSED 1e-13
-/* ... or where rounding errors allow no better, by no more than this one. */
-#define FB_NEARLY_CLOSED 1e-9
-
 /* The larger violation, as a change of coordinates in units of these, or of speeds. */
 static double violated(const double *restrict x, const double *restrict positions, const double *restrict velocities,
                        const fb_work *restrict w)
@@ -279,4 +272,7 @@ const fb_kernel FB_NAME(kernel) = {
     .sensitivity = FB_NAME(sensitivity),
     .parameter_sensitivity = FB_NAME(parameter_sensitivity),
     .input_sensitivity = FB_NAME(input_sensitivity),
+#ifdef FB_HAS_LANES
+    .lanes = &FB_NAME(lanes),
+#endif
 };

@@ -18,18 +18,6 @@ from fourbar_codegen.runtime.evaluator import failure
 
 cnp.import_array()
 
-cdef extern from "fourbar_tableau.h":
-    ctypedef struct fb_tableau:
-        int n_stages
-        const double *a
-        const double *b
-        const double *c
-        int n_errors
-        const double *error
-        double order
-        int n_more, n_dense
-    const fb_tableau fb_rk4, fb_rk45, fb_dop853
-
 cdef extern from "fourbar_integrate.h":
     int FB_BLOCK
     int FB_RUN_END
@@ -93,10 +81,6 @@ cdef class Table:
     before, after : float
         Values outside.
     """
-
-    cdef cnp.ndarray times
-    cdef cnp.ndarray coefficients
-    cdef fb_table table
 
     def __cinit__(self, times, coefficients, double before, double after):
         self.times = np.array(times, dtype=np.float64)

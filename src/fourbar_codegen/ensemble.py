@@ -1,0 +1,374 @@
+"""Many states and many runs at once: side by side in vectors, and on all cores."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fourbar_codegen.arguments import (
+    Values,
+    is_mapping,
+    name_of,
+    named_columns,
+    positive,
+    sample_times,
+    time_span,
+    tolerance,
+)
+from fourbar_codegen.errors import FourbarError, ModelError
+from fourbar_codegen.integrate import METHODS, REACHED_END, is_rounded
+from fourbar_codegen.runtime.batch import DONE, Batch, Members
+from fourbar_codegen.simulate import InputSource, bind, input_sources, projects
+from fourbar_codegen.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from fourbar_codegen.compiled import CompiledModel
+
+__all__ = ["Ensemble", "evaluate", "run"]
+
+Floats = NDArray[np.float64]
+
+BLOCK = 1024
+"""States that a thread evaluates at a time, members that a process runs at a time."""
+
+PAUSE = 0.05
+"""Seconds between two looks at how far the threads are."""
+
+PATIENCE = 1.0
+"""Seconds after which a progress bar comes up."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ensemble:
+    """Runs of one mechanism over the same time, members in rows.
+
+    Attributes
+    ----------
+    model : CompiledModel
+    t : ndarray, shape (n_t,)
+        Times, s.
+    y : ndarray, shape (n, n_x, n_t)
+        ``y[i]`` are the states of member i as those of a `Trajectory`; NaN from where it failed on.
+    success : ndarray of bool, shape (n,)
+        Whether each member has reached the end.
+    messages : tuple of str
+        Why each has ended.
+    nfev : ndarray of int, shape (n,)
+        Numbers of evaluations of the right-hand side.
+    parameters : ndarray, shape (n, n_p)
+    inputs : mapping
+        Sources of the inputs as they were given.
+
+    Examples
+    --------
+    >>> import fourbar_codegen as fb
+    >>> four_bar = fb.load("four_bar")
+    >>> ensemble = four_bar.ensemble((0.0, 1.0), parameters={"k": [2.0, 3.0, 4.0]}, t_eval=[0.0, 0.5, 1.0])
+    >>> ensemble.y.shape, ensemble["q1"].shape, ensemble.success.all()
+    ((3, 6, 3), (3, 3), np.True_)
+    """
+
+    model: CompiledModel
+    t: Floats = field(repr=False)
+    y: Floats = field(repr=False)
+    success: NDArray[np.bool_]
+    messages: tuple[str, ...] = field(repr=False)
+    nfev: NDArray[np.int_] = field(repr=False)
+    parameters: Floats = field(repr=False)
+    inputs: Mapping[Any, Any] = field(repr=False)
+
+    def __len__(self) -> int:
+        return len(self.y)
+
+    def __getitem__(self, key: Any) -> Any:
+        """A member as a `Trajectory`, by its number; or a coordinate or speed of all, shape (n, n_t), by its name."""
+        if not isinstance(key, int | np.integer):
+            if name_of(key) in self.model.states:
+                return self.y[:, self.model.states.index(name_of(key))]
+            raise ModelError(f"There is no state {name_of(key)!r}; there are {', '.join(self.model.states)}.")
+        n = len(self)
+        if not -n <= key < n:
+            raise IndexError(f"member {key} of {n}")
+        member = int(key) % n
+        reached = np.isfinite(self.y[member]).all(axis=0)
+        t, y = self.t[reached], self.y[member][:, reached]
+        ode = bind(self.model, self.parameters[member], _inputs_of(self.inputs, member))
+        success = bool(self.success[member])
+        return Trajectory(
+            model=self.model, parameters=self.parameters[member], t=t, y=y, r=ode.inputs_along(t, y), sol=None,
+            t_events=None, y_events=None, nfev=int(self.nfev[member]), njev=0, nlu=0, status=0 if success else -1,
+            success=success, message=self.messages[member],
+        )  # fmt: skip
+
+    def __iter__(self) -> Iterator[Trajectory]:
+        return (self[member] for member in range(len(self)))
+
+
+def evaluate(
+    model: CompiledModel, t: ArrayLike, x: ArrayLike, p: Values | None, r: Values | None, *, workers: int | None
+) -> Floats:
+    """The right-hand side at many states; see `CompiledModel.rhs_batch`."""
+    states = np.ascontiguousarray(named_columns(x, model.states, {}, "state"))
+    if states.ndim != 2:
+        raise ModelError(f"The states must have shape ({model.n_x}, n), not {states.shape}.")
+    n = states.shape[1]
+    times = named_columns(np.reshape(t, (1, -1)) if np.ndim(t) else [t], ("t",), {}, "time", n)
+    parameters = named_columns({} if p is None else p, model.parameters, model.defaults, "parameter", n)
+    inputs = None
+    if r is not None:
+        missing = dict.fromkeys(model.inputs) if np.ndim(t) else _default_inputs(model, float(times[0]), parameters)
+        inputs = named_columns(r, model.inputs, missing, "input", n)
+    elif any(entry["expression"] is None for entry in model.manifest["inputs"]):
+        raise ModelError(model.missing())
+    batch = Batch(model, times, states, parameters, inputs)
+    blocks = [(begin, min(begin + BLOCK, n)) for begin in range(0, n, BLOCK)]
+    n_threads = min(_workers(workers), len(blocks))
+    if n_threads < 2:
+        batch.evaluate(0, n)
+    else:
+        with ThreadPoolExecutor(n_threads) as pool:
+            list(pool.map(lambda block: batch.evaluate(*block), blocks))
+    return batch.rates
+
+
+def _default_inputs(model: CompiledModel, t: float, parameters: Floats) -> dict[str, float | None]:
+    if parameters.ndim == 2:
+        return dict.fromkeys(model.inputs)
+    values = model.default_inputs(t, parameters)
+    return {name: None if math.isnan(v) else float(v) for name, v in zip(model.inputs, values, strict=True)}
+
+
+def _workers(workers: int | None) -> int:
+    if workers is None:
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if not isinstance(workers, int | np.integer) or workers < 1:
+        raise ModelError(f"workers must be a positive number of threads or None, for all cores, not {workers!r}.")
+    return int(workers)
+
+
+def run(
+    model: CompiledModel,
+    t_span: Sequence[float],
+    x0: ArrayLike | Mapping[Any, ArrayLike] | None,
+    *,
+    method: str,
+    parameters: ArrayLike | Mapping[Any, ArrayLike] | None,
+    inputs: Mapping[Any, InputSource | Floats] | None,
+    t_eval: ArrayLike | None,
+    rtol: float,
+    atol: float | ArrayLike,
+    constraints: str,
+    max_step: float,
+    workers: int | None,
+    parallel: Any,
+    progress: bool,
+) -> Ensemble:
+    """Many runs at once; see `CompiledModel.ensemble`."""
+    if method not in METHODS:
+        raise ModelError(f"There is no method {method!r} for ensembles; there are {', '.join(METHODS)}.")
+    projects(model, constraints)
+    start, end = time_span(t_span)
+    times = np.array([start, end]) if t_eval is None else sample_times(t_eval, start, end)
+    relative, absolute = float(tolerance(rtol, "rtol")), tolerance(atol, "atol", model.n_x)
+    max_step = math.inf if max_step == math.inf else positive(max_step, "max_step")
+    workers = _workers(workers)
+    inputs = {} if inputs is None else dict(inputs) if is_mapping(inputs) else inputs
+    p, states, n = _members(model, start, x0, parameters, inputs)
+    bind(model, p[0] if n else None, _inputs_of(inputs, 0))  # raises where an input has no source
+    how = {
+        "method": method, "t_eval": times, "rtol": relative, "atol": np.array(np.broadcast_to(absolute, model.n_x)),
+        "constraints": constraints, "max_step": max_step,
+    }  # fmt: skip
+    from tqdm import tqdm
+
+    # Silent where nobody watches: disable=None looks whether there is a terminal.
+    with tqdm(total=n, desc=model.name, unit="run", delay=PATIENCE, disable=None if progress else True) as bar:
+        if parallel is None:
+            results = _on_threads(model, (start, end), states, p, inputs, how, workers, bar)
+        else:
+            results = _on_engine(model, (start, end), states, p, inputs, how, parallel, bar)
+    y, success, messages, nfev = results
+    return Ensemble(
+        model=model, t=times, y=y, success=success, messages=messages, nfev=nfev, parameters=p, inputs=inputs,
+    )  # fmt: skip
+
+
+def _members(
+    model: CompiledModel, t: float, x0: Any, parameters: Any, inputs: Mapping[Any, Any]
+) -> tuple[Floats, Floats, int]:
+    """Parameters and initial states of all members, shapes (n, n_p) and (n, n_x), and n."""
+    given = {} if parameters is None else parameters if is_mapping(parameters) else np.transpose(parameters)
+    p = named_columns(given, model.parameters, model.defaults, "parameter")
+    x = None
+    if x0 is not None:
+        x = named_columns(x0 if is_mapping(x0) else np.transpose(x0), model.states, {}, "state")
+    arrays = {name_of(key): len(value) for key, value in inputs.items() if _is_by_member(value)}
+    arrays |= {
+        what: len(rows.T) for what, rows in (("parameters", p), ("x0", x)) if rows is not None and rows.ndim == 2
+    }
+    if len(set(arrays.values())) > 1:
+        raise ModelError(
+            "All that is given for each member must have the same length: "
+            + ", ".join(f"{name} has {length}" for name, length in arrays.items())
+        )
+    n = next(iter(arrays.values()), 1)
+    for what, rows in (("parameters", p), ("x0", x)):
+        if rows is not None and not np.isfinite(rows).all():
+            raise ModelError(f"{what} must be finite.")
+    p = np.ascontiguousarray(np.broadcast_to(p.T, (n, model.n_p)))
+    if x is not None:
+        return p, np.ascontiguousarray(np.broadcast_to(x.T, (n, model.n_x))), n
+    known: dict[bytes, Floats] = {}
+    states = np.empty((n, model.n_x))
+    for member in range(n):
+        key = p[member].tobytes() + (bytes(str(member), "ascii") if arrays.keys() & set(map(name_of, inputs)) else b"")
+        if key not in known:
+            known[key] = model.initial_state(t=t, parameters=p[member], inputs=_inputs_of(inputs, member))
+        states[member] = known[key]
+    return p, states, n
+
+
+def _is_by_member(source: object) -> bool:
+    return isinstance(source, np.ndarray) and source.ndim == 1
+
+
+def _inputs_of(inputs: Mapping[Any, Any], members: Any) -> dict[Any, Any]:
+    """The sources of one member, or of some."""
+    return {key: value[members] if _is_by_member(value) else value for key, value in inputs.items()}
+
+
+def _sources(model: CompiledModel, inputs: Mapping[Any, Any], n: int) -> list[object]:
+    """For each input None, a Table, a callable, or an array with a value for each member."""
+    by_member = {name_of(key): np.asarray(value, dtype=float) for key, value in inputs.items() if _is_by_member(value)}
+    sources = input_sources(model, _inputs_of(inputs, 0) if n else {})
+    for place, entry in enumerate(model.manifest["inputs"]):
+        if entry["of"] in by_member and not entry["order"]:
+            sources[place] = by_member[entry["of"]]
+    return sources
+
+
+Results = tuple[Floats, NDArray[np.bool_], tuple[str, ...], NDArray[np.int_]]
+"""States, success, messages and numbers of evaluations of all members."""
+
+
+def _on_threads(
+    model: CompiledModel,
+    span: tuple[float, float],
+    states: Floats,
+    p: Floats,
+    inputs: Mapping[Any, Any],
+    how: Mapping[str, Any],
+    workers: int,
+    bar: Any,
+) -> Results:
+    """Side by side those that can be, the others alone."""
+    n = len(states)
+    y = np.full((n, model.n_x, len(how["t_eval"])), np.nan)
+    success, nfev, messages = np.zeros(n, dtype=bool), np.zeros(n, dtype=int), [REACHED_END] * n
+    stopped = threading.Event()
+
+    def check(_: float) -> None:
+        if stopped.is_set():
+            raise _StoppedError
+
+    def alone(member: int) -> None:
+        try:
+            found = model.simulate(
+                span, states[member], parameters=p[member], inputs=_inputs_of(inputs, member), progress=check, **how
+            )
+        except FourbarError as error:
+            messages[member] = str(error)
+            return
+        y[member, :, : len(found.t)] = found.y
+        success[member], messages[member], nfev[member] = found.success, found.message, found.nfev
+
+    sources = _sources(model, inputs, n)
+    waiting = np.arange(n)
+    with ThreadPoolExecutor(workers) as pool:
+        tasks: list[Future[None]] = []
+        members = None
+        try:
+            if not any(map(callable, sources)):
+                moved = states.copy()
+                rtol = np.full(model.n_x, how["rtol"])
+                members = Members(
+                    model, how["method"], *span, moved, p, sources, how["max_step"], rtol, how["atol"],
+                    how["constraints"] == "project" and bool(model.n_c), how["t_eval"],
+                )  # fmt: skip
+                tasks = [pool.submit(members.run) for _ in range(min(workers, n))]
+                for _ in _finished(tasks):
+                    bar.update(members.n_ended - bar.n)
+                done = (members.status == DONE) & is_rounded(model.n_q, states, moved)
+                y[done], success[done], nfev[done] = members.samples[done], True, members.n_evaluations[done]
+                waiting = np.flatnonzero(~done)
+                bar.update(n - len(waiting) - bar.n)
+            tasks = [pool.submit(alone, int(member)) for member in waiting]
+            for finished in _finished(tasks):
+                bar.update(finished)
+        except BaseException:
+            stopped.set()
+            if members is not None:
+                members.stop()
+            for task in tasks:
+                task.cancel()
+            raise
+    return y, success, tuple(messages), nfev
+
+
+class _StoppedError(Exception):
+    """The user has interrupted all runs."""
+
+
+def _finished(tasks: Sequence[Future[None]]) -> Iterator[int]:
+    """Looks up now and then, also for an interrupt from the keyboard, until all tasks are done: how many more are."""
+    pending: Any = tasks
+    while pending:
+        done, pending = wait(pending, timeout=PAUSE)
+        for task in done:
+            task.result()
+        yield len(done)
+
+
+def _on_engine(
+    model: CompiledModel,
+    span: tuple[float, float],
+    states: Floats,
+    p: Floats,
+    inputs: Mapping[Any, Any],
+    how: Mapping[str, Any],
+    parallel: Any,
+    bar: Any,
+) -> Results:
+    """By joblib, in blocks of members."""
+    from joblib import delayed
+
+    n = len(states)
+    blocks = [slice(begin, begin + BLOCK) for begin in range(0, n, BLOCK)]
+    tasks = (delayed(_block)(model, span, states[b], p[b], _inputs_of(inputs, b), how) for b in blocks)
+    parts = []
+    for part in parallel(tasks):
+        parts.append(part)
+        bar.update(len(part[0]))
+    y, success, messages, nfev = zip(*parts, strict=True)
+    return np.concatenate(y), np.concatenate(success), tuple(itertools.chain(*messages)), np.concatenate(nfev)
+
+
+def _block(
+    model: CompiledModel,
+    span: tuple[float, float],
+    states: Floats,
+    p: Floats,
+    inputs: Mapping[Any, Any],
+    how: Mapping[str, Any],
+) -> Results:
+    found = model.ensemble(span, states, parameters=p, inputs=inputs, workers=1, progress=False, **how)
+    return found.y, found.success, found.messages, found.nfev

@@ -1,0 +1,43 @@
+"""Types of the compiled module batch.pyx, which holds the documentation."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourbar_codegen.runtime.evaluator import Evaluator
+
+Floats = NDArray[np.float64]
+
+DONE: int
+
+def width(evaluator: Evaluator) -> int: ...
+
+class Batch:
+    rates: Floats
+    def __init__(self, evaluator: Evaluator, t: Floats, x: Floats, p: Floats, r: Floats | None) -> None: ...
+    def evaluate(self, begin: int, end: int) -> None: ...
+
+class Members:
+    samples: Floats
+    status: NDArray[np.int8]
+    n_evaluations: NDArray[np.int_]
+    def __init__(
+        self,
+        evaluator: Evaluator,
+        method: str,
+        t: float,
+        t_bound: float,
+        x: Floats,
+        p: Floats,
+        sources: Sequence[object],
+        max_step: float,
+        rtol: Floats,
+        atol: Floats,
+        project: bool,
+        times: Floats,
+    ) -> None: ...
+    def run(self) -> None: ...
+    def stop(self) -> None: ...
+    @property
+    def n_ended(self) -> int: ...

@@ -1,0 +1,203 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
+"""Many states, or many runs, at once: see ``fourbar_batch.h``."""
+
+cimport cython
+cimport numpy as cnp
+from cpython.mem cimport PyMem_Calloc, PyMem_Free
+
+from fourbar_codegen.runtime.evaluator cimport Evaluator, data, fb_kernel, fb_lanes, fb_source, new_array
+from fourbar_codegen.runtime.integrator cimport Table, fb_dop853, fb_rk45, fb_tableau
+
+import numpy as np
+
+cnp.import_array()
+
+cdef extern from "fourbar_batch.h":
+    ctypedef struct fb_columns:
+        const double *values
+        long stride
+    ctypedef struct fb_batch:
+        long n
+        fb_columns t, x, p, r
+        double *rates
+    int fb_batch_one_by_one(const fb_kernel *, const fb_batch *, long, long) noexcept nogil
+    const int FB_MEMBER_DONE
+    ctypedef struct fb_ensemble:
+        long n
+        double *x
+        const double *p
+        int n_sources
+        const fb_source *sources
+        const double *values
+        const fb_tableau *method
+        int project
+        double t, t_bound, max_step
+        const double *rtol
+        const double *atol
+        const double *times
+        long n_times
+        double *samples
+        char *status
+        long *n_evaluations
+        long *next
+        long *n_ended
+        const int *stop
+    ctypedef struct fb_lanes:
+        int width
+        int (*batch)(const fb_batch *, long, long) noexcept nogil
+        int (*run)(const fb_ensemble *) noexcept nogil
+
+DONE = FB_MEMBER_DONE
+
+
+cdef const fb_lanes *_lanes(Evaluator evaluator) noexcept:
+    """The functions for several states side by side, or NULL."""
+    cdef const fb_lanes *lanes = evaluator.kernel.lanes
+    return lanes if lanes != NULL and lanes.width > 1 else NULL
+
+
+def width(Evaluator evaluator not None):
+    """How many states are evaluated side by side."""
+    return _lanes(evaluator).width if _lanes(evaluator) != NULL else 1
+
+
+cdef fb_columns _columns(cnp.ndarray array):
+    """An array of shape (rows, n), or (rows,) where all states have the same; contiguous."""
+    cdef fb_columns columns
+    columns.values = data(array)
+    columns.stride = cnp.PyArray_DIM(array, 1) if cnp.PyArray_NDIM(array) == 2 else 0
+    return columns
+
+
+@cython.final
+cdef class Batch:
+    """The right-hand side at many states; arrays are of double and contiguous, as `_columns` has them.
+
+    Parameters
+    ----------
+    evaluator : Evaluator
+    t : ndarray, shape (1,) or (1, n)
+    x : ndarray, shape (n_x, n)
+    p : ndarray, shape (n_p,) or (n_p, n)
+    r : ndarray, shape (n_r,) or (n_r, n), or None
+        None for the inputs' expressions.
+
+    Attributes
+    ----------
+    rates : ndarray, shape (n_x, n)
+    """
+
+    cdef fb_batch batch
+    cdef Evaluator evaluator
+    cdef list kept
+    cdef readonly object rates
+
+    def __cinit__(self, Evaluator evaluator not None, t, x, p, r):
+        cdef cnp.ndarray rates = new_array(np.shape(x)[0], np.shape(x)[1])
+        self.evaluator, self.kept, self.rates = evaluator, [t, x, p, r], rates
+        self.batch.n, self.batch.rates = np.shape(x)[1], data(rates)
+        self.batch.t, self.batch.x, self.batch.p = _columns(t), _columns(x), _columns(p)
+        if r is not None:
+            self.batch.r = _columns(r)
+
+    def evaluate(self, long begin, long end):
+        """The states from one to another; other threads may evaluate others at the same time."""
+        cdef const fb_lanes *lanes = _lanes(self.evaluator)
+        cdef int status
+        with nogil:
+            if lanes != NULL:
+                status = lanes.batch(&self.batch, begin, end)
+            else:
+                status = fb_batch_one_by_one(self.evaluator.kernel, &self.batch, begin, end)
+        if status:
+            raise MemoryError
+
+
+@cython.final
+cdef class Members:
+    """Runs of RK45 or DOP853 side by side; arrays are of double and contiguous.
+
+    Parameters
+    ----------
+    evaluator : Evaluator
+    method : {"RK45", "DOP853"}
+    t, t_bound : float
+        Beginning and end.
+    x : ndarray, shape (n, n_x)
+        The states at the beginning, which are moved onto the constraints.
+    p : ndarray, shape (n, n_p)
+    sources : sequence of length n_r
+        For each input None (its expression), an array of shape (n,), or a `Table`.
+    max_step : float
+    rtol, atol : ndarray, shape (n_x,)
+    project : bool
+    times : ndarray, shape (n_t,)
+
+    Attributes
+    ----------
+    samples : ndarray, shape (n, n_x, n_t)
+        NaN where there is none.
+    status : ndarray of int8, shape (n,)
+        `DONE`, or something else.
+    n_evaluations : ndarray of int, shape (n,)
+    """
+
+    cdef fb_ensemble ensemble
+    cdef Evaluator evaluator
+    cdef fb_source *sources
+    cdef long next, ended
+    cdef int stopped
+    cdef list kept
+    cdef readonly object samples, status, n_evaluations
+
+    def __cinit__(self, Evaluator evaluator not None, str method, double t, double t_bound, x, p, sources,
+                  double max_step, rtol, atol, bint project, times):
+        cdef fb_ensemble *e = &self.ensemble
+        cdef long n = len(x)
+        cdef int k = 0
+        cdef cnp.ndarray samples = np.full((n, evaluator.n_x, len(times)), np.nan)
+        cdef cnp.ndarray status = np.zeros(n, dtype=np.int8)
+        cdef cnp.ndarray n_evaluations = np.zeros(n, dtype=np.dtype("l"))
+        given = [(i, source) for i, source in enumerate(sources) if source is not None]
+        cdef cnp.ndarray values = np.zeros((n, len(given)))
+        self.evaluator, self.kept = evaluator, [x, p, rtol, atol, times, values, given]
+        self.samples, self.status, self.n_evaluations = samples, status, n_evaluations
+        self.sources = <fb_source *>PyMem_Calloc(len(given) + 1, sizeof(fb_source))
+        if self.sources == NULL:
+            raise MemoryError
+        for k, (i, source) in enumerate(given):
+            self.sources[k].input = i
+            if type(source) is Table:
+                self.sources[k].table = &(<Table>source).table
+            else:
+                values[:, k] = source
+        e.n, e.x, e.p = n, data(x), data(p)
+        e.n_sources, e.sources, e.values = len(given), self.sources, data(values)
+        e.method = &fb_rk45 if method == "RK45" else &fb_dop853
+        e.project, e.t, e.t_bound, e.max_step = project, t, t_bound, max_step
+        e.rtol, e.atol, e.times, e.n_times = data(rtol), data(atol), data(times), len(times)
+        e.samples, e.status = data(samples), <char *>cnp.PyArray_DATA(status)
+        e.n_evaluations = <long *>cnp.PyArray_DATA(n_evaluations)
+        e.next, e.n_ended, e.stop = &self.next, &self.ended, &self.stopped
+
+    def __dealloc__(self):
+        PyMem_Free(self.sources)
+
+    def run(self):
+        """Run members until none waits; other threads may do so at the same time."""
+        cdef const fb_lanes *lanes = _lanes(self.evaluator)
+        cdef int status = 0
+        if lanes != NULL:
+            with nogil:
+                status = lanes.run(&self.ensemble)
+        if status:
+            raise MemoryError
+
+    def stop(self):
+        """Make all threads give up after their next step."""
+        self.stopped = 1
+
+    @property
+    def n_ended(self):
+        """Of the members."""
+        return self.ended

@@ -1,0 +1,99 @@
+/* Many states, or many runs, at once: what a kernel's functions for that are given, and what they fill. */
+#ifndef FOURBAR_BATCH_H
+#define FOURBAR_BATCH_H
+
+#include "fourbar_problem.h"
+#include "fourbar_tableau.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+/* An array of quantities by states: `stride` is the number of states, or 0 where all have the same. */
+typedef struct fb_columns {
+    const double *values;
+    long stride;
+} fb_columns;
+
+static inline double fb_entry(const fb_columns *columns, const int row, const long i)
+{
+    return columns->values[columns->stride ? row * columns->stride + i : row];
+}
+
+/* x' of n states. */
+typedef struct fb_batch {
+    long n;
+    fb_columns t, x, p, r; /* (1, n), (n_x, n), (n_p, n), (n_r, n); r.values may be NULL, for the inputs' expressions */
+    double *rates;         /* (n_x, n), not a number where the equations cannot be evaluated */
+} fb_batch;
+
+enum FB_MEMBER {
+    FB_MEMBER_WAITING = 0,
+    FB_MEMBER_DONE = 1,
+    FB_MEMBER_LEFT = 2 /* to be run alone, where it is seen why it is not like others */
+};
+
+/* n runs of an explicit Runge-Kutta method over the same time, with samples at the same times. */
+typedef struct fb_ensemble {
+    long n;
+    double *x;       /* (n, n_x): the states at the beginning, moved onto the constraints as their runs begin */
+    const double *p; /* (n, n_p) */
+    int n_sources;
+    const fb_source *sources; /* of inputs that are not taken from their expressions */
+    const double *values;     /* (n, n_sources): those of sources without a table */
+    const fb_tableau *method;
+    int project;
+    double t, t_bound, max_step;
+    const double *rtol, *atol; /* (n_x,) */
+    const double *times;       /* (n_times,), in the order of the run */
+    long n_times;
+    double *samples;       /* (n, n_x, n_times) */
+    char *status;          /* (n,): FB_MEMBER */
+    long *n_evaluations;   /* (n,) */
+    long *next, *n_ended; /* of the members, by all workers */
+    const int *stop;       /* whether to give up */
+} fb_ensemble;
+
+/* What a model has for states side by side; width 0 where the compiler has no vectors. */
+struct fb_lanes {
+    int width;
+    /* the states from begin to end; 0, or -1 where there is no memory */
+    int (*batch)(const fb_batch *batch, long begin, long end);
+    /* until no member waits; 0, or -1 where there is no memory. Workers call it at the same time. */
+    int (*run)(const fb_ensemble *ensemble);
+};
+
+/* The same by the kernel for one state. */
+static inline int fb_batch_one_by_one(const fb_kernel *k, const fb_batch *b, const long begin, const long end)
+{
+    const int n_x = k->n_q + k->n_u;
+    double *const memory = malloc((size_t)(2 * n_x + k->n_p + k->n_r + k->n_constants) * sizeof(double) + k->work_size);
+    if (memory == NULL)
+        return -1;
+    double *const x = memory, *const rates = x + n_x, *const p = rates + n_x, *const r = p + k->n_p;
+    double *const constants = r + k->n_r;
+    void *const work = constants + k->n_constants;
+    memset(work, 0, k->work_size);
+    for (long i = begin; i < end; ++i) {
+        const double t = b->t.values[b->t.stride ? i : 0];
+        for (int j = 0; j < n_x; ++j)
+            x[j] = fb_entry(&b->x, j, i);
+        if (b->p.stride || i == begin) {
+            for (int j = 0; j < k->n_p; ++j)
+                p[j] = fb_entry(&b->p, j, i);
+            k->prepare(p, constants);
+        }
+        if (b->r.values == NULL)
+            k->default_inputs(t, constants, r);
+        else
+            for (int j = 0; j < k->n_r; ++j)
+                r[j] = fb_entry(&b->r, j, i);
+        const int status = k->rhs(t, x, constants, r, rates, work);
+        for (int j = 0; j < n_x; ++j)
+            b->rates[j * b->n + i] = status == FB_OK ? rates[j] : NAN;
+    }
+    free(memory);
+    return 0;
+}
+
+#endif

@@ -1,0 +1,455 @@
+/* Runs side by side: the steps of fourbar_integrate.h with a run in each lane, at its own time and with its own step.
+ * Where one has ended, the next one takes its lane. A run in which something comes up that a step alone does not tell
+ * (a singular position, steps that collapse, a projection that fails, what is not a number) leaves it, and is marked.
+ */
+
+typedef struct fb_crew {
+    fb_side side; /* what belongs to states side by side comes first */
+    fb_real stages[FB_LARGEST_METHOD + 4][N_X], interpolant[7][N_X];
+    fb_real x[N_X], t; /* the runs' states and times */
+    fb_mask active;
+    fb_mask n_evaluations;
+    long member[FB_WIDTH], next_time[FB_WIDTH], n_steps[FB_WIDTH];
+    double h_abs[FB_WIDTH];
+    int rejected[FB_WIDTH];
+    /* J at the beginning of the step, and the determinant of its columns of the dependent speeds; that is not a number
+     * where it is not known */
+    fb_real jacobian_before[FB_AT_LEAST_1(N_JACOBIAN)], orientation;
+    fb_source sources[FB_WIDTH][FB_AT_LEAST_1(N_R)];
+    /* for the beginning of a run */
+    fb_problem problem;
+    fb_run begin;
+    double padded[4][(N_X + FB_BLOCK - 1) / FB_BLOCK * FB_BLOCK];
+    double lane_failed[N_X], lane_moved[N_X];
+} fb_crew;
+
+static inline void fb_crew_inputs(fb_crew *restrict c, const fb_ensemble *e, const fb_real t)
+{
+    if (N_R == 0)
+        return;
+    default_inputs(t, c->side.constants, c->side.inputs);
+    for (int k = 0; k < e->n_sources; ++k)
+        for (int lane = 0; lane < FB_WIDTH; ++lane) {
+            fb_source *const source = &c->sources[lane][k];
+            c->side.inputs[source->input][lane] =
+                source->table ? fb_table_value(source->table, t[lane], &source->interval) : source->value;
+        }
+}
+
+/* x' of the lanes that are asked for. */
+static inline void fb_crew_rates(fb_crew *restrict c, const fb_ensemble *e, const fb_real t, const fb_real *x,
+                                 const fb_mask asked, fb_real *rates)
+{
+    fb_crew_inputs(c, e, t);
+    fb_side_rates(&c->side, t, x, asked, rates);
+    c->n_evaluations -= asked;
+}
+
+/* base + factor times the weighted sum of stages; base may be NULL. */
+static inline void fb_crew_combine(const fb_crew *restrict c, const fb_weights *w, const fb_real factor,
+                                   const fb_real *base, fb_real *restrict result)
+{
+    for (int i = 0; i < N_X; ++i) {
+        fb_real sum = fb_number(0.0);
+        for (int j = 0; j < w->n; ++j)
+            sum += w->weight[j] * c->stages[w->stage[j]][i];
+        result[i] = base ? base[i] + factor * sum : factor * sum;
+    }
+}
+
+/* The square of the error estimate in units of the tolerances, times the number of states; as `fb_error_of`. */
+static inline fb_real fb_crew_error(const fb_crew *restrict c, const fb_ensemble *e, const fb_real h,
+                                    const fb_real *restrict x_new)
+{
+    const int two = e->method->n_errors == 2;
+    fb_real error[N_X], scale[N_X], sum = fb_number(0.0), sum3 = fb_number(0.0);
+    fb_crew_combine(c, c->begin.error, two ? fb_number(1.0) : h, NULL, error);
+    for (int i = 0; i < N_X; ++i) {
+        scale[i] = 1.0 / (e->atol[i] + fb_greater(fb_abs(x_new[i]), fb_abs(c->x[i])) * e->rtol[i]);
+        sum += (error[i] * scale[i]) * (error[i] * scale[i]);
+    }
+    if (!two)
+        return sum;
+    fb_crew_combine(c, c->begin.error + 1, fb_number(1.0), NULL, error);
+    for (int i = 0; i < N_X; ++i)
+        sum3 += (error[i] * scale[i]) * (error[i] * scale[i]);
+    /* h^2 sum^2 / (sum + 0.01 sum3), and 0 for nothing at all */
+    const fb_real squared = h * h * sum * sum / (sum + 0.01 * sum3);
+    return fb_select((sum == 0.0) & (sum3 == 0.0), fb_number(0.0), squared);
+}
+
+/* Newton's method as in `project` of fourbar_model.h, with the factors of the last evaluation, for the lanes that are
+ * asked for; returns those that are closed. */
+static inline fb_mask fb_crew_close(fb_crew *restrict c, const fb_real t, fb_real *restrict x, const fb_mask asked)
+{
+    fb_side *const s = &c->side;
+    fb_real positions[FB_AT_LEAST_1(N_C)], velocities[FB_AT_LEAST_1(N_C)], per_row[FB_AT_LEAST_1(N_C)];
+    fb_real change[N_U], coordinate_changes[FB_AT_LEAST_1(N_Q)], last = fb_number(INFINITY);
+    fb_mask open = asked & s->split.good, closed = open & 0;
+    for (int i = 0; i < N_C; ++i) {
+        fb_real size = fb_number(0.0);
+        for (int j = 0; j < N_U; ++j)
+            size = fb_greater(fb_abs(s->constraint_jacobian[i * N_U + j]), size);
+        per_row[i] = 1.0 / size;
+    }
+    for (int i = 0; i < CORRECTIONS && fb_any(open); ++i) {
+        closure(t, x, s->constants, s->inputs, positions, velocities);
+        fb_real q = fb_number(0.0), u = q, position = q, velocity = q;
+        for (int j = 0; j < N_Q; ++j)
+            q = fb_greater(fb_abs(x[j]), q);
+        for (int j = N_Q; j < N_X; ++j)
+            u = fb_greater(fb_abs(x[j]), u);
+        for (int j = 0; j < N_C; ++j) {
+            position = fb_greater(fb_abs(positions[j]) * per_row[j], position);
+            velocity = fb_greater(fb_abs(velocities[j]) * per_row[j], velocity);
+        }
+        position = fb_select(q > 0.0, position / q, position);
+        velocity = fb_select(u > 0.0, velocity / u, velocity);
+        const fb_real size = fb_greater(position, velocity);
+        fb_mask done = size <= FB_CLOSED;
+        if (i > 1) {
+            const fb_mask stagnates = ~(size < 0.5 * last);
+            done |= stagnates & (size <= FB_NEARLY_CLOSED);
+            closed |= open & done;
+            open &= ~stagnates;
+        }
+        closed |= open & done;
+        open &= ~done;
+        if (!fb_any(open))
+            break;
+        last = size;
+        fb_split_solve(NULL, positions, &s->split, change);
+        coordinate_change(t, x, s->constants, s->inputs, change, coordinate_changes);
+        fb_split_solve(NULL, velocities, &s->split, change);
+        for (int j = 0; j < N_Q; ++j)
+            x[j] = fb_select(open, x[j] + coordinate_changes[j], x[j]);
+        for (int j = 0; j < N_U; ++j)
+            x[N_Q + j] = fb_select(open, x[N_Q + j] + change[j], x[N_Q + j]);
+    }
+    return closed;
+}
+
+/* The same, by the kernel for one state where need be; `known` says whether the factors are those of a state close
+ * by. */
+static inline fb_mask fb_crew_project(fb_crew *restrict c, const fb_ensemble *e, const fb_real t, fb_real *restrict x,
+                                      const fb_mask asked, const int known)
+{
+    fb_side *const s = &c->side;
+    fb_crew_inputs(c, e, t);
+    if (!known) {
+        fb_real coordinate_rates[FB_AT_LEAST_1(N_Q)];
+        dynamics(t, x, s->constants, s->inputs, coordinate_rates, s->mass_matrix, s->forcing, s->constraint_jacobian,
+                 s->acceleration_bias);
+        fb_split_of(s->mass_matrix, s->constraint_jacobian, &s->split);
+    }
+    fb_real given[N_X];
+    memcpy(given, x, sizeof given);
+    fb_mask closed = fb_crew_close(c, t, x, asked);
+    if (fb_any(asked & ~closed))
+        for (int lane = 0; lane < FB_WIDTH; ++lane)
+            if (asked[lane] & ~closed[lane]) {
+                fb_take_lane(given, lane, N_X, s->lane_x);
+                fb_take_lane(s->constants, lane, N_CONSTANTS, s->lane_constants);
+                fb_take_lane(s->inputs, lane, N_R, s->lane_inputs);
+                const int status =
+                    FB_NAME(kernel).project(t[lane], s->lane_x, s->lane_constants, s->lane_inputs, 0, s->work);
+                fb_put_lane(s->lane_x, lane, N_X, x);
+                closed[lane] = status == FB_OK ? -1 : 0;
+            }
+    return closed;
+}
+
+static inline void fb_leave(fb_crew *c, const fb_ensemble *e, const int lane, const enum FB_MEMBER how)
+{
+    const long member = c->member[lane];
+    e->n_evaluations[member] = (long)c->n_evaluations[lane];
+    e->status[member] = (char)how;
+    __atomic_fetch_add(e->n_ended, 1, __ATOMIC_RELAXED);
+    c->active[lane] = 0;
+}
+
+/* The samples of a state in one lane at the times up to t that are not behind it. */
+static inline void fb_store(fb_crew *c, const fb_ensemble *e, const int lane, const fb_real *x)
+{
+    double *const samples = e->samples + c->member[lane] * N_X * e->n_times + c->next_time[lane];
+    for (int i = 0; i < N_X; ++i)
+        samples[i * e->n_times] = x[i][lane];
+    c->next_time[lane] += 1;
+}
+
+/* The next member that waits comes to a free lane. */
+static inline void fb_enter(fb_crew *c, const fb_ensemble *e, const int lane)
+{
+    fb_side *const s = &c->side;
+    fb_run *const b = &c->begin;
+    for (;;) {
+        const long member = __atomic_fetch_add(e->next, 1, __ATOMIC_RELAXED);
+        if (member >= e->n)
+            return;
+        c->member[lane] = member;
+        c->next_time[lane] = c->n_steps[lane] = 0;
+        c->rejected[lane] = 0;
+        double *const x = e->x + member * N_X;
+        FB_NAME(kernel).prepare(e->p + member * N_P, s->lane_constants);
+        for (int k = 0; k < e->n_sources; ++k) {
+            c->sources[lane][k] = e->sources[k];
+            c->sources[lane][k].value = e->values[member * e->n_sources + k];
+        }
+        c->problem.sources = c->sources[lane];
+        c->problem.status = FB_OK;
+        b->t = e->t;
+        b->n_evaluations = 0;
+        int status = e->project ? fb_problem_project(&c->problem, e->t, x, 0) : FB_OK;
+        memcpy(b->x, x, N_X * sizeof *x);
+        if (status == FB_OK)
+            status = fb_begin(b);
+        c->n_evaluations[lane] = b->n_evaluations;
+        if (status != FB_OK || !fb_finite(b->stages, N_X) || !isfinite(b->h_abs)) {
+            fb_leave(c, e, lane, FB_MEMBER_LEFT);
+            continue;
+        }
+        c->active[lane] = -1;
+        c->t[lane] = e->t;
+        c->h_abs[lane] = b->h_abs;
+        fb_put_lane(x, lane, N_X, c->x);
+        fb_put_lane(b->stages, lane, N_X, c->stages[0]);
+        fb_put_lane(s->lane_constants, lane, N_CONSTANTS, s->constants);
+        double jacobian[FB_AT_LEAST_1(N_JACOBIAN)], bias[FB_AT_LEAST_1(N_C)];
+        fb_fill_inputs(&c->problem, e->t, x);
+        FB_NAME(kernel).velocity(e->t, x, s->lane_constants, s->lane_inputs, jacobian, bias);
+        fb_put_lane(jacobian, lane, N_JACOBIAN, c->jacobian_before);
+        c->orientation[lane] = NAN;
+        while (c->next_time[lane] < e->n_times && e->times[c->next_time[lane]] == e->t)
+            fb_store(c, e, lane, c->x);
+        return;
+    }
+}
+
+/* Whether J, of the last evaluation, has another orientation than at the beginning of the step, as `turned` of
+ * fourbar_model.h has it; it is the one of the next step's beginning in the lanes that have been asked for. */
+static inline fb_mask fb_turned(fb_crew *c, const fb_mask asked)
+{
+    const fb_side *const s = &c->side;
+    fb_mask turned = asked & 0;
+    fb_real orientation = fb_number(1.0);
+    if (N_C == 0)
+        return turned;
+    for (int k = 0; k < N_C; ++k)
+        orientation *= s->split.lu[k][k];
+    orientation = fb_select(s->split.good, orientation, fb_number(NAN));
+    const fb_real both = orientation * c->orientation;
+    turned = asked & (both < 0.0);
+    const fb_mask unknown = asked & (both != both);
+    if (fb_any(unknown))
+        for (int lane = 0; lane < FB_WIDTH; ++lane)
+            if (unknown[lane]) {
+                double now[FB_AT_LEAST_1(N_JACOBIAN)], before[FB_AT_LEAST_1(N_JACOBIAN)];
+                fb_factors factors;
+                fb_take_lane(s->constraint_jacobian, lane, N_JACOBIAN, now);
+                fb_take_lane(c->jacobian_before, lane, N_JACOBIAN, before);
+                factors.rank = fb_eliminate(now, &factors);
+                if (factors.rank < N_C || fb_sign(now, &factors) * fb_sign(before, &factors) < 0)
+                    turned[lane] = -1;
+            }
+    for (int i = 0; i < N_JACOBIAN; ++i)
+        c->jacobian_before[i] = fb_select(asked, s->constraint_jacobian[i], c->jacobian_before[i]);
+    c->orientation = fb_select(asked, orientation, c->orientation);
+    return turned;
+}
+
+/* The coefficients of the interpolants from the states x to x_new. */
+static inline void fb_crew_interpolant(fb_crew *restrict c, const fb_ensemble *e, const fb_real h,
+                                       const fb_real *x_new, const fb_mask within)
+{
+    const fb_tableau *const m = e->method;
+    const fb_run *const b = &c->begin;
+    fb_real scratch[N_X];
+    if (m->n_more == 0) {
+        for (int i = 0; i < m->n_dense; ++i)
+            fb_crew_combine(c, b->dense + i, h, NULL, c->interpolant[i]);
+        return;
+    }
+    for (int i = 0; i < m->n_more; ++i) {
+        fb_crew_combine(c, b->more + i, h, c->x, scratch);
+        fb_crew_rates(c, e, c->t + m->more_c[i] * h, scratch, within, c->stages[m->n_stages + 1 + i]);
+    }
+    const fb_real *const f_old = c->stages[0], *const f = c->stages[m->n_stages];
+    for (int i = 0; i < N_X; ++i) {
+        const fb_real change = x_new[i] - c->x[i];
+        c->interpolant[0][i] = change;
+        c->interpolant[1][i] = h * f_old[i] - change;
+        c->interpolant[2][i] = 2.0 * change - h * (f[i] + f_old[i]);
+    }
+    for (int i = 0; i < m->n_dense; ++i)
+        fb_crew_combine(c, b->dense + i, h, NULL, c->interpolant[3 + i]);
+}
+
+/* The states at a share y of each step. */
+static inline void fb_crew_interpolate(const fb_crew *restrict c, const fb_tableau *m, const fb_real y,
+                                       fb_real *restrict x)
+{
+    for (int i = 0; i < N_X; ++i) {
+        fb_real sum = fb_number(0.0);
+        if (m->n_more == 0) {
+            for (int k = m->n_dense - 1; k >= 0; --k)
+                sum = (sum + c->interpolant[k][i]) * y;
+        } else {
+            for (int k = m->n_dense + 2, turn = 0; k >= 0; --k, turn = !turn)
+                sum = (sum + c->interpolant[k][i]) * (turn ? 1.0 - y : y);
+        }
+        x[i] = c->x[i] + sum;
+    }
+}
+
+/* The samples within the steps from t to t_new that have been taken in the lanes asked for. */
+static inline void fb_crew_sample(fb_crew *restrict c, const fb_ensemble *e, const fb_real h, const double *t_new,
+                                  const fb_real *x_new, const fb_mask asked)
+{
+    const double direction = e->t_bound > e->t ? 1.0 : -1.0;
+    int prepared = 0;
+    for (;;) {
+        fb_mask within = asked & 0;
+        fb_real t = c->t, x[N_X];
+        for (int lane = 0; lane < FB_WIDTH; ++lane)
+            if (asked[lane] && c->next_time[lane] < e->n_times) {
+                const double sample = e->times[c->next_time[lane]];
+                if (sample == t_new[lane])
+                    fb_store(c, e, lane, x_new);
+                else if (direction * (sample - t_new[lane]) < 0.0) {
+                    within[lane] = -1;
+                    t[lane] = sample;
+                }
+            }
+        if (!fb_any(within))
+            return;
+        if (!prepared)
+            fb_crew_interpolant(c, e, h, x_new, within);
+        prepared = 1; /* for all that come later: each round has fewer lanes */
+        fb_crew_interpolate(c, e->method, (t - c->t) / h, x);
+        if (e->project) {
+            fb_real given[N_X];
+            memcpy(given, x, sizeof given);
+            const fb_mask closed = fb_crew_project(c, e, t, x, within, 0);
+            /* Where that fails, the interpolant stands. */
+            for (int i = 0; i < N_X; ++i)
+                x[i] = fb_select(closed, x[i], given[i]);
+        }
+        for (int lane = 0; lane < FB_WIDTH; ++lane)
+            if (within[lane])
+                fb_store(c, e, lane, x);
+    }
+}
+
+/* A step in each lane, taken where its error allows. */
+static void fb_crew_step(fb_crew *restrict c, const fb_ensemble *e)
+{
+    const fb_tableau *const m = e->method;
+    const double direction = e->t_bound > e->t ? 1.0 : -1.0;
+    double t_new[FB_WIDTH];
+    fb_real h = fb_number(0.0), x_new[N_X], *const end = c->stages[m->n_stages];
+    for (int lane = 0; lane < FB_WIDTH; ++lane) {
+        const double t = c->t[lane];
+        t_new[lane] = t;
+        if (!c->active[lane])
+            continue;
+        const double min_step = fb_least_step(t, direction);
+        if (!c->rejected[lane])
+            c->h_abs[lane] = fb_first_length(c->h_abs[lane], e->max_step, min_step);
+        const double share = c->n_steps[lane] > 9 ? c->h_abs[lane] * c->n_steps[lane] / fabs(t - e->t) : 1.0;
+        /* Also where it is not a number. */
+        if (!(c->h_abs[lane] >= min_step) || !isfinite(c->h_abs[lane]) || share < FB_COLLAPSE) {
+            fb_leave(c, e, lane, FB_MEMBER_LEFT);
+            continue;
+        }
+        t_new[lane] = t + c->h_abs[lane] * direction;
+        if (direction * (t_new[lane] - e->t_bound) > 0.0)
+            t_new[lane] = e->t_bound;
+        h[lane] = t_new[lane] - t;
+        c->h_abs[lane] = fabs(h[lane]);
+    }
+    fb_real t_end;
+    memcpy(&t_end, t_new, sizeof t_end);
+    for (int k = 1; k <= m->n_stages; ++k) {
+        fb_crew_combine(c, c->begin.stage + k, h, c->x, x_new);
+        if (k < m->n_stages)
+            fb_crew_rates(c, e, c->t + m->c[k] * h, x_new, c->active, c->stages[k]);
+    }
+    if (!e->project || c->begin.error[0].stage[c->begin.error[0].n - 1] == m->n_stages)
+        fb_crew_rates(c, e, t_end, x_new, c->active, end);
+    const fb_real error = fb_crew_error(c, e, h, x_new);
+    fb_mask taken = c->active & (error < (double)N_X);
+    if (e->project && fb_any(taken)) {
+        taken = fb_crew_project(c, e, t_end, x_new, taken, 1);
+        fb_crew_rates(c, e, t_end, x_new, taken, end);
+    }
+    for (int i = 0; i < N_X; ++i)
+        taken &= end[i] - end[i] == 0.0;
+    const fb_mask turned = fb_turned(c, taken);
+    if (fb_any(turned))
+        for (int lane = 0; lane < FB_WIDTH; ++lane)
+            if (turned[lane]) {
+                fb_leave(c, e, lane, FB_MEMBER_LEFT);
+                taken[lane] = 0;
+            }
+    fb_crew_sample(c, e, h, t_new, x_new, taken);
+    for (int i = 0; i < N_X; ++i) {
+        c->x[i] = fb_select(taken, x_new[i], c->x[i]);
+        c->stages[0][i] = fb_select(taken, end[i], c->stages[0][i]);
+    }
+    c->t = fb_select(taken, t_end, c->t);
+    for (int lane = 0; lane < FB_WIDTH; ++lane) {
+        if (!c->active[lane])
+            continue;
+        /* A step that could not be taken though its error allowed it has none that is known. */
+        const double squared = error[lane] < (double)N_X && !taken[lane] ? NAN : error[lane] / N_X;
+        const double factor = squared == 0.0 ? FB_MAX_FACTOR : FB_SAFETY * pow(squared, -0.5 / (m->order + 1.0));
+        c->h_abs[lane] *= fb_change(factor, taken[lane] != 0, c->rejected[lane]);
+        c->rejected[lane] = !taken[lane];
+        if (taken[lane]) {
+            c->n_steps[lane] += 1;
+            if (t_new[lane] == e->t_bound)
+                fb_leave(c, e, lane, FB_MEMBER_DONE);
+        }
+    }
+}
+
+static int run(const fb_ensemble *e)
+{
+    fb_crew *const c = (fb_crew *)fb_new_side(sizeof *c);
+    if (c == NULL)
+        return -1;
+    fb_run *const b = &c->begin;
+    const fb_problem problem = {
+        .kernel = &FB_NAME(kernel),
+        .constants = c->side.lane_constants,
+        .inputs = c->side.lane_inputs,
+        .work = c->side.work,
+        .n_sources = e->n_sources,
+        .failed_x = c->lane_failed,
+        .moved_x = c->lane_moved,
+    };
+    c->problem = problem;
+    b->problem = &c->problem;
+    b->method = e->method;
+    b->n = N_X;
+    b->padded = sizeof c->padded[0] / sizeof(double);
+    b->direction = e->t_bound > e->t ? 1.0 : -1.0;
+    b->t_bound = e->t_bound;
+    b->max_step = e->max_step;
+    b->rtol = e->rtol;
+    b->atol = e->atol;
+    b->x = c->padded[0];
+    b->scratch = c->padded[1];
+    b->stages = c->padded[2];
+    fb_prepare_method(b);
+    for (;;) {
+        for (int lane = 0; lane < FB_WIDTH; ++lane)
+            if (!c->active[lane])
+                fb_enter(c, e, lane);
+        if (!fb_any(c->active) || __atomic_load_n(e->stop, __ATOMIC_RELAXED))
+            break;
+        fb_crew_step(c, e);
+    }
+    fb_free_side(&c->side);
+    return 0;
+}

@@ -1,0 +1,268 @@
+/* The equations of motion of FB_WIDTH states side by side, a state in each lane of fb_real.
+ *
+ * What a lane holds does not depend on what the others hold. The equations are solved as in fourbar_solve.h with the
+ * model's own split of the speeds, whose places the compiler knows; a lane where that is a bad one is left to the
+ * kernel for one state.
+ */
+#include "fourbar_array.h"
+#include "fourbar_batch.h"
+#include "fourbar_integrate.h"
+#include "fourbar_kernel.h"
+#include "fourbar_solve.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+enum { N_X = N_Q + N_U };
+
+/* The split is taken where its pivots are no less than this share of the largest in their row: at the cost of two
+ * digits less often left to the kernel for one state than that would leave it. */
+#define FB_LANES_TOLERANCE 0.01
+
+typedef struct fb_split {
+    fb_mask good;
+    fb_real inverse[FB_AT_LEAST_1(N_C)]; /* 1 / the diagonal of U_d */
+    fb_real lu[FB_AT_LEAST_1(N_C)][N_U]; /* L below the diagonal, U_d on and above it, then A */
+    fb_real mass[N_U][N_U];              /* Q^T M Q */
+    fb_real reduced[N_U][N_U];           /* T^T M T = L D L^T: L below the diagonal, 1/D on it */
+} fb_split;
+
+/* The speed at a place of the split. */
+static inline int fb_speed(const int place)
+{
+    return place < N_C ? N_U - N_C + place : place - N_C;
+}
+
+static inline void fb_split_of(const fb_real *restrict mass_matrix, const fb_real *restrict jacobian,
+                               fb_split *restrict s)
+{
+    fb_real size[FB_AT_LEAST_1(N_C)], largest = fb_number(0.0);
+    s->good = (fb_mask)(fb_bits){0} == 0;
+    for (int i = 0; i < N_C; ++i) {
+        size[i] = fb_number(0.0);
+        for (int j = 0; j < N_U; ++j) {
+            s->lu[i][j] = jacobian[i * N_U + fb_speed(j)];
+            size[i] = fb_greater(fb_abs(s->lu[i][j]), size[i]);
+        }
+        largest = fb_greater(size[i], largest);
+    }
+    for (int k = 0; k < N_C; ++k) {
+        fb_real pivot = FB_NEAR_DEPENDENCE * size[k];
+        s->good &= size[k] > FB_NEAR_DEPENDENCE * largest;
+        for (int j = k; j < N_U; ++j)
+            pivot = fb_greater(fb_abs(s->lu[k][j]), pivot);
+        s->good &= fb_abs(s->lu[k][k]) > FB_LANES_TOLERANCE * pivot;
+        s->inverse[k] = 1.0 / s->lu[k][k];
+        for (int i = k + 1; i < N_C; ++i) {
+            const fb_real factor = s->lu[i][k] *= s->inverse[k];
+            for (int j = k + 1; j < N_U; ++j)
+                s->lu[i][j] -= factor * s->lu[k][j];
+        }
+    }
+    for (int k = N_C - 1; k >= 0; --k)
+        for (int j = N_C; j < N_U; ++j) {
+            fb_real sum = s->lu[k][j];
+            for (int i = k + 1; i < N_C; ++i)
+                sum += s->lu[k][i] * s->lu[i][j];
+            s->lu[k][j] = -s->inverse[k] * sum;
+        }
+    for (int i = 0; i < N_U; ++i)
+        for (int j = 0; j < N_U; ++j)
+            s->mass[i][j] = mass_matrix[fb_speed(i) * N_U + fb_speed(j)];
+    for (int b = N_C; b < N_U; ++b) {
+        fb_real product[N_U]; /* column b of M T */
+        for (int i = 0; i < N_U; ++i) {
+            product[i] = s->mass[i][b];
+            for (int d = 0; d < N_C; ++d)
+                product[i] += s->mass[i][d] * s->lu[d][b];
+        }
+        for (int a = b; a < N_U; ++a) {
+            s->reduced[a][b] = product[a];
+            for (int d = 0; d < N_C; ++d)
+                s->reduced[a][b] += s->lu[d][a] * product[d];
+        }
+    }
+    for (int b = N_C; b < N_U; ++b) {
+        s->good &= s->reduced[b][b] > 0.0;
+        s->reduced[b][b] = 1.0 / s->reduced[b][b];
+        for (int a = N_U - 1; a > b; --a) {
+            const fb_real factor = s->reduced[a][b] * s->reduced[b][b];
+            for (int c = b + 1; c <= a; ++c)
+                s->reduced[a][c] -= factor * s->reduced[c][b];
+            s->reduced[a][b] = factor;
+        }
+    }
+}
+
+/* u' for one right-hand side (f, gamma); f may be NULL, for zeros. */
+static inline void fb_split_solve(const fb_real *restrict forcing, const fb_real *restrict acceleration_bias,
+                                  const fb_split *restrict s, fb_real *restrict accelerations)
+{
+    fb_real w[FB_AT_LEAST_1(N_C)], v[N_U], g[N_U];
+    for (int i = 0; i < N_C; ++i) {
+        w[i] = acceleration_bias[i];
+        for (int k = 0; k < i; ++k)
+            w[i] -= s->lu[i][k] * w[k];
+    }
+    for (int k = N_C - 1; k >= 0; --k) {
+        fb_real sum = -w[k];
+        for (int i = k + 1; i < N_C; ++i)
+            sum -= s->lu[k][i] * v[i];
+        v[k] = sum * s->inverse[k];
+    }
+    for (int i = 0; i < N_U; ++i) {
+        g[i] = forcing ? forcing[fb_speed(i)] : fb_number(0.0);
+        for (int d = 0; d < N_C; ++d)
+            g[i] -= s->mass[i][d] * v[d];
+    }
+    for (int a = N_C; a < N_U; ++a) {
+        v[a] = g[a];
+        for (int d = 0; d < N_C; ++d)
+            v[a] += s->lu[d][a] * g[d];
+        for (int c = N_C; c < a; ++c)
+            v[a] -= s->reduced[a][c] * v[c];
+    }
+    for (int a = N_U - 1; a >= N_C; --a) {
+        v[a] *= s->reduced[a][a];
+        for (int c = a + 1; c < N_U; ++c)
+            v[a] -= s->reduced[c][a] * v[c];
+    }
+    for (int d = 0; d < N_C; ++d)
+        for (int a = N_C; a < N_U; ++a)
+            v[d] += s->lu[d][a] * v[a];
+    for (int i = 0; i < N_U; ++i)
+        accelerations[fb_speed(i)] = v[i];
+}
+
+/* States side by side: their equations, and memory for the kernel for one state. */
+typedef struct fb_side {
+    fb_real constants[FB_AT_LEAST_1(N_CONSTANTS)], inputs[FB_AT_LEAST_1(N_R)];
+    fb_real mass_matrix[N_U * N_U], forcing[N_U];
+    fb_real constraint_jacobian[FB_AT_LEAST_1(N_JACOBIAN)], acceleration_bias[FB_AT_LEAST_1(N_C)];
+    fb_split split; /* of the last evaluation */
+    double lane_x[N_X], lane_constants[FB_AT_LEAST_1(N_CONSTANTS)], lane_inputs[FB_AT_LEAST_1(N_R)], lane_rates[N_X];
+    void *work, *memory;
+} fb_side;
+
+static inline void fb_take_lane(const fb_real *restrict from, const int lane, const int n, double *restrict to)
+{
+    for (int i = 0; i < n; ++i)
+        to[i] = from[i][lane];
+}
+
+static inline void fb_put_lane(const double *restrict from, const int lane, const int n, fb_real *restrict to)
+{
+    for (int i = 0; i < n; ++i)
+        to[i][lane] = from[i];
+}
+
+/* x' of one lane by the kernel for one state. */
+static __attribute__((noinline)) void fb_lane_rates(fb_side *s, const double t, const fb_real *x, const int lane,
+                                                    fb_real *rates)
+{
+    fb_take_lane(x, lane, N_X, s->lane_x);
+    fb_take_lane(s->constants, lane, N_CONSTANTS, s->lane_constants);
+    fb_take_lane(s->inputs, lane, N_R, s->lane_inputs);
+    const int status = FB_NAME(kernel).rhs(t, s->lane_x, s->lane_constants, s->lane_inputs, s->lane_rates, s->work);
+    if (status != FB_OK)
+        for (int i = 0; i < N_X; ++i)
+            s->lane_rates[i] = NAN;
+    fb_put_lane(s->lane_rates, lane, N_X, rates);
+}
+
+/* x' of the lanes that are asked for, with the inputs known. */
+static inline void fb_side_rates(fb_side *restrict s, const fb_real t, const fb_real *restrict x, const fb_mask asked,
+                                 fb_real *restrict rates)
+{
+    fb_real coordinate_rates[FB_AT_LEAST_1(N_Q)];
+    dynamics(t, x, s->constants, s->inputs, coordinate_rates, s->mass_matrix, s->forcing, s->constraint_jacobian,
+             s->acceleration_bias);
+    fb_split_of(s->mass_matrix, s->constraint_jacobian, &s->split);
+    fb_split_solve(s->forcing, s->acceleration_bias, &s->split, rates + N_Q);
+    for (int i = 0; i < N_Q; ++i)
+        rates[i] = coordinate_rates[i];
+    if (fb_any(asked & ~s->split.good))
+        for (int lane = 0; lane < FB_WIDTH; ++lane)
+            if (asked[lane] & ~s->split.good[lane])
+                fb_lane_rates(s, t[lane], x, lane, rates);
+}
+
+static void fb_free_side(fb_side *s)
+{
+    if (s) {
+        free(s->work);
+        free(s->memory);
+    }
+}
+
+/* Memory for `size` bytes, of which an fb_side is the first part, aligned for fb_real; NULL where there is none. */
+static fb_side *fb_new_side(const size_t size)
+{
+    char *const memory = calloc(1, size + sizeof(fb_real));
+    if (memory == NULL)
+        return NULL;
+    fb_side *const s = (fb_side *)(void *)(memory + (sizeof(fb_real) - (uintptr_t)memory % sizeof(fb_real)));
+    s->memory = memory;
+    s->work = calloc(1, FB_NAME(kernel).work_size);
+    if (s->work == NULL) {
+        fb_free_side(s);
+        return NULL;
+    }
+    return s;
+}
+
+/* FB_WIDTH states from place i on; of less than that, the last one again. */
+static inline void fb_load(const fb_columns *columns, const int rows, const long i, const int count,
+                           fb_real *restrict to)
+{
+    for (int row = 0; row < rows; ++row) {
+        const double *const from = columns->values + (columns->stride ? row * columns->stride + i : row);
+        if (columns->stride == 0)
+            to[row] = fb_number(*from);
+        else if (count == FB_WIDTH)
+            memcpy(to + row, from, sizeof *to);
+        else {
+            double lanes[FB_WIDTH];
+            for (int lane = 0; lane < FB_WIDTH; ++lane)
+                lanes[lane] = from[lane < count ? lane : count - 1];
+            memcpy(to + row, lanes, sizeof *to);
+        }
+    }
+}
+
+static int batch(const fb_batch *b, const long begin, const long end)
+{
+    fb_side *const s = fb_new_side(sizeof *s);
+    if (s == NULL)
+        return -1;
+    const fb_mask all = (fb_mask)(fb_bits){0} == 0;
+    fb_real t, x[N_X], rates[N_X], p[FB_AT_LEAST_1(N_P)];
+    for (long i = begin; i < end; i += FB_WIDTH) {
+        const int count = end - i < FB_WIDTH ? (int)(end - i) : FB_WIDTH;
+        fb_load(&b->t, 1, i, count, &t);
+        fb_load(&b->x, N_X, i, count, x);
+        if (b->p.stride || i == begin) {
+            fb_load(&b->p, N_P, i, count, p);
+            prepare(p, s->constants);
+        }
+        if (b->r.values == NULL)
+            default_inputs(t, s->constants, s->inputs);
+        else if (b->r.stride || i == begin)
+            fb_load(&b->r, N_R, i, count, s->inputs);
+        fb_side_rates(s, t, x, all, rates);
+        fb_mask finite = all;
+        for (int j = 0; j < N_X; ++j)
+            finite &= rates[j] - rates[j] == 0.0;
+        for (int j = 0; j < N_X; ++j) {
+            rates[j] = fb_select(finite, rates[j], fb_number(NAN));
+            memcpy(b->rates + j * b->n + i, rates + j, (size_t)count * sizeof(double));
+        }
+    }
+    fb_free_side(s);
+    return 0;
+}
+
+#include "fourbar_ensemble.h"
+
+const fb_lanes FB_NAME(lanes) = {.width = FB_WIDTH, .batch = batch, .run = run};

@@ -1,0 +1,91 @@
+/* What the functions of the equations of motion compute with: fb_real is double, or, in a source that defines
+ * FB_SIDE_BY_SIDE, a vector of FB_WIDTH doubles, as many as the machine's registers hold, with a state in each lane.
+ */
+#ifndef FOURBAR_REAL_H
+#define FOURBAR_REAL_H
+
+#include <float.h>
+
+#if defined(__GNUC__)
+#define FB_INLINE inline __attribute__((always_inline))
+#else
+#define FB_INLINE inline
+#endif
+
+#ifndef FB_SIDE_BY_SIDE
+
+typedef double fb_real;
+
+#define fb_number(value) (value)
+#define FB_EACH_1(value, a) (value)
+#define FB_EACH_2(value, a, b) (value)
+#define FB_EACH_3(value, a, b, c) (value)
+#define FB_EACH_4(value, a, b, c, d) (value)
+
+#else
+
+#include <stdint.h>
+
+#if defined(__AVX512F__)
+#define FB_WIDTH 8
+#elif defined(__AVX__)
+#define FB_WIDTH 4
+#else
+#define FB_WIDTH 2
+#endif
+
+typedef double fb_real __attribute__((vector_size(FB_WIDTH * sizeof(double))));
+typedef int64_t fb_mask __attribute__((vector_size(FB_WIDTH * sizeof(int64_t)))); /* in each lane 0 or -1 */
+typedef uint64_t fb_bits __attribute__((vector_size(FB_WIDTH * sizeof(uint64_t))));
+
+static FB_INLINE fb_real fb_number(const double value)
+{
+    return value - (fb_real){0.0};
+}
+
+static FB_INLINE fb_real fb_select(const fb_mask mask, const fb_real yes, const fb_real no)
+{
+    return (fb_real)(((fb_mask)yes & mask) | ((fb_mask)no & ~mask));
+}
+
+static FB_INLINE fb_real fb_abs(const fb_real value)
+{
+    return (fb_real)((fb_bits)value & (UINT64_MAX >> 1));
+}
+
+static FB_INLINE fb_real fb_greater(const fb_real a, const fb_real b)
+{
+    return fb_select(a > b, a, b);
+}
+
+static FB_INLINE int fb_any(const fb_mask mask)
+{
+    int64_t any = 0;
+    for (int lane = 0; lane < FB_WIDTH; ++lane)
+        any |= mask[lane];
+    return any != 0;
+}
+
+/* An expression of doubles, lane by lane; behind it the variables in it. */
+#define FB_LANE_BY_LANE(outside, inside, value)                                                                        \
+    __extension__({                                                                                                    \
+        fb_real each;                                                                                                  \
+        outside for (int lane = 0; lane < FB_WIDTH; ++lane)                                                            \
+        {                                                                                                              \
+            inside each[lane] = (value);                                                                               \
+        }                                                                                                              \
+        each;                                                                                                          \
+    })
+#define FB_OUTSIDE(a) const fb_real each_##a = a;
+#define FB_INSIDE(a) const double a = each_##a[lane];
+#define FB_EACH_1(value, a) FB_LANE_BY_LANE(FB_OUTSIDE(a), FB_INSIDE(a), value)
+#define FB_EACH_2(value, a, b) FB_LANE_BY_LANE(FB_OUTSIDE(a) FB_OUTSIDE(b), FB_INSIDE(a) FB_INSIDE(b), value)
+#define FB_EACH_3(value, a, b, c)                                                                                      \
+    FB_LANE_BY_LANE(FB_OUTSIDE(a) FB_OUTSIDE(b) FB_OUTSIDE(c), FB_INSIDE(a) FB_INSIDE(b) FB_INSIDE(c), value)
+#define FB_EACH_4(value, a, b, c, d)                                                                                   \
+    FB_LANE_BY_LANE(FB_OUTSIDE(a) FB_OUTSIDE(b) FB_OUTSIDE(c) FB_OUTSIDE(d),                                           \
+                    FB_INSIDE(a) FB_INSIDE(b) FB_INSIDE(c) FB_INSIDE(d), value)
+
+#endif
+
+#endif

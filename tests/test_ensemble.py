@@ -1,0 +1,425 @@
+"""Many states and many runs at once: the same as one by one, in any company."""
+
+import multiprocessing
+import os
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import sympy as sm
+import sympy.physics.mechanics as me
+from systems import pendulum
+
+import fourbar_codegen as fb
+from fourbar_codegen.compiled import _restore
+from fourbar_codegen.runtime.batch import width
+
+GENERATOR = np.random.default_rng(20)
+
+
+def functions_of_the_state():
+    """A particle on a spring under forces for which C has scalar functions alone."""
+    q, u = me.dynamicsymbols("q u")
+    m, k, T = sm.symbols("m k T")
+    frame = me.ReferenceFrame("N")
+    origin, point = me.Point("O"), me.Point("P")
+    origin.set_vel(frame, 0)
+    point.set_pos(origin, q * frame.x)
+    point.set_vel(frame, u * frame.x)
+    force = sm.Piecewise((-k * q, q < 0.1), (-k * sm.sqrt(1 + q**2) * sm.tanh(q), True)) + me.dynamicsymbols("F")
+    system = me.System(frame, origin)
+    system.add_coordinates(q)
+    system.add_speeds(u)
+    system.add_kdes(u - q.diff())
+    system.add_bodies(me.Particle("B", point, m))
+    system.add_loads(me.Force(point, force * frame.x))
+    inputs = {me.dynamicsymbols("F"): sm.Piecewise((sm.exp(-T), T < 1), (0, True)).subs(T, me.dynamicsymbols._t)}
+    return fb.Model(system, name="functions", parameters={m: 2.0, k: 3.0}, inputs=inputs)
+
+
+MODELS = {
+    "four_bar": (fb.models.four_bar, True),
+    "slider_crank": (fb.models.slider_crank, True),
+    "rolling disc": (fb.models.rolling_disc, True),
+    "no constraints": (
+        lambda: fb.Model(pendulum(), name="pendulum", parameters=dict.fromkeys(sm.symbols("m l g"), 1.3)),
+        True,
+    ),
+    "closed chain": (lambda: fb.models.chain(4, closed=True), True),
+    "functions": (functions_of_the_state, True),
+    "sparse": (lambda: fb.models.n_four_bar(10), False),
+}
+
+
+@pytest.fixture(scope="module", params=MODELS)
+def compiled(request):
+    model, side_by_side = MODELS[request.param]
+    compiled = fb.compile_model(model())
+    assert (width(compiled) > 1) == side_by_side
+    return compiled
+
+
+def random_states(model, n):
+    return GENERATOR.uniform(-1.0, 1.0, (model.n_x, n))
+
+
+def test_batch_is_the_right_hand_side(compiled):
+    """To rounding errors, which grow with the condition of the equations at a state: the median shows the former."""
+    x = random_states(compiled, 203)
+    t = GENERATOR.uniform(0.0, 2.0, 203)
+    rates = compiled.rhs_batch(t, x)
+    errors = []
+    for i in range(203):
+        expected = compiled.rhs(t[i], x[:, i])
+        errors.append(np.abs(rates[:, i] - expected).max() / np.abs(expected).max())
+    assert np.median(errors) < 1e-14
+    assert max(errors) < 1e-9
+
+
+def test_batch_is_the_same_to_the_bit_in_any_company(compiled):
+    x = random_states(compiled, 1500)
+    names = compiled.parameters
+    values = np.array([compiled.defaults[name] for name in names])
+    p = values[:, np.newaxis] * GENERATOR.uniform(0.9, 1.1, (len(names), 1500))
+    rates = compiled.rhs_batch(0.3, x, p)
+    order = GENERATOR.permutation(1500)
+    for workers in (1, 2, None):
+        np.testing.assert_array_equal(
+            compiled.rhs_batch(0.3, x[:, order], p[:, order], workers=workers), rates[:, order]
+        )
+    for i in (0, 700, 1499):
+        np.testing.assert_array_equal(compiled.rhs_batch(0.3, x[:, i : i + 1], p[:, i])[:, 0], rates[:, i])
+    by_name = compiled.rhs_batch(0.3, x, dict(zip(names, p, strict=True)))
+    np.testing.assert_array_equal(by_name, rates)
+
+
+def test_batch_marks_what_cannot_be_evaluated(four_bar):
+    x = np.tile(four_bar.initial_state(), (11, 1)).T
+    x[0, 3] = np.nan
+    x[1, 5] = np.inf
+    rates = four_bar.rhs_batch(0.0, x)
+    assert np.isnan(rates[:, [3, 5]]).all()
+    others = [0, 1, 2, 4, 6, 7, 8, 9, 10]
+    np.testing.assert_array_equal(rates[:, others], np.tile(four_bar.rhs_batch(0.0, x[:, :1]), 9))
+
+
+def test_batch_with_large_angles_beside_others(four_bar):
+    x = random_states(four_bar, 8)
+    alone = four_bar.rhs_batch(0.0, x)
+    x[0, 3] = 3e6
+    rates = four_bar.rhs_batch(0.0, x)
+    assert rates[:, 3] == pytest.approx(four_bar.rhs(0.0, x[:, 3]), rel=1e-9)
+    others = [0, 1, 2, 4, 5, 6, 7]
+    np.testing.assert_array_equal(rates[:, others], alone[:, others])
+
+
+def test_batch_inputs(four_bar):
+    x = random_states(four_bar, 9)
+    F = np.linspace(-10.0, 10.0, 9)
+    rates = four_bar.rhs_batch(0.0, x, r={"F": F})
+    for i in range(9):
+        assert rates[:, i] == pytest.approx(four_bar.rhs(0.0, x[:, i], r=[F[i]]), rel=1e-9)
+    np.testing.assert_array_equal(
+        four_bar.rhs_batch(0.0, x, r=[3.0])[:, 4], four_bar.rhs_batch(0.0, x, r=np.full((1, 9), 3.0))[:, 4]
+    )
+
+
+def test_batch_refuses_wrong_arguments(four_bar):
+    x = random_states(four_bar, 5)
+    for wrong in (
+        {"x": x[:, 0]},
+        {"x": x[:5]},
+        {"t": [0.0, 1.0]},
+        {"p": np.ones((8, 4))},
+        {"p": {"k": np.ones(4)}},
+        {"p": {"stiffness": 1.0}},
+        {"r": [1.0, 2.0]},
+        {"workers": 0},
+        {"workers": 1.5},
+        {"x": "states"},
+    ):
+        with pytest.raises(fb.ModelError):
+            four_bar.rhs_batch(**{"t": 0.0, "x": x, **wrong})
+
+
+def test_instruction_sets_agree(tmp_path, four_bar, monkeypatch):
+    """Vectors of 2, 4 and 8 doubles: 12 digits where states are no worse conditioned than 1e4."""
+    x = np.tile(four_bar.initial_state(), (50, 1)).T + 0.1 * random_states(four_bar, 50)
+    flags = {"": 2, "-mavx2 -mfma": 4, "-mavx512f -mavx512dq -mavx512vl -mfma": 8}
+    cpuinfo = Path("/proc/cpuinfo")
+    available = cpuinfo.read_text() if cpuinfo.exists() else ""
+    reference = np.array([four_bar.rhs(0.3, column) for column in x.T]).T
+    for chosen, lanes in flags.items():
+        if all(flag.removeprefix("-m") in available for flag in chosen.split()):
+            monkeypatch.setenv("CFLAGS", chosen)
+            model = fb.load(fb.build_model(fb.models.four_bar(), tmp_path / str(lanes)))
+            assert width(model) == lanes
+            np.testing.assert_allclose(model.rhs_batch(0.3, x), reference, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("method", ["DOP853", "RK45"])
+@pytest.mark.parametrize("constraints", ["project", "none"])
+def test_members_are_simulations(compiled, method, constraints):
+    start, name = {"q3": 0.4}, compiled.parameters[0]
+    start = {
+        key: start.get(key, 0.1)
+        for key in compiled.coordinates[: compiled.n_q - compiled.manifest["n_dependent_coordinates"]]
+    }
+    speeds = dict.fromkeys(compiled.speeds[: compiled.n_u - compiled.manifest["n_dependent_speeds"]], 0.2)
+    values = compiled.defaults[name] * np.linspace(0.9, 1.1, 11)
+    x0 = np.array([compiled.initial_state(start, speeds, parameters={name: value}) for value in values])
+    t = np.linspace(0.0, 0.7, 8)
+    how = {"method": method, "t_eval": t, "rtol": 1e-8, "atol": 1e-8, "constraints": constraints}
+    ensemble = compiled.ensemble((0.0, 0.7), x0, parameters={name: values}, **how)
+    assert ensemble.success.all()
+    for i in (0, 4, 10):
+        run = compiled.simulate((0.0, 0.7), x0[i], parameters={name: values[i]}, **how)
+        # The same steps, whose rounding errors differ.
+        assert ensemble.nfev[i] == run.nfev
+        np.testing.assert_allclose(ensemble.y[i], run.y, rtol=1e-10, atol=1e-10)
+        assert ensemble.messages[i] == run.message
+
+
+@pytest.mark.parametrize("method", ["DOP853", "RK45"])
+def test_a_member_is_the_same_to_the_bit_in_any_company(four_bar, method):
+    n = 203
+    x0 = four_bar.initial_state()
+    values = {"k": GENERATOR.uniform(1.0, 5.0, n), "c": GENERATOR.uniform(0.0, 0.5, n)}
+    how = {"method": method, "t_eval": np.linspace(0.0, 4.0, 17), "rtol": 1e-9}
+    reference = four_bar.ensemble((0.0, 4.0), x0, parameters=values, workers=1, **how)
+    assert reference.success.all()
+    order = GENERATOR.permutation(n)
+    for workers in (1, 2, 3):
+        shuffled = {name: array[order] for name, array in values.items()}
+        ensemble = four_bar.ensemble((0.0, 4.0), x0, parameters=shuffled, workers=workers, **how)
+        np.testing.assert_array_equal(ensemble.y, reference.y[order])
+        np.testing.assert_array_equal(ensemble.nfev, reference.nfev[order])
+    for i in (0, 100, 202):
+        alone = four_bar.ensemble((0.0, 4.0), x0, parameters={name: a[i] for name, a in values.items()}, **how)
+        np.testing.assert_array_equal(alone.y[0], reference.y[i])
+
+
+def test_loops_stay_closed(four_bar):
+    t = np.linspace(0.0, 4.0, 101)
+    ensemble = four_bar.ensemble((0.0, 4.0), parameters={"k": np.linspace(1.0, 5.0, 20)}, t_eval=t)
+    for run in ensemble:
+        assert np.abs(run.constraint_residual).max() < 1e-12
+        assert np.abs(run.velocity_residual).max() < 1e-11
+
+
+def test_backwards_and_forwards(four_bar):
+    """Back at the beginning, to what the tolerance allows over 4 s."""
+    x0 = np.tile(four_bar.initial_state(), (5, 1))
+    k = {"k": np.linspace(1.0, 5.0, 5)}
+    there = four_bar.ensemble((0.0, 2.0), x0, parameters=k, rtol=1e-11, atol=1e-11)
+    back = four_bar.ensemble((2.0, 0.0), there.y[:, :, -1], parameters=k, rtol=1e-11, atol=1e-11)
+    np.testing.assert_allclose(back.y[:, :, -1], x0, atol=1e-8)
+
+
+def test_failures_are_marked_and_others_go_on():
+    """The tutorial's own linkage without its spring folds flat within 20 s; one state does not close its loop."""
+    model = fb.compile_model(fb.models.four_bar())
+    x0 = np.tile(model.initial_state(), (20, 1))
+    t = [0.0, 4.0, 20.0]
+    k = np.linspace(1.0, 5.0, 20)
+    x0[3, 0] += 0.5
+    ensemble = model.ensemble((0.0, 20.0), x0, parameters={"k": k}, t_eval=t)
+    assert "violates the constraints" in ensemble.messages[3]
+    assert np.isnan(ensemble.y[3]).all()
+    singular = 0
+    for i in (*range(3), *range(4, 20)):
+        run = model.simulate((0.0, 20.0), x0[i], parameters={"k": k[i]}, t_eval=t)
+        assert run.success == ensemble.success[i]
+        assert np.isfinite(ensemble.y[i]).all(axis=0).tolist() == [time in run.t for time in t]
+        assert len(ensemble[i].t) == len(run.t)
+        assert ensemble.messages[i] == run.message
+        singular += "singular position" in run.message
+    assert singular
+    assert not ensemble.success[3]
+
+
+def test_inputs(four_bar):
+    x0 = four_bar.initial_state()
+    F = np.linspace(-5.0, 5.0, 7)
+    table = ([0.0, 0.5, 2.0], [0.0, 10.0, -10.0])
+    for inputs, of in (
+        ({"F": F}, lambda i: {"F": F[i]}),
+        ({"F": table}, lambda i: {"F": table}),
+        ({"F": 3.0}, lambda i: {"F": 3.0}),
+        ({"F": lambda t, x: -5.0 * x[3]}, lambda i: {"F": lambda t, x: -5.0 * x[3]}),
+    ):
+        k = np.linspace(1.0, 5.0, 7)
+        ensemble = four_bar.ensemble((0.0, 2.0), x0, parameters={"k": k}, inputs=inputs, rtol=1e-9)
+        assert ensemble.success.all()
+        for i in (0, 3, 6):
+            run = four_bar.simulate((0.0, 2.0), x0, parameters={"k": k[i]}, inputs=of(i), rtol=1e-9)
+            np.testing.assert_allclose(ensemble.y[i, :, -1], run.y[:, -1], rtol=1e-9, atol=1e-9)
+            np.testing.assert_array_equal(
+                ensemble[i].r[:, -1], of(i)["F"] if isinstance(of(i)["F"], float) else run.r[:, -1]
+            )
+
+
+def test_names_and_shapes(four_bar):
+    rows = np.tile(list(four_bar.defaults.values()), (4, 1))
+    assert len(four_bar.ensemble((0.0, 0.1), parameters=rows)) == 4
+    assert len(four_bar.ensemble((0.0, 0.1))) == 1
+    ensemble = four_bar.ensemble((0.0, 0.1), np.tile(four_bar.initial_state(), (3, 1)), t_eval=[0.05])
+    assert ensemble.y.shape == (3, 6, 1)
+    np.testing.assert_array_equal(ensemble["u1"], ensemble.y[:, 3])
+    np.testing.assert_array_equal(ensemble[-1].y, ensemble.y[2])
+    with pytest.raises(IndexError):
+        ensemble[3]
+    with pytest.raises(fb.ModelError, match="There is no state"):
+        ensemble["q9"]
+
+
+def test_each_set_of_parameters_has_its_own_beginning(four_bar):
+    lengths = np.linspace(0.55, 0.65, 5)
+    ensemble = four_bar.ensemble((0.0, 0.1), parameters={"l1": lengths})
+    for i in range(5):
+        np.testing.assert_allclose(
+            ensemble.y[i, :, 0], four_bar.initial_state(parameters={"l1": lengths[i]}), atol=1e-12
+        )
+
+
+def test_wrong_arguments_are_refused(four_bar):
+    for wrong in (
+        {"t_span": (0.0, 0.0)},
+        {"x0": np.zeros((3, 5))},
+        {"x0": np.full((3, 6), np.nan)},
+        {"method": "Radau"},
+        {"parameters": {"k": [1.0, 2.0], "c": [1.0, 2.0, 3.0]}},
+        {"parameters": {"k": [1.0, 2.0]}, "x0": np.zeros((3, 6))},
+        {"parameters": {"k": [1.0, np.nan]}},
+        {"parameters": {"kk": 1.0}},
+        {"parameters": np.ones((3, 9))},
+        {"inputs": {"G": 1.0}},
+        {"inputs": {"F": np.ones(3)}, "parameters": {"k": [1.0, 2.0]}},
+        {"t_eval": [0.0, 2.0]},
+        {"rtol": -1.0},
+        {"atol": [1.0, 2.0]},
+        {"constraints": "baumgarte"},
+        {"max_step": 0.0},
+        {"workers": 0},
+    ):
+        with pytest.raises(fb.ModelError):
+            four_bar.ensemble(**{"t_span": (0.0, 1.0), **wrong})
+
+
+def test_interrupt(four_bar):
+    """From the keyboard, within 0.1 s and what a busy machine adds; a run of minutes."""
+    code = """
+import _thread, threading, time
+import numpy as np
+import fourbar_codegen as fb
+four_bar = fb.load("four_bar")
+four_bar.ensemble((0.0, 0.1))
+threading.Timer(1.0, _thread.interrupt_main).start()
+begin = time.perf_counter()
+try:
+    four_bar.ensemble((0.0, 1e6), parameters={"l1": 0.9, "k": np.linspace(0.0, 0.1, 50), "c": 0.0}, inputs={"F": INPUT})
+except KeyboardInterrupt:
+    print(time.perf_counter() - begin < 2.0)
+"""
+    for source in ("0.0", "lambda t, x: 0.0"):
+        command = [sys.executable, "-c", code.replace("INPUT", source)]
+        done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=100)
+        assert done.stdout == "True\n"
+
+
+def test_progress_bar_on_a_terminal():
+    import fcntl
+    import pty
+    import struct
+    import termios
+
+    code = (
+        "import numpy as np, fourbar_codegen as fb\n"
+        "parameters = {'l1': 0.9, 'c': 0.0, 'k': np.linspace(0, 0.1, N)}\n"
+        "fb.load('four_bar').ensemble((0.0, 40.0), parameters=parameters, **MORE)"
+    )
+
+    def shown(n, more):
+        master, slave = pty.openpty()
+        fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 100, 0, 0))
+        text = code.replace("N)", f"{n})").replace("MORE", more)
+        subprocess.run([sys.executable, "-c", text], stderr=slave, check=True)
+        os.close(slave)
+        output = b""
+        try:
+            while part := os.read(master, 4096):
+                output += part
+        except OSError:
+            pass
+        os.close(master)
+        return output.decode()
+
+    assert "four_bar: " in shown(10000, "{'rtol': 1e-10}")
+    assert shown(3000, "{'rtol': 1e-10, 'progress': False}").strip() == ""
+    assert shown(3, "{}").strip() == ""
+
+
+def test_joblib(four_bar):
+    from joblib import Parallel
+
+    k = {"k": np.linspace(1.0, 5.0, 2100)}
+    x0 = four_bar.initial_state()
+    reference = four_bar.ensemble((0.0, 1.0), x0, parameters=k)
+    for backend in ("loky", "threading"):
+        ensemble = four_bar.ensemble((0.0, 1.0), x0, parameters=k, parallel=Parallel(n_jobs=2, backend=backend))
+        np.testing.assert_array_equal(ensemble.y, reference.y)
+        assert ensemble.success.all()
+
+
+@pytest.mark.filterwarnings("default")  # of dask's own
+def test_dask(four_bar):
+    from distributed import Client, LocalCluster
+    from joblib import Parallel, parallel_config
+
+    k = {"k": np.linspace(1.0, 5.0, 2100)}
+    reference = four_bar.ensemble((0.0, 1.0), parameters=k)
+    nodes = LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None)
+    with nodes, Client(nodes), parallel_config(backend="dask"):
+        ensemble = four_bar.ensemble((0.0, 1.0), parameters=k, parallel=Parallel())
+    np.testing.assert_array_equal(ensemble.y, reference.y)
+
+
+def restored(arguments):
+    return str(_restore(*arguments).path)
+
+
+def test_a_worker_elsewhere_builds_once(tmp_path, monkeypatch):
+    """Processes that do not find the module share one build in their node's cache."""
+    model = fb.compile_model(fb.models.cartesian_pendulum())
+    _, (name, _, sources) = model.__reduce__()
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
+    with multiprocessing.get_context("spawn").Pool(3) as pool:
+        paths = pool.map(restored, [(name, str(tmp_path / "elsewhere.so"), sources)] * 3)
+    assert len(set(paths)) == 1
+    assert paths[0].startswith(str(tmp_path))
+    assert len([path for path in tmp_path.iterdir() if path.is_dir()]) == 1
+    x = random_states(model, 20)
+    np.testing.assert_array_equal(fb.load(paths[0]).rhs_batch(0.0, x), model.rhs_batch(0.0, x))
+
+
+def test_threads_run_at_the_same_time(four_bar):
+    """The interpreter goes on while an ensemble runs in C."""
+    ticks = []
+
+    def tick():
+        while not stopped.wait(0.01):
+            ticks.append(time.perf_counter())
+
+    stopped = threading.Event()
+    thread = threading.Thread(target=tick)
+    thread.start()
+    begin = time.perf_counter()
+    four_bar.ensemble((0.0, 40.0), parameters={"l1": 0.9, "c": 0.0, "k": np.linspace(0.0, 0.1, 3000)}, rtol=1e-10)
+    duration = time.perf_counter() - begin
+    stopped.set()
+    thread.join()
+    assert len(ticks) > duration / 0.01 / 10

@@ -13,7 +13,7 @@ RUNTIME = "src/fourbar_codegen/runtime"
 MACROS = [("NPY_NO_DEPRECATED_API", "NPY_1_7_API_VERSION")]
 
 
-def extension(name: str, sources: list[Path | str], folder: Path | str) -> Extension:
+def extension(name: str, sources: list[Path | str], folder: Path | str, *flags: str) -> Extension:
     return Extension(
         f"fourbar_codegen.{name}",
         [str(source) for source in sources],
@@ -21,13 +21,19 @@ def extension(name: str, sources: list[Path | str], folder: Path | str) -> Exten
         depends=[str(path) for path in sorted(Path(RUNTIME).glob("*.h")) + sorted(Path(RUNTIME).glob("*.pxd"))],
         define_macros=MACROS,
         # Behind the user's CFLAGS: what is not a number has to be noticed, and roundings are part of the method.
-        extra_compile_args=["-O3", "-fno-tree-vectorize", "-g0", "-fno-fast-math", "-fno-finite-math-only"],
+        extra_compile_args=["-O3", *flags, "-g0", "-fno-fast-math", "-fno-finite-math-only"],
     )
 
 
 runtime = [extension(f"runtime.{wrapper.stem}", [wrapper], RUNTIME) for wrapper in sorted(Path(RUNTIME).glob("*.pyx"))]
 models = [
-    extension(f"prebuilt.{wrapper.stem}", [wrapper, *sorted(wrapper.parent.glob("*.c"))], wrapper.parent)
+    # The flags of build.py.
+    extension(
+        f"prebuilt.{wrapper.stem}",
+        [wrapper, *sorted(wrapper.parent.glob("*.c"))],
+        wrapper.parent,
+        "-fno-tree-vectorize",
+    )
     for wrapper in sorted(Path("generated").glob("*/*.pyx"))
 ]
 

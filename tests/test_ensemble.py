@@ -105,6 +105,9 @@ def test_batch_marks_what_cannot_be_evaluated(four_bar):
     assert np.isnan(rates[:, [3, 5]]).all()
     others = [0, 1, 2, 4, 6, 7, 8, 9, 10]
     np.testing.assert_array_equal(rates[:, others], np.tile(four_bar.rhs_batch(0.0, x[:, :1]), 9))
+    rates = four_bar.rhs_batch([0.0, np.nan, np.inf, 0.0], x[:, [0, 0, 0, 0]], r=[1.0])
+    assert np.isnan(rates).all(axis=0).tolist() == [False, True, True, False]
+    assert four_bar.rhs_batch(0.0, x[:, :0]).shape == (6, 0)
 
 
 def test_batch_with_large_angles_beside_others(four_bar):
@@ -135,6 +138,17 @@ def test_batch_refuses_wrong_arguments(four_bar):
         {"x": x[:5]},
         {"t": [0.0, 1.0]},
         {"p": np.ones((8, 4))},
+        {"p": np.ones((8, 1))},
+        {"p": np.ones((8, 5, 1))},
+        {"r": np.ones((1, 1))},
+        {"t": [[0.0]]},
+        {"t": [0.0]},
+        {"t": None},
+        {"t": np.zeros((5, 1))},
+        {"r": {"F": [5.0]}},
+        {"p": {"k": [1.0]}},
+        {"x": x + 0j},
+        {"x": [["a"] * 5] * 6},
         {"p": {"k": np.ones(4)}},
         {"p": {"stiffness": 1.0}},
         {"r": [1.0, 2.0]},
@@ -304,10 +318,48 @@ def test_wrong_arguments_are_refused(four_bar):
         {"atol": [1.0, 2.0]},
         {"constraints": "baumgarte"},
         {"max_step": 0.0},
+        {"max_step": np.array([1.0, 2.0])},
+        {"rtol": []},
         {"workers": 0},
+        {"parallel": 3},
+        {"inputs": [1.0]},
+        {"inputs": {"F": np.array([1.0, np.nan])}},
+        {"inputs": {"F": np.array(["1", "b"])}},
+        {"inputs": {"F": np.array([1.0, lambda t, x: 1.0])}},
     ):
         with pytest.raises(fb.ModelError):
             four_bar.ensemble(**{"t_span": (0.0, 1.0), **wrong})
+
+
+def test_no_members(four_bar):
+    from joblib import Parallel
+
+    for more in ({}, {"parallel": Parallel(n_jobs=1)}, {"inputs": {"F": np.array([])}}):
+        ensemble = four_bar.ensemble((0.0, 1.0), np.empty((0, 6)), **more)
+        assert ensemble.y.shape == (0, 6, 2)
+        assert len(list(ensemble)) == 0
+
+
+def test_inputs_are_kept_as_they_were(four_bar):
+    F = np.array([1.0, 2.0])
+    ensemble = four_bar.ensemble((0.0, 0.1), inputs={"F": F})
+    F[:] = 99.0
+    assert ensemble[1].r[0, 0] == 2.0
+
+
+def test_callables_get_one_member_at_a_time(four_bar):
+    inside = []
+
+    def controller(t, x):
+        inside.append(1)
+        assert sum(inside) == 1
+        time.sleep(1e-5)  # another thread may run now
+        inside.clear()
+        return 0.0
+
+    assert four_bar.ensemble(
+        (0.0, 0.1), parameters={"k": np.linspace(1.0, 2.0, 6)}, inputs={"F": controller}
+    ).success.all()
 
 
 def test_interrupt(four_bar):
@@ -369,8 +421,8 @@ def test_joblib(four_bar):
     k = {"k": np.linspace(1.0, 5.0, 2100)}
     x0 = four_bar.initial_state()
     reference = four_bar.ensemble((0.0, 1.0), x0, parameters=k)
-    for backend in ("loky", "threading"):
-        ensemble = four_bar.ensemble((0.0, 1.0), x0, parameters=k, parallel=Parallel(n_jobs=2, backend=backend))
+    for more in ({}, {"backend": "threading"}, {"return_as": "generator"}, {"return_as": "generator_unordered"}):
+        ensemble = four_bar.ensemble((0.0, 1.0), x0, parameters=k, parallel=Parallel(n_jobs=2, **more))
         np.testing.assert_array_equal(ensemble.y, reference.y)
         assert ensemble.success.all()
 
@@ -395,15 +447,25 @@ def restored(arguments):
 def test_a_worker_elsewhere_builds_once(tmp_path, monkeypatch):
     """Processes that do not find the module share one build in their node's cache."""
     model = fb.compile_model(fb.models.cartesian_pendulum())
-    _, (name, _, sources) = model.__reduce__()
+    _, (name, _, manifest, sources) = model.__reduce__()
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     with multiprocessing.get_context("spawn").Pool(3) as pool:
-        paths = pool.map(restored, [(name, str(tmp_path / "elsewhere.so"), sources)] * 3)
+        paths = pool.map(restored, [(name, str(tmp_path / "elsewhere.so"), manifest, sources)] * 3)
     assert len(set(paths)) == 1
     assert paths[0].startswith(str(tmp_path))
     assert len([path for path in tmp_path.iterdir() if path.is_dir()]) == 1
     x = random_states(model, 20)
     np.testing.assert_array_equal(fb.load(paths[0]).rhs_batch(0.0, x), model.rhs_batch(0.0, x))
+
+
+def test_another_model_in_the_same_place_is_not_taken(tmp_path, monkeypatch):
+    model = fb.load(fb.build_model(fb.models.cartesian_pendulum(), tmp_path / "here"))
+    _, (name, _, manifest, sources) = model.__reduce__()
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path / "cache"))
+    other = str(fb.load("four_bar").path)
+    assert _restore(name, other, manifest, sources).coordinates == model.coordinates
+    with pytest.raises(fb.ModelError, match="another one"):
+        _restore(name, other, manifest, None)
 
 
 def test_threads_run_at_the_same_time(four_bar):

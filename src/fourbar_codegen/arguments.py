@@ -15,10 +15,12 @@ __all__ = [
     "Values",
     "finite_number",
     "is_mapping",
+    "longest_step",
     "name_of",
     "named_array",
     "named_columns",
     "named_values",
+    "numbers",
     "positive",
     "sample_times",
     "time_span",
@@ -129,7 +131,7 @@ def named_columns(
         missing = [name for name, value in known.items() if value is None]
         if missing:
             raise ModelError(f"No value for {kind} {', '.join(missing)}: give one, there is no default.")
-        rows: list[Any] = [_numbers(value, f"{kind} {name}") for name, value in known.items()]
+        rows: list[Any] = [numbers(value, f"{kind} {name}") for name, value in known.items()]
         try:
             # What all states have alike stays one column.
             values = np.array(np.broadcast_arrays(*rows)) if rows else np.zeros(0)
@@ -137,17 +139,23 @@ def named_columns(
             shapes = ", ".join(f"{name} {row.shape}" for name, row in zip(known, rows, strict=True) if row.ndim)
             raise ModelError(f"The {kind}s must be numbers or arrays of one length, not {shapes}.") from error
     else:
-        values = _numbers(given, f"the {kind}s {', '.join(names)}")
-    expected = f"({len(names)},)" if n is None else f"({len(names)},) or ({len(names)}, {n})"
-    sizes = {values.size} if n is None else {len(names), len(names) * n}
-    if values.ndim not in {1, 2} or len(values) != len(names) or values.size not in sizes:
+        values = numbers(given, f"the {kind}s {', '.join(names)}")
+    expected = f"({len(names)},) or ({len(names)}, {'n' if n is None else n})"
+    columns = values.shape[1:]
+    if values.ndim not in {1, 2} or len(values) != len(names) or (n is not None and columns not in {(), (n,)}):
         raise ModelError(f"The {kind}s ({', '.join(names)}) must have shape {expected}, not {values.shape}.")
     return np.ascontiguousarray(values)
 
 
-def _numbers(value: Any, what: str) -> NDArray[np.float64]:
+def numbers(value: Any, what: str) -> NDArray[np.float64]:
+    """An array of real numbers; the same one if it is of double."""
     try:
-        return np.array(value, dtype=float)
+        given = np.asarray(value)
+        if given.dtype.kind == "O":
+            given = np.array([float(entry) for entry in given.ravel()]).reshape(given.shape)
+        if given.dtype.kind not in "biuf":  # not complex, text, time
+            raise TypeError(given.dtype)
+        return np.asarray(given, dtype=float)
     except (TypeError, ValueError, OverflowError) as error:
         raise ModelError(f"The values of {what} must be real numbers, not {value!r}.") from error
 
@@ -189,13 +197,20 @@ def positive(value: float, what: str) -> float:
     return number
 
 
+def longest_step(value: float) -> float:
+    """The longest step: a positive number, or infinity."""
+    return math.inf if isinstance(value, float) and value == math.inf else positive(value, "max_step")
+
+
 def tolerance(value: ArrayLike, name: str, size: int = 0) -> NDArray[np.float64]:
     """A positive tolerance, one for all states or one for each of `size`."""
+    if type(value) is float and 0.0 < value < math.inf:
+        return np.array(value)
     allowed = "a positive number" + (f" or an array of shape ({size},)" if size else "")
     try:
         tolerance = np.array(value, dtype=float)
     except (TypeError, ValueError, OverflowError) as error:
         raise ModelError(f"{name} must be {allowed}, not {value!r}.") from error
-    if tolerance.shape not in {(), (size,)} or not (np.isfinite(tolerance) & (tolerance > 0)).all():
+    if tolerance.shape not in ({(), (size,)} if size else {()}) or not (np.isfinite(tolerance) & (tolerance > 0)).all():
         raise ModelError(f"{name} must be {allowed}, not {value!r}.")
     return tolerance

@@ -27,6 +27,8 @@ COMMON_FLAGS = ("-fPIC", "-g0")
 # Scalar straight-line code stores results that vectorized loops would reload two at a time, which stalls the
 # processor: -fno-tree-vectorize takes 10 % off the four-bar's evaluation.
 KERNEL_FLAGS = (*COMMON_FLAGS, "-O3", "-fno-tree-vectorize")
+# States side by side need short loops unrolled, which -O2 leaves out, and nothing else of -O3.
+LANES_FLAGS = (*COMMON_FLAGS, "-O2", "-fpeel-loops", "-fno-tree-vectorize")
 # What the compiler does beyond -O1 takes it half as long again, for a few per cent of long straight-line code.
 DERIVATIVES_FLAGS = (*COMMON_FLAGS, "-O1")
 # Behind the user's flags: a kernel has to notice what is not a number, and so have integrators.
@@ -70,6 +72,7 @@ def toolchain() -> dict[str, object]:
         "compiler file": _file_identity(shutil.which(compiler[0])),
         "flags": [
             KERNEL_FLAGS,
+            LANES_FLAGS,
             DERIVATIVES_FLAGS,
             STRICT_FLAGS,
             WRAPPER_FLAGS,
@@ -257,13 +260,11 @@ def _build(name: str, sources: Mapping[str, str], folder: Path, machine_flags: t
     from concurrent.futures import ThreadPoolExecutor
 
     with ThreadPoolExecutor(2) as pool:
+        flags = {"_kernel.c": KERNEL_FLAGS, "_lanes.c": LANES_FLAGS, "_derivatives.c": DERIVATIVES_FLAGS}
         jobs = [
-            pool.submit(_compile, folder / f"{name}_derivatives.c", (*DERIVATIVES_FLAGS, *machine_flags)),
-            *(
-                pool.submit(_compile, folder / source, (*KERNEL_FLAGS, *machine_flags))
-                for source in (f"{name}_kernel.c", f"{name}_lanes.c")
-                if source in sources
-            ),
+            pool.submit(_compile, folder / f"{name}{ending}", (*chosen, *machine_flags))
+            for ending, chosen in flags.items()
+            if f"{name}{ending}" in sources
         ]
         wrapper = _compile(_cythonize(folder / f"{name}.pyx"), WRAPPER_FLAGS)
         objects = [*(job.result() for job in jobs), wrapper]

@@ -37,8 +37,8 @@ SIDE_BY_SIDE = ("prepare", "default_inputs", "dynamics", "closure", "coordinate_
 MOST_ARGUMENTS = 4
 """Arguments of the functions that fourbar_real.h can evaluate lane by lane."""
 
-MOST_CONSTRAINTS = 4
-"""Constraints whose usual split fourbar_solve.h tries first."""
+MOST_CONSTRAINTS = 8
+"""Constraints that fourbar_lanes.h eliminates without pivoting; with more, some lane would need it all the time."""
 
 
 def kernel_text(program: Program, names: Mapping[str, Sequence[str]]) -> str:

@@ -78,10 +78,14 @@ def load(name: str | Path) -> CompiledModel:
     )
 
 
-def _restore(name: str, path: str, sources: Mapping[str, str] | None) -> CompiledModel:
+def _restore(name: str, path: str, manifest: dict[str, Any], sources: Mapping[str, str] | None) -> CompiledModel:
     """A model from another process: its module, if that is there, or else built from its sources, and cached."""
     if sources is None or Path(path).is_file():
-        return load(path if Path(path).is_file() else name)
+        model = load(path if Path(path).is_file() else name)
+        if model.manifest == manifest:
+            return model
+    if sources is None:
+        raise ModelError(f"The model {name} that is found here is another one than the one that was sent here.")
     from fourbar_codegen.build import build_extension, toolchain
     from fourbar_codegen.cache import cached
 
@@ -176,7 +180,7 @@ class CompiledModel(Evaluator):
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Other processes load the same module; on other machines it may have to be built first.
-        return _restore, (self.name, str(self.path), self._sources())
+        return _restore, (self.name, str(self.path), self.manifest, self._sources())
 
     def _sources(self) -> dict[str, str] | None:
         """The sources beside the module, or None."""
@@ -817,6 +821,8 @@ class CompiledModel(Evaluator):
     ) -> Ensemble:
         """Many runs over the same time, several side by side in vectors, and on all cores.
 
+        Models with redundant or with many constraints run one member at a time on each core.
+
         Parameters
         ----------
         t_span : (float, float)
@@ -828,8 +834,8 @@ class CompiledModel(Evaluator):
         parameters : array_like, shape (n_p,) or (n, n_p), or mapping, optional
             Likewise; the defaults otherwise.
         inputs : mapping of input to source, optional
-            As for `simulate`, or an array of shape (n,) with a number for each member. With a callable, each member
-            runs alone.
+            As for `simulate`, or an array of shape (n,) with a number for each member. With a callable, members run
+            one after the other.
         t_eval : array_like, optional
             Times at which to store the states; the first and the last one otherwise.
         rtol, atol, constraints, max_step
@@ -846,7 +852,8 @@ class CompiledModel(Evaluator):
         -------
         Ensemble
             A member that fails is marked there; the others go on. What a member gives is the same to the bit whatever
-            runs beside it, on however many threads; `simulate` gives the same up to rounding errors.
+            runs beside it, on however many threads. `simulate` gives the same up to rounding errors, which kinks of an
+            input, or a position close to a singular one, can make large.
 
         Raises
         ------

@@ -17,17 +17,18 @@ from numpy.typing import ArrayLike, NDArray
 from fourbar_codegen.arguments import (
     Values,
     is_mapping,
+    longest_step,
     name_of,
     named_columns,
-    positive,
+    numbers,
     sample_times,
     time_span,
     tolerance,
 )
 from fourbar_codegen.errors import FourbarError, ModelError
 from fourbar_codegen.integrate import METHODS, REACHED_END, is_rounded
-from fourbar_codegen.runtime.batch import DONE, Batch, Members
-from fourbar_codegen.simulate import InputSource, bind, input_sources, projects
+from fourbar_codegen.runtime.batch import DONE, Batch, Members, width
+from fourbar_codegen.simulate import InputSource, bind, by_name, input_sources, projects
 from fourbar_codegen.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -91,7 +92,9 @@ class Ensemble:
 
     def __getitem__(self, key: Any) -> Any:
         """A member as a `Trajectory`, by its number; or a coordinate or speed of all, shape (n, n_t), by its name."""
-        if not isinstance(key, int | np.integer):
+        if not isinstance(key, int | np.integer) or isinstance(key, bool):
+            if isinstance(key, slice):
+                raise ModelError("Members are had one by one: slice ensemble.y, or index with a number.")
             if name_of(key) in self.model.states:
                 return self.y[:, self.model.states.index(name_of(key))]
             raise ModelError(f"There is no state {name_of(key)!r}; there are {', '.join(self.model.states)}.")
@@ -121,11 +124,14 @@ def evaluate(
     if states.ndim != 2:
         raise ModelError(f"The states must have shape ({model.n_x}, n), not {states.shape}.")
     n = states.shape[1]
-    times = named_columns(np.reshape(t, (1, -1)) if np.ndim(t) else [t], ("t",), {}, "time", n)
+    times = numbers(t, "the times")
+    times = named_columns(times[np.newaxis] if times.ndim else times.reshape(1), ("t",), {}, "time", n)
     parameters = named_columns({} if p is None else p, model.parameters, model.defaults, "parameter", n)
     inputs = None
     if r is not None:
-        missing = dict.fromkeys(model.inputs) if np.ndim(t) else _default_inputs(model, float(times[0]), parameters)
+        missing = (
+            dict.fromkeys(model.inputs) if np.ndim(t) else _default_inputs(model, float(times.flat[0]), parameters)
+        )
         inputs = named_columns(r, model.inputs, missing, "input", n)
     elif any(entry["expression"] is None for entry in model.manifest["inputs"]):
         raise ModelError(model.missing())
@@ -179,11 +185,15 @@ def run(
     start, end = time_span(t_span)
     times = np.array([start, end]) if t_eval is None else sample_times(t_eval, start, end)
     relative, absolute = float(tolerance(rtol, "rtol")), tolerance(atol, "atol", model.n_x)
-    max_step = math.inf if max_step == math.inf else positive(max_step, "max_step")
+    max_step = longest_step(max_step)
     workers = _workers(workers)
-    inputs = {} if inputs is None else dict(inputs) if is_mapping(inputs) else inputs
+    if not (parallel is None or callable(parallel)):
+        raise ModelError(f"parallel must be a joblib.Parallel or None, not {parallel!r}.")
+    # Arrays of one dimension have a number for each member.
+    inputs = {key: _by_member(key, source) for key, source in by_name(model, inputs).items()}
     p, states, n = _members(model, start, x0, parameters, inputs)
-    bind(model, p[0] if n else None, _inputs_of(inputs, 0))  # raises where an input has no source
+    if n:
+        bind(model, p[0], _inputs_of(inputs, 0))  # raises where an input has no source
     how = {
         "method": method, "t_eval": times, "rtol": relative, "atol": np.array(np.broadcast_to(absolute, model.n_x)),
         "constraints": constraints, "max_step": max_step,
@@ -192,7 +202,7 @@ def run(
 
     # Silent where nobody watches: disable=None looks whether there is a terminal.
     with tqdm(total=n, desc=model.name, unit="run", delay=PATIENCE, disable=None if progress else True) as bar:
-        if parallel is None:
+        if parallel is None or not n:
             results = _on_threads(model, (start, end), states, p, inputs, how, workers, bar)
         else:
             results = _on_engine(model, (start, end), states, p, inputs, how, parallel, bar)
@@ -211,16 +221,15 @@ def _members(
     x = None
     if x0 is not None:
         x = named_columns(x0 if is_mapping(x0) else np.transpose(x0), model.states, {}, "state")
-    arrays = {name_of(key): len(value) for key, value in inputs.items() if _is_by_member(value)}
-    arrays |= {
-        what: len(rows.T) for what, rows in (("parameters", p), ("x0", x)) if rows is not None and rows.ndim == 2
-    }
-    if len(set(arrays.values())) > 1:
+    by_member = [key for key, source in inputs.items() if _is_by_member(source)]
+    lengths = [(f"input {name_of(key)}", len(inputs[key])) for key in by_member]
+    lengths += [(w, len(rows.T)) for w, rows in (("parameters", p), ("x0", x)) if rows is not None and rows.ndim == 2]
+    if len({length for _, length in lengths}) > 1:
         raise ModelError(
             "All that is given for each member must have the same length: "
-            + ", ".join(f"{name} has {length}" for name, length in arrays.items())
+            + ", ".join(f"{name} has {length}" for name, length in lengths)
         )
-    n = next(iter(arrays.values()), 1)
+    n = lengths[0][1] if lengths else 1
     for what, rows in (("parameters", p), ("x0", x)):
         if rows is not None and not np.isfinite(rows).all():
             raise ModelError(f"{what} must be finite.")
@@ -230,11 +239,21 @@ def _members(
     known: dict[bytes, Floats] = {}
     states = np.empty((n, model.n_x))
     for member in range(n):
-        key = p[member].tobytes() + (bytes(str(member), "ascii") if arrays.keys() & set(map(name_of, inputs)) else b"")
+        key = p[member].tobytes() + b"".join(inputs[name][member].tobytes() for name in by_member)
         if key not in known:
             known[key] = model.initial_state(t=t, parameters=p[member], inputs=_inputs_of(inputs, member))
         states[member] = known[key]
     return p, states, n
+
+
+def _by_member(name: object, source: Any) -> Any:
+    """The source of an input; of numbers for each member a copy."""
+    if not _is_by_member(source):
+        return source
+    values = np.array(numbers(source, f"input {name_of(name)}"))
+    if not np.isfinite(values).all():
+        raise ModelError(f"The values of input {name_of(name)} must be finite.")
+    return values
 
 
 def _is_by_member(source: object) -> bool:
@@ -248,7 +267,7 @@ def _inputs_of(inputs: Mapping[Any, Any], members: Any) -> dict[Any, Any]:
 
 def _sources(model: CompiledModel, inputs: Mapping[Any, Any], n: int) -> list[object]:
     """For each input None, a Table, a callable, or an array with a value for each member."""
-    by_member = {name_of(key): np.asarray(value, dtype=float) for key, value in inputs.items() if _is_by_member(value)}
+    by_member = {name_of(key): value for key, value in inputs.items() if _is_by_member(value)}
     sources = input_sources(model, _inputs_of(inputs, 0) if n else {})
     for place, entry in enumerate(model.manifest["inputs"]):
         if entry["of"] in by_member and not entry["order"]:
@@ -272,7 +291,7 @@ def _on_threads(
 ) -> Results:
     """Side by side those that can be, the others alone."""
     n = len(states)
-    y = np.full((n, model.n_x, len(how["t_eval"])), np.nan)
+    y: Floats | None = None
     success, nfev, messages = np.zeros(n, dtype=bool), np.zeros(n, dtype=int), [REACHED_END] * n
     stopped = threading.Event()
 
@@ -288,16 +307,19 @@ def _on_threads(
         except FourbarError as error:
             messages[member] = str(error)
             return
+        assert y is not None
         y[member, :, : len(found.t)] = found.y
         success[member], messages[member], nfev[member] = found.success, found.message, found.nfev
 
     sources = _sources(model, inputs, n)
+    called = any(map(callable, sources))
     waiting = np.arange(n)
-    with ThreadPoolExecutor(workers) as pool:
-        tasks: list[Future[None]] = []
-        members = None
+    members = None
+    tasks: list[Future[None]] = []
+    # Callables may have a memory: they get no two members at once.
+    with ThreadPoolExecutor(1 if called else workers) as pool:
         try:
-            if not any(map(callable, sources)):
+            if width(model) > 1 and not called:
                 moved = states.copy()
                 rtol = np.full(model.n_x, how["rtol"])
                 members = Members(
@@ -307,10 +329,13 @@ def _on_threads(
                 tasks = [pool.submit(members.run) for _ in range(min(workers, n))]
                 for _ in _finished(tasks):
                     bar.update(members.n_ended - bar.n)
-                done = (members.status == DONE) & is_rounded(model.n_q, states, moved)
-                y[done], success[done], nfev[done] = members.samples[done], True, members.n_evaluations[done]
-                waiting = np.flatnonzero(~done)
-                bar.update(n - len(waiting) - bar.n)
+                success = (members.status == DONE) & is_rounded(model.n_q, states, moved)
+                y, nfev = members.samples, members.n_evaluations
+                waiting = np.flatnonzero(~success)
+                y[waiting], nfev[waiting] = np.nan, 0
+            else:
+                y = np.full((n, model.n_x, len(how["t_eval"])), np.nan)
+            bar.n = n - len(waiting)  # members that have to run again do not count twice
             tasks = [pool.submit(alone, int(member)) for member in waiting]
             for finished in _finished(tasks):
                 bar.update(finished)
@@ -321,6 +346,7 @@ def _on_threads(
             for task in tasks:
                 task.cancel()
             raise
+    assert y is not None
     return y, success, tuple(messages), nfev
 
 
@@ -353,22 +379,26 @@ def _on_engine(
 
     n = len(states)
     blocks = [slice(begin, begin + BLOCK) for begin in range(0, n, BLOCK)]
-    tasks = (delayed(_block)(model, span, states[b], p[b], _inputs_of(inputs, b), how) for b in blocks)
-    parts = []
-    for part in parallel(tasks):
-        parts.append(part)
+    tasks = (
+        delayed(_block)(number, model, span, states[b], p[b], _inputs_of(inputs, b), how)
+        for number, b in enumerate(blocks)
+    )
+    parts: dict[int, Results] = {}
+    for number, part in parallel(tasks):  # in the order in which they come
+        parts[number] = part
         bar.update(len(part[0]))
-    y, success, messages, nfev = zip(*parts, strict=True)
+    y, success, messages, nfev = zip(*(parts[number] for number in range(len(blocks))), strict=True)
     return np.concatenate(y), np.concatenate(success), tuple(itertools.chain(*messages)), np.concatenate(nfev)
 
 
 def _block(
+    number: int,
     model: CompiledModel,
     span: tuple[float, float],
     states: Floats,
     p: Floats,
     inputs: Mapping[Any, Any],
     how: Mapping[str, Any],
-) -> Results:
+) -> tuple[int, Results]:
     found = model.ensemble(span, states, parameters=p, inputs=inputs, workers=1, progress=False, **how)
-    return found.y, found.success, found.messages, found.nfev
+    return number, (found.y, found.success, found.messages, found.nfev)

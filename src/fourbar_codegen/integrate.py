@@ -232,7 +232,7 @@ def consistent(ode: Ode, n_q: int, t: float, x0: Floats) -> Floats:
 def is_rounded(n_q: int, x0: Floats, x: Floats) -> Any:
     """Whether states, or each of those in rows, differ from consistent ones by no more than rounding to four digits."""
     moved = np.abs(x - x0)
-    if moved.max(initial=0.0) <= FLOOR:
+    if (moved <= FLOOR).all():
         return np.ones(x0.shape[:-1], dtype=bool)[()]
     # Of angles, whole turns say nothing; of what is small as a whole, small changes are large.
     size = np.empty_like(x0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
@@ -15,6 +14,7 @@ from fourbar_codegen.arguments import (
     Values,
     finite_number,
     is_mapping,
+    longest_step,
     name_of,
     named_array,
     positive,
@@ -31,7 +31,7 @@ from fourbar_codegen.trajectory import Trajectory
 if TYPE_CHECKING:
     from fourbar_codegen.compiled import CompiledModel
 
-__all__ = ["EventLike", "InputSource", "bind", "input_sources", "make_stepper", "projects", "simulate"]
+__all__ = ["EventLike", "InputSource", "bind", "by_name", "input_sources", "make_stepper", "projects", "simulate"]
 
 Floats = NDArray[np.float64]
 EventLike = Event | str | Callable[[float, Floats], float]
@@ -53,13 +53,19 @@ def bind(model: CompiledModel, parameters: Values | None, inputs: Mapping[Any, I
     return Ode(model, parameters, sources)
 
 
+def by_name(model: CompiledModel, inputs: Mapping[Any, Any] | None) -> Mapping[Any, Any]:
+    """The inputs' sources, by name."""
+    if inputs is not None and not is_mapping(inputs):
+        names = ", ".join(entry["name"] for entry in model.manifest["inputs"] if not entry["order"])
+        raise ModelError(f"inputs must be a mapping from the inputs' names ({names}), not {inputs!r}.")
+    return {} if inputs is None else inputs
+
+
 def input_sources(model: CompiledModel, inputs: Mapping[Any, InputSource] | None) -> list[object]:
     """For each entry of the inputs r None (its expression), a float, a Table or a callable."""
-    inputs = {} if inputs is None else inputs
+    inputs = by_name(model, inputs)
     entries = model.manifest["inputs"]
     names = [entry["name"] for entry in entries if not entry["order"]]
-    if not is_mapping(inputs):
-        raise ModelError(f"inputs must be a mapping from the inputs' names ({', '.join(names)}), not {inputs!r}.")
     orders = {name: [entry["order"] for entry in entries if entry["of"] == name] for name in names}
     sources: dict[str, list[object]] = {name: [None] * len(orders[name]) for name in names}
     for key, source in inputs.items():
@@ -148,7 +154,7 @@ def simulate(
     _check_start(model, ode, start, state, p)
     watched = _events(model, events)
     tolerances = tolerance(rtol, "rtol"), tolerance(atol, "atol", model.n_x)
-    max_step = math.inf if max_step == math.inf else positive(max_step, "max_step")
+    max_step = longest_step(max_step)
     if not (max_steps is None or (isinstance(max_steps, int | np.integer) and max_steps > 0)):
         raise ModelError(f"max_steps must be a positive integer or None, not {max_steps!r}.")
     if not (progress is None or callable(progress)):

@@ -20,7 +20,7 @@ static inline double fb_entry(const fb_columns *columns, const int row, const lo
     return columns->values[columns->stride ? row * columns->stride + i : row];
 }
 
-/* x' of n states. */
+/* The right-hand side at n states. */
 typedef struct fb_batch {
     long n;
     fb_columns t, x, p, r; /* (1, n), (n_x, n), (n_p, n), (n_r, n); r.values may be NULL, for the inputs' expressions */
@@ -90,7 +90,7 @@ static inline int fb_batch_one_by_one(const fb_kernel *k, const fb_batch *b, con
                 r[j] = fb_entry(&b->r, j, i);
         const int status = k->rhs(t, x, constants, r, rates, work);
         for (int j = 0; j < n_x; ++j)
-            b->rates[j * b->n + i] = status == FB_OK ? rates[j] : NAN;
+            b->rates[j * b->n + i] = status == FB_OK && isfinite(t) ? rates[j] : NAN;
     }
     free(memory);
     return 0;

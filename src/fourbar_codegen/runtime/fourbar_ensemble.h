@@ -37,7 +37,7 @@ static inline void fb_crew_inputs(fb_crew *restrict c, const fb_ensemble *e, con
 }
 
 /* x' of the lanes that are asked for. */
-static inline void fb_crew_rates(fb_crew *restrict c, const fb_ensemble *e, const fb_real t, const fb_real *x,
+static __attribute__((noinline)) void fb_crew_rates(fb_crew *restrict c, const fb_ensemble *e, const fb_real t, const fb_real *x,
                                  const fb_mask asked, fb_real *rates)
 {
     fb_crew_inputs(c, e, t);
@@ -131,16 +131,14 @@ static inline fb_mask fb_crew_close(fb_crew *restrict c, const fb_real t, fb_rea
 
 /* The same, by the kernel for one state where need be; `known` says whether the factors are those of a state close
  * by. */
-static inline fb_mask fb_crew_project(fb_crew *restrict c, const fb_ensemble *e, const fb_real t, fb_real *restrict x,
-                                      const fb_mask asked, const int known)
+static __attribute__((noinline)) fb_mask fb_crew_project(fb_crew *restrict c, const fb_ensemble *e, const fb_real t,
+                                                         fb_real *restrict x, const fb_mask asked, const int known)
 {
     fb_side *const s = &c->side;
     fb_crew_inputs(c, e, t);
     if (!known) {
         fb_real coordinate_rates[FB_AT_LEAST_1(N_Q)];
-        dynamics(t, x, s->constants, s->inputs, coordinate_rates, s->mass_matrix, s->forcing, s->constraint_jacobian,
-                 s->acceleration_bias);
-        fb_split_of(s->mass_matrix, s->constraint_jacobian, &s->split);
+        fb_side_equations(s, t, x, coordinate_rates);
     }
     fb_real given[N_X];
     memcpy(given, x, sizeof given);
@@ -168,7 +166,7 @@ static inline void fb_leave(fb_crew *c, const fb_ensemble *e, const int lane, co
     c->active[lane] = 0;
 }
 
-/* The samples of a state in one lane at the times up to t that are not behind it. */
+/* The next sample of the run in a lane. */
 static inline void fb_store(fb_crew *c, const fb_ensemble *e, const int lane, const fb_real *x)
 {
     double *const samples = e->samples + c->member[lane] * N_X * e->n_times + c->next_time[lane];

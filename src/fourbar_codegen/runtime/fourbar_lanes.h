@@ -16,8 +16,8 @@
 
 enum { N_X = N_Q + N_U };
 
-/* The split is taken where its pivots are no less than this share of the largest in their row: at the cost of two
- * digits less often left to the kernel for one state than that would leave it. */
+/* The split is taken where its pivots are no less than this share of the largest in their row. That is less than
+ * fourbar_solve.h asks for, at the cost of a digit or two, since pivoting in one lane makes all of them wait. */
 #define FB_LANES_TOLERANCE 0.01
 
 typedef struct fb_split {
@@ -171,17 +171,22 @@ static __attribute__((noinline)) void fb_lane_rates(fb_side *s, const double t, 
     fb_put_lane(s->lane_rates, lane, N_X, rates);
 }
 
+/* Sets up the equations, with the inputs known, and splits them. Once for all that call it: compilers are quick with it
+ * then, and the processor finds it where it was. */
+static __attribute__((noinline)) void fb_side_equations(fb_side *restrict s, const fb_real t, const fb_real *restrict x,
+                                                        fb_real *restrict coordinate_rates)
+{
+    dynamics(t, x, s->constants, s->inputs, coordinate_rates, s->mass_matrix, s->forcing, s->constraint_jacobian,
+             s->acceleration_bias);
+    fb_split_of(s->mass_matrix, s->constraint_jacobian, &s->split);
+}
+
 /* x' of the lanes that are asked for, with the inputs known. */
 static inline void fb_side_rates(fb_side *restrict s, const fb_real t, const fb_real *restrict x, const fb_mask asked,
                                  fb_real *restrict rates)
 {
-    fb_real coordinate_rates[FB_AT_LEAST_1(N_Q)];
-    dynamics(t, x, s->constants, s->inputs, coordinate_rates, s->mass_matrix, s->forcing, s->constraint_jacobian,
-             s->acceleration_bias);
-    fb_split_of(s->mass_matrix, s->constraint_jacobian, &s->split);
+    fb_side_equations(s, t, x, rates);
     fb_split_solve(s->forcing, s->acceleration_bias, &s->split, rates + N_Q);
-    for (int i = 0; i < N_Q; ++i)
-        rates[i] = coordinate_rates[i];
     if (fb_any(asked & ~s->split.good))
         for (int lane = 0; lane < FB_WIDTH; ++lane)
             if (asked[lane] & ~s->split.good[lane])
@@ -251,7 +256,7 @@ static int batch(const fb_batch *b, const long begin, const long end)
         else if (b->r.stride || i == begin)
             fb_load(&b->r, N_R, i, count, s->inputs);
         fb_side_rates(s, t, x, all, rates);
-        fb_mask finite = all;
+        fb_mask finite = t - t == 0.0;
         for (int j = 0; j < N_X; ++j)
             finite &= rates[j] - rates[j] == 0.0;
         for (int j = 0; j < N_X; ++j) {

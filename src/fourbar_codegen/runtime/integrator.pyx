@@ -362,8 +362,10 @@ cdef int _prepare(fb_run *run, Ode ode, const fb_tableau *method) except -1:
 
 cdef cnp.ndarray _padded(values, const fb_run *run):
     """Tolerances, and ones where states are padded with zeros."""
-    array = np.ones(run.padded)
+    cdef cnp.ndarray array = new_array(run.padded)
     array[:run.n] = values
+    for i in range(run.n, run.padded):
+        data(array)[i] = 1.0
     return array
 
 
@@ -428,11 +430,12 @@ cdef class Run:
         if times is not None:
             run.times, run.n_times = <const double *>self._keep(np.array(times, dtype=np.float64)), np.size(times)
         run.n_events, run.look_at_all = len(events), look_at_all
-        run.event_output = <const int *>self._keep(np.array([event[0] for event in events], dtype=np.intc))
-        run.event_direction = <const int *>self._keep(np.array([event[1] for event in events], dtype=np.intc))
-        run.event_value = <double *>self._keep(np.zeros(run.n_events + 1))
-        run.event_old = <double *>self._keep(np.zeros(run.n_events + 1))
-        run.outputs = <double *>self._keep(np.zeros(ode.evaluator.n_u + ode.evaluator.n_c + ode.evaluator.n_o + 1))
+        if events:
+            run.event_output = <const int *>self._keep(np.array([event[0] for event in events], dtype=np.intc))
+            run.event_direction = <const int *>self._keep(np.array([event[1] for event in events], dtype=np.intc))
+            run.event_value = <double *>self._keep(np.zeros(run.n_events))
+            run.event_old = <double *>self._keep(np.zeros(run.n_events))
+            run.outputs = <double *>self._keep(np.zeros(ode.evaluator.n_u + ode.evaluator.n_c + ode.evaluator.n_o))
         self._make_room(run.n_times if times is not None else 256)
 
     cdef void *_keep(self, cnp.ndarray array):

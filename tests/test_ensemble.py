@@ -93,6 +93,9 @@ def test_batch_is_the_same_to_the_bit_in_any_company(compiled):
         )
     for i in (0, 700, 1499):
         np.testing.assert_array_equal(compiled.rhs_batch(0.3, x[:, i : i + 1], p[:, i])[:, 0], rates[:, i])
+    out = np.empty_like(x)
+    assert compiled.rhs_batch(0.3, x, p, out=out) is out
+    np.testing.assert_array_equal(out, rates)
     by_name = compiled.rhs_batch(0.3, x, dict(zip(names, p, strict=True)))
     np.testing.assert_array_equal(by_name, rates)
 
@@ -154,6 +157,9 @@ def test_batch_refuses_wrong_arguments(four_bar):
         {"r": [1.0, 2.0]},
         {"workers": 0},
         {"workers": 1.5},
+        {"out": np.empty((6, 4))},
+        {"out": np.empty((6, 5), dtype=np.float32)},
+        {"out": np.empty((5, 6)).T},
         {"x": "states"},
     ):
         with pytest.raises(fb.ModelError):

@@ -762,7 +762,14 @@ class CompiledModel(Evaluator):
         )
 
     def rhs_batch(
-        self, t: ArrayLike, x: ArrayLike, p: Values | None = None, r: Values | None = None, *, workers: int | None = 1
+        self,
+        t: ArrayLike,
+        x: ArrayLike,
+        p: Values | None = None,
+        r: Values | None = None,
+        *,
+        out: Floats | None = None,
+        workers: int | None = 1,
     ) -> Floats:
         """The right-hand side x' = f(t, x) at many states, side by side in vectors.
 
@@ -775,6 +782,8 @@ class CompiledModel(Evaluator):
             Parameters; the defaults otherwise.
         r : array_like, shape (n_r,) or (n_r, n), or mapping, optional
             Inputs; their expressions otherwise.
+        out : ndarray, shape (n_x, n), optional
+            Where the results come, contiguous, without memory shared with x; a fresh array otherwise.
         workers : int or None, optional
             Number of threads; None for one on each core.
 
@@ -800,7 +809,7 @@ class CompiledModel(Evaluator):
         """
         from fourbar_codegen.ensemble import evaluate
 
-        return evaluate(self, t, x, p, r, workers=workers)
+        return evaluate(self, t, x, p, r, out=out, workers=workers)
 
     def ensemble(
         self,

@@ -117,10 +117,17 @@ class Ensemble:
 
 
 def evaluate(
-    model: CompiledModel, t: ArrayLike, x: ArrayLike, p: Values | None, r: Values | None, *, workers: int | None
+    model: CompiledModel,
+    t: ArrayLike,
+    x: ArrayLike,
+    p: Values | None,
+    r: Values | None,
+    *,
+    out: Floats | None,
+    workers: int | None,
 ) -> Floats:
     """The right-hand side at many states; see `CompiledModel.rhs_batch`."""
-    states = np.ascontiguousarray(named_columns(x, model.states, {}, "state"))
+    states = named_columns(x, model.states, {}, "state")
     if states.ndim != 2:
         raise ModelError(f"The states must have shape ({model.n_x}, n), not {states.shape}.")
     n = states.shape[1]
@@ -135,7 +142,13 @@ def evaluate(
         inputs = named_columns(r, model.inputs, missing, "input", n)
     elif any(entry["expression"] is None for entry in model.manifest["inputs"]):
         raise ModelError(model.missing())
-    batch = Batch(model, times, states, parameters, inputs)
+    if out is None:
+        out = np.empty(states.shape)
+    elif not (isinstance(out, np.ndarray) and out.shape == states.shape and out.dtype == float and out.flags.carray):
+        raise ModelError(f"out must be a contiguous, writable array of double of the shape {states.shape}.")
+    elif np.may_share_memory(out, states):
+        raise ModelError("out must not share memory with x.")
+    batch = Batch(model, times, states, parameters, inputs, out)
     blocks = [(begin, min(begin + BLOCK, n)) for begin in range(0, n, BLOCK)]
     n_threads = min(_workers(workers), len(blocks))
     if n_threads < 2:
@@ -143,7 +156,7 @@ def evaluate(
     else:
         with ThreadPoolExecutor(n_threads) as pool:
             list(pool.map(lambda block: batch.evaluate(*block), blocks))
-    return batch.rates
+    return out
 
 
 def _default_inputs(model: CompiledModel, t: float, parameters: Floats) -> dict[str, float | None]:

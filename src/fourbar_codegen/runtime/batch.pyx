@@ -5,7 +5,7 @@ cimport cython
 cimport numpy as cnp
 from cpython.mem cimport PyMem_Calloc, PyMem_Free
 
-from fourbar_codegen.runtime.evaluator cimport Evaluator, data, fb_kernel, fb_lanes, fb_source, new_array
+from fourbar_codegen.runtime.evaluator cimport Evaluator, data, fb_kernel, fb_lanes, fb_source
 from fourbar_codegen.runtime.integrator cimport Table, fb_dop853, fb_rk45, fb_tableau
 
 import numpy as np
@@ -81,20 +81,16 @@ cdef class Batch:
     p : ndarray, shape (n_p,) or (n_p, n)
     r : ndarray, shape (n_r,) or (n_r, n), or None
         None for the inputs' expressions.
-
-    Attributes
-    ----------
     rates : ndarray, shape (n_x, n)
+        Where the results come.
     """
 
     cdef fb_batch batch
     cdef Evaluator evaluator
     cdef list kept
-    cdef readonly object rates
 
-    def __cinit__(self, Evaluator evaluator not None, t, x, p, r):
-        cdef cnp.ndarray rates = new_array(np.shape(x)[0], np.shape(x)[1])
-        self.evaluator, self.kept, self.rates = evaluator, [t, x, p, r], rates
+    def __cinit__(self, Evaluator evaluator not None, t, x, p, r, cnp.ndarray rates not None):
+        self.evaluator, self.kept = evaluator, [t, x, p, r, rates]
         self.batch.n, self.batch.rates = np.shape(x)[1], data(rates)
         self.batch.t, self.batch.x, self.batch.p = _columns(t), _columns(x), _columns(p)
         if r is not None:

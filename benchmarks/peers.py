@@ -82,7 +82,7 @@ class Case:
         # States of the case's own motion, and 10 % about them.
         path = self.four_bar.simulate((0.0, END), self.x0, t_eval=np.linspace(0.0, END, BATCH)).y
         self.states = path * generator.uniform(0.9, 1.1, path.shape)
-        self.stiffness = 3.0 * generator.uniform(0.9, 1.1, 10_000)
+        self.stiffness = self.four_bar.defaults["k"] * generator.uniform(0.9, 1.1, 10_000)
 
 
 def heyoka_system(case: Case, *, literal: bool) -> tuple[list[Any], list[Any]]:

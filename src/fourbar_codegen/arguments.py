@@ -131,13 +131,15 @@ def named_columns(
         missing = [name for name, value in known.items() if value is None]
         if missing:
             raise ModelError(f"No value for {kind} {', '.join(missing)}: give one, there is no default.")
-        rows: list[Any] = [numbers(value, f"{kind} {name}") for name, value in known.items()]
-        try:
-            # What all states have alike stays one column.
-            values = np.array(np.broadcast_arrays(*rows)) if rows else np.zeros(0)
-        except ValueError as error:
+        rows = [numbers(value, f"{kind} {name}") for name, value in known.items()]
+        lengths = {len(row) for row in rows if row.ndim}
+        if len(lengths) > 1 or any(row.ndim > 1 for row in rows):
             shapes = ", ".join(f"{name} {row.shape}" for name, row in zip(known, rows, strict=True) if row.ndim)
-            raise ModelError(f"The {kind}s must be numbers or arrays of one length, not {shapes}.") from error
+            raise ModelError(f"The {kind}s must be numbers or arrays of one length, not {shapes}.")
+        # What all states have alike stays one column.
+        values = np.empty((len(rows), *lengths))
+        for place, row in enumerate(rows):
+            values[place] = row
     else:
         values = numbers(given, f"the {kind}s {', '.join(names)}")
     expected = f"({len(names)},) or ({len(names)}, {'n' if n is None else n})"

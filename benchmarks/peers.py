@@ -81,7 +81,7 @@ class Case:
         generator = np.random.default_rng(1)
         # States of the case's own motion, and 10 % about them.
         path = self.four_bar.simulate((0.0, END), self.x0, t_eval=np.linspace(0.0, END, BATCH)).y
-        self.states = path * generator.uniform(0.9, 1.1, path.shape)
+        self.states = np.ascontiguousarray(path * generator.uniform(0.9, 1.1, path.shape))
         self.stiffness = self.four_bar.defaults["k"] * generator.uniform(0.9, 1.1, 10_000)
 
 

@@ -76,10 +76,10 @@ def test_importing_the_package_is_quiet_and_imports_neither_sympy_nor_scipy():
     assert done.stderr == ""
 
 
-def test_the_prebuilt_model_needs_neither_sympy_nor_a_compiler():
+def test_the_prebuilt_model_needs_neither_sympy_nor_scipy_nor_a_compiler():
     done = run(
         "import sys, os; os.environ['PATH'] = ''\n"
-        "for name in ('sympy', 'Cython', 'setuptools'): sys.modules[name] = None\n"
+        "for name in ('sympy', 'scipy', 'Cython', 'setuptools'): sys.modules[name] = None\n"
         "import fourbar_codegen as fb\n"
         "run = fb.load('four_bar').simulate((0.0, 1.0))\n"
         "print(run.success)"

@@ -581,8 +581,9 @@ class CompiledModel(Evaluator):
     ) -> Floats:
         """A state that satisfies all constraints, from the independent coordinates and speeds.
 
-        The dependent coordinates are found by SciPy's ``fsolve`` on the position constraints with their
-        Jacobian, the dependent speeds from the velocity constraints, which are linear in them.
+        The dependent coordinates are found by Newton's method where each of its steps halves the residual at least,
+        otherwise by SciPy's ``fsolve``, on the position constraints with their Jacobian; the dependent speeds from the
+        velocity constraints, which are linear in them.
 
         Parameters
         ----------

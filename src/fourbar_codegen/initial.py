@@ -72,9 +72,7 @@ def _inputs_at(
 
 
 def _close(model: CompiledModel, t: float, q_i: Floats, start: Floats, p: ArrayLike | None, r: Floats | None) -> Floats:
-    """Coordinates that satisfy the position constraints, by fsolve."""
-    from scipy.optimize import fsolve, leastsq
-
+    """Coordinates that satisfy the position constraints: by Newton's method close to them, else by fsolve."""
     n_i = len(q_i)
 
     def assemble(dependent: Floats) -> Floats:
@@ -86,18 +84,42 @@ def _close(model: CompiledModel, t: float, q_i: Floats, start: Floats, p: ArrayL
     def jacobian(dependent: Floats) -> Floats:
         return model.position(t, assemble(dependent), p, r)[1][:, n_i:]
 
+    def is_closed(error: Floats, slopes: Floats) -> bool:
+        # In units of the coordinates.
+        return bool(np.abs(error).max() <= COORDINATE_TOLERANCE * np.abs(slopes).max())
+
+    def newton(dependent: Floats) -> Floats | None:
+        """Where each step halves the residual at least, until rounding errors are left of it; None elsewhere."""
+        error, slopes = model.position(t, assemble(dependent), p, r)
+        while len(dependent) == model.n_h:
+            size = np.abs(error).max()
+            try:
+                tried = dependent - np.linalg.solve(slopes[:, n_i:], error)
+            except np.linalg.LinAlgError:
+                return None
+            error_there, slopes_there = model.position(t, assemble(tried), p, r)
+            if not np.abs(error_there).max() < 0.5 * size:
+                return dependent if is_closed(error, slopes) else None
+            dependent, error, slopes = tried, error_there, slopes_there
+        return None
+
     def search(begin: Floats) -> tuple[Floats, Floats, bool]:
-        # The solvers' own verdict compares steps; what counts here is the residual, in units of the coordinates.
+        from scipy.optimize import fsolve, leastsq
+
+        # The solvers' own verdict compares steps; what counts here is the residual.
         # fsolve needs as many constraints as unknowns, and these independent: redundant ones are for leastsq.
         for solve in (fsolve, leastsq) if len(begin) == model.n_h else (leastsq,):
             derivative = {"fprime" if solve is fsolve else "Dfun": jacobian}
             found = solve(residual, begin, xtol=1e-13, full_output=True, **derivative)[0]
             error, slopes = model.position(t, assemble(found), p, r)
-            closed = bool(np.abs(error).max() <= COORDINATE_TOLERANCE * np.abs(slopes).max())
+            closed = is_closed(error, slopes)
             if closed:
                 break
         return found, error, closed
 
+    near = newton(start)
+    if near is not None:
+        return assemble(near)
     found, error, closed = search(start)
     if closed:
         return assemble(found)

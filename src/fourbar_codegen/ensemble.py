@@ -8,7 +8,7 @@ import os
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -211,15 +211,15 @@ def run(
         "method": method, "t_eval": times, "rtol": relative, "atol": np.array(np.broadcast_to(absolute, model.n_x)),
         "constraints": constraints, "max_step": max_step,
     }  # fmt: skip
+    runs = _Runs(model, (start, end), states, p, inputs, how)
     from tqdm import tqdm
 
     # Silent where nobody watches: disable=None looks whether there is a terminal.
     with tqdm(total=n, desc=model.name, unit="run", delay=PATIENCE, disable=None if progress else True) as bar:
         if parallel is None or not n:
-            results = _on_threads(model, (start, end), states, p, inputs, how, workers, bar)
+            y, success, messages, nfev = _on_threads(runs, workers, bar)
         else:
-            results = _on_engine(model, (start, end), states, p, inputs, how, parallel, bar)
-    y, success, messages, nfev = results
+            y, success, messages, nfev = _on_engine(runs, parallel, bar)
     return Ensemble(
         model=model, t=times, y=y, success=success, messages=messages, nfev=nfev, parameters=p, inputs=inputs,
     )  # fmt: skip
@@ -292,18 +292,26 @@ Results = tuple[Floats, NDArray[np.bool_], tuple[str, ...], NDArray[np.int_]]
 """States, success, messages and numbers of evaluations of all members."""
 
 
-def _on_threads(
-    model: CompiledModel,
-    span: tuple[float, float],
-    states: Floats,
-    p: Floats,
-    inputs: Mapping[Any, Any],
-    how: Mapping[str, Any],
-    workers: int,
-    bar: Any,
-) -> Results:
+@dataclass(frozen=True)
+class _Runs:
+    """What is to be run, members in rows, and how: the arguments that `simulate` and `ensemble` share."""
+
+    model: CompiledModel
+    span: tuple[float, float]
+    states: Floats
+    parameters: Floats
+    inputs: Mapping[Any, Any]
+    how: Mapping[str, Any]
+
+    def block(self, members: slice) -> _Runs:
+        """Some of the members."""
+        inputs = _inputs_of(self.inputs, members)
+        return replace(self, states=self.states[members], parameters=self.parameters[members], inputs=inputs)
+
+
+def _on_threads(runs: _Runs, workers: int, bar: Any) -> Results:
     """Side by side those that can be, the others alone."""
-    n = len(states)
+    model, states, how, n = runs.model, runs.states, runs.how, len(runs.states)
     y: Floats | None = None
     success, nfev, messages = np.zeros(n, dtype=bool), np.zeros(n, dtype=int), [REACHED_END] * n
     stopped = threading.Event()
@@ -314,8 +322,9 @@ def _on_threads(
 
     def alone(member: int) -> None:
         try:
+            inputs = _inputs_of(runs.inputs, member)
             found = model.simulate(
-                span, states[member], parameters=p[member], inputs=_inputs_of(inputs, member), progress=check, **how
+                runs.span, states[member], parameters=runs.parameters[member], inputs=inputs, progress=check, **how
             )
         except FourbarError as error:
             messages[member] = str(error)
@@ -324,7 +333,7 @@ def _on_threads(
         y[member, :, : len(found.t)] = found.y
         success[member], messages[member], nfev[member] = found.success, found.message, found.nfev
 
-    sources = _sources(model, inputs, n)
+    sources = _sources(model, runs.inputs, n)
     called = any(map(callable, sources))
     waiting = np.arange(n)
     members = None
@@ -336,8 +345,8 @@ def _on_threads(
                 moved = states.copy()
                 rtol = np.full(model.n_x, how["rtol"])
                 members = Members(
-                    model, how["method"], *span, moved, p, sources, how["max_step"], rtol, how["atol"],
-                    how["constraints"] == "project" and bool(model.n_c), how["t_eval"],
+                    model, how["method"], *runs.span, moved, runs.parameters, sources, how["max_step"], rtol,
+                    how["atol"], how["constraints"] == "project" and bool(model.n_c), how["t_eval"],
                 )  # fmt: skip
                 tasks = [pool.submit(members.run) for _ in range(min(workers, n))]
                 for _ in _finished(tasks):
@@ -377,25 +386,12 @@ def _finished(tasks: Sequence[Future[None]]) -> Iterator[int]:
         yield len(done)
 
 
-def _on_engine(
-    model: CompiledModel,
-    span: tuple[float, float],
-    states: Floats,
-    p: Floats,
-    inputs: Mapping[Any, Any],
-    how: Mapping[str, Any],
-    parallel: Any,
-    bar: Any,
-) -> Results:
+def _on_engine(runs: _Runs, parallel: Any, bar: Any) -> Results:
     """By joblib, in blocks of members."""
     from joblib import delayed
 
-    n = len(states)
-    blocks = [slice(begin, begin + BLOCK) for begin in range(0, n, BLOCK)]
-    tasks = (
-        delayed(_block)(number, model, span, states[b], p[b], _inputs_of(inputs, b), how)
-        for number, b in enumerate(blocks)
-    )
+    blocks = [slice(begin, begin + BLOCK) for begin in range(0, len(runs.states), BLOCK)]
+    tasks = (delayed(_block)(number, runs.block(members)) for number, members in enumerate(blocks))
     parts: dict[int, Results] = {}
     for number, part in parallel(tasks):  # in the order in which they come
         parts[number] = part
@@ -404,14 +400,8 @@ def _on_engine(
     return np.concatenate(y), np.concatenate(success), tuple(itertools.chain(*messages)), np.concatenate(nfev)
 
 
-def _block(
-    number: int,
-    model: CompiledModel,
-    span: tuple[float, float],
-    states: Floats,
-    p: Floats,
-    inputs: Mapping[Any, Any],
-    how: Mapping[str, Any],
-) -> tuple[int, Results]:
-    found = model.ensemble(span, states, parameters=p, inputs=inputs, workers=1, progress=False, **how)
+def _block(number: int, runs: _Runs) -> tuple[int, Results]:
+    found = runs.model.ensemble(
+        runs.span, runs.states, parameters=runs.parameters, inputs=runs.inputs, workers=1, progress=False, **runs.how
+    )
     return number, (found.y, found.success, found.messages, found.nfev)

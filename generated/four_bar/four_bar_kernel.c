@@ -28,6 +28,7 @@ enum {
 };
 #define FB_NAME(function) four_bar_##function
 #define FB_HAS_LANES
+#define FB_SHORT
 
 /* The parameters, and behind them all that is derived from them alone. */
 static void prepare(const fb_real *restrict p, fb_real *restrict constants)

@@ -142,9 +142,9 @@ def named_columns(
             values[place] = row
     else:
         values = numbers(given, f"the {kind}s {', '.join(names)}")
-    expected = f"({len(names)},) or ({len(names)}, {'n' if n is None else n})"
-    columns = values.shape[1:]
-    if values.ndim not in {1, 2} or len(values) != len(names) or (n is not None and columns not in {(), (n,)}):
+    shape = values.shape
+    if not 1 <= len(shape) <= 2 or shape[0] != len(names) or (n is not None and shape[1:] not in {(), (n,)}):
+        expected = f"({len(names)},) or ({len(names)}, {'n' if n is None else n})"
         raise ModelError(f"The {kind}s ({', '.join(names)}) must have shape {expected}, not {values.shape}.")
     return np.ascontiguousarray(values)
 

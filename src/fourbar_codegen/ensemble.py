@@ -133,7 +133,11 @@ def evaluate(
     n = states.shape[1]
     times = numbers(t, "the times")
     times = named_columns(times[np.newaxis] if times.ndim else times.reshape(1), ("t",), {}, "time", n)
-    parameters = named_columns({} if p is None else p, model.parameters, model.defaults, "parameter", n)
+    if p is None:
+        model.parameter_vector(None)  # raises where one has no default
+        parameters = np.array(list(model.defaults.values()), dtype=float)
+    else:
+        parameters = named_columns(p, model.parameters, model.defaults, "parameter", n)
     inputs = None
     if r is not None:
         missing = (
@@ -149,13 +153,12 @@ def evaluate(
     elif np.may_share_memory(out, states):
         raise ModelError("out must not share memory with x.")
     batch = Batch(model, times, states, parameters, inputs, out)
-    blocks = [(begin, min(begin + BLOCK, n)) for begin in range(0, n, BLOCK)]
-    n_threads = min(_workers(workers), len(blocks))
+    n_threads = min(_workers(workers), -(-n // BLOCK))
     if n_threads < 2:
         batch.evaluate(0, n)
     else:
         with ThreadPoolExecutor(n_threads) as pool:
-            list(pool.map(lambda block: batch.evaluate(*block), blocks))
+            list(pool.map(lambda begin: batch.evaluate(begin, min(begin + BLOCK, n)), range(0, n, BLOCK)))
     return out
 
 

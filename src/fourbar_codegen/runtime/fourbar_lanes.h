@@ -16,8 +16,17 @@
 
 enum { N_X = N_Q + N_U };
 
-/* The split is taken where its pivots are no less than this share of the largest in their row. That is less than
- * fourbar_solve.h asks for, at the cost of a digit or two, since pivoting in one lane makes all of them wait. */
+/* Short equations become part of what calls them: what they compute stays in registers, and what nobody asks for is left
+ * out. */
+#ifdef FB_SHORT
+#define FB_FLATTEN __attribute__((flatten))
+#else
+#define FB_FLATTEN
+#endif
+
+/* The split is taken where its pivots are no less than this share of the sum of their row, which takes less time than
+ * the largest entry. That is less than fourbar_solve.h asks for, at the cost of a digit or two, since pivoting in one
+ * lane makes all of them wait. */
 #define FB_LANES_TOLERANCE 0.01
 
 typedef struct fb_split {
@@ -34,25 +43,25 @@ static inline int fb_speed(const int place)
     return place < N_C ? N_U - N_C + place : place - N_C;
 }
 
-static inline void fb_split_of(const fb_real *restrict mass_matrix, const fb_real *restrict jacobian,
+static FB_INLINE void fb_split_of(const fb_real *restrict mass_matrix, const fb_real *restrict jacobian,
                                fb_split *restrict s)
 {
-    fb_real size[FB_AT_LEAST_1(N_C)], largest = fb_number(0.0);
+    fb_real size[FB_AT_LEAST_1(N_C)], sizes = fb_number(0.0);
     s->good = (fb_mask)(fb_bits){0} == 0;
     for (int i = 0; i < N_C; ++i) {
         size[i] = fb_number(0.0);
         for (int j = 0; j < N_U; ++j) {
             s->lu[i][j] = jacobian[i * N_U + fb_speed(j)];
-            size[i] = fb_greater(fb_abs(s->lu[i][j]), size[i]);
+            size[i] += fb_abs(s->lu[i][j]);
         }
-        largest = fb_greater(size[i], largest);
+        sizes += size[i];
     }
     for (int k = 0; k < N_C; ++k) {
-        fb_real pivot = FB_NEAR_DEPENDENCE * size[k];
-        s->good &= size[k] > FB_NEAR_DEPENDENCE * largest;
+        fb_real left = FB_NEAR_DEPENDENCE * size[k];
+        s->good &= size[k] > FB_NEAR_DEPENDENCE * sizes;
         for (int j = k; j < N_U; ++j)
-            pivot = fb_greater(fb_abs(s->lu[k][j]), pivot);
-        s->good &= fb_abs(s->lu[k][k]) > FB_LANES_TOLERANCE * pivot;
+            left += fb_abs(s->lu[k][j]);
+        s->good &= fb_abs(s->lu[k][k]) > FB_LANES_TOLERANCE * left;
         s->inverse[k] = 1.0 / s->lu[k][k];
         for (int i = k + 1; i < N_C; ++i) {
             const fb_real factor = s->lu[i][k] *= s->inverse[k];
@@ -96,7 +105,7 @@ static inline void fb_split_of(const fb_real *restrict mass_matrix, const fb_rea
 }
 
 /* u' for one right-hand side (f, gamma); f may be NULL, for zeros. */
-static inline void fb_split_solve(const fb_real *restrict forcing, const fb_real *restrict acceleration_bias,
+static FB_INLINE void fb_split_solve(const fb_real *restrict forcing, const fb_real *restrict acceleration_bias,
                                   const fb_split *restrict s, fb_real *restrict accelerations)
 {
     fb_real w[FB_AT_LEAST_1(N_C)], v[N_U], g[N_U];
@@ -173,7 +182,7 @@ static __attribute__((noinline)) void fb_lane_rates(fb_side *s, const double t, 
 
 /* Sets up the equations, with the inputs known, and splits them. Once for all that call it: compilers are quick with it
  * then, and the processor finds it where it was. */
-static __attribute__((noinline)) void fb_side_equations(fb_side *restrict s, const fb_real t, const fb_real *restrict x,
+static __attribute__((noinline)) FB_FLATTEN void fb_side_equations(fb_side *restrict s, const fb_real t, const fb_real *restrict x,
                                                         fb_real *restrict coordinate_rates)
 {
     dynamics(t, x, s->constants, s->inputs, coordinate_rates, s->mass_matrix, s->forcing, s->constraint_jacobian,
@@ -236,34 +245,90 @@ static inline void fb_load(const fb_columns *columns, const int rows, const long
     }
 }
 
-static int batch(const fb_batch *b, const long begin, const long end)
+/* Rows of FB_WIDTH numbers, from column i on. */
+static FB_INLINE void fb_put_columns(const fb_real *restrict from, const int rows, const long n, const long i,
+                                     const int count, double *restrict to)
 {
-    fb_side *const s = fb_new_side(sizeof *s);
-    if (s == NULL)
-        return -1;
-    const fb_mask all = (fb_mask)(fb_bits){0} == 0;
-    fb_real t, x[N_X], rates[N_X], p[FB_AT_LEAST_1(N_P)];
-    for (long i = begin; i < end; i += FB_WIDTH) {
-        const int count = end - i < FB_WIDTH ? (int)(end - i) : FB_WIDTH;
+    for (int row = 0; row < rows; ++row)
+        if (count == FB_WIDTH)
+            memcpy(to + row * n + i, from + row, sizeof *from);
+        else
+            memcpy(to + row * n + i, from + row, (size_t)count * sizeof(double));
+}
+
+/* What the lanes hold whose split is not good, or whose rates are not finite, by the kernel for one state. */
+static __attribute__((noinline)) void fb_repair(const fb_batch *b, const long i, const int count, const fb_real *t,
+                                                const fb_real *x, const fb_mask *good, fb_real *rates, fb_side *s)
+{
+    fb_real p[FB_AT_LEAST_1(N_P)];
+    fb_load(&b->p, N_P, i, count, p);
+    prepare(p, s->constants);
+    if (b->r.values == NULL)
+        default_inputs(*t, s->constants, s->inputs);
+    else
+        fb_load(&b->r, N_R, i, count, s->inputs);
+    for (int lane = 0; lane < FB_WIDTH; ++lane)
+        if (!(*good)[lane])
+            fb_lane_rates(s, (*t)[lane], x, lane, rates);
+    fb_mask finite = *t - *t == 0.0;
+    for (int j = 0; j < N_X; ++j)
+        finite &= rates[j] - rates[j] == 0.0;
+    for (int j = 0; j < N_X; ++j)
+        rates[j] = fb_select(finite, rates[j], fb_number(NAN));
+}
+
+/* States from one place to another, with parameters of their own or common to all. */
+static FB_INLINE void fb_batch_of(const fb_batch *b, const long begin, const long end, const int own, fb_side *s)
+{
+    fb_real p[FB_AT_LEAST_1(N_P)], constants[FB_AT_LEAST_1(N_CONSTANTS)], r[FB_AT_LEAST_1(N_R)];
+    if (!own) {
+        fb_load(&b->p, N_P, begin, FB_WIDTH, p);
+        prepare(p, constants);
+    }
+    /* At first as many as leave the others where vectors do not lie across two lines of the cache. */
+    const uintptr_t place = (uintptr_t)((own ? b->p.values : b->x.values) + begin) / sizeof(double);
+    int count = FB_WIDTH - (int)(place % FB_WIDTH);
+    for (long i = begin; i < end; i += count, count = FB_WIDTH) {
+        count = end - i < count ? (int)(end - i) : count;
+        fb_real t, x[N_X], rates[N_X], mass_matrix[N_U * N_U], forcing[N_U];
+        fb_real constraint_jacobian[FB_AT_LEAST_1(N_JACOBIAN)], acceleration_bias[FB_AT_LEAST_1(N_C)];
+        fb_split split;
         fb_load(&b->t, 1, i, count, &t);
         fb_load(&b->x, N_X, i, count, x);
-        if (b->p.stride || i == begin) {
+        if (own) {
             fb_load(&b->p, N_P, i, count, p);
-            prepare(p, s->constants);
+            prepare(p, constants);
         }
         if (b->r.values == NULL)
-            default_inputs(t, s->constants, s->inputs);
-        else if (b->r.stride || i == begin)
-            fb_load(&b->r, N_R, i, count, s->inputs);
-        fb_side_rates(s, t, x, all, rates);
-        fb_mask finite = t - t == 0.0;
+            default_inputs(t, constants, r);
+        else
+            fb_load(&b->r, N_R, i, count, r);
+        dynamics(t, x, constants, r, rates, mass_matrix, forcing, constraint_jacobian, acceleration_bias);
+        fb_split_of(mass_matrix, constraint_jacobian, &split);
+        fb_split_solve(forcing, acceleration_bias, &split, rates + N_Q);
+        fb_real sum = t;
         for (int j = 0; j < N_X; ++j)
-            finite &= rates[j] - rates[j] == 0.0;
-        for (int j = 0; j < N_X; ++j) {
-            rates[j] = fb_select(finite, rates[j], fb_number(NAN));
-            memcpy(b->rates + j * b->n + i, rates + j, (size_t)count * sizeof(double));
-        }
+            sum += rates[j];
+        /* The sum may also be infinite where no rate is; then nothing is changed. */
+        if (fb_any(~(split.good & (sum - sum == 0.0))))
+            fb_repair(b, i, count, &t, x, &split.good, rates, s);
+        fb_put_columns(rates, N_X, b->n, i, count, b->rates);
     }
+}
+
+static FB_FLATTEN int batch(const fb_batch *b, const long begin, const long end)
+{
+    fb_side *const s = fb_new_side(sizeof *s); /* for single states */
+    if (s == NULL)
+        return -1;
+#ifdef FB_SHORT
+    if (b->p.stride == 0)
+        fb_batch_of(b, begin, end, 0, s);
+    else
+        fb_batch_of(b, begin, end, 1, s);
+#else
+    fb_batch_of(b, begin, end, b->p.stride != 0, s);
+#endif
     fb_free_side(s);
     return 0;
 }

@@ -60,10 +60,19 @@ static FB_INLINE fb_real fb_greater(const fb_real a, const fb_real b)
 
 static FB_INLINE int fb_any(const fb_mask mask)
 {
+#if defined(__AVX512DQ__)
+    typedef long long fb_words __attribute__((vector_size(sizeof mask)));
+    return __builtin_ia32_cvtq2mask512((fb_words)mask) != 0;
+#elif defined(__AVX__) && !defined(__AVX512F__)
+    return __builtin_ia32_movmskpd256((fb_real)mask) != 0;
+#elif defined(__SSE2__) && !defined(__AVX__)
+    return __builtin_ia32_movmskpd((fb_real)mask) != 0;
+#else
     int64_t any = 0;
     for (int lane = 0; lane < FB_WIDTH; ++lane)
         any |= mask[lane];
     return any != 0;
+#endif
 }
 
 /* An expression of doubles, lane by lane; behind it the variables in it. */

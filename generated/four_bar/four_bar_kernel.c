@@ -10,6 +10,7 @@
  * equations that they set up. Matrices are stored row by row.
  * fb_real is double, or several of them where states are evaluated side by side; see fourbar_real.h.
  */
+#define FB_SHORT
 #include "four_bar_kernel.h"
 #include "fourbar_angle.h"
 
@@ -28,7 +29,6 @@ enum {
 };
 #define FB_NAME(function) four_bar_##function
 #define FB_HAS_LANES
-#define FB_SHORT
 
 /* The parameters, and behind them all that is derived from them alone. */
 static void prepare(const fb_real *restrict p, fb_real *restrict constants)

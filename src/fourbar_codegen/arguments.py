@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.errors import ModelError
+from fourbar_codegen.runtime.evaluator import is_finite
 
 __all__ = [
     "Values",
@@ -90,7 +91,7 @@ def named_array(
         raise ModelError(
             f"The values of {kind}s ({', '.join(names)}) must have shape ({len(names)},), not {values.shape}."
         )
-    if not np.isfinite(values).all():
+    if not is_finite(values):
         raise ModelError(f"The values of {kind}s ({', '.join(names)}) must be finite, not {values}.")
     return values
 

@@ -35,8 +35,8 @@ SIDE_BY_SIDE = ("prepare", "default_inputs", "dynamics", "closure", "coordinate_
 """The functions that are compiled for several states side by side as well; fourbar_lanes.h says what for."""
 
 SHORT = 600
-"""Operations of equations that are compiled into what calls them: of the chain of eight links (527), for whose states side
-by side that gains 7 %, of the bicycle (1301) 3 %, for half as long a compilation again."""
+"""Operations of equations that are compiled into what calls them. Side by side that gains 7 % for the chain of eight links
+(527), and 3 % for the bicycle (1301), which takes half as long again to compile."""
 
 MOST_ARGUMENTS = 4
 """Arguments of the functions that fourbar_real.h can evaluate lane by lane."""
@@ -74,9 +74,10 @@ def kernel_text(program: Program, names: Mapping[str, Sequence[str]]) -> str:
         for both in (True, False)
     )
     others += '\n\n#include "fourbar_model.h"'
+    short = "#define FB_SHORT\n" if _is_short(program) else ""
     note = lanes = ""
     if has_lanes:
-        lanes = "\n#define FB_HAS_LANES" + ("\n#define FB_SHORT" if _is_short(program) else "")
+        lanes = "\n#define FB_HAS_LANES"
         others = f'#ifdef FB_SIDE_BY_SIDE\n#include "fourbar_lanes.h"\n#else\n{others}\n#endif'
         note = "\n * fb_real is double, or several of them where states are evaluated side by side; see fourbar_real.h."
     return f"""\
@@ -87,7 +88,7 @@ def kernel_text(program: Program, names: Mapping[str, Sequence[str]]) -> str:
  * The functions below evaluate straight-line code; fourbar_model.h, included at the end, solves the
  * equations that they set up. Matrices are stored row by row.{note}
  */
-#include "{program.name}_kernel.h"
+{short}#include "{program.name}_kernel.h"
 #include "fourbar_angle.h"
 
 #include <math.h>
@@ -134,6 +135,7 @@ def _has_lanes(program: Program) -> bool:
 
 
 def _is_short(program: Program) -> bool:
+    """Whether the equations are compiled into what calls them; fourbar_real.h says how."""
     return next(f for f in program.functions if f.name == "dynamics").operations <= SHORT
 
 

@@ -218,6 +218,8 @@ def consistent(ode: Ode, n_q: int, t: float, x0: Floats) -> Floats:
         If the equations cannot be evaluated there.
     """
     status, x = ode.closest(t, x0)
+    if status == OK and np.abs(x - x0).max(initial=0.0) <= FLOOR:
+        return x
     if status == NOT_CLOSED or not is_rounded(n_q, x0, x):
         raise ModelError(
             f"The state x0 = {np.array2string(x0, precision=6, separator=', ')} violates the constraints: "

@@ -25,6 +25,7 @@ from fourbar_codegen.arguments import (
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.integrate import METHODS, Event, Result, consistent, integrate
 from fourbar_codegen.progress import Progress
+from fourbar_codegen.runtime.evaluator import is_finite
 from fourbar_codegen.runtime.integrator import Ode, Stepper, Table
 from fourbar_codegen.trajectory import Trajectory
 
@@ -42,7 +43,7 @@ SCIPY_METHODS = ("RK23", "Radau", "BDF", "LSODA")
 
 def bind(model: CompiledModel, parameters: Values | None, inputs: Mapping[Any, InputSource] | None) -> Ode:
     """The right-hand side with parameters and inputs bound; see `CompiledModel.ode`."""
-    sources = input_sources(model, inputs)
+    sources = [None] * model.n_r if inputs is None else input_sources(model, inputs)
     missing = [
         entry["name"]
         for entry, source in zip(model.manifest["inputs"], sources, strict=True)
@@ -327,6 +328,5 @@ def _events(model: CompiledModel, events: object) -> list[Event] | None:
 
 def _check_start(model: CompiledModel, ode: Ode, t: float, state: Floats, p: Floats | None) -> None:
     """Raise where the first evaluation would fail: an integrator could not even choose a first step."""
-    rates = ode(t, state)
-    if not (np.isfinite(state).all() and np.isfinite(rates).all()):
+    if not (is_finite(state) and is_finite(ode(t, state))):
         model.rhs(t, state, p, ode.input_values(t, state))

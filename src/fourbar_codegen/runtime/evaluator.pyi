@@ -12,6 +12,8 @@ Values = ArrayLike | Mapping[object, float]
 OK: int
 NOT_CLOSED: int
 
+def is_finite(values: Floats) -> bool: ...
+
 class Evaluator:
     n_q: int
     n_u: int

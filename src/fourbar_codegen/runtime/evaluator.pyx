@@ -41,6 +41,11 @@ cdef cnp.ndarray vector(object values, int n, str what):
     return array
 
 
+def is_finite(cnp.ndarray values not None):
+    """Whether all entries of a contiguous array of double are finite; for a few, NumPy takes ten times as long."""
+    return bool(fb_finite(data(values), cnp.PyArray_SIZE(values)))
+
+
 cdef class Evaluator:
     """Evaluates one kernel.
 

@@ -16,14 +16,6 @@
 
 enum { N_X = N_Q + N_U };
 
-/* Short equations become part of what calls them: what they compute stays in registers, and what nobody asks for is left
- * out. */
-#ifdef FB_SHORT
-#define FB_FLATTEN __attribute__((flatten))
-#else
-#define FB_FLATTEN
-#endif
-
 /* The split is taken where its pivots are no less than this share of the sum of their row, which takes less time than
  * the largest entry. That is less than fourbar_solve.h asks for, at the cost of a digit or two, since pivoting in one
  * lane makes all of them wait. */

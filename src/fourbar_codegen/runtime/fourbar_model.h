@@ -79,7 +79,7 @@ static inline int solve_accelerations(double t, const double *restrict x, const 
     return fb_solve(w->forcing, w->acceleration_bias, &w->factors, rates);
 }
 
-static int rhs(double t, const double *x, const double *constants, const double *r, double *rates, void *work)
+static FB_FLATTEN int rhs(double t, const double *x, const double *constants, const double *r, double *rates, void *work)
 {
     fb_work *const w = work;
     double *const coordinate_rates = N_Q > 0 ? rates : w->coordinate_rates;

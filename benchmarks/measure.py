@@ -27,6 +27,13 @@ def timed(function: Callable[[], object]) -> float:
     return time.perf_counter() - begin
 
 
+def call(function: Callable[..., object], *arguments: Any) -> Callable[[], float]:
+    """A measure of a call; short ones are repeated for 20 ms."""
+    function(*arguments)  # the first call may compile
+    number = max(1, int(0.02 / timed(lambda: function(*arguments))))
+    return lambda: timed(lambda: [function(*arguments) for _ in range(number)]) / number
+
+
 def evaluation(function: Callable[[float, Any], object], x: Any, number: int) -> Callable[[], float]:
     """A measure of one evaluation, called as an integrator written in Python calls it."""
     timer = timeit.Timer("function(0.5, x)", globals={"function": function, "x": x})

@@ -1,8 +1,8 @@
 """Simulation of the tutorial's four-bar by this package and by its peers, side by side in one run.
 
-One evaluation from Python, a batch of 4096 states, one simulation of 4 s, and many with different parameters; then how
-long each integrator takes for what error, against a reference at 1e-13. Peers that are not installed are skipped with a
-line: ``pip install 'fourbar_codegen[bench]'``.
+One evaluation from Python, a batch of 4096 states, one simulation of 4 s, and many with different parameters; how long
+each integrator takes for what error, against a reference at 1e-13; and a fresh process from SymPy's model to the first
+simulation. Peers that are not installed are skipped with a line: ``pip install 'fourbar_codegen[bench]'``.
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ import functools
 import itertools
 import json
 import os
+import subprocess
+import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from importlib.util import find_spec
@@ -20,7 +22,7 @@ from typing import Any
 
 import numpy as np
 import sympy as sm
-from measure import circumstances, compare, evaluation, replace_in_readme, timed
+from measure import call, circumstances, compare, evaluation, replace_in_readme, timed
 from scipy.integrate import solve_ivp
 from tutorial import Floats, Tutorial, tutorial_four_bar
 
@@ -29,6 +31,8 @@ import fourbar_codegen as fb
 BATCH = 4096
 END = 4.0
 TOLERANCES = [10.0**-k for k in range(3, 14)]
+TIGHTEST = {"heyoka, Taylor": 2.3e-16}
+"""Tolerances below the last one that integrators take."""
 MODULES = {
     "heyoka": "heyoka",
     "numba": "numba",
@@ -64,10 +68,13 @@ def explicit(
     return [*x[n:], *solution]
 
 
-def call(function: Callable[..., object], *arguments: Any) -> Callable[[], float]:
-    """A measure of a call; short ones are repeated for 20 ms."""
-    number = max(1, int(0.02 / timed(lambda: function(*arguments))))
-    return lambda: timed(lambda: [function(*arguments) for _ in range(number)]) / number
+def aligned(array: Floats) -> Floats:
+    """A copy that begins where vectors of 64 bytes do not lie across two lines of the cache: by chance, otherwise."""
+    memory = np.empty(array.size + 8)
+    begin = -memory.ctypes.data // 8 % 8
+    copy = memory[begin : begin + array.size].reshape(array.shape)
+    copy[...] = array
+    return copy
 
 
 class Case:
@@ -77,12 +84,22 @@ class Case:
         self.tutorial = tutorial_four_bar()
         self.x0 = self.tutorial.initial_state([-0.5], [-0.1], [-1.5, -1.5], [0.5, -0.5])
         self.p = np.array([float(value) for value in self.tutorial.p_values])
-        self.four_bar = fb.compile_model(fb.models.four_bar())
-        generator = np.random.default_rng(1)
-        # States of the case's own motion, and 10 % about them.
+        self.times = aligned(np.full(BATCH, 0.5))
+        self.each_p = aligned(np.repeat(self.p[:, np.newaxis], BATCH, axis=1))
+
+    @functools.cached_property
+    def four_bar(self) -> fb.CompiledModel:
+        return fb.compile_model(fb.models.four_bar())
+
+    @functools.cached_property
+    def states(self) -> Floats:
+        """States of the case's own motion, and 10 % about them."""
         path = self.four_bar.simulate((0.0, END), self.x0, t_eval=np.linspace(0.0, END, BATCH)).y
-        self.states = np.ascontiguousarray(path * generator.uniform(0.9, 1.1, path.shape))
-        self.stiffness = self.four_bar.defaults["k"] * generator.uniform(0.9, 1.1, 10_000)
+        return aligned(path * np.random.default_rng(1).uniform(0.9, 1.1, path.shape))
+
+    @functools.cached_property
+    def stiffness(self) -> Floats:
+        return self.p[self.four_bar.parameters.index("k")] * np.random.default_rng(2).uniform(0.9, 1.1, 10_000)
 
 
 def heyoka_system(case: Case, *, literal: bool) -> tuple[list[Any], list[Any]]:
@@ -98,23 +115,23 @@ def by_heyoka(case: Case) -> dict[str, Any]:
 
     found: dict[str, Any] = {}
 
-    def evaluate(function: Any, outputs: Floats, more: dict[str, Any], t: float, x: Floats) -> Any:
-        return function(x, time=t, outputs=outputs, **more)
+    @functools.cache
+    def function(literal: bool) -> Any:
+        x, rates = heyoka_system(case, literal=literal)
+        return hy.cfunc(rates, vars=x)
+
+    def one(literal: bool) -> Callable[[], float]:
+        how = {"outputs": np.empty(6)} | ({} if literal else {"pars": case.p})
+        return evaluation(lambda t, x: function(literal)(x, time=t, **how), case.x0, 2000)
+
+    def many(literal: bool) -> Callable[[], float]:
+        how = {"outputs": aligned(np.empty((6, BATCH)))} | ({} if literal else {"pars": case.each_p})
+        return call(lambda: function(literal)(case.states, time=case.times, **how))
 
     for literal in (False, True):
-        x, rates = heyoka_system(case, literal=literal)
-        function = hy.cfunc(rates, vars=x)
-        out, one = np.empty((6, BATCH)), np.empty(6)
-        more = {} if literal else {"pars": np.repeat(case.p[:, np.newaxis], BATCH, axis=1)}
-        single = {} if literal else {"pars": case.p}
-        times = np.full(BATCH, 0.5)
         word = "heyoka, numbers in the code" if literal else "heyoka"
-        found[f"one: {word}"] = functools.partial(
-            evaluation, functools.partial(evaluate, function, one, single), case.x0, 2000
-        )
-        found[f"batch: {word}"] = functools.partial(
-            call, functools.partial(function, time=times, outputs=out, **more), case.states
-        )
+        found[f"one: {word}"] = functools.partial(one, literal)
+        found[f"batch: {word}"] = functools.partial(many, literal)
     x, rates = heyoka_system(case, literal=False)
     system = list(zip(x, rates, strict=True))
 
@@ -140,7 +157,7 @@ def by_heyoka(case: Case) -> dict[str, Any]:
 
     def ensemble(tolerance: float, stiffness: Floats) -> Floats:
         run, ends = batch(tolerance), np.empty((len(stiffness), 6))
-        place = case.four_bar.parameters.index("k")
+        place = [symbol.name for symbol in case.tutorial.p].index("k")
         for begin in range(0, len(stiffness), size):
             run.set_time(0.0)
             run.state[:] = case.x0[:, np.newaxis]
@@ -188,18 +205,22 @@ def by_pydy(case: Case) -> dict[str, Any]:
 
     system = case.tutorial.system
     (force,) = case.tutorial.r
-    found = {}
-    for generator in ("lambdify", "cython"):
-        function = generate_ode_function(
+
+    @functools.cache
+    def function(generator: str) -> Any:
+        return generate_ode_function(
             system.forcing_full, system.q[:], system.u[:], list(case.tutorial.p), mass_matrix=system.mass_matrix_full,
             specifieds=[force], generator=generator, constants_arg_type="array", specifieds_arg_type="array",
         )  # fmt: skip
 
-        def rhs(t: float, x: Floats, function: Any = function) -> Floats:
-            return function(x, t, np.array([100.0 * np.sin(np.pi * t)]), case.p)
+    def rhs(generator: str, t: float, x: Floats) -> Floats:
+        return function(generator)(x, t, np.array([100.0 * np.sin(np.pi * t)]), case.p)
 
-        found[f"one: PyDy, {generator}"] = functools.partial(evaluation, rhs, case.x0, 500)
-        found[f"simulate: PyDy, {generator}, solve_ivp DOP853"] = by_scipy(rhs, case)
+    found = {}
+    for generator in ("lambdify", "cython"):
+        of_generator = functools.partial(rhs, generator)
+        found[f"one: PyDy, {generator}"] = functools.partial(evaluation, of_generator, case.x0, 500)
+        found[f"simulate: PyDy, {generator}, solve_ivp DOP853"] = by_scipy(of_generator, case)
     return found
 
 
@@ -265,9 +286,8 @@ def by_jitcode(case: Case) -> dict[str, Any]:
 
 
 def by_ourselves(case: Case) -> dict[str, Any]:
-    four_bar, ode, times = case.four_bar, case.four_bar.ode(), np.full(BATCH, 0.5)
-    p = np.repeat(case.p[:, np.newaxis], BATCH, axis=1)
-    batch = functools.partial(four_bar.rhs_batch, out=np.empty((6, BATCH)))
+    four_bar, ode = case.four_bar, case.four_bar.ode()
+    batch = functools.partial(four_bar.rhs_batch, out=aligned(np.empty((6, BATCH))))
 
     def simulate(method: str, constraints: str) -> Simulation:
         def run(tolerance: float) -> Floats:
@@ -287,8 +307,8 @@ def by_ourselves(case: Case) -> dict[str, Any]:
 
     return {
         "one: fourbar_codegen": lambda: evaluation(ode, case.x0, 5000),
-        "batch: fourbar_codegen, one set of parameters": lambda: call(batch, times, case.states),
-        "batch: fourbar_codegen": lambda: call(batch, times, case.states, p),
+        "batch: fourbar_codegen, one set of parameters": lambda: call(batch, case.times, case.states),
+        "batch: fourbar_codegen": lambda: call(batch, case.times, case.states, case.each_p),
         "simulate: fourbar_codegen, DOP853, loop kept closed": simulate("DOP853", "project"),
         "simulate: fourbar_codegen, DOP853, loop left to drift": simulate("DOP853", "none"),
         "simulate: fourbar_codegen, RK45, loop kept closed": simulate("RK45", "project"),
@@ -306,19 +326,41 @@ def by_tutorial(case: Case) -> dict[str, Any]:
     }
 
 
-def gather(case: Case) -> dict[str, Any]:
-    """What can be measured, by kind and name."""
-    ways = {
-        "heyoka": by_heyoka, "numba": by_numba, "PyDy": by_pydy, "CasADi": by_casadi, "scikit-sundae": by_sundae,
-        "JiTCODE": by_jitcode,
-    }  # fmt: skip
-    found = {**by_ourselves(case), **by_tutorial(case)}
-    for name, way in ways.items():
-        if find_spec(MODULES[name]):
-            found.update(way(case))
-        else:
-            print(f"{name} is not installed: pip install 'fourbar_codegen[bench]'", flush=True)
-    return found
+WAYS = {
+    "fourbar_codegen": by_ourselves, "the tutorial's code": by_tutorial, "heyoka": by_heyoka, "numba": by_numba,
+    "PyDy": by_pydy, "CasADi": by_casadi, "scikit-sundae": by_sundae, "JiTCODE": by_jitcode,
+}  # fmt: skip
+STARTS = {
+    "fourbar_codegen, nothing in the cache": ("fourbar_codegen", "fourbar_codegen, DOP853, loop kept closed"),
+    "fourbar_codegen, compiled before": ("fourbar_codegen", "fourbar_codegen, DOP853, loop kept closed"),
+    "the tutorial's code": ("the tutorial's code", "the tutorial's code, solve_ivp DOP853"),
+    "heyoka": ("heyoka", "heyoka, Taylor"),
+    "numba": ("numba", "numba, solve_ivp DOP853"),
+    "PyDy, cython": ("PyDy", "PyDy, cython, solve_ivp DOP853"),
+    "CasADi": ("CasADi", "CasADi, CVODES"),
+    "JiTCODE": ("JiTCODE", "JiTCODE, dop853"),
+}
+"""Of each package the integrator whose first simulation a fresh process waits for."""
+
+
+def installed() -> dict[str, Any]:
+    """The ways that can be measured."""
+    missing = [name for name in WAYS if name in MODULES and not find_spec(MODULES[name])]
+    for name in missing:
+        print(f"{name} is not installed: pip install 'fourbar_codegen[bench]'", flush=True)
+    return {name: way for name, way in WAYS.items() if name not in missing}
+
+
+def start(name: str, folder: str) -> Callable[[], float]:
+    """A measure of a fresh process up to its first simulation."""
+
+    def measure() -> float:
+        cache = tempfile.mkdtemp() if "nothing" in name else folder
+        environment = {**os.environ, "FOURBAR_CODEGEN_CACHE": cache, "NUMBA_CACHE_DIR": tempfile.mkdtemp()}
+        command = [sys.executable, __file__, "--first", *STARTS[name]]
+        return timed(lambda: subprocess.run(command, check=True, capture_output=True, env=environment))
+
+    return measure
 
 
 def of_kind(found: dict[str, Any], kind: str) -> dict[str, Any]:
@@ -329,14 +371,17 @@ def precision(case: Case, simulations: dict[str, Simulation], rounds: int) -> li
     """For each integrator and tolerance the error at the end, by the reference, and the time."""
     reference = by_scipy(case.tutorial.rhs, case)(1e-13)
     rows = []
-    for tolerance in TOLERANCES:
-        errors = {name: float(np.abs(run(tolerance) - reference).max()) for name, run in simulations.items()}
-        medians = compare(*(call(run, tolerance) for run in simulations.values()), rounds=rounds)
+    for tolerance in (*TOLERANCES, *TIGHTEST.values()):
+        runs = {
+            name: run for name, run in simulations.items() if tolerance in TOLERANCES or TIGHTEST.get(name) == tolerance
+        }
+        errors = {name: float(np.abs(run(tolerance) - reference).max()) for name, run in runs.items()}
+        medians = compare(*(call(run, tolerance) for run in runs.values()), rounds=rounds)
         rows += [
             {"integrator": name, "tolerance": tolerance, "error": errors[name], "seconds": seconds}
-            for name, seconds in zip(simulations, medians, strict=True)
+            for name, seconds in zip(runs, medians, strict=True)
         ]
-        print(json.dumps(rows[-len(simulations) :]), flush=True)
+        print(json.dumps(rows[-len(runs) :]), flush=True)
     return rows
 
 
@@ -373,9 +418,15 @@ def main() -> None:
     parser.add_argument("--output", type=Path, default=Path("results/peers.json"), help="where to write JSON")
     parser.add_argument("--readme", action="store_true", help="write the tables into README.md as well")
     parser.add_argument("--rounds", type=int, default=9, help="samples of each measure")
+    parser.add_argument("--first", nargs=2, help="a package and an integrator: make a single simulation with it")
     options = parser.parse_args()
     case = Case()
-    found = gather(case)
+    if options.first:
+        package, name = options.first
+        of_kind(WAYS[package](case), "simulate")[name](1e-10)
+        return
+    ways = installed()
+    found = {name: what for way in ways.values() for name, what in way(case).items()}
 
     def together(kind: str, scale: float, unit: str) -> dict[str, float]:
         ways = of_kind(found, kind)
@@ -400,13 +451,21 @@ def main() -> None:
             each = seconds / len(case.stiffness)
             many.append({"way": name, "tolerance": tolerance, "error": error, "us": each * 1e6, "ratio": slow / each})
             print(json.dumps(many[-1]), flush=True)
-    report = {**circumstances(), "one": one, "batch": batch, "precision": rows, "many": many}
+    with tempfile.TemporaryDirectory() as folder:
+        starting = {name: start(name, folder) for name, (package, _) in STARTS.items() if package in ways}
+        for measure in starting.values():
+            measure()  # so that all files have been read
+        medians = compare(*starting.values(), rounds=3)
+    starts = dict(zip(starting, medians, strict=True))
+    for name, seconds in starts.items():
+        print(f"first simulation: {name:<40} {seconds:8.3g} s", flush=True)
+    report = {**circumstances(), "one": one, "batch": batch, "precision": rows, "many": many, "starts": starts}
     options.output.parent.mkdir(parents=True, exist_ok=True)
     options.output.write_text(json.dumps(report, indent=2) + "\n")
     plot(rows, options.output.with_suffix(".png"))
     print(f"Written: {options.output}, {options.output.with_suffix('.png')}")
     if options.readme:
-        replace_in_readme("peers", tables(one, batch, rows, many), "peers.py", report)
+        replace_in_readme("peers", tables(one, batch, rows, many, starts), "peers.py", report)
 
 
 def _tutorial_end(case: Case, stiffness: float) -> Floats:
@@ -423,7 +482,11 @@ def _tutorial_end(case: Case, stiffness: float) -> Floats:
 
 
 def tables(
-    one: dict[str, float], batch: dict[str, float], rows: list[dict[str, Any]], many: list[dict[str, Any]]
+    one: dict[str, float],
+    batch: dict[str, float],
+    rows: list[dict[str, Any]],
+    many: list[dict[str, Any]],
+    starts: dict[str, float],
 ) -> str:
     errors = (1e-4, 1e-7, 1e-10)
     slow = one["the tutorial's code"]
@@ -445,10 +508,25 @@ def tables(
         "| | " + " | ".join(f"{error:.0e}" for error in errors) + " |",
         "|---|" + "---|" * len(errors),
     ]
-    for name in dict.fromkeys(row["integrator"] for row in rows):
+    names = list(dict.fromkeys(row["integrator"] for row in rows))
+    for name in names:
         cells = [at_error(rows, name, error) for error in errors]
         lines.append(f"| {name} | " + " | ".join(f"{cell * 1e3:.3g} ms" if cell else "" for cell in cells) + " |")
     lines += [
+        "\nThe same at a tolerance of 1e-3, of 1e-10, and at the tightest that is taken, with the error:\n",
+        "| | 1e-03 | 1e-10 | tightest |",
+        "|---|---|---|---|",
+    ]
+    for name in names:
+        own = [row for row in rows if row["integrator"] == name]
+        shown = [*(row for row in own if row["tolerance"] in (TOLERANCES[0], 1e-10)), own[-1]]
+        cells = [f"{row['seconds'] * 1e3:.3g} ms, {row['error']:.0e}" for row in shown]
+        lines.append(f"| {name} | {' | '.join(cells)} |")
+    lines += [
+        "\nA fresh process, from SymPy's model to the first simulation:\n",
+        "| | |",
+        "|---|---|",
+        *(f"| {name} | {seconds:.3g} s |" for name, seconds in sorted(starts.items(), key=lambda item: -item[1])),
         "\n10,000 simulations of 4 s with different stiffnesses, each, with the largest error of five of them:\n",
         "| | tolerance | error | time | against the tutorial's code |",
         "|---|---|---|---|---|",

@@ -52,6 +52,7 @@ MODELS = {
         True,
     ),
     "closed chain": (lambda: fb.models.chain(4, closed=True), True),
+    "bicycle": (fb.models.whipple_bicycle, True),
     "functions": (functions_of_the_state, True),
     "sparse": (lambda: fb.models.n_four_bar(10), False),
 }

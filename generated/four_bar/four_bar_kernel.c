@@ -30,6 +30,10 @@ enum {
 #define FB_NAME(function) four_bar_##function
 #define FB_HAS_LANES
 
+/* The order in which constraints are eliminated as a rule; the speeds for which they are solved, and the others. */
+static const int usual_row[] = {1, 0};
+static const int usual_speed[] = {1, 2, 0};
+
 /* The parameters, and behind them all that is derived from them alone. */
 static void prepare(const fb_real *restrict p, fb_real *restrict constants)
 {

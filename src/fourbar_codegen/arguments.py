@@ -123,6 +123,9 @@ def named_columns(
     ModelError
         If a name or a shape is wrong, or a value is missing. Values that are not finite are let through.
     """
+    # The usual case is told quickly.
+    if type(given) is np.ndarray and given.dtype.char == "d" and given.shape == (len(names), n):
+        return given if given.flags.c_contiguous else np.ascontiguousarray(given)
     if is_mapping(given):
         known: dict[str, Any] = {name: defaults.get(name) for name in names}
         for key, value in given.items():

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from fourbar_codegen.c_expressions import ANGLES, CARRIED, Text
 from fourbar_codegen.program import Array, Function, Program
-from fourbar_codegen.structure import Structure
+from fourbar_codegen.structure import Split, Structure
 from fourbar_codegen.tape import Call, Scalar
 
 __all__ = ["derivatives_text", "header_text", "kernel_text", "lanes_text"]
@@ -35,8 +35,8 @@ SIDE_BY_SIDE = ("prepare", "default_inputs", "dynamics", "closure", "coordinate_
 """The functions that are compiled for several states side by side as well; fourbar_lanes.h says what for."""
 
 SHORT = 600
-"""Operations of equations that are compiled into what calls them. Side by side that gains 7 % for the chain of eight links
-(527), and 3 % for the bicycle (1301), which takes half as long again to compile."""
+"""Operations of equations that are compiled into what calls them. Side by side that gains 7 % for a chain of eight
+links (527), and 3 % for the bicycle (1301), which takes half as long again to compile."""
 
 MOST_ARGUMENTS = 4
 """Arguments of the functions that fourbar_real.h can evaluate lane by lane."""
@@ -105,7 +105,7 @@ enum {{
     N_CONSTANTS = {sizes.n_constants}
 }};
 #define FB_NAME(function) {program.name}_##function{lanes}
-{_structure_text(program.structure)}
+{_structure_text(program.structure) or _split_text(program.split)}
 {side_by_side}
 
 {others}
@@ -132,6 +132,17 @@ def _has_lanes(program: Program) -> bool:
     calls = (o for f in functions for _, o in f.statements if isinstance(o, Call))
     few = all(len(call.arguments) <= MOST_ARGUMENTS for call in calls)
     return few and program.structure is None and sizes.rank == sizes.n_c <= MOST_CONSTRAINTS
+
+
+def _split_text(split: Split) -> str:
+    """The tables of fourbar_solve.h."""
+    rows, speeds = (", ".join(map(str, numbers or (0,))) for numbers in (split.rows, split.speeds))
+    return f"""\
+
+/* The order in which constraints are eliminated as a rule; the speeds for which they are solved, and the others. */
+static const int usual_row[] = {{{rows}}};
+static const int usual_speed[] = {{{speeds}}};
+"""
 
 
 def _is_short(program: Program) -> bool:

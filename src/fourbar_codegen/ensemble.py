@@ -132,7 +132,8 @@ def evaluate(
         raise ModelError(f"The states must have shape ({model.n_x}, n), not {states.shape}.")
     n = states.shape[1]
     times = numbers(t, "the times")
-    times = named_columns(times[np.newaxis] if times.ndim else times.reshape(1), ("t",), {}, "time", n)
+    if times.shape not in {(), (n,)}:
+        raise ModelError(f"The times must be a number or have shape ({n},), not {times.shape}.")
     if p is None:
         model.parameter_vector(None)  # raises where one has no default
         parameters = np.array(list(model.defaults.values()), dtype=float)
@@ -140,9 +141,7 @@ def evaluate(
         parameters = named_columns(p, model.parameters, model.defaults, "parameter", n)
     inputs = None
     if r is not None:
-        missing = (
-            dict.fromkeys(model.inputs) if np.ndim(t) else _default_inputs(model, float(times.flat[0]), parameters)
-        )
+        missing = dict.fromkeys(model.inputs) if times.ndim else _default_inputs(model, float(times), parameters)
         inputs = named_columns(r, model.inputs, missing, "input", n)
     elif any(entry["expression"] is None for entry in model.manifest["inputs"]):
         raise ModelError(model.missing())
@@ -152,6 +151,8 @@ def evaluate(
         raise ModelError(f"out must be a contiguous, writable array of double of the shape {states.shape}.")
     elif np.may_share_memory(out, states):
         raise ModelError("out must not share memory with x.")
+    if not times.flags.c_contiguous:
+        times = times.copy()
     batch = Batch(model, times, states, parameters, inputs, out)
     n_threads = min(_workers(workers), -(-n // BLOCK))
     if n_threads < 2:

@@ -7,16 +7,20 @@ share what is left in common.
 from __future__ import annotations
 
 import itertools
+import random
 from collections.abc import Sequence
 
 from fourbar_codegen.angles import add_angles
 from fourbar_codegen.equations import Equations
 from fourbar_codegen.program import Array, Function, Program, Result, Sizes
 from fourbar_codegen.share import Statements, share
-from fourbar_codegen.structure import Structure, find_structure
+from fourbar_codegen.structure import Split, Structure, find_split, find_structure
 from fourbar_codegen.tape import ONE, Leaf, Scalar, Tape, operands, operations_of
 
 __all__ = ["lower"]
+
+POINTS = 8
+"""Pairs of random points at which the constraints' Jacobian is looked at."""
 
 
 def lower(name: str, equations: Equations) -> Program:
@@ -143,7 +147,23 @@ def lower(name: str, equations: Equations) -> Program:
         rank=e.n_dependent_speeds,
         n_constants=len(constants.nodes),
     )
-    return Program(name, sizes, (prepare, *functions[:first]), functions[first:], structure)
+    return Program(name, sizes, (prepare, *functions[:first]), functions[first:], _split(e), structure)
+
+
+def _split(e: Equations) -> Split:
+    """From J at random points, some of them close to where the coordinates are zero, as models often begin."""
+    n_u = len(e.speeds)
+    generator = random.Random(0)
+    jacobians = []
+    for size in (0.05, 1.0) * POINTS:
+        values = {leaf: generator.uniform(0.1, 1.0) for leaf in (e.time, *e.speeds, *e.parameters, *e.inputs)}
+        values.update((leaf, generator.uniform(-size, size)) for leaf in e.coordinates)
+        try:
+            entries = e.tape.evaluate(e.constraint_jacobian.entries, values)
+        except (ArithmeticError, ValueError, TypeError):
+            continue  # not everything has a value everywhere
+        jacobians.append([entries[i : i + n_u] for i in range(0, len(entries), n_u)])
+    return find_split(len(e.velocity_bias.entries), n_u, e.n_dependent_speeds, jacobians)
 
 
 def _structure(e: Equations) -> Structure | None:

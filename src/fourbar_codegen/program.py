@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from fourbar_codegen.share import Statements
-from fourbar_codegen.structure import Structure
+from fourbar_codegen.structure import Split, Structure
 from fourbar_codegen.tape import ONE, Leaf, Scalar, operands, operations_of
 
 __all__ = ["Array", "Function", "Program", "Result", "Sizes"]
@@ -141,6 +141,8 @@ class Program:
         `prepare` first, which derives the constants that all others take.
     derivatives : tuple of Function
         Those that give derivatives: longer than the others, and called less often.
+    split : Split
+        The order in which `dynamics`' constraints are eliminated from full equations.
     structure : Structure or None
         How the equations of `dynamics` are solved, if not as full ones. Then that function gives the entries of M and J
         that are not zero, one after another.
@@ -150,6 +152,7 @@ class Program:
     sizes: Sizes
     functions: tuple[Function, ...]
     derivatives: tuple[Function, ...]
+    split: Split
     structure: Structure | None
 
     @property

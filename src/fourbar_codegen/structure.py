@@ -17,14 +17,22 @@ problems", *Acta Numerica* 14 (2005), section 3.5; minimum degree, Davis, *Direc
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-__all__ = ["Structure", "find_structure"]
+__all__ = ["Split", "Structure", "find_split", "find_structure"]
 
 Entries = tuple[tuple[int, int], ...]
 
 FEWEST_SPEEDS = 8
+GOOD_PIVOT = 0.25
+"""The pivot by the largest entry of its row, as a mean, from which on an order is taken; see fourbar_solve.h."""
+
+TINY = 1e-12
+"""The share of its row below which a pivot is nothing but rounding errors."""
+
 GAIN = 4
 """How many times fewer multiplications make up for their places in memory being looked up."""
 
@@ -150,3 +158,75 @@ def find_structure(n_u: int, n_c: int, mass_entries: Entries, jacobian_entries: 
     if GAIN * sparse > dense:
         return None
     return Structure(mass_entries, jacobian_entries, tuple(order), below)
+
+
+@dataclass(frozen=True)
+class Split:
+    """An order in which full constraints are solved for as many speeds.
+
+    Attributes
+    ----------
+    rows : tuple of int
+        The constraints, in the order of elimination.
+    speeds : tuple of int
+        The speeds that they are solved for, in that order, and behind them the others.
+    """
+
+    rows: tuple[int, ...]
+    speeds: tuple[int, ...]
+
+
+def find_split(n_c: int, n_u: int, rank: int, jacobians: Sequence[Sequence[Sequence[float]]]) -> Split:
+    """The order whose pivots are large by their rows, at some examples of J.
+
+    At each step the next constraint and speed are those with the largest product, over the examples, of the pivots by
+    the largest entries of their rows. They are sought among the dependent speeds, which stand last; among all where
+    these are no good choice.
+
+    Parameters
+    ----------
+    n_c, n_u, rank : int
+        Numbers of constraints, of speeds, and of dependent ones.
+    jacobians : sequence of n_c rows of n_u numbers
+
+    Returns
+    -------
+    Split
+
+    Examples
+    --------
+    >>> find_split(2, 3, 2, [[[1.0, 0.0, 2.0], [0.5, 1.0, 1.0]]])
+    Split(rows=(0, 1), speeds=(2, 1, 0))
+    """
+    dependent, order = range(n_u - rank, n_u), list(zip(range(n_c), range(n_u - rank, n_u), strict=False))
+    if rank == n_c and jacobians:  # redundant constraints are pivoted as it comes
+        order, worst = _pivot(jacobians, n_c, dependent)
+        if worst < GOOD_PIVOT:
+            order, _ = _pivot(jacobians, n_c, range(n_u))
+    speeds = [speed for _, speed in order]
+    return Split(tuple(row for row, _ in order), (*speeds, *(speed for speed in range(n_u) if speed not in speeds)))
+
+
+def _pivot(
+    jacobians: Sequence[Sequence[Sequence[float]]], n_c: int, speeds: Sequence[int]
+) -> tuple[list[tuple[int, int]], float]:
+    """Pairs of row and speed in the order of elimination; the pivot of the worst step, as a mean over the examples."""
+    matrices = [[list(row) for row in jacobian] for jacobian in jacobians]
+    waiting, order, worst = list(itertools.product(range(n_c), speeds)), [], 0.0
+    while waiting:
+        shares = {pair: sum(_share(matrix, *pair) for matrix in matrices) for pair in waiting}
+        pivot = row, speed = max(shares, key=shares.__getitem__)
+        worst = min(worst, shares[pivot])
+        order.append(pivot)
+        waiting = [pair for pair in waiting if pair[0] != row and pair[1] != speed]
+        for matrix in matrices:
+            for other in {pair[0] for pair in waiting}:
+                factor = matrix[other][speed] / (matrix[row][speed] or math.inf)
+                matrix[other] = [a - factor * b for a, b in zip(matrix[other], matrix[row], strict=True)]
+    return order, math.exp(worst / len(matrices))
+
+
+def _share(matrix: Sequence[Sequence[float]], row: int, speed: int) -> float:
+    """The logarithm of an entry by the largest one in its row that is left."""
+    largest = max(abs(entry) for entry in matrix[row])
+    return math.log(max(abs(matrix[row][speed]) / largest, TINY) if largest else TINY)

@@ -61,11 +61,11 @@ def width(Evaluator evaluator not None):
     return _lanes(evaluator).width if _lanes(evaluator) != NULL else 1
 
 
-cdef fb_columns _columns(cnp.ndarray array):
-    """An array of shape (rows, n), or (rows,) where all states have the same; contiguous."""
+cdef fb_columns _columns(cnp.ndarray array, int axes):
+    """A contiguous array with so many axes, the last that of the states; or with one less, the same for all states."""
     cdef fb_columns columns
     columns.values = data(array)
-    columns.stride = cnp.PyArray_DIM(array, 1) if cnp.PyArray_NDIM(array) == 2 else 0
+    columns.stride = cnp.PyArray_DIM(array, axes - 1) if cnp.PyArray_NDIM(array) == axes else 0
     return columns
 
 
@@ -76,7 +76,7 @@ cdef class Batch:
     Parameters
     ----------
     evaluator : Evaluator
-    t : ndarray, shape (1,) or (1, n)
+    t : ndarray, shape () or (n,)
     x : ndarray, shape (n_x, n)
     p : ndarray, shape (n_p,) or (n_p, n)
     r : ndarray, shape (n_r,) or (n_r, n), or None
@@ -92,9 +92,9 @@ cdef class Batch:
     def __cinit__(self, Evaluator evaluator not None, t, x, p, r, cnp.ndarray rates not None):
         self.evaluator, self.kept = evaluator, [t, x, p, r, rates]
         self.batch.n, self.batch.rates = np.shape(x)[1], data(rates)
-        self.batch.t, self.batch.x, self.batch.p = _columns(t), _columns(x), _columns(p)
+        self.batch.t, self.batch.x, self.batch.p = _columns(t, 1), _columns(x, 2), _columns(p, 2)
         if r is not None:
-            self.batch.r = _columns(r)
+            self.batch.r = _columns(r, 2)
 
     def evaluate(self, long begin, long end):
         """The states from one to another; other threads may evaluate others at the same time."""

@@ -12,7 +12,7 @@ typedef struct fb_crew {
     long member[FB_WIDTH], next_time[FB_WIDTH], n_steps[FB_WIDTH];
     double h_abs[FB_WIDTH];
     int rejected[FB_WIDTH];
-    /* J at the beginning of the step, and the determinant of its columns of the dependent speeds; that is not a number
+    /* J at the beginning of the step, and the determinant of its columns in the usual split; that is not a number
      * where it is not known */
     fb_real jacobian_before[FB_AT_LEAST_1(N_JACOBIAN)], orientation;
     fb_source sources[FB_WIDTH][FB_AT_LEAST_1(N_R)];

@@ -1,8 +1,7 @@
 /* The equations of motion of FB_WIDTH states side by side, a state in each lane of fb_real.
  *
  * What a lane holds does not depend on what the others hold. The equations are solved as in fourbar_solve.h with the
- * model's own split of the speeds, whose places the compiler knows; a lane where that is a bad one is left to the
- * kernel for one state.
+ * usual split of the speeds; a lane where that is a bad one is left to the kernel for one state.
  */
 #include "fourbar_array.h"
 #include "fourbar_batch.h"
@@ -32,7 +31,7 @@ typedef struct fb_split {
 /* The speed at a place of the split. */
 static inline int fb_speed(const int place)
 {
-    return place < N_C ? N_U - N_C + place : place - N_C;
+    return usual_speed[place];
 }
 
 static FB_INLINE void fb_split_of(const fb_real *restrict mass_matrix, const fb_real *restrict jacobian,
@@ -43,7 +42,7 @@ static FB_INLINE void fb_split_of(const fb_real *restrict mass_matrix, const fb_
     for (int i = 0; i < N_C; ++i) {
         size[i] = fb_number(0.0);
         for (int j = 0; j < N_U; ++j) {
-            s->lu[i][j] = jacobian[i * N_U + fb_speed(j)];
+            s->lu[i][j] = jacobian[usual_row[i] * N_U + fb_speed(j)];
             size[i] += fb_abs(s->lu[i][j]);
         }
         sizes += size[i];
@@ -102,7 +101,7 @@ static FB_INLINE void fb_split_solve(const fb_real *restrict forcing, const fb_r
 {
     fb_real w[FB_AT_LEAST_1(N_C)], v[N_U], g[N_U];
     for (int i = 0; i < N_C; ++i) {
-        w[i] = acceleration_bias[i];
+        w[i] = acceleration_bias[usual_row[i]];
         for (int k = 0; k < i; ++k)
             w[i] -= s->lu[i][k] * w[k];
     }
@@ -218,23 +217,23 @@ static fb_side *fb_new_side(const size_t size)
     return s;
 }
 
-/* FB_WIDTH states from place i on; of less than that, the last one again. */
-static inline void fb_load(const fb_columns *columns, const int rows, const long i, const int count,
-                           fb_real *restrict to)
+/* FB_WIDTH states from place i on, the last one again where there are fewer; they are read where they stand, if they
+ * stand side by side. */
+static FB_INLINE void fb_load(const fb_columns *columns, const int rows, const long i, const int count,
+                              fb_real *restrict to)
 {
-    for (int row = 0; row < rows; ++row) {
-        const double *const from = columns->values + (columns->stride ? row * columns->stride + i : row);
-        if (columns->stride == 0)
-            to[row] = fb_number(*from);
-        else if (count == FB_WIDTH)
-            memcpy(to + row, from, sizeof *to);
-        else {
-            double lanes[FB_WIDTH];
+    double copies[FB_AT_LEAST_1(N_X + N_P + N_R)][FB_WIDTH];
+    const double *from = columns->values + (columns->stride ? i : 0);
+    long apart = columns->stride;
+    if (apart == 0 || count < FB_WIDTH) {
+        for (int row = 0; row < rows; ++row)
             for (int lane = 0; lane < FB_WIDTH; ++lane)
-                lanes[lane] = from[lane < count ? lane : count - 1];
-            memcpy(to + row, lanes, sizeof *to);
-        }
+                copies[row][lane] = apart ? from[row * apart + (lane < count ? lane : count - 1)] : from[row];
+        from = copies[0];
+        apart = FB_WIDTH;
     }
+    for (int row = 0; row < rows; ++row)
+        memcpy(to + row, from + row * apart, sizeof *to);
 }
 
 /* Rows of FB_WIDTH numbers, from column i on. */

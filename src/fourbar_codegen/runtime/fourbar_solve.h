@@ -7,7 +7,8 @@
  *     (T^T M T) u_i' = T^T (f - M [e; 0]),
  *
  * symmetric and positive definite even where M alone is singular. Here dependent speeds stand first.
- * u' does not depend on the split, so where the model's own is a bad one, the best is chosen anew in each call.
+ * u' does not depend on the split. The usual one, by the tables usual_row and usual_speed, was chosen when the source
+ * was generated, so that the compiler knows its places; where it is a bad one, the best is chosen anew in each call.
  */
 #ifndef FOURBAR_SOLVE_H
 #define FOURBAR_SOLVE_H
@@ -29,9 +30,8 @@ enum { N_MASS = N_U * N_U, N_JACOBIAN = N_C * N_U };
 #define FB_DRIFT_TOLERANCE 1e-3
 #define FB_NEARLY 1e-12
 
-/* Whether the split into the speeds that the model calls dependent, which stand last there, and the others is tried
- * first: its places are known when the code is compiled. */
-#define FB_TRY_USUAL (N_C > 0 && N_C <= 4 && N_RANK == N_C)
+/* Whether the usual split is tried first: with many constraints its code becomes long. */
+#define FB_TRY_USUAL (N_C > 0 && N_C <= 8 && N_RANK == N_C)
 /* It is taken where its pivots are no less than this share of the largest in their row. */
 #define FB_USUAL_TOLERANCE 0.25
 /* And where no row is nearly dependent on others. */
@@ -39,7 +39,7 @@ enum { N_MASS = N_U * N_U, N_JACOBIAN = N_C * N_U };
 
 typedef struct fb_factors {
     int rank;
-    int usual; /* whether the split is the model's own */
+    int usual; /* whether the split is the usual one */
     int row[FB_AT_LEAST_1(N_C)], column[N_U]; /* P, Q */
     double scale[FB_AT_LEAST_1(N_C)];   /* S, in the order of the rows of L */
     double inverse[FB_AT_LEAST_1(N_C)]; /* 1 / the diagonal of U_d */
@@ -127,18 +127,18 @@ static inline int fb_eliminate(const double *restrict jacobian, fb_factors *rest
 /* The speed at a place of the split, which the compiler knows where it is the usual one. */
 static inline int fb_column(const fb_factors *restrict s, const int usual, const int i)
 {
-    return usual ? (i < N_RANK ? N_U - N_RANK + i : i - N_RANK) : s->column[i];
+    return usual ? usual_speed[i] : s->column[i];
 }
 
-/* J Q = L [U_d U_i] with the model's own split; returns whether that is a good one. With the rows in their order, and
- * each pivot compared with its own row, no scaling is needed. */
+/* P J Q = L [U_d U_i] with the usual split; returns whether that is a good one. With rows in a given order, and each
+ * pivot compared with its own row, no scaling is needed. */
 static inline int fb_eliminate_usual(const double *restrict jacobian, fb_factors *restrict s)
 {
     double lu[FB_AT_LEAST_1(N_C)][N_U], size[FB_AT_LEAST_1(N_C)], largest = 0.0;
     for (int i = 0; i < N_C; ++i) {
         size[i] = 0.0;
         for (int j = 0; j < N_U; ++j)
-            size[i] = fb_max(size[i], fabs(jacobian[i * N_U + j]));
+            size[i] = fb_max(size[i], fabs(jacobian[usual_row[i] * N_U + j]));
         largest = fb_max(largest, size[i]);
     }
     for (int i = 0; i < N_C; ++i) {
@@ -146,7 +146,7 @@ static inline int fb_eliminate_usual(const double *restrict jacobian, fb_factors
             return 0;
         s->scale[i] = 1.0;
         for (int j = 0; j < N_U; ++j)
-            lu[i][j] = jacobian[i * N_U + fb_column(s, 1, j)];
+            lu[i][j] = jacobian[usual_row[i] * N_U + fb_column(s, 1, j)];
     }
     for (int k = 0; k < N_C; ++k) {
         double pivot = FB_NEAR_DEPENDENCE * size[k];
@@ -162,7 +162,7 @@ static inline int fb_eliminate_usual(const double *restrict jacobian, fb_factors
         }
     }
     for (int i = 0; i < N_C; ++i) {
-        s->row[i] = i;
+        s->row[i] = usual_row[i];
         for (int j = 0; j < N_U; ++j)
             s->lu[i][j] = lu[i][j];
     }
@@ -221,7 +221,7 @@ static inline double fb_forward(const double *restrict acceleration_bias, const 
 {
     double size = 0.0;
     for (int i = 0; i < N_C; ++i) {
-        w[i] = s->scale[i] * acceleration_bias[usual ? i : s->row[i]];
+        w[i] = s->scale[i] * acceleration_bias[usual ? usual_row[i] : s->row[i]];
         if (rank < N_C && s->scale[i] == 0.0)
             w[i] = acceleration_bias[s->row[i]];
         size = fb_max(size, fabs(w[i]));

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from fourbar_codegen.c_expressions import ANGLES, CARRIED, Text
 from fourbar_codegen.program import Array, Function, Program
-from fourbar_codegen.structure import Split, Structure
+from fourbar_codegen.structure import MOST_CONSTRAINTS, Split, Structure
 from fourbar_codegen.tape import Call, Scalar
 
 __all__ = ["derivatives_text", "header_text", "kernel_text", "lanes_text"]
@@ -40,9 +40,6 @@ links (527), and 3 % for the bicycle (1301), which takes half as long again to c
 
 MOST_ARGUMENTS = 4
 """Arguments of the functions that fourbar_real.h can evaluate lane by lane."""
-
-MOST_CONSTRAINTS = 8
-"""Constraints that fourbar_lanes.h eliminates without pivoting; with more, some lane would need it all the time."""
 
 
 def kernel_text(program: Program, names: Mapping[str, Sequence[str]]) -> str:

@@ -14,7 +14,7 @@ from fourbar_codegen.angles import add_angles
 from fourbar_codegen.equations import Equations
 from fourbar_codegen.program import Array, Function, Program, Result, Sizes
 from fourbar_codegen.share import Statements, share
-from fourbar_codegen.structure import Split, Structure, find_split, find_structure
+from fourbar_codegen.structure import MOST_CONSTRAINTS, Split, Structure, find_split, find_structure
 from fourbar_codegen.tape import ONE, Leaf, Scalar, Tape, operands, operations_of
 
 __all__ = ["lower"]
@@ -147,12 +147,14 @@ def lower(name: str, equations: Equations) -> Program:
         rank=e.n_dependent_speeds,
         n_constants=len(constants.nodes),
     )
-    return Program(name, sizes, (prepare, *functions[:first]), functions[first:], _split(e), structure)
+    return Program(name, sizes, (prepare, *functions[:first]), functions[first:], _split(e, structure), structure)
 
 
-def _split(e: Equations) -> Split:
+def _split(e: Equations, structure: Structure | None) -> Split:
     """From J at random points, some of them close to where the coordinates are zero, as models often begin."""
-    n_u = len(e.speeds)
+    n_u, n_c = len(e.speeds), len(e.velocity_bias.entries)
+    if structure is not None or n_c > MOST_CONSTRAINTS:
+        return find_split(n_c, n_u, e.n_dependent_speeds, [])  # none is taken
     generator = random.Random(0)
     jacobians = []
     for size in (0.05, 1.0) * POINTS:
@@ -163,7 +165,7 @@ def _split(e: Equations) -> Split:
         except (ArithmeticError, ValueError, TypeError):
             continue  # not everything has a value everywhere
         jacobians.append([entries[i : i + n_u] for i in range(0, len(entries), n_u)])
-    return find_split(len(e.velocity_bias.entries), n_u, e.n_dependent_speeds, jacobians)
+    return find_split(n_c, n_u, e.n_dependent_speeds, jacobians)
 
 
 def _structure(e: Equations) -> Structure | None:

@@ -22,11 +22,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-__all__ = ["Split", "Structure", "find_split", "find_structure"]
+__all__ = ["MOST_CONSTRAINTS", "Split", "Structure", "find_split", "find_structure"]
 
 Entries = tuple[tuple[int, int], ...]
 
 FEWEST_SPEEDS = 8
+MOST_CONSTRAINTS = 8
+"""Of full equations, constraints for which a split is chosen in advance; see fourbar_solve.h."""
+
 GOOD_PIVOT = 0.25
 """The pivot by the largest entry of its row, as a mean, from which on an order is taken; see fourbar_solve.h."""
 

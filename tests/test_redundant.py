@@ -56,8 +56,8 @@ def test_repeated_constraints_change_nothing_but_the_multipliers(constraints):
     )
 
 
-def test_parallelogram_with_a_bar_too_many():
-    # Three uprights under one bar across: two loops, four constraints, of which three are independent.
+def three_uprights():
+    """Three uprights under one bar across: two loops, four constraints, of which three are independent."""
     p, v = me.dynamicsymbols("p0:3"), me.dynamicsymbols("v0:3")
     c, w = me.dynamicsymbols("c w")
     t = me.dynamicsymbols._t
@@ -85,8 +85,11 @@ def test_parallelogram_with_a_bar_too_many():
     system.apply_uniform_gravity(-g * ground.y)
     system.q_ind, system.q_dep, system.u_ind, system.u_dep = p[:1], [*p[1:], c], v[:1], [*v[1:], w]
     system.add_kdes(*(ui - qi.diff(t) for qi, ui in zip((*p, c), (*v, w), strict=True)))
-    model = fb.Model(system, name="parallelogram", parameters={m: 1.0, length: 1.0, g: 9.81})
-    compiled = fb.compile_model(model)
+    return fb.Model(system, name="parallelogram", parameters={m: 1.0, length: 1.0, g: 9.81})
+
+
+def test_parallelogram_with_a_bar_too_many():
+    compiled = fb.compile_model(three_uprights())
     x0 = compiled.initial_state({"p0": 0.5}, {"v0": 0.7}, guess=[0.4, 0.6, 0.1])
     np.testing.assert_allclose(x0, [0.5, 0.5, 0.5, 0.0, 0.7, 0.7, 0.7, 0.0], atol=1e-9)
     # All masses swing alike, as inverted pendulums: l p'' = g sin p.

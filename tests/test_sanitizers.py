@@ -3,14 +3,18 @@
 import os
 import subprocess
 
+import numpy as np
 import pytest
 
 import fourbar_codegen as fb
 
-# All functions of a kernel, a projected run by each method with interpolated samples, steps of one length, and, side by
-# side, more states than there are lanes, and more runs, with samples and an input held.
+# All functions of a kernel, a projected run by each method with interpolated samples, steps of one length, the
+# equations for implicit solvers, and, side by side, more states than there are lanes, and more runs, with samples and
+# an input held.
 PROGRAM = """
+#include "fourbar_augmented.h"
 #include "fourbar_batch.h"
+#include "fourbar_implicit.h"
 #include "fourbar_integrate.h"
 #include <stdio.h>
 #include <stdlib.h>
@@ -80,14 +84,24 @@ static double run(const fb_kernel *k, const double *p, const double *x0, const f
     memcpy(state, x0, (size_t)n * sizeof *x0);
     fb_run s = {.problem = &problem, .method = method, .n = n, .padded = padded, .direction = 1.0, .t_bound = 0.5,
                 .max_step = INFINITY, .rtol = tolerance, .atol = tolerance, .project = k->n_c > 0, .until = 0.5,
-                .x = state, .x_old = state + padded, .scratch = state + 2 * padded, .stages = state + 3 * padded,
-                .interpolant = state + 20 * padded, .times = times, .n_times = 50, .sample_t = t, .sample_x = samples,
-                .room = 50, .pending = 1};
+                .step = fb_step_on, .x = state, .x_old = state + padded, .scratch = state + 2 * padded,
+                .stages = state + 3 * padded, .interpolant = state + 20 * padded, .times = times,
+                .n_times = 50, .sample_t = t, .sample_x = samples, .room = 50, .pending = 1};
     fb_prepare_method(&s);
     if (method == &fb_rk4)
         for (int i = 0; i < 50; ++i)
             fb_fixed_step(&s, 0.01);
-    else {
+    else if (method == &fb_trapezoid) {
+        fb_augmented augmented;
+        double *const memory = doubles((int)fb_augmented_size(k));
+        fb_place_augmented(k, &augmented, memory);
+        s.augmented = &augmented;
+        s.step = fb_augmented_step_on;
+        s.max_step = 0.01;
+        fb_augmented_begin(&s);
+        fb_run_on(&s, 10000);
+        free(memory);
+    } else {
         fb_begin(&s);
         fb_run_on(&s, 10000);
     }
@@ -95,6 +109,26 @@ static double run(const fb_kernel *k, const double *p, const double *x0, const f
     free(problem.constants), free(problem.inputs), free(problem.work), free(problem.failed_x), free(problem.moved_x);
     free(state), free(tolerance), free(t), free(samples);
     return end;
+}
+
+static double implicit(const fb_kernel *k, const double *p, const double *x0)
+{
+    double sum = 0.0;
+    for (int formulation = FB_INDEX_1; formulation <= FB_INDEX_3; ++formulation) {
+        fb_problem problem = {.kernel = k, .constants = doubles(k->n_constants), .inputs = doubles(k->n_r)};
+        fb_implicit s;
+        double *const memory = doubles((int)fb_implicit_size(k));
+        k->prepare(p, problem.constants);
+        fb_place_implicit(&problem, formulation, &s, memory);
+        double *const z = doubles(s.n_z), *const rate = doubles(s.n_z), *const f = doubles(s.n_z);
+        double *const matrix = doubles(s.n_z * s.n_z);
+        memcpy(z, x0, (size_t)(k->n_q + k->n_u) * sizeof *x0);
+        fb_implicit_residual(&s, 0.1, z, rate, f);
+        fb_implicit_jacobian(&s, 0.1, 10.0, z, rate, matrix);
+        sum += f[0] + matrix[0];
+        free(problem.constants), free(problem.inputs), free(memory), free(z), free(rate), free(f), free(matrix);
+    }
+    return sum;
 }
 
 static double together(const fb_kernel *k, const double *p, const double *x0, const fb_tableau *method)
@@ -155,7 +189,8 @@ int main(int argc, char **argv)
     for (int i = 0; i < k->n_q + k->n_u; ++i)
         x0[i] = atof(argv[1 + k->n_p + i]);
     printf("%.17g", evaluate(k, p));
-    printf(" %.17g %.17g %.17g\\n", run(k, p, x0, &fb_rk4), run(k, p, x0, &fb_rk45), run(k, p, x0, &fb_dop853));
+    printf(" %.17g %.17g %.17g", run(k, p, x0, &fb_rk4), run(k, p, x0, &fb_rk45), run(k, p, x0, &fb_dop853));
+    printf(" %.17g %.17g\\n", run(k, p, x0, &fb_trapezoid), implicit(k, p, x0));
     printf("%.17g %.17g\\n", together(k, p, x0, &fb_rk45), together(k, p, x0, &fb_dop853));
     free(p), free(x0);
     return 0;
@@ -190,7 +225,7 @@ def test_kernel_and_runs_under_sanitizers(tmp_path, name):
     done = subprocess.run([tmp_path / "program", *values], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     # The same runs by the package, built without sanitizers; rounding differs with the flags.
-    _, _, *ends, _, _ = map(float, done.stdout.split())
-    for method, end in zip(("RK45", "DOP853"), ends, strict=True):
-        how = {"method": method, "rtol": 1e-6, "atol": 1e-6}
+    _, _, *ends, _, _, _ = map(float, done.stdout.split())
+    for method, end in zip(("RK45", "DOP853", "ALI3P"), ends, strict=True):
+        how = {"method": method, "rtol": 1e-6, "atol": 1e-6, "max_step": 0.01 if method == "ALI3P" else np.inf}
         assert end == pytest.approx(compiled.simulate((0.0, 0.5), x0, **how).y[0, -1], rel=1e-6, abs=1e-8)

@@ -669,6 +669,7 @@ class CompiledModel(Evaluator):
         dense_output: bool = False,
         max_step: float = math.inf,
         max_steps: int | None = None,
+        formulation: str = "gear-gupta-leimkuhler",
         progress: Callable[[float], object] | None = None,
     ) -> Trajectory:
         """Integrate the equations of motion, with the loops closed.
@@ -680,9 +681,15 @@ class CompiledModel(Evaluator):
         x0 : array_like, shape (n_x,), optional
             Initial state, taken as it is (`initial_state` makes consistent ones); the one that follows from
             the model's initial values otherwise.
-        method : {"DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA"}, optional
-            The first two run in C, with the coefficients and the step control of SciPy's. The others are SciPy's by
-            `fourbar_codegen.solvers`: of RK23 the steps are in C, the implicit ones are given the compiled Jacobian.
+        method : {"DOP853", "RK45", "ALI3P", "RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA"}, optional
+            The first two run in C, with the coefficients and the step control of SciPy's. ALI3P passes singular
+            positions: an augmented Lagrangian of index 3, by the trapezoidal rule, with projections; it runs in C and
+            takes steps of `max_step`, shorter ones where their equations cannot be solved. At a singular position,
+            where a mechanism may go on in more than one way, it takes the one on which its velocities are continuous,
+            since inertia does not let them jump. The next are SciPy's by `fourbar_codegen.solvers`: of RK23 the steps
+            are in C, the implicit ones are given the compiled Jacobian. CVODE, for what is stiff, and IDA, which keeps
+            the constraints as equations, are SUNDIALS' by scikit-sundae (``pip install 'fourbar_codegen[dae]'``), with
+            compiled functions.
         parameters : array_like or mapping, optional
             The defaults otherwise.
         inputs : mapping of input to source, optional
@@ -692,7 +699,7 @@ class CompiledModel(Evaluator):
         t_eval : array_like, optional
             Times at which to store the state.
         rtol, atol : float, optional
-            Relative and absolute tolerance of the integrator.
+            Relative and absolute tolerance of the integrator; ALI3P has none.
         events : sequence, or one of its entries, optional
             Names of outputs, callables of (t, x) as for ``solve_ivp``, with attributes ``terminal`` and ``direction``,
             or `Event` objects, which have these. Each change of sign is located on the interpolant. Outputs are
@@ -703,8 +710,8 @@ class CompiledModel(Evaluator):
             every state that is handed out. With "baumgarte", the
             accelerations are such that violations decay, and these stay as large as what an integrator's error adds
             within 1 / `stabilization`. With "none", only the accelerations satisfy the constraints, and the loops
-            drift open by the integrator's error. LSODA has a history of its own, so that only the states that it hands
-            out are moved.
+            drift open by the integrator's error. LSODA, CVODE and IDA have a history of their own, so that only the
+            states that they hand out are moved.
         stabilization : float, optional
             The rate a, 1/s, at which "baumgarte" lets violations decay: Phi'' + 2 a Phi' + a^2 Phi = 0. Rates beyond
             one by the step make the equations stiff. Source: J. Baumgarte, "Stabilization of constraints and integrals
@@ -712,9 +719,13 @@ class CompiledModel(Evaluator):
         dense_output : bool, optional
             Whether to keep an interpolant as ``trajectory.sol``.
         max_step : float, optional
-            The longest step, s.
+            The longest step, s; ALI3P needs it.
         max_steps : int, optional
             The most steps, for the methods in C.
+        formulation : {"gear-gupta-leimkuhler", "index-1", "index-3"}, optional
+            For IDA: whether positions and velocities satisfy the constraints in each step; or accelerations alone, so
+            that the loops drift open; or positions alone, with only the coordinates under the step control. See
+            `fourbar_codegen.solvers.IDA`.
         progress : callable, optional
             It is called with the time reached, some times a second, by the methods in C. On a terminal, what takes
             longer than a second says how far it is anyway.
@@ -759,6 +770,7 @@ class CompiledModel(Evaluator):
             dense_output=dense_output,
             max_step=max_step,
             max_steps=max_steps,
+            formulation=formulation,
             progress=progress,
         )
 

@@ -18,11 +18,15 @@ from fourbar_codegen.runtime.integrator import DenseOutput, Ode, Run
 if TYPE_CHECKING:
     from fourbar_codegen.compiled import CompiledModel
 
-__all__ = ["METHODS", "REACHED_END", "Event", "Result", "consistent", "integrate", "is_rounded"]
+__all__ = ["FIXED_STEP", "METHODS", "REACHED_END", "Event", "Result", "consistent", "integrate", "is_rounded"]
 
 Floats = NDArray[np.float64]
 
 METHODS = ("DOP853", "RK45")
+"""Explicit methods with step control."""
+
+FIXED_STEP = "ALI3P"
+"""The method that passes singular positions, by steps of one length; see ``fourbar_augmented.h``."""
 
 PAUSE = 0.02
 """Seconds after which a run in C looks up: for an interrupt from the keyboard, and to say how far it is."""
@@ -42,6 +46,7 @@ FLOOR = 1e-12
 
 REACHED_END = "The solver successfully reached the end of the integration interval."
 TERMINATED = "A termination event occurred."
+DIVERGED = "The equations of a step could not be solved: take a shorter max_step."
 TOO_SMALL = "Required step size is less than spacing between numbers."
 INFINITE = "The step's length is not finite: give a finite end, or max_step."
 
@@ -112,7 +117,7 @@ def integrate(
         The right-hand side; nothing else may use it during the run.
     span : (float, float)
     x0 : ndarray, shape (n_x,)
-    method : {"DOP853", "RK45"}
+    method : {"DOP853", "RK45", "ALI3P"}
     t_eval : ndarray or None
     rtol, atol : array_like
     events : sequence of Event or None
@@ -168,8 +173,8 @@ def integrate(
                 ending = -1, f"It has taken max_steps = {max_steps} steps."
         elif reason == "end":
             ending = 0, REACHED_END
-        elif reason == "infinite":
-            ending = -1, INFINITE
+        elif reason in ("infinite", "diverged"):
+            ending = -1, INFINITE if reason == "infinite" else DIVERGED
         else:
             samples.append(run.take_samples())
             singular = _Singular(model, ode, run, samples).here()

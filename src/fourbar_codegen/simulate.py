@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
@@ -23,9 +24,10 @@ from fourbar_codegen.arguments import (
     tolerance,
 )
 from fourbar_codegen.errors import ModelError
-from fourbar_codegen.integrate import METHODS, Event, Result, consistent, integrate
+from fourbar_codegen.integrate import FIXED_STEP, METHODS, Event, Result, consistent, integrate
 from fourbar_codegen.progress import Progress
 from fourbar_codegen.runtime.evaluator import is_finite
+from fourbar_codegen.runtime.implicit import FORMULATIONS
 from fourbar_codegen.runtime.integrator import Ode, Stepper, Table
 from fourbar_codegen.trajectory import Trajectory
 
@@ -38,7 +40,8 @@ Floats = NDArray[np.float64]
 EventLike = Event | str | Callable[[float, Floats], float]
 InputSource = float | tuple[ArrayLike, ArrayLike] | Callable[[float, Floats], float]
 
-SCIPY_METHODS = ("RK23", "Radau", "BDF", "LSODA")
+OTHER_METHODS = ("RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA")
+"""Those of `fourbar_codegen.solvers` that are not in C as a whole."""
 
 
 def bind(model: CompiledModel, parameters: Values | None, inputs: Mapping[Any, InputSource] | None) -> Ode:
@@ -139,12 +142,15 @@ def simulate(
     dense_output: bool,
     max_step: float,
     max_steps: int | None,
+    formulation: str,
     progress: Callable[[float], object] | None,
 ) -> Trajectory:
     """Integrate the equations of motion; see `CompiledModel.simulate`."""
-    if method not in (*METHODS, *SCIPY_METHODS):
-        raise ModelError(f"There is no method {method!r}; there are {', '.join((*METHODS, *SCIPY_METHODS))}.")
-    closes = projects(model, constraints, "baumgarte")
+    native = (*METHODS, FIXED_STEP)
+    if method not in (*native, *OTHER_METHODS):
+        raise ModelError(f"There is no method {method!r}; there are {', '.join((*native, *OTHER_METHODS))}.")
+    options = {"formulation": _formulation(model, formulation)} if method == "IDA" else {}
+    closes = projects(model, constraints, *(() if method == FIXED_STEP else ("baumgarte",)))
     start, end = time_span(t_span)
     times = None if t_eval is None else sample_times(t_eval, start, end)
     p = model.parameter_vector(parameters)
@@ -156,11 +162,13 @@ def simulate(
     watched = _events(model, events)
     tolerances = tolerance(rtol, "rtol"), tolerance(atol, "atol", model.n_x)
     max_step = longest_step(max_step)
+    if method == FIXED_STEP and max_step == math.inf:
+        raise ModelError(f"{FIXED_STEP} takes steps of one length: give it as max_step.")
     if not (max_steps is None or (isinstance(max_steps, int | np.integer) and max_steps > 0)):
         raise ModelError(f"max_steps must be a positive integer or None, not {max_steps!r}.")
     if not (progress is None or callable(progress)):
         raise ModelError(f"progress must be a callable of the time or None, not {progress!r}.")
-    if method in METHODS:
+    if method in native:
         with ExitStack() as stack:
             shown: list[Progress] = []  # made where a run is a long one
 
@@ -179,7 +187,7 @@ def simulate(
     else:
         ode.projects = closes
         how = method, times, tolerances, watched, dense_output, max_step
-        result = _solve_ivp(model, ode, (start, end), state, *how)
+        result = _solve_ivp(model, ode, (start, end), state, *how, options)
     return Trajectory(
         model=model,
         parameters=p,
@@ -247,6 +255,20 @@ def _state(
     return named_array(x0, model.states, {}, "state")
 
 
+def _formulation(model: CompiledModel, formulation: str) -> str:
+    """One that the model's constraints allow."""
+    if formulation not in FORMULATIONS:
+        raise ModelError(f"There is no formulation {formulation!r}; there are {', '.join(FORMULATIONS)}.")
+    if model.manifest["n_dependent_speeds"] < model.n_c:
+        raise ModelError("IDA solves for all multipliers, which redundant constraints leave open: take method='ALI3P'.")
+    if formulation != "index-1" and not model.manifest["can_project"]:
+        raise ModelError(
+            "The velocity constraints of this model are not the rates of its position constraints, one by one: take "
+            "formulation='index-1'."
+        )
+    return formulation
+
+
 def _solve_ivp(
     model: CompiledModel,
     ode: Ode,
@@ -258,8 +280,9 @@ def _solve_ivp(
     events: Sequence[Event] | None,
     dense_output: bool,
     max_step: float,
+    options: dict[str, str],
 ) -> Result:
-    """By SciPy's integrators, whose steps are in Python."""
+    """By integrators that `solve_ivp` drives."""
     from scipy.integrate import solve_ivp
 
     from fourbar_codegen import solvers
@@ -275,6 +298,7 @@ def _solve_ivp(
         rtol=tolerances[0],
         atol=tolerances[1],
         max_step=max_step,
+        **options,
     )
     message = given.message
     if not given.success:

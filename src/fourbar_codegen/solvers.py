@@ -17,17 +17,25 @@ True
 
 from __future__ import annotations
 
+import importlib
+import math
 import operator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import scipy.integrate
 from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import BarycentricInterpolator
 
 from fourbar_codegen.errors import ModelError
+from fourbar_codegen.runtime.implicit import FORMULATIONS, Rates, Residual
 from fourbar_codegen.runtime.integrator import EmbeddedSteps, Ode
 
-__all__ = ["BDF", "DOP853", "LSODA", "RK23", "RK45", "Radau"]
+__all__ = ["BDF", "CVODE", "DOP853", "IDA", "LSODA", "RK23", "RK45", "Radau"]
+
+NOT_CONTROLLED = 1e20
+"""An absolute tolerance that leaves a variable out of the step control."""
 
 
 class _Compiled(scipy.integrate.OdeSolver):
@@ -161,3 +169,127 @@ class LSODA(_Implicit, scipy.integrate.LSODA):
 
     def _project(self) -> None:
         pass
+
+
+class _Sundials(_Compiled):
+    """Steps of a solver of SUNDIALS, through scikit-sundae; its history is its own, so that no step is projected."""
+
+    _solver: Any
+    njev = nlu = 0
+
+    def __init__(
+        self, fun: Ode, t0: float, y0: ArrayLike, t_bound: float, *, rtol: float = 1e-3, atol: ArrayLike = 1e-6,
+        max_step: float = math.inf, first_step: float | None = None, vectorized: bool = False,
+    ) -> None:  # fmt: skip
+        super().__init__(fun, t0, y0, t_bound, vectorized=vectorized)
+        self._options = {
+            "rtol": float(rtol),
+            "max_step": 0.0 if max_step == math.inf else max_step,
+            "first_step": first_step or 0.0,
+            "max_num_steps": 10**9,
+        }
+        self._atol = np.array(np.broadcast_to(atol, self.n), dtype=float)
+
+    def _step_impl(self) -> tuple[bool, str | None]:
+        result = self._solver.step(self.t_bound, method="onestep", tstop=self.t_bound)
+        self.nfev, self.njev = result.nfev, result.njev
+        if result.status < 0 or not np.isfinite(result.y).all():
+            return False, self._ode.failure or result.message
+        if result.t == self.t:  # SUNDIALS would go on for ever
+            return False, self._ode.failure or self.TOO_SMALL_STEP
+        self.t, self.y = result.t, result.y[: self.n].copy()
+        return True, None
+
+    def _dense_output_impl(self) -> scipy.integrate.DenseOutput:
+        return _Polynomial(self.t_old, self.t, self._interpolated)
+
+    def _interpolated(self, t: float) -> NDArray[np.float64]:
+        """The solver's own interpolant at a time within the last step."""
+        return self._solver.step(t, method="normal").y[: self.n].copy()  # type: ignore[no-any-return]
+
+
+class _Polynomial(scipy.integrate.DenseOutput):
+    """The polynomial of degree 5 through the solver's interpolant, whose degree is no higher, at Chebyshev points.
+
+    Source: J.-P. Berrut, L. N. Trefethen, "Barycentric Lagrange interpolation", *SIAM Review* 46 (2004).
+    """
+
+    def __init__(self, t_old: float, t: float, value: Callable[[float], NDArray[np.float64]]) -> None:
+        super().__init__(t_old, t)
+        nodes = t_old + (t - t_old) * (1.0 - np.cos(np.pi * np.arange(6) / 5.0)) / 2.0
+        nodes[-1] = t  # the last one read: the solver goes on from there
+        self._interpolant = BarycentricInterpolator(nodes, [value(node) for node in nodes])
+
+    def _call_impl(self, t: Any) -> NDArray[np.float64]:
+        return np.asarray(self._interpolant(t)).T
+
+
+class CVODE(_Sundials):
+    """Backward differentiation of order 1 to 5, from SUNDIALS, with the compiled right-hand side and Jacobian.
+
+    It needs scikit-sundae: ``pip install 'fourbar_codegen[dae]'``.
+
+    Source: A. C. Hindmarsh and others, "SUNDIALS: Suite of Nonlinear and Differential/Algebraic Equation Solvers", *ACM
+    Transactions on Mathematical Software* 31 (2005).
+    """
+
+    def __init__(self, fun: Ode, t0: float, y0: ArrayLike, t_bound: float, **options: Any) -> None:
+        super().__init__(fun, t0, y0, t_bound, **options)
+        cvode = _sundae("cvode")
+        rates = Rates(fun)
+        jacobian = {"jacfn": rates.jacobian} if fun.has_jacobian else {}
+        self._solver = cvode.CVODE(rates.evaluate, method="BDF", atol=self._atol, **self._options, **jacobian)
+        self._solver.init_step(t0, self.y)
+
+
+class IDA(_Sundials):
+    """The equations with their constraints as a differential-algebraic system, by SUNDIALS' IDA of order 1 to 5.
+
+    Residual and Jacobian are compiled. Constraints must not be redundant. It needs scikit-sundae:
+    ``pip install 'fourbar_codegen[dae]'``.
+
+    Parameters
+    ----------
+    fun, t0, y0, t_bound, rtol, atol, max_step, first_step
+        As for ``scipy.integrate.OdeSolver``; ``y0`` satisfies the constraints.
+    formulation : {"gear-gupta-leimkuhler", "index-1", "index-3"}, optional
+        Whether loops are closed in positions and velocities at each step (the index is 2), in accelerations alone, so
+        that they drift open, or in positions alone. Tolerances hold for the state; multipliers follow.
+    """
+
+    def __init__(
+        self,
+        fun: Ode,
+        t0: float,
+        y0: ArrayLike,
+        t_bound: float,
+        *,
+        formulation: str = "gear-gupta-leimkuhler",
+        **options: Any,
+    ) -> None:
+        super().__init__(fun, t0, y0, t_bound, **options)
+        if formulation not in FORMULATIONS:
+            raise ModelError(f"There is no formulation {formulation!r}; there are {', '.join(FORMULATIONS)}.")
+        ida = _sundae("ida")
+        residual = Residual(fun, formulation)
+        rates, multipliers = fun.multipliers(t0, self.y)
+        z, z_rate = np.zeros(residual.n_z), np.zeros(residual.n_z)
+        z[: self.n], z[self.n : self.n + len(multipliers)], z_rate[: self.n] = self.y, multipliers, rates
+        atol = np.full(residual.n_z, NOT_CONTROLLED)
+        controlled = fun.n_q if formulation == "index-3" else self.n
+        atol[:controlled] = self._atol[:controlled]
+        self._solver = ida.IDA(
+            residual.evaluate,
+            atol=atol,
+            algebraic_idx=np.arange(self.n, residual.n_z),
+            jacfn=residual.jacobian,
+            **self._options,
+        )
+        self._solver.init_step(t0, z, z_rate)
+
+
+def _sundae(name: str) -> Any:
+    try:
+        return importlib.import_module(f"sksundae.{name}")
+    except ImportError as error:
+        raise ModelError(f"method={name.upper()!r} needs scikit-sundae: pip install 'fourbar_codegen[dae]'.") from error

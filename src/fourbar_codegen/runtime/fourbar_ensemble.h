@@ -262,7 +262,7 @@ static inline void fb_crew_interpolant(fb_crew *restrict c, const fb_ensemble *e
     const fb_tableau *const m = e->method;
     const fb_run *const b = &c->begin;
     fb_real scratch[N_X];
-    if (m->n_more == 0) {
+    if (!m->hermite) {
         for (int i = 0; i < m->n_dense; ++i)
             fb_crew_combine(c, b->dense + i, h, NULL, c->interpolant[i]);
         return;
@@ -288,7 +288,7 @@ static inline void fb_crew_interpolate(const fb_crew *restrict c, const fb_table
 {
     for (int i = 0; i < N_X; ++i) {
         fb_real sum = fb_number(0.0);
-        if (m->n_more == 0) {
+        if (!m->hermite) {
             for (int k = m->n_dense - 1; k >= 0; --k)
                 sum = (sum + c->interpolant[k][i]) * y;
         } else {

@@ -32,7 +32,8 @@ enum FB_RUN {
                              constraints their orientation */
     FB_RUN_TOO_SMALL = 4, /* the step control asks for less than the spacing of doubles */
     FB_RUN_INFINITE = 5,  /* the step's length is not finite */
-    FB_RUN_COLLAPSED = 6  /* steps have become much smaller than they were on average */
+    FB_RUN_COLLAPSED = 6, /* steps have become much smaller than they were on average */
+    FB_RUN_DIVERGED = 7   /* the equations of an implicit step could not be solved */
 };
 
 /* The weights of a linear combination of stages, without zeros. */
@@ -42,9 +43,15 @@ typedef struct fb_weights {
     double weight[FB_LARGEST_METHOD];
 } fb_weights;
 
-typedef struct fb_run {
+struct fb_augmented;
+
+typedef struct fb_run fb_run;
+
+struct fb_run {
     fb_problem *problem;
     const fb_tableau *method;
+    int (*step)(fb_run *run);       /* one accepted step: FB_RUN_PAUSED, or why there is none */
+    struct fb_augmented *augmented; /* for fourbar_augmented.h, or NULL */
     fb_weights stage[FB_LARGEST_METHOD], error[2], more[4], dense[4];
     int n, padded;
     double direction, t_bound, max_step;
@@ -73,7 +80,7 @@ typedef struct fb_run {
     const int *event_output, *event_direction;
     double *event_value, *event_old; /* (n_events,) */
     double *outputs;                 /* (n_u + n_c + n_o,), scratch */
-} fb_run;
+};
 
 static inline void fb_weights_of(const double *dense, const int n, fb_weights *weights)
 {
@@ -316,7 +323,7 @@ static inline int fb_prepare_interpolant(fb_run *s)
     const fb_tableau *const m = s->method;
     if (s->interpolant_known)
         return 0;
-    if (m->n_more == 0) {
+    if (!m->hermite) {
         for (int i = 0; i < m->n_dense; ++i)
             fb_combine(s, s->dense + i, s->h, NULL, s->interpolant + i * s->padded);
     } else {
@@ -347,7 +354,7 @@ static inline void fb_interpolate(const fb_tableau *m, const double *coefficient
 {
     for (int i = 0; i < n; ++i) {
         double sum = 0.0;
-        if (m->n_more == 0) {
+        if (!m->hermite) {
             for (int k = m->n_dense - 1; k >= 0; --k)
                 sum = (sum + coefficients[k * padded + i]) * y;
         } else {
@@ -447,10 +454,11 @@ static inline int fb_run_on(fb_run *s, long n)
         }
         if (share > FB_RECOVERY)
             s->collapsed = 0;
-        int status = fb_step_on(s);
+        int status = s->step(s);
         if (status != FB_RUN_PAUSED)
             return status;
-        s->turned = s->problem->kernel->turned(s->problem->work);
+        /* What passes singular positions need not look for them. */
+        s->turned = s->augmented ? 0 : s->problem->kernel->turned(s->problem->work);
         int look = s->look_at_all | s->turned;
         if (s->n_events > 0) {
             memcpy(s->event_old, s->event_value, (size_t)s->n_events * sizeof *s->event_old);

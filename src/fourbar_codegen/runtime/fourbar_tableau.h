@@ -18,7 +18,8 @@ typedef struct fb_tableau {
     double order;            /* of the error estimate */
     int n_more;              /* stages that the interpolant needs beside */
     const double *more_a, *more_c;
-    int n_dense; /* rows of the interpolant's coefficients */
+    int hermite; /* whether the interpolant's first coefficients are those of the cubic through x and x' at both ends */
+    int n_dense; /* further rows of its coefficients */
     const double *dense;
 } fb_tableau;
 
@@ -140,9 +141,14 @@ static const fb_tableau fb_rk45 = {.n_stages = 6, .a = fb_rk45_a, .b = fb_rk45_b
 
 static const fb_tableau fb_dop853 = {.n_stages = 12, .a = fb_dop853_a, .b = fb_dop853_b, .c = fb_dop853_c,
                                      .n_errors = 2, .error = fb_dop853_error, .order = 7.0, .n_more = 3,
-                                     .more_a = fb_dop853_more_a, .more_c = fb_dop853_more_c, .n_dense = 4,
-                                     .dense = fb_dop853_dense};
+                                     .more_a = fb_dop853_more_a, .more_c = fb_dop853_more_c, .hermite = 1,
+                                     .n_dense = 4, .dense = fb_dop853_dense};
 
 static const fb_tableau fb_rk4 = {.n_stages = 4, .a = fb_rk4_a, .b = fb_rk4_b, .c = fb_rk4_c};
+
+/* Not a Runge-Kutta method to itself: see fourbar_augmented.h. */
+static const double fb_trapezoid_0[1] = {0.0};
+static const fb_tableau fb_trapezoid = {
+    .n_stages = 1, .a = fb_trapezoid_0, .b = fb_trapezoid_0, .c = fb_trapezoid_0, .hermite = 1};
 
 #endif

@@ -3,7 +3,7 @@
 
 cimport numpy as cnp
 
-from fourbar_codegen.runtime.evaluator cimport fb_table
+from fourbar_codegen.runtime.evaluator cimport Evaluator, fb_problem, fb_table
 
 cdef extern from "fourbar_tableau.h":
     ctypedef struct fb_tableau:
@@ -14,11 +14,24 @@ cdef extern from "fourbar_tableau.h":
         int n_errors
         const double *error
         double order
-        int n_more, n_dense
-    const fb_tableau fb_rk4, fb_rk45, fb_dop853
+        int n_more, hermite, n_dense
+    const fb_tableau fb_rk4, fb_rk45, fb_dop853, fb_trapezoid
 
 
 cdef class Table:
     cdef cnp.ndarray times
     cdef cnp.ndarray coefficients
     cdef fb_table table
+
+
+cdef class Ode:
+    cdef Evaluator evaluator
+    cdef fb_problem problem
+    cdef list kept
+    cdef list callables
+    cdef tuple names
+    cdef object error
+    cdef readonly object parameters
+    cdef public bint projects
+    cdef int _call(self, double t, const double *x) noexcept
+    cdef int check(self, int status) except -2

@@ -8,7 +8,7 @@ from libc.math cimport NAN
 from libc.string cimport memcpy
 
 from fourbar_codegen.runtime.evaluator cimport (
-    FB_OK, Evaluator, data, fb_fill_inputs, fb_finite, fb_problem, fb_problem_jacobian, fb_problem_project, fb_problem_rates, fb_source,
+    FB_OK, Evaluator, data, fb_fill_inputs, fb_finite, fb_kernel, fb_problem, fb_problem_jacobian, fb_problem_project, fb_problem_rates, fb_source,
     fb_table, new_array, vector)
 
 import numpy as np
@@ -17,6 +17,10 @@ from fourbar_codegen.errors import ModelError, SimulationError
 from fourbar_codegen.runtime.evaluator import failure
 
 cnp.import_array()
+
+cdef extern from "fourbar_augmented.h":
+    ctypedef struct fb_augmented:
+        pass
 
 cdef extern from "fourbar_integrate.h":
     int FB_BLOCK
@@ -27,9 +31,12 @@ cdef extern from "fourbar_integrate.h":
     int FB_RUN_TOO_SMALL
     int FB_RUN_INFINITE
     int FB_RUN_COLLAPSED
+    int FB_RUN_DIVERGED
     ctypedef struct fb_run:
         fb_problem *problem
         const fb_tableau *method
+        int (*step)(fb_run *) noexcept nogil
+        fb_augmented *augmented
         int n, padded
         double direction, t_bound, max_step
         const double *rtol
@@ -66,6 +73,13 @@ cdef extern from "fourbar_integrate.h":
     int fb_prepare_interpolant(fb_run *) noexcept nogil
     void fb_interpolate(const fb_tableau *, const double *, int, int, const double *, double, double *) noexcept nogil
     int fb_event_values(fb_run *, double, const double *, double *) noexcept nogil
+
+
+cdef extern from "fourbar_augmented.h":
+    size_t fb_augmented_size(const fb_kernel *) noexcept nogil
+    void fb_place_augmented(const fb_kernel *, fb_augmented *, double *) noexcept nogil
+    int fb_augmented_begin(fb_run *) noexcept nogil
+    int fb_augmented_step_on(fb_run *) noexcept nogil
 
 
 cdef class Table:
@@ -111,15 +125,6 @@ cdef class Ode:
     sources : sequence of length n_r
         For each input None (its expression), a float, a `Table` or a callable of (t, x).
     """
-
-    cdef Evaluator evaluator
-    cdef fb_problem problem
-    cdef list kept
-    cdef list callables
-    cdef tuple names
-    cdef object error
-    cdef readonly object parameters
-    cdef public bint projects
 
     def __cinit__(self, Evaluator evaluator not None, p, sources):
         cdef cnp.ndarray parameters = evaluator._parameters(p)
@@ -191,6 +196,11 @@ cdef class Ode:
         return status
 
     @property
+    def n_q(self):
+        """The number of coordinates."""
+        return self.evaluator.n_q
+
+    @property
     def time(self):
         """Of the last call."""
         return self.problem.t
@@ -258,6 +268,18 @@ cdef class Ode:
         self.check(fb_problem_rates(&self.problem, t, data(state), data(result)))
         return result
 
+    def multipliers(self, double t, x):
+        """x', shape (n_x,), and the multipliers of the constraints, shape (n_c,)."""
+        cdef cnp.ndarray state = vector(x, self.evaluator.n_x, "The state x")
+        cdef cnp.ndarray rates = self(t, state), accelerations = new_array(self.evaluator.n_u)
+        cdef cnp.ndarray result = new_array(self.evaluator.n_c)
+        cdef int status = self.problem.kernel.accelerations(
+            t, data(state), self.problem.constants, self.problem.inputs, data(accelerations), data(result),
+            self.problem.work)
+        if status != FB_OK:
+            raise SimulationError(failure(status, t, state))
+        return rates, result
+
     def jac(self, double t, x):
         """d f / d x, shape (n_x, n_x)."""
         cdef cnp.ndarray state = vector(x, self.evaluator.n_x, "The state x")
@@ -305,7 +327,7 @@ cdef class EmbeddedSteps:
             raise ModelError("The shapes of a Runge-Kutta method's coefficients do not agree.")
         self.tableau = fb_tableau(
             n_stages=n_stages, a=data(a), b=data(b), c=data(c), n_errors=np.ndim(errors), error=data(errors),
-            order=-1.0 / error_exponent - 1.0, n_more=0, n_dense=0)
+            order=-1.0 / error_exponent - 1.0, n_more=0, hermite=0, n_dense=0)
         _prepare(run, ode, &self.tableau)
         run.direction, run.t_bound, run.max_step, run.project = direction, t_bound, max_step, ode.projects
         self.kept += [np.zeros((n_stages + 6, run.padded)), _padded(rtol, run), _padded(atol, run)]
@@ -377,24 +399,25 @@ cdef cnp.ndarray _state_of(const fb_run *run):
 
 
 _REASONS = {FB_RUN_END: "end", FB_RUN_PAUSED: "paused", FB_RUN_FULL: "full", FB_RUN_EVENT: "event",
-            FB_RUN_TOO_SMALL: "too small", FB_RUN_INFINITE: "infinite", FB_RUN_COLLAPSED: "collapsed"}
+            FB_RUN_TOO_SMALL: "too small", FB_RUN_INFINITE: "infinite", FB_RUN_COLLAPSED: "collapsed",
+            FB_RUN_DIVERGED: "diverged"}
 
 
 @cython.final
 cdef class Run:
-    """A run of RK45 or DOP853 in C, without Python between its steps: see ``fourbar_integrate.h``.
+    """A run of a method in C, without Python between its steps: see ``fourbar_integrate.h``.
 
     Parameters
     ----------
     ode : Ode
         The right-hand side; nothing else may call it during the run.
-    method : {"RK45", "DOP853"}
+    method : {"RK45", "DOP853", "ALI3P"}
     t, t_bound : float
         Beginning and end.
     x : array_like, shape (n_x,)
         The state at the beginning.
     max_step : float
-        The longest step.
+        The longest step; of ALI3P each but the last.
     rtol, atol : array_like, shape () or (n_x,)
         Relative and absolute tolerance.
     project : bool
@@ -408,6 +431,7 @@ cdef class Run:
     """
 
     cdef fb_run run
+    cdef fb_augmented augmented
     cdef readonly Ode ode
     cdef list kept
     cdef cnp.ndarray kept_t
@@ -418,7 +442,8 @@ cdef class Run:
         cdef int n = ode.evaluator.n_x, rows
         cdef cnp.ndarray state = vector(x, n, "The state x")
         cdef fb_run *run = &self.run
-        _prepare(run, ode, &fb_rk45 if method == "RK45" else &fb_dop853)
+        _prepare(run, ode, &fb_rk45 if method == "RK45" else &fb_dop853 if method == "DOP853" else &fb_trapezoid)
+        run.step = fb_step_on
         rows = run.method.n_stages + 1 + run.method.n_more
         self.ode, self.kept = ode, []
         run.direction, run.t_bound, run.max_step = 1.0 if t_bound > t else -1.0, t_bound, max_step
@@ -436,6 +461,10 @@ cdef class Run:
             run.event_value = <double *>self._keep(np.zeros(run.n_events))
             run.event_old = <double *>self._keep(np.zeros(run.n_events))
             run.outputs = <double *>self._keep(np.zeros(ode.evaluator.n_u + ode.evaluator.n_c + ode.evaluator.n_o))
+        if method == "ALI3P":
+            run.step, run.augmented = fb_augmented_step_on, &self.augmented
+            memory = np.zeros(fb_augmented_size(ode.evaluator.kernel))
+            fb_place_augmented(ode.evaluator.kernel, &self.augmented, <double *>self._keep(memory))
         self._make_room(run.n_times if times is not None else 256)
 
     cdef void *_keep(self, cnp.ndarray array):
@@ -462,7 +491,7 @@ cdef class Run:
     def begin(self):
         """Choose the first step."""
         self.run.pending = 1
-        self.ode.check(fb_begin(&self.run))
+        self.ode.check(fb_augmented_begin(&self.run) if self.run.augmented else fb_begin(&self.run))
         if self.run.n_events:
             self.ode.check(fb_event_values(&self.run, self.run.t, self.run.x, self.run.event_value))
 
@@ -650,7 +679,7 @@ cdef class DenseOutput:
     def add(self):
         """The last step."""
         cdef fb_run *run = &self.run.run
-        cdef int rows = run.method.n_dense + (3 if run.method.n_more else 0)
+        cdef int rows = run.method.n_dense + (3 if run.method.hermite else 0)
         cdef cnp.ndarray step = new_array(rows + 2, run.padded)
         self.run.ode.check(fb_prepare_interpolant(run))
         memcpy(data(step), run.interpolant, rows * run.padded * sizeof(double))
@@ -665,7 +694,7 @@ cdef class DenseOutput:
         cdef cnp.ndarray x = np.empty((np.size(at), self.run.run.n))
         cdef cnp.ndarray step
         cdef fb_run *run = &self.run.run
-        cdef int i, rows = run.method.n_dense + (3 if run.method.n_more else 0)
+        cdef int i, rows = run.method.n_dense + (3 if run.method.hermite else 0)
         cdef double *end
         if np.ndim(at) != 1:
             raise ModelError(f"Times must be a number or an array of one dimension, not of shape {np.shape(t)}.")

@@ -1,0 +1,416 @@
+/* Steps of one length that pass singular positions: the augmented Lagrangian formulation of index 3, with projections of
+ * positions, velocities and accelerations.
+ *
+ * The trapezoidal rule takes M u' = f + J^T lambda to an equation for the speeds at the step's end, of which the
+ * positions and accelerations there are functions. It is solved by Newton's method, with lambda = lambda* - alpha g in
+ * the place of a multiplier for each constraint g = 0: since alpha J^T J is added to a positive definite matrix, no rank
+ * of J is asked for, and redundant constraints are as good as others. lambda* takes over what lambda is, iteration by
+ * iteration, so that the penalty alpha need not be large for g to vanish. Then positions, speeds and accelerations are
+ * moved onto their constraints by the change that is least in the metric of M. lambda* begins as the shortest of all
+ * multipliers that have the same effect: what J^T does not see would grow without bound at a singular position.
+ *
+ * The mass matrix has to be positive definite without the constraints.
+ *
+ * Source: E. Bayo, R. Ledesma, "Augmented Lagrangian and mass-orthogonal projection methods for constrained multibody
+ * dynamics", Nonlinear Dynamics 9 (1996); J. Cuadrado, J. Cardenal, E. Bayo, "Modeling and solution methods for efficient
+ * real-time simulation of multibody dynamics", Multibody System Dynamics 1 (1997).
+ */
+#ifndef FOURBAR_AUGMENTED_H
+#define FOURBAR_AUGMENTED_H
+
+#include "fourbar_integrate.h"
+
+/* The penalty of constraints in units of the mass matrix, for Newton's method and for projections. */
+#define FB_PENALTY 1e6
+#define FB_PROJECTION_PENALTY 1e10
+/* Newton's method ends where speeds change by no more than this share, and has failed above the second one. */
+#define FB_CONVERGED 1e-9
+#define FB_DIVERGED 1e-6
+/* The share of max_step down to which steps are halved. */
+#define FB_SHORTEST_STEP 1e-3
+/* The share of a step that is not worth another one. */
+#define FB_SAME_TIME 1e-6
+/* Projections that change positions or speeds by more than this share of the step's change, or of its rounding errors, are
+ * no corrections any more. */
+#define FB_CORRECTION 0.1
+/* Of the trace of J J^T: multipliers of singular values below its root are left out. */
+#define FB_SHORTEST 1e-10
+
+enum { FB_MOST_ITERATIONS = 12, FB_MOST_PROJECTIONS = 20, FB_REFINEMENTS = 3 };
+
+typedef struct fb_augmented {
+    double *mass_matrix, *forcing, *jacobian, *bias; /* M, f, J, gamma */
+    double *positions, *velocities;                  /* Phi in the rows of J that are its rates, J u + b */
+    double *multipliers, *multipliers_old;           /* lambda*, and that of the step's beginning, (n_c,) */
+    double *penalized;                               /* lambda* - alpha g, (n_c,) */
+    double *matrix, *normal;                         /* (n_u, n_u), (n_c, n_c) */
+    double *change, *unit, *coordinate_change;       /* (n_u,), (n_u,), (n_q,) */
+    double *rate_jacobian, *residual_jacobian;       /* (n_q, n_x), (n_u + n_c, n_x) */
+} fb_augmented;
+
+static inline size_t fb_augmented_size(const fb_kernel *k)
+{
+    const size_t q = (size_t)k->n_q, u = (size_t)k->n_u, c = (size_t)k->n_c, x = q + u;
+    return 2 * u * u + 3 * u + u * c + 6 * c + c * c + q + q * x + (u + c) * x;
+}
+
+static inline void fb_place_augmented(const fb_kernel *k, fb_augmented *a, double *memory)
+{
+    const int q = k->n_q, u = k->n_u, c = k->n_c;
+    const struct {
+        double **array;
+        int size;
+    } places[] = {
+        {&a->mass_matrix, u * u}, {&a->forcing, u},    {&a->jacobian, u * c},
+        {&a->bias, c},            {&a->positions, c},  {&a->velocities, c},
+        {&a->multipliers, c},     {&a->multipliers_old, c}, {&a->penalized, c},  {&a->matrix, u * u}, {&a->normal, c * c},
+        {&a->change, u},          {&a->unit, u},       {&a->coordinate_change, q},
+        {&a->rate_jacobian, q * (q + u)}, {&a->residual_jacobian, (u + c) * (q + u)},
+    };
+    for (size_t i = 0; i < sizeof places / sizeof *places; memory += places[i++].size)
+        *places[i].array = memory;
+}
+
+static inline double fb_larger(const double a, const double b)
+{
+    return a > b ? a : b;
+}
+
+/* Solves A x = b, both of which are overwritten, by Gaussian elimination with pivoting; 0 where A is singular. */
+static inline int fb_eliminate_full(const int n, double *restrict a, double *restrict b)
+{
+    for (int k = 0; k < n; ++k) {
+        int pivot = k;
+        for (int i = k + 1; i < n; ++i)
+            pivot = fabs(a[i * n + k]) > fabs(a[pivot * n + k]) ? i : pivot;
+        if (!(fabs(a[pivot * n + k]) > 0.0))
+            return 0;
+        for (int j = k; j < n && pivot != k; ++j) {
+            const double other = a[k * n + j];
+            a[k * n + j] = a[pivot * n + j];
+            a[pivot * n + j] = other;
+        }
+        const double other = b[pivot];
+        b[pivot] = b[k];
+        b[k] = other;
+        for (int i = k + 1; i < n; ++i) {
+            const double factor = a[i * n + k] / a[k * n + k];
+            for (int j = k + 1; j < n; ++j)
+                a[i * n + j] -= factor * a[k * n + j];
+            b[i] -= factor * b[k];
+        }
+    }
+    for (int k = n - 1; k >= 0; --k) {
+        for (int j = k + 1; j < n; ++j)
+            b[k] -= a[k * n + j] * b[j];
+        b[k] /= a[k * n + k];
+    }
+    return 1;
+}
+
+/* The penalty by which J^T J weighs as much as `weight` times M. */
+static inline double fb_penalty(const fb_kernel *k, const fb_augmented *a, const double weight)
+{
+    double mass = 0.0, jacobian = 0.0;
+    for (int i = 0; i < k->n_u; ++i)
+        mass += a->mass_matrix[i * k->n_u + i];
+    for (int i = 0; i < k->n_c * k->n_u; ++i)
+        jacobian += a->jacobian[i] * a->jacobian[i];
+    return jacobian > 0.0 ? weight * mass / jacobian : 0.0;
+}
+
+/* Adds penalty J^T J to the matrix. */
+static inline void fb_penalize(const fb_kernel *k, const fb_augmented *a, const double penalty, double *restrict matrix)
+{
+    for (int row = 0; row < k->n_c; ++row) {
+        const double *const j = a->jacobian + row * k->n_u;
+        for (int i = 0; i < k->n_u; ++i)
+            for (int l = 0; l < k->n_u; ++l)
+                matrix[i * k->n_u + l] += penalty * j[i] * j[l];
+    }
+}
+
+/* `change` is the least one in the metric of M with J change = -violation, as far as J can, of the rows up to n. */
+static inline int fb_least_change(const fb_kernel *k, fb_augmented *a, const int n, const double *restrict violation)
+{
+    const double penalty = fb_penalty(k, a, FB_PROJECTION_PENALTY);
+    memcpy(a->matrix, a->mass_matrix, (size_t)(k->n_u * k->n_u) * sizeof(double));
+    fb_penalize(k, a, penalty, a->matrix);
+    for (int i = 0; i < k->n_u; ++i) {
+        a->change[i] = 0.0;
+        for (int row = 0; row < n; ++row)
+            a->change[i] -= penalty * a->jacobian[row * k->n_u + i] * violation[row];
+    }
+    return fb_eliminate_full(k->n_u, a->matrix, a->change);
+}
+
+/* M, f, J, gamma and violations at the state x; negative from the caller of inputs. */
+static inline int fb_augmented_equations(fb_run *s, const double t, const double *x, double *coordinate_rates)
+{
+    fb_problem *const p = s->problem;
+    fb_augmented *const a = s->augmented;
+    const int called = fb_fill_inputs(p, t, x);
+    if (called < 0)
+        return called;
+    p->kernel->dynamics(t, x, p->constants, p->inputs, coordinate_rates, a->mass_matrix, a->forcing, a->jacobian,
+                        a->bias);
+    p->kernel->closure(t, x, p->constants, p->inputs, a->positions, a->velocities);
+    p->t = t;
+    s->n_evaluations += 1;
+    return 0;
+}
+
+/* How far accelerations are from J u' + gamma = 0, in the place of `positions`. */
+static inline void fb_acceleration_violation(const fb_kernel *k, fb_augmented *a, const double *accelerations)
+{
+    for (int row = 0; row < k->n_c; ++row) {
+        a->positions[row] = a->bias[row];
+        for (int i = 0; i < k->n_u; ++i)
+            a->positions[row] += a->jacobian[row * k->n_u + i] * accelerations[i];
+    }
+}
+
+/* lambda* as the shortest multipliers with J^T lambda = M u' - f, from their normal equations. */
+static inline void fb_shortest_multipliers(const fb_kernel *k, fb_augmented *a, const double *accelerations)
+{
+    const int n_u = k->n_u, n_c = k->n_c;
+    double trace = 0.0;
+    for (int i = 0; i < n_u; ++i) {
+        a->unit[i] = -a->forcing[i];
+        for (int j = 0; j < n_u; ++j)
+            a->unit[i] += a->mass_matrix[i * n_u + j] * accelerations[j];
+    }
+    for (int row = 0; row < n_c; ++row) {
+        a->multipliers[row] = 0.0;
+        for (int i = 0; i < n_u; ++i)
+            a->multipliers[row] += a->jacobian[row * n_u + i] * a->unit[i];
+        for (int other = 0; other < n_c; ++other) {
+            a->normal[row * n_c + other] = 0.0;
+            for (int i = 0; i < n_u; ++i)
+                a->normal[row * n_c + other] += a->jacobian[row * n_u + i] * a->jacobian[other * n_u + i];
+        }
+        trace += a->normal[row * n_c + row];
+    }
+    for (int row = 0; row < n_c; ++row)
+        a->normal[row * n_c + row] += FB_SHORTEST * trace;
+    if (!fb_eliminate_full(n_c, a->normal, a->multipliers))
+        memset(a->multipliers, 0, (size_t)n_c * sizeof(double));
+}
+
+/* Accelerations moved onto J u' + gamma = 0, and the multipliers that belong to them. */
+static inline int fb_project_accelerations(fb_run *s, double *restrict accelerations)
+{
+    const fb_kernel *const k = s->problem->kernel;
+    fb_augmented *const a = s->augmented;
+    for (int i = 0; i < FB_REFINEMENTS && k->n_c > 0; ++i) {
+        fb_acceleration_violation(k, a, accelerations);
+        if (!fb_least_change(k, a, k->n_c, a->positions))
+            return FB_RUN_DIVERGED;
+        for (int j = 0; j < k->n_u; ++j)
+            accelerations[j] += a->change[j];
+    }
+    fb_shortest_multipliers(k, a, accelerations);
+    return FB_RUN_PAUSED;
+}
+
+/* x' at the beginning of a run. */
+static inline int fb_augmented_begin(fb_run *s)
+{
+    const fb_kernel *const k = s->problem->kernel;
+    fb_augmented *const a = s->augmented;
+    double *const accelerations = s->stages + k->n_q;
+    s->h_abs = s->max_step;
+    const int called = fb_augmented_equations(s, s->t, s->x, s->stages);
+    if (called < 0)
+        return called;
+    /* M u' = f - alpha J^T (J u' + gamma), which is then moved onto the constraints. */
+    const double penalty = fb_penalty(k, a, FB_PENALTY);
+    memcpy(a->matrix, a->mass_matrix, (size_t)(k->n_u * k->n_u) * sizeof(double));
+    fb_penalize(k, a, penalty, a->matrix);
+    for (int i = 0; i < k->n_u; ++i) {
+        accelerations[i] = a->forcing[i];
+        for (int row = 0; row < k->n_c; ++row)
+            accelerations[i] -= penalty * a->jacobian[row * k->n_u + i] * a->bias[row];
+    }
+    if (!fb_eliminate_full(k->n_u, a->matrix, accelerations) ||
+        fb_project_accelerations(s, accelerations) != FB_RUN_PAUSED)
+        memset(accelerations, 0, (size_t)k->n_u * sizeof(double));
+    return 0;
+}
+
+/* The matrix of Newton's method: half a step times the derivative, by the speeds, of M u' - f - J^T lambda. */
+static inline void fb_newton_matrix(fb_run *s, const double t, const double h, const double penalty, const double *x,
+                                    const double *accelerations)
+{
+    fb_problem *const p = s->problem;
+    const fb_kernel *const k = p->kernel;
+    fb_augmented *const a = s->augmented;
+    const int n_q = k->n_q, n_u = k->n_u, n_x = n_q + n_u;
+    memcpy(a->matrix, a->mass_matrix, (size_t)(n_u * n_u) * sizeof(double));
+    k->sensitivity(t, x, p->constants, p->inputs, accelerations, a->penalized, a->rate_jacobian,
+                   a->residual_jacobian);
+    for (int j = 0; j < n_u; ++j) {
+        memset(a->unit, 0, (size_t)n_u * sizeof(double));
+        a->unit[j] = 1.0;
+        k->coordinate_change(t, x, p->constants, p->inputs, a->unit, a->coordinate_change);
+        for (int i = 0; i < n_u; ++i) {
+            const double *const row = a->residual_jacobian + i * n_x;
+            double by_positions = 0.0;
+            for (int l = 0; l < n_q; ++l)
+                by_positions += row[l] * a->coordinate_change[l];
+            a->matrix[i * n_u + j] -= 0.5 * h * (row[n_q + j] + 0.5 * h * by_positions);
+        }
+    }
+    fb_penalize(k, a, penalty, a->matrix);
+}
+
+/* Newton's method for the speeds at the step's end, in x with the positions, and the accelerations in x'. */
+static inline int fb_augmented_newton(fb_run *s, const double t, const double h, double *restrict x,
+                                      double *restrict rates)
+{
+    const fb_kernel *const k = s->problem->kernel;
+    fb_augmented *const a = s->augmented;
+    const int n_q = k->n_q, n_u = k->n_u;
+    const double *const x_old = s->x, *const f_old = s->stages;
+    double penalty = 0.0, size = 0.0, changed = INFINITY;
+    for (int i = 0; i < n_q + n_u; ++i)
+        x[i] = x_old[i] + h * f_old[i];
+    for (int iteration = 0; iteration < FB_MOST_ITERATIONS && !(changed <= FB_CONVERGED * size); ++iteration) {
+        const int called = fb_augmented_equations(s, t, x, rates);
+        if (called < 0)
+            return called;
+        if (iteration == 0)
+            penalty = fb_penalty(k, a, FB_PENALTY);
+        size = 0.0;
+        for (int i = 0; i < n_u; ++i) {
+            rates[n_q + i] = 2.0 / h * (x[n_q + i] - x_old[n_q + i]) - f_old[n_q + i];
+            size = fb_larger(size, fb_larger(fabs(x[n_q + i]), fabs(h * rates[n_q + i])));
+        }
+        for (int row = 0; row < k->n_c; ++row) {
+            const double force =
+                penalty * (row < k->n_h ? 4.0 / (h * h) * a->positions[row] : 2.0 / h * a->velocities[row]);
+            /* What the penalty was at the solution of the last iteration's linear equations is taken over. */
+            a->multipliers[row] -= iteration > 0 ? force : 0.0;
+            a->penalized[row] = a->multipliers[row] - force;
+        }
+        fb_newton_matrix(s, t, h, penalty, x, rates + n_q);
+        for (int i = 0; i < n_u; ++i) {
+            double residual = a->forcing[i];
+            for (int j = 0; j < n_u; ++j)
+                residual -= a->mass_matrix[i * n_u + j] * rates[n_q + j];
+            for (int row = 0; row < k->n_c; ++row)
+                residual += a->jacobian[row * n_u + i] * a->penalized[row];
+            a->change[i] = 0.5 * h * residual;
+        }
+        if (!fb_eliminate_full(n_u, a->matrix, a->change))
+            return FB_RUN_DIVERGED;
+        k->coordinate_change(t, x, s->problem->constants, s->problem->inputs, a->change, a->coordinate_change);
+        changed = 0.0;
+        for (int i = 0; i < n_u; ++i) {
+            x[n_q + i] += a->change[i];
+            changed = fb_larger(changed, fabs(a->change[i]));
+        }
+        /* As the rule has it for the speeds before, and what their change adds. */
+        for (int i = 0; i < n_q; ++i) {
+            const double ruled = x_old[i] + 0.5 * h * (f_old[i] + rates[i]);
+            changed = fb_larger(changed, fabs(ruled - x[i]) / fabs(h));
+            x[i] = ruled + 0.5 * h * a->coordinate_change[i];
+        }
+    }
+    for (int i = 0; i < n_u; ++i)
+        rates[n_q + i] = 2.0 / h * (x[n_q + i] - x_old[n_q + i]) - f_old[n_q + i];
+    return changed <= FB_DIVERGED * size ? FB_RUN_PAUSED : FB_RUN_DIVERGED;
+}
+
+/* Moves the state onto the constraints, positions first. */
+static inline int fb_augmented_project(fb_run *s, const double t, double *restrict x, double *restrict coordinate_rates)
+{
+    fb_problem *const p = s->problem;
+    const fb_kernel *const k = p->kernel;
+    fb_augmented *const a = s->augmented;
+    for (int i = 0; i < FB_MOST_PROJECTIONS; ++i) {
+        const int called = fb_augmented_equations(s, t, x, coordinate_rates);
+        if (called < 0)
+            return called;
+        double size = 0.0, violation = 0.0;
+        for (int j = 0; j < k->n_q; ++j)
+            size = fb_larger(size, fabs(x[j]));
+        for (int row = 0; row < k->n_h; ++row) {
+            double entry = 0.0;
+            for (int j = 0; j < k->n_u; ++j)
+                entry = fb_larger(entry, fabs(a->jacobian[row * k->n_u + j]));
+            violation = fb_larger(violation, entry > 0.0 ? fabs(a->positions[row]) / entry : 0.0);
+        }
+        if (violation <= FB_CLOSED * size)
+            break;
+        if (!fb_least_change(k, a, k->n_h, a->positions))
+            return FB_RUN_DIVERGED;
+        k->coordinate_change(t, x, p->constants, p->inputs, a->change, a->coordinate_change);
+        for (int j = 0; j < k->n_q; ++j)
+            x[j] += a->coordinate_change[j];
+        if (i == FB_MOST_PROJECTIONS - 1 && !(violation <= FB_NEARLY_CLOSED * size))
+            return FB_RUN_DIVERGED;
+    }
+    for (int i = 0; i < FB_REFINEMENTS && k->n_c > 0; ++i) {
+        if (!fb_least_change(k, a, k->n_c, a->velocities))
+            return FB_RUN_DIVERGED;
+        for (int j = 0; j < k->n_u; ++j)
+            x[k->n_q + j] += a->change[j];
+        const int called = fb_augmented_equations(s, t, x, coordinate_rates);
+        if (called < 0)
+            return called;
+    }
+    return FB_RUN_PAUSED;
+}
+
+/* Whether projections have changed the step's result, `before` them, by little of what the step has changed. */
+static inline int fb_is_correction(const fb_run *s, const double *before, const double h)
+{
+    double changed = 0.0, corrected = 0.0;
+    for (int i = 0; i < s->n; ++i) {
+        const double scale = i < s->problem->kernel->n_q ? 1.0 : fabs(h);
+        changed = fb_larger(changed, scale * fabs(s->scratch[i] - s->x[i]));
+        corrected = fb_larger(corrected, scale * fabs(s->scratch[i] - before[i]));
+    }
+    return corrected <= FB_CORRECTION * changed;
+}
+
+/* A step from the last state to a time, in `scratch` and the last row of stages. */
+static inline int fb_augmented_try(fb_run *s, const double t_new)
+{
+    double *const end = s->stages + s->padded;
+    int status = fb_augmented_newton(s, t_new, t_new - s->t, s->scratch, end);
+    memcpy(s->x_old, s->scratch, (size_t)s->n * sizeof(double)); /* free until the step is accepted */
+    if (status == FB_RUN_PAUSED && s->project)
+        status = fb_augmented_project(s, t_new, s->scratch, end);
+    if (status == FB_RUN_PAUSED && !fb_is_correction(s, s->x_old, t_new - s->t))
+        status = FB_RUN_DIVERGED;
+    if (status == FB_RUN_PAUSED)
+        status = fb_project_accelerations(s, end + s->problem->kernel->n_q);
+    return status == FB_RUN_PAUSED && !(fb_finite(s->scratch, s->n) && fb_finite(end, s->n)) ? FB_RUN_DIVERGED : status;
+}
+
+/* One step, a shorter one where its equations cannot be solved; negative from the caller of inputs, or an FB_RUN. */
+static inline int fb_augmented_step_on(fb_run *s)
+{
+    const size_t size = (size_t)s->problem->kernel->n_c * sizeof(double);
+    int status = FB_RUN_DIVERGED;
+    if (s->n_steps > 0)
+        memcpy(s->stages, s->stages + s->padded, (size_t)s->padded * sizeof(double));
+    memcpy(s->augmented->multipliers_old, s->augmented->multipliers, size);
+    for (double h = s->max_step; status == FB_RUN_DIVERGED && h >= FB_SHORTEST_STEP * s->max_step; h /= 2) {
+        double t_new = s->t + h * s->direction;
+        /* A last step that is next to nothing would be all rounding errors. */
+        if (s->direction * (t_new - s->t_bound) > -FB_SAME_TIME * s->max_step)
+            t_new = s->t_bound;
+        if (!(fabs(t_new - s->t) >= fb_least_step(s->t, s->direction)))
+            return FB_RUN_TOO_SMALL;
+        memcpy(s->augmented->multipliers, s->augmented->multipliers_old, size);
+        status = fb_augmented_try(s, t_new);
+        if (status == FB_RUN_PAUSED)
+            fb_accept(s, t_new);
+    }
+    return status;
+}
+
+#endif

@@ -1,0 +1,192 @@
+/* The equations of motion as a differential-algebraic system F(t, z, z') = 0, and its Jacobian, for implicit solvers.
+ *
+ * z = [q; u; lambda; mu]. In each formulation M u' = f + J^T lambda; and
+ *
+ *   index 1                        q' = K u + k                J u' + gamma = 0
+ *   index 2, Gear-Gupta-Leimkuhler q' = K (u + J^T mu) + k     J u + b = 0, Phi = 0
+ *   index 3                        q' = K u + k                Phi = 0, and J u + b = 0 in nonholonomic rows
+ *
+ * where mu, which vanishes along the solution, belongs to the holonomic rows, which come first; it keeps the positions
+ * where the speeds, being on their constraints, would let them drift.
+ *
+ * Source: C. W. Gear, B. Leimkuhler, G. K. Gupta, "Automatic integration of Euler-Lagrange equations with constraints",
+ * Journal of Computational and Applied Mathematics 12-13 (1985).
+ */
+#ifndef FOURBAR_IMPLICIT_H
+#define FOURBAR_IMPLICIT_H
+
+#include "fourbar_problem.h"
+
+enum FB_FORMULATION { FB_INDEX_1 = 1, FB_INDEX_2 = 2, FB_INDEX_3 = 3 };
+
+typedef struct fb_implicit {
+    fb_problem *problem;
+    int formulation; /* an FB_FORMULATION */
+    int n_z;
+    double *coordinate_rates, *mass_matrix, *forcing, *jacobian, *bias; /* q', M, f, J, gamma */
+    double *positions, *position_jacobian;                              /* Phi, dPhi/dq */
+    double *velocities, *velocity_jacobian;                             /* J u + b, its derivative by q */
+    double *rate_jacobian, *residual_jacobian;                          /* as fb_sensitivity has them */
+    double *change, *coordinate_change, *unused;
+} fb_implicit;
+
+static inline int fb_implicit_multipliers(const fb_kernel *k, const int formulation)
+{
+    return k->n_c + (formulation == FB_INDEX_2 ? k->n_h : 0);
+}
+
+static inline size_t fb_implicit_size(const fb_kernel *k)
+{
+    const size_t q = (size_t)k->n_q, u = (size_t)k->n_u, c = (size_t)k->n_c, h = (size_t)k->n_h, x = q + u;
+    return 3 * q + u * u + 2 * u + u * c + 2 * c + h + h * q + c * q + q * x + (u + c) * x
+           + (h + c) * (size_t)k->n_r;
+}
+
+static inline void fb_place_implicit(fb_problem *problem, const int formulation, fb_implicit *s, double *memory)
+{
+    const fb_kernel *const k = problem->kernel;
+    const int q = k->n_q, u = k->n_u, c = k->n_c, h = k->n_h, x = q + u;
+    const struct {
+        double **array;
+        int size;
+    } places[] = {
+        {&s->coordinate_rates, q}, {&s->mass_matrix, u * u},       {&s->forcing, u},
+        {&s->jacobian, u * c},     {&s->bias, c},                  {&s->positions, h},
+        {&s->position_jacobian, h * q}, {&s->velocities, c},       {&s->velocity_jacobian, c * q},
+        {&s->rate_jacobian, q * x}, {&s->residual_jacobian, (u + c) * x}, {&s->change, u},
+        {&s->coordinate_change, q}, {&s->unused, (h + c) * k->n_r},
+    };
+    for (size_t i = 0; i < sizeof places / sizeof *places; memory += places[i++].size)
+        *places[i].array = memory;
+    s->problem = problem;
+    s->formulation = formulation;
+    s->n_z = x + fb_implicit_multipliers(k, formulation);
+}
+
+static inline int fb_implicit_equations(fb_implicit *s, const double t, const double *z)
+{
+    fb_problem *const p = s->problem;
+    const fb_kernel *const k = p->kernel;
+    const int called = fb_fill_inputs(p, t, z);
+    if (called < 0)
+        return called;
+    p->t = t;
+    k->dynamics(t, z, p->constants, p->inputs, s->coordinate_rates, s->mass_matrix, s->forcing, s->jacobian, s->bias);
+    if (s->formulation != FB_INDEX_1)
+        k->position(t, z, p->constants, p->inputs, s->positions, s->position_jacobian);
+    return 0;
+}
+
+/* J v of one row. */
+static inline double fb_row_times(const fb_implicit *s, const int row, const double *v)
+{
+    const int n = s->problem->kernel->n_u;
+    double sum = 0.0;
+    for (int i = 0; i < n; ++i)
+        sum += s->jacobian[row * n + i] * v[i];
+    return sum;
+}
+
+/* F(t, z, z'); negative from the caller of inputs. */
+static inline int fb_implicit_residual(fb_implicit *s, const double t, const double *restrict z,
+                                       const double *restrict z_rate, double *restrict residual)
+{
+    fb_problem *const p = s->problem;
+    const fb_kernel *const k = p->kernel;
+    const int n_q = k->n_q, n_u = k->n_u, n_x = n_q + n_u, n_c = k->n_c, n_h = k->n_h;
+    const double *const lambda = z + n_x, *const mu = lambda + n_c;
+    const int called = fb_implicit_equations(s, t, z);
+    if (called < 0)
+        return called;
+    for (int i = 0; i < n_q; ++i)
+        residual[i] = z_rate[i] - s->coordinate_rates[i];
+    if (s->formulation == FB_INDEX_2) {
+        for (int j = 0; j < n_u; ++j) {
+            s->change[j] = 0.0;
+            for (int row = 0; row < n_h; ++row)
+                s->change[j] += s->jacobian[row * n_u + j] * mu[row];
+        }
+        k->coordinate_change(t, z, p->constants, p->inputs, s->change, s->coordinate_change);
+        for (int i = 0; i < n_q; ++i)
+            residual[i] -= s->coordinate_change[i];
+    }
+    for (int i = 0; i < n_u; ++i) {
+        double sum = -s->forcing[i];
+        for (int j = 0; j < n_u; ++j)
+            sum += s->mass_matrix[i * n_u + j] * z_rate[n_q + j];
+        for (int row = 0; row < n_c; ++row)
+            sum -= s->jacobian[row * n_u + i] * lambda[row];
+        residual[n_q + i] = sum;
+    }
+    if (s->formulation == FB_INDEX_1) {
+        for (int row = 0; row < n_c; ++row)
+            residual[n_x + row] = s->bias[row] + fb_row_times(s, row, z_rate + n_q);
+        return 0;
+    }
+    k->velocity(t, z, p->constants, p->inputs, s->jacobian, s->velocities); /* J again, and b */
+    for (int row = 0; row < n_c; ++row)
+        residual[n_x + row] = s->formulation == FB_INDEX_3 && row < n_h
+                                  ? s->positions[row]
+                                  : s->velocities[row] + fb_row_times(s, row, z + n_q);
+    for (int row = 0; row < n_h && s->formulation == FB_INDEX_2; ++row)
+        residual[n_x + n_c + row] = s->positions[row];
+    return 0;
+}
+
+/* dF/dz + c dF/dz', row by row, (n_z, n_z). What J^T mu changes with q is left out, since mu vanishes. */
+static inline int fb_implicit_jacobian(fb_implicit *s, const double t, const double c, const double *restrict z,
+                                       const double *restrict z_rate, double *restrict matrix)
+{
+    fb_problem *const p = s->problem;
+    const fb_kernel *const k = p->kernel;
+    const int n_q = k->n_q, n_u = k->n_u, n_x = n_q + n_u, n_c = k->n_c, n_h = k->n_h, n = s->n_z;
+    const int called = fb_implicit_equations(s, t, z);
+    if (called < 0)
+        return called;
+    k->sensitivity(t, z, p->constants, p->inputs, z_rate + n_q, z + n_x, s->rate_jacobian, s->residual_jacobian);
+    memset(matrix, 0, (size_t)(n * n) * sizeof *matrix);
+    for (int i = 0; i < n_q; ++i) {
+        for (int j = 0; j < n_x; ++j)
+            matrix[i * n + j] = -s->rate_jacobian[i * n_x + j];
+        matrix[i * n + i] += c;
+    }
+    for (int i = 0; i < n_u; ++i) {
+        double *const row = matrix + (n_q + i) * n;
+        for (int j = 0; j < n_x; ++j)
+            row[j] = -s->residual_jacobian[i * n_x + j];
+        for (int j = 0; j < n_u; ++j)
+            row[n_q + j] += c * s->mass_matrix[i * n_u + j];
+        for (int j = 0; j < n_c; ++j)
+            row[n_x + j] = -s->jacobian[j * n_u + i];
+    }
+    if (s->formulation == FB_INDEX_1) {
+        for (int i = 0; i < n_c; ++i) {
+            double *const row = matrix + (n_x + i) * n;
+            for (int j = 0; j < n_x; ++j)
+                row[j] = -s->residual_jacobian[(n_u + i) * n_x + j];
+            for (int j = 0; j < n_u; ++j)
+                row[n_q + j] += c * s->jacobian[i * n_u + j];
+        }
+        return 0;
+    }
+    k->constraint_sensitivity(t, z, p->constants, p->inputs, s->velocity_jacobian, s->unused,
+                              s->unused + n_h * k->n_r);
+    for (int i = 0; i < n_c; ++i) {
+        double *const row = matrix + (n_x + i) * n;
+        if (s->formulation == FB_INDEX_3 && i < n_h) {
+            memcpy(row, s->position_jacobian + i * n_q, (size_t)n_q * sizeof *row);
+            continue;
+        }
+        memcpy(row, s->velocity_jacobian + i * n_q, (size_t)n_q * sizeof *row);
+        memcpy(row + n_q, s->jacobian + i * n_u, (size_t)n_u * sizeof *row);
+    }
+    for (int i = 0; i < n_h && s->formulation == FB_INDEX_2; ++i) {
+        memcpy(matrix + (n_x + n_c + i) * n, s->position_jacobian + i * n_q, (size_t)n_q * sizeof *matrix);
+        k->coordinate_change(t, z, p->constants, p->inputs, s->jacobian + i * n_u, s->coordinate_change);
+        for (int j = 0; j < n_q; ++j)
+            matrix[j * n + n_x + n_c + i] = -s->coordinate_change[j];
+    }
+    return 0;
+}
+
+#endif

@@ -1,0 +1,92 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
+"""Functions for implicit solvers: see ``fourbar_implicit.h``. Solvers call them often, with arrays that are known to be
+contiguous, of double, and of the right length, so that nothing is checked and nothing allocated."""
+
+cimport cython
+cimport numpy as cnp
+
+from fourbar_codegen.runtime.evaluator cimport fb_kernel, fb_problem, fb_problem_jacobian, fb_problem_rates
+from fourbar_codegen.runtime.integrator cimport Ode
+
+import numpy as np
+
+cnp.import_array()
+
+cdef extern from "fourbar_implicit.h":
+    int FB_INDEX_1
+    int FB_INDEX_2
+    int FB_INDEX_3
+    ctypedef struct fb_implicit:
+        int n_z
+    size_t fb_implicit_size(const fb_kernel *) noexcept nogil
+    void fb_place_implicit(fb_problem *, int, fb_implicit *, double *) noexcept nogil
+    int fb_implicit_residual(fb_implicit *, double, const double *, const double *, double *) noexcept nogil
+    int fb_implicit_jacobian(fb_implicit *, double, double, const double *, const double *, double *) noexcept nogil
+
+_FORMULATIONS = {"index-1": FB_INDEX_1, "gear-gupta-leimkuhler": FB_INDEX_2, "index-3": FB_INDEX_3}
+FORMULATIONS = tuple(_FORMULATIONS)
+
+
+cdef inline double *_at(cnp.ndarray array) noexcept:
+    return <double *>cnp.PyArray_DATA(array)
+
+
+@cython.final
+cdef class Rates:
+    """The right-hand side for a solver of x' = f(t, x) that hands in the arrays to fill.
+
+    Parameters
+    ----------
+    ode : Ode
+    """
+
+    cdef Ode ode
+
+    def __cinit__(self, Ode ode not None):
+        self.ode = ode
+
+    def evaluate(self, double t, cnp.ndarray x, cnp.ndarray rates):
+        """x' at (t, x)."""
+        self.ode.check(fb_problem_rates(&self.ode.problem, t, _at(x), _at(rates)))
+
+    def jacobian(self, double t, cnp.ndarray x, rates, cnp.ndarray matrix):
+        """dx'/dx, (n_x, n_x)."""
+        self.ode.check(fb_problem_jacobian(&self.ode.problem, t, _at(x), _at(matrix)))
+
+
+@cython.final
+cdef class Residual:
+    """F of the differential-algebraic equations F(t, z, z') = 0.
+
+    Parameters
+    ----------
+    ode : Ode
+    formulation : {"index-1", "gear-gupta-leimkuhler", "index-3"}
+
+    Attributes
+    ----------
+    n_z : int
+        Length of z: the state, and behind it the multipliers.
+    """
+
+    cdef Ode ode
+    cdef fb_implicit implicit
+    cdef object memory
+
+    def __cinit__(self, Ode ode not None, str formulation):
+        cdef const fb_kernel *kernel = ode.problem.kernel
+        self.ode = ode
+        self.memory = np.zeros(fb_implicit_size(kernel) + 1)
+        fb_place_implicit(&ode.problem, _FORMULATIONS[formulation], &self.implicit, _at(self.memory))
+
+    @property
+    def n_z(self):
+        return self.implicit.n_z
+
+    def evaluate(self, double t, cnp.ndarray z, cnp.ndarray z_rate, cnp.ndarray residual):
+        """F(t, z, z')."""
+        self.ode.check(fb_implicit_residual(&self.implicit, t, _at(z), _at(z_rate), _at(residual)))
+
+    def jacobian(self, double t, cnp.ndarray z, cnp.ndarray z_rate, residual, double c, cnp.ndarray matrix):
+        """dF/dz + c dF/dz', (n_z, n_z)."""
+        self.ode.check(fb_implicit_jacobian(&self.implicit, t, c, _at(z), _at(z_rate), _at(matrix)))

@@ -1,0 +1,171 @@
+"""One set of promises, kept by every method of `simulate`."""
+
+import numpy as np
+import pytest
+import sympy as sm
+import sympy.physics.mechanics as me
+from scipy.integrate import solve_ivp
+
+import fourbar_codegen as fb
+
+TIGHT = {"rtol": 1e-8, "atol": 1e-8}
+# How each is asked for, and the error that it may have in 2 s: that of its order where it has no step control, or
+# controls the coordinates alone; otherwise a hundred times the tolerance, or a thousand with many steps.
+METHODS = {
+    "DOP853": (TIGHT, 1e-6),
+    "RK45": (TIGHT, 1e-6),
+    "ALI3P": ({"max_step": 1e-3}, 1e-4),
+    "RK23": ({"rtol": 1e-6, "atol": 1e-6}, 1e-4),
+    "Radau": (TIGHT, 1e-6),
+    "BDF": (TIGHT, 1e-5),
+    "LSODA": (TIGHT, 1e-5),
+    "CVODE": (TIGHT, 1e-5),
+    "IDA": (TIGHT, 1e-5),
+    "IDA, index 1": ({**TIGHT, "formulation": "index-1"}, 1e-5),
+    "IDA, index 3": ({**TIGHT, "formulation": "index-3"}, 1e-2),
+}
+
+
+@pytest.fixture(params=METHODS)
+def method(request):
+    how, error = METHODS[request.param]
+    return {"method": request.param.partition(",")[0], **how}, error
+
+
+@pytest.fixture(scope="module")
+def exact(four_bar):
+    """By SciPy, from the compiled right-hand side, whose loops drift open by 1e-10 m."""
+    return solve_ivp(
+        four_bar.ode(), (0.0, 2.0), four_bar.initial_state(), method="DOP853", rtol=1e-12, atol=1e-12, dense_output=True
+    )
+
+
+def test_the_same_motion(four_bar, exact, method):
+    how, error = method
+    times = np.linspace(0.0, 2.0, 21)
+    run = four_bar.simulate((0.0, 2.0), t_eval=times, **how)
+    assert run.success, run.message
+    np.testing.assert_array_equal(run.t, times)
+    np.testing.assert_allclose(run.y, exact.sol(times), rtol=0, atol=error)
+    assert run.nfev > 0
+    stepped = four_bar.simulate((0.0, 2.0), **how)
+    assert stepped.t[[0, -1]].tolist() == [0.0, 2.0]
+    np.testing.assert_allclose(stepped.y[:, -1], run.y[:, -1], rtol=0, atol=1e-12)
+
+
+def test_loops_are_closed_in_every_state(four_bar, method):
+    how, _ = method
+    for more in ({}, {"t_eval": np.linspace(0.0, 2.0, 33)}):
+        run = four_bar.simulate((0.0, 2.0), **how, **more)
+        assert np.abs(run.constraint_residual).max() < 1e-12
+        assert np.abs(run.velocity_residual).max() < 1e-11
+
+
+def test_events(four_bar, exact, method):
+    how, error = method
+
+    def turns(t, x):
+        return x[3]
+
+    run = four_bar.simulate((0.0, 2.0), events=turns, **how)
+    reference = solve_ivp(
+        four_bar.ode(), (0.0, 2.0), exact.y[:, 0], method="DOP853", rtol=1e-12, atol=1e-12, events=turns
+    )
+    np.testing.assert_allclose(run.t_events[0], reference.t_events[0], atol=error)
+    turns.terminal = True
+    ended = four_bar.simulate((0.0, 2.0), events=turns, **how)
+    assert ended.status == 1
+    assert ended.t[-1] == pytest.approx(reference.t_events[0][0], abs=error)
+    turns.terminal, turns.direction = False, -1.0
+    falling = four_bar.simulate((0.0, 2.0), events=turns, **how)
+    assert len(falling.t_events[0]) < len(run.t_events[0])
+
+
+def test_dense_output(four_bar, exact, method):
+    how, error = method
+    run = four_bar.simulate((0.0, 2.0), dense_output=True, **how)
+    times = np.linspace(0.0, 2.0, 101)
+    np.testing.assert_allclose(run.sol(times), exact.sol(times), rtol=0, atol=5 * error)
+    assert run.sol(0.7).shape == (6,)
+
+
+def test_inputs(four_bar, method):
+    how, error = method
+    times = np.linspace(0.0, 1.0, 3)
+    at_rest = four_bar.simulate((0.0, 1.0), inputs={"F": 0.0}, **how).y[:, -1]
+    by_table = four_bar.simulate((0.0, 1.0), inputs={"F": (times, np.zeros(3))}, **how).y[:, -1]
+    by_callable = four_bar.simulate((0.0, 1.0), inputs={"F": lambda t, x: 0.0}, **how).y[:, -1]
+    np.testing.assert_allclose(by_table, at_rest, rtol=0, atol=error)
+    np.testing.assert_allclose(by_callable, at_rest, rtol=0, atol=error)
+    damped = four_bar.simulate((0.0, 1.0), inputs={"F": lambda t, x: -50.0 * x[3]}, **how)
+    exact = solve_ivp(
+        four_bar.ode(inputs={"F": lambda t, x: -50.0 * x[3]}), (0.0, 1.0), four_bar.initial_state(), method="DOP853",
+        rtol=1e-11, atol=1e-11,
+    )  # fmt: skip
+    np.testing.assert_allclose(damped.y[:, -1], exact.y[:, -1], rtol=0, atol=error)
+    np.testing.assert_allclose(damped["F"], -50.0 * damped["u1"], rtol=1e-12)
+
+
+def test_parameters(four_bar, method):
+    how, error = method
+    parameters = {"k": 30.0, "l2": 0.49}
+    run = four_bar.simulate((0.0, 1.0), parameters=parameters, **how)
+    x0 = four_bar.initial_state(parameters=parameters)
+    exact = solve_ivp(four_bar.ode(parameters), (0.0, 1.0), x0, method="DOP853", rtol=1e-11, atol=1e-11).y[:, -1]
+    np.testing.assert_allclose(run.y[:, -1], exact, rtol=0, atol=error)
+
+
+def test_a_callable_that_raises_ends_the_run(four_bar, method):
+    how, _ = method
+
+    def force(t, x):
+        raise RuntimeError("no force")
+
+    with pytest.raises(RuntimeError, match="no force"):
+        four_bar.simulate((0.0, 1.0), inputs={"F": force}, **how)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"t_span": (0.0, 0.0)},
+        {"t_span": (0.0, np.nan)},
+        {"x0": np.zeros(5)},
+        {"x0": np.full(6, np.nan)},
+        {"parameters": {"stiffness": 1.0}},
+        {"inputs": {"G": 1.0}},
+        {"t_eval": [0.5, 3.0]},
+        {"constraints": "closed"},
+        {"max_step": -1.0},
+        {"atol": 0.0},
+        {"events": "nothing"},
+    ],
+)
+def test_wrong_arguments(four_bar, method, wrong):
+    how, _ = method
+    with pytest.raises(fb.ModelError):
+        four_bar.simulate(**{"t_span": (0.0, 1.0), **how, **wrong})
+
+
+def test_equations_that_end(method):
+    """A force that has no value behind t = 1: a sentence says where, and what there is before stays."""
+    x, u = me.dynamicsymbols("x u")
+    m, k = sm.symbols("m k")
+    t = me.dynamicsymbols._t
+    ground, origin, point = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
+    origin.set_vel(ground, 0)
+    point.set_pos(origin, x * ground.x)
+    point.set_vel(ground, u * ground.x)
+    system = me.System(ground, origin)
+    system.add_bodies(me.Particle("B", point, m))
+    system.add_loads(me.Force(point, k * sm.sqrt(1 - t) * ground.x))
+    system.add_coordinates(x)
+    system.add_speeds(u)
+    system.add_kdes(u - x.diff(t))
+    model = fb.compile_model(fb.Model(system, name="ends", parameters={m: 1.0, k: 1.0}))
+    how, _ = method
+    run = model.simulate((0.0, 2.0), [0.0, 0.0], **how)
+    assert not run.success
+    assert "stopped at t = " in run.message
+    assert run.t[-1] == pytest.approx(1.0, abs=0.05)
+    assert np.isfinite(run.y).all()

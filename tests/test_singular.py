@@ -1,0 +1,154 @@
+"""ALI3P: singular positions are passed, redundant constraints accepted, and regular motions those of other methods."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from test_redundant import circle, pendulum, three_uprights
+
+import fourbar_codegen as fb
+
+# IFToMM multibody benchmark A02, N = 2: x, y, vx, vy of the first joint at the top, from the closed form of the branch
+# on which the bars stay parallel, [(N + 1) / 3 + N] l phi'' = [(N + 1) / 2 + N] g sin(phi).
+PUBLISHED = {
+    1.0: (-0.19502030195, -0.98079920566, -6.67667803688, 1.32757832516),
+    10.0: (0.32845811154, 0.94451853818, 1.42305147020, -0.49486884548),
+}
+
+
+@pytest.fixture(scope="module")
+def parallelograms():
+    return fb.compile_model(fb.models.n_four_bar(2))
+
+
+def joint(run, t):
+    """x, y, vx, vy of the first joint at the top."""
+    place = run.t.tolist().index(t)
+    angle, rate = run["p0"][place], run["v0"][place]
+    return np.array([np.sin(angle), np.cos(angle), rate * np.cos(angle), -rate * np.sin(angle)])
+
+
+def simulate(model, h, *more, **how):
+    run = model.simulate((0.0, 10.0), *more, method="ALI3P", max_step=h, **how)
+    assert run.success
+    return run
+
+
+def test_parallelograms_pass_their_level_positions(parallelograms):
+    """At each of these the constraints' Jacobian loses rank."""
+    run = simulate(parallelograms, 1e-3, t_eval=[1.0, 10.0])
+    for t, expected in PUBLISHED.items():
+        np.testing.assert_allclose(joint(run, t), expected, rtol=0, atol=1e-3)
+    # All bars stay parallel: it is the branch of continuous velocities.
+    np.testing.assert_allclose(run["p1"], run["p0"], atol=1e-9)
+    np.testing.assert_allclose(run["c1"], 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("t", PUBLISHED)
+def test_convergence_is_of_second_order(parallelograms, t):
+    errors = [
+        np.abs(joint(simulate(parallelograms, h, t_eval=[1.0, 10.0]), t) - PUBLISHED[t]).max()
+        for h in (4e-3, 2e-3, 1e-3, 5e-4)
+    ]
+    np.testing.assert_allclose(np.log2(errors[:-1]) - np.log2(errors[1:]), 2.0, atol=0.1)
+
+
+def test_energy_and_loops_of_the_parallelograms(parallelograms):
+    """The benchmark asks for an energy error under 0.1 J over 10 s."""
+    run = simulate(parallelograms, 1e-2)
+    energies = [parallelograms.kinetic_energy(t, x) + parallelograms.potential_energy(t, x) for t, x in columns(run)]
+    assert np.ptp(energies) < 0.1
+    assert np.abs(run.constraint_residual).max() < 1e-9
+    assert np.abs(run.velocity_residual).max() < 1e-9
+
+
+def columns(run):
+    return zip(run.t, run.y.T, strict=True)
+
+
+def test_a_change_point_linkage_turns_over(four_bar):
+    """The tutorial's linkage without spring, damper and force, fast enough to pass positions in which all links lie on
+    a line: its energy is conserved, and the mechanism comes to the same place, to second order."""
+    free = {"parameters": {"k": 0.0, "c": 0.0}, "inputs": {"F": 0.0}}
+    x0 = four_bar.initial_state({"q1": -0.5}, {"u1": 9.0}, parameters=free["parameters"])
+    runs = [simulate(four_bar, h, x0, **free) for h in (4e-3, 2e-3, 1e-3)]
+    for run in runs:
+        assert np.ptp(run["q1"]) > 2.0 * np.pi
+        assert np.abs(run.constraint_residual).max() < 1e-9
+    ends = np.array([run.y[:, -1] for run in runs])
+    drifts = [np.ptp(np.sum(run.energy, axis=0)) if np.ndim(run.energy) == 2 else np.ptp(run.energy) for run in runs]
+    np.testing.assert_allclose(np.log2(drifts[:-1]) - np.log2(drifts[1:]), 2.0, atol=0.2)
+    changes = np.abs(np.diff(ends, axis=0)).max(axis=1)
+    assert np.log2(changes[0] / changes[1]) == pytest.approx(2.0, abs=0.3)
+
+
+@pytest.mark.parametrize(
+    ("make", "start", "speeds"),
+    [
+        (fb.models.four_bar, None, None),
+        (lambda: fb.models.chain(3), None, None),
+        (fb.models.slider_crank, None, None),
+        (fb.models.rolling_disc, {"q3": 0.4}, {"u1": 0.2, "u2": 3.0, "u3": 0.1}),
+        (fb.models.whipple_bicycle, {"q4": 0.1}, {"u6": -15.0, "u4": 0.3}),
+        (fb.models.cartesian_pendulum, {"y": 0.0}, None),
+    ],
+)
+def test_regular_motions_to_second_order(make, start, speeds):
+    """Against SciPy's DOP853 at 1e-11."""
+    model = fb.compile_model(make())
+    x0 = model.initial_state(start, speeds)
+    exact = solve_ivp(model.ode(), (0.0, 1.0), x0, method="DOP853", rtol=1e-11, atol=1e-11).y[:, -1]
+    errors = []
+    for h in (1e-3, 5e-4, 2.5e-4):
+        run = model.simulate((0.0, 1.0), x0, method="ALI3P", max_step=h)
+        assert run.success
+        assert run.t[-1] == 1.0
+        errors.append(np.abs(run.y[:, -1] - exact).max())
+    np.testing.assert_allclose(np.log2(errors[:-1]) - np.log2(errors[1:]), 2.0, atol=0.1)
+
+
+def test_backwards(four_bar):
+    x0 = four_bar.initial_state()
+    there = four_bar.simulate((0.0, 1.0), x0, method="ALI3P", max_step=1e-3)
+    back = four_bar.simulate((1.0, 0.0), there.y[:, -1], method="ALI3P", max_step=1e-3)
+    # The trapezoidal rule is symmetric: what remains is of the projections.
+    np.testing.assert_allclose(back.y[:, -1], x0, atol=1e-6)
+
+
+def test_redundant_constraints():
+    single = fb.compile_model(fb.models.cartesian_pendulum())
+    repeated = fb.compile_model(pendulum(circle, 3 * circle, -0.2 * circle))
+    x0 = single.initial_state([0.6], [0.5])
+    runs = [model.simulate((0.0, 2.0), x0, method="ALI3P", max_step=1e-3) for model in (single, repeated)]
+    np.testing.assert_allclose(runs[1].y, runs[0].y, atol=1e-8)
+
+
+def test_a_parallelogram_with_a_bar_too_many_falls_over():
+    """Through its level position: l p'' = g sin p, an inverted pendulum."""
+    model = fb.compile_model(three_uprights())
+    x0 = model.initial_state({"p0": 0.5}, {"v0": 0.7}, guess=[0.5, 0.5, 0.0])
+    exact = solve_ivp(lambda t, y: [y[1], 9.81 * np.sin(y[0])], (0.0, 2.0), [0.5, 0.7], rtol=1e-11, atol=1e-11).y[:, -1]
+    assert exact[0] > np.pi
+    errors = []
+    for h in (2e-3, 1e-3):
+        run = model.simulate((0.0, 2.0), x0, method="ALI3P", max_step=h)
+        assert run.success
+        assert np.abs(run.constraint_residual).max() < 1e-9
+        errors.append(np.abs([run["p0"][-1] - exact[0], run["v0"][-1] - exact[1]]).max())
+    assert errors[1] < 1e-4
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.2)
+
+
+def test_what_is_wrong_is_refused(four_bar):
+    with pytest.raises(fb.ModelError, match="max_step"):
+        four_bar.simulate((0.0, 1.0), method="ALI3P")
+    with pytest.raises(fb.ModelError, match="baumgarte"):
+        four_bar.simulate((0.0, 1.0), method="ALI3P", max_step=1e-3, constraints="baumgarte")
+    with pytest.raises(fb.ModelError, match="violates the constraints"):
+        four_bar.simulate((0.0, 1.0), np.ones(6), method="ALI3P", max_step=1e-3)
+
+
+def test_limits(four_bar):
+    run = four_bar.simulate((0.0, 1.0), method="ALI3P", max_step=1e-3, max_steps=10)
+    assert not run.success
+    assert "max_steps = 10" in run.message
+    assert run.t[-1] == pytest.approx(0.01)

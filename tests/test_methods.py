@@ -5,6 +5,7 @@ import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
 from scipy.integrate import solve_ivp
+from test_redundant import circle, pendulum
 
 import fourbar_codegen as fb
 
@@ -169,3 +170,25 @@ def test_equations_that_end(method):
     assert "stopped at t = " in run.message
     assert run.t[-1] == pytest.approx(1.0, abs=0.05)
     assert np.isfinite(run.y).all()
+
+
+def test_steps_that_collapse_at_a_singular_position(four_bar):
+    """The tutorial's linkage comes to one at t = 5.337 s, as it does by the methods in C."""
+    run = four_bar.simulate((0.0, 8.0), method="IDA", rtol=1e-9, atol=1e-9)
+    assert not run.success
+    assert "runs into a singular position at t = 5.33" in run.message
+
+
+def test_redundant_constraints_leave_multipliers_open():
+    repeated = fb.compile_model(pendulum(circle, 2 * circle))
+    with pytest.raises(fb.ModelError, match="redundant"):
+        repeated.simulate((0.0, 1.0), [-0.8, 0.6, 0.0, 0.0], method="IDA")
+    with pytest.raises(fb.ModelError, match="redundant"):
+        solve_ivp(repeated.ode(), (0.0, 1.0), [0.6, -0.8, 0.5, 0.375], method=fb.solvers.IDA)
+
+
+def test_formulations(four_bar):
+    with pytest.raises(fb.ModelError, match="index-1"):
+        four_bar.simulate((0.0, 1.0), method="IDA", formulation="index-4")
+    with pytest.raises(fb.ModelError, match="baumgarte"):
+        four_bar.simulate((0.0, 1.0), method="IDA", constraints="baumgarte")

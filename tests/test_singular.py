@@ -147,6 +147,17 @@ def test_what_is_wrong_is_refused(four_bar):
         four_bar.simulate((0.0, 1.0), np.ones(6), method="ALI3P", max_step=1e-3)
 
 
+@pytest.mark.parametrize(("begin", "h"), [(0.0, 5e-6), (1000.0, 1e-4)])
+def test_rounding_errors_of_short_steps_and_late_times(four_bar, begin, h):
+    """Speeds come to rest at t = 0.8; the times' rounding errors leave a sliver of a step at the end."""
+    how = {"inputs": {"F": 0.0}, "t_eval": [begin + 1.0]}
+    run = four_bar.simulate((begin, begin + 1.0), method="ALI3P", max_step=h, **how)
+    exact = four_bar.simulate((begin, begin + 1.0), rtol=1e-12, atol=1e-12, **how)
+    assert run.success
+    # h^2 times a constant of order one, as test_regular_motions_to_second_order has it.
+    np.testing.assert_allclose(run.y, exact.y, rtol=0, atol=20.0 * h**2)
+
+
 def test_limits(four_bar):
     run = four_bar.simulate((0.0, 1.0), method="ALI3P", max_step=1e-3, max_steps=10)
     assert not run.success

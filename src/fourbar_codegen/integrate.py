@@ -18,7 +18,17 @@ from fourbar_codegen.runtime.integrator import DenseOutput, Ode, Run
 if TYPE_CHECKING:
     from fourbar_codegen.compiled import CompiledModel
 
-__all__ = ["FIXED_STEP", "METHODS", "REACHED_END", "Event", "Result", "consistent", "integrate", "is_rounded"]
+__all__ = [
+    "FIXED_STEP",
+    "METHODS",
+    "REACHED_END",
+    "Event",
+    "Result",
+    "Singular",
+    "consistent",
+    "integrate",
+    "is_rounded",
+]
 
 Floats = NDArray[np.float64]
 
@@ -154,7 +164,7 @@ def integrate(
         if reason == "event":
             if run.turned:
                 samples.append(run.take_samples())
-                singular = _Singular(model, ode, run, samples).within_step()
+                singular = Singular(model, ode, _passed(run, samples)).within_step(run)
                 if singular:
                     run.discard()
                     ending = -1, singular
@@ -177,7 +187,7 @@ def integrate(
             ending = -1, INFINITE if reason == "infinite" else DIVERGED
         else:
             samples.append(run.take_samples())
-            singular = _Singular(model, ode, run, samples).here()
+            singular = Singular(model, ode, _passed(run, samples)).here(run.t, run.x)
             if singular or reason == "too small":
                 ending = -1, singular or ode.failure or TOO_SMALL
     status, message = ending
@@ -249,22 +259,33 @@ def is_rounded(n_q: int, x0: Floats, x: Floats) -> Any:
     return (moved <= CONSISTENT * size + FLOOR).all(axis=-1)
 
 
-class _Singular:
+def _passed(run: Run, samples: Sequence[tuple[Floats, Floats]]) -> list[tuple[float, Floats]]:
+    """Times and states of the run so far."""
+    passed = [sample for times, states in samples for sample in zip(times, states, strict=True)]
+    return passed or [(run.t, run.x)]
+
+
+class Singular:
     """Tells whether a run has come to a singular position, where the constraints' Jacobian loses rank.
 
     The measure is the smallest singular value of J by what it has been in the run (the median), with each row of J in
     units of its largest entry in the run.
+
+    Parameters
+    ----------
+    model : CompiledModel
+    ode : Ode
+    passed : sequence of (float, ndarray)
+        Times and states of the run so far.
     """
 
-    def __init__(self, model: CompiledModel, ode: Ode, run: Run, samples: Sequence[tuple[Floats, Floats]]) -> None:
-        self.model, self.ode, self.run = model, ode, run
+    def __init__(self, model: CompiledModel, ode: Ode, passed: Sequence[tuple[float, Floats]]) -> None:
+        self.model, self.ode = model, ode
         self.rank = model.manifest["n_dependent_speeds"]
         if self.rank:
-            passed = [sample for times, states in samples for sample in zip(times, states, strict=True)]
-            passed = passed or [(run.t, run.x)]
             # The last states of a run that collapses are all alike: those before count by the time they stand for.
-            at = np.linspace(run.t_begin, run.t_old, STATES)
-            order = np.searchsorted([abs(t - run.t_begin) for t, _ in passed], np.abs(at - run.t_begin))
+            since = [abs(t - passed[0][0]) for t, _ in passed]
+            order = np.searchsorted(since, np.linspace(0.0, since[-1], STATES))
             jacobians = [self._jacobian(*passed[min(i, len(passed) - 1)]) for i in order]
             size = np.abs(jacobians).max(axis=(0, 2))
             self.size = np.where(size > 0.0, size, 1.0)[:, np.newaxis]
@@ -279,22 +300,22 @@ class _Singular:
     def _ratio(self, t: float, x: Floats) -> float:
         return self._least(self._jacobian(t, x)) / self.usual if self.usual else 0.0
 
-    def here(self) -> str:
-        """A sentence, if it is where the run is."""
+    def here(self, t: float, x: Floats) -> str:
+        """A sentence, if it is at a state at which steps collapse."""
         if not self.rank:
             return ""
-        return self._sentence("runs into", self.run.t, self.run.x, COLLAPSED, ", and the steps collapse")
+        return self._sentence("runs into", t, x, COLLAPSED, ", and the steps collapse")
 
-    def within_step(self) -> str:
-        """A sentence, if it has been passed in the last step."""
-        begin, end = self.run.t_old, self.run.t
+    def within_step(self, run: Run) -> str:
+        """A sentence, if it has been passed in the last step of a run."""
+        begin, end = run.t_old, run.t
         for _ in range(5):  # to within 1e-6 of the step
             times = np.linspace(begin, end, 33)
-            ratios = [self._ratio(t, self.run.state_at(t)) for t in times[1:-1]]
+            ratios = [self._ratio(t, run.state_at(t)) for t in times[1:-1]]
             least = 1 + int(np.argmin(ratios))
             begin, end = times[least - 1], times[least + 1]
         t = times[least]
-        return self._sentence("passes", t, self.run.state_at(t), PASSED, ", and may go on in more than one way")
+        return self._sentence("passes", t, run.state_at(t), PASSED, ", and may go on in more than one way")
 
     def _sentence(self, verb: str, t: float, x: Floats, threshold: float, more: str) -> str:
         ratio = self._ratio(t, x)

@@ -24,10 +24,9 @@ from fourbar_codegen.arguments import (
     tolerance,
 )
 from fourbar_codegen.errors import ModelError
-from fourbar_codegen.integrate import FIXED_STEP, METHODS, Event, Result, consistent, integrate
+from fourbar_codegen.integrate import FIXED_STEP, METHODS, Event, Result, Singular, consistent, integrate
 from fourbar_codegen.progress import Progress
 from fourbar_codegen.runtime.evaluator import is_finite
-from fourbar_codegen.runtime.implicit import FORMULATIONS
 from fourbar_codegen.runtime.integrator import Ode, Stepper, Table
 from fourbar_codegen.trajectory import Trajectory
 
@@ -149,8 +148,8 @@ def simulate(
     native = (*METHODS, FIXED_STEP)
     if method not in (*native, *OTHER_METHODS):
         raise ModelError(f"There is no method {method!r}; there are {', '.join((*native, *OTHER_METHODS))}.")
-    options = {"formulation": _formulation(model, formulation)} if method == "IDA" else {}
-    closes = projects(model, constraints, *(() if method == FIXED_STEP else ("baumgarte",)))
+    options = {"formulation": formulation} if method == "IDA" else {}
+    closes = projects(model, constraints, *(() if method in (FIXED_STEP, "IDA") else ("baumgarte",)))
     start, end = time_span(t_span)
     times = None if t_eval is None else sample_times(t_eval, start, end)
     p = model.parameter_vector(parameters)
@@ -255,20 +254,6 @@ def _state(
     return named_array(x0, model.states, {}, "state")
 
 
-def _formulation(model: CompiledModel, formulation: str) -> str:
-    """One that the model's constraints allow."""
-    if formulation not in FORMULATIONS:
-        raise ModelError(f"There is no formulation {formulation!r}; there are {', '.join(FORMULATIONS)}.")
-    if model.manifest["n_dependent_speeds"] < model.n_c:
-        raise ModelError("IDA solves for all multipliers, which redundant constraints leave open: take method='ALI3P'.")
-    if formulation != "index-1" and not model.manifest["can_project"]:
-        raise ModelError(
-            "The velocity constraints of this model are not the rates of its position constraints, one by one: take "
-            "formulation='index-1'."
-        )
-    return formulation
-
-
 def _solve_ivp(
     model: CompiledModel,
     ode: Ode,
@@ -300,11 +285,14 @@ def _solve_ivp(
         max_step=max_step,
         **options,
     )
-    message = given.message
-    if not given.success:
-        message = f"The integration stopped at t = {ode.time:.9g}: {ode.failure or message}"
     # Where no time was stored, SciPy gives lists.
     times, states = np.asarray(given.t, dtype=float), np.reshape(given.y, (model.n_x, len(given.t)))
+    message = given.message
+    if not given.success:
+        singular = ""
+        if ode.failure is None and len(times):
+            singular = Singular(model, ode, list(zip(times, states.T, strict=True))).here(times[-1], states[:, -1])
+        message = f"The integration stopped at t = {ode.time:.9g}: {singular or ode.failure or message}"
     if ode.projects:
         states = np.reshape([ode.project(t, x) for t, x in zip(times, states.T, strict=True)], (-1, model.n_x)).T
     return Result(

@@ -186,7 +186,7 @@ class _Sundials(_Compiled):
             "rtol": float(rtol),
             "max_step": 0.0 if max_step == math.inf else max_step,
             "first_step": first_step or 0.0,
-            "max_num_steps": 10**9,
+            "max_num_steps": 10_000,  # for a single one, with its repetitions
         }
         self._atol = np.array(np.broadcast_to(atol, self.n), dtype=float)
 
@@ -268,11 +268,21 @@ class IDA(_Sundials):
         **options: Any,
     ) -> None:
         super().__init__(fun, t0, y0, t_bound, **options)
+        manifest = fun.manifest
         if formulation not in FORMULATIONS:
             raise ModelError(f"There is no formulation {formulation!r}; there are {', '.join(FORMULATIONS)}.")
+        rates, multipliers = fun.multipliers(t0, self.y)
+        if manifest["n_dependent_speeds"] < len(multipliers):
+            raise ModelError(
+                "IDA solves for all multipliers, which redundant constraints leave open: take method='ALI3P'."
+            )
+        if formulation != "index-1" and not manifest["can_project"]:
+            raise ModelError(
+                "The velocity constraints of this model are not the rates of its position constraints, one by one: "
+                "take formulation='index-1'."
+            )
         ida = _sundae("ida")
         residual = Residual(fun, formulation)
-        rates, multipliers = fun.multipliers(t0, self.y)
         z, z_rate = np.zeros(residual.n_z), np.zeros(residual.n_z)
         z[: self.n], z[self.n : self.n + len(multipliers)], z_rate[: self.n] = self.y, multipliers, rates
         atol = np.full(residual.n_z, NOT_CONTROLLED)

@@ -23,13 +23,15 @@
 /* The penalty of constraints in units of the mass matrix, for Newton's method and for projections. */
 #define FB_PENALTY 1e6
 #define FB_PROJECTION_PENALTY 1e10
-/* Newton's method ends where speeds change by no more than this share, and has failed above the second one. */
+/* Newton's method ends where speeds change by no more than this share, and has failed above the second one; below what
+ * rounding errors of the positions make of speeds in a step, in units of these, nothing is a change. */
 #define FB_CONVERGED 1e-9
 #define FB_DIVERGED 1e-6
+#define FB_ROUNDING 1e-14
 /* The share of max_step down to which steps are halved. */
 #define FB_SHORTEST_STEP 1e-3
 /* The share of a step that is not worth another one. */
-#define FB_SAME_TIME 1e-6
+#define FB_SAME_TIME 1e-3
 /* Projections that change positions or speeds by more than this share of the step's change, or of its rounding errors, are
  * no corrections any more. */
 #define FB_CORRECTION 0.1
@@ -272,10 +274,13 @@ static inline int fb_augmented_newton(fb_run *s, const double t, const double h,
     fb_augmented *const a = s->augmented;
     const int n_q = k->n_q, n_u = k->n_u;
     const double *const x_old = s->x, *const f_old = s->stages;
-    double penalty = 0.0, size = 0.0, changed = INFINITY;
+    double penalty = 0.0, size = 0.0, changed = INFINITY, rounding = 0.0;
+    for (int i = 0; i < n_q; ++i)
+        rounding = fb_larger(rounding, FB_ROUNDING * fabs(x_old[i] / h));
     for (int i = 0; i < n_q + n_u; ++i)
         x[i] = x_old[i] + h * f_old[i];
-    for (int iteration = 0; iteration < FB_MOST_ITERATIONS && !(changed <= FB_CONVERGED * size); ++iteration) {
+    for (int iteration = 0; iteration < FB_MOST_ITERATIONS && !(changed <= FB_CONVERGED * size + rounding);
+         ++iteration) {
         const int called = fb_augmented_equations(s, t, x, rates);
         if (called < 0)
             return called;
@@ -319,7 +324,7 @@ static inline int fb_augmented_newton(fb_run *s, const double t, const double h,
     }
     for (int i = 0; i < n_u; ++i)
         rates[n_q + i] = 2.0 / h * (x[n_q + i] - x_old[n_q + i]) - f_old[n_q + i];
-    return changed <= FB_DIVERGED * size ? FB_RUN_PAUSED : FB_RUN_DIVERGED;
+    return changed <= FB_DIVERGED * size + 1000.0 * rounding ? FB_RUN_PAUSED : FB_RUN_DIVERGED;
 }
 
 /* Moves the state onto the constraints, positions first. */

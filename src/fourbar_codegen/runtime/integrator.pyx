@@ -196,6 +196,11 @@ cdef class Ode:
         return status
 
     @property
+    def manifest(self):
+        """Of the model."""
+        return self.evaluator.manifest
+
+    @property
     def n_q(self):
         """The number of coordinates."""
         return self.evaluator.n_q

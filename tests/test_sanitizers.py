@@ -93,7 +93,7 @@ static double run(const fb_kernel *k, const double *p, const double *x0, const f
             fb_fixed_step(&s, 0.01);
     else if (method == &fb_trapezoid) {
         fb_augmented augmented;
-        double *const memory = doubles((int)fb_augmented_size(k));
+        double *const memory = doubles((int)fb_place_augmented(k, &augmented, NULL));
         fb_place_augmented(k, &augmented, memory);
         s.augmented = &augmented;
         s.step = fb_augmented_step_on;
@@ -117,7 +117,7 @@ static double implicit(const fb_kernel *k, const double *p, const double *x0)
     for (int formulation = FB_INDEX_1; formulation <= FB_INDEX_3; ++formulation) {
         fb_problem problem = {.kernel = k, .constants = doubles(k->n_constants), .inputs = doubles(k->n_r)};
         fb_implicit s;
-        double *const memory = doubles((int)fb_implicit_size(k));
+        double *const memory = doubles((int)fb_place_implicit(&problem, formulation, &s, NULL));
         k->prepare(p, problem.constants);
         fb_place_implicit(&problem, formulation, &s, memory);
         double *const z = doubles(s.n_z), *const rate = doubles(s.n_z), *const f = doubles(s.n_z);

@@ -1,10 +1,12 @@
-/* Arrays whose lengths the model gives: C has none of length zero, and results are checked for being numbers. */
+/* Arrays whose lengths the model gives: C has none of length zero, several of them share memory, and results are checked
+ * for being numbers. */
 #ifndef FOURBAR_ARRAY_H
 #define FOURBAR_ARRAY_H
 
 #include "fourbar_kernel.h"
 
 #include <math.h>
+#include <stddef.h>
 
 #define FB_AT_LEAST_1(n) ((n) > 0 ? (n) : 1)
 
@@ -19,12 +21,36 @@ enum { CORRECTIONS = 8, FACTORIZATIONS = 3 };
 /* ... or where rounding errors allow no better, by no more than this one. */
 #define FB_NEARLY_CLOSED 1e-9
 
+/* Not fmax, which is a call into the library because it has to skip what is not a number. */
+static inline double fb_max(double a, double b)
+{
+    return a > b ? a : b;
+}
+
 static inline int all_finite(const double *values, const int n)
 {
     for (int i = 0; i < n; ++i)
         if (!isfinite(values[i]))
             return FB_NOT_FINITE;
     return FB_OK;
+}
+
+/* An array and its length. */
+typedef struct fb_place {
+    double **array;
+    int size;
+} fb_place;
+
+/* The length of n arrays together, which are placed in memory one behind the other, if there is any yet. */
+static inline size_t fb_place_all(const fb_place *places, const size_t n, double *memory)
+{
+    size_t length = 0;
+    for (size_t i = 0; i < n; ++i) {
+        if (memory)
+            *places[i].array = memory + length;
+        length += (size_t)places[i].size;
+    }
+    return length;
 }
 
 #endif

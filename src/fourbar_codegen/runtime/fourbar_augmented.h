@@ -50,32 +50,19 @@ typedef struct fb_augmented {
     double *rate_jacobian, *residual_jacobian;       /* (n_q, n_x), (n_u + n_c, n_x) */
 } fb_augmented;
 
-static inline size_t fb_augmented_size(const fb_kernel *k)
+/* Places the arrays in memory, if there is any yet; returns how many doubles they are. */
+static inline size_t fb_place_augmented(const fb_kernel *k, fb_augmented *a, double *memory)
 {
-    const size_t q = (size_t)k->n_q, u = (size_t)k->n_u, c = (size_t)k->n_c, x = q + u;
-    return 2 * u * u + 3 * u + u * c + 6 * c + c * c + q + q * x + (u + c) * x;
-}
-
-static inline void fb_place_augmented(const fb_kernel *k, fb_augmented *a, double *memory)
-{
-    const int q = k->n_q, u = k->n_u, c = k->n_c;
-    const struct {
-        double **array;
-        int size;
-    } places[] = {
-        {&a->mass_matrix, u * u}, {&a->forcing, u},    {&a->jacobian, u * c},
-        {&a->bias, c},            {&a->positions, c},  {&a->velocities, c},
-        {&a->multipliers, c},     {&a->multipliers_old, c}, {&a->penalized, c},  {&a->matrix, u * u}, {&a->normal, c * c},
-        {&a->change, u},          {&a->unit, u},       {&a->coordinate_change, q},
-        {&a->rate_jacobian, q * (q + u)}, {&a->residual_jacobian, (u + c) * (q + u)},
+    const int q = k->n_q, u = k->n_u, c = k->n_c, x = q + u;
+    const fb_place places[] = {
+        {&a->mass_matrix, u * u}, {&a->forcing, u},         {&a->jacobian, u * c},
+        {&a->bias, c},            {&a->positions, c},       {&a->velocities, c},
+        {&a->multipliers, c},     {&a->multipliers_old, c}, {&a->penalized, c},
+        {&a->matrix, u * u},      {&a->normal, c * c},      {&a->change, u},
+        {&a->unit, u},            {&a->coordinate_change, q}, {&a->rate_jacobian, q * x},
+        {&a->residual_jacobian, (u + c) * x},
     };
-    for (size_t i = 0; i < sizeof places / sizeof *places; memory += places[i++].size)
-        *places[i].array = memory;
-}
-
-static inline double fb_larger(const double a, const double b)
-{
-    return a > b ? a : b;
+    return fb_place_all(places, sizeof places / sizeof *places, memory);
 }
 
 /* Solves A x = b, both of which are overwritten, by Gaussian elimination with pivoting; 0 where A is singular. */
@@ -276,7 +263,7 @@ static inline int fb_augmented_newton(fb_run *s, const double t, const double h,
     const double *const x_old = s->x, *const f_old = s->stages;
     double penalty = 0.0, size = 0.0, changed = INFINITY, rounding = 0.0;
     for (int i = 0; i < n_q; ++i)
-        rounding = fb_larger(rounding, FB_ROUNDING * fabs(x_old[i] / h));
+        rounding = fb_max(rounding, FB_ROUNDING * fabs(x_old[i] / h));
     for (int i = 0; i < n_q + n_u; ++i)
         x[i] = x_old[i] + h * f_old[i];
     for (int iteration = 0; iteration < FB_MOST_ITERATIONS && !(changed <= FB_CONVERGED * size + rounding);
@@ -289,7 +276,7 @@ static inline int fb_augmented_newton(fb_run *s, const double t, const double h,
         size = 0.0;
         for (int i = 0; i < n_u; ++i) {
             rates[n_q + i] = 2.0 / h * (x[n_q + i] - x_old[n_q + i]) - f_old[n_q + i];
-            size = fb_larger(size, fb_larger(fabs(x[n_q + i]), fabs(h * rates[n_q + i])));
+            size = fb_max(size, fb_max(fabs(x[n_q + i]), fabs(h * rates[n_q + i])));
         }
         for (int row = 0; row < k->n_c; ++row) {
             const double force =
@@ -313,12 +300,12 @@ static inline int fb_augmented_newton(fb_run *s, const double t, const double h,
         changed = 0.0;
         for (int i = 0; i < n_u; ++i) {
             x[n_q + i] += a->change[i];
-            changed = fb_larger(changed, fabs(a->change[i]));
+            changed = fb_max(changed, fabs(a->change[i]));
         }
         /* As the rule has it for the speeds before, and what their change adds. */
         for (int i = 0; i < n_q; ++i) {
             const double ruled = x_old[i] + 0.5 * h * (f_old[i] + rates[i]);
-            changed = fb_larger(changed, fabs(ruled - x[i]) / fabs(h));
+            changed = fb_max(changed, fabs(ruled - x[i]) / fabs(h));
             x[i] = ruled + 0.5 * h * a->coordinate_change[i];
         }
     }
@@ -339,12 +326,12 @@ static inline int fb_augmented_project(fb_run *s, const double t, double *restri
             return called;
         double size = 0.0, violation = 0.0;
         for (int j = 0; j < k->n_q; ++j)
-            size = fb_larger(size, fabs(x[j]));
+            size = fb_max(size, fabs(x[j]));
         for (int row = 0; row < k->n_h; ++row) {
             double entry = 0.0;
             for (int j = 0; j < k->n_u; ++j)
-                entry = fb_larger(entry, fabs(a->jacobian[row * k->n_u + j]));
-            violation = fb_larger(violation, entry > 0.0 ? fabs(a->positions[row]) / entry : 0.0);
+                entry = fb_max(entry, fabs(a->jacobian[row * k->n_u + j]));
+            violation = fb_max(violation, entry > 0.0 ? fabs(a->positions[row]) / entry : 0.0);
         }
         if (violation <= FB_CLOSED * size)
             break;
@@ -374,8 +361,8 @@ static inline int fb_is_correction(const fb_run *s, const double *before, const 
     double changed = 0.0, corrected = 0.0;
     for (int i = 0; i < s->n; ++i) {
         const double scale = i < s->problem->kernel->n_q ? 1.0 : fabs(h);
-        changed = fb_larger(changed, scale * fabs(s->scratch[i] - s->x[i]));
-        corrected = fb_larger(corrected, scale * fabs(s->scratch[i] - before[i]));
+        changed = fb_max(changed, scale * fabs(s->scratch[i] - s->x[i]));
+        corrected = fb_max(corrected, scale * fabs(s->scratch[i] - before[i]));
     }
     return corrected <= FB_CORRECTION * changed;
 }

@@ -30,37 +30,22 @@ typedef struct fb_implicit {
     double *change, *coordinate_change, *unused;
 } fb_implicit;
 
-static inline int fb_implicit_multipliers(const fb_kernel *k, const int formulation)
-{
-    return k->n_c + (formulation == FB_INDEX_2 ? k->n_h : 0);
-}
-
-static inline size_t fb_implicit_size(const fb_kernel *k)
-{
-    const size_t q = (size_t)k->n_q, u = (size_t)k->n_u, c = (size_t)k->n_c, h = (size_t)k->n_h, x = q + u;
-    return 3 * q + u * u + 2 * u + u * c + 2 * c + h + h * q + c * q + q * x + (u + c) * x
-           + (h + c) * (size_t)k->n_r;
-}
-
-static inline void fb_place_implicit(fb_problem *problem, const int formulation, fb_implicit *s, double *memory)
+/* Places the arrays in memory, if there is any yet; returns how many doubles they are. */
+static inline size_t fb_place_implicit(fb_problem *problem, const int formulation, fb_implicit *s, double *memory)
 {
     const fb_kernel *const k = problem->kernel;
     const int q = k->n_q, u = k->n_u, c = k->n_c, h = k->n_h, x = q + u;
-    const struct {
-        double **array;
-        int size;
-    } places[] = {
-        {&s->coordinate_rates, q}, {&s->mass_matrix, u * u},       {&s->forcing, u},
-        {&s->jacobian, u * c},     {&s->bias, c},                  {&s->positions, h},
-        {&s->position_jacobian, h * q}, {&s->velocities, c},       {&s->velocity_jacobian, c * q},
-        {&s->rate_jacobian, q * x}, {&s->residual_jacobian, (u + c) * x}, {&s->change, u},
-        {&s->coordinate_change, q}, {&s->unused, (h + c) * k->n_r},
+    const fb_place places[] = {
+        {&s->coordinate_rates, q},      {&s->mass_matrix, u * u},         {&s->forcing, u},
+        {&s->jacobian, u * c},          {&s->bias, c},                    {&s->positions, h},
+        {&s->position_jacobian, h * q}, {&s->velocities, c},              {&s->velocity_jacobian, c * q},
+        {&s->rate_jacobian, q * x},     {&s->residual_jacobian, (u + c) * x}, {&s->change, u},
+        {&s->coordinate_change, q},     {&s->unused, (h + c) * k->n_r},
     };
-    for (size_t i = 0; i < sizeof places / sizeof *places; memory += places[i++].size)
-        *places[i].array = memory;
     s->problem = problem;
     s->formulation = formulation;
-    s->n_z = x + fb_implicit_multipliers(k, formulation);
+    s->n_z = x + c + (formulation == FB_INDEX_2 ? h : 0);
+    return fb_place_all(places, sizeof places / sizeof *places, memory);
 }
 
 static inline int fb_implicit_equations(fb_implicit *s, const double t, const double *z)

@@ -48,12 +48,6 @@ typedef struct fb_factors {
     double reduced[N_U][N_U];           /* T^T M T = L D L^T: L below the diagonal, 1/D on it */
 } fb_factors;
 
-/* Not fmax, which is a call into the library because it has to skip what is not a number. */
-static inline double fb_max(double a, double b)
-{
-    return a > b ? a : b;
-}
-
 static inline void fb_swap_double(double *a, double *b)
 {
     const double c = *a;

@@ -5,7 +5,7 @@ contiguous, of double, and of the right length, so that nothing is checked and n
 cimport cython
 cimport numpy as cnp
 
-from fourbar_codegen.runtime.evaluator cimport fb_kernel, fb_problem, fb_problem_jacobian, fb_problem_rates
+from fourbar_codegen.runtime.evaluator cimport fb_problem, fb_problem_jacobian, fb_problem_rates
 from fourbar_codegen.runtime.integrator cimport Ode
 
 import numpy as np
@@ -18,8 +18,7 @@ cdef extern from "fourbar_implicit.h":
     int FB_INDEX_3
     ctypedef struct fb_implicit:
         int n_z
-    size_t fb_implicit_size(const fb_kernel *) noexcept nogil
-    void fb_place_implicit(fb_problem *, int, fb_implicit *, double *) noexcept nogil
+    size_t fb_place_implicit(fb_problem *, int, fb_implicit *, double *) noexcept nogil
     int fb_implicit_residual(fb_implicit *, double, const double *, const double *, double *) noexcept nogil
     int fb_implicit_jacobian(fb_implicit *, double, double, const double *, const double *, double *) noexcept nogil
 
@@ -74,10 +73,10 @@ cdef class Residual:
     cdef object memory
 
     def __cinit__(self, Ode ode not None, str formulation):
-        cdef const fb_kernel *kernel = ode.problem.kernel
+        cdef int chosen = _FORMULATIONS[formulation]
         self.ode = ode
-        self.memory = np.zeros(fb_implicit_size(kernel) + 1)
-        fb_place_implicit(&ode.problem, _FORMULATIONS[formulation], &self.implicit, _at(self.memory))
+        self.memory = np.zeros(fb_place_implicit(&ode.problem, chosen, &self.implicit, NULL))
+        fb_place_implicit(&ode.problem, chosen, &self.implicit, _at(self.memory))
 
     @property
     def n_z(self):

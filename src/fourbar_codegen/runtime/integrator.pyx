@@ -76,8 +76,7 @@ cdef extern from "fourbar_integrate.h":
 
 
 cdef extern from "fourbar_augmented.h":
-    size_t fb_augmented_size(const fb_kernel *) noexcept nogil
-    void fb_place_augmented(const fb_kernel *, fb_augmented *, double *) noexcept nogil
+    size_t fb_place_augmented(const fb_kernel *, fb_augmented *, double *) noexcept nogil
     int fb_augmented_begin(fb_run *) noexcept nogil
     int fb_augmented_step_on(fb_run *) noexcept nogil
 
@@ -468,7 +467,7 @@ cdef class Run:
             run.outputs = <double *>self._keep(np.zeros(ode.evaluator.n_u + ode.evaluator.n_c + ode.evaluator.n_o))
         if method == "ALI3P":
             run.step, run.augmented = fb_augmented_step_on, &self.augmented
-            memory = np.zeros(fb_augmented_size(ode.evaluator.kernel))
+            memory = np.zeros(fb_place_augmented(ode.evaluator.kernel, &self.augmented, NULL))
             fb_place_augmented(ode.evaluator.kernel, &self.augmented, <double *>self._keep(memory))
         self._make_room(run.n_times if times is not None else 256)
 

@@ -18,6 +18,7 @@ RUN = [
     "integrate",
     "linearize",
     "simulate",
+    "solver_run",
     "solvers",
     "trajectory",
     "visual",

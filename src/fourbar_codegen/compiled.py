@@ -669,7 +669,7 @@ class CompiledModel(Evaluator):
         dense_output: bool = False,
         max_step: float = math.inf,
         max_steps: int | None = None,
-        formulation: str = "gear-gupta-leimkuhler",
+        formulation: str | None = None,
         progress: Callable[[float], object] | None = None,
     ) -> Trajectory:
         """Integrate the equations of motion, with the loops closed.
@@ -721,14 +721,14 @@ class CompiledModel(Evaluator):
         max_step : float, optional
             The longest step, s; ALI3P needs it.
         max_steps : int, optional
-            The most steps, for the methods in C.
+            The most steps.
         formulation : {"gear-gupta-leimkuhler", "index-1", "index-3"}, optional
-            For IDA: whether positions and velocities satisfy the constraints in each step; or accelerations alone, so
-            that the loops drift open; or positions alone, with only the coordinates under the step control. See
-            `fourbar_codegen.solvers.IDA`.
+            For IDA, the first one if left out: whether positions and velocities satisfy the constraints in each step;
+            or accelerations alone, so that the loops drift open; or positions alone, with only the coordinates under the
+            step control. See `fourbar_codegen.solvers.IDA`.
         progress : callable, optional
-            It is called with the time reached, some times a second, by the methods in C. On a terminal, what takes
-            longer than a second says how far it is anyway.
+            It is called with the time reached, some times a second. On a terminal, what takes longer than a second says
+            how far it is anyway.
 
         Returns
         -------

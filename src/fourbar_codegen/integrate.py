@@ -1,4 +1,4 @@
-"""Runs of the integrators in C: events, samples, dense output, and what there is to say at the end."""
+"""Runs of all methods: events, samples, dense output, and what there is to say at the end."""
 
 from __future__ import annotations
 
@@ -13,15 +13,18 @@ from numpy.typing import ArrayLike, NDArray
 from fourbar_codegen.arguments import finite_number
 from fourbar_codegen.errors import ModelError, SimulationError
 from fourbar_codegen.runtime.evaluator import NOT_CLOSED, OK, failure
-from fourbar_codegen.runtime.integrator import DenseOutput, Ode, Run
+from fourbar_codegen.runtime.integrator import Ode, Run
 
 if TYPE_CHECKING:
     from fourbar_codegen.compiled import CompiledModel
+    from fourbar_codegen.solver_run import SolverRun
 
 __all__ = [
     "FIXED_STEP",
     "METHODS",
+    "NOT_RATES",
     "REACHED_END",
+    "SOLVERS",
     "Event",
     "Result",
     "Singular",
@@ -33,17 +36,21 @@ __all__ = [
 Floats = NDArray[np.float64]
 
 METHODS = ("DOP853", "RK45")
-"""Explicit methods with step control."""
+"""Explicit methods with step control, in C."""
 
 FIXED_STEP = "ALI3P"
 """The method that passes singular positions, by steps of one length; see ``fourbar_augmented.h``."""
 
+SOLVERS = ("RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA")
+"""Those of `fourbar_codegen.solvers` that are not in C as a whole."""
+
 PAUSE = 0.02
 """Seconds after which a run in C looks up: for an interrupt from the keyboard, and to say how far it is."""
 
-COLLAPSED, PASSED = 1e-3, 1e-4
+COLLAPSED, PASSED, NEAR = 1e-3, 1e-4, 0.2
 """A position is singular where the smallest singular value of J is below this share of what it usually was in the run:
-where the steps' length collapses, or within a step over which the constraints have changed their orientation."""
+where the steps' length collapses; within a step over which the constraints have changed their orientation; or is close
+where a step has opened the loops too far to be closed again."""
 
 STATES = 100
 """States along the run that tell what it usually was."""
@@ -57,8 +64,12 @@ FLOOR = 1e-12
 REACHED_END = "The solver successfully reached the end of the integration interval."
 TERMINATED = "A termination event occurred."
 DIVERGED = "The equations of a step could not be solved: take a shorter max_step."
-TOO_SMALL = "Required step size is less than spacing between numbers."
-INFINITE = "The step's length is not finite: give a finite end, or max_step."
+FAILED = {
+    "too small": "Required step size is less than spacing between numbers.",
+    "infinite": "The step's length is not finite: give a finite end, or max_step.",
+    "open": "A step has opened the loops too far to be closed again: take smaller tolerances.",
+}
+NOT_RATES = "The velocity constraints of this model are not the rates of its position constraints, one by one"
 
 
 @dataclass(frozen=True)
@@ -116,6 +127,7 @@ def integrate(
     dense_output: bool,
     max_step: float,
     max_steps: int | None,
+    options: dict[str, Any],
     progress: Callable[[float], object] | None,
 ) -> Result:
     """Integrate from one time to another.
@@ -127,7 +139,8 @@ def integrate(
         The right-hand side; nothing else may use it during the run.
     span : (float, float)
     x0 : ndarray, shape (n_x,)
-    method : {"DOP853", "RK45", "ALI3P"}
+    method : str
+        Of METHODS, FIXED_STEP or SOLVERS.
     t_eval : ndarray or None
     rtol, atol : array_like
     events : sequence of Event or None
@@ -136,6 +149,8 @@ def integrate(
     dense_output : bool
     max_step : float
     max_steps : int or None
+    options : dict
+        More for those of SOLVERS.
     progress : callable of the time, or None
 
     Returns
@@ -144,13 +159,17 @@ def integrate(
     """
     watch = _Watch(model, events or ())
     start = consistent(ode, model.n_q, span[0], x0) if project else x0
-    run = Run(
-        ode, method, span[0], start, span[1], max_step, rtol, atol, project, t_eval, watch.outputs,
-        bool(watch.callables) or dense_output,
-    )  # fmt: skip
+    arguments = method, span[0], start, span[1], max_step, rtol, atol, project, t_eval
+    run: Run | SolverRun
+    if method in SOLVERS:
+        from fourbar_codegen.solver_run import SolverRun
+
+        run = SolverRun(model, ode, *arguments, [place for place, _ in watch.outputs], options)
+    else:
+        run = Run(ode, *arguments, watch.outputs, bool(watch.callables) or dense_output)
     run.begin()
     watch.begin(run)
-    dense = DenseOutput(run) if dense_output else None
+    dense = run.dense_output() if dense_output else None
     samples: list[tuple[Floats, Floats]] = []
     ending: tuple[int, str] | None = None
     steps, noted = 16, time.perf_counter()
@@ -183,13 +202,13 @@ def integrate(
                 ending = -1, f"It has taken max_steps = {max_steps} steps."
         elif reason == "end":
             ending = 0, REACHED_END
-        elif reason in ("infinite", "diverged"):
-            ending = -1, INFINITE if reason == "infinite" else DIVERGED
+        elif reason == "diverged":
+            ending = -1, ode.failure or DIVERGED
         else:
             samples.append(run.take_samples())
-            singular = Singular(model, ode, _passed(run, samples)).here(run.t, run.x)
-            if singular or reason == "too small":
-                ending = -1, singular or ode.failure or TOO_SMALL
+            singular = Singular(model, ode, _passed(run, samples)).here(run.t, run.x, opened=reason == "open")
+            if singular or reason != "collapsed":
+                ending = -1, singular or ode.failure or FAILED.get(reason, reason)
     status, message = ending
     while run.on(0) == "full":
         samples.append(run.take_samples())
@@ -203,8 +222,8 @@ def integrate(
         t_events=None if events is None else [np.array(times) for times in watch.times],
         y_events=None if events is None else [np.array(states) for states in watch.states],
         nfev=run.n_evaluations,
-        njev=0,
-        nlu=0,
+        njev=run.n_jacobians,
+        nlu=run.n_factorizations,
         status=status,
         message=message,
     )
@@ -239,7 +258,8 @@ def consistent(ode: Ode, n_q: int, t: float, x0: Floats) -> Floats:
         raise ModelError(
             f"The state x0 = {np.array2string(x0, precision=6, separator=', ')} violates the constraints: "
             + (f"the nearest one that does not differs by {np.abs(x - x0).max():.2g}. " if status == OK else "")
-            + "CompiledModel.initial_state() makes consistent states; constraints='none' takes x0 as it is."
+            + "CompiledModel.initial_state() makes consistent states; constraints='none' takes x0 as it is, unless the "
+            "method is IDA in a formulation other than index-1."
         )
     if status != OK:
         raise SimulationError(failure(status, t, x0))
@@ -259,7 +279,7 @@ def is_rounded(n_q: int, x0: Floats, x: Floats) -> Any:
     return (moved <= CONSISTENT * size + FLOOR).all(axis=-1)
 
 
-def _passed(run: Run, samples: Sequence[tuple[Floats, Floats]]) -> list[tuple[float, Floats]]:
+def _passed(run: Run | SolverRun, samples: Sequence[tuple[Floats, Floats]]) -> list[tuple[float, Floats]]:
     """Times and states of the run so far."""
     passed = [sample for times, states in samples for sample in zip(times, states, strict=True)]
     return passed or [(run.t, run.x)]
@@ -300,13 +320,16 @@ class Singular:
     def _ratio(self, t: float, x: Floats) -> float:
         return self._least(self._jacobian(t, x)) / self.usual if self.usual else 0.0
 
-    def here(self, t: float, x: Floats) -> str:
-        """A sentence, if it is at a state at which steps collapse."""
+    def here(self, t: float, x: Floats, *, opened: bool) -> str:
+        """A sentence, if it is at a state at which steps collapse, or behind which one has opened the loops."""
         if not self.rank:
             return ""
+        if opened:
+            more = ", and a step opens the loops too far to be closed again: take smaller tolerances"
+            return self._sentence("comes close to", t, x, NEAR, more)
         return self._sentence("runs into", t, x, COLLAPSED, ", and the steps collapse")
 
-    def within_step(self, run: Run) -> str:
+    def within_step(self, run: Run | SolverRun) -> str:
         """A sentence, if it has been passed in the last step of a run."""
         begin, end = run.t_old, run.t
         for _ in range(5):  # to within 1e-6 of the step
@@ -342,14 +365,14 @@ class _Watch:
         ]
         self.values = [0.0] * len(events)
 
-    def begin(self, run: Run) -> None:
+    def begin(self, run: Run | SolverRun) -> None:
         """The functions' values at the beginning."""
         for place, i in enumerate(self.named):
             self.values[i] = run.event_values[1][place]
         for i, function in self.callables:
             self.values[i] = float(function(run.t, run.x))
 
-    def look(self, run: Run) -> float | None:
+    def look(self, run: Run | SolverRun) -> float | None:
         """Note the events of the last step; the time of the one that ends the run."""
         before = list(self.values)
         for place, i in enumerate(self.named):  # the steps between were not looked at
@@ -369,7 +392,7 @@ class _Watch:
                 return t
         return None
 
-    def _root(self, run: Run, i: int, before: float) -> float:
+    def _root(self, run: Run | SolverRun, i: int, before: float) -> float:
         from scipy.optimize import brentq
 
         known = {run.t_old: before, run.t: self.values[i]}

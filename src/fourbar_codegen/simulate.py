@@ -24,7 +24,7 @@ from fourbar_codegen.arguments import (
     tolerance,
 )
 from fourbar_codegen.errors import ModelError
-from fourbar_codegen.integrate import FIXED_STEP, METHODS, Event, Result, Singular, consistent, integrate
+from fourbar_codegen.integrate import FIXED_STEP, METHODS, NOT_RATES, SOLVERS, Event, consistent, integrate
 from fourbar_codegen.progress import Progress
 from fourbar_codegen.runtime.evaluator import is_finite
 from fourbar_codegen.runtime.integrator import Ode, Stepper, Table
@@ -38,9 +38,6 @@ __all__ = ["EventLike", "InputSource", "bind", "by_name", "input_sources", "make
 Floats = NDArray[np.float64]
 EventLike = Event | str | Callable[[float, Floats], float]
 InputSource = float | tuple[ArrayLike, ArrayLike] | Callable[[float, Floats], float]
-
-OTHER_METHODS = ("RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA")
-"""Those of `fourbar_codegen.solvers` that are not in C as a whole."""
 
 
 def bind(model: CompiledModel, parameters: Values | None, inputs: Mapping[Any, InputSource] | None) -> Ode:
@@ -141,14 +138,15 @@ def simulate(
     dense_output: bool,
     max_step: float,
     max_steps: int | None,
-    formulation: str,
+    formulation: str | None,
     progress: Callable[[float], object] | None,
 ) -> Trajectory:
     """Integrate the equations of motion; see `CompiledModel.simulate`."""
-    native = (*METHODS, FIXED_STEP)
-    if method not in (*native, *OTHER_METHODS):
-        raise ModelError(f"There is no method {method!r}; there are {', '.join((*native, *OTHER_METHODS))}.")
-    options = {"formulation": formulation} if method == "IDA" else {}
+    methods = (*METHODS, FIXED_STEP, *SOLVERS)
+    if method not in methods:
+        raise ModelError(f"There is no method {method!r}; there are {', '.join(methods)}.")
+    if not (formulation is None or method == "IDA"):
+        raise ModelError(f"A formulation is for IDA; {method} has none.")
     closes = projects(model, constraints, *(() if method in (FIXED_STEP, "IDA") else ("baumgarte",)))
     start, end = time_span(t_span)
     times = None if t_eval is None else sample_times(t_eval, start, end)
@@ -163,30 +161,25 @@ def simulate(
     max_step = longest_step(max_step)
     if method == FIXED_STEP and max_step == math.inf:
         raise ModelError(f"{FIXED_STEP} takes steps of one length: give it as max_step.")
-    if not (max_steps is None or (isinstance(max_steps, int | np.integer) and max_steps > 0)):
+    if not (max_steps is None or (_is_integer(max_steps) and max_steps > 0)):
         raise ModelError(f"max_steps must be a positive integer or None, not {max_steps!r}.")
     if not (progress is None or callable(progress)):
         raise ModelError(f"progress must be a callable of the time or None, not {progress!r}.")
-    if method in native:
-        with ExitStack() as stack:
-            shown: list[Progress] = []  # made where a run is a long one
+    with ExitStack() as stack:
+        shown: list[Progress] = []  # made where a run is a long one
 
-            def note(t: float) -> None:
-                if not shown:
-                    shown.append(stack.enter_context(Progress(model.name)))
-                shown[0].stage(f"simulating, t = {t:.6g} of {end:g} s")
-                if progress is not None:
-                    progress(t)
+        def note(t: float) -> None:
+            if not shown:
+                shown.append(stack.enter_context(Progress(model.name)))
+            shown[0].stage(f"simulating, t = {t:.6g} of {end:g} s")
+            if progress is not None:
+                progress(t)
 
-            result = integrate(
-                model, ode, (start, end), state, method=method, t_eval=times, rtol=tolerances[0], atol=tolerances[1],
-                events=watched, project=closes, dense_output=dense_output,
-                max_step=max_step, max_steps=max_steps, progress=note,
-            )  # fmt: skip
-    else:
-        ode.projects = closes
-        how = method, times, tolerances, watched, dense_output, max_step
-        result = _solve_ivp(model, ode, (start, end), state, *how, options)
+        result = integrate(
+            model, ode, (start, end), state, method=method, t_eval=times, rtol=tolerances[0], atol=tolerances[1],
+            events=watched, project=closes, dense_output=dense_output, max_step=max_step, max_steps=max_steps,
+            options={} if formulation is None else {"formulation": formulation}, progress=note,
+        )  # fmt: skip
     return Trajectory(
         model=model,
         parameters=p,
@@ -236,10 +229,14 @@ def projects(model: CompiledModel, constraints: str, *more: str) -> bool:
         return False
     if not model.manifest["can_project"]:
         raise ModelError(
-            "The velocity constraints of this model are not the rates of its position constraints, one by one, so that "
-            "it is not known how these are violated: take constraints='none', or state them as rates."
+            f"{NOT_RATES}, so that it is not known how these are violated: take constraints='none', or state them as "
+            "rates."
         )
     return constraints == "project"
+
+
+def _is_integer(value: object) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 
 def _state(
@@ -252,70 +249,6 @@ def _state(
     if x0 is None:
         return model.initial_state(t=t, parameters=p, inputs=inputs)
     return named_array(x0, model.states, {}, "state")
-
-
-def _solve_ivp(
-    model: CompiledModel,
-    ode: Ode,
-    span: tuple[float, float],
-    state: Floats,
-    method: str,
-    t_eval: Floats | None,
-    tolerances: tuple[Floats, Floats],
-    events: Sequence[Event] | None,
-    dense_output: bool,
-    max_step: float,
-    options: dict[str, str],
-) -> Result:
-    """By integrators that `solve_ivp` drives."""
-    from scipy.integrate import solve_ivp
-
-    from fourbar_codegen import solvers
-
-    given = solve_ivp(
-        ode,
-        span,
-        state,
-        method=getattr(solvers, method),
-        t_eval=t_eval,
-        events=None if events is None else [_as_scipy_has_it(model, ode, event) for event in events],
-        dense_output=dense_output,
-        rtol=tolerances[0],
-        atol=tolerances[1],
-        max_step=max_step,
-        **options,
-    )
-    # Where no time was stored, SciPy gives lists.
-    times, states = np.asarray(given.t, dtype=float), np.reshape(given.y, (model.n_x, len(given.t)))
-    message = given.message
-    if not given.success:
-        singular = ""
-        if ode.failure is None and len(times):
-            singular = Singular(model, ode, list(zip(times, states.T, strict=True))).here(times[-1], states[:, -1])
-        message = f"The integration stopped at t = {ode.time:.9g}: {singular or ode.failure or message}"
-    if ode.projects:
-        states = np.reshape([ode.project(t, x) for t, x in zip(times, states.T, strict=True)], (-1, model.n_x)).T
-    return Result(
-        t=times, y=states, sol=given.sol, t_events=given.t_events, y_events=given.y_events, nfev=given.nfev,
-        njev=given.njev, nlu=given.nlu, status=given.status, message=message,
-    )  # fmt: skip
-
-
-def _as_scipy_has_it(model: CompiledModel, ode: Ode, event: Event) -> Callable[[float, Floats], float]:
-    """A function with attributes."""
-    function = event.function
-    if callable(function):
-
-        def value(t: float, x: Floats) -> float:
-            return function(t, x)
-    else:
-        place = model.outputs.index(function)
-
-        def value(t: float, x: Floats) -> float:
-            return float(model.output(t, x, ode.parameters, ode.input_values(t, x))[place])
-
-    value.terminal, value.direction = event.terminal, event.direction  # type: ignore[attr-defined]
-    return value
 
 
 def _events(model: CompiledModel, events: object) -> list[Event] | None:

@@ -29,6 +29,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BarycentricInterpolator
 
 from fourbar_codegen.errors import ModelError
+from fourbar_codegen.integrate import NOT_RATES, consistent
 from fourbar_codegen.runtime.implicit import FORMULATIONS, Rates, Residual
 from fourbar_codegen.runtime.integrator import EmbeddedSteps, Ode
 
@@ -271,15 +272,14 @@ class IDA(_Sundials):
         manifest = fun.manifest
         if formulation not in FORMULATIONS:
             raise ModelError(f"There is no formulation {formulation!r}; there are {', '.join(FORMULATIONS)}.")
+        if formulation != "index-1":
+            if not manifest["can_project"]:
+                raise ModelError(f"{NOT_RATES}: take formulation='index-1'.")
+            self.y = consistent(fun, fun.n_q, t0, self.y)
         rates, multipliers = fun.multipliers(t0, self.y)
         if manifest["n_dependent_speeds"] < len(multipliers):
             raise ModelError(
                 "IDA solves for all multipliers, which redundant constraints leave open: take method='ALI3P'."
-            )
-        if formulation != "index-1" and not manifest["can_project"]:
-            raise ModelError(
-                "The velocity constraints of this model are not the rates of its position constraints, one by one: "
-                "take formulation='index-1'."
             )
         ida = _sundae("ida")
         residual = Residual(fun, formulation)

@@ -48,6 +48,7 @@ typedef struct fb_augmented {
     double *matrix, *normal;                         /* (n_u, n_u), (n_c, n_c) */
     double *change, *unit, *coordinate_change;       /* (n_u,), (n_u,), (n_q,) */
     double *rate_jacobian, *residual_jacobian;       /* (n_q, n_x), (n_u + n_c, n_x) */
+    long n_jacobians, n_factorizations;
 } fb_augmented;
 
 /* Places the arrays in memory, if there is any yet; returns how many doubles they are. */
@@ -119,6 +120,13 @@ static inline void fb_penalize(const fb_kernel *k, const fb_augmented *a, const 
     }
 }
 
+/* Solves matrix x = b for the speeds; 0 where the matrix is singular. */
+static inline int fb_solve_matrix(const fb_kernel *k, fb_augmented *a, double *b)
+{
+    a->n_factorizations += 1;
+    return fb_eliminate_full(k->n_u, a->matrix, b);
+}
+
 /* `change` is the least one in the metric of M with J change = -violation, as far as J can, of the rows up to n. */
 static inline int fb_least_change(const fb_kernel *k, fb_augmented *a, const int n, const double *restrict violation)
 {
@@ -130,7 +138,7 @@ static inline int fb_least_change(const fb_kernel *k, fb_augmented *a, const int
         for (int row = 0; row < n; ++row)
             a->change[i] -= penalty * a->jacobian[row * k->n_u + i] * violation[row];
     }
-    return fb_eliminate_full(k->n_u, a->matrix, a->change);
+    return fb_solve_matrix(k, a, a->change);
 }
 
 /* M, f, J, gamma and violations at the state x; negative from the caller of inputs. */
@@ -146,6 +154,7 @@ static inline int fb_augmented_equations(fb_run *s, const double t, const double
     p->kernel->closure(t, x, p->constants, p->inputs, a->positions, a->velocities);
     p->t = t;
     s->n_evaluations += 1;
+    fb_note_failure(p, fb_finite(a->forcing, p->kernel->n_u) ? FB_OK : FB_NOT_FINITE, t, x);
     return 0;
 }
 
@@ -221,7 +230,7 @@ static inline int fb_augmented_begin(fb_run *s)
         for (int row = 0; row < k->n_c; ++row)
             accelerations[i] -= penalty * a->jacobian[row * k->n_u + i] * a->bias[row];
     }
-    if (!fb_eliminate_full(k->n_u, a->matrix, accelerations) ||
+    if (!fb_solve_matrix(k, a, accelerations) ||
         fb_project_accelerations(s, accelerations) != FB_RUN_PAUSED)
         memset(accelerations, 0, (size_t)k->n_u * sizeof(double));
     return 0;
@@ -235,6 +244,7 @@ static inline void fb_newton_matrix(fb_run *s, const double t, const double h, c
     const fb_kernel *const k = p->kernel;
     fb_augmented *const a = s->augmented;
     const int n_q = k->n_q, n_u = k->n_u, n_x = n_q + n_u;
+    a->n_jacobians += 1;
     memcpy(a->matrix, a->mass_matrix, (size_t)(n_u * n_u) * sizeof(double));
     k->sensitivity(t, x, p->constants, p->inputs, accelerations, a->penalized, a->rate_jacobian,
                    a->residual_jacobian);
@@ -294,7 +304,7 @@ static inline int fb_augmented_newton(fb_run *s, const double t, const double h,
                 residual += a->jacobian[row * n_u + i] * a->penalized[row];
             a->change[i] = 0.5 * h * residual;
         }
-        if (!fb_eliminate_full(n_u, a->matrix, a->change))
+        if (!fb_solve_matrix(k, a, a->change))
             return FB_RUN_DIVERGED;
         k->coordinate_change(t, x, s->problem->constants, s->problem->inputs, a->change, a->coordinate_change);
         changed = 0.0;

@@ -72,9 +72,8 @@ static inline double fb_row_times(const fb_implicit *s, const int row, const dou
     return sum;
 }
 
-/* F(t, z, z'); negative from the caller of inputs. */
-static inline int fb_implicit_residual(fb_implicit *s, const double t, const double *restrict z,
-                                       const double *restrict z_rate, double *restrict residual)
+static inline int fb_implicit_form(fb_implicit *s, const double t, const double *restrict z,
+                                   const double *restrict z_rate, double *restrict residual)
 {
     fb_problem *const p = s->problem;
     const fb_kernel *const k = p->kernel;
@@ -116,6 +115,16 @@ static inline int fb_implicit_residual(fb_implicit *s, const double t, const dou
     for (int row = 0; row < n_h && s->formulation == FB_INDEX_2; ++row)
         residual[n_x + n_c + row] = s->positions[row];
     return 0;
+}
+
+/* F(t, z, z'); negative from the caller of inputs. */
+static inline int fb_implicit_residual(fb_implicit *s, const double t, const double *restrict z,
+                                       const double *restrict z_rate, double *restrict residual)
+{
+    const int called = fb_implicit_form(s, t, z, z_rate, residual);
+    if (called == 0)
+        fb_note_failure(s->problem, all_finite(residual, s->n_z), t, z);
+    return called;
 }
 
 /* dF/dz + c dF/dz', row by row, (n_z, n_z). What J^T mu changes with q is left out, since mu vanishes. */

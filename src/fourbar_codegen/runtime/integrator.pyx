@@ -20,7 +20,7 @@ cnp.import_array()
 
 cdef extern from "fourbar_augmented.h":
     ctypedef struct fb_augmented:
-        pass
+        long n_jacobians, n_factorizations
 
 cdef extern from "fourbar_integrate.h":
     int FB_BLOCK
@@ -253,6 +253,10 @@ cdef class Ode:
             self.check(fb_fill_inputs(&self.problem, data(t)[i], data(x) + i * n_x))
             memcpy(data(result) + i * n_r, self.problem.inputs, n_r * sizeof(double))
         return result.T
+
+    def turned(self):
+        """Whether the constraints have changed their orientation from one call to the next: see `fb_kernel`."""
+        return bool(self.problem.kernel.turned(self.problem.work))
 
     def closest(self, double t, x):
         """The state moved onto the constraints, shape (n_x,), behind the kernel's status of that."""
@@ -532,6 +536,10 @@ cdef class Run:
         memcpy(self.run.x, self.run.x_old, self.run.n * sizeof(double))
         self.run.t, self.run.pending = self.run.t_old, 0
 
+    def dense_output(self):
+        """To be told of each step."""
+        return DenseOutput(self)
+
     @property
     def turned(self):
         """Whether the constraints' orientation has changed in the last step."""
@@ -561,6 +569,16 @@ cdef class Run:
     def n_evaluations(self):
         """Evaluations of the right-hand side."""
         return self.run.n_evaluations
+
+    @property
+    def n_jacobians(self):
+        """Evaluations of its derivatives."""
+        return self.augmented.n_jacobians
+
+    @property
+    def n_factorizations(self):
+        """Of matrices, for Newton's method and for projections; those of the right-hand side itself do not count."""
+        return self.augmented.n_factorizations
 
     @property
     def x(self):

@@ -1,0 +1,196 @@
+"""Runs of `fourbar_codegen.solvers`, with the members that `runtime.integrator.Run` has for the methods in C."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.integrate import DenseOutput, OdeSolution
+
+from fourbar_codegen import solvers
+from fourbar_codegen.runtime.evaluator import OK
+from fourbar_codegen.runtime.integrator import Ode
+
+if TYPE_CHECKING:
+    from fourbar_codegen.compiled import CompiledModel
+
+__all__ = ["SolverRun"]
+
+Floats = NDArray[np.float64]
+
+SHORT = 16
+"""Spacings of doubles that no solver can take a step across."""
+
+
+class SolverRun:
+    """A run of one of `fourbar_codegen.solvers`, a step at a time.
+
+    Parameters
+    ----------
+    model : CompiledModel
+    ode : Ode
+        The right-hand side; nothing else may call it during the run.
+    method : str
+        The solver's name.
+    t : float
+    x : ndarray, shape (n_x,)
+    t_bound, max_step : float
+    rtol, atol : array_like
+    project : bool
+        Whether every state is moved onto the constraints.
+    times : ndarray or None
+        Times of the samples; None for a sample after each step.
+    outputs : sequence of int
+        Places of the outputs that are event functions.
+    options : dict
+        More of the solver's.
+    """
+
+    def __init__(
+        self, model: CompiledModel, ode: Ode, method: str, t: float, x: Floats, t_bound: float, max_step: float,
+        rtol: ArrayLike, atol: ArrayLike, project: bool, times: Floats | None, outputs: Sequence[int],
+        options: dict[str, Any],
+    ) -> None:  # fmt: skip
+        self._model, self._ode, self._project, self._outputs = model, ode, project, outputs
+        ode.projects = project
+        make = getattr(solvers, method)
+        self._solver = make(ode, t, x, t_bound, rtol=rtol, atol=atol, max_step=max_step, **options)
+        self.t = self.t_old = t
+        self.x = x
+        self.n_steps, self.turned = 0, False
+        self._x_old, self._until, self._times, self._next = x, t_bound, times, 0
+        self._pending, self._interpolant = True, None
+        self._samples: list[tuple[float, Floats]] = []
+
+    @property
+    def n_evaluations(self) -> int:
+        """Evaluations of the right-hand side, or of the residual."""
+        return int(self._solver.nfev)
+
+    @property
+    def n_jacobians(self) -> int:
+        """Evaluations of its derivatives."""
+        return int(self._solver.njev)
+
+    @property
+    def n_factorizations(self) -> int:
+        """Of matrices, where the solver counts them."""
+        return int(self._solver.nlu)
+
+    def begin(self) -> None:
+        """Before the first step."""
+        self._turned()
+        values = self._event_values(self.t, self.x)
+        self.event_values = values, values
+
+    def on(self, steps: int) -> str:
+        """A step, if there are any to take; why it stopped: "event", "paused", "end", "open" or a sentence."""
+        if self._pending:
+            self._sample()
+        if self.t == self._solver.t_bound:
+            return "end"
+        if steps <= 0:
+            return "paused"
+        message = self._solver.step()
+        if self._solver.status == "failed":
+            if self._ode.failure is None:
+                # The last evaluation may have been one before what cannot be evaluated, and steps grown too short.
+                self._ode(self.t + self._solver.direction * SHORT * np.spacing(abs(self.t)), self.x)
+            return message or "The solver has failed."
+        t, x = float(self._solver.t), self._solver.y
+        if self._project:
+            status, x = self._ode.closest(t, x)
+            if status != OK:
+                return "open"
+        self.t_old, self._x_old, self.t, self.x = self.t, self.x, t, x
+        self.n_steps += 1
+        self._pending, self._interpolant = True, None
+        self.turned = self._turned()
+        if self._outputs:
+            self.event_values = self.event_values[1], self._event_values(t, x)
+        return "event"
+
+    def _turned(self) -> bool:
+        """Whether the constraints have changed their orientation since the last call."""
+        self._ode(self.t, self.x)
+        return self._ode.turned()
+
+    def _sample(self) -> None:
+        """Those of the last step."""
+        direction, self._pending = self._solver.direction, False
+        if self._times is None:
+            self._samples.append((self.t, self.x))
+            return
+        last = min(direction * self.t, direction * self._until)
+        while self._next < len(self._times) and direction * self._times[self._next] <= last:
+            t = self._times[self._next]
+            self._samples.append((t, self.state_at(t)))
+            self._next += 1
+
+    def take_samples(self) -> tuple[Floats, Floats]:
+        """The samples since the last call, shapes (n,) and (n, n_x)."""
+        samples, self._samples = self._samples, []
+        return np.array([t for t, _ in samples]), np.reshape([x for _, x in samples], (-1, len(self.x)))
+
+    def interpolant(self) -> DenseOutput:
+        """Of the last step."""
+        if self._interpolant is None:
+            self._interpolant = self._solver.dense_output()
+        return self._interpolant
+
+    def state_at(self, t: float) -> Floats:
+        """The state at a time in the last step, shape (n_x,)."""
+        if t == self.t:
+            return self.x
+        return self.closed(t, self.interpolant()(t))
+
+    def closed(self, t: float, x: Floats) -> Floats:
+        """An interpolated state, moved onto the constraints if the run's are."""
+        return self._ode.project(t, x) if self._project else x
+
+    def event_values_at(self, t: float) -> Floats:
+        """The event functions at a time in the last step, shape (n_events,)."""
+        return self._event_values(t, self.state_at(t))
+
+    def _event_values(self, t: float, x: Floats) -> Floats:
+        if not self._outputs:
+            return np.empty(0)
+        values = self._model.output(t, x, self._ode.parameters, self._ode.input_values(t, x))
+        return values[list(self._outputs)]
+
+    def stop_at(self, t: float) -> None:
+        """End the run at a time in the last step: the state there is the last one, with no samples behind it."""
+        x = self.state_at(t)
+        self._until = t
+        if self._times is None:
+            self.t, self.x = t, x
+
+    def discard(self) -> None:
+        """Go back to before the last step, where the run ends."""
+        self.t, self.x, self._pending = self.t_old, self._x_old, False
+
+    def dense_output(self) -> _Solution:
+        """To be told of each step."""
+        return _Solution(self)
+
+
+class _Solution:
+    """The state at any time of a run."""
+
+    def __init__(self, run: SolverRun) -> None:
+        self._run, self._times = run, [run.t]
+        self._interpolants: list[DenseOutput] = []
+
+    def add(self) -> None:
+        """The last step."""
+        self._times.append(self._run.t)
+        self._interpolants.append(self._run.interpolant())
+
+    def __call__(self, t: Any) -> Floats:
+        """The state at times t: shape (n_x,) for a number, (n_x, n) for n of them."""
+        x = OdeSolution(self._times, self._interpolants)(t)
+        if np.ndim(t) == 0:
+            return self._run.closed(float(t), x)
+        return np.reshape([self._run.closed(*state) for state in zip(t, x.T, strict=True)], (-1, len(x))).T

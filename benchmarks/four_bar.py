@@ -19,12 +19,13 @@ from pathlib import Path
 from typing import Any
 
 from measure import (
+    README,
     call,
     circumstances,
     compare,
     evaluation,
     evaluation_inside_c,
-    replace_in_readme,
+    replace_in_page,
     timed,
 )
 from scipy.integrate import solve_ivp
@@ -99,7 +100,7 @@ def write_readme(report: dict[str, Any]) -> None:
         "`numpy.linalg.solve`) and SciPy's `solve_ivp`, whose loop drifts open. Steps in C:\n"
         "`method=fb.solvers.RK45` or `DOP853`.\n\n"
     )
-    replace_in_readme("benchmark", text + "\n".join(lines), "four_bar.py", report)
+    replace_in_page(README, "benchmark", text + "\n".join(lines), "four_bar.py --readme", report)
 
 
 def main() -> None:

@@ -13,11 +13,16 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import date
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import fourbar_codegen as fb
 
-README = Path(__file__).parent.parent / "README.md"
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+PROJECT = Path(__file__).parent.parent
+README = PROJECT / "README.md"
+DOCS = PROJECT / "docs"
 
 
 def timed(function: Callable[[], object]) -> float:
@@ -84,10 +89,19 @@ def circumstances() -> dict[str, Any]:
     return {"date": date.today().isoformat(), "machine": machine, "versions": versions}
 
 
-def replace_in_readme(mark: str, text: str, script: str, report: dict[str, Any]) -> None:
-    """Replace what stands between two comments in README.md."""
+def replace_in_page(page: Path, mark: str, text: str, command: str, report: dict[str, Any]) -> None:
+    """Replace what stands between two comments in a page, and name the command that did it."""
     versions = ", ".join(f"{name} {number}" for name, number in report["versions"].items())
-    written = f"Written by `python benchmarks/{script} --readme` on {report['date']}; {report['machine']};\n{versions}."
-    before, _, rest = README.read_text().partition(f"<!-- {mark} -->\n")
+    written = f"Written by `python benchmarks/{command}` on {report['date']}; {report['machine']};\n{versions}."
+    before, _, rest = page.read_text().partition(f"<!-- {mark} -->\n")
     _, end, after = rest.partition(f"<!-- end of {mark} -->")
-    README.write_text(f"{before}<!-- {mark} -->\n{text}\n\n{written}\n{end}{after}")
+    page.write_text(f"{before}<!-- {mark} -->\n{text}\n\n{written}\n{end}{after}")
+
+
+def save_picture(figure: Figure, path: Path) -> None:
+    """Write a figure, the same file for the same curves."""
+    import matplotlib as mpl
+
+    mpl.rcParams["svg.hashsalt"] = "fourbar_codegen"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, metadata={"Date": None})

@@ -20,11 +20,12 @@ from typing import Any
 
 import numpy as np
 from measure import (
+    README,
     circumstances,
     compare,
     evaluation,
     evaluation_inside_c,
-    replace_in_readme,
+    replace_in_page,
 )
 from tutorial import Tutorial
 
@@ -163,7 +164,7 @@ def main() -> None:
             "and that per operation; operations of forming, a sine as one; and the time from the\n"
             "System to a function that evaluates it (warm: from the cache).\n\n"
         )
-        replace_in_readme("models", text + "\n".join(lines), "models.py", report)
+        replace_in_page(README, "models", text + "\n".join(lines), "models.py --readme", report)
 
 
 if __name__ == "__main__":

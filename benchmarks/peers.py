@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 import sympy as sm
-from measure import call, circumstances, compare, evaluation, replace_in_readme, timed
+from measure import README, call, circumstances, compare, evaluation, replace_in_page, timed
 from scipy.integrate import solve_ivp
 from tutorial import Floats, Tutorial, tutorial_four_bar
 
@@ -465,7 +465,7 @@ def main() -> None:
     plot(rows, options.output.with_suffix(".png"))
     print(f"Written: {options.output}, {options.output.with_suffix('.png')}")
     if options.readme:
-        replace_in_readme("peers", tables(one, batch, rows, many, starts), "peers.py", report)
+        replace_in_page(README, "peers", tables(one, batch, rows, many, starts), "peers.py --readme", report)
 
 
 def _tutorial_end(case: Case, stiffness: float) -> Floats:

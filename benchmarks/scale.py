@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import sympy as sm
 import sympy.physics.mechanics as me
-from measure import circumstances, compare, evaluation, replace_in_readme
+from measure import README, circumstances, compare, evaluation, replace_in_page
 from models import COMPILED, LAMBDIFIED, in_fresh_process, read_again
 from sympy.physics.mechanics.system import System
 from tutorial import Tutorial
@@ -155,7 +155,7 @@ def main() -> None:
     picture(rows, options.output.with_suffix(".png"))
     print("\n".join([*lines, f"Written: {options.output}, {options.output.with_suffix('.png')}"]))
     if options.readme:
-        replace_in_readme("scale", "\n".join(lines), "scale.py", report)
+        replace_in_page(README, "scale", "\n".join(lines), "scale.py --readme", report)
 
 
 if __name__ == "__main__":

@@ -167,3 +167,39 @@ def quaternion_top():
     norm = sum(entry * entry.diff(me.dynamicsymbols._t) for entry in e)
     system.add_kdes(*((by_rates - by_speeds).dot(axis) for axis in body), norm)
     return system
+
+
+def spatial_four_bar():
+    """The tutorial's linkage without spring, damper and force, in a plane that leans, closed as a spatial one: by all
+    three coordinates of the last joint's place, and by the two of its axis. Two of the five rows are independent."""
+    q, u = me.dynamicsymbols("q1:4"), me.dynamicsymbols("u1:4")
+    rho, l1, l2, l3, l4, g = sm.symbols("rho l1:5 g")
+    ground, plane, origin = me.ReferenceFrame("N"), me.ReferenceFrame("A"), me.Point("O")
+    plane.orient_body_fixed(ground, (sm.Rational(2, 5), sm.Rational(3, 10), 0), "xyz")
+    plane.set_ang_vel(ground, 0)
+    origin.set_vel(ground, 0)
+    system = System(ground, origin)
+    before, joint = plane, origin.locatenew("P1", l1 * plane.x)
+    joint.set_vel(ground, 0)
+    for i, (angle, rate, length) in enumerate(zip(q, u, (l2, l3, l4), strict=True), start=2):
+        link = me.ReferenceFrame(f"L{i}")
+        link.orient_axis(before, before.z, angle)
+        link.set_ang_vel(before, rate * before.z)
+        center, end = joint.locatenew(f"C{i}", length / 2 * link.x), joint.locatenew(f"P{i}", length * link.x)
+        for point in (center, end):
+            point.v2pt_theory(joint, ground, link)
+        across = rho * length**3 / 12
+        system.add_bodies(
+            me.RigidBody(f"link{i}", center, link, rho * length, (me.inertia(link, 0, across, across), center))
+        )
+        before, joint = link, end
+    gap = joint.pos_from(origin)
+    system.add_holonomic_constraints(*(gap.dot(axis) for axis in ground))
+    for axis in (plane.x, plane.y):  # by numbers, as a drawing gives them
+        across = sum(float(axis.dot(e)) * e for e in ground)
+        system.add_holonomic_constraints(before.z.dot(across))
+    system.apply_uniform_gravity(-g * plane.y)
+    system.q_ind, system.q_dep, system.u_ind, system.u_dep = q[:1], q[1:], u[:1], u[1:]
+    system.add_kdes(*(rate - angle.diff() for angle, rate in zip(q, u, strict=True)))
+    values = {rho: 100.0, l1: 0.8, l2: 0.5, l3: 1.0, l4: 0.7, g: 9.81}
+    return fb.Model(system, name="spatial_four_bar", parameters=values, initial={q[0]: -0.5, q[1]: -1.5, q[2]: -1.5})

@@ -724,8 +724,8 @@ class CompiledModel(Evaluator):
             The most steps.
         formulation : {"gear-gupta-leimkuhler", "index-1", "index-3"}, optional
             For IDA, the first one if left out: whether positions and velocities satisfy the constraints in each step;
-            or accelerations alone, so that the loops drift open; or positions alone, with only the coordinates under the
-            step control. See `fourbar_codegen.solvers.IDA`.
+            or accelerations alone, so that the loops drift open; or positions alone, with only the coordinates under
+            the step control. See `fourbar_codegen.solvers.IDA`.
         progress : callable, optional
             It is called with the time reached, some times a second. On a terminal, what takes longer than a second says
             how far it is anyway.

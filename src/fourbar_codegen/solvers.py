@@ -30,6 +30,7 @@ from scipy.interpolate import BarycentricInterpolator
 
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.integrate import NOT_RATES, consistent
+from fourbar_codegen.runtime.evaluator import is_finite
 from fourbar_codegen.runtime.implicit import FORMULATIONS, Rates, Residual
 from fourbar_codegen.runtime.integrator import EmbeddedSteps, Ode
 
@@ -143,7 +144,7 @@ class _Implicit(_Compiled):
             if self._ode.failure is None and "infs or NaNs" not in str(error):
                 raise
             return False, self._ode.failure or "the method's own numbers are beyond the range of double"
-        if np.isfinite(self.y).all():
+        if is_finite(self.y):
             if success and self._ode.projects:
                 self._project()
             return success, message
@@ -194,7 +195,7 @@ class _Sundials(_Compiled):
     def _step_impl(self) -> tuple[bool, str | None]:
         result = self._solver.step(self.t_bound, method="onestep", tstop=self.t_bound)
         self.nfev, self.njev = result.nfev, result.njev
-        if result.status < 0 or not np.isfinite(result.y).all():
+        if result.status < 0 or not is_finite(result.y):
             return False, self._ode.failure or result.message
         if result.t == self.t:  # SUNDIALS would go on for ever
             return False, self._ode.failure or self.TOO_SMALL_STEP
@@ -279,7 +280,7 @@ class IDA(_Sundials):
         rates, multipliers = fun.multipliers(t0, self.y)
         if manifest["n_dependent_speeds"] < len(multipliers):
             raise ModelError(
-                "IDA solves for all multipliers, which redundant constraints leave open: take method='ALI3P'."
+                "IDA solves for all multipliers, which redundant constraints leave open: all other methods take them."
             )
         ida = _sundae("ida")
         residual = Residual(fun, formulation)

@@ -1,0 +1,211 @@
+"""Which method for which mechanism: time, evaluations, errors, loops and energies of all of `simulate`'s, case by case.
+
+Each method goes from coarse tolerances to fine ones (ALI3P from long steps to short ones) until a run takes longer than
+three seconds. References are DOP853's at 1e-12, which Radau's and IDA's runs approach.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from measure import DOCS, PROJECT, call, circumstances, compare, replace_in_page, save_picture, timed
+from sksundae.ida import IDA
+
+import fourbar_codegen as fb
+from fourbar_codegen.runtime.implicit import Residual
+
+sys.path.append(str(PROJECT / "examples"))
+from stiff_drive import driven_four_bar
+
+TOLERANCES = [10.0**-k for k in range(3, 11)]
+STEPS = [1e-2, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5]  # of ALI3P
+SHOWN = 1e-6
+LONGEST = 3.0  # s
+SAMPLES = 41
+METHODS: dict[str, dict[str, Any]] = {
+    "DOP853": {},
+    "RK45": {},
+    "DOP853, Baumgarte": {"method": "DOP853", "constraints": "baumgarte"},
+    "ALI3P": {},
+    "Radau": {},
+    "BDF": {},
+    "LSODA": {},
+    "CVODE": {},
+    "IDA, Gear-Gupta-Leimkuhler": {"method": "IDA"},
+    "IDA, index 1": {"method": "IDA", "formulation": "index-1"},
+    "IDA, index 3": {"method": "IDA", "formulation": "index-3"},
+}
+
+
+@dataclass
+class Case:
+    """A motion and its reference."""
+
+    name: str
+    model: fb.CompiledModel
+    end: float
+    parameters: dict[str, float] = field(default_factory=dict)
+    inputs: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.x0 = self.model.initial_state(parameters=self.parameters)
+        self.times = np.linspace(0.0, self.end, SAMPLES)
+        self.reference = self.run(method="DOP853", rtol=1e-12, atol=1e-12, t_eval=self.times)
+        assert self.reference.success, self.reference.message
+
+    def run(self, **how: Any) -> fb.Trajectory:
+        return self.model.simulate((0.0, self.end), self.x0, parameters=self.parameters, inputs=self.inputs, **how)
+
+
+def cases() -> list[Case]:
+    tutorial, driven = fb.load("four_bar"), fb.compile_model(driven_four_bar())
+    free = {"k": 0.0, "c": 0.0}
+    return [
+        Case("The tutorial's case, 4 s", tutorial, 4.0),
+        Case("A stiff damper, 4 s", driven, 4.0, {"stiffness": 1e6, "damping": 1e5}),
+        Case("A stiff spring, 4 s", driven, 4.0, {"stiffness": 3e7, "damping": 6e3}),
+        Case("A long run, 100 s", tutorial, 100.0, free, {"F": 0.0}),
+    ]
+
+
+def precision(case: Case, rounds: int) -> list[dict[str, Any]]:
+    """The runs of all methods at all tolerances, those of one tolerance in turn."""
+    rows = []
+    going = dict(METHODS)
+    for tolerance, step in zip(TOLERANCES, STEPS, strict=True):
+        runs = {}
+        for name, how in list(going.items()):
+            settings = {"max_step": step} if name == "ALI3P" else {"rtol": tolerance, "atol": tolerance}
+            run = partial(case.run, **{"method": name, **how, **settings})
+            seconds = timed(run)
+            if seconds > LONGEST:
+                del going[name]
+            else:
+                runs[name] = run, settings
+        medians = compare(*(partial(timed, run) for run, _ in runs.values()), rounds=rounds)
+        for (name, (run, settings)), seconds in zip(runs.items(), medians, strict=True):
+            rows.append({"method": name, **settings, "seconds": seconds, **qualities(case, run)})
+            print(f"{case.name}: {json.dumps(rows[-1])}", flush=True)
+    return rows
+
+
+def qualities(case: Case, run: partial[fb.Trajectory]) -> dict[str, Any]:
+    """Of one run, with the loops as the method itself leaves them beside those that are handed out."""
+    sampled = run(t_eval=case.times)
+    if not sampled.success:
+        return {"message": sampled.message}
+    alone = run if run.keywords.get("constraints") else partial(run, constraints="none")
+    return {
+        "evaluations": run().nfev,
+        "error": float(np.abs(sampled.y[:, -1] - case.reference.y[:, -1]).max()),
+        "energy error": float(np.abs(sampled.energy - case.reference.energy).max()),
+        "open": float(np.abs(sampled.constraint_residual).max()),
+        "open alone": float(np.abs(alone(t_eval=case.times).constraint_residual).max()),
+    }
+
+
+def overhead(case: Case, rounds: int) -> dict[str, float]:
+    """Seconds of an evaluation of IDA's residual: by itself, in one call of scikit-sundae, and in `simulate`."""
+    residual = Residual(case.model.ode(), "gear-gupta-leimkuhler")
+    z, z_rate, values = (np.zeros(residual.n_z) for _ in range(3))
+    z[: len(case.x0)] = case.x0
+    rates, multipliers = case.model.ode().multipliers(0.0, case.x0)
+    z[len(case.x0) :][: len(multipliers)], z_rate[: len(rates)] = multipliers, rates
+    atol = np.where(np.arange(residual.n_z) < len(case.x0), SHOWN, 1e20)
+
+    def whole() -> Any:
+        solver = IDA(
+            residual.evaluate, jacfn=residual.jacobian, rtol=SHOWN, atol=atol,
+            algebraic_idx=np.arange(len(case.x0), residual.n_z),
+        )  # fmt: skip
+        solver.init_step(0.0, z, z_rate)
+        return solver.step(case.end, method="normal")
+
+    ours = partial(case.run, method="IDA", rtol=SHOWN, atol=SHOWN)
+    alone, in_one, in_steps = compare(
+        call(residual.evaluate, 0.0, z, z_rate, values), call(whole), call(ours), rounds=rounds
+    )
+    return {"alone": alone, "in one call": in_one / whole().nfev, "step by step": in_steps / ours().nfev}
+
+
+def plot(results: dict[str, list[dict[str, Any]]], path: Path) -> None:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11, 9), layout="constrained")
+    panels = figure.subplots(2, 2).ravel()
+    for axes, (title, rows) in zip(panels, results.items(), strict=True):
+        for i, name in enumerate(METHODS):
+            own = [row for row in rows if row["method"] == name and "error" in row]
+            style = {"linewidth": 2.0} if i < 4 else {"linewidth": 1.0}
+            errors, times = [row["error"] for row in own], [1e3 * row["seconds"] for row in own]
+            axes.loglog(errors, times, ".-", color=f"C{i}" if i < 10 else "black", label=name, **style)
+        axes.invert_xaxis()
+        axes.set_title(title)
+        axes.set_xlabel("error of the state at the end")
+        axes.set_ylabel("time, ms")
+        axes.grid(alpha=0.3)
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    save_picture(figure, path)
+
+
+def tables(results: dict[str, list[dict[str, Any]]], calls: dict[str, float]) -> str:
+    lines = []
+    for name, rows in results.items():
+        lines += [
+            f"### {name}\n",
+            "| | time | evaluations | error at the end | energy error, J | loops open by, m | by themselves |",
+            "|---|---|---|---|---|---|---|",
+        ]
+        for method in METHODS:
+            setting = ("max_step", 1e-3) if method == "ALI3P" else ("rtol", SHOWN)
+            shown = [row for row in rows if row["method"] == method and setting in row.items()]
+            if not shown or "message" in shown[0]:
+                lines.append(f"| {method} | {'fails' if shown else f'more than {LONGEST:g} s'} | | | | | |")
+                continue
+            (row,) = shown
+            lines.append(
+                f"| {method} | {1e3 * row['seconds']:.3g} ms | {row['evaluations']} | {row['error']:.1e} | "
+                f"{row['energy error']:.1e} | {row['open']:.1e} | {row['open alone']:.1e} |"
+            )
+        lines.append("")
+    lines += [
+        "![Time against error, case by case](methods.svg)\n",
+    ]
+    alone, in_one, in_steps = (f"{1e6 * seconds:.2g} us" for seconds in calls.values())
+    text = (
+        f"An evaluation of IDA's residual takes {alone} by itself; {in_one} in a single call of scikit-sundae for the",
+        f"tutorial's whole case, Jacobians and linear algebra included; {in_steps} in `simulate`, which looks at each",
+        "step. scikit-sundae takes callbacks as Python functions alone, and makes arrays of their arguments.",
+    )
+    return "\n".join([*lines, *text])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--output", type=Path, default=Path("results/methods.json"), help="where to write JSON")
+    parser.add_argument("--docs", action="store_true", help="write the tables into docs/methods.md, the plot beside it")
+    parser.add_argument("--rounds", type=int, default=5, help="samples of each measure")
+    options = parser.parse_args()
+    motions = cases()
+    results = {case.name: precision(case, options.rounds) for case in motions}
+    calls = overhead(motions[0], options.rounds)
+    report = {**circumstances(), "results": results, "calls": calls}
+    options.output.parent.mkdir(parents=True, exist_ok=True)
+    options.output.write_text(json.dumps(report, indent=2) + "\n")
+    picture = DOCS / "methods.svg" if options.docs else options.output.with_suffix(".svg")
+    plot(results, picture)
+    print(f"Written: {options.output}, {picture}")
+    if options.docs:
+        replace_in_page(DOCS / "methods.md", "methods", tables(results, calls), "methods.py --docs", report)
+
+
+if __name__ == "__main__":
+    main()

@@ -24,6 +24,7 @@ bench: $(INSTALLED)
 	$(BIN)/python benchmarks/four_bar.py --output results/benchmark.json
 	$(BIN)/python benchmarks/models.py --output results/models.json
 	$(BIN)/python benchmarks/drift.py --output results/drift.json
+	$(BIN)/python benchmarks/methods.py --output results/methods.json
 	$(BIN)/python benchmarks/peers.py --output results/peers.json
 	$(BIN)/python benchmarks/scale.py --output results/scale.json
 

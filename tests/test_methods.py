@@ -198,7 +198,7 @@ def test_a_state_that_violates_the_constraints(four_bar, method):
     how, _ = method
     with pytest.raises(fb.ModelError, match="violates the constraints"):
         four_bar.simulate((0.0, 1.0), np.ones(6), **how)
-    if how["method"] == "IDA" and how.get("formulation") != "index-1":
+    if how["method"] in ("ALI3P", "IDA") and how.get("formulation") != "index-1":
         with pytest.raises(fb.ModelError, match="violates the constraints"):
             four_bar.simulate((0.0, 1.0), np.ones(6), constraints="none", **how)
 
@@ -236,6 +236,47 @@ def test_an_interrupt_ends_the_run(four_bar, method, monkeypatch):
     monkeypatch.setattr("fourbar_codegen.integrate.PAUSE", 0.0)
     with pytest.raises(KeyboardInterrupt):
         four_bar.simulate((0.0, 1.0), progress=interrupted, **how)
+
+
+def test_an_event_that_writes_into_its_state(four_bar, method):
+    how, _ = method
+
+    def event(t, x):
+        value = x[3]
+        x[:] = 7.0
+        return value
+
+    run = four_bar.simulate((0.0, 1.0), events=event, **how)
+    np.testing.assert_array_equal(run.y, four_bar.simulate((0.0, 1.0), events=lambda t, x: x[3], **how).y)
+    with pytest.raises(fb.ModelError, match="event must return a number"):
+        four_bar.simulate((0.0, 1.0), events=lambda t, x: x, **how)
+
+
+def test_steps_that_are_too_short(four_bar, method):
+    how, _ = method
+    run = four_bar.simulate((1.0, 2.0), **{**how, "max_step": 1e-17})
+    assert not run.success
+    assert "step" in run.message
+
+
+def test_coordinates_close_to_zero(method):
+    """Loops of links of 1 m are closed to rounding errors of these, though the coordinates be 1e-8."""
+    loops = fb.compile_model(fb.models.n_four_bar(2))
+    how, _ = method
+    for span in (1e-8, 3e-8, 1e-6):
+        run = loops.simulate((0.0, span), **{**how, "max_step": span / 5})
+        assert run.success, run.message
+        # All bars turn alike, with 1 rad/s; gravity changes that by 1e-5 in a microsecond.
+        np.testing.assert_allclose(run["p0"], run.t, rtol=1e-4, atol=1e-15)
+
+
+def test_dense_output_at_no_time_and_at_too_many(four_bar, method):
+    how, _ = method
+    run = four_bar.simulate((0.0, 1.0), dense_output=True, **how)
+    assert run.sol([]).shape == (6, 0)
+    assert run.sol([0.5]).shape == (6, 1)
+    with pytest.raises(fb.ModelError, match="one dimension"):
+        run.sol(np.zeros((2, 2)))
 
 
 def test_backwards(four_bar, method):
@@ -336,6 +377,29 @@ def test_redundant_constraints_leave_multipliers_open():
         repeated.simulate((0.0, 1.0), [-0.8, 0.6, 0.0, 0.0], method="IDA")
     with pytest.raises(fb.ModelError, match="redundant"):
         solve_ivp(repeated.ode(), (0.0, 1.0), [0.6, -0.8, 0.5, 0.375], method=fb.solvers.IDA)
+
+
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-3, 1e-5])
+def test_long_steps_across_a_singular_position(four_bar, tolerance):
+    """Whether they come upon it or, by loops that close in another way, to the other side."""
+    for method in ("DOP853", "BDF", "IDA"):
+        run = four_bar.simulate((0.0, 6.0), method=method, rtol=tolerance, atol=tolerance)
+        assert not run.success
+        assert "singular position" in run.message
+
+
+@pytest.mark.parametrize("name", ["RK45", "BDF", "LSODA", "CVODE", "IDA"])
+def test_solvers_by_themselves_check_what_they_are_given(four_bar, name):
+    x0 = four_bar.initial_state()
+    for wrong in (x0[:5], np.append(x0, 0.0)):
+        with pytest.raises(fb.ModelError, match="shape"):
+            solve_ivp(four_bar.ode(), (0.0, 1.0), wrong, method=getattr(fb.solvers, name))
+    if name in ("CVODE", "IDA"):
+        for options in ({"rtol": -1.0}, {"atol": [1e-6]}, {"max_step": np.nan}):
+            with pytest.raises(fb.ModelError):
+                solve_ivp(four_bar.ode(), (0.0, 1.0), x0, method=getattr(fb.solvers, name), **options)
+        with pytest.raises(fb.ModelError, match="finite end"):
+            solve_ivp(four_bar.ode(), (0.0, np.inf), x0, method=getattr(fb.solvers, name))
 
 
 def test_formulations(four_bar):

@@ -50,7 +50,11 @@ PAUSE = 0.02
 COLLAPSED, PASSED, NEAR = 1e-3, 1e-4, 0.2
 """A position is singular where the smallest singular value of J is below this share of what it usually was in the run:
 where the steps' length collapses; within a step over which the constraints have changed their orientation; or is close
-where a step has opened the loops too far to be closed again."""
+where a step fails."""
+
+JUMPED = 1e-3
+"""The share of the largest change between neighbouring states of a step that is left when one has looked closer five
+times: of what is continuous, a thirty-second remains each time."""
 
 STATES = 100
 """States along the run that tell what it usually was."""
@@ -158,7 +162,9 @@ def integrate(
     Result
     """
     watch = _Watch(model, events or ())
-    start = consistent(ode, model.n_q, span[0], x0) if project else x0
+    # ALI3P closes positions by itself, whatever is done with its states.
+    closes = project or (method == FIXED_STEP and model.manifest["can_project"])
+    start = consistent(ode, model.n_q, span[0], x0) if closes else x0
     arguments = method, span[0], start, span[1], max_step, rtol, atol, project, t_eval
     run: Run | SolverRun
     if method in SOLVERS:
@@ -206,7 +212,7 @@ def integrate(
             ending = -1, ode.failure or DIVERGED
         else:
             samples.append(run.take_samples())
-            singular = Singular(model, ode, _passed(run, samples)).here(run.t, run.x, opened=reason == "open")
+            singular = Singular(model, ode, _passed(run, samples)).here(run.t, run.x, collapsed=reason == "collapsed")
             if singular or reason != "collapsed":
                 ending = -1, singular or ode.failure or FAILED.get(reason, reason)
     status, message = ending
@@ -259,7 +265,7 @@ def consistent(ode: Ode, n_q: int, t: float, x0: Floats) -> Floats:
             f"The state x0 = {np.array2string(x0, precision=6, separator=', ')} violates the constraints: "
             + (f"the nearest one that does not differs by {np.abs(x - x0).max():.2g}. " if status == OK else "")
             + "CompiledModel.initial_state() makes consistent states; constraints='none' takes x0 as it is, unless the "
-            "method is IDA in a formulation other than index-1."
+            "method is ALI3P, or IDA in a formulation other than index-1."
         )
     if status != OK:
         raise SimulationError(failure(status, t, x0))
@@ -320,25 +326,45 @@ class Singular:
     def _ratio(self, t: float, x: Floats) -> float:
         return self._least(self._jacobian(t, x)) / self.usual if self.usual else 0.0
 
-    def here(self, t: float, x: Floats, *, opened: bool) -> str:
-        """A sentence, if it is at a state at which steps collapse, or behind which one has opened the loops."""
+    def here(self, t: float, x: Floats, *, collapsed: bool) -> str:
+        """A sentence, if it is at a state at which steps collapse, or close to one behind which there is no next."""
         if not self.rank:
             return ""
-        if opened:
-            more = ", and a step opens the loops too far to be closed again: take smaller tolerances"
-            return self._sentence("comes close to", t, x, NEAR, more)
-        return self._sentence("runs into", t, x, COLLAPSED, ", and the steps collapse")
+        at = self._sentence("runs into", t, x, COLLAPSED, ", and the steps collapse")
+        if at or collapsed or self.ode.failure:
+            return at
+        return self._sentence("comes close to", t, x, NEAR, ", and the next step fails: try smaller tolerances")
 
     def within_step(self, run: Run | SolverRun) -> str:
-        """A sentence, if it has been passed in the last step of a run."""
+        """A sentence, if it has been passed in the last step of a run.
+
+        There the loops' states have a position of less rank between them; or one of them is followed by another one, by
+        which the loops close in another way.
+        """
+
+        def state(t: float) -> Floats:
+            return self.ode.project(t, run.state_at(t)) if self.model.manifest["can_project"] else run.state_at(t)
+
         begin, end = run.t_old, run.t
+        jump_begin, jump_end, jumped = begin, end, []
         for _ in range(5):  # to within 1e-6 of the step
             times = np.linspace(begin, end, 33)
-            ratios = [self._ratio(t, run.state_at(t)) for t in times[1:-1]]
+            ratios = [self._ratio(t, state(t)) for t in times[1:-1]]
             least = 1 + int(np.argmin(ratios))
             begin, end = times[least - 1], times[least + 1]
+            places = np.linspace(jump_begin, jump_end, 33)
+            changes = np.abs(np.diff([state(t)[: self.model.n_q] for t in places], axis=0)).max(axis=1)
+            largest = int(np.argmax(changes))
+            jumped.append(changes[largest])
+            jump_begin, jump_end = places[largest], places[largest + 1]
         t = times[least]
-        return self._sentence("passes", t, run.state_at(t), PASSED, ", and may go on in more than one way")
+        passed = self._sentence("passes", t, state(t), PASSED, ", and may go on in more than one way")
+        if passed or jumped[-1] < JUMPED * jumped[0]:
+            return passed
+        return (
+            f"A step has crossed to another way of closing the loops at t = {jump_begin:.6g}, past a singular "
+            "position: take smaller tolerances."
+        )
 
     def _sentence(self, verb: str, t: float, x: Floats, threshold: float, more: str) -> str:
         ratio = self._ratio(t, x)
@@ -370,7 +396,14 @@ class _Watch:
         for place, i in enumerate(self.named):
             self.values[i] = run.event_values[1][place]
         for i, function in self.callables:
-            self.values[i] = float(function(run.t, run.x))
+            self.values[i] = self._call(function, run.t, run.x)
+
+    def _call(self, function: Callable[[float, Floats], float], t: float, x: Floats) -> float:
+        value = function(t, x)
+        try:
+            return float(value)
+        except (TypeError, ValueError, OverflowError) as error:
+            raise ModelError(f"The callable of an event must return a number, not {value!r}.") from error
 
     def look(self, run: Run | SolverRun) -> float | None:
         """Note the events of the last step; the time of the one that ends the run."""
@@ -402,7 +435,7 @@ class _Watch:
                 return known[t]
             if i in self.named:
                 return float(run.event_values_at(t)[self.named.index(i)])
-            return float(self.events[i].function(t, run.state_at(t)))  # type: ignore[operator]
+            return self._call(self.events[i].function, t, run.state_at(t))  # type: ignore[arg-type]
 
         precision = 4 * np.finfo(float).eps
         return float(brentq(value, run.t_old, run.t, xtol=precision, rtol=precision))

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import DenseOutput, OdeSolution
 
 from fourbar_codegen import solvers
+from fourbar_codegen.errors import ModelError
 from fourbar_codegen.runtime.evaluator import OK
 from fourbar_codegen.runtime.integrator import Ode
 
@@ -58,11 +59,16 @@ class SolverRun:
         make = getattr(solvers, method)
         self._solver = make(ode, t, x, t_bound, rtol=rtol, atol=atol, max_step=max_step, **options)
         self.t = self.t_old = t
-        self.x = x
         self.n_steps, self.turned = 0, False
-        self._x_old, self._until, self._times, self._next = x, t_bound, times, 0
+        self._x = self._x_old = np.array(x)
+        self._until, self._times, self._next = t_bound, times, 0
         self._pending, self._interpolant = True, None
         self._samples: list[tuple[float, Floats]] = []
+
+    @property
+    def x(self) -> Floats:
+        """The state reached, shape (n_x,), an array of its own."""
+        return self._x.copy()
 
     @property
     def n_evaluations(self) -> int:
@@ -82,11 +88,13 @@ class SolverRun:
     def begin(self) -> None:
         """Before the first step."""
         self._turned()
-        values = self._event_values(self.t, self.x)
+        values = self._event_values(self.t, self._x)
         self.event_values = values, values
 
     def on(self, steps: int) -> str:
-        """A step, if there are any to take; why it stopped: "event", "paused", "end", "open" or a sentence."""
+        """A step, if there are any to take; why it stopped: "event", "paused", "end", "too small", "open", or a
+        sentence of the solver's.
+        """
         if self._pending:
             self._sample()
         if self.t == self._solver.t_bound:
@@ -97,14 +105,16 @@ class SolverRun:
         if self._solver.status == "failed":
             if self._ode.failure is None:
                 # The last evaluation may have been one before what cannot be evaluated, and steps grown too short.
-                self._ode(self.t + self._solver.direction * SHORT * np.spacing(abs(self.t)), self.x)
+                self._ode(self.t + self._solver.direction * SHORT * np.spacing(abs(self.t)), self._x)
             return message or "The solver has failed."
-        t, x = float(self._solver.t), self._solver.y
+        t, x = float(self._solver.t), np.array(self._solver.y)
+        if t == self.t:
+            return "too small"
         if self._project:
             status, x = self._ode.closest(t, x)
             if status != OK:
                 return "open"
-        self.t_old, self._x_old, self.t, self.x = self.t, self.x, t, x
+        self.t_old, self._x_old, self.t, self._x = self.t, self._x, t, x
         self.n_steps += 1
         self._pending, self._interpolant = True, None
         self.turned = self._turned()
@@ -114,14 +124,14 @@ class SolverRun:
 
     def _turned(self) -> bool:
         """Whether the constraints have changed their orientation since the last call."""
-        self._ode(self.t, self.x)
+        self._ode(self.t, self._x)
         return self._ode.turned()
 
     def _sample(self) -> None:
         """Those of the last step."""
         direction, self._pending = self._solver.direction, False
         if self._times is None:
-            self._samples.append((self.t, self.x))
+            self._samples.append((self.t, self._x))
             return
         last = min(direction * self.t, direction * self._until)
         while self._next < len(self._times) and direction * self._times[self._next] <= last:
@@ -132,7 +142,7 @@ class SolverRun:
     def take_samples(self) -> tuple[Floats, Floats]:
         """The samples since the last call, shapes (n,) and (n, n_x)."""
         samples, self._samples = self._samples, []
-        return np.array([t for t, _ in samples]), np.reshape([x for _, x in samples], (-1, len(self.x)))
+        return np.array([t for t, _ in samples]), np.reshape([x for _, x in samples], (-1, len(self._x)))
 
     def interpolant(self) -> DenseOutput:
         """Of the last step."""
@@ -165,11 +175,11 @@ class SolverRun:
         x = self.state_at(t)
         self._until = t
         if self._times is None:
-            self.t, self.x = t, x
+            self.t, self._x = t, x
 
     def discard(self) -> None:
         """Go back to before the last step, where the run ends."""
-        self.t, self.x, self._pending = self.t_old, self._x_old, False
+        self.t, self._x, self._pending = self.t_old, self._x_old, False
 
     def dense_output(self) -> _Solution:
         """To be told of each step."""
@@ -190,7 +200,9 @@ class _Solution:
 
     def __call__(self, t: Any) -> Floats:
         """The state at times t: shape (n_x,) for a number, (n_x, n) for n of them."""
-        x = OdeSolution(self._times, self._interpolants)(t)
-        if np.ndim(t) == 0:
-            return self._run.closed(float(t), x)
-        return np.reshape([self._run.closed(*state) for state in zip(t, x.T, strict=True)], (-1, len(x))).T
+        times = np.array(t, dtype=float, ndmin=1)
+        if times.ndim != 1:
+            raise ModelError(f"Times must be a number or an array of one dimension, not of shape {np.shape(t)}.")
+        solution = OdeSolution(self._times, self._interpolants)
+        states = [self._run.closed(time, solution(time)) for time in times]
+        return states[0] if np.ndim(t) == 0 else np.reshape(states, (-1, len(self._run.x))).T

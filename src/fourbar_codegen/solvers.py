@@ -25,9 +25,10 @@ from typing import Any
 
 import numpy as np
 import scipy.integrate
+from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import BarycentricInterpolator
 
+from fourbar_codegen.arguments import longest_step, tolerance
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.integrate import NOT_RATES, consistent
 from fourbar_codegen.runtime.evaluator import is_finite
@@ -49,10 +50,13 @@ class _Compiled(scipy.integrate.OdeSolver):
     def __init__(self, fun: Ode, t0: float, y0: ArrayLike, t_bound: float, **options: Any) -> None:
         if not isinstance(fun, Ode):
             name = type(self).__name__
+            other = f": for other functions there is scipy.integrate.{name}" if hasattr(scipy.integrate, name) else ""
             raise ModelError(
                 f"fourbar_codegen.solvers.{name} integrates what CompiledModel.ode() returns, without args=, not "
-                f"{fun!r}: for other functions there is scipy.integrate.{name}."
+                f"{fun!r}{other}."
             )
+        if np.shape(y0) != (fun.n_x,):
+            raise ModelError(f"The state must have shape ({fun.n_x},), not {np.shape(y0)}.")
         self._ode = fun
         super().__init__(fun, t0, y0, t_bound, **options)
 
@@ -184,16 +188,22 @@ class _Sundials(_Compiled):
         max_step: float = math.inf, first_step: float | None = None, vectorized: bool = False,
     ) -> None:  # fmt: skip
         super().__init__(fun, t0, y0, t_bound, vectorized=vectorized)
+        if not math.isfinite(t_bound):
+            raise ModelError(f"{type(self).__name__} needs a finite end, not {t_bound}.")
+        longest = longest_step(max_step)
         self._options = {
-            "rtol": float(rtol),
-            "max_step": 0.0 if max_step == math.inf else max_step,
+            "rtol": float(tolerance(rtol, "rtol")),
+            "max_step": 0.0 if longest == math.inf else longest,
             "first_step": first_step or 0.0,
             "max_num_steps": 10_000,  # for a single one, with its repetitions
         }
-        self._atol = np.array(np.broadcast_to(atol, self.n), dtype=float)
+        self._atol = np.array(np.broadcast_to(tolerance(atol, "atol", self.n), self.n))
 
     def _step_impl(self) -> tuple[bool, str | None]:
-        result = self._solver.step(self.t_bound, method="onestep", tstop=self.t_bound)
+        try:
+            result = self._solver.step(self.t_bound, method="onestep", tstop=self.t_bound)
+        except KeyError as error:  # of a code that scikit-sundae has no words for
+            return False, f"SUNDIALS ends with its error {error}: the interval may be too short for it."
         self.nfev, self.njev = result.nfev, result.njev
         if result.status < 0 or not is_finite(result.y):
             return False, self._ode.failure or result.message
@@ -213,17 +223,21 @@ class _Sundials(_Compiled):
 class _Polynomial(scipy.integrate.DenseOutput):
     """The polynomial of degree 5 through the solver's interpolant, whose degree is no higher, at Chebyshev points.
 
-    Source: J.-P. Berrut, L. N. Trefethen, "Barycentric Lagrange interpolation", *SIAM Review* 46 (2004).
+    Source: L. N. Trefethen, *Approximation Theory and Approximation Practice*, SIAM, 2013, chapter 3.
     """
+
+    NODES = -np.cos(np.pi * np.arange(6) / 5.0)
+    COEFFICIENTS = np.linalg.inv(chebyshev.chebvander(NODES, 5))
 
     def __init__(self, t_old: float, t: float, value: Callable[[float], NDArray[np.float64]]) -> None:
         super().__init__(t_old, t)
-        nodes = t_old + (t - t_old) * (1.0 - np.cos(np.pi * np.arange(6) / 5.0)) / 2.0
-        nodes[-1] = t  # the last one read: the solver goes on from there
-        self._interpolant = BarycentricInterpolator(nodes, [value(node) for node in nodes])
+        times = t_old + (t - t_old) * (1.0 + self.NODES) / 2.0
+        times[-1] = t  # the last one read: the solver goes on from there
+        self._coefficients = self.COEFFICIENTS @ [value(time) for time in times]
 
     def _call_impl(self, t: Any) -> NDArray[np.float64]:
-        return np.asarray(self._interpolant(t)).T
+        place = 2.0 * ((t - self.t_old) / (self.t - self.t_old)) - 1.0
+        return np.asarray(chebyshev.chebval(place, self._coefficients))
 
 
 class CVODE(_Sundials):

@@ -20,6 +20,9 @@ enum { CORRECTIONS = 8, FACTORIZATIONS = 3 };
 #define FB_CLOSED 1e-13
 /* ... or where rounding errors allow no better, by no more than this one. */
 #define FB_NEARLY_CLOSED 1e-9
+/* Coordinates that are smaller than this as a whole count as this: Phi is rounded by what it is made of, links for
+ * instance, however small the coordinates. */
+#define FB_LEAST_SIZE 1e-5
 
 /* Not fmax, which is a call into the library because it has to skip what is not a number. */
 static inline double fb_max(double a, double b)

@@ -334,7 +334,7 @@ static inline int fb_augmented_project(fb_run *s, const double t, double *restri
         const int called = fb_augmented_equations(s, t, x, coordinate_rates);
         if (called < 0)
             return called;
-        double size = 0.0, violation = 0.0;
+        double size = FB_LEAST_SIZE, violation = 0.0;
         for (int j = 0; j < k->n_q; ++j)
             size = fb_max(size, fabs(x[j]));
         for (int row = 0; row < k->n_h; ++row) {

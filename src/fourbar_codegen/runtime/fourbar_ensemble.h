@@ -94,7 +94,7 @@ static inline fb_mask fb_crew_close(fb_crew *restrict c, const fb_real t, fb_rea
     }
     for (int i = 0; i < CORRECTIONS && fb_any(open); ++i) {
         closure(t, x, s->constants, s->inputs, positions, velocities);
-        fb_real q = fb_number(0.0), u = q, position = q, velocity = q;
+        fb_real q = fb_number(FB_LEAST_SIZE), u = fb_number(0.0), position = u, velocity = u;
         for (int j = 0; j < N_Q; ++j)
             q = fb_greater(fb_abs(x[j]), q);
         for (int j = N_Q; j < N_X; ++j)
@@ -103,7 +103,7 @@ static inline fb_mask fb_crew_close(fb_crew *restrict c, const fb_real t, fb_rea
             position = fb_greater(fb_abs(positions[j]) * per_row[j], position);
             velocity = fb_greater(fb_abs(velocities[j]) * per_row[j], velocity);
         }
-        position = fb_select(q > 0.0, position / q, position);
+        position = position / q;
         velocity = fb_select(u > 0.0, velocity / u, velocity);
         const fb_real size = fb_greater(position, velocity);
         fb_mask done = size <= FB_CLOSED;

@@ -122,7 +122,7 @@ static int accelerations(double t, const double *x, const double *constants, con
 static double violated(const double *restrict x, const double *restrict positions, const double *restrict velocities,
                        const fb_work *restrict w)
 {
-    double q = 0.0, u = 0.0, position = 0.0, velocity = 0.0;
+    double q = FB_LEAST_SIZE, u = 0.0, position = 0.0, velocity = 0.0;
     for (int i = 0; i < N_Q; ++i)
         q = fabs(x[i]) > q ? fabs(x[i]) : q;
     for (int i = N_Q; i < N_X; ++i)
@@ -132,7 +132,7 @@ static double violated(const double *restrict x, const double *restrict position
         position = fabs(positions[i]) / size > position ? fabs(positions[i]) / size : position;
         velocity = fabs(velocities[i]) / size > velocity ? fabs(velocities[i]) / size : velocity;
     }
-    position = q > 0.0 ? position / q : position;
+    position = position / q;
     velocity = u > 0.0 ? velocity / u : velocity;
     return position > velocity ? position : velocity;
 }

@@ -205,6 +205,11 @@ cdef class Ode:
         return self.evaluator.n_q
 
     @property
+    def n_x(self):
+        """The number of coordinates and speeds."""
+        return self.evaluator.n_x
+
+    @property
     def time(self):
         """Of the last call."""
         return self.problem.t

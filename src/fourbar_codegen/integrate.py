@@ -341,24 +341,20 @@ class Singular:
         There the loops' states have a position of less rank between them; or one of them is followed by another one, by
         which the loops close in another way.
         """
-
-        def state(t: float) -> Floats:
-            return self.ode.project(t, run.state_at(t)) if self.model.manifest["can_project"] else run.state_at(t)
-
         begin, end = run.t_old, run.t
         jump_begin, jump_end, jumped = begin, end, []
         for _ in range(5):  # to within 1e-6 of the step
             times = np.linspace(begin, end, 33)
-            ratios = [self._ratio(t, state(t)) for t in times[1:-1]]
+            ratios = [self._ratio(t, run.state_at(t)) for t in times[1:-1]]
             least = 1 + int(np.argmin(ratios))
             begin, end = times[least - 1], times[least + 1]
             places = np.linspace(jump_begin, jump_end, 33)
-            changes = np.abs(np.diff([state(t)[: self.model.n_q] for t in places], axis=0)).max(axis=1)
+            changes = np.abs(np.diff([run.state_at(t)[: self.model.n_q] for t in places], axis=0)).max(axis=1)
             largest = int(np.argmax(changes))
             jumped.append(changes[largest])
             jump_begin, jump_end = places[largest], places[largest + 1]
         t = times[least]
-        passed = self._sentence("passes", t, state(t), PASSED, ", and may go on in more than one way")
+        passed = self._sentence("passes", t, run.state_at(t), PASSED, ", and may go on in more than one way")
         if passed or jumped[-1] < JUMPED * jumped[0]:
             return passed
         return (

@@ -13,10 +13,12 @@ PACKAGE = Path(fourbar_codegen.__file__).parent
 RUN = [
     "arguments",
     "compiled",
+    "drawing",
     "ensemble",
     "initial",
     "integrate",
     "linearize",
+    "report",
     "simulate",
     "solver_run",
     "solvers",

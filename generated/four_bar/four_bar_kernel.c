@@ -24,6 +24,7 @@ enum {
     N_H = 2,
     N_C = 2,
     N_O = 0,
+    N_POINTS = 11,
     N_RANK = 2,
     N_CONSTANTS = 44
 };

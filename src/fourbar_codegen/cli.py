@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import math
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -54,47 +56,68 @@ def _pairs(_: click.Context, __: click.Parameter, texts: tuple[str, ...]) -> dic
     return pairs
 
 
+_RUN_OPTIONS = [
+    click.argument("model", default="four_bar"),
+    click.option(
+        "-p", "--parameter", "parameters", multiple=True, callback=_pairs, metavar="NAME=VALUE",
+        help="Override a parameter; may be repeated.",
+    ),
+    click.option(
+        "-i", "--initial", multiple=True, callback=_pairs, metavar="NAME=VALUE",
+        help="Initial value of an independent coordinate or speed, or guess of a dependent coordinate; repeatable.",
+    ),
+    click.option(
+        "-r", "--input", "inputs", multiple=True, callback=_pairs, metavar="NAME=VALUE",
+        help="Hold an input at a number instead of its expression; may be repeated.",
+    ),
+    click.option(
+        "-t", "--time", "t_span", nargs=2, type=float, default=(0.0, 4.0), show_default=True,
+        help="First and last time, s.",
+    ),
+    click.option(
+        "--method", default="DOP853", show_default=True,
+        help="DOP853, RK45, ALI3P, RK23, Radau, BDF, LSODA, CVODE or IDA.",
+    ),
+    click.option("--formulation", help="Of IDA: gear-gupta-leimkuhler (its default), index-1 or index-3."),
+    click.option(
+        "--constraints", type=click.Choice(["project", "baumgarte", "none"]), default="project", show_default=True,
+        help="How to keep loops closed: project moves each state onto the constraints.",
+    ),
+    click.option("--rtol", default=1e-6, show_default=True, help="Relative tolerance."),
+    click.option("--atol", default=1e-9, show_default=True, help="Absolute tolerance."),
+    click.option("--max-step", default=math.inf, help="Longest step, s; ALI3P needs it."),
+]  # fmt: skip
+
+
+def _run_options(command: Callable[..., None]) -> Callable[..., None]:
+    """The model and what says how it is to be simulated, for `_simulated`."""
+    for option in reversed(_RUN_OPTIONS):
+        command = option(command)
+    return command
+
+
+def _simulated(
+    times: Callable[[float, float], Any],
+    *,
+    model: str,
+    parameters: dict[str, float],
+    initial: dict[str, float],
+    inputs: dict[str, float],
+    t_span: tuple[float, float],
+    **how: Any,
+) -> tuple[Trajectory, float]:
+    """A run, its states at the times that a function of its span gives, and the seconds that it took."""
+    if not all(map(math.isfinite, t_span)):
+        raise fb.ModelError(f"The first and last time must be finite, not {t_span}.")
+    compiled = _compiled(model)
+    x0 = _initial_state(compiled, initial, t_span[0], parameters)
+    begin = time.perf_counter()
+    trajectory = compiled.simulate(t_span, x0, parameters=parameters, inputs=inputs, t_eval=times(*t_span), **how)
+    return trajectory, time.perf_counter() - begin
+
+
 @main.command(help="Simulate a model and write its trajectory to files.\n\n" + MODEL_HELP)
-@click.argument("model", default="four_bar")
-@click.option(
-    "-p",
-    "--parameter",
-    "parameters",
-    multiple=True,
-    callback=_pairs,
-    metavar="NAME=VALUE",
-    help="Override a parameter; may be repeated.",
-)
-@click.option(
-    "-i",
-    "--initial",
-    multiple=True,
-    callback=_pairs,
-    metavar="NAME=VALUE",
-    help="Initial value of an independent coordinate or speed, or guess of a dependent coordinate; may be repeated.",
-)
-@click.option(
-    "-r",
-    "--input",
-    "inputs",
-    multiple=True,
-    callback=_pairs,
-    metavar="NAME=VALUE",
-    help="Hold an input at a number instead of its expression; may be repeated.",
-)
-@click.option(
-    "-t", "--time", "t_span", nargs=2, type=float, default=(0.0, 4.0), show_default=True, help="First and last time, s."
-)
-@click.option("--method", default="DOP853", show_default=True, help="DOP853, RK45, RK23, Radau, BDF or LSODA.")
-@click.option(
-    "--constraints",
-    type=click.Choice(["project", "baumgarte", "none"]),
-    default="project",
-    show_default=True,
-    help="How to keep loops closed: project moves each state onto the constraints.",
-)
-@click.option("--rtol", default=1e-6, show_default=True, help="Relative tolerance.")
-@click.option("--atol", default=1e-9, show_default=True, help="Absolute tolerance.")
+@_run_options
 @click.option(
     "--samples",
     type=click.IntRange(min=2, max=10_000_000),
@@ -108,46 +131,61 @@ def _pairs(_: click.Context, __: click.Parameter, texts: tuple[str, ...]) -> dic
     "outputs",
     multiple=True,
     type=click.Path(dir_okay=False, path_type=Path),
-    help="Write the trajectory: .csv, .npz, or .png for a plot (needs Matplotlib); may be repeated.",
+    help="Write the trajectory: .csv, .npz, .html for a report, .png for a plot, .gif or .mp4; may be repeated.",
 )
-def simulate(
-    model: str,
-    parameters: dict[str, float],
-    initial: dict[str, float],
-    inputs: dict[str, float],
-    t_span: tuple[float, float],
-    method: str,
-    constraints: str,
-    rtol: float,
-    atol: float,
-    samples: int,
-    outputs: tuple[Path, ...],
-) -> None:
+def simulate(samples: int, outputs: tuple[Path, ...], **run: Any) -> None:
     import numpy as np
 
     from fourbar_codegen.trajectory import check_ending
 
     for path in outputs:
         check_ending(path)
-    if not np.isfinite(t_span).all():
-        raise fb.ModelError(f"The first and last time must be finite, not {t_span}.")
-    compiled = _compiled(model)
-    x0 = _initial_state(compiled, initial, t_span[0], parameters)
-    begin = time.perf_counter()
-    trajectory = compiled.simulate(
-        t_span,
-        x0,
-        method=method,
-        constraints=constraints,
-        parameters=parameters,
-        inputs=inputs,
-        rtol=rtol,
-        atol=atol,
-        t_eval=np.linspace(*t_span, samples),
-    )
-    _report(trajectory, method, time.perf_counter() - begin)
+    trajectory, seconds = _simulated(lambda start, end: np.linspace(start, end, samples), **run)
+    _report(trajectory, run["method"], seconds)
     for path in outputs:
         click.echo(f"Written: {trajectory.save(path)}")
+    _check_end(trajectory)
+
+
+@main.command(
+    help="Simulate a model and write an interactive report: the moving mechanism, plots and a table, in one HTML file "
+    "that needs no network.\n\n" + MODEL_HELP
+)
+@_run_options
+@click.option(
+    "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), default=Path("report.html"), show_default=True,
+    help="The file, .html.",
+)  # fmt: skip
+def report(output: Path, **run: Any) -> None:
+    from fourbar_codegen.report import picture_times
+
+    _check_kind(output, ".html")
+    trajectory, _ = _simulated(picture_times, **run)
+    click.echo(f"Written: {trajectory.save(output)}")
+    _check_end(trajectory)
+
+
+@main.command(help="Simulate a model and write an animation: .gif, or .mp4 with FFmpeg.\n\n" + MODEL_HELP)
+@_run_options
+@click.option(
+    "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), default=Path("animation.gif"), show_default=True,
+    help="The file, .gif or .mp4.",
+)  # fmt: skip
+def animate(output: Path, **run: Any) -> None:
+    from fourbar_codegen.report import picture_times
+
+    _check_kind(output, ".gif", ".mp4")
+    trajectory, _ = _simulated(picture_times, **run)
+    click.echo(f"Written: {trajectory.save(output)}")
+    _check_end(trajectory)
+
+
+def _check_kind(path: Path, *endings: str) -> None:
+    if path.suffix.lower() not in endings:
+        raise fb.ModelError(f"{path} must end with {' or '.join(endings)}.")
+
+
+def _check_end(trajectory: Trajectory) -> None:
     if not trajectory.success:
         raise fb.SimulationError(trajectory.message)
 

@@ -73,7 +73,7 @@ def _generate(model: Model, progress: Progress) -> tuple[Equations, dict[str, st
         "inputs": model.inputs,
         "outputs": model.outputs,
     }
-    manifest = manifest_of(model, program, names)
+    manifest = manifest_of(model, program, names, fingerprint(_described(model)))
     lanes = lanes_text(program)
     return equations, {
         f"{model.name}_kernel.c": kernel_text(program, names),
@@ -91,7 +91,12 @@ def key_of(model: Model) -> str:
     That is the whole mechanism as the equations see it, the names, defaults and inputs, this package's own
     sources, and the tools: Python, NumPy, SymPy, Cython, the compiler and its flags.
     """
-    described = (
+    return fingerprint((_described(model), toolchain()))
+
+
+def _described(model: Model) -> tuple[object, ...]:
+    """All of a model that its equations and their arguments depend on."""
+    return (
         model.name,
         model.mechanism,
         model.parameters,
@@ -102,7 +107,6 @@ def key_of(model: Model) -> str:
         model.potential_energy,
         model.output_expressions,
     )
-    return fingerprint((described, toolchain()))
 
 
 def _require_model(model: object) -> None:

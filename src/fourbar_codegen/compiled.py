@@ -109,6 +109,8 @@ class CompiledModel(Evaluator):
     states : tuple of str
         Both.
     parameters, inputs, outputs : tuple of str
+    points : tuple of str
+        The points that are drawn: those whose positions the System gives, as its own points are called.
     defaults : dict of str to float or None
         Parameter values; None where every call has to give one.
     units, descriptions : dict of str to str
@@ -141,6 +143,7 @@ class CompiledModel(Evaluator):
         self.parameters: tuple[str, ...] = tuple(entry["name"] for entry in manifest["parameters"])
         self.inputs: tuple[str, ...] = tuple(entry["name"] for entry in manifest["inputs"])
         self.outputs: tuple[str, ...] = tuple(manifest["outputs"])
+        self.points: tuple[str, ...] = tuple(entry["name"] for entry in manifest["points"])
         self.defaults: Mapping[str, float | None] = MappingProxyType(
             {e["name"]: e["default"] for e in manifest["parameters"]}
         )
@@ -351,6 +354,26 @@ class CompiledModel(Evaluator):
         [3.0, 0.0]
         """
         return self.position(t, q, p, r)[0]
+
+    def positions(self, t: float, q: ArrayLike, p: Values | None = None, r: Values | None = None) -> dict[str, Floats]:
+        """Positions of the mechanism's points, by name, m, each of shape (3,), from the System's fixed point.
+
+        Parameters
+        ----------
+        t : float
+        q : array_like, shape (n_q,)
+        p, r : array_like or mapping, optional
+            As for `position_constraints`.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> four_bar = fb.load("four_bar")
+        >>> q = four_bar.initial_state()[:3]
+        >>> four_bar.positions(0.0, q)["joint3_link3_joint"].round(3).tolist()
+        [-0.084, -0.625, 0.0]
+        """
+        return dict(zip(self.points, self.points_at(t, q, p, r), strict=True))
 
     def velocity_constraints(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
         """Residuals J u + b of the velocity constraints, shape (n_c,), holonomic ones first.

@@ -11,10 +11,10 @@ from fourbar_codegen.program import Program
 
 __all__ = ["manifest_of", "manifest_text", "wrapper_text"]
 
-MANIFEST_FORMAT = 2
+MANIFEST_FORMAT = 3
 
 
-def manifest_of(model: Model, program: Program, names: Mapping[str, Sequence[str]]) -> dict[str, Any]:
+def manifest_of(model: Model, program: Program, names: Mapping[str, Sequence[str]], fingerprint: str) -> dict[str, Any]:
     """What a compiled model knows of itself: names, order, defaults, units, operation counts.
 
     Parameters
@@ -23,6 +23,8 @@ def manifest_of(model: Model, program: Program, names: Mapping[str, Sequence[str
     program : Program
     names : mapping of str to sequence of str
         The model's `coordinates`, `speeds`, `parameters`, `inputs` and `outputs`, as compiled.
+    fingerprint : str
+        Of all that the model's equations depend on.
 
     Returns
     -------
@@ -36,6 +38,7 @@ def manifest_of(model: Model, program: Program, names: Mapping[str, Sequence[str
     return {
         "format": MANIFEST_FORMAT,
         "name": model.name,
+        "fingerprint": fingerprint,
         "coordinates": list(names["coordinates"]),
         "speeds": list(names["speeds"]),
         "n_dependent_coordinates": model.mechanism.n_dependent_coordinates,
@@ -55,6 +58,10 @@ def manifest_of(model: Model, program: Program, names: Mapping[str, Sequence[str
             for entry in model.input_entries
         ],
         "outputs": list(names["outputs"]),
+        "points": [
+            {"name": name, "parent": place.parent, "body": place.body}
+            for name, place in zip(_distinct([place.name for place in program.places]), program.places, strict=True)
+        ],
         "initial": model.initial,
         "can_project": sum(map(bool, closed)) == sum(map(bool, positions)),
         "has_potential_energy": not energies[1].is_nan,
@@ -63,6 +70,16 @@ def manifest_of(model: Model, program: Program, names: Mapping[str, Sequence[str
         },
         "operations": {function.name: function.operations for function in (*program.functions, *program.derivatives)},
     }
+
+
+def _distinct(names: Sequence[str]) -> list[str]:
+    """The names, with a number behind those that have been used before."""
+    taken: dict[str, int] = {}
+    distinct = []
+    for name in names:
+        taken[name] = taken.get(name, 0) + 1
+        distinct.append(name if taken[name] == 1 else f"{name} ({taken[name]})")
+    return distinct
 
 
 def manifest_text(manifest: dict[str, Any]) -> str:

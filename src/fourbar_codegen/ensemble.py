@@ -68,6 +68,8 @@ class Ensemble:
     parameters : ndarray, shape (n, n_p)
     inputs : mapping
         Sources of the inputs as they were given.
+    settings : dict
+        How the runs were asked for, as of a `Trajectory`.
 
     Examples
     --------
@@ -86,6 +88,7 @@ class Ensemble:
     nfev: NDArray[np.int_] = field(repr=False)
     parameters: Floats = field(repr=False)
     inputs: Mapping[Any, Any] = field(repr=False)
+    settings: Mapping[str, Any] = field(repr=False)
 
     def __len__(self) -> int:
         return len(self.y)
@@ -109,7 +112,7 @@ class Ensemble:
         return Trajectory(
             model=self.model, parameters=self.parameters[member], t=t, y=y, r=ode.inputs_along(t, y), sol=None,
             t_events=None, y_events=None, nfev=int(self.nfev[member]), njev=0, nlu=0, status=0 if success else -1,
-            success=success, message=self.messages[member],
+            success=success, message=self.messages[member], settings=self.settings,
         )  # fmt: skip
 
     def __iter__(self) -> Iterator[Trajectory]:
@@ -226,6 +229,10 @@ def run(
             y, success, messages, nfev = _on_engine(runs, parallel, bar)
     return Ensemble(
         model=model, t=times, y=y, success=success, messages=messages, nfev=nfev, parameters=p, inputs=inputs,
+        settings={
+            "method": method, "t_span": (start, end), "rtol": relative, "atol": absolute.tolist(),
+            "constraints": constraints, **({"max_step": max_step} if max_step < math.inf else {}),
+        },
     )  # fmt: skip
 
 

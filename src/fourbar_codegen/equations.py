@@ -29,8 +29,8 @@ from fourbar_codegen.kinematics import solve_kinematics
 from fourbar_codegen.linear import TooManyCoupledError, UndeterminedError, solve_linear
 from fourbar_codegen.mechanism import Mechanism
 from fourbar_codegen.model import Model, multiplier
-from fourbar_codegen.motion import Motion
-from fourbar_codegen.program import Result
+from fourbar_codegen.motion import INERTIAL, Components, Motion, add
+from fourbar_codegen.program import Place, Result
 from fourbar_codegen.tape import Scalar, Tape
 
 __all__ = ["Equations", "form_equations"]
@@ -77,6 +77,9 @@ class Equations:
     power : Result
         What all loads do, (1,); NaN if that is not what changes the kinetic energy. It is made into nothing but a test
         of the other results.
+    places : tuple of Place
+    points : Result
+        Their positions in the inertial frame, (n_points, 3).
     velocity_jacobian, velocity_input_jacobian : Result
         d(J u + b)/dq, (n_c, n_q), and d(J u + b)/dr, (n_c, n_r).
     position_input_jacobian : Result
@@ -113,6 +116,8 @@ class Equations:
     coordinate_change: Result
     energies: Result
     power: Result
+    places: tuple[Place, ...]
+    points: Result
     velocity_jacobian: Result
     velocity_input_jacobian: Result
     position_input_jacobian: Result
@@ -200,6 +205,7 @@ def form_equations(model: Model) -> Equations:
         return [pull_back(tape, [(row, tape.one)], variables) for row in rows]
 
     n_q, n_u, n_r = len(v.q), len(v.u), len(v.r)
+    places, points = _places(mechanism, motion)
     results = [
         _vector("outputs", [*forces, *(convert(expr) for expr in model.output_expressions.values())]),
         _vector("coordinate_rates", q_rates),
@@ -215,6 +221,7 @@ def form_equations(model: Model) -> Equations:
         _vector("coordinate_change", map(Direction(tape, dict(zip(v.u, v.a, strict=True))), q_rates)),
         _vector("energies", energies),
         _vector("power", substitute(tape, [kane.power()], no_unknown)),
+        _matrix("points", points, 3),
         _matrix("velocity_jacobian", gradients(constraints.velocities, v.q), n_q),
         _matrix("velocity_input_jacobian", gradients(constraints.velocities, v.r), n_r),
         _matrix("position_input_jacobian", gradients(constraints.positions, v.r), n_r),
@@ -243,6 +250,7 @@ def form_equations(model: Model) -> Equations:
         n_dependent_speeds=mechanism.n_dependent_speeds,
         velocity_constraints_derived=mechanism.velocity_constraints_derived,
         default_inputs=default_inputs,
+        places=places,
         **{result.name: result for result in results},
     )
 
@@ -299,6 +307,25 @@ def _columns(tape: Tape, rows: Sequence[Scalar], unknown: Sequence[Scalar]) -> l
     """The derivatives of the rows with respect to each of the unknown forces."""
     gradients = [pull_back(tape, [(row, tape.one)], unknown) for row in rows]
     return [[gradient[i] for gradient in gradients] for i in range(len(unknown))]
+
+
+def _places(mechanism: Mechanism, motion: Motion) -> tuple[tuple[Place, ...], list[Components]]:
+    """The points that are drawn and their positions, but for those with symbols that the model does not know."""
+    places: list[Place] = []
+    positions: list[Components] = []
+    numbers: dict[int | None, int | None] = {None: None}
+    for number, point in enumerate(mechanism.drawn):
+        if point.parent not in numbers:
+            continue
+        try:
+            offset = motion.express(motion.vector(point.offset), INERTIAL)
+        except ModelError:
+            continue
+        parent = numbers[point.parent]
+        numbers[number] = len(places)
+        places.append(Place(point.name, parent, point.body))
+        positions.append(offset if parent is None else add(positions[parent], offset))
+    return tuple(places), positions
 
 
 def _forces(

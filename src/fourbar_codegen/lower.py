@@ -92,6 +92,7 @@ def lower(name: str, equations: Equations) -> Program:
         ),
         ("energy", "Kinetic and potential energy.", [time, state], [inputs], [e.energies]),
         ("output", "The outputs, with u' and lambda given.", [time, state], [*held], [e.outputs]),
+        ("points", "Positions of the points that are drawn.", [time, coordinates], [inputs], [e.points]),
         (
             "sensitivity",
             "d/dx of q', and of f - M u' + J^T lambda and -(J u' + gamma) with u' and lambda held.",
@@ -122,7 +123,7 @@ def lower(name: str, equations: Equations) -> Program:
         ),
     ]
     pool = _Constants(e.tape, e.parameters)
-    first = next(i for i, (name, *_) in enumerate(specifications) if name == "sensitivity")
+    first = next(i for i, (name, *_) in enumerate(specifications) if name == "points")
     written_out = _WrittenOut(e.tape)
     before_sharing = [written_out.operations(results) for *_, results in specifications]
     lowered = [
@@ -147,7 +148,9 @@ def lower(name: str, equations: Equations) -> Program:
         rank=e.n_dependent_speeds,
         n_constants=len(constants.nodes),
     )
-    return Program(name, sizes, (prepare, *functions[:first]), functions[first:], _split(e, structure), structure)
+    return Program(
+        name, sizes, (prepare, *functions[:first]), functions[first:], _split(e, structure), structure, e.places
+    )
 
 
 def _split(e: Equations, structure: Structure | None) -> Split:

@@ -17,7 +17,18 @@ from sympy.physics.mechanics.system import System
 
 from fourbar_codegen.errors import ModelError
 
-__all__ = ["Body", "Components", "Frame", "Load", "Mechanism", "Point", "Vector", "read_mechanism", "walk"]
+__all__ = [
+    "Body",
+    "Components",
+    "DrawnPoint",
+    "Frame",
+    "Load",
+    "Mechanism",
+    "Point",
+    "Vector",
+    "read_mechanism",
+    "walk",
+]
 
 Components = tuple[sm.Expr, sm.Expr, sm.Expr]
 """Components of a vector along the axes of one frame."""
@@ -69,6 +80,27 @@ class Point:
     parent: int | None
     offset: Vector
     velocity: Vector | None
+
+
+@dataclass(frozen=True)
+class DrawnPoint:
+    """A point of the mechanism as it is drawn, with a line to it from the point that its position is given from.
+
+    Attributes
+    ----------
+    name : str
+    parent : int or None
+        Number of that point, smaller than its own; None for the first, which is the origin.
+    offset : Vector
+        Its position from the parent.
+    body : str or None
+        The body whose mass centre it is.
+    """
+
+    name: str
+    parent: int | None
+    offset: Vector
+    body: str | None
 
 
 @dataclass(frozen=True)
@@ -136,6 +168,9 @@ class Mechanism:
     kinematic_equations, holonomic_constraints, velocity_constraints : tuple of Expr
         Each to be zero. The velocity constraints follow from the holonomic constraints, in their order, if
         `velocity_constraints_derived`; then the nonholonomic ones stand behind them.
+    drawn : tuple of DrawnPoint
+        The points whose positions follow from the System's fixed point, or else from a point at rest. Nothing but
+        pictures depends on them.
     """
 
     time: sm.Symbol
@@ -152,6 +187,7 @@ class Mechanism:
     holonomic_constraints: tuple[sm.Expr, ...]
     velocity_constraints: tuple[sm.Expr, ...]
     velocity_constraints_derived: bool
+    drawn: tuple[DrawnPoint, ...]
 
     def labelled_loads(self) -> Iterator[tuple[str, Iterable[sm.Expr]]]:
         """The loads' vectors, with words that say where they stand in the System."""
@@ -236,6 +272,7 @@ def read_mechanism(system: System | me.KanesMethod) -> Mechanism:
     reader.read_points(points)
     bodies = tuple(reader.body(body) for body in description.bodies)
     loads = tuple(reader.load(load) for load in description.loads)
+    drawn = reader.drawn(description.bodies)
     return Mechanism(
         time=me.dynamicsymbols._t,
         coordinates=(*description.q_ind, *description.q_dep),
@@ -251,6 +288,7 @@ def read_mechanism(system: System | me.KanesMethod) -> Mechanism:
         holonomic_constraints=tuple(description.holonomic_constraints),
         velocity_constraints=tuple(description.velocity_constraints),
         velocity_constraints_derived=description.derived,
+        drawn=drawn,
     )
 
 
@@ -403,13 +441,38 @@ class _Reader:
         parents: dict[me.Point, me.Point | None] = {}
         for point in velocities:
             if point not in parents:
-                component = _neighbours(point, _positions)
-                at_rest = [p for p in component if p._vel_dict.get(self.inertial) == 0]
-                root = next((p for p in (self.fixed_point, *at_rest) if p in component), point)
+                root = self._at_rest(point) or point
                 parents.update(_neighbours(root, _positions))
                 parents[root] = None
         for point in velocities:
             self._add_point(point, parents, velocities)
+
+    def _at_rest(self, point: me.Point) -> me.Point | None:
+        """The System's fixed point or another one at rest, if the position of a point is given from it."""
+        component = _neighbours(point, _positions)
+        at_rest = [p for p in component if p._vel_dict.get(self.inertial) == 0]
+        return next((p for p in (self.fixed_point, *at_rest) if p in component), None)
+
+    def drawn(self, bodies: Iterable[Any]) -> tuple[DrawnPoint, ...]:
+        """The tree of positions, as far as it stands in frames that have a number by now."""
+        names = {body.masscenter: str(body.name) for body in bodies}
+        root = next((found for found in map(self._at_rest, names) if found is not None), None)
+        if root is None:
+            return ()
+        numbers: dict[me.Point, int] = {}
+        points: list[DrawnPoint] = []
+        for point, parent in _neighbours(root, _positions).items():
+            offset: Vector = ()
+            if point is not root:
+                position = point._pos_dict[parent]
+                frames = [frame for _, frame in position.args] if isinstance(position, me.Vector) else []
+                if parent not in numbers or any(frame not in self.numbers for frame in frames):
+                    continue
+                offset = self.vector(position, f"point {point.name}")
+            numbers[point] = len(points)
+            before = None if point is root else numbers[parent]
+            points.append(DrawnPoint(point.name, before, offset, names.get(point)))
+        return tuple(points)
 
     def _add_point(
         self, point: me.Point, parents: dict[me.Point, me.Point | None], velocities: dict[me.Point, Vector]

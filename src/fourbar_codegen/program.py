@@ -14,7 +14,7 @@ from fourbar_codegen.share import Statements
 from fourbar_codegen.structure import Split, Structure
 from fourbar_codegen.tape import ONE, Leaf, Scalar, operands, operations_of
 
-__all__ = ["Array", "Function", "Program", "Result", "Sizes"]
+__all__ = ["Array", "Function", "Place", "Program", "Result", "Sizes"]
 
 
 @dataclass(frozen=True)
@@ -103,6 +103,24 @@ class Function:
 
 
 @dataclass(frozen=True)
+class Place:
+    """A point that is drawn.
+
+    Attributes
+    ----------
+    name : str
+    parent : int or None
+        The point from which a line leads to it; None for the origin.
+    body : str or None
+        The body whose mass centre it is.
+    """
+
+    name: str
+    parent: int | None
+    body: str | None
+
+
+@dataclass(frozen=True)
 class Sizes:
     """Lengths of the arrays.
 
@@ -140,12 +158,14 @@ class Program:
     functions : tuple of Function
         `prepare` first, which derives the constants that all others take.
     derivatives : tuple of Function
-        Those that give derivatives: longer than the others, and called less often.
+        Those that give derivatives or are for pictures: longer than the others, or called less often.
     split : Split
         The order in which `dynamics`' constraints are eliminated from full equations.
     structure : Structure or None
         How the equations of `dynamics` are solved, if not as full ones. Then that function gives the entries of M and J
         that are not zero, one after another.
+    places : tuple of Place
+        What `points` gives the positions of.
     """
 
     name: str
@@ -154,6 +174,7 @@ class Program:
     derivatives: tuple[Function, ...]
     split: Split
     structure: Structure | None
+    places: tuple[Place, ...]
 
     @property
     def parameters(self) -> tuple[Leaf, ...]:

@@ -33,7 +33,17 @@ from fourbar_codegen.trajectory import Trajectory
 if TYPE_CHECKING:
     from fourbar_codegen.compiled import CompiledModel
 
-__all__ = ["EventLike", "InputSource", "bind", "by_name", "input_sources", "make_stepper", "projects", "simulate"]
+__all__ = [
+    "EventLike",
+    "InputSource",
+    "along",
+    "bind",
+    "by_name",
+    "input_sources",
+    "make_stepper",
+    "projects",
+    "simulate",
+]
 
 Floats = NDArray[np.float64]
 EventLike = Event | str | Callable[[float, Floats], float]
@@ -50,6 +60,21 @@ def bind(model: CompiledModel, parameters: Values | None, inputs: Mapping[Any, I
     ]
     if missing:
         raise ModelError(f"No source for input {', '.join(missing)}: give one in inputs=, there is no expression.")
+    return Ode(model, parameters, sources)
+
+
+def along(model: CompiledModel, parameters: Values | None, t: Floats, r: Floats) -> Ode:
+    """The right-hand side with the inputs of a run, r in columns at times t: by their expressions where these give the
+    same, interpolated linearly otherwise.
+    """
+    forward = np.argsort(t)
+    expressions = np.reshape([model.default_inputs(time, parameters) for time in t], r.T.shape).T
+    sources: list[object] = []
+    for values, expected in zip(r, expressions, strict=True):
+        if np.array_equal(values, expected):
+            sources.append(None)
+        else:
+            sources.append(float(values[0]) if len(t) == 1 else _linear(t[forward], values[forward]))
     return Ode(model, parameters, sources)
 
 
@@ -195,6 +220,16 @@ def simulate(
         status=result.status,
         success=result.status >= 0,
         message=result.message,
+        settings={
+            "method": method,
+            "t_span": (start, end),
+            "rtol": float(tolerances[0]),
+            "atol": tolerances[1].tolist(),
+            "constraints": constraints,
+            **({"stabilization": stabilization} if constraints == "baumgarte" else {}),
+            **({"max_step": max_step} if max_step < math.inf else {}),
+            **({"formulation": formulation} if formulation is not None else {}),
+        },
     )
 
 

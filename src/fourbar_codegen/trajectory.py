@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.arguments import name_of
+from fourbar_codegen.arguments import name_of, sample_times
 from fourbar_codegen.errors import ModelError
 
 if TYPE_CHECKING:
+    from matplotlib.animation import FuncAnimation
     from matplotlib.figure import Figure
 
     from fourbar_codegen.compiled import CompiledModel
@@ -52,6 +53,8 @@ class Trajectory:
     model : CompiledModel
     parameters : ndarray or None
         The parameter values, if they are not the defaults.
+    settings : dict
+        How the run was asked for: method, t_span, rtol, atol, constraints and what else it had.
 
     Examples
     --------
@@ -75,6 +78,7 @@ class Trajectory:
     status: int
     success: bool
     message: str
+    settings: Mapping[str, Any] = field(repr=False)
 
     @property
     def q(self) -> Floats:
@@ -110,6 +114,15 @@ class Trajectory:
         """Residuals of the velocity constraints, J u + b, shape (n_c, n_t), in the constraints' units per second."""
         return self._derived[1]
 
+    @cached_property
+    def points(self) -> dict[str, Floats]:
+        """Positions of the mechanism's points over time, by name, m, each of shape (3, n_t).
+
+        They are those of the System's own points, from its fixed point, along the axes of its frame.
+        """
+        positions = self.model.points_along(self.t, self.y, self.r, self.parameters)
+        return dict(zip(self.model.points, positions, strict=True))
+
     @property
     def kinetic_energy(self) -> Floats:
         """Kinetic energy, J, shape (n_t,)."""
@@ -137,6 +150,54 @@ class Trajectory:
         """Outputs, shape (n_o, n_t); NaN in singular positions."""
         return self._derived[4]
 
+    def resample(self, times: ArrayLike) -> Trajectory:
+        """The same run at other times, for pictures and tables.
+
+        States are those of ``sol`` where there is one; otherwise of cubic Hermite polynomials through the stored states
+        and their rates, whose error goes with the fourth power of the distance between these. Either are moved onto the
+        constraints if the run's are. Inputs are those of their expressions, or interpolated linearly where they were
+        others.
+
+        Parameters
+        ----------
+        times : array_like, shape (n,)
+            Within the run, in its direction, s.
+
+        Returns
+        -------
+        Trajectory
+
+        Raises
+        ------
+        ModelError
+            If there are no times, they are not sorted, or they lie outside the run.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> coarse = fb.load("four_bar").simulate((0.0, 1.0))
+        >>> coarse.resample([0.0, 0.25, 0.5]).y.shape
+        (6, 3)
+        """
+        from scipy.interpolate import CubicHermiteSpline
+
+        from fourbar_codegen.simulate import along
+
+        times = sample_times(times, self.t[0], self.t[-1])
+        ode = along(self.model, self.parameters, self.t, self.r)
+        if self.sol is not None:
+            states = np.asarray(self.sol(times))
+        elif len(self.t) == 1:
+            states = np.repeat(self.y, len(times), axis=1)
+        else:
+            rates = [ode(t, x) for t, x in zip(self.t, self.y.T, strict=True)]
+            forward = np.argsort(self.t)
+            spline = CubicHermiteSpline(self.t[forward], self.y.T[forward], np.reshape(rates, self.y.T.shape)[forward])
+            states = spline(times).T
+        if self.settings["constraints"] == "project" and self.model.manifest["can_project"]:
+            states = np.reshape([ode.project(t, x) for t, x in zip(times, states.T, strict=True)], states.T.shape).T
+        return replace(self, t=times, y=states, r=ode.inputs_along(times, states))
+
     def columns(self) -> dict[str, Floats]:
         """Everything over time by name, each of shape (n_t,): t, states, inputs, outputs, residuals, energies."""
         columns = {"t": self.t, **dict(zip(self.model.states, self.y, strict=True))}
@@ -154,7 +215,8 @@ class Trajectory:
         ----------
         path : str or Path
             Its ending tells the kind: ``.csv`` (a row for each time, all digits), ``.npz`` (NumPy, an array
-            for each name) or ``.png`` (a plot; needs Matplotlib). Missing folders are made.
+            for each name), ``.html`` (an interactive report), ``.png`` (a plot), ``.gif`` or ``.mp4`` (an animation);
+            the last three need the extra ``visual``, ``.mp4`` also FFmpeg. Missing folders are made.
 
         Returns
         -------
@@ -163,7 +225,7 @@ class Trajectory:
         Raises
         ------
         ModelError
-            If the ending is another one, the file cannot be written, or Matplotlib is missing.
+            If the ending is another one, the file cannot be written, or what it takes is missing.
         """
         path = Path(path)
         writer = check_ending(path)
@@ -181,8 +243,40 @@ class Trajectory:
             raise ModelError(f"{path} cannot be written: {error.strerror or error}.") from error
         return path
 
+    def animate(self, *, fps: float = 30.0, speed: float = 1.0, traces: Sequence[str] | None = None) -> FuncAnimation:
+        """Move the mechanism's points and the lines between them, by SymMePlot; needs the extra ``visual``.
+
+        Parameters
+        ----------
+        fps : float, optional
+            Pictures per second.
+        speed : float, optional
+            Seconds of the run that a second shows.
+        traces : sequence of str, optional
+            Names of points that leave a trace.
+
+        Returns
+        -------
+        matplotlib.animation.FuncAnimation
+            To be shown in a notebook by its ``to_jshtml()``, or to be saved; `save` does that for GIF and MP4.
+
+        Raises
+        ------
+        ModelError
+            If the extra is not installed, a trace's point does not exist, or no point's position is known.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> run = fb.load("four_bar").simulate((0.0, 1.0))
+        >>> animation = run.animate(traces=["P2"])  # doctest: +SKIP
+        """
+        from fourbar_codegen.visual import animate
+
+        return animate(self, fps=fps, speed=speed, traces=traces or ())
+
     def plot(self) -> Figure:
-        """Coordinates, loop residual and energy over time; needs Matplotlib, the extra ``visual``.
+        """Coordinates, speeds, outputs, loop residual and energy over time; needs the extra ``visual``.
 
         Returns
         -------
@@ -210,10 +304,31 @@ def _write_png(trajectory: Trajectory, file: IO[bytes]) -> None:
     trajectory.plot().savefig(file, dpi=120, format="png")
 
 
+def _write_html(trajectory: Trajectory, file: IO[bytes]) -> None:
+    from fourbar_codegen.report import report_text
+
+    file.write(report_text(trajectory).encode("utf-8"))
+
+
+def _write_gif(trajectory: Trajectory, file: IO[bytes]) -> None:
+    from fourbar_codegen.visual import write_animation
+
+    write_animation(trajectory, Path(file.name), "gif")
+
+
+def _write_mp4(trajectory: Trajectory, file: IO[bytes]) -> None:
+    from fourbar_codegen.visual import write_animation
+
+    write_animation(trajectory, Path(file.name), "mp4")
+
+
 _WRITERS: dict[str, Callable[[Trajectory, IO[bytes]], None]] = {
     ".csv": _write_csv,
     ".npz": _write_npz,
+    ".html": _write_html,
     ".png": _write_png,
+    ".gif": _write_gif,
+    ".mp4": _write_mp4,
 }
 
 

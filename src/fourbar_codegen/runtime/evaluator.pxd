@@ -19,7 +19,7 @@ cdef extern from "fourbar_kernel.h":
         int abi_version
         size_t struct_size
         size_t work_size
-        int n_q, n_u, n_p, n_r, n_h, n_c, n_o, n_constants
+        int n_q, n_u, n_p, n_r, n_h, n_c, n_o, n_points, n_constants
         void (*prepare)(const double *, double *) noexcept nogil
         void (*default_inputs)(double, const double *, double *) noexcept nogil
         fb_evaluation *rhs
@@ -46,6 +46,7 @@ cdef extern from "fourbar_kernel.h":
         fb_sensitivity *sensitivity
         fb_sensitivity *parameter_sensitivity
         fb_sensitivity *input_sensitivity
+        void (*points)(double, const double *, const double *, const double *, double *) noexcept nogil
         const fb_lanes *lanes
 
 cdef extern from "fourbar_problem.h":
@@ -106,5 +107,6 @@ cdef class Evaluator:
     cdef cnp.ndarray _state(self, double t, object x, int n)
     cdef const double *_prepare(self, cnp.ndarray parameters) noexcept
     cdef const double *_fill(self, double t, const double *constants, cnp.ndarray inputs) noexcept
+    cdef int _check_columns(self, cnp.ndarray t, cnp.ndarray x, cnp.ndarray r) except -1
     cdef cnp.ndarray _output(self, object out, cnp.ndarray state)
     cdef cnp.ndarray _differentiate(self, fb_evaluation *function, int columns, double t, x, p, r)

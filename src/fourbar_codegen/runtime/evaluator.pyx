@@ -402,6 +402,38 @@ cdef class Evaluator:
         self.kernel.energy(t, data(state), constants, self._fill(t, constants, inputs), data(energies))
         return energies
 
+    def points_at(self, double t, q, p=None, r=None):
+        """Positions of the points that are drawn, shape (n_points, 3)."""
+        cdef cnp.ndarray parameters = self._parameters(p)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.prescribed_known)
+        cdef cnp.ndarray coordinates = self._state(t, q, self.n_q)
+        cdef cnp.ndarray points = new_array(self.kernel.n_points, 3)
+        cdef const double *constants = self._prepare(parameters)
+        self.kernel.points(t, data(coordinates), constants, self._fill(t, constants, inputs), data(points))
+        return points
+
+    def points_along(self, times, states, inputs, p=None):
+        """The same for states and inputs in columns, shape (n_points, 3, n_t)."""
+        cdef cnp.ndarray t = np.ascontiguousarray(times, dtype=np.float64)
+        cdef cnp.ndarray x = np.ascontiguousarray(np.transpose(states), dtype=np.float64)
+        cdef cnp.ndarray r = np.ascontiguousarray(np.transpose(inputs), dtype=np.float64)
+        cdef cnp.ndarray parameters = self._parameters(p)
+        self._check_columns(t, x, r)
+        cdef int i, n_t = np.size(t)
+        cdef cnp.ndarray points = new_array(n_t, 3 * self.kernel.n_points)
+        cdef const double *constants = self._prepare(parameters)
+        for i in range(n_t):
+            self.kernel.points(data(t)[i], data(x) + i * self.n_x, constants, data(r) + i * self.n_r,
+                               data(points) + i * 3 * self.kernel.n_points)
+        return np.moveaxis(points.reshape(n_t, self.kernel.n_points, 3), 0, 2)
+
+    cdef int _check_columns(self, cnp.ndarray t, cnp.ndarray x, cnp.ndarray r) except -1:
+        if np.ndim(t) != 1 or np.shape(x) != (np.size(t), self.n_x) or np.shape(r) != (np.size(t), self.n_r):
+            raise ModelError(
+                f"{np.size(t)} times need states of shape ({self.n_x}, {np.size(t)}), not {np.shape(x)[::-1]}, and "
+                f"inputs of shape ({self.n_r}, {np.size(t)}), not {np.shape(r)[::-1]}.")
+        return 0
+
     def held(self, double t, x, accelerations, multipliers, p=None, r=None):
         """What is evaluated for given u' and lambda: the outputs, and the sensitivities by x, p and r.
 
@@ -453,10 +485,7 @@ cdef class Evaluator:
         cdef cnp.ndarray x = np.ascontiguousarray(np.transpose(states), dtype=np.float64)
         cdef cnp.ndarray r = np.ascontiguousarray(np.transpose(inputs), dtype=np.float64)
         cdef cnp.ndarray parameters = self._parameters(p)
-        if np.ndim(t) != 1 or np.shape(x) != (np.size(t), self.n_x) or np.shape(r) != (np.size(t), self.n_r):
-            raise ModelError(
-                f"{np.size(t)} times need states of shape ({self.n_x}, {np.size(t)}), not {np.shape(states)}, and "
-                f"inputs of shape ({self.n_r}, {np.size(t)}), not {np.shape(inputs)}.")
+        self._check_columns(t, x, r)
         cdef int n_t = cnp.PyArray_DIM(t, 0)
         cdef cnp.ndarray constraints = new_array(n_t, self.n_h)
         cdef cnp.ndarray velocities = new_array(n_t, self.n_c)

@@ -22,6 +22,7 @@ RUN = [
     "simulate",
     "solver_run",
     "solvers",
+    "storage",
     "trajectory",
     "visual",
 ]

@@ -29,7 +29,7 @@ def test_points_of_the_four_bar(four_bar, trajectory):
     q1, q2, q3 = trajectory.q
     points = trajectory.points
     middle = np.array([0.4 + 0.5 * np.cos(q1), 0.5 * np.sin(q1)])
-    top = middle + [np.cos(q1 + q2), np.sin(q1 + q2)]
+    top = middle + np.array([np.cos(q1 + q2), np.sin(q1 + q2)])
     end = top + 0.7 * np.array([np.cos(q1 + q2 + q3), np.sin(q1 + q2 + q3)])
     for name, expected in (("P2", middle), ("joint3_link3_joint", top), ("P44", end), ("P41", [[-0.4], [0.0]])):
         np.testing.assert_allclose(points[name][:2] - expected, 0.0, atol=1e-15)
@@ -46,7 +46,7 @@ def test_points_are_those_of_sympy(make):
     system = model.system
     generator = np.random.default_rng(1)
     q = generator.uniform(-1.0, 1.0, compiled.n_q)
-    values = {f: v for f, v in zip((*system.q_ind, *system.q_dep), q, strict=True)}
+    values = dict(zip((*system.q_ind, *system.q_dep), q, strict=True))
     values |= {s: p.value for s, p in model.parameter_symbols.items()}
     positions = compiled.positions(0.0, q)
     bodies = {entry["body"]: entry["name"] for entry in compiled.manifest["points"] if entry["body"]}
@@ -169,9 +169,7 @@ def test_the_report_is_small_and_asks_for_nothing(trajectory, tmp_path):
 
 
 def test_names_cannot_end_the_reports_data(tmp_path):
-    model = fb.Model(
-        pendulum(), name="sharp", parameters={M: fb.Parameter(1.0, "</script><b>kg"), G: 9.81, L: 1.0}
-    )
+    model = fb.Model(pendulum(), name="sharp", parameters={M: fb.Parameter(1.0, "</script><b>kg"), G: 9.81, L: 1.0})
     run = fb.compile_model(model).simulate((0.0, 0.1), [0.1, 0.0])
     text, data = data_of(run.save(tmp_path / "run.html"))
     assert dict(data["table"])["m"] == "1 </script><b>kg"

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from fourbar_codegen.ensemble import Ensemble
     from fourbar_codegen.integrate import Event
     from fourbar_codegen.model import Model, Parameter, joint_force, multiplier
+    from fourbar_codegen.storage import load_trajectory
     from fourbar_codegen.trajectory import Trajectory
 
 __all__ = [
@@ -47,6 +48,7 @@ __all__ = [
     "get_include",
     "joint_force",
     "load",
+    "load_trajectory",
     "models",
     "multiplier",
     "solvers",
@@ -66,6 +68,7 @@ _HOME = {
     "get_include": "build",
     "joint_force": "model",
     "load": "compiled",
+    "load_trajectory": "storage",
     "multiplier": "model",
 }
 

@@ -6,13 +6,13 @@ import base64
 import html
 import json
 from importlib import resources
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fourbar_codegen.drawing import drawing, equal_times
+from fourbar_codegen.storage import versions
 
 if TYPE_CHECKING:
     from fourbar_codegen.trajectory import Trajectory
@@ -117,14 +117,3 @@ def _table(trajectory: Trajectory) -> list[tuple[str, str]]:
         for name, value in zip(model.parameters, values, strict=True)
     ]
     return rows + [(name, number) for name, number in versions().items()]
-
-
-def versions() -> dict[str, str]:
-    """Of this package and what it computes with, as far as they are installed."""
-    found = {}
-    for name in ("fourbar_codegen", "numpy", "scipy", "sympy"):
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    return found

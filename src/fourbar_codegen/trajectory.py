@@ -17,6 +17,7 @@ from fourbar_codegen.arguments import name_of, sample_times
 from fourbar_codegen.errors import ModelError
 
 if TYPE_CHECKING:
+    import xarray
     from matplotlib.animation import FuncAnimation
     from matplotlib.figure import Figure
 
@@ -208,6 +209,32 @@ class Trajectory:
         columns["potential_energy"] = self.potential_energy
         return columns
 
+    def to_xarray(self) -> xarray.Dataset:
+        """The trajectory as a dataset of xarray, which needs the extra ``data``.
+
+        Returns
+        -------
+        xarray.Dataset
+            Over ``time`` (s) a variable for each coordinate, speed, input and output, by name; residuals, multipliers,
+            energies (J), and the points' positions (m). Its attributes are what it takes to make the run again: model
+            and fingerprint, parameters, settings and versions, the latter three as JSON; and how it ended.
+
+        Raises
+        ------
+        ModelError
+            If xarray is not installed.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> dataset = fb.load("four_bar").simulate((0.0, 1.0), t_eval=[0.0, 0.5, 1.0]).to_xarray()
+        >>> dataset["q1"].sel(time=0.5).shape, dataset["position"].dims
+        ((), ('point', 'axis', 'time'))
+        """
+        from fourbar_codegen.storage import to_dataset
+
+        return to_dataset(self)
+
     def save(self, path: str | Path) -> Path:
         """Write the trajectory to a file.
 
@@ -215,8 +242,9 @@ class Trajectory:
         ----------
         path : str or Path
             Its ending tells the kind: ``.csv`` (a row for each time, all digits), ``.npz`` (NumPy, an array
-            for each name), ``.html`` (an interactive report), ``.png`` (a plot), ``.gif`` or ``.mp4`` (an animation);
-            the last three need the extra ``visual``, ``.mp4`` also FFmpeg. Missing folders are made.
+            for each name), ``.nc`` (NetCDF, as `to_xarray` has it; needs the extra ``data``), ``.html`` (an interactive
+            report), ``.png`` (a plot), ``.gif`` or ``.mp4`` (an animation); the last three need the extra ``visual``,
+            ``.mp4`` also FFmpeg. Missing folders are made. `load_trajectory` reads ``.npz`` and ``.nc``.
 
         Returns
         -------
@@ -296,8 +324,15 @@ def _write_csv(trajectory: Trajectory, file: IO[bytes]) -> None:
 
 
 def _write_npz(trajectory: Trajectory, file: IO[bytes]) -> None:
-    arrays: dict[str, Any] = dict(trajectory.columns())
-    np.savez(file, **arrays)
+    from fourbar_codegen.storage import write_npz
+
+    write_npz(trajectory, file)
+
+
+def _write_netcdf(trajectory: Trajectory, file: IO[bytes]) -> None:
+    from fourbar_codegen.storage import write_netcdf
+
+    write_netcdf(trajectory, file)
 
 
 def _write_png(trajectory: Trajectory, file: IO[bytes]) -> None:
@@ -325,6 +360,7 @@ def _write_mp4(trajectory: Trajectory, file: IO[bytes]) -> None:
 _WRITERS: dict[str, Callable[[Trajectory, IO[bytes]], None]] = {
     ".csv": _write_csv,
     ".npz": _write_npz,
+    ".nc": _write_netcdf,
     ".html": _write_html,
     ".png": _write_png,
     ".gif": _write_gif,

@@ -1,0 +1,209 @@
+"""Trajectories as data that travel: datasets of xarray, NetCDF and NPZ files, and back."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourbar_codegen.compiled import CompiledModel, load
+from fourbar_codegen.errors import ModelError
+from fourbar_codegen.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    import xarray
+
+__all__ = ["load_trajectory", "to_dataset", "versions", "write_netcdf", "write_npz"]
+
+Floats = NDArray[np.float64]
+
+ATTRIBUTES = "run_attributes"
+"""Name of the array of an NPZ file that holds what is not an array, as JSON."""
+
+
+def versions() -> dict[str, str]:
+    """Of this package and what it computes with, as far as they are installed."""
+    found = {}
+    for name in ("fourbar_codegen", "numpy", "scipy", "sympy"):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def _attributes(trajectory: Trajectory) -> dict[str, Any]:
+    """What it takes to make a run again, and how it ended."""
+    model = trajectory.model
+    values = list(model.defaults.values()) if trajectory.parameters is None else trajectory.parameters.tolist()
+    return {
+        "model": model.name,
+        "fingerprint": model.manifest["fingerprint"],
+        "parameters": dict(zip(model.parameters, values, strict=True)),
+        "settings": dict(trajectory.settings),
+        "versions": versions(),
+        **{name: getattr(trajectory, name) for name in ("nfev", "njev", "nlu", "status", "success", "message")},
+    }
+
+
+def to_dataset(trajectory: Trajectory) -> xarray.Dataset:
+    """A trajectory as a dataset; see `Trajectory.to_xarray`."""
+    try:
+        import xarray
+    except ImportError as error:
+        raise ModelError("Datasets need xarray: pip install 'fourbar_codegen[data]'.") from error
+    model = trajectory.model
+    described = (
+        (model.coordinates, trajectory.q, "coordinate"),
+        (model.speeds, trajectory.u, "speed"),
+        (model.inputs, trajectory.r, "input"),
+        (model.outputs, trajectory.outputs, "output"),
+    )
+    variables = {
+        name: ("time", values, {"kind": kind})
+        for names, rows, kind in described
+        for name, values in zip(names, rows, strict=True)
+    }
+    taken = {"time", "constraint", "row", "point", "axis"} & set(variables)
+    if taken:
+        raise ModelError(
+            f"A dataset has a place of its own for {', '.join(taken)}: name the state or output otherwise."
+        )
+    more = {
+        "constraint_residual": (("constraint", "time"), trajectory.constraint_residual, {}),
+        "velocity_residual": (("row", "time"), trajectory.velocity_residual, {}),
+        "multiplier": (("row", "time"), trajectory.multipliers, {}),
+        "kinetic_energy": ("time", trajectory.kinetic_energy, {"units": "J"}),
+        "potential_energy": ("time", trajectory.potential_energy, {"units": "J"}),
+        "position": (
+            ("point", "axis", "time"),
+            np.reshape(list(trajectory.points.values()), (-1, 3, len(trajectory.t))),
+            {"units": "m"},
+        ),
+    }
+    attributes = {
+        name: json.dumps(value) if isinstance(value, Mapping) else int(value) if isinstance(value, bool) else value
+        for name, value in _attributes(trajectory).items()
+    }
+    return xarray.Dataset(
+        {**variables, **{name: value for name, value in more.items() if name not in variables}},
+        coords={
+            "time": ("time", trajectory.t, {"units": "s"}),
+            "point": list(trajectory.points),
+            "axis": ["x", "y", "z"],
+        },
+        attrs=attributes,
+    )
+
+
+def _require_h5netcdf() -> None:
+    for name in ("xarray", "h5netcdf", "h5py"):
+        if find_spec(name) is None:
+            raise ModelError(f"NetCDF needs {name}: pip install 'fourbar_codegen[data]'.")
+
+
+def write_netcdf(trajectory: Trajectory, file: IO[bytes]) -> None:
+    """A trajectory as NetCDF 4, by h5netcdf."""
+    dataset = to_dataset(trajectory)
+    _require_h5netcdf()
+    dataset.to_netcdf(file.name, engine="h5netcdf")
+
+
+def write_npz(trajectory: Trajectory, file: IO[bytes]) -> None:
+    """A trajectory as NumPy's arrays by name, and the rest as JSON."""
+    arrays: dict[str, Any] = {**trajectory.columns(), ATTRIBUTES: np.array(json.dumps(_attributes(trajectory)))}
+    np.savez(file, **arrays)
+
+
+def load_trajectory(path: str | Path, model: CompiledModel | None = None) -> Trajectory:
+    """Read a trajectory from a file that `Trajectory.save` has written.
+
+    Parameters
+    ----------
+    path : str or Path
+        A ``.nc`` or ``.npz`` file.
+    model : CompiledModel, optional
+        The model that was run; without it, the one of that name that comes with the package.
+
+    Returns
+    -------
+    Trajectory
+        Without interpolant and events, which are not saved.
+
+    Raises
+    ------
+    ModelError
+        If the file cannot be read, is none of these, or the run was another model's.
+
+    Examples
+    --------
+    >>> import fourbar_codegen as fb
+    >>> run = fb.load("four_bar").simulate((0.0, 1.0))
+    >>> path = run.save("run.npz")  # doctest: +SKIP
+    >>> fb.load_trajectory(path).y.shape == run.y.shape  # doctest: +SKIP
+    True
+    """
+    path = Path(path)
+    reader = _READERS.get(path.suffix.lower())
+    if reader is None:
+        raise ModelError(f"Trajectories are read from {' and '.join(_READERS)} files; {path.name!r} ends otherwise.")
+    try:
+        attributes, t, column = reader(path)
+        name, fingerprint = attributes["model"], attributes["fingerprint"]
+        model = load(name) if model is None else model
+        if fingerprint != model.manifest["fingerprint"]:
+            raise ModelError(
+                f"{path} is a run of another model, {name} with the fingerprint {fingerprint[:16]}: {model.name} has "
+                f"{model.manifest['fingerprint'][:16]}. Give the model that was run as model=."
+            )
+        return Trajectory(
+            model=model,
+            parameters=np.array([attributes["parameters"][name] for name in model.parameters], dtype=float),
+            t=t,
+            y=np.reshape([column(name) for name in model.states], (model.n_x, len(t))),
+            r=np.reshape([column(name) for name in model.inputs], (model.n_r, len(t))),
+            sol=None,
+            t_events=None,
+            y_events=None,
+            settings=attributes["settings"],
+            **{name: attributes[name] for name in ("nfev", "njev", "nlu", "status", "success", "message")},
+        )
+    except ModelError:
+        raise
+    except OSError as error:
+        raise ModelError(f"{path} cannot be read: {error.strerror or error}.") from error
+    except (KeyError, ValueError, TypeError) as error:
+        raise ModelError(f"{path} holds no trajectory that fourbar_codegen has saved: {error}.") from error
+
+
+_Read = tuple[dict[str, Any], Floats, Callable[[str], Floats]]
+
+
+def _read_npz(path: Path) -> _Read:
+    with np.load(path, allow_pickle=False) as file:
+        arrays = dict(file)
+    return json.loads(str(arrays[ATTRIBUTES])), arrays["t"], arrays.__getitem__
+
+
+def _read_netcdf(path: Path) -> _Read:
+    _require_h5netcdf()
+    import xarray
+
+    with xarray.open_dataset(path, engine="h5netcdf") as file:
+        dataset = file.load()
+    attributes = dict(dataset.attrs)
+    for name in ("parameters", "settings", "versions"):
+        attributes[name] = json.loads(attributes[name])
+    attributes["success"] = bool(attributes["success"])
+    for name in ("nfev", "njev", "nlu", "status"):
+        attributes[name] = int(attributes[name])
+    return attributes, dataset["time"].values, lambda name: dataset[name].values
+
+
+_READERS: dict[str, Callable[[Path], _Read]] = {".nc": _read_netcdf, ".npz": _read_npz}

@@ -1,4 +1,4 @@
-# make run, make test, make lint, make bench: each sets up what it needs in .venv.
+# make run, make test, make lint, make docs, make bench: each sets up what it needs in .venv.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -6,7 +6,7 @@ INSTALLED := $(VENV)/installed
 # What a compiled part is made of; the Python files are used where they stand.
 SOURCES := pyproject.toml setup.py $(wildcard src/fourbar_codegen/runtime/*.pyx src/fourbar_codegen/runtime/*.h generated/*/*)
 
-.PHONY: run test lint bench generate clean
+.PHONY: run test lint docs bench generate clean
 
 run: $(INSTALLED)
 	$(BIN)/fourbar simulate four_bar -o results/four_bar.csv -o results/four_bar.npz -o results/four_bar.png
@@ -18,6 +18,10 @@ lint: $(INSTALLED)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+docs: $(INSTALLED)
+	$(BIN)/python -m pip install --quiet --editable '.[docs]'
+	$(BIN)/python -m sphinx --fail-on-warning --quiet -b html docs docs/_build
 
 bench: $(INSTALLED)
 	$(BIN)/python -m pip install --quiet --editable '.[bench]'
@@ -38,4 +42,4 @@ $(INSTALLED): $(SOURCES)
 	touch $@
 
 clean:
-	rm -rf $(VENV) build results src/*.egg-info src/fourbar_codegen/*/*.so
+	rm -rf $(VENV) build results docs/_build src/*.egg-info src/fourbar_codegen/*/*.so

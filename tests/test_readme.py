@@ -14,8 +14,9 @@ BLOCKS = re.findall(r"```(python|text)\n(.*?)```", README, flags=re.DOTALL)
 EXAMPLES = [(code, text) for (kind, code), (_, text) in itertools.pairwise(BLOCKS) if kind == "python"]
 
 
-@pytest.mark.parametrize(("code", "text"), EXAMPLES, ids=["four-bar", "own System", "ensemble", "forces"])
-def test_examples_print_what_stands_below_them(code, text, capsys):
+@pytest.mark.parametrize(("code", "text"), EXAMPLES, ids=["four-bar", "own System", "ensemble", "files", "forces"])
+def test_examples_print_what_stands_below_them(code, text, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     exec(compile(code, "README.md", "exec"), {})
     assert capsys.readouterr().out == text
 

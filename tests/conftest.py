@@ -10,8 +10,11 @@ import fourbar_codegen as fb
 
 @pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory):
-    """No test reads or writes the user's cache."""
-    folder = tmp_path_factory.mktemp("cache")
+    """No test reads or writes the user's cache; those that run side by side have one in common."""
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = tmp_path_factory.getbasetemp().parent / "cache"
+    else:
+        folder = tmp_path_factory.mktemp("cache")
     os.environ["FOURBAR_CODEGEN_CACHE"] = str(folder)
     return folder
 

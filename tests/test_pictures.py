@@ -11,6 +11,7 @@ import sympy as sm
 import sympy.physics.mechanics as me
 from click.testing import CliRunner
 from systems import pendulum
+from test_prescribed import driven_slider_crank
 
 import fourbar_codegen as fb
 from fourbar_codegen.cli import main
@@ -103,7 +104,7 @@ def test_resampled_runs(four_bar, how, backwards):
     np.testing.assert_allclose(shown.y, exact.y, rtol=0, atol=1e-8 if "dense_output" in how else 2e-3)
     np.testing.assert_allclose(shown.r, 100.0 * np.sin(np.pi * times)[np.newaxis], atol=1e-12)
     assert np.abs(shown.constraint_residual).max() < 1e-12
-    with pytest.raises(fb.ModelError, match="t_span"):
+    with pytest.raises(fb.ModelError, match="times must"):
         run.resample([0.0, 5.0])
 
 
@@ -299,3 +300,75 @@ def test_a_spatial_mechanism_turns(opened):
     page.mouse.move(box["x"] + 200, box["y"] + 130)
     page.mouse.up()
     assert np.abs(center(page, "fo") - before).max() > 5.0
+
+
+def test_a_prescribed_motion_is_resampled_with_its_source():
+    """Not with what lies on lines between stored times, which would close the loop in the wrong place."""
+    model = fb.compile_model(driven_slider_crank())
+    times = np.linspace(0.0, 1.0, 101)
+    how = {"parameters": {"w": 0.0}, "inputs": {"s": (times, 4.0 * times**2)}, "rtol": 1e-9}
+    x0 = model.initial_state(t=0.0, guess=[0.0, 0.9], parameters=how["parameters"], inputs=how["inputs"])
+    shown = np.linspace(0.05, 0.95, 7)
+    exact = model.simulate((0.0, 1.0), x0, t_eval=shown, **how)
+    dense = model.simulate((0.0, 1.0), x0, dense_output=True, **how)
+    np.testing.assert_allclose(dense.resample(shown).y, exact.y, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(dense.resample(shown).r, exact.r, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("first", ["P", "Q"])
+def test_positions_are_from_the_fixed_point(first):
+    q1, q2, u1, u2 = me.dynamicsymbols("q1 q2 u1 u2")
+    frame, fixed, other = me.ReferenceFrame("N"), me.Point("O"), me.Point("A")
+    fixed.set_vel(frame, 0)
+    other.set_vel(frame, 0)
+    on_other, on_fixed = me.Point("P"), me.Point("Q")
+    on_other.set_pos(other, q1 * frame.x)
+    on_fixed.set_pos(fixed, q2 * frame.y)
+    on_other.set_vel(frame, u1 * frame.x)
+    on_fixed.set_vel(frame, u2 * frame.y)
+    system = me.System(frame, fixed)
+    bodies = [me.Particle("bp", on_other, 1), me.Particle("bq", on_fixed, 1)]
+    system.add_bodies(*(bodies if first == "P" else bodies[::-1]))
+    system.add_coordinates(q1, q2)
+    system.add_speeds(u1, u2)
+    system.add_kdes(u1 - q1.diff(), u2 - q2.diff())
+    model = fb.compile_model(fb.Model(system, name="two_roots"))
+    positions = model.positions(0.0, [1.0, 2.0])
+    assert {name: place.tolist() for name, place in positions.items()} == {"O": [0.0, 0.0, 0.0], "Q": [0.0, 2.0, 0.0]}
+
+
+def test_runs_of_one_time_or_none(four_bar, tmp_path):
+    at_once = four_bar.simulate((0.0, 1.0), events=fb.Event(lambda t, x: t, terminal=True))
+    assert at_once.t.tolist() == [0.0, 0.0]
+    for ending in ("html", "png", "gif"):
+        at_once.save(tmp_path / f"run.{ending}")
+    none = four_bar.simulate((0.0, 8.0), t_eval=[7.9, 8.0])
+    assert none.t.size == 0
+    with pytest.raises(fb.ModelError, match="no states"):
+        none.resample([0.0])
+    assert none.to_xarray()["q1"].shape == (0,)
+
+
+def test_animations_that_are_not_made(trajectory, tmp_path, monkeypatch):
+    with pytest.raises(fb.ModelError, match="greater speed"):
+        trajectory.animate(speed=1e-4)
+    with pytest.raises(fb.ModelError, match="sequence of points"):
+        trajectory.animate(traces="P2")
+
+    def finish(writer):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("matplotlib.animation.PillowWriter.finish", finish)
+    with pytest.raises(fb.ModelError, match="No space left"):
+        trajectory.resample([0.0, 0.1]).save(tmp_path / "run.gif")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_report_of_many_curves_late_and_short(opened, tmp_path):
+    """More numbers than a function takes arguments; times that single precision cannot tell apart."""
+    q = me.dynamicsymbols("q")
+    many = {f"o{i}": (i + 1) * q for i in range(230)}
+    model = fb.compile_model(fb.Model(pendulum(), name="many", parameters={M: 1.0, G: 9.81, L: 1.0}, outputs=many))
+    page = opened(model.simulate((1e8, 1e8 + 10.0), [0.3, 0.0]))
+    page.keyboard.press("End")
+    assert page.locator("#time").text_content() == "t = 100000010.000 s"

@@ -83,3 +83,18 @@ def test_what_cannot_be_read(run, tmp_path):
     for name in ("plain.npz", "text.npz", "text.nc"):
         with pytest.raises(fb.ModelError, match=r"read|no trajectory"):
             fb.load_trajectory(tmp_path / name)
+
+
+@pytest.mark.parametrize("ending", [".npz", ".nc"])
+def test_damaged_files(run, tmp_path, ending):
+    whole = run.save(tmp_path / f"run{ending}").read_bytes()
+    for i, content in enumerate((b"", whole[: len(whole) // 2], whole[:200])):
+        path = tmp_path / f"damaged{i}{ending}"
+        path.write_bytes(content)
+        with pytest.raises(fb.ModelError, match=r"read|no trajectory"):
+            fb.load_trajectory(path)
+
+
+def test_settings_of_other_kinds_of_numbers(four_bar, tmp_path):
+    run = four_bar.simulate((0.0, 0.1), constraints="baumgarte", stabilization=np.float32(10.0))
+    assert fb.load_trajectory(run.save(tmp_path / "run.npz")).settings["stabilization"] == 10.0

@@ -179,18 +179,18 @@ def time_span(t_span: Sequence[float]) -> tuple[float, float]:
     return start, end
 
 
-def sample_times(t_eval: ArrayLike, start: float, end: float) -> NDArray[np.float64]:
+def sample_times(t_eval: ArrayLike, start: float, end: float, name: str = "t_eval") -> NDArray[np.float64]:
     """Times of samples within a run, in its order."""
     try:
         times = np.array(t_eval, dtype=float)
     except (TypeError, ValueError, OverflowError) as error:
-        raise ModelError(f"t_eval must be an array of times, not {t_eval!r}.") from error
+        raise ModelError(f"{name} must be an array of times, not {t_eval!r}.") from error
     forward = 1.0 if end > start else -1.0
     if times.ndim != 1 or not times.size or not np.isfinite(times).all() or not (np.diff(forward * times) > 0).all():
-        raise ModelError("t_eval must be a one-dimensional array of times in the order of t_span, each once.")
+        raise ModelError(f"{name} must be a one-dimensional array of times in the order of the run, each once.")
     if not (min(start, end) <= times.min() and times.max() <= max(start, end)):
         raise ModelError(
-            f"t_eval must lie within t_span ({start:g}, {end:g}); it goes from {times.min()} to {times.max()}."
+            f"{name} must lie within t_span ({start:g}, {end:g}); it goes from {times.min()} to {times.max()}."
         )
     return times
 

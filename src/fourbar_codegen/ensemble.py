@@ -113,6 +113,7 @@ class Ensemble:
             model=self.model, parameters=self.parameters[member], t=t, y=y, r=ode.inputs_along(t, y), sol=None,
             t_events=None, y_events=None, nfev=int(self.nfev[member]), njev=0, nlu=0, status=0 if success else -1,
             success=success, message=self.messages[member], settings=self.settings,
+            inputs=_inputs_of(self.inputs, member),
         )  # fmt: skip
 
     def __iter__(self) -> Iterator[Trajectory]:

@@ -456,9 +456,10 @@ class _Reader:
     def drawn(self, bodies: Iterable[Any]) -> tuple[DrawnPoint, ...]:
         """The tree of positions, as far as it stands in frames that have a number by now."""
         names = {body.masscenter: str(body.name) for body in bodies}
-        root = next((found for found in map(self._at_rest, names) if found is not None), None)
-        if root is None:
+        roots = [found for found in map(self._at_rest, names) if found is not None]
+        if not roots:
             return ()
+        root = self.fixed_point if self.fixed_point in roots else roots[0]
         numbers: dict[me.Point, int] = {}
         points: list[DrawnPoint] = []
         for point, parent in _neighbours(root, _positions).items():

@@ -46,8 +46,9 @@ def report_text(trajectory: Trajectory) -> str:
     drawn = drawing(trajectory, PICTURES_PER_SECOND, MOST_PICTURES)
     joined = {parent for _, _, parent, _ in drawn.points()}
     data = {
-        "times": _packed(drawn.shown.t),
-        "positions": _packed(np.moveaxis(drawn.positions, 2, 0)),
+        "times": _packed(drawn.shown.t, "<f8"),
+        # In units of the mechanism's size: single precision has a smaller range.
+        "positions": _packed(np.moveaxis(drawn.positions, 2, 0) / drawn.size),
         "planar": drawn.is_planar,
         # The ends of chains that move leave a trace from the beginning.
         "points": [
@@ -68,9 +69,9 @@ def picture_times(start: float, end: float) -> Floats:
     return equal_times(start, end, PICTURES_PER_SECOND, MOST_PICTURES)
 
 
-def _packed(values: Any) -> str:
-    """Numbers in single precision, as the page reads them."""
-    return base64.b64encode(np.ascontiguousarray(values, dtype="<f4").tobytes()).decode("ascii")
+def _packed(values: Any, dtype: str = "<f4") -> str:
+    """Numbers as the page reads them."""
+    return base64.b64encode(np.ascontiguousarray(values, dtype=dtype).tobytes()).decode("ascii")
 
 
 def _plots(shown: Trajectory) -> list[dict[str, Any]]:

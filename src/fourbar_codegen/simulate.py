@@ -63,19 +63,29 @@ def bind(model: CompiledModel, parameters: Values | None, inputs: Mapping[Any, I
     return Ode(model, parameters, sources)
 
 
-def along(model: CompiledModel, parameters: Values | None, t: Floats, r: Floats) -> Ode:
-    """The right-hand side with the inputs of a run, r in columns at times t: by their expressions where these give the
-    same, interpolated linearly otherwise.
+def along(
+    model: CompiledModel, parameters: Values | None, t: Floats, r: Floats, inputs: Mapping[Any, InputSource] | None
+) -> tuple[Ode, bool]:
+    """The right-hand side with the inputs of a run, and whether one that prescribes a motion is interpolated.
+
+    They come from their sources. Where these are not known, r in columns at times t, they are those of their
+    expressions where that gives the same, and interpolated linearly otherwise.
     """
-    forward = np.argsort(t)
+    if inputs is not None:
+        return bind(model, parameters, inputs), False
+    t, forward = np.unique(t, return_index=True)
+    r = r[:, forward]
     expressions = np.reshape([model.default_inputs(time, parameters) for time in t], r.T.shape).T
     sources: list[object] = []
     for values, expected in zip(r, expressions, strict=True):
         if np.array_equal(values, expected):
             sources.append(None)
         else:
-            sources.append(float(values[0]) if len(t) == 1 else _linear(t[forward], values[forward]))
-    return Ode(model, parameters, sources)
+            sources.append(float(values[0]) if len(t) == 1 else _linear(t, values))
+    entries = model.manifest["inputs"]
+    prescribing = {entry["of"] for entry in entries if entry["order"]}
+    interpolated = {entry["of"] for entry, source in zip(entries, sources, strict=True) if source is not None}
+    return Ode(model, parameters, sources), bool(prescribing & interpolated)
 
 
 def by_name(model: CompiledModel, inputs: Mapping[Any, Any] | None) -> Mapping[Any, Any]:
@@ -226,10 +236,11 @@ def simulate(
             "rtol": float(tolerances[0]),
             "atol": tolerances[1].tolist(),
             "constraints": constraints,
-            **({"stabilization": stabilization} if constraints == "baumgarte" else {}),
+            **({"stabilization": float(stabilization)} if constraints == "baumgarte" else {}),
             **({"max_step": max_step} if max_step < math.inf else {}),
             **({"formulation": formulation} if formulation is not None else {}),
         },
+        inputs=by_name(model, inputs),
     )
 
 

@@ -8,6 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,7 +84,7 @@ def to_dataset(trajectory: Trajectory) -> xarray.Dataset:
         "potential_energy": ("time", trajectory.potential_energy, {"units": "J"}),
         "position": (
             ("point", "axis", "time"),
-            np.reshape(list(trajectory.points.values()), (-1, 3, len(trajectory.t))),
+            np.reshape(list(trajectory.points.values()), (len(model.points), 3, len(trajectory.t))),
             {"units": "m"},
         ),
     }
@@ -112,11 +113,16 @@ def write_netcdf(trajectory: Trajectory, file: IO[bytes]) -> None:
     """A trajectory as NetCDF 4, by h5netcdf."""
     dataset = to_dataset(trajectory)
     _require_h5netcdf()
-    dataset.to_netcdf(file.name, engine="h5netcdf")
+    try:
+        dataset.to_netcdf(file.name, engine="h5netcdf")
+    except ValueError as error:  # names of outputs may be anything
+        raise ModelError(f"NetCDF cannot hold this trajectory: {error}.") from error
 
 
 def write_npz(trajectory: Trajectory, file: IO[bytes]) -> None:
     """A trajectory as NumPy's arrays by name, and the rest as JSON."""
+    if ATTRIBUTES in trajectory.columns():
+        raise ModelError(f"NPZ files have a place of their own for {ATTRIBUTES}: name the state or output otherwise.")
     arrays: dict[str, Any] = {**trajectory.columns(), ATTRIBUTES: np.array(json.dumps(_attributes(trajectory)))}
     np.savez(file, **arrays)
 
@@ -172,13 +178,14 @@ def load_trajectory(path: str | Path, model: CompiledModel | None = None) -> Tra
             t_events=None,
             y_events=None,
             settings=attributes["settings"],
+            inputs=None,
             **{name: attributes[name] for name in ("nfev", "njev", "nlu", "status", "success", "message")},
         )
     except ModelError:
         raise
     except OSError as error:
         raise ModelError(f"{path} cannot be read: {error.strerror or error}.") from error
-    except (KeyError, ValueError, TypeError) as error:
+    except (AttributeError, BadZipFile, EOFError, KeyError, TypeError, ValueError) as error:
         raise ModelError(f"{path} holds no trajectory that fourbar_codegen has saved: {error}.") from error
 
 
@@ -186,7 +193,7 @@ _Read = tuple[dict[str, Any], Floats, Callable[[str], Floats]]
 
 
 def _read_npz(path: Path) -> _Read:
-    with np.load(path, allow_pickle=False) as file:
+    with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
         arrays = dict(file)
     return json.loads(str(arrays[ATTRIBUTES])), arrays["t"], arrays.__getitem__
 

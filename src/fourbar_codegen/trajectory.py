@@ -56,6 +56,8 @@ class Trajectory:
         The parameter values, if they are not the defaults.
     settings : dict
         How the run was asked for: method, t_span, rtol, atol, constraints and what else it had.
+    inputs : mapping or None
+        The inputs' sources as they were given; None of a run that was read from a file.
 
     Examples
     --------
@@ -80,6 +82,7 @@ class Trajectory:
     success: bool
     message: str
     settings: Mapping[str, Any] = field(repr=False)
+    inputs: Mapping[Any, Any] | None = field(repr=False)
 
     @property
     def q(self) -> Floats:
@@ -156,8 +159,9 @@ class Trajectory:
 
         States are those of ``sol`` where there is one; otherwise of cubic Hermite polynomials through the stored states
         and their rates, whose error goes with the fourth power of the distance between these. Either are moved onto the
-        constraints if the run's are. Inputs are those of their expressions, or interpolated linearly where they were
-        others.
+        constraints if the run's are. Inputs come from their sources; of a run that was read from a file, those that are
+        not their expressions are interpolated linearly, and where one of these prescribes a motion, states stay as they
+        are.
 
         Parameters
         ----------
@@ -171,7 +175,7 @@ class Trajectory:
         Raises
         ------
         ModelError
-            If there are no times, they are not sorted, or they lie outside the run.
+            If there are no times, they are not sorted, or they lie outside the run; or the run has no states.
 
         Examples
         --------
@@ -184,18 +188,19 @@ class Trajectory:
 
         from fourbar_codegen.simulate import along
 
-        times = sample_times(times, self.t[0], self.t[-1])
-        ode = along(self.model, self.parameters, self.t, self.r)
+        if not len(self.t):
+            raise ModelError("The run has no states.")
+        times = sample_times(times, self.t[0], self.t[-1], "times")
+        ode, prescribed = along(self.model, self.parameters, self.t, self.r, self.inputs)
+        stored, places = np.unique(self.t, return_index=True)  # an event at the beginning is stored beside it
         if self.sol is not None:
             states = np.asarray(self.sol(times))
-        elif len(self.t) == 1:
-            states = np.repeat(self.y, len(times), axis=1)
+        elif len(stored) == 1:
+            states = np.repeat(self.y[:, :1], len(times), axis=1)
         else:
-            rates = [ode(t, x) for t, x in zip(self.t, self.y.T, strict=True)]
-            forward = np.argsort(self.t)
-            spline = CubicHermiteSpline(self.t[forward], self.y.T[forward], np.reshape(rates, self.y.T.shape)[forward])
-            states = spline(times).T
-        if self.settings["constraints"] == "project" and self.model.manifest["can_project"]:
+            rates = [ode(t, x) for t, x in zip(stored, self.y.T[places], strict=True)]
+            states = CubicHermiteSpline(stored, self.y.T[places], np.reshape(rates, (len(stored), -1)))(times).T
+        if self.settings["constraints"] == "project" and self.model.manifest["can_project"] and not prescribed:
             states = np.reshape([ode.project(t, x) for t, x in zip(times, states.T, strict=True)], states.T.shape).T
         return replace(self, t=times, y=states, r=ode.inputs_along(times, states))
 

@@ -27,6 +27,9 @@ Floats = NDArray[np.float64]
 FPS = 30.0
 """Pictures per second, where nobody says otherwise."""
 
+MOST_PICTURES = 10_000
+"""An animation takes no more: each is some hundredths of a second to draw."""
+
 SMOOTH = 401
 """States that a curve looks smooth with."""
 
@@ -57,7 +60,7 @@ def plot_trajectory(trajectory: Trajectory) -> Figure:
     """
     figure_class = _imported("matplotlib.figure", "Plots").Figure
     model = trajectory.model
-    if 1 < len(trajectory.t) < SMOOTH:
+    if len(trajectory.t) < SMOOTH and len(np.unique(trajectory.t)) > 1:
         trajectory = trajectory.resample(np.linspace(trajectory.t[0], trajectory.t[-1], SMOOTH))
     energies = {
         "kinetic": trajectory.kinetic_energy,
@@ -78,7 +81,7 @@ def plot_trajectory(trajectory: Trajectory) -> Figure:
     figure: Figure = figure_class(figsize=(7.0, 2.2 * len(panels)), layout="constrained")
     for axes, (label, curves) in zip(figure.subplots(len(panels), 1, sharex=True), panels, strict=True):
         for name, values in curves.items():
-            axes.plot(trajectory.t, values, label=name)
+            axes.plot(trajectory.t, values, label=name.replace("$", r"\$"))
         axes.set_ylabel(label)
         if label == "loop residual":
             axes.set_yscale("log")
@@ -100,9 +103,14 @@ def animate(trajectory: Trajectory, *, fps: float, speed: float, traces: Sequenc
     model = trajectory.model
     positive(fps, "fps")
     positive(speed, "speed")
+    if isinstance(traces, str):
+        raise ModelError(f"traces must be a sequence of points' names, not {traces!r}.")
     unknown = [name for name in traces if name not in model.points]
     if unknown:
         raise ModelError(f"There is no point {', '.join(unknown)} to trace; there are {', '.join(model.points)}.")
+    n = abs(np.ptp(trajectory.t)) * fps / speed if len(trajectory.t) else 0.0
+    if n > MOST_PICTURES:
+        raise ModelError(f"The animation would have {n:.0f} pictures, more than {MOST_PICTURES}: take a greater speed.")
     drawn = drawing(trajectory, fps / speed)
     positions, size = drawn.positions, drawn.size
     symbols = importlib.import_module("sympy").symbols(f"x:{3 * len(positions)}")
@@ -148,5 +156,8 @@ def write_animation(trajectory: Trajectory, path: Path, kind: str) -> None:
         raise ModelError(f"{kind.upper()} needs {name}, which is not installed.")
     animation = animate(trajectory, fps=FPS, speed=1.0, traces=())
     whole = path.with_name(f"{path.name}.{kind}")  # Matplotlib goes by the ending
-    animation.save(whole, writer=animations.writers[name](fps=FPS))
-    whole.replace(path)
+    try:
+        animation.save(whole, writer=animations.writers[name](fps=FPS))
+        whole.replace(path)
+    finally:
+        whole.unlink(missing_ok=True)

@@ -63,7 +63,7 @@ CONSISTENT = 1e-3
 """By what share of the coordinates or speeds projection may move the state that a run begins from."""
 
 FLOOR = 1e-12
-"""And by how much in any case: rounding errors."""
+"""And by how much in any case: rounding errors, which are no jumps either."""
 
 REACHED_END = "The solver successfully reached the end of the integration interval."
 TERMINATED = "A termination event occurred."
@@ -355,7 +355,7 @@ class Singular:
             jump_begin, jump_end = places[largest], places[largest + 1]
         t = times[least]
         passed = self._sentence("passes", t, run.state_at(t), PASSED, ", and may go on in more than one way")
-        if passed or jumped[-1] < JUMPED * jumped[0]:
+        if passed or jumped[-1] <= JUMPED * jumped[0] + FLOOR:
             return passed
         return (
             f"A step has crossed to another way of closing the loops at t = {jump_begin:.6g}, past a singular "

@@ -21,7 +21,7 @@ lint: $(INSTALLED)
 
 docs: $(INSTALLED)
 	$(BIN)/python -m pip install --quiet --editable '.[docs]'
-	$(BIN)/python -m sphinx --fail-on-warning --quiet -b html docs docs/_build
+	$(BIN)/python -m sphinx --fail-on-warning --quiet -b html docs docs/_build/html
 
 bench: $(INSTALLED)
 	$(BIN)/python -m pip install --quiet --editable '.[bench]'

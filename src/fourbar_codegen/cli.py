@@ -157,12 +157,7 @@ def simulate(samples: int, outputs: tuple[Path, ...], **run: Any) -> None:
     help="The file, .html.",
 )  # fmt: skip
 def report(output: Path, **run: Any) -> None:
-    from fourbar_codegen.report import picture_times
-
-    _check_kind(output, ".html")
-    trajectory, _ = _simulated(picture_times, **run)
-    click.echo(f"Written: {trajectory.save(output)}")
-    _check_end(trajectory)
+    _show(output, (".html",), run)
 
 
 @main.command(help="Simulate a model and write an animation: .gif, or .mp4 with FFmpeg.\n\n" + MODEL_HELP)
@@ -172,17 +167,18 @@ def report(output: Path, **run: Any) -> None:
     help="The file, .gif or .mp4.",
 )  # fmt: skip
 def animate(output: Path, **run: Any) -> None:
+    _show(output, (".gif", ".mp4"), run)
+
+
+def _show(output: Path, endings: tuple[str, ...], run: dict[str, Any]) -> None:
+    """Simulate with a state for each picture, and write these."""
     from fourbar_codegen.report import picture_times
 
-    _check_kind(output, ".gif", ".mp4")
+    if output.suffix.lower() not in endings:
+        raise fb.ModelError(f"{output} must end with {' or '.join(endings)}.")
     trajectory, _ = _simulated(picture_times, **run)
     click.echo(f"Written: {trajectory.save(output)}")
     _check_end(trajectory)
-
-
-def _check_kind(path: Path, *endings: str) -> None:
-    if path.suffix.lower() not in endings:
-        raise fb.ModelError(f"{path} must end with {' or '.join(endings)}.")
 
 
 def _check_end(trajectory: Trajectory) -> None:

@@ -121,9 +121,10 @@ def write_netcdf(trajectory: Trajectory, file: IO[bytes]) -> None:
 
 def write_npz(trajectory: Trajectory, file: IO[bytes]) -> None:
     """A trajectory as NumPy's arrays by name, and the rest as JSON."""
-    if ATTRIBUTES in trajectory.columns():
+    arrays: dict[str, Any] = dict(trajectory.columns())
+    if ATTRIBUTES in arrays:
         raise ModelError(f"NPZ files have a place of their own for {ATTRIBUTES}: name the state or output otherwise.")
-    arrays: dict[str, Any] = {**trajectory.columns(), ATTRIBUTES: np.array(json.dumps(_attributes(trajectory)))}
+    arrays[ATTRIBUTES] = np.array(json.dumps(_attributes(trajectory)))
     np.savez(file, **arrays)
 
 

@@ -6,7 +6,7 @@ import csv
 import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
@@ -350,16 +350,10 @@ def _write_html(trajectory: Trajectory, file: IO[bytes]) -> None:
     file.write(report_text(trajectory).encode("utf-8"))
 
 
-def _write_gif(trajectory: Trajectory, file: IO[bytes]) -> None:
+def _write_animation(trajectory: Trajectory, file: IO[bytes], kind: str) -> None:
     from fourbar_codegen.visual import write_animation
 
-    write_animation(trajectory, Path(file.name), "gif")
-
-
-def _write_mp4(trajectory: Trajectory, file: IO[bytes]) -> None:
-    from fourbar_codegen.visual import write_animation
-
-    write_animation(trajectory, Path(file.name), "mp4")
+    write_animation(trajectory, Path(file.name), kind)
 
 
 _WRITERS: dict[str, Callable[[Trajectory, IO[bytes]], None]] = {
@@ -368,8 +362,8 @@ _WRITERS: dict[str, Callable[[Trajectory, IO[bytes]], None]] = {
     ".nc": _write_netcdf,
     ".html": _write_html,
     ".png": _write_png,
-    ".gif": _write_gif,
-    ".mp4": _write_mp4,
+    ".gif": partial(_write_animation, kind="gif"),
+    ".mp4": partial(_write_animation, kind="mp4"),
 }
 
 

@@ -12,6 +12,7 @@ import fourbar_codegen
 PACKAGE = Path(fourbar_codegen.__file__).parent
 RUN = [
     "arguments",
+    "assembly",
     "compiled",
     "drawing",
     "ensemble",
@@ -23,6 +24,7 @@ RUN = [
     "solver_run",
     "solvers",
     "storage",
+    "tables",
     "trajectory",
     "visual",
 ]

@@ -110,8 +110,10 @@ def test_resampled_runs(four_bar, how, backwards):
 
 def test_plots(trajectory, tmp_path):
     figure = trajectory.plot()
-    labels = [axes.get_ylabel() for axes in figure.axes]
-    assert labels == ["coordinates (rad or m)", "speeds (rad/s or m/s)", "loop residual", "energy (J)"]
+    titles = [axes.get_title(loc="left") for axes in figure.axes]
+    assert [title.split(" (")[0] for title in titles] == [
+        "Coordinates", "Speeds", "Inputs", "Multipliers of the constraints", "Loop residual", "Energy",
+    ]  # fmt: skip
     assert [line.get_label() for line in figure.axes[0].lines] == ["q1", "q2", "q3"]
     assert trajectory.save(tmp_path / "run.png").stat().st_size > 10_000
 
@@ -143,6 +145,50 @@ def test_films(trajectory, tmp_path):
     command = ["ffprobe", "-v", "error", "-count_frames", "-show_entries", "stream=codec_type,nb_read_frames", path]
     told = subprocess.run([*command, "-of", "json"], capture_output=True, text=True, check=True).stdout
     assert json.loads(told)["streams"] == [{"codec_type": "video", "nb_read_frames": "31"}]
+
+
+def test_forces_of_inputs(four_bar, trajectory):
+    """The tutorial's force acts along x where links 3 and 4 meet, and is drawn there; gravity is no input's."""
+    assert four_bar.forced_points == ("joint3_link3_joint",)
+    [force] = trajectory.forces.values()
+    np.testing.assert_allclose(force[0], 100.0 * np.sin(np.pi * trajectory.t), atol=1e-12)
+    assert not force[1:].any()
+    model = fb.models.slider_crank()
+    crank = fb.compile_model(model)
+    run = crank.simulate((0.0, 0.1), inputs={"load": -50.0, "torque": 3.0})
+    assert {name: rows[:, 0].tolist() for name, rows in run.forces.items()} == {"S": [-50.0, 0.0, 0.0]}
+
+
+def test_a_force_that_turns():
+    """Along the pendulum's arm, twice as strong as the input, at the end of it; nothing without an input."""
+    system, q = pendulum(), me.dynamicsymbols("q")
+    system.add_loads(me.Force(system.bodies[0].masscenter, 2 * me.dynamicsymbols("T") * _arm(system).y))
+    model = fb.Model(system, name="pushed", parameters={M: 1.0, G: 9.81, L: 2.0}, inputs={me.dynamicsymbols("T"): 3})
+    run = fb.compile_model(model).simulate((0.0, 1.0), [0.3, 0.0])
+    [force] = run.forces.values()
+    # The other load at that point is gravity, which has no input in it.
+    np.testing.assert_allclose(force, 6.0 * np.array([-np.sin(run["q"]), np.cos(run["q"]), 0.0 * run["q"]]), atol=1e-14)
+    assert q not in run.forces
+
+
+def _arm(system):
+    """The frame in which the pendulum's arm lies."""
+    position = system.bodies[0].masscenter.pos_from(system.fixed_point)
+    return position.args[0][1]
+
+
+def test_paths(four_bar, trajectory):
+    """The path of the crank's end is an arc about the joint of the ground."""
+    figure = trajectory.plot_paths(["P2"])
+    path = figure.axes[0].lines[-1]
+    assert path.get_label() == "P2"
+    np.testing.assert_allclose(np.hypot(path.get_xdata() - 0.4, path.get_ydata()), 0.5, atol=1e-12)
+    bicycle = fb.compile_model(fb.models.whipple_bicycle())
+    run = bicycle.simulate((0.0, 0.2), bicycle.initial_state(speeds={"u6": -15.0}))
+    assert run.plot_paths().axes[0].name == "3d"
+    with pytest.raises(fb.ModelError, match="no point P9"):
+        trajectory.plot_paths(["P9"])
+    assert len(trajectory.resample([1.0]).plot_paths(["P2"]).axes) == 1
 
 
 def test_films_need_ffmpeg(trajectory, tmp_path, monkeypatch):
@@ -252,6 +298,15 @@ def test_scrubbing_shows_the_state_at_that_time(opened, trajectory):
             expected = ends[0] + scale * np.array([x + 0.4, -y])
             # To the third decimal of a pixel that the page writes, and single precision.
             np.testing.assert_allclose(center(page, name), expected, rtol=0, atol=2e-3)
+        # The arrow of the force: a quarter of the mechanism's size at its greatest.
+        size = max(np.ptp([rows[axis] for rows in points.values()]) for axis in range(3))
+        arrow = page.locator('line[data-force="joint3_link3_joint"]')
+        x1, x2, y1, y2 = (float(arrow.get_attribute(name)) for name in ("x1", "x2", "y1", "y2"))
+        np.testing.assert_allclose([x1, y1], center(page, "joint3_link3_joint"), atol=2e-3)
+        greatest = np.abs(np.sin(np.pi * times)).max()
+        assert x2 - x1 == pytest.approx(0.25 * size * scale * np.sin(np.pi * times[picture]) / greatest, abs=4e-3)
+        assert y2 == y1
+        assert arrow.get_attribute("visibility") == ("hidden" if abs(x2 - x1) < 1 else "visible")
     shown = page.locator("#plots output").first.text_content()
     assert float(shown) == pytest.approx(trajectory.q[0, -1], abs=1e-3)
 
@@ -352,7 +407,7 @@ def test_runs_of_one_time_or_none(four_bar, tmp_path):
 def test_animations_that_are_not_made(trajectory, tmp_path, monkeypatch):
     with pytest.raises(fb.ModelError, match="greater speed"):
         trajectory.animate(speed=1e-4)
-    with pytest.raises(fb.ModelError, match="sequence of points"):
+    with pytest.raises(fb.ModelError, match="sequence of their names"):
         trajectory.animate(traces="P2")
 
     def finish(writer):

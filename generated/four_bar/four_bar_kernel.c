@@ -25,6 +25,7 @@ enum {
     N_C = 2,
     N_O = 0,
     N_POINTS = 11,
+    N_FORCES = 1,
     N_RANK = 2,
     N_CONSTANTS = 44
 };

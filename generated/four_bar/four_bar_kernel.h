@@ -18,6 +18,6 @@ extern const fb_lanes four_bar_lanes;
 
 fb_sensitivity four_bar_sensitivity, four_bar_parameter_sensitivity, four_bar_input_sensitivity;
 fb_constraint_sensitivity four_bar_constraint_sensitivity;
-fb_points four_bar_points;
+fb_drawing four_bar_drawing;
 
 #endif

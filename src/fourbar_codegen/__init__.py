@@ -19,6 +19,7 @@ from fourbar_codegen.errors import (
 
 if TYPE_CHECKING:
     from fourbar_codegen import models, solvers
+    from fourbar_codegen.assembly import AssemblyModes
     from fourbar_codegen.build import get_include
     from fourbar_codegen.compile import build_model, build_wheel, compile_model, generate_sources
     from fourbar_codegen.compiled import CompiledModel, load
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "AssemblyError",
+    "AssemblyModes",
     "BuildError",
     "CacheError",
     "CompiledModel",
@@ -55,6 +57,7 @@ __all__ = [
 ]
 
 _HOME = {
+    "AssemblyModes": "assembly",
     "CompiledModel": "compiled",
     "Ensemble": "ensemble",
     "Event": "integrate",

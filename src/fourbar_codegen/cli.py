@@ -25,6 +25,8 @@ MODEL_HELP = (
     "function without arguments that returns a Model."
 )
 
+METHODS = ("DOP853", "RK45", "ALI3P", "RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA")
+
 
 class _Commands(click.Group):
     """Prints the package's errors in a line instead of a traceback."""
@@ -74,11 +76,11 @@ _RUN_OPTIONS = [
         "-t", "--time", "t_span", nargs=2, type=float, default=(0.0, 4.0), show_default=True,
         help="First and last time, s.",
     ),
+    click.option("--method", type=click.Choice(METHODS), default="DOP853", show_default=True),
     click.option(
-        "--method", default="DOP853", show_default=True,
-        help="DOP853, RK45, ALI3P, RK23, Radau, BDF, LSODA, CVODE or IDA.",
+        "--formulation", type=click.Choice(["gear-gupta-leimkuhler", "index-1", "index-3"]),
+        help="Of IDA; its default is the first.",
     ),
-    click.option("--formulation", help="Of IDA: gear-gupta-leimkuhler (its default), index-1 or index-3."),
     click.option(
         "--constraints", type=click.Choice(["project", "baumgarte", "none"]), default="project", show_default=True,
         help="How to keep loops closed: project moves each state onto the constraints.",

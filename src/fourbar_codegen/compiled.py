@@ -20,6 +20,7 @@ from fourbar_codegen.runtime.evaluator import Evaluator
 from fourbar_codegen.runtime.integrator import Ode, Stepper
 
 if TYPE_CHECKING:
+    from fourbar_codegen.assembly import AssemblyModes
     from fourbar_codegen.ensemble import Ensemble
     from fourbar_codegen.simulate import EventLike, InputSource
     from fourbar_codegen.trajectory import Trajectory
@@ -111,6 +112,8 @@ class CompiledModel(Evaluator):
     parameters, inputs, outputs : tuple of str
     points : tuple of str
         The points that are drawn: those whose positions the System gives, as its own points are called.
+    forced_points : tuple of str
+        Those of them on which forces act that depend on inputs.
     defaults : dict of str to float or None
         Parameter values; None where every call has to give one.
     units, descriptions : dict of str to str
@@ -144,6 +147,7 @@ class CompiledModel(Evaluator):
         self.inputs: tuple[str, ...] = tuple(entry["name"] for entry in manifest["inputs"])
         self.outputs: tuple[str, ...] = tuple(manifest["outputs"])
         self.points: tuple[str, ...] = tuple(entry["name"] for entry in manifest["points"])
+        self.forced_points: tuple[str, ...] = tuple(self.points[place] for place in manifest["forced_points"])
         self.defaults: Mapping[str, float | None] = MappingProxyType(
             {e["name"]: e["default"] for e in manifest["parameters"]}
         )
@@ -195,6 +199,20 @@ class CompiledModel(Evaluator):
         return (
             f"<CompiledModel {self.name}: coordinates {', '.join(self.coordinates)}; speeds {', '.join(self.speeds)}; "
             f"parameters {', '.join(self.parameters) or 'none'}; inputs {', '.join(self.inputs) or 'none'}>"
+        )
+
+    def _repr_html_(self) -> str:
+        from fourbar_codegen.tables import names_table
+
+        return names_table(
+            f"Compiled model {self.name}: {self.n_h} constraints on positions, {self.n_c} on velocities",
+            [
+                ("coordinate", self.coordinates, self.manifest["n_dependent_coordinates"]),
+                ("speed", self.speeds, self.manifest["n_dependent_speeds"]),
+            ],
+            {name: (value, self.units[name], self.descriptions[name]) for name, value in self.defaults.items()},
+            {entry["name"]: entry["expression"] for entry in self.manifest["inputs"]},
+            self.outputs,
         )
 
     # Names to arrays.
@@ -373,7 +391,9 @@ class CompiledModel(Evaluator):
         >>> four_bar.positions(0.0, q)["joint3_link3_joint"].round(3).tolist()
         [-0.084, -0.625, 0.0]
         """
-        return dict(zip(self.points, self.points_at(t, q, p, r), strict=True))
+        coordinates = named_array(q, self.coordinates, {}, "coordinate")
+        positions, _ = self.drawing(t, np.concatenate((coordinates, np.zeros(self.n_u))), p, r)
+        return dict(zip(self.points, positions, strict=True))
 
     def velocity_constraints(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
         """Residuals J u + b of the velocity constraints, shape (n_c,), holonomic ones first.
@@ -643,6 +663,48 @@ class CompiledModel(Evaluator):
         from fourbar_codegen.initial import initial_state
 
         return initial_state(self, coordinates, speeds, t=t, guess=guess, parameters=parameters, inputs=inputs)
+
+    def initial_states(
+        self,
+        coordinates: Values | None = None,
+        speeds: Values | None = None,
+        *,
+        t: float = 0.0,
+        parameters: Values | None = None,
+        inputs: Mapping[Any, InputSource] | None = None,
+    ) -> AssemblyModes:
+        """The assembly modes: all states that satisfy the constraints with these independent coordinates and speeds.
+
+        They are complete where the loops are those of dyads, one after another: constraints, one or two at a time, in
+        no more unknown coordinates, that are trigonometric in angles and polynomial in displacements. So are the
+        four-bar linkage, the slider-crank, and chains of them. Other loops are searched from many beginnings, and the
+        number of modes is a lower bound. See `fourbar_codegen.assembly` for the method.
+
+        Parameters
+        ----------
+        coordinates, speeds, t, parameters, inputs
+            As for `initial_state`.
+
+        Returns
+        -------
+        AssemblyModes
+            A sequence of states, empty if the loops cannot be closed; with ``is_complete``, and ``plot()``.
+
+        Raises
+        ------
+        ModelError
+            If an argument has a wrong shape or name, or is not finite.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> modes = fb.load("four_bar").initial_states({"q1": -0.5})
+        >>> len(modes), modes.is_complete
+        (2, True)
+        """
+        from fourbar_codegen.initial import initial_states
+
+        return initial_states(self, coordinates, speeds, t=t, parameters=parameters, inputs=inputs)
 
     def ode(self, parameters: Values | None = None, inputs: Mapping[Any, InputSource] | None = None) -> Ode:
         """The right-hand side as a callable f(t, x), for `scipy.integrate.solve_ivp` and its like.

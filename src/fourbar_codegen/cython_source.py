@@ -62,6 +62,7 @@ def manifest_of(model: Model, program: Program, names: Mapping[str, Sequence[str
             {"name": name, "parent": place.parent, "body": place.body}
             for name, place in zip(_distinct([place.name for place in program.places]), program.places, strict=True)
         ],
+        "forced_points": list(program.forced),
         "initial": model.initial,
         "can_project": sum(map(bool, closed)) == sum(map(bool, positions)),
         "has_potential_energy": not energies[1].is_nan,

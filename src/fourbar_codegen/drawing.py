@@ -1,8 +1,8 @@
-"""What there is to draw of a trajectory: the mechanism's points at equally spaced times."""
+"""What there is to draw of a trajectory: the mechanism's points at equally spaced times, and curves over time."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,12 +11,15 @@ from numpy.typing import NDArray
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.trajectory import Trajectory
 
-__all__ = ["Drawing", "drawing", "equal_times"]
+__all__ = ["Drawing", "Panel", "drawing", "equal_times", "panels"]
 
 Floats = NDArray[np.float64]
 
 PLANAR = 1e-9
 """Points that leave the plane of x and y, or their places, by less than this share of the mechanism's size do not."""
+
+ARROW = 0.25
+"""Length of the greatest force's arrow, as a share of the mechanism's size."""
 
 
 @dataclass(frozen=True)
@@ -28,12 +31,15 @@ class Drawing:
     shown : Trajectory
     positions : ndarray, shape (n_points, 3, n_t)
         In the inertial frame, m.
+    arrows : dict of int to ndarray, shape (3, n_t)
+        The tips of arrows that show the inputs' forces, m, by the number of the point at which they begin.
     size : float
-        The largest extent along one of its axes, m.
+        The largest extent of the points along one of the axes, m.
     """
 
     shown: Trajectory
     positions: Floats
+    arrows: dict[int, Floats]
     size: float
 
     @property
@@ -45,29 +51,30 @@ class Drawing:
         """Whether a point does not stay where it is."""
         return bool(np.ptp(self.positions[point], axis=1).max() > PLANAR * self.size)
 
+    def ends(self) -> Iterator[tuple[int, str]]:
+        """Number and name of the points that move and that no line goes on from: ends of chains."""
+        joined = {parent for _, _, parent, _ in self.points()}
+        return ((number, name) for number, name, *_ in self.points() if number not in joined and self.moves(number))
+
     def points(self) -> Iterator[tuple[int, str, int | None, str | None]]:
         """Number, name, number of the point from which a line leads to it, and body of each point."""
         for number, entry in enumerate(self.shown.model.manifest["points"]):
             yield number, entry["name"], entry["parent"], entry["body"]
 
 
-def equal_times(start: float, end: float, rate: float, most: int | None = None) -> Floats:
-    """Equally spaced times from start to end, about so many in a second, and no more than `most`."""
-    if start == end:
-        return np.array([start])
-    n = 1 + max(1, round(abs(end - start) * rate))
-    return np.linspace(start, end, n if most is None else min(n, most))
+def equal_times(start: float, end: float, rate: float) -> Floats:
+    """Equally spaced times from start to end, about so many in a second."""
+    return np.linspace(start, end, 1 + max(1, round(abs(end - start) * rate)) if start != end else 1)
 
 
-def drawing(trajectory: Trajectory, rate: float, most: int | None = None) -> Drawing:
-    """What there is to draw, so many times in a second of the run.
+def drawing(trajectory: Trajectory, times: Callable[[float, float], Floats]) -> Drawing:
+    """What there is to draw at certain times.
 
     Parameters
     ----------
     trajectory : Trajectory
-    rate : float
-    most : int, optional
-        No more times than these.
+    times : callable
+        It is given the first and the last time of the run, and returns those to be shown.
 
     Returns
     -------
@@ -83,6 +90,56 @@ def drawing(trajectory: Trajectory, rate: float, most: int | None = None) -> Dra
         raise ModelError(f"There is nothing of {model.name} to draw: no positions are given from a point at rest.")
     if not len(t):
         raise ModelError(f"There is nothing of {model.name} to draw: the run has no states.")
-    shown = trajectory.resample(equal_times(t[0], t[-1], rate, most))
+    shown = trajectory.resample(times(t[0], t[-1]))
     positions = np.array([shown.points[name] for name in model.points])
-    return Drawing(shown, positions, float(np.ptp(positions, axis=(0, 2)).max()) or 1.0)
+    size = float(np.ptp(positions, axis=(0, 2)).max()) or 1.0
+    greatest = max((np.linalg.norm(force, axis=0).max() for force in shown.forces.values()), default=0.0)
+    arrows = {
+        model.points.index(name): shown.points[name] + ARROW * size * force / greatest
+        for name, force in shown.forces.items()
+        if 0.0 < greatest < np.inf
+    }
+    return Drawing(shown, positions, arrows, size)
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Curves that share their axes.
+
+    Attributes
+    ----------
+    title : str
+    curves : dict of str to ndarray, shape (n_t,)
+    is_logarithmic : bool
+        Whether they span orders of magnitude.
+    """
+
+    title: str
+    curves: dict[str, Floats]
+    is_logarithmic: bool = False
+
+
+def panels(trajectory: Trajectory) -> list[Panel]:
+    """All curves of a trajectory over time: coordinates, speeds, inputs, outputs, multipliers, residual, energy."""
+    model = trajectory.model
+    energies = {
+        "kinetic": trajectory.kinetic_energy,
+        "potential": trajectory.potential_energy,
+        "sum": trajectory.energy,
+    }
+    found = [
+        Panel("Coordinates (rad or m)", dict(zip(model.coordinates, trajectory.q, strict=True))),
+        Panel("Speeds (rad/s or m/s)", dict(zip(model.speeds, trajectory.u, strict=True))),
+        Panel("Inputs", dict(zip(model.inputs, trajectory.r, strict=True))),
+        Panel("Outputs", dict(zip(model.outputs, trajectory.outputs, strict=True))),
+        Panel(
+            "Multipliers of the constraints",
+            {f"lambda {number}": row for number, row in enumerate(trajectory.multipliers, start=1)},
+        ),
+        Panel("Energy (J)", {name: row for name, row in energies.items() if np.isfinite(row).any()}),
+    ]
+    if model.n_h:
+        # Zero has no place on a logarithmic axis; half the spacing of doubles around 1 stands for it.
+        largest = np.maximum(np.abs(trajectory.constraint_residual).max(axis=0), np.finfo(float).eps / 2)
+        found.insert(-1, Panel("Loop residual (units of the constraints)", {"largest": largest}, True))
+    return [panel for panel in found if panel.curves]

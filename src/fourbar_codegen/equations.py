@@ -80,6 +80,10 @@ class Equations:
     places : tuple of Place
     points : Result
         Their positions in the inertial frame, (n_points, 3).
+    forced : tuple of int
+        The places at which inputs' forces act.
+    forces : Result
+        These forces in the inertial frame, (n_forces, 3).
     velocity_jacobian, velocity_input_jacobian : Result
         d(J u + b)/dq, (n_c, n_q), and d(J u + b)/dr, (n_c, n_r).
     position_input_jacobian : Result
@@ -118,6 +122,8 @@ class Equations:
     power: Result
     places: tuple[Place, ...]
     points: Result
+    forced: tuple[int, ...]
+    forces: Result
     velocity_jacobian: Result
     velocity_input_jacobian: Result
     position_input_jacobian: Result
@@ -205,7 +211,8 @@ def form_equations(model: Model) -> Equations:
         return [pull_back(tape, [(row, tape.one)], variables) for row in rows]
 
     n_q, n_u, n_r = len(v.q), len(v.u), len(v.r)
-    places, points = _places(mechanism, motion)
+    places, points, numbers = _places(mechanism, motion)
+    applied = _applied_forces(tape, mechanism, motion, numbers, v)
     results = [
         _vector("outputs", [*forces, *(convert(expr) for expr in model.output_expressions.values())]),
         _vector("coordinate_rates", q_rates),
@@ -222,6 +229,7 @@ def form_equations(model: Model) -> Equations:
         _vector("energies", energies),
         _vector("power", substitute(tape, [kane.power()], no_unknown)),
         _matrix("points", points, 3),
+        _matrix("forces", list(applied.values()), 3),
         _matrix("velocity_jacobian", gradients(constraints.velocities, v.q), n_q),
         _matrix("velocity_input_jacobian", gradients(constraints.velocities, v.r), n_r),
         _matrix("position_input_jacobian", gradients(constraints.positions, v.r), n_r),
@@ -251,6 +259,7 @@ def form_equations(model: Model) -> Equations:
         velocity_constraints_derived=mechanism.velocity_constraints_derived,
         default_inputs=default_inputs,
         places=places,
+        forced=tuple(applied),
         **{result.name: result for result in results},
     )
 
@@ -309,10 +318,14 @@ def _columns(tape: Tape, rows: Sequence[Scalar], unknown: Sequence[Scalar]) -> l
     return [[gradient[i] for gradient in gradients] for i in range(len(unknown))]
 
 
-def _places(mechanism: Mechanism, motion: Motion) -> tuple[tuple[Place, ...], list[Components]]:
-    """The points that are drawn and their positions, but for those with symbols that the model does not know."""
+def _places(mechanism: Mechanism, motion: Motion) -> tuple[tuple[Place, ...], list[Components], dict[int, int]]:
+    """The points that are drawn and their positions, but for those with symbols that the model does not know.
+
+    And which of them the mechanism's points are, by their numbers.
+    """
     places: list[Place] = []
     positions: list[Components] = []
+    of_points: dict[int, int] = {}
     numbers: dict[int | None, int | None] = {None: None}
     for number, point in enumerate(mechanism.drawn):
         if point.parent not in numbers:
@@ -323,9 +336,25 @@ def _places(mechanism: Mechanism, motion: Motion) -> tuple[tuple[Place, ...], li
             continue
         parent = numbers[point.parent]
         numbers[number] = len(places)
+        if point.number is not None:
+            of_points[point.number] = len(places)
         places.append(Place(point.name, parent, point.body))
         positions.append(offset if parent is None else add(positions[parent], offset))
-    return tuple(places), positions
+    return tuple(places), positions, of_points
+
+
+def _applied_forces(
+    tape: Tape, mechanism: Mechanism, motion: Motion, places: dict[int, int], v: _Variables
+) -> dict[int, Components]:
+    """The sum of the forces with inputs in them at each of the points that are drawn, by the number of its place."""
+    forces: dict[int, Components] = {}
+    for load in mechanism.loads:
+        if load.kind == "force" and load.place in places:
+            force = motion.express(motion.vector(load.vector), INERTIAL)
+            if tape.depends(force, set(v.r)) and not tape.depends(force, {*v.aux, *v.unknown}):
+                place = places[load.place]
+                forces[place] = add(forces[place], force) if place in forces else force
+    return forces
 
 
 def _forces(

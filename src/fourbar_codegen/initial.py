@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from fourbar_codegen.arguments import Values, named_array
 from fourbar_codegen.errors import AssemblyError
@@ -14,10 +15,11 @@ from fourbar_codegen.runtime.integrator import Ode
 from fourbar_codegen.simulate import input_sources
 
 if TYPE_CHECKING:
+    from fourbar_codegen.assembly import AssemblyModes
     from fourbar_codegen.compiled import CompiledModel
     from fourbar_codegen.simulate import InputSource
 
-__all__ = ["initial_state"]
+__all__ = ["Loops", "initial_state", "initial_states"]
 
 Floats = NDArray[np.float64]
 
@@ -45,6 +47,46 @@ def initial_state(
     inputs: Mapping[Any, InputSource] | None,
 ) -> Floats:
     """A state that satisfies all constraints; see `CompiledModel.initial_state`."""
+    loops, u_i, start = _given(model, coordinates, speeds, t, guess, parameters, inputs)
+    q = loops.coordinates(_close(loops, start) if model.n_h else start)
+    return np.concatenate((q, _dependent_speeds(loops, q, u_i)))
+
+
+def initial_states(
+    model: CompiledModel,
+    coordinates: Values | None,
+    speeds: Values | None,
+    *,
+    t: float,
+    parameters: Values | None,
+    inputs: Mapping[Any, InputSource] | None,
+) -> AssemblyModes:
+    """All states with these independent values; see `CompiledModel.initial_states`."""
+    from fourbar_codegen.assembly import DISTINCT, AssemblyModes, closed_coordinates
+
+    loops, u_i, start = _given(model, coordinates, speeds, t, None, parameters, inputs)
+    found, is_complete = closed_coordinates(loops, start) if model.n_h else ([start], True)
+    states = []
+    for dependent in found:
+        q = loops.coordinates(dependent)
+        try:
+            u = _dependent_speeds(loops, q, u_i, DISTINCT)  # in a dead point, positions are right to half of all digits
+        except UndeterminedSpeedsError:
+            u = np.concatenate((u_i, np.full(model.n_u - len(u_i), np.nan)))
+        states.append(np.concatenate((q, u)))
+    return AssemblyModes(model, t, np.reshape(states, (len(states), model.n_x)), is_complete, loops.p, loops.r)
+
+
+def _given(
+    model: CompiledModel,
+    coordinates: Values | None,
+    speeds: Values | None,
+    t: float,
+    guess: Values | None,
+    parameters: Values | None,
+    inputs: Mapping[Any, InputSource] | None,
+) -> tuple[Loops, Floats, Floats]:
+    """The loops to be closed, the independent speeds, and the guess of the dependent coordinates."""
     n_qi = model.n_q - model.manifest["n_dependent_coordinates"]
     n_ui = model.n_u - model.manifest["n_dependent_speeds"]
     initial = model.manifest["initial"]
@@ -53,9 +95,7 @@ def initial_state(
     u_i = named_array(speeds, model.speeds[:n_ui], initial, "independent speed")
     dependent = model.coordinates[n_qi:]
     start = named_array(guess, dependent, {**dict.fromkeys(dependent, 0.0), **initial}, "dependent coordinate")
-    r = _inputs_at(model, t, p, inputs)
-    q = _close(model, t, q_i, start, p, r) if model.n_h else np.concatenate((q_i, start))
-    return np.concatenate((q, _dependent_speeds(model, t, q, u_i, p, r)))
+    return Loops(model, t, q_i, p, _inputs_at(model, t, p, inputs)), u_i, start
 
 
 def _inputs_at(
@@ -71,70 +111,115 @@ def _inputs_at(
     return np.nan_to_num(Ode(model, p, sources).input_values(t, np.zeros(model.n_x)))
 
 
-def _close(model: CompiledModel, t: float, q_i: Floats, start: Floats, p: ArrayLike | None, r: Floats | None) -> Floats:
-    """Coordinates that satisfy the position constraints: by Newton's method close to them, else by fsolve."""
-    n_i = len(q_i)
+@dataclass(frozen=True)
+class Loops:
+    """The position constraints as functions of the dependent coordinates alone.
 
-    def assemble(dependent: Floats) -> Floats:
-        return np.concatenate((q_i, dependent))
+    Attributes
+    ----------
+    model : CompiledModel
+    t : float
+    q_i : ndarray
+        The independent coordinates.
+    p, r : ndarray or None
+        Parameters and inputs.
+    """
 
-    def residual(dependent: Floats) -> Floats:
-        return model.position(t, assemble(dependent), p, r)[0]
+    model: CompiledModel
+    t: float
+    q_i: Floats
+    p: Floats | None
+    r: Floats | None
 
-    def jacobian(dependent: Floats) -> Floats:
-        return model.position(t, assemble(dependent), p, r)[1][:, n_i:]
+    @property
+    def n_dependent(self) -> int:
+        """Number of dependent coordinates."""
+        return self.model.n_q - len(self.q_i)
 
-    def is_closed(error: Floats, slopes: Floats) -> bool:
-        # In units of the coordinates.
+    def coordinates(self, dependent: Floats) -> Floats:
+        """All of them."""
+        return np.concatenate((self.q_i, dependent))
+
+    def position(self, dependent: Floats) -> tuple[Floats, Floats]:
+        """The residual and its derivatives with respect to the dependent coordinates."""
+        error, slopes = self.model.position(self.t, self.coordinates(dependent), self.p, self.r)
+        return error, slopes[:, len(self.q_i) :]
+
+    def residual(self, dependent: Floats) -> Floats:
+        """The residual alone."""
+        return self.position(dependent)[0]
+
+    def jacobian(self, dependent: Floats) -> Floats:
+        """Its derivatives alone."""
+        return self.position(dependent)[1]
+
+    def are_closed(self, dependent: Floats, rows: Sequence[int] | None = None) -> bool:
+        """Whether all constraints, or some rows of them, hold, measured in units of the coordinates."""
+        error, slopes = self.model.position(self.t, self.coordinates(dependent), self.p, self.r)
+        error, slopes = (error, slopes) if rows is None else (error[rows], slopes[rows])
         return bool(np.abs(error).max() <= COORDINATE_TOLERANCE * np.abs(slopes).max())
 
-    def newton(dependent: Floats) -> Floats | None:
-        """Where each step halves the residual at least, until rounding errors are left of it; None elsewhere."""
-        error, slopes = model.position(t, assemble(dependent), p, r)
-        while len(dependent) == model.n_h:
+    def newton(self, dependent: Floats) -> Floats | None:
+        """A solution where each step halves the residual at least, until rounding errors are left; None elsewhere."""
+        error, slopes = self.position(dependent)
+        while len(dependent) == self.model.n_h:
             size = np.abs(error).max()
             try:
-                tried = dependent - np.linalg.solve(slopes[:, n_i:], error)
+                tried = dependent - np.linalg.solve(slopes, error)
             except np.linalg.LinAlgError:
                 return None
-            error_there, slopes_there = model.position(t, assemble(tried), p, r)
+            error_there, slopes_there = self.position(tried)
             if not np.abs(error_there).max() < 0.5 * size:
-                return dependent if is_closed(error, slopes) else None
+                return dependent if self.are_closed(dependent) else None
             dependent, error, slopes = tried, error_there, slopes_there
         return None
 
-    def search(begin: Floats) -> tuple[Floats, Floats, bool]:
+    def closest(self, begin: Floats) -> Floats:
+        """Where SciPy's solvers end that begin there; the loops may be open."""
         from scipy.optimize import fsolve, leastsq
 
         # The solvers' own verdict compares steps; what counts here is the residual.
         # fsolve needs as many constraints as unknowns, and these independent: redundant ones are for leastsq.
-        for solve in (fsolve, leastsq) if len(begin) == model.n_h else (leastsq,):
-            derivative = {"fprime" if solve is fsolve else "Dfun": jacobian}
-            found = solve(residual, begin, xtol=1e-13, full_output=True, **derivative)[0]
-            error, slopes = model.position(t, assemble(found), p, r)
-            closed = is_closed(error, slopes)
-            if closed:
+        for solve in (fsolve, leastsq) if len(begin) == self.model.n_h else (leastsq,):
+            derivative = {"fprime" if solve is fsolve else "Dfun": self.jacobian}
+            found: Floats = solve(self.residual, begin, xtol=1e-13, full_output=True, **derivative)[0]
+            if self.are_closed(found):
                 break
-        return found, error, closed
+        return found
 
-    near = newton(start)
-    if near is not None:
-        return assemble(near)
-    found, error, closed = search(start)
-    if closed:
-        return assemble(found)
+    def search(self, begin: Floats) -> Floats | None:
+        """A solution, by Newton's method close to the beginning, else by SciPy's solvers; None if they find none."""
+        near = self.newton(begin)
+        if near is not None:
+            return near
+        found = self.closest(begin)
+        return found if self.are_closed(found) else None
+
+
+def _close(loops: Loops, start: Floats) -> Floats:
+    """Dependent coordinates that satisfy the position constraints, from a guess of them."""
+    dependent = loops.search(start)
+    if dependent is not None:
+        return dependent
+    model, q_i = loops.model, loops.q_i
+    names = model.coordinates[len(q_i) :]
     generator = np.random.default_rng(0)
-    attempts = [search(start + generator.uniform(-np.pi, np.pi, len(start))) for _ in range(FURTHER_GUESSES)]
+    attempts = [loops.closest(start + generator.uniform(-np.pi, np.pi, len(start))) for _ in range(FURTHER_GUESSES)]
+    found = loops.closest(start)
+    error = loops.residual(found)
     message = (
-        f"The loop does not close from the guess {_named(model.coordinates[n_i:], start)} with "
-        f"{_named(model.coordinates[:n_i], q_i)}: the position constraints keep the residual {error} "
-        f"at {_named(model.coordinates[n_i:], found)}."
+        f"The loop does not close from the guess {_named(names, start)} with "
+        f"{_named(model.coordinates[: len(q_i)], q_i)}: the position constraints keep the residual {error} "
+        f"at {_named(names, found)}."
     )
-    others = [f for f, _, ok in attempts if ok]
+    others = [attempt for attempt in attempts if loops.are_closed(attempt)]
     if others:
-        message += f" It closes from other guesses, for instance guess={others[0].round(3).tolist()}."
+        message += (
+            f" It closes from other guesses, for instance guess={others[0].round(3).tolist()}; initial_states lists "
+            "the ways in which it closes."
+        )
     else:
-        error = min((error, *(e for _, e, _ in attempts)), key=lambda e: float(np.abs(e).max()))
+        error = min((error, *map(loops.residual, attempts)), key=lambda e: float(np.abs(e).max()))
         message += (
             f" The loop cannot be closed from {FURTHER_GUESSES} other guesses either; the smallest residual is {error}."
             " Check the parameters (a link may be too long or too short) and the independent coordinates."
@@ -142,12 +227,14 @@ def _close(model: CompiledModel, t: float, q_i: Floats, start: Floats, p: ArrayL
     raise AssemblyError(message, error)
 
 
-def _dependent_speeds(
-    model: CompiledModel, t: float, q: Floats, u_i: Floats, p: ArrayLike | None, r: Floats | None
-) -> Floats:
+class UndeterminedSpeedsError(AssemblyError):
+    """The dependent speeds do not follow from the independent ones in a configuration."""
+
+
+def _dependent_speeds(loops: Loops, q: Floats, u_i: Floats, singular: float = SINGULAR) -> Floats:
     """All speeds: the dependent ones solve J_d u_d = -(J_i u_i + b); the least ones where that leaves a choice."""
-    n_i = len(u_i)
-    jacobian, bias = model.velocity(t, np.concatenate((q, np.zeros(model.n_u))), p, r)
+    model, n_i = loops.model, len(u_i)
+    jacobian, bias = model.velocity(loops.t, np.concatenate((q, np.zeros(model.n_u))), loops.p, loops.r)
     if not model.n_c:
         return u_i
     rank = np.linalg.matrix_rank(jacobian, rtol=INDEPENDENT)
@@ -157,10 +244,10 @@ def _dependent_speeds(
             f"model has {model.n_u - n_i} dependent speeds ({', '.join(model.speeds[n_i:])}): name one for each."
         )
     known = jacobian[:, :n_i] @ u_i + bias
-    u_d = np.linalg.lstsq(jacobian[:, n_i:], -known, rcond=SINGULAR)[0]
+    u_d = np.linalg.lstsq(jacobian[:, n_i:], -known, rcond=singular)[0]
     error = np.abs(jacobian[:, n_i:] @ u_d + known).max()
     if not error <= CONSISTENT * max(np.abs(jacobian[:, n_i:]).max() * np.abs(u_d).max(), np.abs(known).max()):
-        raise AssemblyError(
+        raise UndeterminedSpeedsError(
             f"The dependent speeds ({', '.join(model.speeds[n_i:])}) do not follow from the independent ones at "
             f"{_named(model.coordinates, q)}: the constraints' Jacobian with respect to them is singular. Start from "
             "another configuration, or choose other independent speeds."

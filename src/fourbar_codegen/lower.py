@@ -92,7 +92,13 @@ def lower(name: str, equations: Equations) -> Program:
         ),
         ("energy", "Kinetic and potential energy.", [time, state], [inputs], [e.energies]),
         ("output", "The outputs, with u' and lambda given.", [time, state], [*held], [e.outputs]),
-        ("points", "Positions of the points that are drawn.", [time, coordinates], [inputs], [e.points]),
+        (
+            "drawing",
+            "Positions of the points that are drawn, and the inputs' forces on them.",
+            [time, state],
+            [inputs],
+            [e.points, e.forces],
+        ),
         (
             "sensitivity",
             "d/dx of q', and of f - M u' + J^T lambda and -(J u' + gamma) with u' and lambda held.",
@@ -123,7 +129,7 @@ def lower(name: str, equations: Equations) -> Program:
         ),
     ]
     pool = _Constants(e.tape, e.parameters)
-    first = next(i for i, (name, *_) in enumerate(specifications) if name == "points")
+    first = next(i for i, (name, *_) in enumerate(specifications) if name == "drawing")
     written_out = _WrittenOut(e.tape)
     before_sharing = [written_out.operations(results) for *_, results in specifications]
     lowered = [
@@ -149,7 +155,14 @@ def lower(name: str, equations: Equations) -> Program:
         n_constants=len(constants.nodes),
     )
     return Program(
-        name, sizes, (prepare, *functions[:first]), functions[first:], _split(e, structure), structure, e.places
+        name,
+        sizes,
+        (prepare, *functions[:first]),
+        functions[first:],
+        _split(e, structure),
+        structure,
+        e.places,
+        e.forced,
     )
 
 

@@ -95,12 +95,15 @@ class DrawnPoint:
         Its position from the parent.
     body : str or None
         The body whose mass centre it is.
+    number : int or None
+        Its place among the mechanism's points, if it is needed for more than to be drawn.
     """
 
     name: str
     parent: int | None
     offset: Vector
     body: str | None
+    number: int | None
 
 
 @dataclass(frozen=True)
@@ -472,7 +475,8 @@ class _Reader:
                 offset = self.vector(position, f"point {point.name}")
             numbers[point] = len(points)
             before = None if point is root else numbers[parent]
-            points.append(DrawnPoint(point.name, before, offset, names.get(point)))
+            number = self.point_numbers.get(point)
+            points.append(DrawnPoint(point.name, before, offset, names.get(point), number))
         return tuple(points)
 
     def _add_point(

@@ -277,6 +277,20 @@ class Model:
             f"{len(self.parameter_symbols)} parameters, {len(self.inputs)} inputs>"
         )
 
+    def _repr_html_(self) -> str:
+        from fourbar_codegen.tables import names_table
+
+        return names_table(
+            f"Model {self.name}",
+            [
+                ("coordinate", self.coordinates, self.mechanism.n_dependent_coordinates),
+                ("speed", self.speeds, self.mechanism.n_dependent_speeds),
+            ],
+            {name: (p.value, p.unit, p.description) for name, p in self.parameters.items()},
+            {e.name: None if e.expression is None else str(e.expression) for e in self.input_entries},
+            self.outputs,
+        )
+
     def _read_inputs(self, inputs: Mapping[sm.Expr, sm.Expr | float | None]) -> dict[sm.Expr, sm.Expr | None]:
         for function in inputs:
             if not isinstance(function, AppliedUndef) or function.args != (self.mechanism.time,):

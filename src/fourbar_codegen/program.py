@@ -165,7 +165,9 @@ class Program:
         How the equations of `dynamics` are solved, if not as full ones. Then that function gives the entries of M and J
         that are not zero, one after another.
     places : tuple of Place
-        What `points` gives the positions of.
+        What `drawing` gives the positions of.
+    forced : tuple of int
+        Those of them that it gives forces on.
     """
 
     name: str
@@ -175,6 +177,7 @@ class Program:
     split: Split
     structure: Structure | None
     places: tuple[Place, ...]
+    forced: tuple[int, ...]
 
     @property
     def parameters(self) -> tuple[Leaf, ...]:

@@ -20,7 +20,7 @@ from fourbar_codegen.trajectory import Trajectory
 if TYPE_CHECKING:
     import xarray
 
-__all__ = ["load_trajectory", "to_dataset", "versions", "write_netcdf", "write_npz"]
+__all__ = ["attributes", "load_trajectory", "to_dataset", "versions", "write_netcdf", "write_npz"]
 
 Floats = NDArray[np.float64]
 
@@ -39,7 +39,7 @@ def versions() -> dict[str, str]:
     return found
 
 
-def _attributes(trajectory: Trajectory) -> dict[str, Any]:
+def attributes(trajectory: Trajectory) -> dict[str, Any]:
     """What it takes to make a run again, and how it ended."""
     model = trajectory.model
     values = list(model.defaults.values()) if trajectory.parameters is None else trajectory.parameters.tolist()
@@ -71,7 +71,7 @@ def to_dataset(trajectory: Trajectory) -> xarray.Dataset:
         for names, rows, kind in described
         for name, values in zip(names, rows, strict=True)
     }
-    taken = {"time", "constraint", "row", "point", "axis"} & set(variables)
+    taken = {"time", "constraint", "row", "point", "forced_point", "axis"} & set(variables)
     if taken:
         raise ModelError(
             f"A dataset has a place of its own for {', '.join(taken)}: name the state or output otherwise."
@@ -87,19 +87,25 @@ def to_dataset(trajectory: Trajectory) -> xarray.Dataset:
             np.reshape(list(trajectory.points.values()), (len(model.points), 3, len(trajectory.t))),
             {"units": "m"},
         ),
+        "force": (
+            ("forced_point", "axis", "time"),
+            np.reshape(list(trajectory.forces.values()), (len(model.forced_points), 3, len(trajectory.t))),
+            {"units": "N"},
+        ),
     }
-    attributes = {
+    described_by = {
         name: json.dumps(value) if isinstance(value, Mapping) else int(value) if isinstance(value, bool) else value
-        for name, value in _attributes(trajectory).items()
+        for name, value in attributes(trajectory).items()
     }
     return xarray.Dataset(
         {**variables, **{name: value for name, value in more.items() if name not in variables}},
         coords={
             "time": ("time", trajectory.t, {"units": "s"}),
-            "point": list(trajectory.points),
+            "point": list(model.points),
+            "forced_point": list(model.forced_points),
             "axis": ["x", "y", "z"],
         },
-        attrs=attributes,
+        attrs=described_by,
     )
 
 
@@ -124,7 +130,7 @@ def write_npz(trajectory: Trajectory, file: IO[bytes]) -> None:
     arrays: dict[str, Any] = dict(trajectory.columns())
     if ATTRIBUTES in arrays:
         raise ModelError(f"NPZ files have a place of their own for {ATTRIBUTES}: name the state or output otherwise.")
-    arrays[ATTRIBUTES] = np.array(json.dumps(_attributes(trajectory)))
+    arrays[ATTRIBUTES] = np.array(json.dumps(attributes(trajectory)))
     np.savez(file, **arrays)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
@@ -28,7 +28,7 @@ __all__ = ["Trajectory", "check_ending"]
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Trajectory:
     """States over time.
 
@@ -68,21 +68,21 @@ class Trajectory:
     """
 
     model: CompiledModel
-    parameters: Floats | None = field(repr=False)
-    t: Floats = field(repr=False)
-    y: Floats = field(repr=False)
-    r: Floats = field(repr=False)
-    sol: Callable[[Any], Floats] | None = field(repr=False)
-    t_events: list[Floats] | None = field(repr=False)
-    y_events: list[Floats] | None = field(repr=False)
+    parameters: Floats | None
+    t: Floats
+    y: Floats
+    r: Floats
+    sol: Callable[[Any], Floats] | None
+    t_events: list[Floats] | None
+    y_events: list[Floats] | None
     nfev: int
     njev: int
     nlu: int
     status: int
     success: bool
     message: str
-    settings: Mapping[str, Any] = field(repr=False)
-    inputs: Mapping[Any, Any] | None = field(repr=False)
+    settings: Mapping[str, Any]
+    inputs: Mapping[Any, Any] | None
 
     @property
     def q(self) -> Floats:
@@ -119,13 +119,24 @@ class Trajectory:
         return self._derived[1]
 
     @cached_property
+    def _drawing(self) -> list[Floats]:
+        return self.model.drawing_along(self.t, self.y, self.r, self.parameters)
+
+    @property
     def points(self) -> dict[str, Floats]:
         """Positions of the mechanism's points over time, by name, m, each of shape (3, n_t).
 
         They are those of the System's own points, from its fixed point, along the axes of its frame.
         """
-        positions = self.model.points_along(self.t, self.y, self.r, self.parameters)
-        return dict(zip(self.model.points, positions, strict=True))
+        return dict(zip(self.model.points, self._drawing[0], strict=True))
+
+    @property
+    def forces(self) -> dict[str, Floats]:
+        """The inputs' forces over time, by the name of the point that they act on, N, each of shape (3, n_t).
+
+        Along the axes of the System's frame; the sum of those loads at a point that depend on an input.
+        """
+        return dict(zip(self.model.forced_points, self._drawing[1], strict=True))
 
     @property
     def kinetic_energy(self) -> Floats:
@@ -221,8 +232,9 @@ class Trajectory:
         -------
         xarray.Dataset
             Over ``time`` (s) a variable for each coordinate, speed, input and output, by name; residuals, multipliers,
-            energies (J), and the points' positions (m). Its attributes are what it takes to make the run again: model
-            and fingerprint, parameters, settings and versions, the latter three as JSON; and how it ended.
+            energies (J), the points' positions (m) and the inputs' forces on them (N). Its attributes are what it takes
+            to make the run again: model and fingerprint, parameters, settings and versions, the latter three as JSON;
+            and how it ended.
 
         Raises
         ------
@@ -309,15 +321,60 @@ class Trajectory:
         return animate(self, fps=fps, speed=speed, traces=traces or ())
 
     def plot(self) -> Figure:
-        """Coordinates, speeds, outputs, loop residual and energy over time; needs the extra ``visual``.
+        """Coordinates, speeds, inputs, outputs (joint forces among them), multipliers, loop residual and energy.
+
+        Over time, one above the other; needs the extra ``visual``.
 
         Returns
         -------
         matplotlib.figure.Figure
+
+        Raises
+        ------
+        ModelError
+            If Matplotlib is not installed.
         """
         from fourbar_codegen.visual import plot_trajectory
 
         return plot_trajectory(self)
+
+    def plot_paths(self, points: Sequence[str] = ()) -> Figure:
+        """Draw the paths of points, such as coupler curves, and the mechanism as it begins; needs the extra ``visual``.
+
+        Parameters
+        ----------
+        points : sequence of str, optional
+            Names of the points; those at the moving ends of chains otherwise.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+
+        Raises
+        ------
+        ModelError
+            If a point does not exist, there is nothing to draw, or Matplotlib is not installed.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> run = fb.load("four_bar").simulate((0.0, 1.0))
+        >>> figure = run.plot_paths(["link3_masscenter"])  # doctest: +SKIP
+        """
+        from fourbar_codegen.visual import plot_paths
+
+        return plot_paths(self, points)
+
+    def __repr__(self) -> str:
+        n, name = len(self.t), self.model.name
+        span = f"{self.t[0]:g} s to {self.t[-1]:g} s, {n} states" if n else "no states"
+        return f"<Trajectory of {name}: {span}, {self.nfev} evaluations; {self.message}>"
+
+    def _repr_html_(self) -> str:
+        from fourbar_codegen.report import run_rows
+        from fourbar_codegen.tables import table
+
+        return table("Trajectory", (), run_rows(self))
 
 
 def _write_csv(trajectory: Trajectory, file: IO[bytes]) -> None:

@@ -122,7 +122,7 @@ def _compiled_results(
             [e.velocity_jacobian, e.position_input_jacobian, e.velocity_input_jacobian],
             compiled.constraint_sensitivity(t, x, p, r),
         ),
-        "points": ([e.points], [compiled.points_at(t, x[: compiled.n_q], p, r)]),
+        "drawing": ([e.points, e.forces], compiled.drawing(t, x, p, r)),
         "energy": ([e.energies], [compiled.energy(t, x, p, r)]),
         "output": ([e.outputs], [outputs]),
         "sensitivity": ([e.coordinate_rate_jacobian, e.residual_jacobian], sensitivities[0:2]),

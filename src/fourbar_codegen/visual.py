@@ -11,16 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourbar_codegen.arguments import positive
-from fourbar_codegen.drawing import drawing
+from fourbar_codegen.drawing import PLANAR, drawing, equal_times, panels
 from fourbar_codegen.errors import ModelError
+from fourbar_codegen.progress import PATIENCE
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
     from matplotlib.figure import Figure
 
+    from fourbar_codegen.assembly import AssemblyModes
+    from fourbar_codegen.compiled import CompiledModel
     from fourbar_codegen.trajectory import Trajectory
 
-__all__ = ["animate", "plot_trajectory", "write_animation"]
+__all__ = ["animate", "plot_modes", "plot_paths", "plot_trajectory", "write_animation"]
 
 Floats = NDArray[np.float64]
 
@@ -42,7 +45,7 @@ def _imported(name: str, what: str) -> Any:
 
 
 def plot_trajectory(trajectory: Trajectory) -> Figure:
-    """Coordinates, speeds, outputs, loop residual (where there are any) and energy over time, one above the other.
+    """All curves of a trajectory over time, one panel above the other; see `drawing.panels`.
 
     Parameters
     ----------
@@ -59,37 +62,98 @@ def plot_trajectory(trajectory: Trajectory) -> Figure:
         If Matplotlib is not installed.
     """
     figure_class = _imported("matplotlib.figure", "Plots").Figure
-    model = trajectory.model
     if len(trajectory.t) < SMOOTH and len(np.unique(trajectory.t)) > 1:
         trajectory = trajectory.resample(np.linspace(trajectory.t[0], trajectory.t[-1], SMOOTH))
-    energies = {
-        "kinetic": trajectory.kinetic_energy,
-        "potential": trajectory.potential_energy,
-        "sum": trajectory.energy,
-    }
-    panels: list[tuple[str, dict[str, Floats]]] = [
-        ("coordinates (rad or m)", dict(zip(model.coordinates, trajectory.q, strict=True))),
-        ("speeds (rad/s or m/s)", dict(zip(model.speeds, trajectory.u, strict=True))),
-        ("outputs", dict(zip(model.outputs, trajectory.outputs, strict=True))),
-    ]
-    if model.n_h:
-        # Zero has no place on a logarithmic axis; half the spacing of doubles around 1 stands for it.
-        size = np.abs(trajectory.constraint_residual).max(axis=0)
-        panels.append(("loop residual", {"largest": np.maximum(size, np.finfo(float).eps / 2)}))
-    panels.append(("energy (J)", {name: values for name, values in energies.items() if np.isfinite(values).any()}))
-    panels = [(label, curves) for label, curves in panels if curves]
-    figure: Figure = figure_class(figsize=(7.0, 2.2 * len(panels)), layout="constrained")
-    for axes, (label, curves) in zip(figure.subplots(len(panels), 1, sharex=True), panels, strict=True):
-        for name, values in curves.items():
+    shown = panels(trajectory)
+    figure: Figure = figure_class(figsize=(7.0, 2.2 * len(shown)), layout="constrained")
+    for axes, panel in zip(figure.subplots(len(shown), 1, sharex=True, squeeze=False).flat, shown, strict=True):
+        for name, values in panel.curves.items():
             axes.plot(trajectory.t, values, label=name.replace("$", r"\$"))
-        axes.set_ylabel(label)
-        if label == "loop residual":
+        axes.set_title(panel.title, loc="left", fontsize="medium")
+        if panel.is_logarithmic:
             axes.set_yscale("log")
         axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
         axes.grid(alpha=0.3)
     axes.set_xlabel("time (s)")
-    figure.suptitle(model.name)
+    figure.suptitle(trajectory.model.name)
     return figure
+
+
+def plot_paths(trajectory: Trajectory, points: Sequence[str]) -> Figure:
+    """Draw the paths of points, and the mechanism at the first time; see `Trajectory.plot_paths`."""
+    _check_points(trajectory.model, points)
+    drawn = drawing(trajectory, lambda start, end: np.linspace(start, end, SMOOTH if start != end else 1))
+    figure, [axes] = _figure(1, drawn.is_planar)
+    _draw_mechanism(axes, trajectory.model, drawn.positions[:, :, 0], drawn.is_planar)
+    dimensions = 2 if drawn.is_planar else 3
+    for name in points or [name for _, name, *_ in drawn.ends()]:
+        axes.plot(*drawn.positions[trajectory.model.points.index(name), :dimensions], label=name.replace("$", r"\$"))
+    axes.set_aspect("equal")
+    axes.legend()
+    axes.set_title(trajectory.model.name)
+    return figure
+
+
+def plot_modes(modes: AssemblyModes) -> Figure:
+    """Draw the mechanism in each of its assembly modes; see `AssemblyModes.plot`."""
+    model = modes.model
+    if not model.points or not len(modes):
+        raise ModelError(f"There is nothing to draw: {modes!r} with the points {', '.join(model.points) or 'none'}.")
+    states = np.where(np.isfinite(modes.x), modes.x, 0.0)
+    positions = np.array([model.drawing(modes.t, x, modes.parameters, modes.inputs)[0] for x in states])
+    size = float(np.ptp(positions, axis=(0, 1)).max()) or 1.0
+    planar = bool(np.ptp(positions[:, :, 2]) <= PLANAR * size)
+    figure, panels = _figure(len(modes), planar)
+    figure.suptitle(f"{model.name}: {len(modes)} assembly modes" + ("" if modes.is_complete else ", or more"))
+    low, high = positions.min(axis=(0, 1)), positions.max(axis=(0, 1))
+    n_qi = model.n_q - model.manifest["n_dependent_coordinates"]
+    for number, axes in enumerate(panels):
+        _draw_mechanism(axes, model, positions[number], planar)
+        named = zip(model.coordinates[n_qi:], modes.x[number, n_qi : model.n_q], strict=True)
+        text = ", ".join(f"{name} = {value:.3f}" for name, value in [*named][:3]).replace("$", r"\$")
+        axes.set_title(f"{number}: {text}", fontsize="small")
+        for name, begin, end in list(zip("xyz", low, high, strict=True))[: 2 if planar else 3]:
+            getattr(axes, f"set_{name}lim")(begin - 0.05 * size, end + 0.05 * size)
+        axes.set_aspect("equal")
+    return figure
+
+
+def _figure(panels: int, planar: bool) -> tuple[Figure, list[Any]]:
+    """A figure with axes side by side, in rows of four."""
+    figure_class = _imported("matplotlib.figure", "Plots").Figure
+    columns = min(panels, 4)
+    rows = -(-panels // columns)
+    side = 5.0 if panels == 1 else 2.8
+    figure: Any = figure_class(figsize=(side * columns, side * rows), layout="constrained")
+    how = {} if planar else {"projection": "3d"}
+    axes = [figure.add_subplot(rows, columns, number + 1, **how) for number in range(panels)]
+    for each in axes:
+        each.set_xlabel("x (m)")
+        each.set_ylabel("y (m)")
+        if planar:
+            each.grid(alpha=0.3)
+        else:
+            each.set_zlabel("z (m)")
+    return figure, axes
+
+
+def _draw_mechanism(axes: Any, model: CompiledModel, positions: Floats, planar: bool) -> None:
+    """The lines between the points, and the mass centres."""
+    dimensions = 2 if planar else 3
+    for place, entry in zip(positions, model.manifest["points"], strict=True):
+        if entry["parent"] is not None:
+            axes.plot(*np.transpose([positions[entry["parent"]], place])[:dimensions], color="0.3", linewidth=2.0)
+        if entry["body"] is not None:
+            axes.plot(*place[:dimensions, None], "o", color="tab:blue", markersize=4)
+
+
+def _check_points(model: CompiledModel, names: Sequence[str]) -> None:
+    """That they are points of the model."""
+    if isinstance(names, str):
+        raise ModelError(f"Points are given as a sequence of their names, not {names!r}.")
+    unknown = [name for name in names if name not in model.points]
+    if unknown:
+        raise ModelError(f"There is no point {', '.join(map(str, unknown))}; there are {', '.join(model.points)}.")
 
 
 def animate(trajectory: Trajectory, *, fps: float, speed: float, traces: Sequence[str]) -> FuncAnimation:
@@ -103,22 +167,21 @@ def animate(trajectory: Trajectory, *, fps: float, speed: float, traces: Sequenc
     model = trajectory.model
     positive(fps, "fps")
     positive(speed, "speed")
-    if isinstance(traces, str):
-        raise ModelError(f"traces must be a sequence of points' names, not {traces!r}.")
-    unknown = [name for name in traces if name not in model.points]
-    if unknown:
-        raise ModelError(f"There is no point {', '.join(unknown)} to trace; there are {', '.join(model.points)}.")
+    _check_points(model, traces)
     n = abs(np.ptp(trajectory.t)) * fps / speed if len(trajectory.t) else 0.0
     if n > MOST_PICTURES:
         raise ModelError(f"The animation would have {n:.0f} pictures, more than {MOST_PICTURES}: take a greater speed.")
-    drawn = drawing(trajectory, fps / speed)
-    positions, size = drawn.positions, drawn.size
+    drawn = drawing(trajectory, lambda start, end: equal_times(start, end, fps / speed))
+    size = drawn.size
+    positions = np.array([*drawn.positions, *drawn.arrows.values()])
     symbols = importlib.import_module("sympy").symbols(f"x:{3 * len(positions)}")
     frame, origin = me.ReferenceFrame(""), me.Point("")
-    points = [
-        origin.locatenew(name, sum((s * axis for s, axis in zip(xyz, frame, strict=True)), me.Vector(0)))
-        for name, xyz in zip(model.points, zip(*[iter(symbols)] * 3, strict=True), strict=True)
+    vectors = [
+        sum((s * axis for s, axis in zip(xyz, frame, strict=True)), me.Vector(0))
+        for xyz in zip(*[iter(symbols)] * 3, strict=True)
     ]
+    # Strict only in one direction: behind the points stand the tips of the arrows.
+    points = [origin.locatenew(name, vector) for name, vector in zip(model.points, vectors, strict=False)]
     figure = figures.Figure(figsize=(6.0, 6.0))
     axes = figure.add_subplot(projection="3d")
     scene = scenes.Scene3D(frame, origin, ax=axes, scale=0.1 * size)
@@ -129,6 +192,8 @@ def animate(trajectory: Trajectory, *, fps: float, speed: float, traces: Sequenc
             scene.add_point(points[number], color="tab:blue", markersize=6)
         if name in traces:
             scene.add_point_trace(points[number], color="tab:red", s=2)
+    for number, tip in zip(drawn.arrows, vectors[len(points) :], strict=True):
+        scene.add_vector(tip - vectors[number], points[number], color="tab:orange", mutation_scale=15)
     scene.lambdify_system(symbols)
     scene.evaluate_system(*positions[:, :, 0].ravel())
     scene.plot(prettify=False)
@@ -156,8 +221,16 @@ def write_animation(trajectory: Trajectory, path: Path, kind: str) -> None:
         raise ModelError(f"{kind.upper()} needs {name}, which is not installed.")
     animation = animate(trajectory, fps=FPS, speed=1.0, traces=())
     whole = path.with_name(f"{path.name}.{kind}")  # Matplotlib goes by the ending
+    from tqdm import tqdm
+
     try:
-        animation.save(whole, writer=animations.writers[name](fps=FPS))
+        with tqdm(desc=path.stem, unit="picture", delay=PATIENCE, disable=None) as bar:
+
+            def advance(_: int, total: int) -> None:
+                bar.total = total
+                bar.update()
+
+            animation.save(whole, writer=animations.writers[name](fps=FPS), progress_callback=advance)
         whole.replace(path)
     finally:
         whole.unlink(missing_ok=True)

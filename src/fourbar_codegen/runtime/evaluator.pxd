@@ -19,7 +19,7 @@ cdef extern from "fourbar_kernel.h":
         int abi_version
         size_t struct_size
         size_t work_size
-        int n_q, n_u, n_p, n_r, n_h, n_c, n_o, n_points, n_constants
+        int n_q, n_u, n_p, n_r, n_h, n_c, n_o, n_points, n_forces, n_constants
         void (*prepare)(const double *, double *) noexcept nogil
         void (*default_inputs)(double, const double *, double *) noexcept nogil
         fb_evaluation *rhs
@@ -46,7 +46,7 @@ cdef extern from "fourbar_kernel.h":
         fb_sensitivity *sensitivity
         fb_sensitivity *parameter_sensitivity
         fb_sensitivity *input_sensitivity
-        void (*points)(double, const double *, const double *, const double *, double *) noexcept nogil
+        void (*drawing)(double, const double *, const double *, const double *, double *, double *) noexcept nogil
         const fb_lanes *lanes
 
 cdef extern from "fourbar_problem.h":

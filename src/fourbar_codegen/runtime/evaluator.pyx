@@ -402,18 +402,19 @@ cdef class Evaluator:
         self.kernel.energy(t, data(state), constants, self._fill(t, constants, inputs), data(energies))
         return energies
 
-    def points_at(self, double t, q, p=None, r=None):
-        """Positions of the points that are drawn, shape (n_points, 3)."""
+    def drawing(self, double t, x, p=None, r=None):
+        """Positions of the points that are drawn, shape (n_points, 3), and the inputs' forces, shape (n_forces, 3)."""
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.prescribed_known)
-        cdef cnp.ndarray coordinates = self._state(t, q, self.n_q)
+        cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray points = new_array(self.kernel.n_points, 3)
+        cdef cnp.ndarray forces = new_array(self.kernel.n_forces, 3)
         cdef const double *constants = self._prepare(parameters)
-        self.kernel.points(t, data(coordinates), constants, self._fill(t, constants, inputs), data(points))
-        return points
+        self.kernel.drawing(t, data(state), constants, self._fill(t, constants, inputs), data(points), data(forces))
+        return points, forces
 
-    def points_along(self, times, states, inputs, p=None):
-        """The same for states and inputs in columns, shape (n_points, 3, n_t)."""
+    def drawing_along(self, times, states, inputs, p=None):
+        """The same for states and inputs in columns, shapes (n_points, 3, n_t) and (n_forces, 3, n_t)."""
         cdef cnp.ndarray t = np.ascontiguousarray(times, dtype=np.float64)
         cdef cnp.ndarray x = np.ascontiguousarray(np.transpose(states), dtype=np.float64)
         cdef cnp.ndarray r = np.ascontiguousarray(np.transpose(inputs), dtype=np.float64)
@@ -421,11 +422,16 @@ cdef class Evaluator:
         self._check_columns(t, x, r)
         cdef int i, n_t = np.size(t)
         cdef cnp.ndarray points = new_array(n_t, 3 * self.kernel.n_points)
+        cdef cnp.ndarray forces = new_array(n_t, 3 * self.kernel.n_forces)
         cdef const double *constants = self._prepare(parameters)
         for i in range(n_t):
-            self.kernel.points(data(t)[i], data(x) + i * self.n_x, constants, data(r) + i * self.n_r,
-                               data(points) + i * 3 * self.kernel.n_points)
-        return np.moveaxis(points.reshape(n_t, self.kernel.n_points, 3), 0, 2)
+            self.kernel.drawing(data(t)[i], data(x) + i * self.n_x, constants, data(r) + i * self.n_r,
+                                data(points) + i * 3 * self.kernel.n_points,
+                                data(forces) + i * 3 * self.kernel.n_forces)
+        return [
+            np.moveaxis(points.reshape(n_t, self.kernel.n_points, 3), 0, 2),
+            np.moveaxis(forces.reshape(n_t, self.kernel.n_forces, 3), 0, 2),
+        ]
 
     cdef int _check_columns(self, cnp.ndarray t, cnp.ndarray x, cnp.ndarray r) except -1:
         if np.ndim(t) != 1 or np.shape(x) != (np.size(t), self.n_x) or np.shape(r) != (np.size(t), self.n_r):

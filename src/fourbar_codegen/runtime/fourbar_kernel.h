@@ -13,7 +13,7 @@
 
 #include <stddef.h>
 
-#define FB_ABI_VERSION 5
+#define FB_ABI_VERSION 6
 #define FB_CAPSULE_NAME "fourbar_codegen.kernel"
 
 /* Long functions are printed in parts, which the compiler must not put together again. */
@@ -43,7 +43,8 @@ typedef void fb_constraint_sensitivity(double t, const double *x, const double *
                                        double *velocity_jacobian, double *position_input_jacobian,
                                        double *velocity_input_jacobian);
 
-typedef void fb_points(double t, const double *q, const double *constants, const double *r, double *points);
+typedef void fb_drawing(double t, const double *x, const double *constants, const double *r, double *points,
+                        double *forces);
 
 typedef struct fb_lanes fb_lanes; /* fourbar_batch.h */
 
@@ -56,6 +57,7 @@ typedef struct fb_kernel {
     int n_c; /* velocity constraints */
     int n_o; /* outputs */
     int n_points; /* points that are drawn */
+    int n_forces; /* those of them on which forces of inputs act */
     int n_constants;
 
     void (*prepare)(const double *p, double *constants);
@@ -101,7 +103,7 @@ typedef struct fb_kernel {
                    const double *multipliers, double *outputs);
     /* with respect to x, p and r */
     fb_sensitivity *sensitivity, *parameter_sensitivity, *input_sensitivity;
-    fb_points *points; /* their positions in the inertial frame, (n_points, 3) */
+    fb_drawing *drawing; /* positions (n_points, 3) and forces (n_forces, 3) in the inertial frame */
     const fb_lanes *lanes; /* the same for several states side by side, or NULL */
 } fb_kernel;
 

@@ -251,6 +251,7 @@ const fb_kernel FB_NAME(kernel) = {
     .n_c = N_C,
     .n_o = N_O,
     .n_points = N_POINTS,
+    .n_forces = N_FORCES,
     .n_constants = N_CONSTANTS,
     .prepare = prepare,
     .default_inputs = default_inputs,
@@ -273,7 +274,7 @@ const fb_kernel FB_NAME(kernel) = {
     .sensitivity = FB_NAME(sensitivity),
     .parameter_sensitivity = FB_NAME(parameter_sensitivity),
     .input_sensitivity = FB_NAME(input_sensitivity),
-    .points = FB_NAME(points),
+    .drawing = FB_NAME(drawing),
 #ifdef FB_HAS_LANES
     .lanes = &FB_NAME(lanes),
 #endif

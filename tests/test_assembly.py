@@ -1,0 +1,290 @@
+"""Assembly modes, against circles that are cut with circles and lines, and against SciPy's search in SymPy's terms."""
+
+import numpy as np
+import pytest
+import sympy as sm
+import sympy.physics.mechanics as me
+from sympy.physics.mechanics.system import System
+from systems import spatial_four_bar
+
+import fourbar_codegen as fb
+
+
+def circles(center, radius, other, another):
+    """The points at given distances from two others."""
+    across = other - center
+    distance = np.hypot(*across)
+    along = (distance**2 + radius**2 - another**2) / (2 * distance)
+    if abs(along) > radius:
+        return []
+    foot = center + along * across / distance
+    normal = np.sqrt(radius**2 - along**2) * np.array([-across[1], across[0]]) / distance
+    return [foot + normal, foot - normal]
+
+
+def linkage(loops, absolute=False):
+    """Four-bar linkages in a row: the rocker of each turns the crank of the next. All lengths are parameters."""
+    frame, origin = me.ReferenceFrame("N"), me.Point("O")
+    origin.set_vel(frame, 0)
+    system = System(frame, origin)
+    n = 1 + 2 * loops
+    q, u = me.dynamicsymbols(f"q:{n}"), me.dynamicsymbols(f"u:{n}")
+    lengths = sm.symbols(f"a:{4 * loops}")
+    mass = sm.Symbol("m")
+
+    def bar(base, angle, rate, length, name):
+        turned = me.ReferenceFrame(name)
+        turned.orient_axis(frame, frame.z, angle)
+        turned.set_ang_vel(frame, rate * frame.z)
+        end = base.locatenew(f"{name}_end", length * turned.x)
+        end.v2pt_theory(base, frame, turned)
+        system.add_bodies(me.Particle(name, end, mass))
+        return end
+
+    pivot, crank = origin, 0
+    for k in range(loops):
+        ground, l_crank, coupler, rocker = lengths[4 * k : 4 * k + 4]
+        i, j = 1 + 2 * k, 2 + 2 * k
+        top = bar(pivot, q[crank], u[crank], l_crank, f"crank{k}")
+        angle, rate = (q[i], u[i]) if absolute else (q[crank] + q[i], u[crank] + u[i])
+        top = bar(top, angle, rate, coupler, f"coupler{k}")
+        next_pivot = pivot.locatenew(f"P{k}", ground * frame.x)
+        next_pivot.set_vel(frame, 0)
+        other = bar(next_pivot, q[j], u[j], rocker, f"rocker{k}")
+        gap = top.pos_from(other)
+        system.add_holonomic_constraints(gap.dot(frame.x), gap.dot(frame.y))
+        pivot, crank = next_pivot, j
+    system.q_ind, system.q_dep = q[:1], q[1:]
+    system.u_ind, system.u_dep = u[:1], u[1:]
+    system.add_kdes(*(rate - angle.diff() for angle, rate in zip(q, u, strict=True)))
+    name = f"linkage{loops}{'_absolute' if absolute else ''}"
+    return fb.compile_model(fb.Model(system, name=name, parameters={mass: 1.0}))
+
+
+def rockers(lengths, angle):
+    """The rockers' angles in all modes, by cutting circles, one loop after another."""
+    if not len(lengths):
+        return [()]
+    ground, crank, coupler, rocker = lengths[:4]
+    top = crank * np.array([np.cos(angle), np.sin(angle)])
+    pivot = np.array([ground, 0.0])
+    found = [np.arctan2(*(end - pivot)[::-1]) for end in circles(top, coupler, pivot, rocker)]
+    return [(one, *others) for one in found for others in rockers(lengths[4:], one)]
+
+
+@pytest.mark.parametrize("absolute", [False, True])
+@pytest.mark.parametrize("loops", [1, 2, 3])
+def test_linkages_by_circles(loops, absolute):
+    """Each loop has two modes for each of those before it, or none: as many, and the same, as circles have points."""
+    model = linkage(loops, absolute)
+    generator = np.random.default_rng(loops)
+    numbers = set()
+    for _ in range(25):
+        lengths = generator.uniform(0.3, 1.0, 4 * loops)
+        angle = generator.uniform(-np.pi, np.pi)
+        parameters = {f"a{number}": length for number, length in enumerate(lengths)}
+        modes = model.initial_states([angle], [1.0], parameters=parameters)
+        expected = sorted(rockers(lengths, angle))
+        assert modes.is_complete
+        assert len(modes) == len(expected)
+        numbers.add(len(expected))
+        got = sorted(tuple(mode[2 : model.n_q : 2]) for mode in modes)
+        # The condition of a root is that of the dyad's own angle: a digit or three of 16 near a dead point.
+        np.testing.assert_allclose(np.exp(1j * np.array(got)), np.exp(1j * np.array(expected)), atol=1e-9)
+        for mode in modes:
+            assert np.abs(model.velocity_constraints(0.0, mode, parameters)).max() < 1e-9
+    assert {0, 2**loops} <= numbers  # some cannot be closed, some have all modes
+
+
+def test_slider_crank_by_pythagoras():
+    """x = r cos a +- sqrt(l^2 - (r sin a)^2); none where the rod is too short."""
+    model = fb.compile_model(fb.models.slider_crank())
+    for scale in (1e-3, 1.0, 1e4):
+        r, length = 0.2 * scale, 0.15 * scale
+        for angle in np.linspace(-3.0, 3.0, 25):
+            modes = model.initial_states([angle], [1.0], parameters={"r": r, "l": length})
+            inside = length**2 - (r * np.sin(angle)) ** 2
+            expected = r * np.cos(angle) + np.sqrt(inside) * np.array([-1.0, 1.0]) if inside > 0 else []
+            assert modes.is_complete
+            assert len(modes) == len(expected)
+            np.testing.assert_allclose(sorted(x[2] for x in modes), expected, rtol=0, atol=1e-13 * scale)
+
+
+def test_modes_meet_in_a_dead_point(four_bar):
+    """Coupler and rocker in one line: one mode instead of two, and none beyond."""
+    # cos q1 from the triangle of ground, crank, and coupler and rocker together: no such triangle is flatter.
+    ground, crank, reach = 0.8, 1.0, 0.9 + 0.3
+    angle = np.arccos((ground**2 + crank**2 - reach**2) / (2 * ground * crank))
+    lengths = {"l1": ground, "l2": crank, "l3": 0.9, "l4": 0.3}
+    # Link 2 leaves the ground's end, so that its angle is pi - that of the triangle.
+    at = [len(four_bar.initial_states([np.pi - angle + d], [0.0], parameters=lengths)) for d in (-1e-3, 0.0, 1e-3)]
+    assert at in ([0, 1, 2], [2, 1, 0])
+
+
+def test_a_mode_without_speeds(four_bar):
+    """At a dead point no speeds of the others follow from the crank's: the mode is there, its speeds are NaN."""
+    angle = np.pi - np.arccos((0.8**2 + 1.0**2 - 1.2**2) / (2 * 0.8))
+    lengths = {"l1": 0.8, "l2": 1.0, "l3": 0.9, "l4": 0.3}
+    [mode] = four_bar.initial_states([angle], [1.0], parameters=lengths)
+    assert np.isfinite(mode[:4]).all()
+    assert np.isnan(mode[4:]).all()
+
+
+def test_the_tutorial(four_bar):
+    """The first mode is the tutorial's; the second is its mirror image about the line between the outer joints."""
+    modes = four_bar.initial_states({"q1": -0.5}, {"u1": -0.1})
+    assert repr(modes) == "<AssemblyModes of four_bar: 2, and no others>"
+    np.testing.assert_allclose(modes[0][:3], [-0.5, -2.24641553739307, -1.49782726919522], atol=1e-13)
+    assert modes[1][2] == pytest.approx(-modes[0][2], abs=1e-13)
+    assert four_bar.initial_states(parameters={"l1": 3.0}).x.shape == (0, 6)
+    assert "cannot be closed" in repr(four_bar.initial_states(parameters={"l1": 3.0}))
+    runs = [four_bar.simulate((0.0, 0.5), mode) for mode in modes]
+    assert all(run.success for run in runs)
+    assert np.sign(runs[0]["q3"]).max() < 0 < np.sign(runs[1]["q3"]).min()  # each stays in its mode
+
+
+def test_sums_and_powers():
+    """Two constraints that hold both unknowns in harmonics of sums and in squares: an angle and a displacement."""
+    frame, origin, point = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
+    origin.set_vel(frame, 0)
+    q = a, b, s = me.dynamicsymbols("a b s")
+    u = me.dynamicsymbols("u:3")
+    c = sm.Symbol("c")
+    point.set_pos(origin, s * frame.x)
+    point.set_vel(frame, u[2] * frame.x)
+    system = System(frame, origin)
+    system.add_bodies(me.Particle("P", point, 1))
+    for name, angle, rate in (("A", a, u[0]), ("B", b, u[1])):
+        turned, center = me.ReferenceFrame(name), me.Point(name)
+        turned.orient_axis(frame, frame.z, angle)
+        turned.set_ang_vel(frame, rate * frame.z)
+        center.set_pos(origin, 0)
+        center.set_vel(frame, 0)
+        system.add_bodies(me.RigidBody(name, center, turned, 1, (me.inertia(turned, 1, 1, 1), center)))
+    first, second = sm.sin(2 * b + a) + s**2 - c, sm.cos(b) * s - sm.Rational(1, 5)
+    system.add_holonomic_constraints(first, second)
+    system.q_ind, system.q_dep, system.u_ind, system.u_dep = [a], [b, s], [u[0]], [*u[1:]]
+    system.add_kdes(*(rate - coordinate.diff() for coordinate, rate in zip(q, u, strict=True)))
+    model = fb.compile_model(fb.Model(system, name="sums", parameters={c: 0.5}))
+    modes = model.initial_states([0.3], [1.0])
+    assert modes.is_complete
+    # s = 0.2 / cos b leaves one equation in b, whose zeros are counted by its signs.
+    angles = np.linspace(-np.pi, np.pi, 200_001)
+    values = np.cos(angles) ** 2 * (np.sin(2 * angles + 0.3) - 0.5) + 0.04
+    zeros = angles[:-1][np.diff(np.sign(values)) != 0]
+    assert len(modes) == len(zeros) > 2
+    np.testing.assert_allclose(modes.x[:, 1], zeros, atol=2 * np.pi / 200_000)
+    np.testing.assert_allclose(modes.x[:, 2], 0.2 / np.cos(modes.x[:, 1]), rtol=1e-9)
+
+
+def test_infinitely_many_ways():
+    """A rhombus folded flat: the crank's end lies on the other pivot, and the rest turns freely about it."""
+    model = linkage(1)
+    assert len(model.initial_states([1.0], [0.0], parameters=[1.0] * 5)) == 2
+    folded = model.initial_states([0.0], [0.0], parameters=[1.0] * 5)
+    assert not folded.is_complete
+    assert len(folded) > 100
+    assert repr(folded).startswith("<AssemblyModes of linkage1: at least")
+
+
+def test_a_plane_that_leans():
+    """Five spatial rows of which two are independent: the first pairs that do not determine the unknowns are left."""
+    modes = fb.compile_model(spatial_four_bar()).initial_states(speeds=[0.0])
+    assert modes.is_complete
+    np.testing.assert_allclose(modes.x[:, 2], [-1.49782726919522, 1.49782726919522], atol=1e-9)  # the tutorial's
+
+
+def platform():
+    """A triangle on three legs whose lengths are given, in a plane: a triad, which is not made of dyads."""
+    frame, origin, corner, body = me.ReferenceFrame("N"), me.Point("O"), me.Point("B1"), me.ReferenceFrame("B")
+    origin.set_vel(frame, 0)
+    q = leg, x, y, phi = me.dynamicsymbols("leg x y phi")
+    u = me.dynamicsymbols("u:4")
+    body.orient_axis(frame, frame.z, phi)
+    body.set_ang_vel(frame, u[3] * frame.z)
+    corner.set_pos(origin, x * frame.x + y * frame.y)
+    corner.set_vel(frame, u[1] * frame.x + u[2] * frame.y)
+    slider = origin.locatenew("S", leg * frame.z)
+    slider.set_vel(frame, u[0] * frame.z)
+    system = System(frame, origin)
+    system.add_bodies(me.RigidBody("platform", corner, body, 1, (me.inertia(body, 1, 1, 1), corner)))
+    system.add_bodies(me.Particle("leg", slider, 1))
+    for (foot, place), length in zip(LEGS, (leg, *LENGTHS[1:]), strict=True):
+        gap = corner.pos_from(origin) + place[0] * body.x + place[1] * body.y - foot[0] * frame.x - foot[1] * frame.y
+        system.add_holonomic_constraints(gap.dot(gap) - length**2)
+    system.q_ind, system.q_dep, system.u_ind, system.u_dep = [leg], q[1:], [u[0]], u[1:]
+    system.add_kdes(*(rate - coordinate.diff() for coordinate, rate in zip(q, u, strict=True)))
+    return fb.compile_model(fb.Model(system, name="platform"))
+
+
+LEGS = (((0.0, 0.0), (0.0, 0.0)), ((1.9, 0.0), (1.1, 0.0)), ((2.8, 1.0), (0.9, 2.0)))
+LENGTHS = (2.4, 1.4, 2.0)
+
+
+def test_search_where_nothing_is_a_dyad():
+    """As many as the third leg's gap has zeros along the coupler curve of the first two; said to be a lower bound.
+
+    These legs have six, the most there are: C. Gosselin and J.-P. Merlet, "The direct kinematics of planar parallel
+    manipulators: special architectures and number of solutions", Mechanism and Machine Theory 29 (1994).
+    """
+    modes = platform().initial_states([LENGTHS[0]], [0.0])
+    assert not modes.is_complete
+    assert f"at least {len(modes)}" in repr(modes)
+    (_, (foot_2, base)), (_, (foot_3, place)) = enumerate(LEGS[1:])
+    turns = np.linspace(0.0, 2 * np.pi, 20_001)
+    corners = LENGTHS[0] * np.array([np.cos(turns), np.sin(turns)])
+    across = np.array(foot_2)[:, None] - corners
+    distance = np.hypot(*across)
+    along = (distance**2 + base[0] ** 2 - LENGTHS[1] ** 2) / (2 * distance)
+    with np.errstate(invalid="ignore"):
+        opening = np.arccos(along / base[0])
+    number = 0
+    for sign in (-1.0, 1.0):
+        phi = np.arctan2(across[1], across[0]) + sign * opening
+        turned = np.array([[np.cos(phi), -np.sin(phi)], [np.sin(phi), np.cos(phi)]])
+        end = corners + np.tensordot(place, turned, axes=(0, 1))
+        gap = np.hypot(*(end - np.array(foot_3)[:, None])) - LENGTHS[2]
+        number += (gap[1:] * gap[:-1] < 0.0).sum()
+    assert len(modes) == number == 6
+
+
+def test_redundant_constraints():
+    """What is left over when all coordinates are known has to hold as well."""
+    for extra, number in ((0.0, 1), (0.1, 0)):
+        frame, origin, point = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
+        origin.set_vel(frame, 0)
+        x, y, ux, uy = me.dynamicsymbols("x y ux uy")
+        point.set_pos(origin, x * frame.x + y * frame.y)
+        point.set_vel(frame, ux * frame.x + uy * frame.y)
+        system = System(frame, origin)
+        system.add_bodies(me.Particle("P", point, 1))
+        system.add_holonomic_constraints(y - 2 * x, 2 * y - 4 * x - extra)
+        system.q_ind, system.q_dep, system.u_ind, system.u_dep = [x], [y], [ux], [uy]
+        system.add_kdes(ux - x.diff(), uy - y.diff())
+        model = fb.compile_model(fb.Model(system, name=f"redundant{number}"), check=False)
+        modes = model.initial_states([0.7], [0.0])
+        assert modes.is_complete
+        assert len(modes) == number
+        assert modes.x[:, 1] == pytest.approx([1.4] * number)
+
+
+def test_no_loops_and_prescribed_motion():
+    chain = fb.compile_model(fb.models.chain(2))
+    [mode] = chain.initial_states([0.1, 0.2], [0.0, 0.0])
+    assert mode.tolist() == [0.1, 0.2, 0.0, 0.0]
+
+
+def test_wrong_names(four_bar):
+    with pytest.raises(fb.ModelError, match="no independent coordinate 'q2'"):
+        four_bar.initial_states({"q2": 1.0})
+
+
+def test_pictures_of_modes(four_bar):
+    figure = four_bar.initial_states().plot()
+    assert len(figure.axes) == 2
+    for axes, mode in zip(figure.axes, four_bar.initial_states(), strict=True):
+        ends = np.array([line.get_xydata()[-1] for line in axes.lines])
+        points = four_bar.positions(0.0, mode[:3])
+        assert np.abs(ends - points["joint3_link3_joint"][:2]).max(axis=1).min() == 0.0
+    with pytest.raises(fb.ModelError, match="nothing to draw"):
+        four_bar.initial_states(parameters={"l1": 3.0}).plot()

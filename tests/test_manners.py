@@ -1,0 +1,119 @@
+"""What objects say of themselves, and how the command line behaves."""
+
+import fcntl
+import os
+import pty
+import re
+import struct
+import subprocess
+import sys
+import termios
+from html.parser import HTMLParser
+
+import pytest
+
+import fourbar_codegen as fb
+
+
+class Table(HTMLParser):
+    """The cells of a table, row by row."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.rows, self.open = [], []
+        self.feed(text)
+        assert not self.open
+
+    def handle_starttag(self, tag, attributes):
+        self.open.append(tag)
+        if tag == "tr":
+            self.rows.append([])
+        elif tag in ("th", "td"):
+            self.rows[-1].append("")
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open[-1] in ("th", "td"):
+            self.rows[-1][-1] += data
+
+
+def test_what_models_say(four_bar):
+    model = fb.models.four_bar()
+    for shown in (model, four_bar):
+        rows = {row[0]: row[1:] for row in Table(shown._repr_html_()).rows}
+        assert rows["q1"] == ["coordinate", "", "", ""]
+        assert rows["u3"] == ["dependent speed", "", "", ""]
+        assert rows["k"] == ["parameter", "100", "N m/rad", "stiffness of the spring"]
+        assert rows["F"] == ["input", "100*sin(pi*t)", "", ""]
+    assert repr(model) == "<Model four_bar: 3 coordinates, 3 speeds, 8 parameters, 1 inputs>"
+    assert repr(four_bar).startswith("<CompiledModel four_bar: coordinates q1, q2, q3;")
+
+
+def test_what_runs_say(four_bar):
+    run = four_bar.simulate((0.0, 4.0), t_eval=[0.0, 1.0, 4.0], parameters={"k": 50.0})
+    assert repr(run) == (
+        f"<Trajectory of four_bar: 0 s to 4 s, 3 states, {run.nfev} evaluations; "
+        "The solver successfully reached the end of the integration interval.>"
+    )
+    rows = dict(Table(run._repr_html_()).rows)
+    assert rows["k"] == "50 N m/rad"
+    assert rows["method"] == "DOP853"
+    none = four_bar.simulate((0.0, 8.0), t_eval=[7.9, 8.0])
+    assert "no states" in repr(none)
+    assert dict(Table(none._repr_html_()).rows)["stored states"] == "0"
+    modes = Table(four_bar.initial_states()._repr_html_()).rows
+    assert modes[0] == ["mode", *four_bar.states]
+    assert [row[0] for row in modes[1:]] == ["0", "1"]
+
+
+def fourbar(*arguments, **environment):
+    """The command on a terminal, as its user sees it."""
+    master, slave = pty.openpty()
+    fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))  # rows and columns
+    command = [sys.executable, "-m", "fourbar_codegen", *arguments]
+    process = subprocess.Popen(command, stdout=slave, stderr=slave, env={**os.environ, **environment})
+    os.close(slave)
+    output = b""
+    while True:
+        try:
+            piece = os.read(master, 65536)
+        except OSError:  # the other end is closed
+            break
+        if not piece:
+            break
+        output += piece
+    os.close(master)
+    assert process.wait() == 0, output
+    return output.decode()
+
+
+@pytest.mark.parametrize("environment", [{"NO_COLOR": "1"}, {}])
+def test_no_color(environment):
+    """Nothing is coloured anyway, on a terminal either."""
+    assert "\x1b" not in fourbar("info", **environment)
+
+
+def test_a_bar_while_pictures_are_drawn(tmp_path):
+    """On a terminal, from the second second on, up to all pictures; not a word elsewhere."""
+    path = str(tmp_path / "run.gif")
+    output = fourbar("animate", "-o", path)
+    pictures = [int(number) for number in re.findall(r"(\d+)/121 ", output)]
+    assert pictures == sorted(pictures)
+    assert pictures[-1] == 121
+    command = [sys.executable, "-m", "fourbar_codegen", "animate", "-t", "0", "2", "-o", path]
+    assert subprocess.run(command, capture_output=True, check=True).stderr == b""
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [("fourbar si", "simulate"), ("fourbar simulate --method Ra", "Radau"), ("fourbar report --constraints b", "baum")],
+)
+def test_completion(words, expected):
+    """As bash asks for it, by click."""
+    number = len(words.split()) - 1
+    asked = {"_FOURBAR_COMPLETE": "bash_complete", "COMP_WORDS": words, "COMP_CWORD": str(number)}
+    code = "from fourbar_codegen.cli import main; main(prog_name='fourbar')"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env={**os.environ, **asked})
+    assert f"plain,{expected}" in result.stdout

@@ -1,17 +1,19 @@
 """One set of promises, kept by every method of `simulate`."""
 
+from importlib import import_module
+
 import numpy as np
 import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
 from drift import model as point_mass_four_bar
 from scipy.integrate import solve_ivp
-from stiff_drive import driven_four_bar
 from systems import spatial_four_bar
 from test_redundant import circle, pendulum
 
 import fourbar_codegen as fb
 
+driven_four_bar = import_module("08_stiff_drive").driven_four_bar
 TIGHT = {"rtol": 1e-8, "atol": 1e-8}
 # How each is asked for, and the error that it may have in 2 s: that of its order where it has no step control, or
 # controls the coordinates alone; otherwise a hundred times the tolerance, or a thousand with many steps.

@@ -42,4 +42,4 @@ $(INSTALLED): $(SOURCES)
 	touch $@
 
 clean:
-	rm -rf $(VENV) build results docs/_build src/*.egg-info src/fourbar_codegen/*/*.so
+	rm -rf $(VENV) build results docs/_build docs/notebooks src/*.egg-info src/fourbar_codegen/*/*.so

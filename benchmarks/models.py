@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 from measure import (
-    README,
+    DOCS,
     circumstances,
     compare,
     evaluation,
@@ -130,7 +130,7 @@ def measure_model(name: str, rounds: int) -> dict[str, Any]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--output", type=Path, default=Path("results/models.json"), help="where to write JSON")
-    parser.add_argument("--readme", action="store_true", help="write the table into README.md as well")
+    parser.add_argument("--docs", action="store_true", help="write the table into docs/benchmarks.md as well")
     parser.add_argument("--rounds", type=int, default=11, help="samples of each evaluation")
     options = parser.parse_args()
     if not find_spec("pydy"):
@@ -157,14 +157,14 @@ def main() -> None:
     options.output.parent.mkdir(parents=True, exist_ok=True)
     options.output.write_text(json.dumps(report, indent=2) + "\n")
     print("\n".join([*lines, f"Written: {options.output}"]))
-    if options.readme:
+    if options.docs:
         text = (
             "One evaluation from Python, against `lambdify` with `numpy.linalg.solve`, and PyDy's Cython generator\n"
             "with its default solver; one inside C (`-march=native`), the forming of q', M, f, J and gamma in it,\n"
             "and that per operation; operations of forming, a sine as one; and the time from the\n"
             "System to a function that evaluates it (warm: from the cache).\n\n"
         )
-        replace_in_page(README, "models", text + "\n".join(lines), "models.py --readme", report)
+        replace_in_page(DOCS / "benchmarks.md", "models", text + "\n".join(lines), "models.py --docs", report)
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 import sympy as sm
-from measure import README, call, circumstances, compare, evaluation, replace_in_page, timed
+from measure import DOCS, call, circumstances, compare, evaluation, replace_in_page, save_picture, timed
 from scipy.integrate import solve_ivp
 from tutorial import Floats, Tutorial, tutorial_four_bar
 
@@ -409,14 +409,13 @@ def plot(rows: list[dict[str, Any]], path: Path) -> None:
     axes.set_ylabel("time of the simulation, ms")
     axes.grid(alpha=0.3)
     axes.legend(fontsize="small")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=120)
+    save_picture(figure, path)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--output", type=Path, default=Path("results/peers.json"), help="where to write JSON")
-    parser.add_argument("--readme", action="store_true", help="write the tables into README.md as well")
+    parser.add_argument("--docs", action="store_true", help="write the tables into docs/benchmarks.md as well")
     parser.add_argument("--rounds", type=int, default=9, help="samples of each measure")
     parser.add_argument("--first", nargs=2, help="a package and an integrator: make a single simulation with it")
     options = parser.parse_args()
@@ -462,10 +461,13 @@ def main() -> None:
     report = {**circumstances(), "one": one, "batch": batch, "precision": rows, "many": many, "starts": starts}
     options.output.parent.mkdir(parents=True, exist_ok=True)
     options.output.write_text(json.dumps(report, indent=2) + "\n")
-    plot(rows, options.output.with_suffix(".png"))
-    print(f"Written: {options.output}, {options.output.with_suffix('.png')}")
-    if options.readme:
-        replace_in_page(README, "peers", tables(one, batch, rows, many, starts), "peers.py --readme", report)
+    picture = DOCS / "peers.svg" if options.docs else options.output.with_suffix(".svg")
+    plot(rows, picture)
+    print(f"Written: {options.output}, {picture}")
+    if options.docs:
+        replace_in_page(
+            DOCS / "benchmarks.md", "peers", tables(one, batch, rows, many, starts), "peers.py --docs", report
+        )
 
 
 def _tutorial_end(case: Case, stiffness: float) -> Floats:
@@ -504,7 +506,8 @@ def tables(
             for name, t in sorted(batch.items(), key=lambda item: -item[1])
         ),
         "\nA simulation of 4 s: the time for an error of the state at its end (interpolated between tolerances; see",
-        "results/peers.png for all of them):\n",
+        "the plot for all of them):\n",
+        "![The time of a simulation against its error](peers.svg)\n",
         "| | " + " | ".join(f"{error:.0e}" for error in errors) + " |",
         "|---|" + "---|" * len(errors),
     ]

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import sympy as sm
 import sympy.physics.mechanics as me
-from measure import README, circumstances, compare, evaluation, replace_in_page
+from measure import DOCS, circumstances, compare, evaluation, replace_in_page
 from models import COMPILED, LAMBDIFIED, in_fresh_process, read_again
 from sympy.physics.mechanics.system import System
 from tutorial import Tutorial
@@ -127,7 +127,7 @@ def line(row: dict[str, Any]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--output", type=Path, default=Path("results/scale.json"), help="where to write JSON")
-    parser.add_argument("--readme", action="store_true", help="write the table into README.md as well")
+    parser.add_argument("--docs", action="store_true", help="write the table into docs/benchmarks.md as well")
     parser.add_argument("--rounds", type=int, default=7, help="samples of each evaluation")
     parser.add_argument("--reference-up-to", type=int, default=12, help="longest closed chain to do with SymPy")
     options = parser.parse_args()
@@ -154,8 +154,8 @@ def main() -> None:
     options.output.write_text(json.dumps(report, indent=2) + "\n")
     picture(rows, options.output.with_suffix(".png"))
     print("\n".join([*lines, f"Written: {options.output}, {options.output.with_suffix('.png')}"]))
-    if options.readme:
-        replace_in_page(README, "scale", "\n".join(lines), "scale.py --readme", report)
+    if options.docs:
+        replace_in_page(DOCS / "benchmarks.md", "scale", "\n".join(lines), "scale.py --docs", report)
 
 
 if __name__ == "__main__":

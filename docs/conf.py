@@ -1,6 +1,12 @@
 """How the documentation is built: `make docs`."""
 
+from pathlib import Path
+
+import jupytext
+
 import fourbar_codegen
+
+HERE = Path(__file__).parent
 
 project = "fourbar_codegen"
 author = "the fourbar_codegen developers"
@@ -11,6 +17,11 @@ html_theme = "furo"
 html_title = f"fourbar_codegen {release}"
 exclude_patterns = ["_build"]
 default_role = "code"
+
+# The examples that are notebooks become pages.
+for script in sorted((HERE.parent / "examples").glob("0[12]_*.py")):
+    (HERE / "notebooks").mkdir(exist_ok=True)
+    jupytext.write(jupytext.read(script), HERE / "notebooks" / f"{script.stem}.ipynb")
 
 # Pages with code are executed as they are built, and an error ends the build.
 nb_execution_mode = "force"

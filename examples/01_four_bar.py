@@ -16,6 +16,7 @@
 # `jupytext --to ipynb 01_four_bar.py`.
 
 # %%
+# %matplotlib inline
 import numpy as np
 
 import fourbar_codegen as fb

@@ -15,6 +15,7 @@
 # equations of motion are needed for that, only closed loops. As a notebook: `jupytext --to ipynb 02_coupler_curves.py`.
 
 # %%
+# %matplotlib inline
 from pathlib import Path
 
 import numpy as np

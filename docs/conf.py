@@ -3,6 +3,8 @@
 from pathlib import Path
 
 import jupytext
+from docutils import nodes
+from latex2mathml.converter import convert
 
 import fourbar_codegen
 
@@ -28,8 +30,27 @@ nb_execution_mode = "force"
 nb_execution_timeout = 300
 nb_execution_raise_on_error = True
 myst_enable_extensions = ["dollarmath"]
+html_math_renderer = "mathml"
 suppress_warnings = ["myst.header"]  # the benchmarks' tables begin below the headings of their pages
 
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"
 numpydoc_show_class_members = False
+
+
+# Formulas as MathML, which browsers draw by themselves: pages are complete without a network.
+def inline_formula(translator, node):
+    """What stands for a formula within a line."""
+    translator.body.append(convert(node.astext(), display="inline"))
+    raise nodes.SkipNode
+
+
+def displayed_formula(translator, node):
+    """What stands for a formula on lines of its own."""
+    translator.body.append(convert(node.astext(), display="block"))
+    raise nodes.SkipNode
+
+
+def setup(app):
+    """Make these known to Sphinx."""
+    app.add_html_math_renderer("mathml", (inline_formula, None), (displayed_formula, None))

@@ -268,7 +268,86 @@ def test_redundant_constraints():
         assert modes.x[:, 1] == pytest.approx([1.4] * number)
 
 
-def test_no_loops_and_prescribed_motion():
+def on_a_line(constraints, coordinates, **how):
+    """Masses on a line with constraints between their places, or whatever these are taken for; one is independent."""
+    frame, origin = me.ReferenceFrame("N"), me.Point("O")
+    origin.set_vel(frame, 0)
+    speeds = me.dynamicsymbols(f"u:{len(coordinates)}")
+    system = System(frame, origin)
+    for number, (coordinate, speed) in enumerate(zip(coordinates, speeds, strict=True)):
+        place = origin.locatenew(f"P{number}", coordinate * frame.x)
+        place.set_vel(frame, speed * frame.x)
+        system.add_bodies(me.Particle(f"P{number}", place, 1))
+    system.add_holonomic_constraints(*constraints)
+    system.q_ind, system.q_dep, system.u_ind, system.u_dep = coordinates[:1], coordinates[1:], speeds[:1], speeds[1:]
+    system.add_kdes(*(u - q.diff() for q, u in zip(coordinates, speeds, strict=True)))
+    model = fb.Model(system, name="on_a_line", **how)
+
+    def modes(value, **parameters):
+        return fb.compile_model(model, check=False).initial_states([value], [0.0], parameters=parameters)
+
+    return modes
+
+
+W, S, A, Y = me.dynamicsymbols("w s a y")
+LENGTH = sm.Symbol("l")
+
+
+def test_displacements_of_all_sizes():
+    """Roots in closed form, in whatever unit: 1e-6 to 1e5, also where the constraint is flat at zero."""
+    modes = on_a_line([(S**2 - LENGTH**2) ** 2 - (LENGTH / 2) ** 4 * W], [W, S], parameters={LENGTH: 1.0})
+    for length in (1e-6, 1e-3, 1.0, 1e3, 1e5):
+        found = modes(1.0, l=length)
+        expected = length * np.sqrt([1.25, 0.75]) * np.array([[-1.0], [1.0]])
+        assert found.is_complete
+        np.testing.assert_allclose(found.x[:, 1], np.sort(expected.ravel()), rtol=1e-12)
+    cube = on_a_line([S**3 - W], [W, S])
+    for value in (1e-15, 1e-12, 1.0, 1e12, 1e15):
+        [mode] = cube(value)
+        assert mode[1] == pytest.approx(value ** (1 / 3), rel=1e-12)
+    far = on_a_line([(S - sm.Float(1e-4)) * (S - 1e8) - W], [W, S])
+    np.testing.assert_allclose(far(0.0).x[:, 1], [1e-4, 1e8], rtol=1e-8)
+    [quadruple] = on_a_line([(S - 1) ** 4 - W], [W, S])(0.0)
+    assert quadruple[1] == pytest.approx(1.0, abs=1e-4)  # eps^(1/4)
+    less = on_a_line([LENGTH * S**2 + S - W], [W, S], parameters={LENGTH: 0.0})
+    assert less(2.0).x[:, 1].tolist() == [2.0]  # of a degree less than it could be
+
+
+@pytest.mark.parametrize("factor", [1e-6, 1.0, 1e6, 1e10])
+def test_constraints_in_different_units(factor):
+    modes = on_a_line([Y - S, factor * (S**2 - W)], [W, S, Y])(1.0)
+    assert modes.is_complete
+    np.testing.assert_allclose(modes.x[:, 1:3], [[-1.0, -1.0], [1.0, 1.0]], rtol=1e-12)
+
+
+def test_what_is_no_polynomial_is_not_complete():
+    """Roots, kinks, an angle that is a displacement as well, half of an angle, high powers: a lower bound."""
+    for constraints, coordinates, value, least in (
+        ([sm.sqrt(S**2 + 25) - W], [W, S], 15.0, 2),
+        ([sm.Abs(S + 10) - W], [W, S], 11.0, 1),
+        ([S - A / 100, S + sm.sin(A) / 10 - W], [W, A, S], 0.05, 2),
+        ([sm.sin(A / 2) - W], [W, A], 0.2, 1),
+        ([sm.prod([S - k for k in range(1, 11)]) - W], [W, S], 0.0, 2),
+        ([1 / S - W], [W, S], 2.0, 1),
+    ):
+        modes = on_a_line(constraints, coordinates)(value)
+        assert not modes.is_complete
+        assert len(modes) >= least
+
+
+def test_close_to_a_dead_point(four_bar):
+    """None outside, two inside, and one where rounding errors leave no more: 1e-13 of the position, 1e-11 at most."""
+    angle = np.pi - np.arccos((0.8**2 + 1.0**2 - 1.2**2) / (2 * 0.8))
+    lengths = {"l1": 0.8, "l2": 1.0, "l3": 0.9, "l4": 0.3}
+    for change in 10.0 ** np.arange(-10, -2):
+        assert len(four_bar.initial_states([angle - change], [1.0], parameters=lengths)) == 0
+        assert len(four_bar.initial_states([angle + change], [1.0], parameters=lengths)) == 2
+    for change in 10.0 ** np.arange(-16, -10):
+        assert len(four_bar.initial_states([angle - change], [1.0], parameters=lengths)) <= 1
+        assert 1 <= len(four_bar.initial_states([angle + change], [1.0], parameters=lengths)) <= 2
+
+
+def test_no_loops():
     chain = fb.compile_model(fb.models.chain(2))
     [mode] = chain.initial_states([0.1, 0.2], [0.0, 0.0])
     assert mode.tolist() == [0.1, 0.2, 0.0, 0.0]
@@ -288,3 +367,6 @@ def test_pictures_of_modes(four_bar):
         assert np.abs(ends - points["joint3_link3_joint"][:2]).max(axis=1).min() == 0.0
     with pytest.raises(fb.ModelError, match="nothing to draw"):
         four_bar.initial_states(parameters={"l1": 3.0}).plot()
+    many = fb.compile_model(fb.models.n_four_bar(24)).initial_states([1.0], [0.0])
+    assert len(many) > 24
+    assert len(many.plot().axes) == 24

@@ -29,7 +29,7 @@ RUN = [
     "visual",
 ]
 GENERATION = [
-    "model", "mechanism", "fingerprint", "tape", "numeric", "convert", "derivatives", "identities",
+    "model", "mechanism", "fingerprint", "tape", "numeric", "convert", "degrees", "derivatives", "identities",
     "linear", "motion", "composite", "kinematics", "kane", "equations", "angles", "share", "program", "lower",
     "c_expressions", "c_source", "cython_source",
 ]  # fmt: skip

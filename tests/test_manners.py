@@ -9,6 +9,7 @@ import subprocess
 import sys
 import termios
 from html.parser import HTMLParser
+from pathlib import Path
 
 import pytest
 
@@ -87,6 +88,28 @@ def fourbar(*arguments, **environment):
     os.close(master)
     assert process.wait() == 0, output
     return output.decode()
+
+
+def test_types_for_editors(tmp_path):
+    """What an editor knows of a user's file: by mypy, from the package as it is installed."""
+    code = (
+        "import fourbar_codegen as fb\n"
+        "linkage = fb.load('four_bar')\n"
+        "run = linkage.simulate((0.0, 1.0))\n"
+        "reveal_type(linkage)\nreveal_type(run)\nreveal_type(run.t)\nreveal_type(linkage.initial_states()[0])\n"
+        "linkage.simulate((0.0, 1.0), tolerance=1e-3)\n"
+    )
+    path = tmp_path / "user.py"
+    path.write_text(code)
+    command = [sys.executable, "-m", "mypy", "--cache-dir", str(tmp_path / "cache"), "--python-executable"]
+    place = str(Path(fb.__file__).parents[1])
+    environment = {**os.environ, "MYPYPATH": "" if "site-packages" in place else place}
+    done = subprocess.run([*command, sys.executable, str(path)], capture_output=True, text=True, env=environment)
+    revealed = re.findall(r'Revealed type is "(.*?)"', done.stdout)
+    assert revealed[:2] == ["fourbar_codegen.compiled.CompiledModel", "fourbar_codegen.trajectory.Trajectory"]
+    assert all(text.startswith("numpy.ndarray") for text in revealed[2:])
+    assert len(revealed) == 4
+    assert 'Unexpected keyword argument "tolerance"' in done.stdout
 
 
 @pytest.mark.parametrize("environment", [{"NO_COLOR": "1"}, {}])

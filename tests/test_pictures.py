@@ -1,5 +1,6 @@
 """Points, plots, animations and the interactive report, which a real browser opens."""
 
+import base64
 import json
 import re
 import shutil
@@ -177,6 +178,22 @@ def _arm(system):
     return position.args[0][1]
 
 
+def test_a_force_that_is_no_number(tmp_path):
+    """It has no arrow where it is none; another one keeps its own."""
+    system, q = pendulum(), me.dynamicsymbols("q")
+    F, root = me.dynamicsymbols("F"), me.dynamicsymbols("R")
+    bob, frame = system.bodies[0].masscenter, system.frame
+    system.add_loads(me.Force(system.fixed_point, root * sm.sqrt(q) * frame.x), me.Force(bob, F * frame.y))
+    model = fb.Model(system, name="rooted", parameters={M: 1.0, G: 9.81, L: 1.0}, inputs={F: -5.0, root: 1.0})
+    run = fb.compile_model(model).simulate((0.0, 1.0), [0.3, 0.0])
+    assert np.isnan(run.forces["O"]).any()
+    assert np.isfinite(run.forces["P"]).all()
+    _, data = data_of(run.save(tmp_path / "run.html"))
+    positions = np.frombuffer(base64.b64decode(data["positions"]), dtype="<f4")
+    assert np.isfinite(positions).all()
+    assert run.save(tmp_path / "run.gif").stat().st_size > 1000
+
+
 def test_paths(four_bar, trajectory):
     """The path of the crank's end is an arc about the joint of the ground."""
     figure = trajectory.plot_paths(["P2"])
@@ -186,6 +203,9 @@ def test_paths(four_bar, trajectory):
     bicycle = fb.compile_model(fb.models.whipple_bicycle())
     run = bicycle.simulate((0.0, 0.2), bicycle.initial_state(speeds={"u6": -15.0}))
     assert run.plot_paths().axes[0].name == "3d"
+    labels = [line.get_label() for line in trajectory.plot_paths().axes[0].lines]
+    bodies = [entry["name"] for entry in four_bar.manifest["points"] if entry["body"] not in {None, "link1"}]
+    assert labels[-3:] == bodies  # the ground does not move
     with pytest.raises(fb.ModelError, match="no point P9"):
         trajectory.plot_paths(["P9"])
     assert len(trajectory.resample([1.0]).plot_paths(["P2"]).axes) == 1

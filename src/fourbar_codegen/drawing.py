@@ -51,10 +51,9 @@ class Drawing:
         """Whether a point does not stay where it is."""
         return bool(np.ptp(self.positions[point], axis=1).max() > PLANAR * self.size)
 
-    def ends(self) -> Iterator[tuple[int, str]]:
-        """Number and name of the points that move and that no line goes on from: ends of chains."""
-        joined = {parent for _, _, parent, _ in self.points()}
-        return ((number, name) for number, name, *_ in self.points() if number not in joined and self.moves(number))
+    def moving_bodies(self) -> dict[int, str]:
+        """Number and name of the mass centres that move: what leaves a trace if nobody says otherwise."""
+        return {number: name for number, name, _, body in self.points() if body is not None and self.moves(number)}
 
     def points(self) -> Iterator[tuple[int, str, int | None, str | None]]:
         """Number, name, number of the point from which a line leads to it, and body of each point."""
@@ -93,12 +92,14 @@ def drawing(trajectory: Trajectory, times: Callable[[float, float], Floats]) -> 
     shown = trajectory.resample(times(t[0], t[-1]))
     positions = np.array([shown.points[name] for name in model.points])
     size = float(np.ptp(positions, axis=(0, 2)).max()) or 1.0
-    greatest = max((np.linalg.norm(force, axis=0).max() for force in shown.forces.values()), default=0.0)
-    arrows = {
-        model.points.index(name): shown.points[name] + ARROW * size * force / greatest
-        for name, force in shown.forces.items()
-        if 0.0 < greatest < np.inf
-    }
+    # A force that is not finite has no arrow.
+    forces = {name: np.where(np.isfinite(force).all(axis=0), force, 0.0) for name, force in shown.forces.items()}
+    greatest = max((np.abs(force).max() for force in forces.values()), default=0.0)
+    if greatest:
+        forces = {name: force / greatest for name, force in forces.items()}
+        longest = max(np.linalg.norm(force, axis=0).max() for force in forces.values())
+        forces = {name: ARROW * size * force / longest for name, force in forces.items()}
+    arrows = {model.points.index(name): shown.points[name] + force for name, force in forces.items() if greatest}
     return Drawing(shown, positions, arrows, size)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fourbar_codegen.arguments import Values, named_array
 from fourbar_codegen.errors import AssemblyError
+from fourbar_codegen.progress import Progress
 from fourbar_codegen.runtime.integrator import Ode
 from fourbar_codegen.simulate import input_sources
 
@@ -65,7 +66,8 @@ def initial_states(
     from fourbar_codegen.assembly import DISTINCT, AssemblyModes, closed_coordinates
 
     loops, u_i, start = _given(model, coordinates, speeds, t, None, parameters, inputs)
-    found, is_complete = closed_coordinates(loops, start) if model.n_h else ([start], True)
+    with Progress(f"{model.name}: ways to close the loops") as progress:
+        found, is_complete = closed_coordinates(loops, start, progress) if model.n_h else ([start], True)
     states = []
     for dependent in found:
         q = loops.coordinates(dependent)
@@ -142,6 +144,8 @@ class Loops:
 
     def position(self, dependent: Floats) -> tuple[Floats, Floats]:
         """The residual and its derivatives with respect to the dependent coordinates."""
+        if not np.isfinite(dependent).all():  # a step of a solver that has lost its way
+            return np.full(self.model.n_h, np.inf), np.full((self.model.n_h, len(dependent)), np.inf)
         error, slopes = self.model.position(self.t, self.coordinates(dependent), self.p, self.r)
         return error, slopes[:, len(self.q_i) :]
 
@@ -153,11 +157,12 @@ class Loops:
         """Its derivatives alone."""
         return self.position(dependent)[1]
 
-    def are_closed(self, dependent: Floats, rows: Sequence[int] | None = None) -> bool:
-        """Whether all constraints, or some rows of them, hold, measured in units of the coordinates."""
+    def are_closed(self, dependent: Floats) -> bool:
+        """Whether all constraints hold, measured in units of the coordinates."""
+        if not np.isfinite(dependent).all():
+            return False
         error, slopes = self.model.position(self.t, self.coordinates(dependent), self.p, self.r)
-        error, slopes = (error, slopes) if rows is None else (error[rows], slopes[rows])
-        return bool(np.abs(error).max() <= COORDINATE_TOLERANCE * np.abs(slopes).max())
+        return bool(np.abs(error).max() <= COORDINATE_TOLERANCE * np.abs(slopes).max() < np.inf)
 
     def newton(self, dependent: Floats) -> Floats | None:
         """A solution where each step halves the residual at least, until rounding errors are left; None elsewhere."""

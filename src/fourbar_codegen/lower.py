@@ -155,14 +155,15 @@ def lower(name: str, equations: Equations) -> Program:
         n_constants=len(constants.nodes),
     )
     return Program(
-        name,
-        sizes,
-        (prepare, *functions[:first]),
-        functions[first:],
-        _split(e, structure),
-        structure,
-        e.places,
-        e.forced,
+        name=name,
+        sizes=sizes,
+        functions=(prepare, *functions[:first]),
+        derivatives=functions[first:],
+        split=_split(e, structure),
+        structure=structure,
+        position_degrees=e.position_degrees,
+        places=e.places,
+        forced=e.forced,
     )
 
 

@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from fourbar_codegen.degrees import Degree
 from fourbar_codegen.share import Statements
 from fourbar_codegen.structure import Split, Structure
 from fourbar_codegen.tape import ONE, Leaf, Scalar, operands, operations_of
@@ -164,6 +165,8 @@ class Program:
     structure : Structure or None
         How the equations of `dynamics` are solved, if not as full ones. Then that function gives the entries of M and J
         that are not zero, one after another.
+    position_degrees : tuple of tuple of Degree
+        What each position constraint is in each coordinate.
     places : tuple of Place
         What `drawing` gives the positions of.
     forced : tuple of int
@@ -176,6 +179,7 @@ class Program:
     derivatives: tuple[Function, ...]
     split: Split
     structure: Structure | None
+    position_degrees: tuple[tuple[Degree, ...], ...]
     places: tuple[Place, ...]
     forced: tuple[int, ...]
 

@@ -46,7 +46,7 @@ def report_text(trajectory: Trajectory) -> str:
         If there is nothing to show: no points whose positions are known, or no states.
     """
     drawn = drawing(trajectory, picture_times)
-    traced = {number for number, _ in drawn.ends()}
+    traced = drawn.moving_bodies()
     data = {
         "times": _packed(drawn.shown.t, "<f8"),
         # In units of the mechanism's size: single precision has a smaller range.
@@ -54,7 +54,6 @@ def report_text(trajectory: Trajectory) -> str:
         "planar": drawn.is_planar,
         # Their tips stand behind the points.
         "arrows": list(drawn.arrows),
-        # The ends of chains leave a trace from the beginning.
         "points": [
             {"name": name, "parent": parent, "body": body, "traced": number in traced}
             for number, name, parent, body in drawn.points()

@@ -344,7 +344,7 @@ class Trajectory:
         Parameters
         ----------
         points : sequence of str, optional
-            Names of the points; those at the moving ends of chains otherwise.
+            Names of the points; the mass centres that move otherwise.
 
         Returns
         -------

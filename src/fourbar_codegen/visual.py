@@ -33,6 +33,9 @@ FPS = 30.0
 MOST_PICTURES = 10_000
 """An animation takes no more: each is some hundredths of a second to draw."""
 
+MOST_PANELS = 24
+"""No more assembly modes are drawn."""
+
 SMOOTH = 401
 """States that a curve looks smooth with."""
 
@@ -68,7 +71,7 @@ def plot_trajectory(trajectory: Trajectory) -> Figure:
     figure: Figure = figure_class(figsize=(7.0, 2.2 * len(shown)), layout="constrained")
     for axes, panel in zip(figure.subplots(len(shown), 1, sharex=True, squeeze=False).flat, shown, strict=True):
         for name, values in panel.curves.items():
-            axes.plot(trajectory.t, values, label=name.replace("$", r"\$"))
+            axes.plot(trajectory.t, values, label=_label(name))
         axes.set_title(panel.title, loc="left", fontsize="medium")
         if panel.is_logarithmic:
             axes.set_yscale("log")
@@ -86,10 +89,12 @@ def plot_paths(trajectory: Trajectory, points: Sequence[str]) -> Figure:
     figure, [axes] = _figure(1, drawn.is_planar)
     _draw_mechanism(axes, trajectory.model, drawn.positions[:, :, 0], drawn.is_planar)
     dimensions = 2 if drawn.is_planar else 3
-    for name in points or [name for _, name, *_ in drawn.ends()]:
-        axes.plot(*drawn.positions[trajectory.model.points.index(name), :dimensions], label=name.replace("$", r"\$"))
+    traced = points or list(drawn.moving_bodies().values())
+    for name in traced:
+        axes.plot(*drawn.positions[trajectory.model.points.index(name), :dimensions], label=_label(name))
     axes.set_aspect("equal")
-    axes.legend()
+    if traced:
+        axes.legend()
     axes.set_title(trajectory.model.name)
     return figure
 
@@ -99,23 +104,33 @@ def plot_modes(modes: AssemblyModes) -> Figure:
     model = modes.model
     if not model.points or not len(modes):
         raise ModelError(f"There is nothing to draw: {modes!r} with the points {', '.join(model.points) or 'none'}.")
-    states = np.where(np.isfinite(modes.x), modes.x, 0.0)
+    states = np.where(np.isfinite(modes.x), modes.x, 0.0)[:MOST_PANELS]
     positions = np.array([model.drawing(modes.t, x, modes.parameters, modes.inputs)[0] for x in states])
     size = float(np.ptp(positions, axis=(0, 1)).max()) or 1.0
     planar = bool(np.ptp(positions[:, :, 2]) <= PLANAR * size)
-    figure, panels = _figure(len(modes), planar)
-    figure.suptitle(f"{model.name}: {len(modes)} assembly modes" + ("" if modes.is_complete else ", or more"))
+    figure, panels = _figure(len(states), planar)
+    figure.suptitle(
+        f"{model.name}: {len(modes)} assembly modes"
+        + ("" if modes.is_complete else ", or more")
+        + ("" if len(states) == len(modes) else f"; the first {len(states)}")
+    )
     low, high = positions.min(axis=(0, 1)), positions.max(axis=(0, 1))
     n_qi = model.n_q - model.manifest["n_dependent_coordinates"]
     for number, axes in enumerate(panels):
         _draw_mechanism(axes, model, positions[number], planar)
         named = zip(model.coordinates[n_qi:], modes.x[number, n_qi : model.n_q], strict=True)
-        text = ", ".join(f"{name} = {value:.3f}" for name, value in [*named][:3]).replace("$", r"\$")
+        text = _label(", ".join(f"{name} = {value:.3g}" for name, value in [*named][:3]))
         axes.set_title(f"{number}: {text}", fontsize="small")
         for name, begin, end in list(zip("xyz", low, high, strict=True))[: 2 if planar else 3]:
             getattr(axes, f"set_{name}lim")(begin - 0.05 * size, end + 0.05 * size)
         axes.set_aspect("equal")
     return figure
+
+
+def _label(name: str) -> str:
+    """A name as Matplotlib shows it: not as a formula, and though it begins with an underscore."""
+    label = name.replace("$", r"\$")
+    return f" {label}" if label.startswith("_") else label
 
 
 def _figure(panels: int, planar: bool) -> tuple[Figure, list[Any]]:

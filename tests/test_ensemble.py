@@ -1,7 +1,6 @@
 """Many states and many runs at once: the same as one by one, in any company."""
 
 import multiprocessing
-import os
 import subprocess
 import sys
 import threading
@@ -14,6 +13,7 @@ import sympy as sm
 import sympy.physics.mechanics as me
 from scipy.integrate import solve_ivp
 from systems import pendulum
+from terminal import on_terminal
 from tutorial import tutorial_four_bar
 
 import fourbar_codegen as fb
@@ -408,11 +408,6 @@ except KeyboardInterrupt:
 
 
 def test_progress_bar_on_a_terminal():
-    import fcntl
-    import pty
-    import struct
-    import termios
-
     code = (
         "import numpy as np, fourbar_codegen as fb\n"
         "parameters = {'l1': 0.9, 'c': 0.0, 'k': np.linspace(0, 0.1, N)}\n"
@@ -420,19 +415,7 @@ def test_progress_bar_on_a_terminal():
     )
 
     def shown(n, more):
-        master, slave = pty.openpty()
-        fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 100, 0, 0))
-        text = code.replace("N)", f"{n})").replace("MORE", more)
-        subprocess.run([sys.executable, "-c", text], stderr=slave, check=True)
-        os.close(slave)
-        output = b""
-        try:
-            while part := os.read(master, 4096):
-                output += part
-        except OSError:
-            pass
-        os.close(master)
-        return output.decode()
+        return on_terminal("-c", code.replace("N)", f"{n})").replace("MORE", more))
 
     assert "four_bar: " in shown(10000, "{'rtol': 1e-10}")
     assert shown(3000, "{'rtol': 1e-10, 'progress': False}").strip() == ""

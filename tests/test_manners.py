@@ -1,17 +1,14 @@
 """What objects say of themselves, and how the command line behaves."""
 
-import fcntl
 import os
-import pty
 import re
-import struct
 import subprocess
 import sys
-import termios
 from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from terminal import on_terminal
 
 import fourbar_codegen as fb
 
@@ -70,24 +67,7 @@ def test_what_runs_say(four_bar):
 
 
 def fourbar(*arguments, **environment):
-    """The command on a terminal, as its user sees it."""
-    master, slave = pty.openpty()
-    fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))  # rows and columns
-    command = [sys.executable, "-m", "fourbar_codegen", *arguments]
-    process = subprocess.Popen(command, stdout=slave, stderr=slave, env={**os.environ, **environment})
-    os.close(slave)
-    output = b""
-    while True:
-        try:
-            piece = os.read(master, 65536)
-        except OSError:  # the other end is closed
-            break
-        if not piece:
-            break
-        output += piece
-    os.close(master)
-    assert process.wait() == 0, output
-    return output.decode()
+    return on_terminal("-m", "fourbar_codegen", *arguments, **environment)
 
 
 def test_types_for_editors(tmp_path):

@@ -131,3 +131,10 @@ def test_help_and_version():
         [sys.executable, "-m", "fourbar_codegen", "--help"], capture_output=True, text=True, check=True
     )
     assert "simulate" in done.stdout
+
+
+def test_all_methods_can_be_chosen():
+    """The command line names them without importing what runs them."""
+    from fourbar_codegen import cli, integrate
+
+    assert set(cli.METHODS) == {*integrate.METHODS, integrate.FIXED_STEP, *integrate.SOLVERS}

@@ -358,7 +358,8 @@ def _coefficients(chart: _Chart, group: _Group, dependent: Floats, unknowns: lis
         coefficients = row.reshape(grid[0].shape).astype(complex)
         for unknown in unknowns:  # each contraction puts the powers of its coordinate last
             inverse = np.linalg.inv(unknown.powers(unknown.samples()))
-            coefficients = np.tensordot(coefficients, inverse, axes=(0, 1))
+            with np.errstate(invalid="ignore"):  # where a constraint is infinite
+                coefficients = np.tensordot(coefficients, inverse, axes=(0, 1))
         polynomials.append(coefficients)
     return polynomials
 
@@ -395,6 +396,8 @@ def _in_its_scale(chart: _Chart, group: _Group, dependent: Floats, unknowns: lis
 
 def _candidates(unknowns: list[_Unknown], polynomials: list[Complex]) -> list[Floats] | None:
     """Values of the unknowns close to which a common root may be; None if there may be infinitely many."""
+    if not all(np.isfinite(polynomial).all() for polynomial in polynomials):
+        return None
     if len(unknowns) == 1:
         [unknown], [polynomial] = unknowns, polynomials
         return [np.array([x]) for x in unknown.real_roots(polynomial)] if polynomial.any() else None
@@ -404,7 +407,7 @@ def _candidates(unknowns: list[_Unknown], polynomials: list[Complex]) -> list[Fl
         first, second = second, first
         polynomials = [polynomial.T for polynomial in polynomials]
     sizes = [np.abs(polynomial).max() for polynomial in polynomials]
-    if not all(0.0 < size < np.inf for size in sizes):
+    if not all(sizes):
         return None
     polynomials = [polynomial / size for polynomial, size in zip(polynomials, sizes, strict=True)]
     resultant = _resultant([_stripped(polynomial) for polynomial in polynomials])

@@ -108,7 +108,7 @@ def plot_modes(modes: AssemblyModes) -> Figure:
     positions = np.array([model.drawing(modes.t, x, modes.parameters, modes.inputs)[0] for x in states])
     size = float(np.ptp(positions, axis=(0, 1)).max()) or 1.0
     planar = bool(np.ptp(positions[:, :, 2]) <= PLANAR * size)
-    figure, panels = _figure(len(states), planar)
+    figure, cells = _figure(len(states), planar)
     figure.suptitle(
         f"{model.name}: {len(modes)} assembly modes"
         + ("" if modes.is_complete else ", or more")
@@ -116,7 +116,7 @@ def plot_modes(modes: AssemblyModes) -> Figure:
     )
     low, high = positions.min(axis=(0, 1)), positions.max(axis=(0, 1))
     n_qi = model.n_q - model.manifest["n_dependent_coordinates"]
-    for number, axes in enumerate(panels):
+    for number, axes in enumerate(cells):
         _draw_mechanism(axes, model, positions[number], planar)
         named = zip(model.coordinates[n_qi:], modes.x[number, n_qi : model.n_q], strict=True)
         text = _label(", ".join(f"{name} = {value:.3g}" for name, value in [*named][:3]))

@@ -363,6 +363,15 @@ def test_no_loops():
     assert mode.tolist() == [0.1, 0.2, 0.0, 0.0]
 
 
+def test_turns_of_the_crank_change_nothing(four_bar):
+    """After 1e5 turns, angles are right to 1e5 eps 2 pi = 1e-10."""
+    once = four_bar.initial_states([-0.5], [0.0])
+    often = four_bar.initial_states([-0.5 + 2e5 * np.pi], [0.0])
+    assert often.is_complete
+    np.testing.assert_allclose(often.x[:, 1:3], once.x[:, 1:3], rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(often.x[:, 0], -0.5 + 2e5 * np.pi)
+
+
 def test_wrong_names(four_bar):
     with pytest.raises(fb.ModelError, match="no independent coordinate 'q2'"):
         four_bar.initial_states({"q2": 1.0})

@@ -138,3 +138,8 @@ def test_all_methods_can_be_chosen():
     from fourbar_codegen import cli, integrate
 
     assert set(cli.METHODS) == {*integrate.METHODS, integrate.FIXED_STEP, *integrate.SOLVERS}
+
+
+def test_models_that_are_not_compiled_yet_are_known_by_name():
+    output = run("info", "slider_crank").output
+    assert output.startswith("Model slider_crank\ncoordinates: crank independent; rod, slide dependent")

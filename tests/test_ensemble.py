@@ -407,6 +407,11 @@ except KeyboardInterrupt:
         assert done.stdout == "True\n"
 
 
+def test_a_member_that_cannot_be_assembled_is_named(four_bar):
+    with pytest.raises(fb.AssemblyError, match="Member 1: The loop does not close"):
+        four_bar.ensemble((0.0, 1.0), parameters={"l1": [0.8, 3.0]})
+
+
 def test_progress_bar_on_a_terminal():
     code = (
         "import numpy as np, fourbar_codegen as fb\n"

@@ -208,6 +208,7 @@ def test_paths(four_bar, trajectory):
     assert labels[-3:] == bodies  # the ground does not move
     with pytest.raises(fb.ModelError, match="no point P9"):
         trajectory.plot_paths(["P9"])
+    assert trajectory.plot_paths(name for name in ["P2"]).axes[0].lines[-1].get_label() == "P2"
     assert len(trajectory.resample([1.0]).plot_paths(["P2"]).axes) == 1
 
 

@@ -167,6 +167,7 @@ def closed_coordinates(loops: Loops, start: Floats, progress: Progress) -> tuple
     bool
     """
     generator = np.random.default_rng(0)
+    loops = _turned_back(loops)
     chart = _Chart.of(loops, start, generator)
     groups, rest = _groups(chart, generator)
     partial = [np.zeros(len(start))]
@@ -191,6 +192,13 @@ def closed_coordinates(loops: Loops, start: Floats, progress: Progress) -> tuple
         found = [dependent for dependent in partial if loops.are_closed(dependent)]
     sizes = np.abs(found).max(axis=0, initial=1e-300) if found else 1.0
     return sorted(found, key=lambda dependent: tuple(np.round(dependent / sizes, 6))), complete
+
+
+def _turned_back(loops: Loops) -> Loops:
+    """With independent angles between -pi and pi: sines of large ones are known to fewer digits."""
+    independent = [row[: len(loops.q_i)] for row in loops.model.manifest["position_degrees"]]
+    is_angle = np.array([[entry["is_periodic"] for entry in row] for row in independent], dtype=bool).all(axis=0)
+    return replace(loops, q_i=np.where(is_angle, np.remainder(loops.q_i + np.pi, 2 * np.pi) - np.pi, loops.q_i))
 
 
 @dataclass(frozen=True)

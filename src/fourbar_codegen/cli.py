@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.shell_completion import CompletionItem
 
 import fourbar_codegen as fb
 
@@ -21,11 +22,23 @@ if TYPE_CHECKING:
 __all__ = ["main"]
 
 MODEL_HELP = (
-    "MODEL is the name of a model that comes with the package (four_bar), or FILE.py:FUNCTION or MODULE:FUNCTION, a "
-    "function without arguments that returns a Model."
+    "MODEL is the name of a model that comes with the package (four_bar is compiled already), or FILE.py:FUNCTION or "
+    "MODULE:FUNCTION, a function without arguments that returns a Model."
 )
 
 METHODS = ("DOP853", "RK45", "ALI3P", "RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA")
+
+
+class _ModelName(click.ParamType):  # type: ignore[type-arg]  # generic in newer versions alone
+    """A model's name, or a file with a function that makes one."""
+
+    name = "model"
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:  # noqa: ARG002  # click's
+        """The names of the package's models, told from its files, and files."""
+        files = (Path(__file__).parent / "models").glob("[a-z]*.py")
+        names = sorted(file.stem for file in files if file.stem.startswith(incomplete))
+        return [*map(CompletionItem, names)] or [CompletionItem(incomplete, type="file")]
 
 
 class _Commands(click.Group):
@@ -54,12 +67,12 @@ def _pairs(_: click.Context, __: click.Parameter, texts: tuple[str, ...]) -> dic
         except ValueError:
             equals = ""
         if not equals or not name.strip():
-            raise click.BadParameter(f"{text!r} is not NAME=VALUE with a number, for instance l2=0.45.")
+            raise click.BadParameter(f"{text!r} is not NAME=VALUE with a number, such as NAME=0.45.")
     return pairs
 
 
 _RUN_OPTIONS = [
-    click.argument("model", default="four_bar"),
+    click.argument("model", default="four_bar", type=_ModelName()),
     click.option(
         "-p", "--parameter", "parameters", multiple=True, callback=_pairs, metavar="NAME=VALUE",
         help="Override a parameter; may be repeated.",
@@ -133,7 +146,7 @@ def _simulated(
     "outputs",
     multiple=True,
     type=click.Path(dir_okay=False, path_type=Path),
-    help="Write the trajectory: .csv, .npz, .html for a report, .png for a plot, .gif or .mp4; may be repeated.",
+    help="Write the trajectory: .csv, .npz, .nc, .html for a report, .png for a plot, .gif or .mp4; may be repeated.",
 )
 def simulate(samples: int, outputs: tuple[Path, ...], **run: Any) -> None:
     import numpy as np
@@ -227,7 +240,7 @@ def _report(trajectory: Trajectory, method: str, seconds: float) -> None:
 
 
 @main.command(help="Write a model's generated C and Cython sources to OUTPUT/NAME.\n\n" + MODEL_HELP)
-@click.argument("model", default="four_bar")
+@click.argument("model", default="four_bar", type=_ModelName())
 @click.option(
     "-o",
     "--output",
@@ -253,7 +266,7 @@ def generate(model: str, output: Path) -> None:
     help="Compile a model to an extension module in OUTPUT, for fourbar_codegen.load or for use with NumPy alone.\n\n"
     + MODEL_HELP
 )
-@click.argument("model", default="four_bar")
+@click.argument("model", default="four_bar", type=_ModelName())
 @click.option(
     "-o",
     "--output",
@@ -272,7 +285,7 @@ def build(model: str, output: Path, wheel: bool, version: str) -> None:
 
 
 @main.command(help="Show a model's names, defaults, sizes and operation counts.\n\n" + MODEL_HELP)
-@click.argument("model", default="four_bar")
+@click.argument("model", default="four_bar", type=_ModelName())
 def info(model: str) -> None:
     from fourbar_codegen.cache import cache_folder
 
@@ -304,7 +317,11 @@ def _compiled(model: str) -> CompiledModel:
     if model.endswith(".py"):
         raise fb.ModelError(f"Name the function in {model} that returns the Model: {model}:FUNCTION.")
     if ":" not in model:
-        return fb.load(model)
+        try:
+            return fb.load(model)
+        except fb.ModelError:
+            if model not in fb.models.__all__:
+                raise
     return fb.compile_model(_model(model))
 
 

@@ -25,7 +25,7 @@ from fourbar_codegen.arguments import (
     time_span,
     tolerance,
 )
-from fourbar_codegen.errors import FourbarError, ModelError
+from fourbar_codegen.errors import AssemblyError, FourbarError, ModelError
 from fourbar_codegen.integrate import METHODS, REACHED_END, is_rounded
 from fourbar_codegen.runtime.batch import DONE, Batch, Members, width
 from fourbar_codegen.simulate import InputSource, bind, by_name, input_sources, projects
@@ -266,7 +266,10 @@ def _members(
     for member in range(n):
         key = p[member].tobytes() + b"".join(inputs[name][member].tobytes() for name in by_member)
         if key not in known:
-            known[key] = model.initial_state(t=t, parameters=p[member], inputs=_inputs_of(inputs, member))
+            try:
+                known[key] = model.initial_state(t=t, parameters=p[member], inputs=_inputs_of(inputs, member))
+            except AssemblyError as error:
+                raise AssemblyError(f"Member {member}: {error}", error.residual) from error
         states[member] = known[key]
     return p, states, n
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -84,7 +84,7 @@ def plot_trajectory(trajectory: Trajectory) -> Figure:
 
 def plot_paths(trajectory: Trajectory, points: Sequence[str]) -> Figure:
     """Draw the paths of points, and the mechanism at the first time; see `Trajectory.plot_paths`."""
-    _check_points(trajectory.model, points)
+    points = _checked(trajectory.model, points)
     drawn = drawing(trajectory, lambda start, end: np.linspace(start, end, SMOOTH if start != end else 1))
     figure, [axes] = _figure(1, drawn.is_planar)
     _draw_mechanism(axes, trajectory.model, drawn.positions[:, :, 0], drawn.is_planar)
@@ -162,13 +162,15 @@ def _draw_mechanism(axes: Any, model: CompiledModel, positions: Floats, planar: 
             axes.plot(*place[:dimensions, None], "o", color="tab:blue", markersize=4)
 
 
-def _check_points(model: CompiledModel, names: Sequence[str]) -> None:
-    """That they are points of the model."""
-    if isinstance(names, str):
-        raise ModelError(f"Points are given as a sequence of their names, not {names!r}.")
+def _checked(model: CompiledModel, points: Iterable[str]) -> list[str]:
+    """Names of points of the model."""
+    if isinstance(points, str):
+        raise ModelError(f"Points are given as a sequence of their names, not {points!r}.")
+    names = list(points)
     unknown = [name for name in names if name not in model.points]
     if unknown:
         raise ModelError(f"There is no point {', '.join(map(str, unknown))}; there are {', '.join(model.points)}.")
+    return names
 
 
 def animate(trajectory: Trajectory, *, fps: float, speed: float, traces: Sequence[str]) -> FuncAnimation:
@@ -182,7 +184,7 @@ def animate(trajectory: Trajectory, *, fps: float, speed: float, traces: Sequenc
     model = trajectory.model
     positive(fps, "fps")
     positive(speed, "speed")
-    _check_points(model, traces)
+    traces = _checked(model, traces)
     n = abs(np.ptp(trajectory.t)) * fps / speed if len(trajectory.t) else 0.0
     if n > MOST_PICTURES:
         raise ModelError(f"The animation would have {n:.0f} pictures, more than {MOST_PICTURES}: take a greater speed.")

@@ -1,6 +1,7 @@
 """Long chains and many loops, against other implementations; and counts of operations.
 
-Tolerances are the 1e-10 that equations at scale are to hold, relative to the size of the terms.
+Longer chains are measured by benchmarks/scale.py. Tolerances are the 1e-10 that equations at scale are to hold,
+relative to the size of the terms.
 """
 
 import json
@@ -35,12 +36,11 @@ def balls(count):
     ("model", "links", "gravity"),
     [
         (lambda: fb.models.chain(12), bars(12), -G * Y),
-        (lambda: fb.models.chain(32), bars(32), -G * Y),
         (lambda: fb.models.chain(32, closed=True), bars(32), -G * Y),
         (lambda: spherical_chain(3), balls(3), -G * Z),
-        (lambda: spherical_chain(16), balls(16), -G * Z),
+        (lambda: spherical_chain(8), balls(8), -G * Z),
     ],
-    ids=["12 links", "32 links", "32 closed links", "3 ball joints", "16 ball joints"],
+    ids=["12 links", "32 closed links", "3 ball joints", "8 ball joints"],
 )
 def test_chain_against_recursive_newton_euler(model, links, gravity):
     compiled = fb.compile_model(model())
@@ -118,7 +118,7 @@ def test_branches_are_solved_by_their_structure():
         np.testing.assert_allclose(compiled.rhs(0.0, x), expected, rtol=0, atol=1e-10 * np.abs(expected).max())
 
 
-@pytest.mark.parametrize("loops", [1, 3, 10, 40])
+@pytest.mark.parametrize("loops", [1, 3, 20])
 def test_row_of_parallelograms_in_closed_form(loops):
     # [(N + 1) / 3 + N] L phi'' = [(N + 1) / 2 + N] g sin(phi), the bars across stay level (IFToMM benchmark A02).
     compiled = fb.compile_model(fb.models.n_four_bar(loops))
@@ -155,7 +155,7 @@ def operations(model, function="dynamics"):
 
 
 def test_operations_of_a_chain_are_quadratic():
-    counts = [operations(fb.models.chain(links, closed=True)) for links in (8, 16, 32)]
+    counts = [operations(fb.models.chain(links, closed=True)) for links in (6, 12, 24)]
     assert counts[1] < 4 * counts[0]
     assert counts[2] < 4 * counts[1]
 

@@ -196,9 +196,14 @@ def closed_coordinates(loops: Loops, start: Floats, progress: Progress) -> tuple
 
 def _turned_back(loops: Loops) -> Loops:
     """With independent angles between -pi and pi: sines of large ones are known to fewer digits."""
-    independent = [row[: len(loops.q_i)] for row in loops.model.manifest["position_degrees"]]
-    is_angle = np.array([[entry["is_periodic"] for entry in row] for row in independent], dtype=bool).all(axis=0)
+    is_angle = _degrees(loops, "is_periodic")[:, : len(loops.q_i)].all(axis=0)
     return replace(loops, q_i=np.where(is_angle, np.remainder(loops.q_i + np.pi, 2 * np.pi) - np.pi, loops.q_i))
+
+
+def _degrees(loops: Loops, kind: str) -> Floats:
+    """What the equations say of each constraint in each coordinate, shape (n_h, n_q): infinite where it has none."""
+    rows = loops.model.manifest["position_degrees"]
+    return np.array([[np.inf if entry[kind] is None else entry[kind] for entry in row] for row in rows], dtype=float)
 
 
 @dataclass(frozen=True)
@@ -232,10 +237,8 @@ class _Chart:
     @classmethod
     def of(cls, loops: Loops, start: Floats, generator: np.random.Generator) -> _Chart:
         """From what the equations say of their degrees, and the constraints at random coordinates."""
-        rows = [row[-loops.n_dependent :] for row in loops.model.manifest["position_degrees"]]
         power, harmonic, periodic = (
-            np.array([[np.inf if entry[kind] is None else entry[kind] for entry in row] for row in rows], dtype=float)
-            for kind in ("power", "harmonic", "is_periodic")
+            _degrees(loops, kind)[:, len(loops.q_i) :] for kind in ("power", "harmonic", "is_periodic")
         )
         is_angle: NDArray[np.bool_] = np.all(periodic, axis=0)
         degree = np.where(is_angle, harmonic, power)

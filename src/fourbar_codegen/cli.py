@@ -41,6 +41,9 @@ class _ModelName(click.ParamType):  # type: ignore[type-arg]  # generic in newer
         return [*map(CompletionItem, names)] or [CompletionItem(incomplete, type="file")]
 
 
+_MODEL = click.argument("model", default="four_bar", type=_ModelName())
+
+
 class _Commands(click.Group):
     """Prints the package's errors in a line instead of a traceback."""
 
@@ -72,7 +75,7 @@ def _pairs(_: click.Context, __: click.Parameter, texts: tuple[str, ...]) -> dic
 
 
 _RUN_OPTIONS = [
-    click.argument("model", default="four_bar", type=_ModelName()),
+    _MODEL,
     click.option(
         "-p", "--parameter", "parameters", multiple=True, callback=_pairs, metavar="NAME=VALUE",
         help="Override a parameter; may be repeated.",
@@ -240,7 +243,7 @@ def _report(trajectory: Trajectory, method: str, seconds: float) -> None:
 
 
 @main.command(help="Write a model's generated C and Cython sources to OUTPUT/NAME.\n\n" + MODEL_HELP)
-@click.argument("model", default="four_bar", type=_ModelName())
+@_MODEL
 @click.option(
     "-o",
     "--output",
@@ -266,7 +269,7 @@ def generate(model: str, output: Path) -> None:
     help="Compile a model to an extension module in OUTPUT, for fourbar_codegen.load or for use with NumPy alone.\n\n"
     + MODEL_HELP
 )
-@click.argument("model", default="four_bar", type=_ModelName())
+@_MODEL
 @click.option(
     "-o",
     "--output",
@@ -285,7 +288,7 @@ def build(model: str, output: Path, wheel: bool, version: str) -> None:
 
 
 @main.command(help="Show a model's names, defaults, sizes and operation counts.\n\n" + MODEL_HELP)
-@click.argument("model", default="four_bar", type=_ModelName())
+@_MODEL
 def info(model: str) -> None:
     from fourbar_codegen.cache import cache_folder
 

@@ -6,6 +6,7 @@ import sys
 import threading
 from pathlib import Path
 
+import numpy as np
 import pytest
 import sympy as sm
 from systems import slider
@@ -169,6 +170,58 @@ def test_folder_in_the_cache_holds_sources_and_module_only(monkeypatch, tmp_path
     (folder,) = [path for path in tmp_path.iterdir() if path.is_dir()]
     kinds = sorted(path.suffix for path in folder.iterdir())
     assert kinds == ["", ".c", ".c", ".c", ".h", ".json", ".pyx", ".so"]
+
+
+def entries(folder):
+    """Of the cache, without their keys."""
+    return sorted(path.name.rpartition("-")[0] for path in folder.iterdir() if path.is_dir())
+
+
+def test_states_side_by_side_are_compiled_when_they_are_needed(monkeypatch, tmp_path):
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
+    first = fb.compile_model(slider())
+    start = first.initial_state({"q1": 0.48}, {"u1": 0.0})
+    assert first.simulate((0.0, 0.1), start).success
+    assert first.ensemble((0.0, 0.1), start, inputs={"F": lambda t, x: 1.0}).success.all()
+    assert not first.has_lanes
+    assert entries(tmp_path) == ["slider"]
+    x = np.linspace(0.1, 2.0, 40).reshape(4, 10)
+    rates = first.rhs_batch(0.0, x)
+    assert first.has_lanes
+    assert entries(tmp_path) == ["slider", "slider_lanes"]
+    np.testing.assert_allclose(rates, np.transpose([first.rhs(0.0, column) for column in x.T]), rtol=1e-12)
+
+    def forbidden(*_):
+        raise AssertionError("they are there already")
+
+    monkeypatch.setattr(build, "build_lanes", forbidden)
+    second = fb.compile_model(slider())
+    np.testing.assert_array_equal(second.rhs_batch(0.0, x), rates)
+    assert second.ensemble((0.0, 0.1), start).success.all()
+
+
+def test_states_side_by_side_that_cannot_be_compiled(monkeypatch, tmp_path):
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
+    model = fb.compile_model(slider())
+    x = np.full((4, 3), 0.5)
+    monkeypatch.setenv("CC", "false")
+    for _ in range(2):
+        with pytest.raises(fb.BuildError, match="exit code: 1"):
+            model.rhs_batch(0.0, x)
+    assert entries(tmp_path) == ["slider"]
+    assert np.isfinite(model.rhs(0.0, x[:, 0])).all()
+    monkeypatch.delenv("CC")
+    assert np.isfinite(model.rhs_batch(0.0, x)).all()
+
+
+def test_modules_for_others_have_all_in_one_file(monkeypatch, tmp_path):
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path / "cache"))
+    module = fb.build_model(slider(), tmp_path / "folder")
+    shutil.move(module, tmp_path / module.name)
+    model = fb.load(tmp_path / module.name)
+    assert model.has_lanes
+    assert np.isfinite(model.rhs_batch(0.0, np.full((4, 3), 0.5))).all()
+    assert not (tmp_path / "cache").exists()
 
 
 def test_unwritable_cache(monkeypatch, tmp_path):

@@ -62,6 +62,7 @@ MODELS = {
 def compiled(request):
     model, side_by_side = MODELS[request.param]
     compiled = fb.compile_model(model())
+    compiled.require_lanes()
     assert (width(compiled) > 1) == side_by_side
     return compiled
 

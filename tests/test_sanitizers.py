@@ -149,9 +149,9 @@ static double together(const fb_kernel *k, const double *p, const double *x0, co
         for (int j = 0; j < k->n_p; ++j)
             ps[j * N + i] = p[j];
     }
-    const fb_batch batch = {N, {t, N}, {x, N}, {ps, N}, {NULL, 0}, rates};
-    const fb_batch held = {N, {t, 0}, {x, N}, {p, 0}, {NULL, 0}, rates};
-    fb_batch_one_by_one(k, &batch, 0, N);
+    const fb_batch batch = {k, N, {t, N}, {x, N}, {ps, N}, {NULL, 0}, rates};
+    const fb_batch held = {k, N, {t, 0}, {x, N}, {p, 0}, {NULL, 0}, rates};
+    fb_batch_one_by_one(&batch, 0, N);
     if (k->lanes && k->lanes->width) {
         k->lanes->batch(&batch, 0, 3);
         k->lanes->batch(&batch, 3, N);
@@ -166,11 +166,12 @@ static double together(const fb_kernel *k, const double *p, const double *x0, co
     }
     x[5 * n_x] = NAN;
     const fb_source source = {.input = k->n_r - 1};
-    const fb_ensemble e = {.n = N, .x = x, .p = ps, .n_sources = k->n_r > 1, .sources = &source, .values = values,
-                           .method = method, .project = k->n_c > 0, .t_bound = 0.5, .max_step = INFINITY,
-                           .rtol = tolerance, .atol = tolerance, .times = times, .n_times = 3, .samples = samples,
-                           .status = status, .n_evaluations = counts, .next = &next, .n_ended = &ended,
-                           .stop = &stop};
+    const fb_ensemble e = {
+        .kernel = k, .n = N, .x = x, .p = ps, .n_sources = k->n_r > 1, .sources = &source, .values = values,
+        .method = method, .project = k->n_c > 0, .t_bound = 0.5, .max_step = INFINITY, .rtol = tolerance,
+        .atol = tolerance, .times = times, .n_times = 3, .samples = samples, .status = status,
+        .n_evaluations = counts, .next = &next, .n_ended = &ended, .stop = &stop,
+    };
     if (k->lanes && k->lanes->width)
         k->lanes->run(&e);
     sum += samples[2];

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from fourbar_codegen.errors import BuildError
 
-__all__ = ["build_extension", "get_include", "pack_wheel", "toolchain"]
+__all__ = ["build_extension", "build_lanes", "get_include", "pack_wheel", "toolchain"]
 
 PACKAGE = Path(__file__).parent
 
@@ -155,7 +155,7 @@ def build_extension(
     folder : Path
         Created if it does not exist; it is touched only when all has been built.
     portable : bool
-        Whether the module may be used on another machine of the same kind.
+        Whether the module may be used on another machine of the same kind. If not, `build_lanes` makes the rest of it.
     check : callable, optional
         Called with the module before it comes to the folder, where it does not come if this raises.
 
@@ -170,7 +170,7 @@ def build_extension(
         If the folder cannot be written, or a tool is missing or fails; with the tool's output.
     """
     with tempfile.TemporaryDirectory() as temporary:
-        module = _build(name, sources, Path(temporary), () if portable else MACHINE_FLAGS)
+        module = _build(name, sources, Path(temporary), portable=portable)
         if check is not None:
             check(module)
         try:
@@ -182,6 +182,36 @@ def build_extension(
         except OSError as error:
             raise BuildError(f"{folder} cannot be written: {error.strerror}.") from error
     return folder / module.name
+
+
+def build_lanes(name: str, sources: Mapping[str, str], folder: Path) -> Path:
+    """Compile a model's functions for several states side by side, for this machine alone.
+
+    Compilers take as long for them as for all the rest, and only batches and ensembles need them.
+
+    Parameters
+    ----------
+    name : str
+        The model's.
+    sources : mapping of str to str
+        Text by file name, as for `build_extension`.
+    folder : Path
+        Where the library comes.
+
+    Returns
+    -------
+    Path
+        A shared library that has the ``fb_lanes`` named ``{name}_lanes``; see ``fourbar_batch.h``.
+
+    Raises
+    ------
+    BuildError
+        If a tool is missing or fails; with the tool's output.
+    """
+    with tempfile.TemporaryDirectory() as temporary:
+        _write(sources, Path(temporary))
+        compiled = _compile(Path(temporary) / f"{name}_lanes.c", (*LANES_FLAGS, *MACHINE_FLAGS))
+        return _link([compiled], folder / f"{name}_lanes.so")
 
 
 WHEEL_SETUP = """\
@@ -254,23 +284,30 @@ def pack_wheel(module: Path, folder: Path, *, version: str, requires: Sequence[s
             raise BuildError(f"{folder} cannot be written: {error.strerror}.") from error
 
 
-def _build(name: str, sources: Mapping[str, str], folder: Path, machine_flags: tuple[str, ...]) -> Path:
-    for filename, text in sources.items():
-        (folder / filename).write_text(text, encoding="utf-8", newline="\n")
+def _build(name: str, sources: Mapping[str, str], folder: Path, *, portable: bool) -> Path:
+    _write(sources, folder)
+    flags = {"_kernel.c": KERNEL_FLAGS, "_derivatives.c": DERIVATIVES_FLAGS}
+    if not portable:
+        flags = {ending: (*chosen, "-DFB_LANES_APART", *MACHINE_FLAGS) for ending, chosen in flags.items()}
+    elif f"{name}_lanes.c" in sources:
+        flags["_lanes.c"] = LANES_FLAGS
     from concurrent.futures import ThreadPoolExecutor
 
     with ThreadPoolExecutor(2) as pool:
-        flags = {"_kernel.c": KERNEL_FLAGS, "_lanes.c": LANES_FLAGS, "_derivatives.c": DERIVATIVES_FLAGS}
-        jobs = [
-            pool.submit(_compile, folder / f"{name}{ending}", (*chosen, *machine_flags))
-            for ending, chosen in flags.items()
-            if f"{name}{ending}" in sources
-        ]
+        jobs = [pool.submit(_compile, folder / f"{name}{ending}", chosen) for ending, chosen in flags.items()]
         wrapper = _compile(_cythonize(folder / f"{name}.pyx"), WRAPPER_FLAGS)
         objects = [*(job.result() for job in jobs), wrapper]
-    module = folder / f"{name}{sysconfig.get_config_var('EXT_SUFFIX')}"
-    _run([*_compiler(), *map(str, objects), *_link_flags(), "-o", str(module)], module)
-    return module
+    return _link(objects, folder / f"{name}{sysconfig.get_config_var('EXT_SUFFIX')}")
+
+
+def _write(sources: Mapping[str, str], folder: Path) -> None:
+    for filename, text in sources.items():
+        (folder / filename).write_text(text, encoding="utf-8", newline="\n")
+
+
+def _link(objects: Iterable[Path], target: Path) -> Path:
+    _run([*_compiler(), *map(str, objects), *_link_flags(), "-o", str(target)], target)
+    return target
 
 
 def _cythonize(source: Path) -> Path:

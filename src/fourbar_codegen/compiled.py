@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import json
 import math
@@ -16,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.arguments import Values, is_mapping, name_of, named_array, named_values
 from fourbar_codegen.errors import ModelError, SimulationError
+from fourbar_codegen.progress import Progress
 from fourbar_codegen.runtime.evaluator import Evaluator
 from fourbar_codegen.runtime.integrator import Ode, Stepper
 
@@ -87,12 +89,19 @@ def _restore(name: str, path: str, manifest: dict[str, Any], sources: Mapping[st
             return model
     if sources is None:
         raise ModelError(f"The model {name} that is found here is another one than the one that was sent here.")
-    from fourbar_codegen.build import build_extension, toolchain
+    from fourbar_codegen.build import build_extension
+
+    module = _built(name, sources, lambda folder: build_extension(name, sources, folder, portable=False))
+    return CompiledModel.from_file(module)
+
+
+def _built(name: str, sources: Mapping[str, str], build: Callable[[Path], Path]) -> Path:
+    """What is built from generated sources, in the cache."""
+    from fourbar_codegen.build import toolchain
     from fourbar_codegen.cache import cached
 
-    key = hashlib.sha256(json.dumps([sources, toolchain()], sort_keys=True).encode()).hexdigest()
-    module = cached(name, key, lambda folder: build_extension(name, sources, folder, portable=False))
-    return CompiledModel.from_file(module)
+    key = hashlib.sha256(json.dumps([name, sources, toolchain()], sort_keys=True).encode()).hexdigest()
+    return cached(name, key, build)
 
 
 class CompiledModel(Evaluator):
@@ -139,6 +148,7 @@ class CompiledModel(Evaluator):
     def __init__(self, capsule: object, manifest: dict[str, Any]) -> None:  # noqa: ARG002  # Evaluator takes it
         self.manifest = manifest
         self.path = Path()
+        self._lanes_are_sought = False
         self.name: str = manifest["name"]
         self.coordinates: tuple[str, ...] = tuple(manifest["coordinates"])
         self.speeds: tuple[str, ...] = tuple(manifest["speeds"])
@@ -194,6 +204,30 @@ class CompiledModel(Evaluator):
         endings = (".pyx", "_kernel.c", "_kernel.h", "_lanes.c", "_derivatives.c")
         files = [file for ending in endings if (file := self.path.with_name(f"{self.name}{ending}")).is_file()]
         return {file.name: file.read_text(encoding="utf-8") for file in files} or None
+
+    def require_lanes(self) -> None:
+        """Build and load the functions for several states side by side, where the module was built without them.
+
+        They are in modules that were built to travel. `compile_model` leaves them to the first batch or ensemble.
+
+        Raises
+        ------
+        BuildError, CacheError
+            As for `compile_model`.
+        """
+        if self.has_lanes or self._lanes_are_sought:
+            return
+        name = f"{self.name}_lanes"
+        sources = self._sources() or {}
+        if f"{name}.c" in sources:
+            from fourbar_codegen.build import build_lanes
+
+            with Progress(f"fourbar_codegen: {self.name}") as progress:
+                progress.stage("compiling for many states at once")
+                path = _built(name, sources, lambda folder: build_lanes(self.name, sources, folder))
+            library = ctypes.CDLL(str(path))  # which stays loaded as long as the process runs
+            self.attach_lanes(ctypes.addressof(ctypes.c_char.in_dll(library, name)))
+        self._lanes_are_sought = True
 
     def __repr__(self) -> str:
         return (

@@ -157,6 +157,7 @@ def evaluate(
         raise ModelError("out must not share memory with x.")
     if not times.flags.c_contiguous:
         times = times.copy()
+    model.require_lanes()
     batch = Batch(model, times, states, parameters, inputs, out)
     n_threads = min(_workers(workers), -(-n // BLOCK))
     if n_threads < 2:
@@ -350,6 +351,8 @@ def _on_threads(runs: _Runs, workers: int, bar: Any) -> Results:
 
     sources = _sources(model, runs.inputs, n)
     called = any(map(callable, sources))
+    if not called:
+        model.require_lanes()
     waiting = np.arange(n)
     members = None
     tasks: list[Future[None]] = []

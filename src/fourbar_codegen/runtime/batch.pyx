@@ -17,12 +17,14 @@ cdef extern from "fourbar_batch.h":
         const double *values
         long stride
     ctypedef struct fb_batch:
+        const fb_kernel *kernel
         long n
         fb_columns t, x, p, r
         double *rates
-    int fb_batch_one_by_one(const fb_kernel *, const fb_batch *, long, long) noexcept nogil
+    int fb_batch_one_by_one(const fb_batch *, long, long) noexcept nogil
     const int FB_MEMBER_DONE
     ctypedef struct fb_ensemble:
+        const fb_kernel *kernel
         long n
         double *x
         const double *p
@@ -52,7 +54,7 @@ DONE = FB_MEMBER_DONE
 
 cdef const fb_lanes *_lanes(Evaluator evaluator) noexcept:
     """The functions for several states side by side, or NULL."""
-    cdef const fb_lanes *lanes = evaluator.kernel.lanes
+    cdef const fb_lanes *lanes = evaluator.lanes
     return lanes if lanes != NULL and lanes.width > 1 else NULL
 
 
@@ -91,7 +93,7 @@ cdef class Batch:
 
     def __cinit__(self, Evaluator evaluator not None, t, x, p, r, cnp.ndarray rates not None):
         self.evaluator, self.kept = evaluator, [t, x, p, r, rates]
-        self.batch.n, self.batch.rates = np.shape(x)[1], data(rates)
+        self.batch.kernel, self.batch.n, self.batch.rates = evaluator.kernel, np.shape(x)[1], data(rates)
         self.batch.t, self.batch.x, self.batch.p = _columns(t, 1), _columns(x, 2), _columns(p, 2)
         if r is not None:
             self.batch.r = _columns(r, 2)
@@ -104,7 +106,7 @@ cdef class Batch:
             if lanes != NULL:
                 status = lanes.batch(&self.batch, begin, end)
             else:
-                status = fb_batch_one_by_one(self.evaluator.kernel, &self.batch, begin, end)
+                status = fb_batch_one_by_one(&self.batch, begin, end)
         if status:
             raise MemoryError
 
@@ -167,7 +169,7 @@ cdef class Members:
                 self.sources[k].table = &(<Table>source).table
             else:
                 values[:, k] = source
-        e.n, e.x, e.p = n, data(x), data(p)
+        e.kernel, e.n, e.x, e.p = evaluator.kernel, n, data(x), data(p)
         e.n_sources, e.sources, e.values = len(given), self.sources, data(values)
         e.method = &fb_rk45 if method == "RK45" else &fb_dop853
         e.project, e.t, e.t_bound, e.max_step = project, t, t_bound, max_step

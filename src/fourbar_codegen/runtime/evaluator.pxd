@@ -93,6 +93,7 @@ cdef cnp.ndarray vector(object values, int n, str what)
 
 cdef class Evaluator:
     cdef const fb_kernel *kernel
+    cdef const fb_lanes *lanes
     cdef object capsule
     cdef readonly int n_q, n_u, n_x, n_p, n_r, n_h, n_c, n_o
     cdef double *default_constants

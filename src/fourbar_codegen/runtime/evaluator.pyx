@@ -67,7 +67,7 @@ cdef class Evaluator:
                 f"The compiled model has kernel interface {kernel.abi_version}, this package has {FB_ABI_VERSION}: "
                 "build the model again."
             )
-        self.kernel = kernel
+        self.kernel, self.lanes = kernel, kernel.lanes
         self.capsule = capsule
         self.n_q, self.n_u, self.n_p, self.n_r = kernel.n_q, kernel.n_u, kernel.n_p, kernel.n_r
         self.n_h, self.n_c, self.n_o, self.n_x = kernel.n_h, kernel.n_c, kernel.n_o, kernel.n_q + kernel.n_u
@@ -90,6 +90,15 @@ cdef class Evaluator:
         PyMem_Free(self.constants)
         PyMem_Free(self.inputs)
         PyMem_Free(self.work)
+
+    @property
+    def has_lanes(self):
+        """Whether the functions for several states side by side are there."""
+        return self.lanes != NULL
+
+    def attach_lanes(self, size_t address):
+        """Take the functions for several states side by side, an ``fb_lanes``, that were built apart from the kernel."""
+        self.lanes = <const fb_lanes *>address
 
     def parameter_values(self, p):
         """All parameter values in order; a subclass that knows their names also takes mappings."""

@@ -22,6 +22,7 @@ static inline double fb_entry(const fb_columns *columns, const int row, const lo
 
 /* The right-hand side at n states. */
 typedef struct fb_batch {
+    const fb_kernel *kernel;
     long n;
     fb_columns t, x, p, r; /* (1, n), (n_x, n), (n_p, n), (n_r, n); r.values may be NULL, for the inputs' expressions */
     double *rates;         /* (n_x, n), not a number where the equations cannot be evaluated */
@@ -35,6 +36,7 @@ enum FB_MEMBER {
 
 /* n runs of an explicit Runge-Kutta method over the same time, with samples at the same times. */
 typedef struct fb_ensemble {
+    const fb_kernel *kernel; /* for one state */
     long n;
     double *x;       /* (n, n_x): the states at the beginning, moved onto the constraints as their runs begin */
     const double *p; /* (n, n_p) */
@@ -64,8 +66,9 @@ struct fb_lanes {
 };
 
 /* The same by the kernel for one state. */
-static inline int fb_batch_one_by_one(const fb_kernel *k, const fb_batch *b, const long begin, const long end)
+static inline int fb_batch_one_by_one(const fb_batch *b, const long begin, const long end)
 {
+    const fb_kernel *const k = b->kernel;
     const int n_x = k->n_q + k->n_u;
     double *const memory = malloc((size_t)(2 * n_x + k->n_p + k->n_r + k->n_constants) * sizeof(double) + k->work_size);
     if (memory == NULL)

@@ -150,7 +150,7 @@ static __attribute__((noinline)) fb_mask fb_crew_project(fb_crew *restrict c, co
                 fb_take_lane(s->constants, lane, N_CONSTANTS, s->lane_constants);
                 fb_take_lane(s->inputs, lane, N_R, s->lane_inputs);
                 const int status =
-                    FB_NAME(kernel).project(t[lane], s->lane_x, s->lane_constants, s->lane_inputs, 0, s->work);
+                    s->kernel->project(t[lane], s->lane_x, s->lane_constants, s->lane_inputs, 0, s->work);
                 fb_put_lane(s->lane_x, lane, N_X, x);
                 closed[lane] = status == FB_OK ? -1 : 0;
             }
@@ -188,7 +188,7 @@ static inline void fb_enter(fb_crew *c, const fb_ensemble *e, const int lane)
         c->next_time[lane] = c->n_steps[lane] = 0;
         c->rejected[lane] = 0;
         double *const x = e->x + member * N_X;
-        FB_NAME(kernel).prepare(e->p + member * N_P, s->lane_constants);
+        s->kernel->prepare(e->p + member * N_P, s->lane_constants);
         for (int k = 0; k < e->n_sources; ++k) {
             c->sources[lane][k] = e->sources[k];
             c->sources[lane][k].value = e->values[member * e->n_sources + k];
@@ -214,7 +214,7 @@ static inline void fb_enter(fb_crew *c, const fb_ensemble *e, const int lane)
         fb_put_lane(s->lane_constants, lane, N_CONSTANTS, s->constants);
         double jacobian[FB_AT_LEAST_1(N_JACOBIAN)], bias[FB_AT_LEAST_1(N_C)];
         fb_fill_inputs(&c->problem, e->t, x);
-        FB_NAME(kernel).velocity(e->t, x, s->lane_constants, s->lane_inputs, jacobian, bias);
+        s->kernel->velocity(e->t, x, s->lane_constants, s->lane_inputs, jacobian, bias);
         fb_put_lane(jacobian, lane, N_JACOBIAN, c->jacobian_before);
         c->orientation[lane] = NAN;
         while (c->next_time[lane] < e->n_times && e->times[c->next_time[lane]] == e->t)
@@ -413,12 +413,12 @@ static void fb_crew_step(fb_crew *restrict c, const fb_ensemble *e)
 
 static int run(const fb_ensemble *e)
 {
-    fb_crew *const c = (fb_crew *)fb_new_side(sizeof *c);
+    fb_crew *const c = (fb_crew *)fb_new_side(e->kernel, sizeof *c);
     if (c == NULL)
         return -1;
     fb_run *const b = &c->begin;
     const fb_problem problem = {
-        .kernel = &FB_NAME(kernel),
+        .kernel = e->kernel,
         .constants = c->side.lane_constants,
         .inputs = c->side.lane_inputs,
         .work = c->side.work,

@@ -13,7 +13,7 @@
 
 #include <stddef.h>
 
-#define FB_ABI_VERSION 6
+#define FB_ABI_VERSION 7
 #define FB_CAPSULE_NAME "fourbar_codegen.kernel"
 
 /* Long functions are printed in parts, which the compiler must not put together again. */

@@ -135,8 +135,9 @@ static FB_INLINE void fb_split_solve(const fb_real *restrict forcing, const fb_r
         accelerations[fb_speed(i)] = v[i];
 }
 
-/* States side by side: their equations, and memory for the kernel for one state. */
+/* States side by side: their equations, and the kernel for one state with its memory. */
 typedef struct fb_side {
+    const fb_kernel *kernel; /* for one state */
     fb_real constants[FB_AT_LEAST_1(N_CONSTANTS)], inputs[FB_AT_LEAST_1(N_R)];
     fb_real mass_matrix[N_U * N_U], forcing[N_U];
     fb_real constraint_jacobian[FB_AT_LEAST_1(N_JACOBIAN)], acceleration_bias[FB_AT_LEAST_1(N_C)];
@@ -164,7 +165,7 @@ static __attribute__((noinline)) void fb_lane_rates(fb_side *s, const double t, 
     fb_take_lane(x, lane, N_X, s->lane_x);
     fb_take_lane(s->constants, lane, N_CONSTANTS, s->lane_constants);
     fb_take_lane(s->inputs, lane, N_R, s->lane_inputs);
-    const int status = FB_NAME(kernel).rhs(t, s->lane_x, s->lane_constants, s->lane_inputs, s->lane_rates, s->work);
+    const int status = s->kernel->rhs(t, s->lane_x, s->lane_constants, s->lane_inputs, s->lane_rates, s->work);
     if (status != FB_OK)
         for (int i = 0; i < N_X; ++i)
             s->lane_rates[i] = NAN;
@@ -202,14 +203,15 @@ static void fb_free_side(fb_side *s)
 }
 
 /* Memory for `size` bytes, of which an fb_side is the first part, aligned for fb_real; NULL where there is none. */
-static fb_side *fb_new_side(const size_t size)
+static fb_side *fb_new_side(const fb_kernel *kernel, const size_t size)
 {
     char *const memory = calloc(1, size + sizeof(fb_real));
     if (memory == NULL)
         return NULL;
     fb_side *const s = (fb_side *)(void *)(memory + (sizeof(fb_real) - (uintptr_t)memory % sizeof(fb_real)));
     s->memory = memory;
-    s->work = calloc(1, FB_NAME(kernel).work_size);
+    s->kernel = kernel;
+    s->work = calloc(1, kernel->work_size);
     if (s->work == NULL) {
         fb_free_side(s);
         return NULL;
@@ -309,7 +311,7 @@ static FB_INLINE void fb_batch_of(const fb_batch *b, const long begin, const lon
 
 static FB_FLATTEN int batch(const fb_batch *b, const long begin, const long end)
 {
-    fb_side *const s = fb_new_side(sizeof *s); /* for single states */
+    fb_side *const s = fb_new_side(b->kernel, sizeof *s); /* for single states */
     if (s == NULL)
         return -1;
 #ifdef FB_SHORT

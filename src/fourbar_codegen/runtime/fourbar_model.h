@@ -275,7 +275,7 @@ const fb_kernel FB_NAME(kernel) = {
     .parameter_sensitivity = FB_NAME(parameter_sensitivity),
     .input_sensitivity = FB_NAME(input_sensitivity),
     .drawing = FB_NAME(drawing),
-#ifdef FB_HAS_LANES
+#if defined FB_HAS_LANES && !defined FB_LANES_APART
     .lanes = &FB_NAME(lanes),
 #endif
 };

@@ -694,9 +694,9 @@ class CompiledModel(Evaluator):
         >>> x0.round(6).tolist()
         [-0.5, -2.246416, -1.497827, -0.1, 0.071583, -0.027469]
         """
-        from fourbar_codegen.initial import initial_state
+        from fourbar_codegen.initial import given, initial_state
 
-        return initial_state(self, coordinates, speeds, t=t, guess=guess, parameters=parameters, inputs=inputs)
+        return initial_state(*given(self, coordinates, speeds, t, guess, parameters, inputs))
 
     def initial_states(
         self,
@@ -736,9 +736,9 @@ class CompiledModel(Evaluator):
         >>> len(modes), modes.is_complete
         (2, True)
         """
-        from fourbar_codegen.initial import initial_states
+        from fourbar_codegen.initial import given, initial_states
 
-        return initial_states(self, coordinates, speeds, t=t, parameters=parameters, inputs=inputs)
+        return initial_states(*given(self, coordinates, speeds, t, None, parameters, inputs))
 
     def ode(self, parameters: Values | None = None, inputs: Mapping[Any, InputSource] | None = None) -> Ode:
         """The right-hand side as a callable f(t, x), for `scipy.integrate.solve_ivp` and its like.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.trajectory import Trajectory
 
-__all__ = ["Drawing", "Panel", "drawing", "equal_times", "panels"]
+__all__ = ["Drawing", "Panel", "drawing", "equal_times", "extent", "panels"]
 
 Floats = NDArray[np.float64]
 
@@ -34,18 +34,15 @@ class Drawing:
     arrows : dict of int to ndarray, shape (3, n_t)
         The tips of arrows that show the inputs' forces, m, by the number of the point at which they begin.
     size : float
-        The largest extent of the points along one of the axes, m.
+    is_planar : bool
+        As `extent` has them.
     """
 
     shown: Trajectory
     positions: Floats
     arrows: dict[int, Floats]
     size: float
-
-    @property
-    def is_planar(self) -> bool:
-        """Whether all points stay in one plane z = constant."""
-        return bool(np.ptp(self.positions[:, 2]) <= PLANAR * self.size)
+    is_planar: bool
 
     def moves(self, point: int) -> bool:
         """Whether a point does not stay where it is."""
@@ -59,6 +56,17 @@ class Drawing:
         """Number, name, number of the point from which a line leads to it, and body of each point."""
         for number, entry in enumerate(self.shown.model.manifest["points"]):
             yield number, entry["name"], entry["parent"], entry["body"]
+
+
+def extent(positions: Floats) -> tuple[float, bool]:
+    """How far points reach along one of the axes, m, and whether all of them stay in one plane z = constant.
+
+    Parameters
+    ----------
+    positions : ndarray, shape (n_points, 3, n_t)
+    """
+    size = float(np.ptp(positions, axis=(0, 2)).max()) or 1.0
+    return size, bool(np.ptp(positions[:, 2]) <= PLANAR * size)
 
 
 def equal_times(start: float, end: float, rate: float) -> Floats:
@@ -91,7 +99,7 @@ def drawing(trajectory: Trajectory, times: Callable[[float, float], Floats]) -> 
         raise ModelError(f"There is nothing of {model.name} to draw: the run has no states.")
     shown = trajectory.resample(times(t[0], t[-1]))
     positions = np.array([shown.points[name] for name in model.points])
-    size = float(np.ptp(positions, axis=(0, 2)).max()) or 1.0
+    size, is_planar = extent(positions)
     # A force that is not finite has no arrow.
     forces = {name: np.where(np.isfinite(force).all(axis=0), force, 0.0) for name, force in shown.forces.items()}
     greatest = max((np.abs(force).max() for force in forces.values()), default=0.0)
@@ -100,7 +108,7 @@ def drawing(trajectory: Trajectory, times: Callable[[float, float], Floats]) -> 
         longest = max(np.linalg.norm(force, axis=0).max() for force in forces.values())
         forces = {name: ARROW * size * force / longest for name, force in forces.items()}
     arrows = {model.points.index(name): shown.points[name] + force for name, force in forces.items() if greatest}
-    return Drawing(shown, positions, arrows, size)
+    return Drawing(shown, positions, arrows, size, is_planar)
 
 
 @dataclass(frozen=True)

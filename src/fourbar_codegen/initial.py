@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from fourbar_codegen.compiled import CompiledModel
     from fourbar_codegen.simulate import InputSource
 
-__all__ = ["Loops", "initial_state", "initial_states"]
+__all__ = ["Loops", "given", "initial_state", "initial_states"]
 
 Floats = NDArray[np.float64]
 
@@ -37,49 +37,7 @@ INDEPENDENT = 1e-6
 CONSISTENT = 1e-10
 
 
-def initial_state(
-    model: CompiledModel,
-    coordinates: Values | None,
-    speeds: Values | None,
-    *,
-    t: float,
-    guess: Values | None,
-    parameters: Values | None,
-    inputs: Mapping[Any, InputSource] | None,
-) -> Floats:
-    """A state that satisfies all constraints; see `CompiledModel.initial_state`."""
-    loops, u_i, start = _given(model, coordinates, speeds, t, guess, parameters, inputs)
-    q = loops.coordinates(_close(loops, start) if model.n_h else start)
-    return np.concatenate((q, _dependent_speeds(loops, q, u_i)))
-
-
-def initial_states(
-    model: CompiledModel,
-    coordinates: Values | None,
-    speeds: Values | None,
-    *,
-    t: float,
-    parameters: Values | None,
-    inputs: Mapping[Any, InputSource] | None,
-) -> AssemblyModes:
-    """All states with these independent values; see `CompiledModel.initial_states`."""
-    from fourbar_codegen.assembly import DISTINCT, AssemblyModes, closed_coordinates
-
-    loops, u_i, start = _given(model, coordinates, speeds, t, None, parameters, inputs)
-    with Progress(f"{model.name}: ways to close the loops") as progress:
-        found, is_complete = closed_coordinates(loops, start, progress) if model.n_h else ([start], True)
-    states = []
-    for dependent in found:
-        q = loops.coordinates(dependent)
-        try:
-            u = _dependent_speeds(loops, q, u_i, DISTINCT)  # in a dead point, positions are right to half of all digits
-        except UndeterminedSpeedsError:
-            u = np.concatenate((u_i, np.full(model.n_u - len(u_i), np.nan)))
-        states.append(np.concatenate((q, u)))
-    return AssemblyModes(model, t, np.reshape(states, (len(states), model.n_x)), is_complete, loops.p, loops.r)
-
-
-def _given(
+def given(
     model: CompiledModel,
     coordinates: Values | None,
     speeds: Values | None,
@@ -98,6 +56,30 @@ def _given(
     dependent = model.coordinates[n_qi:]
     start = named_array(guess, dependent, {**dict.fromkeys(dependent, 0.0), **initial}, "dependent coordinate")
     return Loops(model, t, q_i, p, _inputs_at(model, t, p, inputs)), u_i, start
+
+
+def initial_state(loops: Loops, u_i: Floats, start: Floats) -> Floats:
+    """A state that satisfies all constraints; see `CompiledModel.initial_state`."""
+    q = loops.coordinates(_close(loops, start) if loops.model.n_h else start)
+    return np.concatenate((q, _dependent_speeds(loops, q, u_i)))
+
+
+def initial_states(loops: Loops, u_i: Floats, start: Floats) -> AssemblyModes:
+    """All states with these independent values; see `CompiledModel.initial_states`."""
+    from fourbar_codegen.assembly import DISTINCT, AssemblyModes, closed_coordinates
+
+    model = loops.model
+    with Progress(f"{model.name}: ways to close the loops") as progress:
+        found, is_complete = closed_coordinates(loops, start, progress) if model.n_h else ([start], True)
+    states = []
+    for dependent in found:
+        q = loops.coordinates(dependent)
+        try:
+            u = _dependent_speeds(loops, q, u_i, DISTINCT)  # in a dead point, positions are right to half of all digits
+        except UndeterminedSpeedsError:
+            u = np.concatenate((u_i, np.full(model.n_u - len(u_i), np.nan)))
+        states.append(np.concatenate((q, u)))
+    return AssemblyModes(model, loops.t, np.reshape(states, (len(states), model.n_x)), is_complete, loops.p, loops.r)
 
 
 def _inputs_at(

@@ -8,7 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
-from zipfile import BadZipFile
+from zipfile import BadZipFile, is_zipfile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -200,8 +200,11 @@ _Read = tuple[dict[str, Any], Floats, Callable[[str], Floats]]
 
 
 def _read_npz(path: Path) -> _Read:
-    with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-        arrays = dict(file)
+    with path.open("rb") as opened:
+        if not is_zipfile(opened):  # in which case NumPy would give advice about pickles
+            raise ModelError(f"{path} is no NPZ file, or a damaged one.")
+        with np.load(opened, allow_pickle=False) as file:
+            arrays = dict(file)
     return json.loads(str(arrays[ATTRIBUTES])), arrays["t"], arrays.__getitem__
 
 

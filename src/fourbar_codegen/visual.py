@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourbar_codegen.arguments import positive
-from fourbar_codegen.drawing import PLANAR, drawing, equal_times, panels
+from fourbar_codegen.drawing import drawing, equal_times, extent, panels
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.progress import PATIENCE
 
@@ -105,19 +105,18 @@ def plot_modes(modes: AssemblyModes) -> Figure:
     if not model.points or not len(modes):
         raise ModelError(f"There is nothing to draw: {modes!r} with the points {', '.join(model.points) or 'none'}.")
     states = np.where(np.isfinite(modes.x), modes.x, 0.0)[:MOST_PANELS]
-    positions = np.array([model.drawing(modes.t, x, modes.parameters, modes.inputs)[0] for x in states])
-    size = float(np.ptp(positions, axis=(0, 1)).max()) or 1.0
-    planar = bool(np.ptp(positions[:, :, 2]) <= PLANAR * size)
+    positions = np.stack([model.drawing(modes.t, x, modes.parameters, modes.inputs)[0] for x in states], axis=2)
+    size, planar = extent(positions)
     figure, cells = _figure(len(states), planar)
     figure.suptitle(
         f"{model.name}: {len(modes)} assembly modes"
         + ("" if modes.is_complete else ", or more")
         + ("" if len(states) == len(modes) else f"; the first {len(states)}")
     )
-    low, high = positions.min(axis=(0, 1)), positions.max(axis=(0, 1))
+    low, high = positions.min(axis=(0, 2)), positions.max(axis=(0, 2))
     n_qi = model.n_q - model.manifest["n_dependent_coordinates"]
     for number, axes in enumerate(cells):
-        _draw_mechanism(axes, model, positions[number], planar)
+        _draw_mechanism(axes, model, positions[:, :, number], planar)
         named = zip(model.coordinates[n_qi:], modes.x[number, n_qi : model.n_q], strict=True)
         text = _label(", ".join(f"{name} = {value:.3g}" for name, value in [*named][:3]))
         axes.set_title(f"{number}: {text}", fontsize="small")

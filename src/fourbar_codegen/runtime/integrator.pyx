@@ -210,11 +210,6 @@ cdef class Ode:
         return self.evaluator.n_x
 
     @property
-    def time(self):
-        """Of the last call."""
-        return self.problem.t
-
-    @property
     def stabilization(self):
         """The rate of Baumgarte's stabilization of the constraints, 1/s; 0 for none."""
         return self.problem.stabilization

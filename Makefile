@@ -3,6 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/installed
+INSTALLED_DOCS := $(VENV)/installed-docs
 # What a compiled part is made of; the Python files are used where they stand.
 SOURCES := pyproject.toml setup.py $(wildcard src/fourbar_codegen/runtime/*.pyx src/fourbar_codegen/runtime/*.h generated/*/*)
 
@@ -12,15 +13,14 @@ run: $(INSTALLED)
 	$(BIN)/fourbar simulate four_bar -o results/four_bar.csv -o results/four_bar.npz -o results/four_bar.png
 
 test: $(INSTALLED)
-	$(BIN)/python -m pytest --numprocesses auto
+	$(BIN)/python -m pytest --numprocesses auto --dist worksteal
 
 lint: $(INSTALLED)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-docs: $(INSTALLED)
-	$(BIN)/python -m pip install --quiet --editable '.[docs]'
+docs: $(INSTALLED_DOCS)
 	$(BIN)/python -m sphinx --fail-on-warning --quiet -b html docs docs/_build/html
 
 bench: $(INSTALLED)
@@ -35,11 +35,15 @@ bench: $(INSTALLED)
 generate: $(INSTALLED)
 	$(BIN)/fourbar generate four_bar -o generated
 
-$(INSTALLED): $(SOURCES)
+$(INSTALLED): EXTRAS := test,visual
+# Tests and linters find what they need there as well: each installation compiles the package. Python files are
+# compiled when they are first imported, which are a fraction of them.
+$(INSTALLED_DOCS): EXTRAS := test,visual,docs
+$(INSTALLED) $(INSTALLED_DOCS): $(SOURCES)
 	$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "Python 3.11 or newer is needed; name one: make PYTHON=python3.12")'
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --editable '.[test,visual]'
-	touch $@
+	PIP_NO_COMPILE=1 $(BIN)/python -m pip install --quiet --editable '.[$(EXTRAS)]'
+	touch $(INSTALLED) $@
 
 clean:
 	rm -rf $(VENV) build results docs/_build docs/notebooks src/*.egg-info src/fourbar_codegen/*/*.so

@@ -3,6 +3,7 @@
 The runtime, and every model whose generated sources are in generated/. It generates nothing itself.
 """
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -42,5 +43,6 @@ setup(
         [*runtime, *models],
         build_dir="build/cython",
         include_path=["src"],
-    )
+    ),
+    options={"build_ext": {"parallel": os.cpu_count()}},
 )

@@ -1,5 +1,6 @@
 """The cache: keys that digest everything, warm calls that form nothing, builds that are whole or absent."""
 
+import os
 import shutil
 import subprocess
 import sys
@@ -234,6 +235,27 @@ def test_unwritable_cache(monkeypatch, tmp_path):
     assert blocked.read_text() == ""
 
 
+def run_of_slider(cache):
+    """In a process of its own: the module must not be in memory already. The module's path, and what it gives."""
+    code = (
+        "import sys; sys.path.insert(0, 'tests')\n"
+        "import fourbar_codegen as fb; from systems import slider\n"
+        "model = fb.compile_model(slider()); print(model.path, model.rhs(0.0, [0.5, 0.1, 0.2, 0.3]))"
+    )
+    environment = {**os.environ, "FOURBAR_CODEGEN_CACHE": str(cache)}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
+    path, _, rates = done.stdout.partition(" ")
+    return Path(path), rates
+
+
+@pytest.fixture(scope="module")
+def filled(tmp_path_factory):
+    """A cache that has the slider; where its module is in it, and what that gives."""
+    cache = tmp_path_factory.mktemp("filled")
+    module, rates = run_of_slider(cache)
+    return cache, module.relative_to(cache), rates
+
+
 def truncate(module):
     with module.open("r+b") as file:
         file.truncate(20000)
@@ -251,18 +273,8 @@ def truncate(module):
     ],
     ids=["truncated", "empty", "missing", "no checksum", "a file", "left behind"],
 )
-def test_damaged_entry_is_built_anew(monkeypatch, tmp_path, damage):
-    # In processes of their own: the module must not be in memory already.
-    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
-    code = (
-        "import sys; sys.path.insert(0, 'tests')\n"
-        "import fourbar_codegen as fb; from systems import slider\n"
-        "model = fb.compile_model(slider()); print(model.path, model.rhs(0.0, [0.5, 0.1, 0.2, 0.3]))"
-    )
-
-    def run():
-        return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-
-    first = run()
-    damage(Path(first.split()[0]))
-    assert run() == first
+def test_damaged_entry_is_built_anew(tmp_path, filled, damage):
+    cache, module, rates = filled
+    shutil.copytree(cache, tmp_path / "cache")
+    damage(tmp_path / "cache" / module)
+    assert run_of_slider(tmp_path / "cache") == (tmp_path / "cache" / module, rates)

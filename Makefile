@@ -42,7 +42,7 @@ $(INSTALLED_DOCS): EXTRAS := test,visual,docs
 $(INSTALLED) $(INSTALLED_DOCS): $(SOURCES)
 	$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "Python 3.11 or newer is needed; name one: make PYTHON=python3.12")'
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	PIP_NO_COMPILE=1 $(BIN)/python -m pip install --quiet --editable '.[$(EXTRAS)]'
+	$(BIN)/python -m pip install --quiet --no-compile --editable '.[$(EXTRAS)]'
 	touch $(INSTALLED) $@
 
 clean:

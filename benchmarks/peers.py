@@ -398,17 +398,18 @@ def at_error(rows: list[dict[str, Any]], name: str, error: float) -> float | Non
 def plot(rows: list[dict[str, Any]], path: Path) -> None:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(8, 5), layout="constrained")
+    figure = Figure(figsize=(10, 5), layout="constrained")
     axes = figure.add_subplot()
-    for name in dict.fromkeys(row["integrator"] for row in rows):
-        own = [row for row in rows if row["integrator"] == name]
-        style = {"linewidth": 2.5} if name.startswith("fourbar") else {"linewidth": 1.0, "alpha": 0.8}
-        axes.loglog([r["error"] for r in own], [1e3 * r["seconds"] for r in own], ".-", label=name, **style)
+    for number, name in enumerate(dict.fromkeys(row["integrator"] for row in rows)):
+        own = [row for row in rows if row["integrator"] == name and row["error"] > 0.0]  # the reference has none
+        style = {"linewidth": 2.5} if name.startswith("fourbar") else {"linewidth": 1.0}
+        line = ".-" if number < 10 else ".--"  # when Matplotlib's ten colours are used up
+        axes.loglog([r["error"] for r in own], [1e3 * r["seconds"] for r in own], line, label=name, **style)
     axes.invert_xaxis()
     axes.set_xlabel("error of the state at 4 s")
     axes.set_ylabel("time of the simulation, ms")
     axes.grid(alpha=0.3)
-    axes.legend(fontsize="small")
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small")
     save_picture(figure, path)
 
 

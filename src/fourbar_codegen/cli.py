@@ -193,7 +193,9 @@ def _show(output: Path, endings: tuple[str, ...], run: dict[str, Any]) -> None:
     from fourbar_codegen.report import picture_times
 
     if output.suffix.lower() not in endings:
-        raise fb.ModelError(f"{output} must end with {' or '.join(endings)}.")
+        raise fb.ModelError(
+            f"{output} must end with {' or '.join(endings)}. fourbar animate writes films, report pages, simulate data."
+        )
     trajectory, _ = _simulated(picture_times, **run)
     click.echo(f"Written: {trajectory.save(output)}")
     _check_end(trajectory)

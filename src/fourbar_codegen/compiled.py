@@ -208,12 +208,21 @@ class CompiledModel(Evaluator):
     def require_lanes(self) -> None:
         """Build and load the functions for several states side by side, where the module was built without them.
 
-        They are in modules that were built to travel. `compile_model` leaves them to the first batch or ensemble.
+        They are in modules that were built to travel. `compile_model` leaves them to the first batch or ensemble, which
+        calls this.
 
         Raises
         ------
         BuildError, CacheError
             As for `compile_model`.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> four_bar = fb.load("four_bar")
+        >>> four_bar.require_lanes()
+        >>> four_bar.has_lanes
+        True
         """
         if self.has_lanes or self._lanes_are_sought:
             return

@@ -62,8 +62,10 @@ def test_key_knows_the_toolchain(change, monkeypatch, tmp_path):
         monkeypatch.setattr(build, "PACKAGE", tmp_path)
     elif change == "python":
         monkeypatch.setattr(build.sys, "implementation", type("Fake", (), {"cache_tag": "cpython-399"}))
-    elif change in {"numpy", "sympy"}:
-        monkeypatch.setattr(f"{change}.__version__", "0")
+    elif change == "numpy":
+        monkeypatch.setattr("numpy.__version__", "0")
+    elif change == "sympy":
+        monkeypatch.setattr(build, "distribution_version", lambda name: "0")
     elif change == "cython":
         (tmp_path / "Shadow.py").write_text('__version__ = "0"')
         spec = type("Spec", (), {"origin": str(tmp_path / "__init__.py")})
@@ -184,11 +186,11 @@ def test_states_side_by_side_are_compiled_when_they_are_needed(monkeypatch, tmp_
     start = first.initial_state({"q1": 0.48}, {"u1": 0.0})
     assert first.simulate((0.0, 0.1), start).success
     assert first.ensemble((0.0, 0.1), start, inputs={"F": lambda t, x: 1.0}).success.all()
-    assert not first.has_lanes
+    assert first.lacks_lanes
     assert entries(tmp_path) == ["slider"]
     x = np.linspace(0.1, 2.0, 40).reshape(4, 10)
     rates = first.rhs_batch(0.0, x)
-    assert first.has_lanes
+    assert not first.lacks_lanes
     assert entries(tmp_path) == ["slider", "slider_lanes"]
     np.testing.assert_allclose(rates, np.transpose([first.rhs(0.0, column) for column in x.T]), rtol=1e-12)
 
@@ -215,12 +217,44 @@ def test_states_side_by_side_that_cannot_be_compiled(monkeypatch, tmp_path):
     assert np.isfinite(model.rhs_batch(0.0, x)).all()
 
 
+def test_states_side_by_side_without_their_sources(monkeypatch, tmp_path):
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
+    model = fb.compile_model(slider())
+    shutil.rmtree(model.path.parent)
+    with pytest.raises(fb.ModelError, match="compile the model again"):
+        model.rhs_batch(0.0, np.full((4, 3), 0.5))
+
+
+def test_another_models_sources_in_the_folder(tmp_path):
+    """Many loops are not evaluated side by side; what is left of another model of the same name does not count."""
+    lanes = tmp_path / "n_four_bar_10_lanes.c"
+    lanes.write_text("of another model")
+    model = fb.load(fb.build_model(fb.models.n_four_bar(10), tmp_path))
+    assert not lanes.exists()
+    lanes.write_text("of another model")
+    x = np.full((model.n_x, 2), 0.1)
+    np.testing.assert_array_equal(model.rhs_batch(0.0, x)[:, 0], model.rhs(0.0, x[:, 0]))
+
+
+def test_states_side_by_side_need_no_sympy(tmp_path, monkeypatch):
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
+    path = fb.compile_model(slider()).path
+    code = f"""
+import sys
+sys.modules["sympy"] = None  # importing it fails
+import fourbar_codegen as fb
+print(fb.load({str(path)!r}).rhs_batch(0.0, [[0.5], [0.1], [0.2], [0.3]]).shape)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stdout == "(4, 1)\n", done.stderr
+
+
 def test_modules_for_others_have_all_in_one_file(monkeypatch, tmp_path):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path / "cache"))
     module = fb.build_model(slider(), tmp_path / "folder")
     shutil.move(module, tmp_path / module.name)
     model = fb.load(tmp_path / module.name)
-    assert model.has_lanes
+    assert not model.lacks_lanes
     assert np.isfinite(model.rhs_batch(0.0, np.full((4, 3), 0.5))).all()
     assert not (tmp_path / "cache").exists()
 

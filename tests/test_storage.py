@@ -99,3 +99,40 @@ def test_damaged_files(run, tmp_path, ending):
 def test_settings_of_other_kinds_of_numbers(four_bar, tmp_path):
     run = four_bar.simulate((0.0, 0.1), constraints="baumgarte", stabilization=np.float32(10.0))
     assert fb.load_trajectory(run.save(tmp_path / "run.npz")).settings["stabilization"] == 10.0
+
+
+def test_changed_bits(run, tmp_path):
+    """Checksums of both kinds of files tell, wherever they are changed, or what is read is the same."""
+    generator = np.random.default_rng(0)
+    for ending in (".npz", ".nc"):
+        whole = run.save(tmp_path / f"run{ending}").read_bytes()
+        told = 0
+        for i in range(40):
+            content = bytearray(whole)
+            content[generator.integers(len(content))] ^= 1 << int(generator.integers(8))
+            path = tmp_path / f"changed{i}{ending}"
+            path.write_bytes(content)
+            try:
+                back = fb.load_trajectory(path)
+            except fb.ModelError:
+                told += 1
+            else:
+                np.testing.assert_array_equal(back.y, run.y)
+        assert told > 0
+
+
+def test_compression_that_nobody_knows(run, tmp_path):
+    content = bytearray(run.save(tmp_path / "run.npz").read_bytes())
+    content[content.index(b"PK\x01\x02") + 10] = 7
+    (tmp_path / "changed.npz").write_bytes(content)
+    with pytest.raises(fb.ModelError, match="no trajectory"):
+        fb.load_trajectory(tmp_path / "changed.npz")
+
+
+def test_what_is_no_path_and_no_model(run, tmp_path):
+    with pytest.raises(fb.ModelError, match="path"):
+        fb.load_trajectory(None)
+    with pytest.raises(fb.ModelError, match="CompiledModel"):
+        fb.load_trajectory(run.save(tmp_path / "run.npz"), "four_bar")
+    with pytest.raises(fb.ModelError, match="no such file"):
+        fb.load_trajectory(tmp_path / "none.nc")

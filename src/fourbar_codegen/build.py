@@ -13,6 +13,8 @@ import sysconfig
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
+from importlib.metadata import PackageNotFoundError
+from importlib.metadata import version as distribution_version
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -58,7 +60,6 @@ def toolchain() -> dict[str, object]:
     version.
     """
     import numpy as np
-    import sympy as sm
 
     cython = find_spec("Cython")
     compiler = _compiler()
@@ -66,7 +67,7 @@ def toolchain() -> dict[str, object]:
         "package": _package_digest(),
         "python": f"{sys.implementation.cache_tag} {sysconfig.get_config_var('EXT_SUFFIX')}",
         "numpy": np.__version__,
-        "sympy": sm.__version__,
+        "sympy": _sympy_version(),
         "cython": _digest([Path(cython.origin).with_name("Shadow.py")]) if cython and cython.origin else "",
         "compiler": compiler,
         "compiler file": _file_identity(shutil.which(compiler[0])),
@@ -82,6 +83,14 @@ def toolchain() -> dict[str, object]:
         ],
         "processor": _processor(),
     }
+
+
+def _sympy_version() -> str:
+    """Without importing it: what is built from sources does without."""
+    try:
+        return distribution_version("sympy")
+    except PackageNotFoundError:
+        return ""
 
 
 def _compiler() -> list[str]:
@@ -175,6 +184,7 @@ def build_extension(
             check(module)
         try:
             folder.mkdir(parents=True, exist_ok=True)
+            (folder / f"{name}_lanes.c").unlink(missing_ok=True)  # not every model has one; this may be another's
             for filename in (*sources, module.name):
                 # By way of a new file: a module that a process has loaded must not change under its feet.
                 (folder / filename).unlink(missing_ok=True)
@@ -344,8 +354,8 @@ def _run(command: Sequence[str], target: Path, tool: str = "the C compiler", cwd
     except OSError as error:
         raise BuildError(
             f"The C compiler {command[0]!r} could not be started: {error.strerror}. Install one (for instance gcc or "
-            "clang), or name one in the environment variable CC. Models that are built already can be loaded with "
-            "fourbar_codegen.load.",
+            "clang), or name one in the environment variable CC. Models that build_model, fourbar build or a wheel has "
+            "brought need none: fourbar_codegen.load.",
             command=command,
         ) from error
     if done.returncode or not target.exists():

@@ -260,6 +260,7 @@ def generate(model: str, output: Path) -> None:
     texts = fb.generate_sources(source)
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        (folder / f"{source.name}_lanes.c").unlink(missing_ok=True)  # not every model has one; this may be another's
         for name, text in texts.items():
             (folder / name).write_text(text, encoding="utf-8", newline="\n")
             click.echo(f"Written: {folder / name}")
@@ -324,9 +325,12 @@ def _compiled(model: str) -> CompiledModel:
     if ":" not in model:
         try:
             return fb.load(model)
-        except fb.ModelError:
+        except fb.ModelError as error:
             if model not in fb.models.__all__:
-                raise
+                raise fb.ModelError(
+                    f"{error} {', '.join(fb.models.__all__)} are compiled on the way, and so is what FILE.py:FUNCTION "
+                    "or MODULE:FUNCTION makes."
+                ) from error
     return fb.compile_model(_model(model))
 
 

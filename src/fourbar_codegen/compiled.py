@@ -38,6 +38,8 @@ _LOADED: dict[str, tuple[int, int, int]] = {}
 def load(name: str | Path) -> CompiledModel:
     """Load a model that is compiled already; neither SymPy nor a compiler is needed.
 
+    (For a module of `compile_model`, in the cache, a compiler is needed once more by its first batch or ensemble.)
+
     Parameters
     ----------
     name : str or Path
@@ -148,7 +150,6 @@ class CompiledModel(Evaluator):
     def __init__(self, capsule: object, manifest: dict[str, Any]) -> None:  # noqa: ARG002  # Evaluator takes it
         self.manifest = manifest
         self.path = Path()
-        self._lanes_are_sought = False
         self.name: str = manifest["name"]
         self.coordinates: tuple[str, ...] = tuple(manifest["coordinates"])
         self.speeds: tuple[str, ...] = tuple(manifest["speeds"])
@@ -215,28 +216,33 @@ class CompiledModel(Evaluator):
         ------
         BuildError, CacheError
             As for `compile_model`.
+        ModelError
+            If the sources are no longer beside the module.
 
         Examples
         --------
         >>> import fourbar_codegen as fb
         >>> four_bar = fb.load("four_bar")
         >>> four_bar.require_lanes()
-        >>> four_bar.has_lanes
-        True
+        >>> four_bar.lacks_lanes
+        False
         """
-        if self.has_lanes or self._lanes_are_sought:
+        if not self.lacks_lanes:
             return
         name = f"{self.name}_lanes"
         sources = self._sources() or {}
-        if f"{name}.c" in sources:
-            from fourbar_codegen.build import build_lanes
+        if f"{name}.c" not in sources:
+            raise ModelError(
+                f"Batches and ensembles need functions that compile_model leaves for later, and their sources are no "
+                f"longer beside {self.path}: compile the model again. A module of build_model has them inside."
+            )
+        from fourbar_codegen.build import build_lanes
 
-            with Progress(f"fourbar_codegen: {self.name}") as progress:
-                progress.stage("compiling for many states at once")
-                path = _built(name, sources, lambda folder: build_lanes(self.name, sources, folder))
-            library = ctypes.CDLL(str(path))  # which stays loaded as long as the process runs
-            self.attach_lanes(ctypes.addressof(ctypes.c_char.in_dll(library, name)))
-        self._lanes_are_sought = True
+        with Progress(f"fourbar_codegen: {self.name}") as progress:
+            progress.stage("compiling for many states at once")
+            path = _built(name, sources, lambda folder: build_lanes(self.name, sources, folder))
+        library = ctypes.CDLL(str(path))  # which stays loaded as long as the process runs
+        self.attach_lanes(ctypes.addressof(ctypes.c_char.in_dll(library, name)))
 
     def __repr__(self) -> str:
         return (

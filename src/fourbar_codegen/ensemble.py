@@ -178,7 +178,7 @@ def _default_inputs(model: CompiledModel, t: float, parameters: Floats) -> dict[
 def _workers(workers: int | None) -> int:
     if workers is None:
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if not isinstance(workers, int | np.integer) or workers < 1:
+    if not isinstance(workers, int | np.integer) or isinstance(workers, bool) or workers < 1:
         raise ModelError(f"workers must be a positive number of threads or None, for all cores, not {workers!r}.")
     return int(workers)
 

@@ -120,7 +120,10 @@ def write_netcdf(trajectory: Trajectory, file: IO[bytes]) -> None:
     dataset = to_dataset(trajectory)
     _require_h5netcdf()
     try:
-        dataset.to_netcdf(file.name, engine="h5netcdf")
+        # With checksums, which are NetCDF's own: damaged numbers are not read as others.
+        numbers = (name for name, array in dataset.variables.items() if array.dtype == float and array.size)
+        summed = {name: {"fletcher32": True} for name in numbers}
+        dataset.to_netcdf(file.name, engine="h5netcdf", encoding=summed)
     except ValueError as error:  # names of outputs may be anything
         raise ModelError(f"NetCDF cannot hold this trajectory: {error}.") from error
 
@@ -162,10 +165,16 @@ def load_trajectory(path: str | Path, model: CompiledModel | None = None) -> Tra
     >>> fb.load_trajectory(path).y.shape == run.y.shape  # doctest: +SKIP
     True
     """
+    if not isinstance(path, str | Path):
+        raise ModelError(f"Trajectories are read from a file, given by its path, not {path!r}.")
+    if not (model is None or isinstance(model, CompiledModel)):
+        raise ModelError(f"model must be a CompiledModel or None, not {model!r}.")
     path = Path(path)
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
         raise ModelError(f"Trajectories are read from {' and '.join(_READERS)} files; {path.name!r} ends otherwise.")
+    if not path.is_file():
+        raise ModelError(f"{path} cannot be read: there is no such file.")
     try:
         attributes, t, column = reader(path)
         name, fingerprint = attributes["model"], attributes["fingerprint"]
@@ -192,7 +201,7 @@ def load_trajectory(path: str | Path, model: CompiledModel | None = None) -> Tra
         raise
     except OSError as error:
         raise ModelError(f"{path} cannot be read: {error.strerror or error}.") from error
-    except (AttributeError, BadZipFile, EOFError, KeyError, TypeError, ValueError) as error:
+    except (AttributeError, BadZipFile, EOFError, KeyError, RuntimeError, TypeError, ValueError) as error:
         raise ModelError(f"{path} holds no trajectory that fourbar_codegen has saved: {error}.") from error
 
 

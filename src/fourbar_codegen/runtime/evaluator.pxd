@@ -48,6 +48,7 @@ cdef extern from "fourbar_kernel.h":
         fb_sensitivity *input_sensitivity
         void (*drawing)(double, const double *, const double *, const double *, double *, double *) noexcept nogil
         const fb_lanes *lanes
+        int lanes_apart
 
 cdef extern from "fourbar_problem.h":
     ctypedef struct fb_table:

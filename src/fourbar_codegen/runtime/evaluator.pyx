@@ -92,9 +92,9 @@ cdef class Evaluator:
         PyMem_Free(self.work)
 
     @property
-    def has_lanes(self):
-        """Whether the functions for several states side by side are there."""
-        return self.lanes != NULL
+    def lacks_lanes(self):
+        """Whether the functions for several states side by side are in a library that has not been attached yet."""
+        return self.lanes == NULL and self.kernel.lanes_apart != 0
 
     def attach_lanes(self, size_t address):
         """Take the functions for several states side by side, an ``fb_lanes``, that were built apart from the kernel."""

@@ -105,6 +105,7 @@ typedef struct fb_kernel {
     fb_sensitivity *sensitivity, *parameter_sensitivity, *input_sensitivity;
     fb_drawing *drawing; /* positions (n_points, 3) and forces (n_forces, 3) in the inertial frame */
     const fb_lanes *lanes; /* the same for several states side by side, or NULL */
+    int lanes_apart;       /* whether they are in a library of their own */
 } fb_kernel;
 
 #endif

@@ -275,7 +275,9 @@ const fb_kernel FB_NAME(kernel) = {
     .parameter_sensitivity = FB_NAME(parameter_sensitivity),
     .input_sensitivity = FB_NAME(input_sensitivity),
     .drawing = FB_NAME(drawing),
-#if defined FB_HAS_LANES && !defined FB_LANES_APART
+#if defined FB_HAS_LANES && defined FB_LANES_APART
+    .lanes_apart = 1,
+#elif defined FB_HAS_LANES
     .lanes = &FB_NAME(lanes),
 #endif
 };

@@ -20,7 +20,7 @@ from pathlib import Path
 
 from fourbar_codegen.errors import BuildError
 
-__all__ = ["build_extension", "build_lanes", "get_include", "pack_wheel", "toolchain"]
+__all__ = ["build_extension", "build_lanes", "get_include", "pack_wheel", "toolchain", "write_sources"]
 
 PACKAGE = Path(__file__).parent
 
@@ -182,16 +182,42 @@ def build_extension(
         module = _build(name, sources, Path(temporary), portable=portable)
         if check is not None:
             check(module)
+        write_sources(name, sources, folder)
+        target = folder / module.name
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            (folder / f"{name}_lanes.c").unlink(missing_ok=True)  # not every model has one; this may be another's
-            for filename in (*sources, module.name):
-                # By way of a new file: a module that a process has loaded must not change under its feet.
-                (folder / filename).unlink(missing_ok=True)
-                shutil.copyfile(module.with_name(filename), folder / filename)
+            # By way of a new file: a module that a process has loaded must not change under its feet.
+            target.unlink(missing_ok=True)
+            shutil.copyfile(module, target)
         except OSError as error:
             raise BuildError(f"{folder} cannot be written: {error.strerror}.") from error
-    return folder / module.name
+    return target
+
+
+def write_sources(name: str, sources: Mapping[str, str], folder: Path) -> None:
+    """Write a model's sources in the place of those that another one of its name may have left.
+
+    Parameters
+    ----------
+    name : str
+        The model's.
+    sources : mapping of str to str
+        Text by file name.
+    folder : Path
+        Created if it does not exist.
+
+    Raises
+    ------
+    BuildError
+        If the folder cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for filename in (f"{name}_lanes.c", *sources):  # not every model has that one
+            (folder / filename).unlink(missing_ok=True)
+        for filename, text in sources.items():
+            (folder / filename).write_text(text, encoding="utf-8", newline="\n")
+    except OSError as error:
+        raise BuildError(f"{folder} cannot be written: {error.strerror}.") from error
 
 
 def build_lanes(name: str, sources: Mapping[str, str], folder: Path) -> Path:
@@ -219,7 +245,7 @@ def build_lanes(name: str, sources: Mapping[str, str], folder: Path) -> Path:
         If a tool is missing or fails; with the tool's output.
     """
     with tempfile.TemporaryDirectory() as temporary:
-        _write(sources, Path(temporary))
+        write_sources(name, sources, Path(temporary))
         compiled = _compile(Path(temporary) / f"{name}_lanes.c", (*LANES_FLAGS, *MACHINE_FLAGS))
         return _link([compiled], folder / f"{name}_lanes.so")
 
@@ -295,7 +321,7 @@ def pack_wheel(module: Path, folder: Path, *, version: str, requires: Sequence[s
 
 
 def _build(name: str, sources: Mapping[str, str], folder: Path, *, portable: bool) -> Path:
-    _write(sources, folder)
+    write_sources(name, sources, folder)
     flags = {"_kernel.c": KERNEL_FLAGS, "_derivatives.c": DERIVATIVES_FLAGS}
     if not portable:
         flags = {ending: (*chosen, "-DFB_LANES_APART", *MACHINE_FLAGS) for ending, chosen in flags.items()}
@@ -308,11 +334,6 @@ def _build(name: str, sources: Mapping[str, str], folder: Path, *, portable: boo
         wrapper = _compile(_cythonize(folder / f"{name}.pyx"), WRAPPER_FLAGS)
         objects = [*(job.result() for job in jobs), wrapper]
     return _link(objects, folder / f"{name}{sysconfig.get_config_var('EXT_SUFFIX')}")
-
-
-def _write(sources: Mapping[str, str], folder: Path) -> None:
-    for filename, text in sources.items():
-        (folder / filename).write_text(text, encoding="utf-8", newline="\n")
 
 
 def _link(objects: Iterable[Path], target: Path) -> Path:

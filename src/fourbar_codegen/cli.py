@@ -255,17 +255,14 @@ def _report(trajectory: Trajectory, method: str, seconds: float) -> None:
     help="Folder in which the model's folder is made.",
 )
 def generate(model: str, output: Path) -> None:
+    from fourbar_codegen.build import write_sources
+
     source = _model(model)
     folder = output / source.name
     texts = fb.generate_sources(source)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / f"{source.name}_lanes.c").unlink(missing_ok=True)  # not every model has one; this may be another's
-        for name, text in texts.items():
-            (folder / name).write_text(text, encoding="utf-8", newline="\n")
-            click.echo(f"Written: {folder / name}")
-    except OSError as error:
-        raise fb.BuildError(f"The sources cannot be written to {folder}: {error.strerror}.") from error
+    write_sources(source.name, texts, folder)
+    for name in texts:
+        click.echo(f"Written: {folder / name}")
 
 
 @main.command(

@@ -27,6 +27,7 @@ from fourbar_codegen.arguments import (
 )
 from fourbar_codegen.errors import AssemblyError, FourbarError, ModelError
 from fourbar_codegen.integrate import METHODS, REACHED_END, is_rounded
+from fourbar_codegen.progress import PATIENCE
 from fourbar_codegen.runtime.batch import DONE, Batch, Members, width
 from fourbar_codegen.simulate import InputSource, bind, by_name, input_sources, projects
 from fourbar_codegen.trajectory import Trajectory
@@ -43,9 +44,6 @@ BLOCK = 1024
 
 PAUSE = 0.05
 """Seconds between two looks at how far the threads are."""
-
-PATIENCE = 1.0
-"""Seconds after which a progress bar comes up."""
 
 
 @dataclass(frozen=True, eq=False)

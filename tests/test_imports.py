@@ -15,6 +15,7 @@ RUN = [
     "assembly",
     "compiled",
     "drawing",
+    "elimination",
     "ensemble",
     "initial",
     "integrate",

@@ -120,7 +120,61 @@ def test_contradictory_constraints_are_an_error():
 
 
 def test_constraints_that_are_not_redundant_need_a_dependent_speed_each():
-    both = fb.compile_model(pendulum(circle, me.dynamicsymbols("x") - sm.S.Half * me.dynamicsymbols("y")))
+    model = pendulum(circle, me.dynamicsymbols("x") - sm.S.Half * me.dynamicsymbols("y"))
+    with pytest.raises(fb.ModelError, match=r"2 velocity constraints are independent .* 1 dependent speed \(v_x\)"):
+        fb.compile_model(model)
+    both = fb.compile_model(model, check=False)
     closing = np.array([0.5, 1.0]) / np.sqrt(1.25)
     with pytest.raises(fb.AssemblyError, match="2 velocity constraints are independent"):
         both.initial_state([closing[1]], [0.0], guess=[closing[0]])
+    x = [closing[1], closing[0], 0.0, 0.0]
+    for evaluate in (both.rhs, both.multipliers, both.jacobian):
+        with pytest.raises(fb.SimulationError, match="More than 1 velocity constraints are independent"):
+            evaluate(0.0, x)
+    with pytest.raises(fb.SimulationError, match="More than 1 velocity constraints are independent"):
+        both.simulate((0.0, 1.0), x)
+
+
+def test_a_loop_with_one_dependent_variable_too_few():
+    """The tutorial's linkage with u3 alone dependent: SymPy's form_eoms refuses it too."""
+    linkage = fb.models.four_bar()
+    system = linkage.system
+    [q1, q2, q3], [u1, u2, u3] = system.q, system.u
+    system.u_dep, system.u_ind, system.q_dep, system.q_ind = [u3], [u1, u2], [q3], [q1, q2]
+    values = dict(zip(linkage.parameter_symbols, linkage.parameters.values(), strict=True))
+    model = fb.Model(system, name="too_few", parameters=values, inputs=linkage.input_expressions)
+    with pytest.raises(fb.ModelError, match=r"2 velocity constraints .* 1 dependent speed \(u3\)"):
+        fb.compile_model(model)
+    compiled = fb.compile_model(model, check=False)
+    with pytest.raises(fb.SimulationError, match=r"dependent speed \(u3\)"):
+        compiled.rhs(0.0, fb.load("four_bar").initial_state())
+
+
+def test_constraints_on_one_particle_with_one_dependent_speed():
+    """y = x and z = -x leave one degree of freedom: the compiler is not to blame."""
+    (x, y, z), (vx, vy, vz) = me.dynamicsymbols("x y z"), me.dynamicsymbols("v_x v_y v_z")
+    t = me.dynamicsymbols._t
+    ground, origin, point = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
+    origin.set_vel(ground, 0)
+    point.set_pos(origin, x * ground.x + y * ground.y + z * ground.z)
+    point.set_vel(ground, vx * ground.x + vy * ground.y + vz * ground.z)
+    system = System(ground, origin)
+    system.add_bodies(me.Particle("p", point, 1))
+    system.q_ind, system.q_dep, system.u_ind, system.u_dep = [x, y], [z], [vx, vy], [vz]
+    system.add_kdes(vx - x.diff(t), vy - y.diff(t), vz - z.diff(t))
+    system.add_holonomic_constraints(y - x, z + x)
+    with pytest.raises(fb.ModelError, match="2 velocity constraints are independent"):
+        fb.compile_model(fb.Model(system, name="particle"))
+
+
+def test_more_dependent_speeds_than_independent_constraints():
+    """Both speeds of a pendulum dependent, its constraint twice: the second row is dropped as it was."""
+    single = fb.compile_model(fb.models.cartesian_pendulum())
+    model = pendulum(circle, 2 * circle)
+    system = model.system
+    speeds = list(system.u)
+    system.u_ind, system.u_dep = [], speeds
+    values = dict(zip(model.parameter_symbols, model.parameters.values(), strict=True))
+    both = fb.compile_model(fb.Model(system, name="both", parameters=values))
+    x0 = single.initial_state([0.6], [0.5])
+    np.testing.assert_allclose(both.rhs(0.0, x0), single.rhs(0.0, x0), rtol=1e-13)

@@ -135,21 +135,6 @@ def test_row_of_parallelograms_in_closed_form(loops):
         np.testing.assert_allclose(balance, 0.0, rtol=0, atol=1e-10 * np.abs(forcing).max())
 
 
-def test_row_of_parallelograms_at_a_singular_position():
-    # All bars are level: the loops' constraints depend on each other, and still hold.
-    compiled = fb.compile_model(fb.models.n_four_bar(10))
-    x = np.zeros(compiled.n_x)
-    x[:11], x[compiled.n_q : compiled.n_q + 11] = np.pi / 2, 1.3
-    accelerations, _ = compiled.accelerations(0.0, x)
-    _, _, _, jacobian, bias = compiled.dynamics(0.0, x)
-    assert np.linalg.matrix_rank(jacobian) < compiled.n_c
-    np.testing.assert_allclose(jacobian @ accelerations, -bias, rtol=0, atol=1e-10 * np.abs(accelerations).max())
-    # Where they depend on each other and cannot hold, that is said.
-    x[compiled.n_q] = 0.4
-    with pytest.raises(fb.SimulationError):
-        compiled.accelerations(0.0, x)
-
-
 def operations(model, function="dynamics"):
     return json.loads(fb.generate_sources(model)["manifest.json"])["operations"][function]
 

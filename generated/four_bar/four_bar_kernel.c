@@ -27,7 +27,7 @@ enum {
     N_POINTS = 11,
     N_FORCES = 1,
     N_RANK = 2,
-    N_CONSTANTS = 44
+    N_CONSTANTS = 51
 };
 #define FB_NAME(function) four_bar_##function
 #define FB_HAS_LANES
@@ -44,34 +44,34 @@ static void prepare(const fb_real *restrict p, fb_real *restrict constants)
     const fb_real z0 = rho*l3;
     constants[8] = z0;
     constants[11] = (1.0/2.0)*z0;
-    constants[37] = (-1.0/2.0)*z0;
+    constants[44] = (-1.0/2.0)*z0;
     const fb_real l4 = p[4];
     const fb_real z1 = rho*l4;
     constants[9] = z1;
     constants[13] = (1.0/2.0)*z1;
-    constants[39] = (-1.0/2.0)*z1;
-    constants[42] = l4*z1;
+    constants[46] = (-1.0/2.0)*z1;
+    constants[49] = l4*z1;
     const fb_real l2 = p[2];
     const fb_real z2 = l2*l2;
-    constants[33] = (1.0/4.0)*rho*z2;
+    constants[40] = (1.0/4.0)*rho*z2;
     const fb_real z3 = l2*z2;
-    constants[26] = (1.0/12.0)*z3;
+    constants[33] = (1.0/12.0)*z3;
     const fb_real z4 = rho*z3;
-    constants[22] = (1.0/12.0)*z4;
+    constants[29] = (1.0/12.0)*z4;
     const fb_real z5 = rho*l2;
-    constants[21] = (1.0/4.0)*z5;
-    constants[34] = (1.0/2.0)*z5;
-    constants[35] = z5;
+    constants[28] = (1.0/4.0)*z5;
+    constants[41] = (1.0/2.0)*z5;
+    constants[42] = z5;
     const fb_real z6 = l3*l3;
-    constants[38] = (1.0/4.0)*rho*z6;
+    constants[45] = (1.0/4.0)*rho*z6;
     const fb_real z7 = l3*z6;
-    constants[27] = (1.0/12.0)*z7;
+    constants[34] = (1.0/12.0)*z7;
     const fb_real z8 = rho*z7;
-    constants[23] = (1.0/12.0)*z8;
+    constants[30] = (1.0/12.0)*z8;
     const fb_real z9 = l4*l4;
-    constants[40] = (1.0/4.0)*rho*z9;
+    constants[47] = (1.0/4.0)*rho*z9;
     const fb_real z10 = l4*z9;
-    constants[28] = (1.0/12.0)*z10;
+    constants[35] = (1.0/12.0)*z10;
     const fb_real z11 = rho*z10;
     constants[14] = (1.0/12.0)*z11;
     constants[20] = (1.0/12.0)*z11 + (1.0/4.0)*z1*z9;
@@ -83,13 +83,24 @@ static void prepare(const fb_real *restrict p, fb_real *restrict constants)
     const fb_real z13 = rho*g;
     constants[16] = l4*z13;
     constants[17] = l3*z13;
-    constants[36] = z13;
+    constants[43] = z13;
     const fb_real z14 = l2*z13;
     constants[18] = z14;
-    constants[24] = (1.0/2.0)*z14;
-    const fb_real z15 = z0 + z1;
-    constants[0] = rho;
+    constants[31] = (1.0/2.0)*z14;
+    const fb_real z15 = fb_abs(l4);
+    constants[21] = 1e-12 + z15;
+    constants[25] = z15;
+    const fb_real z16 = fb_abs(l3);
+    constants[22] = 1e-12 + z16;
+    constants[26] = z16;
+    const fb_real z17 = fb_abs(l2);
+    constants[23] = 1e-12 + z17;
+    constants[24] = z17;
     const fb_real l1 = p[1];
+    const fb_real z18 = fb_abs(l1);
+    constants[27] = 1e-12 + z18;
+    const fb_real z19 = z0 + z1;
+    constants[0] = rho;
     constants[1] = l1;
     constants[2] = l2;
     constants[3] = l3;
@@ -100,13 +111,13 @@ static void prepare(const fb_real *restrict p, fb_real *restrict constants)
     constants[6] = c;
     constants[7] = g;
     constants[19] = (1.0/2.0)*l2;
-    constants[25] = (1.0/2.0)*l4;
-    constants[29] = l4*g;
-    constants[30] = l3*g;
-    constants[31] = (1.0/2.0)*l3;
-    constants[32] = l2*g;
-    constants[41] = z5 + 2.0*z15;
-    constants[43] = z1 + z15;
+    constants[32] = (1.0/2.0)*l4;
+    constants[36] = l4*g;
+    constants[37] = l3*g;
+    constants[38] = (1.0/2.0)*l3;
+    constants[39] = l2*g;
+    constants[48] = z5 + 2.0*z19;
+    constants[50] = z1 + z19;
 }
 
 /* Inputs r from their expressions; NaN without one. */
@@ -256,6 +267,99 @@ static void closure(fb_real t, const fb_real *restrict x, const fb_real *restric
     velocity_closure[1] = z8*z0 + z10*z3 + z11*z4;
 }
 
+/* What violations of the position constraints, and of the rows of `closure`, are measured by. */
+static void constraint_scale(fb_real t, const fb_real *restrict x, const fb_real *restrict constants,
+    const fb_real *restrict r, fb_real *restrict position_scale, fb_real *restrict position_closure_scale,
+    fb_real *restrict velocity_closure_scale)
+{
+    (void)t;
+    (void)r;
+    const fb_real q1 = x[0];
+    const fb_real q2 = x[1];
+    const fb_real q3 = x[2];
+    const fb_angles angles0 = fb_angles_of(q3, q1, q2, fb_number(0.0));
+    const fb_real z0 = angles0.cos[0];
+    const fb_real z1 = angles0.cos[1];
+    const fb_real z2 = angles0.cos[2];
+    const fb_real z3 = angles0.sin[1];
+    const fb_real z4 = angles0.sin[2];
+    const fb_real z5 = z1*z2 - z3*z4;
+    const fb_real z6 = angles0.sin[0];
+    const fb_real z7 = z3*z2 + z1*z4;
+    const fb_real z8 = z0*z5 - z6*z7;
+    const fb_real z9 = fb_abs(z8);
+    const fb_real z10 = fb_abs(z5);
+    const fb_real z11 = fb_abs(z1);
+    const fb_real z12 = fb_abs(q1);
+    const fb_real z13 = 1e-12 + z12;
+    const fb_real z14 = fb_abs(z3);
+    const fb_real z15 = z13*z14 + z11;
+    const fb_real z16 = fb_abs(q3);
+    const fb_real z17 = 1e-12 + z16;
+    const fb_real z18 = fb_abs(z6);
+    const fb_real z19 = fb_abs(z0);
+    const fb_real z20 = z17*z18 + z19;
+    const fb_real z21 = z18 + z17*z19;
+    const fb_real z22 = fb_abs(z7);
+    const fb_real z23 = fb_abs(z2);
+    const fb_real z24 = fb_abs(q2);
+    const fb_real z25 = 1e-12 + z24;
+    const fb_real z26 = fb_abs(z4);
+    const fb_real z27 = z25*z26 + z23;
+    const fb_real z28 = z14 + z13*z11;
+    const fb_real z29 = z26 + z25*z23;
+    const fb_real z30 = z15*z23 + z11*z27 + z28*z26 + z14*z29;
+    const fb_real z31 = z28*z23 + z14*z27 + z15*z26 + z11*z29;
+    const fb_real z32 = z20*z10 + z21*z22 + z19*z30 + z18*z31;
+    const fb_real k27 = constants[27];
+    const fb_real k24 = constants[24];
+    const fb_real k23 = constants[23];
+    const fb_real k26 = constants[26];
+    const fb_real k22 = constants[22];
+    const fb_real k25 = constants[25];
+    const fb_real k21 = constants[21];
+    const fb_real z33 = k27 + k21*z9 + k22*z10 + k23*z11 + k24*z15 + k25*z32 + k26*z30;
+    position_scale[0] = z33;
+    position_closure_scale[0] = z33;
+    const fb_real z34 = z0*z7 + z6*z5;
+    const fb_real z35 = fb_abs(z34);
+    const fb_real z36 = z20*z22 + z21*z10 + z19*z31 + z18*z30;
+    const fb_real z37 = k21*z35 + k22*z22 + k23*z14 + k24*z28 + k25*z36 + k26*z31;
+    position_scale[1] = z37;
+    position_closure_scale[1] = z37;
+    const fb_real u1 = x[3];
+    const fb_real u2 = x[4];
+    const fb_real z38 = u1 + u2;
+    const fb_real u3 = x[5];
+    const fb_real z39 = u3 + z38;
+    const fb_real z40 = z39*z34;
+    const fb_real z41 = fb_abs(z40);
+    const fb_real z42 = z38*z7;
+    const fb_real z43 = fb_abs(z42);
+    const fb_real z44 = u1*z3;
+    const fb_real z45 = fb_abs(z44);
+    const fb_real z46 = fb_abs(u1);
+    const fb_real z47 = 1e-12 + z46;
+    const fb_real z48 = fb_abs(u3);
+    const fb_real z49 = fb_abs(u2);
+    const fb_real z50 = 1e-12 + z47 + z49;
+    const fb_real z51 = 1e-12 + z48 + z50;
+    const fb_real z52 = fb_abs(z39);
+    const fb_real z53 = fb_abs(z38);
+    const fb_real z54 = k21*z41 + k22*z43 + k23*z45 + k24*(z14*z47 + z28*z46) + k25*(z35*z51 + z52*z36) +
+        k26*(z22*z50 + z53*z31);
+    velocity_closure_scale[0] = z54;
+    const fb_real z55 = z39*z8;
+    const fb_real z56 = fb_abs(z55);
+    const fb_real z57 = z38*z5;
+    const fb_real z58 = fb_abs(z57);
+    const fb_real z59 = u1*z1;
+    const fb_real z60 = fb_abs(z59);
+    const fb_real z61 = k21*z56 + k22*z58 + k23*z60 + k24*(z11*z47 + z15*z46) + k25*(z9*z51 + z52*z32) +
+        k26*(z10*z50 + z53*z30);
+    velocity_closure_scale[1] = z61;
+}
+
 /* K v, the change of the coordinates for a change v of what the speeds integrate to. */
 static void coordinate_change(fb_real t, const fb_real *restrict q, const fb_real *restrict constants,
     const fb_real *restrict r, const fb_real *restrict change, fb_real *restrict coordinate_change)
@@ -386,19 +490,19 @@ static void energy(double t, const double *restrict x, const double *restrict co
     const double k8 = constants[8];
     const double k9 = constants[9];
     const double k14 = constants[14];
-    const double k21 = constants[21];
-    const double k22 = constants[22];
-    const double k23 = constants[23];
-    const double z19 = k8*(z7*z7 + z11*z11) + z0*z0*k21 + u1*u1*k22 + z2*z2*k23 + z12*z12*k14 + k9*(z16*z16 +
+    const double k28 = constants[28];
+    const double k29 = constants[29];
+    const double k30 = constants[30];
+    const double z19 = k8*(z7*z7 + z11*z11) + z0*z0*k28 + u1*u1*k29 + z2*z2*k30 + z12*z12*k14 + k9*(z16*z16 +
         z18*z18);
     energies[0] = (1.0/2.0)*z19;
     const double z20 = l2*z1;
     const double z21 = l3*z5;
     const double k17 = constants[17];
     const double k16 = constants[16];
-    const double k25 = constants[25];
-    const double k24 = constants[24];
-    const double z22 = k17*(z20 + (1.0/2.0)*z21) + z20*k24 + k16*(z20 + z21 + z15*k25);
+    const double k32 = constants[32];
+    const double k31 = constants[31];
+    const double z22 = k17*(z20 + (1.0/2.0)*z21) + z20*k31 + k16*(z20 + z21 + z15*k32);
     energies[1] = z22;
 }
 

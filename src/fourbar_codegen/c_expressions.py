@@ -122,7 +122,7 @@ class Text:
     def value(self, line: int) -> str:
         """The right-hand side of a line."""
         operation, text = self.operations[line], self._operation(self.operations[line])[0]
-        if not isinstance(operation, Call) or self.real == "double" or _is_angle(operation):
+        if not isinstance(operation, Call) or self.real == "double" or _is_side_by_side(operation):
             return text
         # What C has for doubles alone.
         arguments = [self.names[argument] for argument in operation.arguments]
@@ -174,7 +174,7 @@ class Text:
                 return f"1.0/{self._below(operation.node)}", False
             case Call(expression, arguments):
                 names = {placeholder(i): self._node(argument)[0] for i, argument in enumerate(arguments)}
-                inline = self.inline_angles and (self.real == "double" or _is_angle(operation))
+                inline = self.inline_angles and (self.real == "double" or _is_side_by_side(operation))
                 return _print(_Printer(names, "fb_" if inline else ""), expression), False
         raise TypeError(f"{operation} has no text")
 
@@ -191,9 +191,9 @@ class Text:
         return self._node(node)[0] if node in self.names else f"({self._node(node)[0]})"
 
 
-def _is_angle(call: Call) -> bool:
-    """Whether it is a sine or a cosine of a multiple of an angle."""
-    return isinstance(call.expression, sm.sin | sm.cos) and len(call.arguments) == 1
+def _is_side_by_side(call: Call) -> bool:
+    """Whether it is a sine, a cosine or an absolute value, which the runtime has for several states side by side."""
+    return isinstance(call.expression, sm.sin | sm.cos | sm.Abs) and len(call.arguments) == 1
 
 
 def _literal(value: Number) -> str:
@@ -211,19 +211,22 @@ def _literal(value: Number) -> str:
 
 
 class _Printer(C99CodePrinter):
-    """C99 with numbers as literals, placeholders by the text of their arguments, and a prefix for sin and cos."""
+    """C99 with numbers as literals, placeholders by the text of their arguments, and a prefix for sin, cos and abs."""
 
-    def __init__(self, arguments: Mapping[sm.Symbol, str], angles: str) -> None:
+    def __init__(self, arguments: Mapping[sm.Symbol, str], prefix: str) -> None:
         # No macros such as M_PI: they are not part of C99.
         super().__init__({"strict": True, "math_macros": {}})
         self.arguments = arguments
-        self.angles = angles
+        self.prefix = prefix
 
     def _print_sin(self, expr: sm.sin) -> str:
-        return f"{self.angles}sin({self._print(expr.args[0])})"
+        return f"{self.prefix}sin({self._print(expr.args[0])})"
 
     def _print_cos(self, expr: sm.cos) -> str:
-        return f"{self.angles}cos({self._print(expr.args[0])})"
+        return f"{self.prefix}cos({self._print(expr.args[0])})"
+
+    def _print_Abs(self, expr: sm.Abs) -> str:
+        return f"{self.prefix or 'f'}abs({self._print(expr.args[0])})"
 
     def _print_Symbol(self, expr: sm.Symbol) -> str:
         return self.arguments[expr]

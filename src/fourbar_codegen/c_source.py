@@ -31,7 +31,7 @@ TOGETHER = 4
 ZEROS = 32
 """Zeros in a result that are stored one by one."""
 
-SIDE_BY_SIDE = ("prepare", "default_inputs", "dynamics", "closure", "coordinate_change")
+SIDE_BY_SIDE = ("prepare", "default_inputs", "dynamics", "closure", "constraint_scale", "coordinate_change")
 """The functions that are compiled for several states side by side as well; fourbar_lanes.h says what for."""
 
 SHORT = 600

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.arguments import Values, is_mapping, name_of, named_array, named_values
-from fourbar_codegen.errors import ModelError, SimulationError
+from fourbar_codegen.elimination import eliminate
+from fourbar_codegen.errors import ModelError
 from fourbar_codegen.progress import Progress
 from fourbar_codegen.runtime.evaluator import Evaluator
 from fourbar_codegen.runtime.integrator import Ode, Stepper
@@ -148,7 +149,6 @@ class CompiledModel(Evaluator):
     """
 
     def __init__(self, capsule: object, manifest: dict[str, Any]) -> None:  # noqa: ARG002  # Evaluator takes it
-        self.manifest = manifest
         self.path = Path()
         self.name: str = manifest["name"]
         self.coordinates: tuple[str, ...] = tuple(manifest["coordinates"])
@@ -385,24 +385,7 @@ class CompiledModel(Evaluator):
     def _projection(self, jacobian: Floats) -> Floats:
         """T with u = T u_i + ... for the model's own independent speeds, shape (n_u, n_ui)."""
         n_i = self.n_u - self.manifest["n_dependent_speeds"]
-        return np.vstack((np.eye(n_i), self.eliminate(jacobian, n_i, self.speeds)))
-
-    def eliminate(self, matrix: Floats, n_independent: int, names: Sequence[str]) -> Floats:
-        """The dependent variables of ``matrix @ variables = 0`` in terms of the independent ones, which stand first.
-
-        Raises
-        ------
-        SimulationError
-            If they do not follow; `names` says what the dependent variables, the last ones, are called.
-        """
-        dependent = matrix[:, n_independent:]
-        solution, _, rank, _ = np.linalg.lstsq(dependent, -matrix[:, :n_independent])
-        if rank < dependent.shape[1]:
-            raise SimulationError(
-                f"The dependent variables ({', '.join(names[n_independent:])}) do not follow from the independent ones "
-                "in this configuration: the constraints' Jacobian with respect to them is singular."
-            )
-        return np.asarray(solution, dtype=np.float64)
+        return np.vstack((np.eye(n_i), eliminate(jacobian, n_i, self.speeds[n_i:])))
 
     def position_constraints(self, t: float, q: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
         """Residuals of the holonomic constraints, shape (n_h,), in the constraints' units.

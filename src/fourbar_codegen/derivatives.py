@@ -12,9 +12,25 @@ import sympy as sm
 from sympy.functions.special.delta_functions import DiracDelta
 
 from fourbar_codegen.convert import Conversion, apply
-from fourbar_codegen.tape import ONE, Call, Node, Product, Reciprocal, Scalar, Sum, Tape, operands, placeholder
+from fourbar_codegen.tape import (
+    ONE,
+    Call,
+    Leaf,
+    Node,
+    Product,
+    Reciprocal,
+    Scalar,
+    Sum,
+    Tape,
+    magnitude,
+    operands,
+    placeholder,
+)
 
-__all__ = ["Direction", "pull_back"]
+__all__ = ["Direction", "Rounding", "pull_back"]
+
+LEAST = 1e-12
+"""What is smaller counts as this to `Rounding`: zero but for rounding errors is as good as zero."""
 
 
 class Direction:
@@ -57,6 +73,51 @@ class Direction:
             return _piecewise_rate(tape, operation, [known[argument] for argument in operation.arguments])
         terms = [(known[operand], partial) for operand, partial in _partials(tape, node)]
         return tape.sum([partial * rate for rate, partial in terms if rate])
+
+
+class Rounding:
+    """What rounding errors make of scalars, in units of the precision of double.
+
+    To first order, with every leaf v known to |v| + LEAST and every function to its own value: the error of a node is
+    the sum, over its operands, of its derivative's size times theirs. So a constraint Phi has at least
+    sum_j |dPhi/dq_j| |q_j|, and terms that cancel, or constants, count with their size. Where a constraint is violated
+    by no more than some of these units, nothing in it is known better.
+
+    Source: N. J. Higham, *Accuracy and Stability of Numerical Algorithms*, 2nd ed. 2002, section 3.3, running error
+    analysis.
+
+    Parameters
+    ----------
+    tape : Tape
+    """
+
+    def __init__(self, tape: Tape) -> None:
+        self.tape = tape
+        self._known: dict[int, Scalar] = {ONE: tape.one}
+
+    def __call__(self, scalar: Scalar) -> Scalar:
+        """The error of a scalar."""
+        known = self._known
+        for node in self.tape.reach([scalar], known):
+            known[node] = self._error(node)
+        return known[scalar.node] * magnitude(scalar.coefficient)
+
+    def _error(self, node: int) -> Scalar:
+        known, tape = self._known, self.tape
+        operation = tape.nodes[node]
+        if isinstance(operation, Leaf):
+            return _size(tape, Scalar(tape, 1, node)) + tape.number(LEAST)
+        if isinstance(operation, Sum):
+            return tape.sum([known[term] * magnitude(coefficient) for term, coefficient in operation.terms])
+        if isinstance(operation, Call) and _is_piecewise(operation):
+            return _size(tape, _piecewise_rate(tape, operation, [known[argument] for argument in operation.arguments]))
+        errors = [known[operand] * _size(tape, partial) for operand, partial in _partials(tape, node)]
+        return tape.sum([*errors, _size(tape, Scalar(tape, 1, node))] if isinstance(operation, Call) else errors)
+
+
+def _size(tape: Tape, scalar: Scalar) -> Scalar:
+    """The absolute value."""
+    return apply(tape, sm.Abs(placeholder(0)), [scalar])
 
 
 def pull_back(tape: Tape, scalars: Sequence[tuple[Scalar, Scalar]], leaves: Sequence[Scalar]) -> list[Scalar]:

@@ -22,7 +22,7 @@ import sympy as sm
 
 from fourbar_codegen.convert import Conversion, substitute
 from fourbar_codegen.degrees import Degree, degrees
-from fourbar_codegen.derivatives import Direction, pull_back
+from fourbar_codegen.derivatives import Direction, Rounding, pull_back
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.identities import recognize, vanish
 from fourbar_codegen.kane import Kane
@@ -72,6 +72,9 @@ class Equations:
     position_closure, velocity_closure : Result
         By how much the constraints are violated, row by row as in J: Phi where a row is its rate, else 0, (n_c,); and
         J u + b, (n_c,).
+    position_scale, position_closure_scale, velocity_closure_scale : Result
+        What violations of `position_constraints`, (n_h,), `position_closure` and `velocity_closure`, (n_c,), are
+        measured by: what rounding errors make of them.
     coordinate_change : Result
         K du, (n_q,), the change of the coordinates that goes with a change of the speeds' integrals, which stands in
         `accelerations`.
@@ -121,6 +124,9 @@ class Equations:
     acceleration_bias: Result
     position_closure: Result
     velocity_closure: Result
+    position_scale: Result
+    position_closure_scale: Result
+    velocity_closure_scale: Result
     coordinate_change: Result
     energies: Result
     power: Result
@@ -214,6 +220,8 @@ def form_equations(model: Model) -> Equations:
     def gradients(rows: Sequence[Scalar], variables: Sequence[Scalar]) -> list[list[Scalar]]:
         return [pull_back(tape, [(row, tape.one)], variables) for row in rows]
 
+    closure = _position_closure(tape, constraints, rate)
+    rounding = Rounding(tape)
     n_q, n_u, n_r = len(v.q), len(v.u), len(v.r)
     places, points, numbers = _places(mechanism, motion)
     applied = _applied_forces(tape, mechanism, motion, numbers, v)
@@ -227,8 +235,11 @@ def form_equations(model: Model) -> Equations:
         _matrix("constraint_jacobian", constraints.jacobian, n_u),
         _vector("velocity_bias", substitute(tape, constraints.velocities, dict.fromkeys(v.u, tape.zero))),
         _vector("acceleration_bias", constraints.acceleration_bias),
-        _vector("position_closure", _position_closure(tape, constraints, rate)),
+        _vector("position_closure", closure),
         _vector("velocity_closure", constraints.velocities),
+        _vector("position_scale", map(rounding, constraints.positions)),
+        _vector("position_closure_scale", map(rounding, closure)),
+        _vector("velocity_closure_scale", map(rounding, constraints.velocities)),
         _vector("coordinate_change", map(Direction(tape, dict(zip(v.u, v.a, strict=True))), q_rates)),
         _vector("energies", energies),
         _vector("power", substitute(tape, [kane.power()], no_unknown)),

@@ -22,7 +22,7 @@ import sympy as sm
 from fourbar_codegen.convert import substitute
 from fourbar_codegen.tape import ONE, Call, Leaf, Number, Product, Reciprocal, Scalar, Sum, Tape
 
-__all__ = ["recognize", "vanish"]
+__all__ = ["rank", "recognize", "vanish"]
 
 PRIME = 0x6A09E667F3BCC908B2FB1366EA957D67
 """The first prime behind the digits of the square root of 2: for primes such as 2**127 - 1, 2**127 would be 1."""
@@ -67,6 +67,38 @@ def vanish(tape: Tape, scalars: Sequence[Scalar]) -> list[bool]:
     # Numbers such as the cosine of 0.3 make exact identities of nothing but sines and cosines inexact.
     inexact = iter(_vanish_nearly(tape, scalars, nodes))
     return [nearly or not scalar or values[scalar.node] == 0 for scalar, nearly in zip(scalars, inexact, strict=True)]
+
+
+def rank(tape: Tape, rows: Sequence[Sequence[Scalar]]) -> int:
+    """The rank of a matrix at a random point; that of its shape where there is none, or it is not known.
+
+    Examples
+    --------
+    >>> tape = Tape()
+    >>> x, y = tape.leaf("q", "x"), tape.leaf("q", "y")
+    >>> rank(tape, [[x, y], [x * y, y * y], [tape.zero, tape.zero]])
+    1
+    """
+    known = _exact_values(tape, tape.reach([entry for row in rows for entry in row]))
+    matrix: list[list[int]] = []
+    for row in rows:
+        values = [(known[entry.node], _residue(entry.coefficient)) for entry in row]
+        if any(value is None or factor is None for value, factor in values):
+            return min(len(rows), max(map(len, rows)))
+        matrix.append([value * factor % PRIME for value, factor in values])  # type: ignore[operator]
+    found = 0
+    for column in range(max(map(len, matrix), default=0)):
+        pivot = next((i for i in range(found, len(matrix)) if matrix[i][column]), None)
+        if pivot is None:
+            continue
+        matrix[found], matrix[pivot] = matrix[pivot], matrix[found]
+        inverse = pow(matrix[found][column], -1, PRIME)
+        for other in matrix[found + 1 :]:
+            factor = other[column] * inverse % PRIME
+            if factor:
+                other[:] = [(a - factor * b) % PRIME for a, b in zip(other, matrix[found], strict=True)]
+        found += 1
+    return found
 
 
 def _exact_values(tape: Tape, nodes: Sequence[int]) -> dict[int, int | None]:

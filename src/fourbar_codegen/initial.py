@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourbar_codegen.arguments import Values, named_array
+from fourbar_codegen.elimination import INDEPENDENT, SINGULAR, row_sizes, solve_dependent
 from fourbar_codegen.errors import AssemblyError
 from fourbar_codegen.progress import Progress
 from fourbar_codegen.runtime.integrator import Ode
@@ -24,15 +25,10 @@ __all__ = ["Loops", "given", "initial_state", "initial_states"]
 
 Floats = NDArray[np.float64]
 
-# Configurations count as closed if the dependent coordinates are right to this, in their units.
-COORDINATE_TOLERANCE = 1e-10
+# Configurations count as closed if the constraints are violated by no more than this share of their scales.
+CLOSED = 1e-10
 # Guesses tried before a loop is said not to close, beside the one that was given.
 FURTHER_GUESSES = 40
-# Singular values of J_d below this share of the largest count as zero.
-SINGULAR = 1e-12
-# Rows of J count as independent of each other from this share of the largest singular value on; those that are
-# redundant on the constraint manifold alone differ by the error of the position.
-INDEPENDENT = 1e-6
 # Velocity constraints count as satisfied to this share of their terms.
 CONSISTENT = 1e-10
 
@@ -140,11 +136,13 @@ class Loops:
         return self.position(dependent)[1]
 
     def are_closed(self, dependent: Floats) -> bool:
-        """Whether all constraints hold, measured in units of the coordinates."""
+        """Whether all constraints hold, each by its own scale."""
         if not np.isfinite(dependent).all():
             return False
-        error, slopes = self.model.position(self.t, self.coordinates(dependent), self.p, self.r)
-        return bool(np.abs(error).max() <= COORDINATE_TOLERANCE * np.abs(slopes).max() < np.inf)
+        q = self.coordinates(dependent)
+        error, _ = self.model.position(self.t, q, self.p, self.r)
+        scale, *_ = self.model.constraint_scale(self.t, np.concatenate((q, np.zeros(self.model.n_u))), self.p, self.r)
+        return bool((np.abs(error) <= CLOSED * scale).all() and np.isfinite(scale).all())
 
     def newton(self, dependent: Floats) -> Floats | None:
         """A solution where each step halves the residual at least, until rounding errors are left; None elsewhere."""
@@ -224,14 +222,13 @@ def _dependent_speeds(loops: Loops, q: Floats, u_i: Floats, singular: float = SI
     jacobian, bias = model.velocity(loops.t, np.concatenate((q, np.zeros(model.n_u))), loops.p, loops.r)
     if not model.n_c:
         return u_i
-    rank = np.linalg.matrix_rank(jacobian, rtol=INDEPENDENT)
+    size = row_sizes(jacobian)
+    jacobian, bias = jacobian / size, bias / size[:, 0]
+    rank = int(np.linalg.matrix_rank(jacobian, rtol=INDEPENDENT))
     if rank > model.n_u - n_i:
-        raise AssemblyError(
-            f"{rank} velocity constraints are independent of each other at {_named(model.coordinates, q)}, but the "
-            f"model has {model.n_u - n_i} dependent speeds ({', '.join(model.speeds[n_i:])}): name one for each."
-        )
+        raise AssemblyError(model.too_few_dependent(f"at {_named(model.coordinates, q)}", rank))
     known = jacobian[:, :n_i] @ u_i + bias
-    u_d = np.linalg.lstsq(jacobian[:, n_i:], -known, rcond=singular)[0]
+    u_d, _ = solve_dependent(jacobian, n_i, known, singular)
     error = np.abs(jacobian[:, n_i:] @ u_d + known).max()
     if not error <= CONSISTENT * max(np.abs(jacobian[:, n_i:]).max() * np.abs(u_d).max(), np.abs(known).max()):
         raise UndeterminedSpeedsError(

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.arguments import finite_number
 from fourbar_codegen.errors import ModelError, SimulationError
-from fourbar_codegen.runtime.evaluator import NOT_CLOSED, OK, failure
+from fourbar_codegen.runtime.evaluator import NOT_CLOSED, OK
 from fourbar_codegen.runtime.integrator import Ode, Run
 
 if TYPE_CHECKING:
@@ -164,7 +164,7 @@ def integrate(
     watch = _Watch(model, events or ())
     # ALI3P closes positions by itself, whatever is done with its states.
     closes = project or (method == FIXED_STEP and model.manifest["can_project"])
-    start = consistent(ode, model.n_q, span[0], x0) if closes else x0
+    start = consistent(ode, span[0], x0) if closes else x0
     arguments = method, span[0], start, span[1], max_step, rtol, atol, project, t_eval
     run: Run | SolverRun
     if method in SOLVERS:
@@ -235,14 +235,12 @@ def integrate(
     )
 
 
-def consistent(ode: Ode, n_q: int, t: float, x0: Floats) -> Floats:
+def consistent(ode: Ode, t: float, x0: Floats) -> Floats:
     """The state to begin from, moved onto the constraints.
 
     Parameters
     ----------
     ode : Ode
-    n_q : int
-        The number of coordinates.
     t : float
     x0 : ndarray, shape (n_x,)
 
@@ -260,7 +258,7 @@ def consistent(ode: Ode, n_q: int, t: float, x0: Floats) -> Floats:
     status, x = ode.closest(t, x0)
     if status == OK and np.abs(x - x0).max(initial=0.0) <= FLOOR:
         return x
-    if status == NOT_CLOSED or not is_rounded(n_q, x0, x):
+    if status == NOT_CLOSED or not is_rounded(ode.n_q, x0, x):
         raise ModelError(
             f"The state x0 = {np.array2string(x0, precision=6, separator=', ')} violates the constraints: "
             + (f"the nearest one that does not differs by {np.abs(x - x0).max():.2g}. " if status == OK else "")
@@ -268,7 +266,7 @@ def consistent(ode: Ode, n_q: int, t: float, x0: Floats) -> Floats:
             "method is ALI3P, or IDA in a formulation other than index-1."
         )
     if status != OK:
-        raise SimulationError(failure(status, t, x0))
+        raise SimulationError(ode.explain(status, t, x0))
     return x
 
 

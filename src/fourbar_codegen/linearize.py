@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.arguments import Values, finite_number, named_array
+from fourbar_codegen.elimination import eliminate
 from fourbar_codegen.errors import ModelError, SimulationError
 from fourbar_codegen.simulate import bind, input_sources
 
@@ -22,7 +23,7 @@ Floats = NDArray[np.float64]
 
 # An equilibrium counts as found if the coordinates are right to this, in their units.
 COORDINATE_TOLERANCE = 1e-9
-# A state counts as one of the mechanism if the constraints hold to this, in their units and those of the state.
+# A state counts as one of the mechanism if the constraints are violated by no more than this share of their scales.
 CLOSED = 1e-6
 
 
@@ -42,10 +43,10 @@ def linearize(
     free = np.eye(n_qi + n_ui + n_r)
     dq_i, du_i, dr = np.split(free, [n_qi, n_qi + n_ui])
     known = position_by_q[:, :n_qi] @ dq_i + position_by_r @ dr
-    dq = np.vstack((dq_i, model.eliminate(np.hstack((known, position_by_q[:, n_qi:])), len(free), model.coordinates)))
+    dq = np.vstack((dq_i, eliminate(np.hstack((known, position_by_q[:, n_qi:])), len(free), model.coordinates[n_qi:])))
     constraints, _ = model.velocity(t, state, p, r)
     known = constraints[:, :n_ui] @ du_i + velocity_by_q @ dq + velocity_by_r @ dr
-    du = np.vstack((du_i, model.eliminate(np.hstack((known, constraints[:, n_ui:])), len(free), model.speeds)))
+    du = np.vstack((du_i, eliminate(np.hstack((known, constraints[:, n_ui:])), len(free), model.speeds[n_ui:])))
     rates = model.jacobian(t, state, p, r) @ np.vstack((dq, du)) + model.input_jacobian(t, state, p, r) @ dr
     independent = rates[[*range(n_qi), *range(n_q, n_q + n_ui)]]
     return independent[:, : n_qi + n_ui], independent[:, n_qi + n_ui :]
@@ -55,9 +56,11 @@ def _check_constraints(model: CompiledModel, t: float, x: Floats, p: Values | No
     """Raise where the state is not one of the mechanism: what would be linearized is not its motion."""
     positions = model.position_constraints(t, x[: model.n_q], p, r)
     velocities = model.velocity_constraints(t, x, p, r)
-    scale = 1.0 + np.abs(x).max(initial=0.0)
-    error = max(np.abs(positions).max(initial=0.0), np.abs(velocities).max(initial=0.0))
-    if not error <= CLOSED * scale:
+    position_scale, _, velocity_scale = model.constraint_scale(t, x, p, r)
+    # At rest, speeds are what rounding has left of them: here they count as one at least.
+    velocity_scale = velocity_scale + np.abs(model.velocity(t, x, p, r)[0]).sum(axis=1)
+    closed = *(np.abs(positions) <= CLOSED * position_scale), *(np.abs(velocities) <= CLOSED * velocity_scale)
+    if not all(closed):
         raise ModelError(
             f"The state violates the constraints: positions by {positions}, velocities by {velocities}. "
             "initial_state makes states that satisfy them."

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 from fourbar_codegen.angles import add_angles
 from fourbar_codegen.equations import Equations
+from fourbar_codegen.identities import rank as find_rank
 from fourbar_codegen.program import Array, Function, Program, Result, Sizes
 from fourbar_codegen.share import Statements, share
 from fourbar_codegen.structure import MOST_CONSTRAINTS, Split, Structure, find_split, find_structure
@@ -50,7 +51,8 @@ def lower(name: str, equations: Equations) -> Program:
     coordinates = _array("q", e.coordinates)
     inputs = _array("r", e.inputs)
     held = (inputs, _array("accelerations", e.accelerations), _array("multipliers", e.multipliers))
-    structure = _structure(e)
+    rank = _rank(e)
+    structure = _structure(e, rank)
     mass_matrix, constraint_jacobian = _entries(e, structure)
     # name, summary, arguments before and after the constants, results
     specifications: list[tuple[str, str, list[Array], list[Array], list[Result]]] = [
@@ -82,6 +84,13 @@ def lower(name: str, equations: Equations) -> Program:
             [time, state],
             [inputs],
             [e.position_closure, e.velocity_closure],
+        ),
+        (
+            "constraint_scale",
+            "What violations of the position constraints, and of the rows of `closure`, are measured by.",
+            [time, state],
+            [inputs],
+            [e.position_scale, e.position_closure_scale, e.velocity_closure_scale],
         ),
         (
             "coordinate_change",
@@ -151,7 +160,7 @@ def lower(name: str, equations: Equations) -> Program:
         n_h=len(e.position_constraints.entries),
         n_c=len(e.velocity_bias.entries),
         n_o=len(e.outputs.entries),
-        rank=e.n_dependent_speeds,
+        rank=rank,
         n_constants=len(constants.nodes),
     )
     return Program(
@@ -159,7 +168,7 @@ def lower(name: str, equations: Equations) -> Program:
         sizes=sizes,
         functions=(prepare, *functions[:first]),
         derivatives=functions[first:],
-        split=_split(e, structure),
+        split=_split(e, rank, structure),
         structure=structure,
         position_degrees=e.position_degrees,
         places=e.places,
@@ -167,11 +176,21 @@ def lower(name: str, equations: Equations) -> Program:
     )
 
 
-def _split(e: Equations, structure: Structure | None) -> Split:
+def _rank(e: Equations) -> int:
+    """How many constraints are not redundant: as many as there are dependent speeds, or as J has independent rows.
+
+    The latter at a random point; at states that satisfy the constraints, `verify` looks for more.
+    """
+    n_u = len(e.speeds)
+    entries = e.constraint_jacobian.entries
+    return min(e.n_dependent_speeds, find_rank(e.tape, [entries[i : i + n_u] for i in range(0, len(entries), n_u)]))
+
+
+def _split(e: Equations, rank: int, structure: Structure | None) -> Split:
     """From J at random points, some of them close to where the coordinates are zero, as models often begin."""
     n_u, n_c = len(e.speeds), len(e.velocity_bias.entries)
     if structure is not None or n_c > MOST_CONSTRAINTS:
-        return find_split(n_c, n_u, e.n_dependent_speeds, [])  # none is taken
+        return find_split(n_c, n_u, rank, [])  # none is taken
     generator = random.Random(0)
     jacobians = []
     for size in (0.05, 1.0) * POINTS:
@@ -182,12 +201,12 @@ def _split(e: Equations, structure: Structure | None) -> Split:
         except (ArithmeticError, ValueError, TypeError):
             continue  # not everything has a value everywhere
         jacobians.append([entries[i : i + n_u] for i in range(0, len(entries), n_u)])
-    return find_split(n_c, n_u, e.n_dependent_speeds, jacobians)
+    return find_split(n_c, n_u, rank, jacobians)
 
 
-def _structure(e: Equations) -> Structure | None:
+def _structure(e: Equations, rank: int) -> Structure | None:
     n_u, n_c = len(e.speeds), len(e.velocity_bias.entries)
-    if e.n_dependent_speeds < n_c:
+    if rank < n_c:
         return None  # redundant constraints need pivoting
     mass = tuple((i, j) for i in range(n_u) for j in range(i + 1) if e.mass_matrix.entries[i * n_u + j])
     jacobian = tuple((i, j) for i in range(n_c) for j in range(n_u) if e.constraint_jacobian.entries[i * n_u + j])

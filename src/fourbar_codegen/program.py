@@ -132,7 +132,7 @@ class Sizes:
     n_h, n_c, n_o : int
         Position constraints; velocity constraints; outputs.
     rank : int
-        The number of velocity constraints that are not redundant: that of dependent speeds.
+        The number of velocity constraints that are not redundant: that of dependent speeds, or fewer.
     n_constants : int
         Parameters and what is derived from them alone.
     """

@@ -190,7 +190,7 @@ def simulate(
     ode = bind(model, p, inputs)
     if constraints == "baumgarte":
         ode.stabilization = positive(stabilization, "stabilization")
-    _check_start(model, ode, start, state, p)
+    _check_start(model, ode, start, state, p, passes=method == FIXED_STEP)
     watched = _events(model, events)
     tolerances = tolerance(rtol, "rtol"), tolerance(atol, "atol", model.n_x)
     max_step = longest_step(max_step)
@@ -263,7 +263,7 @@ def make_stepper(
     state = _state(model, x0, t, p, inputs)
     ode = bind(model, p, inputs)
     _check_start(model, ode, t, state, p)
-    return Stepper(ode, h, t, consistent(ode, model.n_q, t, state) if closes else state, closes)
+    return Stepper(ode, h, t, consistent(ode, t, state) if closes else state, closes)
 
 
 def projects(model: CompiledModel, constraints: str, *more: str) -> bool:
@@ -317,7 +317,15 @@ def _events(model: CompiledModel, events: object) -> list[Event] | None:
     return watched
 
 
-def _check_start(model: CompiledModel, ode: Ode, t: float, state: Floats, p: Floats | None) -> None:
-    """Raise where the first evaluation would fail: an integrator could not even choose a first step."""
-    if not (is_finite(state) and is_finite(ode(t, state))):
-        model.rhs(t, state, p, ode.input_values(t, state))
+def _check_start(
+    model: CompiledModel, ode: Ode, t: float, state: Floats, p: Floats | None, *, passes: bool = False
+) -> None:
+    """Raise where the first evaluation would fail: an integrator could not even choose a first step.
+
+    What passes singular positions may begin at one.
+    """
+    if is_finite(state) and is_finite(ode(t, state)):
+        return
+    r = ode.input_values(t, state)
+    if not (passes and all(map(is_finite, model.dynamics(t, state, p, r)))):
+        model.rhs(t, state, p, r)

@@ -290,7 +290,7 @@ class IDA(_Sundials):
         if formulation != "index-1":
             if not manifest["can_project"]:
                 raise ModelError(f"{NOT_RATES}: take formulation='index-1'.")
-            self.y = consistent(fun, fun.n_q, t0, self.y)
+            self.y = consistent(fun, t0, self.y)
         rates, multipliers = fun.multipliers(t0, self.y)
         if manifest["n_dependent_speeds"] < len(multipliers):
             raise ModelError(

@@ -15,8 +15,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from fourbar_codegen.elimination import INDEPENDENT, SINGULAR, row_sizes
 from fourbar_codegen.equations import Equations
-from fourbar_codegen.errors import BuildError, SimulationError
+from fourbar_codegen.errors import BuildError, ModelError, SimulationError
+from fourbar_codegen.initial import CLOSED
 from fourbar_codegen.program import Result
 from fourbar_codegen.tape import Scalar
 
@@ -30,6 +32,7 @@ Floats = NDArray[np.float64]
 STATES = 2
 STEP = 1e-4
 ATTEMPTS = 8
+CLOSURES, CORRECTIONS = 16, 30
 # Both sides round differently, and terms may cancel; a wrong sign or symbol is off by far more.
 TOLERANCE = 1e-7
 
@@ -46,6 +49,9 @@ def verify(equations: Equations, compiled: CompiledModel) -> None:
     ------
     BuildError
         If one does not agree; it names the function and shows both values.
+    ModelError
+        If more velocity constraints are independent of each other than the model has dependent speeds, at a random
+        state that satisfies the position constraints.
 
     Notes
     -----
@@ -73,7 +79,8 @@ def verify(equations: Equations, compiled: CompiledModel) -> None:
         _check_identities(compiled, expected, values, equations)
         compared += 1
         if compared == STATES:
-            return
+            break
+    _check_rank(equations, compiled, generator)
 
 
 def _random_values(e: Equations, compiled: CompiledModel, generator: random.Random) -> dict[Scalar, float]:
@@ -117,6 +124,10 @@ def _compiled_results(
         "position": ([e.position_constraints, e.position_jacobian], compiled.position(t, x[: compiled.n_q], p, r)),
         "velocity": ([e.constraint_jacobian, e.velocity_bias], compiled.velocity(t, x, p, r)),
         "closure": ([e.position_closure, e.velocity_closure], compiled.closure(t, x, p, r)),
+        "constraint_scale": (
+            [e.position_scale, e.position_closure_scale, e.velocity_closure_scale],
+            compiled.constraint_scale(t, x, p, r),
+        ),
         "coordinate_change": ([e.coordinate_change], [compiled.coordinate_change(t, x, accelerations, p, r)]),
         "constraint_sensitivity": (
             [e.velocity_jacobian, e.position_input_jacobian, e.velocity_input_jacobian],
@@ -207,6 +218,37 @@ def _check_identities(
         found = changes(function)
         if found is not None:
             _expect(compiled.name, what, found, rates)
+
+
+def _check_rank(e: Equations, compiled: CompiledModel, generator: random.Random) -> None:
+    """The rank of J at random closed states, against the number of dependent speeds.
+
+    The smallest one: loops that move although they have as many constraints as coordinates may close in other ways,
+    in which they do not.
+    """
+    # Only redundant constraints can be too many. Coordinates with relations of their own, such as those of a
+    # quaternion, would lose these on the way to closed loops.
+    if compiled.n_c == compiled.manifest["n_dependent_speeds"] or compiled.n_q != compiled.n_u:
+        return
+    initial = compiled.manifest["initial"]
+    ranks = []
+    for _ in range(CLOSURES):
+        values = _random_values(e, compiled, generator)
+        t, (x, p, r, *_) = values[e.time], _arrays(e, values)
+        x[: compiled.n_q] += [initial.get(name, 0.0) for name in compiled.coordinates]
+        x[compiled.n_q :] = 0.0
+        for _ in range(CORRECTIONS):
+            residual, slopes = compiled.position(t, x[: compiled.n_q], p, r)
+            if not (np.isfinite(residual).all() and np.isfinite(slopes).all()):
+                break
+            x[: compiled.n_q] -= np.linalg.lstsq(slopes, residual, rcond=SINGULAR)[0]
+        residual, _ = compiled.position(t, x[: compiled.n_q], p, r)
+        scale, *_ = compiled.constraint_scale(t, x, p, r)
+        jacobian, _ = compiled.velocity(t, x, p, r)
+        if (np.abs(residual) <= CLOSED * scale).all() and np.isfinite(jacobian).all():
+            ranks.append(int(np.linalg.matrix_rank(jacobian / row_sizes(jacobian), rtol=INDEPENDENT)))
+    if min(ranks, default=0) > compiled.manifest["n_dependent_speeds"]:
+        raise ModelError(compiled.too_few_dependent("at states that satisfy the position constraints", min(ranks)))
 
 
 def _velocities(compiled: CompiledModel, t: float, x: Floats, p: Floats, r: Floats) -> Floats:

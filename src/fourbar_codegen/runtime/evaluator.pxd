@@ -11,6 +11,7 @@ cdef extern from "fourbar_kernel.h":
     int FB_MASS_SINGULAR
     int FB_NOT_FINITE
     int FB_NOT_CLOSED
+    int FB_CONSTRAINTS_INDEPENDENT
     ctypedef struct fb_lanes
     ctypedef int fb_evaluation(double, const double *, const double *, const double *, double *, void *) noexcept nogil
     ctypedef void fb_sensitivity(double, const double *, const double *, const double *, const double *,
@@ -34,6 +35,8 @@ cdef extern from "fourbar_kernel.h":
         void (*position)(double, const double *, const double *, const double *, double *, double *) noexcept nogil
         void (*velocity)(double, const double *, const double *, const double *, double *, double *) noexcept nogil
         void (*closure)(double, const double *, const double *, const double *, double *, double *) noexcept nogil
+        void (*constraint_scale)(double, const double *, const double *, const double *, double *, double *,
+                                 double *) noexcept nogil
         void (*coordinate_change)(double, const double *, const double *, const double *, const double *,
                                   double *) noexcept nogil
         int (*project)(double, double *, const double *, const double *, int, void *) noexcept nogil
@@ -96,6 +99,7 @@ cdef class Evaluator:
     cdef const fb_kernel *kernel
     cdef const fb_lanes *lanes
     cdef object capsule
+    cdef readonly dict manifest
     cdef readonly int n_q, n_u, n_x, n_p, n_r, n_h, n_c, n_o
     cdef double *default_constants
     cdef double *constants

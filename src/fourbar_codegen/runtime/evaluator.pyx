@@ -68,7 +68,7 @@ cdef class Evaluator:
                 "build the model again."
             )
         self.kernel, self.lanes = kernel, kernel.lanes
-        self.capsule = capsule
+        self.capsule, self.manifest = capsule, manifest
         self.n_q, self.n_u, self.n_p, self.n_r = kernel.n_q, kernel.n_u, kernel.n_p, kernel.n_r
         self.n_h, self.n_c, self.n_o, self.n_x = kernel.n_h, kernel.n_c, kernel.n_o, kernel.n_q + kernel.n_u
         self.default_constants = <double *>PyMem_Calloc(kernel.n_constants + 1, sizeof(double))
@@ -111,6 +111,40 @@ cdef class Evaluator:
     def missing(self):
         """A sentence that names what has no default."""
         return "A parameter or an input has no default and was not given."
+
+    def failure(self, int status, double t, x):
+        """A sentence for a status of the kernel."""
+        if not np.isfinite(np.asarray(x, dtype=np.float64)).all():
+            status = FB_NOT_FINITE
+        where = f"at t = {t:.9g}, x = {np.array2string(np.asarray(x), precision=6, separator=', ')}"
+        if status == FB_CONSTRAINTS_DEPENDENT:
+            return (
+                f"The mechanism is in a singular position {where}: the constraints' Jacobian has lost rank, so that the "
+                "accelerations are not determined, or no acceleration satisfies all constraints. (Or one constraint is "
+                "smaller than another by the precision of double: then give them units of like size.)"
+            )
+        if status == FB_CONSTRAINTS_INDEPENDENT:
+            return self.too_few_dependent(where)
+        if status == FB_MASS_SINGULAR:
+            return (
+                f"The mass matrix is not positive definite {where}: some motion that the constraints allow moves no "
+                "mass, or a mass or inertia is negative."
+            )
+        if status == FB_NOT_CLOSED:
+            return f"The loops cannot be closed {where}: no state close by satisfies the constraints."
+        return (
+            f"The equations of motion, or their derivatives, are not finite {where}: a division by zero, a coordinate "
+            "beyond its range, or an input that is not finite."
+        )
+
+    def too_few_dependent(self, where, rank=None):
+        """A sentence for a rank of the velocity constraints that is larger than the number of dependent speeds."""
+        n = self.manifest["n_dependent_speeds"]
+        dependent = self.manifest["speeds"][self.n_u - n:]
+        return (
+            f"{rank or f'More than {n}'} velocity constraints are independent of each other {where}, but the model has "
+            f"{n} dependent speed{'' if n == 1 else 's'} ({', '.join(dependent) or 'none'}): name one for each."
+        )
 
     cdef cnp.ndarray _parameters(self, object p):
         """All parameters, or None for the defaults."""
@@ -206,7 +240,7 @@ cdef class Evaluator:
         cdef int status = self.kernel.rhs(
             t, data(state), constants, self._fill(t, constants, inputs), data(result), self.work)
         if status != FB_OK:
-            raise SimulationError(failure(status, t, x))
+            raise SimulationError(self.failure(status, t, x))
         return result
 
     cdef cnp.ndarray _output(self, object out, cnp.ndarray state):
@@ -307,7 +341,7 @@ cdef class Evaluator:
         cdef int status = function(
             t, data(state), constants, self._fill(t, constants, inputs), data(result), self.work)
         if status != FB_OK:
-            raise SimulationError(failure(status, t, x))
+            raise SimulationError(self.failure(status, t, x))
         return result
 
     def accelerations(self, double t, x, p=None, r=None):
@@ -322,7 +356,7 @@ cdef class Evaluator:
             t, data(state), constants, self._fill(t, constants, inputs), data(accelerations), data(multipliers),
             self.work)
         if status != FB_OK:
-            raise SimulationError(failure(status, t, x))
+            raise SimulationError(self.failure(status, t, x))
         return accelerations, multipliers
 
     def dynamics(self, double t, x, p=None, r=None):
@@ -375,6 +409,20 @@ cdef class Evaluator:
         self.kernel.closure(t, data(state), constants, self._fill(t, constants, inputs), data(positions),
                             data(velocities))
         return positions, velocities
+
+    def constraint_scale(self, double t, x, p=None, r=None):
+        """What violations are measured by: of the position constraints, shape (n_h,), and of the rows of `closure`, shape
+        (n_c,) each."""
+        cdef cnp.ndarray parameters = self._parameters(p)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.prescribed_known)
+        cdef cnp.ndarray state = self._state(t, x, self.n_x)
+        cdef cnp.ndarray constraints = new_array(self.n_h)
+        cdef cnp.ndarray positions = new_array(self.n_c)
+        cdef cnp.ndarray velocities = new_array(self.n_c)
+        cdef const double *constants = self._prepare(parameters)
+        self.kernel.constraint_scale(t, data(state), constants, self._fill(t, constants, inputs), data(constraints),
+                                     data(positions), data(velocities))
+        return constraints, positions, velocities
 
     def coordinate_change(self, double t, x, change, p=None, r=None):
         """K v, the change of the coordinates, shape (n_q,), for a change v of what the speeds integrate to."""
@@ -526,27 +574,3 @@ cdef class Evaluator:
                 self.kernel.output(t_i, x_i, constants, r_i, data(accelerations), lambda_i,
                                    data(outputs) + i * self.n_o)
         return constraints.T, velocities.T, energies.T, multipliers.T, outputs.T
-
-
-def failure(int status, double t, x):
-    """A sentence for a kernel's status."""
-    if not np.isfinite(np.asarray(x, dtype=np.float64)).all():
-        status = FB_NOT_FINITE
-    where = f"at t = {t:.9g}, x = {np.array2string(np.asarray(x), precision=6, separator=', ')}"
-    if status == FB_CONSTRAINTS_DEPENDENT:
-        return (
-            f"The mechanism is in a singular position {where}: the constraints' Jacobian has lost rank, and no "
-            "acceleration satisfies them all. (Or one constraint is smaller than another by the precision of double: "
-            "then give them units of like size.)"
-        )
-    if status == FB_MASS_SINGULAR:
-        return (
-            f"The mass matrix is not positive definite {where}: some motion that the constraints allow moves no mass, "
-            "or a mass or inertia is negative."
-        )
-    if status == FB_NOT_CLOSED:
-        return f"The loops cannot be closed {where}: no state close by satisfies the constraints."
-    return (
-        f"The equations of motion, or their derivatives, are not finite {where}: a division by zero, a coordinate beyond its range, "
-        "or an input that is not finite."
-    )

@@ -10,19 +10,13 @@
 
 #define FB_AT_LEAST_1(n) ((n) > 0 ? (n) : 1)
 
-/* Of the largest row of J: what a row of zeros may be off by. A row between this and where rows count is refused rather
- * than dropped, since it may be one in other units: constraints need units of like size. */
-#define FB_ROW_OF_ZEROS 4e-15
-
 /* Corrections of a projection that are tried with one factorization, and factorizations. */
 enum { CORRECTIONS = 8, FACTORIZATIONS = 3 };
-/* A state is on the constraints where they are violated by no more than this share of the coordinates or speeds, ... */
-#define FB_CLOSED 1e-13
+/* A state is on the constraints where they are violated by no more than this share of the constraints' scales, 45 times
+ * the precision of double, ... */
+#define FB_CLOSED 1e-14
 /* ... or where rounding errors allow no better, by no more than this one. */
 #define FB_NEARLY_CLOSED 1e-9
-/* Coordinates that are smaller than this as a whole count as this: Phi is rounded by what it is made of, links for
- * instance, however small the coordinates. */
-#define FB_LEAST_SIZE 1e-5
 
 /* Not fmax, which is a call into the library because it has to skip what is not a number. */
 static inline double fb_max(double a, double b)
@@ -36,6 +30,20 @@ static inline int all_finite(const double *values, const int n)
         if (!isfinite(values[i]))
             return FB_NOT_FINITE;
     return FB_OK;
+}
+
+/* The largest of n violations by its scale; not a number where one is not. */
+static inline double fb_violation(const double *restrict violations, const double *restrict scales, const int n)
+{
+    double largest = 0.0;
+    for (int i = 0; i < n; ++i) {
+        const double share = violations[i] == 0.0 ? 0.0 : fabs(violations[i]) / scales[i];
+        if (!(share <= largest))
+            largest = share;
+        if (share != share)
+            return share;
+    }
+    return largest;
 }
 
 /* An array and its length. */

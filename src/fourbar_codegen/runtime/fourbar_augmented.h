@@ -43,6 +43,7 @@ enum { FB_MOST_ITERATIONS = 12, FB_MOST_PROJECTIONS = 20, FB_REFINEMENTS = 3 };
 typedef struct fb_augmented {
     double *mass_matrix, *forcing, *jacobian, *bias; /* M, f, J, gamma */
     double *positions, *velocities;                  /* Phi in the rows of J that are its rates, J u + b */
+    double *scales;                                  /* what positions, (n_c,), and others are measured by */
     double *multipliers, *multipliers_old;           /* lambda*, and that of the step's beginning, (n_c,) */
     double *penalized;                               /* lambda* - alpha g, (n_c,) */
     double *matrix, *normal;                         /* (n_u, n_u), (n_c, n_c) */
@@ -61,7 +62,7 @@ static inline size_t fb_place_augmented(const fb_kernel *k, fb_augmented *a, dou
         {&a->multipliers, c},     {&a->multipliers_old, c}, {&a->penalized, c},
         {&a->matrix, u * u},      {&a->normal, c * c},      {&a->change, u},
         {&a->unit, u},            {&a->coordinate_change, q}, {&a->rate_jacobian, q * x},
-        {&a->residual_jacobian, (u + c) * x},
+        {&a->residual_jacobian, (u + c) * x}, {&a->scales, c + c + k->n_h},
     };
     return fb_place_all(places, sizeof places / sizeof *places, memory);
 }
@@ -334,23 +335,18 @@ static inline int fb_augmented_project(fb_run *s, const double t, double *restri
         const int called = fb_augmented_equations(s, t, x, coordinate_rates);
         if (called < 0)
             return called;
-        double size = FB_LEAST_SIZE, violation = 0.0;
-        for (int j = 0; j < k->n_q; ++j)
-            size = fb_max(size, fabs(x[j]));
-        for (int row = 0; row < k->n_h; ++row) {
-            double entry = 0.0;
-            for (int j = 0; j < k->n_u; ++j)
-                entry = fb_max(entry, fabs(a->jacobian[row * k->n_u + j]));
-            violation = fb_max(violation, entry > 0.0 ? fabs(a->positions[row]) / entry : 0.0);
-        }
-        if (violation <= FB_CLOSED * size)
+        k->constraint_scale(t, x, p->constants, p->inputs, a->scales + 2 * k->n_c, a->scales, a->scales + k->n_c);
+        const double violation = fb_violation(a->positions, a->scales, k->n_c);
+        if (violation != violation)
+            return FB_RUN_DIVERGED;
+        if (violation <= FB_CLOSED)
             break;
         if (!fb_least_change(k, a, k->n_h, a->positions))
             return FB_RUN_DIVERGED;
         k->coordinate_change(t, x, p->constants, p->inputs, a->change, a->coordinate_change);
         for (int j = 0; j < k->n_q; ++j)
             x[j] += a->coordinate_change[j];
-        if (i == FB_MOST_PROJECTIONS - 1 && !(violation <= FB_NEARLY_CLOSED * size))
+        if (i == FB_MOST_PROJECTIONS - 1 && !(violation <= FB_NEARLY_CLOSED))
             return FB_RUN_DIVERGED;
     }
     for (int i = 0; i < FB_REFINEMENTS && k->n_c > 0; ++i) {

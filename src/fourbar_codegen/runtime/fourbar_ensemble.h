@@ -83,28 +83,21 @@ static inline fb_real fb_crew_error(const fb_crew *restrict c, const fb_ensemble
 static inline fb_mask fb_crew_close(fb_crew *restrict c, const fb_real t, fb_real *restrict x, const fb_mask asked)
 {
     fb_side *const s = &c->side;
-    fb_real positions[FB_AT_LEAST_1(N_C)], velocities[FB_AT_LEAST_1(N_C)], per_row[FB_AT_LEAST_1(N_C)];
+    fb_real positions[FB_AT_LEAST_1(N_C)], velocities[FB_AT_LEAST_1(N_C)];
+    fb_real position_scale[FB_AT_LEAST_1(N_C)], velocity_scale[FB_AT_LEAST_1(N_C)], unused[FB_AT_LEAST_1(N_H)];
     fb_real change[N_U], coordinate_changes[FB_AT_LEAST_1(N_Q)], last = fb_number(INFINITY);
     fb_mask open = asked & s->split.good, closed = open & 0;
-    for (int i = 0; i < N_C; ++i) {
-        fb_real size = fb_number(0.0);
-        for (int j = 0; j < N_U; ++j)
-            size = fb_greater(fb_abs(s->constraint_jacobian[i * N_U + j]), size);
-        per_row[i] = 1.0 / size;
-    }
+    constraint_scale(t, x, s->constants, s->inputs, unused, position_scale, velocity_scale);
     for (int i = 0; i < CORRECTIONS && fb_any(open); ++i) {
         closure(t, x, s->constants, s->inputs, positions, velocities);
-        fb_real q = fb_number(FB_LEAST_SIZE), u = fb_number(0.0), position = u, velocity = u;
-        for (int j = 0; j < N_Q; ++j)
-            q = fb_greater(fb_abs(x[j]), q);
-        for (int j = N_Q; j < N_X; ++j)
-            u = fb_greater(fb_abs(x[j]), u);
+        fb_real position = fb_number(0.0), velocity = position, sum = position;
         for (int j = 0; j < N_C; ++j) {
-            position = fb_greater(fb_abs(positions[j]) * per_row[j], position);
-            velocity = fb_greater(fb_abs(velocities[j]) * per_row[j], velocity);
+            /* 0 by a scale of 0 is none. */
+            position = fb_greater(fb_abs(positions[j]) / position_scale[j], position);
+            velocity = fb_greater(fb_abs(velocities[j]) / velocity_scale[j], velocity);
+            sum += positions[j] + velocities[j];
         }
-        position = position / q;
-        velocity = fb_select(u > 0.0, velocity / u, velocity);
+        open &= sum - sum == 0.0;
         const fb_real size = fb_greater(position, velocity);
         fb_mask done = size <= FB_CLOSED;
         if (i > 1) {
@@ -122,7 +115,7 @@ static inline fb_mask fb_crew_close(fb_crew *restrict c, const fb_real t, fb_rea
         coordinate_change(t, x, s->constants, s->inputs, change, coordinate_changes);
         fb_split_solve(NULL, velocities, &s->split, change);
         for (int j = 0; j < N_Q; ++j)
-            x[j] = fb_select(open, x[j] + coordinate_changes[j], x[j]);
+            x[j] = fb_select(open & (position > FB_CLOSED), x[j] + coordinate_changes[j], x[j]);
         for (int j = 0; j < N_U; ++j)
             x[N_Q + j] = fb_select(open, x[N_Q + j] + change[j], x[N_Q + j]);
     }
@@ -130,7 +123,7 @@ static inline fb_mask fb_crew_close(fb_crew *restrict c, const fb_real t, fb_rea
 }
 
 /* The same, by the kernel for one state where need be; `known` says whether the factors are those of a state close
- * by. */
+ * by. What cannot be closed stays as it is, and is not a number where the constraints have no value. */
 static __attribute__((noinline)) fb_mask fb_crew_project(fb_crew *restrict c, const fb_ensemble *e, const fb_real t,
                                                          fb_real *restrict x, const fb_mask asked, const int known)
 {
@@ -151,8 +144,9 @@ static __attribute__((noinline)) fb_mask fb_crew_project(fb_crew *restrict c, co
                 fb_take_lane(s->inputs, lane, N_R, s->lane_inputs);
                 const int status =
                     s->kernel->project(t[lane], s->lane_x, s->lane_constants, s->lane_inputs, 0, s->work);
-                fb_put_lane(s->lane_x, lane, N_X, x);
                 closed[lane] = status == FB_OK ? -1 : 0;
+                for (int i = 0; i < N_X; ++i)
+                    x[i][lane] = status == FB_OK ? s->lane_x[i] : status == FB_NOT_FINITE ? NAN : given[i][lane];
             }
     return closed;
 }
@@ -245,8 +239,7 @@ static inline fb_mask fb_turned(fb_crew *c, const fb_mask asked)
                 fb_factors factors;
                 fb_take_lane(s->constraint_jacobian, lane, N_JACOBIAN, now);
                 fb_take_lane(c->jacobian_before, lane, N_JACOBIAN, before);
-                factors.rank = fb_eliminate(now, &factors);
-                if (factors.rank < N_C || fb_sign(now, &factors) * fb_sign(before, &factors) < 0)
+                if (fb_eliminate(now, &factors) != FB_OK || fb_sign(now, &factors) * fb_sign(before, &factors) < 0)
                     turned[lane] = -1;
             }
     for (int i = 0; i < N_JACOBIAN; ++i)
@@ -324,14 +317,8 @@ static inline void fb_crew_sample(fb_crew *restrict c, const fb_ensemble *e, con
             fb_crew_interpolant(c, e, h, x_new, within);
         prepared = 1; /* for all that come later: each round has fewer lanes */
         fb_crew_interpolate(c, e->method, (t - c->t) / h, x);
-        if (e->project) {
-            fb_real given[N_X];
-            memcpy(given, x, sizeof given);
-            const fb_mask closed = fb_crew_project(c, e, t, x, within, 0);
-            /* Where that fails, the interpolant stands. */
-            for (int i = 0; i < N_X; ++i)
-                x[i] = fb_select(closed, x[i], given[i]);
-        }
+        if (e->project)
+            fb_crew_project(c, e, t, x, within, 0);
         for (int lane = 0; lane < FB_WIDTH; ++lane)
             if (within[lane])
                 fb_store(c, e, lane, x);

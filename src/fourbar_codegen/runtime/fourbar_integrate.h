@@ -365,6 +365,17 @@ static inline void fb_interpolate(const fb_tableau *m, const double *coefficient
     }
 }
 
+/* Moves an interpolant onto the constraints. It stands where no state close by satisfies them, and is not a number where
+ * they have no value. */
+static inline int fb_project_sample(fb_problem *p, const double t, double *x)
+{
+    const int closed = fb_problem_project(p, t, x, 0);
+    if (closed == FB_NOT_FINITE)
+        for (int i = 0; i < p->kernel->n_q + p->kernel->n_u; ++i)
+            x[i] = NAN;
+    return closed < 0 ? closed : 0;
+}
+
 /* The state at a time in the last step. */
 static inline int fb_state_at(fb_run *s, const double t, double *x)
 {
@@ -378,9 +389,7 @@ static inline int fb_state_at(fb_run *s, const double t, double *x)
     fb_interpolate(s->method, s->interpolant, s->n, s->padded, s->x_old, (t - s->t_old) / s->h, x);
     if (!s->project)
         return 0;
-    /* Where that fails, the interpolant stands. */
-    const int closed = fb_problem_project(s->problem, t, x, 0);
-    return closed < 0 ? closed : 0;
+    return fb_project_sample(s->problem, t, x);
 }
 
 /* The samples of the last step; FB_RUN_FULL where there is no room for them. */

@@ -13,7 +13,7 @@
 
 #include <stddef.h>
 
-#define FB_ABI_VERSION 7
+#define FB_ABI_VERSION 8
 #define FB_CAPSULE_NAME "fourbar_codegen.kernel"
 
 /* Long functions are printed in parts, which the compiler must not put together again. */
@@ -25,10 +25,11 @@
 
 enum FB_STATUS {
     FB_OK = 0,
-    FB_CONSTRAINTS_DEPENDENT = 1, /* J has lost rank and J u' + gamma = 0 has no solution */
+    FB_CONSTRAINTS_DEPENDENT = 1, /* J has lost rank, or J u' + gamma = 0 has no solution */
     FB_MASS_SINGULAR = 2,         /* T^T M T is not positive definite */
     FB_NOT_FINITE = 3,            /* a result is infinite or not a number */
-    FB_NOT_CLOSED = 4             /* no state close by satisfies the constraints */
+    FB_NOT_CLOSED = 4,            /* no state close by satisfies the constraints */
+    FB_CONSTRAINTS_INDEPENDENT = 5 /* J has a larger rank than the model has dependent speeds */
 };
 
 /* Something with x' in it, which needs the equations solved. */
@@ -84,6 +85,10 @@ typedef struct fb_kernel {
     /* by how much the constraints are violated, row by row as in J: Phi, and J u + b */
     void (*closure)(double t, const double *x, const double *constants, const double *r, double *position_closure,
                     double *velocity_closure);
+    /* what Phi, n_h values, and the rows of closure, n_c values each, are measured by: what rounding errors make of them,
+     * in units of the precision of double */
+    void (*constraint_scale)(double t, const double *x, const double *constants, const double *r,
+                             double *position_scale, double *position_closure_scale, double *velocity_closure_scale);
     /* K v for q' = K u + k */
     void (*coordinate_change)(double t, const double *q, const double *constants, const double *r, const double *change,
                               double *coordinate_change);

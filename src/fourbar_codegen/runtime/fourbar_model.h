@@ -31,20 +31,6 @@ typedef struct fb_work {
     int known_before;
 } fb_work;
 
-/* The largest entry of a row of J. */
-static inline double row_size(const fb_work *w, const int row)
-{
-    double size = 0.0;
-#ifdef FB_SPARSE
-    const int begin = jacobian_row[row], end = jacobian_row[row + 1];
-#else
-    const int begin = row * N_U, end = begin + N_U;
-#endif
-    for (int i = begin; i < end; ++i)
-        size = fabs(w->constraint_jacobian[i]) > size ? fabs(w->constraint_jacobian[i]) : size;
-    return size;
-}
-
 #ifdef FB_SPARSE
 /* The matrices of `dynamics` with their zeros. */
 static void full_dynamics(double t, const double *x, const double *constants, const double *r,
@@ -118,25 +104,6 @@ static int accelerations(double t, const double *x, const double *constants, con
     return all_finite(rates, N_U) == FB_OK ? all_finite(multipliers, N_C) : FB_NOT_FINITE;
 }
 
-/* The larger violation, as a change of coordinates in units of these, or of speeds. */
-static double violated(const double *restrict x, const double *restrict positions, const double *restrict velocities,
-                       const fb_work *restrict w)
-{
-    double q = FB_LEAST_SIZE, u = 0.0, position = 0.0, velocity = 0.0;
-    for (int i = 0; i < N_Q; ++i)
-        q = fabs(x[i]) > q ? fabs(x[i]) : q;
-    for (int i = N_Q; i < N_X; ++i)
-        u = fabs(x[i]) > u ? fabs(x[i]) : u;
-    for (int i = 0; i < N_C; ++i) {
-        const double size = row_size(w, i);
-        position = fabs(positions[i]) / size > position ? fabs(positions[i]) / size : position;
-        velocity = fabs(velocities[i]) / size > velocity ? fabs(velocities[i]) / size : velocity;
-    }
-    position = position / q;
-    velocity = u > 0.0 ? velocity / u : velocity;
-    return position > velocity ? position : velocity;
-}
-
 /* Newton's method with the factors of a state close by. A change v with J v = -Phi that is the least in the metric of M
  * is what M v = J^T lambda, J v + Phi = 0 gives, so that the equations of motion are solved with other right-hand
  * sides; q changes by K v. For the speeds likewise, with J u + b. Nonholonomic rows leave v alone.
@@ -146,33 +113,44 @@ static int project(double t, double *x, const double *constants, const double *r
     static const double at_rest[N_U] = {0.0};
     fb_work *const w = work;
     double positions[FB_AT_LEAST_1(N_C)], velocities[FB_AT_LEAST_1(N_C)], change[N_U];
+    double position_scale[FB_AT_LEAST_1(N_C)], velocity_scale[FB_AT_LEAST_1(N_C)], unused[FB_AT_LEAST_1(N_H)];
     double coordinate_changes[FB_AT_LEAST_1(N_Q)];
     if (N_C == 0)
         return FB_OK;
     for (int attempt = 0; attempt < FACTORIZATIONS; ++attempt) {
+        int status = FB_OK;
         if (attempt > 0 || !known) {
             dynamics(t, x, constants, r, w->coordinate_rates, w->mass_matrix, w->forcing, w->constraint_jacobian,
                      w->acceleration_bias);
-            const int status = fb_factor(w->mass_matrix, w->constraint_jacobian, &w->factors);
-            if (status != FB_OK)
-                return status;
+            status = fb_factor(w->mass_matrix, w->constraint_jacobian, &w->factors);
         }
+        constraint_scale(t, x, constants, r, unused, position_scale, velocity_scale);
         double last = INFINITY;
         for (int i = 0; i < CORRECTIONS; ++i) {
             closure(t, x, constants, r, positions, velocities);
-            const double size = violated(x, positions, velocities, w);
+            const double position = fb_violation(positions, position_scale, N_C);
+            const double velocity = fb_violation(velocities, velocity_scale, N_C);
+            if (position != position || velocity != velocity)
+                return FB_NOT_FINITE;
+            const double size = fb_max(position, velocity);
             /* The first correction of the positions may open the velocities. */
             const int stagnates = i > 1 && !(size < 0.5 * last);
             if (size <= FB_CLOSED || (size <= FB_NEARLY_CLOSED && stagnates))
-                return FB_OK;
+                return status == FB_NOT_FINITE ? status : FB_OK;
+            /* At a singular position, states that are closed are. */
+            if (status != FB_OK)
+                return status;
             if (stagnates)
                 break;
             last = size;
-            fb_solve(at_rest, positions, &w->factors, change);
-            coordinate_change(t, x, constants, r, change, coordinate_changes);
+            /* Positions that are closed stay: what rounding would make of them opens the velocities again. */
+            if (position > FB_CLOSED) {
+                fb_solve(at_rest, positions, &w->factors, change);
+                coordinate_change(t, x, constants, r, change, coordinate_changes);
+                for (int j = 0; j < N_Q; ++j)
+                    x[j] += coordinate_changes[j];
+            }
             fb_solve(at_rest, velocities, &w->factors, change);
-            for (int j = 0; j < N_Q; ++j)
-                x[j] += coordinate_changes[j];
             for (int j = 0; j < N_U; ++j)
                 x[N_Q + j] += change[j];
         }
@@ -185,7 +163,7 @@ static int turned(void *work)
     fb_work *const w = work;
     int result = 0;
 #ifndef FB_SPARSE
-    if (N_C > 0 && fb_full_rank(&w->factors)) {
+    if (N_C > 0 && N_RANK == N_C) {
         if (w->known_before)
             result = fb_sign(w->constraint_jacobian, &w->factors) * fb_sign(w->jacobian_before, &w->factors) < 0;
         for (int i = 0; i < N_JACOBIAN; ++i)
@@ -265,6 +243,7 @@ const fb_kernel FB_NAME(kernel) = {
     .position = position,
     .velocity = velocity,
     .closure = closure,
+    .constraint_scale = constraint_scale,
     .coordinate_change = coordinate_change,
     .project = project,
     .turned = turned,

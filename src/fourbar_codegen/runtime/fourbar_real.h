@@ -5,6 +5,7 @@
 #define FOURBAR_REAL_H
 
 #include <float.h>
+#include <math.h>
 
 #if defined(__GNUC__)
 #define FB_INLINE inline __attribute__((always_inline))
@@ -25,6 +26,7 @@
 typedef double fb_real;
 
 #define fb_number(value) (value)
+#define fb_abs(value) fabs(value)
 #define FB_EACH_1(value, a) (value)
 #define FB_EACH_2(value, a, b) (value)
 #define FB_EACH_3(value, a, b, c) (value)

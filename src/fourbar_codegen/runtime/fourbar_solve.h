@@ -22,12 +22,11 @@ enum { N_MASS = N_U * N_U, N_JACOBIAN = N_C * N_U };
 
 /* Pivots of J below this share of the largest are rounding errors: 1000 times the precision of double. */
 #define FB_RANK_TOLERANCE 2e-13
-/* Rows dropped as redundant must be satisfied to this share of gamma and u', or nearly: where both vanish, what is
- * left of them is rounding errors. */
-#define FB_CONSISTENCY_TOLERANCE 1e-8
-/* Those that the model says are redundant, by having fewer dependent speeds than constraints, may be so on the
- * constraint manifold alone, from which a run drifts. */
+/* Where the model has fewer dependent speeds than constraints, the others are redundant: of the scaled J nothing may be
+ * left in them, and they must be satisfied, to this share of gamma and u'. They may be redundant on the constraint
+ * manifold alone, from which a run drifts. */
 #define FB_DRIFT_TOLERANCE 1e-3
+/* Or nearly: where gamma and u' vanish, what is left are rounding errors. */
 #define FB_NEARLY 1e-12
 
 /* Whether the usual split is tried first: with many constraints its code becomes long. */
@@ -38,7 +37,6 @@ enum { N_MASS = N_U * N_U, N_JACOBIAN = N_C * N_U };
 #define FB_NEAR_DEPENDENCE 1e-6
 
 typedef struct fb_factors {
-    int rank;
     int usual; /* whether the split is the usual one */
     int row[FB_AT_LEAST_1(N_C)], column[N_U]; /* P, Q */
     double scale[FB_AT_LEAST_1(N_C)];   /* S, in the order of the rows of L */
@@ -62,7 +60,7 @@ static inline void fb_swap_int(int *a, int *b)
     *b = c;
 }
 
-/* P S J Q = L [U_d U_i]; returns the rank, -1 where it cannot be told. */
+/* P S J Q = L [U_d U_i]. */
 static inline int fb_eliminate(const double *restrict jacobian, fb_factors *restrict s)
 {
     double largest = 0.0;
@@ -77,10 +75,7 @@ static inline int fb_eliminate(const double *restrict jacobian, fb_factors *rest
     }
     for (int i = 0; i < N_C; ++i) {
         /* A row that is nothing but rounding errors must not be scaled up to look like a constraint. */
-        const int counts = s->scale[i] > FB_RANK_TOLERANCE * largest;
-        if (!counts && s->scale[i] > FB_ROW_OF_ZEROS * largest && N_RANK == N_C)
-            return -1;
-        s->scale[i] = counts ? 1.0 / s->scale[i] : 0.0;
+        s->scale[i] = s->scale[i] > FB_RANK_TOLERANCE * largest ? 1.0 / s->scale[i] : 0.0;
         s->row[i] = i;
         for (int j = 0; j < N_U; ++j)
             s->lu[i][j] = s->scale[i] * jacobian[i * N_U + j];
@@ -96,7 +91,7 @@ static inline int fb_eliminate(const double *restrict jacobian, fb_factors *rest
                     pivot_column = j;
                 }
         if (!(pivot > FB_RANK_TOLERANCE))
-            return k;
+            return FB_CONSTRAINTS_DEPENDENT;
         if (pivot_row != k) {
             for (int j = 0; j < N_U; ++j)
                 fb_swap_double(&s->lu[k][j], &s->lu[pivot_row][j]);
@@ -115,7 +110,11 @@ static inline int fb_eliminate(const double *restrict jacobian, fb_factors *rest
                 s->lu[i][j] -= factor * s->lu[k][j];
         }
     }
-    return N_RANK;
+    for (int i = N_RANK; i < N_C; ++i)
+        for (int j = N_RANK; j < N_U; ++j)
+            if (!(fabs(s->lu[i][j]) <= FB_DRIFT_TOLERANCE))
+                return FB_CONSTRAINTS_INDEPENDENT;
+    return FB_OK;
 }
 
 /* The speed at a place of the split, which the compiler knows where it is the usual one. */
@@ -162,18 +161,16 @@ static inline int fb_eliminate_usual(const double *restrict jacobian, fb_factors
     }
     for (int j = 0; j < N_U; ++j)
         s->column[j] = fb_column(s, 1, j);
-    s->rank = N_C;
     return 1;
 }
 
-/* A and T^T M T = L D L^T for a given rank, which the compiler knows where J has full rank. */
-static inline int fb_reduce(const double *restrict mass_matrix, fb_factors *restrict s, const int rank,
-                            const int usual)
+/* A and T^T M T = L D L^T. */
+static inline int fb_reduce(const double *restrict mass_matrix, fb_factors *restrict s, const int usual)
 {
-    for (int k = rank - 1; k >= 0; --k) {
-        for (int j = rank; j < N_U; ++j) {
+    for (int k = N_RANK - 1; k >= 0; --k) {
+        for (int j = N_RANK; j < N_U; ++j) {
             double sum = s->lu[k][j];
-            for (int i = k + 1; i < rank; ++i)
+            for (int i = k + 1; i < N_RANK; ++i)
                 sum += s->lu[k][i] * s->lu[i][j];
             s->lu[k][j] = -s->inverse[k] * sum;
         }
@@ -181,21 +178,21 @@ static inline int fb_reduce(const double *restrict mass_matrix, fb_factors *rest
     for (int i = 0; i < N_U; ++i)
         for (int j = 0; j < N_U; ++j)
             s->mass[i][j] = mass_matrix[fb_column(s, usual, i) * N_U + fb_column(s, usual, j)];
-    for (int b = rank; b < N_U; ++b) {
+    for (int b = N_RANK; b < N_U; ++b) {
         double product[N_U]; /* column b of M T */
         for (int i = 0; i < N_U; ++i) {
             product[i] = s->mass[i][b];
-            for (int d = 0; d < rank; ++d)
+            for (int d = 0; d < N_RANK; ++d)
                 product[i] += s->mass[i][d] * s->lu[d][b];
         }
         for (int a = b; a < N_U; ++a) {
             double sum = product[a];
-            for (int d = 0; d < rank; ++d)
+            for (int d = 0; d < N_RANK; ++d)
                 sum += s->lu[d][a] * product[d];
             s->reduced[a][b] = sum;
         }
     }
-    for (int b = rank; b < N_U; ++b) {
+    for (int b = N_RANK; b < N_U; ++b) {
         if (!(s->reduced[b][b] > 0.0))
             return FB_MASS_SINGULAR;
         s->reduced[b][b] = 1.0 / s->reduced[b][b];
@@ -211,15 +208,15 @@ static inline int fb_reduce(const double *restrict mass_matrix, fb_factors *rest
 
 /* w = L^-1 P S gamma; returns the size of P S gamma. */
 static inline double fb_forward(const double *restrict acceleration_bias, const fb_factors *restrict s,
-                                double *restrict w, const int rank, const int usual)
+                                double *restrict w, const int usual)
 {
     double size = 0.0;
     for (int i = 0; i < N_C; ++i) {
         w[i] = s->scale[i] * acceleration_bias[usual ? usual_row[i] : s->row[i]];
-        if (rank < N_C && s->scale[i] == 0.0)
+        if (N_RANK < N_C && s->scale[i] == 0.0)
             w[i] = acceleration_bias[s->row[i]];
         size = fb_max(size, fabs(w[i]));
-        for (int k = 0; k < i && k < rank; ++k)
+        for (int k = 0; k < i && k < N_RANK; ++k)
             w[i] -= s->lu[i][k] * w[k];
     }
     return size;
@@ -227,35 +224,35 @@ static inline double fb_forward(const double *restrict acceleration_bias, const 
 
 /* u' from f and w = L^-1 P S gamma. */
 static inline void fb_back(const double *restrict forcing, const double *restrict w, const fb_factors *restrict s,
-                           double *restrict accelerations, const int rank, const int usual)
+                           double *restrict accelerations, const int usual)
 {
     double v[N_U] = {0.0}, g[N_U];
-    for (int k = rank - 1; k >= 0; --k) {
+    for (int k = N_RANK - 1; k >= 0; --k) {
         double sum = -w[k];
-        for (int i = k + 1; i < rank; ++i)
+        for (int i = k + 1; i < N_RANK; ++i)
             sum -= s->lu[k][i] * v[i];
         v[k] = sum * s->inverse[k];
     }
     for (int i = 0; i < N_U; ++i) {
         g[i] = forcing[fb_column(s, usual, i)];
-        for (int d = 0; d < rank; ++d)
+        for (int d = 0; d < N_RANK; ++d)
             g[i] -= s->mass[i][d] * v[d];
     }
-    for (int a = rank; a < N_U; ++a) {
+    for (int a = N_RANK; a < N_U; ++a) {
         double sum = g[a];
-        for (int d = 0; d < rank; ++d)
+        for (int d = 0; d < N_RANK; ++d)
             sum += s->lu[d][a] * g[d];
-        for (int c = rank; c < a; ++c)
+        for (int c = N_RANK; c < a; ++c)
             sum -= s->reduced[a][c] * v[c];
         v[a] = sum;
     }
-    for (int a = N_U - 1; a >= rank; --a) {
+    for (int a = N_U - 1; a >= N_RANK; --a) {
         v[a] *= s->reduced[a][a];
         for (int c = a + 1; c < N_U; ++c)
             v[a] -= s->reduced[c][a] * v[c];
     }
-    for (int d = 0; d < rank; ++d)
-        for (int a = rank; a < N_U; ++a)
+    for (int d = 0; d < N_RANK; ++d)
+        for (int a = N_RANK; a < N_U; ++a)
             v[d] += s->lu[d][a] * v[a];
     for (int i = 0; i < N_U; ++i)
         accelerations[fb_column(s, usual, i)] = v[i];
@@ -288,33 +285,19 @@ static inline int fb_sign(const double *restrict jacobian, const fb_factors *res
     return sign;
 }
 
-/* The rank, in a form that tells the compiler that it lies between 0 and N_RANK. */
-static inline int fb_rank(const fb_factors *s)
-{
-    return s->rank < 0 ? 0 : s->rank < N_RANK ? s->rank : N_RANK;
-}
-
-/* Whether no row is redundant: then the loops have lengths that the compiler knows. */
-static inline int fb_full_rank(const fb_factors *s)
-{
-    return N_C == 0 || s->rank == N_C;
-}
-
 /* The factors of M and J, for as many right-hand sides as follow. */
 static inline int fb_factor(const double *restrict mass_matrix, const double *restrict constraint_jacobian,
                             fb_factors *restrict s)
 {
     s->usual = FB_TRY_USUAL && fb_eliminate_usual(constraint_jacobian, s);
     if (s->usual) {
-        const int status = fb_reduce(mass_matrix, s, N_C, 1);
+        const int status = fb_reduce(mass_matrix, s, 1);
         return status == FB_OK || all_finite(constraint_jacobian, N_C * N_U) == FB_OK ? status : FB_NOT_FINITE;
     }
     if (all_finite(constraint_jacobian, N_C * N_U) != FB_OK)
         return FB_NOT_FINITE;
-    s->rank = fb_eliminate(constraint_jacobian, s);
-    if (s->rank < 0)
-        return FB_CONSTRAINTS_DEPENDENT;
-    return fb_full_rank(s) ? fb_reduce(mass_matrix, s, N_C, 0) : fb_reduce(mass_matrix, s, fb_rank(s), 0);
+    const int status = fb_eliminate(constraint_jacobian, s);
+    return status == FB_OK ? fb_reduce(mass_matrix, s, 0) : status;
 }
 
 /* u' for one right-hand side (f, gamma). */
@@ -323,39 +306,32 @@ static inline int fb_solve(const double *restrict forcing, const double *restric
 {
     double w[FB_AT_LEAST_1(N_C)];
     if (s->usual) {
-        fb_forward(acceleration_bias, s, w, N_C, 1);
-        fb_back(forcing, w, s, accelerations, N_C, 1);
+        fb_forward(acceleration_bias, s, w, 1);
+        fb_back(forcing, w, s, accelerations, 1);
         return FB_OK;
     }
-    if (fb_full_rank(s)) {
-        fb_forward(acceleration_bias, s, w, N_C, 0);
-        fb_back(forcing, w, s, accelerations, N_C, 0);
-        return FB_OK;
-    }
+    double size = fb_forward(acceleration_bias, s, w, 0);
+    fb_back(forcing, w, s, accelerations, 0);
     /* The rows beyond the rank have to hold by themselves. */
-    const double tolerance = fb_rank(s) == N_RANK ? FB_DRIFT_TOLERANCE : FB_CONSISTENCY_TOLERANCE;
-    double size = fb_forward(acceleration_bias, s, w, fb_rank(s), 0);
-    fb_back(forcing, w, s, accelerations, fb_rank(s), 0);
-    for (int i = 0; i < N_U; ++i)
+    for (int i = 0; i < N_U && N_RANK < N_C; ++i)
         size = fb_max(size, fabs(accelerations[i]));
-    for (int i = fb_rank(s); i < N_C; ++i)
-        if (!(fabs(w[i]) <= tolerance * size + FB_NEARLY))
+    for (int i = N_RANK; i < N_C; ++i)
+        if (!(fabs(w[i]) <= FB_DRIFT_TOLERANCE * size + FB_NEARLY))
             return FB_CONSTRAINTS_DEPENDENT;
     return FB_OK;
 }
 
 /* Of all lambda with y = K^T lambda, K = S^-1 P^T L, the shortest one: K (K^T K)^-1 y. It is what redundant rows
  * leave open; with full rank it is the only one. */
-static inline void fb_shortest(const fb_factors *restrict s, const int rank, const double *restrict y,
-                               double *restrict multipliers)
+static inline void fb_shortest(const fb_factors *restrict s, const double *restrict y, double *restrict multipliers)
 {
     double k[FB_AT_LEAST_1(N_C)][FB_AT_LEAST_1(N_C)] = {{0.0}}, normal[FB_AT_LEAST_1(N_C)][FB_AT_LEAST_1(N_C)];
     double z[FB_AT_LEAST_1(N_C)] = {0.0};
     for (int i = 0; i < N_C; ++i)
-        for (int j = 0; j < rank; ++j)
+        for (int j = 0; j < N_RANK; ++j)
             k[i][j] = s->scale[i] == 0.0 || j > i ? 0.0 : (j == i ? 1.0 : s->lu[i][j]) / s->scale[i];
     /* K^T K = R^T R by Cholesky, R above the diagonal; z = R^-T y */
-    for (int j = 0; j < rank; ++j) {
+    for (int j = 0; j < N_RANK; ++j) {
         z[j] = y[j];
         for (int i = 0; i <= j; ++i) {
             double sum = 0.0;
@@ -369,14 +345,14 @@ static inline void fb_shortest(const fb_factors *restrict s, const int rank, con
             z[j] -= normal[m][j] * z[m];
         z[j] /= normal[j][j];
     }
-    for (int j = rank - 1; j >= 0; --j) {
-        for (int m = j + 1; m < rank; ++m)
+    for (int j = N_RANK - 1; j >= 0; --j) {
+        for (int m = j + 1; m < N_RANK; ++m)
             z[j] -= normal[j][m] * z[m];
         z[j] /= normal[j][j];
     }
     for (int i = 0; i < N_C; ++i) {
         double sum = 0.0;
-        for (int j = 0; j < rank; ++j)
+        for (int j = 0; j < N_RANK; ++j)
             sum += k[i][j] * z[j];
         multipliers[s->row[i]] = sum;
     }
@@ -388,7 +364,7 @@ static inline void fb_multipliers(const double *restrict mass_matrix, const doub
                                   double *restrict multipliers)
 {
     double y[FB_AT_LEAST_1(N_C)] = {0.0};
-    for (int k = 0; k < fb_rank(s); ++k) {
+    for (int k = 0; k < N_RANK; ++k) {
         const int j = s->column[k];
         double sum = -forcing[j];
         for (int i = 0; i < N_U; ++i)
@@ -397,8 +373,8 @@ static inline void fb_multipliers(const double *restrict mass_matrix, const doub
             sum -= s->lu[i][k] * y[i];
         y[k] = sum * s->inverse[k];
     }
-    if (!fb_full_rank(s)) {
-        fb_shortest(s, fb_rank(s), y, multipliers);
+    if (N_RANK < N_C) {
+        fb_shortest(s, y, multipliers);
         return;
     }
     for (int k = N_C - 1; k >= 0; --k) {

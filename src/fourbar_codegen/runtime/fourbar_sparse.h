@@ -31,23 +31,18 @@ enum { N_STEPS = N_U + N_C };
 #define FB_ROW_TOLERANCE 2e-13
 /* Pivots below this share of what was subtracted from them are rounding errors. */
 #define FB_PIVOT_TOLERANCE 1e-13
-/* Constraints that depend on others must be satisfied to this share of u' and gamma, or nearly. */
-#define FB_CONSISTENCY_TOLERANCE 1e-8
-#define FB_NEARLY 1e-12
 
 typedef struct fb_factors {
     double entries[N_STEPS + N_BELOW]; /* the inverse of D, and L column by column */
     double jacobian[FB_AT_LEAST_1(N_JACOBIAN)];
     double weight[FB_AT_LEAST_1(N_C)];
-    int dependent; /* whether constraints were left out */
 } fb_factors;
 
-/* The weights, which make both terms of M + J^T w J alike in size; zero for rows that are nothing but rounding errors.
- * Returns whether a row is neither that nor one of zeros. */
+/* The weights, which make both terms of M + J^T w J alike in size; whether no row is nothing but rounding errors. */
 static inline int fb_weigh(const double *restrict diagonal, const double *restrict jacobian, double *restrict weight)
 {
     double size[FB_AT_LEAST_1(N_C)], largest = 0.0;
-    int tiny = 0;
+    int all_count = 1;
     for (int row = 0; row < N_C; ++row) {
         size[row] = 0.0;
         for (int i = jacobian_row[row]; i < jacobian_row[row + 1]; ++i)
@@ -58,11 +53,10 @@ static inline int fb_weigh(const double *restrict diagonal, const double *restri
         double mass = 0.0;
         for (int i = jacobian_row[row]; i < jacobian_row[row + 1]; ++i)
             mass += diagonal[jacobian_column[i]];
-        const int counts = size[row] > FB_ROW_TOLERANCE * FB_ROW_TOLERANCE * largest;
-        tiny |= !counts && size[row] > FB_ROW_OF_ZEROS * FB_ROW_OF_ZEROS * largest;
-        weight[row] = counts ? (mass > 0.0 ? mass : 1.0) / size[row] : 0.0;
+        all_count &= size[row] > FB_ROW_TOLERANCE * FB_ROW_TOLERANCE * largest;
+        weight[row] = (mass > 0.0 ? mass : 1.0) / size[row];
     }
-    return tiny;
+    return all_count;
 }
 
 static inline int fb_factor(const double *restrict mass_matrix, const double *restrict constraint_jacobian,
@@ -79,12 +73,12 @@ static inline int fb_factor(const double *restrict mass_matrix, const double *re
         if (mass_row[i] == mass_column[i])
             diagonal[mass_row[i]] = mass_matrix[i];
     }
-    if (fb_weigh(diagonal, constraint_jacobian, s->weight))
+    if (!fb_weigh(diagonal, constraint_jacobian, s->weight))
         return FB_CONSTRAINTS_DEPENDENT;
     for (int row = 0, pair = 0; row < N_C; ++row) {
         for (int i = jacobian_row[row]; i < jacobian_row[row + 1]; ++i) {
             s->jacobian[i] = constraint_jacobian[i];
-            entries[jacobian_place[i]] = s->weight[row] > 0.0 ? constraint_jacobian[i] : 0.0;
+            entries[jacobian_place[i]] = constraint_jacobian[i];
             const double weighted = s->weight[row] * constraint_jacobian[i];
             for (int j = jacobian_row[row]; j <= i; ++j)
                 entries[pair_place[pair++]] += weighted * constraint_jacobian[j];
@@ -92,17 +86,11 @@ static inline int fb_factor(const double *restrict mass_matrix, const double *re
     }
     for (int k = 0; k < N_STEPS; ++k)
         size[k] = fabs(entries[k]);
-    s->dependent = 0;
     for (int k = 0, next = 0; k < N_STEPS; ++k) {
         const double pivot = unknown[k] < N_U ? entries[k] : -entries[k];
-        double inverse = 0.0;
-        if (pivot > FB_PIVOT_TOLERANCE * size[k])
-            inverse = 1.0 / entries[k];
-        else if (unknown[k] < N_U)
-            return FB_MASS_SINGULAR;
-        else
-            s->dependent = 1;
-        entries[k] = inverse;
+        if (!(pivot > FB_PIVOT_TOLERANCE * size[k]))
+            return unknown[k] < N_U ? FB_MASS_SINGULAR : FB_CONSTRAINTS_DEPENDENT;
+        const double inverse = entries[k] = 1.0 / entries[k];
         double *restrict const l = entries + N_STEPS + column[k];
         const int *restrict const later = below + column[k];
         for (int i = column[k + 1] - column[k] - 1; i >= 0; --i) {
@@ -148,18 +136,6 @@ static inline int fb_solve(const double *restrict forcing, const double *restric
     for (int k = 0; k < N_STEPS; ++k)
         if (unknown[k] < N_U)
             accelerations[unknown[k]] = y[k];
-    if (!s->dependent)
-        return FB_OK;
-    /* Constraints that were left out have to hold by themselves. */
-    for (int row = 0; row < N_C; ++row) {
-        double sum = acceleration_bias[row], size = fabs(sum);
-        for (int i = jacobian_row[row]; i < jacobian_row[row + 1]; ++i) {
-            sum += s->jacobian[i] * accelerations[jacobian_column[i]];
-            size += fabs(s->jacobian[i] * accelerations[jacobian_column[i]]);
-        }
-        if (!(fabs(sum) <= FB_CONSISTENCY_TOLERANCE * size + FB_NEARLY))
-            return FB_CONSTRAINTS_DEPENDENT;
-    }
     return FB_OK;
 }
 

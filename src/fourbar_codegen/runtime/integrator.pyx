@@ -14,7 +14,6 @@ from fourbar_codegen.runtime.evaluator cimport (
 import numpy as np
 
 from fourbar_codegen.errors import ModelError, SimulationError
-from fourbar_codegen.runtime.evaluator import failure
 
 cnp.import_array()
 
@@ -69,6 +68,7 @@ cdef extern from "fourbar_integrate.h":
     int fb_step_on(fb_run *) noexcept nogil
     int fb_fixed_step(fb_run *, double) noexcept nogil
     int fb_run_on(fb_run *, long) noexcept nogil
+    int fb_project_sample(fb_problem *, double, double *) noexcept nogil
     int fb_state_at(fb_run *, double, double *) noexcept nogil
     int fb_prepare_interpolant(fb_run *) noexcept nogil
     void fb_interpolate(const fb_tableau *, const double *, int, int, const double *, double, double *) noexcept nogil
@@ -231,7 +231,11 @@ cdef class Ode:
             return None
         x = new_array(self.evaluator.n_x)
         memcpy(data(x), self.problem.failed_x, self.evaluator.n_x * sizeof(double))
-        return failure(self.problem.status, self.problem.failed_t, x)
+        return self.evaluator.failure(self.problem.status, self.problem.failed_t, x)
+
+    def explain(self, int status, double t, x):
+        """A sentence for a status of the kernel."""
+        return self.evaluator.failure(status, t, x)
 
     def input_values(self, double t, x):
         """The inputs at one time and state, shape (n_r,)."""
@@ -285,7 +289,7 @@ cdef class Ode:
             t, data(state), self.problem.constants, self.problem.inputs, data(accelerations), data(result),
             self.problem.work)
         if status != FB_OK:
-            raise SimulationError(failure(status, t, state))
+            raise SimulationError(self.evaluator.failure(status, t, state))
         return rates, result
 
     def jac(self, double t, x):
@@ -670,7 +674,7 @@ cdef class Stepper:
         problem.sources, problem.n_sources, problem.called_inputs = own.sources, own.n_sources, own.called_inputs
         self.ode.check(status)
         if status != FB_OK:
-            raise SimulationError(self.ode.failure or failure(status, self.run.t, self.x))
+            raise SimulationError(self.ode.failure or self.ode.evaluator.failure(status, self.run.t, self.x))
         return _state_of(&self.run)
 
     @property
@@ -728,6 +732,5 @@ cdef class DenseOutput:
             fb_interpolate(run.method, data(step), run.n, run.padded, data(step) + rows * run.padded,
                            (data(at)[i] - end[0]) / end[1], data(x) + i * run.n)
             if run.project:
-                self.run.ode.check(
-                    fb_problem_project(run.problem, data(at)[i], data(x) + i * run.n, 0))
+                self.run.ode.check(fb_project_sample(run.problem, data(at)[i], data(x) + i * run.n))
         return np.array(x.T) if np.ndim(t) else x[0]

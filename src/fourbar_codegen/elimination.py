@@ -1,0 +1,85 @@
+"""Dependent coordinates and speeds from linear constraints, by their singular values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourbar_codegen.errors import SimulationError
+
+__all__ = ["INDEPENDENT", "SINGULAR", "eliminate", "row_sizes", "solve_dependent"]
+
+Floats = NDArray[np.float64]
+
+SINGULAR = 1e-12
+"""Singular values below this share of the largest one of all columns are rounding errors."""
+
+INDEPENDENT = 1e-6
+"""And rows are independent of each other from this share on: those that are redundant on the constraint manifold alone
+differ by the error of the position."""
+
+NEGLIGIBLE = 2e-13
+"""Rows below this share of the largest are rounding errors; as in fourbar_solve.h."""
+
+
+def row_sizes(matrix: Floats) -> Floats:
+    """The largest entry of each row, by which constraints in unlike units are compared, shape (n, 1).
+
+    Infinite for rows that are nothing but rounding errors.
+    """
+    size = np.abs(matrix).max(axis=1, keepdims=True, initial=0.0)
+    return np.where(size > NEGLIGIBLE * size.max(initial=0.0), size, np.inf)
+
+
+def solve_dependent(
+    matrix: Floats, n_independent: int, known: Floats, singular: float = SINGULAR
+) -> tuple[Floats, int]:
+    """The shortest v_d with ``matrix[:, n_independent:] @ v_d + known = 0`` by least squares, and the columns' rank.
+
+    Singular values are compared with those of the whole matrix: where the dependent columns are nothing but rounding
+    errors, they determine nothing.
+    """
+    dependent = matrix[:, n_independent:]
+    least = singular * float(np.linalg.norm(matrix, 2)) if matrix.size else 0.0
+    size = float(np.linalg.norm(dependent, 2)) if dependent.size else 0.0
+    if size <= least:
+        return np.zeros((dependent.shape[1], *known.shape[1:])), 0
+    solution, _, rank, _ = np.linalg.lstsq(dependent, -known, rcond=least / size)
+    return np.asarray(solution, dtype=np.float64), int(rank)
+
+
+def eliminate(matrix: Floats, n_independent: int, names: Sequence[str]) -> Floats:
+    """The dependent variables of ``matrix @ variables = 0`` in terms of the independent ones, which stand first.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (n_c, n)
+    n_independent : int
+    names : sequence of str
+        What the dependent variables are called.
+
+    Returns
+    -------
+    ndarray, shape (n - n_independent, n_independent)
+
+    Raises
+    ------
+    SimulationError
+        If they do not follow.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> eliminate(np.array([[2.0, -4.0]]), 1, ["q2"]).tolist()
+    [[0.5]]
+    """
+    scaled = matrix / row_sizes(matrix)
+    solution, rank = solve_dependent(scaled, n_independent, scaled[:, :n_independent])
+    if rank < matrix.shape[1] - n_independent:
+        raise SimulationError(
+            f"The dependent variables ({', '.join(names)}) do not follow from the independent ones "
+            "in this configuration: the constraints' Jacobian with respect to them is singular."
+        )
+    return solution

@@ -1,0 +1,102 @@
+"""What counts as closed: each constraint by its own scale, and nothing that is not a number."""
+
+import numpy as np
+import pytest
+import sympy as sm
+import sympy.physics.mechanics as me
+from sympy.physics.mechanics.system import System
+
+import fourbar_codegen as fb
+
+length, x, y, angle, vx, vy, spin = sm.Symbol("l"), *me.dynamicsymbols("x y a v_x v_y w")
+
+
+def bead_and_wheel(constraint, name):
+    """A bead on a curve in the plane, x independent, beside a wheel that turns freely."""
+    ground, body, origin, point = me.ReferenceFrame("N"), me.ReferenceFrame("B"), me.Point("O"), me.Point("P")
+    origin.set_vel(ground, 0)
+    point.set_pos(origin, x * ground.x + y * ground.y)
+    point.set_vel(ground, vx * ground.x + vy * ground.y)
+    body.orient_axis(ground, ground.z, angle)
+    body.set_ang_vel(ground, spin * ground.z)
+    system = System(ground, origin)
+    wheel = me.RigidBody("wheel", origin, body, 1, (me.inertia(body, 0, 0, 1), origin))
+    system.add_bodies(me.Particle("bead", point, 1), wheel)
+    system.q_ind, system.q_dep, system.u_ind, system.u_dep = [x, angle], [y], [vx, spin], [vy]
+    t = me.dynamicsymbols._t
+    system.add_kdes(vx - x.diff(t), vy - y.diff(t), spin - angle.diff(t))
+    system.add_holonomic_constraints(constraint)
+    return fb.Model(system, name=name, parameters={length: 1.0} if constraint.has(length) else {})
+
+
+@pytest.fixture(scope="module")
+def ring():
+    return fb.compile_model(bead_and_wheel(x**2 + y**2 - length**2, "ring"))
+
+
+@pytest.fixture(scope="module")
+def root():
+    return fb.compile_model(bead_and_wheel(y - sm.sqrt(x), "root"))
+
+
+@pytest.mark.parametrize("turned", [0.0, 1e6, 1e12])
+@pytest.mark.parametrize("size", [1e-9, 1.0, 1e9])
+def test_a_loop_closes_as_well_beside_a_wheel_that_has_turned_often(ring, turned, size):
+    """To 1e-14 of what rounding errors make of the constraint: 2 x**2 + 2 y**2 + 2 l**2 = 4 l**2 for the ring, and
+    4 (|x vx| + |y vy|) = 3.84 l**2 for its rate 2 (x vx + y vy)."""
+    ode = ring.ode({"l": size})
+    closed = ode.project(0.0, [(0.6 + 1e-7) * size, turned, 0.8 * size, 0.0, 0.0, 0.0])
+    assert abs(closed[0] ** 2 + closed[2] ** 2 - size**2) <= 4e-14 * size**2
+    assert closed[1] == turned
+    closed = ode.project(0.0, [0.6 * size, 0.0, 0.8 * size, (-0.8 + 1e-7) * size, turned, 0.6 * size])
+    assert abs(closed[0] * closed[3] + closed[2] * closed[5]) <= 2e-14 * size**2
+    assert closed[4] == pytest.approx(turned, rel=1e-15)
+    np.testing.assert_allclose(closed[[0, 2]], [0.6 * size, 0.8 * size], rtol=2e-7)
+
+
+def test_states_are_made_and_linearized_at_every_size(ring):
+    for size in (1e-9, 1.0, 1e9):
+        p = {"l": size}
+        state = ring.initial_state({"x": 0.6 * size, "a": 1e6}, [0.0, 0.0], guess=[0.7 * size], parameters=p)
+        assert state[2] == pytest.approx(0.8 * size, rel=1e-15)
+        ring.linearize(0.0, state, p)
+        with pytest.raises(fb.ModelError, match="violates the constraints"):
+            ring.linearize(0.0, state * [1.0 + 1e-4, 1.0, 1.0, 1.0, 1.0, 1.0], p)
+        with pytest.raises(fb.AssemblyError):
+            ring.initial_state({"x": 1.1 * size, "a": 1e6}, [0.0, 0.0], parameters=p)
+
+
+def test_a_state_that_is_zero_but_for_rounding_errors_is_closed():
+    """Where all terms of a constraint vanish with the coordinates, no scale is left but theirs."""
+    line = fb.compile_model(bead_and_wheel(y - 2 * x, "line"))
+    closed = line.ode().project(0.0, [1e-17, 0.0, -3e-17, 2e-18, 0.0, 1e-18])
+    np.testing.assert_allclose(closed, 0.0, atol=1e-16)
+    assert line.simulate((0.0, 1.0), closed).success
+
+
+def test_what_is_not_a_number_is_not_closed(root):
+    ode = root.ode()
+    for state in ([-1e-9, 0.0, 0.0, 0.0, 0.0, 0.0], [-1.0, 0.0, 1.0, 0.0, 0.0, 0.0]):
+        status, _ = ode.closest(0.0, state)
+        assert status != 0
+    with pytest.raises(fb.SimulationError, match="not finite"):
+        root.simulate((0.0, 1.0), [-1e-9, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+
+def test_steps_and_interpolants_beyond_a_constraint(root):
+    """The bead slides towards x = 0, where the curve ends, at 1 m/s and more."""
+    start = root.initial_state({"x": 0.04, "a": 0.0}, [-1.0, 0.0], guess=[0.2])
+    stepper = root.stepper(0.05, start)
+    stepper.step()
+    before = stepper.x
+    assert before[0] > 0.0
+    with pytest.raises(fb.SimulationError, match="not finite"):
+        stepper.step()
+    np.testing.assert_array_equal(stepper.x, before)
+    run = root.simulate((0.0, 0.02), start, dense_output=True, rtol=1e-8, atol=1e-8)
+    assert run.success
+    states = run.sol(np.linspace(0.0, 0.2, 200))  # extrapolated from 0.02 on
+    finite = np.isfinite(states).all(axis=0)
+    assert finite[:20].all()
+    assert not finite.all()
+    assert (states[0, finite] >= 0.0).all()

@@ -370,6 +370,23 @@ def test_inputs_are_kept_as_they_were(four_bar):
     ensemble = four_bar.ensemble((0.0, 0.1), inputs={"F": F})
     F[:] = 99.0
     assert ensemble[1].r[0, 0] == 2.0
+    table = (np.array([0.0, 0.1]), np.array([1.0, 2.0]))
+    given = {"F": table}
+    ensemble = four_bar.ensemble((0.0, 0.1), inputs=given)
+    table[1][:] = 99.0
+    given.clear()
+    np.testing.assert_array_equal(ensemble[0].r, [[1.0, 2.0]])
+
+
+def test_members_share_no_memory_with_arguments_or_each_other(four_bar):
+    p, x0 = np.array([list(four_bar.defaults.values())]), four_bar.initial_state()[np.newaxis]
+    ensemble = four_bar.ensemble((0.0, 0.1), x0, parameters=p)
+    expected = p[0].copy()
+    p[:] = 99.0
+    np.testing.assert_array_equal(ensemble[0].parameters, expected)
+    ensemble[0].parameters[:], ensemble[0].settings["constraints"] = 99.0, "none"
+    np.testing.assert_array_equal(ensemble[0].parameters, expected)
+    assert ensemble[0].settings["constraints"] == "project"
 
 
 def test_callables_get_one_member_at_a_time(four_bar):

@@ -1,5 +1,6 @@
 """Initial states and simulations: what goes in, what comes out."""
 
+import copy
 import csv
 import pickle
 from concurrent.futures import ThreadPoolExecutor
@@ -210,6 +211,33 @@ def test_parameters_by_name_by_symbol_and_in_order(four_bar):
     np.testing.assert_array_equal(four_bar.rhs(0.0, x0, {sm.Symbol("l2"): 0.45}), expected)
     np.testing.assert_array_equal(four_bar.ode({"l2": 0.45})(0.0, x0), expected)
     assert np.abs(four_bar.rhs(0.0, x0) - expected).max() > 0.1
+
+
+def test_a_run_keeps_its_inputs_whatever_becomes_of_what_was_given(four_bar):
+    times, values, number = np.array([0.0, 0.5, 1.0]), np.array([0.0, 10.0, -10.0]), np.array(4.0)
+    table = [times, values]
+    for source in (table, tuple(table), number):
+        given = {"F": source}
+        kept = four_bar.simulate((0.0, 1.0), inputs={"F": copy.deepcopy(source)}, dense_output=True)
+        run = four_bar.simulate((0.0, 1.0), inputs=given, dense_output=True)
+        table[:], values[:], number[...] = [[0.0, 1.0], [7.0, 7.0]], 99.0, 99.0
+        del given["F"]
+        again, expected = run.resample([0.25, 0.75]), kept.resample([0.25, 0.75])
+        np.testing.assert_array_equal(again.r, expected.r)
+        np.testing.assert_array_equal(again.multipliers, expected.multipliers)
+        np.testing.assert_array_equal(expected.r, [[4.0, 4.0] if source is number else [5.0, 0.0]])
+        table[:], values[:], number[...] = [times, values], [0.0, 10.0, -10.0], 4.0
+
+
+def test_a_callable_stays_the_one_that_was_given(four_bar):
+    class Force:
+        gain = 1.0
+
+        def __call__(self, t, x):
+            return self.gain
+
+    force = Force()
+    assert four_bar.simulate((0.0, 0.1), inputs={"F": force}).inputs["F"] is force
 
 
 def test_inputs_of_a_single_evaluation(four_bar):

@@ -29,7 +29,7 @@ from fourbar_codegen.errors import AssemblyError, FourbarError, ModelError
 from fourbar_codegen.integrate import METHODS, REACHED_END, is_rounded
 from fourbar_codegen.progress import PATIENCE
 from fourbar_codegen.runtime.batch import DONE, Batch, Members, width
-from fourbar_codegen.simulate import InputSource, bind, by_name, input_sources, projects
+from fourbar_codegen.simulate import InputSource, bind, by_name, input_sources, own_source, projects
 from fourbar_codegen.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ class Ensemble:
         Numbers of evaluations of the right-hand side.
     parameters : ndarray, shape (n, n_p)
     inputs : mapping
-        Sources of the inputs as they were given.
+        Sources of the inputs as they were given, in copies.
     settings : dict
         How the runs were asked for, as of a `Trajectory`.
 
@@ -105,13 +105,13 @@ class Ensemble:
         member = int(key) % n
         reached = np.isfinite(self.y[member]).all(axis=0)
         t, y = self.t[reached], self.y[member][:, reached]
-        ode = bind(self.model, self.parameters[member], _inputs_of(self.inputs, member))
+        parameters, inputs = self.parameters[member].copy(), _inputs_of(self.inputs, member)
+        ode = bind(self.model, parameters, inputs)
         success = bool(self.success[member])
         return Trajectory(
-            model=self.model, parameters=self.parameters[member], t=t, y=y, r=ode.inputs_along(t, y), sol=None,
-            t_events=None, y_events=None, nfev=int(self.nfev[member]), njev=0, nlu=0, status=0 if success else -1,
-            success=success, message=self.messages[member], settings=self.settings,
-            inputs=_inputs_of(self.inputs, member),
+            model=self.model, parameters=parameters, t=t, y=y, r=ode.inputs_along(t, y), sol=None, t_events=None,
+            y_events=None, nfev=int(self.nfev[member]), njev=0, nlu=0, status=0 if success else -1, success=success,
+            message=self.messages[member], settings=dict(self.settings), inputs=inputs,
         )  # fmt: skip
 
     def __iter__(self) -> Iterator[Trajectory]:
@@ -257,9 +257,10 @@ def _members(
     for what, rows in (("parameters", p), ("x0", x)):
         if rows is not None and not np.isfinite(rows).all():
             raise ModelError(f"{what} must be finite.")
-    p = np.ascontiguousarray(np.broadcast_to(p.T, (n, model.n_p)))
+    # Copies, also where a single row or column already lies as it is needed.
+    p = np.array(np.broadcast_to(p.T, (n, model.n_p)), order="C")
     if x is not None:
-        return p, np.ascontiguousarray(np.broadcast_to(x.T, (n, model.n_x))), n
+        return p, np.array(np.broadcast_to(x.T, (n, model.n_x)), order="C"), n
     known: dict[bytes, Floats] = {}
     states = np.empty((n, model.n_x))
     for member in range(n):
@@ -274,9 +275,9 @@ def _members(
 
 
 def _by_member(name: object, source: Any) -> Any:
-    """The source of an input; of numbers for each member a copy."""
+    """The source of an input, or an array with a number for each member; a copy of what is the caller's."""
     if not _is_by_member(source):
-        return source
+        return own_source(name_of(name), source)
     values = np.array(numbers(source, f"input {name_of(name)}"))
     if not np.isfinite(values).all():
         raise ModelError(f"The values of input {name_of(name)} must be finite.")

@@ -41,6 +41,7 @@ __all__ = [
     "by_name",
     "input_sources",
     "make_stepper",
+    "own_source",
     "projects",
     "simulate",
 ]
@@ -98,16 +99,16 @@ def by_name(model: CompiledModel, inputs: Mapping[Any, Any] | None) -> Mapping[A
 
 def input_sources(model: CompiledModel, inputs: Mapping[Any, InputSource] | None) -> list[object]:
     """For each entry of the inputs r None (its expression), a float, a Table or a callable."""
-    inputs = by_name(model, inputs)
     entries = model.manifest["inputs"]
     names = [entry["name"] for entry in entries if not entry["order"]]
     orders = {name: [entry["order"] for entry in entries if entry["of"] == name] for name in names}
     sources: dict[str, list[object]] = {name: [None] * len(orders[name]) for name in names}
-    for key, source in inputs.items():
+    for key, given in by_name(model, inputs).items():
         name = name_of(key)
         if name not in sources:
             raise ModelError(f"There is no input {name!r}; there are {', '.join(names) or 'none'}.")
         prescribed = len(orders[name]) > 1
+        source = own_source(name, given)
         if callable(source):
             if prescribed:
                 raise ModelError(
@@ -115,13 +116,20 @@ def input_sources(model: CompiledModel, inputs: Mapping[Any, InputSource] | None
                     "values), through which a cubic spline is laid, not a callable."
                 )
             sources[name] = [source]
-        elif isinstance(source, tuple | list):
-            times, values = _table(name, source)
-            sources[name] = list(_spline(times, values) if prescribed else [_linear(times, values)])
+        elif isinstance(source, tuple):
+            sources[name] = list(_spline(*source) if prescribed else [_linear(*source)])
         else:
-            value = finite_number(source, f"input {name}")
-            sources[name] = [value if order == 0 else 0.0 for order in orders[name]]
+            sources[name] = [source if order == 0 else 0.0 for order in orders[name]]
     return [source for name in names for source in sources[name]]
+
+
+def own_source(name: str, source: Any) -> float | tuple[Floats, Floats] | Callable[[float, Floats], float]:
+    """The source of an input, checked, with nothing of the caller's in it but a callable."""
+    if callable(source):
+        return source  # type: ignore[no-any-return]
+    if isinstance(source, tuple | list):
+        return _table(name, source)
+    return finite_number(source, f"input {name}")
 
 
 def _table(name: str, source: Sequence[ArrayLike]) -> tuple[Floats, Floats]:
@@ -186,6 +194,7 @@ def simulate(
     start, end = time_span(t_span)
     times = None if t_eval is None else sample_times(t_eval, start, end)
     p = model.parameter_vector(parameters)
+    inputs = {key: own_source(name_of(key), source) for key, source in by_name(model, inputs).items()}
     state = _state(model, x0, start, p, inputs)
     ode = bind(model, p, inputs)
     if constraints == "baumgarte":
@@ -240,7 +249,7 @@ def simulate(
             **({"max_step": max_step} if max_step < math.inf else {}),
             **({"formulation": formulation} if formulation is not None else {}),
         },
-        inputs=by_name(model, inputs),
+        inputs=inputs,
     )
 
 

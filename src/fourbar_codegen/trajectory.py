@@ -57,7 +57,7 @@ class Trajectory:
     settings : dict
         How the run was asked for: method, t_span, rtol, atol, constraints and what else it had.
     inputs : mapping or None
-        The inputs' sources as they were given; None of a run that was read from a file.
+        The inputs' sources as they were given, in copies; None of a run that was read from a file.
 
     Examples
     --------

@@ -54,6 +54,69 @@ def test_rates_of_an_input_are_inputs():
         assert pendulum.kinetic_energy(time, x) == pytest.approx(energy, rel=1e-13)
 
 
+def test_parameters_reach_the_motion_through_the_expressions_of_rates():
+    pendulum = fb.compile_model(driven_pendulum(a * sm.sin(w * t)))
+    time, angle, speed, p = 0.7, -1.2, 0.5, {m: 2.0, length: 0.5, g: 9.81, a: 0.1, w: 5.0}
+    pivot = sm.Function("pivot")(t)
+    law = (-g * sm.sin(angle) - pivot.diff(t, 2) * sm.cos(angle)) / length
+
+    def columns(motion):
+        rate = law.subs(pivot, motion).doit()
+        return [float(rate.diff(symbol).subs({**p, t: time})) for symbol in p]
+
+    x = [angle, speed]
+    np.testing.assert_allclose(
+        pendulum.parameter_jacobian(time, x), [[0.0] * 5, columns(a * sm.sin(w * t))], rtol=1e-12, atol=1e-12
+    )
+    # Given, a motion does not follow from the parameters; the value and the first rate do not reach x' here.
+    for r, motion in (
+        ([0.1, 0.2, 3.0], 1.5 * t**2),
+        ({"s''": 3.0}, 1.5 * t**2),
+        ({"s": 0.1}, sm.Float(0.1)),
+        ({"s'": 0.2}, a * sm.sin(w * t)),
+    ):
+        expected = [[0.0] * 5, columns(motion)]
+        np.testing.assert_allclose(pendulum.parameter_jacobian(time, x, r=r), expected, rtol=1e-12, atol=1e-12)
+
+
+def test_parameters_reach_the_motion_through_the_expressions_of_forces():
+    wall, block = me.RigidBody("wall"), me.RigidBody("block", mass=m)
+    F, G = me.dynamicsymbols("F G")
+    system = System.from_newtonian(wall)
+    system.add_joints(me.PrismaticJoint("slide", wall, block, q, u))
+    system.add_loads(me.Force(block.masscenter, (F + q * G) * wall.x))
+    b, frequency = sm.symbols("b nu")
+    values = {m: 2.0, a: 3.0, w: 2 * sm.pi * frequency, frequency: 0.4, b: 5.0}
+    inputs = {F: a * sm.sin(w * t), G: sm.Piecewise((b * t**2, t < 1), (b, True))}
+    model = fb.compile_model(fb.Model(system, name="forced_block", parameters=values, inputs=inputs))
+    assert model.parameters == ("m", "a", "nu", "b")
+    time, x = 0.3, [0.7, 0.0]
+    omega = 2 * np.pi * 0.4
+    sine, cosine, slope = np.sin(omega * time), np.cos(omega * time), time**2
+    # u' = (a sin(2 pi nu t) + q b t^2) / m
+    by_a, by_nu, by_b = sine / 2, 3 * cosine * 2 * np.pi * time / 2, 0.7 * slope / 2
+    for r, expected in (
+        (None, [-(3 * sine + 0.7 * 5 * slope) / 4, by_a, by_nu, by_b]),
+        ({F: 1.0}, [-(1.0 + 0.7 * 5 * slope) / 4, 0.0, 0.0, by_b]),
+        ({"G": 1.0}, [-(3 * sine + 0.7) / 4, by_a, by_nu, 0.0]),
+        ({}, [-(3 * sine + 0.7 * 5 * slope) / 4, by_a, by_nu, by_b]),
+        ((1.0, 2.0), [-(1.0 + 1.4) / 4, 0.0, 0.0, 0.0]),
+    ):
+        np.testing.assert_allclose(model.parameter_jacobian(time, x, r=r), [[0.0] * 4, expected], rtol=1e-13)
+    # At other parameters than the defaults.
+    p = {"nu": 0.2, "b": 1.0}
+    np.testing.assert_allclose(
+        model.parameter_jacobian(2.0, x, p)[1],
+        [
+            -(3 * np.sin(0.8 * np.pi) + 0.7) / 4,
+            np.sin(0.8 * np.pi) / 2,
+            3 * np.cos(0.8 * np.pi) * 4 * np.pi / 2,
+            0.35,
+        ],
+        rtol=1e-13,
+    )
+
+
 def test_spline_through_a_table():
     pendulum = fb.compile_model(driven_pendulum(None))
     times = np.linspace(0.0, 2.0, 401)
@@ -77,7 +140,7 @@ def test_prescribed_motion_needs_its_rates():
         pendulum.kinetic_energy(0.0, [0.0, 0.0])
 
 
-def driven_slider_crank():
+def driven_slider_crank(default=w * t):
     """Crank angle and slider of a slider-crank in plane, the crank's angle held by a constraint to s(t)."""
     angle, x, rate, v = me.dynamicsymbols("angle x rate v")
     crank, rod, mass = sm.symbols("r l m")
@@ -96,7 +159,7 @@ def driven_slider_crank():
     system.add_holonomic_constraints(angle - s, distance.dot(distance) - rod**2)
     system.q_dep, system.u_dep = [angle, x], [rate, v]
     system.add_kdes(rate - angle.diff(t), v - x.diff(t))
-    return fb.Model(system, name="driven_crank", parameters={crank: 0.2, rod: 0.7, mass: 3.0}, inputs={s: w * t})
+    return fb.Model(system, name="driven_crank", parameters={crank: 0.2, rod: 0.7, mass: 3.0}, inputs={s: default})
 
 
 def test_constraint_that_prescribes_a_motion():
@@ -116,6 +179,18 @@ def test_constraint_that_prescribes_a_motion():
     spline = (np.linspace(0.0, 1.0, 30), 4.0 * np.linspace(0.0, 1.0, 30))
     x0 = crank.initial_state(t=0.3, guess=[1.2, 0.9], parameters={"w": 0.0}, inputs={"s": spline})
     assert x0[2] == pytest.approx(4.0, rel=1e-12)
+
+
+def test_parameters_reach_the_motion_through_a_constraint_that_prescribes_it():
+    crank = fb.compile_model(driven_slider_crank(w * t**2))
+    p = {"w": 4.0}
+    x0 = crank.initial_state(t=0.3, guess=[0.36, 0.9], parameters=p)
+    # The crank's acceleration is s'' = 2 w; the slider's has that times dx/ds, x = r cos(s) + sqrt(l^2 - r^2 sin(s)^2).
+    s = 4.0 * 0.3**2
+    slope = -0.2 * np.sin(s) - 0.04 * np.sin(s) * np.cos(s) / np.sqrt(0.49 - 0.04 * np.sin(s) ** 2)
+    column = crank.parameter_jacobian(0.3, x0, p)[:, crank.parameters.index("w")]
+    # The loop is closed to 1e-10.
+    np.testing.assert_allclose(column, [0.0, 0.0, 2.0, 2.0 * slope], rtol=1e-9, atol=1e-12)
 
 
 def test_parameters_that_are_expressions_of_others():

@@ -35,6 +35,7 @@ static double evaluate(const fb_kernel *k, const double *p)
     double *f = doubles(k->n_u), *j = doubles(k->n_c * k->n_u), *g = doubles(k->n_c), *phi = doubles(k->n_h);
     double *pq = doubles(k->n_h * k->n_q), *vq = doubles(k->n_c * k->n_q), *pr = doubles(k->n_h * k->n_r);
     double *vr = doubles(k->n_c * k->n_r), *e = doubles(2), *o = doubles(k->n_o);
+    double *rp = doubles(k->n_r * k->n_p);
     const int n[3] = {n_x, k->n_p, k->n_r};
     fb_sensitivity *const of[3] = {k->sensitivity, k->parameter_sensitivity, k->input_sensitivity};
     fb_evaluation *const by[3] = {k->jacobian, k->parameter_jacobian, k->input_jacobian};
@@ -42,6 +43,7 @@ static double evaluate(const fb_kernel *k, const double *p)
     double sum = 0.0;
     k->prepare(p, c);
     k->default_inputs(0.5, c, r);
+    k->default_input_sensitivity(0.5, c, rp);
     k->rhs(0.5, x, c, r, rates, work);
     k->accelerations(0.5, x, c, r, a, l, work);
     k->dynamics(0.5, x, c, r, qs, m, f, j, g);
@@ -62,7 +64,7 @@ static double evaluate(const fb_kernel *k, const double *p)
     k->turned(work);
     k->project(0.5, x, c, r, 0, work);
     sum += rates[0] + e[0];
-    double *const all[] = {x, c, r, a, l, rates, qs, m, f, j, g, phi, pq, vq, pr, vr, e, o};
+    double *const all[] = {x, c, r, a, l, rates, qs, m, f, j, g, phi, pq, vq, pr, vr, e, o, rp};
     for (size_t i = 0; i < sizeof all / sizeof *all; ++i)
         free(all[i]);
     free(work);

@@ -468,6 +468,22 @@ void four_bar_input_sensitivity(double t, const double *restrict x, const double
     residual_input_jacobian[4] = 0.0;
 }
 
+/* d/dp of the inputs' expressions; zero without one. */
+void four_bar_default_input_sensitivity(double t, const double *restrict constants,
+    double *restrict default_input_jacobian)
+{
+    (void)t;
+    (void)constants;
+    default_input_jacobian[0] = 0.0;
+    default_input_jacobian[1] = 0.0;
+    default_input_jacobian[2] = 0.0;
+    default_input_jacobian[3] = 0.0;
+    default_input_jacobian[4] = 0.0;
+    default_input_jacobian[5] = 0.0;
+    default_input_jacobian[6] = 0.0;
+    default_input_jacobian[7] = 0.0;
+}
+
 /* d/dq of the velocity constraints J u + b; d/dr of the position constraints and of J u + b. */
 void four_bar_constraint_sensitivity(double t, const double *restrict x, const double *restrict constants,
     const double *restrict r, double *restrict velocity_jacobian, double *restrict position_input_jacobian,

@@ -17,6 +17,7 @@ extern const fb_kernel four_bar_kernel;
 extern const fb_lanes four_bar_lanes;
 
 fb_sensitivity four_bar_sensitivity, four_bar_parameter_sensitivity, four_bar_input_sensitivity;
+fb_default_input_sensitivity four_bar_default_input_sensitivity;
 fb_constraint_sensitivity four_bar_constraint_sensitivity;
 fb_drawing four_bar_drawing;
 

@@ -224,6 +224,7 @@ def header_text(program: Program, names: Mapping[str, Sequence[str]]) -> str:
 extern const fb_kernel {program.name}_kernel;{lanes}
 
 fb_sensitivity {program.name}_sensitivity, {program.name}_parameter_sensitivity, {program.name}_input_sensitivity;
+fb_default_input_sensitivity {program.name}_default_input_sensitivity;
 fb_constraint_sensitivity {program.name}_constraint_sensitivity;
 fb_drawing {program.name}_drawing;
 

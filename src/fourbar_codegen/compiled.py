@@ -284,9 +284,16 @@ class CompiledModel(Evaluator):
             return r
         known = {name: None if math.isnan(value) else value for name, value in zip(self.inputs, defaults, strict=True)}
         # An input that prescribes a motion and is given without its rates is at rest.
-        given = {name_of(key) for key in r}
-        known.update({e["name"]: 0.0 for e in self.manifest["inputs"] if e["order"] and e["of"] in given})
+        in_force = zip(self.manifest["inputs"], self.defaults_in_force(r), strict=True)
+        known.update({entry["name"]: 0.0 for entry, expression in in_force if entry["order"] and not expression})
         return named_values(r, self.inputs, known, "input")
+
+    def defaults_in_force(self, r: Values | None) -> list[bool]:
+        """For each input, whether it is what its expression gives: r names neither it nor what it is a rate of."""
+        if r is None or not is_mapping(r):
+            return super().defaults_in_force(r)
+        given = {name_of(key) for key in r}
+        return [given.isdisjoint({entry["name"], entry["of"]}) for entry in self.manifest["inputs"]]
 
     def missing(self) -> str:
         """What has to be given in every call."""

@@ -57,6 +57,8 @@ class Equations:
         Whether the velocity constraints begin with the rates of the position constraints.
     default_inputs : Result
         The inputs' expressions, (n_r,); NaN where there is none.
+    default_input_jacobian : Result
+        Their derivatives with respect to p, (n_r, n_p); zero where there is none.
     outputs : Result
         The outputs, (n_o,), for u' and multipliers in `accelerations` and `multipliers`.
     coordinate_rates : Result
@@ -112,6 +114,7 @@ class Equations:
     n_dependent_speeds: int
     velocity_constraints_derived: bool
     default_inputs: Result
+    default_input_jacobian: Result
     outputs: Result
     coordinate_rates: Result
     mass_matrix: Result
@@ -256,6 +259,7 @@ def form_equations(model: Model) -> Equations:
         for symbol, leaf in zip(model.parameter_symbols, v.p, strict=True)
         if symbol in model.named_parameters or tape.depends(entries, {leaf})
     )
+    results.append(_matrix("default_input_jacobian", gradients(defaults, needed), len(needed)))
     for kind, variables in (("", (*v.q, *v.u)), ("_parameter", needed), ("_input", v.r)):
         directions = [Direction(tape, {s: tape.one}) for s in variables]
         for name, rows in (("coordinate_rate", q_rates), ("residual", (*dynamic[:n_u], *kinematic))):

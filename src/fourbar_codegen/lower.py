@@ -130,6 +130,13 @@ def lower(name: str, equations: Equations) -> Program:
             [e.coordinate_rate_input_jacobian, e.residual_input_jacobian],
         ),
         (
+            "default_input_sensitivity",
+            "d/dp of the inputs' expressions; zero without one.",
+            [time],
+            [],
+            [e.default_input_jacobian],
+        ),
+        (
             "constraint_sensitivity",
             "d/dq of the velocity constraints J u + b; d/dr of the position constraints and of J u + b.",
             [time, state],

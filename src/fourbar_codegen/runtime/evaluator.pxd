@@ -28,6 +28,7 @@ cdef extern from "fourbar_kernel.h":
         fb_evaluation *jacobian
         fb_evaluation *parameter_jacobian
         fb_evaluation *input_jacobian
+        void (*default_input_sensitivity)(double, const double *, double *) noexcept nogil
         int (*accelerations)(double, const double *, const double *, const double *, double *, double *,
                              void *) noexcept nogil
         void (*dynamics)(double, const double *, const double *, const double *, double *, double *, double *,

@@ -108,6 +108,10 @@ cdef class Evaluator:
         """All input values in order; likewise, with the values of the expressions as defaults."""
         return r
 
+    def defaults_in_force(self, r):
+        """For each input, whether it is what its expression gives, with r as a call has it; likewise."""
+        return [r is None] * self.n_r
+
     def missing(self):
         """A sentence that names what has no default."""
         return "A parameter or an input has no default and was not given."
@@ -283,6 +287,11 @@ cdef class Evaluator:
     def parameter_jacobian(self, double t, x, p=None, r=None):
         """The derivatives of the right-hand side with respect to the parameters.
 
+        They count all of a parameter's ways to x' at the state x: also those through parameters that are expressions of
+        it, and through the expressions of inputs and, of those that prescribe a motion, of their rates,
+        dx'/dp + dx'/dr dr/dp. Inputs that are given in `r` do not change with the parameters: all of them where it is
+        an array; where it is a mapping, those that it names, with their rates.
+
         Parameters
         ----------
         t, x, p, r
@@ -304,7 +313,24 @@ cdef class Evaluator:
         >>> four_bar.parameter_jacobian(0.0, four_bar.initial_state([-0.5], [-0.1])).shape
         (6, 8)
         """
-        return self._differentiate(self.kernel.parameter_jacobian, self.n_p, t, x, p, r)
+        cdef cnp.ndarray result = self._differentiate(self.kernel.parameter_jacobian, self.n_p, t, x, p, r)
+        cdef cnp.ndarray by_inputs
+        cdef cnp.ndarray by_parameters = self.default_input_sensitivity(t, p)
+        cdef list in_force = self.defaults_in_force(r)
+        cdef int i, j, k
+        # Others are not asked about: dx'/dr may be infinite.
+        cdef list changing = [j for j in range(self.n_r) if in_force[j] and by_parameters[j].any()]
+        if not changing:
+            return result
+        by_inputs = self._differentiate(self.kernel.input_jacobian, self.n_r, t, x, p, r)
+        for j in changing:
+            for i in range(self.n_x):
+                for k in range(self.n_p):
+                    data(result)[i * self.n_p + k] += (
+                        data(by_inputs)[i * self.n_r + j] * data(by_parameters)[j * self.n_p + k])
+        if not fb_finite(data(result), self.n_x * self.n_p):
+            raise SimulationError(failure(FB_NOT_FINITE, t, x))
+        return result
 
     def input_jacobian(self, double t, x, p=None, r=None):
         """The derivatives of the right-hand side with respect to the inputs.
@@ -536,6 +562,13 @@ cdef class Evaluator:
         cdef cnp.ndarray inputs = new_array(self.n_r)
         self.kernel.default_inputs(t, self._prepare(parameters), data(inputs))
         return inputs
+
+    def default_input_sensitivity(self, double t, p=None):
+        """The derivatives of the inputs' expressions by the parameters, shape (n_r, n_p); 0 where there is none."""
+        cdef cnp.ndarray parameters = self._parameters(p)
+        cdef cnp.ndarray result = new_array(self.n_r, self.n_p)
+        self.kernel.default_input_sensitivity(t, self._prepare(parameters), data(result))
+        return result
 
     def along(self, times, states, inputs, p=None):
         """Position constraints, (n_h, n_t), J u + b, (n_c, n_t), energies, (2, n_t), multipliers, (n_c, n_t), and

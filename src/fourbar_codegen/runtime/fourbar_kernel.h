@@ -40,6 +40,8 @@ typedef void fb_sensitivity(double t, const double *x, const double *constants, 
                             const double *accelerations, const double *multipliers, double *coordinate_rate_jacobian,
                             double *residual_jacobian);
 
+typedef void fb_default_input_sensitivity(double t, const double *constants, double *default_input_jacobian);
+
 typedef void fb_constraint_sensitivity(double t, const double *x, const double *constants, const double *r,
                                        double *velocity_jacobian, double *position_input_jacobian,
                                        double *velocity_input_jacobian);
@@ -70,6 +72,7 @@ typedef struct fb_kernel {
     int (*stabilized)(double t, const double *x, const double *constants, const double *r, double a, double *rates,
                       void *work);
     fb_evaluation *jacobian, *parameter_jacobian, *input_jacobian; /* dx'/dx, dx'/dp, dx'/dr, each n_x by n */
+    fb_default_input_sensitivity *default_input_sensitivity;       /* dr/dp of the default inputs, n_r by n_p */
     /* u' and the multipliers lambda of M u' = f + J^T lambda */
     int (*accelerations)(double t, const double *x, const double *constants, const double *r, double *accelerations,
                          double *multipliers, void *work);

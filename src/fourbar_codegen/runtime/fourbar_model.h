@@ -238,6 +238,7 @@ const fb_kernel FB_NAME(kernel) = {
     .jacobian = jacobian,
     .parameter_jacobian = parameter_jacobian,
     .input_jacobian = input_jacobian,
+    .default_input_sensitivity = FB_NAME(default_input_sensitivity),
     .accelerations = accelerations,
     .dynamics = full_dynamics,
     .position = position,

@@ -193,6 +193,86 @@ def test_parameters_reach_the_motion_through_a_constraint_that_prescribes_it():
     np.testing.assert_allclose(column, [0.0, 0.0, 2.0, 2.0 * slope], rtol=1e-9, atol=1e-12)
 
 
+def drifting(*, carried=False, coupled=False):
+    """Two masses at constant speeds, q' = u + s and z' = s v, of which positions, or a loop q = z, may take up s."""
+    z, v, M = *me.dynamicsymbols("z v"), sm.Symbol("M")
+    ground, origin = me.ReferenceFrame("N"), me.Point("O")
+    origin.set_vel(ground, 0)
+    first, second = me.Point("P"), me.Point("Q")
+    first.set_vel(ground, u * ground.x)
+    second.set_vel(ground, v * ground.x)
+    if carried:
+        first.set_pos(origin, q * ground.x)
+        first.set_vel(ground, q.diff(t) * ground.x)
+    system = System(ground, origin)
+    system.add_bodies(me.Particle("first", first, m), me.Particle("second", second, M))
+    system.add_kdes(q.diff(t) - u - s, z.diff(t) - (v if coupled else s * v))
+    system.q_ind, system.u_ind = [q, z], [u, v]
+    if coupled:
+        system.q_ind, system.q_dep, system.u_ind, system.u_dep = [q], [z], [u], [v]
+        system.add_holonomic_constraints(q - z)
+    values = {m: 2.0, M: 3.0}
+    return fb.Model(system, name=f"drifting_{carried:d}{coupled:d}", parameters=values, inputs={s: None})
+
+
+def test_an_input_of_kinematics_alone_prescribes_no_motion():
+    model = fb.compile_model(drifting())
+    assert model.inputs == ("s",)
+    # From 0 to 1 within 1 ms; a cubic spline through this table goes to 1000 and beyond.
+    times, values = np.array([0.0, 1.0, 1.001, 1.1, 3.0]), np.array([0.0, 0.0, 1.0, 1.0, 1.0])
+    x0 = [0.5, -0.25, 2.0, 3.0]  # q, z, u, v
+    t_eval = np.linspace(0.0, 3.0, 31)
+    integral = np.where(t_eval <= 1.0, 0.0, t_eval - 1.0005)
+    expected = [0.5 + 2 * t_eval + integral, -0.25 + 3 * integral, np.full(31, 2.0), np.full(31, 3.0)]
+    how = {"t_eval": t_eval, "rtol": 1e-8, "atol": 1e-10, "max_step": 0.02}
+    for source in ((times, values), lambda time, x: np.interp(time, times, values)):
+        run = model.simulate((0.0, 3.0), x0, inputs={"s": source}, **how)
+        assert run["s"].min() == 0.0
+        assert run["s"].max() == 1.0
+        # A step that crosses the jump errs by what the tolerance allows.
+        np.testing.assert_allclose(run.y, expected, atol=1e-6)
+        np.testing.assert_array_equal(run.resample([0.5, 2.0])["s"], [0.0, 1.0])
+    ensemble = model.ensemble((0.0, 3.0), x0, inputs={"s": (times, values)}, **how)
+    np.testing.assert_allclose(ensemble.y[0], expected, atol=1e-6)
+    np.testing.assert_allclose(model.input_jacobian(0.0, x0, r=[0.5]).T, [[1.0, 3.0, 0.0, 0.0]], rtol=1e-15)
+    assert model.kinetic_energy(0.0, x0) == pytest.approx(0.5 * 2 * 4 + 0.5 * 3 * 9, rel=1e-15)
+
+
+def test_an_expression_without_rates_will_do_where_none_are_needed():
+    switched = fb.Model(drifting().system, name="switched", inputs={s: sm.Heaviside(t - w)}, parameters={w: 1.0})
+    model = fb.compile_model(switched)
+    assert model.inputs == ("s",)
+    x, p = [0.5, -0.25, 2.0, 3.0], {"m": 2.0, "M": 3.0}
+    for time, expected in ((0.9, [2.0, 0.0]), (1.1, [3.0, 3.0])):
+        np.testing.assert_array_equal(model.rhs(time, x, p), [*expected, 0.0, 0.0])
+    carried = fb.Model(drifting(carried=True).system, name="switched", inputs={s: sm.Heaviside(t)})
+    with pytest.raises(fb.ModelError, match="s prescribes a motion"):
+        fb.compile_model(carried)
+
+
+def test_an_input_of_kinematics_that_velocities_or_constraints_take_up_prescribes_a_motion():
+    # v = q' = u + s: the momentum m v is conserved.
+    carried = fb.compile_model(drifting(carried=True))
+    assert carried.inputs == ("s", "s'", "s''")
+    np.testing.assert_allclose(carried.rhs(0.0, [0, 0, 1.0, 1.0], r=[0.5, 0.7, 0.9]), [1.5, 0.5, -0.7, 0], rtol=1e-14)
+    assert carried.kinetic_energy(0.0, [0, 0, 1.0, 1.0], r={"s": 0.5}) == pytest.approx(1.5**2 + 1.5, rel=1e-14)
+    with pytest.raises(fb.ModelError, match="inputs s"):
+        carried.kinetic_energy(0.0, [0, 0, 1.0, 1.0])
+    # u + s = v: m u' = -M v' with v' = u' + s'.
+    coupled = fb.compile_model(drifting(coupled=True))
+    assert coupled.inputs == ("s", "s'", "s''")
+    rates = coupled.rhs(0.0, [0, 0, 1.0, 1.5], r=[0.5, 0.7, 0.9])
+    np.testing.assert_allclose(rates, [1.5, 1.5, -0.7 * 3 / 5, 0.7 * 2 / 5], rtol=1e-14)
+    for model in (carried, coupled):
+        with pytest.raises(fb.ModelError, match="s prescribes a motion"):
+            model.simulate((0.0, 1.0), np.zeros(4), inputs={"s": lambda t, x: 0.0})
+    times = np.linspace(0.0, 1.0, 101)
+    run = coupled.simulate((0.0, 1.0), np.zeros(4), inputs={"s": (times, times**3)}, rtol=1e-10, atol=1e-12)
+    # A cubic spline through a cubic is that cubic.
+    np.testing.assert_allclose(run["s'"], 3 * run.t**2, atol=1e-9)
+    np.testing.assert_allclose(run.u, [-(run.t**3) * 3 / 5, run.t**3 * 2 / 5], atol=1e-9)
+
+
 def test_parameters_that_are_expressions_of_others():
     density = sm.Symbol("density")
     values = {m: density * length, length: 0.5, g: 9.81, density: 4.0}

@@ -96,6 +96,7 @@ manifest = (
     '      "order": 0\n'
     '    }\n'
     '  ],\n'
+    '  "moving_inputs": [],\n'
     '  "outputs": [],\n'
     '  "position_degrees": [\n'
     '    [\n'

@@ -70,7 +70,7 @@ def _generate(model: Model, progress: Progress) -> tuple[Equations, dict[str, st
         "coordinates": model.coordinates,
         "speeds": model.speeds,
         "parameters": tuple(leaf.name for leaf in program.parameters),
-        "inputs": model.inputs,
+        "inputs": tuple(leaf.name for leaf in program.inputs),
         "outputs": model.outputs,
     }
     manifest = manifest_of(model, program, names, fingerprint(_described(model)))

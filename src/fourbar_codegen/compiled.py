@@ -546,7 +546,8 @@ class CompiledModel(Evaluator):
         Raises
         ------
         ModelError
-            If the System does not define the position of a point that a constant force acts on.
+            If the System does not define the position of a point that a constant force acts on; or the energy
+            depends on an input that has no expression and is not given.
 
         Examples
         --------
@@ -559,7 +560,10 @@ class CompiledModel(Evaluator):
                 f"The potential energy of {self.name} is not known: a constant force acts on a point whose position "
                 "from the System's fixed point is not defined. Give potential_energy= to the Model."
             )
-        return float(self.energy(t, x, p, r)[1])
+        energy = float(self.energy(t, x, p, r)[1])
+        if r is None and math.isnan(energy) and any(e["expression"] is None for e in self.manifest["inputs"]):
+            raise ModelError(self.missing())
+        return energy
 
     # Linearization, initial states and simulation.
 

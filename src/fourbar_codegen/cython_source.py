@@ -57,7 +57,9 @@ def manifest_of(model: Model, program: Program, names: Mapping[str, Sequence[str
                 "order": entry.order,
             }
             for entry in model.input_entries
+            if entry.name in names["inputs"]
         ],
+        "moving_inputs": list(program.moving),
         "outputs": list(names["outputs"]),
         "position_degrees": [[asdict(degree) for degree in row] for row in program.position_degrees],
         "points": [

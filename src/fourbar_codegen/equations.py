@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from itertools import chain
 
 import sympy as sm
+from sympy.functions.special.delta_functions import DiracDelta
 
 from fourbar_codegen.convert import Conversion, substitute
 from fourbar_codegen.degrees import Degree, degrees
@@ -29,7 +30,7 @@ from fourbar_codegen.kane import Kane
 from fourbar_codegen.kinematics import solve_kinematics
 from fourbar_codegen.linear import TooManyCoupledError, UndeterminedError, solve_linear
 from fourbar_codegen.mechanism import Mechanism
-from fourbar_codegen.model import Model, multiplier
+from fourbar_codegen.model import InputEntry, Model, multiplier
 from fourbar_codegen.motion import INERTIAL, Components, Motion, add
 from fourbar_codegen.program import Place, Result
 from fourbar_codegen.tape import Scalar, Tape
@@ -47,7 +48,9 @@ class Equations:
     time : Scalar
     coordinates, speeds, parameters, inputs : tuple of Scalar
         The leaves, in the order of the state and argument arrays. Of the parameters, those that the model
-        names or the equations need.
+        names or the equations need; of the inputs' rates, those of inputs that prescribe a motion.
+    moving : tuple of int
+        The inputs that positions, velocities or constraints depend on.
     accelerations : tuple of Scalar
         Leaves that stand for u' in `residual_jacobian`.
     multipliers : tuple of Scalar
@@ -109,6 +112,7 @@ class Equations:
     speeds: tuple[Scalar, ...]
     parameters: tuple[Scalar, ...]
     inputs: tuple[Scalar, ...]
+    moving: tuple[int, ...]
     accelerations: tuple[Scalar, ...]
     multipliers: tuple[Scalar, ...]
     n_dependent_speeds: int
@@ -163,7 +167,8 @@ def form_equations(model: Model) -> Equations:
     ------
     ModelError
         If the kinematic equations do not determine q', or are not linear in q' and u, or a velocity
-        constraint is not linear in u, or unknown forces do not follow from the auxiliary speeds' equations.
+        constraint is not linear in u, or unknown forces do not follow from the auxiliary speeds' equations, or
+        the expression of an input that prescribes a motion does not have its rates everywhere.
 
     Examples
     --------
@@ -215,8 +220,6 @@ def form_equations(model: Model) -> Equations:
     leaves.update(zip((speed.diff(mechanism.time) for speed in mechanism.speeds), v.a, strict=True))
     leaves.update({multiplier(number): symbol for number, symbol in enumerate(lam, start=1)})
     convert = Conversion(tape, leaves)
-    nan = tape.number(float("nan"))
-    defaults = [nan if e.expression is None else convert(e.expression) for e in model.input_entries]
     changing = (v.time, *v.q, *v.u, *v.r, *v.a, *lam, *v.unknown)
     energies = [kane.kinetic_energy(), kane.potential_energy(model.potential_energy, changing)]
 
@@ -225,7 +228,7 @@ def form_equations(model: Model) -> Equations:
 
     closure = _position_closure(tape, constraints, rate)
     rounding = Rounding(tape)
-    n_q, n_u, n_r = len(v.q), len(v.u), len(v.r)
+    n_q, n_u = len(v.q), len(v.u)
     places, points, numbers = _places(mechanism, motion)
     applied = _applied_forces(tape, mechanism, motion, numbers, v)
     results = [
@@ -249,20 +252,29 @@ def form_equations(model: Model) -> Equations:
         _matrix("points", points, 3),
         _matrix("forces", list(applied.values()), 3),
         _matrix("velocity_jacobian", gradients(constraints.velocities, v.q), n_q),
-        _matrix("velocity_input_jacobian", gradients(constraints.velocities, v.r), n_r),
-        _matrix("position_input_jacobian", gradients(constraints.positions, v.r), n_r),
     ]
+    residual = (*dynamic[:n_u], *kinematic)
+    entries = [*residual, *chain.from_iterable(result.entries for result in results)]
+    closing = (*constraints.positions, *constraints.velocities)
+    inputs = _inputs(tape, model, v, entries, closing)
+    moved = set(tape.reach([*closing, energies[0], *chain(*points)]))
+    nan = tape.number(float("nan"))
+    defaults = [nan if e.expression is None else convert(e.expression) for e in inputs.values()]
     default_inputs = _vector("inputs", defaults)
-    entries = [entry for result in (default_inputs, *results) for entry in result.entries]
+    entries += defaults
     needed = tuple(
         leaf
         for symbol, leaf in zip(model.parameter_symbols, v.p, strict=True)
         if symbol in model.named_parameters or tape.depends(entries, {leaf})
     )
-    results.append(_matrix("default_input_jacobian", gradients(defaults, needed), len(needed)))
-    for kind, variables in (("", (*v.q, *v.u)), ("_parameter", needed), ("_input", v.r)):
+    results += [
+        _matrix("default_input_jacobian", gradients(defaults, needed), len(needed)),
+        _matrix("velocity_input_jacobian", gradients(constraints.velocities, tuple(inputs)), len(inputs)),
+        _matrix("position_input_jacobian", gradients(constraints.positions, tuple(inputs)), len(inputs)),
+    ]
+    for kind, variables in (("", (*v.q, *v.u)), ("_parameter", needed), ("_input", tuple(inputs))):
         directions = [Direction(tape, {s: tape.one}) for s in variables]
-        for name, rows in (("coordinate_rate", q_rates), ("residual", (*dynamic[:n_u], *kinematic))):
+        for name, rows in (("coordinate_rate", q_rates), ("residual", residual)):
             columns_of_rows = [[d(row) for d in directions] for row in rows]
             results.append(_matrix(f"{name}{kind}_jacobian", columns_of_rows, len(variables)))
     return Equations(
@@ -271,7 +283,8 @@ def form_equations(model: Model) -> Equations:
         coordinates=v.q,
         speeds=v.u,
         parameters=needed,
-        inputs=v.r,
+        inputs=tuple(inputs),
+        moving=tuple(place for place, leaf in enumerate(inputs) if leaf.node in moved),
         accelerations=v.a,
         multipliers=lam,
         n_dependent_speeds=mechanism.n_dependent_speeds,
@@ -330,6 +343,27 @@ def _input_rates(model: Model, v: _Variables) -> dict[Scalar, Scalar]:
     leaf_of = {entry.function: leaf for entry, leaf in zip(model.input_entries, v.r, strict=True)}
     rates = {leaf: leaf_of.get(function.diff(model.mechanism.time)) for function, leaf in leaf_of.items()}
     return {leaf: rate for leaf, rate in rates.items() if rate is not None}
+
+
+def _inputs(
+    tape: Tape, model: Model, v: _Variables, entries: Sequence[Scalar], closing: Sequence[Scalar]
+) -> dict[Scalar, InputEntry]:
+    """The inputs, and behind each that prescribes a motion its rates, by their leaves.
+
+    It does where a rate of it has come into the equations, of which these are the entries. An input in the constraints
+    does in any case: where the rows of J are others than the constraints' rates, its own rates do not stand in them.
+    """
+    of_leaf = dict(zip(v.r, model.input_entries, strict=True))
+    reached, closed = set(tape.reach(entries)), set(tape.reach(closing))
+    prescribing = {e.of for leaf, e in of_leaf.items() if leaf.node in (reached if e.order else closed)}
+    needed = {leaf: entry for leaf, entry in of_leaf.items() if not entry.order or entry.of in prescribing}
+    for entry in needed.values():
+        if entry.order and entry.expression is not None and entry.expression.has(sm.Derivative, DiracDelta, sm.Subs):
+            raise ModelError(
+                f"Input {entry.of} prescribes a motion, so that its first two rates are needed; its expression "
+                f"{model.input_expressions[entry.function.expr]} does not have them everywhere."
+            )
+    return needed
 
 
 def _columns(tape: Tape, rows: Sequence[Scalar], unknown: Sequence[Scalar]) -> list[list[Scalar]]:

@@ -178,6 +178,7 @@ def lower(name: str, equations: Equations) -> Program:
         split=_split(e, rank, structure),
         structure=structure,
         position_degrees=e.position_degrees,
+        moving=e.moving,
         places=e.places,
         forced=e.forced,
     )

@@ -178,9 +178,11 @@ class Model:
         body's automatic inertia symbols often drop out).
     inputs : mapping of function of time to Expr, float or None, optional
         Every function of time that is neither coordinate nor speed, with its default: an expression of time
-        and parameters, a number, or None if every run has to give it. Where it prescribes a motion (stands in
-        an orientation, a position, a velocity, a constraint, or differentiated), its first and second rate
-        become inputs behind it, named with primes, with the derivatives of the expression as defaults.
+        and parameters, a number, or None if every run has to give it. Where it prescribes a motion (its rates
+        come into the equations: it stands in an orientation, a position, a velocity, a constraint, or
+        differentiated), its first and second rate become inputs behind it, named with primes, with the
+        derivatives of the expression as defaults. One in a kinematic differential equation alone does so only
+        where velocities or constraints take it up.
     initial : mapping of coordinate or speed to float, optional
         Default initial values of the independent coordinates and speeds, and guesses of the dependent
         coordinates.
@@ -258,7 +260,7 @@ class Model:
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Names of the inputs, and of the rates of those that prescribe a motion."""
+        """Names of the inputs, and of the rates of those that may prescribe a motion; the equations tell which do."""
         return tuple(entry.name for entry in self.input_entries)
 
     @property
@@ -326,7 +328,7 @@ class Model:
         return tuple(sorted(found, key=_name))
 
     def _list_inputs(self) -> tuple[InputEntry, ...]:
-        """The inputs, and behind each that prescribes a motion its first and second rate."""
+        """The inputs, and behind each that may prescribe a motion its first and second rate."""
         t = self.mechanism.time
         structure = walk(chain.from_iterable(expressions for _, expressions in self.mechanism.labelled_structure()))
         prescribed = {node for node in structure if isinstance(node, AppliedUndef)}
@@ -420,12 +422,6 @@ class Model:
                 raise ModelError(
                     f"The expression of input {_name(function)} may contain time and parameters only, not "
                     f"{expression}. State feedback goes into the loads, or in at run time as a callable of (t, x)."
-                )
-        for entry in self.input_entries:
-            if entry.expression is not None and entry.expression.has(sm.Derivative, sm.DiracDelta, sm.Subs):
-                raise ModelError(
-                    f"Input {entry.of} prescribes a motion, so that its first two rates are needed; its expression "
-                    f"{self.input_expressions[entry.function.expr]} does not have them everywhere."
                 )
         accelerations = {entry.function for entry in self.input_entries if entry.order == 2}
         for label, expressions in self.mechanism.labelled_structure():

@@ -167,6 +167,8 @@ class Program:
         that are not zero, one after another.
     position_degrees : tuple of tuple of Degree
         What each position constraint is in each coordinate.
+    moving : tuple of int
+        The inputs that positions, velocities or constraints depend on.
     places : tuple of Place
         What `drawing` gives the positions of.
     forced : tuple of int
@@ -180,6 +182,7 @@ class Program:
     split: Split
     structure: Structure | None
     position_degrees: tuple[tuple[Degree, ...], ...]
+    moving: tuple[int, ...]
     places: tuple[Place, ...]
     forced: tuple[int, ...]
 
@@ -188,3 +191,9 @@ class Program:
         """The parameters, in order."""
         [array] = self.functions[0].arguments
         return tuple(leaf for leaf in array.leaves if leaf is not None)
+
+    @property
+    def inputs(self) -> tuple[Leaf, ...]:
+        """The inputs, in order, with the rates of those that prescribe a motion."""
+        arrays = (array for function in self.functions for array in function.arguments)
+        return tuple(leaf for leaf in next(array for array in arrays if array.name == "r").leaves if leaf is not None)

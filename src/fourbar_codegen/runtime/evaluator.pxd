@@ -108,7 +108,7 @@ cdef class Evaluator:
     cdef void *work
     cdef bint defaults_known
     cdef bint inputs_known
-    cdef bint prescribed_known
+    cdef bint moving_known
     cdef cnp.ndarray _parameters(self, object p)
     cdef cnp.ndarray _inputs(self, double t, cnp.ndarray parameters, object r, bint known)
     cdef cnp.ndarray _state(self, double t, object x, int n)

@@ -80,9 +80,8 @@ cdef class Evaluator:
         values = [NAN if entry["default"] is None else entry["default"] for entry in manifest["parameters"]]
         cdef cnp.ndarray defaults = vector(values, self.n_p, "The default parameters")
         self.defaults_known = fb_finite(data(defaults), self.n_p)
-        prescribed = {entry["of"] for entry in manifest["inputs"] if entry["order"]}
-        unknown = {entry["of"] for entry in manifest["inputs"] if entry["expression"] is None}
-        self.inputs_known, self.prescribed_known = not unknown, not unknown & prescribed
+        unknown = {place for place, entry in enumerate(manifest["inputs"]) if entry["expression"] is None}
+        self.inputs_known, self.moving_known = not unknown, not unknown & set(manifest["moving_inputs"])
         kernel.prepare(data(defaults), self.default_constants)
 
     def __dealloc__(self):
@@ -403,7 +402,7 @@ cdef class Evaluator:
     def position(self, double t, q, p=None, r=None):
         """The position constraints, shape (n_h,), and their derivatives by q, shape (n_h, n_q)."""
         cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.prescribed_known)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.moving_known)
         cdef cnp.ndarray coordinates = self._state(t, q, self.n_q)
         cdef cnp.ndarray constraints = new_array(self.n_h)
         cdef cnp.ndarray jacobian = new_array(self.n_h, self.n_q)
@@ -415,7 +414,7 @@ cdef class Evaluator:
     def velocity(self, double t, x, p=None, r=None):
         """J, shape (n_c, n_u), and b, shape (n_c,), of the velocity constraints J u + b = 0."""
         cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.prescribed_known)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.moving_known)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray jacobian = new_array(self.n_c, self.n_u)
         cdef cnp.ndarray bias = new_array(self.n_c)
@@ -427,7 +426,7 @@ cdef class Evaluator:
     def closure(self, double t, x, p=None, r=None):
         """By how much the constraints are violated, row by row as in J: positions and velocities, shape (n_c,) each."""
         cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.prescribed_known)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.moving_known)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray positions = new_array(self.n_c)
         cdef cnp.ndarray velocities = new_array(self.n_c)
@@ -465,7 +464,7 @@ cdef class Evaluator:
     def constraint_sensitivity(self, double t, x, p=None, r=None):
         """d(J u + b)/dq, shape (n_c, n_q), dPhi/dr, shape (n_h, n_r), and d(J u + b)/dr, shape (n_c, n_r)."""
         cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.prescribed_known)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.moving_known)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray by_coordinates = new_array(self.n_c, self.n_q)
         cdef cnp.ndarray positions, velocities
@@ -478,7 +477,7 @@ cdef class Evaluator:
     def energy(self, double t, x, p=None, r=None):
         """Kinetic and potential energy, shape (2,)."""
         cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.prescribed_known)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.moving_known)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray energies = new_array(2)
         cdef const double *constants = self._prepare(parameters)
@@ -488,7 +487,7 @@ cdef class Evaluator:
     def drawing(self, double t, x, p=None, r=None):
         """Positions of the points that are drawn, shape (n_points, 3), and the inputs' forces, shape (n_forces, 3)."""
         cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.prescribed_known)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.moving_known)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray points = new_array(self.kernel.n_points, 3)
         cdef cnp.ndarray forces = new_array(self.kernel.n_forces, 3)

@@ -138,6 +138,15 @@ def test_prescribed_motion_needs_its_rates():
         pendulum.simulate((0.0, 1.0), [0.0, 0.0])
     with pytest.raises(fb.ModelError, match="inputs s"):
         pendulum.kinetic_energy(0.0, [0.0, 0.0])
+    # Also where others are given.
+    crank = driven_slider_crank(None)
+    F = me.dynamicsymbols("F")
+    crank.system.add_loads(me.Force(crank.system.bodies[0].masscenter, F * crank.system.frame.x))
+    values = {symbol: parameter.value for symbol, parameter in crank.parameter_symbols.items()}
+    pushed = fb.compile_model(fb.Model(crank.system, name="pushed", parameters=values, inputs={s: None, F: None}))
+    with pytest.raises(fb.ModelError, match="Input s has no value at t = 0"):
+        pushed.initial_state(guess=[0.3, 0.9], inputs={"F": 1.0})
+    np.testing.assert_allclose(pushed.initial_state(guess=[0.3, 0.9], inputs={"s": 0.3})[0], 0.3, rtol=1e-9)
 
 
 def driven_slider_crank(default=w * t):

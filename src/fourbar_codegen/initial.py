@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fourbar_codegen.arguments import Values, named_array
 from fourbar_codegen.elimination import INDEPENDENT, SINGULAR, row_sizes, solve_dependent
-from fourbar_codegen.errors import AssemblyError
+from fourbar_codegen.errors import AssemblyError, ModelError
 from fourbar_codegen.progress import Progress
 from fourbar_codegen.runtime.integrator import Ode
 from fourbar_codegen.simulate import input_sources
@@ -88,7 +88,12 @@ def _inputs_at(
     if inputs is None:
         return None  # the expressions
     sources = [0.0 if callable(source) else source for source in input_sources(model, inputs)]
-    return np.nan_to_num(Ode(model, p, sources).input_values(t, np.zeros(model.n_x)))
+    r = Ode(model, p, sources).input_values(t, np.zeros(model.n_x))
+    entries = model.manifest["inputs"]
+    missing = dict.fromkeys(entries[i]["of"] for i in model.manifest["moving_inputs"] if np.isnan(r[i]))
+    if missing:
+        raise ModelError(f"Input {', '.join(missing)} has no value at t = {t:g}: give a source of it in inputs=.")
+    return np.nan_to_num(r)
 
 
 @dataclass(frozen=True)

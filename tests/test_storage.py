@@ -1,10 +1,15 @@
 """Trajectories as datasets and files, and back."""
 
+import importlib.machinery
 import json
+import subprocess
+import sys
+import zipfile
 
 import numpy as np
 import pytest
 import xarray
+from systems import slider
 
 import fourbar_codegen as fb
 
@@ -70,9 +75,6 @@ def test_what_cannot_be_read(run, tmp_path):
     path = run.save(tmp_path / "run.npz")
     with pytest.raises(fb.ModelError, match="another model"):
         fb.load_trajectory(path, fb.compile_model(fb.models.cartesian_pendulum()))
-    other = fb.compile_model(fb.models.cartesian_pendulum()).simulate((0.0, 0.1))
-    with pytest.raises(fb.ModelError, match="cartesian_pendulum"):
-        fb.load_trajectory(other.save(tmp_path / "other.npz"))
     with pytest.raises(fb.ModelError, match=r"\.nc and \.npz"):
         fb.load_trajectory(run.save(tmp_path / "run.csv"))
     with pytest.raises(fb.ModelError, match="cannot be read"):
@@ -83,6 +85,92 @@ def test_what_cannot_be_read(run, tmp_path):
     for name in ("plain.npz", "text.npz", "text.nc"):
         with pytest.raises(fb.ModelError, match=r"read|no trajectory|no NPZ file"):
             fb.load_trajectory(tmp_path / name)
+
+
+@pytest.fixture(scope="module")
+def slider_run():
+    """Of a model that does not come with the package."""
+    model = fb.compile_model(slider())
+    return model.simulate((0.0, 0.1), model.initial_state({"q1": 0.48}, {"u1": 0.0}), inputs={"F": 1.0})
+
+
+def renamed(run, path, **attributes):
+    """The file of a run, with other attributes."""
+    with np.load(run.save(path)) as file:
+        arrays = dict(file)
+    arrays["run_attributes"] = np.array(json.dumps({**json.loads(str(arrays["run_attributes"])), **attributes}))
+    np.savez(path, **arrays)
+    return path
+
+
+def test_models_in_the_cache_are_found(slider_run, tmp_path, monkeypatch):
+    path = slider_run.save(tmp_path / "run.npz")
+    back = fb.load_trajectory(path)
+    np.testing.assert_array_equal(back.energy, slider_run.energy)
+    model = slider_run.model
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path / "empty"))
+    with pytest.raises(fb.ModelError, match=r"'slider'.*model=compile_model"):
+        fb.load_trajectory(path)
+    assert fb.load_trajectory(path, model).model is model
+
+
+STRANGER = "from pathlib import Path\nPath(__file__).with_name('ran').touch()\n"
+
+
+@pytest.mark.parametrize(
+    "manifest",
+    [None, "[]", "{", "[" * 100_000, '{"name": "stranger", "fingerprint": "another"}', '{"name": "slider"}'],
+    ids=["none", "list", "broken", "deep", "another", "no fingerprint"],
+)
+def test_no_file_makes_strangers_run(four_bar, tmp_path, monkeypatch, manifest):
+    """Neither packages, by their names, nor libraries, by their paths."""
+    run = four_bar.simulate((0.0, 0.1))
+    package = tmp_path / "stranger"
+    package.mkdir()
+    for name in ("__init__", "stranger"):
+        (package / f"{name}.py").write_text(STRANGER)
+    library = package / f"stranger{importlib.machinery.EXTENSION_SUFFIXES[0]}"
+    source = '#include <stdio.h>\n__attribute__((constructor)) static void run(void) { fclose(fopen(RAN, "w")); }\n'
+    command = ["gcc", "-shared", "-fPIC", f'-DRAN="{package / "ran"}"', "-x", "c", "-", "-o", library]
+    subprocess.run(command, input=source, text=True, check=True)
+    if manifest is not None:
+        (package / "manifest.json").write_text(manifest)
+    monkeypatch.syspath_prepend(tmp_path)
+    for name in ("stranger", str(library), "stranger/stranger", "../stranger", "", "this", "fourbar_codegen"):
+        for fingerprint in (four_bar.manifest["fingerprint"], ""):
+            path = renamed(run, tmp_path / "run.npz", model=name, fingerprint=fingerprint)
+            with pytest.raises(fb.ModelError, match="which neither comes with"):
+                fb.load_trajectory(path)
+    if manifest is None or "another" not in manifest:  # which is what a model looks like
+        with pytest.raises(fb.ModelError, match="no compiled model"):
+            fb.load("stranger")
+    assert "this" not in sys.modules
+    assert "stranger" not in sys.modules
+    assert not (package / "ran").exists()
+    with pytest.raises(fb.ModelError, match="cannot be loaded"):  # the path is the caller's
+        fb.load(library)
+    assert (package / "ran").exists()
+
+
+def test_installed_models_are_found_but_not_in_the_current_folder(slider_run, tmp_path):
+    wheel = fb.build_wheel(slider(), tmp_path / "dist")
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(tmp_path / "installed")
+    path = slider_run.save(tmp_path / "run.npz")
+    code = (
+        f"import fourbar_codegen as fb; print(fb.load_trajectory({str(path)!r}).model.path.parent)\n"
+        "import slider, slider.slider"  # the package is there as before
+    )
+
+    def elsewhere(folder, **environment):
+        command = [sys.executable, "-c", code]
+        return subprocess.run(command, capture_output=True, text=True, cwd=folder, env=environment, check=False)
+
+    environment = {"FOURBAR_CODEGEN_CACHE": str(tmp_path / "empty"), "PATH": ""}
+    installed = tmp_path / "installed"
+    done = elsewhere(tmp_path, **environment, PYTHONPATH=str(installed))
+    assert done.stdout == f"{installed / 'slider'}\n", done.stderr
+    assert "which neither comes with" in elsewhere(installed, **environment).stderr
 
 
 @pytest.mark.parametrize("ending", [".npz", ".nc"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import platform
 import shlex
@@ -20,7 +21,15 @@ from pathlib import Path
 
 from fourbar_codegen.errors import BuildError
 
-__all__ = ["build_extension", "build_lanes", "get_include", "pack_wheel", "toolchain", "write_sources"]
+__all__ = [
+    "build_extension",
+    "build_lanes",
+    "cache_key",
+    "get_include",
+    "pack_wheel",
+    "toolchain",
+    "write_sources",
+]
 
 PACKAGE = Path(__file__).parent
 
@@ -83,6 +92,22 @@ def toolchain() -> dict[str, object]:
         ],
         "processor": _processor(),
     }
+
+
+def cache_key(source: object) -> str:
+    """The key in the cache of what is built from a source by this toolchain, for this machine.
+
+    Parameters
+    ----------
+    source : object
+        A model's fingerprint, or texts; plain data, as JSON has it.
+
+    Returns
+    -------
+    str
+        64 hexadecimal digits.
+    """
+    return hashlib.sha256(json.dumps([source, toolchain()], sort_keys=True).encode()).hexdigest()
 
 
 def _sympy_version() -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from fourbar_codegen.errors import CacheError
 
-__all__ = ["cache_folder", "cached"]
+__all__ = ["cache_folder", "cached", "find_cached"]
 
 VARIABLE = "FOURBAR_CODEGEN_CACHE"
 CHECKSUM = "checksum"
@@ -53,7 +53,7 @@ def cached(name: str, key: str, build: Callable[[Path], Path]) -> Path:
     processes see it whole or not at all, and a failed build leaves nothing behind.
     """
     root = cache_folder()
-    place = root / f"{name[:32]}-{key[:32]}"
+    place = _place(name, key)
     try:
         found = _module_in(place)
         if found is not None:
@@ -81,6 +81,18 @@ def cached(name: str, key: str, build: Callable[[Path], Path]) -> Path:
             f"The cache folder {root} cannot be used: {error.strerror or error}. Name another one in the environment "
             f"variable {VARIABLE}."
         ) from error
+
+
+def find_cached(name: str, key: str) -> Path | None:
+    """The module that was built under a key, if it is there and whole."""
+    try:
+        return _module_in(_place(name, key))
+    except OSError:  # of a folder that cannot be read
+        return None
+
+
+def _place(name: str, key: str) -> Path:
+    return cache_folder() / f"{name[:32]}-{key[:32]}"
 
 
 def _module_in(place: Path) -> Path | None:

@@ -9,7 +9,7 @@ from importlib.metadata import version as distribution_version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fourbar_codegen.build import build_extension, pack_wheel, toolchain
+from fourbar_codegen.build import build_extension, cache_key, pack_wheel
 from fourbar_codegen.cache import cached
 from fourbar_codegen.compiled import CompiledModel
 from fourbar_codegen.errors import ModelError
@@ -88,10 +88,10 @@ def _generate(model: Model, progress: Progress) -> tuple[Equations, dict[str, st
 def key_of(model: Model) -> str:
     """The key of a model in the cache: a digest of all that its compiled module depends on.
 
-    That is the whole mechanism as the equations see it, the names, defaults and inputs, this package's own
-    sources, and the tools: Python, NumPy, SymPy, Cython, the compiler and its flags.
+    That is the whole mechanism as the equations see it, the names, defaults and inputs, of which the manifest has the
+    fingerprint; this package's own sources, and the tools: Python, NumPy, SymPy, Cython, the compiler and its flags.
     """
-    return fingerprint((_described(model), toolchain()))
+    return cache_key(fingerprint(_described(model)))
 
 
 def _described(model: Model) -> tuple[object, ...]:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import ctypes
-import hashlib
 import json
 import math
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module, machinery, util
 from pathlib import Path
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from fourbar_codegen.simulate import EventLike, InputSource
     from fourbar_codegen.trajectory import Trajectory
 
-__all__ = ["CompiledModel", "load"]
+__all__ = ["CompiledModel", "find", "load"]
 
 Floats = NDArray[np.float64]
 
@@ -45,7 +45,9 @@ def load(name: str | Path) -> CompiledModel:
     ----------
     name : str or Path
         The name of a model that comes with the package, ``"four_bar"``, or that was installed from a wheel
-        of `build_wheel`; or the path of an extension module that ``fourbar build`` or `build_model` made.
+        of `build_wheel` (not what lies in the current folder); or the path of an extension module that
+        ``fourbar build`` or `build_model` made. Of an installed package, nothing runs that does not say in its
+        manifest.json that it is that model.
 
     Returns
     -------
@@ -66,22 +68,67 @@ def load(name: str | Path) -> CompiledModel:
     path = Path(name)
     if path.suffix and path.is_file():
         return CompiledModel.from_file(path)
-    folder = Path(__file__).parent / "prebuilt"
-    known = sorted({p.name.split(".")[0] for s in machinery.EXTENSION_SUFFIXES for p in folder.glob(f"*{s}")})
-    if str(name) in known:
+    if str(name) in _prebuilt():
         return CompiledModel.from_module(import_module(f"fourbar_codegen.prebuilt.{name}"))
-    if str(name).isidentifier():
-        # As build_wheel packs it: a package with a module of the same name.
-        try:
-            found = util.find_spec(f"{name}.{name}")
-        except (ImportError, ValueError):
-            found = None
-        if found is not None:
-            return CompiledModel.from_module(import_module(f"{name}.{name}"))
+    installed = _installed(str(name))
+    if installed is not None:
+        return CompiledModel.from_file(installed)
+    known = ", ".join(_prebuilt()) or "none"
     raise ModelError(
-        f"There is no compiled model {str(name)!r}: it is neither one of the package's ({', '.join(known) or 'none'}) "
-        "nor one installed from a wheel, nor the path of an extension module that fourbar build made."
+        f"There is no compiled model {str(name)!r}: it is neither one of the package's ({known}) nor one installed "
+        "from a wheel, nor the path of an extension module that fourbar build made."
     )
+
+
+def find(name: str, fingerprint: str) -> CompiledModel | None:
+    """The model of a name and fingerprint, if it can be had without building it.
+
+    It is one that comes with the package, was installed from a wheel, or is in the cache of `compile_model`, built for
+    this machine. Name and fingerprint may come from a stranger's file: neither becomes a path, and nothing is loaded
+    but what is known to be that model.
+    """
+    if not name.isidentifier():
+        return None
+    if name in _prebuilt():
+        model = load(name)
+        if model.manifest["fingerprint"] == fingerprint:
+            return model
+    from fourbar_codegen.build import cache_key
+    from fourbar_codegen.cache import find_cached
+
+    module = _installed(name, fingerprint) or find_cached(name, cache_key(fingerprint))
+    return None if module is None else CompiledModel.from_file(module)
+
+
+def _prebuilt() -> list[str]:
+    """The names of the models that come with the package."""
+    folder = Path(__file__).parent / "prebuilt"
+    return sorted({path.name.split(".")[0] for s in machinery.EXTENSION_SUFFIXES for path in folder.glob(f"*{s}")})
+
+
+def _installed(name: str, fingerprint: str | None = None) -> Path | None:
+    """The extension module in a package as `build_wheel` packs it; nothing is imported to find it."""
+    if not name.isidentifier():
+        return None
+    # A data file may come with a folder beside it, which then is in the current one.
+    spec = machinery.PathFinder.find_spec(name, [place for place in sys.path if not _is_current(place)])
+    for folder in map(Path, (spec and spec.submodule_search_locations) or ()):
+        try:
+            manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+            found = manifest["name"], manifest["fingerprint"]
+        except (OSError, ValueError, TypeError, KeyError, RecursionError):  # a package, but no model
+            continue
+        if found[0] == name and fingerprint in (None, found[1]):
+            modules = (folder / f"{name}{suffix}" for suffix in machinery.EXTENSION_SUFFIXES)
+            return next((module for module in modules if module.is_file()), None)
+    return None
+
+
+def _is_current(place: str) -> bool:
+    try:
+        return Path(place or ".").samefile(".")
+    except OSError:  # it is not there
+        return False
 
 
 def _restore(name: str, path: str, manifest: dict[str, Any], sources: Mapping[str, str] | None) -> CompiledModel:
@@ -100,11 +147,10 @@ def _restore(name: str, path: str, manifest: dict[str, Any], sources: Mapping[st
 
 def _built(name: str, sources: Mapping[str, str], build: Callable[[Path], Path]) -> Path:
     """What is built from generated sources, in the cache."""
-    from fourbar_codegen.build import toolchain
+    from fourbar_codegen.build import cache_key
     from fourbar_codegen.cache import cached
 
-    key = hashlib.sha256(json.dumps([name, sources, toolchain()], sort_keys=True).encode()).hexdigest()
-    return cached(name, key, build)
+    return cached(name, cache_key([name, sources]), build)
 
 
 class CompiledModel(Evaluator):
@@ -187,6 +233,7 @@ class CompiledModel(Evaluator):
                 "Python, or build into another folder."
             )
         loader = machinery.ExtensionFileLoader(name, str(path))
+        taken = name in sys.modules
         try:
             spec = util.spec_from_file_location(name, path, loader=loader)
             assert spec is not None
@@ -194,6 +241,9 @@ class CompiledModel(Evaluator):
             loader.exec_module(module)
         except ImportError as error:
             raise ModelError(f"{path} cannot be loaded as a compiled model: {error}.") from error
+        finally:
+            if not taken:  # Cython enters its modules there, and the next import of that name would end at this one
+                sys.modules.pop(name, None)
         return cls.from_module(module)
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -13,7 +13,7 @@ from zipfile import BadZipFile, is_zipfile
 import numpy as np
 from numpy.typing import NDArray
 
-from fourbar_codegen.compiled import CompiledModel, load
+from fourbar_codegen.compiled import CompiledModel, find
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.trajectory import Trajectory
 
@@ -145,7 +145,8 @@ def load_trajectory(path: str | Path, model: CompiledModel | None = None) -> Tra
     path : str or Path
         A ``.nc`` or ``.npz`` file.
     model : CompiledModel, optional
-        The model that was run; without it, the one of that name that comes with the package.
+        The model that was run. Without it, the one of the name and fingerprint that the file has: among those that come
+        with the package, that were installed from wheels, or that `compile_model` left in the cache on this machine.
 
     Returns
     -------
@@ -155,7 +156,12 @@ def load_trajectory(path: str | Path, model: CompiledModel | None = None) -> Tra
     Raises
     ------
     ModelError
-        If the file cannot be read, is none of these, or the run was another model's.
+        If the file cannot be read, is none of these, the run was another model's, or that model is not found.
+
+    Notes
+    -----
+    Files may come from anywhere: they say which model was run, and never where it lies. A package is imported if its
+    own manifest.json has the name and fingerprint, and the cache is asked by a key that is made of them.
 
     Examples
     --------
@@ -178,11 +184,18 @@ def load_trajectory(path: str | Path, model: CompiledModel | None = None) -> Tra
     try:
         attributes, t, column = reader(path)
         name, fingerprint = attributes["model"], attributes["fingerprint"]
-        model = load(name) if model is None else model
+        model = find(name, fingerprint) if model is None else model
+        if model is None:
+            raise ModelError(
+                f"{path} is a run of the model {name!r} with the fingerprint {fingerprint[:16]!r}, which neither comes "
+                "with the package, nor was installed from a wheel, nor is in the cache of this machine: pass it, as "
+                f"load_trajectory({str(path)!r}, model=compile_model(...)), or model=load(...) with the path of the "
+                "module that build_model made."
+            )
         if fingerprint != model.manifest["fingerprint"]:
             raise ModelError(
-                f"{path} is a run of another model, {name} with the fingerprint {fingerprint[:16]}: {model.name} has "
-                f"{model.manifest['fingerprint'][:16]}. Give the model that was run as model=."
+                f"{path} is a run of another model, {name!r} with the fingerprint {fingerprint[:16]!r}: {model.name} "
+                f"has {model.manifest['fingerprint'][:16]}. Give the model that was run as model=."
             )
         return Trajectory(
             model=model,

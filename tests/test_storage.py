@@ -225,3 +225,29 @@ def test_what_is_no_path_and_no_model(run, tmp_path):
         fb.load_trajectory(run.save(tmp_path / "run.npz"), "four_bar")
     with pytest.raises(fb.ModelError, match="no such file"):
         fb.load_trajectory(tmp_path / "none.nc")
+
+
+def test_a_disk_that_is_full(tmp_path):
+    """Told in a sentence; what was there stays, and nothing comes beside it."""
+    code = f"""
+import resource, signal
+import fourbar_codegen as fb
+run = fb.load("four_bar").simulate((0.0, 1.0))
+run.to_xarray()
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
+for ending in ("csv", "npz", "nc", "html"):
+    try:
+        run.save(f"{tmp_path}/run.{{ending}}")
+    except fb.ModelError as error:
+        print(error)
+"""
+    endings = ("csv", "npz", "nc", "html")
+    for ending in endings:
+        (tmp_path / f"run.{ending}").write_text("old")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines() == [
+        f"{tmp_path}/run.{ending} cannot be written: File too large." for ending in endings
+    ]
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {f"run.{e}": "old" for e in endings}

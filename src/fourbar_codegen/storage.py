@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Callable, Mapping
 from importlib.metadata import PackageNotFoundError, version
@@ -119,13 +120,20 @@ def write_netcdf(trajectory: Trajectory, file: IO[bytes]) -> None:
     """A trajectory as NetCDF 4, by h5netcdf."""
     dataset = to_dataset(trajectory)
     _require_h5netcdf()
+    import h5netcdf
+    from xarray.backends import H5NetCDFStore
+
+    # With checksums, which are NetCDF's own: damaged numbers are not read as others.
+    numbers = (name for name, array in dataset.variables.items() if array.dtype == float and array.size)
+    summed = {name: {"fletcher32": True} for name in numbers}
+    # In memory, where no write fails: HDF5 may end the process when it closes a file that it could not write.
+    memory = io.BytesIO()
     try:
-        # With checksums, which are NetCDF's own: damaged numbers are not read as others.
-        numbers = (name for name, array in dataset.variables.items() if array.dtype == float and array.size)
-        summed = {name: {"fletcher32": True} for name in numbers}
-        dataset.to_netcdf(file.name, engine="h5netcdf", encoding=summed)
+        with h5netcdf.File(memory, "w") as held:
+            dataset.dump_to_store(H5NetCDFStore(held), encoding=summed)
     except ValueError as error:  # names of outputs may be anything
         raise ModelError(f"NetCDF cannot hold this trajectory: {error}.") from error
+    file.write(memory.getbuffer())
 
 
 def write_npz(trajectory: Trajectory, file: IO[bytes]) -> None:

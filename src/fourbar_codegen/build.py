@@ -20,6 +20,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from fourbar_codegen.errors import BuildError
+from fourbar_codegen.files import replacing
 
 __all__ = [
     "build_extension",
@@ -208,13 +209,17 @@ def build_extension(
         if check is not None:
             check(module)
         write_sources(name, sources, folder)
-        target = folder / module.name
-        try:
-            # By way of a new file: a module that a process has loaded must not change under its feet.
-            target.unlink(missing_ok=True)
-            shutil.copyfile(module, target)
-        except OSError as error:
-            raise BuildError(f"{folder} cannot be written: {error.strerror}.") from error
+        return _copied(module, folder)
+
+
+def _copied(built: Path, folder: Path) -> Path:
+    """A built file in a folder of the user's; a module that a process has loaded does not change under its feet."""
+    target = folder / built.name
+    try:
+        with replacing(target) as file, built.open("rb") as source:
+            shutil.copyfileobj(source, file)
+    except OSError as error:
+        raise BuildError(f"{target} cannot be written: {error.strerror or error}.") from error
     return target
 
 
@@ -236,13 +241,14 @@ def write_sources(name: str, sources: Mapping[str, str], folder: Path) -> None:
         If the folder cannot be written.
     """
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for filename in (f"{name}_lanes.c", *sources):  # not every model has that one
-            (folder / filename).unlink(missing_ok=True)
         for filename, text in sources.items():
-            (folder / filename).write_text(text, encoding="utf-8", newline="\n")
+            with replacing(folder / filename) as file:
+                file.write(text.encode("utf-8"))
+        lanes = f"{name}_lanes.c"
+        if lanes not in sources:  # not every model has that one
+            (folder / lanes).unlink(missing_ok=True)
     except OSError as error:
-        raise BuildError(f"{folder} cannot be written: {error.strerror}.") from error
+        raise BuildError(f"{folder} cannot be written: {error.strerror or error}.") from error
 
 
 def build_lanes(name: str, sources: Mapping[str, str], folder: Path) -> Path:
@@ -338,11 +344,7 @@ def pack_wheel(module: Path, folder: Path, *, version: str, requires: Sequence[s
         (project / "setup.py").write_text(setup, encoding="utf-8")
         _run([sys.executable, "setup.py", "--quiet", "bdist_wheel"], project / "dist", tool="setuptools", cwd=project)
         (wheel,) = (project / "dist").glob("*.whl")
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            return Path(shutil.copy(wheel, folder))
-        except OSError as error:
-            raise BuildError(f"{folder} cannot be written: {error.strerror}.") from error
+        return _copied(wheel, folder)
 
 
 def _build(name: str, sources: Mapping[str, str], folder: Path, *, portable: bool) -> Path:

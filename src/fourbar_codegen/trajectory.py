@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.arguments import name_of, sample_times
 from fourbar_codegen.errors import ModelError
+from fourbar_codegen.files import replacing
 
 if TYPE_CHECKING:
     import xarray
@@ -261,7 +262,8 @@ class Trajectory:
             Its ending tells the kind: ``.csv`` (a row for each time, all digits), ``.npz`` (NumPy, an array
             for each name), ``.nc`` (NetCDF, as `to_xarray` has it; needs the extra ``data``), ``.html`` (an interactive
             report), ``.png`` (a plot), ``.gif`` or ``.mp4`` (an animation); the last three need the extra ``visual``,
-            ``.mp4`` also FFmpeg. Missing folders are made. `load_trajectory` reads ``.npz`` and ``.nc``.
+            ``.mp4`` also FFmpeg. Missing folders are made. `load_trajectory` reads ``.npz`` and ``.nc``. Whatever goes
+            wrong, a file that was there stays as it was.
 
         Returns
         -------
@@ -274,16 +276,9 @@ class Trajectory:
         """
         path = Path(path)
         writer = check_ending(path)
-        # Into a file beside it first: whatever goes wrong, the old file stays, and no half of a new one.
-        part = path.with_name(f"{path.name}.part")
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            try:
-                with part.open("wb") as file:
-                    writer(self, file)
-                part.replace(path)
-            finally:
-                part.unlink(missing_ok=True)
+            with replacing(path) as file:
+                writer(self, file)
         except OSError as error:
             raise ModelError(f"{path} cannot be written: {error.strerror or error}.") from error
         return path
@@ -379,10 +374,11 @@ class Trajectory:
 
 def _write_csv(trajectory: Trajectory, file: IO[bytes]) -> None:
     columns = trajectory.columns()
-    with io.TextIOWrapper(file, encoding="utf-8", newline="") as text:
-        writer = csv.writer(text)
-        writer.writerow(columns)
-        writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
+    text = io.TextIOWrapper(file, encoding="utf-8", newline="")
+    writer = csv.writer(text)
+    writer.writerow(columns)
+    writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
+    text.detach()  # the file stays open
 
 
 def _write_npz(trajectory: Trajectory, file: IO[bytes]) -> None:

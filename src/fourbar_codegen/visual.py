@@ -230,23 +230,18 @@ def animate(trajectory: Trajectory, *, fps: float, speed: float, traces: Sequenc
 
 
 def write_animation(trajectory: Trajectory, path: Path, kind: str) -> None:
-    """Write an animation to a file, whatever its name, as a GIF or an MP4."""
+    """Write an animation to a file, whose name ends like its kind, as a GIF or an MP4."""
     animations = _imported("matplotlib.animation", "Animations")
     name = {"gif": "pillow", "mp4": "ffmpeg"}[kind]
     if not animations.writers.is_available(name):
         raise ModelError(f"{kind.upper()} needs {name}, which is not installed.")
     animation = animate(trajectory, fps=FPS, speed=1.0, traces=())
-    whole = path.with_name(f"{path.name}.{kind}")  # Matplotlib goes by the ending
     from tqdm import tqdm
 
-    try:
-        with tqdm(desc=path.stem, unit="picture", delay=PATIENCE, disable=None) as bar:
+    with tqdm(desc=f"{trajectory.model.name}, {kind.upper()}", unit="picture", delay=PATIENCE, disable=None) as bar:
 
-            def advance(_: int, total: int) -> None:
-                bar.total = total
-                bar.update()
+        def advance(_: int, total: int) -> None:
+            bar.total = total
+            bar.update()
 
-            animation.save(whole, writer=animations.writers[name](fps=FPS), progress_callback=advance)
-        whole.replace(path)
-    finally:
-        whole.unlink(missing_ok=True)
+        animation.save(path, writer=animations.writers[name](fps=FPS), progress_callback=advance)

@@ -1,6 +1,7 @@
 """The cache: keys that digest everything, warm calls that form nothing, builds that are whole or absent."""
 
 import os
+import pickle
 import shutil
 import subprocess
 import sys
@@ -13,7 +14,7 @@ import sympy as sm
 from systems import slider
 
 import fourbar_codegen as fb
-from fourbar_codegen import build, fingerprint
+from fourbar_codegen import build, cache, fingerprint
 from fourbar_codegen import compile as pipeline
 
 CHANGES = [
@@ -257,6 +258,50 @@ def test_modules_for_others_have_all_in_one_file(monkeypatch, tmp_path):
     assert not model.lacks_lanes
     assert np.isfinite(model.rhs_batch(0.0, np.full((4, 3), 0.5))).all()
     assert not (tmp_path / "cache").exists()
+
+
+def test_models_sent_to_another_processor(monkeypatch, tmp_path):
+    """They see the same folders, and must not execute what was built for the other."""
+    model = fb.compile_model(slider())
+    sent, x = pickle.dumps(model), [0.5, 0.1, 0.2, 0.3]
+    assert not model.is_portable
+    assert pickle.loads(sent).path == model.path
+    monkeypatch.setattr(build, "_processor", lambda: "another")
+    other = pickle.loads(sent)
+    assert other.path != model.path
+    np.testing.assert_array_equal(other.rhs(0.0, x), model.rhs(0.0, x))  # it is the same processor after all
+    assert pickle.loads(sent).path == other.path
+    shutil.copytree(model.path.parent, tmp_path / "folder")
+    copied = fb.load(tmp_path / "folder" / model.path.name)  # wherever it lies
+    assert pickle.loads(pickle.dumps(copied)).path == other.path
+
+
+def test_models_that_were_built_to_travel(monkeypatch, tmp_path):
+    model = fb.load(fb.build_model(slider(), tmp_path))
+    sent, x = pickle.dumps(model), [0.5, 0.1, 0.2, 0.3]
+    assert model.is_portable
+    monkeypatch.setattr(build, "_processor", lambda: "another")
+    assert pickle.loads(sent).path == model.path
+    other = fb.build_model(slider("default"), tmp_path / "other")
+    other.replace(model.path)
+    for damage in (lambda: None, lambda: model.path.write_text("none"), model.path.unlink):
+        damage()
+        again = pickle.loads(sent)
+        assert again.path.is_relative_to(cache.cache_folder())
+        assert again.manifest == model.manifest
+        np.testing.assert_allclose(again.rhs(0.0, x), model.rhs(0.0, x), rtol=1e-12)  # with other instructions
+
+
+def test_models_sent_without_their_sources(tmp_path):
+    model = fb.load(fb.build_model(slider("name"), tmp_path))
+    for path in tmp_path.glob("*.[ch]"):
+        path.unlink()
+    (tmp_path / f"{model.name}.pyx").unlink()
+    sent = pickle.dumps(model)
+    assert pickle.loads(sent).path == model.path
+    model.path.unlink()
+    with pytest.raises(fb.ModelError, match=r"not found here, .* its sources were not beside it"):
+        pickle.loads(sent)
 
 
 def test_unwritable_cache(monkeypatch, tmp_path):

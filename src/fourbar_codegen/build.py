@@ -351,7 +351,7 @@ def _build(name: str, sources: Mapping[str, str], folder: Path, *, portable: boo
     write_sources(name, sources, folder)
     flags = {"_kernel.c": KERNEL_FLAGS, "_derivatives.c": DERIVATIVES_FLAGS}
     if not portable:
-        flags = {ending: (*chosen, "-DFB_LANES_APART", *MACHINE_FLAGS) for ending, chosen in flags.items()}
+        flags = {ending: (*chosen, "-DFB_ONE_MACHINE", *MACHINE_FLAGS) for ending, chosen in flags.items()}
     elif f"{name}_lanes.c" in sources:
         flags["_lanes.c"] = LANES_FLAGS
     from concurrent.futures import ThreadPoolExecutor

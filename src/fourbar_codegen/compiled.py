@@ -7,6 +7,7 @@ import json
 import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from importlib import import_module, machinery, util
 from pathlib import Path
 from types import MappingProxyType
@@ -131,14 +132,27 @@ def _is_current(place: str) -> bool:
         return False
 
 
-def _restore(name: str, path: str, manifest: dict[str, Any], sources: Mapping[str, str] | None) -> CompiledModel:
-    """A model from another process: its module, if that is there, or else built from its sources, and cached."""
-    if sources is None or Path(path).is_file():
-        model = load(path if Path(path).is_file() else name)
-        if model.manifest == manifest:
-            return model
+def _restore(name: str, path: str | None, manifest: dict[str, Any], sources: Mapping[str, str] | None) -> CompiledModel:
+    """A model from another process, which may run on another machine.
+
+    A module that was built to travel is loaded from its path. One that was built for its machine has none here: where
+    another machine sees the same folder, its processor may lack the instructions, and the cache's key knows that. What
+    is not there, is another model or cannot be loaded is built from the sources that came along.
+    """
+    if path is not None and Path(path).is_file():
+        with suppress(ModelError):
+            model = CompiledModel.from_file(Path(path))
+            if model.manifest == manifest:
+                return model
+    with suppress(ModelError):
+        found = find(name, manifest["fingerprint"])
+        if found is not None and found.manifest == manifest:
+            return found
     if sources is None:
-        raise ModelError(f"The model {name} that is found here is another one than the one that was sent here.")
+        raise ModelError(
+            f"The model {name} that was sent is not found here, or only another one of its name, and its sources were "
+            "not beside it: install its wheel, or send what build_model made, from the folder that has its sources."
+        )
     from fourbar_codegen.build import build_extension
 
     module = _built(name, sources, lambda folder: build_extension(name, sources, folder, portable=False))
@@ -247,8 +261,8 @@ class CompiledModel(Evaluator):
         return cls.from_module(module)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # Other processes load the same module; on other machines it may have to be built first.
-        return _restore, (self.name, str(self.path), self.manifest, self._sources())
+        path = str(self.path) if self.is_portable else None
+        return _restore, (self.name, path, self.manifest, self._sources())
 
     def _sources(self) -> dict[str, str] | None:
         """The sources beside the module, or None."""

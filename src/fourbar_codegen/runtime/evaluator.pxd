@@ -53,6 +53,7 @@ cdef extern from "fourbar_kernel.h":
         void (*drawing)(double, const double *, const double *, const double *, double *, double *) noexcept nogil
         const fb_lanes *lanes
         int lanes_apart
+        int one_machine
 
 cdef extern from "fourbar_problem.h":
     ctypedef struct fb_table:

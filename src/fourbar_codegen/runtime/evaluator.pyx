@@ -95,6 +95,11 @@ cdef class Evaluator:
         """Whether the functions for several states side by side are in a library that has not been attached yet."""
         return self.lanes == NULL and self.kernel.lanes_apart != 0
 
+    @property
+    def is_portable(self):
+        """Whether it was built to travel, and not for the processor of one machine."""
+        return self.kernel.one_machine == 0
+
     def attach_lanes(self, size_t address):
         """Take the functions for several states side by side, an ``fb_lanes``, that were built apart from the kernel."""
         self.lanes = <const fb_lanes *>address

@@ -114,6 +114,7 @@ typedef struct fb_kernel {
     fb_drawing *drawing; /* positions (n_points, 3) and forces (n_forces, 3) in the inertial frame */
     const fb_lanes *lanes; /* the same for several states side by side, or NULL */
     int lanes_apart;       /* whether they are in a library of their own */
+    int one_machine;       /* whether it was compiled for the processor of one machine, and not to travel */
 } fb_kernel;
 
 #endif

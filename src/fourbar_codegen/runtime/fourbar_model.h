@@ -255,7 +255,10 @@ const fb_kernel FB_NAME(kernel) = {
     .parameter_sensitivity = FB_NAME(parameter_sensitivity),
     .input_sensitivity = FB_NAME(input_sensitivity),
     .drawing = FB_NAME(drawing),
-#if defined FB_HAS_LANES && defined FB_LANES_APART
+#ifdef FB_ONE_MACHINE
+    .one_machine = 1,
+#endif
+#if defined FB_HAS_LANES && defined FB_ONE_MACHINE /* where they can be built when they are needed */
     .lanes_apart = 1,
 #elif defined FB_HAS_LANES
     .lanes = &FB_NAME(lanes),

@@ -1,17 +1,22 @@
 """Trajectories as datasets and files, and back."""
 
 import importlib.machinery
+import io
 import json
+import os
 import subprocess
 import sys
 import zipfile
+from pathlib import Path
 
+import h5netcdf
 import numpy as np
 import pytest
 import xarray
 from systems import slider
 
 import fourbar_codegen as fb
+from fourbar_codegen import build
 
 
 @pytest.fixture(scope="module")
@@ -94,10 +99,10 @@ def slider_run():
     return model.simulate((0.0, 0.1), model.initial_state({"q1": 0.48}, {"u1": 0.0}), inputs={"F": 1.0})
 
 
-def renamed(run, path, **attributes):
-    """The file of a run, with other attributes."""
+def changed_file(run, path, changed=(), **attributes):
+    """The file of a run, with other arrays and attributes."""
     with np.load(run.save(path)) as file:
-        arrays = dict(file)
+        arrays = {**file, **{name: np.array(values) for name, values in dict(changed).items()}}
     arrays["run_attributes"] = np.array(json.dumps({**json.loads(str(arrays["run_attributes"])), **attributes}))
     np.savez(path, **arrays)
     return path
@@ -138,7 +143,7 @@ def test_no_file_makes_strangers_run(four_bar, tmp_path, monkeypatch, manifest):
     monkeypatch.syspath_prepend(tmp_path)
     for name in ("stranger", str(library), "stranger/stranger", "../stranger", "", "this", "fourbar_codegen"):
         for fingerprint in (four_bar.manifest["fingerprint"], ""):
-            path = renamed(run, tmp_path / "run.npz", model=name, fingerprint=fingerprint)
+            path = changed_file(run, tmp_path / "run.npz", model=name, fingerprint=fingerprint)
             with pytest.raises(fb.ModelError, match="which neither comes with"):
                 fb.load_trajectory(path)
     if manifest is None or "another" not in manifest:  # which is what a model looks like
@@ -182,6 +187,107 @@ def test_damaged_files(run, tmp_path, ending):
         with pytest.raises(fb.ModelError, match=r"cannot be read|no NPZ file|no trajectory") as error:
             fb.load_trajectory(path)
         assert "pickle" not in str(error.value)
+
+
+WRONG = {
+    "times that are text": ({"t": ["a"] * 21}, {}, "its t is no row of real numbers"),
+    "times that turn back": ({"t": [0.0, 2.0, 1.0] * 7}, {}, "one direction"),
+    "times that are not finite": ({"t": [0.0] * 20 + [np.nan]}, {}, "not finite"),
+    "fewer times": ({"t": [0.0, 1.0]}, {}, "21 values for 2 times"),
+    "two dimensions": ({"q1": np.zeros((21, 2))}, {}, "its q1 is no row"),
+    "complex states": ({"q1": np.zeros(21, complex)}, {}, "its q1 is no row"),
+    "states that are text": ({"u2": ["1.0"] * 21}, {}, "its u2 is no row"),
+    "settings that are a list": ({}, {"settings": []}, "settings is no dict"),
+    "settings that say nothing": ({}, {"settings": {}}, "'constraints' is missing"),
+    "no settings": ({}, {"settings": None}, "settings is no dict"),
+    "a parameter beyond all floats": ({}, {"parameters": {"l2": 10**400}}, "parameter l2 is no finite number"),
+    "a parameter that is text": ({}, {"parameters": {"l2": "1"}}, "parameter l2 is no finite number"),
+    "a parameter that is not finite": ({}, {"parameters": {"l2": float("nan")}}, "parameter l2 is no finite number"),
+    "a parameter that is a truth": ({}, {"parameters": {"l2": True}}, "parameter l2 is no finite number"),
+    "a count beyond all integers": ({}, {"nfev": 10**400}, "nfev is no int"),
+    "a success that is text": ({}, {"success": "no"}, "success is no bool"),
+    "a name that is a number": ({}, {"model": 3}, "model is no str"),
+    "a fingerprint that is a list": ({}, {"fingerprint": [1]}, "fingerprint is no str"),
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_what_no_run_has(run, tmp_path, wrong):
+    changed, entries, sentence = WRONG[wrong]
+    parameters = json.loads(run.to_xarray().attrs["parameters"])
+    entries = {k: {**parameters, **v} if k == "parameters" else v for k, v in entries.items()}
+    path = changed_file(run, tmp_path / "run.npz", changed, **entries)
+    with pytest.raises(fb.ModelError, match=f"holds no trajectory that fourbar_codegen has saved: .*{sentence}"):
+        fb.load_trajectory(path)
+
+
+def test_settings_of_netcdf(run, tmp_path):
+    path = run.save(tmp_path / "run.nc")
+    with h5netcdf.File(path, "a") as file:
+        file.attrs["settings"] = "[]"
+    with pytest.raises(fb.ModelError, match="there is list"):
+        fb.load_trajectory(path)
+
+
+def test_headers_that_claim_more_than_there_is(run, tmp_path):
+    """Eight terabytes, in some kilobytes."""
+    path = run.save(tmp_path / "run.npz")
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (10**12,)})
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in {**members, "t.npy": header.getvalue() + bytes(80)}.items():
+            archive.writestr(name, content)
+    with pytest.raises(fb.ModelError, match="holds no trajectory"):
+        fb.load_trajectory(path)
+
+    path = tmp_path / "run.nc"
+    with h5netcdf.File(path, "w") as file:
+        file.dimensions = {"time": 10**12}
+        file.create_variable("time", ("time",), "f8", chunks=(1024,))
+    with pytest.raises(fb.ModelError, match="its time claims 1000000000000 values, for which the file is too small"):
+        fb.load_trajectory(path)
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_damage_to_what_others_have_compressed(run, tmp_path, method):
+    """Every decoder has an error of its own."""
+    path = run.save(tmp_path / "run.npz")
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    with zipfile.ZipFile(path, "w", method) as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    np.testing.assert_array_equal(fb.load_trajectory(path).y, run.y)
+    content = bytearray(path.read_bytes())
+    with zipfile.ZipFile(path) as archive:
+        first = archive.getinfo("t.npy")
+    start = first.header_offset + 30 + len("t.npy")
+    content[start : start + first.compress_size] = b"\xff" * first.compress_size
+    path.write_bytes(content)
+    with pytest.raises(fb.ModelError, match=r"cannot be read|holds no trajectory"):
+        fb.load_trajectory(path)
+
+
+def test_paths_that_no_file_can_have(run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for path in (None, 3, b"run.npz", ["run.npz"], "run\0.npz", "run\ud800.npz"):
+        for use in (run.save, fb.load_trajectory, fb.load, lambda p: fb.build_model(fb.models.four_bar(), p)):
+            with pytest.raises(fb.ModelError, match="path"):
+                use(path)
+    for path in ("n" * 5000 + ".npz", "n/" * 2500 + "run.npz"):
+        for use in (run.save, fb.load_trajectory, fb.load):
+            with pytest.raises(fb.ModelError, match="File name too long"):
+                use(path)
+    with pytest.raises(fb.BuildError, match="File name too long"):
+        build.write_sources("model", {"model.c": ""}, Path("n" * 5000))
+    assert list(tmp_path.iterdir()) == []
+    for ending in (".csv", ".npz", ".nc", ".html", ".png", ".gif"):
+        path = run.resample([0.0, 0.1]).save(os.fsdecode(b"\xff\n" + ending.encode()))  # a name, if a strange one
+        assert path.is_file()
+        if ending in (".npz", ".nc"):
+            assert len(fb.load_trajectory(path).t) == 2
 
 
 def test_settings_of_other_kinds_of_numbers(four_bar, tmp_path):

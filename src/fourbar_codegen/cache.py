@@ -20,7 +20,10 @@ def cache_folder() -> Path:
     """The folder of compiled models: the user's cache folder, or what FOURBAR_CODEGEN_CACHE names."""
     chosen = os.environ.get(VARIABLE)
     if chosen:
-        return Path(chosen).expanduser()
+        try:
+            return Path(chosen).expanduser().absolute()
+        except (RuntimeError, OSError) as error:  # no such user, or no current folder
+            raise CacheError(f"The environment variable {VARIABLE} names no folder, {chosen!r}: {error}.") from error
     import platformdirs
 
     return platformdirs.user_cache_path("fourbar_codegen", appauthor=False)

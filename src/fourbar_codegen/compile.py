@@ -13,6 +13,7 @@ from fourbar_codegen.build import build_extension, cache_key, pack_wheel
 from fourbar_codegen.cache import cached
 from fourbar_codegen.compiled import CompiledModel
 from fourbar_codegen.errors import ModelError
+from fourbar_codegen.files import path_of
 from fourbar_codegen.fingerprint import fingerprint
 from fourbar_codegen.model import Model
 from fourbar_codegen.progress import Progress
@@ -137,7 +138,8 @@ def build_model(model: Model, folder: str | Path, *, check: bool = True) -> Path
     ModelError, BuildError
         As for `compile_model`.
     """
-    return _build(model, Path(folder), portable=True, check=check)
+    _require_model(model)
+    return _build(model, path_of(folder), portable=True, check=check)
 
 
 def build_wheel(model: Model, folder: str | Path, *, version: str = "0.1.0", check: bool = True) -> Path:
@@ -177,13 +179,14 @@ def build_wheel(model: Model, folder: str | Path, *, version: str = "0.1.0", che
     pattern = r"[0-9]+(\.[0-9]+)*((a|b|rc|\.post|\.dev)[0-9]+)?"
     if not isinstance(version, str) or not re.fullmatch(pattern, version):
         raise ModelError(f"A version looks like 1.0 or 0.2.1, not {version!r}.")
+    folder = path_of(folder)
     import numpy as np
 
     own = ".".join(distribution_version("fourbar_codegen").split(".")[:2])
     requires = [f"numpy>={np.__version__.split('.')[0]}.0", f"fourbar_codegen~={own}.0"]
     with tempfile.TemporaryDirectory() as temporary:
         module = _build(model, Path(temporary) / model.name, portable=True, check=check)
-        return pack_wheel(module, Path(folder), version=version, requires=requires)
+        return pack_wheel(module, folder, version=version, requires=requires)
 
 
 def _build(model: Model, folder: Path, *, portable: bool, check: bool) -> Path:

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from fourbar_codegen.arguments import Values, is_mapping, name_of, named_array, named_values
 from fourbar_codegen.elimination import eliminate
 from fourbar_codegen.errors import ModelError
+from fourbar_codegen.files import path_of
 from fourbar_codegen.progress import Progress
 from fourbar_codegen.runtime.evaluator import Evaluator
 from fourbar_codegen.runtime.integrator import Ode, Stepper
@@ -66,8 +67,12 @@ def load(name: str | Path) -> CompiledModel:
     """
     if not isinstance(name, str | Path):
         raise ModelError(f"A compiled model is known by its name or its path, not {name!r}.")
-    path = Path(name)
-    if path.suffix and path.is_file():
+    path = path_of(name)
+    try:
+        is_module = path.suffix != "" and path.is_file()
+    except OSError as error:
+        raise ModelError(f"{path} cannot be loaded as a compiled model: {error.strerror}.") from error
+    if is_module:
         return CompiledModel.from_file(path)
     if str(name) in _prebuilt():
         return CompiledModel.from_module(import_module(f"fourbar_codegen.prebuilt.{name}"))

@@ -1,4 +1,4 @@
-"""The one door through which files are written for users: each is there whole, or as it was before."""
+"""Paths as users give them, and the one door through which files are written: whole, or as they were before."""
 
 from __future__ import annotations
 
@@ -11,7 +11,29 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
-__all__ = ["replacing"]
+from fourbar_codegen.errors import ModelError
+
+__all__ = ["path_of", "replacing"]
+
+
+def path_of(given: object) -> Path:
+    """A path that a user has given, as text or as a Path.
+
+    Raises
+    ------
+    ModelError
+        If it is neither, or no file can have that name.
+    """
+    if not isinstance(given, str | os.PathLike):
+        raise ModelError(f"A path is text or a Path, not {given!r}.")
+    try:
+        path = Path(given)
+        possible = b"\0" not in os.fsencode(path)
+    except (TypeError, UnicodeEncodeError):  # bytes, or half a character
+        possible = False
+    if not possible:
+        raise ModelError(f"No file can have the path {given!r}: this system's names are other text.")
+    return path
 
 
 @contextmanager
@@ -28,8 +50,9 @@ def replacing(path: Path) -> Iterator[IO[bytes]]:
         If there is something else than a file, or it cannot be written.
     """
     target = Path(os.path.realpath(path))
-    target.parent.mkdir(parents=True, exist_ok=True)
     mode = _mode(target)
+    for folder in reversed(target.parents):  # mkdir(parents=True) is recursive, and Python's recursion limited
+        folder.mkdir(exist_ok=True)
     part = target.with_name(f".{secrets.token_hex(8)}{path.suffix}")
 
     def create(name: str, flags: int) -> int:

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import io
 import json
+import sys
 from collections.abc import Callable, Mapping
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
-from zipfile import BadZipFile, is_zipfile
+from zipfile import is_zipfile
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fourbar_codegen.compiled import CompiledModel, find
-from fourbar_codegen.errors import ModelError
+from fourbar_codegen.errors import FourbarError, ModelError
+from fourbar_codegen.files import path_of
 from fourbar_codegen.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -27,6 +29,9 @@ Floats = NDArray[np.float64]
 
 ATTRIBUTES = "run_attributes"
 """Name of the array of an NPZ file that holds what is not an array, as JSON."""
+
+MOST_COMPRESSED = 1100
+"""No more bytes come of one in a file: zlib's limit is 1032."""
 
 
 def versions() -> dict[str, str]:
@@ -179,19 +184,24 @@ def load_trajectory(path: str | Path, model: CompiledModel | None = None) -> Tra
     >>> fb.load_trajectory(path).y.shape == run.y.shape  # doctest: +SKIP
     True
     """
-    if not isinstance(path, str | Path):
-        raise ModelError(f"Trajectories are read from a file, given by its path, not {path!r}.")
     if not (model is None or isinstance(model, CompiledModel)):
         raise ModelError(f"model must be a CompiledModel or None, not {model!r}.")
-    path = Path(path)
+    path = path_of(path)
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
         raise ModelError(f"Trajectories are read from {' and '.join(_READERS)} files; {path.name!r} ends otherwise.")
-    if not path.is_file():
-        raise ModelError(f"{path} cannot be read: there is no such file.")
     try:
-        attributes, t, column = reader(path)
-        name, fingerprint = attributes["model"], attributes["fingerprint"]
+        if not path.is_file():
+            raise ModelError(f"{path} cannot be read: there is no such file.")
+        attributes, columns = reader(path)
+    except ModelError:
+        raise
+    except OSError as error:
+        raise ModelError(f"{path} cannot be read: {error.strerror or error}.") from error
+    except Exception as error:  # whatever the libraries that read it find in a damaged file
+        raise _unreadable(path, error) from error
+    try:
+        name, fingerprint = (_entry(attributes, key, str) for key in ("model", "fingerprint"))
         model = find(name, fingerprint) if model is None else model
         if model is None:
             raise ModelError(
@@ -205,28 +215,72 @@ def load_trajectory(path: str | Path, model: CompiledModel | None = None) -> Tra
                 f"{path} is a run of another model, {name!r} with the fingerprint {fingerprint[:16]!r}: {model.name} "
                 f"has {model.manifest['fingerprint'][:16]}. Give the model that was run as model=."
             )
-        return Trajectory(
-            model=model,
-            parameters=np.array([attributes["parameters"][name] for name in model.parameters], dtype=float),
-            t=t,
-            y=np.reshape([column(name) for name in model.states], (model.n_x, len(t))),
-            r=np.reshape([column(name) for name in model.inputs], (model.n_r, len(t))),
-            sol=None,
-            t_events=None,
-            y_events=None,
-            settings=attributes["settings"],
-            inputs=None,
-            **{name: attributes[name] for name in ("nfev", "njev", "nlu", "status", "success", "message")},
-        )
-    except ModelError:
+        return _trajectory(model, attributes, columns)
+    except FourbarError:
         raise
-    except OSError as error:
-        raise ModelError(f"{path} cannot be read: {error.strerror or error}.") from error
-    except (AttributeError, BadZipFile, EOFError, KeyError, RuntimeError, TypeError, ValueError) as error:
-        raise ModelError(f"{path} holds no trajectory that fourbar_codegen has saved: {error}.") from error
+    except (KeyError, ValueError) as error:
+        raise _unreadable(path, error) from error
 
 
-_Read = tuple[dict[str, Any], Floats, Callable[[str], Floats]]
+def _unreadable(path: Path, error: Exception) -> ModelError:
+    reason = f"{error} is missing" if isinstance(error, KeyError) else str(error) or type(error).__name__
+    return ModelError(f"{path} holds no trajectory that fourbar_codegen has saved: {reason}.")
+
+
+def _trajectory(model: CompiledModel, attributes: Mapping[str, Any], columns: Mapping[str, Any]) -> Trajectory:
+    """What was read, or a KeyError or ValueError that says what is wrong with it."""
+    t = _column(columns, "t")
+    steps = np.diff(t)
+    if not np.isfinite(t).all() or not ((steps >= 0).all() or (steps <= 0).all()):
+        raise ValueError("its times are not finite, or do not go in one direction")
+    parameters, settings = (_entry(attributes, key, dict) for key in ("parameters", "settings"))
+    _entry(settings, "constraints", str)
+    values = [_number(parameters, name) for name in model.parameters]
+    rows = {name: _column(columns, name) for name in (*model.states, *model.inputs)}
+    for name, row in rows.items():
+        if row.shape != t.shape:
+            raise ValueError(f"its {name} has {len(row)} values for {len(t)} times")
+    return Trajectory(
+        model=model,
+        parameters=np.array(values, dtype=float),
+        t=t,
+        y=np.reshape([rows[name] for name in model.states], (model.n_x, len(t))),
+        r=np.reshape([rows[name] for name in model.inputs], (model.n_r, len(t))),
+        sol=None,
+        t_events=None,
+        y_events=None,
+        settings=settings,
+        inputs=None,
+        success=_entry(attributes, "success", bool),
+        message=_entry(attributes, "message", str),
+        **{key: _entry(attributes, key, int) for key in _COUNTS},
+    )
+
+
+def _entry(attributes: Mapping[str, Any], key: str, kind: type) -> Any:
+    value = attributes[key]
+    # NetCDF has no larger integers.
+    if type(value) is not kind or (isinstance(value, int) and abs(value) >= 2**63):
+        raise ValueError(f"its {key} is no {kind.__name__}")
+    return value
+
+
+def _number(parameters: Mapping[str, Any], name: str) -> float:
+    value = parameters[name]
+    # An int may be too large for a float.
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
+        raise ValueError(f"its parameter {name} is no finite number")
+    return float(value)
+
+
+def _column(columns: Mapping[str, Any], name: str) -> Floats:
+    values = np.asarray(columns[name])
+    if values.dtype.kind not in "fiu" or values.ndim != 1:
+        raise ValueError(f"its {name} is no row of real numbers, but {values.dtype} of shape {values.shape}")
+    return np.ascontiguousarray(values, dtype=float)
+
+
+_Read = tuple[Mapping[str, Any], Mapping[str, Any]]
 
 
 def _read_npz(path: Path) -> _Read:
@@ -235,22 +289,36 @@ def _read_npz(path: Path) -> _Read:
             raise ModelError(f"{path} is no NPZ file, or a damaged one.")
         with np.load(opened, allow_pickle=False) as file:
             arrays = dict(file)
-    return json.loads(str(arrays[ATTRIBUTES])), arrays["t"], arrays.__getitem__
+    return _parsed(str(arrays[ATTRIBUTES])), arrays
 
 
 def _read_netcdf(path: Path) -> _Read:
     _require_h5netcdf()
-    import xarray
+    import h5netcdf
 
-    with xarray.open_dataset(path, engine="h5netcdf") as file:
-        dataset = file.load()
-    attributes = dict(dataset.attrs)
-    for name in ("parameters", "settings", "versions"):
-        attributes[name] = json.loads(attributes[name])
+    most = MOST_COMPRESSED * path.stat().st_size
+    with h5netcdf.File(path, "r") as file:
+        attributes = dict(file.attrs)
+        variables = {name: v for name, v in file.variables.items() if v.dimensions == ("time",)}
+        for name, variable in variables.items():
+            if variable.shape[0] * variable.dtype.itemsize > most:  # HDF5 fills what is not there
+                raise ValueError(f"its {name} claims {variable.shape[0]} values, for which the file is too small")
+        columns = {name: variable[...] for name, variable in variables.items()}
+    columns["t"] = columns.pop("time")
+    for name in ("parameters", "settings"):
+        attributes[name] = _parsed(attributes[name])
     attributes["success"] = bool(attributes["success"])
-    for name in ("nfev", "njev", "nlu", "status"):
-        attributes[name] = int(attributes[name])
-    return attributes, dataset["time"].values, lambda name: dataset[name].values
+    attributes.update({name: int(attributes[name]) for name in _COUNTS})
+    return attributes, columns
 
+
+def _parsed(text: str) -> dict[str, Any]:
+    value = json.loads(text)
+    if not isinstance(value, dict):
+        raise ValueError(f"where names and values should be, there is {type(value).__name__}")
+    return value
+
+
+_COUNTS = ("nfev", "njev", "nlu", "status")
 
 _READERS: dict[str, Callable[[Path], _Read]] = {".nc": _read_netcdf, ".npz": _read_npz}

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.arguments import name_of, sample_times
 from fourbar_codegen.errors import ModelError
-from fourbar_codegen.files import replacing
+from fourbar_codegen.files import path_of, replacing
 
 if TYPE_CHECKING:
     import xarray
@@ -272,9 +272,9 @@ class Trajectory:
         Raises
         ------
         ModelError
-            If the ending is another one, the file cannot be written, or what it takes is missing.
+            If it is no path, the ending is another one, the file cannot be written, or what it takes is missing.
         """
-        path = Path(path)
+        path = path_of(path)
         writer = check_ending(path)
         try:
             with replacing(path) as file:

@@ -333,7 +333,7 @@ cdef class Evaluator:
                     data(result)[i * self.n_p + k] += (
                         data(by_inputs)[i * self.n_r + j] * data(by_parameters)[j * self.n_p + k])
         if not fb_finite(data(result), self.n_x * self.n_p):
-            raise SimulationError(failure(FB_NOT_FINITE, t, x))
+            raise SimulationError(self.failure(FB_NOT_FINITE, t, x))
         return result
 
     def input_jacobian(self, double t, x, p=None, r=None):
@@ -444,7 +444,7 @@ cdef class Evaluator:
         """What violations are measured by: of the position constraints, shape (n_h,), and of the rows of `closure`, shape
         (n_c,) each."""
         cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.prescribed_known)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.moving_known)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray constraints = new_array(self.n_h)
         cdef cnp.ndarray positions = new_array(self.n_c)

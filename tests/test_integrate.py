@@ -518,6 +518,19 @@ def test_stepper_holds_inputs_in_the_place_of_callables(four_bar):
     assert called
 
 
+def test_stepper_is_one_run(four_bar):
+    # A callable input runs Python in the middle of a step: it may ask for another one, or let another thread in.
+    asking = False
+    stepper = four_bar.stepper(1e-3, inputs={"F": lambda t, x: stepper.step({"F": 1.0})[0] if asking else 0.0})
+    x0, asking = stepper.x, True
+    with pytest.raises(fb.SimulationError, match="is under way"):
+        stepper.step()
+    np.testing.assert_array_equal(stepper.x, x0)
+    assert stepper.t == 0.0
+    alone = four_bar.stepper(1e-3)
+    np.testing.assert_array_equal(stepper.step([7.0]), alone.step([7.0]))
+
+
 def test_stepper_refuses_what_is_wrong(four_bar):
     with pytest.raises(fb.ModelError, match="h must not be 0"):
         four_bar.stepper(0.0)

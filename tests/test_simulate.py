@@ -311,6 +311,24 @@ def test_threads_do_not_disturb_each_other(four_bar):
         list(pool.map(work, range(8)))
 
 
+def test_threads_may_share_a_right_hand_side():
+    # Of many loops: a step takes so long without Python that another thread's begins meanwhile.
+    row = fb.compile_model(fb.models.n_four_bar(20))
+    ode = row.ode()
+
+    def run(method, angle):
+        x0 = np.zeros(row.n_x)
+        x0[:21], x0[row.n_q : row.n_q + 21] = angle, 1.0
+        solver = getattr(fb.solvers, method)
+        return solve_ivp(ode, (0.0, 0.05), x0, method=solver, rtol=1e-8, atol=1e-8, max_step=2e-4).y
+
+    tasks = [(method, angle) for angle in (0.1, 0.2, 0.3, 0.4) for method in ("RK23", "RK45", "DOP853", "CVODE")]
+    expected = [run(*task) for task in tasks]
+    with ThreadPoolExecutor(4) as pool:
+        for found, alone in zip(pool.map(lambda task: run(*task), tasks), expected, strict=True):
+            np.testing.assert_array_equal(found, alone)
+
+
 def test_feedback_may_ask_the_same_model(four_bar):
     def energy(t, x):
         # Other values, another layout and other parameters than those of the evaluation that asks.

@@ -177,7 +177,7 @@ class CompiledModel(Evaluator):
 
     Made by `compile_model` and `load`. Arguments stand in the order (t, x, p, r): time, state x = [q; u],
     parameters, inputs. Parameters and inputs are arrays in order, or mappings from names or SymPy symbols
-    that may leave out what has a default.
+    that may leave out what has a default. Several threads may use one model at the same time.
 
     Attributes
     ----------
@@ -832,6 +832,7 @@ class CompiledModel(Evaluator):
         -------
         Ode
             Callable, with its Jacobian as ``.jac``. The integrators in `fourbar_codegen.solvers` call it from C.
+            Several threads may use one at the same time.
 
         Examples
         --------
@@ -1126,7 +1127,7 @@ class CompiledModel(Evaluator):
         Returns
         -------
         Stepper
-            With the method ``step(r)`` and the attributes ``t`` and ``x``.
+            With the method ``step(r)`` and the attributes ``t`` and ``x``; each thread needs one of its own.
 
         Raises
         ------

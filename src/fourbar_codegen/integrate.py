@@ -189,7 +189,7 @@ def integrate(
         if reason == "event":
             if run.turned:
                 samples.append(run.take_samples())
-                singular = Singular(model, ode, _passed(run, samples)).within_step(run)
+                singular = Singular(model, run.ode, _passed(run, samples)).within_step(run)
                 if singular:
                     run.discard()
                     ending = -1, singular
@@ -209,12 +209,13 @@ def integrate(
         elif reason == "end":
             ending = 0, REACHED_END
         elif reason == "diverged":
-            ending = -1, ode.failure or DIVERGED
+            ending = -1, run.ode.failure or DIVERGED
         else:
             samples.append(run.take_samples())
-            singular = Singular(model, ode, _passed(run, samples)).here(run.t, run.x, collapsed=reason == "collapsed")
+            at = Singular(model, run.ode, _passed(run, samples))
+            singular = at.here(run.t, run.x, collapsed=reason == "collapsed")
             if singular or reason != "collapsed":
-                ending = -1, singular or ode.failure or FAILED.get(reason, reason)
+                ending = -1, singular or run.ode.failure or FAILED.get(reason, reason)
     status, message = ending
     while run.on(0) == "full":
         samples.append(run.take_samples())

@@ -32,7 +32,7 @@ class SolverRun:
     ----------
     model : CompiledModel
     ode : Ode
-        The right-hand side; nothing else may call it during the run.
+        The right-hand side; the run's own copy is the attribute of that name.
     method : str
         The solver's name.
     t : float
@@ -54,10 +54,11 @@ class SolverRun:
         rtol: ArrayLike, atol: ArrayLike, project: bool, times: Floats | None, outputs: Sequence[int],
         options: dict[str, Any],
     ) -> None:  # fmt: skip
-        self._model, self._ode, self._project, self._outputs = model, ode, project, outputs
+        self._model, self._project, self._outputs = model, project, outputs
         ode.projects = project
         make = getattr(solvers, method)
         self._solver = make(ode, t, x, t_bound, rtol=rtol, atol=atol, max_step=max_step, **options)
+        self.ode: Ode = self._solver.ode
         self.t = self.t_old = t
         self.n_steps, self.turned = 0, False
         self._x = self._x_old = np.array(x)
@@ -103,15 +104,15 @@ class SolverRun:
             return "paused"
         message = self._solver.step()
         if self._solver.status == "failed":
-            if self._ode.failure is None:
+            if self.ode.failure is None:
                 # The last evaluation may have been one before what cannot be evaluated, and steps grown too short.
-                self._ode(self.t + self._solver.direction * SHORT * np.spacing(abs(self.t)), self._x)
+                self.ode(self.t + self._solver.direction * SHORT * np.spacing(abs(self.t)), self._x)
             return message or "The solver has failed."
         t, x = float(self._solver.t), np.array(self._solver.y)
         if t == self.t:
             return "too small"
         if self._project:
-            status, x = self._ode.closest(t, x)
+            status, x = self.ode.closest(t, x)
             if status != OK:
                 return "open"
         self.t_old, self._x_old, self.t, self._x = self.t, self._x, t, x
@@ -124,8 +125,8 @@ class SolverRun:
 
     def _turned(self) -> bool:
         """Whether the constraints have changed their orientation since the last call."""
-        self._ode(self.t, self._x)
-        return self._ode.turned()
+        self.ode(self.t, self._x)
+        return self.ode.turned()
 
     def _sample(self) -> None:
         """Those of the last step."""
@@ -158,7 +159,7 @@ class SolverRun:
 
     def closed(self, t: float, x: Floats) -> Floats:
         """An interpolated state, moved onto the constraints if the run's are."""
-        return self._ode.project(t, x) if self._project else x
+        return self.ode.project(t, x) if self._project else x
 
     def event_values_at(self, t: float) -> Floats:
         """The event functions at a time in the last step, shape (n_events,)."""
@@ -167,7 +168,7 @@ class SolverRun:
     def _event_values(self, t: float, x: Floats) -> Floats:
         if not self._outputs:
             return np.empty(0)
-        values = self._model.output(t, x, self._ode.parameters, self._ode.input_values(t, x))
+        values = self._model.output(t, x, self.ode.parameters, self.ode.input_values(t, x))
         return values[list(self._outputs)]
 
     def stop_at(self, t: float) -> None:

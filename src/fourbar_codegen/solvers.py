@@ -2,7 +2,8 @@
 
 Subclasses that replace `_step_impl`, which ``scipy.integrate.OdeSolver`` documents as the place for a method
 of one's own. All else is SciPy's: the options, the choice of steps, events and dense output; numbers differ by
-rounding errors. Of the explicit ones, hooks such as `_estimate_error_norm` are not called.
+rounding errors. Of the explicit ones, hooks such as `_estimate_error_norm` are not called. Solvers in several threads
+may be given the same right-hand side.
 
 Examples
 --------
@@ -21,6 +22,7 @@ import importlib
 import math
 import operator
 from collections.abc import Callable
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -42,7 +44,13 @@ NOT_CONTROLLED = 1e20
 
 
 class _Compiled(scipy.integrate.OdeSolver):
-    """An integrator that knows that its right-hand side is compiled."""
+    """An integrator that knows that its right-hand side is compiled.
+
+    Attributes
+    ----------
+    ode : Ode
+        Its own copy of the right-hand side.
+    """
 
     t: float
     y: NDArray[np.float64]
@@ -57,12 +65,16 @@ class _Compiled(scipy.integrate.OdeSolver):
             )
         if np.shape(y0) != (fun.n_x,):
             raise ModelError(f"The state must have shape ({fun.n_x},), not {np.shape(y0)}.")
-        self._ode = fun
-        super().__init__(fun, t0, y0, t_bound, **options)
+        self.ode = copy(fun)  # with memory of its own: others may use the one given, in other threads
+        self._complete(options)
+        super().__init__(self.ode, t0, y0, t_bound, **options)
+
+    def _complete(self, options: dict[str, Any]) -> None:
+        """Add what follows from the right-hand side."""
 
     def _project(self) -> None:
         """Move the state that was reached onto the constraints, and evaluate it anew."""
-        self.y = self._ode.project(self.t, self.y)
+        self.y = self.ode.project(self.t, self.y)
         self.f = self.fun(self.t, self.y)
 
 
@@ -81,7 +93,7 @@ class _Explicit(_Compiled):
         weights = np.zeros((self.n_stages, self.n_stages))
         weights[:, : self.A.shape[1]] = self.A
         return EmbeddedSteps(
-            self._ode,
+            self.ode,
             (weights, self.B, self.C),
             self._error_weights(),
             self.error_exponent,
@@ -135,24 +147,23 @@ class _Implicit(_Compiled):
     number.
     """
 
-    def __init__(self, fun: Ode, t0: float, y0: ArrayLike, t_bound: float, **options: Any) -> None:
+    def _complete(self, options: dict[str, Any]) -> None:
         banded = options.get("lband") is not None or options.get("uband") is not None
-        if options.get("jac") is None and isinstance(fun, Ode) and fun.has_jacobian and not banded:
-            options["jac"] = fun.jac
-        super().__init__(fun, t0, y0, t_bound, **options)
+        if options.get("jac") is None and self.ode.has_jacobian and not banded:
+            options["jac"] = self.ode.jac
 
     def _step_impl(self) -> tuple[bool, str | None]:
         try:
             success, message = super()._step_impl()
         except ValueError as error:
-            if self._ode.failure is None and "infs or NaNs" not in str(error):
+            if self.ode.failure is None and "infs or NaNs" not in str(error):
                 raise
-            return False, self._ode.failure or "the method's own numbers are beyond the range of double"
+            return False, self.ode.failure or "the method's own numbers are beyond the range of double"
         if is_finite(self.y):
-            if success and self._ode.projects:
+            if success and self.ode.projects:
                 self._project()
             return success, message
-        return False, self._ode.failure or "the state is not finite"
+        return False, self.ode.failure or "the state is not finite"
 
 
 class Radau(_Implicit, scipy.integrate.Radau):
@@ -164,7 +175,7 @@ class BDF(_Implicit, scipy.integrate.BDF):
 
     def _project(self) -> None:
         # Its history are differences, of which the first is the state itself.
-        self.y = self.D[0] = self._ode.project(self.t, self.y)
+        self.y = self.D[0] = self.ode.project(self.t, self.y)
 
 
 class LSODA(_Implicit, scipy.integrate.LSODA):
@@ -206,9 +217,9 @@ class _Sundials(_Compiled):
             return False, f"SUNDIALS ends with its error {error}: the interval may be too short for it."
         self.nfev, self.njev = result.nfev, result.njev
         if result.status < 0 or not is_finite(result.y):
-            return False, self._ode.failure or result.message
+            return False, self.ode.failure or result.message
         if result.t == self.t:  # SUNDIALS would go on for ever
-            return False, self._ode.failure or self.TOO_SMALL_STEP
+            return False, self.ode.failure or self.TOO_SMALL_STEP
         self.t, self.y = result.t, result.y[: self.n].copy()
         return True, None
 
@@ -252,8 +263,8 @@ class CVODE(_Sundials):
     def __init__(self, fun: Ode, t0: float, y0: ArrayLike, t_bound: float, **options: Any) -> None:
         super().__init__(fun, t0, y0, t_bound, **options)
         cvode = _sundae("cvode")
-        rates = Rates(fun)
-        jacobian = {"jacfn": rates.jacobian} if fun.has_jacobian else {}
+        rates = Rates(self.ode)
+        jacobian = {"jacfn": rates.jacobian} if self.ode.has_jacobian else {}
         self._solver = cvode.CVODE(rates.evaluate, method="BDF", atol=self._atol, **self._options, **jacobian)
         self._solver.init_step(t0, self.y)
 
@@ -284,24 +295,24 @@ class IDA(_Sundials):
         **options: Any,
     ) -> None:
         super().__init__(fun, t0, y0, t_bound, **options)
-        manifest = fun.manifest
+        ode, manifest = self.ode, self.ode.manifest
         if formulation not in FORMULATIONS:
             raise ModelError(f"There is no formulation {formulation!r}; there are {', '.join(FORMULATIONS)}.")
         if formulation != "index-1":
             if not manifest["can_project"]:
                 raise ModelError(f"{NOT_RATES}: take formulation='index-1'.")
-            self.y = consistent(fun, t0, self.y)
-        rates, multipliers = fun.multipliers(t0, self.y)
+            self.y = consistent(ode, t0, self.y)
+        rates, multipliers = ode.multipliers(t0, self.y)
         if manifest["n_dependent_speeds"] < len(multipliers):
             raise ModelError(
                 "IDA solves for all multipliers, which redundant constraints leave open: all other methods take them."
             )
         ida = _sundae("ida")
-        residual = Residual(fun, formulation)
+        residual = Residual(ode, formulation)
         z, z_rate = np.zeros(residual.n_z), np.zeros(residual.n_z)
         z[: self.n], z[self.n : self.n + len(multipliers)], z_rate[: self.n] = self.y, multipliers, rates
         atol = np.full(residual.n_z, NOT_CONTROLLED)
-        controlled = fun.n_q if formulation == "index-3" else self.n
+        controlled = ode.n_q if formulation == "index-3" else self.n
         atol[:controlled] = self._atol[:controlled]
         self._solver = ida.IDA(
             residual.evaluate,

@@ -27,7 +27,7 @@ cdef class Table:
 cdef class Ode:
     cdef Evaluator evaluator
     cdef fb_problem problem
-    cdef list kept
+    cdef tuple sources
     cdef list callables
     cdef tuple names
     cdef object error

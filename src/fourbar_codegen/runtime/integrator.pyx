@@ -114,8 +114,12 @@ cdef class Ode:
     """The right-hand side with parameters and inputs bound: f(t, x) for an integrator.
 
     Where the equations cannot be evaluated, it returns NaN, so that an integrator with step control rejects
-    the step; `failure` then says why. `time` is the time of the last call. `projects` asks the solvers of
-    `fourbar_codegen.solvers` to move each state onto the constraints.
+    the step; `failure` then says why. `projects` asks the solvers of `fourbar_codegen.solvers` to move each state onto
+    the constraints.
+
+    Several threads may share one: each call is done before another thread's begins, `failure` is that of the last call,
+    and a solver of `fourbar_codegen.solvers` takes a copy with memory of its own. A callable input is called by all of
+    them, and may itself call the right-hand side.
 
     Parameters
     ----------
@@ -125,8 +129,12 @@ cdef class Ode:
         For each input None (its expression), a float, a `Table` or a callable of (t, x).
     """
 
+    # One set of buffers serves all calls: callables, which run Python and let other threads in, come first, and between
+    # filling the buffers and reading them there is no step of Python. What gives the lock of the interpreter away while
+    # it computes needs a copy.
+
     def __cinit__(self, Evaluator evaluator not None, p, sources):
-        cdef cnp.ndarray parameters = evaluator._parameters(p)
+        cdef cnp.ndarray parameters = evaluator.parameter_vector(p)  # its own: copies need it later
         cdef int i
         self.evaluator, self.parameters = evaluator, parameters
         self.problem.kernel = evaluator.kernel
@@ -140,14 +148,14 @@ cdef class Ode:
                 and self.problem.sources and self.problem.work):
             raise MemoryError
         memcpy(self.problem.constants, evaluator._prepare(parameters), evaluator.kernel.n_constants * sizeof(double))
-        self.kept, self.callables, self.error = [], [], None
+        self.sources = tuple(sources)
+        self.callables, self.error = [], None
         self.names = getattr(evaluator, "inputs", None) or tuple(range(1, evaluator.n_r + 1))
-        for i, given in zip(range(evaluator.n_r), sources, strict=True):
+        for i, given in zip(range(evaluator.n_r), self.sources, strict=True):
             if given is None:
                 continue
             self.problem.sources[self.problem.n_sources].input = i
             if type(given) is Table:
-                self.kept.append(given)
                 self.problem.sources[self.problem.n_sources].table = &(<Table>given).table
             elif callable(given):
                 self.callables.append((i, self.problem.n_sources, given))
@@ -156,6 +164,11 @@ cdef class Ode:
             self.problem.n_sources += 1
         if self.callables:
             self.problem.called_inputs, self.problem.caller = _call_inputs, <void *>self
+
+    def __copy__(self):
+        cdef Ode copy = Ode(self.evaluator, self.parameters, self.sources)
+        copy.stabilization, copy.projects = self.stabilization, self.projects
+        return copy
 
     def __dealloc__(self):
         PyMem_Free(self.problem.constants)
@@ -283,8 +296,8 @@ cdef class Ode:
     def multipliers(self, double t, x):
         """x', shape (n_x,), and the multipliers of the constraints, shape (n_c,)."""
         cdef cnp.ndarray state = vector(x, self.evaluator.n_x, "The state x")
-        cdef cnp.ndarray rates = self(t, state), accelerations = new_array(self.evaluator.n_u)
-        cdef cnp.ndarray result = new_array(self.evaluator.n_c)
+        cdef cnp.ndarray accelerations = new_array(self.evaluator.n_u), result = new_array(self.evaluator.n_c)
+        cdef cnp.ndarray rates = self(t, state)
         cdef int status = self.problem.kernel.accelerations(
             t, data(state), self.problem.constants, self.problem.inputs, data(accelerations), data(result),
             self.problem.work)
@@ -306,7 +319,7 @@ cdef class EmbeddedSteps:
     Parameters
     ----------
     ode : Ode
-        The right-hand side.
+        The right-hand side; nothing else may call it during a step.
     tableau : (array_like, array_like, array_like), shapes (s, s), (s,), (s,)
         The method's coefficients a, b, c.
     error : array_like, shape (s + 1,) or (2, s + 1)
@@ -327,6 +340,7 @@ cdef class EmbeddedSteps:
     cdef fb_tableau tableau
     cdef Ode ode
     cdef list kept
+    cdef bint busy
 
     def __cinit__(self, Ode ode not None, tableau, error, double error_exponent, double t_bound, double direction,
                   double max_step, rtol, atol):
@@ -374,16 +388,28 @@ cdef class EmbeddedSteps:
                 or not cnp.PyArray_ISCARRAY(stages) or cnp.PyArray_DIM(stages, 0) != n_stages + 1
                 or cnp.PyArray_DIM(stages, 1) != run.n):
             raise ModelError(f"The stages must be a contiguous array of {n_stages + 1} states.")
+        _enter(&self.busy)
         run.t, run.h_abs, run.n_evaluations, run.n_steps = t, h_abs, 0, 0
         memcpy(run.x, data(state), run.n * sizeof(double))
         memcpy(run.stages, data(stages), run.n * sizeof(double))
         with nogil:
             status = fb_step_on(run)
+        self.busy = False
         self.ode.check(status)
         for k in range(n_stages + 1):
             memcpy(data(stages) + k * run.n, run.stages + k * run.padded, run.n * sizeof(double))
         return (run.t, run.h, run.h_abs, _state_of(run), run.n_evaluations,
                 "" if status == FB_RUN_PAUSED else "too small" if status == FB_RUN_TOO_SMALL else "infinite")
+
+
+cdef int _enter(bint *busy) except -1:
+    """Begin a step, in whose middle a callable input, or another thread, may ask for another one."""
+    if busy[0]:
+        raise SimulationError(
+            "A step of this run is under way, in another thread or because a callable input has asked for one within "
+            "it: take one step after the other, or a stepper or solver for each thread.")
+    busy[0] = True
+    return 0
 
 
 cdef int _prepare(fb_run *run, Ode ode, const fb_tableau *method) except -1:
@@ -602,7 +628,7 @@ cdef class Stepper:
     """Advances a mechanism by steps of one length, for control loops and real time.
 
     Each step is one of the classical Runge-Kutta method (four evaluations, no control of the error), after which the
-    state is moved onto the constraints.
+    state is moved onto the constraints. It is one run: each thread needs a stepper of its own.
 
     Attributes
     ----------
@@ -619,6 +645,7 @@ cdef class Stepper:
     cdef fb_source *held
     cdef double h
     cdef cnp.ndarray kept
+    cdef bint busy
 
     def __cinit__(self, Ode ode not None, double h, double t, x, bint project):
         cdef int i, n = ode.evaluator.n_x
@@ -658,7 +685,8 @@ cdef class Stepper:
         ModelError
             If an input has a wrong name, or is not finite.
         SimulationError
-            If the equations cannot be evaluated, or no state close by satisfies the constraints; nothing is advanced.
+            If the equations cannot be evaluated, or no state close by satisfies the constraints; or if a step is under
+            way already, in another thread, or because a callable input asks for one. Nothing is advanced.
         """
         cdef fb_problem *problem = &self.ode.problem
         cdef fb_problem own = problem[0]
@@ -666,12 +694,15 @@ cdef class Stepper:
         cdef int i, status
         if r is not None:
             values = self.ode.evaluator._inputs(self.run.t, self.ode.parameters, r, True)
+        _enter(&self.busy)
+        if r is not None:
             for i in range(self.ode.evaluator.n_r):
                 self.held[i].value = data(values)[i]
             problem.sources, problem.n_sources, problem.called_inputs = self.held, self.ode.evaluator.n_r, NULL
         problem.status = FB_OK
         status = fb_fixed_step(&self.run, self.h)
         problem.sources, problem.n_sources, problem.called_inputs = own.sources, own.n_sources, own.called_inputs
+        self.busy = False
         self.ode.check(status)
         if status != FB_OK:
             raise SimulationError(self.ode.failure or self.ode.evaluator.failure(status, self.run.t, self.x))

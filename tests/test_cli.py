@@ -3,6 +3,7 @@
 import csv
 import importlib.metadata
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -99,6 +100,25 @@ def test_unfinished_simulation_exits_with_an_error(tmp_path):
     assert result.exit_code == 1
     assert "stopped at t = " in result.output
     assert target.exists()  # what was reached is not lost
+
+
+def test_a_run_that_explodes_ends_and_says_how_far_it_is():
+    # The damper feeds the motion: to 20 s it would be 35 million steps, up to 4e15 J.
+    command = [sys.executable, "-m", "fourbar_codegen", "simulate", "-p", "k=50", "-p", "l2=0.45", "-t", "0", "20"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    *lines, end = done.stderr.splitlines()
+    assert lines  # a million steps take longer than a second
+    assert all(re.fullmatch(r"four_bar: simulating, t = [\d.]+ of 20 s, \d+ s", line) for line in lines)
+    assert "max_steps = 1000000" in end
+    first, last = map(float, re.search(r"grown from (\S+) J to (\S+) J", end).groups())
+    printed = re.search(r"Energy: (\S+) J at the start, (\S+) J at the end", done.stdout)
+    assert first == pytest.approx(float(printed[1]), rel=1e-5)
+    assert last > 0.9 * float(printed[2]) > 1e12  # which is of the last of 401 times that it has reached
+    result = run("simulate", "-p", "k=50", "-p", "l2=0.45", "-t", 0, 8, "--max-steps", 100)
+    assert "max_steps = 100 " in result.output
+    assert run("simulate", "-t", 0, 0.1, "--max-steps", "none").exit_code == 0
+    assert "max_steps must be" in run("simulate", "--max-steps", "many").output
 
 
 def test_generate_and_build_and_load(tmp_path, four_bar):

@@ -430,6 +430,21 @@ def test_a_member_that_cannot_be_assembled_is_named(four_bar):
         four_bar.ensemble((0.0, 1.0), parameters={"l1": [0.8, 3.0]})
 
 
+def test_members_that_explode(four_bar):
+    # Without a limit, those with k = 50 take 35 million steps.
+    given = {"k": [50.0, 60.0, 50.0, 60.0], "l2": [0.45, 0.45, 0.45, 0.45]}
+    ensemble = four_bar.ensemble((0.0, 20.0), parameters=given, max_steps=1000)
+    for member, found in enumerate(ensemble):
+        parameters = {name: values[member] for name, values in given.items()}
+        alone = four_bar.simulate((0.0, 20.0), parameters=parameters, max_steps=1000)
+        assert found.message == alone.message
+        assert not ensemble.success[member]
+    assert "max_steps = 1000 " in ensemble.messages[0]
+    assert "has grown" in ensemble.messages[0]
+    with pytest.raises(fb.ModelError, match="max_steps"):
+        four_bar.ensemble((0.0, 1.0), max_steps=0)
+
+
 def test_progress_bar_on_a_terminal():
     code = "import fourbar_codegen as fb\n{}fb.load('four_bar').ensemble((0.0, 1.0){})"
     impatient = "import fourbar_codegen.ensemble\nfourbar_codegen.ensemble.PATIENCE = 0.0\n"

@@ -15,6 +15,7 @@ from scipy.integrate import solve_ivp
 from sympy.physics.mechanics.system import System
 
 import fourbar_codegen as fb
+import fourbar_codegen.integrate
 
 METHODS = ["RK45", "DOP853"]
 
@@ -430,6 +431,33 @@ def test_limits(four_bar):
     for wrong in ({"max_step": 0.0}, {"max_step": "long"}, {"max_steps": 0}, {"max_steps": 1.5}, {"progress": True}):
         with pytest.raises(fb.ModelError, match=next(iter(wrong))):
             four_bar.simulate((0.0, 1.0), **wrong)
+
+
+def test_the_limit_of_steps_by_default(four_bar, monkeypatch):
+    monkeypatch.setitem(fourbar_codegen.integrate.STEPS, "DOP853", 7)
+    monkeypatch.setitem(fourbar_codegen.integrate.STEPS, "ALI3P", 7)
+    assert "max_steps = 7 " in four_bar.simulate((0.0, 4.0)).message
+    assert four_bar.simulate((0.0, 4.0), max_steps=None).success
+    # What max_step asks for is no explosion, whatever the direction.
+    assert four_bar.simulate((0.0, -4.0), max_step=0.04).success
+    assert four_bar.simulate((0.0, 1.0), method="ALI3P", max_step=0.01).success
+
+
+def test_energy_that_grows_beyond_reason(four_bar):
+    # The tutorial's damper feeds the motion, which begins with -685 J: see its model.
+    unstable = {"k": 50.0, "l2": 0.45}
+    run = four_bar.simulate((0.0, 10.0), parameters=unstable, t_eval=[0.0, 5.0])
+    assert run.success
+    end = four_bar.simulate((0.0, 10.0), parameters=unstable, t_eval=[0.0, 10.0])
+    assert f"from {end.energy[0]:.6g} J to {end.energy[1]:.6g} J" in run.message
+    assert end.message == run.message
+    # No more than forces do: from rest, and at once from rest.
+    still = {"c": 0.0, "k": 0.0, "g": 0.0, "l1": 0.9}
+    x0 = four_bar.initial_state(speeds=[0.0], parameters=still)
+    for force in (1e5, lambda t, x: 1e5 if t > 0.9 else 0.0):
+        driven = four_bar.simulate((0.0, 1.0), x0, parameters=still, inputs={"F": force}, max_step=0.05)
+        assert driven.kinetic_energy[-1] > 1e3
+        assert driven.message == fourbar_codegen.integrate.REACHED_END
 
 
 def test_progress_and_interrupt(four_bar):

@@ -74,6 +74,13 @@ def _pairs(_: click.Context, __: click.Parameter, texts: tuple[str, ...]) -> dic
     return pairs
 
 
+def _steps(_: click.Context, __: click.Parameter, text: str) -> int | str | None:
+    """A number of steps, the method's own, or no limit."""
+    if text == "none":
+        return None
+    return int(text) if text.isdecimal() else text
+
+
 _RUN_OPTIONS = [
     _MODEL,
     click.option(
@@ -104,6 +111,10 @@ _RUN_OPTIONS = [
     click.option("--rtol", default=1e-6, show_default=True, help="Relative tolerance."),
     click.option("--atol", default=1e-9, show_default=True, help="Absolute tolerance."),
     click.option("--max-step", default=math.inf, help="Longest step, s; ALI3P needs it."),
+    click.option(
+        "--max-steps", default="auto", show_default=True, metavar="N|auto|none", callback=_steps,
+        help="Most steps: by default 1,000,000 of methods in C, 100,000 of others, ten times what --max-step asks for.",
+    ),
 ]  # fmt: skip
 
 

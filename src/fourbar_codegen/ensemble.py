@@ -26,7 +26,7 @@ from fourbar_codegen.arguments import (
     tolerance,
 )
 from fourbar_codegen.errors import AssemblyError, FourbarError, ModelError
-from fourbar_codegen.integrate import METHODS, REACHED_END, is_rounded
+from fourbar_codegen.integrate import METHODS, REACHED_END, is_rounded, most_steps
 from fourbar_codegen.progress import PATIENCE
 from fourbar_codegen.runtime.batch import DONE, Batch, Members, width
 from fourbar_codegen.simulate import InputSource, bind, by_name, input_sources, own_source, projects
@@ -194,6 +194,7 @@ def run(
     atol: float | ArrayLike,
     constraints: str,
     max_step: float,
+    max_steps: int | str | None,
     workers: int | None,
     parallel: Any,
     progress: bool,
@@ -217,6 +218,7 @@ def run(
     how = {
         "method": method, "t_eval": times, "rtol": relative, "atol": np.array(np.broadcast_to(absolute, model.n_x)),
         "constraints": constraints, "max_step": max_step,
+        "max_steps": most_steps(max_steps, method, (start, end), max_step),
     }  # fmt: skip
     runs = _Runs(model, (start, end), states, p, inputs, how)
     from tqdm import tqdm
@@ -364,6 +366,7 @@ def _on_threads(runs: _Runs, workers: int, bar: Any) -> Results:
                 members = Members(
                     model, how["method"], *runs.span, moved, runs.parameters, sources, how["max_step"], rtol,
                     how["atol"], how["constraints"] == "project" and bool(model.n_c), how["t_eval"],
+                    how["max_steps"] or 0,
                 )  # fmt: skip
                 tasks = [pool.submit(members.run) for _ in range(min(workers, n))]
                 for _ in _finished(tasks):

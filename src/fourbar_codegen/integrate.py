@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -31,6 +32,7 @@ __all__ = [
     "consistent",
     "integrate",
     "is_rounded",
+    "most_steps",
 ]
 
 Floats = NDArray[np.float64]
@@ -43,6 +45,12 @@ FIXED_STEP = "ALI3P"
 
 SOLVERS = ("RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA")
 """Those of `fourbar_codegen.solvers` that are not in C as a whole."""
+
+STEPS = dict.fromkeys((*METHODS, FIXED_STEP), 1_000_000) | dict.fromkeys(SOLVERS, 100_000)
+"""The most steps of a run that gives no other number: seconds of computing, for mechanisms of a few bodies; ..."""
+
+MARGIN = 10
+"""... or so many times those that max_step asks for, where these are more."""
 
 PAUSE = 0.02
 """Seconds after which a run in C looks up: for an interrupt from the keyboard, and to say how far it is."""
@@ -114,6 +122,8 @@ class Result:
     nlu: int
     status: int
     message: str
+    last: tuple[float, Floats]
+    """Time and state that were reached, whatever the times of the samples."""
 
 
 def integrate(
@@ -205,7 +215,7 @@ def integrate(
         elif reason == "paused":
             steps = round(min(max(steps * PAUSE / (now - begin), 1), 4 * steps))
             if run.n_steps == max_steps:
-                ending = -1, f"It has taken max_steps = {max_steps} steps."
+                ending = -1, f"It has taken max_steps = {max_steps} steps; None is no limit."
         elif reason == "end":
             ending = 0, REACHED_END
         elif reason == "diverged":
@@ -233,7 +243,19 @@ def integrate(
         nlu=run.n_factorizations,
         status=status,
         message=message,
+        last=(run.t, run.x),
     )
+
+
+def most_steps(given: object, method: str, span: tuple[float, float], max_step: float) -> int | None:
+    """The most steps that a run may take: as `CompiledModel.simulate` is given them, by default those of its method."""
+    if isinstance(given, str) and given == "auto":
+        return max(STEPS[method], int(min(MARGIN * abs(span[1] - span[0]) / max_step, sys.maxsize)))
+    if given is None:
+        return None
+    if not isinstance(given, int | np.integer) or isinstance(given, bool) or given < 1:
+        raise ModelError(f"max_steps must be a positive integer, 'auto', or None for no limit, not {given!r}.")
+    return min(int(given), sys.maxsize)
 
 
 def consistent(ode: Ode, t: float, x0: Floats) -> Floats:

@@ -1,4 +1,4 @@
-"""A line on the terminal that says what takes so long."""
+"""What takes so long says how far it is."""
 
 from __future__ import annotations
 
@@ -10,17 +10,23 @@ from types import TracebackType
 __all__ = ["Progress"]
 
 PATIENCE = 1.0
-"""Seconds without a word."""
+"""Seconds without a word, and between two lines where these stay."""
+
+SHARE = 60.0
+"""The share of the time so far that lies between two lines that stay, once that is longer: of an hour, 300 lines."""
 
 
 class Progress:
     """Shows the stage that a long task is in, from its second second on, until it ends.
 
-    Only where someone watches: on a terminal, or in a notebook.
+    Where someone watches, on a terminal or in a notebook, in one line that vanishes.
 
     Parameters
     ----------
     task : str
+    unwatched : bool, optional
+        Whether it is said elsewhere as well, where stderr goes to a file or to another process: in a line a second,
+        after a minute in fewer.
 
     Examples
     --------
@@ -28,13 +34,14 @@ class Progress:
     ...     progress.stage("compiling")
     """
 
-    def __init__(self, task: str) -> None:
+    def __init__(self, task: str, *, unwatched: bool = False) -> None:
         self._task = task
         self._stage = ""
         self._begin = time.monotonic()
         self._done = threading.Event()
         watched = sys.stderr is not None and (sys.stderr.isatty() or "ipykernel" in sys.modules)
-        self._thread = threading.Thread(target=self._show, daemon=True) if watched else None
+        show = self._show if watched else self._print if unwatched and sys.stderr is not None else None
+        self._thread = threading.Thread(target=show, daemon=True) if show else None
 
     def stage(self, name: str) -> None:
         """What is being done from now on."""
@@ -56,12 +63,19 @@ class Progress:
         width = 0
         wait = PATIENCE
         while not self._done.wait(wait):
-            text = f"{self._task}: {self._stage}, {time.monotonic() - self._begin:.0f} s"
+            text = self._text()
             width = max(width, len(text))
             self._write(f"\r{text:<{width}}")
             wait = 0.5
         if width:
             self._write(f"\r{'':<{width}}\r")
+
+    def _print(self) -> None:
+        while not self._done.wait(max(PATIENCE, (time.monotonic() - self._begin) / SHARE)):
+            self._write(f"{self._text()}\n")
+
+    def _text(self) -> str:
+        return f"{self._task}: {self._stage}, {time.monotonic() - self._begin:.0f} s"
 
     @staticmethod
     def _write(text: str) -> None:

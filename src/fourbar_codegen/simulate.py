@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -24,7 +24,17 @@ from fourbar_codegen.arguments import (
     tolerance,
 )
 from fourbar_codegen.errors import ModelError
-from fourbar_codegen.integrate import FIXED_STEP, METHODS, NOT_RATES, SOLVERS, Event, consistent, integrate
+from fourbar_codegen.integrate import (
+    FIXED_STEP,
+    METHODS,
+    NOT_RATES,
+    SOLVERS,
+    Event,
+    Result,
+    consistent,
+    integrate,
+    most_steps,
+)
 from fourbar_codegen.progress import Progress
 from fourbar_codegen.runtime.evaluator import is_finite
 from fourbar_codegen.runtime.integrator import Ode, Stepper, Table
@@ -47,6 +57,15 @@ __all__ = [
 ]
 
 Floats = NDArray[np.float64]
+
+GROWN = 1e3
+"""The energy of a run has grown beyond reason where it ends with so many times the largest kinetic energy of its first
+half, and the range of its potential energy. A constant force makes 4 times that of the first half, a constant power
+twice as much; what a load feeds that goes with the motion grows exponentially."""
+
+SAMPLES = 100
+"""States along a run that tell it."""
+
 EventLike = Event | str | Callable[[float, Floats], float]
 InputSource = float | tuple[ArrayLike, ArrayLike] | Callable[[float, Floats], float]
 
@@ -180,9 +199,9 @@ def simulate(
     stabilization: float,
     dense_output: bool,
     max_step: float,
-    max_steps: int | None,
+    max_steps: int | str | None,
     formulation: str | None,
-    progress: Callable[[float], object] | None,
+    progress: Callable[[float], object] | bool | None,
 ) -> Trajectory:
     """Integrate the equations of motion; see `CompiledModel.simulate`."""
     methods = (*METHODS, FIXED_STEP, *SOLVERS)
@@ -205,24 +224,22 @@ def simulate(
     max_step = longest_step(max_step)
     if method == FIXED_STEP and max_step == math.inf:
         raise ModelError(f"{FIXED_STEP} takes steps of one length: give it as max_step.")
-    if not (max_steps is None or (_is_integer(max_steps) and max_steps > 0)):
-        raise ModelError(f"max_steps must be a positive integer or None, not {max_steps!r}.")
-    if not (progress is None or callable(progress)):
-        raise ModelError(f"progress must be a callable of the time or None, not {progress!r}.")
+    limit = most_steps(max_steps, method, (start, end), max_step)
+    if not (progress is None or progress is False or callable(progress)):
+        raise ModelError(f"progress must be a callable of the time, False or None, not {progress!r}.")
     with ExitStack() as stack:
         shown: list[Progress] = []  # made where a run is a long one
 
-        def note(t: float) -> None:
+        def show(t: float) -> None:
             if not shown:
-                shown.append(stack.enter_context(Progress(model.name)))
+                shown.append(stack.enter_context(Progress(model.name, unwatched=True)))
             shown[0].stage(f"simulating, t = {t:.6g} of {end:g} s")
-            if progress is not None:
-                progress(t)
 
         result = integrate(
             model, ode, (start, end), state, method=method, t_eval=times, rtol=tolerances[0], atol=tolerances[1],
-            events=watched, project=closes, dense_output=dense_output, max_step=max_step, max_steps=max_steps,
-            options={} if formulation is None else {"formulation": formulation}, progress=note,
+            events=watched, project=closes, dense_output=dense_output, max_step=max_step, max_steps=limit,
+            options={} if formulation is None else {"formulation": formulation},
+            progress=show if progress is None else progress or None,
         )  # fmt: skip
     return Trajectory(
         model=model,
@@ -238,7 +255,7 @@ def simulate(
         nlu=result.nlu,
         status=result.status,
         success=result.status >= 0,
-        message=result.message,
+        message=result.message + _growth(model, ode, result),
         settings={
             "method": method,
             "t_span": (start, end),
@@ -251,6 +268,29 @@ def simulate(
         },
         inputs=inputs,
     )
+
+
+def _growth(model: CompiledModel, ode: Ode, result: Result) -> str:
+    """A sentence, if the energy has grown beyond reason; see GROWN."""
+    end, _ = result.last
+
+    def energies(t: float, x: Floats) -> tuple[float, float]:
+        kinetic, potential = model.energy(t, x, ode.parameters, ode.input_values(t, x)).tolist()
+        return kinetic, potential if model.manifest["has_potential_energy"] else 0.0
+
+    def has_grown(samples: Iterable[int]) -> bool:
+        passed = [(result.t[i], *energies(result.t[i], result.y[:, i])) for i in samples]
+        kinetic, potential = energies(*result.last)
+        first_half = [found for t, found, _ in passed if abs(t - passed[0][0]) <= abs(end - t)]
+        potentials = [potential, *(found for *_, found in passed)]
+        return 0.0 < GROWN * max(*first_half, max(potentials) - min(potentials)) < kinetic
+
+    n = len(result.t)
+    # Of most runs the ends tell it.
+    if not (n and has_grown([0]) and has_grown(np.linspace(0, n - 1, min(n, SAMPLES), dtype=int))):
+        return ""
+    first, last = sum(energies(result.t[0], result.y[:, 0])), sum(energies(*result.last))
+    return f" The energy has grown from {first:.6g} J to {last:.6g} J: loads feed the motion, or errors do."
 
 
 def make_stepper(
@@ -288,10 +328,6 @@ def projects(model: CompiledModel, constraints: str, *more: str) -> bool:
             "rates."
         )
     return constraints == "project"
-
-
-def _is_integer(value: object) -> bool:
-    return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 
 def _state(

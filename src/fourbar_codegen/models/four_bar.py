@@ -26,6 +26,12 @@ def four_bar() -> Model:
         Coordinates q1, q2, q3 (rad), the angles of links 2, 3 and 4 relative to the link before; q1 is
         independent. Speeds u1, u2, u3 (rad/s), their rates. Input F (N), a horizontal force at the third joint.
 
+    Notes
+    -----
+    As in the tutorial's code, spring and damper act between links 2 and 1, with the angle q2 and its rate, which are
+    those between links 3 and 2. So the damper does not take energy away but feeds the motion: with F = 0, the energy
+    grows from -697 J to 1083 J in 7.34 s with c = 10, and stays below -697 J with c = 0.
+
     Examples
     --------
     >>> import fourbar_codegen as fb

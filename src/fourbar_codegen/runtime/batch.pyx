@@ -34,6 +34,7 @@ cdef extern from "fourbar_batch.h":
         const fb_tableau *method
         int project
         double t, t_bound, max_step
+        long max_steps
         const double *rtol
         const double *atol
         const double *times
@@ -130,6 +131,8 @@ cdef class Members:
     rtol, atol : ndarray, shape (n_x,)
     project : bool
     times : ndarray, shape (n_t,)
+    max_steps : int
+        After which a member is left to be run alone; 0 for no limit.
 
     Attributes
     ----------
@@ -149,7 +152,7 @@ cdef class Members:
     cdef readonly object samples, status, n_evaluations
 
     def __cinit__(self, Evaluator evaluator not None, str method, double t, double t_bound, x, p, sources,
-                  double max_step, rtol, atol, bint project, times):
+                  double max_step, rtol, atol, bint project, times, long max_steps):
         cdef fb_ensemble *e = &self.ensemble
         cdef long n = len(x)
         cdef int k = 0
@@ -172,7 +175,7 @@ cdef class Members:
         e.kernel, e.n, e.x, e.p = evaluator.kernel, n, data(x), data(p)
         e.n_sources, e.sources, e.values = len(given), self.sources, data(values)
         e.method = &fb_rk45 if method == "RK45" else &fb_dop853
-        e.project, e.t, e.t_bound, e.max_step = project, t, t_bound, max_step
+        e.project, e.t, e.t_bound, e.max_step, e.max_steps = project, t, t_bound, max_step, max_steps
         e.rtol, e.atol, e.times, e.n_times = data(rtol), data(atol), data(times), len(times)
         e.samples, e.status = data(samples), <char *>cnp.PyArray_DATA(status)
         e.n_evaluations = <long *>cnp.PyArray_DATA(n_evaluations)

@@ -46,6 +46,7 @@ typedef struct fb_ensemble {
     const fb_tableau *method;
     int project;
     double t, t_bound, max_step;
+    long max_steps;            /* of each; 0 for no limit */
     const double *rtol, *atol; /* (n_x,) */
     const double *times;       /* (n_times,), in the order of the run */
     long n_times;

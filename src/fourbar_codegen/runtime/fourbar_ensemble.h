@@ -342,7 +342,8 @@ static void fb_crew_step(fb_crew *restrict c, const fb_ensemble *e)
             c->h_abs[lane] = fb_first_length(c->h_abs[lane], e->max_step, min_step);
         const double share = c->n_steps[lane] > 9 ? c->h_abs[lane] * c->n_steps[lane] / fabs(t - e->t) : 1.0;
         /* Also where it is not a number. */
-        if (!(c->h_abs[lane] >= min_step) || !isfinite(c->h_abs[lane]) || share < FB_COLLAPSE) {
+        if (!(c->h_abs[lane] >= min_step) || !isfinite(c->h_abs[lane]) || share < FB_COLLAPSE ||
+            (e->max_steps > 0 && c->n_steps[lane] >= e->max_steps)) {
             fb_leave(c, e, lane, FB_MEMBER_LEFT);
             continue;
         }

@@ -263,6 +263,17 @@ def test_module_that_was_built_again(tmp_path):
         fb.load(path)
 
 
+def test_module_that_was_built_after_a_load_failed(tmp_path):
+    model = fb.Model(pendulum(), name="mended", parameters={m: 1.0})
+    path = fb.build_model(model, tmp_path)
+    path.unlink()
+    path.write_text("Not a library.")
+    with pytest.raises(fb.ModelError, match="cannot be loaded"):
+        fb.load(path)
+    path.unlink()
+    assert fb.load(fb.build_model(model, tmp_path)).name == "mended"
+
+
 def test_failed_write_leaves_the_old_file(four_bar, tmp_path, monkeypatch):
     run = four_bar.simulate((0.0, 0.1))
     path = run.save(tmp_path / "run.csv")

@@ -451,6 +451,11 @@ def test_progress_bar_on_a_terminal():
     assert "four_bar: " in on_terminal("-c", code.format(impatient, ""))
     assert on_terminal("-c", code.format(impatient, ", progress=False")).strip() == ""
     assert on_terminal("-c", code.format("", "")).strip() == ""
+    # Members that run alone have the bar in common, and nothing without it.
+    alone = "import fourbar_codegen as fb, fourbar_codegen.progress\nfourbar_codegen.progress.PATIENCE = 0.0\n"
+    alone += "fb.load('four_bar').ensemble((0.0, 200.0), parameters={'l1': 0.9, 'k': 0.0, 'c': 0.0}, "
+    alone += "inputs={'F': lambda t, x: 0.0}, progress=False)"
+    assert on_terminal("-c", alone).strip() == ""
 
 
 def test_joblib(four_bar):

@@ -433,6 +433,18 @@ def test_limits(four_bar):
             four_bar.simulate((0.0, 1.0), **wrong)
 
 
+@pytest.mark.parametrize("method", ["DOP853", "RK23"])
+def test_without_a_step_there_is_no_interpolant(method):
+    # A parallelogram: the first step passes the position in which all bars are level, and is discarded.
+    loop = fb.compile_model(fb.models.n_four_bar(1))
+    x0 = np.zeros(loop.n_x)
+    x0[:2], x0[loop.n_q : loop.n_q + 2] = np.pi / 2 - 1e-3, 1.0
+    run = loop.simulate((0.0, 1.0), x0, method=method, dense_output=True)
+    assert "passes a singular position" in run.message
+    assert run.t.tolist() == [0.0]
+    assert run.sol is None
+
+
 def test_the_limit_of_steps_by_default(four_bar, monkeypatch):
     monkeypatch.setitem(fourbar_codegen.integrate.STEPS, "DOP853", 7)
     monkeypatch.setitem(fourbar_codegen.integrate.STEPS, "ALI3P", 7)
@@ -516,6 +528,19 @@ def test_stepper_is_the_classical_method(four_bar):
     assert stepper.t == pytest.approx(1.3, abs=1e-13)
     x = stepper.step()
     np.testing.assert_array_equal(stepper.x, x)
+
+
+def test_stepper_ends_where_a_loop_over_its_time_does(four_bar):
+    stepper = four_bar.stepper(0.01)
+    steps = 0
+    while stepper.t < 5.0:
+        stepper.step()
+        steps += 1
+    assert (steps, stepper.t) == (500, 5.0)
+    back = four_bar.stepper(-0.1, t=0.7)
+    while back.t > -0.2:
+        back.step()
+    assert back.t == 0.7 - 9 * 0.1
 
 
 def test_stepper_holds_inputs_and_keeps_loops_closed(four_bar):

@@ -296,6 +296,30 @@ def test_models_and_trajectories_go_to_other_processes(four_bar):
     np.testing.assert_array_equal(again.model.rhs(0.0, run.y[:, 0]), four_bar.rhs(0.0, run.y[:, 0]))
 
 
+@pytest.mark.parametrize("method", [*METHODS, "ALI3P", "CVODE", "IDA"])
+def test_interpolants_go_to_other_processes(four_bar, method):
+    inputs = {"F": ([0.0, 1.0, 2.0], [0.0, 50.0, -50.0])}
+    run = four_bar.simulate((0.0, 0.5), method=method, inputs=inputs, dense_output=True, max_step=0.05)
+    again = pickle.loads(pickle.dumps(run))
+    times = np.linspace(0.0, 0.5, 23)
+    np.testing.assert_array_equal(again.sol(times), run.sol(times))
+    assert len(again.resample(times).t) == 23
+
+
+def test_right_hand_sides_and_steppers_go_to_other_processes(four_bar):
+    inputs = {"F": ([0.0, 1.0, 2.0], [0.0, 50.0, -50.0])}
+    ode, stepper = four_bar.ode({"l2": 0.45}, inputs), four_bar.stepper(0.01, t=0.3, inputs=inputs)
+    for _ in range(7):
+        stepper.step()
+    again, second = pickle.loads(pickle.dumps((ode, stepper)))
+    for _ in range(5):
+        np.testing.assert_array_equal(second.step(), stepper.step())
+        np.testing.assert_array_equal(again(second.t, second.x), ode(stepper.t, stepper.x))
+    # What cannot travel is named.
+    with pytest.raises((pickle.PicklingError, AttributeError), match="lambda"):
+        pickle.dumps(four_bar.ode(inputs={"F": lambda t, x: 0.0}))
+
+
 def test_threads_do_not_disturb_each_other(four_bar):
     # Mappings and callables run Python in the middle of a call, where another thread may come in.
     x0 = four_bar.initial_state()

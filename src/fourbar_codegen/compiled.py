@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import json
 import math
+import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -36,6 +37,15 @@ Floats = NDArray[np.float64]
 
 # What this process loaded from files: the system goes on giving out the first module of a path.
 _LOADED: dict[str, tuple[int, int, int]] = {}
+
+
+def _is_held(path: Path) -> bool:
+    """Whether the system has loaded a library from this path."""
+    try:
+        ctypes.CDLL(str(path), mode=os.RTLD_NOLOAD)
+    except OSError:
+        return False
+    return True
 
 
 def load(name: str | Path) -> CompiledModel:
@@ -246,7 +256,8 @@ class CompiledModel(Evaluator):
         name = path.name.split(".")[0]
         status = path.stat()
         identity = (status.st_ino, status.st_size, status.st_mtime_ns)
-        if _LOADED.setdefault(str(path.resolve()), identity) != identity:
+        place = str(path.resolve())
+        if _LOADED.setdefault(place, identity) != identity:
             raise ModelError(
                 f"{path} was built again after this process loaded it, and a module cannot be loaded anew: restart "
                 "Python, or build into another folder."
@@ -259,6 +270,8 @@ class CompiledModel(Evaluator):
             module = util.module_from_spec(spec)
             loader.exec_module(module)
         except ImportError as error:
+            if not _is_held(path):
+                del _LOADED[place]
             raise ModelError(f"{path} cannot be loaded as a compiled model: {error}.") from error
         finally:
             if not taken:  # Cython enters its modules there, and the next import of that name would end at this one

@@ -185,7 +185,7 @@ def integrate(
         run = Run(ode, *arguments, watch.outputs, bool(watch.callables) or dense_output)
     run.begin()
     watch.begin(run)
-    dense = run.dense_output() if dense_output else None
+    dense: Any = run.dense_output() if dense_output else None  # which takes steps of this kind of run
     samples: list[tuple[Floats, Floats]] = []
     ending: tuple[int, str] | None = None
     steps, noted = 16, time.perf_counter()
@@ -205,7 +205,7 @@ def integrate(
                     ending = -1, singular
                     break
             if dense is not None:
-                dense.add()
+                dense.add(run)
             end = watch.look(run)
             if end is not None:
                 run.stop_at(end)
@@ -235,7 +235,7 @@ def integrate(
     return Result(
         t=np.concatenate([times for times, _ in samples]),
         y=np.concatenate([states for _, states in samples]).T,
-        sol=dense if run.n_steps else None,
+        sol=dense or None,  # without a step there is nothing between states
         t_events=None if events is None else [np.array(times) for times in watch.times],
         y_events=None if events is None else [np.array(states) for states in watch.states],
         nfev=run.n_evaluations,

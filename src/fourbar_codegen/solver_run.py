@@ -155,10 +155,7 @@ class SolverRun:
         """The state at a time in the last step, shape (n_x,)."""
         if t == self.t:
             return self.x
-        return self.closed(t, self.interpolant()(t))
-
-    def closed(self, t: float, x: Floats) -> Floats:
-        """An interpolated state, moved onto the constraints if the run's are."""
+        x: Floats = self.interpolant()(t)
         return self.ode.project(t, x) if self._project else x
 
     def event_values_at(self, t: float) -> Floats:
@@ -184,20 +181,23 @@ class SolverRun:
 
     def dense_output(self) -> _Solution:
         """To be told of each step."""
-        return _Solution(self)
+        return _Solution(self.ode, self._project, self.t)
 
 
 class _Solution:
     """The state at any time of a run."""
 
-    def __init__(self, run: SolverRun) -> None:
-        self._run, self._times = run, [run.t]
+    def __init__(self, ode: Ode, project: bool, t: float) -> None:
+        self._ode, self._project, self._times = ode, project, [t]
         self._interpolants: list[DenseOutput] = []
 
-    def add(self) -> None:
-        """The last step."""
-        self._times.append(self._run.t)
-        self._interpolants.append(self._run.interpolant())
+    def __len__(self) -> int:
+        return len(self._interpolants)
+
+    def add(self, run: SolverRun) -> None:
+        """The last step of a run."""
+        self._times.append(run.t)
+        self._interpolants.append(run.interpolant())
 
     def __call__(self, t: Any) -> Floats:
         """The state at times t: shape (n_x,) for a number, (n_x, n) for n of them."""
@@ -205,5 +205,5 @@ class _Solution:
         if times.ndim != 1:
             raise ModelError(f"Times must be a number or an array of one dimension, not of shape {np.shape(t)}.")
         solution = OdeSolution(self._times, self._interpolants)
-        states = [self._run.closed(time, solution(time)) for time in times]
-        return states[0] if np.ndim(t) == 0 else np.reshape(states, (-1, len(self._run.x))).T
+        states = [self._ode.project(time, solution(time)) if self._project else solution(time) for time in times]
+        return states[0] if np.ndim(t) == 0 else np.reshape(states, (-1, self._ode.n_x)).T

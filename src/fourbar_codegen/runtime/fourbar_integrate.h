@@ -297,10 +297,17 @@ static inline int fb_step_on(fb_run *s)
     }
 }
 
+/* The time after n steps of length h, rounded once: sums of h would miss the end of a run by a step. */
+static inline double fb_fixed_time(const fb_run *s, const double h, const long n)
+{
+    return s->t_begin + (double)n * h;
+}
+
 /* A step of length h by a method without an error estimate; the status of the kernel where it cannot be taken. */
 static inline int fb_fixed_step(fb_run *s, const double h)
 {
     fb_problem *const p = s->problem;
+    const double t_new = fb_fixed_time(s, h, s->n_steps + 1);
     int status = fb_evaluate(s, s->t, s->x, s->stages);
     if (status == 0)
         status = fb_stages(s, h);
@@ -309,11 +316,11 @@ static inline int fb_fixed_step(fb_run *s, const double h)
     if (p->status != FB_OK || !fb_finite(s->scratch, s->n))
         return p->status != FB_OK ? p->status : FB_NOT_FINITE;
     if (s->project) {
-        status = fb_problem_project(p, s->t + h, s->scratch, 1);
+        status = fb_problem_project(p, t_new, s->scratch, 1);
         if (status != FB_OK)
             return status;
     }
-    fb_accept(s, s->t + h);
+    fb_accept(s, t_new);
     return FB_OK;
 }
 

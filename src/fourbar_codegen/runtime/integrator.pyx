@@ -66,6 +66,7 @@ cdef extern from "fourbar_integrate.h":
     void fb_prepare_method(fb_run *) noexcept nogil
     int fb_begin(fb_run *) noexcept nogil
     int fb_step_on(fb_run *) noexcept nogil
+    double fb_fixed_time(const fb_run *, double, long) noexcept nogil
     int fb_fixed_step(fb_run *, double) noexcept nogil
     int fb_run_on(fb_run *, long) noexcept nogil
     int fb_project_sample(fb_problem *, double, double *) noexcept nogil
@@ -103,6 +104,9 @@ cdef class Table:
         self.table = fb_table(
             n_intervals=cnp.PyArray_DIM(self.coefficients, 0), n_coefficients=cnp.PyArray_DIM(self.coefficients, 1),
             times=data(self.times), coefficients=data(self.coefficients), before=before, after=after)
+
+    def __reduce__(self):
+        return Table, (self.times, np.transpose(self.coefficients), self.table.before, self.table.after)
 
 
 cdef int _call_inputs(fb_problem *problem, double t, const double *x) noexcept with gil:
@@ -165,10 +169,8 @@ cdef class Ode:
         if self.callables:
             self.problem.called_inputs, self.problem.caller = _call_inputs, <void *>self
 
-    def __copy__(self):
-        cdef Ode copy = Ode(self.evaluator, self.parameters, self.sources)
-        copy.stabilization, copy.projects = self.stabilization, self.projects
-        return copy
+    def __reduce__(self):
+        return _ode, (self.evaluator, self.parameters, self.sources, self.stabilization, bool(self.projects))
 
     def __dealloc__(self):
         PyMem_Free(self.problem.constants)
@@ -313,6 +315,13 @@ cdef class Ode:
         return result
 
 
+def _ode(evaluator, p, sources, double stabilization, bint projects):
+    """As it was copied or pickled."""
+    cdef Ode ode = Ode(evaluator, p, sources)
+    ode.stabilization, ode.projects = stabilization, projects
+    return ode
+
+
 cdef class EmbeddedSteps:
     """Steps of an explicit Runge-Kutta method, without Python between their stages.
 
@@ -415,9 +424,19 @@ cdef int _enter(bint *busy) except -1:
 cdef int _prepare(fb_run *run, Ode ode, const fb_tableau *method) except -1:
     """What a run is made of: the problem and its size, and the method."""
     run.problem, run.method, run.n = &ode.problem, method, ode.evaluator.n_x
-    run.padded = (run.n + FB_BLOCK - 1) // FB_BLOCK * FB_BLOCK
+    run.padded = _padded_size(run.n)
     fb_prepare_method(run)
     return 0
+
+
+cdef int _padded_size(int n):
+    """Of whole blocks."""
+    return (n + FB_BLOCK - 1) // FB_BLOCK * FB_BLOCK
+
+
+cdef const fb_tableau *_tableau_of(str method) noexcept:
+    """Of the methods that `Run` has."""
+    return &fb_rk45 if method == "RK45" else &fb_dop853 if method == "DOP853" else &fb_trapezoid
 
 
 cdef cnp.ndarray _padded(values, const fb_run *run):
@@ -471,6 +490,7 @@ cdef class Run:
     cdef fb_run run
     cdef fb_augmented augmented
     cdef readonly Ode ode
+    cdef str method
     cdef list kept
     cdef cnp.ndarray kept_t
     cdef cnp.ndarray kept_x
@@ -480,10 +500,10 @@ cdef class Run:
         cdef int n = ode.evaluator.n_x, rows
         cdef cnp.ndarray state = vector(x, n, "The state x")
         cdef fb_run *run = &self.run
-        _prepare(run, ode, &fb_rk45 if method == "RK45" else &fb_dop853 if method == "DOP853" else &fb_trapezoid)
+        _prepare(run, ode, _tableau_of(method))
         run.step = fb_step_on
         rows = run.method.n_stages + 1 + run.method.n_more
-        self.ode, self.kept = ode, []
+        self.ode, self.method, self.kept = ode, method, []
         run.direction, run.t_bound, run.max_step = 1.0 if t_bound > t else -1.0, t_bound, max_step
         run.project, run.t, run.t_begin, run.until = project, t, t, t_bound
         run.x, run.x_old, run.scratch = self._zeros(1), self._zeros(1), self._zeros(1)
@@ -568,7 +588,7 @@ cdef class Run:
 
     def dense_output(self):
         """To be told of each step."""
-        return DenseOutput(self)
+        return DenseOutput(self.ode, self.method, self.run.direction, self.run.project, [self.run.t], [])
 
     @property
     def turned(self):
@@ -633,7 +653,7 @@ cdef class Stepper:
     Attributes
     ----------
     t : float
-        Time, s.
+        Time, s: that of the beginning and so many times the step as were taken.
     x : ndarray, shape (n_x,)
         The state: coordinates, then speeds.
 
@@ -647,13 +667,14 @@ cdef class Stepper:
     cdef cnp.ndarray kept
     cdef bint busy
 
-    def __cinit__(self, Ode ode not None, double h, double t, x, bint project):
+    def __cinit__(self, Ode ode not None, double h, double t, x, bint project, long n_steps=0):
         cdef int i, n = ode.evaluator.n_x
         cdef cnp.ndarray state = vector(x, n, "The state x")
         cdef fb_run *run = &self.run
         self.ode, self.h = ode, h
         _prepare(run, ode, &fb_rk4)
-        run.project, run.t = project, t
+        run.project, run.t_begin, run.n_steps = project, t, n_steps
+        run.t = fb_fixed_time(run, h, n_steps)
         self.kept = np.zeros((8, run.padded))
         run.x, run.x_old, run.scratch = data(self.kept), data(self.kept) + run.padded, data(self.kept) + 2 * run.padded
         run.stages = data(self.kept) + 3 * run.padded
@@ -663,6 +684,10 @@ cdef class Stepper:
             raise MemoryError
         for i in range(ode.evaluator.n_r):
             self.held[i].input = i
+
+    def __reduce__(self):
+        run = (self.run.t_begin, self.x, bool(self.run.project), self.run.n_steps)
+        return Stepper, (self.ode, self.h, *run)
 
     def __dealloc__(self):
         PyMem_Free(self.held)
@@ -723,45 +748,65 @@ cdef class DenseOutput:
 
     Parameters
     ----------
-    run : Run
+    ode : Ode
+    method : str
+        As of `Run`.
+    direction : float
+    project : bool
+    times : list of float
+        The beginning, and the end of each step.
+    steps : list of ndarray
+        The interpolants' coefficients, the state at the beginning, and the beginning and length of each step.
     """
 
-    cdef Run run
+    cdef Ode ode
+    cdef str method
+    cdef const fb_tableau *tableau
+    cdef double direction
+    cdef bint project
+    cdef int rows, padded
     cdef list times
     cdef list steps
 
-    def __cinit__(self, Run run not None):
-        self.run, self.times, self.steps = run, [run.t], []
+    def __cinit__(self, Ode ode not None, str method, double direction, bint project, list times, list steps):
+        self.ode, self.method, self.direction, self.project = ode, method, direction, project
+        self.times, self.steps = times, steps
+        self.tableau, self.padded = _tableau_of(method), _padded_size(ode.evaluator.n_x)
+        self.rows = self.tableau.n_dense + (3 if self.tableau.hermite else 0)
 
-    def add(self):
-        """The last step."""
-        cdef fb_run *run = &self.run.run
-        cdef int rows = run.method.n_dense + (3 if run.method.hermite else 0)
-        cdef cnp.ndarray step = new_array(rows + 2, run.padded)
-        self.run.ode.check(fb_prepare_interpolant(run))
-        memcpy(data(step), run.interpolant, rows * run.padded * sizeof(double))
-        memcpy(data(step) + rows * run.padded, run.x_old, run.padded * sizeof(double))
-        data(step)[(rows + 1) * run.padded], data(step)[(rows + 1) * run.padded + 1] = run.t_old, run.h
+    def __reduce__(self):
+        return DenseOutput, (self.ode, self.method, self.direction, bool(self.project), self.times, self.steps)
+
+    def __len__(self):
+        return len(self.steps)
+
+    def add(self, Run last not None):
+        """The last step of a run."""
+        cdef fb_run *run = &last.run
+        cdef cnp.ndarray step = new_array(self.rows + 2, self.padded)
+        last.ode.check(fb_prepare_interpolant(run))
+        memcpy(data(step), run.interpolant, self.rows * self.padded * sizeof(double))
+        memcpy(data(step) + self.rows * self.padded, run.x_old, self.padded * sizeof(double))
+        data(step)[(self.rows + 1) * self.padded], data(step)[(self.rows + 1) * self.padded + 1] = run.t_old, run.h
         self.times.append(run.t)
         self.steps.append(step)
 
     def __call__(self, t):
         """The state at times t: shape (n_x,) for a number, (n_x, n) for n of them."""
         cdef cnp.ndarray at = np.array(t, dtype=np.float64, ndmin=1)
-        cdef cnp.ndarray x = np.empty((np.size(at), self.run.run.n))
+        cdef int i, n = self.ode.evaluator.n_x
+        cdef cnp.ndarray x = np.empty((np.size(at), n))
         cdef cnp.ndarray step
-        cdef fb_run *run = &self.run.run
-        cdef int i, rows = run.method.n_dense + (3 if run.method.hermite else 0)
         cdef double *end
         if np.ndim(at) != 1:
             raise ModelError(f"Times must be a number or an array of one dimension, not of shape {np.shape(t)}.")
-        forward = np.array(self.times) * run.direction
-        places = np.clip(np.searchsorted(forward, at * run.direction) - 1, 0, len(self.steps) - 1)
+        forward = np.array(self.times) * self.direction
+        places = np.clip(np.searchsorted(forward, at * self.direction) - 1, 0, len(self.steps) - 1)
         for i in range(np.size(at)):
             step = self.steps[places[i]]
-            end = data(step) + (rows + 1) * run.padded
-            fb_interpolate(run.method, data(step), run.n, run.padded, data(step) + rows * run.padded,
-                           (data(at)[i] - end[0]) / end[1], data(x) + i * run.n)
-            if run.project:
-                self.run.ode.check(fb_project_sample(run.problem, data(at)[i], data(x) + i * run.n))
+            end = data(step) + (self.rows + 1) * self.padded
+            fb_interpolate(self.tableau, data(step), n, self.padded, data(step) + self.rows * self.padded,
+                           (data(at)[i] - end[0]) / end[1], data(x) + i * n)
+            if self.project:
+                self.ode.check(fb_project_sample(&self.ode.problem, data(at)[i], data(x) + i * n))
         return np.array(x.T) if np.ndim(t) else x[0]

@@ -1,5 +1,6 @@
 """The cache: keys that digest everything, warm calls that form nothing, builds that are whole or absent."""
 
+import ctypes
 import os
 import pickle
 import shutil
@@ -302,6 +303,40 @@ def test_models_sent_without_their_sources(tmp_path):
     model.path.unlink()
     with pytest.raises(fb.ModelError, match=r"not found here, .* its sources were not beside it"):
         pickle.loads(sent)
+
+
+def test_modules_of_another_layout_are_refused(monkeypatch, tmp_path):
+    """Built with the headers of another version, in which a struct of ensembles has one more member."""
+    headers = shutil.copytree(fb.get_include(), tmp_path / "headers")
+    text = (headers / "fourbar_batch.h").read_text()
+    assert "    long n_times;\n" in text
+    (headers / "fourbar_batch.h").write_text(text.replace("    long n_times;\n", "    long n_times, more;\n"))
+    with monkeypatch.context() as patched:
+        patched.setattr("fourbar_codegen.build.get_include", lambda: str(headers))
+        module = fb.build_model(slider(), tmp_path / "built", check=False)  # which would load it
+    with pytest.raises(fb.ModelError, match=r"^The compiled model slider was built with another version"):
+        fb.load(module)
+
+
+def test_states_side_by_side_of_another_layout_are_refused(monkeypatch):
+    model, found = fb.compile_model(slider()), []
+    attach = type(model).attach_lanes
+    with monkeypatch.context() as patched:
+        patched.setattr(fb.CompiledModel, "attach_lanes", lambda _, address: found.append(address))
+        model.require_lanes()
+    # The version, the sizes of eight structs, the width, and two functions.
+    words = (ctypes.c_size_t * 12).from_address(found[0])
+    for place in range(9):
+        changed = (ctypes.c_size_t * 12)(*words)
+        changed[place] += 8
+        with pytest.raises(fb.ModelError, match="another version of this package"):
+            attach(model, ctypes.addressof(changed))
+    # As it was before it had sizes: the width, and two functions.
+    with pytest.raises(fb.ModelError, match="another version of this package"):
+        attach(model, ctypes.addressof(words) + ctypes.sizeof(ctypes.c_size_t * 9))
+    assert model.lacks_lanes
+    attach(model, found[0])
+    assert not model.lacks_lanes
 
 
 def test_unwritable_cache(monkeypatch, tmp_path):

@@ -245,6 +245,8 @@ class CompiledModel(Evaluator):
         """The model that an imported extension module holds."""
         try:
             model = cls(module.kernel, json.loads(module.manifest))
+        except ModelError:  # is one, of another layout
+            raise
         except (AttributeError, ValueError) as error:
             raise ModelError(f"{module.__name__} is not a compiled model: {error}.") from error
         model.path = Path(module.__file__)

@@ -12,7 +12,16 @@ from fourbar_codegen.errors import ModelError, SimulationError
 
 cnp.import_array()
 
+cdef extern from "fourbar_batch.h":
+    int fb_lanes_agree(const fb_lanes *) noexcept nogil
+
 OK, NOT_CLOSED = FB_OK, FB_NOT_CLOSED
+
+
+cdef object _other_layout(manifest):
+    return ModelError(
+        f"The compiled model {manifest['name']} was built with another version of this package (whose kernel "
+        f"interface is {FB_ABI_VERSION}), and its data have another layout: build it again.")
 
 
 cdef cnp.ndarray new_array(int rows, int columns=-1):
@@ -63,10 +72,9 @@ cdef class Evaluator:
     def __cinit__(self, capsule, manifest):
         cdef const fb_kernel *kernel = <const fb_kernel *>PyCapsule_GetPointer(capsule, FB_CAPSULE_NAME)
         if kernel.abi_version != FB_ABI_VERSION or kernel.struct_size != sizeof(fb_kernel):
-            raise ModelError(
-                f"The compiled model has kernel interface {kernel.abi_version}, this package has {FB_ABI_VERSION}: "
-                "build the model again."
-            )
+            raise _other_layout(manifest)
+        if kernel.lanes != NULL and not fb_lanes_agree(kernel.lanes):
+            raise _other_layout(manifest)
         self.kernel, self.lanes = kernel, kernel.lanes
         self.capsule, self.manifest = capsule, manifest
         self.n_q, self.n_u, self.n_p, self.n_r = kernel.n_q, kernel.n_u, kernel.n_p, kernel.n_r
@@ -101,7 +109,15 @@ cdef class Evaluator:
         return self.kernel.one_machine == 0
 
     def attach_lanes(self, size_t address):
-        """Take the functions for several states side by side, an ``fb_lanes``, that were built apart from the kernel."""
+        """Take the functions for several states side by side, an ``fb_lanes``, that were built apart from the kernel.
+
+        Raises
+        ------
+        ModelError
+            If they were built with another version of the package.
+        """
+        if not fb_lanes_agree(<const fb_lanes *>address):
+            raise _other_layout(self.manifest)
         self.lanes = <const fb_lanes *>address
 
     def parameter_values(self, p):

@@ -57,14 +57,39 @@ typedef struct fb_ensemble {
     const int *stop;       /* whether to give up */
 } fb_ensemble;
 
+/* The sizes of all that is handed to a model's functions for states side by side, which may have been built with other
+ * headers than their caller. */
+typedef struct fb_layout {
+    int abi_version;
+    size_t lanes; /* of fb_lanes itself: what stands behind is read where this one agrees */
+    size_t kernel, batch, columns, ensemble, source, table, tableau;
+} fb_layout;
+
+#define FB_LAYOUT                                                                                                      \
+    {                                                                                                                  \
+        .abi_version = FB_ABI_VERSION, .lanes = sizeof(fb_lanes), .kernel = sizeof(fb_kernel),                         \
+        .batch = sizeof(fb_batch), .columns = sizeof(fb_columns), .ensemble = sizeof(fb_ensemble),                     \
+        .source = sizeof(fb_source), .table = sizeof(fb_table), .tableau = sizeof(fb_tableau)                          \
+    }
+
 /* What a model has for states side by side; width 0 where the compiler has no vectors. */
 struct fb_lanes {
+    fb_layout layout;
     int width;
     /* the states from begin to end; 0, or -1 where there is no memory */
     int (*batch)(const fb_batch *batch, long begin, long end);
     /* until no member waits; 0, or -1 where there is no memory. Workers call it at the same time. */
     int (*run)(const fb_ensemble *ensemble);
 };
+
+/* Whether a model's functions for states side by side were built with these headers. */
+static inline int fb_lanes_agree(const fb_lanes *lanes)
+{
+    const fb_layout own = FB_LAYOUT, *const built = &lanes->layout;
+    return built->abi_version == own.abi_version && built->lanes == own.lanes && built->kernel == own.kernel &&
+           built->batch == own.batch && built->columns == own.columns && built->ensemble == own.ensemble &&
+           built->source == own.source && built->table == own.table && built->tableau == own.tableau;
+}
 
 /* The same by the kernel for one state. */
 static inline int fb_batch_one_by_one(const fb_batch *b, const long begin, const long end)

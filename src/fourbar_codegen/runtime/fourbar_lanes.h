@@ -328,4 +328,4 @@ static FB_FLATTEN int batch(const fb_batch *b, const long begin, const long end)
 
 #include "fourbar_ensemble.h"
 
-const fb_lanes FB_NAME(lanes) = {.width = FB_WIDTH, .batch = batch, .run = run};
+const fb_lanes FB_NAME(lanes) = {.layout = FB_LAYOUT, .width = FB_WIDTH, .batch = batch, .run = run};

@@ -138,6 +138,55 @@ def test_batch_inputs(four_bar):
     )
 
 
+def unaligned(array):
+    memory = np.zeros(array.nbytes + 1, dtype=np.uint8)[1:].view(float).reshape(array.shape)
+    memory[...] = array
+    return memory
+
+
+def every_other(array):
+    return np.repeat(array, 2, axis=-1)[..., ::2]
+
+
+@pytest.mark.parametrize("layout", [lambda a: a.astype(">f8"), unaligned, every_other, np.asfortranarray])
+def test_numbers_are_the_same_however_they_lie_in_memory(four_bar, layout):
+    x = random_states(four_bar, 9)
+    p = np.outer(list(four_bar.defaults.values()), np.linspace(0.9, 1.1, 9))
+    arguments = {"t": np.linspace(0.0, 1.0, 9), "x": x, "p": p, "r": np.linspace(-5.0, 5.0, 9)[None]}
+    rates = four_bar.rhs_batch(**{name: array.tolist() for name, array in arguments.items()})
+    for name, array in arguments.items():
+        np.testing.assert_array_equal(four_bar.rhs_batch(**{**arguments, name: layout(array)}), rates)
+    alone = {name: arguments[name][:, 3] for name in "xpr"}
+    rates = four_bar.rhs(0.0, **{name: array.tolist() for name, array in alone.items()})
+    for name, array in alone.items():
+        np.testing.assert_array_equal(four_bar.rhs(0.0, **{**alone, name: layout(array)}), rates)
+
+
+@pytest.mark.parametrize("name", ["t", "x", "p", "r"])
+def test_results_never_come_where_arguments_lie(four_bar, name):
+    x = random_states(four_bar, 9)
+    p = np.tile(list(four_bar.defaults.values()), (9, 1)).T
+    arguments = {"t": np.zeros(9), "x": x, "p": p, "r": np.ones((1, 9))}
+    given = arguments[name]
+    memory = np.empty(given.size + x.size)
+    memory[: given.size] = given.ravel()
+    # The last number of the argument is the first of the results; behind it they do not meet.
+    before, after = (memory[given.size - shift :][: x.size].reshape(x.shape) for shift in (1, 0))
+    arguments[name] = memory[: given.size].reshape(given.shape)
+    expected = four_bar.rhs_batch(**arguments)
+    with pytest.raises(fb.ModelError, match=f"share memory .*{name}"):
+        four_bar.rhs_batch(**arguments, out=before)
+    np.testing.assert_array_equal(four_bar.rhs_batch(**arguments, out=after), expected)
+    if name != "t":
+        alone = {"t": 0.0, "x": x[:, 0].copy(), "p": p[:, 0].copy(), "r": np.ones(1)}
+        memory = np.concatenate((alone[name], np.empty(6)))
+        n = len(alone[name])
+        with pytest.raises(fb.ModelError, match=f"share memory .*{name}"):
+            four_bar.rhs(**{**alone, name: memory[:n]}, out=memory[n - 1 : n + 5])
+        rates = four_bar.rhs(**{**alone, name: memory[:n]}, out=memory[n:])
+        np.testing.assert_array_equal(rates, four_bar.rhs(**alone))
+
+
 def test_batch_refuses_wrong_arguments(four_bar):
     x = random_states(four_bar, 5)
     for wrong in (

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.errors import ModelError
-from fourbar_codegen.runtime.evaluator import is_finite
+from fourbar_codegen.runtime.evaluator import is_finite, numbers
 
 __all__ = [
     "Values",
@@ -123,10 +123,7 @@ def named_columns(
     ModelError
         If a name or a shape is wrong, or a value is missing. Values that are not finite are let through.
     """
-    # The usual case is told quickly.
-    if type(given) is np.ndarray and given.dtype.char == "d" and given.shape == (len(names), n):
-        return given if given.flags.c_contiguous else np.ascontiguousarray(given)
-    if is_mapping(given):
+    if type(given) is not np.ndarray and is_mapping(given):
         known: dict[str, Any] = {name: defaults.get(name) for name in names}
         for key, value in given.items():
             if name_of(key) not in known:
@@ -135,7 +132,7 @@ def named_columns(
         missing = [name for name, value in known.items() if value is None]
         if missing:
             raise ModelError(f"No value for {kind} {', '.join(missing)}: give one, there is no default.")
-        rows = [numbers(value, f"{kind} {name}") for name, value in known.items()]
+        rows = [numbers(value, f"The values of {kind} {name}") for name, value in known.items()]
         lengths = {len(row) for row in rows if row.ndim}
         if len(lengths) > 1 or any(row.ndim > 1 for row in rows):
             shapes = ", ".join(f"{name} {row.shape}" for name, row in zip(known, rows, strict=True) if row.ndim)
@@ -145,25 +142,12 @@ def named_columns(
         for place, row in enumerate(rows):
             values[place] = row
     else:
-        values = numbers(given, f"the {kind}s {', '.join(names)}")
+        values = numbers(given, f"The values of {kind}s ({', '.join(names)})")
     shape = values.shape
     if not 1 <= len(shape) <= 2 or shape[0] != len(names) or (n is not None and shape[1:] not in {(), (n,)}):
         expected = f"({len(names)},) or ({len(names)}, {'n' if n is None else n})"
         raise ModelError(f"The {kind}s ({', '.join(names)}) must have shape {expected}, not {values.shape}.")
-    return np.ascontiguousarray(values)
-
-
-def numbers(value: Any, what: str) -> NDArray[np.float64]:
-    """An array of real numbers; the same one if it is of double."""
-    try:
-        given = np.asarray(value)
-        if given.dtype.kind == "O":
-            given = np.array([float(entry) for entry in given.ravel()]).reshape(given.shape)
-        if given.dtype.kind not in "biuf":  # not complex, text, time
-            raise TypeError(given.dtype)
-        return np.asarray(given, dtype=float)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise ModelError(f"The values of {what} must be real numbers, not {value!r}.") from error
+    return values
 
 
 def time_span(t_span: Sequence[float]) -> tuple[float, float]:

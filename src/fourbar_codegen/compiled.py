@@ -1014,7 +1014,7 @@ class CompiledModel(Evaluator):
         r : array_like, shape (n_r,) or (n_r, n), or mapping, optional
             Inputs; their expressions otherwise.
         out : ndarray, shape (n_x, n), optional
-            Where the results come, contiguous, without memory shared with x; a fresh array otherwise.
+            Where the results come, contiguous, without memory shared with the arguments; a fresh array otherwise.
         workers : int or None, optional
             Number of threads; None for one on each core.
 

@@ -133,7 +133,7 @@ def evaluate(
     if states.ndim != 2:
         raise ModelError(f"The states must have shape ({model.n_x}, n), not {states.shape}.")
     n = states.shape[1]
-    times = numbers(t, "the times")
+    times = numbers(t, "The times")
     if times.shape not in {(), (n,)}:
         raise ModelError(f"The times must be a number or have shape ({n},), not {times.shape}.")
     if p is None:
@@ -151,10 +151,9 @@ def evaluate(
         out = np.empty(states.shape)
     elif not (isinstance(out, np.ndarray) and out.shape == states.shape and out.dtype == float and out.flags.carray):
         raise ModelError(f"out must be a contiguous, writable array of double of the shape {states.shape}.")
-    elif np.may_share_memory(out, states):
-        raise ModelError("out must not share memory with x.")
-    if not times.flags.c_contiguous:
-        times = times.copy()
+    # For arrays that are contiguous, as these are, the bounds tell it.
+    elif any(np.may_share_memory(out, given) for given in (times, states, parameters, inputs) if given is not None):
+        raise ModelError("out must not share memory with t, x, p or r.")
     model.require_lanes()
     batch = Batch(model, times, states, parameters, inputs, out)
     n_threads = min(_workers(workers), -(-n // BLOCK))
@@ -280,7 +279,7 @@ def _by_member(name: object, source: Any) -> Any:
     """The source of an input, or an array with a number for each member; a copy of what is the caller's."""
     if not _is_by_member(source):
         return own_source(name_of(name), source)
-    values = np.array(numbers(source, f"input {name_of(name)}"))
+    values = np.array(numbers(source, f"The values of input {name_of(name)}"))
     if not np.isfinite(values).all():
         raise ModelError(f"The values of input {name_of(name)} must be finite.")
     return values

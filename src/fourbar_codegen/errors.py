@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-__all__ = ["AssemblyError", "BuildError", "CacheError", "FourbarError", "ModelError", "SimulationError"]
+__all__ = ["AssemblyError", "BuildError", "CacheError", "FourbarError", "ModelError", "SimulationError", "shown"]
+
+LONGEST = 300
+"""Characters that a message spends on what was given."""
 
 
 class FourbarError(Exception):
@@ -77,3 +80,12 @@ class AssemblyError(SimulationError):
     def __init__(self, message: str, residual: Iterable[float] = ()) -> None:
         self.residual = tuple(float(value) for value in residual)
         super().__init__(message)
+
+
+def shown(given: object) -> str:
+    """What was given, as a message has it: its repr, without what is beyond a few lines; its class, if it has none."""
+    try:
+        text = repr(given)
+    except Exception:
+        return f"an object of the class {type(given).__name__}"
+    return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."

@@ -94,6 +94,7 @@ cdef cnp.ndarray new_array(int rows, int columns=*)
 cdef inline double *data(cnp.ndarray array) noexcept:
     return <double *>cnp.PyArray_DATA(array)
 
+cpdef cnp.ndarray numbers(object values, str what)
 cdef cnp.ndarray vector(object values, int n, str what)
 
 
@@ -116,5 +117,5 @@ cdef class Evaluator:
     cdef const double *_prepare(self, cnp.ndarray parameters) noexcept
     cdef const double *_fill(self, double t, const double *constants, cnp.ndarray inputs) noexcept
     cdef int _check_columns(self, cnp.ndarray t, cnp.ndarray x, cnp.ndarray r) except -1
-    cdef cnp.ndarray _output(self, object out, cnp.ndarray state)
+    cdef cnp.ndarray _output(self, object out, cnp.ndarray state, cnp.ndarray parameters, cnp.ndarray inputs)
     cdef cnp.ndarray _differentiate(self, fb_evaluation *function, int columns, double t, x, p, r)

@@ -12,6 +12,7 @@ Values = ArrayLike | Mapping[object, float]
 OK: int
 NOT_CLOSED: int
 
+def numbers(values: object, what: str) -> Floats: ...
 def is_finite(values: Floats) -> bool: ...
 
 class Evaluator:

@@ -6,9 +6,11 @@ from cpython.mem cimport PyMem_Calloc, PyMem_Free, PyMem_Malloc
 from cpython.pycapsule cimport PyCapsule_GetPointer
 from libc.math cimport NAN
 
+import sys
+
 import numpy as np
 
-from fourbar_codegen.errors import ModelError, SimulationError
+from fourbar_codegen.errors import ModelError, SimulationError, shown
 
 cnp.import_array()
 
@@ -31,23 +33,81 @@ cdef cnp.ndarray new_array(int rows, int columns=-1):
     return cnp.PyArray_EMPTY(1 if columns < 0 else 2, shape, cnp.NPY_DOUBLE, 0)
 
 
-cdef cnp.ndarray vector(object values, int n, str what):
-    """The values as a contiguous array of n doubles: the same array if it is one already."""
-    cdef cnp.ndarray array
+cpdef cnp.ndarray numbers(object values, str what):
+    """Real numbers as an array of double, native, aligned and contiguous: the same array if it is one already.
+
+    All numbers that users hand in are read here.
+
+    Parameters
+    ----------
+    values : array_like
+    what : str
+        What they are: the subject of the error's sentence.
+
+    Returns
+    -------
+    ndarray
+        Of the shape that the values have. What is not finite is let through.
+
+    Raises
+    ------
+    ModelError
+        If there are complex numbers, text, times, masked arrays, None or numbers beyond the range of double among
+        them, or rows of different lengths.
+    """
+    cdef cnp.ndarray given
     if (cnp.PyArray_CheckExact(values) and cnp.PyArray_TYPE(values) == cnp.NPY_DOUBLE
             and cnp.PyArray_ISCARRAY_RO(values)):
-        array = <cnp.ndarray>values
-    else:
-        try:
-            given = np.asarray(values)
-            if given.dtype.kind not in "biufO":  # not complex, text, time
-                raise TypeError(given.dtype)
-            array = np.array(given, dtype=np.float64, order="C")
-        except (TypeError, ValueError, OverflowError) as error:
-            raise ModelError(f"{what} must be {n} real numbers, not {values!r}.") from error
+        return values
+    try:
+        given = np.asarray(values)
+        if _masked(values, cnp.PyArray_NDIM(given)):
+            raise TypeError("masked")
+        kind = given.dtype.kind
+        if kind == "O":
+            given = np.reshape([_real(entry) for entry in given.ravel()], np.shape(given))
+        elif kind not in "biuf":
+            raise TypeError(kind)
+        return cnp.PyArray_FROM_OTF(given, cnp.NPY_DOUBLE, cnp.NPY_ARRAY_CARRAY_RO | cnp.NPY_ARRAY_FORCECAST)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ModelError(f"{what} must be real numbers, not {shown(values)}.") from error
+
+
+cdef double _real(object entry) except? -1.0:
+    """An entry of an array of objects; float() would read text, and take a time or the real part for the number."""
+    if isinstance(entry, (str, bytes, bytearray)) or _masked(entry, 0):
+        raise TypeError(type(entry))
+    if isinstance(entry, np.generic) and entry.dtype.kind not in "biuf":
+        raise TypeError(entry.dtype)
+    return float(entry)
+
+
+cdef bint _masked(object values, int depth):
+    """Whether there are masked arrays in lists of so many dimensions; NumPy would drop their masks."""
+    masked = sys.modules.get("numpy.ma")  # without which nobody has one
+    if masked is None:
+        return False
+    if isinstance(values, masked.MaskedArray):
+        return True
+    if depth > 0 and isinstance(values, (list, tuple)):
+        for value in values:
+            if type(value) is not float and _masked(value, depth - 1):
+                return True
+    return False
+
+
+cdef cnp.ndarray vector(object values, int n, str what):
+    """Real numbers, as `numbers` has them, of the shape (n,)."""
+    cdef cnp.ndarray array = numbers(values, what)
     if cnp.PyArray_NDIM(array) != 1 or cnp.PyArray_DIM(array, 0) != n:
         raise ModelError(f"{what} must have shape ({n},), not {(<object>array).shape}.")
     return array
+
+
+cdef bint _overlap(cnp.ndarray a, cnp.ndarray b) noexcept:
+    """Whether two contiguous arrays share memory."""
+    cdef Py_ssize_t n = cnp.PyArray_SIZE(a), m = cnp.PyArray_SIZE(b)
+    return n > 0 and m > 0 and data(a) < data(b) + m and data(b) < data(a) + n
 
 
 def is_finite(cnp.ndarray values not None):
@@ -234,7 +294,7 @@ cdef class Evaluator:
         r : array_like, shape (n_r,), or mapping, optional
             Inputs; their expressions otherwise.
         out : ndarray, shape (n_x,), optional
-            Where to write the result; contiguous, of floats.
+            Where to write the result; contiguous, of floats, without memory shared with `x`, `p` or `r`.
 
         Returns
         -------
@@ -259,7 +319,8 @@ cdef class Evaluator:
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.inputs_known)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
-        cdef cnp.ndarray result = new_array(self.n_x) if out is None else self._output(out, state)
+        cdef cnp.ndarray result
+        result = new_array(self.n_x) if out is None else self._output(out, state, parameters, inputs)
         cdef const double *constants = self._prepare(parameters)
         cdef int status = self.kernel.rhs(
             t, data(state), constants, self._fill(t, constants, inputs), data(result), self.work)
@@ -267,12 +328,13 @@ cdef class Evaluator:
             raise SimulationError(self.failure(status, t, x))
         return result
 
-    cdef cnp.ndarray _output(self, object out, cnp.ndarray state):
-        if not (isinstance(out, np.ndarray) and out.dtype == np.float64 and out.shape == (self.n_x,)
-                and cnp.PyArray_ISCARRAY(out)):
+    cdef cnp.ndarray _output(self, object out, cnp.ndarray state, cnp.ndarray parameters, cnp.ndarray inputs):
+        if not (cnp.PyArray_Check(out) and cnp.PyArray_TYPE(out) == cnp.NPY_DOUBLE and cnp.PyArray_ISCARRAY(out)
+                and cnp.PyArray_NDIM(out) == 1 and cnp.PyArray_DIM(out, 0) == self.n_x):
             raise ModelError(f"out must be a contiguous, writable array of {self.n_x} floats.")
-        if abs(data(out) - data(state)) < self.n_x:
-            raise ModelError("out must not share memory with x.")
+        if (_overlap(out, state) or (parameters is not None and _overlap(out, parameters))
+                or (inputs is not None and _overlap(out, inputs))):
+            raise ModelError("out must not share memory with x, p or r.")
         return out
 
     def jacobian(self, double t, x, p=None, r=None):

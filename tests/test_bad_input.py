@@ -1,10 +1,14 @@
 """Whatever is wrong gets an error of the package's own that names it and says what is allowed."""
 
+from decimal import Decimal
+from fractions import Fraction
+
 import numpy as np
 import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
 from sympy.physics.mechanics.system import System
+from sympy.physics.units import meter
 from systems import pendulum
 
 import fourbar_codegen as fb
@@ -54,6 +58,15 @@ X = [0.1] * 6
         (lambda m: m.initial_state(guess={"q1": 1.0}), ["'q1'", "dependent coordinate", "q2, q3"]),
         (lambda m: m.initial_state(["a"]), ["numbers", "'a'"]),
         (lambda m: m.simulate((0.0, 1.0), X, method="Euler"), ["'Euler'", "DOP853", "Radau"]),
+        (lambda m: m.simulate((0.0, 1.0), X, method=np.array(["RK45", "DOP853"])), ["array", "DOP853, "]),
+        (lambda m: m.simulate((0.0, 1.0), X, constraints=np.array(["project", "none"])), ["array", "'project'"]),
+        (lambda m: m.simulate((0.0, 1.0), method="IDA", formulation=np.array(["index-1"] * 2)), ["array", "index-3"]),
+        (lambda m: m.ensemble((0.0, 1.0), method=np.array(["RK45", "DOP853"])), ["array", "DOP853"]),
+        (lambda m: m.ensemble((0.0, 1.0), parallel=print), ["joblib.Parallel", "print"]),
+        (lambda m: m.ensemble((0.0, 1.0), workers=np.timedelta64(1, "s")), ["workers", "timedelta64"]),
+        (lambda m: m.rhs(0.0, X, dict), ["parameters p", "dict"]),
+        (lambda m: fb.Parameter(1.0, None), ["unit", "None"]),
+        (lambda m: fb.Parameter(1.0, "m", 5), ["description", "5"]),
         (lambda m: m.simulate((0.0, 1.0), X, constraints="glue"), ["'glue'", "'project'", "'none'"]),
         (lambda m: m.simulate((0.0, np.nan), X), ["t_span", "nan"]),
         (lambda m: m.simulate((0.0,), X), ["t_span", "two times"]),
@@ -91,6 +104,95 @@ def test_error_names_what_is_wrong_and_what_is_allowed(four_bar, call, words):
         call(four_bar)
     for word in words:
         assert word in str(caught.value)
+
+
+def no_numbers(shape):
+    """What is of a shape that would do, and no array of real numbers."""
+    yield from (None, "1.0", b"1", {0.3}, object(), sm.Symbol("a"), [[1.0], [1.0, 2.0]], 10**400, 10**5000)
+    for value in ("1.0", 1.0 + 0.0j, np.timedelta64(1, "s"), np.datetime64("2020-01-01"), np.complex128(1.0)):
+        yield np.full(shape, value)
+        yield np.full(shape, value, dtype=object)
+        yield np.full(shape, value).tolist()
+    yield np.ma.array(np.full(shape, 0.3), mask=True)
+    yield [np.ma.masked] * (shape[0] if shape else 1)
+    yield np.zeros(shape, dtype=[("x", float)])
+
+
+P = list(fb.load("four_bar").defaults.values())
+SPAN = (0.0, 0.1)
+CALLS = {
+    "rhs t": ((), lambda m, v: m.rhs(v, X), "time t"),
+    "rhs x": ((6,), lambda m, v: m.rhs(0.0, v), "state x"),
+    "rhs p": ((8,), lambda m, v: m.rhs(0.0, X, [*P] if v is None else v, [v]), "p|r"),
+    "rhs p by name": ((), lambda m, v: m.rhs(0.0, X, {"k": v}), "parameter k"),
+    "rhs r": ((1,), lambda m, v: m.rhs(0.0, X, P, [None] if v is None else v), "inputs r"),
+    "jacobian t": ((), lambda m, v: m.jacobian(v, X), "time t"),
+    "positions t": ((), lambda m, v: m.positions(v, X[:3]), "time t"),
+    "positions q": ((3,), lambda m, v: m.positions(0.0, {"q1": 0.0, "q2": 0.0} if v is None else v), "coordinate"),
+    "multipliers t": ((), lambda m, v: m.multipliers(v, X), "time t"),
+    "linearize t": ((), lambda m, v: m.linearize(v, X), "value of t"),
+    "batch t": ((4,), lambda m, v: m.rhs_batch(v, np.ones((6, 4))), "times"),
+    "batch x": ((6, 4), lambda m, v: m.rhs_batch(0.0, v), "states"),
+    "batch p": ((8, 4), lambda m, v: m.rhs_batch(0.0, np.ones((6, 4)), {"k": None} if v is None else v), "parameter"),
+    "batch p by name": ((4,), lambda m, v: m.rhs_batch(0.0, np.ones((6, 4)), {"k": v}), "parameter k"),
+    "along": ((2,), lambda m, v: m.along(v, np.ones((6, 2)), np.ones((1, 2))), "times"),
+    "t_span": ((2,), lambda m, v: m.simulate(v), "t_span"),
+    "end of t_span": ((), lambda m, v: m.simulate((0.0, v)), "t_span"),
+    "x0": ((6,), lambda m, v: m.simulate(SPAN, [None] if v is None else v), "states"),
+    "t_eval": ((2,), lambda m, v: m.simulate(SPAN, t_eval=[None] if v is None else v), "t_eval"),
+    "rtol": ((), lambda m, v: m.simulate(SPAN, rtol=v), "rtol"),
+    "atol": ((6,), lambda m, v: m.simulate(SPAN, atol=v), "atol"),
+    "max_step": ((), lambda m, v: m.simulate(SPAN, max_step=v), "max_step"),
+    "stabilization": ((), lambda m, v: m.simulate(SPAN, constraints="baumgarte", stabilization=v), "stabilization"),
+    "input": ((), lambda m, v: m.simulate(SPAN, inputs={"F": v}), "[Ii]nput F"),
+    "times of a table": ((2,), lambda m, v: m.simulate(SPAN, inputs={"F": (v, [0.0, 1.0])}), "Input F .* times"),
+    "values of a table": ((2,), lambda m, v: m.simulate(SPAN, inputs={"F": ([0.0, 1.0], v)}), "Input F .* values"),
+    "value of a callable": ((), lambda m, v: m.simulate(SPAN, inputs={"F": lambda t, x: v}), "callable of input F"),
+    "value of an event": ((), lambda m, v: m.simulate(SPAN, events=lambda t, x: v), "callable of an event"),
+    "direction": ((), lambda m, v: fb.Event("a", direction=v), "direction"),
+    "initial coordinates": ((1,), lambda m, v: m.initial_state([None] if v is None else v), "coordinate"),
+    "initial t": ((), lambda m, v: m.initial_state(t=v), "time t"),
+    "guess": ((2,), lambda m, v: m.initial_state(guess=[None] if v is None else v), "dependent coordinate"),
+    "members": ((3, 8), lambda m, v: m.ensemble(SPAN, parameters=[None] if v is None else v), "parameters"),
+    "their states": ((3, 6), lambda m, v: m.ensemble(SPAN, [None] if v is None else v), "x0"),
+    "their tolerance": ((), lambda m, v: m.ensemble(SPAN, rtol=v), "rtol"),
+    "h": ((), lambda m, v: m.stepper(v), "value of h"),
+    "t of a stepper": ((), lambda m, v: m.stepper(1e-3, t=v), "value of t"),
+    "r of a step": ((1,), lambda m, v: m.stepper(1e-3).step([None] if v is None else v), "inputs r"),
+    "t of an ode": ((), lambda m, v: m.ode()(v, X), "time t"),
+    "x of an ode": ((6,), lambda m, v: m.ode().jac(0.0, v), "state x"),
+    "t of a solution": ((2,), lambda m, v: m.simulate(SPAN, dense_output=True).sol(v), "times"),
+    "t of a solver's": ((2,), lambda m, v: m.simulate(SPAN, method="RK23", dense_output=True).sol(v), "times"),
+    "t0": ((), lambda m, v: fb.solvers.DOP853(m.ode(), v, X, 1.0), "t0"),
+    "y0": ((6,), lambda m, v: fb.solvers.LSODA(m.ode(), 0.0, v, 1.0), "y0"),
+    "rtol of a solver": ((), lambda m, v: fb.solvers.RK45(m.ode(), 0.0, X, 1.0, rtol=v), "rtol"),
+    "atol of a solver": ((6,), lambda m, v: fb.solvers.LSODA(m.ode(), 0.0, X, 1.0, atol=v), "atol"),
+    "value of a parameter": (
+        (),
+        lambda m, v: fb.Parameter([] if v is None or isinstance(v, sm.Symbol) else v),
+        "parameter",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CALLS)
+@pytest.mark.filterwarnings("ignore::UserWarning")  # NumPy's, of masked entries that become nan
+def test_what_is_no_number_is_refused_by_name_everywhere(four_bar, name):
+    shape, call, words = CALLS[name]
+    for value in no_numbers(shape):
+        with pytest.raises(fb.ModelError, match=words):
+            call(four_bar, value)
+
+
+def test_numbers_of_all_classes_are_read(four_bar):
+    # Exact in float32.
+    x = np.array([0.5, 0.25, -0.125, 1.0, 2.0, -3.0])
+    rates = four_bar.rhs(1.0, x)
+    others = [x.tolist(), tuple(x), x.astype(np.float32), x.astype(np.longdouble), [Fraction(v) for v in x]]
+    for given in (*others, [Decimal(v) for v in x], [sm.Float(v) for v in x], x.astype(object)):
+        np.testing.assert_array_equal(four_bar.rhs(1.0, given), rates)
+    for t in (1, True, np.float32(1.0), np.int8(1), np.array(1), Fraction(1), sm.Integer(1)):
+        np.testing.assert_array_equal(four_bar.rhs(t, x), rates)
 
 
 def test_loop_that_cannot_close(four_bar):
@@ -198,6 +300,54 @@ def test_models_that_cannot_be_compiled(make, words):
         make()
     for word in words:
         assert word in str(caught.value)
+
+
+def loaded(expr):
+    system = pendulum()
+    system.add_loads(me.Force(system.bodies[0], expr * system.frame.x))
+    return system
+
+
+PLACES = {
+    "the mass of body bob": lambda e: fb.Model(pendulum(mass=e * m)),
+    "force at point P": lambda e: fb.Model(loaded(e * q)),
+    "kinematic differential equation 1": lambda e: fb.Model(pendulum(kde=u - e * q.diff(t))),
+    "holonomic constraint 1": lambda e: fb.Model(constrained(q - e)),
+    "output angle": lambda e: fb.Model(pendulum(), outputs={"angle": e * q}),
+    "input F(t)": lambda e: fb.Model(loaded(F), inputs={F: e * sm.sin(t)}),
+    "parameter m": lambda e: fb.Model(pendulum(), parameters={m: e * g}),
+    "potential_energy": lambda e: fb.Model(pendulum(), potential_energy=e * q),
+}
+
+
+@pytest.mark.parametrize("where", PLACES)
+@pytest.mark.parametrize(
+    "expr",
+    [
+        sm.nan,
+        sm.Integer(10) ** 400,
+        sm.Rational(1, 10**400),
+        sm.Float("1e400"),
+        sm.I,
+        sm.MatrixSymbol("A", 2, 2)[0, 1],
+        sm.Trace(sm.MatrixSymbol("A", 2, 2)),
+        sm.IndexedBase("b")[1],
+        sm.Symbol("C", commutative=False),
+        meter,
+        sm.Limit(sm.sin(m) / m, m, 0),
+        sm.Subs(sm.sin(g), g, m),
+        sm.Integral(sm.sin(g), (g, 0, m)),
+        sm.O(m),
+    ],
+    ids=str,
+)
+def test_expressions_that_have_no_value_in_double_are_named_with_their_place(where, expr):
+    with pytest.raises(fb.ModelError) as caught:
+        PLACES[where](expr)
+    words = str(caught.value)
+    assert where in words
+    number = expr.is_Number and expr.is_finite  # of which the sign is that in its place, the digits are cut
+    assert ("0000" if number else "O(m" if expr.is_Order else str(expr)) in words
 
 
 def test_values_without_default_have_to_be_given():

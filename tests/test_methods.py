@@ -250,7 +250,7 @@ def test_an_event_that_writes_into_its_state(four_bar, method):
 
     run = four_bar.simulate((0.0, 1.0), events=event, **how)
     np.testing.assert_array_equal(run.y, four_bar.simulate((0.0, 1.0), events=lambda t, x: x[3], **how).y)
-    with pytest.raises(fb.ModelError, match="event must return a number"):
+    with pytest.raises(fb.ModelError, match="event returns must be a real number"):
         four_bar.simulate((0.0, 1.0), events=lambda t, x: x, **how)
 
 

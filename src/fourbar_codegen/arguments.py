@@ -9,19 +9,22 @@ from typing import Any, TypeGuard
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.errors import ModelError
-from fourbar_codegen.runtime.evaluator import is_finite, numbers
+from fourbar_codegen.errors import ModelError, shown
+from fourbar_codegen.runtime.evaluator import is_finite, number, numbers
 
 __all__ = [
     "Values",
     "finite_number",
+    "is_integer",
     "is_mapping",
     "longest_step",
     "name_of",
     "named_array",
     "named_columns",
     "named_values",
+    "number",
     "numbers",
+    "one_of",
     "positive",
     "sample_times",
     "time_span",
@@ -34,13 +37,13 @@ Values = ArrayLike | Mapping[Any, float]
 
 def is_mapping(values: Any) -> TypeGuard[Mapping[Any, Any]]:
     """Whether values come by name: in a dict, or something like it, such as a pandas Series."""
-    return hasattr(values, "keys") and hasattr(values, "items")
+    return hasattr(values, "keys") and hasattr(values, "items") and not isinstance(values, type)
 
 
 def name_of(key: Any) -> str:
     """The name of a symbol or function of time; a name itself."""
     name = key if isinstance(key, str) else getattr(key, "name", key)
-    return name if isinstance(name, str) else str(key)
+    return name if isinstance(name, str) else shown(key)
 
 
 def named_values(
@@ -67,13 +70,10 @@ def named_values(
 
 def finite_number(value: Any, what: str) -> float:
     """A finite float, or a ModelError that says what should have been one."""
-    try:
-        number = float(value)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise ModelError(f"The value of {what} must be a real number, not {value!r}.") from error
-    if not math.isfinite(number):
-        raise ModelError(f"The value of {what} must be finite, not {number}.")
-    return number
+    known = number(value, f"The value of {what}")
+    if not math.isfinite(known):
+        raise ModelError(f"The value of {what} must be finite, not {known}.")
+    return known
 
 
 def named_array(
@@ -83,17 +83,13 @@ def named_array(
     if given is None or is_mapping(given):
         known = {name: defaults[name] for name in names if name in defaults}
         return np.array(named_values(given or {}, names, known, kind))
-    try:
-        values = np.array(given, dtype=float)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise ModelError(f"The values of {kind}s ({', '.join(names)}) must be numbers, not {given!r}.") from error
+    what = f"The values of {kind}s ({', '.join(names)})"
+    values = numbers(given, what)
     if values.shape != (len(names),):
-        raise ModelError(
-            f"The values of {kind}s ({', '.join(names)}) must have shape ({len(names)},), not {values.shape}."
-        )
+        raise ModelError(f"{what} must have shape ({len(names)},), not {values.shape}.")
     if not is_finite(values):
-        raise ModelError(f"The values of {kind}s ({', '.join(names)}) must be finite, not {values}.")
-    return values
+        raise ModelError(f"{what} must be finite, not {values}.")
+    return values.copy()
 
 
 def named_columns(
@@ -152,23 +148,15 @@ def named_columns(
 
 def time_span(t_span: Sequence[float]) -> tuple[float, float]:
     """The first and the last time of a run, which differ."""
-    try:
-        start, end = (finite_number(t, "t_span") for t in t_span)
-    except (TypeError, ValueError) as error:
-        if isinstance(error, ModelError):
-            raise
-        raise ModelError(f"t_span must be two times, not {t_span!r}.") from error
-    if start == end:
-        raise ModelError(f"t_span must be two different times, not {t_span!r}.")
-    return start, end
+    span = numbers(t_span, "The times t_span")
+    if span.shape != (2,) or not is_finite(span) or span[0] == span[1]:
+        raise ModelError(f"t_span must be two times, finite and different, not {shown(t_span)}.")
+    return float(span[0]), float(span[1])
 
 
 def sample_times(t_eval: ArrayLike, start: float, end: float, name: str = "t_eval") -> NDArray[np.float64]:
     """Times of samples within a run, in its order."""
-    try:
-        times = np.array(t_eval, dtype=float)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise ModelError(f"{name} must be an array of times, not {t_eval!r}.") from error
+    times = numbers(t_eval, name).copy()
     forward = 1.0 if end > start else -1.0
     if times.ndim != 1 or not times.size or not np.isfinite(times).all() or not (np.diff(forward * times) > 0).all():
         raise ModelError(f"{name} must be a one-dimensional array of times in the order of the run, each once.")
@@ -181,10 +169,10 @@ def sample_times(t_eval: ArrayLike, start: float, end: float, name: str = "t_eva
 
 def positive(value: float, what: str) -> float:
     """A positive finite number."""
-    number = finite_number(value, what)
-    if number <= 0.0:
-        raise ModelError(f"{what} must be positive, not {value!r}.")
-    return number
+    known = finite_number(value, what)
+    if known <= 0.0:
+        raise ModelError(f"{what} must be positive, not {known}.")
+    return known
 
 
 def longest_step(value: float) -> float:
@@ -196,11 +184,21 @@ def tolerance(value: ArrayLike, name: str, size: int = 0) -> NDArray[np.float64]
     """A positive tolerance, one for all states or one for each of `size`."""
     if type(value) is float and 0.0 < value < math.inf:
         return np.array(value)
-    allowed = "a positive number" + (f" or an array of shape ({size},)" if size else "")
-    try:
-        tolerance = np.array(value, dtype=float)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise ModelError(f"{name} must be {allowed}, not {value!r}.") from error
-    if tolerance.shape not in ({(), (size,)} if size else {()}) or not (np.isfinite(tolerance) & (tolerance > 0)).all():
-        raise ModelError(f"{name} must be {allowed}, not {value!r}.")
-    return tolerance
+    allowed = {(), (size,)} if size else {()}
+    known = numbers(value, name).copy()
+    if known.shape not in allowed or not (is_finite(known) and (known > 0.0).all()):
+        words = "a positive number" + (f" or an array of shape ({size},)" if size else "")
+        raise ModelError(f"{name} must be {words}, not {shown(value)}.")
+    return known
+
+
+def is_integer(value: object) -> TypeGuard[int]:
+    """Whether it is a whole number by its type; neither a truth value nor a time is one."""
+    return isinstance(value, int | np.integer) and not isinstance(value, bool | np.timedelta64)
+
+
+def one_of(value: object, allowed: Sequence[str], kind: str) -> str:
+    """One of the words that are allowed, or a ModelError that lists them."""
+    if not isinstance(value, str) or value not in allowed:
+        raise ModelError(f"There is no {kind} {shown(value)}; there are {', '.join(allowed)}.")
+    return value

@@ -15,7 +15,7 @@ import sympy as sm
 from sympy.printing.c import C99CodePrinter
 from sympy.printing.codeprinter import PrintMethodNotImplementedError
 
-from fourbar_codegen.errors import ModelError
+from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.program import Function
 from fourbar_codegen.tape import (
     ONE,
@@ -39,6 +39,9 @@ INLINED = 8
 
 CARRIED = "carried"
 """The array through which the parts of a longer function hand on values."""
+
+EXACT = 2**53
+"""Integers below this are numbers of double."""
 
 ANGLES = "angles"
 """What the sines and cosines that are evaluated side by side are called, with a number behind."""
@@ -197,16 +200,16 @@ def _is_side_by_side(call: Call) -> bool:
 
 
 def _literal(value: Number) -> str:
-    if isinstance(value, Fraction):
-        return f"({float(value.numerator)!r}/{float(value.denominator)!r})"
     if math.isnan(value):
         return "NAN"
     try:
         number = float(value)
     except OverflowError:
         number = math.inf
-    if not math.isfinite(number):
-        raise ModelError(f"The model contains {value}, which is beyond the range of double.")
+    if not math.isfinite(number) or (value != 0 and number == 0.0):
+        raise ModelError(f"The model contains {shown(value)}, which is beyond the range of double.")
+    if isinstance(value, Fraction) and max(abs(value.numerator), value.denominator) < EXACT:
+        return f"({float(value.numerator)!r}/{float(value.denominator)!r})"
     return repr(number)
 
 

@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 
 import sympy as sm
-from sympy.concrete.expr_with_limits import ExprWithLimits
+from sympy.core.function import AppliedUndef
+from sympy.functions.elementary.piecewise import ExprCondPair
+from sympy.logic.boolalg import Boolean
 
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.tape import ONE, Call, Leaf, Node, Number, Product, Reciprocal, Scalar, Sum, Tape, placeholder
 
-__all__ = ["Conversion", "apply", "expression_of", "make_again", "substitute"]
+__all__ = ["Conversion", "apply", "expression_of", "is_computable", "make_again", "substitute"]
+
+OPERATIONS = (
+    *(sm.Add, sm.Mul, sm.Pow, sm.NumberSymbol, sm.Max, sm.Min, sm.UnevaluatedExpr),
+    *(ExprCondPair, Boolean),  # of a Piecewise
+)
+"""What expressions are made of, beside numbers, functions, and what stands for values."""
 
 
 class Conversion:
@@ -46,7 +55,7 @@ class Conversion:
                 stack.pop()
             elif node in leaves:
                 known[node] = leaves[node]
-            elif not _computable(node):
+            elif not is_computable(node):
                 raise ModelError(f"{node} in {expression} cannot be compiled.")
             elif missing := [argument for argument in _arguments(node) if argument not in known]:
                 stack.extend(reversed(missing))
@@ -63,6 +72,8 @@ class Conversion:
             return tape.sum([known[argument] for argument in node.args])
         if node.is_Mul:
             return tape.product([known[argument] for argument in node.args])
+        if isinstance(node, sm.UnevaluatedExpr):
+            return known[node.args[0]]
         if node.is_number:
             return tape.number(_number(node))
         if node.is_Pow:
@@ -161,10 +172,20 @@ def _is_multiple(argument: sm.Expr) -> bool:
     return bool(argument.is_number or argument.as_coeff_Mul()[1].is_Symbol)
 
 
-def _computable(node: sm.Basic) -> bool:
-    """Whether a node has a value in double arithmetic, its arguments apart."""
-    if isinstance(node, ExprWithLimits) or node is sm.nan:
+def is_computable(node: sm.Basic) -> bool:
+    """Whether a node has a value in double arithmetic, its arguments apart: symbols and functions of time have none."""
+    if isinstance(node, sm.Number):
+        value = abs(_in_double(node))
+        return math.isfinite(value) and (value > 0.0 or node.is_zero is True)
+    if isinstance(node, sm.Symbol | AppliedUndef):
         return False
     if isinstance(node, sm.Function):
         return type(node).__module__.startswith("sympy.")
-    return bool(node.args) or not (isinstance(node, sm.Symbol) or node.is_finite is False)
+    return isinstance(node, OPERATIONS)
+
+
+def _in_double(value: sm.Number) -> float:
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf

@@ -12,6 +12,7 @@ import sympy as sm
 from sympy.functions.special.delta_functions import DiracDelta
 
 from fourbar_codegen.convert import Conversion, apply
+from fourbar_codegen.errors import ModelError
 from fourbar_codegen.tape import (
     ONE,
     Call,
@@ -211,5 +212,7 @@ def _derivative(expression: sm.Expr, symbol: sm.Symbol) -> sm.Expr:
         base, exponent = expression.args
         return exponent * base ** (exponent - 1) * base.diff(symbol)
     derivative = expression.diff(symbol)
+    if derivative.has(sm.Derivative, sm.Subs):
+        raise ModelError(f"The model contains {type(expression).__name__}, of which C99 has no derivative.")
     # A jump has no derivative where it jumps; everywhere else it is zero.
     return derivative.replace(DiracDelta, lambda *_: sm.S.Zero) if derivative.has(DiracDelta) else derivative

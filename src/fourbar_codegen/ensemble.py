@@ -16,16 +16,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.arguments import (
     Values,
+    is_integer,
     is_mapping,
     longest_step,
     name_of,
     named_columns,
     numbers,
+    one_of,
     sample_times,
     time_span,
     tolerance,
 )
-from fourbar_codegen.errors import AssemblyError, FourbarError, ModelError
+from fourbar_codegen.errors import AssemblyError, FourbarError, ModelError, shown
 from fourbar_codegen.integrate import METHODS, REACHED_END, is_rounded, most_steps
 from fourbar_codegen.progress import PATIENCE
 from fourbar_codegen.runtime.batch import DONE, Batch, Members, width
@@ -93,7 +95,7 @@ class Ensemble:
 
     def __getitem__(self, key: Any) -> Any:
         """A member as a `Trajectory`, by its number; or a coordinate or speed of all, shape (n, n_t), by its name."""
-        if not isinstance(key, int | np.integer) or isinstance(key, bool):
+        if not is_integer(key):
             if isinstance(key, slice):
                 raise ModelError("Members are had one by one: slice ensemble.y, or index with a number.")
             if name_of(key) in self.model.states:
@@ -175,9 +177,18 @@ def _default_inputs(model: CompiledModel, t: float, parameters: Floats) -> dict[
 def _workers(workers: int | None) -> int:
     if workers is None:
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if not isinstance(workers, int | np.integer) or isinstance(workers, bool) or workers < 1:
-        raise ModelError(f"workers must be a positive number of threads or None, for all cores, not {workers!r}.")
+    if not is_integer(workers) or workers < 1:
+        raise ModelError(f"workers must be a positive number of threads or None, for all cores, not {shown(workers)}.")
     return int(workers)
+
+
+def _is_engine(parallel: object) -> bool:
+    """Whether it is a joblib.Parallel; without joblib, there is none."""
+    try:
+        from joblib import Parallel
+    except ImportError:
+        return False
+    return isinstance(parallel, Parallel)
 
 
 def run(
@@ -199,16 +210,15 @@ def run(
     progress: bool,
 ) -> Ensemble:
     """Many runs at once; see `CompiledModel.ensemble`."""
-    if method not in METHODS:
-        raise ModelError(f"There is no method {method!r} for ensembles; there are {', '.join(METHODS)}.")
+    one_of(method, tuple(METHODS), "method for ensembles")
     projects(model, constraints)
     start, end = time_span(t_span)
     times = np.array([start, end]) if t_eval is None else sample_times(t_eval, start, end)
     relative, absolute = float(tolerance(rtol, "rtol")), tolerance(atol, "atol", model.n_x)
     max_step = longest_step(max_step)
     workers = _workers(workers)
-    if not (parallel is None or callable(parallel)):
-        raise ModelError(f"parallel must be a joblib.Parallel or None, not {parallel!r}.")
+    if not (parallel is None or _is_engine(parallel)):
+        raise ModelError(f"parallel must be a joblib.Parallel or None, not {shown(parallel)}.")
     # Arrays of one dimension have a number for each member.
     inputs = {key: _by_member(key, source) for key, source in by_name(model, inputs).items()}
     p, states, n = _members(model, start, x0, parameters, inputs)
@@ -241,11 +251,10 @@ def _members(
     model: CompiledModel, t: float, x0: Any, parameters: Any, inputs: Mapping[Any, Any]
 ) -> tuple[Floats, Floats, int]:
     """Parameters and initial states of all members, shapes (n, n_p) and (n, n_x), and n."""
-    given = {} if parameters is None else parameters if is_mapping(parameters) else np.transpose(parameters)
-    p = named_columns(given, model.parameters, model.defaults, "parameter")
-    x = None
-    if x0 is not None:
-        x = named_columns(x0 if is_mapping(x0) else np.transpose(x0), model.states, {}, "state")
+    p = named_columns(
+        _columns({} if parameters is None else parameters, "parameters"), model.parameters, model.defaults, "parameter"
+    )
+    x = None if x0 is None else named_columns(_columns(x0, "x0"), model.states, {}, "state")
     by_member = [key for key, source in inputs.items() if _is_by_member(source)]
     lengths = [(f"input {name_of(key)}", len(inputs[key])) for key in by_member]
     lengths += [(w, len(rows.T)) for w, rows in (("parameters", p), ("x0", x)) if rows is not None and rows.ndim == 2]
@@ -273,6 +282,11 @@ def _members(
                 raise AssemblyError(f"Member {member}: {error}", error.residual) from error
         states[member] = known[key]
     return p, states, n
+
+
+def _columns(given: Any, what: str) -> Any:
+    """Values by name, or those of members in rows, as columns."""
+    return given if is_mapping(given) else numbers(given, what).T
 
 
 def _by_member(name: object, source: Any) -> Any:

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.arguments import finite_number
-from fourbar_codegen.errors import ModelError, SimulationError
+from fourbar_codegen.arguments import finite_number, is_integer, number
+from fourbar_codegen.errors import ModelError, SimulationError, shown
 from fourbar_codegen.runtime.evaluator import NOT_CLOSED, OK
 from fourbar_codegen.runtime.integrator import Ode, Run
 
@@ -105,7 +105,9 @@ class Event:
     def __post_init__(self) -> None:
         finite_number(self.direction, "an event's direction")
         if not isinstance(self.terminal, int) or self.terminal < 0:
-            raise ModelError(f"An event's terminal must be True, False or a number of events, not {self.terminal!r}.")
+            raise ModelError(
+                f"An event's terminal must be True, False or a number of events, not {shown(self.terminal)}."
+            )
 
 
 @dataclass(frozen=True)
@@ -253,8 +255,8 @@ def most_steps(given: object, method: str, span: tuple[float, float], max_step: 
         return max(STEPS[method], int(min(MARGIN * abs(span[1] - span[0]) / max_step, sys.maxsize)))
     if given is None:
         return None
-    if not isinstance(given, int | np.integer) or isinstance(given, bool) or given < 1:
-        raise ModelError(f"max_steps must be a positive integer, 'auto', or None for no limit, not {given!r}.")
+    if not is_integer(given) or given < 1:
+        raise ModelError(f"max_steps must be a positive integer, 'auto', or None for no limit, not {shown(given)}.")
     return min(int(given), sys.maxsize)
 
 
@@ -416,11 +418,7 @@ class _Watch:
             self.values[i] = self._call(function, run.t, run.x)
 
     def _call(self, function: Callable[[float, Floats], float], t: float, x: Floats) -> float:
-        value = function(t, x)
-        try:
-            return float(value)
-        except (TypeError, ValueError, OverflowError) as error:
-            raise ModelError(f"The callable of an event must return a number, not {value!r}.") from error
+        return number(function(t, x), "What the callable of an event returns")
 
     def look(self, run: Run | SolverRun) -> float | None:
         """Note the events of the last step; the time of the one that ends the run."""

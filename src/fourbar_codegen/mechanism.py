@@ -15,7 +15,7 @@ import sympy.physics.mechanics as me
 from sympy.core.function import AppliedUndef
 from sympy.physics.mechanics.system import System
 
-from fourbar_codegen.errors import ModelError
+from fourbar_codegen.errors import ModelError, shown
 
 __all__ = [
     "Body",
@@ -423,6 +423,9 @@ class _Reader:
     def vector(self, vector: me.Vector, used_by: str) -> Vector:
         # A zero vector has no components; SymPy writes it as 0 in places.
         parts = vector.args if isinstance(vector, me.Vector) else []
+        for components, _ in parts:
+            if not isinstance(components, sm.MatrixBase):  # nan times a vector
+                raise ModelError(f"{shown(components)} in the {used_by} cannot be compiled: it is not a vector.")
         return tuple((self.number(frame, used_by), tuple(matrix)) for matrix, frame in parts)
 
     def velocity(self, point: me.Point, used_by: str) -> Vector:

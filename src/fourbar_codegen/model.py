@@ -14,7 +14,8 @@ import sympy as sm
 from sympy.core.function import AppliedUndef
 
 from fourbar_codegen.arguments import finite_number, is_mapping, name_of
-from fourbar_codegen.errors import ModelError
+from fourbar_codegen.convert import is_computable
+from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.mechanism import Mechanism, read_mechanism, walk
 
 if TYPE_CHECKING:
@@ -56,6 +57,9 @@ class Parameter:
     def __post_init__(self) -> None:
         if self.value is not None and not getattr(self.value, "free_symbols", None):
             object.__setattr__(self, "value", finite_number(self.value, "a parameter"))
+        for name in ("unit", "description"):
+            if not isinstance(getattr(self, name), str):
+                raise ModelError(f"A parameter's {name} must be text, not {shown(getattr(self, name))}.")
 
 
 @dataclass(frozen=True)
@@ -233,6 +237,8 @@ class Model:
         self.system = system
         self.name = name
         self.mechanism: Mechanism = read_mechanism(system)
+        for label, expressions in (*self.mechanism.labelled_loads(), *self.mechanism.labelled_structure()):
+            _check_expressions(expressions, label)
         self.input_expressions = self._read_inputs(_mapping(inputs, "inputs"))
         self.potential_energy = None if potential_energy is None else _expression(potential_energy, "potential_energy")
         self.output_expressions = {
@@ -486,10 +492,28 @@ def _expression(given: Any, what: str) -> sm.Expr:
     try:
         expression = sm.sympify(given, strict=True)
     except sm.SympifyError as error:
-        raise ModelError(f"{what} must be an expression or a number, not {given!r}.") from error
-    if not isinstance(expression, sm.Expr) or expression.is_extended_real is False or expression.is_finite is False:
-        raise ModelError(f"{what} must be a real and finite expression, not {given!r}.")
+        raise ModelError(f"{what} must be an expression or a number, not {shown(given)}.") from error
+    _check_expressions([expression], what)
+    if expression.is_extended_real is False or expression.is_finite is False:
+        raise ModelError(f"{what} must be a real and finite expression, not {shown(given)}.")
     return expression
+
+
+def _check_expressions(expressions: Iterable[sm.Basic], label: str) -> None:
+    """Raise where an expression has something in it that is no operation on real numbers."""
+    expressions = tuple(expressions)
+    for expression in expressions:
+        if not isinstance(expression, sm.Expr):
+            raise ModelError(f"{label} must be a real and finite expression, not {shown(expression)}.")
+    for node in walk(expressions):
+        is_value = isinstance(node, AppliedUndef | sm.Derivative) or (
+            isinstance(node, sm.Symbol) and node.is_commutative
+        )
+        if not (is_value or is_computable(node)):
+            raise ModelError(
+                f"{shown(node)} in {label} cannot be compiled: expressions are made of real numbers within the range "
+                "of double, symbols, functions of time, sums, products, powers, and SymPy's functions of these."
+            )
 
 
 def _name(function: sm.Expr) -> str:

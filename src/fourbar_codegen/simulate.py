@@ -18,12 +18,14 @@ from fourbar_codegen.arguments import (
     longest_step,
     name_of,
     named_array,
+    numbers,
+    one_of,
     positive,
     sample_times,
     time_span,
     tolerance,
 )
-from fourbar_codegen.errors import ModelError
+from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.integrate import (
     FIXED_STEP,
     METHODS,
@@ -112,7 +114,7 @@ def by_name(model: CompiledModel, inputs: Mapping[Any, Any] | None) -> Mapping[A
     """The inputs' sources, by name."""
     if inputs is not None and not is_mapping(inputs):
         names = ", ".join(entry["name"] for entry in model.manifest["inputs"] if not entry["order"])
-        raise ModelError(f"inputs must be a mapping from the inputs' names ({names}), not {inputs!r}.")
+        raise ModelError(f"inputs must be a mapping from the inputs' names ({names}), not {shown(inputs)}.")
     return {} if inputs is None else inputs
 
 
@@ -154,10 +156,12 @@ def own_source(name: str, source: Any) -> float | tuple[Floats, Floats] | Callab
 def _table(name: str, source: Sequence[ArrayLike]) -> tuple[Floats, Floats]:
     """Times and values of a table, checked."""
     what = f"Input {name} must be a number, a table (times, values), or a callable of (t, x)."
-    try:
-        times, values = (np.array(column, dtype=float) for column in source)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise ModelError(f"{what} A table has two arrays of numbers.") from error
+    if len(source) != 2:
+        raise ModelError(f"{what} A table has two arrays of numbers, not {len(source)}.")
+    times, values = (
+        numbers(column, f"{what} A table's {part}").copy()
+        for column, part in zip(source, ("times", "values"), strict=True)
+    )
     if times.shape != values.shape or times.ndim != 1 or len(times) < 2:
         raise ModelError(
             f"{what} A table has two arrays of the same length, two or more, not of the shapes {times.shape} and "
@@ -205,8 +209,7 @@ def simulate(
 ) -> Trajectory:
     """Integrate the equations of motion; see `CompiledModel.simulate`."""
     methods = (*METHODS, FIXED_STEP, *SOLVERS)
-    if method not in methods:
-        raise ModelError(f"There is no method {method!r}; there are {', '.join(methods)}.")
+    one_of(method, methods, "method")
     if not (formulation is None or method == "IDA"):
         raise ModelError(f"A formulation is for IDA; {method} has none.")
     closes = projects(model, constraints, *(() if method in (FIXED_STEP, "IDA") else ("baumgarte",)))
@@ -226,14 +229,14 @@ def simulate(
         raise ModelError(f"{FIXED_STEP} takes steps of one length: give it as max_step.")
     limit = most_steps(max_steps, method, (start, end), max_step)
     if not (progress is None or progress is False or callable(progress)):
-        raise ModelError(f"progress must be a callable of the time, False or None, not {progress!r}.")
+        raise ModelError(f"progress must be a callable of the time, False or None, not {shown(progress)}.")
     with ExitStack() as stack:
-        shown: list[Progress] = []  # made where a run is a long one
+        bars: list[Progress] = []  # made where a run is a long one
 
         def show(t: float) -> None:
-            if not shown:
-                shown.append(stack.enter_context(Progress(model.name, unwatched=True)))
-            shown[0].stage(f"simulating, t = {t:.6g} of {end:g} s")
+            if not bars:
+                bars.append(stack.enter_context(Progress(model.name, unwatched=True)))
+            bars[0].stage(f"simulating, t = {t:.6g} of {end:g} s")
 
         result = integrate(
             model, ode, (start, end), state, method=method, t_eval=times, rtol=tolerances[0], atol=tolerances[1],
@@ -318,8 +321,8 @@ def make_stepper(
 def projects(model: CompiledModel, constraints: str, *more: str) -> bool:
     """Whether states are to be moved onto the constraints."""
     allowed = ("project", *more, "none")
-    if constraints not in allowed:
-        raise ModelError(f"constraints must be {' or '.join(map(repr, allowed))}, not {constraints!r}.")
+    if not isinstance(constraints, str) or constraints not in allowed:
+        raise ModelError(f"constraints must be {' or '.join(map(repr, allowed))}, not {shown(constraints)}.")
     if constraints == "none" or not model.n_c + model.n_h:
         return False
     if not model.manifest["can_project"]:
@@ -355,7 +358,7 @@ def _events(model: CompiledModel, events: object) -> list[Event] | None:
             if name not in model.outputs:
                 known = ", ".join(model.outputs) or "none"
                 raise ModelError(
-                    f"events must be callables of (t, x) or names of outputs ({known}), not {event.function!r}."
+                    f"events must be callables of (t, x) or names of outputs ({known}), not {shown(event.function)}."
                 )
             event = replace(event, function=name)
         watched.append(event)

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import DenseOutput, OdeSolution
 
 from fourbar_codegen import solvers
+from fourbar_codegen.arguments import numbers
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.runtime.evaluator import OK
 from fourbar_codegen.runtime.integrator import Ode
@@ -201,7 +202,7 @@ class _Solution:
 
     def __call__(self, t: Any) -> Floats:
         """The state at times t: shape (n_x,) for a number, (n_x, n) for n of them."""
-        times = np.array(t, dtype=float, ndmin=1)
+        times = np.atleast_1d(numbers(t, "The times"))
         if times.ndim != 1:
             raise ModelError(f"Times must be a number or an array of one dimension, not of shape {np.shape(t)}.")
         solution = OdeSolution(self._times, self._interpolants)

@@ -30,8 +30,8 @@ import scipy.integrate
 from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.arguments import longest_step, tolerance
-from fourbar_codegen.errors import ModelError
+from fourbar_codegen.arguments import finite_number, longest_step, number, numbers, one_of, positive, tolerance
+from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.integrate import NOT_RATES, consistent
 from fourbar_codegen.runtime.evaluator import is_finite
 from fourbar_codegen.runtime.implicit import FORMULATIONS, Rates, Residual
@@ -63,8 +63,22 @@ class _Compiled(scipy.integrate.OdeSolver):
                 f"fourbar_codegen.solvers.{name} integrates what CompiledModel.ode() returns, without args=, not "
                 f"{fun!r}{other}."
             )
-        if np.shape(y0) != (fun.n_x,):
-            raise ModelError(f"The state must have shape ({fun.n_x},), not {np.shape(y0)}.")
+        y0 = numbers(y0, "The state y0")
+        if y0.shape != (fun.n_x,) or not is_finite(y0):
+            raise ModelError(f"The state y0 must be finite and have shape ({fun.n_x},), not {shown(y0)}.")
+        for name in options.keys() & {"rtol", "atol"}:
+            options[name] = numbers(options[name], name)[()]
+            if np.shape(options[name]) not in {(), (fun.n_x,)} or not np.all(
+                (options[name] >= 0) & np.isfinite(options[name])
+            ):
+                raise ModelError(f"{name} must be a number, not negative, or an array of shape ({fun.n_x},) of such.")
+        if "max_step" in options:
+            options["max_step"] = longest_step(options["max_step"])
+        if options.get("first_step") is not None:
+            options["first_step"] = positive(options["first_step"], "first_step")
+        t0, t_bound = finite_number(t0, "t0"), number(t_bound, "t_bound")
+        if math.isnan(t_bound):
+            raise ModelError("The end t_bound must be a number or infinite, not nan.")
         self.ode = copy(fun)  # with memory of its own: others may use the one given, in other threads
         self._complete(options)
         super().__init__(self.ode, t0, y0, t_bound, **options)
@@ -205,7 +219,7 @@ class _Sundials(_Compiled):
         self._options = {
             "rtol": float(tolerance(rtol, "rtol")),
             "max_step": 0.0 if longest == math.inf else longest,
-            "first_step": first_step or 0.0,
+            "first_step": 0.0 if first_step is None else positive(first_step, "first_step"),
             "max_num_steps": 10_000,  # for a single one, with its repetitions
         }
         self._atol = np.array(np.broadcast_to(tolerance(atol, "atol", self.n), self.n))
@@ -302,8 +316,7 @@ class IDA(_Sundials):
     ) -> None:
         super().__init__(fun, t0, y0, t_bound, **options)
         ode, manifest = self.ode, self.ode.manifest
-        if formulation not in FORMULATIONS:
-            raise ModelError(f"There is no formulation {formulation!r}; there are {', '.join(FORMULATIONS)}.")
+        one_of(formulation, FORMULATIONS, "formulation")
         if formulation != "index-1":
             if not manifest["can_project"]:
                 raise ModelError(f"{NOT_RATES}: take formulation='index-1'.")

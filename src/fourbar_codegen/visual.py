@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fourbar_codegen.arguments import positive
 from fourbar_codegen.drawing import drawing, equal_times, extent, panels
-from fourbar_codegen.errors import ModelError
+from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.progress import PATIENCE
 
 if TYPE_CHECKING:
@@ -163,8 +163,8 @@ def _draw_mechanism(axes: Any, model: CompiledModel, positions: Floats, planar: 
 
 def _checked(model: CompiledModel, points: Iterable[str]) -> list[str]:
     """Names of points of the model."""
-    if isinstance(points, str):
-        raise ModelError(f"Points are given as a sequence of their names, not {points!r}.")
+    if isinstance(points, str) or not isinstance(points, Iterable):
+        raise ModelError(f"Points are given as a sequence of their names, not {shown(points)}.")
     names = list(points)
     unknown = [name for name in names if name not in model.points]
     if unknown:

@@ -95,6 +95,10 @@ cdef inline double *data(cnp.ndarray array) noexcept:
     return <double *>cnp.PyArray_DATA(array)
 
 cpdef cnp.ndarray numbers(object values, str what)
+cpdef object number(object value, str what)
+cdef inline object time_of(object t):
+    return t if type(t) is float else number(t, "The time t")
+cdef cnp.ndarray rows(object columns, str what)
 cdef cnp.ndarray vector(object values, int n, str what)
 
 

@@ -33,6 +33,12 @@ cdef cnp.ndarray new_array(int rows, int columns=-1):
     return cnp.PyArray_EMPTY(1 if columns < 0 else 2, shape, cnp.NPY_DOUBLE, 0)
 
 
+cdef inline bint _is_ready(object values) noexcept:
+    """Whether values are an array as C takes it."""
+    return (cnp.PyArray_CheckExact(values) and cnp.PyArray_TYPE(values) == cnp.NPY_DOUBLE
+            and cnp.PyArray_ISCARRAY_RO(values))
+
+
 cpdef cnp.ndarray numbers(object values, str what):
     """Real numbers as an array of double, native, aligned and contiguous: the same array if it is one already.
 
@@ -52,29 +58,47 @@ cpdef cnp.ndarray numbers(object values, str what):
     Raises
     ------
     ModelError
-        If there are complex numbers, text, times, masked arrays, None or numbers beyond the range of double among
+        If there are complex numbers, text, times, masked entries, None or numbers beyond the range of double among
         them, or rows of different lengths.
     """
-    cdef cnp.ndarray given
-    if (cnp.PyArray_CheckExact(values) and cnp.PyArray_TYPE(values) == cnp.NPY_DOUBLE
-            and cnp.PyArray_ISCARRAY_RO(values)):
+    if _is_ready(values):
         return values
     try:
-        given = np.asarray(values)
-        if _masked(values, cnp.PyArray_NDIM(given)):
-            raise TypeError("masked")
-        kind = given.dtype.kind
-        if kind == "O":
-            given = np.reshape([_real(entry) for entry in given.ravel()], np.shape(given))
-        elif kind not in "biuf":
-            raise TypeError(kind)
-        return cnp.PyArray_FROM_OTF(given, cnp.NPY_DOUBLE, cnp.NPY_ARRAY_CARRAY_RO | cnp.NPY_ARRAY_FORCECAST)
+        return _read(values)
     except (TypeError, ValueError, OverflowError) as error:
         raise ModelError(f"{what} must be real numbers, not {shown(values)}.") from error
 
 
+cpdef object number(object value, str what):
+    """A real number as a float, read as `numbers` are."""
+    cdef cnp.ndarray array
+    try:
+        if isinstance(value, (float, int)):
+            return float(value)
+        array = _read(value)
+        if cnp.PyArray_NDIM(array):
+            raise TypeError(f"of shape {np.shape(array)}")
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ModelError(f"{what} must be a real number, not {shown(value)}.") from error
+    return data(array)[0]
+
+
+cdef cnp.ndarray _read(object values):
+    cdef cnp.ndarray given = np.asarray(values)
+    if _masked(values, cnp.PyArray_NDIM(given)):
+        raise TypeError("masked")
+    kind = given.dtype.kind
+    if kind == "O":
+        given = np.reshape([_real(entry) for entry in given.ravel()], np.shape(given))
+    elif kind not in "biuf":  # not complex, text, time
+        raise TypeError(kind)
+    return cnp.PyArray_FROM_OTF(given, cnp.NPY_DOUBLE, cnp.NPY_ARRAY_CARRAY_RO | cnp.NPY_ARRAY_FORCECAST)
+
+
 cdef double _real(object entry) except? -1.0:
     """An entry of an array of objects; float() would read text, and take a time or the real part for the number."""
+    if isinstance(entry, np.ndarray) and entry.ndim == 0 and not _masked(entry, 0):
+        entry = entry[()]
     if isinstance(entry, (str, bytes, bytearray)) or _masked(entry, 0):
         raise TypeError(type(entry))
     if isinstance(entry, np.generic) and entry.dtype.kind not in "biuf":
@@ -83,12 +107,12 @@ cdef double _real(object entry) except? -1.0:
 
 
 cdef bint _masked(object values, int depth):
-    """Whether there are masked arrays in lists of so many dimensions; NumPy would drop their masks."""
+    """Whether entries are masked, also of arrays in lists of so many dimensions: NumPy would drop the masks."""
     masked = sys.modules.get("numpy.ma")  # without which nobody has one
     if masked is None:
         return False
     if isinstance(values, masked.MaskedArray):
-        return True
+        return masked.is_masked(values)
     if depth > 0 and isinstance(values, (list, tuple)):
         for value in values:
             if type(value) is not float and _masked(value, depth - 1):
@@ -96,9 +120,14 @@ cdef bint _masked(object values, int depth):
     return False
 
 
+cdef cnp.ndarray rows(object columns, str what):
+    """Real numbers, as `numbers` has them, with rows for the columns that are given."""
+    return numbers(np.transpose(numbers(columns, what)), what)
+
+
 cdef cnp.ndarray vector(object values, int n, str what):
     """Real numbers, as `numbers` has them, of the shape (n,)."""
-    cdef cnp.ndarray array = numbers(values, what)
+    cdef cnp.ndarray array = <cnp.ndarray>values if _is_ready(values) else numbers(values, what)
     if cnp.PyArray_NDIM(array) != 1 or cnp.PyArray_DIM(array, 0) != n:
         raise ModelError(f"{what} must have shape ({n},), not {(<object>array).shape}.")
     return array
@@ -241,7 +270,7 @@ cdef class Evaluator:
             p = self.parameter_values(p)
         values = vector(p, self.n_p, "The parameters p")
         if not fb_finite(data(values), self.n_p):
-            raise ModelError(f"The parameters p must be finite, not {p!r}.")
+            raise ModelError(f"The parameters p must be finite, not {shown(p)}.")
         return values
 
     cdef cnp.ndarray _inputs(self, double t, cnp.ndarray parameters, object r, bint known):
@@ -257,13 +286,13 @@ cdef class Evaluator:
             r = self.input_values(r, values.tolist())
         values = vector(r, self.n_r, "The inputs r")
         if not fb_finite(data(values), self.n_r):
-            raise ModelError(f"The inputs r must be finite, not {r!r}.")
+            raise ModelError(f"The inputs r must be finite, not {shown(r)}.")
         return values
 
     cdef cnp.ndarray _state(self, double t, object x, int n):
         cdef cnp.ndarray values = vector(x, n, "The state x" if n == self.n_x else "The coordinates q")
         if not (fb_finite(data(values), n) and fb_finite(&t, 1)):
-            raise ModelError(f"Time and state must be finite, not t = {t}, x = {x!r}.")
+            raise ModelError(f"Time and state must be finite, not t = {t}, x = {shown(x)}.")
         return values
 
     cdef const double *_prepare(self, cnp.ndarray parameters) noexcept:
@@ -280,7 +309,7 @@ cdef class Evaluator:
             return self.inputs
         return data(inputs)
 
-    def rhs(self, double t, x, p=None, r=None, out=None):
+    def rhs(self, t, x, p=None, r=None, out=None):
         """The right-hand side of x' = f(t, x).
 
         Parameters
@@ -316,6 +345,7 @@ cdef class Evaluator:
         >>> four_bar.rhs(0.0, x0).round(6).tolist()
         [-0.1, 0.071583, -0.027469, -9.269182, 6.637037, -2.55111]
         """
+        t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.inputs_known)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
@@ -330,14 +360,15 @@ cdef class Evaluator:
 
     cdef cnp.ndarray _output(self, object out, cnp.ndarray state, cnp.ndarray parameters, cnp.ndarray inputs):
         if not (cnp.PyArray_Check(out) and cnp.PyArray_TYPE(out) == cnp.NPY_DOUBLE and cnp.PyArray_ISCARRAY(out)
-                and cnp.PyArray_NDIM(out) == 1 and cnp.PyArray_DIM(out, 0) == self.n_x):
+                and cnp.PyArray_NDIM(out) == 1 and cnp.PyArray_DIM(out, 0) == self.n_x
+                and (cnp.PyArray_CheckExact(out) or not _masked(out, 0))):
             raise ModelError(f"out must be a contiguous, writable array of {self.n_x} floats.")
         if (_overlap(out, state) or (parameters is not None and _overlap(out, parameters))
                 or (inputs is not None and _overlap(out, inputs))):
             raise ModelError("out must not share memory with x, p or r.")
         return out
 
-    def jacobian(self, double t, x, p=None, r=None):
+    def jacobian(self, t, x, p=None, r=None):
         """The derivatives of the right-hand side with respect to the state.
 
         They follow from M u' = f + J^T lambda and J u' + gamma = 0, differentiated in C.
@@ -364,9 +395,10 @@ cdef class Evaluator:
         >>> four_bar.jacobian(0.0, four_bar.initial_state([-0.5], [-0.1])).shape
         (6, 6)
         """
+        t = time_of(t)
         return self._differentiate(self.kernel.jacobian, self.n_x, t, x, p, r)
 
-    def parameter_jacobian(self, double t, x, p=None, r=None):
+    def parameter_jacobian(self, t, x, p=None, r=None):
         """The derivatives of the right-hand side with respect to the parameters.
 
         They count all of a parameter's ways to x' at the state x: also those through parameters that are expressions of
@@ -395,6 +427,7 @@ cdef class Evaluator:
         >>> four_bar.parameter_jacobian(0.0, four_bar.initial_state([-0.5], [-0.1])).shape
         (6, 8)
         """
+        t = time_of(t)
         cdef cnp.ndarray result = self._differentiate(self.kernel.parameter_jacobian, self.n_p, t, x, p, r)
         cdef cnp.ndarray by_inputs
         cdef cnp.ndarray by_parameters = self.default_input_sensitivity(t, p)
@@ -414,7 +447,7 @@ cdef class Evaluator:
             raise SimulationError(self.failure(FB_NOT_FINITE, t, x))
         return result
 
-    def input_jacobian(self, double t, x, p=None, r=None):
+    def input_jacobian(self, t, x, p=None, r=None):
         """The derivatives of the right-hand side with respect to the inputs.
 
         Parameters
@@ -438,6 +471,7 @@ cdef class Evaluator:
         >>> four_bar.input_jacobian(0.0, four_bar.initial_state([-0.5], [-0.1]))[:3].tolist()
         [[0.0], [0.0], [0.0]]
         """
+        t = time_of(t)
         return self._differentiate(self.kernel.input_jacobian, self.n_r, t, x, p, r)
 
     cdef cnp.ndarray _differentiate(self, fb_evaluation *function, int columns, double t, x, p, r):
@@ -452,8 +486,9 @@ cdef class Evaluator:
             raise SimulationError(self.failure(status, t, x))
         return result
 
-    def accelerations(self, double t, x, p=None, r=None):
+    def accelerations(self, t, x, p=None, r=None):
         """u', shape (n_u,), and the constraints' multipliers lambda, shape (n_c,)."""
+        t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.inputs_known)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
@@ -467,8 +502,9 @@ cdef class Evaluator:
             raise SimulationError(self.failure(status, t, x))
         return accelerations, multipliers
 
-    def dynamics(self, double t, x, p=None, r=None):
+    def dynamics(self, t, x, p=None, r=None):
         """q', M, f, J and gamma of M u' = f + J^T lambda, J u' + gamma = 0."""
+        t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.inputs_known)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
@@ -482,8 +518,9 @@ cdef class Evaluator:
                              data(mass_matrix), data(forcing), data(jacobian), data(bias))
         return rates, mass_matrix, forcing, jacobian, bias
 
-    def position(self, double t, q, p=None, r=None):
+    def position(self, t, q, p=None, r=None):
         """The position constraints, shape (n_h,), and their derivatives by q, shape (n_h, n_q)."""
+        t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.moving_known)
         cdef cnp.ndarray coordinates = self._state(t, q, self.n_q)
@@ -494,8 +531,9 @@ cdef class Evaluator:
                              data(jacobian))
         return constraints, jacobian
 
-    def velocity(self, double t, x, p=None, r=None):
+    def velocity(self, t, x, p=None, r=None):
         """J, shape (n_c, n_u), and b, shape (n_c,), of the velocity constraints J u + b = 0."""
+        t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.moving_known)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
@@ -506,8 +544,9 @@ cdef class Evaluator:
                              data(bias))
         return jacobian, bias
 
-    def closure(self, double t, x, p=None, r=None):
+    def closure(self, t, x, p=None, r=None):
         """By how much the constraints are violated, row by row as in J: positions and velocities, shape (n_c,) each."""
+        t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.moving_known)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
@@ -518,9 +557,10 @@ cdef class Evaluator:
                             data(velocities))
         return positions, velocities
 
-    def constraint_scale(self, double t, x, p=None, r=None):
+    def constraint_scale(self, t, x, p=None, r=None):
         """What violations are measured by: of the position constraints, shape (n_h,), and of the rows of `closure`, shape
         (n_c,) each."""
+        t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.moving_known)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
@@ -532,8 +572,9 @@ cdef class Evaluator:
                                      data(positions), data(velocities))
         return constraints, positions, velocities
 
-    def coordinate_change(self, double t, x, change, p=None, r=None):
+    def coordinate_change(self, t, x, change, p=None, r=None):
         """K v, the change of the coordinates, shape (n_q,), for a change v of what the speeds integrate to."""
+        t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.inputs_known)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
@@ -544,8 +585,9 @@ cdef class Evaluator:
                                       data(result))
         return result
 
-    def constraint_sensitivity(self, double t, x, p=None, r=None):
+    def constraint_sensitivity(self, t, x, p=None, r=None):
         """d(J u + b)/dq, shape (n_c, n_q), dPhi/dr, shape (n_h, n_r), and d(J u + b)/dr, shape (n_c, n_r)."""
+        t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.moving_known)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
@@ -557,8 +599,9 @@ cdef class Evaluator:
                                            data(by_coordinates), data(positions), data(velocities))
         return by_coordinates, positions, velocities
 
-    def energy(self, double t, x, p=None, r=None):
+    def energy(self, t, x, p=None, r=None):
         """Kinetic and potential energy, shape (2,)."""
+        t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.moving_known)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
@@ -567,8 +610,9 @@ cdef class Evaluator:
         self.kernel.energy(t, data(state), constants, self._fill(t, constants, inputs), data(energies))
         return energies
 
-    def drawing(self, double t, x, p=None, r=None):
+    def drawing(self, t, x, p=None, r=None):
         """Positions of the points that are drawn, shape (n_points, 3), and the inputs' forces, shape (n_forces, 3)."""
+        t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.moving_known)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
@@ -580,9 +624,9 @@ cdef class Evaluator:
 
     def drawing_along(self, times, states, inputs, p=None):
         """The same for states and inputs in columns, shapes (n_points, 3, n_t) and (n_forces, 3, n_t)."""
-        cdef cnp.ndarray t = np.ascontiguousarray(times, dtype=np.float64)
-        cdef cnp.ndarray x = np.ascontiguousarray(np.transpose(states), dtype=np.float64)
-        cdef cnp.ndarray r = np.ascontiguousarray(np.transpose(inputs), dtype=np.float64)
+        cdef cnp.ndarray t = numbers(times, "The times")
+        cdef cnp.ndarray x = rows(states, "The states")
+        cdef cnp.ndarray r = rows(inputs, "The inputs")
         cdef cnp.ndarray parameters = self._parameters(p)
         self._check_columns(t, x, r)
         cdef int i, n_t = np.size(t)
@@ -605,11 +649,12 @@ cdef class Evaluator:
                 f"inputs of shape ({self.n_r}, {np.size(t)}), not {np.shape(r)[::-1]}.")
         return 0
 
-    def held(self, double t, x, accelerations, multipliers, p=None, r=None):
+    def held(self, t, x, accelerations, multipliers, p=None, r=None):
         """What is evaluated for given u' and lambda: the outputs, and the sensitivities by x, p and r.
 
         The latter are dq', shape (n_q, n), and d(f - M u' + J^T lambda, -(J u' + gamma)), shape (n_u + n_c, n).
         """
+        t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.inputs_known)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
@@ -638,15 +683,17 @@ cdef class Evaluator:
         cdef cnp.ndarray values = self._parameters(p)
         return None if values is None else np.array(values)
 
-    def default_inputs(self, double t, p=None):
+    def default_inputs(self, t, p=None):
         """The inputs' expressions at one time, shape (n_r,); NaN where there is none."""
+        t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = new_array(self.n_r)
         self.kernel.default_inputs(t, self._prepare(parameters), data(inputs))
         return inputs
 
-    def default_input_sensitivity(self, double t, p=None):
+    def default_input_sensitivity(self, t, p=None):
         """The derivatives of the inputs' expressions by the parameters, shape (n_r, n_p); 0 where there is none."""
+        t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray result = new_array(self.n_r, self.n_p)
         self.kernel.default_input_sensitivity(t, self._prepare(parameters), data(result))
@@ -659,9 +706,9 @@ cdef class Evaluator:
         States and inputs stand in columns. Multipliers and outputs are NaN where the accelerations cannot be
         evaluated.
         """
-        cdef cnp.ndarray t = np.ascontiguousarray(times, dtype=np.float64)
-        cdef cnp.ndarray x = np.ascontiguousarray(np.transpose(states), dtype=np.float64)
-        cdef cnp.ndarray r = np.ascontiguousarray(np.transpose(inputs), dtype=np.float64)
+        cdef cnp.ndarray t = numbers(times, "The times")
+        cdef cnp.ndarray x = rows(states, "The states")
+        cdef cnp.ndarray r = rows(inputs, "The inputs")
         cdef cnp.ndarray parameters = self._parameters(p)
         self._check_columns(t, x, r)
         cdef int n_t = cnp.PyArray_DIM(t, 0)

@@ -9,7 +9,7 @@ from libc.string cimport memcpy
 
 from fourbar_codegen.runtime.evaluator cimport (
     FB_OK, Evaluator, data, fb_fill_inputs, fb_finite, fb_kernel, fb_problem, fb_problem_jacobian, fb_problem_project, fb_problem_rates, fb_source,
-    fb_table, new_array, vector)
+    fb_table, new_array, number, numbers, rows, time_of, vector)
 
 import numpy as np
 
@@ -162,9 +162,10 @@ cdef class Ode:
             if type(given) is Table:
                 self.problem.sources[self.problem.n_sources].table = &(<Table>given).table
             elif callable(given):
-                self.callables.append((i, self.problem.n_sources, given))
+                what = f"What the callable of input {self.names[i]} returns"
+                self.callables.append((self.problem.n_sources, given, what))
             else:
-                self.problem.sources[self.problem.n_sources].value = float(given)
+                self.problem.sources[self.problem.n_sources].value = number(given, f"Input {self.names[i]}")
             self.problem.n_sources += 1
         if self.callables:
             self.problem.called_inputs, self.problem.caller = _call_inputs, <void *>self
@@ -185,15 +186,10 @@ cdef class Ode:
         cdef cnp.ndarray state
         cdef list called = []
         try:
-            for i, source, function in self.callables:
+            for source, function, what in self.callables:
                 state = new_array(self.evaluator.n_x)  # of its own for each: what it does to it stays its own affair
                 memcpy(data(state), x, self.evaluator.n_x * sizeof(double))
-                value = function(t, state)
-                try:
-                    called.append((source, <double>value))
-                except (TypeError, OverflowError) as error:
-                    raise ModelError(
-                        f"The callable of input {self.names[i]} must return a number, not {value!r}.") from error
+                called.append((source, number(function(t, state), what)))
         except BaseException as error:
             self.problem.status = FB_OK  # the equations have not failed, the callable has
             self.error = error
@@ -230,8 +226,8 @@ cdef class Ode:
         return self.problem.stabilization
 
     @stabilization.setter
-    def stabilization(self, double rate):
-        self.problem.stabilization = rate
+    def stabilization(self, rate):
+        self.problem.stabilization = number(rate, "The stabilization")
 
     @property
     def has_jacobian(self):
@@ -252,8 +248,9 @@ cdef class Ode:
         """A sentence for a status of the kernel."""
         return self.evaluator.failure(status, t, x)
 
-    def input_values(self, double t, x):
+    def input_values(self, t, x):
         """The inputs at one time and state, shape (n_r,)."""
+        t = time_of(t)
         cdef cnp.ndarray state = vector(x, self.evaluator.n_x, "The state x")
         cdef cnp.ndarray result = new_array(self.evaluator.n_r)
         self.check(fb_fill_inputs(&self.problem, t, data(state)))
@@ -262,8 +259,8 @@ cdef class Ode:
 
     def inputs_along(self, times, states):
         """The inputs at times, for states in columns, shape (n_r, n)."""
-        cdef cnp.ndarray t = np.ascontiguousarray(times, dtype=np.float64)
-        cdef cnp.ndarray x = np.ascontiguousarray(np.transpose(states), dtype=np.float64)
+        cdef cnp.ndarray t = numbers(times, "The times")
+        cdef cnp.ndarray x = rows(states, "The states")
         cdef int i, n = np.size(t), n_x = self.evaluator.n_x, n_r = self.evaluator.n_r
         cdef cnp.ndarray result = new_array(n, n_r)
         if np.shape(x) != (n, n_x):
@@ -277,26 +274,30 @@ cdef class Ode:
         """Whether the constraints have changed their orientation from one call to the next: see `fb_kernel`."""
         return bool(self.problem.kernel.turned(self.problem.work))
 
-    def closest(self, double t, x):
+    def closest(self, t, x):
         """The state moved onto the constraints, shape (n_x,), behind the kernel's status of that."""
+        t = time_of(t)
         cdef cnp.ndarray state = vector(x, self.evaluator.n_x, "The state x").copy()
         cdef int status = self.check(fb_problem_project(&self.problem, t, data(state), 0))
         return status, state
 
-    def project(self, double t, x):
+    def project(self, t, x):
         """The state moved onto the constraints, shape (n_x,); where that cannot be done, as it was."""
+        t = time_of(t)
         status, state = self.closest(t, x)
         return np.array(x) if status else state
 
-    def __call__(self, double t, x):
+    def __call__(self, t, x):
         """x', shape (n_x,), a fresh array."""
+        t = time_of(t)
         cdef cnp.ndarray state = vector(x, self.evaluator.n_x, "The state x")
         cdef cnp.ndarray result = new_array(self.evaluator.n_x)
         self.check(fb_problem_rates(&self.problem, t, data(state), data(result)))
         return result
 
-    def multipliers(self, double t, x):
+    def multipliers(self, t, x):
         """x', shape (n_x,), and the multipliers of the constraints, shape (n_c,)."""
+        t = time_of(t)
         cdef cnp.ndarray state = vector(x, self.evaluator.n_x, "The state x")
         cdef cnp.ndarray accelerations = new_array(self.evaluator.n_u), result = new_array(self.evaluator.n_c)
         cdef cnp.ndarray rates = self(t, state)
@@ -307,8 +308,9 @@ cdef class Ode:
             raise SimulationError(self.evaluator.failure(status, t, state))
         return rates, result
 
-    def jac(self, double t, x):
+    def jac(self, t, x):
         """d f / d x, shape (n_x, n_x)."""
+        t = time_of(t)
         cdef cnp.ndarray state = vector(x, self.evaluator.n_x, "The state x")
         cdef cnp.ndarray result = new_array(self.evaluator.n_x, self.evaluator.n_x)
         self.check(fb_problem_jacobian(&self.problem, t, data(state), data(result)))
@@ -793,7 +795,7 @@ cdef class DenseOutput:
 
     def __call__(self, t):
         """The state at times t: shape (n_x,) for a number, (n_x, n) for n of them."""
-        cdef cnp.ndarray at = np.array(t, dtype=np.float64, ndmin=1)
+        cdef cnp.ndarray at = np.atleast_1d(numbers(t, "The times"))
         cdef int i, n = self.ode.evaluator.n_x
         cdef cnp.ndarray x = np.empty((np.size(at), n))
         cdef cnp.ndarray step

@@ -1,7 +1,8 @@
-"""Generated kernels and the runtime's C under the address and the undefined behaviour sanitizer."""
+"""Generated kernels and the runtime's C under the sanitizers of addresses, undefined behaviour and threads."""
 
 import os
 import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,15 +10,19 @@ import pytest
 import fourbar_codegen as fb
 
 # All functions of a kernel, a projected run by each method with interpolated samples, steps of one length, the
-# equations for implicit solvers, and, side by side, more states than there are lanes, and more runs, with samples and
-# an input held.
+# equations for implicit solvers, and, side by side on three threads, more states than there are lanes, more runs, with
+# samples, a table and an input held, and none at all.
 PROGRAM = """
 #include "fourbar_augmented.h"
 #include "fourbar_batch.h"
 #include "fourbar_implicit.h"
 #include "fourbar_integrate.h"
+#include <pthread.h>
 #include <stdio.h>
 #include <stdlib.h>
+
+static const double table_times[] = {0.0, 0.2, 0.5}, slopes_and_values[] = {15.0, 0.0, -20.0, 3.0};
+static const fb_table table = {2, 2, table_times, slopes_and_values, 0.0, -3.0};
 
 static double *doubles(const int n)
 {
@@ -71,11 +76,13 @@ static double evaluate(const fb_kernel *k, const double *p)
     return sum;
 }
 
-static double run(const fb_kernel *k, const double *p, const double *x0, const fb_tableau *method)
+static double run(const fb_kernel *k, const double *p, const double *x0, const fb_tableau *method, const int by_table)
 {
     const int n = k->n_q + k->n_u, padded = (n + FB_BLOCK - 1) / FB_BLOCK * FB_BLOCK;
+    fb_source source = {.table = &table};
     fb_problem problem = {.kernel = k, .constants = doubles(k->n_constants), .inputs = doubles(k->n_r),
-                          .work = calloc(1, k->work_size), .failed_x = doubles(n), .moved_x = doubles(n)};
+                          .work = calloc(1, k->work_size), .failed_x = doubles(n), .moved_x = doubles(n),
+                          .sources = &source, .n_sources = by_table && k->n_r > 0};
     double *const state = calloc((size_t)padded * 32, sizeof(double)), *const tolerance = doubles(padded);
     double times[50], *const t = doubles(50), *const samples = doubles(50 * n);
     k->prepare(p, problem.constants);
@@ -133,12 +140,43 @@ static double implicit(const fb_kernel *k, const double *p, const double *x0)
     return sum;
 }
 
+typedef struct work {
+    const fb_lanes *lanes;
+    const fb_batch *batch;
+    const fb_ensemble *ensemble;
+    long begin, end;
+} work;
+
+static void *on_thread(void *given)
+{
+    const work *const w = given;
+    if (w->batch)
+        w->lanes->batch(w->batch, w->begin, w->end);
+    else
+        w->lanes->run(w->ensemble);
+    return NULL;
+}
+
+static void on_threads(const fb_kernel *k, const fb_batch *batch, const fb_ensemble *ensemble, const long n)
+{
+    pthread_t threads[3];
+    work works[3];
+    if (k->lanes == NULL || k->lanes->width == 0)
+        return;
+    for (int i = 0; i < 3; ++i) {
+        works[i] = (work){k->lanes, batch, ensemble, n * i / 3, n * (i + 1) / 3};
+        pthread_create(threads + i, NULL, on_thread, works + i);
+    }
+    for (int i = 0; i < 3; ++i)
+        pthread_join(threads[i], NULL);
+}
+
 static double together(const fb_kernel *k, const double *p, const double *x0, const fb_tableau *method)
 {
     enum { N = 19 };
     const int n_x = k->n_q + k->n_u;
     double *const x = doubles(N * n_x), *const ps = doubles(N * k->n_p), *const rates = doubles(N * n_x), t[N];
-    double *const samples = doubles(N * n_x * 3), *const values = doubles(N), *const tolerance = doubles(n_x);
+    double *const samples = doubles(N * n_x * 3), *const values = doubles(N * 2), *const tolerance = doubles(n_x);
     const double times[3] = {0.0, 0.123, 0.5};
     const int stop = 0;
     char status[N] = {0};
@@ -153,12 +191,12 @@ static double together(const fb_kernel *k, const double *p, const double *x0, co
     }
     const fb_batch batch = {k, N, {t, N}, {x, N}, {ps, N}, {NULL, 0}, rates};
     const fb_batch held = {k, N, {t, 0}, {x, N}, {p, 0}, {NULL, 0}, rates};
+    const fb_batch none = {k, 0, {t, 0}, {x + N * n_x, 0}, {ps + N * k->n_p, 0}, {NULL, 0}, rates};
     fb_batch_one_by_one(&batch, 0, N);
-    if (k->lanes && k->lanes->width) {
-        k->lanes->batch(&batch, 0, 3);
-        k->lanes->batch(&batch, 3, N);
-        k->lanes->batch(&held, 0, N);
-    }
+    on_threads(k, &batch, NULL, N);
+    on_threads(k, &held, NULL, N);
+    fb_batch_one_by_one(&none, 0, 0);
+    on_threads(k, &none, NULL, 0);
     sum += rates[N];
     for (int i = 0; i < n_x; ++i)
         tolerance[i] = 1e-6;
@@ -167,16 +205,18 @@ static double together(const fb_kernel *k, const double *p, const double *x0, co
         memcpy(ps + i * k->n_p, p, (size_t)k->n_p * sizeof *p);
     }
     x[5 * n_x] = NAN;
-    const fb_source source = {.input = k->n_r - 1};
-    const fb_ensemble e = {
-        .kernel = k, .n = N, .x = x, .p = ps, .n_sources = k->n_r > 1, .sources = &source, .values = values,
+    const fb_source sources[] = {{.table = &table}, {.input = k->n_r - 1}};
+    fb_ensemble e = {
+        .kernel = k, .n = N, .x = x, .p = ps, .n_sources = k->n_r < 2 ? k->n_r : 2, .sources = sources,
+        .values = values,
         .method = method, .project = k->n_c > 0, .t_bound = 0.5, .max_step = INFINITY, .rtol = tolerance,
         .atol = tolerance, .times = times, .n_times = 3, .samples = samples, .status = status,
         .n_evaluations = counts, .next = &next, .n_ended = &ended, .stop = &stop,
     };
-    if (k->lanes && k->lanes->width)
-        k->lanes->run(&e);
+    on_threads(k, NULL, &e, 0);
     sum += samples[2];
+    e.n = next = ended = 0;
+    on_threads(k, NULL, &e, 0);
     free(x), free(ps), free(rates), free(samples), free(values), free(tolerance);
     return sum;
 }
@@ -192,8 +232,9 @@ int main(int argc, char **argv)
     for (int i = 0; i < k->n_q + k->n_u; ++i)
         x0[i] = atof(argv[1 + k->n_p + i]);
     printf("%.17g", evaluate(k, p));
-    printf(" %.17g %.17g %.17g", run(k, p, x0, &fb_rk4), run(k, p, x0, &fb_rk45), run(k, p, x0, &fb_dop853));
-    printf(" %.17g %.17g\\n", run(k, p, x0, &fb_trapezoid), implicit(k, p, x0));
+    printf(" %.17g %.17g %.17g", run(k, p, x0, &fb_rk4, 0), run(k, p, x0, &fb_rk45, 0), run(k, p, x0, &fb_dop853, 0));
+    printf(" %.17g %.17g", run(k, p, x0, &fb_trapezoid, 0), run(k, p, x0, &fb_rk45, 1));
+    printf(" %.17g\\n", implicit(k, p, x0));
     printf("%.17g %.17g\\n", together(k, p, x0, &fb_rk45), together(k, p, x0, &fb_dop853));
     free(p), free(x0);
     return 0;
@@ -211,25 +252,64 @@ MODELS = {
 }
 
 
+CPUINFO = Path("/proc/cpuinfo")
+PROCESSOR = CPUINFO.read_text(encoding="utf-8").split() if CPUINFO.is_file() else []
+# What tells how many states stand side by side: 2, 4 or 8.
+WIDTHS = [[], *([f"-m{words}"] for words in ("avx2", "avx512f") if words in PROCESSOR)]
+
+
+class Program:
+    """A model's sources with the program above, under a sanitizer."""
+
+    def __init__(self, model, folder, sanitizer):
+        self.model, self.folder = model, folder
+        for file, text in fb.generate_sources(model).items():
+            (folder / file).write_text(text)
+        (folder / "program.c").write_text(PROGRAM)
+        # Optimization would only take away what the sanitizers look at, and takes them a minute for the bicycle.
+        self.command = [os.environ.get("CC", "cc"), "-std=c11", "-O0", "-g", f"-fsanitize={sanitizer}", "-pthread"]
+        self.command += ["-fno-sanitize-recover=all", f"-I{fb.get_include()}", f"-I{folder}"]
+        self.command += [f"-DKERNEL={model.name}_kernel", "-include", f"{model.name}_kernel.h"]
+        self.lanes = folder / f"{model.name}_lanes.c"
+        self.objects = [self.compiled(path) for path in sorted(folder.glob("*.c")) if path != self.lanes]
+
+    def compiled(self, path, *flags):
+        subprocess.run([*self.command, *flags, "-c", str(path), "-o", f"{path}.o"], check=True)
+        return f"{path}.o"
+
+    def run(self, flags, values):
+        """What it prints, with the functions for states side by side compiled with more flags."""
+        lanes = [self.compiled(self.lanes, *flags)] if self.lanes.is_file() else []
+        program = str(self.folder / "program")
+        subprocess.run([*self.command, *self.objects, *lanes, "-o", program, "-lm"], check=True)
+        done = subprocess.run([program, *values], capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        return [float(word) for word in done.stdout.split()]
+
+
+def arguments(compiled, x0):
+    return [repr(float(value)) for value in (*compiled.defaults.values(), *x0)]
+
+
 @pytest.mark.parametrize("name", MODELS)
 def test_kernel_and_runs_under_sanitizers(tmp_path, name):
     make, coordinates = MODELS[name]
     model = make()
-    for file, text in fb.generate_sources(model).items():
-        (tmp_path / file).write_text(text)
-    (tmp_path / "program.c").write_text(PROGRAM)
-    # Optimization would only take away what the sanitizers look at, and takes them a minute for the bicycle.
-    command = [os.environ.get("CC", "cc"), "-std=c11", "-O0", "-g", "-fsanitize=address,undefined"]
-    command += ["-fno-sanitize-recover=all", f"-I{fb.get_include()}", f"-I{tmp_path}", f"-DKERNEL={model.name}_kernel"]
-    command += ["-include", f"{model.name}_kernel.h", *map(str, sorted(tmp_path.glob("*.c")))]
-    subprocess.run([*command, "-o", str(tmp_path / "program"), "-lm"], check=True)
+    program = Program(model, tmp_path, "address,undefined")
     compiled = fb.compile_model(model)
     x0 = compiled.initial_state(coordinates)
-    values = [repr(float(value)) for value in (*compiled.defaults.values(), *x0)]
-    done = subprocess.run([tmp_path / "program", *values], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    for flags in WIDTHS:
+        numbers = program.run(flags, arguments(compiled, x0))
     # The same runs by the package, built without sanitizers; rounding differs with the flags.
-    _, _, *ends, _, _, _ = map(float, done.stdout.split())
-    for method, end in zip(("RK45", "DOP853", "ALI3P"), ends, strict=True):
+    _, _, *ends, by_table, _, _, _ = numbers
+    table = {name: ([0.0, 0.2, 0.5], [0.0, 3.0, -3.0]) for name in compiled.inputs[:1]}
+    for method, end, inputs in zip(
+        ("RK45", "DOP853", "ALI3P", "RK45"), (*ends, by_table), (*3 * [None], table), strict=True
+    ):
         how = {"method": method, "rtol": 1e-6, "atol": 1e-6, "max_step": 0.01 if method == "ALI3P" else np.inf}
-        assert end == pytest.approx(compiled.simulate((0.0, 0.5), x0, **how).y[0, -1], rel=1e-6, abs=1e-8)
+        run = compiled.simulate((0.0, 0.5), x0, inputs=inputs, **how)
+        assert end == pytest.approx(run.y[0, -1], rel=1e-6, abs=1e-8)
+
+
+def test_threads_do_not_meet(tmp_path, four_bar):
+    Program(fb.models.four_bar(), tmp_path, "thread").run([], arguments(four_bar, four_bar.initial_state()))

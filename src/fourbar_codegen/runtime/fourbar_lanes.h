@@ -311,6 +311,8 @@ static FB_INLINE void fb_batch_of(const fb_batch *b, const long begin, const lon
 
 static FB_FLATTEN int batch(const fb_batch *b, const long begin, const long end)
 {
+    if (begin >= end)
+        return 0; /* of no states, not even parameters can be read */
     fb_side *const s = fb_new_side(b->kernel, sizeof *s); /* for single states */
     if (s == NULL)
         return -1;

@@ -11,6 +11,8 @@ from Cython.Build import cythonize
 from setuptools import Extension, setup
 
 RUNTIME = "src/fourbar_codegen/runtime"
+# Behind the user's flags, as in build.py: what is not a number has to be noticed, and roundings are part of the method.
+STRICT_FLAGS = ["-fno-fast-math", "-fno-finite-math-only", "-fno-unsafe-math-optimizations"]
 MACROS = [("NPY_NO_DEPRECATED_API", "NPY_1_7_API_VERSION")]
 
 
@@ -21,8 +23,8 @@ def extension(name: str, sources: list[Path | str], folder: Path | str, *flags: 
         include_dirs=[str(folder), RUNTIME, np.get_include()],
         depends=[str(path) for path in sorted(Path(RUNTIME).glob("*.h")) + sorted(Path(RUNTIME).glob("*.pxd"))],
         define_macros=MACROS,
-        # Behind the user's CFLAGS: what is not a number has to be noticed, and roundings are part of the method.
-        extra_compile_args=["-O3", *flags, "-g0", "-fno-fast-math", "-fno-finite-math-only"],
+        extra_compile_args=["-O3", *flags, "-g0", *STRICT_FLAGS],
+        extra_link_args=["-O2", *STRICT_FLAGS],
     )
 
 

@@ -1,5 +1,8 @@
 """Whatever is wrong gets an error of the package's own that names it and says what is allowed."""
 
+import os
+import subprocess
+import sys
 from decimal import Decimal
 from fractions import Fraction
 
@@ -398,9 +401,16 @@ def test_odd_compiler_settings(monkeypatch, tmp_path, variable, text):
         fb.build_model(make_four_bar(), tmp_path)
 
 
-def test_fast_math_does_not_hide_what_is_not_a_number(monkeypatch, tmp_path):
+def test_fast_math_changes_neither_what_is_not_a_number_nor_the_process(monkeypatch, tmp_path):
+    monkeypatch.setenv("CC", f"{os.environ.get('CC', 'cc')} -Ofast")
     monkeypatch.setenv("CFLAGS", "-ffast-math")
-    four_bar = fb.load(fb.build_model(make_four_bar(), tmp_path))
+    monkeypatch.setenv("LDFLAGS", "-ffast-math -funsafe-math-optimizations")
+    path = fb.build_model(make_four_bar(), tmp_path)
+    # The least number of double is one still: with code that compilers link for these flags, it would be zero.
+    script = f"import fourbar_codegen as fb\nfb.load({str(path)!r})\nprint(float('5e-324') * 1.0)"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout == "5e-324\n"
+    four_bar = fb.load(path)
     ode = four_bar.ode()
     assert np.isnan(ode(0.0, [np.nan] * 6)).all()
     assert "not finite" in ode.failure

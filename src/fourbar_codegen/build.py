@@ -44,7 +44,10 @@ LANES_FLAGS = (*COMMON_FLAGS, "-O2", "-fpeel-loops", "-fno-tree-vectorize")
 # What the compiler does beyond -O1 takes it half as long again, for a few per cent of long straight-line code.
 DERIVATIVES_FLAGS = (*COMMON_FLAGS, "-O1")
 # Behind the user's flags: a kernel has to notice what is not a number, and so have integrators.
-STRICT_FLAGS = ("-fno-fast-math", "-fno-finite-math-only")
+STRICT_FLAGS = ("-fno-fast-math", "-fno-finite-math-only", "-fno-unsafe-math-optimizations")
+# With such flags, compilers also link code that takes denormal numbers for zero, in the whole process that loads it.
+# Another -O takes the place of -Ofast, which is one of them.
+STRICT_LINK_FLAGS = ("-O2", *STRICT_FLAGS)
 # For what is built on the machine that it is used on.
 MACHINE_FLAGS = ("-march=native",) if platform.machine() == "x86_64" else ()
 # The wrapper only passes pointers on; what counts is how long its compilation takes.
@@ -85,7 +88,7 @@ def toolchain() -> dict[str, object]:
             KERNEL_FLAGS,
             LANES_FLAGS,
             DERIVATIVES_FLAGS,
-            STRICT_FLAGS,
+            STRICT_LINK_FLAGS,
             WRAPPER_FLAGS,
             MACHINE_FLAGS,
             _user_flags("CFLAGS"),
@@ -364,7 +367,7 @@ def _build(name: str, sources: Mapping[str, str], folder: Path, *, portable: boo
 
 
 def _link(objects: Iterable[Path], target: Path) -> Path:
-    _run([*_compiler(), *map(str, objects), *_link_flags(), "-o", str(target)], target)
+    _run([*_compiler(), *map(str, objects), *_link_flags(), *STRICT_LINK_FLAGS, "-o", str(target)], target)
     return target
 
 

@@ -130,6 +130,13 @@ def test_fingerprint_tells_structures_apart():
         fingerprint.fingerprint(object())
 
 
+def test_expressions_nested_deeper_than_pythons_stack():
+    expr = sm.Symbol("x")
+    for _ in range(5 * sys.getrecursionlimit()):
+        expr = sm.sin(expr, evaluate=False)
+    assert fingerprint.fingerprint(expr) != fingerprint.fingerprint(expr.args[0])
+
+
 def test_warm_call_forms_no_equations(monkeypatch):
     cold = fb.compile_model(slider())
 

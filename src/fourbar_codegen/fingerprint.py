@@ -73,15 +73,21 @@ class _Writer:
             raise TypeError(f"Cannot digest a {type(data).__name__}.")
 
     def node(self, expr: sm.Basic) -> int:
-        number = self.numbers.get(expr)
-        if number is None:
-            arguments = [self.node(argument) for argument in expr.args]
-            if isinstance(expr, AppliedUndef):
-                head = f"function {expr.func.__name__}"
-            elif arguments:
-                head = type(expr).__name__
+        # Depth first without recursion, each node behind its arguments.
+        stack = [expr]
+        while stack:
+            node = stack[-1]
+            if node in self.numbers:
+                stack.pop()
+            elif missing := [argument for argument in node.args if argument not in self.numbers]:
+                stack.extend(reversed(missing))
             else:
-                head = sm.srepr(expr)
-            number = self.numbers[expr] = len(self.numbers)
-            self.line(head, *arguments)
-        return number
+                self.line(_head(node), *(self.numbers[argument] for argument in node.args))
+                self.numbers[node] = len(self.numbers)
+        return self.numbers[expr]
+
+
+def _head(node: sm.Basic) -> str:
+    if isinstance(node, AppliedUndef):
+        return f"function {node.func.__name__}"
+    return type(node).__name__ if node.args else sm.srepr(node)

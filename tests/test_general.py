@@ -145,6 +145,20 @@ def test_jacobian_where_a_branch_is_not_taken():
         np.testing.assert_allclose(energy, 9.81, atol=1e-3)
 
 
+def test_derivatives_of_sinc_also_at_zero():
+    F = me.dynamicsymbols("F")
+    model = fb.Model(sliding(sm.sinc(q) + F.diff(t, 2)), parameters={m: 1.0}, inputs={F: sm.sinc(t)})
+    compiled = fb.compile_model(model)
+    # With as many digits as the quotients lose.
+    for x in (1e-12, 1e-6, 1e-3, 0.1, 0.999999, 1.000001, 2.0, -30.0):
+        values = [sm.diff(sm.sin(t) / t, t, order).subs(t, sm.Rational(x)).evalf(30, maxn=200) for order in range(3)]
+        # Beyond the series, from 1 on, the quotients lose less than a digit.
+        assert compiled.jacobian(0.0, [x, 0.0])[1, 0] == pytest.approx(float(values[1]), rel=2e-15)
+        assert compiled.default_inputs(x) == pytest.approx([float(value) for value in values], rel=2e-15)
+    assert compiled.jacobian(0.0, [0.0, 0.0])[1, 0] == 0.0
+    assert compiled.default_inputs(0.0) == pytest.approx([1.0, 0.0, -1 / 3], rel=1e-15)
+
+
 def test_speed_without_a_coordinate():
     block = fb.compile_model(coordinate_free())
     # m v' = -b v

@@ -14,7 +14,7 @@ import sympy as sm
 from sympy.core.function import AppliedUndef
 
 from fourbar_codegen.arguments import finite_number, is_mapping, name_of
-from fourbar_codegen.convert import is_computable
+from fourbar_codegen.convert import is_computable, smooth_sinc
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.mechanism import Mechanism, read_mechanism, walk
 
@@ -343,7 +343,9 @@ class Model:
         entries = []
         for function, expression in self.input_expressions.items():
             for order in range(3 if function in prescribed else 1):
-                default = expression if order == 0 or expression is None else expression.diff((t, order))
+                default = expression
+                if order and expression is not None:
+                    default = expression.replace(sm.sinc, smooth_sinc).diff((t, order))
                 derivative = function if order == 0 else function.diff((t, order))
                 entries.append(InputEntry(_name(function) + order * "'", derivative, default, _name(function), order))
         return tuple(entries)

@@ -130,6 +130,18 @@ def test_fingerprint_tells_structures_apart():
         fingerprint.fingerprint(object())
 
 
+def test_dummies_are_told_apart_by_their_first_appearance():
+    def digest(*symbols):
+        a, b, c = symbols
+        return fingerprint.fingerprint((sm.sin(a) ** b, a / c))
+
+    x, y = sm.Symbol("x"), sm.Symbol("y")
+    d, e, f = (sm.Dummy(name) for name in "xyx")
+    assert digest(d, e, e) == digest(sm.Dummy("x"), *2 * [sm.Dummy("y")])
+    different = [digest(*s) for s in ((d, e, e), (d, e, d), (d, e, f), (x, y, y), (sm.Dummy("x", positive=True), e, e))]
+    assert len(set(different)) == len(different)
+
+
 def test_expressions_nested_deeper_than_pythons_stack():
     expr = sm.Symbol("x")
     for _ in range(5 * sys.getrecursionlimit()):

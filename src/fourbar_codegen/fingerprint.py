@@ -90,4 +90,6 @@ class _Writer:
 def _head(node: sm.Basic) -> str:
     if isinstance(node, AppliedUndef):
         return f"function {node.func.__name__}"
+    if isinstance(node, sm.Dummy):  # told from others by its first appearance: its index is another in every process
+        return f"dummy {sm.srepr(sm.Symbol(node.name, **node.assumptions0))}"
     return type(node).__name__ if node.args else sm.srepr(node)

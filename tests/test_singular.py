@@ -137,8 +137,8 @@ def test_redundant_constraints():
     repeated = fb.compile_model(pendulum(circle, 3 * circle, -0.2 * circle))
     x0 = single.initial_state([0.6], [0.5])
     runs = [model.simulate((0.0, 2.0), x0, method="ALI3P", max_step=1e-3) for model in (single, repeated)]
-    # Newton's method ends where speeds change by 1e-9 of the largest, in either run, and neighbouring steps add up.
-    np.testing.assert_allclose(runs[1].y, runs[0].y, rtol=0, atol=3e-9 * np.abs(runs[0].y[2:]).max())
+    # Newton's method ends where speeds change by 1e-9 of the largest, in either run; steps add up to twice that.
+    np.testing.assert_allclose(runs[1].y, runs[0].y, rtol=0, atol=4e-9 * np.abs(runs[0].y[2:]).max())
 
 
 def test_a_parallelogram_with_a_bar_too_many_falls_over():

@@ -209,7 +209,7 @@ manifest = (
     '    "position": 230,\n'
     '    "velocity": 165,\n'
     '    "closure": 142,\n'
-    '    "constraint_scale": 1590,\n'
+    '    "constraint_scale": 1410,\n'
     '    "coordinate_change": 0,\n'
     '    "energy": 373,\n'
     '    "output": 0,\n'

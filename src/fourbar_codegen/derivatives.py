@@ -79,10 +79,11 @@ class Direction:
 class Rounding:
     """What rounding errors make of scalars, in units of the precision of double.
 
-    To first order, with every leaf v known to |v| + LEAST and every function to its own value: the error of a node is
-    the sum, over its operands, of its derivative's size times theirs. So a constraint Phi has at least
-    sum_j |dPhi/dq_j| |q_j|, and terms that cancel, or constants, count with their size. Where a constraint is violated
-    by no more than some of these units, nothing in it is known better.
+    To first order, with every leaf v known to |v| + LEAST, sines and cosines to 1, since angles that vanish are known
+    to no more either, and other functions to their own value: the error of a node is the sum, over its operands, of its
+    derivative's size times theirs. So a constraint Phi has at least sum_j |dPhi/dq_j| |q_j|, and terms that cancel, or
+    constants, count with their size. Where a constraint is violated by no more than some of these units, nothing in it
+    is known better.
 
     Source: N. J. Higham, *Accuracy and Stability of Numerical Algorithms*, 2nd ed. 2002, section 3.3, running error
     analysis.
@@ -113,7 +114,10 @@ class Rounding:
         if isinstance(operation, Call) and _is_piecewise(operation):
             return _size(tape, _piecewise_rate(tape, operation, [known[argument] for argument in operation.arguments]))
         errors = [known[operand] * _size(tape, partial) for operand, partial in _partials(tape, node)]
-        return tape.sum([*errors, _size(tape, Scalar(tape, 1, node))] if isinstance(operation, Call) else errors)
+        if isinstance(operation, Call):
+            angle = isinstance(operation.expression, sm.sin | sm.cos)
+            errors.append(tape.one if angle else _size(tape, Scalar(tape, 1, node)))
+        return tape.sum(errors)
 
 
 def _size(tape: Tape, scalar: Scalar) -> Scalar:

@@ -12,9 +12,10 @@ typedef struct fb_crew {
     long member[FB_WIDTH], next_time[FB_WIDTH], n_steps[FB_WIDTH];
     double h_abs[FB_WIDTH];
     int rejected[FB_WIDTH];
-    /* J at the beginning of the step, and the determinant of its columns in the usual split; that is not a number
-     * where it is not known */
-    fb_real jacobian_before[FB_AT_LEAST_1(N_JACOBIAN)], orientation;
+    /* J at the beginning of the step, and the orientation of its columns in the usual split, as `fb_orientation` has it;
+     * that is not a number where it is not known; and the largest one of the run, and the largest entries of rows */
+    fb_real jacobian_before[FB_AT_LEAST_1(N_JACOBIAN)], orientation, largest_orientation;
+    fb_real row_size[FB_AT_LEAST_1(N_C)];
     fb_source sources[FB_WIDTH][FB_AT_LEAST_1(N_R)];
     /* for the beginning of a run */
     fb_problem problem;
@@ -90,15 +91,14 @@ static inline fb_mask fb_crew_close(fb_crew *restrict c, const fb_real t, fb_rea
     constraint_scale(t, x, s->constants, s->inputs, unused, position_scale, velocity_scale);
     for (int i = 0; i < CORRECTIONS && fb_any(open); ++i) {
         closure(t, x, s->constants, s->inputs, positions, velocities);
-        fb_real position = fb_number(0.0), velocity = position, sum = position;
+        fb_real size = fb_number(0.0), sum = size;
         for (int j = 0; j < N_C; ++j) {
             /* 0 by a scale of 0 is none. */
-            position = fb_greater(fb_abs(positions[j]) / position_scale[j], position);
-            velocity = fb_greater(fb_abs(velocities[j]) / velocity_scale[j], velocity);
+            size = fb_greater(fb_abs(positions[j]) / position_scale[j], size);
+            size = fb_greater(fb_abs(velocities[j]) / velocity_scale[j], size);
             sum += positions[j] + velocities[j];
         }
         open &= sum - sum == 0.0;
-        const fb_real size = fb_greater(position, velocity);
         fb_mask done = size <= FB_CLOSED;
         if (i > 1) {
             const fb_mask stagnates = ~(size < 0.5 * last);
@@ -115,7 +115,7 @@ static inline fb_mask fb_crew_close(fb_crew *restrict c, const fb_real t, fb_rea
         coordinate_change(t, x, s->constants, s->inputs, change, coordinate_changes);
         fb_split_solve(NULL, velocities, &s->split, change);
         for (int j = 0; j < N_Q; ++j)
-            x[j] = fb_select(open & (position > FB_CLOSED), x[j] + coordinate_changes[j], x[j]);
+            x[j] = fb_select(open, x[j] + coordinate_changes[j], x[j]);
         for (int j = 0; j < N_U; ++j)
             x[N_Q + j] = fb_select(open, x[N_Q + j] + change[j], x[N_Q + j]);
     }
@@ -211,6 +211,9 @@ static inline void fb_enter(fb_crew *c, const fb_ensemble *e, const int lane)
         s->kernel->velocity(e->t, x, s->lane_constants, s->lane_inputs, jacobian, bias);
         fb_put_lane(jacobian, lane, N_JACOBIAN, c->jacobian_before);
         c->orientation[lane] = NAN;
+        c->largest_orientation[lane] = 0.0;
+        for (int i = 0; i < N_C; ++i)
+            c->row_size[i][lane] = 0.0;
         while (c->next_time[lane] < e->n_times && e->times[c->next_time[lane]] == e->t)
             fb_store(c, e, lane, c->x);
         return;
@@ -223,23 +226,41 @@ static inline fb_mask fb_turned(fb_crew *c, const fb_mask asked)
 {
     const fb_side *const s = &c->side;
     fb_mask turned = asked & 0;
-    fb_real orientation = fb_number(1.0);
+    fb_real orientation = fb_number(INFINITY), sign = fb_number(1.0);
     if (N_C == 0)
         return turned;
-    for (int k = 0; k < N_C; ++k)
-        orientation *= s->split.lu[k][k];
-    orientation = fb_select(s->split.good, orientation, fb_number(NAN));
+    for (int k = 0; k < N_C; ++k) {
+        const int row = usual_row[k];
+        fb_real size = c->row_size[row];
+        for (int j = 0; j < N_U; ++j)
+            size = fb_greater(fb_abs(s->constraint_jacobian[row * N_U + j]), size);
+        c->row_size[row] = fb_select(asked, size, c->row_size[row]);
+        const fb_real pivot = fb_abs(s->split.lu[k][k]) / size;
+        orientation = fb_select(pivot < orientation, pivot, orientation);
+        sign = fb_select(s->split.lu[k][k] < 0.0, -sign, sign);
+    }
+    orientation = fb_select(s->split.good, sign * orientation, fb_number(NAN));
     const fb_real both = orientation * c->orientation;
-    turned = asked & (both < 0.0);
+    turned = asked & ((both < 0.0) | (fb_abs(orientation) < FB_CLOSE_BY * c->largest_orientation));
+    c->largest_orientation =
+        fb_select(asked, fb_greater(fb_abs(orientation), c->largest_orientation), c->largest_orientation);
     const fb_mask unknown = asked & (both != both);
     if (fb_any(unknown))
         for (int lane = 0; lane < FB_WIDTH; ++lane)
             if (unknown[lane]) {
                 double now[FB_AT_LEAST_1(N_JACOBIAN)], before[FB_AT_LEAST_1(N_JACOBIAN)];
+                double row_size[FB_AT_LEAST_1(N_C)];
                 fb_factors factors;
+                fb_take_lane(c->row_size, lane, N_C, row_size);
                 fb_take_lane(s->constraint_jacobian, lane, N_JACOBIAN, now);
                 fb_take_lane(c->jacobian_before, lane, N_JACOBIAN, before);
-                if (fb_eliminate(now, &factors) != FB_OK || fb_sign(now, &factors) * fb_sign(before, &factors) < 0)
+                if (fb_eliminate(now, &factors) != FB_OK) {
+                    turned[lane] = -1;
+                    continue;
+                }
+                const double at_end = fb_orientation(now, row_size, &factors);
+                if (at_end * fb_orientation(before, row_size, &factors) < 0.0 ||
+                    fabs(at_end) < FB_CLOSE_BY * c->largest_orientation[lane])
                     turned[lane] = -1;
             }
     for (int i = 0; i < N_JACOBIAN; ++i)

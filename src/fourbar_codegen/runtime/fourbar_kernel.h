@@ -100,7 +100,8 @@ typedef struct fb_kernel {
     int (*project)(double t, double *x, const double *constants, const double *r, int known, void *work);
     /* Whether the constraints have changed their orientation from one call to the next: whether the determinant of the
      * columns of J that rhs has taken for dependent when it was last called with `work` has another sign than it had.
-     * Then J has lost rank on the way, or a long step has jumped over a dead point of these speeds. */
+     * Then J has lost rank on the way, or a long step has jumped over a dead point of these speeds. Or whether J is
+     * close to losing rank, where loops that are closed but for rounding errors may lead past the singular position. */
     int (*turned)(void *work);
     /* d(J u + b)/dq, dPhi/dr and d(J u + b)/dr */
     fb_constraint_sensitivity *constraint_sensitivity;

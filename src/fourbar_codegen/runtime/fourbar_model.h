@@ -28,7 +28,8 @@ typedef struct fb_work {
     double multipliers[FB_AT_LEAST_1(N_C)];
     double residual_jacobian[(N_U + N_C) * N_COLUMNS];
     double jacobian_before[FB_AT_LEAST_1(N_JACOBIAN)]; /* J when `turned` was last called */
-    int known_before;
+    double row_size[FB_AT_LEAST_1(N_C)];               /* the largest entries of its rows that `turned` has met, */
+    double largest_orientation;                        /* and the largest orientation, 0 before it was called */
 } fb_work;
 
 #ifdef FB_SPARSE
@@ -143,14 +144,11 @@ static int project(double t, double *x, const double *constants, const double *r
             if (stagnates)
                 break;
             last = size;
-            /* Positions that are closed stay: what rounding would make of them opens the velocities again. */
-            if (position > FB_CLOSED) {
-                fb_solve(at_rest, positions, &w->factors, change);
-                coordinate_change(t, x, constants, r, change, coordinate_changes);
-                for (int j = 0; j < N_Q; ++j)
-                    x[j] += coordinate_changes[j];
-            }
+            fb_solve(at_rest, positions, &w->factors, change);
+            coordinate_change(t, x, constants, r, change, coordinate_changes);
             fb_solve(at_rest, velocities, &w->factors, change);
+            for (int j = 0; j < N_Q; ++j)
+                x[j] += coordinate_changes[j];
             for (int j = 0; j < N_U; ++j)
                 x[N_Q + j] += change[j];
         }
@@ -164,11 +162,14 @@ static int turned(void *work)
     int result = 0;
 #ifndef FB_SPARSE
     if (N_C > 0 && N_RANK == N_C) {
-        if (w->known_before)
-            result = fb_sign(w->constraint_jacobian, &w->factors) * fb_sign(w->jacobian_before, &w->factors) < 0;
+        fb_note_rows(w->constraint_jacobian, w->row_size);
+        const double now = fb_orientation(w->constraint_jacobian, w->row_size, &w->factors);
+        result = fabs(now) < FB_CLOSE_BY * w->largest_orientation;
+        if (w->largest_orientation > 0.0)
+            result |= now * fb_orientation(w->jacobian_before, w->row_size, &w->factors) < 0.0;
         for (int i = 0; i < N_JACOBIAN; ++i)
             w->jacobian_before[i] = w->constraint_jacobian[i];
-        w->known_before = 1;
+        w->largest_orientation = fb_max(fabs(now), w->largest_orientation);
     }
 #else
     (void)w;

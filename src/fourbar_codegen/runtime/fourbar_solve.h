@@ -33,6 +33,10 @@ enum { N_MASS = N_U * N_U, N_JACOBIAN = N_C * N_U };
 #define FB_TRY_USUAL (N_C > 0 && N_C <= 8 && N_RANK == N_C)
 /* It is taken where its pivots are no less than this share of the largest in their row. */
 #define FB_USUAL_TOLERANCE 0.25
+/* A singular position is close by where the smallest pivot is below this share of what it has been in a run; less than
+ * where positions count as singular, and more than what lies between two branches that meet there, if the loops are
+ * closed to rounding errors: these open the branches to the root of their size. */
+#define FB_CLOSE_BY 1e-5
 /* And where no row is nearly dependent on others. */
 #define FB_NEAR_DEPENDENCE 1e-6
 
@@ -258,14 +262,23 @@ static inline void fb_back(const double *restrict forcing, const double *restric
         accelerations[fb_column(s, usual, i)] = v[i];
 }
 
-/* The sign of the determinant of the columns of J that stand for the dependent speeds. */
-static inline int fb_sign(const double *restrict jacobian, const fb_factors *restrict s)
+/* The largest entries of the rows of J so far. */
+static inline void fb_note_rows(const double *restrict jacobian, double *restrict row_size)
 {
-    double a[FB_AT_LEAST_1(N_C)][FB_AT_LEAST_1(N_C)];
-    int sign = 1;
+    for (int i = 0; i < N_C; ++i)
+        for (int j = 0; j < N_U; ++j)
+            row_size[i] = fb_max(row_size[i], fabs(jacobian[i * N_U + j]));
+}
+
+/* The sign of the determinant of the columns of J that stand for the dependent speeds, times the smallest pivot of these,
+ * with each row in units of its largest entry so far: it goes through 0, or close to it, at a singular position. */
+static inline double fb_orientation(const double *restrict jacobian, const double *restrict row_size,
+                                    const fb_factors *restrict s)
+{
+    double a[FB_AT_LEAST_1(N_C)][FB_AT_LEAST_1(N_C)], smallest = INFINITY, sign = 1.0;
     for (int i = 0; i < N_C; ++i)
         for (int j = 0; j < N_C; ++j)
-            a[i][j] = jacobian[i * N_U + s->column[j]];
+            a[i][j] = jacobian[i * N_U + s->column[j]] / row_size[i];
     for (int k = 0; k < N_C; ++k) {
         int pivot = k;
         for (int i = k + 1; i < N_C; ++i)
@@ -274,15 +287,16 @@ static inline int fb_sign(const double *restrict jacobian, const fb_factors *res
             sign = -sign;
         for (int j = k; j < N_C; ++j)
             fb_swap_double(&a[k][j], &a[pivot][j]);
-        if (a[k][k] == 0.0)
-            return 0;
+        smallest = fabs(a[k][k]) < smallest ? fabs(a[k][k]) : smallest;
+        if (!(smallest > 0.0))
+            return 0.0;
         if (a[k][k] < 0.0)
             sign = -sign;
         for (int i = k + 1; i < N_C; ++i)
             for (int j = N_C - 1; j > k; --j)
                 a[i][j] -= a[i][k] / a[k][k] * a[k][j];
     }
-    return sign;
+    return sign * smallest;
 }
 
 /* The factors of M and J, for as many right-hand sides as follow. */

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import scipy
 import sympy as sm
+from programs import require
 from systems import coordinate_free, fixed, pendulum, slider
 
 import fourbar_codegen as fb
@@ -63,7 +64,7 @@ def test_kernel_compiles_without_warnings(tmp_path, compiler, optimization, mode
     # Instruction sets matter to states side by side.
     sources = sorted(map(str, tmp_path.glob("*_lanes.c" if "-m" in optimization else "*.c")))
     command = [
-        compiler,
+        require(compiler),
         "-c",
         *sources,
         "-std=c99",

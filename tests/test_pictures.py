@@ -3,7 +3,6 @@
 import base64
 import json
 import re
-import shutil
 import subprocess
 
 import numpy as np
@@ -11,6 +10,7 @@ import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
 from click.testing import CliRunner
+from programs import require
 from systems import pendulum
 from test_prescribed import driven_slider_crank
 
@@ -18,7 +18,6 @@ import fourbar_codegen as fb
 from fourbar_codegen.cli import main
 
 M, G, L = sm.symbols("m g l")
-CHROMIUM = shutil.which("chromium")
 
 
 @pytest.fixture(scope="module")
@@ -140,10 +139,11 @@ def test_animations(trajectory, tmp_path):
         trajectory.animate(fps=0.0)
 
 
-@pytest.mark.skipif(shutil.which("ffprobe") is None, reason="FFmpeg is not installed")
 def test_films(trajectory, tmp_path):
+    require("ffmpeg")
+    ffprobe = require("ffprobe")
     path = trajectory.resample(np.linspace(0.0, 1.0, 5)).save(tmp_path / "run.mp4")
-    command = ["ffprobe", "-v", "error", "-count_frames", "-show_entries", "stream=codec_type,nb_read_frames", path]
+    command = [ffprobe, "-v", "error", "-count_frames", "-show_entries", "stream=codec_type,nb_read_frames", path]
     told = subprocess.run([*command, "-of", "json"], capture_output=True, text=True, check=True).stdout
     assert json.loads(told)["streams"] == [{"codec_type": "video", "nb_read_frames": "31"}]
 
@@ -258,13 +258,12 @@ def test_commands(tmp_path):
 
 @pytest.fixture(scope="module")
 def browser():
-    if CHROMIUM is None:
-        pytest.skip("Chromium is not installed")
+    chromium = require("chromium")
     from playwright.sync_api import sync_playwright
 
     options = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-component-update"]
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=options)
+        browser = playwright.chromium.launch(executable_path=chromium, args=options)
         yield browser
         browser.close()
 

@@ -1,11 +1,15 @@
 """What README.md shows is what happens."""
 
 import itertools
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from programs import PACKAGES
 
 from fourbar_codegen.cli import main
 
@@ -39,3 +43,27 @@ def test_number_of_tests_is_the_one_shown(request):
     config = request.config
     if config.args_source is pytest.Config.ArgsSource.TESTPATHS and not config.option.keyword:  # the whole suite
         assert f" {request.session.testscollected} passed in " in README
+
+
+@pytest.mark.parametrize("ci", [False, True])
+def test_tests_without_the_programs_that_they_need(ci, tmp_path):
+    """On a machine with Python, gcc and make they are skipped and say what to install; on CI that is a failure."""
+    (tmp_path / "bin").mkdir()
+    for folder in os.get_exec_path():
+        for path in Path(folder).glob("*"):
+            link = tmp_path / "bin" / path.name
+            if path.name not in PACKAGES.keys() - {"gcc"} and not link.exists():
+                link.symlink_to(path)
+    environment = {**os.environ, "PATH": str(tmp_path / "bin"), "CI": "true" if ci else ""}
+    command = ["-m", "pytest", "-p", "no:cacheprovider", "-k", "clang or films or play_moves or manifest"]
+    files = [Path(__file__).with_name(name) for name in ("test_generated.py", "test_pictures.py")]
+    done = subprocess.run([sys.executable, *command, *files], capture_output=True, text=True, env=environment)
+    assert done.returncode == (pytest.ExitCode.TESTS_FAILED if ci else pytest.ExitCode.OK), done.stdout
+    said = re.findall(r"^SKIPPED \[(\d+)\] \S+: (.*)$", done.stdout, flags=re.MULTILINE)
+    assert said == [
+        ("21", "clang is not installed: apt install clang"),
+        ("1", "ffmpeg is not installed: apt install ffmpeg"),
+        ("1", "chromium is not installed: apt install chromium"),
+    ]
+    assert ("On CI every test has to run" in done.stdout) == ci
+    assert " passed, 23 skipped, " in done.stdout

@@ -59,8 +59,9 @@ def test_jacobian_against_complex_steps_through_sympys_equations(four_bar, tutor
     step = 1e-30
     for t, x in zip(np.linspace(0.0, 2.0, 50), random_states(four_bar, 50, closed=False), strict=True):
         expected = np.column_stack([tutorial.rhs(t, x + 1j * step * direction).imag / step for direction in np.eye(6)])
-        scale = np.abs(expected).max()
-        np.testing.assert_allclose(four_bar.jacobian(t, x), expected, rtol=0, atol=1e-6 * scale)
+        # As above: the derivative of the solution is a solution with the same J_d.
+        tolerance = 1000 * EPS * np.linalg.cond(four_bar.constraint_jacobian(t, x[:3])[:, 1:]) ** 2
+        assert np.abs(four_bar.jacobian(t, x) - expected).max() <= tolerance * np.abs(expected).max()
 
 
 def test_multipliers_close_the_equations_of_motion(four_bar, tutorial):

@@ -3,7 +3,6 @@
 import multiprocessing
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path
 
@@ -215,7 +214,8 @@ def test_batch_refuses_wrong_arguments(four_bar):
         {"out": np.empty((5, 6)).T},
         {"x": "states"},
     ):
-        with pytest.raises(fb.ModelError):
+        said = {"x": "state", "t": "time", "p": "parameter", "r": "input", "out": "^out must", "workers": "workers"}
+        with pytest.raises(fb.ModelError, match=said[next(iter(wrong))]):
             four_bar.rhs_batch(**{"t": 0.0, "x": x, **wrong})
 
 
@@ -401,7 +401,8 @@ def test_wrong_arguments_are_refused(four_bar):
         {"inputs": {"F": np.array(["1", "b"])}},
         {"inputs": {"F": np.array([1.0, lambda t, x: 1.0])}},
     ):
-        with pytest.raises(fb.ModelError):
+        said = {"x0": "x0|states", "parameters": "parameter", "inputs": "input"}
+        with pytest.raises(fb.ModelError, match=said.get(next(iter(wrong)), next(iter(wrong)))):
             four_bar.ensemble(**{"t_span": (0.0, 1.0), **wrong})
 
 
@@ -454,24 +455,28 @@ def test_callables_get_one_member_at_a_time(four_bar):
 
 
 def test_interrupt(four_bar):
-    """From the keyboard, within 0.1 s and what a busy machine adds; a run of minutes."""
+    """From the keyboard, in runs of weeks. Another thread of Python's goes on beside them, or there were none."""
     code = """
 import _thread, threading, time
 import numpy as np
 import fourbar_codegen as fb
 four_bar = fb.load("four_bar")
 four_bar.ensemble((0.0, 0.1))
-threading.Timer(1.0, _thread.interrupt_main).start()
-begin = time.perf_counter()
+ticks = []
+def keyboard():
+    for _ in range(100):
+        ticks.append(time.sleep(0.01))
+    _thread.interrupt_main()
+threading.Thread(target=keyboard).start()
 try:
-    four_bar.ensemble((0.0, 1e6), parameters={"l1": 0.9, "k": np.linspace(0.0, 0.1, 50), "c": 0.0}, inputs={"F": INPUT})
+    four_bar.ensemble((0.0, 1e9), parameters={"l1": 0.9, "k": np.linspace(0.0, 0.1, 50), "c": 0.0}, inputs={"F": INPUT})
 except KeyboardInterrupt:
-    print(time.perf_counter() - begin < 2.0)
+    print("interrupted after", len(ticks))
 """
     for source in ("0.0", "lambda t, x: 0.0"):
         command = [sys.executable, "-c", code.replace("INPUT", source)]
         done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=100)
-        assert done.stdout == "True\n"
+        assert done.stdout == "interrupted after 100\n"
 
 
 def test_a_member_that_cannot_be_assembled_is_named(four_bar):
@@ -558,22 +563,3 @@ def test_another_model_in_the_same_place_is_not_taken(tmp_path, monkeypatch):
     assert _restore(name, other, manifest, sources).coordinates == model.coordinates
     with pytest.raises(fb.ModelError, match="another one"):
         _restore(name, other, manifest, None)
-
-
-def test_threads_run_at_the_same_time(four_bar):
-    """The interpreter goes on while an ensemble runs in C."""
-    ticks = []
-
-    def tick():
-        while not stopped.wait(0.01):
-            ticks.append(time.perf_counter())
-
-    stopped = threading.Event()
-    thread = threading.Thread(target=tick)
-    thread.start()
-    begin = time.perf_counter()
-    four_bar.ensemble((0.0, 40.0), parameters={"l1": 0.9, "c": 0.0, "k": np.linspace(0.0, 0.1, 3000)}, rtol=1e-10)
-    duration = time.perf_counter() - begin
-    stopped.set()
-    thread.join()
-    assert len(ticks) > duration / 0.01 / 10

@@ -153,7 +153,8 @@ def test_a_callable_that_raises_ends_the_run(four_bar, method):
 )
 def test_wrong_arguments(four_bar, method, wrong):
     how, _ = method
-    with pytest.raises(fb.ModelError):
+    said = {"x0": "state", "parameters": "parameter", "inputs": "input"}
+    with pytest.raises(fb.ModelError, match=said.get(next(iter(wrong)), next(iter(wrong)))):
         four_bar.simulate(**{"t_span": (0.0, 1.0), **how, **wrong})
 
 

@@ -40,12 +40,10 @@ def states(compiled, count):
     return [compiled.initial_state(spin), *(generator.uniform(-1.2, 1.2, compiled.n_x) for _ in range(count - 1))]
 
 
-def tolerance(compiled, x, r):
-    # form_eoms eliminates the dependent speeds with J_d: its rounding errors grow with cond(J_d) squared, and those of
-    # both solutions with the condition of the mass matrix.
-    jacobian = compiled.velocity(0.3, x, r=r)[0][:, compiled.n_u - compiled.n_c :]
-    condition = np.linalg.cond(jacobian) if compiled.n_c else np.linalg.cond(compiled.mass_matrix(0.3, x))
-    return 1000 * EPS * condition**2
+def tolerance(compiled, x):
+    # SymPy solves with this matrix, which has the constraints' rows in it, and with it again for derivatives of what it
+    # solves; a backward stable solution errs by its condition, the factor has room for matrices of eight rows.
+    return 1000 * EPS * np.linalg.cond(compiled.mass_matrix(0.3, x))
 
 
 def test_right_hand_side(pair):
@@ -54,7 +52,7 @@ def test_right_hand_side(pair):
     for x in states(compiled, 30):
         expected = reference.rhs(0.3, x)
         error = np.abs(compiled.rhs(0.3, x, r=r) - expected).max()
-        assert error <= tolerance(compiled, x, r) * np.abs(expected).max() + 1e-12
+        assert error <= tolerance(compiled, x) * np.abs(expected).max()
 
 
 def test_derivatives_by_complex_steps(pair):
@@ -79,14 +77,14 @@ def test_derivatives_by_complex_steps(pair):
             if columns:
                 expected = np.column_stack([rates(*arguments) for arguments in columns])
                 error = np.abs(derivative(0.3, x, r=r) - expected).max()
-                assert error <= tolerance(compiled, x, r) * (np.abs(expected).max() + scale) + 1e-12
+                assert error <= tolerance(compiled, x) * (np.abs(expected).max() + scale)
 
 
 def test_energy_is_conserved_or_balances_the_inputs(pair):
     compiled, _ = pair
-    if compiled.name == "four_bar":  # it has a damper: see test_energy.py
-        return
-    run = compiled.simulate((0.0, 0.5), rtol=1e-10, atol=1e-10)
+    # The four-bar's spring and damper are no potential's: test_energy.py has more of it.
+    inputs, parameters = ({"F": 0.0}, {"k": 0.0, "c": 0.0}) if compiled.name == "four_bar" else ({}, {})
+    run = compiled.simulate((0.0, 0.5), parameters=parameters, inputs=inputs, rtol=1e-10, atol=1e-10)
     assert run.success
     # The error of the energy is that of some 100 steps, each of 1e-10 of the state.
     scale = np.abs(run.kinetic_energy).max() + np.abs(run.potential_energy).max()

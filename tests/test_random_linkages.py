@@ -63,14 +63,14 @@ def linkages(draw):
     return system, values, np.array(states)
 
 
-# Each example takes seconds: no shrinking.
+# Each example takes seconds: no shrinking. That most are dropped by what a test assumes is still an error.
 @settings(
     max_examples=15,
     deadline=None,
     derandomize=True,
     database=None,
     phases=[Phase.generate],
-    suppress_health_check=list(HealthCheck),
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
 )
 @given(linkages())
 def test_right_hand_side_and_jacobian_of_random_linkages(linkage):
@@ -78,16 +78,16 @@ def test_right_hand_side_and_jacobian_of_random_linkages(linkage):
     model = fb.Model(system, name="linkage", parameters={})
     compiled = fb.compile_model(model)
     p = [values[sm.Symbol(name)] for name in compiled.parameters]
-    # As for the four-bar: form_eoms has J_d twice in the mass matrix that both sides solve with.
     jacobian = compiled.velocity(0.4, x, p)[0][:, compiled.n_u - compiled.n_c :]
-    condition = np.linalg.cond(jacobian) ** 2 if compiled.n_c else 1.0
-    assume(condition < 1e8)  # SymPy's elimination has no pivoting, and no result in singular positions
-    condition *= np.linalg.cond(compiled.mass_matrix(0.4, x, p))
-    tolerance = 1000 * EPS * condition
+    # SymPy's elimination has no pivoting, and no result in singular positions.
+    assume(compiled.n_c == 0 or np.linalg.cond(jacobian) < 1e4)
+    # SymPy solves with this matrix, which has the constraints' rows in it, and with it again for derivatives of what it
+    # solves; a backward stable solution errs by its condition, the factor has room for matrices of six rows.
+    tolerance = 1000 * EPS * np.linalg.cond(compiled.mass_matrix(0.4, x, p))
     reference = Tutorial(system, values, {})
     expected = reference.rhs(0.4, x)
     assert np.abs(compiled.rhs(0.4, x, p) - expected).max() <= tolerance * np.abs(expected).max()
     step = 1e-30
     derivative = np.column_stack([reference.rhs(0.4, x + 1j * step * e).imag / step for e in np.eye(len(x))])
     error = np.abs(compiled.jacobian(0.4, x, p) - derivative).max()
-    assert error <= tolerance * condition * (np.abs(derivative).max() + np.abs(expected).max())
+    assert error <= tolerance * (np.abs(derivative).max() + np.abs(expected).max())

@@ -1,4 +1,4 @@
-# make run, make test, make lint, make docs, make bench: each sets up what it needs in .venv.
+# make run, make test, make lint, make docs, make bench, make fuzz: each sets up what it needs in .venv.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -7,7 +7,7 @@ INSTALLED_DOCS := $(VENV)/installed-docs
 # What a compiled part is made of; the Python files are used where they stand.
 SOURCES := pyproject.toml setup.py $(wildcard src/fourbar_codegen/runtime/*.pyx src/fourbar_codegen/runtime/*.h generated/*/*)
 
-.PHONY: run test lint docs bench generate clean
+.PHONY: run test lint docs bench fuzz generate clean
 
 run: $(INSTALLED)
 	$(BIN)/fourbar simulate four_bar -o results/four_bar.csv -o results/four_bar.npz -o results/four_bar.png
@@ -31,6 +31,10 @@ bench: $(INSTALLED)
 	$(BIN)/python benchmarks/methods.py --output results/methods.json
 	$(BIN)/python benchmarks/peers.py --output results/peers.json
 	$(BIN)/python benchmarks/scale.py --output results/scale.json
+
+# Hours: 100,000 calls, 1,000 Systems. FUZZ='--calls 1000' does fewer of these, as `python -m fuzz.runner run --help` says.
+fuzz: $(INSTALLED)
+	PYTHONPATH=tests:benchmarks:examples $(BIN)/python -m fuzz.runner run --docs $(FUZZ)
 
 generate: $(INSTALLED)
 	$(BIN)/fourbar generate four_bar -o generated

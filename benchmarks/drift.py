@@ -126,7 +126,7 @@ def main() -> None:
             ),
             "\n![The loop's residual over time](drift.svg)",
         ]
-        replace_in_page(DOCS / "benchmarks.md", "drift", "\n".join(lines), "drift.py --docs", report)
+        replace_in_page(DOCS / "benchmarks.md", "drift", "\n".join(lines), "python benchmarks/drift.py --docs", report)
 
 
 def plot(t: Any, residuals: dict[str, Any], path: Path) -> None:

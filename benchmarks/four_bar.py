@@ -100,7 +100,7 @@ def write_readme(report: dict[str, Any]) -> None:
         "`numpy.linalg.solve`) and SciPy's `solve_ivp`, whose loop drifts open. Steps in C:\n"
         "`method=fb.solvers.RK45` or `DOP853`.\n\n"
     )
-    replace_in_page(README, "benchmark", text + "\n".join(lines), "four_bar.py --readme", report)
+    replace_in_page(README, "benchmark", text + "\n".join(lines), "python benchmarks/four_bar.py --readme", report)
 
 
 def main() -> None:

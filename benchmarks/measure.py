@@ -92,7 +92,7 @@ def circumstances() -> dict[str, Any]:
 def replace_in_page(page: Path, mark: str, text: str, command: str, report: dict[str, Any]) -> None:
     """Replace what stands between two comments in a page, and name the command that did it."""
     versions = ", ".join(f"{name} {number}" for name, number in report["versions"].items())
-    written = f"Written by `python benchmarks/{command}` on {report['date']}; {report['machine']};\n{versions}."
+    written = f"Written by `{command}` on {report['date']}; {report['machine']};\n{versions}."
     before, _, rest = page.read_text().partition(f"<!-- {mark} -->\n")
     _, end, after = rest.partition(f"<!-- end of {mark} -->")
     page.write_text(f"{before}<!-- {mark} -->\n{text}\n\n{written}\n{end}{after}")

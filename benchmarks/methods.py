@@ -205,7 +205,9 @@ def main() -> None:
     plot(results, picture)
     print(f"Written: {options.output}, {picture}")
     if options.docs:
-        replace_in_page(DOCS / "methods.md", "methods", tables(results, calls), "methods.py --docs", report)
+        replace_in_page(
+            DOCS / "methods.md", "methods", tables(results, calls), "python benchmarks/methods.py --docs", report
+        )
 
 
 if __name__ == "__main__":

@@ -164,7 +164,9 @@ def main() -> None:
             "and that per operation; operations of forming, a sine as one; and the time from the\n"
             "System to a function that evaluates it (warm: from the cache).\n\n"
         )
-        replace_in_page(DOCS / "benchmarks.md", "models", text + "\n".join(lines), "models.py --docs", report)
+        replace_in_page(
+            DOCS / "benchmarks.md", "models", text + "\n".join(lines), "python benchmarks/models.py --docs", report
+        )
 
 
 if __name__ == "__main__":

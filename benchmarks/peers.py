@@ -467,7 +467,11 @@ def main() -> None:
     print(f"Written: {options.output}, {picture}")
     if options.docs:
         replace_in_page(
-            DOCS / "benchmarks.md", "peers", tables(one, batch, rows, many, starts), "peers.py --docs", report
+            DOCS / "benchmarks.md",
+            "peers",
+            tables(one, batch, rows, many, starts),
+            "python benchmarks/peers.py --docs",
+            report,
         )
 
 

@@ -155,7 +155,7 @@ def main() -> None:
     picture(rows, options.output.with_suffix(".png"))
     print("\n".join([*lines, f"Written: {options.output}, {options.output.with_suffix('.png')}"]))
     if options.docs:
-        replace_in_page(DOCS / "benchmarks.md", "scale", "\n".join(lines), "scale.py --docs", report)
+        replace_in_page(DOCS / "benchmarks.md", "scale", "\n".join(lines), "python benchmarks/scale.py --docs", report)
 
 
 if __name__ == "__main__":

@@ -6,8 +6,10 @@ what means the same gives the same.
 
 from __future__ import annotations
 
+import atexit
 import inspect
 import math
+import shutil
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -260,6 +262,7 @@ def calls_of(name: str) -> dict[str, Call]:
 
     trajectory = model.simulate((0.0, 0.1), x0, dense_output=True)
     folder = Path(tempfile.mkdtemp(prefix="fuzz-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
     saved = trajectory.save(folder / "run.npz")
     calls.add("trajectory[]", trajectory.__getitem__, name=first)
     calls.add("trajectory.sol", trajectory.sol, t=times)

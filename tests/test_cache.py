@@ -339,9 +339,9 @@ def test_modules_of_another_layout_are_refused(monkeypatch, tmp_path):
 
 def test_states_side_by_side_of_another_layout_are_refused(monkeypatch):
     model, found = fb.compile_model(slider()), []
-    attach = type(model).attach_lanes
+    attach = type(model)._attach_lanes
     with monkeypatch.context() as patched:
-        patched.setattr(fb.CompiledModel, "attach_lanes", lambda _, address: found.append(address))
+        patched.setattr(fb.CompiledModel, "_attach_lanes", lambda _, address: found.append(address))
         model.require_lanes()
     # The version, the sizes of eight structs, the width, and two functions.
     words = (ctypes.c_size_t * 12).from_address(found[0])

@@ -36,7 +36,7 @@ GENERATION = [
 ]  # fmt: skip
 
 
-GROUND = ["build", "cache", "errors", "progress"]  # both halves stand on it
+GROUND = ["build", "cache", "errors", "files", "progress"]  # both halves stand on it
 WHOLE = ["__init__", "__main__", "cli", "compile", "verify"]  # both halves meet in it
 
 

@@ -326,7 +326,7 @@ class CompiledModel(Evaluator):
             progress.stage("compiling for many states at once")
             path = _built(name, sources, lambda folder: build_lanes(self.name, sources, folder))
         library = ctypes.CDLL(str(path))  # which stays loaded as long as the process runs
-        self.attach_lanes(ctypes.addressof(ctypes.c_char.in_dll(library, name)))
+        self._attach_lanes(ctypes.addressof(ctypes.c_char.in_dll(library, name)))
 
     def __repr__(self) -> str:
         return (

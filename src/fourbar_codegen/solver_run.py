@@ -13,7 +13,7 @@ from fourbar_codegen import solvers
 from fourbar_codegen.arguments import numbers
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.runtime.evaluator import OK
-from fourbar_codegen.runtime.integrator import Ode
+from fourbar_codegen.runtime.integrator import Ode, check_within
 
 if TYPE_CHECKING:
     from fourbar_codegen.compiled import CompiledModel
@@ -205,6 +205,7 @@ class _Solution:
         times = np.atleast_1d(numbers(t, "The times"))
         if times.ndim != 1:
             raise ModelError(f"Times must be a number or an array of one dimension, not of shape {np.shape(t)}.")
+        check_within(times, self._times[0], self._times[-1])
         solution = OdeSolution(self._times, self._interpolants)
         states = [self._ode.project(time, solution(time)) if self._project else solution(time) for time in times]
         return states[0] if np.ndim(t) == 0 else np.reshape(states, (-1, self._ode.n_x)).T

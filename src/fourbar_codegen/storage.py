@@ -6,6 +6,7 @@ import io
 import json
 import sys
 from collections.abc import Callable, Mapping
+from hashlib import sha256
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
@@ -29,6 +30,10 @@ Floats = NDArray[np.float64]
 
 ATTRIBUTES = "run_attributes"
 """Name of the array of an NPZ file that holds what is not an array, as JSON."""
+
+SEAL = b"fourbar_codegen SHA-256 "
+"""Stands behind a NetCDF file, before the digest of all that is before it. HDF5 does not read what is behind its end,
+but may read what is damaged for ever."""
 
 MOST_COMPRESSED = 1100
 """No more bytes come of one in a file: zlib's limit is 1032."""
@@ -138,7 +143,9 @@ def write_netcdf(trajectory: Trajectory, file: IO[bytes]) -> None:
             dataset.dump_to_store(H5NetCDFStore(held), encoding=summed)
     except ValueError as error:  # names of outputs may be anything
         raise ModelError(f"NetCDF cannot hold this trajectory: {error}.") from error
-    file.write(memory.getbuffer())
+    content = memory.getbuffer()
+    file.write(content)
+    file.write(SEAL + sha256(content).digest())
 
 
 def write_npz(trajectory: Trajectory, file: IO[bytes]) -> None:
@@ -296,8 +303,12 @@ def _read_netcdf(path: Path) -> _Read:
     _require_h5netcdf()
     import h5netcdf
 
-    most = MOST_COMPRESSED * path.stat().st_size
-    with h5netcdf.File(path, "r") as file:
+    content = path.read_bytes()
+    end = len(content) - len(SEAL) - sha256().digest_size
+    if content[end:].startswith(SEAL) and content[end + len(SEAL) :] != sha256(content[:end]).digest():
+        raise ModelError(f"{path} is damaged, or another program has changed it: its digest is another one.")
+    most = MOST_COMPRESSED * len(content)
+    with h5netcdf.File(io.BytesIO(content), "r") as file:
         attributes = dict(file.attrs)
         variables = {name: v for name, v in file.variables.items() if v.dimensions == ("time",)}
         for name, variable in variables.items():

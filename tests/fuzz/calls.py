@@ -175,7 +175,7 @@ class Calls:
 
 
 NOT_FOR_USERS = {
-    "attach_lanes", "eliminate", "from_file", "from_module", "input_values", "lacks_lanes", "missing",
+    "from_file", "from_module", "input_values", "lacks_lanes", "missing",
     "parameter_values", "require_lanes",
 }  # fmt: skip
 """Names of `CompiledModel` by which parts of the package speak to each other."""

@@ -6,7 +6,7 @@ import sympy as sm
 import sympy.physics.mechanics as me
 from sympy.physics.mechanics.system import System
 
-from fourbar_codegen.errors import ModelError
+from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.model import Model, Parameter
 
 __all__ = ["chain"]
@@ -41,8 +41,8 @@ def chain(links: int = 3, *, closed: bool = False) -> Model:
     2
     """
     fewest = 3 if closed else 1
-    if links < fewest:
-        raise ModelError(f"A {'closed' if closed else 'open'} chain has at least {fewest} links, not {links}.")
+    if not isinstance(links, int) or links < fewest:
+        raise ModelError(f"A {'closed' if closed else 'open'} chain has at least {fewest} links, not {shown(links)}.")
     q, u = me.dynamicsymbols(f"q1:{links + 1}"), me.dynamicsymbols(f"u1:{links + 1}")
     m, length, d, g = sm.symbols("m l d g")
     t = me.dynamicsymbols._t

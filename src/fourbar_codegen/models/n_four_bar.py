@@ -10,7 +10,7 @@ import sympy as sm
 import sympy.physics.mechanics as me
 from sympy.physics.mechanics.system import System
 
-from fourbar_codegen.errors import ModelError
+from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.model import Model, Parameter
 
 __all__ = ["n_four_bar"]
@@ -42,8 +42,8 @@ def n_four_bar(loops: int = 2) -> Model:
     >>> fb.models.n_four_bar(2).mechanism.n_dependent_coordinates
     4
     """
-    if loops < 1:
-        raise ModelError(f"An N-four-bar mechanism has at least 1 loop, not {loops}.")
+    if not isinstance(loops, int) or loops < 1:
+        raise ModelError(f"An N-four-bar mechanism has at least 1 loop, not {shown(loops)}.")
     upright, across = me.dynamicsymbols(f"p0:{loops + 1}"), me.dynamicsymbols(f"c1:{loops + 1}")
     v, w = me.dynamicsymbols(f"v0:{loops + 1}"), me.dynamicsymbols(f"w1:{loops + 1}")
     m, length, g = sm.symbols("m l g")

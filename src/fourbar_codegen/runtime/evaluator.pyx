@@ -197,7 +197,7 @@ cdef class Evaluator:
         """Whether it was built to travel, and not for the processor of one machine."""
         return self.kernel.one_machine == 0
 
-    def attach_lanes(self, size_t address):
+    def _attach_lanes(self, size_t address):
         """Take the functions for several states side by side, an ``fb_lanes``, that were built apart from the kernel.
 
         Raises

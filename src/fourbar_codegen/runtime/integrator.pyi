@@ -11,6 +11,8 @@ from fourbar_codegen.runtime.evaluator import Evaluator
 
 Floats = NDArray[np.float64]
 
+def check_within(times: Floats, begin: float, end: float) -> None: ...
+
 class Ode:
     projects: bool
     stabilization: float

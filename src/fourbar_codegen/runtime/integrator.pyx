@@ -82,6 +82,13 @@ cdef extern from "fourbar_augmented.h":
     int fb_augmented_step_on(fb_run *) noexcept nogil
 
 
+def check_within(times, begin, end):
+    """Raise a ModelError where a run has no states: times outside, but for rounding errors."""
+    allowed = 1e-12 * max(abs(begin), abs(end))
+    if not ((times >= min(begin, end) - allowed) & (times <= max(begin, end) + allowed)).all():
+        raise ModelError(f"The run goes from t = {begin:.9g} to {end:.9g}; it has no states at the times {times}.")
+
+
 cdef class Table:
     """A function of time by polynomials between given times, constant before the first and after the last.
 
@@ -794,7 +801,13 @@ cdef class DenseOutput:
         self.steps.append(step)
 
     def __call__(self, t):
-        """The state at times t: shape (n_x,) for a number, (n_x, n) for n of them."""
+        """The state at times t: shape (n_x,) for a number, (n_x, n) for n of them.
+
+        Raises
+        ------
+        ModelError
+            If a time is not one of the run: its interpolants say nothing of others.
+        """
         cdef cnp.ndarray at = np.atleast_1d(numbers(t, "The times"))
         cdef int i, n = self.ode.evaluator.n_x
         cdef cnp.ndarray x = np.empty((np.size(at), n))
@@ -802,6 +815,7 @@ cdef class DenseOutput:
         cdef double *end
         if np.ndim(at) != 1:
             raise ModelError(f"Times must be a number or an array of one dimension, not of shape {np.shape(t)}.")
+        check_within(at, self.times[0], self.times[len(self.times) - 1])  # without wraparound
         forward = np.array(self.times) * self.direction
         places = np.clip(np.searchsorted(forward, at * self.direction) - 1, 0, len(self.steps) - 1)
         for i in range(np.size(at)):

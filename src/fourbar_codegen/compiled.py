@@ -19,10 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.arguments import Values, is_mapping, name_of, named_array, named_values
 from fourbar_codegen.elimination import eliminate
-from fourbar_codegen.errors import ModelError
+from fourbar_codegen.errors import ModelError, SimulationError
 from fourbar_codegen.files import path_of
 from fourbar_codegen.progress import Progress
-from fourbar_codegen.runtime.evaluator import Evaluator
+from fourbar_codegen.runtime.evaluator import NOT_FINITE, Evaluator, is_finite
 from fourbar_codegen.runtime.integrator import Ode, Stepper
 
 if TYPE_CHECKING:
@@ -404,7 +404,7 @@ class CompiledModel(Evaluator):
         >>> fb.load("four_bar").tree_mass_matrix(0.0, [0.0] * 6).shape
         (3, 3)
         """
-        return self.dynamics(t, x, p, np.zeros(self.n_r))[1]
+        return self._finite(self.dynamics(t, x, p, np.zeros(self.n_r))[1], t, x)
 
     def tree_forcing(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
         """The vector f of Kane's equations M u' = f with all speeds independent, shape (n_u,).
@@ -420,7 +420,7 @@ class CompiledModel(Evaluator):
         >>> fb.load("four_bar").tree_forcing(0.0, [0.0] * 6).round(1).tolist()
         [-2374.0, -1417.5, -240.3]
         """
-        return self.dynamics(t, x, p, r)[2]
+        return self._finite(self.dynamics(t, x, p, r)[2], t, x)
 
     def mass_matrix(self, t: float, x: ArrayLike, p: Values | None = None) -> Floats:
         """SymPy's ``System.mass_matrix``, shape (n_u, n_u).
@@ -446,7 +446,8 @@ class CompiledModel(Evaluator):
         (3, 3)
         """
         _, mass_matrix, _, jacobian, _ = self.dynamics(t, x, p, np.zeros(self.n_r))
-        return np.vstack((self._projection(jacobian).T @ mass_matrix, jacobian))
+        self._finite(jacobian, t, x)
+        return self._finite(np.vstack((self._projection(jacobian).T @ mass_matrix, jacobian)), t, x)
 
     def forcing(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
         """SymPy's ``System.forcing``, shape (n_u,): ``mass_matrix @ u' = forcing``.
@@ -471,7 +472,14 @@ class CompiledModel(Evaluator):
         True
         """
         _, _, forcing, jacobian, bias = self.dynamics(t, x, p, r)
-        return np.concatenate((self._projection(jacobian).T @ forcing, -bias))
+        self._finite(jacobian, t, x)
+        return self._finite(np.concatenate((self._projection(jacobian).T @ forcing, -bias)), t, x)
+
+    def _finite(self, values: Floats, t: float, x: ArrayLike) -> Floats:
+        """The values; a SimulationError where the equations have none that is finite."""
+        if not is_finite(np.ascontiguousarray(values)):
+            raise SimulationError(self.failure(NOT_FINITE, t, x))
+        return values
 
     def _projection(self, jacobian: Floats) -> Floats:
         """T with u = T u_i + ... for the model's own independent speeds, shape (n_u, n_ui)."""
@@ -494,7 +502,7 @@ class CompiledModel(Evaluator):
         >>> fb.load("four_bar").position_constraints(0.0, [0.0, 0.0, 0.0]).tolist()
         [3.0, 0.0]
         """
-        return self.position(t, q, p, r)[0]
+        return self._finite(self.position(t, q, p, r)[0], t, q)
 
     def positions(self, t: float, q: ArrayLike, p: Values | None = None, r: Values | None = None) -> dict[str, Floats]:
         """Positions of the mechanism's points, by name, m, each of shape (3,), from the System's fixed point.
@@ -535,7 +543,7 @@ class CompiledModel(Evaluator):
         """
         jacobian, bias = self.velocity(t, x, p, r)
         residual: Floats = jacobian @ np.asarray(x, dtype=float)[self.n_q :] + bias
-        return residual
+        return self._finite(residual, t, x)
 
     def constraint_jacobian(self, t: float, q: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
         """J of the velocity constraints J u + b = 0, shape (n_c, n_u).
@@ -554,7 +562,7 @@ class CompiledModel(Evaluator):
         [[0.0, 0.0, 0.0], [2.2, 1.7, 0.7]]
         """
         coordinates = named_array(q, self.coordinates, {}, "coordinate")
-        return self.velocity(t, np.concatenate((coordinates, np.zeros(self.n_u))), p, r)[0]
+        return self._finite(self.velocity(t, np.concatenate((coordinates, np.zeros(self.n_u))), p, r)[0], t, q)
 
     def multipliers(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
         """Multipliers lambda of M u' = f + J^T lambda, shape (n_c,).
@@ -617,7 +625,7 @@ class CompiledModel(Evaluator):
         >>> fb.load("four_bar").kinetic_energy(0.0, [0.1, 0.2, 0.3, 0.0, 0.0, 0.0])
         0.0
         """
-        return float(self.energy(t, x, p, r)[0])
+        return float(self._finite(self.energy(t, x, p, r)[:1], t, x)[0])
 
     def potential_energy(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> float:
         """Potential energy, J: as given with the Model, or of the forces that are constant, such as gravity.
@@ -647,7 +655,7 @@ class CompiledModel(Evaluator):
         energy = float(self.energy(t, x, p, r)[1])
         if r is None and math.isnan(energy) and any(e["expression"] is None for e in self.manifest["inputs"]):
             raise ModelError(self.missing())
-        return energy
+        return float(self._finite(np.array([energy]), t, x)[0])
 
     # Linearization, initial states and simulation.
 

@@ -93,7 +93,7 @@ class CompositeBodies:
         self._rate = rate
         points, bodies = motion.mechanism.points, motion.mechanism.bodies
         self._children: list[list[int]] = [[] for _ in points]
-        for point in range(len(points)):
+        for point in motion.moving:
             base, _ = motion.step(point)
             if base is not None:
                 self._children[base].append(point)
@@ -158,7 +158,7 @@ class CompositeBodies:
         moved: set[int] = set()
         anchors: dict[int, Components] = {}
         branches: list[int] = []
-        for point in range(len(points)):
+        for point in motion.moving:
             base, parts = motion.step(point)
             drift = [(frame, differentiate(along, components)) for frame, components in parts]
             rigid = base is not None and self._is_rigid(point, turned, along)

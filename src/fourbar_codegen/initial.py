@@ -21,12 +21,13 @@ if TYPE_CHECKING:
     from fourbar_codegen.compiled import CompiledModel
     from fourbar_codegen.simulate import InputSource
 
-__all__ = ["Loops", "given", "initial_state", "initial_states"]
+__all__ = ["CLOSED", "Loops", "given", "initial_state", "initial_states", "nearest_closed"]
 
 Floats = NDArray[np.float64]
 
 # Configurations count as closed if the constraints are violated by no more than this share of their scales.
 CLOSED = 1e-10
+CORRECTIONS = 30
 # Guesses tried before a loop is said not to close, beside the one that was given.
 FURTHER_GUESSES = 40
 # Velocity constraints count as satisfied to this share of their terms.
@@ -184,6 +185,23 @@ class Loops:
             return near
         found = self.closest(begin)
         return found if self.are_closed(found) else None
+
+
+def nearest_closed(model: CompiledModel, t: float, q: Floats, p: Floats | None, r: Floats | None) -> Floats | None:
+    """Coordinates that satisfy the position constraints, by the Gauss-Newton method from some that need not.
+
+    All of them move, by the shortest change, so that redundant constraints are as good as others. None where it does
+    not come to an end.
+    """
+    for _ in range(CORRECTIONS):
+        residual, slopes = model.position(t, q, p, r)
+        scale, *_ = model.constraint_scale(t, np.concatenate((q, np.zeros(model.n_u))), p, r)
+        if not (np.isfinite(residual).all() and np.isfinite(slopes).all() and np.isfinite(scale).all()):
+            return None
+        if (np.abs(residual) <= CLOSED * scale).all():
+            return q
+        q = q - np.linalg.lstsq(slopes, residual, rcond=SINGULAR)[0]
+    return None
 
 
 def _close(loops: Loops, start: Floats) -> Floats:

@@ -98,7 +98,7 @@ def equilibrium(
     def at_rest(q: Floats) -> Floats:
         return np.concatenate((q, np.zeros(model.n_u)))
 
-    def residual(q: Floats) -> Floats:
+    def evaluated(q: Floats) -> Floats:
         x = at_rest(q)
         return np.concatenate(
             (
@@ -107,6 +107,12 @@ def equilibrium(
                 model.rhs(t, x, p, r),
             )
         )
+
+    def residual(q: Floats) -> Floats:
+        try:
+            return evaluated(q)
+        except SimulationError:  # the search takes a shorter step
+            return np.full(model.n_h + model.n_c + model.n_x, np.inf)
 
     def slopes(q: Floats) -> Floats:
         x = at_rest(q)
@@ -118,7 +124,15 @@ def equilibrium(
             )
         )
 
-    found = least_squares(residual, start, jac=slopes, x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15).x
+    precisely = {"x_scale": "jac", "xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15}
+    begin = start
+    if model.n_h and model.manifest["n_dependent_speeds"] < model.n_c:
+        # Away from closed loops, redundant constraints are independent, and the equations have no solution.
+        begin = least_squares(
+            lambda q: model.position(t, q, p, r)[0], start, jac=lambda q: model.position(t, q, p, r)[1], **precisely
+        ).x
+    evaluated(begin)  # or an error that says why not
+    found = least_squares(residual, begin, jac=slopes, **precisely).x
     errors, scales = np.abs(residual(found)), np.abs(slopes(found)).max(axis=1)
     if not (errors <= COORDINATE_TOLERANCE * np.maximum(scales, 1.0)).all():
         names = ", ".join(f"{name} = {value:.6g}" for name, value in zip(model.coordinates, found, strict=True))

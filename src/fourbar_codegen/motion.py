@@ -203,6 +203,11 @@ class Motion:
             return relative
         return add(relative, negative(self.angular_velocity(stored_frame.parent)))
 
+    @property
+    def moving(self) -> list[int]:
+        """The points whose velocity is known: of others nothing but the position is needed."""
+        return [point for point, step in enumerate(self._steps) if step != UNKNOWN]
+
     def step(self, point: int) -> tuple[int | None, Vector]:
         """A point's velocity as that of another point, if not None, and what is to be added to it."""
         base, parts = self._steps[point]

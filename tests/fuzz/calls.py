@@ -175,8 +175,8 @@ class Calls:
 
 
 NOT_FOR_USERS = {
-    "from_file", "from_module", "input_values", "lacks_lanes", "missing",
-    "parameter_values", "require_lanes",
+    "default_input_sensitivity", "defaults_in_force", "failure", "from_file", "from_module", "input_values",
+    "lacks_lanes", "missing", "parameter_values", "require_lanes", "too_few_dependent",
 }  # fmt: skip
 """Names of `CompiledModel` by which parts of the package speak to each other."""
 
@@ -191,20 +191,27 @@ def calls_of(name: str) -> dict[str, Call]:
     state = {"t": 0.3, "x": x0}
     values = {"p": p, "r": r}
     for function in (
-        "rhs", "jacobian", "parameter_jacobian", "input_jacobian", "accelerations", "dynamics", "velocity", "closure",
-        "energy", "drawing", "constraint_sensitivity", "forcing", "tree_forcing", "velocity_constraints", "multipliers",
-        "output", "kinetic_energy", "potential_energy", "linearize",
+        "rhs", "jacobian", "parameter_jacobian", "input_jacobian", "accelerations", "forcing", "tree_forcing",
+        "velocity_constraints", "multipliers", "output", "kinetic_energy", "potential_energy", "linearize",
     ):  # fmt: skip
         calls.add(function, getattr(model, function), **state, **values)
+    # What these are made of, as it comes.
+    for function in (
+        "dynamics", "velocity", "closure", "constraint_scale", "energy", "drawing", "constraint_sensitivity",
+    ):  # fmt: skip
+        calls.add(function, getattr(model, function), **state, **values, may_be_nan=True)
     calls.add("rhs into", model.rhs, **state, **values, out=np.empty(model.n_x))
     for function in ("mass_matrix", "tree_mass_matrix"):
         calls.add(function, getattr(model, function), **state, p=p)
     for function in ("position", "position_constraints", "positions", "constraint_jacobian"):
-        calls.add(function, getattr(model, function), t=0.3, q=x0[: model.n_q], **values)
+        raw = function == "position"
+        calls.add(function, getattr(model, function), t=0.3, q=x0[: model.n_q], **values, may_be_nan=raw)
     acceleration, multipliers = model.accelerations(0.3, x0)
-    calls.add("coordinate_change", model.coordinate_change, **state, change=x0[model.n_q :], **values)
-    calls.add("held", model.held, **state, accelerations=acceleration, multipliers=multipliers, **values)
-    calls.add("default_inputs", model.default_inputs, t=0.3, p=p)
+    change = x0[model.n_q :]
+    calls.add("coordinate_change", model.coordinate_change, **state, change=change, **values, may_be_nan=True)
+    held = {"accelerations": acceleration, "multipliers": multipliers}
+    calls.add("held", model.held, **state, **held, **values, may_be_nan=True)
+    calls.add("default_inputs", model.default_inputs, t=0.3, p=p, may_be_nan=True)
     calls.add("parameter_vector", model.parameter_vector, p=p)
     states, inputs = np.tile(x0[:, np.newaxis], 3), np.tile(r[:, np.newaxis], 3)
     for function in ("along", "drawing_along"):

@@ -20,6 +20,12 @@ def test_first_cases(kind):
     assert not found, "\n\n".join(map(str, by_cause.values()))
 
 
+def test_a_slider_mounted_where_nothing_depends_on(capsys):
+    """The offset of the third of three sliders stood in no equation, and could not be compiled."""
+    mechanisms.case(np.random.default_rng([1, 5]), print)
+    assert "errs by 0.0" in capsys.readouterr().out
+
+
 def test_every_public_name_is_called():
     assert calls.missing() == set()
 

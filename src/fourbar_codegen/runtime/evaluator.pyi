@@ -11,6 +11,7 @@ Values = ArrayLike | Mapping[object, float]
 
 OK: int
 NOT_CLOSED: int
+NOT_FINITE: int
 
 def numbers(values: object, what: str) -> Floats: ...
 def number(value: object, what: str) -> float: ...

@@ -17,7 +17,7 @@ cnp.import_array()
 cdef extern from "fourbar_batch.h":
     int fb_lanes_agree(const fb_lanes *) noexcept nogil
 
-OK, NOT_CLOSED = FB_OK, FB_NOT_CLOSED
+OK, NOT_CLOSED, NOT_FINITE = FB_OK, FB_NOT_CLOSED, FB_NOT_FINITE
 
 
 cdef object _other_layout(manifest):

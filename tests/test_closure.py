@@ -123,3 +123,29 @@ def test_a_run_says_nothing_of_times_outside(root, method):
     for times in (0.2, -0.1, np.inf, np.nan, [0.05, 5.0]):
         with pytest.raises(fb.ModelError, match=r"goes from t = 0 to 0\.1"):
             run.sol(times)
+
+
+@pytest.mark.parametrize("size", [1e-9, 1e-3, 1e6])
+def test_a_slider_crank_of_any_size(size):
+    """Angles do not depend on the unit of length; neither do singular positions: it has none."""
+    crank = fb.compile_model(fb.models.slider_crank())
+    usual = crank.initial_state([1.0], [5.0])
+    units = np.array([1.0, 1.0, size, 1.0, 1.0, size])
+    p = {name: crank.defaults[name] * size for name in ("r", "l")}
+    made = crank.initial_state([1.0], [5.0], guess=usual[1:3] * units[1:3], parameters=p)
+    np.testing.assert_allclose(made, usual * units, rtol=1e-14)
+    how = {"inputs": dict.fromkeys(crank.inputs, 0.0), "rtol": 1e-9}
+    run = crank.simulate((0.0, 3.0), made, parameters=p, atol=1e-9 * units, **how)
+    assert run.success
+    assert crank.ensemble((0.0, 3.0), made, parameters=p, atol=1e-9 * units, **how).success.all()
+    expected = crank.simulate((0.0, 3.0), usual, atol=1e-9, **how)
+    assert np.ptp(expected["crank"]) > 2 * np.pi
+    # A hundred times the tolerance, for some hundred steps.
+    np.testing.assert_allclose(run.y[:, -1] / units, expected.y[:, -1], rtol=1e-7, atol=1e-7)
+
+
+def test_an_equilibrium_is_none_with_open_loops(ring):
+    """A bead on a ring of a nanometre, nothing pulls it: every place on the ring is one, and no other."""
+    for size in (1e-9, 1.0, 1e6):
+        q = ring.equilibrium([0.9 * size, 0.0, 0.1 * size], parameters={"l": size})[:3]
+        assert np.hypot(q[0], q[2]) == pytest.approx(size, rel=1e-9)

@@ -563,3 +563,8 @@ def test_another_model_in_the_same_place_is_not_taken(tmp_path, monkeypatch):
     assert _restore(name, other, manifest, sources).coordinates == model.coordinates
     with pytest.raises(fb.ModelError, match="another one"):
         _restore(name, other, manifest, None)
+
+
+def test_the_shape_of_initial_states_is_named_as_it_is_given(four_bar):
+    with pytest.raises(fb.ModelError, match=r"x0 must have shape \(6,\), or \(members, 6\), not \(6, 3\)"):
+        four_bar.ensemble((0.0, 1.0), np.zeros((6, 3)))

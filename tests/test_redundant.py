@@ -135,6 +135,18 @@ def test_constraints_that_are_not_redundant_need_a_dependent_speed_each():
         both.simulate((0.0, 1.0), x)
 
 
+@pytest.mark.parametrize("share", [1e-2, 1e-4, 1e-6])
+def test_a_constraint_that_is_nearly_another_one(share):
+    """x vx + y vy + w vx = 0 on a circle: with the circle's own rate, vx = 0, however small w is."""
+    (x, y), (vx, vy) = me.dynamicsymbols("x y"), me.dynamicsymbols("v_x v_y")
+    model = pendulum(circle)
+    model.system.add_nonholonomic_constraints(x * vx + y * vy + share * vx)
+    values = dict(zip(model.parameter_symbols, model.parameters.values(), strict=True))
+    nearly = fb.compile_model(fb.Model(model.system, name="nearly", parameters=values), check=False)
+    with pytest.raises(fb.SimulationError, match="More than 1 velocity constraints are independent"):
+        nearly.rhs(0.0, [0.6, -0.8, 0.0, 0.0])
+
+
 def test_a_loop_with_one_dependent_variable_too_few():
     """The tutorial's linkage with u3 alone dependent: SymPy's form_eoms refuses it too."""
     linkage = fb.models.four_bar()

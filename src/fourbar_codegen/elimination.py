@@ -14,7 +14,7 @@ __all__ = ["INDEPENDENT", "SINGULAR", "eliminate", "row_sizes", "solve_dependent
 Floats = NDArray[np.float64]
 
 SINGULAR = 1e-12
-"""Singular values below this share of the largest one of all columns are rounding errors."""
+"""Singular values below this share of the largest are rounding errors."""
 
 INDEPENDENT = 1e-6
 """And rows are independent of each other from this share on: those that are redundant on the constraint manifold alone
@@ -36,18 +36,20 @@ def row_sizes(matrix: Floats) -> Floats:
 def solve_dependent(
     matrix: Floats, n_independent: int, known: Floats, singular: float = SINGULAR
 ) -> tuple[Floats, int]:
-    """The shortest v_d with ``matrix[:, n_independent:] @ v_d + known = 0`` by least squares, and the columns' rank.
+    """The v_d with ``matrix[:, n_independent:] @ v_d + known = 0`` by least squares, and the rank of the columns.
 
-    Singular values are compared with those of the whole matrix: where the dependent columns are nothing but rounding
-    errors, they determine nothing.
+    Rows are in units of their largest entries, by `row_sizes`; columns are taken in units of theirs, so that metres and
+    radians count alike. Columns that are nothing but rounding errors determine nothing: what they stand for is 0. Of
+    several solutions it is the shortest, in these units.
     """
     dependent = matrix[:, n_independent:]
-    least = singular * float(np.linalg.norm(matrix, 2)) if matrix.size else 0.0
-    size = float(np.linalg.norm(dependent, 2)) if dependent.size else 0.0
-    if size <= least:
-        return np.zeros((dependent.shape[1], *known.shape[1:])), 0
-    solution, _, rank, _ = np.linalg.lstsq(dependent, -known, rcond=least / size)
-    return np.asarray(solution, dtype=np.float64), int(rank)
+    size = np.abs(dependent).max(axis=0, initial=0.0)
+    unit = np.where(size > NEGLIGIBLE, size, np.inf)
+    scaled = dependent / unit
+    solution, _, rank, _ = np.linalg.lstsq(scaled, -known, rcond=singular)
+    # What is small beside other entries is as accurate as these alone: refined once, it is by itself.
+    solution = solution - np.linalg.lstsq(scaled, scaled @ solution + known, rcond=singular)[0]
+    return np.asarray(solution / unit.reshape(-1, *[1] * (known.ndim - 1)), dtype=np.float64), int(rank)
 
 
 def eliminate(matrix: Floats, n_independent: int, names: Sequence[str]) -> Floats:

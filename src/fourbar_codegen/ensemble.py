@@ -252,9 +252,12 @@ def _members(
 ) -> tuple[Floats, Floats, int]:
     """Parameters and initial states of all members, shapes (n, n_p) and (n, n_x), and n."""
     p = named_columns(
-        _columns({} if parameters is None else parameters, "parameters"), model.parameters, model.defaults, "parameter"
+        _columns({} if parameters is None else parameters, "parameters", model.n_p),
+        model.parameters,
+        model.defaults,
+        "parameter",
     )
-    x = None if x0 is None else named_columns(_columns(x0, "x0"), model.states, {}, "state")
+    x = None if x0 is None else named_columns(_columns(x0, "x0", model.n_x), model.states, {}, "state")
     by_member = [key for key, source in inputs.items() if _is_by_member(source)]
     lengths = [(f"input {name_of(key)}", len(inputs[key])) for key in by_member]
     lengths += [(w, len(rows.T)) for w, rows in (("parameters", p), ("x0", x)) if rows is not None and rows.ndim == 2]
@@ -284,9 +287,14 @@ def _members(
     return p, states, n
 
 
-def _columns(given: Any, what: str) -> Any:
+def _columns(given: Any, what: str, n: int) -> Any:
     """Values by name, or those of members in rows, as columns."""
-    return given if is_mapping(given) else numbers(given, what).T
+    if is_mapping(given):
+        return given
+    values = numbers(given, what)
+    if not 1 <= values.ndim <= 2 or values.shape[-1] != n:
+        raise ModelError(f"{what} must have shape ({n},), or (members, {n}), not {values.shape}.")
+    return values.T
 
 
 def _by_member(name: object, source: Any) -> Any:

@@ -317,8 +317,8 @@ def _passed(run: Run | SolverRun, samples: Sequence[tuple[Floats, Floats]]) -> l
 class Singular:
     """Tells whether a run has come to a singular position, where the constraints' Jacobian loses rank.
 
-    The measure is the smallest singular value of J by what it has been in the run (the median), with each row of J in
-    units of its largest entry in the run.
+    The measure is the smallest singular value of J by what it has been in the run (the median), with each column of J,
+    and then each row, in units of its largest entry in the run: metres and radians count alike.
 
     Parameters
     ----------
@@ -335,9 +335,12 @@ class Singular:
             # The last states of a run that collapses are all alike: those before count by the time they stand for.
             since = [abs(t - passed[0][0]) for t, _ in passed]
             order = np.searchsorted(since, np.linspace(0.0, since[-1], STATES))
-            jacobians = [self._jacobian(*passed[min(i, len(passed) - 1)]) for i in order]
-            size = np.abs(jacobians).max(axis=(0, 2))
-            self.size = np.where(size > 0.0, size, 1.0)[:, np.newaxis]
+            jacobians = np.array([self._jacobian(*passed[min(i, len(passed) - 1)]) for i in order])
+            column = np.abs(jacobians).max(axis=(0, 1))
+            column[column == 0.0] = 1.0
+            row = np.abs(jacobians / column).max(axis=(0, 2))
+            row[row == 0.0] = 1.0
+            self.size = row[:, np.newaxis] * column
             self.usual = float(np.median([self._least(jacobian) for jacobian in jacobians]))
 
     def _jacobian(self, t: float, x: Floats) -> Floats:
@@ -347,6 +350,8 @@ class Singular:
         return float(np.linalg.svd(jacobian / self.size, compute_uv=False)[self.rank - 1])
 
     def _ratio(self, t: float, x: Floats) -> float:
+        if not np.isfinite(x).all():
+            return np.inf  # of a run that explodes; nothing is known of its position
         return self._least(self._jacobian(t, x)) / self.usual if self.usual else 0.0
 
     def here(self, t: float, x: Floats, *, collapsed: bool) -> str:
@@ -378,7 +383,7 @@ class Singular:
             jump_begin, jump_end = places[largest], places[largest + 1]
         t = times[least]
         passed = self._sentence("passes", t, run.state_at(t), PASSED, ", and may go on in more than one way")
-        if passed or jumped[-1] <= JUMPED * jumped[0] + FLOOR:
+        if passed or not jumped[-1] > JUMPED * jumped[0] + FLOOR:
             return passed
         return (
             f"A step has crossed to another way of closing the loops at t = {jump_begin:.6g}, past a singular "

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from fourbar_codegen.arguments import Values, finite_number, named_array
 from fourbar_codegen.elimination import eliminate
 from fourbar_codegen.errors import ModelError, SimulationError
+from fourbar_codegen.initial import Loops
 from fourbar_codegen.simulate import bind, input_sources
 
 if TYPE_CHECKING:
@@ -21,7 +22,8 @@ __all__ = ["equilibrium", "linearize"]
 
 Floats = NDArray[np.float64]
 
-# An equilibrium counts as found if the coordinates are right to this, in their units.
+# An equilibrium counts as found if the coordinates are right to this, in their units, and the loops are closed to this
+# share of their scales.
 COORDINATE_TOLERANCE = 1e-9
 # A state counts as one of the mechanism if the constraints are violated by no more than this share of their scales.
 CLOSED = 1e-6
@@ -98,11 +100,15 @@ def equilibrium(
     def at_rest(q: Floats) -> Floats:
         return np.concatenate((q, np.zeros(model.n_u)))
 
+    # Positions in units of what rounding makes of them, whatever the size of the mechanism.
+    size, *_ = model.constraint_scale(t, at_rest(start), p, r)
+    size[~(size > 0.0)] = 1.0
+
     def evaluated(q: Floats) -> Floats:
         x = at_rest(q)
         return np.concatenate(
             (
-                model.position_constraints(t, q, p, r),
+                model.position_constraints(t, q, p, r) / size,
                 model.velocity_constraints(t, x, p, r),
                 model.rhs(t, x, p, r),
             )
@@ -118,21 +124,21 @@ def equilibrium(
         x = at_rest(q)
         return np.vstack(
             (
-                model.position(t, q, p, r)[1],
+                model.position(t, q, p, r)[1] / size[:, np.newaxis],
                 model.constraint_sensitivity(t, x, p, r)[0],
                 model.jacobian(t, x, p, r)[:, : model.n_q],
             )
         )
 
-    precisely = {"x_scale": "jac", "xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15}
     begin = start
     if model.n_h and model.manifest["n_dependent_speeds"] < model.n_c:
         # Away from closed loops, redundant constraints are independent, and the equations have no solution.
-        begin = least_squares(
-            lambda q: model.position(t, q, p, r)[0], start, jac=lambda q: model.position(t, q, p, r)[1], **precisely
-        ).x
+        n_qi = model.n_q - model.manifest["n_dependent_coordinates"]
+        loops = Loops(model, t, start[:n_qi], p, r)
+        dependent = loops.search(start[n_qi:])
+        begin = start if dependent is None else loops.coordinates(dependent)
     evaluated(begin)  # or an error that says why not
-    found = least_squares(residual, begin, jac=slopes, **precisely).x
+    found = least_squares(residual, begin, jac=slopes, x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15).x
     errors, scales = np.abs(residual(found)), np.abs(slopes(found)).max(axis=1)
     if not (errors <= COORDINATE_TOLERANCE * np.maximum(scales, 1.0)).all():
         names = ", ".join(f"{name} = {value:.6g}" for name, value in zip(model.coordinates, found, strict=True))

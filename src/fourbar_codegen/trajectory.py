@@ -209,6 +209,8 @@ class Trajectory:
             states = np.asarray(self.sol(times))
         elif len(stored) == 1:
             states = np.repeat(self.y[:, :1], len(times), axis=1)
+        elif not np.isfinite(self.y).all():
+            raise ModelError("Some of the states are not numbers: there is nothing to interpolate between.")
         else:
             rates = [ode(t, x) for t, x in zip(stored, self.y.T[places], strict=True)]
             states = CubicHermiteSpline(stored, self.y.T[places], np.reshape(rates, (len(stored), -1)))(times).T

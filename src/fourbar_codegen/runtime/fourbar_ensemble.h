@@ -13,9 +13,9 @@ typedef struct fb_crew {
     double h_abs[FB_WIDTH];
     int rejected[FB_WIDTH];
     /* J at the beginning of the step, and the orientation of its columns in the usual split, as `fb_orientation` has it;
-     * that is not a number where it is not known; and the largest one of the run, and the largest entries of rows */
+     * that is not a number where it is not known; and the largest one of the run, and the units */
     fb_real jacobian_before[FB_AT_LEAST_1(N_JACOBIAN)], orientation, largest_orientation;
-    fb_real row_size[FB_AT_LEAST_1(N_C)];
+    fb_real column_unit[N_U], row_unit[FB_AT_LEAST_1(N_C)];
     fb_source sources[FB_WIDTH][FB_AT_LEAST_1(N_R)];
     /* for the beginning of a run */
     fb_problem problem;
@@ -212,8 +212,10 @@ static inline void fb_enter(fb_crew *c, const fb_ensemble *e, const int lane)
         fb_put_lane(jacobian, lane, N_JACOBIAN, c->jacobian_before);
         c->orientation[lane] = NAN;
         c->largest_orientation[lane] = 0.0;
+        for (int j = 0; j < N_U; ++j)
+            c->column_unit[j][lane] = 0.0;
         for (int i = 0; i < N_C; ++i)
-            c->row_size[i][lane] = 0.0;
+            c->row_unit[i][lane] = 0.0;
         while (c->next_time[lane] < e->n_times && e->times[c->next_time[lane]] == e->t)
             fb_store(c, e, lane, c->x);
         return;
@@ -229,13 +231,21 @@ static inline fb_mask fb_turned(fb_crew *c, const fb_mask asked)
     fb_real orientation = fb_number(INFINITY), sign = fb_number(1.0);
     if (N_C == 0)
         return turned;
+    /* As fb_note_units has it. */
+    for (int i = 0; i < N_C; ++i)
+        for (int j = 0; j < N_U; ++j) {
+            const fb_real size = fb_greater(fb_abs(s->constraint_jacobian[i * N_U + j]), c->column_unit[j]);
+            c->column_unit[j] = fb_select(asked, size, c->column_unit[j]);
+        }
+    for (int i = 0; i < N_C; ++i)
+        for (int j = 0; j < N_U; ++j) {
+            /* 0 by 0 is not greater. */
+            const fb_real share = fb_abs(s->constraint_jacobian[i * N_U + j]) / c->column_unit[j];
+            c->row_unit[i] = fb_select(asked, fb_greater(share, c->row_unit[i]), c->row_unit[i]);
+        }
     for (int k = 0; k < N_C; ++k) {
-        const int row = usual_row[k];
-        fb_real size = c->row_size[row];
-        for (int j = 0; j < N_U; ++j)
-            size = fb_greater(fb_abs(s->constraint_jacobian[row * N_U + j]), size);
-        c->row_size[row] = fb_select(asked, size, c->row_size[row]);
-        const fb_real pivot = fb_abs(s->split.lu[k][k]) / size;
+        const fb_real unit = c->column_unit[fb_speed(k)] * c->row_unit[usual_row[k]];
+        const fb_real pivot = fb_abs(s->split.lu[k][k]) / unit;
         orientation = fb_select(pivot < orientation, pivot, orientation);
         sign = fb_select(s->split.lu[k][k] < 0.0, -sign, sign);
     }
@@ -249,17 +259,18 @@ static inline fb_mask fb_turned(fb_crew *c, const fb_mask asked)
         for (int lane = 0; lane < FB_WIDTH; ++lane)
             if (unknown[lane]) {
                 double now[FB_AT_LEAST_1(N_JACOBIAN)], before[FB_AT_LEAST_1(N_JACOBIAN)];
-                double row_size[FB_AT_LEAST_1(N_C)];
+                fb_units units;
                 fb_factors factors;
-                fb_take_lane(c->row_size, lane, N_C, row_size);
+                fb_take_lane(c->column_unit, lane, N_U, units.column);
+                fb_take_lane(c->row_unit, lane, N_C, units.row);
                 fb_take_lane(s->constraint_jacobian, lane, N_JACOBIAN, now);
                 fb_take_lane(c->jacobian_before, lane, N_JACOBIAN, before);
                 if (fb_eliminate(now, &factors) != FB_OK) {
                     turned[lane] = -1;
                     continue;
                 }
-                const double at_end = fb_orientation(now, row_size, &factors);
-                if (at_end * fb_orientation(before, row_size, &factors) < 0.0 ||
+                const double at_end = fb_orientation(now, &units, &factors);
+                if (at_end * fb_orientation(before, &units, &factors) < 0.0 ||
                     fabs(at_end) < FB_CLOSE_BY * c->largest_orientation[lane])
                     turned[lane] = -1;
             }

@@ -28,8 +28,10 @@ typedef struct fb_work {
     double multipliers[FB_AT_LEAST_1(N_C)];
     double residual_jacobian[(N_U + N_C) * N_COLUMNS];
     double jacobian_before[FB_AT_LEAST_1(N_JACOBIAN)]; /* J when `turned` was last called */
-    double row_size[FB_AT_LEAST_1(N_C)];               /* the largest entries of its rows that `turned` has met, */
-    double largest_orientation;                        /* and the largest orientation, 0 before it was called */
+#ifndef FB_SPARSE
+    fb_units units; /* of J as `turned` has met it */
+#endif
+    double largest_orientation; /* that it has met, 0 before it was called */
 } fb_work;
 
 #ifdef FB_SPARSE
@@ -54,13 +56,35 @@ static void full_dynamics(double t, const double *x, const double *constants, co
 #define full_dynamics dynamics
 #endif
 
+/* The factors at a state. Constraints that are redundant on the constraint manifold alone are so no more where loops are
+ * open; others never were. */
+static inline int factor_at(double t, const double *x, const double *constants, const double *r, fb_work *restrict w)
+{
+    const int status = fb_factor(w->mass_matrix, w->constraint_jacobian, &w->factors);
+#ifndef FB_SPARSE
+    if (N_RANK < N_C && status == FB_OK && w->factors.left > FB_REDUNDANT) {
+        double positions[FB_AT_LEAST_1(N_H)], slopes[FB_AT_LEAST_1(N_H * N_Q)], scale[FB_AT_LEAST_1(N_H)];
+        double unused[2][FB_AT_LEAST_1(N_C)];
+        position(t, x, constants, r, positions, slopes);
+        constraint_scale(t, x, constants, r, scale, unused[0], unused[1]);
+        /* What a violation makes of rows grows with what pivots divide them by. */
+        const double inverse = N_RANK > 0 ? fabs(w->factors.inverse[FB_AT_LEAST_1(N_RANK) - 1]) : 1.0;
+        if (!(w->factors.left <= FB_REDUNDANT + FB_OPENED * inverse * fb_violation(positions, scale, N_H)))
+            return FB_CONSTRAINTS_INDEPENDENT;
+    }
+#else
+    (void)t, (void)x, (void)constants, (void)r;
+#endif
+    return status;
+}
+
 static inline int solve_accelerations(double t, const double *restrict x, const double *restrict constants,
                                       const double *restrict r, double *restrict coordinate_rates,
                                       double *restrict rates, fb_work *restrict w)
 {
     dynamics(t, x, constants, r, coordinate_rates, w->mass_matrix, w->forcing, w->constraint_jacobian,
              w->acceleration_bias);
-    const int status = fb_factor(w->mass_matrix, w->constraint_jacobian, &w->factors);
+    const int status = factor_at(t, x, constants, r, w);
     if (status != FB_OK)
         return status;
     return fb_solve(w->forcing, w->acceleration_bias, &w->factors, rates);
@@ -86,7 +110,7 @@ static int stabilized(double t, const double *x, const double *constants, const 
     closure(t, x, constants, r, positions, velocities);
     for (int i = 0; i < N_C; ++i)
         w->acceleration_bias[i] += 2.0 * a * velocities[i] + a * a * positions[i];
-    int status = fb_factor(w->mass_matrix, w->constraint_jacobian, &w->factors);
+    int status = factor_at(t, x, constants, r, w);
     if (status == FB_OK)
         status = fb_solve(w->forcing, w->acceleration_bias, &w->factors, rates + N_Q);
     for (int i = 0; i < N_Q; ++i)
@@ -123,7 +147,7 @@ static int project(double t, double *x, const double *constants, const double *r
         if (attempt > 0 || !known) {
             dynamics(t, x, constants, r, w->coordinate_rates, w->mass_matrix, w->forcing, w->constraint_jacobian,
                      w->acceleration_bias);
-            status = fb_factor(w->mass_matrix, w->constraint_jacobian, &w->factors);
+            status = factor_at(t, x, constants, r, w);
         }
         constraint_scale(t, x, constants, r, unused, position_scale, velocity_scale);
         double last = INFINITY;
@@ -162,11 +186,11 @@ static int turned(void *work)
     int result = 0;
 #ifndef FB_SPARSE
     if (N_C > 0 && N_RANK == N_C) {
-        fb_note_rows(w->constraint_jacobian, w->row_size);
-        const double now = fb_orientation(w->constraint_jacobian, w->row_size, &w->factors);
+        fb_note_units(w->constraint_jacobian, &w->units);
+        const double now = fb_orientation(w->constraint_jacobian, &w->units, &w->factors);
         result = fabs(now) < FB_CLOSE_BY * w->largest_orientation;
         if (w->largest_orientation > 0.0)
-            result |= now * fb_orientation(w->jacobian_before, w->row_size, &w->factors) < 0.0;
+            result |= now * fb_orientation(w->jacobian_before, &w->units, &w->factors) < 0.0;
         for (int i = 0; i < N_JACOBIAN; ++i)
             w->jacobian_before[i] = w->constraint_jacobian[i];
         w->largest_orientation = fb_max(fabs(now), w->largest_orientation);

@@ -40,7 +40,12 @@ enum { N_MASS = N_U * N_U, N_JACOBIAN = N_C * N_U };
 /* And where no row is nearly dependent on others. */
 #define FB_NEAR_DEPENDENCE 1e-6
 
+/* At states with closed loops no more than this is left of J; where loops are open, so many times their violation. */
+#define FB_REDUNDANT 1e-7
+#define FB_OPENED 1e4
+
 typedef struct fb_factors {
+    double left; /* of the scaled J in redundant rows, the largest entry */
     int usual; /* whether the split is the usual one */
     int row[FB_AT_LEAST_1(N_C)], column[N_U]; /* P, Q */
     double scale[FB_AT_LEAST_1(N_C)];   /* S, in the order of the rows of L */
@@ -114,11 +119,11 @@ static inline int fb_eliminate(const double *restrict jacobian, fb_factors *rest
                 s->lu[i][j] -= factor * s->lu[k][j];
         }
     }
+    s->left = 0.0;
     for (int i = N_RANK; i < N_C; ++i)
         for (int j = N_RANK; j < N_U; ++j)
-            if (!(fabs(s->lu[i][j]) <= FB_DRIFT_TOLERANCE))
-                return FB_CONSTRAINTS_INDEPENDENT;
-    return FB_OK;
+            s->left = fb_max(s->left, fabs(s->lu[i][j]));
+    return s->left <= FB_DRIFT_TOLERANCE ? FB_OK : FB_CONSTRAINTS_INDEPENDENT;
 }
 
 /* The speed at a place of the split, which the compiler knows where it is the usual one. */
@@ -262,23 +267,31 @@ static inline void fb_back(const double *restrict forcing, const double *restric
         accelerations[fb_column(s, usual, i)] = v[i];
 }
 
-/* The largest entries of the rows of J so far. */
-static inline void fb_note_rows(const double *restrict jacobian, double *restrict row_size)
+/* The units of J: the largest entries so far of its columns, and, in units of these, of its rows. */
+typedef struct fb_units {
+    double column[N_U], row[FB_AT_LEAST_1(N_C)];
+} fb_units;
+
+static inline void fb_note_units(const double *restrict jacobian, fb_units *restrict units)
 {
     for (int i = 0; i < N_C; ++i)
         for (int j = 0; j < N_U; ++j)
-            row_size[i] = fb_max(row_size[i], fabs(jacobian[i * N_U + j]));
+            units->column[j] = fb_max(units->column[j], fabs(jacobian[i * N_U + j]));
+    for (int i = 0; i < N_C; ++i)
+        for (int j = 0; j < N_U; ++j)
+            if (units->column[j] > 0.0)
+                units->row[i] = fb_max(units->row[i], fabs(jacobian[i * N_U + j]) / units->column[j]);
 }
 
 /* The sign of the determinant of the columns of J that stand for the dependent speeds, times the smallest pivot of these,
- * with each row in units of its largest entry so far: it goes through 0, or close to it, at a singular position. */
-static inline double fb_orientation(const double *restrict jacobian, const double *restrict row_size,
+ * with columns and rows in their units: it goes through 0, or close to it, at a singular position. */
+static inline double fb_orientation(const double *restrict jacobian, const fb_units *restrict units,
                                     const fb_factors *restrict s)
 {
     double a[FB_AT_LEAST_1(N_C)][FB_AT_LEAST_1(N_C)], smallest = INFINITY, sign = 1.0;
     for (int i = 0; i < N_C; ++i)
         for (int j = 0; j < N_C; ++j)
-            a[i][j] = jacobian[i * N_U + s->column[j]] / row_size[i];
+            a[i][j] = jacobian[i * N_U + s->column[j]] / (units->column[s->column[j]] * units->row[i]);
     for (int k = 0; k < N_C; ++k) {
         int pivot = k;
         for (int i = k + 1; i < N_C; ++i)

@@ -30,6 +30,8 @@ typedef struct fb_work {
     double jacobian_before[FB_AT_LEAST_1(N_JACOBIAN)]; /* J when `turned` was last called */
 #ifndef FB_SPARSE
     fb_units units; /* of J as `turned` has met it */
+    double orientation_before;
+    int usual_before;
 #endif
     double largest_orientation; /* that it has met, 0 before it was called */
 } fb_work;
@@ -189,10 +191,16 @@ static int turned(void *work)
         fb_note_units(w->constraint_jacobian, &w->units);
         const double now = fb_orientation(w->constraint_jacobian, &w->units, &w->factors);
         result = fabs(now) < FB_CLOSE_BY * w->largest_orientation;
-        if (w->largest_orientation > 0.0)
-            result |= now * fb_orientation(w->jacobian_before, &w->units, &w->factors) < 0.0;
+        if (w->largest_orientation > 0.0) {
+            /* Of the usual columns it is known. */
+            const int known = w->factors.usual && w->usual_before;
+            result |= now * (known ? w->orientation_before
+                                   : fb_orientation(w->jacobian_before, &w->units, &w->factors)) < 0.0;
+        }
         for (int i = 0; i < N_JACOBIAN; ++i)
             w->jacobian_before[i] = w->constraint_jacobian[i];
+        w->orientation_before = now;
+        w->usual_before = w->factors.usual;
         w->largest_orientation = fb_max(fabs(now), w->largest_orientation);
     }
 #else

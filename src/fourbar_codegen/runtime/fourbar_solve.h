@@ -279,8 +279,8 @@ static inline void fb_note_units(const double *restrict jacobian, fb_units *rest
             units->column[j] = fb_max(units->column[j], fabs(jacobian[i * N_U + j]));
     for (int i = 0; i < N_C; ++i)
         for (int j = 0; j < N_U; ++j)
-            if (units->column[j] > 0.0)
-                units->row[i] = fb_max(units->row[i], fabs(jacobian[i * N_U + j]) / units->column[j]);
+            if (fabs(jacobian[i * N_U + j]) > units->row[i] * units->column[j])
+                units->row[i] = fabs(jacobian[i * N_U + j]) / units->column[j];
 }
 
 /* The sign of the determinant of the columns of J that stand for the dependent speeds, times the smallest pivot of these,

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from fourbar_codegen.compiled import CompiledModel
     from fourbar_codegen.simulate import InputSource
 
-__all__ = ["CLOSED", "Loops", "given", "initial_state", "initial_states", "nearest_closed"]
+__all__ = ["Loops", "given", "initial_state", "initial_states", "nearest_closed"]
 
 Floats = NDArray[np.float64]
 
@@ -146,9 +146,7 @@ class Loops:
         if not np.isfinite(dependent).all():
             return False
         q = self.coordinates(dependent)
-        error, _ = self.model.position(self.t, q, self.p, self.r)
-        scale, *_ = self.model.constraint_scale(self.t, np.concatenate((q, np.zeros(self.model.n_u))), self.p, self.r)
-        return bool((np.abs(error) <= CLOSED * scale).all() and np.isfinite(scale).all())
+        return _holds(self.model, self.t, q, self.model.position(self.t, q, self.p, self.r)[0], self.p, self.r)
 
     def newton(self, dependent: Floats) -> Floats | None:
         """A solution where each step halves the residual at least, until rounding errors are left; None elsewhere."""
@@ -187,6 +185,12 @@ class Loops:
         return found if self.are_closed(found) else None
 
 
+def _holds(model: CompiledModel, t: float, q: Floats, residual: Floats, p: Floats | None, r: Floats | None) -> bool:
+    """Whether the position constraints hold that have this residual, each by its own scale."""
+    scale, *_ = model.constraint_scale(t, np.concatenate((q, np.zeros(model.n_u))), p, r)
+    return bool((np.abs(residual) <= CLOSED * scale).all() and np.isfinite(scale).all())
+
+
 def nearest_closed(model: CompiledModel, t: float, q: Floats, p: Floats | None, r: Floats | None) -> Floats | None:
     """Coordinates that satisfy the position constraints, by the Gauss-Newton method from some that need not.
 
@@ -195,10 +199,9 @@ def nearest_closed(model: CompiledModel, t: float, q: Floats, p: Floats | None, 
     """
     for _ in range(CORRECTIONS):
         residual, slopes = model.position(t, q, p, r)
-        scale, *_ = model.constraint_scale(t, np.concatenate((q, np.zeros(model.n_u))), p, r)
-        if not (np.isfinite(residual).all() and np.isfinite(slopes).all() and np.isfinite(scale).all()):
+        if not (np.isfinite(residual).all() and np.isfinite(slopes).all()):
             return None
-        if (np.abs(residual) <= CLOSED * scale).all():
+        if _holds(model, t, q, residual, p, r):
             return q
         q = q - np.linalg.lstsq(slopes, residual, rcond=SINGULAR)[0]
     return None

@@ -100,6 +100,9 @@ X = [0.1] * 6
         (lambda m: fb.compile_model(make_four_bar().system), ["Model", "System"]),
         (lambda m: fb.Parameter(np.nan), ["finite"]),
         (lambda m: fb.Parameter("heavy"), ["'heavy'"]),
+        (lambda m: fb.models.chain(2, closed=True), ["links", "3 to 1000", "2"]),
+        (lambda m: fb.models.n_four_bar(10**400), ["loops", "1 to 1000", "10000"]),
+        (lambda m: m.initial_states(X[:1])[[1.0, [2.0, 3.0]]], ["mode", "[2.0, 3.0]"]),
     ],
 )
 def test_error_names_what_is_wrong_and_what_is_allowed(four_bar, call, words):

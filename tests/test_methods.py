@@ -412,3 +412,20 @@ def test_formulations(four_bar):
         four_bar.simulate((0.0, 1.0), method="IDA", constraints="baumgarte")
     with pytest.raises(fb.ModelError, match="formulation is for IDA; Radau"):
         four_bar.simulate((0.0, 1.0), method="Radau", formulation="index-1")
+
+
+def test_tolerance_and_motion_say_how_exact_the_end_is():
+    """A bicycle that falls over, at speeds of 900 rad/s: an error on the way ends some 1e5 times as large."""
+    bicycle = fb.compile_model(fb.models.whipple_bicycle())
+    x0 = bicycle.initial_state({"q4": 0.0}, {"u6": -2.0 / 0.3, "u4": 0.5})
+    exact = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-12}
+    reference = bicycle.simulate((0.0, 2.5), x0, **exact)
+    # What a relative error of 1e-6, IDA's tolerance, at the worst time ends as.
+    lying = (reference.t > 2.003) & (reference.t < 2.004)
+    start, fallen = reference.t[lying][0], reference.y[:, lying][:, 0]
+    ends = [bicycle.simulate((start, 2.5), fallen * scale, **exact).y[:, -1] for scale in (1.0, 1.0 + 1e-8)]
+    growth = np.abs(ends[1] - ends[0]).max() / 1e-8
+    assert growth > 1e3
+    run = bicycle.simulate((0.0, 2.5), x0, method="IDA")
+    assert run.success
+    assert np.abs(run.y[:, -1] - reference.y[:, -1]).max() < 1e-6 * growth

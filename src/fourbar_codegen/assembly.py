@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.initial import Loops
 
 if TYPE_CHECKING:
@@ -107,7 +108,10 @@ class AssemblyModes:
 
     def __getitem__(self, number: int) -> Floats:
         """The state of a mode."""
-        state: Floats = self.x[number]
+        try:
+            state: Floats = self.x[number]
+        except ValueError as error:  # NumPy's, for ragged lists
+            raise ModelError(f"A mode is known by its number, below {len(self)}, not by {shown(number)}.") from error
         return state
 
     def __len__(self) -> int:

@@ -299,8 +299,8 @@ class IDA(_Sundials):
 
     Notes
     -----
-    Tolerances are those of a step, of which there may be thousands: close to singular positions the error at the end
-    may be 1e3 to 1e5 times as large as `rtol`, and IDA takes several times as many evaluations as CVODE. DOP853 is more
+    Tolerances are those of a step. Velocities that satisfy their constraints exactly follow errors of positions: where
+    these change fast, IDA takes several times as many steps in its default formulation as in index 1. DOP853 is more
     accurate, and faster, where nothing is stiff.
     """
 

@@ -34,7 +34,7 @@ import fourbar_codegen as fb
 SCALARS = [
     None, "text", "", "1.0", "nan", b"bytes", True, 1j, 2 + 0j, math.nan, math.inf, -math.inf, 1e308, -1e308, 1e200,
     5e-324, 0.0, -0.0, 1e-300, 10**400, -(10**400), -1, 0, 2.5, Fraction(1, 3), Decimal("0.1"), Decimal("nan"),
-    timedelta(1), object(), NotImplemented, Ellipsis, slice(None), print, type, fb.ModelError, np.float32(0.5),
+    timedelta(1), object(), NotImplemented, Ellipsis, slice(None), print, fb.ModelError, np.float32(0.5),
     np.float64("nan"), np.longdouble(0.5), np.datetime64("2020"), np.timedelta64(1, "s"), np.bool_(True), np.ma.masked,
 ]  # fmt: skip
 

@@ -11,6 +11,9 @@ from fourbar_codegen.model import Model, Parameter
 
 __all__ = ["chain"]
 
+MOST = 1_000
+"""A larger number of links is taken for a slip."""
+
 
 def chain(links: int = 3, *, closed: bool = False) -> Model:
     """Model uniform bars, joined end to end by pins, under gravity.
@@ -18,7 +21,7 @@ def chain(links: int = 3, *, closed: bool = False) -> Model:
     Parameters
     ----------
     links : int, optional
-        Number of moving bars; at least 1, at least 3 in a closed chain.
+        Number of moving bars; at least 1, at least 3 in a closed chain, at most 1,000.
     closed : bool, optional
         Whether the last bar's end is pinned to the ground, at the distance d from the first pin; then the last two
         coordinates are dependent.
@@ -32,7 +35,7 @@ def chain(links: int = 3, *, closed: bool = False) -> Model:
     Raises
     ------
     ModelError
-        If there are too few links.
+        If there are too few links, or too many.
 
     Examples
     --------
@@ -41,8 +44,9 @@ def chain(links: int = 3, *, closed: bool = False) -> Model:
     2
     """
     fewest = 3 if closed else 1
-    if not isinstance(links, int) or links < fewest:
-        raise ModelError(f"A {'closed' if closed else 'open'} chain has at least {fewest} links, not {shown(links)}.")
+    if not isinstance(links, int) or not fewest <= links <= MOST:
+        kind = "closed" if closed else "open"
+        raise ModelError(f"The number of links of an {kind} chain is {fewest} to {MOST}, not {shown(links)}.")
     q, u = me.dynamicsymbols(f"q1:{links + 1}"), me.dynamicsymbols(f"u1:{links + 1}")
     m, length, d, g = sm.symbols("m l d g")
     t = me.dynamicsymbols._t

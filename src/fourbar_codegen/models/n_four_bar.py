@@ -15,6 +15,9 @@ from fourbar_codegen.model import Model, Parameter
 
 __all__ = ["n_four_bar"]
 
+MOST = 1_000
+"""A larger number of loops is taken for a slip."""
+
 
 def n_four_bar(loops: int = 2) -> Model:
     """Model N + 1 upright bars on the ground, N bars across their tops: 2 N + 1 equal bars, one degree of freedom.
@@ -22,7 +25,7 @@ def n_four_bar(loops: int = 2) -> Model:
     Parameters
     ----------
     loops : int, optional
-        N, at least 1.
+        N, from 1 to 1,000.
 
     Returns
     -------
@@ -34,7 +37,7 @@ def n_four_bar(loops: int = 2) -> Model:
     Raises
     ------
     ModelError
-        If there is no loop.
+        If there is no loop, or too many.
 
     Examples
     --------
@@ -42,8 +45,8 @@ def n_four_bar(loops: int = 2) -> Model:
     >>> fb.models.n_four_bar(2).mechanism.n_dependent_coordinates
     4
     """
-    if not isinstance(loops, int) or loops < 1:
-        raise ModelError(f"An N-four-bar mechanism has at least 1 loop, not {shown(loops)}.")
+    if not isinstance(loops, int) or not 1 <= loops <= MOST:
+        raise ModelError(f"The number of loops of an N-four-bar mechanism is 1 to {MOST}, not {shown(loops)}.")
     upright, across = me.dynamicsymbols(f"p0:{loops + 1}"), me.dynamicsymbols(f"c1:{loops + 1}")
     v, w = me.dynamicsymbols(f"v0:{loops + 1}"), me.dynamicsymbols(f"w1:{loops + 1}")
     m, length, g = sm.symbols("m l g")

@@ -110,7 +110,7 @@ class Drawn:
         if kind == 2:
             speed = body.masscenter.vel(ground.frame).dot(self.vector(body.frame))
             return "no sliding", speed - self.symbol(f"w{number}") * sm.sin(t)
-        motion = me.dynamicsymbols(f"s{number}")
+        motion = me.dynamicsymbols(f"z{number}")
         self.inputs[motion] = self.symbol(f"A{number}") * sm.sin(2 * t)
         coordinate = self.system.q[self.generator.integers(len(self.system.q))]
         return "prescribed", coordinate - motion

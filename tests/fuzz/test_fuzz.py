@@ -1,6 +1,7 @@
 """The first cases of each kind, and that the fuzzers find what is wrong."""
 
 import os
+from itertools import chain
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ SHORT = {"calls": 2000, "mechanisms": 2, "damage": 150, "kills": 2}
 
 @pytest.mark.parametrize("kind", SHORT)
 def test_first_cases(kind):
-    found = explore(kind, SEED, SHORT[kind])
+    found = list(chain.from_iterable(explore(kind, SEED, SHORT[kind])))
     by_cause = {finding.cause: finding for finding in reversed(found)}
     assert not found, "\n\n".join(map(str, by_cause.values()))
 
@@ -97,7 +98,7 @@ def test_a_case_that_ends_its_process_is_found(monkeypatch, tmp_path):
         "module = types.ModuleType('fuzz.calls'); module.case = case; sys.modules['fuzz.calls'] = module\n"
     )
     path = os.pathsep.join(map(str, (tmp_path, *PATHS)))
-    found = explore("calls", SEED, 8, {"PYTHONPATH": path})
+    found = list(chain.from_iterable(explore("calls", SEED, 8, {"PYTHONPATH": path})))
     expected = [number for number in range(8) if np.random.default_rng([SEED, number]).random() < 0.5]
     assert [finding.number for finding in found] == expected
     assert all("Aborted" in finding.what or "-6" in finding.what for finding in found)

@@ -15,6 +15,7 @@ from fourbar_codegen.runtime.evaluator import is_finite, number, numbers
 __all__ = [
     "Values",
     "finite_number",
+    "flag",
     "is_integer",
     "is_mapping",
     "longest_step",
@@ -195,6 +196,13 @@ def tolerance(value: ArrayLike, name: str, size: int = 0) -> NDArray[np.float64]
 def is_integer(value: object) -> TypeGuard[int]:
     """Whether it is a whole number by its type; neither a truth value nor a time is one."""
     return isinstance(value, int | np.integer) and not isinstance(value, bool | np.timedelta64)
+
+
+def flag(value: object, name: str) -> bool:
+    """A truth value, or a ModelError: what only counts as one is a slip."""
+    if not isinstance(value, bool | np.bool_):
+        raise ModelError(f"{name} must be True or False, not {shown(value)}.")
+    return bool(value)
 
 
 def one_of(value: object, allowed: Sequence[str], kind: str) -> str:

@@ -9,6 +9,7 @@ from importlib.metadata import version as distribution_version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fourbar_codegen.arguments import flag
 from fourbar_codegen.build import build_extension, cache_key, pack_wheel
 from fourbar_codegen.cache import cached
 from fourbar_codegen.compiled import CompiledModel
@@ -190,6 +191,7 @@ def build_wheel(model: Model, folder: str | Path, *, version: str = "0.1.0", che
 
 
 def _build(model: Model, folder: Path, *, portable: bool, check: bool) -> Path:
+    compares = flag(check, "check")
     with Progress(f"fourbar_codegen: {model.name}") as progress:
         equations, sources = _generate(model, progress)
 
@@ -200,7 +202,7 @@ def _build(model: Model, folder: Path, *, portable: bool, check: bool) -> Path:
             verify(equations, CompiledModel.from_file(module))
 
         progress.stage("compiling")
-        return build_extension(model.name, sources, folder, portable=portable, check=compare if check else None)
+        return build_extension(model.name, sources, folder, portable=portable, check=compare if compares else None)
 
 
 def compile_model(model: Model, *, check: bool = True) -> CompiledModel:
@@ -235,6 +237,7 @@ def compile_model(model: Model, *, check: bool = True) -> CompiledModel:
     6
     """
     _require_model(model)
+    check = flag(check, "check")
 
     def build(folder: Path) -> Path:
         return _build(model, folder, portable=False, check=check)

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.arguments import (
     Values,
+    flag,
     is_integer,
     is_mapping,
     longest_step,
@@ -217,6 +218,7 @@ def run(
     relative, absolute = float(tolerance(rtol, "rtol")), tolerance(atol, "atol", model.n_x)
     max_step = longest_step(max_step)
     workers = _workers(workers)
+    shows_bar = flag(progress, "progress")
     if not (parallel is None or _is_engine(parallel)):
         raise ModelError(f"parallel must be a joblib.Parallel or None, not {shown(parallel)}.")
     # Arrays of one dimension have a number for each member.
@@ -233,7 +235,7 @@ def run(
     from tqdm import tqdm
 
     # Silent where nobody watches: disable=None looks whether there is a terminal.
-    with tqdm(total=n, desc=model.name, unit="run", delay=PATIENCE, disable=None if progress else True) as bar:
+    with tqdm(total=n, desc=model.name, unit="run", delay=PATIENCE, disable=None if shows_bar else True) as bar:
         if parallel is None or not n:
             y, success, messages, nfev = _on_threads(runs, workers, bar)
         else:

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from fourbar_codegen.arguments import (
     Values,
     finite_number,
+    flag,
     is_mapping,
     longest_step,
     name_of,
@@ -228,8 +229,7 @@ def simulate(
     max_step = longest_step(max_step)
     if method == FIXED_STEP and max_step == math.inf:
         raise ModelError(f"{FIXED_STEP} takes steps of one length: give it as max_step.")
-    if not isinstance(dense_output, bool | np.bool_):
-        raise ModelError(f"dense_output must be True or False, not {shown(dense_output)}.")
+    dense_output = flag(dense_output, "dense_output")
     limit = most_steps(max_steps, method, (start, end), max_step)
     if not (progress is None or progress is False or callable(progress)):
         raise ModelError(f"progress must be a callable of the time, False or None, not {shown(progress)}.")

@@ -6,6 +6,7 @@ import sympy as sm
 import sympy.physics.mechanics as me
 from sympy.physics.mechanics.system import System
 
+from fourbar_codegen.arguments import flag, is_integer
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.model import Model, Parameter
 
@@ -43,8 +44,8 @@ def chain(links: int = 3, *, closed: bool = False) -> Model:
     >>> fb.models.chain(5, closed=True).mechanism.n_dependent_coordinates
     2
     """
-    fewest = 3 if closed else 1
-    if not isinstance(links, int) or not fewest <= links <= MOST:
+    fewest = 3 if flag(closed, "closed") else 1
+    if not is_integer(links) or not fewest <= links <= MOST:
         kind = "closed" if closed else "open"
         raise ModelError(f"The number of links of an {kind} chain is {fewest} to {MOST}, not {shown(links)}.")
     q, u = me.dynamicsymbols(f"q1:{links + 1}"), me.dynamicsymbols(f"u1:{links + 1}")

@@ -10,6 +10,7 @@ import sympy as sm
 import sympy.physics.mechanics as me
 from sympy.physics.mechanics.system import System
 
+from fourbar_codegen.arguments import is_integer
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.model import Model, Parameter
 
@@ -45,7 +46,7 @@ def n_four_bar(loops: int = 2) -> Model:
     >>> fb.models.n_four_bar(2).mechanism.n_dependent_coordinates
     4
     """
-    if not isinstance(loops, int) or not 1 <= loops <= MOST:
+    if not is_integer(loops) or not 1 <= loops <= MOST:
         raise ModelError(f"The number of loops of an N-four-bar mechanism is 1 to {MOST}, not {shown(loops)}.")
     upright, across = me.dynamicsymbols(f"p0:{loops + 1}"), me.dynamicsymbols(f"c1:{loops + 1}")
     v, w = me.dynamicsymbols(f"v0:{loops + 1}"), me.dynamicsymbols(f"w1:{loops + 1}")

@@ -159,6 +159,36 @@ def test_derivatives_of_sinc_also_at_zero():
     assert compiled.default_inputs(0.0) == pytest.approx([1.0, 0.0, -1 / 3], rel=1e-15)
 
 
+HYPERBOLIC = [sm.sech, sm.csch, sm.coth, sm.acoth, sm.asech, sm.acsch]
+
+
+def test_hyperbolic_functions_that_c_does_not_have():
+    """From 1e-9 to 1e5, where quotients of exponentials cancel or overflow."""
+    F = me.dynamicsymbols("F:6")
+    inputs = {f: function(t) for f, function in zip(F, HYPERBOLIC, strict=True)}
+    compiled = fb.compile_model(fb.Model(sliding(sum(F)), parameters={m: 1.0}, inputs=inputs), check=False)
+    for x in (1e-9, 1e-3, 0.3, 0.999, 1.5, 5.0, 300.0, 1e5):
+        exact = [function(sm.Float(x, 40)).evalf(30) for function in HYPERBOLIC]
+        expected = [float(value) if value.is_real else np.nan for value in exact]
+        # The functions of the C library err by a few units; acosh(1 / x) at 0.999 by 1 / (2 (1 - x)) of them.
+        np.testing.assert_allclose(compiled.default_inputs(x), expected, rtol=1e-13)
+
+
+@pytest.mark.parametrize(
+    "condition",
+    [
+        sm.ITE(q > 0, u > 0, u < -1), sm.Implies(q > 0, u > 0), sm.Xor(q > 0, u > 0, q > u),
+        sm.Equivalent(q > 0, u > 0), sm.Nand(q > 0, u > 0), sm.Not(sm.Or(q > 0, u > 0), evaluate=False),
+    ],
+)  # fmt: skip
+def test_conditions_of_all_kinds(condition):
+    """Compared with the equations when compiled, and here with SymPy's logic."""
+    compiled = fb.compile_model(fb.Model(sliding(sm.Piecewise((10, condition), (20, True))), parameters={m: 1.0}))
+    for x in np.random.default_rng(5).uniform(-2.0, 2.0, (40, 2)):
+        expected = 10 if condition.subs(dict(zip((q, u), x, strict=True))) else 20
+        assert compiled.rhs(0.0, x)[1] == expected
+
+
 def test_speed_without_a_coordinate():
     block = fb.compile_model(coordinate_free())
     # m v' = -b v

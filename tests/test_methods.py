@@ -405,6 +405,14 @@ def test_solvers_by_themselves_check_what_they_are_given(four_bar, name):
             solve_ivp(four_bar.ode(), (0.0, np.inf), x0, method=getattr(fb.solvers, name))
 
 
+def test_a_failed_step_leaves_the_state_it_began_with(four_bar):
+    """At t = -1e308 the step lengths that LSODA tries are beyond the range of double."""
+    solver = fb.solvers.LSODA(four_bar.ode(), -1e308, four_bar.initial_state(), 1.0)
+    assert "not finite" in solver.step()
+    assert solver.status == "failed"
+    np.testing.assert_array_equal(solver.y, four_bar.initial_state())
+
+
 def test_formulations(four_bar):
     with pytest.raises(fb.ModelError, match="index-1"):
         four_bar.simulate((0.0, 1.0), method="IDA", formulation="index-4")

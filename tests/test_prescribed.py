@@ -54,6 +54,24 @@ def test_rates_of_an_input_are_inputs():
         assert pendulum.kinetic_energy(time, x) == pytest.approx(energy, rel=1e-13)
 
 
+def test_batches_take_motions_as_single_states_do():
+    """At rest where a motion is given without its rates; its expression where it is left out, at each time."""
+    pendulum = fb.compile_model(driven_pendulum(a * sm.sin(w * t)))
+    times, x = np.array([0.0, 0.7, 2.0]), np.array([[0.3, -1.2, 2.0], [1.0, 0.5, -3.0]])
+    at_rest = -9.81 * np.sin(x[0]) / 0.5
+    driven = at_rest + 0.1 * 25 * np.sin(5 * times) * np.cos(x[0]) / 0.5
+    several = {"a": np.full(3, 0.1)}  # of which each state has its own
+    for p in (None, several):
+        np.testing.assert_allclose(pendulum.rhs_batch(times, x, p, r={s: 3.0})[1], at_rest, rtol=1e-13)
+        np.testing.assert_allclose(pendulum.rhs_batch(0.7, x, p, r={s: times})[1], at_rest, rtol=1e-13)
+        np.testing.assert_allclose(pendulum.rhs_batch(times, x, p, r={})[1], driven, rtol=1e-13)
+        own = pendulum.rhs_batch(times, x, p, r={"s''": -2.5 * np.sin(5 * times)})[1]
+        np.testing.assert_allclose(own, driven, rtol=1e-13)
+    bare = fb.compile_model(driven_pendulum(None))
+    with pytest.raises(fb.ModelError, match="No value for input s"):
+        bare.rhs_batch(0.0, x, r={})
+
+
 def test_parameters_reach_the_motion_through_the_expressions_of_rates():
     pendulum = fb.compile_model(driven_pendulum(a * sm.sin(w * t)))
     time, angle, speed, p = 0.7, -1.2, 0.5, {m: 2.0, length: 0.5, g: 9.81, a: 0.1, w: 5.0}

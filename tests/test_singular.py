@@ -218,8 +218,8 @@ def test_a_run_begins_at_a_singular_position(parallelograms):
     np.testing.assert_allclose(run["p1"], run["p0"], atol=1e-9)
 
 
-def knife_edge():
-    """A blade on a plane that does not slip sideways: -sin(F) vx + cos(F) vy = 0, vy dependent."""
+def knife_edge(repeated=False):
+    """A blade that does not slip sideways: -sin(F) vx + cos(F) vy = 0 with vy dependent; repeated, with vx as well."""
     x, y, heading, vx, vy, w = me.dynamicsymbols("x y F v_x v_y w")
     t = me.dynamicsymbols._t
     plane, blade, origin, point = me.ReferenceFrame("N"), me.ReferenceFrame("B"), me.Point("O"), me.Point("P")
@@ -232,8 +232,22 @@ def knife_edge():
     system.add_bodies(me.RigidBody("blade", point, blade, 1, (me.inertia(blade, 0, 0, 1), point)))
     system.q_ind, system.u_ind, system.u_dep = [x, y, heading], [vx, w], [vy]
     system.add_kdes(vx - x.diff(t), vy - y.diff(t), w - heading.diff(t))
-    system.add_nonholonomic_constraints(-sm.sin(heading) * vx + sm.cos(heading) * vy)
+    slip = -sm.sin(heading) * vx + sm.cos(heading) * vy
+    system.add_nonholonomic_constraints(slip)
+    if repeated:
+        system.u_ind, system.u_dep = [w], [vx, vy]
+        system.add_nonholonomic_constraints(3 * slip)
     return fb.compile_model(fb.Model(system, name="knife_edge"))
+
+
+def test_no_choice_is_made_of_speeds_that_constraints_leave_open():
+    """A constraint and its double determine one of two dependent speeds: any speed along the blade satisfies them."""
+    twice = knife_edge(repeated=True)
+    assert twice.rhs(0.0, [0.0, 0.0, 0.3, 0.5, np.cos(0.3), np.sin(0.3)]) == pytest.approx(
+        [np.cos(0.3), np.sin(0.3), 0.5, 0.0, -0.5 * np.sin(0.3), 0.5 * np.cos(0.3)], abs=1e-15
+    )
+    with pytest.raises(fb.AssemblyError, match=r"dependent speeds \(v_x, v_y\) do not follow"):
+        twice.initial_state([0.0, 0.0, 0.3], [0.5])
 
 
 def test_rounding_errors_determine_no_dependent_speed():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, TypeGuard
 
 import numpy as np
@@ -20,6 +20,7 @@ __all__ = [
     "is_mapping",
     "longest_step",
     "name_of",
+    "named",
     "named_array",
     "named_columns",
     "named_values",
@@ -47,6 +48,25 @@ def name_of(key: Any) -> str:
     return name if isinstance(name, str) else shown(key)
 
 
+def named(values: Mapping[Any, Any], names: Collection[str], kind: str) -> dict[str, Any]:
+    """A mapping with names for keys.
+
+    Raises
+    ------
+    ModelError
+        If a key is none of the names, or two are the same one.
+    """
+    found: dict[str, Any] = {}
+    for key, value in values.items():
+        name = name_of(key)
+        if name not in names:
+            raise ModelError(f"There is no {kind} {name!r}; there are {', '.join(names) or 'none'}.")
+        if name in found:
+            raise ModelError(f"There are two values of {kind} {name}: give one, by its name or its symbol.")
+        found[name] = value
+    return found
+
+
 def named_values(
     values: Mapping[Any, float], names: Sequence[str], defaults: Mapping[str, float | None], kind: str
 ) -> list[float]:
@@ -55,14 +75,10 @@ def named_values(
     Raises
     ------
     ModelError
-        If a key is none of the names, or a name has neither value nor default.
+        If a key is none of the names, or two are the same one, or a name has neither value nor default.
     """
     known: dict[str, float | None] = {name: defaults.get(name) for name in names}
-    for key, value in values.items():
-        name = name_of(key)
-        if name not in known:
-            raise ModelError(f"There is no {kind} {name!r}; there are {', '.join(names) or 'none'}.")
-        known[name] = finite_number(value, f"{kind} {name}")
+    known |= {name: finite_number(value, f"{kind} {name}") for name, value in named(values, names, kind).items()}
     missing = [name for name, value in known.items() if value is None]
     if missing:
         raise ModelError(f"No value for {kind} {', '.join(missing)}: give one, there is no default.")
@@ -121,11 +137,7 @@ def named_columns(
         If a name or a shape is wrong, or a value is missing. Values that are not finite are let through.
     """
     if type(given) is not np.ndarray and is_mapping(given):
-        known: dict[str, Any] = {name: defaults.get(name) for name in names}
-        for key, value in given.items():
-            if name_of(key) not in known:
-                raise ModelError(f"There is no {kind} {name_of(key)!r}; there are {', '.join(names) or 'none'}.")
-            known[name_of(key)] = value
+        known: dict[str, Any] = {name: defaults.get(name) for name in names} | named(given, names, kind)
         missing = [name for name, value in known.items() if value is None]
         if missing:
             raise ModelError(f"No value for {kind} {', '.join(missing)}: give one, there is no default.")

@@ -87,6 +87,11 @@ class Conversion:
         return apply(tape, _with_arguments(node, stand_ins), [known[argument] for argument in arguments])
 
 
+RECIPROCALS = {sm.sech: sm.cosh, sm.csch: sm.sinh, sm.coth: sm.tanh}
+OF_RECIPROCALS = {sm.acoth: sm.atanh, sm.asech: sm.acosh, sm.acsch: sm.asinh}
+"""What SymPy prints in exponentials, which overflow, and logarithms, which cancel, in terms of C's own functions."""
+
+
 def apply(tape: Tape, function: sm.Expr, arguments: Sequence[Scalar]) -> Scalar:
     """The value of a function, given as an expression in ``placeholder(0)``, ``placeholder(1)``, ..."""
     nodes = list(dict.fromkeys(argument.node for argument in arguments if argument.node != ONE))
@@ -100,6 +105,10 @@ def apply(tape: Tape, function: sm.Expr, arguments: Sequence[Scalar]) -> Scalar:
     if isinstance(rest, sm.Max | sm.Min):
         # Their derivatives are step functions; those of Piecewise are Piecewise.
         rest = rest.rewrite(sm.Piecewise)
+    elif rest.func in RECIPROCALS:
+        rest = 1 / RECIPROCALS[rest.func](*rest.args)
+    elif rest.func in OF_RECIPROCALS:
+        rest = OF_RECIPROCALS[rest.func](1 / rest.args[0])
     elif isinstance(rest, sm.sinc):
         rest = smooth_sinc(*rest.args)
     elif isinstance(rest, sm.Mod):

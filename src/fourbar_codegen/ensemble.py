@@ -21,6 +21,7 @@ from fourbar_codegen.arguments import (
     is_mapping,
     longest_step,
     name_of,
+    named,
     named_columns,
     numbers,
     one_of,
@@ -146,8 +147,7 @@ def evaluate(
         parameters = named_columns(p, model.parameters, model.defaults, "parameter", n)
     inputs = None
     if r is not None:
-        missing = dict.fromkeys(model.inputs) if times.ndim else _default_inputs(model, float(times), parameters)
-        inputs = named_columns(r, model.inputs, missing, "input", n)
+        inputs = named_columns(_with_defaults(model, times, parameters, r, n), model.inputs, {}, "input", n)
     elif any(entry["expression"] is None for entry in model.manifest["inputs"]):
         raise ModelError(model.missing())
     if out is None:
@@ -168,11 +168,24 @@ def evaluate(
     return out
 
 
-def _default_inputs(model: CompiledModel, t: float, parameters: Floats) -> dict[str, float | None]:
-    if parameters.ndim == 2:
-        return dict.fromkeys(model.inputs)
-    values = model.default_inputs(t, parameters)
-    return {name: None if math.isnan(v) else float(v) for name, v in zip(model.inputs, values, strict=True)}
+def _with_defaults(model: CompiledModel, times: Floats, parameters: Floats, r: Values, n: int) -> Values:
+    """Inputs by name with those that are left out: their expressions' values, rates of given motions 0."""
+    if not is_mapping(r):
+        return r
+    entries = model.manifest["inputs"]
+    given = named(r, model.inputs, "input")
+    left = [place for place, name in enumerate(model.inputs) if name not in given]
+    in_force = model.defaults_in_force(r)
+    rates = {model.inputs[place]: 0.0 for place in left if entries[place]["order"] and not in_force[place]}
+    expressions = [p for p in left if model.inputs[p] not in rates and entries[p]["expression"] is not None]
+    if not expressions:
+        return rates | given
+    if times.ndim or parameters.ndim == 2:
+        t, p = np.broadcast_to(times, n), np.broadcast_to(parameters.T, (n, model.n_p))
+        values = np.reshape([model.default_inputs(*at) for at in zip(t, p, strict=True)], (n, model.n_r)).T
+    else:
+        values = model.default_inputs(float(times), parameters)
+    return {model.inputs[place]: values[place] for place in expressions} | rates | given
 
 
 def _workers(workers: int | None) -> int:

@@ -243,7 +243,7 @@ class UndeterminedSpeedsError(AssemblyError):
 
 
 def _dependent_speeds(loops: Loops, q: Floats, u_i: Floats, singular: float = SINGULAR) -> Floats:
-    """All speeds: the dependent ones solve J_d u_d = -(J_i u_i + b); the least ones where that leaves a choice."""
+    """All speeds: the dependent ones solve J_d u_d = -(J_i u_i + b), and are determined by that."""
     model, n_i = loops.model, len(u_i)
     jacobian, bias = model.velocity(loops.t, np.concatenate((q, np.zeros(model.n_u))), loops.p, loops.r)
     if not model.n_c:
@@ -254,9 +254,10 @@ def _dependent_speeds(loops: Loops, q: Floats, u_i: Floats, singular: float = SI
     if rank > model.n_u - n_i:
         raise AssemblyError(model.too_few_dependent(f"at {_named(model.coordinates, q)}", rank))
     known = jacobian[:, :n_i] @ u_i + bias
-    u_d, _ = solve_dependent(jacobian, n_i, known, singular)
+    u_d, determined = solve_dependent(jacobian, n_i, known, singular)
     error = np.abs(jacobian[:, n_i:] @ u_d + known).max()
-    if not error <= CONSISTENT * max(np.abs(jacobian[:, n_i:]).max() * np.abs(u_d).max(), np.abs(known).max()):
+    terms = max(np.abs(jacobian[:, n_i:]).max() * np.abs(u_d).max(), np.abs(known).max())
+    if determined < len(u_d) or not error <= CONSISTENT * terms:
         raise UndeterminedSpeedsError(
             f"The dependent speeds ({', '.join(model.speeds[n_i:])}) do not follow from the independent ones at "
             f"{_named(model.coordinates, q)}: the constraints' Jacobian with respect to them is singular. Start from "

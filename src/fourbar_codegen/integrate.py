@@ -252,6 +252,8 @@ def integrate(
 def most_steps(given: object, method: str, span: tuple[float, float], max_step: float) -> int | None:
     """The most steps that a run may take: as `CompiledModel.simulate` is given them, by default those of its method."""
     if isinstance(given, str) and given == "auto":
+        if max_step < np.spacing(max(map(abs, span))):  # which is lost in the rounding of t: no run goes on with it
+            return STEPS[method]
         return max(STEPS[method], int(min(MARGIN * abs(span[1] - span[0]) / max_step, sys.maxsize)))
     if given is None:
         return None

@@ -493,7 +493,7 @@ def _expression(given: Any, what: str) -> sm.Expr:
     """A SymPy expression; text is not evaluated."""
     try:
         expression = sm.sympify(given, strict=True)
-    except sm.SympifyError as error:
+    except (sm.SympifyError, TypeError) as error:  # the latter is SymPy's for some of what is in containers
         raise ModelError(f"{what} must be an expression or a number, not {shown(given)}.") from error
     _check_expressions([expression], what)
     if expression.is_extended_real is False or expression.is_finite is False:

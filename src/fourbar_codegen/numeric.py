@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 
 import sympy as sm
-from sympy.logic.boolalg import Boolean
+from sympy.logic.boolalg import Boolean, BooleanFunction
 
 __all__ = ["number"]
 
@@ -74,8 +74,12 @@ def number(expr: sm.Expr, values: Mapping[sm.Symbol, float]) -> float:
 
 
 def _holds(condition: Boolean, values: Mapping[sm.Symbol, float]) -> bool:
-    if isinstance(condition, sm.And | sm.Or | sm.Not):
-        return bool(condition.func(*(sm.true if _holds(part, values) else sm.false for part in condition.args)))
-    if condition.is_Relational:
-        return bool(condition.func(*(sm.Float(number(side, values)) for side in condition.args)))
-    return bool(condition)
+    if isinstance(condition, BooleanFunction):
+        known = condition.func(*(sm.true if _holds(part, values) else sm.false for part in condition.args))
+    elif condition.is_Relational:
+        known = condition.func(*(sm.Float(number(side, values)) for side in condition.args))
+    else:
+        known = condition
+    if known not in (sm.true, sm.false):  # bool() would take any other object for true
+        raise TypeError(f"It is not known whether {condition} holds.")
+    return bool(known)

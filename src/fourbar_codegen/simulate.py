@@ -18,6 +18,7 @@ from fourbar_codegen.arguments import (
     is_mapping,
     longest_step,
     name_of,
+    named,
     named_array,
     numbers,
     one_of,
@@ -125,10 +126,7 @@ def input_sources(model: CompiledModel, inputs: Mapping[Any, InputSource] | None
     names = [entry["name"] for entry in entries if not entry["order"]]
     orders = {name: [entry["order"] for entry in entries if entry["of"] == name] for name in names}
     sources: dict[str, list[object]] = {name: [None] * len(orders[name]) for name in names}
-    for key, given in by_name(model, inputs).items():
-        name = name_of(key)
-        if name not in sources:
-            raise ModelError(f"There is no input {name!r}; there are {', '.join(names) or 'none'}.")
+    for name, given in named(by_name(model, inputs), names, "input").items():
         prescribed = len(orders[name]) > 1
         source = own_source(name, given)
         if callable(source):

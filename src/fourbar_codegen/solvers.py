@@ -167,6 +167,7 @@ class _Implicit(_Compiled):
             options["jac"] = self.ode.jac
 
     def _step_impl(self) -> tuple[bool, str | None]:
+        before = self.t, self.y
         try:
             success, message = super()._step_impl()
         except ValueError as error:
@@ -177,6 +178,7 @@ class _Implicit(_Compiled):
             if success and self.ode.projects:
                 self._project()
             return success, message
+        self.t, self.y = before
         return False, self.ode.failure or "the state is not finite"
 
 

@@ -163,9 +163,12 @@ def _draw_mechanism(axes: Any, model: CompiledModel, positions: Floats, planar: 
 
 def _checked(model: CompiledModel, points: Iterable[str]) -> list[str]:
     """Names of points of the model."""
-    if isinstance(points, str) or not isinstance(points, Iterable):
+    try:
+        names = [] if isinstance(points, str) else list(points)
+    except TypeError:  # no sequence, or one that only looks like it
+        names = []
+    if not all(isinstance(name, str) for name in names) or not (names or isinstance(points, list | tuple)):
         raise ModelError(f"Points are given as a sequence of their names, not {shown(points)}.")
-    names = list(points)
     unknown = [name for name in names if name not in model.points]
     if unknown:
         raise ModelError(f"There is no point {', '.join(map(str, unknown))}; there are {', '.join(model.points)}.")

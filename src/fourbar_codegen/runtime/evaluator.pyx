@@ -65,7 +65,7 @@ cpdef cnp.ndarray numbers(object values, str what):
         return values
     try:
         return _read(values)
-    except (TypeError, ValueError, OverflowError) as error:
+    except Exception as error:  # float() raises what the entries' classes please to
         raise ModelError(f"{what} must be real numbers, not {shown(values)}.") from error
 
 
@@ -78,7 +78,7 @@ cpdef object number(object value, str what):
         array = _read(value)
         if cnp.PyArray_NDIM(array):
             raise TypeError(f"of shape {np.shape(array)}")
-    except (TypeError, ValueError, OverflowError) as error:
+    except Exception as error:
         raise ModelError(f"{what} must be a real number, not {shown(value)}.") from error
     return data(array)[0]
 

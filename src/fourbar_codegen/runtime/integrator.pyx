@@ -272,6 +272,8 @@ cdef class Ode:
         cdef cnp.ndarray result = new_array(n, n_r)
         if np.shape(x) != (n, n_x):
             raise ModelError(f"{n} times need states of shape ({n_x}, {n}), not {np.shape(states)}.")
+        if not np.isfinite(t).all():
+            raise ModelError("The times must be finite.")
         for i in range(n):
             self.check(fb_fill_inputs(&self.problem, data(t)[i], data(x) + i * n_x))
             memcpy(data(result) + i * n_r, self.problem.inputs, n_r * sizeof(double))

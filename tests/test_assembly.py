@@ -9,7 +9,8 @@ from systems import spatial_four_bar
 
 import fourbar_codegen as fb
 from fourbar_codegen.convert import Conversion
-from fourbar_codegen.degrees import Degree, degrees
+from fourbar_codegen.formulas import formulas
+from fourbar_codegen.polynomials import Constraints
 from fourbar_codegen.tape import Tape
 
 
@@ -328,16 +329,31 @@ def test_constraints_in_different_units(factor):
     np.testing.assert_allclose(modes.x[:, 1:3], [[-1.0, -1.0], [1.0, 1.0]], rtol=1e-12)
 
 
+def constraints_of(*expressions, w=0.3):
+    """Expressions in s and w as `Constraints`."""
+    tape = Tape()
+    leaves = {function: tape.leaf("q", name) for function, name in ((S, "s"), (W, "w"))}
+    convert = Conversion(tape, leaves)
+    return Constraints(formulas(tape, [convert(expression) for expression in expressions]), {("q", "w"): w})
+
+
 @pytest.mark.parametrize(
     "expression",
     [sm.sqrt(S**2 + 25), sm.Abs(S + 10), S + sm.sin(S) / 10, sm.sin(S / 2), 1 / S, 2**S, sm.sin(S**2), sm.sin(W * S)],
 )
 def test_what_is_no_polynomial(expression):
     """Roots, kinks, an angle that is a displacement as well, half of an angle: their roots are not counted."""
-    tape = Tape()
-    leaves = {function: tape.leaf("q", name) for function, name in ((S, "s"), (W, "w"))}
-    [degree] = degrees(tape, [Conversion(tape, leaves)(expression)], leaves[S])
-    assert degree == Degree(power=None, harmonic=None, is_periodic=False)
+    constraints = constraints_of(expression)
+    assert constraints.polynomials([0], [("s", False)]) is None
+    assert constraints.polynomials([0], [("s", True)]) is None
+    assert not constraints.is_periodic(0, "s")
+
+
+@pytest.mark.parametrize("expression", [sm.tan(S), sm.sqrt(2 + sm.cos(3 * S)), sm.sin(S + W) ** 2 / sm.cos(S)])
+def test_what_is_periodic_and_no_polynomial(expression):
+    constraints = constraints_of(expression)
+    assert constraints.polynomials([0], [("s", True)]) is None
+    assert constraints.is_periodic(0, "s")
 
 
 def test_a_rack_and_a_crank():
@@ -390,3 +406,90 @@ def test_pictures_of_modes(four_bar, monkeypatch):
         four_bar.initial_states(parameters={"l1": 3.0}).plot()
     monkeypatch.setattr("fourbar_codegen.visual.MOST_PANELS", 1)
     assert len(four_bar.initial_states().plot().axes) == 1
+
+
+def inverted_slider_crank():
+    """A crank whose end slides along a bar that turns about (G, 0): A cos a - G + x cos b = 0, A sin a + x sin b = 0."""
+    a, b, x = me.dynamicsymbols("a b x")
+    crank, ground = sm.symbols("A G")
+    rows = crank * sm.cos(a) - ground + x * sm.cos(b), crank * sm.sin(a) + x * sm.sin(b)
+    return on_a_line(rows, [a, b, x], parameters={crank: 1.0, ground: 3.0})
+
+
+def test_bars_in_line_at_multiples_of_15_degrees():
+    """Two modes always, x = +- the distance of the crank's end from the pivot; one number of a root may be rounding."""
+    modes = inverted_slider_crank()
+    for crank, ground in ((1.0, 3.0), (2.0, 1.0), (3.0, 1.0)):
+        for twelfth in range(-12, 13):
+            angle = twelfth * np.pi / 12
+            found = modes(angle, A=crank, G=ground)
+            distance = np.hypot(crank * np.cos(angle) - ground, crank * np.sin(angle))
+            assert found.is_complete
+            np.testing.assert_allclose(np.sort(found.x[:, 2]), [-distance, distance], rtol=1e-14)
+
+
+def test_crank_and_rod_of_equal_length():
+    """x = 2 r cos a, and x = 0 with the rod folded onto the crank."""
+    model = fb.compile_model(fb.models.slider_crank())
+    for twelfth in range(-12, 13):
+        angle = twelfth * np.pi / 12
+        modes = model.initial_states([angle], [0.0], parameters={"r": 0.3, "l": 0.3})
+        assert modes.is_complete
+        expected = {0.0, 0.6 * np.cos(angle)} if twelfth % 12 != 6 else {0.0}
+        # Where the two meet, x is known to the root of rounding errors.
+        np.testing.assert_allclose(
+            np.sort(modes.x[:, 2]), sorted(expected), rtol=0, atol=1e-15 if len(expected) > 1 else 1e-8
+        )
+
+
+@pytest.mark.parametrize(
+    "roots",
+    [
+        [1000.0 * k for k in range(1, 7)], [100.0 * k for k in range(1, 9)], [1e-3, 1e-2, 0.5, 3.0, 20.0, 5e2],
+        [-1e-6, 1e-6, 1.0, 1e6], [k / 7 for k in range(-10, 10)],
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("expanded", [False, True])
+def test_all_roots_of_a_polynomial(roots, expanded):
+    product = sm.prod([S - sm.Rational(root) for root in roots])
+    modes = on_a_line([(sm.expand(product) if expanded else product) + W], [W, S])(0.0)
+    assert modes.is_complete
+    np.testing.assert_allclose(modes.x[:, 1], sorted(roots), rtol=1e-12)
+
+
+def test_pairs_of_cubics():
+    """Of two cubics, each in one unknown of the other: as many as NumPy finds real roots of the nonic."""
+    generator = np.random.default_rng(3)
+    a = me.dynamicsymbols("a")
+    k0, k1, k3, m0, m1, m3 = sm.symbols("k0 k1 k3 m0 m1 m3")
+    rows = k0 + k1 * S + k3 * S**3 + a - Y, m0 + m1 * Y + m3 * Y**3 - S
+    modes = on_a_line(rows, [a, S, Y])
+    numbers = set()
+    for _ in range(8):
+        values = 0.2 * generator.normal(size=6) + [0.0, 2.5, -1.0, 0.0, 2.5, -1.0]
+        found = modes(0.0, **dict(zip(("k0", "k1", "k3", "m0", "m1", "m3"), values, strict=True)))
+        y = np.polynomial.Polynomial([values[0], values[1], 0.0, values[2]])
+        nonic = values[3] + values[4] * y + values[5] * y**3 - np.polynomial.Polynomial([0.0, 1.0])
+        expected = sorted(root.real for root in nonic.roots() if abs(root.imag) < 1e-9)
+        assert found.is_complete
+        np.testing.assert_allclose(np.sort(found.x[:, 1]), expected, rtol=1e-8)
+        numbers.add(len(expected))
+    assert max(numbers) > 3
+
+
+def test_a_gear_of_ratio_two():
+    """P cos 2b + Q sin b = cos a is a quadratic in sin b; the ratio may be a parameter as well."""
+    a, b = me.dynamicsymbols("a b")
+    ratio = sm.Symbol("n")
+    for harmonic in (2, ratio):
+        parameters = {} if harmonic == 2 else {ratio: 2.0}
+        modes = on_a_line([sm.cos(harmonic * b) + sm.sin(b) / 2 - sm.cos(a)], [a, b], parameters=parameters)
+        for angle in (0.3, 1.2, 2.9):
+            found = modes(angle)
+            sines = np.roots([-2.0, 0.5, 1.0 - np.cos(angle)])
+            sines = sines[np.abs(sines) <= 1.0]
+            expected = np.concatenate((np.arcsin(sines), np.pi - np.arcsin(sines)))
+            assert found.is_complete
+            np.testing.assert_allclose(
+                np.sort(found.x[:, 1]), np.sort(np.remainder(expected + np.pi, 2 * np.pi) - np.pi), rtol=1e-12
+            )

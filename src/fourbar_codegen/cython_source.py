@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from typing import Any
 
 from fourbar_codegen.model import Model
@@ -12,7 +11,7 @@ from fourbar_codegen.program import Program
 
 __all__ = ["manifest_of", "manifest_text", "wrapper_text"]
 
-MANIFEST_FORMAT = 4
+MANIFEST_FORMAT = 5
 
 
 def manifest_of(model: Model, program: Program, names: Mapping[str, Sequence[str]], fingerprint: str) -> dict[str, Any]:
@@ -61,7 +60,7 @@ def manifest_of(model: Model, program: Program, names: Mapping[str, Sequence[str
         ],
         "moving_inputs": list(program.moving),
         "outputs": list(names["outputs"]),
-        "position_degrees": [[asdict(degree) for degree in row] for row in program.position_degrees],
+        "position_constraints": program.position_formulas,
         "points": [
             {"name": name, "parent": place.parent, "body": place.body}
             for name, place in zip(_distinct([place.name for place in program.places]), program.places, strict=True)

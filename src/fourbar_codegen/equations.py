@@ -17,14 +17,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import chain
+from typing import Any
 
 import sympy as sm
 from sympy.functions.special.delta_functions import DiracDelta
 
 from fourbar_codegen.convert import Conversion, substitute
-from fourbar_codegen.degrees import Degree, degrees
 from fourbar_codegen.derivatives import Direction, Rounding, pull_back
 from fourbar_codegen.errors import ModelError
+from fourbar_codegen.formulas import formulas
 from fourbar_codegen.identities import recognize, vanish
 from fourbar_codegen.kane import Kane
 from fourbar_codegen.kinematics import solve_kinematics
@@ -70,8 +71,8 @@ class Equations:
         M, (n_u, n_u), and f, (n_u,).
     position_constraints, position_jacobian : Result
         Phi, (n_h,), and dPhi/dq, (n_h, n_q).
-    position_degrees : tuple of tuple of Degree
-        What each position constraint is in each coordinate.
+    position_formulas : dict
+        Phi as `formulas` writes it.
     constraint_jacobian, velocity_bias, acceleration_bias : Result
         J, (n_c, n_u); b and gamma, (n_c,). Rows of holonomic constraints first, if they are derived.
     position_closure, velocity_closure : Result
@@ -125,7 +126,7 @@ class Equations:
     forcing: Result
     position_constraints: Result
     position_jacobian: Result
-    position_degrees: tuple[tuple[Degree, ...], ...]
+    position_formulas: dict[str, Any]
     constraint_jacobian: Result
     velocity_bias: Result
     acceleration_bias: Result
@@ -290,7 +291,7 @@ def form_equations(model: Model) -> Equations:
         n_dependent_speeds=mechanism.n_dependent_speeds,
         velocity_constraints_derived=mechanism.velocity_constraints_derived,
         default_inputs=default_inputs,
-        position_degrees=tuple(zip(*(degrees(tape, constraints.positions, q) for q in v.q), strict=True)),
+        position_formulas=formulas(tape, constraints.positions),
         places=places,
         forced=tuple(applied),
         **{result.name: result for result in results},

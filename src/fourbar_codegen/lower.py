@@ -177,7 +177,7 @@ def lower(name: str, equations: Equations) -> Program:
         derivatives=functions[first:],
         split=_split(e, rank, structure),
         structure=structure,
-        position_degrees=e.position_degrees,
+        position_formulas=e.position_formulas,
         moving=e.moving,
         places=e.places,
         forced=e.forced,

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
-from fourbar_codegen.degrees import Degree
 from fourbar_codegen.share import Statements
 from fourbar_codegen.structure import Split, Structure
 from fourbar_codegen.tape import ONE, Leaf, Scalar, operands, operations_of
@@ -165,8 +165,8 @@ class Program:
     structure : Structure or None
         How the equations of `dynamics` are solved, if not as full ones. Then that function gives the entries of M and J
         that are not zero, one after another.
-    position_degrees : tuple of tuple of Degree
-        What each position constraint is in each coordinate.
+    position_formulas : dict
+        The position constraints as `formulas` writes them.
     moving : tuple of int
         The inputs that positions, velocities or constraints depend on.
     places : tuple of Place
@@ -181,7 +181,7 @@ class Program:
     derivatives: tuple[Function, ...]
     split: Split
     structure: Structure | None
-    position_degrees: tuple[tuple[Degree, ...], ...]
+    position_formulas: dict[str, Any]
     moving: tuple[int, ...]
     places: tuple[Place, ...]
     forced: tuple[int, ...]

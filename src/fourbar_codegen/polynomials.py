@@ -1,0 +1,455 @@
+"""Constraints as polynomials in some of the coordinates, and their common roots, with as many digits as that takes.
+
+An angle q takes part as z = exp(i q), with negative powers as well, a displacement as itself. Coefficients and roots
+have so many digits that rounding errors decide nothing: what is double, real, or at infinity shows.
+
+Source: the resultant of two polynomials is the determinant of Sylvester's matrix (D. Cox, J. Little, D. O'Shea, *Ideals,
+Varieties, and Algorithms*, chapter 3); roots by the method of Durand and Kerner, as mpmath has it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache, reduce
+from itertools import product
+from typing import Any
+
+__all__ = ["NEAR", "Constraints", "real_roots"]
+
+DIGITS = 25
+"""Of a root; a root of multiplicity m is found with a coefficient's digits divided by m."""
+
+COEFFICIENT_DIGITS = 150
+
+NOTHING = 1e-120
+"""A coefficient is nothing below this share of what it could be."""
+
+VANISHING = 1e-18
+"""Coefficients on a line through a root, which has `DIGITS`, are nothing below this share of their terms."""
+
+NEAR = 1e-5
+"""A root counts as real if it is so by this share. Where two real ones meet, data known to 1e-13 leave 3e-7."""
+
+HIGHEST_DEGREE = 64
+"""Of polynomials whose roots are asked for: seconds are enough for those."""
+
+Powers = tuple[int, ...]
+Polynomial = dict[Powers, Any]
+"""Coefficients by the powers of each unknown."""
+
+
+@cache
+def _numbers() -> Any:
+    """Mpmath's arithmetic with a precision of its own."""
+    import mpmath
+
+    context = mpmath.MPContext()
+    context.dps = COEFFICIENT_DIGITS
+    return context
+
+
+@dataclass(frozen=True)
+class _Affine:
+    """a . q + b of the angles that are unknown; the angle's own numbers a, by place."""
+
+    slopes: tuple[Any, ...]
+    constant: Any
+
+
+class Constraints:
+    """Expressions as `formulas` writes them, at the values of all that is known.
+
+    Parameters
+    ----------
+    formulas : mapping
+    values : mapping of (str, str) to float
+        Kind and name of each leaf.
+    """
+
+    def __init__(self, formulas: Mapping[str, Any], values: Mapping[tuple[str, str], float]) -> None:
+        self._operations: list[list[Any]] = formulas["operations"]
+        self._results: list[list[Any]] = formulas["results"]
+        self._values = dict(values)
+        self._reached = [self._reach(node) for node, _ in self._results]
+
+    def with_values(self, values: Mapping[tuple[str, str], float]) -> Constraints:
+        """With other values of some leaves."""
+        other = object.__new__(Constraints)
+        other.__dict__.update(self.__dict__, _values=self._values | values)
+        return other
+
+    def leaves(self, row: int) -> set[tuple[str, str]]:
+        """What an expression depends on."""
+        found = (self._operations[node] for node in self._reached[row])
+        return {
+            (operation[0], operation[1]) for operation in found if len(operation) == 2 and isinstance(operation[1], str)
+        }
+
+    def _reach(self, node: int | None) -> list[int]:
+        found: set[int] = set()
+        stack = [] if node is None else [node]
+        while stack:
+            node = stack.pop()
+            if node not in found:
+                found.add(node)
+                stack += _operands(self._operations[node])
+        return sorted(found)
+
+    def is_periodic(self, row: int, name: str) -> bool:
+        """Whether 2 pi more of a coordinate change nothing, as far as the expression's form shows."""
+        expansion = _Expansion(self._values, [(name, True)])
+        known: dict[int | None, tuple[Polynomial | None, _Affine | None]] = {None: expansion.number(1)}
+        periodic: dict[int | None, bool] = {None: True}
+        for node in self._reached[row]:
+            operation = self._operations[node]
+            known[node] = polynomial, _ = expansion.evaluated(operation, known)
+            if operation[0] == "tan":  # as the sine is
+                polynomial, _ = expansion.evaluated(["sin", operation[1]], known)
+            periodic[node] = polynomial is not None or (
+                operation != ["q", name] and all(periodic[operand] for operand in _operands(operation))
+            )
+        return periodic[self._results[row][0]]
+
+    def polynomials(self, rows: Sequence[int], unknowns: Sequence[tuple[str, bool]]) -> list[Polynomial] | None:
+        """Expressions as polynomials in coordinates.
+
+        Parameters
+        ----------
+        rows : sequence of int
+        unknowns : sequence of (str, bool)
+            The coordinates' names, and whether each is taken for an angle.
+
+        Returns
+        -------
+        list of Polynomial or None
+            None if one of them is no polynomial in these.
+        """
+        expansion = _Expansion(self._values, unknowns)
+        known: dict[int | None, tuple[Polynomial | None, _Affine | None]] = {None: expansion.number(1)}
+        for node in sorted({node for row in rows for node in self._reached[row]}):
+            known[node] = expansion.evaluated(self._operations[node], known)
+        found = []
+        for node, factor in (self._results[row] for row in rows):
+            polynomial, _ = known[node]
+            if polynomial is None or not all(map(expansion.numbers.isfinite, polynomial.values())):
+                return None
+            scaled = _scaled(polynomial, expansion.exact(factor))
+            largest = max((abs(c) for c in scaled.values()), default=0)
+            found.append({powers: c for powers, c in scaled.items() if abs(c) > NOTHING * largest})
+        return found
+
+
+def _operands(operation: list[Any]) -> list[int]:
+    match operation:
+        case ["+", terms, _]:
+            return [node for node, _ in terms]
+        case ["*" | "?", nodes]:
+            return [node for node in nodes if node is not None]
+        case ["/", node]:
+            return [node]
+        case [_, str()]:
+            return []
+    return _mentioned(operation)
+
+
+def _mentioned(said: list[Any]) -> list[int]:
+    match said:
+        case ["@", node]:
+            return [node]
+        case ["=", _]:
+            return []
+    return [node for argument in said[1] for node in _mentioned(argument)]
+
+
+class _Expansion:
+    """Operations on what is a polynomial, or affine in the angles, or both, or neither."""
+
+    def __init__(self, values: Mapping[tuple[str, str], float], unknowns: Sequence[tuple[str, bool]]) -> None:
+        self.numbers = _numbers()
+        self.values = values
+        self.places = {name: place for place, (name, _) in enumerate(unknowns)}
+        self.is_angle = [is_angle for _, is_angle in unknowns]
+        self.origin = (0,) * len(unknowns)
+
+    def exact(self, number: Any) -> Any:
+        """A number of `formulas`, which may be a fraction."""
+        return self.numbers.mpf(number[0]) / number[1] if isinstance(number, list) else self.numbers.mpf(number)
+
+    def number(self, number: Any) -> tuple[Polynomial, _Affine]:
+        """What does not depend on the unknowns."""
+        return {self.origin: number}, _Affine(tuple(0 for _ in self.origin), number)
+
+    def evaluated(self, operation: list[Any], known: Mapping[Any, Any]) -> tuple[Polynomial | None, _Affine | None]:
+        """One operation on what is known."""
+        match operation:
+            case ["+", terms, constant]:
+                terms = [(known[node], self.exact(factor)) for node, factor in terms]
+                return self._sum([*terms, (self.number(self.exact(constant)), 1)])
+            case ["*", factors]:
+                return reduce(self._product, (known[factor] for factor in factors))
+            case ["/", node]:
+                return self._called(lambda x: 1 / x, [known[node]])
+            case ["?", _]:
+                return None, None
+            case [kind, str(name)]:
+                return self._leaf(kind, name)
+        return self._said(operation, known)
+
+    def _leaf(self, kind: str, name: str) -> tuple[Polynomial | None, _Affine | None]:
+        place = self.places.get(name) if kind == "q" else None
+        if place is None:
+            return self.number(self.numbers.mpf(self.values[kind, name]))
+        unit = tuple(int(other == place) for other in range(len(self.origin)))
+        if self.is_angle[place]:
+            return None, _Affine(unit, self.numbers.zero)
+        return {unit: self.numbers.one}, None
+
+    def _sum(self, terms: list[tuple[tuple[Polynomial | None, _Affine | None], Any]]) -> Any:
+        total: Polynomial | None = {}
+        slopes, constant, is_affine = [self.numbers.zero for _ in self.origin], self.numbers.zero, True
+        for (polynomial, affine), factor in terms:
+            if polynomial is None or total is None:
+                total = None
+            else:
+                for powers, c in polynomial.items():
+                    total[powers] = total.get(powers, 0) + factor * c
+            if affine is None:
+                is_affine = False
+            else:
+                slopes = [a + factor * b for a, b in zip(slopes, affine.slopes, strict=True)]
+                constant += factor * affine.constant
+        return total, _Affine(tuple(slopes), constant) if is_affine else None
+
+    def _product(self, one: Any, other: Any) -> tuple[Polynomial | None, _Affine | None]:
+        for constant, factor in ((one, other), (other, one)):
+            if self._is_constant(constant):
+                return self._sum([(factor, constant[0][self.origin])])
+        (first, _), (second, _) = one, other
+        return None if first is None or second is None else _times(first, second), None
+
+    def _is_constant(self, value: tuple[Polynomial | None, _Affine | None]) -> bool:
+        return value[0] is not None and value[0].keys() == {self.origin}
+
+    def _called(self, function: Callable[..., Any], arguments: list[Any]) -> tuple[Polynomial | None, _Affine | None]:
+        """A function of what does not depend on the unknowns."""
+        if not all(map(self._is_constant, arguments)):
+            return None, None
+        try:
+            return self.number(self.numbers.convert(function(*(argument[0][self.origin] for argument in arguments))))
+        except (ValueError, ZeroDivisionError, OverflowError):
+            return self.number(self.numbers.nan)
+
+    def _said(self, said: list[Any], known: Mapping[Any, Any]) -> tuple[Polynomial | None, _Affine | None]:
+        match said:
+            case ["@", node]:
+                return known[node]  # type: ignore[no-any-return]
+            case ["=", number]:
+                return self.number(self.exact(number))
+        name, arguments = said[0], [self._said(argument, known) for argument in said[1]]
+        if name == "+":
+            return self._sum([(argument, 1) for argument in arguments])
+        if name == "*":
+            return reduce(self._product, arguments)
+        if name in ("sin", "cos") and not self._is_constant(arguments[0]):
+            return self._harmonic(name, arguments[0][1]), None
+        return self._called(self.numbers.power if name == "^" else getattr(self.numbers, name), arguments)
+
+    def _harmonic(self, name: str, angle: _Affine | None) -> Polynomial | None:
+        """cos(k . q + b) = (w + 1/w) / 2, w = exp(i b) z^k; the sine is (w - 1/w) / 2i."""
+        if angle is None or not all(self.numbers.isint(slope) for slope in angle.slopes):
+            return None
+        k = tuple(map(int, angle.slopes))
+        turned = self.numbers.expj(angle.constant) / (2 if name == "cos" else 2j)
+        back = tuple(-power for power in k)
+        return {k: turned, back: self.numbers.conj(turned)}
+
+
+def _scaled(polynomial: Polynomial, factor: Any) -> Polynomial:
+    return {powers: factor * c for powers, c in polynomial.items()}
+
+
+def _times(one: Polynomial, other: Polynomial) -> Polynomial:
+    total: Polynomial = {}
+    for (powers, c), (more, d) in product(one.items(), other.items()):
+        both = tuple(a + b for a, b in zip(powers, more, strict=True))
+        total[both] = total.get(both, 0) + c * d
+    return total
+
+
+def real_roots(polynomials: Sequence[Polynomial], is_angle: Sequence[bool]) -> list[tuple[float, ...]] | None:
+    """What may be a common root of one or two polynomials in as many unknowns: all real ones are there.
+
+    Parameters
+    ----------
+    polynomials : sequence of Polynomial
+    is_angle : sequence of bool
+        Of each unknown; displacements have no negative powers.
+
+    Returns
+    -------
+    list of tuple of float, or None
+        Angles between -pi and pi, and displacements. Beside the roots there are real parts of those that are `NEAR` real,
+        and, of two polynomials, others on the same lines: values have to be tried. None if there are infinitely many
+        roots, or polynomials are of too high a degree.
+
+    Examples
+    --------
+    >>> real_roots([{(2,): 1, (0,): -4}], [False])
+    [(-2.0,), (2.0,)]
+    """
+    if not all(polynomials):
+        return None
+    numbers = _numbers()
+    units = [numbers.one if angle else _unit(polynomials, place) for place, angle in enumerate(is_angle)]
+    polynomials = [
+        {powers: c * numbers.fprod(unit**k for unit, k in zip(units, powers, strict=True)) for powers, c in f.items()}
+        for f in polynomials
+    ]
+    if len(units) == 1:
+        [polynomial] = polynomials
+        roots = _roots({power: c for (power,), c in polynomial.items()}, is_angle[0])
+        values = None if roots is None else [(value,) for value in _real(roots, is_angle[0])]
+    else:
+        values = _real_pairs(polynomials, is_angle)
+    if values is None:
+        return None
+    return [tuple(float(value * unit) for value, unit in zip(root, units, strict=True)) for root in values]
+
+
+def _unit(polynomials: Sequence[Polynomial], place: int) -> Any:
+    """A usual value of a displacement: there, its lowest and highest power in a polynomial come to the same."""
+    numbers = _numbers()
+    for polynomial in polynomials:
+        powers = {key[place] for key in polynomial}
+        if max(powers) > min(powers):
+            low, high = (
+                max(abs(c) for key, c in polynomial.items() if key[place] == power)
+                for power in (min(powers), max(powers))
+            )
+            return numbers.root(low / high, max(powers) - min(powers))
+    return numbers.one
+
+
+def _real_pairs(polynomials: Sequence[Polynomial], is_angle: Sequence[bool]) -> list[tuple[float, ...]] | None:
+    """Of two polynomials, in units of the unknowns."""
+    if is_angle[1] and not is_angle[0]:  # displacements, whose roots may be far apart, are left to the lines
+        swapped = _real_pairs([{(b, a): c for (a, b), c in f.items()} for f in polynomials], is_angle[::-1])
+        return None if swapped is None else [(x, y) for y, x in swapped]
+    by_second = [_by_second(polynomial, is_angle[1]) for polynomial in polynomials]
+    resultant = _resultant(*by_second)
+    roots = None if resultant is None else _roots(resultant, is_angle[0])
+    if roots is None:
+        return None
+    found: list[tuple[float, ...]] = []
+    for x in _near_real(roots, is_angle[0]):
+        lines = [{k: _at(coefficient, x) for k, coefficient in f.items()} for f in by_second]
+        terms = [max(_at_size(coefficient, x) for coefficient in f.values()) for f in by_second]
+        isolating = False
+        for line, size in zip(lines, terms, strict=True):
+            held = {k: c for k, c in line.items() if abs(c) > VANISHING * size}
+            if not held:
+                continue
+            isolating = True
+            others = _roots(held, is_angle[1])
+            if others is None:
+                return None
+            found += [(_value(x, is_angle[0]), y) for y in _real(others, is_angle[1])]
+        if not isolating:
+            return None
+    return found
+
+
+def _by_second(polynomial: Polynomial, is_angle: bool) -> dict[int, dict[int, Any]]:
+    """The coefficients, polynomials in the first unknown, by the powers of the second, which begin at 0."""
+    lowest = min(power for _, power in polynomial) if is_angle else 0
+    found: dict[int, dict[int, Any]] = {}
+    for (first, second), c in polynomial.items():
+        found.setdefault(second - lowest, {})[first] = c
+    return found
+
+
+def _at(coefficients: dict[int, Any], x: Any) -> Any:
+    return sum(c * x**k for k, c in coefficients.items())
+
+
+def _at_size(coefficients: dict[int, Any], x: Any) -> Any:
+    return sum(abs(c) * abs(x) ** k for k, c in coefficients.items())
+
+
+def _resultant(f: dict[int, dict[int, Any]], g: dict[int, dict[int, Any]]) -> dict[int, Any] | None:
+    """The resultant, a polynomial in the first unknown; None if it vanishes.
+
+    Interpolated at roots of unity. Where one of the two does not hold the second unknown, it says all of the first.
+    """
+    numbers = _numbers()
+    m, n = max(f), max(g)
+    if not m or not n:
+        return None if m == n else (f if not m else g)[0]
+    lowest = [min(min(c) for c in polynomial.values()) for polynomial in (f, g)]
+    highest = [max(max(c) for c in polynomial.values()) for polynomial in (f, g)]
+    degree = n * (highest[0] - lowest[0]) + m * (highest[1] - lowest[1])
+    if degree > HIGHEST_DEGREE:
+        return None
+    points = [numbers.expjpi(numbers.mpf(2 * k) / (degree + 1)) for k in range(degree + 1)]
+    values, bound = [], numbers.zero
+    for x in points:
+        rows = [{k: _at(c, x) / x**low for k, c in p.items()} for p, low in zip((f, g), lowest, strict=True)]
+        shifted = [(rows[0], i) for i in range(n)] + [(rows[1], i) for i in range(m)]
+        values.append(_determinant([[line.get(k - shift, 0) for k in range(m + n)] for line, shift in shifted]))
+        bound = max(bound, sum(map(abs, rows[0].values())) ** n * sum(map(abs, rows[1].values())) ** m)
+    coefficients = {
+        k: sum(value / x**k for value, x in zip(values, points, strict=True)) / (degree + 1) for k in range(degree + 1)
+    }
+    held = {k: c for k, c in coefficients.items() if abs(c) > NOTHING * bound}
+    return held or None
+
+
+def _determinant(matrix: list[list[Any]]) -> Any:
+    """By elimination; mpmath's own takes three times as long for matrices of a few rows."""
+    value: Any = 1
+    while matrix:
+        pivot = max(matrix, key=lambda row: abs(row[0]))
+        if not pivot[0]:
+            return 0
+        place = matrix.index(pivot)
+        value *= -pivot[0] if place % 2 else pivot[0]
+        rest = [row for row in matrix if row is not pivot]
+        matrix = [[c - row[0] / pivot[0] * d for c, d in zip(row[1:], pivot[1:], strict=True)] if row[0] else row[1:]
+                  for row in rest]  # fmt: skip
+    return value
+
+
+def _roots(coefficients: dict[int, Any], is_angle: bool) -> list[Any] | None:
+    """All roots, each as often as it is one; zero only of a displacement."""
+    lowest, highest = min(coefficients), max(coefficients)
+    zeros = [] if is_angle else [_numbers().zero] * lowest
+    degree = highest - lowest
+    if degree > HIGHEST_DEGREE:
+        return None
+    if not degree:
+        return zeros
+    falling = [coefficients.get(k, _numbers().zero) for k in range(highest, lowest - 1, -1)]
+    numbers = _numbers()
+    bits = numbers.prec
+    with numbers.workdps(DIGITS):
+        try:
+            roots = numbers.polyroots(falling, maxsteps=2000, extraprec=bits)
+        except numbers.NoConvergence:
+            return None
+    return [*zeros, *roots]
+
+
+def _value(root: Any, is_angle: bool) -> float:
+    return float(_numbers().arg(root)) if is_angle else float(_numbers().re(root))
+
+
+def _near_real(roots: list[Any], is_angle: bool) -> list[Any]:
+    """Those that are real but for rounding errors in what they follow from."""
+    if is_angle:
+        return [root for root in roots if abs(abs(root) - 1) <= NEAR]
+    return [root for root in roots if abs(_numbers().im(root)) <= NEAR * max(abs(root), 1)]
+
+
+def _real(roots: list[Any], is_angle: bool) -> list[float]:
+    return sorted({_value(root, is_angle) for root in _near_real(roots, is_angle)})

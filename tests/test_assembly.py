@@ -409,7 +409,7 @@ def test_pictures_of_modes(four_bar, monkeypatch):
 
 
 def inverted_slider_crank():
-    """A crank whose end slides along a bar that turns about (G, 0): A cos a - G + x cos b = 0, A sin a + x sin b = 0."""
+    """A crank whose end slides along a bar about (G, 0): A cos a - G + x cos b = 0, A sin a + x sin b = 0."""
     a, b, x = me.dynamicsymbols("a b x")
     crank, ground = sm.symbols("A G")
     rows = crank * sm.cos(a) - ground + x * sm.cos(b), crank * sm.sin(a) + x * sm.sin(b)

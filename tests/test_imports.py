@@ -20,6 +20,7 @@ RUN = [
     "initial",
     "integrate",
     "linearize",
+    "polynomials",
     "report",
     "simulate",
     "solver_run",
@@ -30,7 +31,7 @@ RUN = [
     "visual",
 ]
 GENERATION = [
-    "model", "mechanism", "fingerprint", "tape", "numeric", "convert", "degrees", "derivatives", "identities",
+    "model", "mechanism", "fingerprint", "tape", "numeric", "convert", "derivatives", "formulas", "identities",
     "linear", "motion", "composite", "kinematics", "kane", "equations", "angles", "share", "program", "structure",
     "lower", "c_expressions", "c_source", "cython_source",
 ]  # fmt: skip

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.initial import Loops
-from fourbar_codegen.polynomials import Constraints, real_roots
+from fourbar_codegen.polynomials import Constraints, Polynomial, real_roots, terms_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -261,10 +261,10 @@ class _Chart:
         turns = np.ceil((dependent - np.pi) / (2 * np.pi) - DISTINCT)
         return np.where(self.is_angle, dependent - 2 * np.pi * turns, dependent)
 
-    def add(self, dependent: Floats, found: list[Floats], group: _Group | None = None) -> bool:
+    def add(self, dependent: Floats, found: list[Floats], solved: _Solved | None = None) -> bool:
         """Append it unless it is there already."""
         if found:
-            reach = self._uncertainty(dependent, group)
+            reach = self._uncertainty(dependent, solved or _Solved.all_of(self, dependent))
             for other in found:
                 difference = dependent - other
                 turns = np.where(self.is_angle, np.round(difference / (2 * np.pi)), 0.0)
@@ -273,21 +273,21 @@ class _Chart:
         found.append(self.wrapped(dependent))
         return True
 
-    def _uncertainty(self, dependent: Floats, group: _Group | None) -> Floats:
+    def _uncertainty(self, dependent: Floats, solved: _Solved) -> Floats:
         """How far a solution moves if each constraint changes by `ROUNDING` of its terms; at most `DISTINCT`."""
-        rows, columns = (slice(None), slice(None)) if group is None else (list(group.rows), list(group.unknowns))
         error, slopes = self.loops.position(dependent)
-        terms = _scales(self.loops, self.loops.coordinates(dependent))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            alone = np.where(slopes != 0.0, terms[:, None] / np.abs(slopes), 0.0).max(axis=0)
-        most = DISTINCT * np.where(self.is_angle, 1.0, np.maximum(np.abs(dependent), alone))
-        reach = np.full(len(dependent), EPS) * np.abs(dependent)
+        rows, columns = list(solved.rows), list(solved.unknowns)
+        error, slopes = error[rows], slopes[rows][:, columns]
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            alone = np.where(slopes != 0.0, solved.terms[:, None] / np.abs(slopes), 0.0).max(axis=0)
+        most = DISTINCT * np.where(self.is_angle[columns], 1.0, np.maximum(np.abs(dependent[columns]), alone))
         try:
-            inverse = np.abs(np.linalg.pinv(slopes[rows][:, columns], rcond=EPS))
-            reach[columns] += inverse @ (ROUNDING * terms + np.abs(error))[rows]
+            inverse = np.abs(np.linalg.pinv(slopes, rcond=EPS))
         except np.linalg.LinAlgError:
-            reach[columns] = np.inf
-        return np.minimum(reach, most)
+            inverse = np.full(slopes.T.shape, np.inf)
+        reach = EPS * np.abs(dependent)
+        reach[columns] += np.minimum(inverse @ (ROUNDING * solved.terms + np.abs(error)), most)
+        return reach
 
 
 @dataclass(frozen=True)
@@ -296,6 +296,21 @@ class _Group:
 
     rows: tuple[int, ...]
     unknowns: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """Constraints and the coordinates that were solved for; what the constraints' terms amount to there."""
+
+    rows: Sequence[int]
+    unknowns: Sequence[int]
+    terms: Floats
+
+    @classmethod
+    def all_of(cls, chart: _Chart, dependent: Floats) -> _Solved:
+        """All constraints by all dependent coordinates."""
+        terms = _scales(chart.loops, chart.loops.coordinates(dependent))
+        return cls(range(len(terms)), range(len(dependent)), terms)
 
 
 def _groups(chart: _Chart, generator: np.random.Generator) -> tuple[list[_Group], list[int]]:
@@ -312,7 +327,7 @@ def _groups(chart: _Chart, generator: np.random.Generator) -> tuple[list[_Group]
                     group = _Group(chosen, tuple(held))
                     anywhere = generator.uniform(-np.pi, np.pi, chart.loops.n_dependent) * chart.scales
                     # Redundant constraints have infinitely many common roots wherever they are looked at.
-                    if _candidates(chart, group, anywhere) is not None:
+                    if _candidates(chart, group, _polynomials(chart, group, anywhere)) is not None:
                         return group
         return None
 
@@ -323,28 +338,38 @@ def _groups(chart: _Chart, generator: np.random.Generator) -> tuple[list[_Group]
     return groups, sorted(unknown)
 
 
-def _candidates(chart: _Chart, group: _Group, dependent: Floats) -> list[tuple[float, ...]] | None:
-    """Values of the group's unknowns that may be a common root; None if there may be infinitely many."""
-    names, columns = chart.names, list(group.unknowns)
+def _polynomials(chart: _Chart, group: _Group, dependent: Floats) -> list[Polynomial] | None:
+    """The group's constraints as polynomials in its unknowns, or None if they are of another form."""
+    names = chart.names
     known = {("q", names[j]): float(dependent[j]) for j in range(len(names)) if j not in group.unknowns}
-    is_angle = [bool(angle) for angle in chart.is_angle[columns]]
-    unknowns = [(names[j], angle) for j, angle in zip(columns, is_angle, strict=True)]
-    polynomials = chart.constraints.with_values(known).polynomials(group.rows, unknowns)
+    unknowns = [(names[j], bool(chart.is_angle[j])) for j in group.unknowns]
+    return chart.constraints.with_values(known).polynomials(group.rows, unknowns)
+
+
+def _candidates(chart: _Chart, group: _Group, polynomials: list[Polynomial] | None) -> list[tuple[float, ...]] | None:
+    """Values of the group's unknowns that may be a common root; None if there may be infinitely many."""
+    is_angle = [bool(chart.is_angle[j]) for j in group.unknowns]
     return None if polynomials is None else real_roots(polynomials, is_angle)
 
 
 def _roots(chart: _Chart, group: _Group, dependent: Floats) -> list[Floats] | None:
     """The dependent coordinates with each of the solutions for a group's unknowns; None if they are not isolated."""
-    loops, rows = chart.loops, list(group.rows)
-    candidates = _candidates(chart, group, dependent)
-    if candidates is None:
+    loops, rows, columns = chart.loops, list(group.rows), list(group.unknowns)
+    polynomials = _polynomials(chart, group, dependent)
+    candidates = _candidates(chart, group, polynomials)
+    if polynomials is None or candidates is None:
         return None
     found: list[Floats] = []
     for candidate in candidates:
         point = dependent.copy()
-        point[list(group.unknowns)] = candidate
-        if (np.abs(loops.residual(point)[rows]) <= ROUNDING * _scales(loops, loops.coordinates(point))[rows]).all():
-            chart.add(point, found, group)
+        point[columns] = candidate
+        # Terms are those of the polynomial, and those that its coefficients consist of.
+        q = loops.coordinates(point)
+        error, slopes = loops.model.position(loops.t, q, loops.p, loops.r)
+        at = [1.0 if chart.is_angle[j] else abs(value) for j, value in zip(columns, candidate, strict=True)]
+        terms = np.abs(slopes[rows]) @ np.abs(q) + [terms_of(polynomial, at) for polynomial in polynomials]
+        if (np.abs(error[rows]) <= ROUNDING * terms).all():
+            chart.add(point, found, _Solved(rows, columns, terms))
     return found
 
 

@@ -3,8 +3,8 @@
 An angle q takes part as z = exp(i q), with negative powers as well, a displacement as itself. Coefficients and roots
 have so many digits that rounding errors decide nothing: what is double, real, or at infinity shows.
 
-Source: the resultant of two polynomials is the determinant of Sylvester's matrix (D. Cox, J. Little, D. O'Shea, *Ideals,
-Varieties, and Algorithms*, chapter 3); roots by the method of Durand and Kerner, as mpmath has it.
+Source: the resultant of two polynomials is the determinant of Sylvester's matrix (D. Cox, J. Little, D. O'Shea,
+*Ideals, Varieties, and Algorithms*, chapter 3); roots by the method of Durand and Kerner, as mpmath has it.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from functools import cache, reduce
 from itertools import product
 from typing import Any
 
-__all__ = ["NEAR", "Constraints", "real_roots"]
+__all__ = ["Constraints", "Polynomial", "real_roots", "terms_of"]
 
 DIGITS = 25
 """Of a root; a root of multiplicity m is found with a coefficient's digits divided by m."""
 
-COEFFICIENT_DIGITS = 150
+COEFFICIENT_DIGITS = 100
 
-NOTHING = 1e-120
+NOTHING = 1e-80
 """A coefficient is nothing below this share of what it could be."""
 
 VANISHING = 1e-18
@@ -37,6 +37,9 @@ HIGHEST_DEGREE = 64
 Powers = tuple[int, ...]
 Polynomial = dict[Powers, Any]
 """Coefficients by the powers of each unknown."""
+
+Coefficients = dict[int, Any]
+"""Of a polynomial in one unknown, by its powers."""
 
 
 @cache
@@ -55,6 +58,14 @@ class _Affine:
 
     slopes: tuple[Any, ...]
     constant: Any
+
+
+@dataclass(frozen=True)
+class _Value:
+    """What an operation gives: a polynomial, or affine in the angles, or both, or neither."""
+
+    polynomial: Polynomial | None
+    affine: _Affine | None
 
 
 class Constraints:
@@ -76,7 +87,7 @@ class Constraints:
     def with_values(self, values: Mapping[tuple[str, str], float]) -> Constraints:
         """With other values of some leaves."""
         other = object.__new__(Constraints)
-        other.__dict__.update(self.__dict__, _values=self._values | values)
+        other.__dict__.update(self.__dict__, _values={**self._values, **values})
         return other
 
     def leaves(self, row: int) -> set[tuple[str, str]]:
@@ -99,14 +110,14 @@ class Constraints:
     def is_periodic(self, row: int, name: str) -> bool:
         """Whether 2 pi more of a coordinate change nothing, as far as the expression's form shows."""
         expansion = _Expansion(self._values, [(name, True)])
-        known: dict[int | None, tuple[Polynomial | None, _Affine | None]] = {None: expansion.number(1)}
+        known: dict[int | None, _Value] = {None: expansion.number(1)}
         periodic: dict[int | None, bool] = {None: True}
         for node in self._reached[row]:
             operation = self._operations[node]
-            known[node] = polynomial, _ = expansion.evaluated(operation, known)
+            known[node] = value = expansion.evaluated(operation, known)
             if operation[0] == "tan":  # as the sine is
-                polynomial, _ = expansion.evaluated(["sin", operation[1]], known)
-            periodic[node] = polynomial is not None or (
+                value = expansion.evaluated(["sin", operation[1]], known)
+            periodic[node] = value.polynomial is not None or (
                 operation != ["q", name] and all(periodic[operand] for operand in _operands(operation))
             )
         return periodic[self._results[row][0]]
@@ -126,12 +137,12 @@ class Constraints:
             None if one of them is no polynomial in these.
         """
         expansion = _Expansion(self._values, unknowns)
-        known: dict[int | None, tuple[Polynomial | None, _Affine | None]] = {None: expansion.number(1)}
+        known: dict[int | None, _Value] = {None: expansion.number(1)}
         for node in sorted({node for row in rows for node in self._reached[row]}):
             known[node] = expansion.evaluated(self._operations[node], known)
         found = []
         for node, factor in (self._results[row] for row in rows):
-            polynomial, _ = known[node]
+            polynomial = known[node].polynomial
             if polynomial is None or not all(map(expansion.numbers.isfinite, polynomial.values())):
                 return None
             scaled = _scaled(polynomial, expansion.exact(factor))
@@ -163,7 +174,7 @@ def _mentioned(said: list[Any]) -> list[int]:
 
 
 class _Expansion:
-    """Operations on what is a polynomial, or affine in the angles, or both, or neither."""
+    """Operations on `_Value`s, at the values of all that is known."""
 
     def __init__(self, values: Mapping[tuple[str, str], float], unknowns: Sequence[tuple[str, bool]]) -> None:
         self.numbers = _numbers()
@@ -176,11 +187,11 @@ class _Expansion:
         """A number of `formulas`, which may be a fraction."""
         return self.numbers.mpf(number[0]) / number[1] if isinstance(number, list) else self.numbers.mpf(number)
 
-    def number(self, number: Any) -> tuple[Polynomial, _Affine]:
+    def number(self, number: Any) -> _Value:
         """What does not depend on the unknowns."""
-        return {self.origin: number}, _Affine(tuple(0 for _ in self.origin), number)
+        return _Value({self.origin: number}, _Affine(self.origin, number))
 
-    def evaluated(self, operation: list[Any], known: Mapping[Any, Any]) -> tuple[Polynomial | None, _Affine | None]:
+    def evaluated(self, operation: list[Any], known: Mapping[Any, _Value]) -> _Value:
         """One operation on what is known."""
         match operation:
             case ["+", terms, constant]:
@@ -191,59 +202,65 @@ class _Expansion:
             case ["/", node]:
                 return self._called(lambda x: 1 / x, [known[node]])
             case ["?", _]:
-                return None, None
+                return _Value(None, None)
             case [kind, str(name)]:
                 return self._leaf(kind, name)
         return self._said(operation, known)
 
-    def _leaf(self, kind: str, name: str) -> tuple[Polynomial | None, _Affine | None]:
+    def _leaf(self, kind: str, name: str) -> _Value:
         place = self.places.get(name) if kind == "q" else None
         if place is None:
             return self.number(self.numbers.mpf(self.values[kind, name]))
         unit = tuple(int(other == place) for other in range(len(self.origin)))
         if self.is_angle[place]:
-            return None, _Affine(unit, self.numbers.zero)
-        return {unit: self.numbers.one}, None
+            return _Value(None, _Affine(unit, self.numbers.zero))
+        return _Value({unit: self.numbers.one}, None)
 
-    def _sum(self, terms: list[tuple[tuple[Polynomial | None, _Affine | None], Any]]) -> Any:
+    def _sum(self, terms: list[tuple[_Value, Any]]) -> _Value:
         total: Polynomial | None = {}
         slopes, constant, is_affine = [self.numbers.zero for _ in self.origin], self.numbers.zero, True
-        for (polynomial, affine), factor in terms:
-            if polynomial is None or total is None:
+        for value, factor in terms:
+            if value.polynomial is None or total is None:
                 total = None
             else:
-                for powers, c in polynomial.items():
+                for powers, c in value.polynomial.items():
                     total[powers] = total.get(powers, 0) + factor * c
-            if affine is None:
+            if value.affine is None:
                 is_affine = False
             else:
-                slopes = [a + factor * b for a, b in zip(slopes, affine.slopes, strict=True)]
-                constant += factor * affine.constant
-        return total, _Affine(tuple(slopes), constant) if is_affine else None
+                slopes = [a + factor * b for a, b in zip(slopes, value.affine.slopes, strict=True)]
+                constant += factor * value.affine.constant
+        return _Value(total, _Affine(tuple(slopes), constant) if is_affine else None)
 
-    def _product(self, one: Any, other: Any) -> tuple[Polynomial | None, _Affine | None]:
-        for constant, factor in ((one, other), (other, one)):
-            if self._is_constant(constant):
-                return self._sum([(factor, constant[0][self.origin])])
-        (first, _), (second, _) = one, other
-        return None if first is None or second is None else _times(first, second), None
+    def _product(self, one: _Value, other: _Value) -> _Value:
+        for value, factor in ((one, other), (other, one)):
+            if value.polynomial is not None and value.polynomial.keys() == {self.origin}:
+                return self._sum([(factor, value.polynomial[self.origin])])
+        if one.polynomial is None or other.polynomial is None:
+            return _Value(None, None)
+        return _Value(_times(one.polynomial, other.polynomial), None)
 
-    def _is_constant(self, value: tuple[Polynomial | None, _Affine | None]) -> bool:
-        return value[0] is not None and value[0].keys() == {self.origin}
+    def _constants(self, values: Sequence[_Value]) -> list[Any] | None:
+        """Their numbers, unless one depends on the unknowns."""
+        polynomials = [value.polynomial for value in values]
+        if any(polynomial is None or polynomial.keys() != {self.origin} for polynomial in polynomials):
+            return None
+        return [polynomial[self.origin] for polynomial in polynomials if polynomial is not None]
 
-    def _called(self, function: Callable[..., Any], arguments: list[Any]) -> tuple[Polynomial | None, _Affine | None]:
+    def _called(self, function: Callable[..., Any], arguments: Sequence[_Value]) -> _Value:
         """A function of what does not depend on the unknowns."""
-        if not all(map(self._is_constant, arguments)):
-            return None, None
+        constants = self._constants(arguments)
+        if constants is None:
+            return _Value(None, None)
         try:
-            return self.number(self.numbers.convert(function(*(argument[0][self.origin] for argument in arguments))))
+            return self.number(self.numbers.convert(function(*constants)))
         except (ValueError, ZeroDivisionError, OverflowError):
             return self.number(self.numbers.nan)
 
-    def _said(self, said: list[Any], known: Mapping[Any, Any]) -> tuple[Polynomial | None, _Affine | None]:
+    def _said(self, said: list[Any], known: Mapping[Any, _Value]) -> _Value:
         match said:
             case ["@", node]:
-                return known[node]  # type: ignore[no-any-return]
+                return known[node]
             case ["=", number]:
                 return self.number(self.exact(number))
         name, arguments = said[0], [self._said(argument, known) for argument in said[1]]
@@ -251,8 +268,8 @@ class _Expansion:
             return self._sum([(argument, 1) for argument in arguments])
         if name == "*":
             return reduce(self._product, arguments)
-        if name in ("sin", "cos") and not self._is_constant(arguments[0]):
-            return self._harmonic(name, arguments[0][1]), None
+        if name in ("sin", "cos") and self._constants(arguments) is None:
+            return _Value(self._harmonic(name, arguments[0].affine), None)
         return self._called(self.numbers.power if name == "^" else getattr(self.numbers, name), arguments)
 
     def _harmonic(self, name: str, angle: _Affine | None) -> Polynomial | None:
@@ -289,9 +306,9 @@ def real_roots(polynomials: Sequence[Polynomial], is_angle: Sequence[bool]) -> l
     Returns
     -------
     list of tuple of float, or None
-        Angles between -pi and pi, and displacements. Beside the roots there are real parts of those that are `NEAR` real,
-        and, of two polynomials, others on the same lines: values have to be tried. None if there are infinitely many
-        roots, or polynomials are of too high a degree.
+        Angles between -pi and pi, and displacements. Beside the roots there are real parts of those that are `NEAR`
+        real, and, of two polynomials, others on the same lines: values have to be tried. None if there are infinitely
+        many roots, or polynomials are of too high a degree.
 
     Examples
     --------
@@ -306,6 +323,7 @@ def real_roots(polynomials: Sequence[Polynomial], is_angle: Sequence[bool]) -> l
         {powers: c * numbers.fprod(unit**k for unit, k in zip(units, powers, strict=True)) for powers, c in f.items()}
         for f in polynomials
     ]
+    values: list[tuple[float, ...]] | None
     if len(units) == 1:
         [polynomial] = polynomials
         roots = _roots({power: c for (power,), c in polynomial.items()}, is_angle[0])
@@ -315,6 +333,18 @@ def real_roots(polynomials: Sequence[Polynomial], is_angle: Sequence[bool]) -> l
     if values is None:
         return None
     return [tuple(float(value * unit) for value, unit in zip(root, units, strict=True)) for root in values]
+
+
+def terms_of(polynomial: Polynomial, sizes: Sequence[float]) -> float:
+    """The sum of the terms' absolute values, at those of the unknowns; 1 is that of exp(i q)."""
+    numbers = _numbers()
+    powers_of = [numbers.mpf(size) for size in sizes]
+    return float(
+        numbers.fsum(
+            abs(c) * numbers.fprod(size**k for size, k in zip(powers_of, powers, strict=True))
+            for powers, c in polynomial.items()
+        )
+    )
 
 
 def _unit(polynomials: Sequence[Polynomial], place: int) -> Any:
@@ -336,8 +366,8 @@ def _real_pairs(polynomials: Sequence[Polynomial], is_angle: Sequence[bool]) -> 
     if is_angle[1] and not is_angle[0]:  # displacements, whose roots may be far apart, are left to the lines
         swapped = _real_pairs([{(b, a): c for (a, b), c in f.items()} for f in polynomials], is_angle[::-1])
         return None if swapped is None else [(x, y) for y, x in swapped]
-    by_second = [_by_second(polynomial, is_angle[1]) for polynomial in polynomials]
-    resultant = _resultant(*by_second)
+    by_second = _reduced([_by_second(polynomial, is_angle[1]) for polynomial in polynomials], is_angle[1])
+    resultant = _resultant(*by_second) if all(by_second) else None
     roots = None if resultant is None else _roots(resultant, is_angle[0])
     if roots is None:
         return None
@@ -360,24 +390,64 @@ def _real_pairs(polynomials: Sequence[Polynomial], is_angle: Sequence[bool]) -> 
     return found
 
 
-def _by_second(polynomial: Polynomial, is_angle: bool) -> dict[int, dict[int, Any]]:
+def _by_second(polynomial: Polynomial, is_angle: bool) -> dict[int, Coefficients]:
     """The coefficients, polynomials in the first unknown, by the powers of the second, which begin at 0."""
     lowest = min(power for _, power in polynomial) if is_angle else 0
-    found: dict[int, dict[int, Any]] = {}
+    found: dict[int, Coefficients] = {}
     for (first, second), c in polynomial.items():
         found.setdefault(second - lowest, {})[first] = c
     return found
 
 
-def _at(coefficients: dict[int, Any], x: Any) -> Any:
+def _reduced(polynomials: list[dict[int, Coefficients]], is_angle: bool) -> list[dict[int, Coefficients]]:
+    """Two polynomials with the same common roots, of lower degree in the second unknown.
+
+    Where their highest coefficients are multiples of each other, one of the two loses its own; likewise the lowest, if
+    the unknown cannot be zero. The loop of a dyad, whose components are real and imaginary parts of a complex equation,
+    becomes that equation and its conjugate.
+    """
+    longer, shorter = sorted(polynomials, key=lambda f: -max(f))
+    for end in (max, min) if is_angle else (max,):
+        while longer and shorter and end(longer) == end(shorter):
+            factor = _ratio(longer[end(longer)], shorter[end(shorter)])
+            if factor is None:
+                break
+            less = {k: _difference(c, shorter.get(k, {}), factor) for k, c in longer.items()}
+            less |= {k: _difference({}, c, factor) for k, c in shorter.items() if k not in longer}
+            less = {k: c for k, c in less.items() if c}
+            if is_angle and less:
+                lowest = min(less)
+                less = {k - lowest: c for k, c in less.items()}
+            longer, shorter = sorted((less, shorter), key=lambda f: -max(f, default=-1))
+    return [longer, shorter]
+
+
+def _ratio(one: Coefficients, other: Coefficients) -> Any:
+    """The number that makes one of the other, or None."""
+    place = next(iter(other))
+    factor = one.get(place, 0) / other[place]
+    return factor if factor and not _difference(one, other, factor) else None
+
+
+def _difference(one: Coefficients, other: Coefficients, factor: Any) -> Coefficients:
+    """One - factor other, without what is rounding errors."""
+    found = {}
+    for power in {*one, *other}:
+        a, b = one.get(power, 0), factor * other.get(power, 0)
+        if abs(a - b) > NOTHING * (abs(a) + abs(b)):
+            found[power] = a - b
+    return found
+
+
+def _at(coefficients: Coefficients, x: Any) -> Any:
     return sum(c * x**k for k, c in coefficients.items())
 
 
-def _at_size(coefficients: dict[int, Any], x: Any) -> Any:
+def _at_size(coefficients: Coefficients, x: Any) -> Any:
     return sum(abs(c) * abs(x) ** k for k, c in coefficients.items())
 
 
-def _resultant(f: dict[int, dict[int, Any]], g: dict[int, dict[int, Any]]) -> dict[int, Any] | None:
+def _resultant(f: dict[int, Coefficients], g: dict[int, Coefficients]) -> Coefficients | None:
     """The resultant, a polynomial in the first unknown; None if it vanishes.
 
     Interpolated at roots of unity. Where one of the two does not hold the second unknown, it says all of the first.
@@ -420,7 +490,7 @@ def _determinant(matrix: list[list[Any]]) -> Any:
     return value
 
 
-def _roots(coefficients: dict[int, Any], is_angle: bool) -> list[Any] | None:
+def _roots(coefficients: Coefficients, is_angle: bool) -> list[Any] | None:
     """All roots, each as often as it is one; zero only of a displacement."""
     lowest, highest = min(coefficients), max(coefficients)
     zeros = [] if is_angle else [_numbers().zero] * lowest

@@ -31,13 +31,14 @@ PAGE = PROJECT / "docs" / "robustness.md"
 KINDS = {
     "calls": "calls with odd arguments",
     "mechanisms": "Systems against SymPy's equations",
+    "assemblies": "ways to close loops, against 60 digits",
     "damage": "damaged files",
     "kills": "killed processes",
 }
-LONG = {"calls": 100_000, "mechanisms": 1_000, "damage": 10_000, "kills": 200}
-PATIENCE = {"calls": 60, "mechanisms": 600, "damage": 60, "kills": 300}
+LONG = {"calls": 100_000, "mechanisms": 1_000, "assemblies": 10_000, "damage": 10_000, "kills": 200}
+PATIENCE = {"calls": 60, "mechanisms": 600, "assemblies": 60, "damage": 60, "kills": 300}
 """Seconds after which a case is taken for one that never ends."""
-BATCH = {"calls": 500, "mechanisms": 10, "damage": 500, "kills": 10}
+BATCH = {"calls": 500, "mechanisms": 10, "assemblies": 500, "damage": 500, "kills": 10}
 """Cases of a process."""
 
 

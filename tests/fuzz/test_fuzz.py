@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 import fourbar_codegen as fb
-from fuzz import calls, damage, kills, mechanisms
+from fourbar_codegen import assembly, polynomials
+from fuzz import assemblies, calls, damage, kills, mechanisms
 from fuzz.runner import PATHS, explore
 
 SEED = 1
-SHORT = {"calls": 2000, "mechanisms": 2, "damage": 150, "kills": 2}
+SHORT = {"calls": 2000, "mechanisms": 2, "assemblies": 200, "damage": 150, "kills": 2}
 
 
 @pytest.mark.parametrize("kind", SHORT)
@@ -39,6 +40,12 @@ def findings(case, count):
         except Exception as error:
             found.append(error)
     return found
+
+
+def test_a_mode_that_is_lost_is_found(monkeypatch):
+    """Of two solutions of each group, the second is left out."""
+    monkeypatch.setattr(assembly, "real_roots", lambda *arguments: (polynomials.real_roots(*arguments) or [])[:1])
+    assert len(findings(assemblies.case, 12)) > 6
 
 
 def test_a_foreign_error_is_found(monkeypatch):

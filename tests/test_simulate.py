@@ -100,6 +100,19 @@ def test_result_has_scipys_names_and_shapes(four_bar):
     assert run.y_events is None
 
 
+def test_residual_of_what_rolls_without_loops():
+    """The slip of the disc's contact, m/s: (u4 - r q3' cos q1, u5 - r q3' sin q1)."""
+    disc = fb.compile_model(fb.models.rolling_disc())
+    run = disc.simulate((0.0, 1.0), constraints="none", rtol=1e-3, atol=1e-3)
+    spin = np.array([disc.rhs(t, x)[2] for t, x in zip(run.t, run.y.T, strict=True)])
+    slip = np.array([run["u4"] - 0.26 * spin * np.cos(run["q1"]), run["u5"] - 0.26 * spin * np.sin(run["q1"])])
+    assert np.abs(slip).max() > 1e-5
+    np.testing.assert_allclose(run.constraint_residual, slip, rtol=0, atol=1e-14)
+    assert np.abs(disc.simulate((0.0, 1.0)).constraint_residual).max() < 1e-12
+    bicycle = fb.compile_model(fb.models.whipple_bicycle()).simulate((0.0, 0.1))
+    assert bicycle.constraint_residual.shape == (5, len(bicycle.t))  # a wheel on the ground, and four of slip
+
+
 def test_residual_and_energies_along_a_trajectory_are_the_models(four_bar):
     parameters = {"l2": 0.45}
     run = four_bar.simulate((0.0, 1.0), parameters=parameters, t_eval=[0.0, 0.7, 1.0])

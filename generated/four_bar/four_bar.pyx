@@ -454,6 +454,7 @@ manifest = (
     '    "q3": -1.5,\n'
     '    "u1": -0.1\n'
     '  },\n'
+    '  "velocity_rows": [],\n'
     '  "can_project": true,\n'
     '  "has_potential_energy": true,\n'
     '  "operations_before_sharing": {\n'

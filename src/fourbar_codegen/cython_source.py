@@ -67,6 +67,7 @@ def manifest_of(model: Model, program: Program, names: Mapping[str, Sequence[str
         ],
         "forced_points": list(program.forced),
         "initial": model.initial,
+        "velocity_rows": [row for row, entry in enumerate(closed) if not entry],
         "can_project": sum(map(bool, closed)) == sum(map(bool, positions)),
         "has_potential_energy": not energies[1].is_nan,
         "operations_before_sharing": {

@@ -147,8 +147,8 @@ def panels(trajectory: Trajectory) -> list[Panel]:
         ),
         Panel("Energy (J)", {name: row for name, row in energies.items() if np.isfinite(row).any()}),
     ]
-    if model.n_h:
+    if len(trajectory.constraint_residual):
         # Zero has no place on a logarithmic axis; half the spacing of doubles around 1 stands for it.
         largest = np.maximum(np.abs(trajectory.constraint_residual).max(axis=0), np.finfo(float).eps / 2)
-        found.insert(-1, Panel("Loop residual (units of the constraints)", {"largest": largest}, True))
+        found.insert(-1, Panel(f"{trajectory.residual_label} (units of the constraints)", {"largest": largest}, True))
     return [panel for panel in found if panel.curves]

@@ -189,7 +189,7 @@ class Model:
         where velocities or constraints take it up.
     initial : mapping of coordinate or speed to float, optional
         Default initial values of the independent coordinates and speeds, and guesses of the dependent
-        coordinates.
+        coordinates. Dependent speeds follow from these.
     potential_energy : Expr, optional
         In terms of coordinates, parameters and time. By default the sum of the bodies' ``potential_energy``
         and the potentials of all forces that are constant in the System's frame, such as gravity.
@@ -452,10 +452,15 @@ class Model:
 
     def _check_initial(self, given: Mapping[sm.Expr, float]) -> dict[str, float]:
         states = {*self.mechanism.coordinates, *self.mechanism.speeds}
+        dependent = self.mechanism.speeds[len(self.speeds) - self.mechanism.n_dependent_speeds :]
         initial = {}
         for function, value in given.items():
             if function not in states:
                 raise ModelError(f"{function} in initial= is none of the states {(*self.coordinates, *self.speeds)}.")
+            if function in dependent:
+                raise ModelError(
+                    f"{function} in initial= is a dependent speed: it follows from the others, leave it out."
+                )
             initial[_name(function)] = finite_number(value, f"initial {_name(function)}")
         return initial
 

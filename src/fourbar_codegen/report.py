@@ -102,7 +102,9 @@ def run_rows(trajectory: Trajectory) -> list[tuple[str, str]]:
         ("evaluations", str(run["nfev"])),
         ("stored states", str(len(trajectory.t))),
     ]
-    if model.n_h and len(trajectory.t):
-        rows.append(("loop residual at most", f"{np.abs(trajectory.constraint_residual).max():.2e}"))
+    if trajectory.constraint_residual.size:
+        rows.append(
+            (f"{trajectory.residual_label.lower()} at most", f"{np.abs(trajectory.constraint_residual).max():.2e}")
+        )
     rows += [(name, " ".join((f"{value:g}", model.units[name])).strip()) for name, value in run["parameters"].items()]
     return rows + list(run["versions"].items())

@@ -111,8 +111,17 @@ class Trajectory:
 
     @property
     def constraint_residual(self) -> Floats:
-        """Residuals of the position constraints, shape (n_h, n_t), in the constraints' units."""
-        return self._derived[0]
+        """By how much constraints are violated, shape (n, n_t), in their units.
+
+        Phi of those on positions, n_h rows; then J u + b of those on velocities alone, which are no rates of these.
+        """
+        positions, velocities, *_ = self._derived
+        return np.concatenate((positions, velocities[self.model.manifest["velocity_rows"]]))
+
+    @property
+    def residual_label(self) -> str:
+        """What `constraint_residual` is called where it is shown."""
+        return "Loop residual" if len(self.constraint_residual) == self.model.n_h else "Constraint residual"
 
     @property
     def velocity_residual(self) -> Floats:

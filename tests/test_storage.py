@@ -10,6 +10,7 @@ import zipfile
 from pathlib import Path
 
 import h5netcdf
+import h5py
 import numpy as np
 import pytest
 import xarray
@@ -227,6 +228,31 @@ def test_settings_of_netcdf(run, tmp_path):
     with h5netcdf.File(path, "a") as file:
         file.attrs["settings"] = "[]"
     with pytest.raises(fb.ModelError, match="there is list"):
+        fb.load_trajectory(path)
+
+
+@pytest.mark.parametrize("kind", ["link", "soft link", "external", "virtual"])
+def test_numbers_from_other_files_are_not_read(run, tmp_path, kind):
+    """HDF5 has four ways to say that a variable lies elsewhere."""
+    secret = np.full(run.t.shape, 42.0)
+    with h5py.File(tmp_path / "other.h5", "w") as other:
+        other["q1"] = secret
+    (tmp_path / "raw").write_bytes(secret.tobytes())
+    path = run.save(tmp_path / "run.nc")
+    with h5py.File(path, "a") as file:
+        del file["q1"]
+        if kind == "link":
+            file["q1"] = h5py.ExternalLink(str(tmp_path / "other.h5"), "q1")
+        elif kind == "soft link":
+            file["q1"] = h5py.SoftLink("/q2")
+        elif kind == "external":
+            place = [(str(tmp_path / "raw"), 0, h5py.h5f.UNLIMITED)]
+            file.create_dataset("q1", shape=secret.shape, dtype="f8", external=place)
+        else:
+            layout = h5py.VirtualLayout(shape=secret.shape, dtype="f8")
+            layout[:] = h5py.VirtualSource(str(tmp_path / "other.h5"), "q1", shape=secret.shape)
+            file.create_virtual_dataset("q1", layout)
+    with pytest.raises(fb.ModelError, match="its q1 is"):
         fb.load_trajectory(path)
 
 

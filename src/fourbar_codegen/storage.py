@@ -307,6 +307,7 @@ def _read_netcdf(path: Path) -> _Read:
     end = len(content) - len(SEAL) - sha256().digest_size
     if content[end:].startswith(SEAL) and content[end + len(SEAL) :] != sha256(content[:end]).digest():
         raise ModelError(f"{path} is damaged, or another program has changed it: its digest is another one.")
+    _require_own_data(io.BytesIO(content))
     most = MOST_COMPRESSED * len(content)
     with h5netcdf.File(io.BytesIO(content), "r") as file:
         attributes = dict(file.attrs)
@@ -321,6 +322,20 @@ def _read_netcdf(path: Path) -> _Read:
     attributes["success"] = bool(attributes["success"])
     attributes.update({name: int(attributes[name]) for name in _COUNTS})
     return attributes, columns
+
+
+def _require_own_data(file: IO[bytes]) -> None:
+    """Raise a ValueError if a variable is in another file: HDF5 would read whatever is there."""
+    import h5py
+
+    with h5py.File(file, "r") as opened:
+        for name in opened:
+            link = opened.get(name, getlink=True)
+            if not isinstance(link, h5py.HardLink):
+                raise ValueError(f"its {name} is a link to another place")
+            entry = opened[name]
+            if isinstance(entry, h5py.Dataset) and (entry.is_virtual or entry.external):
+                raise ValueError(f"its {name} is in another file")
 
 
 def _parsed(text: str) -> dict[str, Any]:

@@ -285,6 +285,17 @@ def test_events_are_scipys(four_bar):
         np.testing.assert_allclose(states, expected, rtol=0, atol=1e-7)
 
 
+@pytest.mark.parametrize("method", ["RK45", "DOP853", "BDF"])
+def test_an_event_that_ends_a_run_where_a_step_begins(four_bar, method):
+    """It counts at the end of a step and at the beginning of the next: beside `sol`, SciPy keeps that time once."""
+    steps = four_bar.simulate((0.0, 2.0), method=method).t
+    event = fb.Event(lambda t, x: t - steps[3], terminal=2)
+    run = four_bar.simulate((0.0, 2.0), method=method, events=event, dense_output=True)
+    np.testing.assert_array_equal(run.t_events[0], [steps[3]] * 2)
+    np.testing.assert_array_equal(run.t, steps[:4])
+    assert run.y.shape == (6, 4)
+
+
 @pytest.mark.parametrize("t_eval", [None, np.linspace(0.0, 3.0, 61)])
 def test_an_output_as_terminal_event(t_eval):
     crank = fb.compile_model(fb.models.slider_crank())

@@ -234,9 +234,13 @@ def integrate(
     samples.append(run.take_samples())
     if status < 0:
         message = f"The integration stopped at t = {run.t:.9g}: {message}"
+    t = np.concatenate([times for times, _ in samples])
+    y = np.concatenate([states for _, states in samples]).T
+    if dense is not None and t_eval is None and t.size > 1 and t[-1] == t[-2]:
+        t, y = t[:-1], y[:, :-1]  # an event where a step begins; SciPy leaves that time away as well, beside `sol`
     return Result(
-        t=np.concatenate([times for times, _ in samples]),
-        y=np.concatenate([states for _, states in samples]).T,
+        t=t,
+        y=y,
         sol=dense or None,  # without a step there is nothing between states
         t_events=None if events is None else [np.array(times) for times in watch.times],
         y_events=None if events is None else [np.array(states) for states in watch.states],

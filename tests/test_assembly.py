@@ -1,5 +1,8 @@
 """Assembly modes, against circles that are cut with circles and lines, and against SciPy's search in SymPy's terms."""
 
+from concurrent.futures import ThreadPoolExecutor
+
+import mpmath
 import numpy as np
 import pytest
 import sympy as sm
@@ -373,6 +376,17 @@ def test_close_to_a_dead_point(four_bar):
     for change in 10.0 ** np.arange(-16, -10):
         assert len(four_bar.initial_states([angle - change], [1.0], parameters=lengths)) <= 1
         assert 1 <= len(four_bar.initial_states([angle + change], [1.0], parameters=lengths)) <= 2
+
+
+def test_modes_in_several_threads(four_bar):
+    """Each thread computes with as many digits as alone, while mpmath's own precision is changed beside it."""
+    angles = np.linspace(-0.6, 0.6, 12)
+    alone = [four_bar.initial_states([angle], [0.0]).x for angle in angles]
+    with ThreadPoolExecutor(4) as pool, mpmath.workdps(3):
+        beside = list(pool.map(lambda angle: four_bar.initial_states([angle], [0.0]).x, angles))
+        assert mpmath.mp.dps == 3
+    for found, expected in zip(beside, alone, strict=True):
+        np.testing.assert_array_equal(found, expected)
 
 
 def test_no_loops():

@@ -197,13 +197,6 @@ def _constraints(loops: Loops) -> Constraints:
     return Constraints(model.manifest["position_constraints"], values)
 
 
-def _turned_back(loops: Loops, constraints: Constraints) -> Loops:
-    """With independent angles between -pi and pi: sines of large ones are known to fewer digits."""
-    names = loops.model.coordinates[: len(loops.q_i)]
-    is_angle = [all(constraints.is_periodic(row, name) for row in range(loops.model.n_h)) for name in names]
-    return replace(loops, q_i=np.where(is_angle, np.remainder(loops.q_i + np.pi, 2 * np.pi) - np.pi, loops.q_i))
-
-
 def _scales(loops: Loops, q: Floats) -> Floats:
     """What each position constraint's terms amount to."""
     scales, *_ = loops.model.constraint_scale(loops.t, np.concatenate((q, np.zeros(loops.model.n_u))), loops.p, loops.r)
@@ -241,10 +234,12 @@ class _Chart:
     @classmethod
     def of(cls, loops: Loops, start: Floats, generator: np.random.Generator) -> _Chart:
         """From what the equations hold, and the constraints at random coordinates."""
-        constraints = _constraints(loops)
-        loops = _turned_back(loops, constraints)
-        constraints = _constraints(loops)
-        names, rows = loops.model.coordinates[len(loops.q_i) :], range(loops.model.n_h)
+        constraints, rows = _constraints(loops), range(loops.model.n_h)
+        given, names = np.split(np.array(loops.model.coordinates, dtype=object), [len(loops.q_i)])
+        # Independent angles between -pi and pi: sines of large ones are known to fewer digits in double precision.
+        turns = [all(constraints.is_periodic(row, name) for row in rows) for name in given]
+        loops = replace(loops, q_i=np.where(turns, np.remainder(loops.q_i + np.pi, 2 * np.pi) - np.pi, loops.q_i))
+        constraints = constraints.with_values({("q", name): q for name, q in zip(given, loops.q_i, strict=True)})
         held = np.array([[("q", name) in constraints.leaves(row) for name in names] for row in rows], dtype=bool)
         is_angle = np.array([all(constraints.is_periodic(row, name) for row in rows) for name in names], dtype=bool)
         points = np.where(is_angle, generator.uniform(-np.pi, np.pi, (4, len(start))), start)

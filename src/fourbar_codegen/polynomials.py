@@ -9,9 +9,10 @@ Source: the resultant of two polynomials is the determinant of Sylvester's matri
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, reduce
+from functools import reduce
 from itertools import product
 from typing import Any
 
@@ -42,14 +43,17 @@ Coefficients = dict[int, Any]
 """Of a polynomial in one unknown, by its powers."""
 
 
-@cache
-def _numbers() -> Any:
-    """Mpmath's arithmetic with a precision of its own."""
-    import mpmath
+_OF_THREAD = threading.local()
 
-    context = mpmath.MPContext()
-    context.dps = COEFFICIENT_DIGITS
-    return context
+
+def _numbers() -> Any:
+    """Mpmath's arithmetic, whose precision nothing else changes: not other threads, nor the user's own mpmath."""
+    if not hasattr(_OF_THREAD, "numbers"):
+        import mpmath
+
+        _OF_THREAD.numbers = mpmath.MPContext()
+        _OF_THREAD.numbers.dps = COEFFICIENT_DIGITS
+    return _OF_THREAD.numbers
 
 
 @dataclass(frozen=True)
@@ -145,9 +149,8 @@ class Constraints:
             polynomial = known[node].polynomial
             if polynomial is None or not all(map(expansion.numbers.isfinite, polynomial.values())):
                 return None
-            scaled = _scaled(polynomial, expansion.exact(factor))
-            largest = max((abs(c) for c in scaled.values()), default=0)
-            found.append({powers: c for powers, c in scaled.items() if abs(c) > NOTHING * largest})
+            scale, largest = expansion.exact(factor), max((abs(c) for c in polynomial.values()), default=0)
+            found.append({powers: scale * c for powers, c in polynomial.items() if abs(c) > NOTHING * largest})
         return found
 
 
@@ -282,10 +285,6 @@ class _Expansion:
         return {k: turned, back: self.numbers.conj(turned)}
 
 
-def _scaled(polynomial: Polynomial, factor: Any) -> Polynomial:
-    return {powers: factor * c for powers, c in polynomial.items()}
-
-
 def _times(one: Polynomial, other: Polynomial) -> Polynomial:
     total: Polynomial = {}
     for (powers, c), (more, d) in product(one.items(), other.items()):
@@ -319,10 +318,7 @@ def real_roots(polynomials: Sequence[Polynomial], is_angle: Sequence[bool]) -> l
         return None
     numbers = _numbers()
     units = [numbers.one if angle else _unit(polynomials, place) for place, angle in enumerate(is_angle)]
-    polynomials = [
-        {powers: c * numbers.fprod(unit**k for unit, k in zip(units, powers, strict=True)) for powers, c in f.items()}
-        for f in polynomials
-    ]
+    polynomials = [{powers: c * numbers.fprod(map(pow, units, powers)) for powers, c in f.items()} for f in polynomials]
     values: list[tuple[float, ...]] | None
     if len(units) == 1:
         [polynomial] = polynomials
@@ -338,13 +334,9 @@ def real_roots(polynomials: Sequence[Polynomial], is_angle: Sequence[bool]) -> l
 def terms_of(polynomial: Polynomial, sizes: Sequence[float]) -> float:
     """The sum of the terms' absolute values, at those of the unknowns; 1 is that of exp(i q)."""
     numbers = _numbers()
-    powers_of = [numbers.mpf(size) for size in sizes]
-    return float(
-        numbers.fsum(
-            abs(c) * numbers.fprod(size**k for size, k in zip(powers_of, powers, strict=True))
-            for powers, c in polynomial.items()
-        )
-    )
+    values = [numbers.mpf(size) for size in sizes]
+    terms = (abs(c) * numbers.fprod(map(pow, values, powers)) for powers, c in polynomial.items())
+    return float(numbers.fsum(terms))
 
 
 def _unit(polynomials: Sequence[Polynomial], place: int) -> Any:

@@ -1,5 +1,7 @@
 """Linearization against SymPy's, and equilibria against energies."""
 
+import itertools
+
 import numpy as np
 import pytest
 import sympy as sm
@@ -71,6 +73,29 @@ def test_equilibrium_is_where_the_potential_is_least(four_bar):
     # Nothing takes energy: the motion around a minimum is an undamped oscillation.
     np.testing.assert_allclose(eigenvalues.real, 0.0, atol=1e-9)
     assert eigenvalues.imag.max() > 1.0
+
+
+UNITS = list(itertools.product((1e-6, 1.0, 1e6), (1e-6, 1.0, 1e6), (1e-6, 1.0, 1e6)))
+"""Of length, mass and time."""
+
+
+def test_equilibrium_in_all_units_of_length_mass_and_time(four_bar):
+    """A change of units changes no angle, and a displacement by that of length."""
+    start = four_bar.initial_state()[:3]
+    angles = four_bar.equilibrium(start, inputs={"F": 3.0})[:3]
+    powers = {"kg/m": (-1, 1, 0), "m": (1, 0, 0), "N m/rad": (2, 1, -2), "N m s/rad": (2, 1, -1), "m/s^2": (1, 0, -2)}
+    for unit in UNITS:
+        values = {name: value * np.prod(np.power(unit, powers[four_bar.units[name]], dtype=float))
+                  for name, value in four_bar.defaults.items()}  # fmt: skip
+        force = 3.0 * np.prod(np.power(unit, (1.0, 1.0, -2.0)))
+        found = four_bar.equilibrium(start, parameters=values, inputs={"F": force})[:3]
+        np.testing.assert_allclose(found, angles, rtol=0, atol=1e-9)
+    # y under gravity on a ring of radius l: the lowest point.
+    ring = fb.compile_model(fb.models.cartesian_pendulum())
+    for length, mass, time in UNITS:
+        values = {"m": mass, "l": length, "g": 9.81 * length / time**2}
+        found = ring.equilibrium([0.1 * length, -0.9 * length], parameters=values)
+        np.testing.assert_allclose(found / length, [1.0, 0.0, 0.0, 0.0], rtol=0, atol=1e-9)
 
 
 def test_no_equilibrium(four_bar):

@@ -22,9 +22,11 @@ __all__ = ["equilibrium", "linearize"]
 
 Floats = NDArray[np.float64]
 
-# An equilibrium counts as found if the coordinates are right to this, in their units, and the loops are closed to this
-# share of their scales.
+# An equilibrium counts as found if the loops are closed to this share of their scales, and the accelerations are this
+# share of what they were where the search began, or of what changes of the coordinates by themselves would make.
 COORDINATE_TOLERANCE = 1e-9
+# The smallest mass that counts beside the largest.
+LIGHT = 1e-12
 # A state counts as one of the mechanism if the constraints are violated by no more than this share of their scales.
 CLOSED = 1e-6
 
@@ -100,19 +102,11 @@ def equilibrium(
     def at_rest(q: Floats) -> Floats:
         return np.concatenate((q, np.zeros(model.n_u)))
 
-    # Positions in units of what rounding makes of them, whatever the size of the mechanism.
-    size, *_ = model.constraint_scale(t, at_rest(start), p, r)
-    size[~(size > 0.0)] = 1.0
-
     def evaluated(q: Floats) -> Floats:
         x = at_rest(q)
-        return np.concatenate(
-            (
-                model.position_constraints(t, q, p, r) / size,
-                model.velocity_constraints(t, x, p, r),
-                model.rhs(t, x, p, r),
-            )
-        )
+        rates, accelerations = np.split(model.rhs(t, x, p, r), [model.n_q])
+        loops, velocities = model.position_constraints(t, q, p, r) / size, model.velocity_constraints(t, x, p, r)
+        return np.concatenate((loops, velocities, rates, weights @ accelerations))
 
     def residual(q: Floats) -> Floats:
         try:
@@ -122,13 +116,9 @@ def equilibrium(
 
     def slopes(q: Floats) -> Floats:
         x = at_rest(q)
-        return np.vstack(
-            (
-                model.position(t, q, p, r)[1] / size[:, np.newaxis],
-                model.constraint_sensitivity(t, x, p, r)[0],
-                model.jacobian(t, x, p, r)[:, : model.n_q],
-            )
-        )
+        rates, accelerations = np.split(model.jacobian(t, x, p, r)[:, : model.n_q], [model.n_q])
+        loops = model.position(t, q, p, r)[1] / size[:, np.newaxis]
+        return np.vstack((loops, model.constraint_sensitivity(t, x, p, r)[0], rates, weights @ accelerations))
 
     begin = start
     if model.n_h and model.manifest["n_dependent_speeds"] < model.n_c:
@@ -137,14 +127,20 @@ def equilibrium(
         loops = Loops(model, t, start[:n_qi], p, r)
         dependent = loops.search(start[n_qi:])
         begin = start if dependent is None else loops.coordinates(dependent)
-    evaluated(begin)  # or an error that says why not
+    # In units that a change of those of length, mass and time leaves alone: loops by their terms, accelerations in the
+    # metric of the mass matrix, by what they are where the search begins.
+    size, *_ = model.constraint_scale(t, at_rest(begin), p, r)
+    size[~(size > 0.0)] = 1.0
+    masses, axes = np.linalg.eigh(model.tree_mass_matrix(t, at_rest(begin), p))
+    weights = np.sqrt(np.maximum(masses, LIGHT * masses.max(initial=0.0)))[:, np.newaxis] * axes.T
+    weights /= np.linalg.norm(weights @ model.rhs(t, at_rest(begin), p, r)[model.n_q :]) or 1.0
     found = least_squares(residual, begin, jac=slopes, x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15).x
-    errors, scales = np.abs(residual(found)), np.abs(slopes(found)).max(axis=1)
+    errors, scales = np.abs(residual(found)), np.abs(slopes(found)) @ np.abs(found)
     if not (errors <= COORDINATE_TOLERANCE * np.maximum(scales, 1.0)).all():
         names = ", ".join(f"{name} = {value:.6g}" for name, value in zip(model.coordinates, found, strict=True))
         raise SimulationError(
-            f"No equilibrium was found from the guess {start.tolist()}: the search ended at {names}, where constraints "
-            f"and accelerations are up to {errors.max():.3g} instead of 0. Give another guess, or inputs that hold the "
-            "mechanism."
+            f"No equilibrium was found from the guess {start.tolist()}: the search ended at {names}, where up to "
+            f"{errors.max():.3g} is left of what constraints and accelerations are measured by. Give another guess, or "
+            "inputs that hold the mechanism."
         )
     return at_rest(found)

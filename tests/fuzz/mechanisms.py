@@ -144,7 +144,8 @@ class Drawn:
             is_position = kind != "no sliding"
             by_coordinates = evaluated(held.jacobian(q))
             row = by_coordinates @ by_speeds if is_position else evaluated(held.jacobian(u))
-            if len(rows) + 1 >= len(u) or _condition([rows, row]) > 100:
+            # A row that is zero but for rounding errors holds nothing.
+            if len(rows) + 1 >= len(u) or np.abs(row).max() < 1e-6 or _condition([rows, row]) > 100:
                 continue
             if is_position:
                 if _condition([of_coordinates, by_coordinates]) > 100:
@@ -189,15 +190,29 @@ class Reference:
         self.drawn, system = drawn, drawn.system
         system.form_eoms(constraint_solver="CRAMER")
         self.names = list(drawn.numbers(drawn.state, drawn.time))
-        self.matrices = sm.lambdify(
-            [self.names], [system.mass_matrix_full, system.forcing_full], modules="mpmath", cse=True
-        )
+        matrices = [system.mass_matrix_full, system.forcing_full]
+        self.matrices = sm.lambdify([self.names], matrices, modules="mpmath", cse=True)
+        self.in_double = sm.lambdify([self.names], matrices, modules="numpy", cse=True)
+
+    def _numbers(self, state: Any, time: float) -> list[Any]:
+        numbers = self.drawn.numbers(np.zeros(len(state)), time)
+        numbers.update(zip([*self.drawn.system.q, *self.drawn.system.u], state, strict=True))
+        return [numbers[name] for name in self.names]
+
+    def rounding(self, state: np.ndarray, time: float, generator: np.random.Generator) -> float:
+        """By how much x' errs in double precision, relative to its largest entry: the most of some states close by."""
+        errors = []
+        for _ in range(8):
+            close = state * (1.0 + 1e-9 * generator.normal(size=len(state)))
+            mass_matrix, forcing = self.in_double([float(number) for number in self._numbers(close, time)])
+            with mpmath.workdps(DIGITS):
+                exact = np.array(self.solved(close, time)[1], dtype=float).ravel()
+            errors.append(np.abs(np.linalg.solve(mass_matrix, np.ravel(forcing)) - exact).max() / np.abs(exact).max())
+        return float(max(errors))
 
     def solved(self, state: Any, time: float) -> tuple[Any, Any]:
         """The full mass matrix and x'."""
-        numbers = self.drawn.numbers(np.zeros(len(state)), time)
-        numbers.update(zip([*self.drawn.system.q, *self.drawn.system.u], state, strict=True))
-        mass_matrix, forcing = self.matrices([mpmath.mpf(numbers[name]) for name in self.names])
+        mass_matrix, forcing = self.matrices([mpmath.mpf(number) for number in self._numbers(state, time)])
         mass_matrix, forcing = mpmath.matrix(mass_matrix.tolist()), mpmath.matrix(forcing.tolist())
         return mass_matrix, mpmath.lu_solve(mass_matrix, forcing)
 
@@ -232,5 +247,7 @@ def case(generator: np.random.Generator, say: Callable[[str], None]) -> None:
         told = f"x' errs by {error / EPS / condition:.2g}, its derivative by {slope / EPS / condition:.2g} eps cond"
         say(f"{', '.join(drawn.told)}: {told}, condition {condition:.2g}")
         # Backward stable solutions err by the condition; the factor has room for matrices of 20 rows.
-        assert error <= 20 * EPS * condition, told
+        # Where forces cancel, x' is small beside what rounding leaves of them, also by SymPy's own equations.
+        if error > 20 * EPS * condition:
+            assert error <= 3 * reference.rounding(state, drawn.time, generator), told
         assert slope <= 20 * EPS * condition, told

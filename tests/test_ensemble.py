@@ -457,9 +457,10 @@ def test_callables_get_one_member_at_a_time(four_bar):
 def test_interrupt(four_bar):
     """From the keyboard, in runs of weeks. Another thread of Python's goes on beside them, or there were none."""
     code = """
-import _thread, threading, time
+import _thread, signal, threading, time
 import numpy as np
 import fourbar_codegen as fb
+signal.signal(signal.SIGINT, signal.default_int_handler)  # which a shell has ignored in its background
 four_bar = fb.load("four_bar")
 four_bar.ensemble((0.0, 0.1))
 ticks = []

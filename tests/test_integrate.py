@@ -2,6 +2,7 @@
 
 import _thread
 import re
+import signal
 import threading
 from pathlib import Path
 
@@ -482,6 +483,15 @@ def test_energy_that_grows_beyond_reason(four_bar):
         assert driven.message == fourbar_codegen.integrate.REACHED_END
 
 
+@pytest.fixture
+def keyboard_interrupts():
+    """Also where a shell has started the tests in the background, and has SIGINT ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("keyboard_interrupts")
 def test_progress_and_interrupt(four_bar):
     # A run of minutes, stopped from the keyboard when it has told five times how far it is.
     seen, on_its_way = [], threading.Event()

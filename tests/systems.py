@@ -203,3 +203,19 @@ def spatial_four_bar():
     system.add_kdes(*(rate - angle.diff() for angle, rate in zip(q, u, strict=True)))
     values = {rho: 100.0, l1: 0.8, l2: 0.5, l3: 1.0, l4: 0.7, g: 9.81}
     return fb.Model(system, name="spatial_four_bar", parameters=values, initial={q[0]: -0.5, q[1]: -1.5, q[2]: -1.5})
+
+
+def masses_on_a_line(constraints, coordinates):
+    """With constraints between their places, or whatever the coordinates are taken for; the first is independent."""
+    frame, origin = me.ReferenceFrame("N"), me.Point("O")
+    origin.set_vel(frame, 0)
+    speeds = me.dynamicsymbols(f"u:{len(coordinates)}")
+    system = System(frame, origin)
+    for number, (coordinate, speed) in enumerate(zip(coordinates, speeds, strict=True)):
+        place = origin.locatenew(f"P{number}", coordinate * frame.x)
+        place.set_vel(frame, speed * frame.x)
+        system.add_bodies(me.Particle(f"P{number}", place, 1))
+    system.add_holonomic_constraints(*constraints)
+    system.q_ind, system.q_dep, system.u_ind, system.u_dep = coordinates[:1], coordinates[1:], speeds[:1], speeds[1:]
+    system.add_kdes(*(u - q.diff() for q, u in zip(coordinates, speeds, strict=True)))
+    return system

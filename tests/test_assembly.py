@@ -8,7 +8,7 @@ import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
 from sympy.physics.mechanics.system import System
-from systems import spatial_four_bar
+from systems import masses_on_a_line, spatial_four_bar
 
 import fourbar_codegen as fb
 from fourbar_codegen.convert import Conversion
@@ -276,19 +276,8 @@ def test_redundant_constraints():
 
 
 def on_a_line(constraints, coordinates, **how):
-    """Masses on a line with constraints between their places, or whatever these are taken for; one is independent."""
-    frame, origin = me.ReferenceFrame("N"), me.Point("O")
-    origin.set_vel(frame, 0)
-    speeds = me.dynamicsymbols(f"u:{len(coordinates)}")
-    system = System(frame, origin)
-    for number, (coordinate, speed) in enumerate(zip(coordinates, speeds, strict=True)):
-        place = origin.locatenew(f"P{number}", coordinate * frame.x)
-        place.set_vel(frame, speed * frame.x)
-        system.add_bodies(me.Particle(f"P{number}", place, 1))
-    system.add_holonomic_constraints(*constraints)
-    system.q_ind, system.q_dep, system.u_ind, system.u_dep = coordinates[:1], coordinates[1:], speeds[:1], speeds[1:]
-    system.add_kdes(*(u - q.diff() for q, u in zip(coordinates, speeds, strict=True)))
-    model = fb.Model(system, name="on_a_line", **how)
+    """The modes of masses on a line, at a value of the first coordinate."""
+    model = fb.Model(masses_on_a_line(constraints, coordinates), name="on_a_line", **how)
 
     def modes(value, **parameters):
         return fb.compile_model(model, check=False).initial_states([value], [0.0], parameters=parameters)

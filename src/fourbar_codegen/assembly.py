@@ -240,7 +240,7 @@ class _Chart:
         turns = [all(constraints.is_periodic(row, name) for row in rows) for name in given]
         loops = replace(loops, q_i=np.where(turns, np.remainder(loops.q_i + np.pi, 2 * np.pi) - np.pi, loops.q_i))
         constraints = constraints.with_values({("q", name): q for name, q in zip(given, loops.q_i, strict=True)})
-        held = np.array([[("q", name) in constraints.leaves(row) for name in names] for row in rows], dtype=bool)
+        held = np.array([[constraints.depends(row, name) for name in names] for row in rows], dtype=bool)
         is_angle = np.array([all(constraints.is_periodic(row, name) for row in rows) for name in names], dtype=bool)
         points = np.where(is_angle, generator.uniform(-np.pi, np.pi, (4, len(start))), start)
         known = [loops.position(point) for point in points]

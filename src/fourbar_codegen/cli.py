@@ -245,8 +245,9 @@ def _report(trajectory: Trajectory, method: str, seconds: float) -> None:
         f"\n{len(trajectory.t)} stored times, {trajectory.nfev} evaluations of the right-hand side, "
         f"{seconds * 1e3:.2f} ms"
     )
-    if len(trajectory.constraint_residual):
-        residual = abs(trajectory.constraint_residual).max(axis=0)
+    residuals = abs(trajectory.constraint_residual)
+    if len(residuals):
+        residual = residuals.max(axis=0)
         click.echo(
             f"{trajectory.residual_label}: {residual[0]:.2e} at the start, {residual[-1]:.2e} at the end, "
             f"{residual.max():.2e} at most"

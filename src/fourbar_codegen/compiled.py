@@ -367,10 +367,12 @@ class CompiledModel(Evaluator):
         if not is_mapping(r):
             return r
         known = {name: None if math.isnan(value) else value for name, value in zip(self.inputs, defaults, strict=True)}
-        # An input that prescribes a motion and is given without its rates is at rest.
+        return named_values(r, self.inputs, known | self.rates_at_rest(r), "input")
+
+    def rates_at_rest(self, r: Mapping[Any, Any]) -> dict[str, float]:
+        """The rates of motions that r gives, 0 each: an input that is given without its rates is at rest."""
         in_force = zip(self.manifest["inputs"], self.defaults_in_force(r), strict=True)
-        known.update({entry["name"]: 0.0 for entry, expression in in_force if entry["order"] and not expression})
-        return named_values(r, self.inputs, known, "input")
+        return {entry["name"]: 0.0 for entry, expression in in_force if entry["order"] and not expression}
 
     def defaults_in_force(self, r: Values | None) -> list[bool]:
         """For each input, whether it is what its expression gives: r names neither it nor what it is a rate of."""

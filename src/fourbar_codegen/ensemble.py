@@ -172,20 +172,17 @@ def _with_defaults(model: CompiledModel, times: Floats, parameters: Floats, r: V
     """Inputs by name with those that are left out: their expressions' values, rates of given motions 0."""
     if not is_mapping(r):
         return r
-    entries = model.manifest["inputs"]
-    given = named(r, model.inputs, "input")
-    left = [place for place, name in enumerate(model.inputs) if name not in given]
-    in_force = model.defaults_in_force(r)
-    rates = {model.inputs[place]: 0.0 for place in left if entries[place]["order"] and not in_force[place]}
-    expressions = [p for p in left if model.inputs[p] not in rates and entries[p]["expression"] is not None]
+    given = model.rates_at_rest(r) | named(r, model.inputs, "input")
+    entries = enumerate(model.manifest["inputs"])
+    expressions = [i for i, entry in entries if entry["name"] not in given and entry["expression"] is not None]
     if not expressions:
-        return rates | given
+        return given
     if times.ndim or parameters.ndim == 2:
         t, p = np.broadcast_to(times, n), np.broadcast_to(parameters.T, (n, model.n_p))
         values = np.reshape([model.default_inputs(*at) for at in zip(t, p, strict=True)], (n, model.n_r)).T
     else:
         values = model.default_inputs(float(times), parameters)
-    return {model.inputs[place]: values[place] for place in expressions} | rates | given
+    return {model.inputs[i]: values[i] for i in expressions} | given
 
 
 def _workers(workers: int | None) -> int:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import reduce
 from itertools import product
@@ -87,19 +88,19 @@ class Constraints:
         self._results: list[list[Any]] = formulas["results"]
         self._values = dict(values)
         self._reached = [self._reach(node) for node, _ in self._results]
+        self._leaves = [
+            {tuple(self._operations[n]) for n in nodes if _is_leaf(self._operations[n])} for nodes in self._reached
+        ]
 
     def with_values(self, values: Mapping[tuple[str, str], float]) -> Constraints:
         """With other values of some leaves."""
-        other = object.__new__(Constraints)
-        other.__dict__.update(self.__dict__, _values={**self._values, **values})
+        other = copy(self)
+        other._values = {**self._values, **values}
         return other
 
-    def leaves(self, row: int) -> set[tuple[str, str]]:
-        """What an expression depends on."""
-        found = (self._operations[node] for node in self._reached[row])
-        return {
-            (operation[0], operation[1]) for operation in found if len(operation) == 2 and isinstance(operation[1], str)
-        }
+    def depends(self, row: int, name: str) -> bool:
+        """Whether a coordinate stands in an expression."""
+        return ("q", name) in self._leaves[row]
 
     def _reach(self, node: int | None) -> list[int]:
         found: set[int] = set()
@@ -113,6 +114,8 @@ class Constraints:
 
     def is_periodic(self, row: int, name: str) -> bool:
         """Whether 2 pi more of a coordinate change nothing, as far as the expression's form shows."""
+        if not self.depends(row, name):
+            return True
         expansion = _Expansion(self._values, [(name, True)])
         known: dict[int | None, _Value] = {None: expansion.number(1)}
         periodic: dict[int | None, bool] = {None: True}
@@ -152,6 +155,10 @@ class Constraints:
             scale, largest = expansion.exact(factor), max((abs(c) for c in polynomial.values()), default=0)
             found.append({powers: scale * c for powers, c in polynomial.items() if abs(c) > NOTHING * largest})
         return found
+
+
+def _is_leaf(operation: list[Any]) -> bool:
+    return isinstance(operation[1], str)
 
 
 def _operands(operation: list[Any]) -> list[int]:
@@ -458,28 +465,14 @@ def _resultant(f: dict[int, Coefficients], g: dict[int, Coefficients]) -> Coeffi
     for x in points:
         rows = [{k: _at(c, x) / x**low for k, c in p.items()} for p, low in zip((f, g), lowest, strict=True)]
         shifted = [(rows[0], i) for i in range(n)] + [(rows[1], i) for i in range(m)]
-        values.append(_determinant([[line.get(k - shift, 0) for k in range(m + n)] for line, shift in shifted]))
+        sylvester = numbers.matrix([[line.get(k - shift, 0) for k in range(m + n)] for line, shift in shifted])
+        values.append(numbers.det(sylvester))
         bound = max(bound, sum(map(abs, rows[0].values())) ** n * sum(map(abs, rows[1].values())) ** m)
     coefficients = {
         k: sum(value / x**k for value, x in zip(values, points, strict=True)) / (degree + 1) for k in range(degree + 1)
     }
     held = {k: c for k, c in coefficients.items() if abs(c) > NOTHING * bound}
     return held or None
-
-
-def _determinant(matrix: list[list[Any]]) -> Any:
-    """By elimination; mpmath's own takes three times as long for matrices of a few rows."""
-    value: Any = 1
-    while matrix:
-        pivot = max(matrix, key=lambda row: abs(row[0]))
-        if not pivot[0]:
-            return 0
-        place = matrix.index(pivot)
-        value *= -pivot[0] if place % 2 else pivot[0]
-        rest = [row for row in matrix if row is not pivot]
-        matrix = [[c - row[0] / pivot[0] * d for c, d in zip(row[1:], pivot[1:], strict=True)] if row[0] else row[1:]
-                  for row in rest]  # fmt: skip
-    return value
 
 
 def _roots(coefficients: Coefficients, is_angle: bool) -> list[Any] | None:

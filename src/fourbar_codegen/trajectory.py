@@ -121,7 +121,7 @@ class Trajectory:
     @property
     def residual_label(self) -> str:
         """What `constraint_residual` is called where it is shown."""
-        return "Loop residual" if len(self.constraint_residual) == self.model.n_h else "Constraint residual"
+        return "Constraint residual" if self.model.manifest["velocity_rows"] else "Loop residual"
 
     @property
     def velocity_residual(self) -> Floats:

@@ -14,7 +14,7 @@ import mpmath
 import numpy as np
 import sympy as sm
 import sympy.physics.mechanics as me
-from sympy.physics.mechanics.system import System
+from systems import masses_on_a_line
 
 import fourbar_codegen as fb
 
@@ -27,19 +27,7 @@ P = sm.symbols("p0:8")
 
 
 def _on_a_line(name: str, constraints: list[sm.Expr], coordinates: list[sm.Expr]) -> fb.CompiledModel:
-    """Masses whose places are the coordinates, whatever these stand for; the first is independent."""
-    frame, origin = me.ReferenceFrame("N"), me.Point("O")
-    origin.set_vel(frame, 0)
-    speeds = me.dynamicsymbols(f"u:{len(coordinates)}")
-    system = System(frame, origin)
-    for number, (coordinate, speed) in enumerate(zip(coordinates, speeds, strict=True)):
-        place = origin.locatenew(f"P{number}", coordinate * frame.x)
-        place.set_vel(frame, speed * frame.x)
-        system.add_bodies(me.Particle(f"P{number}", place, 1))
-    system.add_holonomic_constraints(*constraints)
-    system.q_ind, system.q_dep, system.u_ind, system.u_dep = coordinates[:1], coordinates[1:], speeds[:1], speeds[1:]
-    system.add_kdes(*(u - q.diff() for q, u in zip(coordinates, speeds, strict=True)))
-    return fb.compile_model(fb.Model(system, name=name), check=False)
+    return fb.compile_model(fb.Model(masses_on_a_line(constraints, coordinates), name=name), check=False)
 
 
 @cache

@@ -14,6 +14,7 @@ RUN = [
     "arguments",
     "assembly",
     "compiled",
+    "discontinuities",
     "drawing",
     "elimination",
     "ensemble",
@@ -31,9 +32,9 @@ RUN = [
     "visual",
 ]
 GENERATION = [
-    "model", "mechanism", "fingerprint", "tape", "numeric", "convert", "derivatives", "formulas", "identities",
-    "linear", "motion", "composite", "kinematics", "kane", "equations", "angles", "share", "program", "structure",
-    "lower", "c_expressions", "c_source", "cython_source",
+    "model", "mechanism", "fingerprint", "tape", "numeric", "convert", "derivatives", "breakpoints", "formulas",
+    "identities", "linear", "motion", "composite", "kinematics", "kane", "equations", "angles", "share", "program",
+    "structure", "lower", "c_expressions", "c_source", "cython_source",
 ]  # fmt: skip
 
 

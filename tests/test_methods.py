@@ -348,6 +348,17 @@ def test_a_stiff_drive(driven, name):
         assert run.nfev < explicit / fewer
 
 
+def test_index_3_says_what_its_tolerance_holds_for(four_bar, exact):
+    runs = {
+        name: four_bar.simulate((0.0, 2.0), method="IDA", formulation=name, t_eval=exact.t, rtol=1e-8, atol=1e-8)
+        for name in ("gear-gupta-leimkuhler", "index-3")
+    }
+    errors = {name: np.abs(run.y - exact.y).max() for name, run in runs.items()}
+    assert errors["index-3"] > 20 * errors["gear-gupta-leimkuhler"]
+    assert "the tolerance holds for the coordinates of a step alone" in runs["index-3"].message
+    assert "tolerance" not in runs["gear-gupta-leimkuhler"].message
+
+
 @pytest.mark.parametrize(("name", "more"), [("IDA", {"formulation": "index-3"}), ("ALI3P", {"max_step": 1e-2})])
 def test_a_stiff_spring(driven, name, more):
     """10,000 rad/s; methods that do not control the speeds take steps as long as the motion asks for."""

@@ -22,7 +22,7 @@ kernel = PyCapsule_New(<void *>&four_bar_kernel, FB_CAPSULE_NAME, NULL)
 
 manifest = (
     '{\n'
-    '  "format": 5,\n'
+    '  "format": 6,\n'
     '  "name": "four_bar",\n'
     '  "fingerprint": "785d1f8f2eff0e91b055029fca3f80634c87e29e7fb3baa76e26e1a5f572d052",\n'
     '  "coordinates": [\n'
@@ -97,6 +97,8 @@ manifest = (
     '    }\n'
     '  ],\n'
     '  "moving_inputs": [],\n'
+    '  "n_breakpoints": 0,\n'
+    '  "n_jumps": 0,\n'
     '  "outputs": [],\n'
     '  "position_constraints": {\n'
     '    "operations": [\n'
@@ -460,6 +462,7 @@ manifest = (
     '  "operations_before_sharing": {\n'
     '    "prepare": 0,\n'
     '    "default_inputs": 3,\n'
+    '    "breakpoints": 0,\n'
     '    "dynamics": 3133,\n'
     '    "position": 230,\n'
     '    "velocity": 165,\n'
@@ -478,6 +481,7 @@ manifest = (
     '  "operations": {\n'
     '    "prepare": 70,\n'
     '    "default_inputs": 3,\n'
+    '    "breakpoints": 0,\n'
     '    "dynamics": 132,\n'
     '    "position": 22,\n'
     '    "velocity": 21,\n'

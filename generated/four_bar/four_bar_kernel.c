@@ -24,6 +24,7 @@ enum {
     N_H = 2,
     N_C = 2,
     N_O = 0,
+    N_BREAKPOINTS = 0,
     N_POINTS = 11,
     N_FORCES = 1,
     N_RANK = 2,
@@ -379,6 +380,13 @@ static void coordinate_change(fb_real t, const fb_real *restrict q, const fb_rea
 #ifdef FB_SIDE_BY_SIDE
 #include "fourbar_lanes.h"
 #else
+/* Times at which expressions have a jump or a kink. */
+static void breakpoints(const double *restrict constants, double *restrict breakpoints)
+{
+    (void)constants;
+    (void)breakpoints;
+}
+
 /* Holonomic constraints Phi(q, t) and dPhi/dq. */
 static void position(double t, const double *restrict q, const double *restrict constants,
     const double *restrict r, double *restrict position_constraints, double *restrict position_jacobian)

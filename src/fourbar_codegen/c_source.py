@@ -98,6 +98,7 @@ enum {{
     N_H = {sizes.n_h},
     N_C = {sizes.n_c},
     N_O = {sizes.n_o},
+    N_BREAKPOINTS = {sizes.n_breakpoints},
     N_POINTS = {len(program.places)},
     N_FORCES = {len(program.forced)},
     N_RANK = {sizes.rank},

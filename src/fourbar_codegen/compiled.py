@@ -916,9 +916,10 @@ class CompiledModel(Evaluator):
         parameters : array_like or mapping, optional
             The defaults otherwise.
         inputs : mapping of input to source, optional
-            For each input a number, a table ``(times, values)`` to interpolate linearly (held constant
-            beyond its ends), or a callable of (t, x); its expression otherwise. Where an input prescribes a
-            motion, a cubic spline is laid through a table, for its rates, and a callable is refused.
+            For each input a number, a table ``(times, values)`` or ``(times, values, kind)``, held constant beyond its
+            ends, or a callable of (t, x); its expression otherwise. The kinds are "linear", "pchip" and "cubic":
+            lines, monotone cubics, which do not overshoot, and a cubic spline. By default it is the first, and the last
+            where an input prescribes a motion and its rates are needed; a callable is refused there.
         t_eval : array_like, optional
             Times at which to store the state.
         rtol, atol : float, optional

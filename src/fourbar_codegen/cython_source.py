@@ -11,7 +11,7 @@ from fourbar_codegen.program import Program
 
 __all__ = ["manifest_of", "manifest_text", "wrapper_text"]
 
-MANIFEST_FORMAT = 5
+MANIFEST_FORMAT = 6
 
 
 def manifest_of(model: Model, program: Program, names: Mapping[str, Sequence[str]], fingerprint: str) -> dict[str, Any]:
@@ -59,6 +59,8 @@ def manifest_of(model: Model, program: Program, names: Mapping[str, Sequence[str
             if entry.name in names["inputs"]
         ],
         "moving_inputs": list(program.moving),
+        "n_breakpoints": program.sizes.n_breakpoints,
+        "n_jumps": program.n_jumps,
         "outputs": list(names["outputs"]),
         "position_constraints": program.position_formulas,
         "points": [

@@ -29,6 +29,7 @@ from fourbar_codegen.arguments import (
     time_span,
     tolerance,
 )
+from fourbar_codegen.discontinuities import discontinuities
 from fourbar_codegen.errors import AssemblyError, FourbarError, ModelError, shown
 from fourbar_codegen.integrate import METHODS, REACHED_END, is_rounded, most_steps
 from fourbar_codegen.progress import PATIENCE
@@ -393,13 +394,14 @@ def _on_threads(runs: _Runs, workers: int, bar: Any) -> Results:
     # Callables may have a memory: they get no two members at once.
     with ThreadPoolExecutor(1 if called else workers) as pool:
         try:
-            if width(model) > 1 and not called:
+            breaks = _breaks(runs)
+            if width(model) > 1 and not called and breaks is not None:
                 moved = states.copy()
                 rtol = np.full(model.n_x, how["rtol"])
                 members = Members(
                     model, how["method"], *runs.span, moved, runs.parameters, sources, how["max_step"], rtol,
                     how["atol"], how["constraints"] == "project" and bool(model.n_c), how["t_eval"],
-                    how["max_steps"] or 0,
+                    breaks, how["max_steps"] or 0,
                 )  # fmt: skip
                 tasks = [pool.submit(members.run) for _ in range(min(workers, n))]
                 for _ in _finished(tasks):
@@ -423,6 +425,19 @@ def _on_threads(runs: _Runs, workers: int, bar: Any) -> Results:
             raise
     assert y is not None
     return y, success, tuple(messages), nfev
+
+
+def _breaks(runs: _Runs) -> Floats | None:
+    """Where the steps of all members end; None where they do not end at the same times, or velocities may jump."""
+    by_parameters = runs.model.manifest["n_breakpoints"] > 0
+    alike = np.unique(runs.parameters, axis=0) if by_parameters else runs.parameters[:1]
+    found: list[Any] = []
+    for p in alike:
+        marks = discontinuities(bind(runs.model, p, _inputs_of(runs.inputs, 0)), *runs.span)
+        if any(mark.moves for mark in marks):
+            return None
+        found.append([mark.t for mark in marks])
+    return np.array(found[0], dtype=float) if found and all(times == found[0] for times in found) else None
 
 
 class _StoppedError(Exception):

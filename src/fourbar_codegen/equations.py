@@ -22,6 +22,7 @@ from typing import Any
 import sympy as sm
 from sympy.functions.special.delta_functions import DiracDelta
 
+from fourbar_codegen.breakpoints import breakpoints
 from fourbar_codegen.convert import Conversion, substitute
 from fourbar_codegen.derivatives import Direction, Rounding, pull_back
 from fourbar_codegen.errors import ModelError
@@ -63,6 +64,11 @@ class Equations:
         The inputs' expressions, (n_r,); NaN where there is none.
     default_input_jacobian : Result
         Their derivatives with respect to p, (n_r, n_p); zero where there is none.
+    breakpoints : Result
+        The times at which any of these results has a jump or a kink, as far as they follow from parameters,
+        (n_breakpoints,).
+    n_jumps : int
+        How many of these, which come first, are of positions or velocities.
     outputs : Result
         The outputs, (n_o,), for u' and multipliers in `accelerations` and `multipliers`.
     coordinate_rates : Result
@@ -120,6 +126,8 @@ class Equations:
     velocity_constraints_derived: bool
     default_inputs: Result
     default_input_jacobian: Result
+    breakpoints: Result
+    n_jumps: int
     outputs: Result
     coordinate_rates: Result
     mass_matrix: Result
@@ -258,17 +266,22 @@ def form_equations(model: Model) -> Equations:
     entries = [*residual, *chain.from_iterable(result.entries for result in results)]
     closing = (*constraints.positions, *constraints.velocities)
     inputs = _inputs(tape, model, v, entries, closing)
-    moved = set(tape.reach([*closing, energies[0], *chain(*points)]))
+    moving = [*closing, energies[0], *chain(*points)]
+    moved = set(tape.reach(moving))
     nan = tape.number(float("nan"))
     defaults = [nan if e.expression is None else convert(e.expression) for e in inputs.values()]
     default_inputs = _vector("inputs", defaults)
     entries += defaults
+    moving += [default for leaf, default in zip(inputs, defaults, strict=True) if leaf.node in moved]
+    jumps = breakpoints(tape, v.time, moving)
+    times = dict.fromkeys([*jumps, *breakpoints(tape, v.time, [*residual, *q_rates, *defaults])])
     needed = tuple(
         leaf
         for symbol, leaf in zip(model.parameter_symbols, v.p, strict=True)
         if symbol in model.named_parameters or tape.depends(entries, {leaf})
     )
     results += [
+        _vector("breakpoints", times),
         _matrix("default_input_jacobian", gradients(defaults, needed), len(needed)),
         _matrix("velocity_input_jacobian", gradients(constraints.velocities, tuple(inputs)), len(inputs)),
         _matrix("position_input_jacobian", gradients(constraints.positions, tuple(inputs)), len(inputs)),
@@ -291,6 +304,7 @@ def form_equations(model: Model) -> Equations:
         n_dependent_speeds=mechanism.n_dependent_speeds,
         velocity_constraints_derived=mechanism.velocity_constraints_derived,
         default_inputs=default_inputs,
+        n_jumps=len(jumps),
         position_formulas=formulas(tape, constraints.positions),
         places=places,
         forced=tuple(applied),

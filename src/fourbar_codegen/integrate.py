@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.arguments import finite_number, is_integer, number
+from fourbar_codegen.discontinuities import Pieces
 from fourbar_codegen.errors import ModelError, SimulationError, shown
 from fourbar_codegen.runtime.evaluator import NOT_CLOSED, OK
 from fourbar_codegen.runtime.integrator import Ode, Run
@@ -187,6 +188,8 @@ def integrate(
         run = Run(ode, *arguments, watch.outputs, bool(watch.callables) or dense_output)
     run.begin()
     watch.begin(run)
+    pieces = Pieces(ode, span)
+    pieces.begin(run)
     dense: Any = run.dense_output() if dense_output else None  # which takes steps of this kind of run
     samples: list[tuple[Floats, Floats]] = []
     ending: tuple[int, str] | None = None
@@ -210,7 +213,7 @@ def integrate(
                 dense.add(run)
             end = watch.look(run)
             if end is not None:
-                run.stop_at(end)
+                run.stop_within(end)
                 ending = 1, TERMINATED
         elif reason == "full":
             samples.append(run.take_samples())
@@ -219,7 +222,16 @@ def integrate(
             if run.n_steps == max_steps:
                 ending = -1, f"It has taken max_steps = {max_steps} steps; None is no limit."
         elif reason == "end":
-            ending = 0, REACHED_END
+            if not pieces.ahead:
+                ending = 0, REACHED_END
+                continue
+            samples.append(run.take_samples())
+            try:
+                closed = pieces.go_on(run)
+            except SimulationError as error:
+                ending = -1, str(error)
+            else:
+                ending = (1, TERMINATED) if watch.across(run) else None if closed else (-1, FAILED["open"])
         elif reason == "diverged":
             ending = -1, run.ode.failure or DIVERGED
         else:
@@ -232,6 +244,7 @@ def integrate(
     while run.on(0) == "full":
         samples.append(run.take_samples())
     samples.append(run.take_samples())
+    pieces.end(run)
     if status < 0:
         message = f"The integration stopped at t = {run.t:.9g}: {message}"
     t = np.concatenate([times for times, _ in samples])
@@ -375,25 +388,25 @@ class Singular:
         There the loops' states have a position of less rank between them; or one of them is followed by another one, by
         which the loops close in another way.
         """
-        begin, end = run.t_old, run.t
-        jump_begin, jump_end, jumped = begin, end, []
+        shares = jump_shares = np.linspace(0.0, 1.0, 33)
+        jumped = []
         for _ in range(5):  # to within 1e-6 of the step
-            times = np.linspace(begin, end, 33)
-            ratios = [self._ratio(t, run.state_at(t)) for t in times[1:-1]]
+            ratios = [self._ratio(run.time_within(share), run.state_within(share)) for share in shares[1:-1]]
             least = 1 + int(np.argmin(ratios))
-            begin, end = times[least - 1], times[least + 1]
-            places = np.linspace(jump_begin, jump_end, 33)
-            changes = np.abs(np.diff([run.state_at(t)[: self.model.n_q] for t in places], axis=0)).max(axis=1)
+            at = float(shares[least])
+            shares = np.linspace(shares[least - 1], shares[least + 1], 33)
+            states = [run.state_within(share)[: self.model.n_q] for share in jump_shares]
+            changes = np.abs(np.diff(states, axis=0)).max(axis=1)
             largest = int(np.argmax(changes))
             jumped.append(changes[largest])
-            jump_begin, jump_end = places[largest], places[largest + 1]
-        t = times[least]
-        passed = self._sentence("passes", t, run.state_at(t), PASSED, ", and may go on in more than one way")
+            jump_shares = np.linspace(jump_shares[largest], jump_shares[largest + 1], 33)
+        t, x = run.time_within(at), run.state_within(at)
+        passed = self._sentence("passes", t, x, PASSED, ", and may go on in more than one way")
         if passed or not jumped[-1] > JUMPED * jumped[0] + FLOOR:
             return passed
         return (
-            f"A step has crossed to another way of closing the loops at t = {jump_begin:.6g}, past a singular "
-            "position: take smaller tolerances."
+            f"A step has crossed to another way of closing the loops at t = {run.time_within(jump_shares[0]):.6g}, "
+            "past a singular position: take smaller tolerances."
         )
 
     def _sentence(self, verb: str, t: float, x: Floats, threshold: float, more: str) -> str:
@@ -432,36 +445,57 @@ class _Watch:
         return number(function(t, x), "What the callable of an event returns")
 
     def look(self, run: Run | SolverRun) -> float | None:
-        """Note the events of the last step; the time of the one that ends the run."""
+        """Note the events of the last step; at which share of it the one is that ends the run."""
+        before = self._move_on(run)
+        for share, i in sorted((self._root(run, i, before[i]), i) for i in self._changed(before)):
+            if self._note(i, run.time_within(share), run.state_within(share)):
+                return share
+        return None
+
+    def across(self, run: Run | SolverRun) -> bool:
+        """Note the events of a jump to the state that a run goes on from; whether one of them ends it."""
+        before = self._move_on(run)
+        changed = [i for i in self._changed(before) if before[i] != self.values[i]]
+        ends = [self._note(i, run.t, run.x) for i in changed]
+        return any(ends)
+
+    def _move_on(self, run: Run | SolverRun) -> list[float]:
+        """Evaluate the functions where the run is; their values before."""
         before = list(self.values)
         for place, i in enumerate(self.named):  # the steps between were not looked at
             before[i] = run.event_values[0][place]
         self.begin(run)
+        return before
+
+    def _changed(self, before: Sequence[float]) -> list[int]:
+        """The events whose functions have changed their sign."""
         found = []
         for i, event in enumerate(self.events):
             up, down = before[i] <= 0.0 <= self.values[i], before[i] >= 0.0 >= self.values[i]
             if (up and event.direction >= 0) or (down and event.direction <= 0):
-                found.append((self._root(run, i, before[i]), i))
-        found.sort(key=lambda item: item[0], reverse=run.t < run.t_old)
-        for t, i in found:
-            self.times[i].append(t)
-            self.states[i].append(run.state_at(t))
-            terminal = self.events[i].terminal
-            if terminal and len(self.times[i]) >= int(terminal):
-                return t
-        return None
+                found.append(i)
+        return found
+
+    def _note(self, i: int, t: float, x: Floats) -> bool:
+        """An event, and whether it ends the run."""
+        self.times[i].append(t)
+        self.states[i].append(x)
+        terminal = self.events[i].terminal
+        return bool(terminal) and len(self.times[i]) >= int(terminal)
 
     def _root(self, run: Run | SolverRun, i: int, before: float) -> float:
+        """The share of the last step at which a function is zero."""
         from scipy.optimize import brentq
 
-        known = {run.t_old: before, run.t: self.values[i]}
+        known = {0.0: before, 1.0: self.values[i]}
 
-        def value(t: float) -> float:
-            if t in known:
-                return known[t]
+        def value(share: float) -> float:
+            if share in known:
+                return known[share]
             if i in self.named:
-                return float(run.event_values_at(t)[self.named.index(i)])
-            return self._call(self.events[i].function, t, run.state_at(t))  # type: ignore[arg-type]
+                return float(run.event_values_within(share)[self.named.index(i)])
+            function: Any = self.events[i].function
+            return self._call(function, run.time_within(share), run.state_within(share))
 
         precision = 4 * np.finfo(float).eps
-        return float(brentq(value, run.t_old, run.t, xtol=precision, rtol=precision))
+        return float(brentq(value, 0.0, 1.0, xtol=precision, rtol=precision))

@@ -57,6 +57,7 @@ def lower(name: str, equations: Equations) -> Program:
     # name, summary, arguments before and after the constants, results
     specifications: list[tuple[str, str, list[Array], list[Array], list[Result]]] = [
         ("default_inputs", "Inputs r from their expressions; NaN without one.", [time], [], [e.default_inputs]),
+        ("breakpoints", "Times at which expressions have a jump or a kink.", [], [], [e.breakpoints]),
         (
             "dynamics",
             "q', and M, f, J, gamma of M u' = f + J^T lambda, J u' + gamma = 0.",
@@ -167,6 +168,7 @@ def lower(name: str, equations: Equations) -> Program:
         n_h=len(e.position_constraints.entries),
         n_c=len(e.velocity_bias.entries),
         n_o=len(e.outputs.entries),
+        n_breakpoints=len(e.breakpoints.entries),
         rank=rank,
         n_constants=len(constants.nodes),
     )
@@ -179,6 +181,7 @@ def lower(name: str, equations: Equations) -> Program:
         structure=structure,
         position_formulas=e.position_formulas,
         moving=e.moving,
+        n_jumps=e.n_jumps,
         places=e.places,
         forced=e.forced,
     )

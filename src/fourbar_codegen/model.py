@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import sympy as sm
 from sympy.core.function import AppliedUndef
+from sympy.functions.special.delta_functions import DiracDelta
 
 from fourbar_codegen.arguments import finite_number, is_mapping, name_of
 from fourbar_codegen.convert import is_computable, smooth_sinc
@@ -345,7 +346,10 @@ class Model:
             for order in range(3 if function in prescribed else 1):
                 default = expression
                 if order and expression is not None:
-                    default = expression.replace(sm.sinc, smooth_sinc).diff((t, order))
+                    default = expression.replace(sm.sinc, smooth_sinc).diff(t)
+                if order == 2 and default is not None and not default.has(DiracDelta):
+                    # Where the rate jumps, an impulse takes the place of an acceleration.
+                    default = default.diff(t).replace(DiracDelta, lambda *_: sm.S.Zero)
                 derivative = function if order == 0 else function.diff((t, order))
                 entries.append(InputEntry(_name(function) + order * "'", derivative, default, _name(function), order))
         return tuple(entries)

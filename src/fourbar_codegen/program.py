@@ -131,6 +131,8 @@ class Sizes:
         Coordinates, speeds, parameters, inputs.
     n_h, n_c, n_o : int
         Position constraints; velocity constraints; outputs.
+    n_breakpoints : int
+        Times at which expressions have a jump or a kink.
     rank : int
         The number of velocity constraints that are not redundant: that of dependent speeds, or fewer.
     n_constants : int
@@ -144,6 +146,7 @@ class Sizes:
     n_h: int
     n_c: int
     n_o: int
+    n_breakpoints: int
     rank: int
     n_constants: int
 
@@ -169,6 +172,8 @@ class Program:
         The position constraints as `formulas` writes them.
     moving : tuple of int
         The inputs that positions, velocities or constraints depend on.
+    n_jumps : int
+        How many of the breakpoints, which come first, are of positions or velocities.
     places : tuple of Place
         What `drawing` gives the positions of.
     forced : tuple of int
@@ -183,6 +188,7 @@ class Program:
     structure: Structure | None
     position_formulas: dict[str, Any]
     moving: tuple[int, ...]
+    n_jumps: int
     places: tuple[Place, ...]
     forced: tuple[int, ...]
 

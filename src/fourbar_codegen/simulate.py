@@ -27,6 +27,7 @@ from fourbar_codegen.arguments import (
     time_span,
     tolerance,
 )
+from fourbar_codegen.discontinuities import jumps
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.integrate import (
     FIXED_STEP,
@@ -70,8 +71,14 @@ twice as much; what a load feeds that goes with the motion grows exponentially."
 SAMPLES = 100
 """States along a run that tell it."""
 
+COORDINATES_ALONE = " In index 3 the tolerance holds for the coordinates of a step alone; speeds are less exact."
+
 EventLike = Event | str | Callable[[float, Floats], float]
-InputSource = float | tuple[ArrayLike, ArrayLike] | Callable[[float, Floats], float]
+InputSource = float | tuple[ArrayLike, ArrayLike] | tuple[ArrayLike, ArrayLike, str] | Callable[[float, Floats], float]
+InterpolationTable = tuple[Floats, Floats] | tuple[Floats, Floats, str]
+
+KINDS = ("linear", "pchip", "cubic")
+"""What is laid through a table: lines; the monotone cubics of PCHIP, which do not overshoot; a cubic spline."""
 
 
 def bind(model: CompiledModel, parameters: Values | None, inputs: Mapping[Any, InputSource] | None) -> Ode:
@@ -133,17 +140,18 @@ def input_sources(model: CompiledModel, inputs: Mapping[Any, InputSource] | None
             if prescribed:
                 raise ModelError(
                     f"Input {name} prescribes a motion, so that its rates are needed: give a number or a table (times, "
-                    "values), through which a cubic spline is laid, not a callable."
+                    "values) or (times, values, kind), not a callable."
                 )
             sources[name] = [source]
         elif isinstance(source, tuple):
-            sources[name] = list(_spline(*source) if prescribed else [_linear(*source)])
+            kind = source[2] if len(source) == 3 else "cubic" if prescribed else "linear"
+            sources[name] = list(_interpolants(source[0], source[1], kind, len(orders[name])))
         else:
             sources[name] = [source if order == 0 else 0.0 for order in orders[name]]
     return [source for name in names for source in sources[name]]
 
 
-def own_source(name: str, source: Any) -> float | tuple[Floats, Floats] | Callable[[float, Floats], float]:
+def own_source(name: str, source: Any) -> float | InterpolationTable | Callable[[float, Floats], float]:
     """The source of an input, checked, with nothing of the caller's in it but a callable."""
     if callable(source):
         return source  # type: ignore[no-any-return]
@@ -152,14 +160,16 @@ def own_source(name: str, source: Any) -> float | tuple[Floats, Floats] | Callab
     return finite_number(source, f"input {name}")
 
 
-def _table(name: str, source: Sequence[ArrayLike]) -> tuple[Floats, Floats]:
-    """Times and values of a table, checked."""
-    what = f"Input {name} must be a number, a table (times, values), or a callable of (t, x)."
-    if len(source) != 2:
+def _table(name: str, source: Sequence[Any]) -> InterpolationTable:
+    """Times and values of a table, and the kind of interpolation if that is given, checked."""
+    what = f"Input {name} must be a number, a table (times, values) or (times, values, kind), or a callable of (t, x)."
+    if len(source) not in {2, 3}:
         raise ModelError(f"{what} A table has two arrays of numbers, not {len(source)}.")
+    if len(source) == 3:
+        one_of(source[2], KINDS, "kind of interpolation")
     times, values = (
         numbers(column, f"{what} A table's {part}").copy()
-        for column, part in zip(source, ("times", "values"), strict=True)
+        for column, part in zip(source[:2], ("times", "values"), strict=True)
     )
     if times.shape != values.shape or times.ndim != 1 or len(times) < 2:
         raise ModelError(
@@ -168,22 +178,33 @@ def _table(name: str, source: Sequence[ArrayLike]) -> tuple[Floats, Floats]:
         )
     if not (np.isfinite(times).all() and np.isfinite(values).all() and (np.diff(times) > 0).all()):
         raise ModelError(f"{what} A table has finite values and strictly increasing times.")
-    return times, values
+    return (times, values, str(source[2])) if len(source) == 3 else (times, values)
 
 
 def _linear(times: Floats, values: Floats) -> Table:
-    slopes = np.diff(values) / np.diff(times)
-    return Table(times, [slopes, values[:-1]], values[0], values[-1])
+    [table] = _interpolants(times, values, "linear", 1)
+    return table
 
 
-def _spline(times: Floats, values: Floats) -> Iterator[Table]:
-    """A cubic spline through the table, its first and its second derivative; at rest outside."""
-    from scipy.interpolate import CubicSpline
+def _interpolants(times: Floats, values: Floats, kind: str, orders: int) -> Iterator[Table]:
+    """What is laid through a table, and its derivatives; at rest outside.
 
-    spline = CubicSpline(times, values)
-    for order in range(3):
-        before, after = (values[0], values[-1]) if order == 0 else (0.0, 0.0)
-        yield Table(times, spline.derivative(order).c if order else spline.c, before, after)
+    Source: F. N. Fritsch, J. Butland, "A method for constructing local monotone piecewise cubic interpolants", *SIAM
+    Journal on Scientific and Statistical Computing* 5 (1984), as ``scipy.interpolate.PchipInterpolator`` has it.
+    """
+    if kind == "linear":
+        coefficients = np.array([np.diff(values) / np.diff(times), values[:-1]])
+    else:
+        from scipy.interpolate import CubicSpline, PchipInterpolator
+
+        coefficients = (CubicSpline if kind == "cubic" else PchipInterpolator)(times, values).c
+    before, after = values[0], values[-1]
+    for _ in range(orders):
+        yield Table(times, coefficients, before, after)
+        powers = np.arange(len(coefficients) - 1, 0, -1)
+        derivative = coefficients[:-1] * powers[:, np.newaxis]
+        coefficients = derivative if len(powers) else np.zeros((1, len(times) - 1))
+        before = after = 0.0
 
 
 def simulate(
@@ -259,7 +280,7 @@ def simulate(
         nlu=result.nlu,
         status=result.status,
         success=result.status >= 0,
-        message=result.message + _growth(model, ode, result),
+        message=result.message + _growth(model, ode, result) + (COORDINATES_ALONE if formulation == "index-3" else ""),
         settings={
             "method": method,
             "t_span": (start, end),
@@ -316,7 +337,9 @@ def make_stepper(
     state = _state(model, x0, t, p, inputs)
     ode = bind(model, p, inputs)
     _check_start(model, ode, t, state, p)
-    return Stepper(ode, h, t, consistent(ode, t, state) if closes else state, closes)
+    start = consistent(ode, t, state) if closes else state
+    boundaries = jumps(ode, t, math.copysign(math.inf, h), start)
+    return Stepper(ode, h, t, start, closes, jumps=[(at.end, at.begin) for at in boundaries])
 
 
 def projects(model: CompiledModel, constraints: str, *more: str) -> bool:

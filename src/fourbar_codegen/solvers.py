@@ -31,6 +31,7 @@ from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.arguments import finite_number, longest_step, number, numbers, one_of, positive, tolerance
+from fourbar_codegen.discontinuities import jumps
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.integrate import NOT_RATES, consistent
 from fourbar_codegen.runtime.evaluator import is_finite
@@ -79,6 +80,12 @@ class _Compiled(scipy.integrate.OdeSolver):
         t0, t_bound = finite_number(t0, "t0"), number(t_bound, "t_bound")
         if math.isnan(t_bound):
             raise ModelError("The end t_bound must be a number or infinite, not nan.")
+        if not fun.in_pieces:
+            for at in jumps(fun, t0, t_bound, y0):
+                raise ModelError(
+                    f"The rate of a prescribed motion jumps at t = {at.begin:.9g}, and speeds with it: "
+                    "CompiledModel.simulate passes that; of a solver by itself, the run has to end there."
+                )
         self.ode = copy(fun)  # with memory of its own: others may use the one given, in other threads
         self._complete(options)
         super().__init__(self.ode, t0, y0, t_bound, **options)

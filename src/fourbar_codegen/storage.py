@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import json
+import re
+import struct
 import sys
 from collections.abc import Callable, Mapping
 from hashlib import sha256
@@ -307,6 +309,7 @@ def _read_netcdf(path: Path) -> _Read:
     end = len(content) - len(SEAL) - sha256().digest_size
     if content[end:].startswith(SEAL) and content[end + len(SEAL) :] != sha256(content[:end]).digest():
         raise ModelError(f"{path} is damaged, or another program has changed it: its digest is another one.")
+    _require_whole_heaps(content)
     _require_own_data(io.BytesIO(content))
     most = MOST_COMPRESSED * len(content)
     with h5netcdf.File(io.BytesIO(content), "r") as file:
@@ -322,6 +325,24 @@ def _read_netcdf(path: Path) -> _Read:
     attributes["success"] = bool(attributes["success"])
     attributes.update({name: int(attributes[name]) for name in _COUNTS})
     return attributes, columns
+
+
+def _require_whole_heaps(content: bytes) -> None:
+    """Raise a ValueError if a heap of texts is damaged: HDF5 2.0 may go through its objects for ever.
+
+    Source: The HDF Group, *HDF5 File Format Specification Version 3.0*, section III.E, disk format of global heaps.
+    """
+    header = struct.Struct("<H6xQ")  # an object's index, and its size; that of free space, index 0, with the header
+    for heap in re.finditer(rb"GCOL\x01", content):
+        place = heap.start() + header.size
+        end = heap.start() + int.from_bytes(content[heap.start() + 8 : place], "little")
+        length = header.size
+        while place + header.size <= end <= len(content) and length >= header.size:
+            index, size = header.unpack_from(content, place)
+            length = header.size + (size + 7) // 8 * 8 if index else size
+            place += length
+        if length < header.size or not place <= end <= len(content):
+            raise ValueError("the heap of its texts is damaged")
 
 
 def _require_own_data(file: IO[bytes]) -> None:

@@ -117,6 +117,7 @@ def _compiled_results(
     outputs, *sensitivities = compiled.held(t, x, accelerations, multipliers, p, r)
     got = {
         "default_input_sensitivity": ([e.default_input_jacobian], [compiled.default_input_sensitivity(t, p)]),
+        "breakpoints": ([e.breakpoints], [compiled.breakpoints(p)]),
         "default_inputs": ([e.default_inputs], [compiled.default_inputs(t, p)]),
         "dynamics": (
             [e.coordinate_rates, e.mass_matrix, e.forcing, e.constraint_jacobian, e.acceleration_bias],

@@ -142,8 +142,9 @@ class Drawn:
         for kind, expression in constraints:
             held = sm.Matrix([expression])
             is_position = kind != "no sliding"
-            by_coordinates = evaluated(held.jacobian(q))
-            row = by_coordinates @ by_speeds if is_position else evaluated(held.jacobian(u))
+            # Rates may stand in velocities beside speeds.
+            by_coordinates = evaluated(held.jacobian(q if is_position else rates))
+            row = by_coordinates @ by_speeds + (0.0 if is_position else evaluated(held.jacobian(u)))
             # A row that is zero but for rounding errors holds nothing.
             if len(rows) + 1 >= len(u) or np.abs(row).max() < 1e-6 or _condition([rows, row]) > 100:
                 continue

@@ -145,6 +145,9 @@ def sanitized(folder: Path) -> dict[str, str]:
     ]
     return {
         **environment,
+        "CFLAGS": flags.replace(
+            "-O1", "-O0"
+        ),  # kernels, which run for a moment: half the time goes into compiling them
         "LD_PRELOAD": ":".join(libraries),
         # Without the stacks of allocations, which take a sixth of the time.
         "ASAN_OPTIONS": "detect_leaks=0:handle_segv=1:malloc_context_size=0:quarantine_size_mb=16",

@@ -37,6 +37,7 @@ class Members:
         atol: Floats,
         project: bool,
         times: Floats,
+        breaks: Floats,
         max_steps: int,
     ) -> None: ...
     def run(self) -> None: ...

@@ -33,7 +33,10 @@ cdef extern from "fourbar_batch.h":
         const double *values
         const fb_tableau *method
         int project
-        double t, t_bound, max_step
+        double origin, t_bound, max_step
+        double first, last
+        const double *breaks
+        int n_breaks
         long max_steps
         const double *rtol
         const double *atol
@@ -131,6 +134,8 @@ cdef class Members:
     rtol, atol : ndarray, shape (n_x,)
     project : bool
     times : ndarray, shape (n_t,)
+    breaks : ndarray, shape (n,)
+        Times in order, at which steps end: inputs have jumps or kinks there.
     max_steps : int
         After which a member is left to be run alone; 0 for no limit.
 
@@ -152,7 +157,7 @@ cdef class Members:
     cdef readonly object samples, status, n_evaluations
 
     def __cinit__(self, Evaluator evaluator not None, str method, double t, double t_bound, x, p, sources,
-                  double max_step, rtol, atol, bint project, times, long max_steps):
+                  double max_step, rtol, atol, bint project, times, breaks, long max_steps):
         cdef fb_ensemble *e = &self.ensemble
         cdef long n = len(x)
         cdef int k = 0
@@ -161,7 +166,11 @@ cdef class Members:
         cdef cnp.ndarray n_evaluations = np.zeros(n, dtype=np.dtype("l"))
         given = [(i, source) for i, source in enumerate(sources) if source is not None]
         cdef cnp.ndarray values = np.zeros((n, len(given)))
-        self.evaluator, self.kept = evaluator, [x, p, rtol, atol, times, values, given]
+        towards = np.copysign(np.inf, t_bound - t)
+        e.first = np.nextafter(t, towards) if t in breaks else -towards
+        e.last = np.nextafter(t_bound, -towards) if t_bound in breaks else towards
+        breaks, times = breaks[(breaks != t) & (breaks != t_bound)], times - t
+        self.evaluator, self.kept = evaluator, [x, p, rtol, atol, times, breaks, values, given]
         self.samples, self.status, self.n_evaluations = samples, status, n_evaluations
         self.sources = <fb_source *>PyMem_Calloc(len(given) + 1, sizeof(fb_source))
         if self.sources == NULL:
@@ -175,7 +184,8 @@ cdef class Members:
         e.kernel, e.n, e.x, e.p = evaluator.kernel, n, data(x), data(p)
         e.n_sources, e.sources, e.values = len(given), self.sources, data(values)
         e.method = &fb_rk45 if method == "RK45" else &fb_dop853
-        e.project, e.t, e.t_bound, e.max_step, e.max_steps = project, t, t_bound, max_step, max_steps
+        e.project, e.origin, e.t_bound, e.max_step, e.max_steps = project, t, t_bound - t, max_step, max_steps
+        e.breaks, e.n_breaks = data(breaks), len(breaks)
         e.rtol, e.atol, e.times, e.n_times = data(rtol), data(atol), data(times), len(times)
         e.samples, e.status = data(samples), <char *>cnp.PyArray_DATA(status)
         e.n_evaluations = <long *>cnp.PyArray_DATA(n_evaluations)

@@ -20,9 +20,10 @@ cdef extern from "fourbar_kernel.h":
         int abi_version
         size_t struct_size
         size_t work_size
-        int n_q, n_u, n_p, n_r, n_h, n_c, n_o, n_points, n_forces, n_constants
+        int n_q, n_u, n_p, n_r, n_h, n_c, n_o, n_breakpoints, n_points, n_forces, n_constants
         void (*prepare)(const double *, double *) noexcept nogil
         void (*default_inputs)(double, const double *, double *) noexcept nogil
+        void (*breakpoints)(const double *, double *) noexcept nogil
         fb_evaluation *rhs
         int (*stabilized)(double, const double *, const double *, const double *, double, double *, void *) noexcept nogil
         fb_evaluation *jacobian
@@ -66,6 +67,10 @@ cdef extern from "fourbar_problem.h":
         double value
         const fb_table *table
         int interval
+    ctypedef struct fb_clock:
+        double origin, first, last
+    const fb_clock fb_all_time
+    double fb_time(const fb_clock *, double) noexcept nogil
     ctypedef struct fb_problem
     ctypedef int fb_called_inputs(fb_problem *, double, const double *) noexcept nogil
     ctypedef struct fb_problem:
@@ -73,12 +78,12 @@ cdef extern from "fourbar_problem.h":
         double *constants
         double *inputs
         void *work
+        fb_clock clock
         double stabilization
         int n_sources
         fb_source *sources
         fb_called_inputs *called_inputs
         void *caller
-        double t
         int status
         double failed_t
         double *failed_x

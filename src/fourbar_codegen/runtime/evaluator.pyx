@@ -691,6 +691,13 @@ cdef class Evaluator:
         self.kernel.default_inputs(t, self._prepare(parameters), data(inputs))
         return inputs
 
+    def breakpoints(self, p=None):
+        """The times at which expressions have a jump or a kink, shape (n_breakpoints,)."""
+        cdef cnp.ndarray parameters = self._parameters(p)
+        cdef cnp.ndarray times = new_array(self.kernel.n_breakpoints)
+        self.kernel.breakpoints(self._prepare(parameters), data(times))
+        return times
+
     def default_input_sensitivity(self, t, p=None):
         """The derivatives of the inputs' expressions by the parameters, shape (n_r, n_p); 0 where there is none."""
         t = time_of(t)

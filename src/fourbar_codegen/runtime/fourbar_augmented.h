@@ -153,7 +153,6 @@ static inline int fb_augmented_equations(fb_run *s, const double t, const double
     p->kernel->dynamics(t, x, p->constants, p->inputs, coordinate_rates, a->mass_matrix, a->forcing, a->jacobian,
                         a->bias);
     p->kernel->closure(t, x, p->constants, p->inputs, a->positions, a->velocities);
-    p->t = t;
     s->n_evaluations += 1;
     fb_note_failure(p, fb_finite(a->forcing, p->kernel->n_u) ? FB_OK : FB_NOT_FINITE, t, x);
     return 0;
@@ -212,14 +211,15 @@ static inline int fb_project_accelerations(fb_run *s, double *restrict accelerat
     return FB_RUN_PAUSED;
 }
 
-/* x' at the beginning of a run. */
+/* x' at the beginning of a run, or where it goes on behind a breakpoint. */
 static inline int fb_augmented_begin(fb_run *s)
 {
     const fb_kernel *const k = s->problem->kernel;
     fb_augmented *const a = s->augmented;
     double *const accelerations = s->stages + k->n_q;
     s->h_abs = s->max_step;
-    const int called = fb_augmented_equations(s, s->t, s->x, s->stages);
+    s->follows = 0;
+    const int called = fb_augmented_equations(s, fb_time(&s->problem->clock, s->t), s->x, s->stages);
     if (called < 0)
         return called;
     /* M u' = f - alpha J^T (J u' + gamma), which is then moved onto the constraints. */
@@ -377,10 +377,11 @@ static inline int fb_is_correction(const fb_run *s, const double *before, const 
 static inline int fb_augmented_try(fb_run *s, const double t_new)
 {
     double *const end = s->stages + s->padded;
-    int status = fb_augmented_newton(s, t_new, t_new - s->t, s->scratch, end);
+    const double t = fb_time(&s->problem->clock, t_new);
+    int status = fb_augmented_newton(s, t, t_new - s->t, s->scratch, end);
     memcpy(s->x_old, s->scratch, (size_t)s->n * sizeof(double)); /* free until the step is accepted */
     if (status == FB_RUN_PAUSED && s->project)
-        status = fb_augmented_project(s, t_new, s->scratch, end);
+        status = fb_augmented_project(s, t, s->scratch, end);
     if (status == FB_RUN_PAUSED && !fb_is_correction(s, s->x_old, t_new - s->t))
         status = FB_RUN_DIVERGED;
     if (status == FB_RUN_PAUSED)
@@ -393,7 +394,7 @@ static inline int fb_augmented_step_on(fb_run *s)
 {
     const size_t size = (size_t)s->problem->kernel->n_c * sizeof(double);
     int status = FB_RUN_DIVERGED;
-    if (s->n_steps > 0)
+    if (s->follows)
         memcpy(s->stages, s->stages + s->padded, (size_t)s->padded * sizeof(double));
     memcpy(s->augmented->multipliers_old, s->augmented->multipliers, size);
     for (double h = s->max_step; status == FB_RUN_DIVERGED && h >= FB_SHORTEST_STEP * s->max_step; h /= 2) {

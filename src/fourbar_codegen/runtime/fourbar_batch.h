@@ -45,7 +45,10 @@ typedef struct fb_ensemble {
     const double *values;     /* (n, n_sources): those of sources without a table */
     const fb_tableau *method;
     int project;
-    double t, t_bound, max_step;
+    double origin, t_bound, max_step; /* when all begin; and since then, as are all times of the runs, when they end */
+    double first, last; /* times between which values belong to the runs */
+    const double *breaks; /* (n_breaks,): times between the ends, in the order of the runs, at which steps end */
+    int n_breaks;
     long max_steps;            /* of each; 0 for no limit */
     const double *rtol, *atol; /* (n_x,) */
     const double *times;       /* (n_times,), in the order of the run */

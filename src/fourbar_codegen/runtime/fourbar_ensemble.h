@@ -11,7 +11,8 @@ typedef struct fb_crew {
     fb_mask n_evaluations;
     long member[FB_WIDTH], next_time[FB_WIDTH], n_steps[FB_WIDTH];
     double h_abs[FB_WIDTH];
-    int rejected[FB_WIDTH];
+    int rejected[FB_WIDTH], next_break[FB_WIDTH];
+    fb_clock clock[FB_WIDTH];
     /* J at the beginning of the step, and the orientation of its columns in the usual split, as `fb_orientation` has it;
      * that is not a number where it is not known; and the largest one of the run, and the units */
     fb_real jacobian_before[FB_AT_LEAST_1(N_JACOBIAN)], orientation, largest_orientation;
@@ -37,10 +38,38 @@ static inline void fb_crew_inputs(fb_crew *restrict c, const fb_ensemble *e, con
         }
 }
 
+/* Time, for that of the runs. */
+static inline fb_real fb_crew_time(const fb_crew *c, const fb_real since)
+{
+    fb_real t = since;
+    for (int lane = 0; lane < FB_WIDTH; ++lane)
+        t[lane] = fb_time(c->clock + lane, since[lane]);
+    return t;
+}
+
+/* The end of a lane's piece of time: the next breakpoint, or the end of the run; ... */
+static inline double fb_crew_bound(const fb_crew *c, const fb_ensemble *e, const int lane)
+{
+    return c->next_break[lane] < e->n_breaks ? e->breaks[c->next_break[lane]] - e->origin : e->t_bound;
+}
+
+/* ... and the times between which values belong to it. */
+static inline void fb_crew_piece(fb_crew *c, const fb_ensemble *e, const int lane)
+{
+    const double towards = e->t_bound > 0.0 ? INFINITY : -INFINITY;
+    const int next = c->next_break[lane];
+    const double first = next > 0 ? nextafter(e->breaks[next - 1], towards) : e->first;
+    const double last = next < e->n_breaks ? nextafter(e->breaks[next], -towards) : e->last;
+    c->clock[lane].origin = e->origin;
+    c->clock[lane].first = first < last ? first : last;
+    c->clock[lane].last = first < last ? last : first;
+}
+
 /* x' of the lanes that are asked for. */
-static __attribute__((noinline)) void fb_crew_rates(fb_crew *restrict c, const fb_ensemble *e, const fb_real t, const fb_real *x,
+static __attribute__((noinline)) void fb_crew_rates(fb_crew *restrict c, const fb_ensemble *e, const fb_real since, const fb_real *x,
                                  const fb_mask asked, fb_real *rates)
 {
+    const fb_real t = fb_crew_time(c, since);
     fb_crew_inputs(c, e, t);
     fb_side_rates(&c->side, t, x, asked, rates);
     c->n_evaluations -= asked;
@@ -124,10 +153,11 @@ static inline fb_mask fb_crew_close(fb_crew *restrict c, const fb_real t, fb_rea
 
 /* The same, by the kernel for one state where need be; `known` says whether the factors are those of a state close
  * by. What cannot be closed stays as it is, and is not a number where the constraints have no value. */
-static __attribute__((noinline)) fb_mask fb_crew_project(fb_crew *restrict c, const fb_ensemble *e, const fb_real t,
+static __attribute__((noinline)) fb_mask fb_crew_project(fb_crew *restrict c, const fb_ensemble *e, const fb_real since,
                                                          fb_real *restrict x, const fb_mask asked, const int known)
 {
     fb_side *const s = &c->side;
+    const fb_real t = fb_crew_time(c, since);
     fb_crew_inputs(c, e, t);
     if (!known) {
         fb_real coordinate_rates[FB_AT_LEAST_1(N_Q)];
@@ -180,7 +210,9 @@ static inline void fb_enter(fb_crew *c, const fb_ensemble *e, const int lane)
             return;
         c->member[lane] = member;
         c->next_time[lane] = c->n_steps[lane] = 0;
-        c->rejected[lane] = 0;
+        c->rejected[lane] = c->next_break[lane] = 0;
+        fb_crew_piece(c, e, lane);
+        c->problem.clock = c->clock[lane];
         double *const x = e->x + member * N_X;
         s->kernel->prepare(e->p + member * N_P, s->lane_constants);
         for (int k = 0; k < e->n_sources; ++k) {
@@ -189,9 +221,9 @@ static inline void fb_enter(fb_crew *c, const fb_ensemble *e, const int lane)
         }
         c->problem.sources = c->sources[lane];
         c->problem.status = FB_OK;
-        b->t = e->t;
+        b->t = 0.0;
         b->n_evaluations = 0;
-        int status = e->project ? fb_problem_project(&c->problem, e->t, x, 0) : FB_OK;
+        int status = e->project ? fb_problem_project(&c->problem, 0.0, x, 0) : FB_OK;
         memcpy(b->x, x, N_X * sizeof *x);
         if (status == FB_OK)
             status = fb_begin(b);
@@ -201,14 +233,15 @@ static inline void fb_enter(fb_crew *c, const fb_ensemble *e, const int lane)
             continue;
         }
         c->active[lane] = -1;
-        c->t[lane] = e->t;
+        c->t[lane] = 0.0;
         c->h_abs[lane] = b->h_abs;
         fb_put_lane(x, lane, N_X, c->x);
         fb_put_lane(b->stages, lane, N_X, c->stages[0]);
         fb_put_lane(s->lane_constants, lane, N_CONSTANTS, s->constants);
         double jacobian[FB_AT_LEAST_1(N_JACOBIAN)], bias[FB_AT_LEAST_1(N_C)];
-        fb_fill_inputs(&c->problem, e->t, x);
-        s->kernel->velocity(e->t, x, s->lane_constants, s->lane_inputs, jacobian, bias);
+        const double t = fb_time(&c->problem.clock, 0.0);
+        fb_fill_inputs(&c->problem, t, x);
+        s->kernel->velocity(t, x, s->lane_constants, s->lane_inputs, jacobian, bias);
         fb_put_lane(jacobian, lane, N_JACOBIAN, c->jacobian_before);
         c->orientation[lane] = NAN;
         c->largest_orientation[lane] = 0.0;
@@ -216,7 +249,7 @@ static inline void fb_enter(fb_crew *c, const fb_ensemble *e, const int lane)
             c->column_unit[j][lane] = 0.0;
         for (int i = 0; i < N_C; ++i)
             c->row_unit[i][lane] = 0.0;
-        while (c->next_time[lane] < e->n_times && e->times[c->next_time[lane]] == e->t)
+        while (c->next_time[lane] < e->n_times && e->times[c->next_time[lane]] == 0.0)
             fb_store(c, e, lane, c->x);
         return;
     }
@@ -328,7 +361,7 @@ static inline void fb_crew_interpolate(const fb_crew *restrict c, const fb_table
 static inline void fb_crew_sample(fb_crew *restrict c, const fb_ensemble *e, const fb_real h, const double *t_new,
                                   const fb_real *x_new, const fb_mask asked)
 {
-    const double direction = e->t_bound > e->t ? 1.0 : -1.0;
+    const double direction = e->t_bound > 0.0 ? 1.0 : -1.0;
     int prepared = 0;
     for (;;) {
         fb_mask within = asked & 0;
@@ -361,8 +394,8 @@ static inline void fb_crew_sample(fb_crew *restrict c, const fb_ensemble *e, con
 static void fb_crew_step(fb_crew *restrict c, const fb_ensemble *e)
 {
     const fb_tableau *const m = e->method;
-    const double direction = e->t_bound > e->t ? 1.0 : -1.0;
-    double t_new[FB_WIDTH];
+    const double direction = e->t_bound > 0.0 ? 1.0 : -1.0;
+    double t_new[FB_WIDTH], proposed[FB_WIDTH] = {0.0};
     fb_real h = fb_number(0.0), x_new[N_X], *const end = c->stages[m->n_stages];
     for (int lane = 0; lane < FB_WIDTH; ++lane) {
         const double t = c->t[lane];
@@ -372,7 +405,7 @@ static void fb_crew_step(fb_crew *restrict c, const fb_ensemble *e)
         const double min_step = fb_least_step(t, direction);
         if (!c->rejected[lane])
             c->h_abs[lane] = fb_first_length(c->h_abs[lane], e->max_step, min_step);
-        const double share = c->n_steps[lane] > 9 ? c->h_abs[lane] * c->n_steps[lane] / fabs(t - e->t) : 1.0;
+        const double share = c->n_steps[lane] > 9 ? c->h_abs[lane] * c->n_steps[lane] / fabs(t) : 1.0;
         /* Also where it is not a number. */
         if (!(c->h_abs[lane] >= min_step) || !isfinite(c->h_abs[lane]) || share < FB_COLLAPSE ||
             (e->max_steps > 0 && c->n_steps[lane] >= e->max_steps)) {
@@ -380,8 +413,11 @@ static void fb_crew_step(fb_crew *restrict c, const fb_ensemble *e)
             continue;
         }
         t_new[lane] = t + c->h_abs[lane] * direction;
-        if (direction * (t_new[lane] - e->t_bound) > 0.0)
-            t_new[lane] = e->t_bound;
+        const double bound = fb_crew_bound(c, e, lane);
+        if (direction * (t_new[lane] - bound) > 0.0) {
+            t_new[lane] = bound;
+            proposed[lane] = c->rejected[lane] ? 0.0 : c->h_abs[lane];
+        }
         h[lane] = t_new[lane] - t;
         c->h_abs[lane] = fabs(h[lane]);
     }
@@ -415,6 +451,7 @@ static void fb_crew_step(fb_crew *restrict c, const fb_ensemble *e)
         c->stages[0][i] = fb_select(taken, end[i], c->stages[0][i]);
     }
     c->t = fb_select(taken, t_end, c->t);
+    fb_mask passed = taken & 0;
     for (int lane = 0; lane < FB_WIDTH; ++lane) {
         if (!c->active[lane])
             continue;
@@ -425,9 +462,21 @@ static void fb_crew_step(fb_crew *restrict c, const fb_ensemble *e)
         c->rejected[lane] = !taken[lane];
         if (taken[lane]) {
             c->n_steps[lane] += 1;
+            c->h_abs[lane] = c->h_abs[lane] > proposed[lane] ? c->h_abs[lane] : proposed[lane];
             if (t_new[lane] == e->t_bound)
                 fb_leave(c, e, lane, FB_MEMBER_DONE);
+            else if (t_new[lane] == fb_crew_bound(c, e, lane)) {
+                c->next_break[lane] += 1;
+                fb_crew_piece(c, e, lane);
+                passed[lane] = -1;
+            }
         }
+    }
+    if (fb_any(passed)) { /* as fb_resume */
+        fb_real rates[N_X];
+        fb_crew_rates(c, e, c->t, c->x, passed, rates);
+        for (int i = 0; i < N_X; ++i)
+            c->stages[0][i] = fb_select(passed, rates[i], c->stages[0][i]);
     }
 }
 
@@ -451,7 +500,7 @@ static int run(const fb_ensemble *e)
     b->method = e->method;
     b->n = N_X;
     b->padded = sizeof c->padded[0] / sizeof(double);
-    b->direction = e->t_bound > e->t ? 1.0 : -1.0;
+    b->direction = e->t_bound > 0.0 ? 1.0 : -1.0;
     b->t_bound = e->t_bound;
     b->max_step = e->max_step;
     b->rtol = e->rtol;

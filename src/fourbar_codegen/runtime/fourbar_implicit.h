@@ -55,7 +55,6 @@ static inline int fb_implicit_equations(fb_implicit *s, const double t, const do
     const int called = fb_fill_inputs(p, t, z);
     if (called < 0)
         return called;
-    p->t = t;
     k->dynamics(t, z, p->constants, p->inputs, s->coordinate_rates, s->mass_matrix, s->forcing, s->jacobian, s->bias);
     if (s->formulation != FB_INDEX_1)
         k->position(t, z, p->constants, p->inputs, s->positions, s->position_jacobian);
@@ -118,9 +117,10 @@ static inline int fb_implicit_form(fb_implicit *s, const double t, const double 
 }
 
 /* F(t, z, z'); negative from the caller of inputs. */
-static inline int fb_implicit_residual(fb_implicit *s, const double t, const double *restrict z,
+static inline int fb_implicit_residual(fb_implicit *s, const double since, const double *restrict z,
                                        const double *restrict z_rate, double *restrict residual)
 {
+    const double t = fb_time(&s->problem->clock, since);
     const int called = fb_implicit_form(s, t, z, z_rate, residual);
     if (called == 0)
         fb_note_failure(s->problem, all_finite(residual, s->n_z), t, z);
@@ -128,10 +128,11 @@ static inline int fb_implicit_residual(fb_implicit *s, const double t, const dou
 }
 
 /* dF/dz + c dF/dz', row by row, (n_z, n_z). What J^T mu changes with q is left out, since mu vanishes. */
-static inline int fb_implicit_jacobian(fb_implicit *s, const double t, const double c, const double *restrict z,
+static inline int fb_implicit_jacobian(fb_implicit *s, const double since, const double c, const double *restrict z,
                                        const double *restrict z_rate, double *restrict matrix)
 {
     fb_problem *const p = s->problem;
+    const double t = fb_time(&p->clock, since);
     const fb_kernel *const k = p->kernel;
     const int n_q = k->n_q, n_u = k->n_u, n_x = n_q + n_u, n_c = k->n_c, n_h = k->n_h, n = s->n_z;
     const int called = fb_implicit_equations(s, t, z);

@@ -24,6 +24,9 @@
 
 enum { FB_BLOCK = 8, FB_LARGEST_METHOD = 16 };
 
+/* States along a step at which the constraints' orientation is looked at, where its ends do not tell. */
+enum { FB_LOOKS = 8 };
+
 enum FB_RUN {
     FB_RUN_END = 0,       /* t_bound is reached */
     FB_RUN_PAUSED = 1,    /* as many steps as asked for */
@@ -60,8 +63,10 @@ struct fb_run {
     /* the state, the last step, and the proposal for the next */
     double t, t_old, h, h_abs;
     double *x, *x_old, *scratch; /* (padded,) */
+    double *along;               /* (2, padded): a state within the last step, and x' there */
     double *stages;              /* (s + 1 + n_more, padded): x' at the beginning, the stages, x' at the end */
     double *interpolant;         /* (n_dense + 3, padded) */
+    int follows; /* whether x' at the end of the last step is that at the beginning of the next one */
     int interpolant_known;
     long n_evaluations, n_steps;
     double t_begin;
@@ -217,7 +222,15 @@ static inline void fb_accept(fb_run *s, const double t_new)
     s->t = t_new;
     s->n_steps += 1;
     s->interpolant_known = 0;
+    s->follows = 1;
     s->pending = 1;
+}
+
+/* x' where a run goes on behind a breakpoint, with steps as long as they were. */
+static inline int fb_resume(fb_run *s)
+{
+    s->follows = 0;
+    return fb_evaluate(s, s->t, s->x, s->stages);
 }
 
 /* The least length of a step from t, ... */
@@ -249,17 +262,20 @@ static inline int fb_step_on(fb_run *s)
     double *const end = s->stages + m->n_stages * s->padded;
     double *const error = s->interpolant, *const error3 = s->interpolant + s->padded;
     double h_abs = fb_first_length(s->h_abs, s->max_step, min_step);
+    double proposed = 0.0; /* for a step that ends with the run, or at a breakpoint */
     int rejected = 0;
     s->interpolant_known = 0;
-    if (s->n_steps > 0)
+    if (s->follows)
         memcpy(s->stages, end, (size_t)s->padded * sizeof *end);
     for (;;) {
         /* Also where it is not a number. */
         if (!(h_abs >= min_step))
             return FB_RUN_TOO_SMALL;
         double t_new = s->t + h_abs * s->direction;
-        if (s->direction * (t_new - s->t_bound) > 0.0)
+        if (s->direction * (t_new - s->t_bound) > 0.0) {
             t_new = s->t_bound;
+            proposed = rejected ? 0.0 : h_abs;
+        }
         const double h = t_new - s->t;
         h_abs = fabs(h);
         if (!isfinite(h))
@@ -289,7 +305,7 @@ static inline int fb_step_on(fb_run *s)
             error_norm == 0.0 ? FB_MAX_FACTOR : FB_SAFETY * pow(error_norm, -1.0 / (m->order + 1.0));
         h_abs *= fb_change(factor, error_norm < 1.0, rejected);
         if (error_norm < 1.0) {
-            s->h_abs = h_abs;
+            s->h_abs = h_abs > proposed ? h_abs : proposed;
             fb_accept(s, t_new);
             return FB_RUN_PAUSED;
         }
@@ -427,12 +443,13 @@ static inline int fb_sample(fb_run *s)
 }
 
 /* The values of the outputs that are event functions. */
-static inline int fb_event_values(fb_run *s, const double t, const double *x, double *values)
+static inline int fb_event_values(fb_run *s, const double since, const double *x, double *values)
 {
     fb_problem *const p = s->problem;
     const fb_kernel *const k = p->kernel;
     double *const accelerations = s->outputs, *const multipliers = accelerations + k->n_u;
     double *const outputs = multipliers + k->n_c;
+    const double t = fb_time(&p->clock, since);
     const int called = fb_fill_inputs(p, t, x);
     if (called < 0)
         return called;
@@ -447,6 +464,30 @@ static inline int fb_event_values(fb_run *s, const double t, const double *x, do
 static inline int fb_is_event(const double before, const double after, const int direction)
 {
     return (before <= 0.0 && after >= 0.0 && direction >= 0) || (before >= 0.0 && after <= 0.0 && direction <= 0);
+}
+
+/* Whether the constraints' orientation has changed also from one to the next of several states along the last step; where
+ * it has not, J kept its rank, and the step was only a long one. Ends with an evaluation at the state reached. */
+static inline int fb_turned_within(fb_run *s)
+{
+    const long n_evaluations = s->n_evaluations; /* looks count as little as those for events */
+    int turned = 0;
+    for (int i = 0; i <= FB_LOOKS; ++i) {
+        const double since = i == FB_LOOKS ? s->t : s->t_old + s->h * i / FB_LOOKS;
+        int status = 0;
+        if (i == 0)
+            memcpy(s->along, s->x_old, (size_t)s->n * sizeof *s->along);
+        else
+            status = fb_state_at(s, since, s->along);
+        if (status == 0)
+            status = fb_evaluate(s, since, s->along, s->along + s->padded);
+        if (status < 0)
+            return status;
+        turned |= s->problem->kernel->turned(s->problem->work) && i > 0;
+    }
+    s->n_evaluations = n_evaluations;
+    s->interpolant_known = 0;
+    return turned;
 }
 
 /* Up to n steps; returns an FB_RUN, or negative from the caller of inputs. */
@@ -475,6 +516,10 @@ static inline int fb_run_on(fb_run *s, long n)
             return status;
         /* What passes singular positions need not look for them. */
         s->turned = s->augmented ? 0 : s->problem->kernel->turned(s->problem->work);
+        if (s->turned)
+            s->turned = fb_turned_within(s);
+        if (s->turned < 0)
+            return s->turned;
         int look = s->look_at_all | s->turned;
         if (s->n_events > 0) {
             memcpy(s->event_old, s->event_value, (size_t)s->n_events * sizeof *s->event_old);

@@ -13,7 +13,7 @@
 
 #include <stddef.h>
 
-#define FB_ABI_VERSION 8
+#define FB_ABI_VERSION 9
 #define FB_CAPSULE_NAME "fourbar_codegen.kernel"
 
 /* Long functions are printed in parts, which the compiler must not put together again. */
@@ -59,12 +59,14 @@ typedef struct fb_kernel {
     int n_h; /* position constraints */
     int n_c; /* velocity constraints */
     int n_o; /* outputs */
+    int n_breakpoints; /* times at which expressions have a jump or a kink */
     int n_points; /* points that are drawn */
     int n_forces; /* those of them on which forces of inputs act */
     int n_constants;
 
     void (*prepare)(const double *p, double *constants);
     void (*default_inputs)(double t, const double *constants, double *r);
+    void (*breakpoints)(const double *constants, double *times);
     fb_evaluation *rhs;                                           /* x' */
     /* the same, with gamma + 2 a (J u + b) + a^2 Phi in the place of gamma, so that violations Phi decay as
      * Phi'' + 2 a Phi' + a^2 Phi = 0 (J. Baumgarte, "Stabilization of constraints and integrals of motion in dynamical
@@ -100,8 +102,9 @@ typedef struct fb_kernel {
     int (*project)(double t, double *x, const double *constants, const double *r, int known, void *work);
     /* Whether the constraints have changed their orientation from one call to the next: whether the determinant of the
      * columns of J that rhs has taken for dependent when it was last called with `work` has another sign than it had.
-     * Then J has lost rank on the way, or a long step has jumped over a dead point of these speeds. Or whether J is
-     * close to losing rank, where loops that are closed but for rounding errors may lead past the singular position. */
+     * Then J has lost rank on the way, or a long step has jumped over a dead point of these speeds. Or whether J has
+     * changed by as much as its own size, so that this says nothing; or is close to losing rank, where loops that are
+     * closed but for rounding errors may lead past the singular position. */
     int (*turned)(void *work);
     /* d(J u + b)/dq, dPhi/dr and d(J u + b)/dr */
     fb_constraint_sensitivity *constraint_sensitivity;

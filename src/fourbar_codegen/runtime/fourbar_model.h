@@ -197,8 +197,18 @@ static int turned(void *work)
             result |= now * (known ? w->orientation_before
                                    : fb_orientation(w->jacobian_before, &w->units, &w->factors)) < 0.0;
         }
-        for (int i = 0; i < N_JACOBIAN; ++i)
-            w->jacobian_before[i] = w->constraint_jacobian[i];
+        double changed = 0.0, size = 0.0;
+        for (int i = 0; i < N_C; ++i)
+            for (int j = 0; j < N_U; ++j) {
+                const double entry = w->constraint_jacobian[i * N_U + j];
+                const double unit = w->units.row[i] * w->units.column[j];
+                if (unit > 0.0) {
+                    changed += fabs(entry - w->jacobian_before[i * N_U + j]) / unit;
+                    size += fabs(entry) / unit;
+                }
+                w->jacobian_before[i * N_U + j] = entry;
+            }
+        result |= w->largest_orientation > 0.0 && changed > size;
         w->orientation_before = now;
         w->usual_before = w->factors.usual;
         w->largest_orientation = fb_max(fabs(now), w->largest_orientation);
@@ -261,11 +271,13 @@ const fb_kernel FB_NAME(kernel) = {
     .n_h = N_H,
     .n_c = N_C,
     .n_o = N_O,
+    .n_breakpoints = N_BREAKPOINTS,
     .n_points = N_POINTS,
     .n_forces = N_FORCES,
     .n_constants = N_CONSTANTS,
     .prepare = prepare,
     .default_inputs = default_inputs,
+    .breakpoints = breakpoints,
     .rhs = rhs,
     .stabilized = stabilized,
     .jacobian = jacobian,

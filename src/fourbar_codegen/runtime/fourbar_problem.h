@@ -8,7 +8,7 @@
 #include <math.h>
 #include <string.h>
 
-/* A function of time by polynomials between given times, constant before the first and after the last. */
+/* A function of time by polynomials between given times, both ends included, constant before and after. */
 typedef struct fb_table {
     int n_intervals, n_coefficients;
     const double *times;        /* (n_intervals + 1,), strictly increasing */
@@ -26,7 +26,7 @@ static inline double fb_table_value(const fb_table *table, const double t, int *
         return table->after;
     /* Integrators move on slowly: the interval of the last call is the first guess. */
     int low = 0, high = last, middle = t == times[last] ? last - 1 : *interval;
-    while (!(times[middle] <= t && t <= times[middle + 1])) {
+    while (!(times[middle] <= t && (t < times[middle + 1] || middle == last - 1))) {
         if (t < times[middle])
             high = middle;
         else
@@ -39,6 +39,20 @@ static inline double fb_table_value(const fb_table *table, const double t, int *
     for (int i = 1; i < table->n_coefficients; ++i)
         value = value * (t - times[middle]) + coefficients[i];
     return value;
+}
+
+/* What time is where an integrator's is zero, and the piece of time that it is in: where something jumps or has a kink at
+ * either end of that, values from beyond do not belong to it. */
+typedef struct fb_clock {
+    double origin, first, last;
+} fb_clock;
+
+static const fb_clock fb_all_time = {0.0, -INFINITY, INFINITY};
+
+static inline double fb_time(const fb_clock *clock, const double since)
+{
+    const double t = clock->origin + since;
+    return t < clock->first ? clock->first : t > clock->last ? clock->last : t;
 }
 
 /* Where an input comes from that is not taken from its expression. */
@@ -59,13 +73,13 @@ struct fb_problem {
     double *constants; /* (n_constants,) */
     double *inputs;    /* (n_r,) */
     void *work;
+    fb_clock clock;
     double stabilization; /* the rate a of Baumgarte's stabilization, 1/s; 0 for none */
     int n_sources;
     fb_source *sources;
     fb_called_inputs *called_inputs; /* or NULL */
     void *caller;
-    double t;   /* of the last evaluation */
-    int status; /* of that; where it was not FB_OK, also where the failure began */
+    int status; /* of the last evaluation; where it was not FB_OK, also where the failure began */
     double failed_t;
     double *failed_x; /* (n_x,) */
     double *moved_x;  /* (n_x,), scratch */
@@ -104,13 +118,13 @@ static inline void fb_note_failure(fb_problem *s, const int status, const double
 }
 
 /* x', not a number where the equations cannot be evaluated. */
-static inline int fb_problem_rates(void *problem, const double t, const double *x, double *rates)
+static inline int fb_problem_rates(void *problem, const double since, const double *x, double *rates)
 {
     fb_problem *const s = problem;
+    const double t = fb_time(&s->clock, since);
     const int called = fb_fill_inputs(s, t, x);
     if (called < 0)
         return called;
-    s->t = t;
     const int status =
         s->stabilization > 0.0
             ? s->kernel->stabilized(t, x, s->constants, s->inputs, s->stabilization, rates, s->work)
@@ -125,8 +139,9 @@ static inline int fb_problem_rates(void *problem, const double t, const double *
 
 /* dx'/dx; zeros where the equations cannot be evaluated, since factorizations refuse what is not a number, while x' is
  * not a number there and fails the step. */
-static inline int fb_problem_jacobian(fb_problem *s, const double t, const double *x, double *matrix)
+static inline int fb_problem_jacobian(fb_problem *s, const double since, const double *x, double *matrix)
 {
+    const double t = fb_time(&s->clock, since);
     const int n = s->kernel->n_q + s->kernel->n_u;
     const int called = fb_fill_inputs(s, t, x);
     if (called < 0)
@@ -140,8 +155,9 @@ static inline int fb_problem_jacobian(fb_problem *s, const double t, const doubl
 }
 
 /* Moves x onto the constraints, and leaves it as it is where that fails; `known` as for the kernel's function. */
-static inline int fb_problem_project(fb_problem *s, const double t, double *x, const int known)
+static inline int fb_problem_project(fb_problem *s, const double since, double *x, const int known)
 {
+    const double t = fb_time(&s->clock, since);
     const size_t size = (size_t)(s->kernel->n_q + s->kernel->n_u) * sizeof *x;
     const int called = fb_fill_inputs(s, t, x);
     if (called < 0)

@@ -19,19 +19,20 @@ cdef extern from "fourbar_tableau.h":
 
 
 cdef class Table:
-    cdef cnp.ndarray times
+    cdef readonly cnp.ndarray times
     cdef cnp.ndarray coefficients
     cdef fb_table table
 
 
 cdef class Ode:
-    cdef Evaluator evaluator
+    cdef readonly Evaluator evaluator
     cdef fb_problem problem
-    cdef tuple sources
+    cdef readonly tuple sources
     cdef list callables
     cdef tuple names
     cdef object error
     cdef readonly object parameters
     cdef public bint projects
+    cdef public bint in_pieces
     cdef int _call(self, double t, const double *x) noexcept
     cdef int check(self, int status) except -2

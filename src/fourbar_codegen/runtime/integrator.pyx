@@ -4,12 +4,12 @@
 cimport cython
 cimport numpy as cnp
 from cpython.mem cimport PyMem_Calloc, PyMem_Free
-from libc.math cimport NAN
+from libc.math cimport INFINITY, NAN
 from libc.string cimport memcpy
 
 from fourbar_codegen.runtime.evaluator cimport (
-    FB_OK, Evaluator, data, fb_fill_inputs, fb_finite, fb_kernel, fb_problem, fb_problem_jacobian, fb_problem_project, fb_problem_rates, fb_source,
-    fb_table, new_array, number, numbers, rows, time_of, vector)
+    FB_OK, Evaluator, data, fb_all_time, fb_clock, fb_fill_inputs, fb_finite, fb_kernel, fb_problem, fb_problem_jacobian, fb_problem_project, fb_problem_rates, fb_source,
+    fb_table, fb_time, new_array, number, numbers, rows, time_of, vector)
 
 import numpy as np
 
@@ -45,6 +45,7 @@ cdef extern from "fourbar_integrate.h":
         double *x
         double *x_old
         double *scratch
+        double *along
         double *stages
         double *interpolant
         long n_evaluations, n_steps
@@ -55,7 +56,7 @@ cdef extern from "fourbar_integrate.h":
         long room, n_samples
         int pending
         double until, t_begin
-        int turned
+        int turned, follows
         int look_at_all
         int n_events
         const int *event_output
@@ -65,6 +66,7 @@ cdef extern from "fourbar_integrate.h":
         double *outputs
     void fb_prepare_method(fb_run *) noexcept nogil
     int fb_begin(fb_run *) noexcept nogil
+    int fb_resume(fb_run *) noexcept nogil
     int fb_step_on(fb_run *) noexcept nogil
     double fb_fixed_time(const fb_run *, double, long) noexcept nogil
     int fb_fixed_step(fb_run *, double) noexcept nogil
@@ -90,7 +92,7 @@ def check_within(times, begin, end):
 
 
 cdef class Table:
-    """A function of time by polynomials between given times, constant before the first and after the last.
+    """A function of time by polynomials between given times, both ends included, constant before and after.
 
     Parameters
     ----------
@@ -112,6 +114,16 @@ cdef class Table:
             n_intervals=cnp.PyArray_DIM(self.coefficients, 0), n_coefficients=cnp.PyArray_DIM(self.coefficients, 1),
             times=data(self.times), coefficients=data(self.coefficients), before=before, after=after)
 
+    def jumps(self):
+        """Whether it jumps at each of its times, shape (n,)."""
+        lengths = np.diff(self.times)
+        ends = np.zeros_like(lengths)
+        for coefficients in self.coefficients.T:
+            ends = ends * lengths + coefficients
+        left = np.append(self.table.before, ends)
+        right = np.append(self.coefficients[:, np.shape(self.coefficients)[1] - 1], self.table.after)
+        return np.abs(right - left) > 1e-9 * (np.abs(right) + np.abs(left))
+
     def __reduce__(self):
         return Table, (self.times, np.transpose(self.coefficients), self.table.before, self.table.after)
 
@@ -126,7 +138,8 @@ cdef class Ode:
 
     Where the equations cannot be evaluated, it returns NaN, so that an integrator with step control rejects
     the step; `failure` then says why. `projects` asks the solvers of `fourbar_codegen.solvers` to move each state onto
-    the constraints.
+    the constraints; `in_pieces` tells them that steps end at discontinuities already. `clock` says what time is where the integrator's is zero, and between which times values are taken;
+    the inputs' methods go by time itself.
 
     Several threads may share one: each call is done before another thread's begins, `failure` is that of the last call,
     and a solver of `fourbar_codegen.solvers` takes a copy with memory of its own. A callable input is called by all of
@@ -148,7 +161,7 @@ cdef class Ode:
         cdef cnp.ndarray parameters = evaluator.parameter_vector(p)  # its own: copies need it later
         cdef int i
         self.evaluator, self.parameters = evaluator, parameters
-        self.problem.kernel = evaluator.kernel
+        self.problem.kernel, self.problem.clock = evaluator.kernel, fb_all_time
         self.problem.constants = <double *>PyMem_Calloc(evaluator.kernel.n_constants + 1, sizeof(double))
         self.problem.inputs = <double *>PyMem_Calloc(evaluator.n_r + 1, sizeof(double))
         self.problem.failed_x = <double *>PyMem_Calloc(evaluator.n_x + 1, sizeof(double))
@@ -178,7 +191,9 @@ cdef class Ode:
             self.problem.called_inputs, self.problem.caller = _call_inputs, <void *>self
 
     def __reduce__(self):
-        return _ode, (self.evaluator, self.parameters, self.sources, self.stabilization, bool(self.projects))
+        return _ode, (
+            self.evaluator, self.parameters, self.sources, self.stabilization, bool(self.projects),
+            bool(self.in_pieces), self.clock)
 
     def __dealloc__(self):
         PyMem_Free(self.problem.constants)
@@ -211,6 +226,22 @@ cdef class Ode:
             error, self.error = self.error, None
             raise error
         return status
+
+    @property
+    def clock(self):
+        """Time where the integrator's is zero, and the first and last time that values are taken at."""
+        return self.problem.clock.origin, self.problem.clock.first, self.problem.clock.last
+
+    @clock.setter
+    def clock(self, times):
+        origin, first, last = times
+        self.problem.clock = fb_clock(origin=origin, first=first, last=last)
+
+    def breakpoints(self):
+        """The times at which expressions have a jump or a kink, shape (n_breakpoints,)."""
+        cdef cnp.ndarray times = new_array(self.problem.kernel.n_breakpoints)
+        self.problem.kernel.breakpoints(self.problem.constants, data(times))
+        return times
 
     @property
     def manifest(self):
@@ -311,7 +342,7 @@ cdef class Ode:
         cdef cnp.ndarray accelerations = new_array(self.evaluator.n_u), result = new_array(self.evaluator.n_c)
         cdef cnp.ndarray rates = self(t, state)
         cdef int status = self.problem.kernel.accelerations(
-            t, data(state), self.problem.constants, self.problem.inputs, data(accelerations), data(result),
+            fb_time(&self.problem.clock, t), data(state), self.problem.constants, self.problem.inputs, data(accelerations), data(result),
             self.problem.work)
         if status != FB_OK:
             raise SimulationError(self.evaluator.failure(status, t, state))
@@ -326,10 +357,10 @@ cdef class Ode:
         return result
 
 
-def _ode(evaluator, p, sources, double stabilization, bint projects):
+def _ode(evaluator, p, sources, double stabilization, bint projects, bint in_pieces, clock):
     """As it was copied or pickled."""
     cdef Ode ode = Ode(evaluator, p, sources)
-    ode.stabilization, ode.projects = stabilization, projects
+    ode.stabilization, ode.projects, ode.in_pieces, ode.clock = stabilization, projects, in_pieces, clock
     return ode
 
 
@@ -409,7 +440,7 @@ cdef class EmbeddedSteps:
                 or cnp.PyArray_DIM(stages, 1) != run.n):
             raise ModelError(f"The stages must be a contiguous array of {n_stages + 1} states.")
         _enter(&self.busy)
-        run.t, run.h_abs, run.n_evaluations, run.n_steps = t, h_abs, 0, 0
+        run.t, run.h_abs, run.n_evaluations, run.n_steps, run.follows = t, h_abs, 0, 0, 0
         memcpy(run.x, data(state), run.n * sizeof(double))
         memcpy(run.stages, data(stages), run.n * sizeof(double))
         with nogil:
@@ -503,8 +534,13 @@ cdef class Run:
     cdef readonly Ode ode
     cdef str method
     cdef list kept
+    cdef double t_bound
+    cdef object times
+    cdef long n_taken
     cdef cnp.ndarray kept_t
     cdef cnp.ndarray kept_x
+
+    # In C, times are counted from the beginning, so that steps are as fine at any time; outside, they are what they are.
 
     def __cinit__(self, Ode ode not None, str method, double t, x, double t_bound, double max_step, rtol, atol,
                   bint project, times, events, bint look_at_all):
@@ -515,14 +551,16 @@ cdef class Run:
         run.step = fb_step_on
         rows = run.method.n_stages + 1 + run.method.n_more
         self.ode, self.method, self.kept = ode, method, []
-        run.direction, run.t_bound, run.max_step = 1.0 if t_bound > t else -1.0, t_bound, max_step
-        run.project, run.t, run.t_begin, run.until = project, t, t, t_bound
-        run.x, run.x_old, run.scratch = self._zeros(1), self._zeros(1), self._zeros(1)
+        ode.clock = t, -INFINITY, INFINITY
+        self.t_bound, self.times = t_bound, times
+        run.direction, run.t_bound, run.max_step = 1.0 if t_bound > t else -1.0, t_bound - t, max_step
+        run.project, run.until = project, run.t_bound
+        run.x, run.x_old, run.scratch, run.along = self._zeros(1), self._zeros(1), self._zeros(1), self._zeros(2)
         run.stages, run.interpolant = self._zeros(rows), self._zeros(run.method.n_dense + 3)
         run.rtol, run.atol = <double *>self._keep(_padded(rtol, run)), <double *>self._keep(_padded(atol, run))
         memcpy(run.x, data(state), n * sizeof(double))
         if times is not None:
-            run.times, run.n_times = <const double *>self._keep(np.array(times, dtype=np.float64)), np.size(times)
+            run.times, run.n_times = <const double *>self._keep(np.array(times, dtype=np.float64) - t), np.size(times)
         run.n_events, run.look_at_all = len(events), look_at_all
         if events:
             run.event_output = <const int *>self._keep(np.array([event[0] for event in events], dtype=np.intc))
@@ -546,7 +584,14 @@ cdef class Run:
     def take_samples(self):
         """The samples since the last call, shapes (n,) and (n, n_x)."""
         cdef long n = self.run.n_samples
-        samples = (self.kept_t[:n].copy(), self.kept_x[:n].copy())
+        if self.times is None:
+            times = self.ode.problem.clock.origin + self.kept_t[:n]
+            if n and data(self.kept_t)[n - 1] == self.run.t_bound:
+                times[n - 1] = self.t_bound
+        else:
+            times = self.times[self.n_taken:self.n_taken + n]
+        self.n_taken += n
+        samples = (times.copy(), self.kept_x[:n].copy())
         if n == self.run.room:
             self._make_room(2 * n)
         self.run.n_samples = 0
@@ -564,6 +609,30 @@ cdef class Run:
         if self.run.n_events:
             self.ode.check(fb_event_values(&self.run, self.run.t, self.run.x, self.run.event_value))
 
+    def enter(self, double t, double t_bound, double first, double last, x=None):
+        """Go on from a time, that of a boundary, to another one; with a state x, from there.
+
+        Before it, take the samples. In between, values are taken from the first time to the last one. Returns whether
+        there is a state close by that satisfies the constraints.
+        """
+        cdef fb_run *run = &self.run
+        cdef cnp.ndarray state
+        cdef double origin = self.ode.problem.clock.origin
+        self.ode.clock = origin, min(first, last), max(first, last)
+        run.t, self.t_bound, run.t_bound = t - origin, t_bound, t_bound - origin
+        run.until = run.t_bound
+        if x is not None:
+            state = vector(x, run.n, "The state x")
+            memcpy(run.x, data(state), run.n * sizeof(double))
+            run.pending = 1
+            if run.project and self.ode.check(fb_problem_project(run.problem, run.t, run.x, 0)) != FB_OK:
+                return False
+        self.ode.check(fb_augmented_begin(run) if run.augmented else fb_resume(run))
+        if run.n_events:
+            memcpy(run.event_old, run.event_value, run.n_events * sizeof(double))
+            self.ode.check(fb_event_values(run, run.t, run.x, run.event_value))
+        return True
+
     def on(self, long steps):
         """Up to so many steps; why it stopped: "end", "paused", "full", "event", "too small", "infinite", "collapsed"."""
         cdef int status
@@ -571,26 +640,40 @@ cdef class Run:
             status = fb_run_on(&self.run, steps)
         return _REASONS[self.ode.check(status)]
 
-    def state_at(self, double t):
-        """The state at a time in the last step, shape (n_x,)."""
+    cdef double _at(self, double since):
+        """Time, for one of the run's."""
+        return self.t_bound if since == self.run.t_bound else self.ode.problem.clock.origin + since
+
+    cdef double _within(self, double share):
+        """The run's time at a share of the last step."""
+        return self.run.t if share == 1.0 else self.run.t_old + share * self.run.h
+
+    def time_within(self, double share):
+        """The time at a share of the last step."""
+        return self._at(self._within(share))
+
+    def state_within(self, double share):
+        """The state at a share of the last step, shape (n_x,)."""
         cdef cnp.ndarray x = new_array(self.run.n)
-        self.ode.check(fb_state_at(&self.run, t, data(x)))
+        self.ode.check(fb_state_at(&self.run, self._within(share), data(x)))
         return x
 
-    def event_values_at(self, double t):
-        """The event functions at a time in the last step, shape (n_events,)."""
-        cdef cnp.ndarray x = self.state_at(t)
+    def event_values_within(self, double share):
+        """The event functions at a share of the last step, shape (n_events,)."""
+        cdef cnp.ndarray x = self.state_within(share)
         cdef cnp.ndarray values = new_array(self.run.n_events)
-        self.ode.check(fb_event_values(&self.run, t, data(x), data(values)))
+        self.ode.check(fb_event_values(&self.run, self._within(share), data(x), data(values)))
         return values
 
-    def stop_at(self, double t):
-        """End the run at a time in the last step: the state there is the last one, with no samples behind it."""
-        cdef cnp.ndarray x = self.state_at(t)
-        self.run.until = t
+    def stop_within(self, double share):
+        """End the run at a share of the last step: the state there is the last one, with no samples behind it."""
+        cdef cnp.ndarray x = self.state_within(share)
+        t = self.time_within(share)
+        self.run.until = self.run.t_bound = self._within(share)
+        self.t_bound = t
         if self.run.times == NULL:
             memcpy(self.run.x, data(x), self.run.n * sizeof(double))
-            self.run.t = t
+            self.run.t = self.run.until
 
     def discard(self):
         """Go back to before the last step, where the run ends."""
@@ -609,17 +692,12 @@ cdef class Run:
     @property
     def t(self):
         """The time reached."""
-        return self.run.t
-
-    @property
-    def t_begin(self):
-        """Where the run began."""
-        return self.run.t_begin
+        return self._at(self.run.t)
 
     @property
     def t_old(self):
         """Where the last step began."""
-        return self.run.t_old
+        return self._at(self.run.t_old)
 
     @property
     def n_steps(self):
@@ -675,14 +753,15 @@ cdef class Stepper:
     cdef fb_run run
     cdef fb_source *held
     cdef double h
+    cdef tuple jumps
     cdef cnp.ndarray kept
     cdef bint busy
 
-    def __cinit__(self, Ode ode not None, double h, double t, x, bint project, long n_steps=0):
+    def __cinit__(self, Ode ode not None, double h, double t, x, bint project, long n_steps=0, jumps=()):
         cdef int i, n = ode.evaluator.n_x
         cdef cnp.ndarray state = vector(x, n, "The state x")
         cdef fb_run *run = &self.run
-        self.ode, self.h = ode, h
+        self.ode, self.h, self.jumps = ode, h, tuple(jumps)
         _prepare(run, ode, &fb_rk4)
         run.project, run.t_begin, run.n_steps = project, t, n_steps
         run.t = fb_fixed_time(run, h, n_steps)
@@ -697,7 +776,7 @@ cdef class Stepper:
             self.held[i].input = i
 
     def __reduce__(self):
-        run = (self.run.t_begin, self.x, bool(self.run.project), self.run.n_steps)
+        run = (self.run.t_begin, self.x, bool(self.run.project), self.run.n_steps, self.jumps)
         return Stepper, (self.ode, self.h, *run)
 
     def __dealloc__(self):
@@ -721,8 +800,9 @@ cdef class Stepper:
         ModelError
             If an input has a wrong name, or is not finite.
         SimulationError
-            If the equations cannot be evaluated, or no state close by satisfies the constraints; or if a step is under
-            way already, in another thread, or because a callable input asks for one. Nothing is advanced.
+            If the equations cannot be evaluated, or no state close by satisfies the constraints; if speeds jump within
+            the step, with the rate of a prescribed motion; or if a step is under way already, in another thread, or
+            because a callable input asks for one. Nothing is advanced.
         """
         cdef fb_problem *problem = &self.ode.problem
         cdef fb_problem own = problem[0]
@@ -730,6 +810,8 @@ cdef class Stepper:
         cdef int i, status
         if r is not None:
             values = self.ode.evaluator._inputs(self.run.t, self.ode.parameters, r, True)
+        elif self.jumps:
+            self._check_jumps()
         _enter(&self.busy)
         if r is not None:
             for i in range(self.ode.evaluator.n_r):
@@ -743,6 +825,15 @@ cdef class Stepper:
         if status != FB_OK:
             raise SimulationError(self.ode.failure or self.ode.evaluator.failure(status, self.run.t, self.x))
         return _state_of(&self.run)
+
+    def _check_jumps(self):
+        cdef double next_time = fb_fixed_time(&self.run, self.h, self.run.n_steps + 1)
+        for end, begin in self.jumps:
+            if min(self.run.t, next_time) < max(end, begin) and max(self.run.t, next_time) > min(end, begin):
+                raise SimulationError(
+                    f"The rate of a prescribed motion jumps at t = {begin:.9g}, and speeds with it, within the step from "
+                    f"{self.run.t:.9g} to {next_time:.9g}: CompiledModel.simulate passes it, from where a new stepper "
+                    "goes on.")
 
     @property
     def t(self):
@@ -765,7 +856,7 @@ cdef class DenseOutput:
     direction : float
     project : bool
     times : list of float
-        The beginning, and the end of each step.
+        0, and the end of each step, since the beginning of the run.
     steps : list of ndarray
         The interpolants' coefficients, the state at the beginning, and the beginning and length of each step.
     """
@@ -812,12 +903,14 @@ cdef class DenseOutput:
         """
         cdef cnp.ndarray at = np.atleast_1d(numbers(t, "The times"))
         cdef int i, n = self.ode.evaluator.n_x
+        cdef double origin = self.ode.problem.clock.origin
         cdef cnp.ndarray x = np.empty((np.size(at), n))
         cdef cnp.ndarray step
         cdef double *end
         if np.ndim(at) != 1:
             raise ModelError(f"Times must be a number or an array of one dimension, not of shape {np.shape(t)}.")
-        check_within(at, self.times[0], self.times[len(self.times) - 1])  # without wraparound
+        check_within(at, origin, origin + self.times[len(self.times) - 1])  # without wraparound
+        at = at - origin
         forward = np.array(self.times) * self.direction
         places = np.clip(np.searchsorted(forward, at * self.direction) - 1, 0, len(self.steps) - 1)
         for i in range(np.size(at)):

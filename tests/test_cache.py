@@ -1,5 +1,6 @@
 """The cache: keys that digest everything, warm calls that form nothing, builds that are whole or absent."""
 
+import contextlib
 import ctypes
 import os
 import pickle
@@ -402,7 +403,9 @@ def truncate(module):
         lambda module: module.unlink(),
         lambda module: (module.parent / "checksum").unlink(),
         lambda module: (shutil.rmtree(module.parent), module.parent.write_text("a file")),
-        lambda module: module.parent.rename(f"{module.parent}.building"),  # as of a process that was killed
+        lambda module: module.parent.rename(
+            f"{module.parent}.{os.geteuid()}.building"
+        ),  # as of a process that was killed
     ],
     ids=["truncated", "empty", "missing", "no checksum", "a file", "left behind"],
 )
@@ -411,3 +414,145 @@ def test_damaged_entry_is_built_anew(tmp_path, filled, damage):
     shutil.copytree(cache, tmp_path / "cache")
     damage(tmp_path / "cache" / module)
     assert run_of_slider(tmp_path / "cache") == (tmp_path / "cache" / module, rates)
+
+
+OTHER = 65534
+"""A user without rights."""
+
+
+@contextlib.contextmanager
+def as_user(number):
+    """As another user, where the tests run as root."""
+    if os.geteuid() != 0:
+        pytest.skip("only root can be two users: run the tests as root as well")
+    os.setegid(number)
+    os.seteuid(number)
+    try:
+        yield
+    finally:
+        os.seteuid(0)
+        os.setegid(0)
+
+
+@pytest.fixture
+def shared(tmp_path, monkeypatch):
+    """A folder where everybody can write, as /tmp; each user has a home."""
+    for path in (tmp_path, *tmp_path.parents[:3]):
+        path.chmod(path.stat().st_mode | 0o055)
+    folder = tmp_path / "shared"
+    folder.mkdir()
+    folder.chmod(0o1777)
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(folder))
+    for user in (0, OTHER):
+        (tmp_path / str(user)).mkdir()
+        os.chown(tmp_path / str(user), user, user) if os.geteuid() == 0 else None
+    monkeypatch.setattr("platformdirs.user_cache_path", lambda *_, **__: tmp_path / str(os.geteuid()) / "cache")
+    cache._own_folder.cache_clear()
+    yield folder
+    cache._own_folder.cache_clear()
+
+
+def built_by(who):
+    def build(folder):
+        (folder / "model.so").write_text(who)
+        return folder / "model.so"
+
+    return build
+
+
+KEY = "0123456789abcdef" * 4
+
+
+def test_what_another_user_has_built_is_not_loaded(shared):
+    with as_user(OTHER):
+        theirs = cache.cached("model", KEY, built_by("other"))
+    assert theirs.parent.parent == shared
+    assert cache.find_cached("model", KEY) is None
+    with pytest.warns(UserWarning, match=f"{theirs.parent} belongs to another user, {OTHER}, and to load"):
+        mine = cache.cached("model", KEY, built_by("me"))
+    assert mine.read_text() == "me"
+    assert mine.parent.parent == shared.parent / "0" / "cache"
+    # What root has built, all may use.
+    other_key = KEY[::-1]
+    cache.cached("model", other_key, built_by("me"))
+    with as_user(OTHER):
+        assert cache.cached("model", other_key, built_by("other")).read_text() == "me"
+        assert cache.find_cached("model", other_key).read_text() == "me"
+
+
+def test_leftovers_of_another_user_block_nobody(shared):
+    entry = cache._place(shared, "model", KEY).name
+    with as_user(OTHER):
+        for name in (f"{entry}.lock", f"{entry}.{OTHER}.lock"):
+            (shared / name).write_text("")
+            (shared / name).chmod(0o600)
+        for name in (f"{entry}.building", f"{entry}.{OTHER}.building"):
+            (shared / name).mkdir(0o700)
+    with as_user(OTHER - 1):
+        assert cache.cached("model", KEY, built_by("third")).parent.parent == shared
+
+
+def linked(entry):
+    target = entry.rename(entry.parent.parent / "elsewhere")
+    entry.symlink_to(target)
+
+
+TAMPERED = {
+    "others can write to the folder": (lambda entry: entry.parent.chmod(0o777), "Others can write to"),
+    "others can write to the entry": (lambda entry: entry.chmod(0o757), "Others can write to"),
+    "others can write to the module": (lambda entry: (entry / "model.so").chmod(0o646), "Others can write to"),
+    "a symbolic link": (linked, "leads to another place"),
+}
+
+
+@pytest.mark.parametrize("how", TAMPERED)
+def test_nothing_that_others_may_change_is_loaded(shared, how):
+    tamper, reason = TAMPERED[how]
+    module = cache.cached("model", KEY, built_by("first"))
+    tamper(module.parent)
+    assert cache.find_cached("model", KEY) is None
+    with pytest.warns(UserWarning, match=reason):
+        again = cache.cached("model", KEY, built_by("again"))
+    assert again.read_text() == "again"
+    assert again.parent.parent == shared.parent / str(os.geteuid()) / "cache"
+
+
+def test_checksums_name_nothing_outside_of_their_folder(shared):
+    module = cache.cached("model", KEY, built_by("first"))
+    outside = shared.parent / "outside.so"
+    outside.write_text("outside")
+    for name in (str(outside), "../../outside.so"):
+        (module.parent / "checksum").write_text(f"{cache._digest(outside)}  {name}\n")
+        assert cache.find_cached("model", KEY) is None
+        assert cache.cached("model", KEY, built_by("again")).read_text() == "again"
+
+
+def test_entries_are_closed_whatever_the_umask(shared):
+    before = os.umask(0)
+    try:
+        module = cache.cached("model", KEY, built_by("first"))
+    finally:
+        os.umask(before)
+    assert cache.cached("model", KEY, built_by("again")) == module
+    assert module.read_text() == "first"
+
+
+def test_a_home_that_cannot_be_used(shared, monkeypatch):
+    """Then a folder for this process."""
+    shared.chmod(0o777)
+    monkeypatch.setattr("platformdirs.user_cache_path", lambda *_, **__: Path("/dev/null/cache"))
+    with pytest.warns(UserWarning, match="Others can write to"):
+        module = cache.cached("model", KEY, built_by("first"))
+    assert module.read_text() == "first"
+
+
+def test_file_systems_that_run_nothing(four_bar, tmp_path):
+    mount = ["mount", "-t", "tmpfs", "-o", "noexec", "tmpfs", str(tmp_path)]
+    if subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("only who may mount has a file system with noexec: run the tests as root as well")
+    try:
+        shutil.copy(four_bar.path, tmp_path)
+        with pytest.raises(fb.ModelError, match="mounted with noexec"):
+            fb.load(tmp_path / four_bar.path.name)
+    finally:
+        subprocess.run(["umount", "--lazy", str(tmp_path)], check=True)

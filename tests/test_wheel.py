@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+import re
 import subprocess
 import sys
 import venv
@@ -40,7 +41,7 @@ def test_a_wheel_runs_in_a_fresh_environment(tmp_path):
     with zipfile.ZipFile(wheel) as archive:
         (metadata,) = (name for name in archive.namelist() if name.endswith("METADATA"))
         text = archive.read(metadata).decode()
-    assert "Requires-Dist: fourbar_codegen~=0.1.0" in text
+    assert re.findall("Requires-Dist: (.*)", text) == ["numpy>=2.0", 'fourbar_codegen~=0.1.0; extra == "simulate"']
     venv.create(tmp_path / "fresh", with_pip=True)
     python = tmp_path / "fresh" / "bin" / "python"
     subprocess.run([python, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", wheel], check=True)
@@ -55,6 +56,12 @@ def test_a_wheel_runs_in_a_fresh_environment(tmp_path):
         if folder.exists():
             (known / name).symlink_to(folder)
     environment = {"PATH": "", "PYTHONPATH": str(known), "HOME": os.environ.get("HOME", "/")}
+    (known / "fourbar_codegen").rename(tmp_path / "apart")
+    use = "import slider; print(slider.rhs(0.5, [0.3, 0.2, 0.0, 1.0], [1.0, 0.5, 2.0, 0.1, 9.81], [0.3]).shape)"
+    alone = [python, "-W", "error", "-c", use]
+    done = subprocess.run(alone, capture_output=True, text=True, env=environment, cwd=tmp_path, check=False)
+    assert done.stdout == "(4,)\n", done.stderr
+    (tmp_path / "apart").rename(known / "fourbar_codegen")
     done = subprocess.run(
         [python, "-W", "error", "-c", USE], capture_output=True, text=True, env=environment, cwd=tmp_path, check=False
     )
@@ -67,11 +74,28 @@ def test_a_wheel_runs_in_a_fresh_environment(tmp_path):
     assert success == "True"
 
 
+def named(name):
+    model = slider()
+    model.name = name
+    return model
+
+
 def test_what_is_wrong_is_said(tmp_path, monkeypatch):
+    for taken in ("sympy", "scipy", "numpy", "pip", "test", "setup", "setuptools", "four_bar", "json"):
+        with pytest.raises(fb.ModelError, match="there is such a module already"):
+            fb.build_wheel(named(taken), tmp_path)
+    with pytest.raises(fb.ModelError, match="the same project as 'arm_one'"):
+        fb.build_wheel(named("Arm_One"), tmp_path)
     with pytest.raises(fb.ModelError, match="version"):
         fb.build_wheel(slider(), tmp_path, version="new")
     with pytest.raises(fb.BuildError, match="cannot be written"):
         fb.build_wheel(slider(), "/dev/null/dist")
+    old = tmp_path / "old"
+    old.write_text("#!/bin/sh\necho \"error: invalid command 'bdist_wheel'\" >&2\nexit 1\n")
+    old.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(old))
+    with pytest.raises(fb.BuildError, match="pip install 'setuptools>=77'"):
+        fb.build_wheel(slider(), tmp_path / "dist")
     monkeypatch.setattr(sys, "executable", "/bin/false")
     with pytest.raises(fb.BuildError, match="Setuptools failed"):
         fb.build_wheel(slider(), tmp_path / "dist")

@@ -301,6 +301,7 @@ setup(
     packages=[{name!r}],
     package_data={{{name!r}: ["*"]}},
     install_requires={requires!r},
+    extras_require={extras!r},
 )
 """
 
@@ -313,7 +314,12 @@ __all__ = ["kernel", "manifest", "rhs"]
 '''
 
 
-def pack_wheel(module: Path, folder: Path, *, version: str, requires: Sequence[str]) -> Path:
+WHEEL_SUMMARY = "Compiled equations of motion of the model"
+
+
+def pack_wheel(
+    module: Path, folder: Path, *, version: str, requires: Sequence[str], extras: Mapping[str, Sequence[str]]
+) -> Path:
     """Pack an extension module, and what lies beside it, into a wheel for Pythons and machines like this one.
 
     Parameters
@@ -326,6 +332,8 @@ def pack_wheel(module: Path, folder: Path, *, version: str, requires: Sequence[s
         Of the wheel.
     requires : sequence of str
         What it depends on.
+    extras : mapping of str to sequence of str
+        What else, by the names of extras.
 
     Returns
     -------
@@ -342,10 +350,24 @@ def pack_wheel(module: Path, folder: Path, *, version: str, requires: Sequence[s
         project = Path(temporary)
         shutil.copytree(module.parent, project / name)
         (project / name / "__init__.py").write_text(WHEEL_INIT.format(name=name), encoding="utf-8")
-        description = f"Compiled equations of motion of the model {name}"
-        setup = WHEEL_SETUP.format(name=name, version=version, description=description, requires=list(requires))
+        setup = WHEEL_SETUP.format(
+            name=name,
+            version=version,
+            description=f"{WHEEL_SUMMARY} {name}",
+            requires=list(requires),
+            extras=dict(extras),
+        )
         (project / "setup.py").write_text(setup, encoding="utf-8")
-        _run([sys.executable, "setup.py", "--quiet", "bdist_wheel"], project / "dist", tool="setuptools", cwd=project)
+        try:
+            _run(
+                [sys.executable, "setup.py", "--quiet", "bdist_wheel"], project / "dist", tool="setuptools", cwd=project
+            )
+        except BuildError as error:
+            if "invalid command 'bdist_wheel'" in error.output:
+                raise BuildError(
+                    "This version of setuptools makes no wheels: pip install 'setuptools>=77'.", output=error.output
+                ) from error
+            raise
         (wheel,) = (project / "dist").glob("*.whl")
         return _copied(wheel, folder)
 

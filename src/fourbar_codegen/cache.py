@@ -1,11 +1,20 @@
-"""The folder of compiled models: one folder per key, made whole before it is seen."""
+"""The folder of compiled models: one folder per key, made whole before it is seen.
+
+To load a module is to run it. So nothing is loaded that another user could have put there, or may change: what is in
+the cache belongs to the user or to root, and others have no right to write to it.
+"""
 
 from __future__ import annotations
 
+import atexit
 import hashlib
 import os
 import shutil
+import stat
+import tempfile
+import warnings
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 from fourbar_codegen.errors import CacheError
@@ -50,35 +59,27 @@ def cached(name: str, key: str, build: Callable[[Path], Path]) -> Path:
     CacheError
         If the folder cannot be written.
 
+    Warns
+    -----
+    UserWarning
+        If others can write to the folder, or to what is there: the module is built in one of the user's own.
+
     Notes
     -----
     A module is built in a temporary folder, under a lock, and moved to its place in one step: other
     processes see it whole or not at all, and a failed build leaves nothing behind.
     """
     root = cache_folder()
-    place = _place(name, key)
     try:
-        found = _module_in(place)
-        if found is not None:
-            return found
-        from filelock import FileLock
-
-        root.mkdir(parents=True, exist_ok=True)
-        with FileLock(root / f"{place.name}.lock"):
-            found = _module_in(place)
-            if found is not None:
-                return found
-            temporary = root / f"{place.name}.building"
-            try:
-                _remove(temporary)  # of a process that was killed
-                temporary.mkdir()
-                module = build(temporary)
-                (temporary / CHECKSUM).write_text(f"{_digest(module)}  {module.name}\n", encoding="utf-8")
-                _remove(place)  # damaged, or it would have been found
-                temporary.replace(place)
-            finally:
-                _remove(temporary)
-            return place / module.name
+        reason = _distrusted(root) or _distrusted_entry(_place(root, name, key))
+        if reason:
+            root = _own_folder()
+            warnings.warn(
+                f"{reason}, and to load what is there is to run it: {name} is compiled in {root}. Take the right to "
+                f"write from others, or name another folder in the environment variable {VARIABLE}.",
+                stacklevel=2,
+            )
+        return _cached(root, _place(root, name, key), build)
     except OSError as error:
         raise CacheError(
             f"The cache folder {root} cannot be used: {error.strerror or error}. Name another one in the environment "
@@ -86,16 +87,103 @@ def cached(name: str, key: str, build: Callable[[Path], Path]) -> Path:
         ) from error
 
 
+def _cached(root: Path, place: Path, build: Callable[[Path], Path]) -> Path:
+    found = _module_in(place)
+    if found is not None:
+        return found
+    from filelock import FileLock
+
+    if not root.exists():
+        root.mkdir(parents=True, exist_ok=True)
+        _close(root)
+    own = f"{place.name}.{_user()}"
+    with FileLock(root / f"{own}.lock"):
+        found = _module_in(place)
+        if found is not None:
+            return found
+        temporary = root / f"{own}.building"
+        try:
+            _remove(temporary)  # of a process that was killed
+            temporary.mkdir()
+            module = build(temporary)
+            (temporary / CHECKSUM).write_text(f"{_digest(module)}  {module.name}\n", encoding="utf-8")
+            for path in (temporary, *temporary.rglob("*")):
+                _close(path)
+            _remove(place)  # damaged, or it would have been found
+            temporary.replace(place)
+        finally:
+            _remove(temporary)
+        return place / module.name
+
+
 def find_cached(name: str, key: str) -> Path | None:
-    """The module that was built under a key, if it is there and whole."""
+    """The module that was built under a key, if it is there and whole, and nobody else's."""
     try:
-        return _module_in(_place(name, key))
+        root = cache_folder()
+        place = _place(root, name, key)
+        return None if _distrusted(root) or _distrusted_entry(place) else _module_in(place)
     except OSError:  # of a folder that cannot be read
         return None
 
 
-def _place(name: str, key: str) -> Path:
-    return cache_folder() / f"{name[:32]}-{key[:32]}"
+def _place(root: Path, name: str, key: str) -> Path:
+    return root / f"{name[:32]}-{key[:32]}"
+
+
+def _user() -> int:
+    return os.geteuid() if hasattr(os, "geteuid") else 0
+
+
+def _distrusted(path: Path) -> str:
+    """Why others may have put something into a path, if they may; by what the system says of owners and rights."""
+    if not hasattr(os, "geteuid"):
+        return ""
+    try:
+        status = path.stat()
+    except FileNotFoundError:
+        return ""
+    if status.st_uid not in {_user(), 0}:
+        return f"{path} belongs to another user, {status.st_uid}"
+    # A group with the user's own number is the user's alone; of a sticky folder, others can take nothing away.
+    others = stat.S_IWOTH | (0 if status.st_gid == status.st_uid else stat.S_IWGRP)
+    if status.st_mode & others and not (path.is_dir() and status.st_mode & stat.S_ISVTX):
+        return f"Others can write to {path}"
+    return ""
+
+
+def _distrusted_entry(place: Path) -> str:
+    """The same for a folder of the cache and what is in it."""
+    if not (place.is_symlink() or place.is_dir()):
+        return ""
+    for path in (place, *(place.iterdir() if os.access(place, os.R_OK) else ())):
+        if path.is_symlink():
+            return f"{path} leads to another place"
+        reason = _distrusted(path)
+        if reason:
+            return reason
+    return ""
+
+
+def _close(path: Path) -> None:
+    """Let nobody else write to what was made here, whatever the process allows by default."""
+    path.chmod(path.stat().st_mode & ~(stat.S_IWGRP | stat.S_IWOTH))
+
+
+@cache
+def _own_folder() -> Path:
+    """A folder of the user's own: the usual one, or one for this process."""
+    import platformdirs
+
+    usual = platformdirs.user_cache_path("fourbar_codegen", appauthor=False)
+    try:
+        usual.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if not _distrusted(usual) and os.access(usual, os.W_OK):
+            return usual
+    except OSError:  # without a home
+        pass
+    folder = tempfile.mkdtemp(prefix="fourbar_codegen-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return Path(folder)
 
 
 def _module_in(place: Path) -> Path | None:
@@ -103,7 +191,7 @@ def _module_in(place: Path) -> Path | None:
     try:
         digest, _, name = (place / CHECKSUM).read_text(encoding="utf-8").strip().partition("  ")
         module = place / name
-        return module if _digest(module) == digest else None
+        return module if name == module.name and _digest(module) == digest else None
     except (FileNotFoundError, NotADirectoryError, IsADirectoryError, UnicodeDecodeError):
         return None
 

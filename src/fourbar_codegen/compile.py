@@ -5,12 +5,13 @@ from __future__ import annotations
 import re
 import sys
 import tempfile
+from importlib.metadata import metadata, packages_distributions
 from importlib.metadata import version as distribution_version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fourbar_codegen.arguments import flag
-from fourbar_codegen.build import build_extension, cache_key, pack_wheel
+from fourbar_codegen.build import WHEEL_SUMMARY, build_extension, cache_key, pack_wheel
 from fourbar_codegen.cache import cached
 from fourbar_codegen.compiled import CompiledModel
 from fourbar_codegen.errors import ModelError
@@ -146,8 +147,8 @@ def build_model(model: Model, folder: str | Path, *, check: bool = True) -> Path
 def build_wheel(model: Model, folder: str | Path, *, version: str = "0.1.0", check: bool = True) -> Path:
     """Compile a model into a wheel, for ``pip install`` on machines without SymPy or a compiler.
 
-    Installed, ``fourbar_codegen.load`` finds the model by its name; the package of that name has ``rhs`` for use
-    with NumPy alone.
+    The package of the model's name has ``rhs`` for use with NumPy, the only one that the wheel requires. Its extra
+    ``simulate`` brings fourbar_codegen, whose ``load`` finds the model by its name.
 
     Parameters
     ----------
@@ -168,14 +169,19 @@ def build_wheel(model: Model, folder: str | Path, *, version: str = "0.1.0", che
     Raises
     ------
     ModelError, BuildError
-        As for `compile_model`; or if the version is not one.
+        As for `compile_model`; or if the version is not one, or the name that of another module or not in lower case.
 
     Source: PEP 427, by setuptools.
     """
     _require_model(model)
-    if model.name == "fourbar_codegen" or model.name in sys.stdlib_module_names or model.name == "four_bar":
+    if _is_taken(model.name):
         raise ModelError(
             f"A wheel cannot be named {model.name!r}: there is such a module already. Give the Model another name."
+        )
+    if model.name != model.name.lower():  # https://packaging.python.org/en/latest/specifications/name-normalization
+        raise ModelError(
+            f"A wheel cannot be named {model.name!r}: for pip that is the same project as {model.name.lower()!r}, and "
+            "to install one would replace the other. Give the Model a name without capitals."
         )
     pattern = r"[0-9]+(\.[0-9]+)*((a|b|rc|\.post|\.dev)[0-9]+)?"
     if not isinstance(version, str) or not re.fullmatch(pattern, version):
@@ -184,10 +190,20 @@ def build_wheel(model: Model, folder: str | Path, *, version: str = "0.1.0", che
     import numpy as np
 
     own = ".".join(distribution_version("fourbar_codegen").split(".")[:2])
-    requires = [f"numpy>={np.__version__.split('.')[0]}.0", f"fourbar_codegen~={own}.0"]
+    requires = [f"numpy>={np.__version__.split('.')[0]}.0"]
+    extras = {"simulate": [f"fourbar_codegen~={own}.0"]}
     with tempfile.TemporaryDirectory() as temporary:
         module = _build(model, Path(temporary) / model.name, portable=True, check=check)
-        return pack_wheel(module, folder, version=version, requires=requires)
+        return pack_wheel(module, folder, version=version, requires=requires, extras=extras)
+
+
+def _is_taken(name: str) -> bool:
+    """Whether a wheel of this name would stand in the way of another module."""
+    if name in {"fourbar_codegen", "four_bar", "setup", "test", *sys.stdlib_module_names}:
+        return True
+    owners = packages_distributions().get(name, [])
+    # Wheels of models, of which a new version may be made, have the name of what they hold.
+    return any(not (metadata(owner)["Summary"] or "").startswith(WHEEL_SUMMARY) for owner in owners)
 
 
 def _build(model: Model, folder: Path, *, portable: bool, check: bool) -> Path:

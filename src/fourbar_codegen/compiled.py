@@ -48,6 +48,16 @@ def _is_held(path: Path) -> bool:
     return True
 
 
+def _noexec(error: Exception) -> str:
+    """A sentence, if the system refuses to run what is in a folder."""
+    if "failed to map segment" not in str(error):
+        return ""
+    return (
+        " Its file system may be mounted with noexec: name a folder elsewhere in the environment variable "
+        "FOURBAR_CODEGEN_CACHE, or build elsewhere."
+    )
+
+
 def load(name: str | Path) -> CompiledModel:
     """Load a model that is compiled already; neither SymPy nor a compiler is needed.
 
@@ -274,7 +284,7 @@ class CompiledModel(Evaluator):
         except ImportError as error:
             if not _is_held(path):
                 del _LOADED[place]
-            raise ModelError(f"{path} cannot be loaded as a compiled model: {error}.") from error
+            raise ModelError(f"{path} cannot be loaded as a compiled model: {error}.{_noexec(error)}") from error
         finally:
             if not taken:  # Cython enters its modules there, and the next import of that name would end at this one
                 sys.modules.pop(name, None)
@@ -325,7 +335,10 @@ class CompiledModel(Evaluator):
         with Progress(f"fourbar_codegen: {self.name}") as progress:
             progress.stage("compiling for many states at once")
             path = _built(name, sources, lambda folder: build_lanes(self.name, sources, folder))
-        library = ctypes.CDLL(str(path))  # which stays loaded as long as the process runs
+        try:
+            library = ctypes.CDLL(str(path))  # which stays loaded as long as the process runs
+        except OSError as error:
+            raise ModelError(f"{path} cannot be loaded: {error}.{_noexec(error)}") from error
         self._attach_lanes(ctypes.addressof(ctypes.c_char.in_dll(library, name)))
 
     def __repr__(self) -> str:

@@ -80,7 +80,8 @@ static double run(const fb_kernel *k, const double *p, const double *x0, const f
 {
     const int n = k->n_q + k->n_u, padded = (n + FB_BLOCK - 1) / FB_BLOCK * FB_BLOCK;
     fb_source source = {.table = &table};
-    fb_problem problem = {.kernel = k, .constants = doubles(k->n_constants), .inputs = doubles(k->n_r),
+    fb_problem problem = {.kernel = k, .clock = fb_all_time, .constants = doubles(k->n_constants),
+                          .inputs = doubles(k->n_r),
                           .work = calloc(1, k->work_size), .failed_x = doubles(n), .moved_x = doubles(n),
                           .sources = &source, .n_sources = by_table && k->n_r > 0};
     double *const state = calloc((size_t)padded * 32, sizeof(double)), *const tolerance = doubles(padded);
@@ -94,7 +95,7 @@ static double run(const fb_kernel *k, const double *p, const double *x0, const f
     fb_run s = {.problem = &problem, .method = method, .n = n, .padded = padded, .direction = 1.0, .t_bound = 0.5,
                 .max_step = INFINITY, .rtol = tolerance, .atol = tolerance, .project = k->n_c > 0, .until = 0.5,
                 .step = fb_step_on, .x = state, .x_old = state + padded, .scratch = state + 2 * padded,
-                .stages = state + 3 * padded, .interpolant = state + 20 * padded, .times = times,
+                .stages = state + 3 * padded, .interpolant = state + 20 * padded, .along = state + 30 * padded, .times = times,
                 .n_times = 50, .sample_t = t, .sample_x = samples, .room = 50, .pending = 1};
     fb_prepare_method(&s);
     if (method == &fb_rk4)
@@ -112,6 +113,15 @@ static double run(const fb_kernel *k, const double *p, const double *x0, const f
         free(memory);
     } else {
         fb_begin(&s);
+        if (by_table) { /* in two pieces */
+            s.t_bound = s.until = table_times[1];
+            problem.clock.last = nextafter(table_times[1], 0.0);
+            fb_run_on(&s, 10000);
+            problem.clock = fb_all_time;
+            problem.clock.first = nextafter(table_times[1], 1.0);
+            s.t_bound = s.until = 0.5;
+            fb_resume(&s);
+        }
         fb_run_on(&s, 10000);
     }
     const double end = s.x[0];
@@ -124,7 +134,8 @@ static double implicit(const fb_kernel *k, const double *p, const double *x0)
 {
     double sum = 0.0;
     for (int formulation = FB_INDEX_1; formulation <= FB_INDEX_3; ++formulation) {
-        fb_problem problem = {.kernel = k, .constants = doubles(k->n_constants), .inputs = doubles(k->n_r)};
+        fb_problem problem = {.kernel = k, .clock = fb_all_time, .constants = doubles(k->n_constants),
+                              .inputs = doubles(k->n_r)};
         fb_implicit s;
         double *const memory = doubles((int)fb_place_implicit(&problem, formulation, &s, NULL));
         k->prepare(p, problem.constants);
@@ -209,7 +220,8 @@ static double together(const fb_kernel *k, const double *p, const double *x0, co
     fb_ensemble e = {
         .kernel = k, .n = N, .x = x, .p = ps, .n_sources = k->n_r < 2 ? k->n_r : 2, .sources = sources,
         .values = values,
-        .method = method, .project = k->n_c > 0, .t_bound = 0.5, .max_step = INFINITY, .rtol = tolerance,
+        .method = method, .project = k->n_c > 0, .t_bound = 0.5, .max_step = INFINITY, .first = -INFINITY,
+        .last = INFINITY, .breaks = table_times + 1, .n_breaks = 1, .rtol = tolerance,
         .atol = tolerance, .times = times, .n_times = 3, .samples = samples, .status = status,
         .n_evaluations = counts, .next = &next, .n_ended = &ended, .stop = &stop,
     };

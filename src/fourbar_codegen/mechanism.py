@@ -6,7 +6,7 @@ in the `Mechanism`, so its fingerprint is the fingerprint of the equations.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -73,13 +73,16 @@ class Point:
     offset : Vector
         Its position from the parent.
     velocity : Vector or None
-        In the inertial frame, as SymPy has it; None where it has none, and nothing asks for it but other points.
+        In the inertial frame, as it was set; None where it follows from that of the parent, or nothing asks for it.
+    derived : bool
+        Whether something asks for a velocity that follows from the parent's.
     """
 
     name: str
     parent: int | None
     offset: Vector
     velocity: Vector | None
+    derived: bool
 
 
 @dataclass(frozen=True)
@@ -204,6 +207,7 @@ class Mechanism:
             yield f"the angular velocity of frame {frame.name}", _entries(frame.angular_velocity)
         for point in self.points:
             yield f"the velocity of point {point.name}", _entries(point.velocity)
+            yield f"the position of point {point.name}", _entries(point.offset if point.derived else None)
         for body in self.bodies:
             yield f"the mass of body {body.name}", (body.mass,)
             yield f"the inertia of body {body.name}", body.inertia or ()
@@ -438,20 +442,32 @@ class _Reader:
             ) from error
         return self.vector(velocity, used_by)
 
-    def read_points(self, needed: Iterable[tuple[me.Point, str]]) -> None:
+    def read_points(self, users: Iterable[tuple[me.Point, str]]) -> None:
         """Read the velocities of points, given with what uses them, and the tree of positions that joins them."""
-        velocities = {}
-        for point, used_by in needed:
-            if point not in velocities:
-                velocities[point] = self.velocity(point, used_by)
+        needed: dict[me.Point, str] = {}
+        for point, used_by in users:
+            needed.setdefault(point, used_by)
         parents: dict[me.Point, me.Point | None] = {}
-        for point in velocities:
+        for point in needed:
             if point not in parents:
                 root = self._at_rest(point) or point
                 parents.update(_neighbours(root, _positions))
                 parents[root] = None
-        for point in velocities:
-            self._add_point(point, parents, velocities)
+        # SymPy differentiates, in the inertial frame, the position from the nearest point whose velocity is known; that
+        # does not end for spatial chains. Along the tree of positions `Motion` does it frame by frame.
+        derived: set[me.Point] = set()
+        for point in needed:
+            path = list(_ancestors(point, parents))
+            known = next((i for i, member in enumerate(path) if self.inertial in member._vel_dict), None)
+            if known and self._nearest_known(point) is path[known]:
+                derived.update(path[:known])
+        velocities = {point: self.velocity(point, used_by) for point, used_by in needed.items() if point not in derived}
+        for point in needed:
+            self._add_point(point, parents, velocities, derived)
+
+    def _nearest_known(self, point: me.Point) -> me.Point | None:
+        """The nearest point of known velocity, as ``Point.vel`` looks for it."""
+        return next((p for p in _neighbours(point, _positions) if self.inertial in p._vel_dict), None)
 
     def _at_rest(self, point: me.Point) -> me.Point | None:
         """The System's fixed point or another one at rest, if the position of a point is given from it."""
@@ -483,13 +499,13 @@ class _Reader:
         return tuple(points)
 
     def _add_point(
-        self, point: me.Point, parents: dict[me.Point, me.Point | None], velocities: dict[me.Point, Vector]
+        self,
+        point: me.Point,
+        parents: dict[me.Point, me.Point | None],
+        velocities: dict[me.Point, Vector],
+        derived: set[me.Point],
     ) -> None:
-        path: list[me.Point] = []
-        ancestor: me.Point | None = point
-        while ancestor is not None and ancestor not in self.point_numbers:
-            path.append(ancestor)
-            ancestor = parents[ancestor]
+        path = [member for member in _ancestors(point, parents) if member not in self.point_numbers]
         for member in reversed(path):
             name = f"point {member.name}"
             parent = parents[member]
@@ -502,9 +518,11 @@ class _Reader:
                     offset = self.vector(member._pos_dict[parent], name)
                 except ModelError:
                     parent = None  # in a frame that is not oriented
+                    if member in derived:
+                        raise
             number = None if parent is None else self.point_numbers[parent]
             self.point_numbers[member] = len(self.points)
-            self.points.append(Point(member.name, number, offset, velocity))
+            self.points.append(Point(member.name, number, offset, velocity, member in derived))
 
     def angular_velocity(self, frame: me.ReferenceFrame, used_by: str) -> Vector:
         try:
@@ -605,6 +623,14 @@ def _neighbours(root: Any, links: Callable[[Any], Iterable[Any]]) -> dict[Any, A
                 parents[neighbour] = item
                 queue.append(neighbour)
     return parents
+
+
+def _ancestors(point: me.Point, parents: Mapping[me.Point, me.Point | None]) -> Iterator[me.Point]:
+    """A point, the one that its position is given from, and so on."""
+    member: me.Point | None = point
+    while member is not None:
+        yield member
+        member = parents[member]
 
 
 def _positions(point: me.Point) -> Iterable[me.Point]:

@@ -6,7 +6,6 @@ direction cosines of neighbouring frames only where a dot product needs one comm
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Sequence
 
 import sympy as sm
@@ -238,9 +237,11 @@ class Motion:
             given = None if point.velocity is None else self.vector(point.velocity)
             step: Step = (None, given)
             if point.parent is not None and self._steps[point.parent] != UNKNOWN:
-                # An offset may have symbols that the equations do not know.
-                with contextlib.suppress(ModelError):
+                try:
                     step = (point.parent, self._rate_of_offset(point.offset))
+                except ModelError:  # an offset may have symbols that the equations do not know
+                    if point.derived:
+                        raise
             self._steps.append(step)
             base, parts = step
             if given is not None and base is not None:

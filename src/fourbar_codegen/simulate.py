@@ -165,8 +165,8 @@ def _table(name: str, source: Sequence[Any]) -> InterpolationTable:
     what = f"Input {name} must be a number, a table (times, values) or (times, values, kind), or a callable of (t, x)."
     if len(source) not in {2, 3}:
         raise ModelError(f"{what} A table has two arrays of numbers, not {len(source)}.")
-    if len(source) == 3:
-        one_of(source[2], KINDS, "kind of interpolation")
+    if len(source) == 3 and not (isinstance(source[2], str) and source[2] in KINDS):
+        raise ModelError(f"{what} A table's kind is one of {', '.join(KINDS)}, not {shown(source[2])}.")
     times, values = (
         numbers(column, f"{what} A table's {part}").copy()
         for column, part in zip(source[:2], ("times", "values"), strict=True)

@@ -175,8 +175,8 @@ class Calls:
 
 
 NOT_FOR_USERS = {
-    "default_input_sensitivity", "defaults_in_force", "failure", "from_file", "from_module", "input_values",
-    "lacks_lanes", "missing", "parameter_values", "require_lanes", "too_few_dependent",
+    "breakpoints", "default_input_sensitivity", "defaults_in_force", "failure", "from_file", "from_module",
+    "input_values", "lacks_lanes", "missing", "parameter_values", "rates_at_rest", "require_lanes", "too_few_dependent",
 }  # fmt: skip
 """Names of `CompiledModel` by which parts of the package speak to each other."""
 

@@ -95,8 +95,8 @@ static double run(const fb_kernel *k, const double *p, const double *x0, const f
     fb_run s = {.problem = &problem, .method = method, .n = n, .padded = padded, .direction = 1.0, .t_bound = 0.5,
                 .max_step = INFINITY, .rtol = tolerance, .atol = tolerance, .project = k->n_c > 0, .until = 0.5,
                 .step = fb_step_on, .x = state, .x_old = state + padded, .scratch = state + 2 * padded,
-                .stages = state + 3 * padded, .interpolant = state + 20 * padded, .along = state + 30 * padded, .times = times,
-                .n_times = 50, .sample_t = t, .sample_x = samples, .room = 50, .pending = 1};
+                .stages = state + 3 * padded, .interpolant = state + 20 * padded, .along = state + 30 * padded,
+                .times = times, .n_times = 50, .sample_t = t, .sample_x = samples, .room = 50, .pending = 1};
     fb_prepare_method(&s);
     if (method == &fb_rk4)
         for (int i = 0; i < 50; ++i)
@@ -143,6 +143,7 @@ static double implicit(const fb_kernel *k, const double *p, const double *x0)
         double *const z = doubles(s.n_z), *const rate = doubles(s.n_z), *const f = doubles(s.n_z);
         double *const matrix = doubles(s.n_z * s.n_z);
         memcpy(z, x0, (size_t)(k->n_q + k->n_u) * sizeof *x0);
+        fb_implicit_scale(&s, 0.1, 10.0, z, rate, x0, matrix);
         fb_implicit_residual(&s, 0.1, z, rate, f);
         fb_implicit_jacobian(&s, 0.1, 10.0, z, rate, matrix);
         sum += f[0] + matrix[0];

@@ -24,7 +24,7 @@ manifest = (
     '{\n'
     '  "format": 6,\n'
     '  "name": "four_bar",\n'
-    '  "fingerprint": "785d1f8f2eff0e91b055029fca3f80634c87e29e7fb3baa76e26e1a5f572d052",\n'
+    '  "fingerprint": "f283a102b9ea02f3616ec65fa3780b0ebfdbdaea004688280ff7f1fae1280dcc",\n'
     '  "coordinates": [\n'
     '    "q1",\n'
     '    "q2",\n'

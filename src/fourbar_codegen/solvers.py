@@ -40,7 +40,10 @@ from fourbar_codegen.runtime.integrator import EmbeddedSteps, Ode
 
 __all__ = ["BDF", "CVODE", "DOP853", "IDA", "LSODA", "RK23", "RK45", "Radau"]
 
-NOT_CONTROLLED = 1e20
+LOOKED = 100.0
+"""Steps of a run whose length IDA's equations are scaled for; what is right within some powers of ten."""
+
+NOT_CONTROLLED = 1e150
 """An absolute tolerance that leaves a variable out of the step control."""
 
 
@@ -339,6 +342,8 @@ class IDA(_Sundials):
         residual = Residual(ode, formulation)
         z, z_rate = np.zeros(residual.n_z), np.zeros(residual.n_z)
         z[: self.n], z[self.n : self.n + len(multipliers)], z_rate[: self.n] = self.y, multipliers, rates
+        weights = self._atol + self._options["rtol"] * np.abs(self.y)
+        residual.scale(t0, LOOKED / (abs(t_bound - t0) or 1.0), z, z_rate, np.where(weights > 0.0, weights, 1.0))
         atol = np.full(residual.n_z, NOT_CONTROLLED)
         controlled = ode.n_q if formulation == "index-3" else self.n
         atol[:controlled] = self._atol[:controlled]

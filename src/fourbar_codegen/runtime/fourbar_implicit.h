@@ -3,11 +3,12 @@
  * z = [q; u; lambda; mu]. In each formulation M u' = f + J^T lambda; and
  *
  *   index 1                        q' = K u + k                J u' + gamma = 0
- *   index 2, Gear-Gupta-Leimkuhler q' = K (u + J^T mu) + k     J u + b = 0, Phi = 0
+ *   index 2, Gear-Gupta-Leimkuhler q' = K (u + D J^T mu) + k   J u + b = 0, Phi = 0
  *   index 3                        q' = K u + k                Phi = 0, and J u + b = 0 in nonholonomic rows
  *
  * where mu, which vanishes along the solution, belongs to the holonomic rows, which come first; it keeps the positions
- * where the speeds, being on their constraints, would let them drift.
+ * where the speeds, being on their constraints, would let them drift. D is the inverse of the diagonal of M where the run
+ * begins, so that metres and radians share in that alike in all units.
  *
  * Source: C. W. Gear, B. Leimkuhler, G. K. Gupta, "Automatic integration of Euler-Lagrange equations with constraints",
  * Journal of Computational and Applied Mathematics 12-13 (1985).
@@ -28,6 +29,8 @@ typedef struct fb_implicit {
     double *velocities, *velocity_jacobian;                             /* J u + b, its derivative by q */
     double *rate_jacobian, *residual_jacobian;                          /* as fb_sensitivity has them */
     double *change, *coordinate_change, *unused;
+    double *row;    /* what each equation is multiplied by */
+    double *metric; /* the diagonal of D */
 } fb_implicit;
 
 /* Places the arrays in memory, if there is any yet; returns how many doubles they are. */
@@ -40,7 +43,8 @@ static inline size_t fb_place_implicit(fb_problem *problem, const int formulatio
         {&s->jacobian, u * c},          {&s->bias, c},                    {&s->positions, h},
         {&s->position_jacobian, h * q}, {&s->velocities, c},              {&s->velocity_jacobian, c * q},
         {&s->rate_jacobian, q * x},     {&s->residual_jacobian, (u + c) * x}, {&s->change, u},
-        {&s->coordinate_change, q},     {&s->unused, (h + c) * k->n_r},
+        {&s->coordinate_change, q},     {&s->unused, (h + c) * k->n_r},   {&s->row, x + c + h},
+        {&s->metric, u},
     };
     s->problem = problem;
     s->formulation = formulation;
@@ -87,7 +91,7 @@ static inline int fb_implicit_form(fb_implicit *s, const double t, const double 
         for (int j = 0; j < n_u; ++j) {
             s->change[j] = 0.0;
             for (int row = 0; row < n_h; ++row)
-                s->change[j] += s->jacobian[row * n_u + j] * mu[row];
+                s->change[j] += s->metric[j] * s->jacobian[row * n_u + j] * mu[row];
         }
         k->coordinate_change(t, z, p->constants, p->inputs, s->change, s->coordinate_change);
         for (int i = 0; i < n_q; ++i)
@@ -122,17 +126,18 @@ static inline int fb_implicit_residual(fb_implicit *s, const double since, const
 {
     const double t = fb_time(&s->problem->clock, since);
     const int called = fb_implicit_form(s, t, z, z_rate, residual);
+    for (int i = 0; i < s->n_z && called == 0; ++i)
+        residual[i] *= s->row[i];
     if (called == 0)
         fb_note_failure(s->problem, all_finite(residual, s->n_z), t, z);
     return called;
 }
 
 /* dF/dz + c dF/dz', row by row, (n_z, n_z). What J^T mu changes with q is left out, since mu vanishes. */
-static inline int fb_implicit_jacobian(fb_implicit *s, const double since, const double c, const double *restrict z,
-                                       const double *restrict z_rate, double *restrict matrix)
+static inline int fb_implicit_derivative(fb_implicit *s, const double t, const double c, const double *restrict z,
+                                         const double *restrict z_rate, double *restrict matrix)
 {
     fb_problem *const p = s->problem;
-    const double t = fb_time(&p->clock, since);
     const fb_kernel *const k = p->kernel;
     const int n_q = k->n_q, n_u = k->n_u, n_x = n_q + n_u, n_c = k->n_c, n_h = k->n_h, n = s->n_z;
     const int called = fb_implicit_equations(s, t, z);
@@ -177,11 +182,45 @@ static inline int fb_implicit_jacobian(fb_implicit *s, const double since, const
     }
     for (int i = 0; i < n_h && s->formulation == FB_INDEX_2; ++i) {
         memcpy(matrix + (n_x + n_c + i) * n, s->position_jacobian + i * n_q, (size_t)n_q * sizeof *matrix);
-        k->coordinate_change(t, z, p->constants, p->inputs, s->jacobian + i * n_u, s->coordinate_change);
+        for (int j = 0; j < n_u; ++j)
+            s->change[j] = s->metric[j] * s->jacobian[i * n_u + j];
+        k->coordinate_change(t, z, p->constants, p->inputs, s->change, s->coordinate_change);
         for (int j = 0; j < n_q; ++j)
             matrix[j * n + n_x + n_c + i] = -s->coordinate_change[j];
     }
     return 0;
+}
+
+static inline int fb_implicit_jacobian(fb_implicit *s, const double since, const double c, const double *restrict z,
+                                       const double *restrict z_rate, double *restrict matrix)
+{
+    const int called = fb_implicit_derivative(s, fb_time(&s->problem->clock, since), c, z, z_rate, matrix);
+    for (int i = 0; i < s->n_z && called == 0; ++i)
+        for (int j = 0; j < s->n_z; ++j)
+            matrix[i * s->n_z + j] *= s->row[i];
+    return called;
+}
+
+/* Gives D, and each equation the unit that makes its largest derivative by the state 1, for states in units of their
+ * weights: pivots of the matrix are then chosen alike for mechanisms of micrometres and of kilometres. */
+static inline int fb_implicit_scale(fb_implicit *s, const double since, const double c, const double *restrict z,
+                                    const double *restrict z_rate, const double *restrict weights,
+                                    double *restrict matrix)
+{
+    const int n_u = s->problem->kernel->n_u, n_x = s->problem->kernel->n_q + n_u;
+    const double t = fb_time(&s->problem->clock, since);
+    int called = fb_implicit_equations(s, t, z);
+    for (int j = 0; j < n_u; ++j)
+        s->metric[j] = s->mass_matrix[j * n_u + j] > 0.0 ? 1.0 / s->mass_matrix[j * n_u + j] : 1.0;
+    if (called == 0)
+        called = fb_implicit_derivative(s, t, c, z, z_rate, matrix);
+    for (int i = 0; i < s->n_z; ++i) {
+        double size = 0.0;
+        for (int j = 0; j < n_x && called == 0; ++j)
+            size = fmax(size, fabs(matrix[i * s->n_z + j]) * weights[j]);
+        s->row[i] = size > 0.0 && isfinite(size) ? 1.0 / size : 1.0;
+    }
+    return called;
 }
 
 #endif

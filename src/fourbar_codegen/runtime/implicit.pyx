@@ -20,6 +20,8 @@ cdef extern from "fourbar_implicit.h":
         int n_z
     size_t fb_place_implicit(fb_problem *, int, fb_implicit *, double *) noexcept nogil
     int fb_implicit_residual(fb_implicit *, double, const double *, const double *, double *) noexcept nogil
+    int fb_implicit_scale(fb_implicit *, double, double, const double *, const double *, const double *,
+                          double *) noexcept nogil
     int fb_implicit_jacobian(fb_implicit *, double, double, const double *, const double *, double *) noexcept nogil
 
 _FORMULATIONS = {"index-1": FB_INDEX_1, "gear-gupta-leimkuhler": FB_INDEX_2, "index-3": FB_INDEX_3}
@@ -77,6 +79,11 @@ cdef class Residual:
         self.ode = ode
         self.memory = np.zeros(fb_place_implicit(&ode.problem, chosen, &self.implicit, NULL))
         fb_place_implicit(&ode.problem, chosen, &self.implicit, _at(self.memory))
+
+    def scale(self, double t, double c, cnp.ndarray z, cnp.ndarray z_rate, cnp.ndarray weights):
+        """Give each equation a unit, for states, z' = c z and weights of the states as at the beginning."""
+        matrix = np.empty((self.implicit.n_z, self.implicit.n_z))
+        self.ode.check(fb_implicit_scale(&self.implicit, t, c, _at(z), _at(z_rate), _at(weights), _at(matrix)))
 
     @property
     def n_z(self):

@@ -96,6 +96,11 @@ def test_impulse_of_a_motion_that_starts_at_once(expression, how):
     # At the time of the jump itself, too; but for Max, whose rate is half of both there.
     at = model.simulate((0.0, 1.0), x0, t_eval=[0.25, 0.5, 0.75], **TIGHT)
     assert np.abs(at.velocity_residual).max(initial=0.0) < (1e-12 if expression.is_Piecewise else 0.6)
+    for method in ("RK45", "DOP853", "BDF"):
+        at = model.simulate((0.0, 1.0), x0, t_eval=[0.25, 0.5, 0.75], method=method, **TIGHT)
+        before, behind = kicked([], [], 0.5), kicked([0.5], [1.0], 0.5)
+        np.testing.assert_allclose(at["q"][1], behind[0], atol=1e-7)
+        np.testing.assert_allclose(at["u"][1], before[1] if expression == STARTS_LATE else behind[1], atol=1e-6)
     # And the way back.
     back = model.simulate((1.0, 0.0), run.y[:, -1], **TIGHT)
     np.testing.assert_allclose(back.y[:, -1], list(x0.values()), atol=1e-6)

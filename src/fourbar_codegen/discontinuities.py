@@ -33,7 +33,6 @@ STEADY = 10.0
 """So many times the change from one double to the next, on either side, is none either: of large times these are far
 apart."""
 
-
 SAME = 1e-12
 """Times that differ by this share of the latest one are the same but for rounding errors."""
 
@@ -323,7 +322,8 @@ class Pieces:
             speeds = speeds_behind(self._ode, here, x)
             if speeds is not None:
                 x[self._ode.n_q :] = speeds
-                t, jumps = here.first, True
+                if not jumps:  # only here, not where the piece began
+                    t, jumps = here.first, True
         return self._enter(run, t, here.first, x, jumps=jumps)
 
     def _enter(self, run: Run | SolverRun, t: float, first: float, x: Floats, *, jumps: bool) -> bool:

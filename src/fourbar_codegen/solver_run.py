@@ -113,6 +113,7 @@ class SolverRun:
         ode.clock = self._origin, min(first, last), max(first, last)
         self.t, self._t_bound = t, t_bound
         self._since, self._bound = t - self._origin, t_bound - self._origin
+        self._since_old = self._since
         self._until = self._bound
         if x is not None:
             self._x, self._pending, self._interpolant = np.array(x, dtype=float), True, None
@@ -203,7 +204,7 @@ class SolverRun:
 
     def _state_at(self, since: float) -> Floats:
         """The state at a time in the last step."""
-        if since == self._since:
+        if since == self._since or self._since == self._since_old:  # no step since the run has begun or gone on
             return self.x
         x: Floats = self.interpolant()(since)
         return self.ode.project(since, x) if self._project else x

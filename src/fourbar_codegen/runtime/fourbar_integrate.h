@@ -399,10 +399,10 @@ static inline int fb_project_sample(fb_problem *p, const double t, double *x)
     return closed < 0 ? closed : 0;
 }
 
-/* The state at a time in the last step. */
+/* The state at a time in the last step; the present one where there was none since the run has begun or gone on. */
 static inline int fb_state_at(fb_run *s, const double t, double *x)
 {
-    if (t == s->t) {
+    if (t == s->t || !s->follows) {
         memcpy(x, s->x, (size_t)s->n * sizeof *x);
         return 0;
     }

@@ -143,7 +143,7 @@ static double implicit(const fb_kernel *k, const double *p, const double *x0)
         double *const z = doubles(s.n_z), *const rate = doubles(s.n_z), *const f = doubles(s.n_z);
         double *const matrix = doubles(s.n_z * s.n_z);
         memcpy(z, x0, (size_t)(k->n_q + k->n_u) * sizeof *x0);
-        fb_implicit_scale(&s, 0.1, 10.0, z, rate, x0, matrix);
+        fb_implicit_scale(&s, 0.1, 10.0, z, rate, x0, x0, matrix);
         fb_implicit_residual(&s, 0.1, z, rate, f);
         fb_implicit_jacobian(&s, 0.1, 10.0, z, rate, matrix);
         sum += f[0] + matrix[0];

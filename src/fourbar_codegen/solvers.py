@@ -343,7 +343,10 @@ class IDA(_Sundials):
         z, z_rate = np.zeros(residual.n_z), np.zeros(residual.n_z)
         z[: self.n], z[self.n : self.n + len(multipliers)], z_rate[: self.n] = self.y, multipliers, rates
         weights = self._atol + self._options["rtol"] * np.abs(self.y)
-        residual.scale(t0, LOOKED / (abs(t_bound - t0) or 1.0), z, z_rate, np.where(weights > 0.0, weights, 1.0))
+        weights = np.where(weights > 0.0, weights, 1.0)
+        tolerances = self._atol[ode.n_q :]
+        metric = np.square(tolerances / tolerances.max()) if tolerances.all() else np.ones(len(tolerances))
+        residual.scale(t0, LOOKED / (abs(t_bound - t0) or 1.0), z, z_rate, weights, metric)
         atol = np.full(residual.n_z, NOT_CONTROLLED)
         controlled = ode.n_q if formulation == "index-3" else self.n
         atol[:controlled] = self._atol[:controlled]

@@ -7,8 +7,8 @@
  *   index 3                        q' = K u + k                Phi = 0, and J u + b = 0 in nonholonomic rows
  *
  * where mu, which vanishes along the solution, belongs to the holonomic rows, which come first; it keeps the positions
- * where the speeds, being on their constraints, would let them drift. D is the inverse of the diagonal of M where the run
- * begins, so that metres and radians share in that alike in all units.
+ * where the speeds, being on their constraints, would let them drift. D has the squares of the speeds' absolute
+ * tolerances, by the largest one: with equal ones it is the identity, and with others they share in that by them.
  *
  * Source: C. W. Gear, B. Leimkuhler, G. K. Gupta, "Automatic integration of Euler-Lagrange equations with constraints",
  * Journal of Computational and Applied Mathematics 12-13 (1985).
@@ -201,19 +201,17 @@ static inline int fb_implicit_jacobian(fb_implicit *s, const double since, const
     return called;
 }
 
-/* Gives D, and each equation the unit that makes its largest derivative by the state 1, for states in units of their
+/* Takes the diagonal of D, and gives each equation the unit that makes its largest derivative by the state 1, for states in units of their
  * weights: pivots of the matrix are then chosen alike for mechanisms of micrometres and of kilometres. */
 static inline int fb_implicit_scale(fb_implicit *s, const double since, const double c, const double *restrict z,
                                     const double *restrict z_rate, const double *restrict weights,
-                                    double *restrict matrix)
+                                    const double *restrict metric, double *restrict matrix)
 {
     const int n_u = s->problem->kernel->n_u, n_x = s->problem->kernel->n_q + n_u;
     const double t = fb_time(&s->problem->clock, since);
-    int called = fb_implicit_equations(s, t, z);
     for (int j = 0; j < n_u; ++j)
-        s->metric[j] = s->mass_matrix[j * n_u + j] > 0.0 ? 1.0 / s->mass_matrix[j * n_u + j] : 1.0;
-    if (called == 0)
-        called = fb_implicit_derivative(s, t, c, z, z_rate, matrix);
+        s->metric[j] = metric[j];
+    const int called = fb_implicit_derivative(s, t, c, z, z_rate, matrix);
     for (int i = 0; i < s->n_z; ++i) {
         double size = 0.0;
         for (int j = 0; j < n_x && called == 0; ++j)

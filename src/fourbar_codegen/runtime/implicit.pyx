@@ -21,7 +21,7 @@ cdef extern from "fourbar_implicit.h":
     size_t fb_place_implicit(fb_problem *, int, fb_implicit *, double *) noexcept nogil
     int fb_implicit_residual(fb_implicit *, double, const double *, const double *, double *) noexcept nogil
     int fb_implicit_scale(fb_implicit *, double, double, const double *, const double *, const double *,
-                          double *) noexcept nogil
+                          const double *, double *) noexcept nogil
     int fb_implicit_jacobian(fb_implicit *, double, double, const double *, const double *, double *) noexcept nogil
 
 _FORMULATIONS = {"index-1": FB_INDEX_1, "gear-gupta-leimkuhler": FB_INDEX_2, "index-3": FB_INDEX_3}
@@ -80,10 +80,11 @@ cdef class Residual:
         self.memory = np.zeros(fb_place_implicit(&ode.problem, chosen, &self.implicit, NULL))
         fb_place_implicit(&ode.problem, chosen, &self.implicit, _at(self.memory))
 
-    def scale(self, double t, double c, cnp.ndarray z, cnp.ndarray z_rate, cnp.ndarray weights):
-        """Give each equation a unit, for states, z' = c z and weights of the states as at the beginning."""
+    def scale(self, double t, double c, cnp.ndarray z, cnp.ndarray z_rate, cnp.ndarray weights, cnp.ndarray metric):
+        """Give each equation a unit, for z' = c z and weights of the states as at the beginning, and D its diagonal."""
         matrix = np.empty((self.implicit.n_z, self.implicit.n_z))
-        self.ode.check(fb_implicit_scale(&self.implicit, t, c, _at(z), _at(z_rate), _at(weights), _at(matrix)))
+        self.ode.check(fb_implicit_scale(&self.implicit, t, c, _at(z), _at(z_rate), _at(weights), _at(metric),
+                                         _at(matrix)))
 
     @property
     def n_z(self):

@@ -55,10 +55,15 @@ def sprung(motion, *, held=False):
     return system
 
 
-def compiled(motion, default=None, **how):
-    name = f"sprung_{len(how)}{default is None:d}"
+def compiled(motion, default=None, *, held=False):
+    name = f"sprung_{held:d}{default is None:d}"
     inputs = {s: default} if motion == s else {}
-    return fb.compile_model(fb.Model(sprung(motion, **how), name=name, parameters={m: 1.0, k: 4.0}, inputs=inputs))
+    return fb.compile_model(fb.Model(sprung(motion, held=held), name=name, parameters={m: 1.0, k: 4.0}, inputs=inputs))
+
+
+def moved(expression, how):
+    """The motion as "an input" or as "time itself"; or as an input of "a constraint"."""
+    return compiled(expression) if how == "time itself" else compiled(s, expression, held=how == "a constraint")
 
 
 def kicked(times, kicks, end, start=(0.3, 0.0)):
@@ -79,10 +84,7 @@ STARTS_LATE = sm.Piecewise((0, t <= sm.Rational(1, 2)), (t - sm.Rational(1, 2), 
 @pytest.mark.parametrize("expression", [STARTS, STARTS_LATE, sm.Max(0, t - sm.Rational(1, 2))])
 @pytest.mark.parametrize("how", ["an input", "time itself", "a constraint"])
 def test_impulse_of_a_motion_that_starts_at_once(expression, how):
-    if how == "time itself":
-        model = compiled(expression)
-    else:
-        model = compiled(s, expression, **({"held": True} if how == "a constraint" else {}))
+    model = moved(expression, how)
     x0 = dict.fromkeys(model.states, 0.0) | {"q": 0.3}
     run = model.simulate((0.0, 1.0), x0, **TIGHT)
     np.testing.assert_allclose([run["q"][-1], run["u"][-1]], kicked([0.5], [1.0], 1.0), atol=1e-7)
@@ -188,10 +190,7 @@ def test_a_crank_that_starts_at_once():
 @pytest.mark.parametrize("jump", [sm.Piecewise((0, t < 1), (1, True)), sm.Piecewise((0, t <= 1), (t - 2, True))])
 @pytest.mark.parametrize("how", ["an input", "time itself", "a constraint"])
 def test_positions_that_jump_end_a_run(jump, how):
-    if how == "time itself":
-        model = compiled(jump)
-    else:
-        model = compiled(s, jump, **({"held": True} if how == "a constraint" else {}))
+    model = moved(jump, how)
     run = model.simulate((0.0, 2.0), dict.fromkeys(model.states, 0.0))
     assert not run.success
     assert "jumps at t = 1, which no finite force does" in run.message
@@ -340,19 +339,9 @@ def test_long_steps_around_a_circle_are_not_looked_at_again(monkeypatch):
     """A pendulum by Cartesian coordinates takes steps of a quarter turn; its constraint keeps its rank."""
     looked = []
     monkeypatch.setattr(integrate.Singular, "within_step", lambda self, run: looked.append(run.t) or "")
-    frame, origin = me.ReferenceFrame("N"), me.Point("O")
-    origin.set_vel(frame, 0)
-    bob = origin.locatenew("bob", q * frame.x + z * frame.y)
-    bob.set_vel(frame, u * frame.x + w * frame.y)
-    system = System(frame, origin)
-    system.add_bodies(me.Particle("bob", bob, m))
-    system.add_loads(me.Force(bob, -9.81 * m * frame.y))
-    system.add_holonomic_constraints(q**2 + z**2 - 1)
-    system.q_ind, system.q_dep, system.u_ind, system.u_dep = [q], [z], [u], [w]
-    system.add_kdes(u - q.diff(t), w - z.diff(t))
-    model = fb.compile_model(fb.Model(system, name="circling", parameters={m: 1.0}))
-    x0 = {"q": 0.0, "z": -1.0, "u": 8.0, "w": 0.0}
+    model = fb.compile_model(fb.models.cartesian_pendulum())
+    x0 = {"x": 0.0, "y": -1.0, "v_x": 8.0, "v_y": 0.0}
     run = model.simulate((0.0, 100.0), x0, method="DOP853", rtol=1e-3, atol=1e-3)
     assert run.success
-    assert np.abs(np.diff(np.unwrap(np.arctan2(run["z"], run["q"])))).max() > 0.5
+    assert np.abs(np.diff(np.unwrap(np.arctan2(run["y"], run["x"])))).max() > 0.5
     assert not looked

@@ -7,14 +7,14 @@ t = -a / b.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 
 import sympy as sm
 from sympy.core.relational import Relational
 
-from fourbar_codegen.convert import Conversion, substitute
+from fourbar_codegen.convert import apply, substitute
 from fourbar_codegen.derivatives import Direction
-from fourbar_codegen.tape import Call, Leaf, Scalar, Tape, placeholder
+from fourbar_codegen.tape import Call, Leaf, Scalar, Tape
 
 __all__ = ["breakpoints"]
 
@@ -37,7 +37,7 @@ def breakpoints(tape: Tape, time: Scalar, scalars: Iterable[Scalar]) -> list[Sca
     Examples
     --------
     >>> import sympy as sm
-    >>> from fourbar_codegen.convert import Conversion, substitute
+    >>> from fourbar_codegen.convert import Conversion
     >>> tape = Tape()
     >>> t, end = sm.symbols("t end")
     >>> leaves = {t: tape.leaf("t", ""), end: tape.leaf("p", "end")}
@@ -51,12 +51,13 @@ def breakpoints(tape: Tape, time: Scalar, scalars: Iterable[Scalar]) -> list[Sca
     for node in tape.reach(scalars):
         operation = tape.nodes[node]
         if isinstance(operation, Call):
+            arguments = [Scalar(tape, 1, argument) for argument in operation.arguments]
             for side in _sides(operation):
-                boundary = _boundary(tape, operation, side)
+                boundary = apply(tape, side, arguments)
                 slope = derivative(boundary)
-                if slope and _of_parameters(tape, [slope]):
+                if slope and _of_parameters(slope):
                     [start] = substitute(tape, [boundary], {time: tape.zero})
-                    if _of_parameters(tape, [start]):
+                    if _of_parameters(start):
                         times[-start / slope] = None
     return list(times)
 
@@ -70,11 +71,8 @@ def _sides(call: Call) -> Iterator[sm.Expr]:
         yield condition.lhs - condition.rhs
 
 
-def _boundary(tape: Tape, call: Call, side: sm.Expr) -> Scalar:
-    arguments = {placeholder(i): Scalar(tape, 1, argument) for i, argument in enumerate(call.arguments)}
-    return Conversion(tape, arguments)(side)
-
-
-def _of_parameters(tape: Tape, scalars: Sequence[Scalar]) -> bool:
-    leaves = (tape.nodes[node] for node in tape.reach(scalars) if isinstance(tape.nodes[node], Leaf))
-    return all(isinstance(leaf, Leaf) and leaf.kind == "p" for leaf in leaves)
+def _of_parameters(scalar: Scalar) -> bool:
+    """Whether it depends on parameters alone."""
+    nodes = scalar.tape.nodes
+    leaves = (nodes[node] for node in scalar.tape.reach([scalar]))
+    return all(leaf.kind == "p" for leaf in leaves if isinstance(leaf, Leaf))

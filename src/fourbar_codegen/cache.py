@@ -33,6 +33,10 @@ def cache_folder() -> Path:
             return Path(chosen).expanduser().absolute()
         except (RuntimeError, OSError) as error:  # no such user, or no current folder
             raise CacheError(f"The environment variable {VARIABLE} names no folder, {chosen!r}: {error}.") from error
+    return _users_folder()
+
+
+def _users_folder() -> Path:
     import platformdirs
 
     return platformdirs.user_cache_path("fourbar_codegen", appauthor=False)
@@ -71,15 +75,17 @@ def cached(name: str, key: str, build: Callable[[Path], Path]) -> Path:
     """
     root = cache_folder()
     try:
-        reason = _distrusted(root) or _distrusted_entry(_place(root, name, key))
+        place = _place(root, name, key)
+        reason = _distrusted_entry(place)
         if reason:
             root = _own_folder()
+            place = _place(root, name, key)
             warnings.warn(
                 f"{reason}, and to load what is there is to run it: {name} is compiled in {root}. Take the right to "
                 f"write from others, or name another folder in the environment variable {VARIABLE}.",
                 stacklevel=2,
             )
-        return _cached(root, _place(root, name, key), build)
+        return _cached(place, build)
     except OSError as error:
         raise CacheError(
             f"The cache folder {root} cannot be used: {error.strerror or error}. Name another one in the environment "
@@ -87,12 +93,13 @@ def cached(name: str, key: str, build: Callable[[Path], Path]) -> Path:
         ) from error
 
 
-def _cached(root: Path, place: Path, build: Callable[[Path], Path]) -> Path:
+def _cached(place: Path, build: Callable[[Path], Path]) -> Path:
     found = _module_in(place)
     if found is not None:
         return found
     from filelock import FileLock
 
+    root = place.parent
     if not root.exists():
         root.mkdir(parents=True, exist_ok=True)
         _close(root)
@@ -119,9 +126,8 @@ def _cached(root: Path, place: Path, build: Callable[[Path], Path]) -> Path:
 def find_cached(name: str, key: str) -> Path | None:
     """The module that was built under a key, if it is there and whole, and nobody else's."""
     try:
-        root = cache_folder()
-        place = _place(root, name, key)
-        return None if _distrusted(root) or _distrusted_entry(place) else _module_in(place)
+        place = _place(cache_folder(), name, key)
+        return None if _distrusted_entry(place) else _module_in(place)
     except OSError:  # of a folder that cannot be read
         return None
 
@@ -152,9 +158,10 @@ def _distrusted(path: Path) -> str:
 
 
 def _distrusted_entry(place: Path) -> str:
-    """The same for a folder of the cache and what is in it."""
-    if not (place.is_symlink() or place.is_dir()):
-        return ""
+    """The same for the cache, one of its folders, and what is in that."""
+    reason = _distrusted(place.parent)
+    if reason or not (place.is_symlink() or place.is_dir()):
+        return reason
     for path in (place, *(place.iterdir() if os.access(place, os.R_OK) else ())):
         if path.is_symlink():
             return f"{path} leads to another place"
@@ -172,9 +179,7 @@ def _close(path: Path) -> None:
 @cache
 def _own_folder() -> Path:
     """A folder of the user's own: the usual one, or one for this process."""
-    import platformdirs
-
-    usual = platformdirs.user_cache_path("fourbar_codegen", appauthor=False)
+    usual = _users_folder()
     try:
         usual.mkdir(mode=0o700, parents=True, exist_ok=True)
         if not _distrusted(usual) and os.access(usual, os.W_OK):

@@ -12,7 +12,7 @@ typedef struct fb_crew {
     long member[FB_WIDTH], next_time[FB_WIDTH], n_steps[FB_WIDTH];
     double h_abs[FB_WIDTH];
     int rejected[FB_WIDTH], next_break[FB_WIDTH];
-    fb_clock clock[FB_WIDTH];
+    fb_real first, last; /* of their pieces of time, as fb_clock has it */
     /* J at the beginning of the step, and the orientation of its columns in the usual split, as `fb_orientation` has it;
      * that is not a number where it is not known; and the largest one of the run, and the units */
     fb_real jacobian_before[FB_AT_LEAST_1(N_JACOBIAN)], orientation, largest_orientation;
@@ -38,13 +38,11 @@ static inline void fb_crew_inputs(fb_crew *restrict c, const fb_ensemble *e, con
         }
 }
 
-/* Time, for that of the runs. */
-static inline fb_real fb_crew_time(const fb_crew *c, const fb_real since)
+/* As fb_time. */
+static inline fb_real fb_crew_time(const fb_crew *c, const fb_ensemble *e, const fb_real since)
 {
-    fb_real t = since;
-    for (int lane = 0; lane < FB_WIDTH; ++lane)
-        t[lane] = fb_time(c->clock + lane, since[lane]);
-    return t;
+    const fb_real t = e->origin + since;
+    return fb_select(t < c->first, c->first, fb_select(t > c->last, c->last, t));
 }
 
 /* The end of a lane's piece of time: the next breakpoint, or the end of the run; ... */
@@ -60,16 +58,15 @@ static inline void fb_crew_piece(fb_crew *c, const fb_ensemble *e, const int lan
     const int next = c->next_break[lane];
     const double first = next > 0 ? nextafter(e->breaks[next - 1], towards) : e->first;
     const double last = next < e->n_breaks ? nextafter(e->breaks[next], -towards) : e->last;
-    c->clock[lane].origin = e->origin;
-    c->clock[lane].first = first < last ? first : last;
-    c->clock[lane].last = first < last ? last : first;
+    c->first[lane] = first < last ? first : last;
+    c->last[lane] = first < last ? last : first;
 }
 
 /* x' of the lanes that are asked for. */
 static __attribute__((noinline)) void fb_crew_rates(fb_crew *restrict c, const fb_ensemble *e, const fb_real since, const fb_real *x,
                                  const fb_mask asked, fb_real *rates)
 {
-    const fb_real t = fb_crew_time(c, since);
+    const fb_real t = fb_crew_time(c, e, since);
     fb_crew_inputs(c, e, t);
     fb_side_rates(&c->side, t, x, asked, rates);
     c->n_evaluations -= asked;
@@ -157,7 +154,7 @@ static __attribute__((noinline)) fb_mask fb_crew_project(fb_crew *restrict c, co
                                                          fb_real *restrict x, const fb_mask asked, const int known)
 {
     fb_side *const s = &c->side;
-    const fb_real t = fb_crew_time(c, since);
+    const fb_real t = fb_crew_time(c, e, since);
     fb_crew_inputs(c, e, t);
     if (!known) {
         fb_real coordinate_rates[FB_AT_LEAST_1(N_Q)];
@@ -212,7 +209,7 @@ static inline void fb_enter(fb_crew *c, const fb_ensemble *e, const int lane)
         c->next_time[lane] = c->n_steps[lane] = 0;
         c->rejected[lane] = c->next_break[lane] = 0;
         fb_crew_piece(c, e, lane);
-        c->problem.clock = c->clock[lane];
+        c->problem.clock = (fb_clock){e->origin, c->first[lane], c->last[lane]};
         double *const x = e->x + member * N_X;
         s->kernel->prepare(e->p + member * N_P, s->lane_constants);
         for (int k = 0; k < e->n_sources; ++k) {

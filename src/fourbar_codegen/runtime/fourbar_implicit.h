@@ -201,8 +201,9 @@ static inline int fb_implicit_jacobian(fb_implicit *s, const double since, const
     return called;
 }
 
-/* Takes the diagonal of D, and gives each equation the unit that makes its largest derivative by the state 1, for states in units of their
- * weights: pivots of the matrix are then chosen alike for mechanisms of micrometres and of kilometres. */
+/* Takes the diagonal of D, and gives each equation the unit that makes its largest derivative by the state 1, for
+ * states in units of their weights: pivots of the matrix are then chosen alike for mechanisms of micrometres and of
+ * kilometres. */
 static inline int fb_implicit_scale(fb_implicit *s, const double since, const double c, const double *restrict z,
                                     const double *restrict z_rate, const double *restrict weights,
                                     const double *restrict metric, double *restrict matrix)

@@ -41,8 +41,8 @@ static inline double fb_table_value(const fb_table *table, const double t, int *
     return value;
 }
 
-/* What time is where an integrator's is zero, and the piece of time that it is in: where something jumps or has a kink at
- * either end of that, values from beyond do not belong to it. */
+/* What time is where an integrator's is zero, and the piece of time that it is in: where something jumps or has a kink
+ * at either end of that, values from beyond do not belong to it. */
 typedef struct fb_clock {
     double origin, first, last;
 } fb_clock;

@@ -8,8 +8,8 @@ from libc.math cimport INFINITY, NAN
 from libc.string cimport memcpy
 
 from fourbar_codegen.runtime.evaluator cimport (
-    FB_OK, Evaluator, data, fb_all_time, fb_clock, fb_fill_inputs, fb_finite, fb_kernel, fb_problem, fb_problem_jacobian, fb_problem_project, fb_problem_rates, fb_source,
-    fb_table, fb_time, new_array, number, numbers, rows, time_of, vector)
+    FB_OK, Evaluator, data, fb_all_time, fb_clock, fb_fill_inputs, fb_finite, fb_kernel, fb_problem,
+    fb_problem_jacobian, fb_problem_project, fb_problem_rates, fb_source, fb_table, fb_time, new_array, number, numbers, rows, time_of, vector)
 
 import numpy as np
 
@@ -138,8 +138,8 @@ cdef class Ode:
 
     Where the equations cannot be evaluated, it returns NaN, so that an integrator with step control rejects
     the step; `failure` then says why. `projects` asks the solvers of `fourbar_codegen.solvers` to move each state onto
-    the constraints; `in_pieces` tells them that steps end at discontinuities already. `clock` says what time is where the integrator's is zero, and between which times values are taken;
-    the inputs' methods go by time itself.
+    the constraints; `in_pieces` tells them that steps end at discontinuities already. `clock` says what time is where
+    the integrator's is zero, and between which times values are taken; the inputs' methods go by time itself.
 
     Several threads may share one: each call is done before another thread's begins, `failure` is that of the last call,
     and a solver of `fourbar_codegen.solvers` takes a copy with memory of its own. A callable input is called by all of
@@ -342,8 +342,8 @@ cdef class Ode:
         cdef cnp.ndarray accelerations = new_array(self.evaluator.n_u), result = new_array(self.evaluator.n_c)
         cdef cnp.ndarray rates = self(t, state)
         cdef int status = self.problem.kernel.accelerations(
-            fb_time(&self.problem.clock, t), data(state), self.problem.constants, self.problem.inputs, data(accelerations), data(result),
-            self.problem.work)
+            fb_time(&self.problem.clock, t), data(state), self.problem.constants, self.problem.inputs,
+            data(accelerations), data(result), self.problem.work)
         if status != FB_OK:
             raise SimulationError(self.evaluator.failure(status, t, state))
         return rates, result

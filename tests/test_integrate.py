@@ -466,6 +466,21 @@ def test_the_limit_of_steps_by_default(four_bar, monkeypatch):
     assert four_bar.simulate((0.0, 1.0), method="ALI3P", max_step=0.01).success
 
 
+def test_steps_that_rounding_swallows_are_refused(four_bar):
+    """Of the run's length, which times are counted in: those of a late run may be shorter than its times tell apart."""
+    for run in (four_bar.simulate, four_bar.ensemble):
+        for shortest in (1e-300, 1e-17):
+            with pytest.raises(fb.ModelError, match=r"max_step = .* is lost in the rounding of the run's 0.1 s"):
+                run((1.0, 1.1), max_step=shortest)
+    late = four_bar.simulate((1e12, 1e12 + 0.01), max_step=5e-5)  # half of what is between two times
+    early = four_bar.simulate((0.0, 0.01), max_step=5e-5)
+    assert late.success
+    assert late.nfev >= 12 * 195
+    # The end itself is rounded, by half of what is between two times.
+    rounding = np.spacing(1e12) * np.abs(four_bar.rhs(0.01, early.y[:, -1])).max()
+    np.testing.assert_allclose(late.y[:, -1], early.y[:, -1], atol=rounding)
+
+
 def test_energy_that_grows_beyond_reason(four_bar):
     # The tutorial's damper feeds the motion, which begins with -685 J: see its model.
     unstable = {"k": 50.0, "l2": 0.45}

@@ -956,7 +956,7 @@ class CompiledModel(Evaluator):
         dense_output : bool, optional
             Whether to keep an interpolant as ``trajectory.sol``.
         max_step : float, optional
-            The longest step, s; ALI3P needs it.
+            The longest step, s; ALI3P needs it. One that is lost in the rounding of the run's length is refused.
         max_steps : int, "auto" or None, optional
             The most steps: a run that has taken them ends there, with what it has. None is no limit. By default
             1,000,000 of the methods in C (DOP853, RK45, ALI3P) and 100,000 of the others, or ten times those that

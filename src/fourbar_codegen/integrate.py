@@ -267,11 +267,18 @@ def integrate(
 
 
 def most_steps(given: object, method: str, span: tuple[float, float], max_step: float) -> int | None:
-    """The most steps that a run may take: as `CompiledModel.simulate` is given them, by default those of its method."""
+    """The most steps that a run may take: as `CompiledModel.simulate` is given them, by default those of its method.
+
+    Raises
+    ------
+    ModelError
+        If it is no such number, or steps are so short that no number of them would do.
+    """
+    length = abs(span[1] - span[0])
+    if max_step < np.spacing(length):
+        raise ModelError(f"max_step = {max_step:g} is lost in the rounding of the run's {length:g} s.")
     if isinstance(given, str) and given == "auto":
-        if max_step < np.spacing(max(map(abs, span))):  # which is lost in the rounding of t: no run goes on with it
-            return STEPS[method]
-        return max(STEPS[method], int(min(MARGIN * abs(span[1] - span[0]) / max_step, sys.maxsize)))
+        return max(STEPS[method], int(min(MARGIN * length / max_step, sys.maxsize)))
     if given is None:
         return None
     if not is_integer(given) or given < 1:

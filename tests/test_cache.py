@@ -395,6 +395,10 @@ def truncate(module):
         file.truncate(20000)
 
 
+def flip(source):
+    source.write_text(source.read_text().replace("cos(", "sin("))
+
+
 @pytest.mark.parametrize(
     "damage",
     [
@@ -402,18 +406,37 @@ def truncate(module):
         lambda module: module.write_bytes(b""),
         lambda module: module.unlink(),
         lambda module: (module.parent / "checksum").unlink(),
+        lambda module: (module.parent / "checksum").write_text("  slider_kernel.c\n"),
+        lambda module: flip(module.with_name("slider_kernel.c")),
+        lambda module: module.with_name("slider_lanes.c").unlink(),
         lambda module: (shutil.rmtree(module.parent), module.parent.write_text("a file")),
         lambda module: module.parent.rename(
             f"{module.parent}.{os.geteuid()}.building"
         ),  # as of a process that was killed
     ],
-    ids=["truncated", "empty", "missing", "no checksum", "a file", "left behind"],
+    ids=["truncated", "empty", "missing", "no checksum", "no digest", "a source", "no source", "a file", "left behind"],
 )
 def test_damaged_entry_is_built_anew(tmp_path, filled, damage):
     cache, module, rates = filled
     shutil.copytree(cache, tmp_path / "cache")
     damage(tmp_path / "cache" / module)
     assert run_of_slider(tmp_path / "cache") == (tmp_path / "cache" / module, rates)
+
+
+def test_damaged_sources_are_not_used(tmp_path, monkeypatch):
+    """Those of a model that is loaded already: they would be compiled for ensembles, and travel with it."""
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
+    model = slider()
+    model.name = "damaged"
+    model = fb.compile_model(model)
+    flip(model.path.with_name("damaged_kernel.c"))
+    with pytest.raises(fb.ModelError, match="damaged: compile the model again"):
+        model.ensemble((0.0, 1.0), np.zeros(model.n_x), parameters={"m": [1.0, 2.0]})
+    elsewhere = tmp_path / "elsewhere"
+    sent = pickle.dumps(model)
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(elsewhere))
+    with pytest.raises(fb.ModelError, match="its sources were not beside it"):
+        pickle.loads(sent)
 
 
 OTHER = 65534

@@ -84,8 +84,12 @@ def test_what_is_wrong_is_said(tmp_path, monkeypatch):
     for taken in ("sympy", "scipy", "numpy", "pip", "test", "setup", "setuptools", "four_bar", "json"):
         with pytest.raises(fb.ModelError, match="there is such a module already"):
             fb.build_wheel(named(taken), tmp_path)
-    with pytest.raises(fb.ModelError, match="the same project as 'arm_one'"):
-        fb.build_wheel(named("Arm_One"), tmp_path)
+    for alike in ("Arm_One", "arm__one"):
+        with pytest.raises(fb.ModelError, match="the same project as 'arm_one'"):
+            fb.build_wheel(named(alike), tmp_path)
+    for refused in ("arm_", "_arm"):
+        with pytest.raises(fb.ModelError, match="underscores at either end"):
+            fb.build_wheel(named(refused), tmp_path)
     with pytest.raises(fb.ModelError, match="version"):
         fb.build_wheel(slider(), tmp_path, version="new")
     with pytest.raises(fb.BuildError, match="cannot be written"):

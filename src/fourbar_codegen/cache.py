@@ -19,7 +19,7 @@ from pathlib import Path
 
 from fourbar_codegen.errors import CacheError
 
-__all__ = ["cache_folder", "cached", "find_cached"]
+__all__ = ["cache_folder", "cached", "find_cached", "is_whole"]
 
 VARIABLE = "FOURBAR_CODEGEN_CACHE"
 CHECKSUM = "checksum"
@@ -81,8 +81,8 @@ def cached(name: str, key: str, build: Callable[[Path], Path]) -> Path:
             root = _own_folder()
             place = _place(root, name, key)
             warnings.warn(
-                f"{reason}, and to load what is there is to run it: {name} is compiled in {root}. Take the right to "
-                f"write from others, or name another folder in the environment variable {VARIABLE}.",
+                f"{reason}, and to load what is there is to run it: {name} is compiled in {root}. Let no one else "
+                f"write there, or name another folder in the environment variable {VARIABLE}.",
                 stacklevel=2,
             )
         return _cached(place, build)
@@ -113,7 +113,9 @@ def _cached(place: Path, build: Callable[[Path], Path]) -> Path:
             _remove(temporary)  # of a process that was killed
             temporary.mkdir()
             module = build(temporary)
-            (temporary / CHECKSUM).write_text(f"{_digest(module)}  {module.name}\n", encoding="utf-8")
+            files = [module, *sorted(path for path in temporary.iterdir() if path != module and path.is_file())]
+            lines = [f"{_digest(path)}  {path.name}\n" for path in files]
+            (temporary / CHECKSUM).write_text("".join(lines), encoding="utf-8")
             for path in (temporary, *temporary.rglob("*")):
                 _close(path)
             _remove(place)  # damaged, or it would have been found
@@ -193,16 +195,37 @@ def _own_folder() -> Path:
 
 def _module_in(place: Path) -> Path | None:
     """The module in a folder of the cache, if it is there and undamaged: loading a damaged one may end Python."""
+    checksums = _checksums(place)
+    return place / next(iter(checksums)) if checksums and is_whole(place) else None
+
+
+def is_whole(folder: Path) -> bool:
+    """Whether the files of a folder are those that were built; those of one that has no checksums are taken as such.
+
+    The sources, too: they are compiled for many states at once, and travel with a model.
+    """
+    checksums = _checksums(folder)
+    if checksums is None:
+        return True
+    return bool(checksums) and all(_digest(folder / name) == digest for name, digest in checksums.items())
+
+
+def _checksums(folder: Path) -> dict[str, str | None] | None:
+    """By the files' names, the module's first; None where there are none."""
     try:
-        digest, _, name = (place / CHECKSUM).read_text(encoding="utf-8").strip().partition("  ")
-        module = place / name
-        return module if name == module.name and _digest(module) == digest else None
+        lines = (folder / CHECKSUM).read_text(encoding="utf-8").splitlines()
     except (FileNotFoundError, NotADirectoryError, IsADirectoryError, UnicodeDecodeError):
         return None
+    pairs = [line.partition("  ") for line in lines]
+    return {name: digest if digest and name == Path(name).name else None for digest, _, name in pairs}
 
 
 def _digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    """Of a file's content; empty where there is none."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
+        return ""
 
 
 def _remove(path: Path) -> None:

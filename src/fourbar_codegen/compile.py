@@ -178,11 +178,15 @@ def build_wheel(model: Model, folder: str | Path, *, version: str = "0.1.0", che
         raise ModelError(
             f"A wheel cannot be named {model.name!r}: there is such a module already. Give the Model another name."
         )
-    if model.name != model.name.lower():  # https://packaging.python.org/en/latest/specifications/name-normalization
+    # https://packaging.python.org/en/latest/specifications/name-normalization
+    normal = re.sub("_+", "_", model.name).lower()
+    if model.name != normal:
         raise ModelError(
-            f"A wheel cannot be named {model.name!r}: for pip that is the same project as {model.name.lower()!r}, and "
-            "to install one would replace the other. Give the Model a name without capitals."
+            f"A wheel cannot be named {model.name!r}: for pip that is the same project as {normal!r}, and to install "
+            "one would replace the other. Give the Model a name without capitals, and without underscores side by side."
         )
+    if model.name.strip("_") != model.name:
+        raise ModelError(f"A wheel cannot be named {model.name!r}: pip refuses underscores at either end of a name.")
     pattern = r"[0-9]+(\.[0-9]+)*((a|b|rc|\.post|\.dev)[0-9]+)?"
     if not isinstance(version, str) or not re.fullmatch(pattern, version):
         raise ModelError(f"A version looks like 1.0 or 0.2.1, not {version!r}.")

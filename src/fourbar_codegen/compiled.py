@@ -295,7 +295,11 @@ class CompiledModel(Evaluator):
         return _restore, (self.name, path, self.manifest, self._sources())
 
     def _sources(self) -> dict[str, str] | None:
-        """The sources beside the module, or None."""
+        """The sources beside the module, or None where they are missing or damaged."""
+        from fourbar_codegen.cache import is_whole
+
+        if not is_whole(self.path.parent):
+            return None
         endings = (".pyx", "_kernel.c", "_kernel.h", "_lanes.c", "_derivatives.c")
         files = [file for ending in endings if (file := self.path.with_name(f"{self.name}{ending}")).is_file()]
         return {file.name: file.read_text(encoding="utf-8") for file in files} or None
@@ -327,8 +331,9 @@ class CompiledModel(Evaluator):
         sources = self._sources() or {}
         if f"{name}.c" not in sources:
             raise ModelError(
-                f"Batches and ensembles need functions that compile_model leaves for later, and their sources are no "
-                f"longer beside {self.path}: compile the model again. A module of build_model has them inside."
+                f"Batches and ensembles need functions that compile_model leaves for later, and their sources are not "
+                f"beside {self.path} any more, or damaged: compile the model again. A module of build_model has them "
+                "inside."
             )
         from fourbar_codegen.build import build_lanes
 

@@ -33,8 +33,9 @@ STEADY = 10.0
 """So many times the change from one double to the next, on either side, is none either: of large times these are far
 apart."""
 
-SAME = 1e-12
-"""Times that differ by this share of the latest one are the same but for rounding errors."""
+SAME = 4
+"""Times that differ by so many spacings of the latest one are the same but for rounding errors, and so are the sides of
+a condition there."""
 
 
 @dataclass(frozen=True)
@@ -47,11 +48,14 @@ class Discontinuity:
         The time; or the first and last of several that differ by rounding errors.
     moves : bool
         Whether that may be a position or a velocity; forces otherwise, across which speeds are continuous.
+    rounding : float
+        By how much conditions may miss the time.
     """
 
     t: float
     until: float
     moves: bool
+    rounding: float
 
 
 @dataclass(frozen=True)
@@ -94,13 +98,14 @@ def discontinuities(ode: Ode, begin: float, end: float) -> list[Discontinuity]:
                 known[t] = known.get(t, False) or jumps
     low, high = min(begin, end), max(begin, end)
     within = sorted((t for t in known if low <= t <= high), reverse=end < begin)
-    latest = max([abs(t) for t in (begin, end) if math.isfinite(t)])
+    latest = max(abs(t) for t in (begin, end, *within) if math.isfinite(t))
+    same = float(SAME * np.spacing(latest))
     found: list[Discontinuity] = []
     for t in within:
-        if found and abs(t - found[-1].until) <= SAME * latest:
-            found[-1] = Discontinuity(found[-1].t, t, found[-1].moves or known[t])
+        if found and abs(t - found[-1].until) <= same:
+            found[-1] = Discontinuity(found[-1].t, t, found[-1].moves or known[t], same)
         else:
-            found.append(Discontinuity(t, t, known[t]))
+            found.append(Discontinuity(t, t, known[t], same))
     return found
 
 
@@ -123,10 +128,14 @@ def boundary(ode: Ode, at: Discontinuity, towards: float, x: Floats) -> Boundary
     -------
     Boundary
     """
-    before, behind = math.nextafter(at.t, -towards), math.nextafter(at.until, towards)
+    rounding = math.copysign(at.rounding, towards)
+    before, behind = at.t - rounding, at.until + rounding
     if at.moves:
-        for value, jumped in _Prescribed(ode, x).velocities(before, behind):
+        prescribed = _Prescribed(ode, x)
+        for value, jumped in prescribed.velocities(before, behind):
             if jumped.any():
+                if not np.isfinite(prescribed.inputs(at.t)).all():  # such as the slope of a root where that is zero
+                    return Boundary(before, behind, before, behind)
                 place = np.flatnonzero(jumped)[0]
                 to_left, to_right = (abs(value(at.t) - value(side))[place] for side in (before, behind))
                 end = at.t if to_left < JUMP * to_right else before

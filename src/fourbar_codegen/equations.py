@@ -273,8 +273,17 @@ def form_equations(model: Model) -> Equations:
     default_inputs = _vector("inputs", defaults)
     entries += defaults
     moving += [default for leaf, default in zip(inputs, defaults, strict=True) if leaf.node in moved]
-    jumps = breakpoints(tape, v.time, moving)
-    times = dict.fromkeys([*jumps, *breakpoints(tape, v.time, [*residual, *q_rates, *defaults])])
+    jumps, is_complete = breakpoints(tape, v.time, moving)
+    if not is_complete:
+        pairs = zip(inputs.values(), defaults, strict=True)
+        names = {entry.of for entry, default in pairs if not breakpoints(tape, v.time, [default])[1]}
+        raise ModelError(
+            f"A prescribed motion{', of input ' * bool(names)}{', '.join(sorted(names))} changes its form "
+            "at times that cannot be read off, and its rate may jump there: its conditions may be linear or quadratic "
+            f"in {mechanism.time}, with coefficients of parameters, or a table may be given for it."
+        )
+    others, _ = breakpoints(tape, v.time, [*residual, *q_rates, *defaults])
+    times = dict.fromkeys([*jumps, *others])
     needed = tuple(
         leaf
         for symbol, leaf in zip(model.parameter_symbols, v.p, strict=True)

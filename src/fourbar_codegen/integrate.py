@@ -440,6 +440,8 @@ class _Watch:
             (model.outputs.index(events[i].function), int(np.sign(events[i].direction))) for i in self.named
         ]
         self.values = [0.0] * len(events)
+        self.went_on = np.nan
+        """Where the present piece of the run begins, behind another one."""
 
     def begin(self, run: Run | SolverRun) -> None:
         """The functions' values at the beginning."""
@@ -455,13 +457,15 @@ class _Watch:
         """Note the events of the last step; at which share of it the one is that ends the run."""
         before = self._move_on(run)
         for share, i in sorted((self._root(run, i, before[i]), i) for i in self._changed(before)):
+            if share == 0.0 and self.times[i] and self.times[i][-1] == self.went_on == run.time_within(share):
+                continue  # found where the piece before ended
             if self._note(i, run.time_within(share), run.state_within(share)):
                 return share
         return None
 
     def across(self, run: Run | SolverRun) -> bool:
         """Note the events of a jump to the state that a run goes on from; whether one of them ends it."""
-        before = self._move_on(run)
+        before, self.went_on = self._move_on(run), run.t
         changed = [i for i in self._changed(before) if before[i] != self.values[i]]
         ends = [self._note(i, run.t, run.x) for i in changed]
         return any(ends)

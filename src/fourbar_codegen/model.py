@@ -341,15 +341,10 @@ class Model:
         prescribed = {node for node in structure if isinstance(node, AppliedUndef)}
         everywhere = walk(chain.from_iterable(expressions for _, expressions in self._labelled()))
         prescribed |= {node.expr for node in everywhere if isinstance(node, sm.Derivative)}
-        entries = []
+        entries: list[InputEntry] = []
         for function, expression in self.input_expressions.items():
             for order in range(3 if function in prescribed else 1):
-                default = expression
-                if order and expression is not None:
-                    default = expression.replace(sm.sinc, smooth_sinc).diff(t)
-                if order == 2 and default is not None and not default.has(DiracDelta):
-                    # Where the rate jumps, an impulse takes the place of an acceleration.
-                    default = default.diff(t).replace(DiracDelta, lambda *_: sm.S.Zero)
+                default = expression if order == 0 or expression is None else _rate(entries[-1].expression, t)
                 derivative = function if order == 0 else function.diff((t, order))
                 entries.append(InputEntry(_name(function) + order * "'", derivative, default, _name(function), order))
         return tuple(entries)
@@ -496,6 +491,15 @@ def _mapping(given: Any, argument: str) -> Mapping[Any, Any]:
     if not is_mapping(given):
         raise ModelError(f"{argument}= must be a mapping from symbols to values, not {given!r}.")
     return given
+
+
+def _rate(expression: sm.Expr, t: sm.Symbol) -> sm.Expr:
+    """The derivative by time, but for what jumps: an impulse takes the place of that where a run comes to it."""
+    smooth = expression.replace(sm.sinc, smooth_sinc)
+    # Of an absolute value, SymPy differentiates real and imaginary parts where a symbol might be complex.
+    real = {s: sm.Dummy(s.name, real=True) for s in smooth.free_symbols} if smooth.has(sm.Abs, sm.sign) else {}
+    rate = smooth.xreplace(real).diff(real.get(t, t)).replace(DiracDelta, lambda *_: sm.S.Zero)
+    return rate.xreplace({dummy: symbol for symbol, dummy in real.items()})
 
 
 def _expression(given: Any, what: str) -> sm.Expr:

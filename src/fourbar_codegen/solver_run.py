@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.integrate import DenseOutput, OdeSolution
+from scipy.integrate import DenseOutput
 
 from fourbar_codegen import solvers
 from fourbar_codegen.arguments import numbers
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.runtime.evaluator import OK
-from fourbar_codegen.runtime.integrator import Ode, check_within
+from fourbar_codegen.runtime.integrator import Ode, check_within, steps_at
 
 if TYPE_CHECKING:
     from fourbar_codegen.compiled import CompiledModel
@@ -185,9 +185,12 @@ class SolverRun:
         if self._times is None:
             self._samples.append((self.t, self._x))
             return
-        last = min(direction * self._since, direction * self._until)
-        while self._next < len(self._times) and direction * (self._times[self._next] - self._origin) <= last:
-            t = self._times[self._next]
+        last, end = min(direction * self._since, direction * self._until), direction * self._t_bound
+        while self._next < len(self._times):
+            t = float(self._times[self._next])
+            # By the time itself, too: since the beginning, those on either side of a jump may be the same.
+            if direction * t > end or direction * (t - self._origin) > last:
+                break
             self._samples.append((t, self._state_at(t - self._origin)))
             self._next += 1
 
@@ -249,7 +252,7 @@ class _Solution:
     """The state at any time of a run."""
 
     def __init__(self, ode: Ode, project: bool, t: float) -> None:
-        self._ode, self._project, self._origin, self._end, self._times = ode, project, t, t, [0.0]
+        self._ode, self._project, self._times, self._ends = ode, project, [t], [0.0]
         self._interpolants: list[DenseOutput] = []
 
     def __len__(self) -> int:
@@ -257,8 +260,8 @@ class _Solution:
 
     def add(self, run: SolverRun) -> None:
         """The last step of a run."""
-        self._end = run.t
-        self._times.append(run.interpolant().t)
+        self._times.append(run.t)
+        self._ends.append(run.interpolant().t)
         self._interpolants.append(run.interpolant())
 
     def __call__(self, t: Any) -> Floats:
@@ -266,7 +269,15 @@ class _Solution:
         times = np.atleast_1d(numbers(t, "The times"))
         if times.ndim != 1:
             raise ModelError(f"Times must be a number or an array of one dimension, not of shape {np.shape(t)}.")
-        check_within(times, self._origin, self._end)
-        times, solution = times - self._origin, OdeSolution(self._times, self._interpolants)
-        states = [self._ode.project(time, solution(time)) if self._project else solution(time) for time in times]
+        begin, end = self._times[0], self._times[-1]
+        check_within(times, begin, end)
+        steps = steps_at(times, float(np.sign(end - begin)), self._times, self._ends)
+        states = [self._state(time, self._interpolants[i](time - begin)) for time, i in zip(times, steps, strict=True)]
         return states[0] if np.ndim(t) == 0 else np.reshape(states, (-1, self._ode.n_x)).T
+
+    def _state(self, t: float, x: Floats) -> Floats:
+        if not self._project:
+            return x
+        # At the time itself: since the beginning, it may be that of another side of a jump.
+        self._ode.clock = t, -math.inf, math.inf
+        return self._ode.project(0.0, x)

@@ -12,6 +12,7 @@ from fourbar_codegen.runtime.evaluator import Evaluator
 Floats = NDArray[np.float64]
 
 def check_within(times: Floats, begin: float, end: float) -> None: ...
+def steps_at(times: Floats, direction: float, bounds: list[float], since: list[float]) -> NDArray[np.int_]: ...
 
 class Ode:
     projects: bool
@@ -130,7 +131,14 @@ class Stepper:
 
 class DenseOutput:
     def __init__(
-        self, ode: Ode, method: str, direction: float, project: bool, times: list[float], steps: list[Floats]
+        self,
+        ode: Ode,
+        method: str,
+        direction: float,
+        project: bool,
+        times: list[float],
+        ends: list[float],
+        steps: list[Floats],
     ) -> None: ...
     def __len__(self) -> int: ...
     def add(self, last: Run) -> None: ...

@@ -88,7 +88,19 @@ def check_within(times, begin, end):
     """Raise a ModelError where a run has no states: times outside, but for rounding errors."""
     allowed = 1e-12 * max(abs(begin), abs(end))
     if not ((times >= min(begin, end) - allowed) & (times <= max(begin, end) + allowed)).all():
-        raise ModelError(f"The run goes from t = {begin:.9g} to {end:.9g}; it has no states at the times {times}.")
+        raise ModelError(f"The run goes from t = {begin:.15g} to {end:.15g}; it has no states at the times {times}.")
+
+
+def steps_at(times, direction, bounds, since):
+    """The numbers of the steps that times lie in; `bounds` are the beginning of the first one, and the ends of all.
+
+    By `since`, the same since the beginning of the run, which is finer; where that is the same on either side of a jump,
+    by the times themselves.
+    """
+    ends, at = direction * np.array(since), direction * (times - bounds[0])
+    steps = np.clip(np.searchsorted(ends, at) - 1, 0, len(ends) - 2)
+    behind = (ends[steps + 1] == at) & (direction * times > direction * np.array(bounds)[steps + 1])
+    return np.minimum(steps + behind, len(ends) - 2)
 
 
 cdef class Table:
@@ -534,7 +546,8 @@ cdef class Run:
     cdef readonly Ode ode
     cdef str method
     cdef list kept
-    cdef double t_bound
+    cdef double t_begin, t_bound
+    cdef double since_begin
     cdef object times
     cdef long n_taken
     cdef cnp.ndarray kept_t
@@ -552,7 +565,7 @@ cdef class Run:
         rows = run.method.n_stages + 1 + run.method.n_more
         self.ode, self.method, self.kept = ode, method, []
         ode.clock = t, -INFINITY, INFINITY
-        self.t_bound, self.times = t_bound, times
+        self.t_begin, self.since_begin, self.t_bound, self.times = t, 0.0, t_bound, times
         run.direction, run.t_bound, run.max_step = 1.0 if t_bound > t else -1.0, t_bound - t, max_step
         run.project, run.until = project, run.t_bound
         run.x, run.x_old, run.scratch, run.along = self._zeros(1), self._zeros(1), self._zeros(1), self._zeros(2)
@@ -560,7 +573,8 @@ cdef class Run:
         run.rtol, run.atol = <double *>self._keep(_padded(rtol, run)), <double *>self._keep(_padded(atol, run))
         memcpy(run.x, data(state), n * sizeof(double))
         if times is not None:
-            run.times, run.n_times = <const double *>self._keep(np.array(times, dtype=np.float64) - t), np.size(times)
+            run.times = <const double *>self._keep(np.array(times, dtype=np.float64) - t)
+            run.n_times = np.size(times)
         run.n_events, run.look_at_all = len(events), look_at_all
         if events:
             run.event_output = <const int *>self._keep(np.array([event[0] for event in events], dtype=np.intc))
@@ -585,9 +599,7 @@ cdef class Run:
         """The samples since the last call, shapes (n,) and (n, n_x)."""
         cdef long n = self.run.n_samples
         if self.times is None:
-            times = self.ode.problem.clock.origin + self.kept_t[:n]
-            if n and data(self.kept_t)[n - 1] == self.run.t_bound:
-                times[n - 1] = self.t_bound
+            times = np.array([self._at(since) for since in self.kept_t[:n].tolist()])
         else:
             times = self.times[self.n_taken:self.n_taken + n]
         self.n_taken += n
@@ -619,8 +631,11 @@ cdef class Run:
         cdef cnp.ndarray state
         cdef double origin = self.ode.problem.clock.origin
         self.ode.clock = origin, min(first, last), max(first, last)
-        run.t, self.t_bound, run.t_bound = t - origin, t_bound, t_bound - origin
+        run.t, run.t_bound = t - origin, t_bound - origin
+        self.t_begin, self.since_begin, self.t_bound = t, run.t, t_bound
         run.until = run.t_bound
+        if self.times is not None:  # by what they are: from the beginning, those on either side of a jump may be the same
+            run.n_times = np.searchsorted(run.direction * self.times, run.direction * t_bound, side="right")
         if x is not None:
             state = vector(x, run.n, "The state x")
             memcpy(run.x, data(state), run.n * sizeof(double))
@@ -641,8 +656,13 @@ cdef class Run:
         return _REASONS[self.ode.check(status)]
 
     cdef double _at(self, double since):
-        """Time, for one of the run's."""
-        return self.t_bound if since == self.run.t_bound else self.ode.problem.clock.origin + since
+        """Time, for one of the run's: exactly that of the beginning or the end, between which rounding leaves it."""
+        if since == self.run.t_bound:
+            return self.t_bound
+        if since == self.since_begin:
+            return self.t_begin
+        cdef double t = self.ode.problem.clock.origin + since
+        return min(max(t, min(self.t_begin, self.t_bound)), max(self.t_begin, self.t_bound))
 
     cdef double _within(self, double share):
         """The run's time at a share of the last step."""
@@ -682,7 +702,7 @@ cdef class Run:
 
     def dense_output(self):
         """To be told of each step."""
-        return DenseOutput(self.ode, self.method, self.run.direction, self.run.project, [self.run.t], [])
+        return DenseOutput(self.ode, self.method, self.run.direction, self.run.project, [self.t], [self.run.t], [])
 
     @property
     def turned(self):
@@ -856,9 +876,12 @@ cdef class DenseOutput:
     direction : float
     project : bool
     times : list of float
-        0, and the end of each step, since the beginning of the run.
+        The beginning of the run, and the end of each step.
+    ends : list of float
+        The same since the beginning of the run: finer, but for what lies on either side of a jump.
     steps : list of ndarray
-        The interpolants' coefficients, the state at the beginning, and the beginning and length of each step.
+        The interpolants' coefficients, the state at the beginning, and the beginning and length of each step, since the
+        beginning of the run.
     """
 
     cdef Ode ode
@@ -868,16 +891,18 @@ cdef class DenseOutput:
     cdef bint project
     cdef int rows, padded
     cdef list times
+    cdef list ends
     cdef list steps
 
-    def __cinit__(self, Ode ode not None, str method, double direction, bint project, list times, list steps):
+    def __cinit__(self, Ode ode not None, str method, double direction, bint project, list times, list ends, list steps):
         self.ode, self.method, self.direction, self.project = ode, method, direction, project
-        self.times, self.steps = times, steps
+        self.times, self.ends, self.steps = times, ends, steps
         self.tableau, self.padded = _tableau_of(method), _padded_size(ode.evaluator.n_x)
         self.rows = self.tableau.n_dense + (3 if self.tableau.hermite else 0)
 
     def __reduce__(self):
-        return DenseOutput, (self.ode, self.method, self.direction, bool(self.project), self.times, self.steps)
+        return DenseOutput, (
+            self.ode, self.method, self.direction, bool(self.project), self.times, self.ends, self.steps)
 
     def __len__(self):
         return len(self.steps)
@@ -890,7 +915,8 @@ cdef class DenseOutput:
         memcpy(data(step), run.interpolant, self.rows * self.padded * sizeof(double))
         memcpy(data(step) + self.rows * self.padded, run.x_old, self.padded * sizeof(double))
         data(step)[(self.rows + 1) * self.padded], data(step)[(self.rows + 1) * self.padded + 1] = run.t_old, run.h
-        self.times.append(run.t)
+        self.times.append(last.t)
+        self.ends.append(run.t)
         self.steps.append(step)
 
     def __call__(self, t):
@@ -903,21 +929,21 @@ cdef class DenseOutput:
         """
         cdef cnp.ndarray at = np.atleast_1d(numbers(t, "The times"))
         cdef int i, n = self.ode.evaluator.n_x
-        cdef double origin = self.ode.problem.clock.origin
+        cdef double origin = self.times[0]
         cdef cnp.ndarray x = np.empty((np.size(at), n))
         cdef cnp.ndarray step
         cdef double *end
         if np.ndim(at) != 1:
             raise ModelError(f"Times must be a number or an array of one dimension, not of shape {np.shape(t)}.")
-        check_within(at, origin, origin + self.times[len(self.times) - 1])  # without wraparound
-        at = at - origin
-        forward = np.array(self.times) * self.direction
-        places = np.clip(np.searchsorted(forward, at * self.direction) - 1, 0, len(self.steps) - 1)
+        check_within(at, origin, self.times[len(self.times) - 1])  # without wraparound
+        places = steps_at(at, self.direction, self.times, self.ends)
         for i in range(np.size(at)):
             step = self.steps[places[i]]
             end = data(step) + (self.rows + 1) * self.padded
             fb_interpolate(self.tableau, data(step), n, self.padded, data(step) + self.rows * self.padded,
-                           (data(at)[i] - end[0]) / end[1], data(x) + i * n)
+                           (data(at)[i] - origin - end[0]) / end[1], data(x) + i * n)
             if self.project:
-                self.ode.check(fb_project_sample(&self.ode.problem, data(at)[i], data(x) + i * n))
+                # At the time itself: since the beginning, it may be that of another side of a jump.
+                self.ode.clock = data(at)[i], -INFINITY, INFINITY
+                self.ode.check(fb_project_sample(&self.ode.problem, 0.0, data(x) + i * n))
         return np.array(x.T) if np.ndim(t) else x[0]

@@ -257,7 +257,9 @@ def test_an_event_that_writes_into_its_state(four_bar, method):
 
 def test_steps_that_are_too_short(four_bar, method):
     how, _ = method
-    run = four_bar.simulate((1.0, 2.0), **{**how, "max_step": 1e-17})
+    with pytest.raises(fb.ModelError, match="max_step = 1e-17 is lost in the rounding"):
+        four_bar.simulate((1.0, 2.0), **{**how, "max_step": 1e-17})
+    run = four_bar.simulate((1.0, 2.0), **{**how, "max_step": 1e-15, "max_steps": 10})
     assert not run.success
     assert "step" in run.message
 

@@ -272,9 +272,15 @@ def test_an_expression_without_rates_will_do_where_none_are_needed():
     x, p = [0.5, -0.25, 2.0, 3.0], {"m": 2.0, "M": 3.0}
     for time, expected in ((0.9, [2.0, 0.0]), (1.1, [3.0, 3.0])):
         np.testing.assert_array_equal(model.rhs(time, x, p), [*expected, 0.0, 0.0])
-    carried = fb.Model(drifting(carried=True).system, name="switched", inputs={s: sm.Heaviside(t)})
+    carried = fb.Model(
+        drifting(carried=True).system, name="carried", inputs={s: sm.Heaviside(t - w)}, parameters={w: 1.0}
+    )
+    run = fb.compile_model(carried).simulate((0.0, 2.0), x, parameters=p)
+    assert run.t[-1] == pytest.approx(1.0, rel=1e-14)
+    assert "Input s jumps at t = 1, which no finite force does" in run.message
+    floored = fb.Model(drifting(carried=True).system, name="floored", inputs={s: sm.floor(t)})
     with pytest.raises(fb.ModelError, match="s prescribes a motion"):
-        fb.compile_model(carried)
+        fb.compile_model(floored)
 
 
 def test_an_input_of_kinematics_that_velocities_or_constraints_take_up_prescribes_a_motion():

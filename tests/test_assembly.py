@@ -431,6 +431,15 @@ def test_bars_in_line_at_multiples_of_15_degrees():
             np.testing.assert_allclose(np.sort(found.x[:, 2]), [-distance, distance], rtol=1e-14)
 
 
+def test_a_bar_about_the_cranks_end():
+    """Where that is the pivot, x = 0 at any angle of the bar: infinitely many ways."""
+    modes = inverted_slider_crank()
+    for length in (1.0, 15.0):
+        found = modes(0.0, A=length, G=length)
+        assert not found.is_complete
+        np.testing.assert_allclose(found.x[:, 2], 0.0, atol=1e-12)
+
+
 def test_crank_and_rod_of_equal_length():
     """x = 2 r cos a, and x = 0 with the rod folded onto the crank."""
     model = fb.compile_model(fb.models.slider_crank())

@@ -465,14 +465,31 @@ def _resultant(f: dict[int, Coefficients], g: dict[int, Coefficients]) -> Coeffi
     for x in points:
         rows = [{k: _at(c, x) / x**low for k, c in p.items()} for p, low in zip((f, g), lowest, strict=True)]
         shifted = [(rows[0], i) for i in range(n)] + [(rows[1], i) for i in range(m)]
-        sylvester = numbers.matrix([[line.get(k - shift, 0) for k in range(m + n)] for line, shift in shifted])
-        values.append(numbers.det(sylvester))
+        values.append(
+            _determinant([[line.get(k - shift, numbers.zero) for k in range(m + n)] for line, shift in shifted])
+        )
         bound = max(bound, sum(map(abs, rows[0].values())) ** n * sum(map(abs, rows[1].values())) ** m)
     coefficients = {
         k: sum(value / x**k for value, x in zip(values, points, strict=True)) / (degree + 1) for k in range(degree + 1)
     }
     held = {k: c for k, c in coefficients.items() if abs(c) > NOTHING * bound}
     return held or None
+
+
+def _determinant(rows: list[list[Any]]) -> Any:
+    """By elimination with partial pivoting; mpmath's own ends in an error where a column has nothing but zeros."""
+    value = _numbers().one
+    for k in range(len(rows)):
+        pivot = max(range(k, len(rows)), key=lambda i: abs(rows[i][k]))
+        if not rows[pivot][k]:
+            return _numbers().zero
+        if pivot != k:
+            rows[k], rows[pivot], value = rows[pivot], rows[k], -value
+        value *= rows[k][k]
+        for row in rows[k + 1 :]:
+            factor = row[k] / rows[k][k]
+            row[k + 1 :] = [a - factor * b for a, b in zip(row[k + 1 :], rows[k][k + 1 :], strict=True)]
+    return value
 
 
 def _roots(coefficients: Coefficients, is_angle: bool) -> list[Any] | None:

@@ -208,7 +208,8 @@ def pushed(force=None):
     system.add_loads(me.Force(mass, (F if force is None else force) * frame.x))
     system.q_ind, system.u_ind = [q], [u]
     system.add_kdes(u - q.diff(t))
-    parameters = {m: 1.0} | ({T: 0.3} if force is not None and force.has(T) else {})
+    numbers = sorted(force.free_symbols - {t}, key=str) if force is not None else []
+    parameters = {m: 1.0} | dict.fromkeys(numbers, 0.3)
     inputs = {F: 0} if force is None else {}
     return fb.compile_model(fb.Model(system, name="pushed", parameters=parameters, inputs=inputs))
 
@@ -250,6 +251,17 @@ def test_steps_end_where_conditions_of_forces_change():
         assert start in run.t
     ensemble = model.ensemble((0.0, 1.0), [0.0, 0.0], parameters={"T": [0.1, 0.3, 0.99]})
     np.testing.assert_allclose(ensemble["u"][:, -1], 1.0, rtol=1e-12)
+
+
+def test_sides_of_a_condition_whose_rounding_is_not_its_times():
+    """7.5 t - 0.39 < 6.2 t until t = 0.3, by products whose rounding is several of t's own."""
+    a, b, c = sm.symbols("a b c")
+    model = pushed(sm.Piecewise((1e3, a * t - b < c * t), (0, True)))
+    values = {"a": 7.5, "b": 0.39, "c": 6.2}
+    run = model.simulate((0.0, 1.0), [0.0, 0.0], parameters=values)
+    assert run["u"][-1] == pytest.approx(300.0, rel=1e-12)
+    ensemble = model.ensemble((0.0, 1.0), [0.0, 0.0], parameters={name: [v, v] for name, v in values.items()})
+    np.testing.assert_allclose(ensemble["u"][:, -1], 300.0, rtol=1e-12)
 
 
 @pytest.mark.parametrize("jump", [sm.Heaviside(t - T), (1 + sm.sign(t - T)) / 2, sm.Piecewise((0, t < T), (1, True))])

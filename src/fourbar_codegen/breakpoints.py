@@ -58,7 +58,7 @@ def breakpoints(tape: Tape, time: Scalar, scalars: Iterable[Scalar]) -> tuple[li
         operation = tape.nodes[node]
         if isinstance(operation, Call):
             arguments = [Scalar(tape, 1, argument) for argument in operation.arguments]
-            for side in _sides(operation.expression):
+            for side in _sides(operation.expression) if _is_of_time(tape, time, *arguments) else ():
                 for boundary in _alternatives(tape, time, apply(tape, side, arguments)):
                     roots = _roots(tape, time, boundary, derivative)
                     times |= dict.fromkeys(roots or ())
@@ -85,12 +85,12 @@ def _alternatives(tape: Tape, time: Scalar, scalar: Scalar) -> list[Scalar]:
     found: list[Scalar] = []
     while waiting:
         part = waiting.pop()
-        choice = next((node for node in tape.reach([part]) if _choices(tape, time, node)), None)
-        if choice is None or len(waiting) + len(found) >= MAX_ALTERNATIVES:
+        choices = ((node, _choices(tape, time, node)) for node in tape.reach([part]))
+        node, chosen = next((choice for choice in choices if choice[1]), (None, []))
+        if node is None or len(waiting) + len(found) >= MAX_ALTERNATIVES:
             found.append(part)
         else:
-            chosen = _choices(tape, time, choice)
-            waiting += [substitute(tape, [part], {Scalar(tape, 1, choice): each})[0] for each in chosen]
+            waiting += [substitute(tape, [part], {Scalar(tape, 1, node): each})[0] for each in chosen]
     return found
 
 

@@ -196,7 +196,7 @@ def _own_folder() -> Path:
 def _module_in(place: Path) -> Path | None:
     """The module in a folder of the cache, if it is there and undamaged: loading a damaged one may end Python."""
     checksums = _checksums(place)
-    return place / next(iter(checksums)) if checksums and is_whole(place) else None
+    return place / next(iter(checksums)) if checksums and _agree(place, checksums) else None
 
 
 def is_whole(folder: Path) -> bool:
@@ -205,8 +205,10 @@ def is_whole(folder: Path) -> bool:
     The sources, too: they are compiled for many states at once, and travel with a model.
     """
     checksums = _checksums(folder)
-    if checksums is None:
-        return True
+    return checksums is None or _agree(folder, checksums)
+
+
+def _agree(folder: Path, checksums: dict[str, str | None]) -> bool:
     return bool(checksums) and all(_digest(folder / name) == digest for name, digest in checksums.items())
 
 

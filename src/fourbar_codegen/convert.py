@@ -9,12 +9,22 @@ from fractions import Fraction
 import sympy as sm
 from sympy.core.function import AppliedUndef
 from sympy.functions.elementary.piecewise import ExprCondPair
+from sympy.functions.special.delta_functions import DiracDelta
 from sympy.logic.boolalg import Boolean
 
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.tape import ONE, Call, Leaf, Node, Number, Product, Reciprocal, Scalar, Sum, Tape, placeholder
 
-__all__ = ["Conversion", "apply", "expression_of", "is_computable", "make_again", "smooth_sinc", "substitute"]
+__all__ = [
+    "Conversion",
+    "apply",
+    "expression_of",
+    "is_computable",
+    "make_again",
+    "smooth_sinc",
+    "substitute",
+    "without_impulses",
+]
 
 OPERATIONS = (
     *(sm.Add, sm.Mul, sm.Pow, sm.NumberSymbol, sm.Max, sm.Min, sm.UnevaluatedExpr),
@@ -123,6 +133,11 @@ def apply(tape: Tape, function: sm.Expr, arguments: Sequence[Scalar]) -> Scalar:
     used = sorted(rest.free_symbols, key=lambda symbol: symbol.name)
     called = rest.xreplace({symbol: placeholder(i) for i, symbol in enumerate(used)})
     return tape.call(called, tuple(leaves[symbol].node for symbol in used)) * _number(factor)
+
+
+def without_impulses(derivative: sm.Expr) -> sm.Expr:
+    """A derivative where nothing jumps: what a jump has for one is zero everywhere else."""
+    return derivative.replace(DiracDelta, lambda *_: sm.S.Zero) if derivative.has(DiracDelta) else derivative
 
 
 def smooth_sinc(x: sm.Expr) -> sm.Expr:

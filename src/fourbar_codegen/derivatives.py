@@ -9,9 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import sympy as sm
-from sympy.functions.special.delta_functions import DiracDelta
 
-from fourbar_codegen.convert import Conversion, apply
+from fourbar_codegen.convert import Conversion, apply, without_impulses
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.tape import (
     ONE,
@@ -218,5 +217,4 @@ def _derivative(expression: sm.Expr, symbol: sm.Symbol) -> sm.Expr:
     derivative = expression.diff(symbol)
     if derivative.has(sm.Derivative, sm.Subs):
         raise ModelError(f"The model contains {type(expression).__name__}, of which C99 has no derivative.")
-    # A jump has no derivative where it jumps; everywhere else it is zero.
-    return derivative.replace(DiracDelta, lambda *_: sm.S.Zero) if derivative.has(DiracDelta) else derivative
+    return without_impulses(derivative)

@@ -96,10 +96,12 @@ def discontinuities(ode: Ode, begin: float, end: float) -> list[Discontinuity]:
             moves = source.jumps() if entry["order"] == 1 else np.zeros(len(source.times), dtype=bool)
             for t, jumps in zip(source.times.tolist(), moves.tolist(), strict=True):
                 known[t] = known.get(t, False) or jumps
+    if not known:
+        return []
     low, high = min(begin, end), max(begin, end)
     within = sorted((t for t in known if low <= t <= high), reverse=end < begin)
     latest = max(abs(t) for t in (begin, end, *within) if math.isfinite(t))
-    same = float(SAME * np.spacing(latest))
+    same = SAME * math.ulp(latest)
     found: list[Discontinuity] = []
     for t in within:
         if found and abs(t - found[-1].until) <= same:

@@ -29,7 +29,7 @@ from fourbar_codegen.arguments import (
     time_span,
     tolerance,
 )
-from fourbar_codegen.discontinuities import discontinuities
+from fourbar_codegen.discontinuities import boundary, discontinuities
 from fourbar_codegen.errors import AssemblyError, FourbarError, ModelError, shown
 from fourbar_codegen.integrate import METHODS, REACHED_END, is_rounded, most_steps
 from fourbar_codegen.progress import PATIENCE
@@ -394,8 +394,8 @@ def _on_threads(runs: _Runs, workers: int, bar: Any) -> Results:
     # Callables may have a memory: they get no two members at once.
     with ThreadPoolExecutor(1 if called else workers) as pool:
         try:
-            breaks = _breaks(runs)
-            if width(model) > 1 and not called and breaks is not None:
+            breaks = _breaks(runs) if width(model) > 1 and not called else None
+            if breaks is not None:
                 moved = states.copy()
                 rtol = np.full(model.n_x, how["rtol"])
                 members = Members(
@@ -428,16 +428,24 @@ def _on_threads(runs: _Runs, workers: int, bar: Any) -> Results:
 
 
 def _breaks(runs: _Runs) -> Floats | None:
-    """Where the steps of all members end; None where they do not end at the same times, or velocities may jump."""
+    """Where the steps of all members end, and the times up to which and from which on values belong to either side.
+
+    In rows. None where members do not end them at the same times, or velocities may jump.
+    """
     by_parameters = runs.model.manifest["n_breakpoints"] > 0
     alike = np.unique(runs.parameters, axis=0) if by_parameters else runs.parameters[:1]
     found: list[Any] = []
     for p in alike:
-        marks = discontinuities(bind(runs.model, p, _inputs_of(runs.inputs, 0)), *runs.span)
+        ode = bind(runs.model, p, _inputs_of(runs.inputs, 0))
+        marks = discontinuities(ode, *runs.span)
         if any(mark.moves for mark in marks):
             return None
-        found.append([mark.t for mark in marks])
-    return np.array(found[0], dtype=float) if found and all(times == found[0] for times in found) else None
+        towards = math.copysign(math.inf, runs.span[1] - runs.span[0])
+        sides = [boundary(ode, mark, towards, runs.states[0]) for mark in marks]
+        found.append([(side.end, side.last, side.first) for side in sides])
+    if not found or any(breaks != found[0] for breaks in found):
+        return None
+    return np.reshape(np.array(found[0], dtype=float), (-1, 3)).T
 
 
 class _StoppedError(Exception):

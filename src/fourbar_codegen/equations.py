@@ -20,7 +20,6 @@ from itertools import chain
 from typing import Any
 
 import sympy as sm
-from sympy.functions.special.delta_functions import DiracDelta
 
 from fourbar_codegen.breakpoints import breakpoints
 from fourbar_codegen.convert import Conversion, substitute
@@ -382,7 +381,7 @@ def _inputs(
     prescribing = {e.of for leaf, e in of_leaf.items() if leaf.node in (reached if e.order else closed)}
     needed = {leaf: entry for leaf, entry in of_leaf.items() if not entry.order or entry.of in prescribing}
     for entry in needed.values():
-        if entry.order and entry.expression is not None and entry.expression.has(sm.Derivative, DiracDelta, sm.Subs):
+        if entry.order and entry.expression is not None and entry.expression.has(sm.Derivative, sm.Subs):
             raise ModelError(
                 f"Input {entry.of} prescribes a motion, so that its first two rates are needed; its expression "
                 f"{model.input_expressions[entry.function.expr]} does not have them everywhere."

@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import sympy as sm
 from sympy.core.function import AppliedUndef
-from sympy.functions.special.delta_functions import DiracDelta
 
 from fourbar_codegen.arguments import finite_number, is_mapping, name_of
-from fourbar_codegen.convert import is_computable, smooth_sinc
+from fourbar_codegen.convert import is_computable, smooth_sinc, without_impulses
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.mechanism import Mechanism, read_mechanism, walk
 
@@ -498,8 +497,8 @@ def _rate(expression: sm.Expr, t: sm.Symbol) -> sm.Expr:
     smooth = expression.replace(sm.sinc, smooth_sinc)
     # Of an absolute value, SymPy differentiates real and imaginary parts where a symbol might be complex.
     real = {s: sm.Dummy(s.name, real=True) for s in smooth.free_symbols} if smooth.has(sm.Abs, sm.sign) else {}
-    rate = smooth.xreplace(real).diff(real.get(t, t)).replace(DiracDelta, lambda *_: sm.S.Zero)
-    return rate.xreplace({dummy: symbol for symbol, dummy in real.items()})
+    rate = smooth.xreplace(real).diff(real.get(t, t))
+    return without_impulses(rate).xreplace({dummy: symbol for symbol, dummy in real.items()})
 
 
 def _expression(given: Any, what: str) -> sm.Expr:

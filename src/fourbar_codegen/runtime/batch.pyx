@@ -36,6 +36,8 @@ cdef extern from "fourbar_batch.h":
         double origin, t_bound, max_step
         double first, last
         const double *breaks
+        const double *before
+        const double *behind
         int n_breaks
         long max_steps
         const double *rtol
@@ -134,8 +136,9 @@ cdef class Members:
     rtol, atol : ndarray, shape (n_x,)
     project : bool
     times : ndarray, shape (n_t,)
-    breaks : ndarray, shape (n,)
-        Times in order, at which steps end: inputs have jumps or kinks there.
+    breaks : ndarray, shape (3, n)
+        Times in order, at which steps end: inputs have jumps or kinks there. And those up to which, and from which on,
+        values belong to either side.
     max_steps : int
         After which a member is left to be run alone; 0 for no limit.
 
@@ -167,9 +170,10 @@ cdef class Members:
         given = [(i, source) for i, source in enumerate(sources) if source is not None]
         cdef cnp.ndarray values = np.zeros((n, len(given)))
         towards = np.copysign(np.inf, t_bound - t)
-        e.first = np.nextafter(t, towards) if t in breaks else -towards
-        e.last = np.nextafter(t_bound, -towards) if t_bound in breaks else towards
-        breaks, times = breaks[(breaks != t) & (breaks != t_bound)], times - t
+        ends, before, behind = breaks
+        e.first = behind[0] if t in ends else -towards
+        e.last = before[len(ends) - 1] if t_bound in ends else towards
+        breaks, times = np.ascontiguousarray(breaks[:, (ends != t) & (ends != t_bound)]), times - t
         self.evaluator, self.kept = evaluator, [x, p, rtol, atol, times, breaks, values, given]
         self.samples, self.status, self.n_evaluations = samples, status, n_evaluations
         self.sources = <fb_source *>PyMem_Calloc(len(given) + 1, sizeof(fb_source))
@@ -185,7 +189,8 @@ cdef class Members:
         e.n_sources, e.sources, e.values = len(given), self.sources, data(values)
         e.method = &fb_rk45 if method == "RK45" else &fb_dop853
         e.project, e.origin, e.t_bound, e.max_step, e.max_steps = project, t, t_bound - t, max_step, max_steps
-        e.breaks, e.n_breaks = data(breaks), len(breaks)
+        e.n_breaks = np.shape(breaks)[1]
+        e.breaks, e.before, e.behind = data(breaks), data(breaks) + e.n_breaks, data(breaks) + 2 * e.n_breaks
         e.rtol, e.atol, e.times, e.n_times = data(rtol), data(atol), data(times), len(times)
         e.samples, e.status = data(samples), <char *>cnp.PyArray_DATA(status)
         e.n_evaluations = <long *>cnp.PyArray_DATA(n_evaluations)

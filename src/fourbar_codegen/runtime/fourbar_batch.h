@@ -47,7 +47,9 @@ typedef struct fb_ensemble {
     int project;
     double origin, t_bound, max_step; /* when all begin; and since then, as are all times of the runs, when they end */
     double first, last; /* times between which values belong to the runs */
-    const double *breaks; /* (n_breaks,): times between the ends, in the order of the runs, at which steps end */
+    /* (n_breaks,): times between the ends, in the order of the runs, at which steps end; and those up to which, and from
+     * which on, values belong to either side */
+    const double *breaks, *before, *behind;
     int n_breaks;
     long max_steps;            /* of each; 0 for no limit */
     const double *rtol, *atol; /* (n_x,) */

@@ -54,10 +54,9 @@ static inline double fb_crew_bound(const fb_crew *c, const fb_ensemble *e, const
 /* ... and the times between which values belong to it. */
 static inline void fb_crew_piece(fb_crew *c, const fb_ensemble *e, const int lane)
 {
-    const double towards = e->t_bound > 0.0 ? INFINITY : -INFINITY;
     const int next = c->next_break[lane];
-    const double first = next > 0 ? nextafter(e->breaks[next - 1], towards) : e->first;
-    const double last = next < e->n_breaks ? nextafter(e->breaks[next], -towards) : e->last;
+    const double first = next > 0 ? e->behind[next - 1] : e->first;
+    const double last = next < e->n_breaks ? e->before[next] : e->last;
     c->first[lane] = first < last ? first : last;
     c->last[lane] = first < last ? last : first;
 }

@@ -597,13 +597,16 @@ cdef class Run:
 
     def take_samples(self):
         """The samples since the last call, shapes (n,) and (n, n_x)."""
-        cdef long n = self.run.n_samples
+        cdef long i, n = self.run.n_samples
+        cdef cnp.ndarray times
         if self.times is None:
-            times = np.array([self._at(since) for since in self.kept_t[:n].tolist()])
+            times = new_array(n)
+            for i in range(n):
+                data(times)[i] = self._at(self.run.sample_t[i])
         else:
-            times = self.times[self.n_taken:self.n_taken + n]
+            times = self.times[self.n_taken:self.n_taken + n].copy()
         self.n_taken += n
-        samples = (times.copy(), self.kept_x[:n].copy())
+        samples = (times, self.kept_x[:n].copy())
         if n == self.run.room:
             self._make_room(2 * n)
         self.run.n_samples = 0

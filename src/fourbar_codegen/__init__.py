@@ -22,11 +22,10 @@ if TYPE_CHECKING:
     from fourbar_codegen.assembly import AssemblyModes
     from fourbar_codegen.build import get_include
     from fourbar_codegen.compile import build_model, build_wheel, compile_model, generate_sources
-    from fourbar_codegen.compiled import CompiledModel, load
+    from fourbar_codegen.compiled import CompiledModel, load, load_trajectory
     from fourbar_codegen.ensemble import Ensemble
-    from fourbar_codegen.integrate import Event
+    from fourbar_codegen.events import Event
     from fourbar_codegen.model import Model, Parameter, joint_force, multiplier
-    from fourbar_codegen.storage import load_trajectory
     from fourbar_codegen.trajectory import Trajectory
 
 __all__ = [
@@ -60,7 +59,7 @@ _HOME = {
     "AssemblyModes": "assembly",
     "CompiledModel": "compiled",
     "Ensemble": "ensemble",
-    "Event": "integrate",
+    "Event": "events",
     "Model": "model",
     "Parameter": "model",
     "Trajectory": "trajectory",
@@ -71,7 +70,7 @@ _HOME = {
     "get_include": "build",
     "joint_force": "model",
     "load": "compiled",
-    "load_trajectory": "storage",
+    "load_trajectory": "compiled",
     "multiplier": "model",
 }
 

@@ -21,13 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourbar_codegen.errors import ModelError, shown
-from fourbar_codegen.initial import Loops
+from fourbar_codegen.kernel import Kernel
+from fourbar_codegen.loop_closure import Loops
 from fourbar_codegen.polynomials import Constraints, Polynomial, real_roots, terms_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from fourbar_codegen.compiled import CompiledModel
     from fourbar_codegen.progress import Progress
 
 __all__ = ["AssemblyModes", "closed_coordinates"]
@@ -84,7 +84,7 @@ class AssemblyModes:
     [-0.5, -2.246416, -1.497827, -0.1, 0.071583, -0.027469]
     """
 
-    model: CompiledModel
+    model: Kernel
     t: float
     x: Floats
     is_complete: bool

@@ -1,61 +1,31 @@
-"""CompiledModel: a loaded extension module, its names, and what can be asked of it."""
+"""CompiledModel: a kernel, and all that can be done with it."""
 
 from __future__ import annotations
 
-import ctypes
-import json
 import math
-import os
-import sys
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
-from importlib import import_module, machinery, util
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.arguments import Values, is_mapping, name_of, named_array, named_values
-from fourbar_codegen.elimination import eliminate
-from fourbar_codegen.errors import ModelError, SimulationError
-from fourbar_codegen.files import path_of
-from fourbar_codegen.progress import Progress
-from fourbar_codegen.runtime.evaluator import NOT_FINITE, Evaluator, is_finite
+from fourbar_codegen.arguments import Values
+from fourbar_codegen.errors import ModelError
+from fourbar_codegen.kernel import Kernel
+from fourbar_codegen.loading import module_of
 from fourbar_codegen.runtime.integrator import Ode, Stepper
 
 if TYPE_CHECKING:
     from fourbar_codegen.assembly import AssemblyModes
     from fourbar_codegen.ensemble import Ensemble
-    from fourbar_codegen.simulate import EventLike, InputSource
+    from fourbar_codegen.events import EventLike
+    from fourbar_codegen.inputs import InputSource
     from fourbar_codegen.trajectory import Trajectory
 
-__all__ = ["CompiledModel", "find", "load"]
+__all__ = ["CompiledModel", "load", "load_trajectory"]
 
 Floats = NDArray[np.float64]
-
-# What this process loaded from files: the system goes on giving out the first module of a path.
-_LOADED: dict[str, tuple[int, int, int]] = {}
-
-
-def _is_held(path: Path) -> bool:
-    """Whether the system has loaded a library from this path."""
-    try:
-        ctypes.CDLL(str(path), mode=os.RTLD_NOLOAD)
-    except OSError:
-        return False
-    return True
-
-
-def _noexec(error: Exception) -> str:
-    """A sentence, if the system refuses to run what is in a folder."""
-    if "failed to map segment" not in str(error):
-        return ""
-    return (
-        " Its file system may be mounted with noexec: name a folder elsewhere in the environment variable "
-        "FOURBAR_CODEGEN_CACHE, or build elsewhere."
-    )
 
 
 def load(name: str | Path) -> CompiledModel:
@@ -85,114 +55,51 @@ def load(name: str | Path) -> CompiledModel:
     >>> load("four_bar").coordinates
     ('q1', 'q2', 'q3')
     """
-    if not isinstance(name, str | Path):
-        raise ModelError(f"A compiled model is known by its name or its path, not {name!r}.")
-    path = path_of(name)
-    try:
-        is_module = path.suffix != "" and path.is_file()
-    except OSError as error:
-        raise ModelError(f"{path} cannot be loaded as a compiled model: {error.strerror}.") from error
-    if is_module:
-        return CompiledModel.from_file(path)
-    if str(name) in _prebuilt():
-        return CompiledModel.from_module(import_module(f"fourbar_codegen.prebuilt.{name}"))
-    installed = _installed(str(name))
-    if installed is not None:
-        return CompiledModel.from_file(installed)
-    known = ", ".join(_prebuilt()) or "none"
-    raise ModelError(
-        f"There is no compiled model {str(name)!r}: it is neither one of the package's ({known}) nor one installed "
-        "from a wheel, nor the path of an extension module that fourbar build made."
-    )
+    return CompiledModel.from_module(module_of(name))
 
 
-def find(name: str, fingerprint: str) -> CompiledModel | None:
-    """The model of a name and fingerprint, if it can be had without building it.
+def load_trajectory(path: str | Path, model: CompiledModel | None = None) -> Trajectory:
+    """Read a trajectory from a file that `Trajectory.save` has written.
 
-    It is one that comes with the package, was installed from a wheel, or is in the cache of `compile_model`, built for
-    this machine. Name and fingerprint may come from a stranger's file: neither becomes a path, and nothing is loaded
-    but what is known to be that model.
+    Parameters
+    ----------
+    path : str or Path
+        A ``.nc`` or ``.npz`` file.
+    model : CompiledModel, optional
+        The model that was run. Without it, the one of the name and fingerprint that the file has: among those that come
+        with the package, that were installed from wheels, or that `compile_model` left in the cache on this machine.
+
+    Returns
+    -------
+    Trajectory
+        Without interpolant and events, which are not saved.
+
+    Raises
+    ------
+    ModelError
+        If the file cannot be read, is none of these, the run was another model's, or that model is not found.
+
+    Notes
+    -----
+    Files may come from anywhere: they say which model was run, and never where it lies. A package is imported if its
+    own manifest.json has the name and fingerprint, and the cache is asked by a key that is made of them.
+
+    Examples
+    --------
+    >>> import fourbar_codegen as fb
+    >>> run = fb.load("four_bar").simulate((0.0, 1.0))
+    >>> path = run.save("run.npz")  # doctest: +SKIP
+    >>> fb.load_trajectory(path).y.shape == run.y.shape  # doctest: +SKIP
+    True
     """
-    if not name.isidentifier():
-        return None
-    if name in _prebuilt():
-        model = load(name)
-        if model.manifest["fingerprint"] == fingerprint:
-            return model
-    from fourbar_codegen.build import cache_key
-    from fourbar_codegen.cache import find_cached
+    if not (model is None or isinstance(model, CompiledModel)):
+        raise ModelError(f"model must be a CompiledModel or None, not {model!r}.")
+    from fourbar_codegen.storage import read_trajectory
 
-    module = _installed(name, fingerprint) or find_cached(name, cache_key(fingerprint))
-    return None if module is None else CompiledModel.from_file(module)
+    return read_trajectory(path, model, CompiledModel.find)
 
 
-def _prebuilt() -> list[str]:
-    """The names of the models that come with the package."""
-    folder = Path(__file__).parent / "prebuilt"
-    return sorted({path.name.split(".")[0] for s in machinery.EXTENSION_SUFFIXES for path in folder.glob(f"*{s}")})
-
-
-def _installed(name: str, fingerprint: str | None = None) -> Path | None:
-    """The extension module in a package as `build_wheel` packs it; nothing is imported to find it."""
-    if not name.isidentifier():
-        return None
-    # A data file may come with a folder beside it, which then is in the current one.
-    spec = machinery.PathFinder.find_spec(name, [place for place in sys.path if not _is_current(place)])
-    for folder in map(Path, (spec and spec.submodule_search_locations) or ()):
-        try:
-            manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
-            found = manifest["name"], manifest["fingerprint"]
-        except (OSError, ValueError, TypeError, KeyError, RecursionError):  # a package, but no model
-            continue
-        if found[0] == name and fingerprint in (None, found[1]):
-            modules = (folder / f"{name}{suffix}" for suffix in machinery.EXTENSION_SUFFIXES)
-            return next((module for module in modules if module.is_file()), None)
-    return None
-
-
-def _is_current(place: str) -> bool:
-    try:
-        return Path(place or ".").samefile(".")
-    except OSError:  # it is not there
-        return False
-
-
-def _restore(name: str, path: str | None, manifest: dict[str, Any], sources: Mapping[str, str] | None) -> CompiledModel:
-    """A model from another process, which may run on another machine.
-
-    A module that was built to travel is loaded from its path. One that was built for its machine has none here: where
-    another machine sees the same folder, its processor may lack the instructions, and the cache's key knows that. What
-    is not there, is another model or cannot be loaded is built from the sources that came along.
-    """
-    if path is not None and Path(path).is_file():
-        with suppress(ModelError):
-            model = CompiledModel.from_file(Path(path))
-            if model.manifest == manifest:
-                return model
-    with suppress(ModelError):
-        found = find(name, manifest["fingerprint"])
-        if found is not None and found.manifest == manifest:
-            return found
-    if sources is None:
-        raise ModelError(
-            f"The model {name} that was sent is not found here, or only another one of its name, and its sources were "
-            "not beside it: install its wheel, or send what build_model made, from the folder that has its sources."
-        )
-    from fourbar_codegen.build import build_extension
-
-    module = _built(name, sources, lambda folder: build_extension(name, sources, folder, portable=False))
-    return CompiledModel.from_file(module)
-
-
-def _built(name: str, sources: Mapping[str, str], build: Callable[[Path], Path]) -> Path:
-    """What is built from generated sources, in the cache."""
-    from fourbar_codegen.build import cache_key
-    from fourbar_codegen.cache import cached
-
-    return cached(name, cache_key([name, sources]), build)
-
-
-class CompiledModel(Evaluator):
+class CompiledModel(Kernel):
     """A mechanism's equations of motion, compiled.
 
     Made by `compile_model` and `load`. Arguments stand in the order (t, x, p, r): time, state x = [q; u],
@@ -233,125 +140,6 @@ class CompiledModel(Evaluator):
     True
     """
 
-    def __init__(self, capsule: object, manifest: dict[str, Any]) -> None:  # noqa: ARG002  # Evaluator takes it
-        self.path = Path()
-        self.name: str = manifest["name"]
-        self.coordinates: tuple[str, ...] = tuple(manifest["coordinates"])
-        self.speeds: tuple[str, ...] = tuple(manifest["speeds"])
-        self.states = (*self.coordinates, *self.speeds)
-        self.parameters: tuple[str, ...] = tuple(entry["name"] for entry in manifest["parameters"])
-        self.inputs: tuple[str, ...] = tuple(entry["name"] for entry in manifest["inputs"])
-        self.outputs: tuple[str, ...] = tuple(manifest["outputs"])
-        self.points: tuple[str, ...] = tuple(entry["name"] for entry in manifest["points"])
-        self.forced_points: tuple[str, ...] = tuple(self.points[place] for place in manifest["forced_points"])
-        self.defaults: Mapping[str, float | None] = MappingProxyType(
-            {e["name"]: e["default"] for e in manifest["parameters"]}
-        )
-        self.units: dict[str, str] = {e["name"]: e["unit"] for e in manifest["parameters"]}
-        self.descriptions: dict[str, str] = {e["name"]: e["description"] for e in manifest["parameters"]}
-
-    @classmethod
-    def from_module(cls, module: Any) -> CompiledModel:
-        """The model that an imported extension module holds."""
-        try:
-            model = cls(module.kernel, json.loads(module.manifest))
-        except ModelError:  # is one, of another layout
-            raise
-        except (AttributeError, ValueError) as error:
-            raise ModelError(f"{module.__name__} is not a compiled model: {error}.") from error
-        model.path = Path(module.__file__)
-        return model
-
-    @classmethod
-    def from_file(cls, path: Path) -> CompiledModel:
-        """The model in an extension module that is not on Python's path."""
-        name = path.name.split(".")[0]
-        status = path.stat()
-        identity = (status.st_ino, status.st_size, status.st_mtime_ns)
-        place = str(path.resolve())
-        if _LOADED.setdefault(place, identity) != identity:
-            raise ModelError(
-                f"{path} was built again after this process loaded it, and a module cannot be loaded anew: restart "
-                "Python, or build into another folder."
-            )
-        loader = machinery.ExtensionFileLoader(name, str(path))
-        taken = name in sys.modules
-        try:
-            spec = util.spec_from_file_location(name, path, loader=loader)
-            assert spec is not None
-            module = util.module_from_spec(spec)
-            loader.exec_module(module)
-        except ImportError as error:
-            if not _is_held(path):
-                del _LOADED[place]
-            raise ModelError(f"{path} cannot be loaded as a compiled model: {error}.{_noexec(error)}") from error
-        finally:
-            if not taken:  # Cython enters its modules there, and the next import of that name would end at this one
-                sys.modules.pop(name, None)
-        return cls.from_module(module)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        path = str(self.path) if self.is_portable else None
-        return _restore, (self.name, path, self.manifest, self._sources())
-
-    def _sources(self) -> dict[str, str] | None:
-        """The sources beside the module, or None where they are missing or damaged."""
-        from fourbar_codegen.cache import is_whole
-
-        if not is_whole(self.path.parent):
-            return None
-        endings = (".pyx", "_kernel.c", "_kernel.h", "_lanes.c", "_derivatives.c")
-        files = [file for ending in endings if (file := self.path.with_name(f"{self.name}{ending}")).is_file()]
-        return {file.name: file.read_text(encoding="utf-8") for file in files} or None
-
-    def require_lanes(self) -> None:
-        """Build and load the functions for several states side by side, where the module was built without them.
-
-        They are in modules that were built to travel. `compile_model` leaves them to the first batch or ensemble, which
-        calls this.
-
-        Raises
-        ------
-        BuildError, CacheError
-            As for `compile_model`.
-        ModelError
-            If the sources are no longer beside the module.
-
-        Examples
-        --------
-        >>> import fourbar_codegen as fb
-        >>> four_bar = fb.load("four_bar")
-        >>> four_bar.require_lanes()
-        >>> four_bar.lacks_lanes
-        False
-        """
-        if not self.lacks_lanes:
-            return
-        name = f"{self.name}_lanes"
-        sources = self._sources() or {}
-        if f"{name}.c" not in sources:
-            raise ModelError(
-                f"Batches and ensembles need functions that compile_model leaves for later, and their sources are not "
-                f"beside {self.path} any more, or damaged: compile the model again. A module of build_model has them "
-                "inside."
-            )
-        from fourbar_codegen.build import build_lanes
-
-        with Progress(f"fourbar_codegen: {self.name}") as progress:
-            progress.stage("compiling for many states at once")
-            path = _built(name, sources, lambda folder: build_lanes(self.name, sources, folder))
-        try:
-            library = ctypes.CDLL(str(path))  # which stays loaded as long as the process runs
-        except OSError as error:
-            raise ModelError(f"{path} cannot be loaded: {error}.{_noexec(error)}") from error
-        self._attach_lanes(ctypes.addressof(ctypes.c_char.in_dll(library, name)))
-
-    def __repr__(self) -> str:
-        return (
-            f"<CompiledModel {self.name}: coordinates {', '.join(self.coordinates)}; speeds {', '.join(self.speeds)}; "
-            f"parameters {', '.join(self.parameters) or 'none'}; inputs {', '.join(self.inputs) or 'none'}>"
-        )
-
     def _repr_html_(self) -> str:
         from fourbar_codegen.tables import names_table
 
@@ -365,319 +153,6 @@ class CompiledModel(Evaluator):
             {entry["name"]: entry["expression"] for entry in self.manifest["inputs"]},
             self.outputs,
         )
-
-    # Names to arrays.
-
-    def parameter_values(self, p: Values) -> Values:
-        """All parameter values in order, for an array or a mapping.
-
-        Raises
-        ------
-        ModelError
-            If a name is not a parameter's, or a parameter has neither value nor default.
-        """
-        if not is_mapping(p):
-            return p
-        return named_values(p, self.parameters, self.defaults, "parameter")
-
-    def input_values(self, r: Values, defaults: Sequence[float]) -> Values:
-        """All input values in order, for an array or a mapping."""
-        if not is_mapping(r):
-            return r
-        known = {name: None if math.isnan(value) else value for name, value in zip(self.inputs, defaults, strict=True)}
-        return named_values(r, self.inputs, known | self.rates_at_rest(r), "input")
-
-    def rates_at_rest(self, r: Mapping[Any, Any]) -> dict[str, float]:
-        """The rates of motions that r gives, 0 each: an input that is given without its rates is at rest."""
-        in_force = zip(self.manifest["inputs"], self.defaults_in_force(r), strict=True)
-        return {entry["name"]: 0.0 for entry, expression in in_force if entry["order"] and not expression}
-
-    def defaults_in_force(self, r: Values | None) -> list[bool]:
-        """For each input, whether it is what its expression gives: r names neither it nor what it is a rate of."""
-        if r is None or not is_mapping(r):
-            return super().defaults_in_force(r)
-        given = {name_of(key) for key in r}
-        return [given.isdisjoint({entry["name"], entry["of"]}) for entry in self.manifest["inputs"]]
-
-    def missing(self) -> str:
-        """What has to be given in every call."""
-        parameters = [name for name, value in self.defaults.items() if value is None]
-        inputs = [entry["name"] for entry in self.manifest["inputs"] if entry["expression"] is None]
-        parts = [
-            f"{kind} {', '.join(names)}" for kind, names in (("parameters", parameters), ("inputs", inputs)) if names
-        ]
-        return f"The model {self.name} has no default for its {' and '.join(parts)}: give them in the call."
-
-    # Matrices and vectors.
-
-    def tree_mass_matrix(self, t: float, x: ArrayLike, p: Values | None = None) -> Floats:
-        """M of Kane's equations M u' = f with all speeds independent, shape (n_u, n_u).
-
-        Parameters
-        ----------
-        t, x, p
-            As for `rhs`.
-
-        Examples
-        --------
-        >>> import fourbar_codegen as fb
-        >>> fb.load("four_bar").tree_mass_matrix(0.0, [0.0] * 6).shape
-        (3, 3)
-        """
-        return self._finite(self.dynamics(t, x, p, np.zeros(self.n_r))[1], t, x)
-
-    def tree_forcing(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
-        """The vector f of Kane's equations M u' = f with all speeds independent, shape (n_u,).
-
-        Parameters
-        ----------
-        t, x, p, r
-            As for `rhs`.
-
-        Examples
-        --------
-        >>> import fourbar_codegen as fb
-        >>> fb.load("four_bar").tree_forcing(0.0, [0.0] * 6).round(1).tolist()
-        [-2374.0, -1417.5, -240.3]
-        """
-        return self._finite(self.dynamics(t, x, p, r)[2], t, x)
-
-    def mass_matrix(self, t: float, x: ArrayLike, p: Values | None = None) -> Floats:
-        """SymPy's ``System.mass_matrix``, shape (n_u, n_u).
-
-        In the model's own partition: Kane's equations projected on the independent speeds, above the
-        constraints' Jacobian. See `forcing`.
-
-        Parameters
-        ----------
-        t, x, p
-            As for `rhs`.
-
-        Raises
-        ------
-        SimulationError
-            If the model's own dependent speeds do not follow from the independent ones in this configuration.
-
-        Examples
-        --------
-        >>> import fourbar_codegen as fb
-        >>> four_bar = fb.load("four_bar")
-        >>> four_bar.mass_matrix(0.0, four_bar.initial_state()).shape
-        (3, 3)
-        """
-        _, mass_matrix, _, jacobian, _ = self.dynamics(t, x, p, np.zeros(self.n_r))
-        self._finite(jacobian, t, x)
-        return self._finite(np.vstack((self._projection(jacobian).T @ mass_matrix, jacobian)), t, x)
-
-    def forcing(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
-        """SymPy's ``System.forcing``, shape (n_u,): ``mass_matrix @ u' = forcing``.
-
-        Parameters
-        ----------
-        t, x, p, r
-            As for `rhs`.
-
-        Raises
-        ------
-        SimulationError
-            If the model's own dependent speeds do not follow from the independent ones in this configuration.
-
-        Examples
-        --------
-        >>> import fourbar_codegen as fb
-        >>> four_bar = fb.load("four_bar")
-        >>> x0 = four_bar.initial_state()
-        >>> residual = four_bar.mass_matrix(0.0, x0) @ four_bar.rhs(0.0, x0)[3:] - four_bar.forcing(0.0, x0)
-        >>> bool(abs(residual).max() < 1e-9)
-        True
-        """
-        _, _, forcing, jacobian, bias = self.dynamics(t, x, p, r)
-        self._finite(jacobian, t, x)
-        return self._finite(np.concatenate((self._projection(jacobian).T @ forcing, -bias)), t, x)
-
-    def _finite(self, values: Floats, t: float, x: ArrayLike) -> Floats:
-        """The values; a SimulationError where the equations have none that is finite."""
-        if not is_finite(np.ascontiguousarray(values)):
-            raise SimulationError(self.failure(NOT_FINITE, t, x))
-        return values
-
-    def _projection(self, jacobian: Floats) -> Floats:
-        """T with u = T u_i + ... for the model's own independent speeds, shape (n_u, n_ui)."""
-        n_i = self.n_u - self.manifest["n_dependent_speeds"]
-        return np.vstack((np.eye(n_i), eliminate(jacobian, n_i, self.speeds[n_i:])))
-
-    def position_constraints(self, t: float, q: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
-        """Residuals of the holonomic constraints, shape (n_h,), in the constraints' units.
-
-        Parameters
-        ----------
-        t : float
-        q : array_like, shape (n_q,)
-        p, r : array_like or mapping, optional
-            As for `rhs`; the inputs count where they prescribe a motion.
-
-        Examples
-        --------
-        >>> import fourbar_codegen as fb
-        >>> fb.load("four_bar").position_constraints(0.0, [0.0, 0.0, 0.0]).tolist()
-        [3.0, 0.0]
-        """
-        return self._finite(self.position(t, q, p, r)[0], t, q)
-
-    def positions(self, t: float, q: ArrayLike, p: Values | None = None, r: Values | None = None) -> dict[str, Floats]:
-        """Positions of the mechanism's points, by name, m, each of shape (3,), from the System's fixed point.
-
-        Parameters
-        ----------
-        t : float
-        q : array_like, shape (n_q,)
-        p, r : array_like or mapping, optional
-            As for `position_constraints`.
-
-        Examples
-        --------
-        >>> import fourbar_codegen as fb
-        >>> four_bar = fb.load("four_bar")
-        >>> q = four_bar.initial_state()[:3]
-        >>> four_bar.positions(0.0, q)["joint3_link3_joint"].round(3).tolist()
-        [-0.084, -0.625, 0.0]
-        """
-        coordinates = named_array(q, self.coordinates, {}, "coordinate")
-        positions, _ = self.drawing(t, np.concatenate((coordinates, np.zeros(self.n_u))), p, r)
-        return dict(zip(self.points, positions, strict=True))
-
-    def velocity_constraints(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
-        """Residuals J u + b of the velocity constraints, shape (n_c,), holonomic ones first.
-
-        Parameters
-        ----------
-        t, x, p, r
-            As for `rhs`; the inputs count where they prescribe a motion.
-
-        Examples
-        --------
-        >>> import fourbar_codegen as fb
-        >>> four_bar = fb.load("four_bar")
-        >>> bool(abs(four_bar.velocity_constraints(0.0, four_bar.initial_state())).max() < 1e-14)
-        True
-        """
-        jacobian, bias = self.velocity(t, x, p, r)
-        residual: Floats = jacobian @ np.asarray(x, dtype=float)[self.n_q :] + bias
-        return self._finite(residual, t, x)
-
-    def constraint_jacobian(self, t: float, q: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
-        """J of the velocity constraints J u + b = 0, shape (n_c, n_u).
-
-        Parameters
-        ----------
-        t : float
-        q : array_like, shape (n_q,)
-        p, r : array_like or mapping, optional
-            As for `rhs`; the inputs count where they prescribe a motion.
-
-        Examples
-        --------
-        >>> import fourbar_codegen as fb
-        >>> abs(fb.load("four_bar").constraint_jacobian(0.0, [0.0, 0.0, 0.0])).round(3).tolist()
-        [[0.0, 0.0, 0.0], [2.2, 1.7, 0.7]]
-        """
-        coordinates = named_array(q, self.coordinates, {}, "coordinate")
-        return self._finite(self.velocity(t, np.concatenate((coordinates, np.zeros(self.n_u))), p, r)[0], t, q)
-
-    def multipliers(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
-        """Multipliers lambda of M u' = f + J^T lambda, shape (n_c,).
-
-        They are the generalized reactions conjugate to the constraints as they were written: for the four-bar,
-        the force (N) of the ground on the end of link 4.
-
-        Parameters
-        ----------
-        t, x, p, r
-            As for `rhs`.
-
-        Raises
-        ------
-        SimulationError
-            In a singular position.
-
-        Examples
-        --------
-        >>> import fourbar_codegen as fb
-        >>> four_bar = fb.load("four_bar")
-        >>> four_bar.multipliers(0.0, four_bar.initial_state()).shape
-        (2,)
-        """
-        return self.accelerations(t, x, p, r)[1]
-
-    def output(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
-        """The outputs, shape (n_o,), in the order of ``outputs``.
-
-        Parameters
-        ----------
-        t, x, p, r
-            As for `rhs`.
-
-        Raises
-        ------
-        SimulationError
-            In a singular position.
-
-        Examples
-        --------
-        >>> import fourbar_codegen as fb
-        >>> four_bar = fb.load("four_bar")
-        >>> four_bar.outputs, four_bar.output(0.0, four_bar.initial_state()).shape
-        ((), (0,))
-        """
-        return self.held(t, x, *self.accelerations(t, x, p, r), p, r)[0]
-
-    def kinetic_energy(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> float:
-        """Kinetic energy, J.
-
-        Parameters
-        ----------
-        t, x, p, r
-            As for `rhs`; the inputs count where they prescribe a motion.
-
-        Examples
-        --------
-        >>> import fourbar_codegen as fb
-        >>> fb.load("four_bar").kinetic_energy(0.0, [0.1, 0.2, 0.3, 0.0, 0.0, 0.0])
-        0.0
-        """
-        return float(self._finite(self.energy(t, x, p, r)[:1], t, x)[0])
-
-    def potential_energy(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> float:
-        """Potential energy, J: as given with the Model, or of the forces that are constant, such as gravity.
-
-        Parameters
-        ----------
-        t, x, p, r
-            As for `rhs`; the inputs count where they prescribe a motion.
-
-        Raises
-        ------
-        ModelError
-            If the System does not define the position of a point that a constant force acts on; or the energy
-            depends on an input that has no expression and is not given.
-
-        Examples
-        --------
-        >>> import fourbar_codegen as fb
-        >>> fb.load("four_bar").potential_energy(0.0, [0.0] * 6)
-        0.0
-        """
-        if not self.manifest["has_potential_energy"]:
-            raise ModelError(
-                f"The potential energy of {self.name} is not known: a constant force acts on a point whose position "
-                "from the System's fixed point is not defined. Give potential_energy= to the Model."
-            )
-        energy = float(self.energy(t, x, p, r)[1])
-        if r is None and math.isnan(energy) and any(e["expression"] is None for e in self.manifest["inputs"]):
-            raise ModelError(self.missing())
-        return float(self._finite(np.array([energy]), t, x)[0])
-
-    # Linearization, initial states and simulation.
 
     def linearize(
         self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None
@@ -815,9 +290,9 @@ class CompiledModel(Evaluator):
         >>> x0.round(6).tolist()
         [-0.5, -2.246416, -1.497827, -0.1, 0.071583, -0.027469]
         """
-        from fourbar_codegen.initial import given, initial_state
+        from fourbar_codegen.initial_state import initial_state
 
-        return initial_state(*given(self, coordinates, speeds, t, guess, parameters, inputs))
+        return initial_state(self, coordinates, speeds, t=t, guess=guess, parameters=parameters, inputs=inputs)
 
     def initial_states(
         self,
@@ -857,9 +332,9 @@ class CompiledModel(Evaluator):
         >>> len(modes), modes.is_complete
         (2, True)
         """
-        from fourbar_codegen.initial import given, initial_states
+        from fourbar_codegen.initial_state import initial_states
 
-        return initial_states(*given(self, coordinates, speeds, t, None, parameters, inputs))
+        return initial_states(self, coordinates, speeds, t=t, parameters=parameters, inputs=inputs)
 
     def ode(self, parameters: Values | None = None, inputs: Mapping[Any, InputSource] | None = None) -> Ode:
         """The right-hand side as a callable f(t, x), for `scipy.integrate.solve_ivp` and its like.
@@ -889,7 +364,7 @@ class CompiledModel(Evaluator):
         >>> solve_ivp(f, (0.0, 1.0), x0, method=fb.solvers.DOP853).success
         True
         """
-        from fourbar_codegen.simulate import bind
+        from fourbar_codegen.inputs import bind
 
         return bind(self, parameters, inputs)
 
@@ -999,27 +474,15 @@ class CompiledModel(Evaluator):
         >>> bool(abs(trajectory.constraint_residual).max() < 1e-12)
         True
         """
+        from fourbar_codegen.options import RunOptions
         from fourbar_codegen.simulate import simulate
 
-        return simulate(
-            self,
-            t_span,
-            x0,
-            method=method,
-            parameters=parameters,
-            inputs=inputs,
-            t_eval=t_eval,
-            rtol=rtol,
-            atol=atol,
-            events=events,
-            constraints=constraints,
-            stabilization=stabilization,
-            dense_output=dense_output,
-            max_step=max_step,
-            max_steps=max_steps,
-            formulation=formulation,
-            progress=progress,
-        )
+        options = RunOptions.of(
+            self, t_span=t_span, x0=x0, method=method, parameters=parameters, inputs=inputs, t_eval=t_eval, rtol=rtol,
+            atol=atol, events=events, constraints=constraints, stabilization=stabilization, dense_output=dense_output,
+            max_step=max_step, max_steps=max_steps, formulation=formulation, progress=progress,
+        )  # fmt: skip
+        return simulate(self, options)
 
     def rhs_batch(
         self,
@@ -1067,7 +530,7 @@ class CompiledModel(Evaluator):
         >>> four_bar.rhs_batch(0.0, states, {"k": np.linspace(1.0, 5.0, 1000)}).shape
         (6, 1000)
         """
-        from fourbar_codegen.ensemble import evaluate
+        from fourbar_codegen.batch import evaluate
 
         return evaluate(self, t, x, p, r, out=out, workers=workers)
 
@@ -1140,12 +603,12 @@ class CompiledModel(Evaluator):
         >>> ensemble.success.all(), ensemble["q1"].shape
         (np.True_, (100, 2))
         """
-        from fourbar_codegen.ensemble import run
+        from fourbar_codegen.ensemble_run import run
 
         return run(
-            self, t_span, x0, method=method, parameters=parameters, inputs=inputs, t_eval=t_eval, rtol=rtol, atol=atol,
-            constraints=constraints, max_step=max_step, max_steps=max_steps, workers=workers, parallel=parallel,
-            progress=progress,
+            self, x0, parameters, inputs, workers=workers, parallel=parallel, progress=progress,
+            t_span=t_span, method=method, t_eval=t_eval, rtol=rtol, atol=atol, constraints=constraints,
+            max_step=max_step, max_steps=max_steps,
         )  # fmt: skip
 
     def stepper(

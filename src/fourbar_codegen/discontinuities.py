@@ -10,17 +10,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fourbar_codegen.errors import SimulationError
+from fourbar_codegen.integration import Integration
 from fourbar_codegen.runtime.integrator import Ode, Table
-
-if TYPE_CHECKING:
-    from fourbar_codegen.runtime.integrator import Run
-    from fourbar_codegen.solver_run import SolverRun
 
 __all__ = ["Boundary", "Discontinuity", "Pieces", "boundary", "discontinuities", "jumps", "speeds_behind"]
 
@@ -302,7 +298,7 @@ class Pieces:
         """Whether there is another piece behind the present one."""
         return self._next is not None
 
-    def begin(self, run: Run | SolverRun) -> None:
+    def begin(self, run: Integration) -> None:
         """Make the run end where its first piece does."""
         t, x = run.t, run.x
         if not self._later:
@@ -318,7 +314,7 @@ class Pieces:
         else:
             self._enter(run, t, here.first, x, jumps=False)
 
-    def go_on(self, run: Run | SolverRun) -> bool:
+    def go_on(self, run: Integration) -> bool:
         """From the end of a piece to the next one; whether a state close by satisfies the constraints there.
 
         Raises
@@ -337,7 +333,7 @@ class Pieces:
                     t, jumps = here.first, True
         return self._enter(run, t, here.first, x, jumps=jumps)
 
-    def _enter(self, run: Run | SolverRun, t: float, first: float, x: Floats, *, jumps: bool) -> bool:
+    def _enter(self, run: Integration, t: float, first: float, x: Floats, *, jumps: bool) -> bool:
         end, last, self._next = self._span[1], self._towards, None
         if self._later:
             at = self._later.pop(0)
@@ -347,7 +343,7 @@ class Pieces:
                 self._next, end = (at, here), here.end
         return run.enter(t, end, first, last, x if jumps else None)
 
-    def end(self, run: Run | SolverRun) -> None:
+    def end(self, run: Integration) -> None:
         """Let values be taken at all times again."""
         run.ode.clock = self._span[0], -math.inf, math.inf
 

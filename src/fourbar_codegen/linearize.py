@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,12 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from fourbar_codegen.arguments import Values, finite_number, named_array
 from fourbar_codegen.elimination import eliminate
 from fourbar_codegen.errors import ModelError, SimulationError
-from fourbar_codegen.initial import Loops
-from fourbar_codegen.simulate import bind, input_sources
-
-if TYPE_CHECKING:
-    from fourbar_codegen.compiled import CompiledModel
-    from fourbar_codegen.simulate import InputSource
+from fourbar_codegen.inputs import InputSource, bind, input_sources
+from fourbar_codegen.kernel import Kernel
+from fourbar_codegen.loop_closure import Loops
 
 __all__ = ["equilibrium", "linearize"]
 
@@ -31,9 +28,7 @@ LIGHT = 1e-12
 CLOSED = 1e-6
 
 
-def linearize(
-    model: CompiledModel, t: float, x: ArrayLike, p: Values | None, r: Values | None
-) -> tuple[Floats, Floats]:
+def linearize(model: Kernel, t: float, x: ArrayLike, p: Values | None, r: Values | None) -> tuple[Floats, Floats]:
     """A and B of the motion near a state; see `CompiledModel.linearize`."""
     t, state = finite_number(t, "t"), named_array(x, model.states, {}, "state")
     n_q, n_r = model.n_q, model.n_r
@@ -56,7 +51,7 @@ def linearize(
     return independent[:, : n_qi + n_ui], independent[:, n_qi + n_ui :]
 
 
-def _check_constraints(model: CompiledModel, t: float, x: Floats, p: Values | None, r: Values | None) -> None:
+def _check_constraints(model: Kernel, t: float, x: Floats, p: Values | None, r: Values | None) -> None:
     """Raise where the state is not one of the mechanism: what would be linearized is not its motion."""
     positions = model.position_constraints(t, x[: model.n_q], p, r)
     velocities = model.velocity_constraints(t, x, p, r)
@@ -72,7 +67,7 @@ def _check_constraints(model: CompiledModel, t: float, x: Floats, p: Values | No
 
 
 def equilibrium(
-    model: CompiledModel,
+    model: Kernel,
     guess: Values | None,
     *,
     t: float,

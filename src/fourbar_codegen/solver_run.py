@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,11 +14,9 @@ from scipy.integrate import DenseOutput
 from fourbar_codegen import solvers
 from fourbar_codegen.arguments import numbers
 from fourbar_codegen.errors import ModelError
+from fourbar_codegen.kernel import Kernel
 from fourbar_codegen.runtime.evaluator import OK
 from fourbar_codegen.runtime.integrator import Ode, check_within, steps_at
-
-if TYPE_CHECKING:
-    from fourbar_codegen.compiled import CompiledModel
 
 __all__ = ["SolverRun"]
 
@@ -36,7 +34,7 @@ class SolverRun:
 
     Parameters
     ----------
-    model : CompiledModel
+    model : Kernel
     ode : Ode
         The right-hand side; the run's own copy is the attribute of that name.
     method : str
@@ -56,7 +54,7 @@ class SolverRun:
     """
 
     def __init__(
-        self, model: CompiledModel, ode: Ode, method: str, t: float, x: Floats, t_bound: float, max_step: float,
+        self, model: Kernel, ode: Ode, method: str, t: float, x: Floats, t_bound: float, max_step: float,
         rtol: ArrayLike, atol: ArrayLike, project: bool, times: Floats | None, outputs: Sequence[int],
         options: dict[str, Any],
     ) -> None:  # fmt: skip

@@ -31,9 +31,9 @@ from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.arguments import finite_number, longest_step, number, numbers, one_of, positive, tolerance
+from fourbar_codegen.consistency import NOT_RATES, consistent
 from fourbar_codegen.discontinuities import jumps
 from fourbar_codegen.errors import ModelError, shown
-from fourbar_codegen.integrate import NOT_RATES, consistent
 from fourbar_codegen.runtime.evaluator import is_finite
 from fourbar_codegen.runtime.implicit import FORMULATIONS, Rates, Residual
 from fourbar_codegen.runtime.integrator import EmbeddedSteps, Ode

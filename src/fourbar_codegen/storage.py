@@ -18,15 +18,15 @@ from zipfile import is_zipfile
 import numpy as np
 from numpy.typing import NDArray
 
-from fourbar_codegen.compiled import CompiledModel, find
 from fourbar_codegen.errors import FourbarError, ModelError
 from fourbar_codegen.files import path_of
+from fourbar_codegen.kernel import Kernel
 from fourbar_codegen.trajectory import Trajectory
 
 if TYPE_CHECKING:
     import xarray
 
-__all__ = ["attributes", "load_trajectory", "to_dataset", "versions", "write_netcdf", "write_npz"]
+__all__ = ["attributes", "read_trajectory", "to_dataset", "versions", "write_netcdf", "write_npz"]
 
 Floats = NDArray[np.float64]
 
@@ -159,42 +159,17 @@ def write_npz(trajectory: Trajectory, file: IO[bytes]) -> None:
     np.savez(file, **arrays)
 
 
-def load_trajectory(path: str | Path, model: CompiledModel | None = None) -> Trajectory:
-    """Read a trajectory from a file that `Trajectory.save` has written.
+def read_trajectory(path: str | Path, model: Kernel | None, find: Callable[[str, str], Kernel | None]) -> Trajectory:
+    """A trajectory that was saved; see `fourbar_codegen.load_trajectory`.
 
     Parameters
     ----------
     path : str or Path
-        A ``.nc`` or ``.npz`` file.
-    model : CompiledModel, optional
-        The model that was run. Without it, the one of the name and fingerprint that the file has: among those that come
-        with the package, that were installed from wheels, or that `compile_model` left in the cache on this machine.
-
-    Returns
-    -------
-    Trajectory
-        Without interpolant and events, which are not saved.
-
-    Raises
-    ------
-    ModelError
-        If the file cannot be read, is none of these, the run was another model's, or that model is not found.
-
-    Notes
-    -----
-    Files may come from anywhere: they say which model was run, and never where it lies. A package is imported if its
-    own manifest.json has the name and fingerprint, and the cache is asked by a key that is made of them.
-
-    Examples
-    --------
-    >>> import fourbar_codegen as fb
-    >>> run = fb.load("four_bar").simulate((0.0, 1.0))
-    >>> path = run.save("run.npz")  # doctest: +SKIP
-    >>> fb.load_trajectory(path).y.shape == run.y.shape  # doctest: +SKIP
-    True
+    model : Kernel or None
+        The model that was run.
+    find : callable
+        Where none is given: the model of a name and fingerprint, or None.
     """
-    if not (model is None or isinstance(model, CompiledModel)):
-        raise ModelError(f"model must be a CompiledModel or None, not {model!r}.")
     path = path_of(path)
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
@@ -236,7 +211,7 @@ def _unreadable(path: Path, error: Exception) -> ModelError:
     return ModelError(f"{path} holds no trajectory that fourbar_codegen has saved: {reason}.")
 
 
-def _trajectory(model: CompiledModel, attributes: Mapping[str, Any], columns: Mapping[str, Any]) -> Trajectory:
+def _trajectory(model: Kernel, attributes: Mapping[str, Any], columns: Mapping[str, Any]) -> Trajectory:
     """What was read, or a KeyError or ValueError that says what is wrong with it."""
     t = _column(columns, "t")
     steps = np.diff(t)

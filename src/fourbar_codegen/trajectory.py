@@ -16,13 +16,13 @@ from numpy.typing import ArrayLike, NDArray
 from fourbar_codegen.arguments import name_of, sample_times
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.files import path_of, replacing
+from fourbar_codegen.kernel import Kernel
 
 if TYPE_CHECKING:
     import xarray
     from matplotlib.animation import FuncAnimation
     from matplotlib.figure import Figure
 
-    from fourbar_codegen.compiled import CompiledModel
 
 __all__ = ["Trajectory", "check_ending"]
 
@@ -52,7 +52,7 @@ class Trajectory:
     success : bool
     message : str
         Why it ended.
-    model : CompiledModel
+    model : Kernel
     parameters : ndarray or None
         The parameter values, if they are not the defaults.
     settings : dict
@@ -68,7 +68,7 @@ class Trajectory:
     ((3,), (3, 3), (3,))
     """
 
-    model: CompiledModel
+    model: Kernel
     parameters: Floats | None
     t: Floats
     y: Floats
@@ -207,7 +207,7 @@ class Trajectory:
         """
         from scipy.interpolate import CubicHermiteSpline
 
-        from fourbar_codegen.simulate import along
+        from fourbar_codegen.inputs import along
 
         if not len(self.t):
             raise ModelError("The run has no states.")

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +17,10 @@ from numpy.typing import NDArray
 from fourbar_codegen.elimination import INDEPENDENT, row_sizes
 from fourbar_codegen.equations import Equations
 from fourbar_codegen.errors import BuildError, ModelError, SimulationError
-from fourbar_codegen.initial import nearest_closed
+from fourbar_codegen.kernel import Kernel
+from fourbar_codegen.loop_closure import nearest_closed
 from fourbar_codegen.program import Result
 from fourbar_codegen.tape import Scalar
-
-if TYPE_CHECKING:
-    from fourbar_codegen.compiled import CompiledModel
 
 __all__ = ["verify"]
 
@@ -37,13 +34,13 @@ CLOSURES = 16
 TOLERANCE = 1e-7
 
 
-def verify(equations: Equations, compiled: CompiledModel) -> None:
+def verify(equations: Equations, compiled: Kernel) -> None:
     """Compare all functions of a compiled model with its equations.
 
     Parameters
     ----------
     equations : Equations
-    compiled : CompiledModel
+    compiled : Kernel
 
     Raises
     ------
@@ -83,7 +80,7 @@ def verify(equations: Equations, compiled: CompiledModel) -> None:
     _check_rank(equations, compiled, generator)
 
 
-def _random_values(e: Equations, compiled: CompiledModel, generator: random.Random) -> dict[Scalar, float]:
+def _random_values(e: Equations, compiled: Kernel, generator: random.Random) -> dict[Scalar, float]:
     values = {
         leaf: generator.uniform(-1.0, 1.0)
         for leaf in (e.time, *e.coordinates, *e.speeds, *e.inputs, *e.accelerations, *e.multipliers)
@@ -109,7 +106,7 @@ def _arrays(e: Equations, values: Mapping[Scalar, float]) -> list[Floats]:
 
 
 def _compiled_results(
-    e: Equations, compiled: CompiledModel, values: Mapping[Scalar, float]
+    e: Equations, compiled: Kernel, values: Mapping[Scalar, float]
 ) -> dict[str, Sequence[tuple[Result, Floats]]]:
     """What every compiled function gives, beside the results that it is to give."""
     t = values[e.time]
@@ -158,7 +155,7 @@ def _compare(model: str, function: str, result: Result, got: Floats, expected: F
 
 
 def _compare_solution(
-    compiled: CompiledModel, expected: Mapping[str, Floats], values: Mapping[Scalar, float], e: Equations
+    compiled: Kernel, expected: Mapping[str, Floats], values: Mapping[Scalar, float], e: Equations
 ) -> None:
     """M u' = f + J^T lambda and J u' + gamma = 0 for what the compiled solve gives."""
     x, p, r, *_ = _arrays(e, values)
@@ -174,7 +171,7 @@ def _compare_solution(
 
 
 def _check_identities(
-    compiled: CompiledModel, expected: Mapping[str, Floats], values: Mapping[Scalar, float], e: Equations
+    compiled: Kernel, expected: Mapping[str, Floats], values: Mapping[Scalar, float], e: Equations
 ) -> None:
     """Energy and constraints, whose changes are taken as differences between neighbouring states."""
     t = values[e.time]
@@ -222,7 +219,7 @@ def _check_identities(
             _expect(compiled.name, what, found, rates)
 
 
-def _check_rank(e: Equations, compiled: CompiledModel, generator: random.Random) -> None:
+def _check_rank(e: Equations, compiled: Kernel, generator: random.Random) -> None:
     """The rank of J at random closed states, against the number of dependent speeds.
 
     The smallest one: loops that move although they have as many constraints as coordinates may close in other ways,
@@ -248,7 +245,7 @@ def _check_rank(e: Equations, compiled: CompiledModel, generator: random.Random)
         raise ModelError(compiled.too_few_dependent("at states that satisfy the position constraints", min(ranks)))
 
 
-def _velocities(compiled: CompiledModel, t: float, x: Floats, p: Floats, r: Floats) -> Floats:
+def _velocities(compiled: Kernel, t: float, x: Floats, p: Floats, r: Floats) -> Floats:
     jacobian, bias = compiled.velocity(t, x, p, r)
     return jacobian @ x[compiled.n_q :] + bias
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fourbar_codegen.arguments import positive
 from fourbar_codegen.drawing import drawing, equal_times, extent, panels
 from fourbar_codegen.errors import ModelError, shown
+from fourbar_codegen.kernel import Kernel
 from fourbar_codegen.progress import PATIENCE
 
 if TYPE_CHECKING:
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from fourbar_codegen.assembly import AssemblyModes
-    from fourbar_codegen.compiled import CompiledModel
     from fourbar_codegen.trajectory import Trajectory
 
 __all__ = ["animate", "plot_modes", "plot_paths", "plot_trajectory", "write_animation"]
@@ -151,7 +151,7 @@ def _figure(panels: int, planar: bool) -> tuple[Figure, list[Any]]:
     return figure, axes
 
 
-def _draw_mechanism(axes: Any, model: CompiledModel, positions: Floats, planar: bool) -> None:
+def _draw_mechanism(axes: Any, model: Kernel, positions: Floats, planar: bool) -> None:
     """The lines between the points, and the mass centres."""
     dimensions = 2 if planar else 3
     for place, entry in zip(positions, model.manifest["points"], strict=True):
@@ -161,7 +161,7 @@ def _draw_mechanism(axes: Any, model: CompiledModel, positions: Floats, planar: 
             axes.plot(*place[:dimensions, None], "o", color="tab:blue", markersize=4)
 
 
-def _checked(model: CompiledModel, points: Iterable[str]) -> list[str]:
+def _checked(model: Kernel, points: Iterable[str]) -> list[str]:
     """Names of points of the model."""
     try:
         names = [] if isinstance(points, str) else list(points)

@@ -16,7 +16,7 @@ from terminal import on_terminal
 from tutorial import tutorial_four_bar
 
 import fourbar_codegen as fb
-from fourbar_codegen.compiled import _restore
+from fourbar_codegen.kernel import _restore
 from fourbar_codegen.runtime.batch import width
 
 GENERATOR = np.random.default_rng(20)
@@ -502,7 +502,7 @@ def test_members_that_explode(four_bar):
 
 def test_progress_bar_on_a_terminal():
     code = "import fourbar_codegen as fb\n{}fb.load('four_bar').ensemble((0.0, 1.0){})"
-    impatient = "import fourbar_codegen.ensemble\nfourbar_codegen.ensemble.PATIENCE = 0.0\n"
+    impatient = "import fourbar_codegen.ensemble_run\nfourbar_codegen.ensemble_run.PATIENCE = 0.0\n"
     assert "four_bar: " in on_terminal("-c", code.format(impatient, ""))
     assert on_terminal("-c", code.format(impatient, ", progress=False")).strip() == ""
     assert on_terminal("-c", code.format("", "")).strip() == ""
@@ -545,10 +545,10 @@ def restored(arguments):
 def test_a_worker_elsewhere_builds_once(tmp_path, monkeypatch):
     """Processes that do not find the module share one build in their node's cache."""
     model = fb.compile_model(fb.models.cartesian_pendulum())
-    _, (name, _, manifest, sources) = model.__reduce__()
+    _, (kind, name, _, manifest, sources) = model.__reduce__()
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     with multiprocessing.get_context("spawn").Pool(3) as pool:
-        paths = pool.map(restored, [(name, str(tmp_path / "elsewhere.so"), manifest, sources)] * 3)
+        paths = pool.map(restored, [(kind, name, str(tmp_path / "elsewhere.so"), manifest, sources)] * 3)
     assert len(set(paths)) == 1
     assert paths[0].startswith(str(tmp_path))
     assert len([path for path in tmp_path.iterdir() if path.is_dir()]) == 1
@@ -558,12 +558,12 @@ def test_a_worker_elsewhere_builds_once(tmp_path, monkeypatch):
 
 def test_another_model_in_the_same_place_is_not_taken(tmp_path, monkeypatch):
     model = fb.load(fb.build_model(fb.models.cartesian_pendulum(), tmp_path / "here"))
-    _, (name, _, manifest, sources) = model.__reduce__()
+    _, (kind, name, _, manifest, sources) = model.__reduce__()
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path / "cache"))
     other = str(fb.load("four_bar").path)
-    assert _restore(name, other, manifest, sources).coordinates == model.coordinates
+    assert _restore(kind, name, other, manifest, sources).coordinates == model.coordinates
     with pytest.raises(fb.ModelError, match="another one"):
-        _restore(name, other, manifest, None)
+        _restore(kind, name, other, manifest, None)
 
 
 def test_the_shape_of_initial_states_is_named_as_it_is_given(four_bar):

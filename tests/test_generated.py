@@ -19,9 +19,10 @@ from fourbar_codegen.c_expressions import Text
 from fourbar_codegen.convert import Conversion
 from fourbar_codegen.equations import form_equations
 from fourbar_codegen.lower import lower
-from fourbar_codegen.program import Array, Function, Result
+from fourbar_codegen.program import Array, Function
+from fourbar_codegen.schedule import schedule_function
 from fourbar_codegen.share import share
-from fourbar_codegen.tape import Tape
+from fourbar_codegen.tape import Result, Tape
 
 ROOT = Path(__file__).parent.parent
 COMMITTED = ROOT / "generated" / "four_bar"
@@ -146,14 +147,16 @@ def test_printed_expressions_mean_what_they_say(expr):
     statements, [value] = share(tape, [Conversion(tape, leaves)(expr)], lambda _: False)
     nodes = tuple(leaf.node for leaf in leaves.values())
     arguments = (Array("p", nodes, tuple(tape.nodes[node] for node in nodes)),)
-    text = Text(Function("f", "", arguments, statements, (Result("y", (1,), (value,)),), 0), inline_angles=False)
+    function = Function("f", "", arguments, statements, (Result("y", (1,), (value,)),), 0)
+    scheduled = schedule_function(function, inline_angles=False)
+    text = Text(scheduled)
     known = {**vars(math), **{text.names[leaf.node]: values[symbol.name] for symbol, leaf in leaves.items()}}
-    for line in text.lines:
+    for line in scheduled.lines:
         known[text.names[line]] = eval(text.value(line), known)
     assert eval(text.scalar(value), known) == pytest.approx(float(expr.subs({x: 1.3, y: 0.7, z: 2.1})), rel=1e-14)
     # Whole powers are products, and those of 1/2 roots.
     powers = [power for power in expr.atoms(sm.Pow) if not power.exp.is_Integer and abs(power.exp) != sm.S.Half]
-    assert any("pow" in text.value(line) for line in text.lines) == bool(powers)
+    assert any("pow" in text.value(line) for line in scheduled.lines) == bool(powers)
 
 
 @pytest.mark.parametrize(

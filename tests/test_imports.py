@@ -10,77 +10,110 @@ import pytest
 import fourbar_codegen
 
 PACKAGE = Path(fourbar_codegen.__file__).parent
-RUN = [
-    "arguments",
-    "assembly",
-    "compiled",
-    "discontinuities",
-    "drawing",
-    "elimination",
-    "ensemble",
-    "initial",
-    "integrate",
-    "linearize",
-    "polynomials",
-    "report",
-    "simulate",
-    "solver_run",
-    "solvers",
-    "storage",
-    "tables",
-    "trajectory",
-    "visual",
-]
-GENERATION = [
-    "model", "mechanism", "fingerprint", "tape", "numeric", "convert", "derivatives", "breakpoints", "formulas",
-    "identities", "linear", "motion", "composite", "kinematics", "kane", "equations", "angles", "share", "program",
-    "structure", "lower", "c_expressions", "c_source", "cython_source",
-]  # fmt: skip
+FOLDERS = {
+    "": ["errors", "progress", "files", "tables", "arguments"],
+    "expressions": [
+        "tape", "numeric", "convert", "derivatives", "breakpoints", "formulas", "identities", "linear", "fingerprint",
+    ],
+    "modeling": ["model", "mechanism"],
+    "dynamics": ["motion", "kinematics", "kane", "composite", "equations"],
+    "lowering": ["program", "structure", "angles", "share", "lower", "schedule"],
+    "codegen": ["c_expressions", "c_source", "cython_source"],
+    "building": ["build", "cache"],
+    "kernel": ["loading", "elimination", "kernel", "inputs", "consistency"],
+    "analysis": ["loop_closure", "polynomials", "initial_state", "assembly", "linearize"],
+    "results": ["trajectory", "ensemble"],
+    "simulation": [
+        "integration", "discontinuities", "events", "singularity", "options", "solver_run", "solvers", "integrate",
+        "simulate", "batch", "ensemble_run",
+    ],
+    "presentation": ["storage", "drawing", "visual", "report"],
+    "compiled": ["compiled"],
+    "compile": ["compile", "verify"],
+    "cli": ["__init__", "__main__", "cli"],
+}  # fmt: skip
+"""Which folder each file belongs to."""
+
+ON = {
+    "": ["runtime"],
+    "expressions": [""],
+    "modeling": ["expressions"],
+    "dynamics": ["modeling"],
+    "lowering": ["dynamics"],
+    "codegen": ["lowering"],
+    "building": [""],
+    "kernel": ["building", "runtime"],
+    "analysis": ["kernel"],
+    "results": ["kernel"],
+    "simulation": ["analysis", "results"],
+    "presentation": ["analysis", "results"],
+    "compiled": ["simulation", "presentation"],
+    "compile": ["codegen", "compiled"],
+    "cli": ["compile"],
+}
+"""What each folder stands on: it may import that, and what that stands on."""
+
+GENERATION = {"expressions", "modeling", "dynamics", "lowering", "codegen"}
+HOME = {file: folder for folder, files in FOLDERS.items() for file in files}
+DOORS = {("trajectory", "storage"), ("trajectory", "visual"), ("trajectory", "report"), ("assembly", "visual")}
+"""What a result does with itself on request, imported in the function: `Trajectory.save`, `.plot`, and the like."""
 
 
-GROUND = ["build", "cache", "errors", "files", "progress"]  # both halves stand on it
-WHOLE = ["__init__", "__main__", "cli", "compile", "verify"]  # both halves meet in it
+def below(folder):
+    return {folder, *(lower for base in ON.get(folder, ()) for lower in below(base))}
 
 
-def imported(path):
-    """Modules, and names from modules, which may be modules as well; without the package's own name."""
-    for node in ast.walk(ast.parse(path.read_text())):
+def imports(path):
+    """The modules that a file imports, and whether it does so in a function; relative imports are not used."""
+    tree = ast.parse(path.read_text())
+    within = {id(node) for f in ast.walk(tree) if isinstance(f, ast.FunctionDef) for node in ast.walk(f)}
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            yield from ((alias.name, id(node) in within) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            module = node.module.removeprefix("fourbar_codegen").removeprefix(".")
-            yield module
-            yield from (f"{module}.{alias.name}".removeprefix(".") for alias in node.names)
+            assert node.level == 0, f"{path.name} has a relative import"
+            yield from ((f"{node.module}.{alias.name}", id(node) in within) for alias in node.names)
 
 
-def test_every_module_has_a_place():
-    assert sorted(RUN + GENERATION + GROUND + WHOLE) == sorted(path.stem for path in PACKAGE.glob("*.py"))
+def own(path):
+    """The files and folders of the package that a file imports, and whether it does so in a function."""
+    for module, within in imports(path):
+        if module.startswith("fourbar_codegen."):
+            first = module.split(".")[1]
+            if first in HOME or first in {"runtime", "models"}:
+                yield first, within
 
 
-@pytest.mark.parametrize("name", RUN)
-def test_run_half_knows_no_sympy_and_no_generation(name):
-    for module in imported(PACKAGE / f"{name}.py"):
-        assert not module.startswith("sympy")
-        assert module not in {*GENERATION, *WHOLE}
+def test_every_file_has_a_folder():
+    assert sorted(HOME) == sorted(path.stem for path in PACKAGE.glob("*.py"))
 
 
-@pytest.mark.parametrize("name", GENERATION)
-def test_generation_half_knows_no_scipy_and_runs_no_process(name):
-    for module in imported(PACKAGE / f"{name}.py"):
-        assert not module.startswith(("scipy", "subprocess"))
-        assert module not in {*RUN, *WHOLE, "build", "cache"} - {"arguments", "tables"}
+@pytest.mark.parametrize("name", sorted(set(HOME) - set(FOLDERS["cli"])))
+def test_imports_go_down(name):
+    for imported, within in own(PACKAGE / f"{name}.py"):
+        folder = HOME.get(imported, imported)
+        if not (within and (name, imported) in DOORS):
+            assert folder in below(HOME[name]), f"{name} imports {imported}"
 
 
-@pytest.mark.parametrize("name", GROUND)
-def test_what_both_stand_on_knows_neither(name):
-    for module in imported(PACKAGE / f"{name}.py"):
-        assert not module.startswith(("sympy", "scipy"))
-        assert module not in {*RUN, *GENERATION, *WHOLE}
+def test_no_cycles():
+    """Also within a folder, and counting imports in functions, but for what results do with themselves."""
+    edges = {name: {b for b, _ in own(PACKAGE / f"{name}.py") if b in HOME and (name, b) not in DOORS} for name in HOME}
+    edges |= {name: set() for name in FOLDERS["cli"]}
+    while edges:
+        ready = {name for name, on in edges.items() if not on & edges.keys()}
+        assert ready, f"these import each other: {sorted(edges)}"
+        edges = {name: on for name, on in edges.items() if name not in ready}
 
 
-def test_only_build_runs_processes():
-    users = [p.name for p in PACKAGE.glob("*.py") if "subprocess" in set(imported(p))]
-    assert users == ["build.py"]
+@pytest.mark.parametrize("name", sorted(HOME))
+def test_halves_import_their_own_libraries(name):
+    modules = {module.split(".")[0] for module, _ in imports(PACKAGE / f"{name}.py")}
+    if HOME[name] in GENERATION:
+        assert "scipy" not in modules
+    elif HOME[name] not in {"compile", "cli"}:
+        assert "sympy" not in modules
+    assert "subprocess" not in modules or name == "build"
 
 
 def run(code):

@@ -16,6 +16,7 @@ from sympy.physics.mechanics.system import System
 
 import fourbar_codegen as fb
 import fourbar_codegen.integrate
+import fourbar_codegen.options
 
 METHODS = ["RK45", "DOP853"]
 
@@ -457,8 +458,8 @@ def test_without_a_step_there_is_no_interpolant(method):
 
 
 def test_the_limit_of_steps_by_default(four_bar, monkeypatch):
-    monkeypatch.setitem(fourbar_codegen.integrate.STEPS, "DOP853", 7)
-    monkeypatch.setitem(fourbar_codegen.integrate.STEPS, "ALI3P", 7)
+    monkeypatch.setitem(fourbar_codegen.options.STEPS, "DOP853", 7)
+    monkeypatch.setitem(fourbar_codegen.options.STEPS, "ALI3P", 7)
     assert "max_steps = 7 " in four_bar.simulate((0.0, 4.0)).message
     assert four_bar.simulate((0.0, 4.0), max_steps=None).success
     # What max_step asks for is no explosion, whatever the direction.

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
 from collections.abc import Mapping
 from fractions import Fraction
 
@@ -17,6 +16,7 @@ from sympy.printing.codeprinter import PrintMethodNotImplementedError
 
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.program import Function
+from fourbar_codegen.schedule import ScheduledFunction
 from fourbar_codegen.tape import (
     ONE,
     Call,
@@ -28,14 +28,10 @@ from fourbar_codegen.tape import (
     Scalar,
     Sum,
     magnitude,
-    operands,
     placeholder,
 )
 
 __all__ = ["ANGLES", "CARRIED", "Text"]
-
-INLINED = 8
-"""Operands of the longest expression that stands in another one, instead of on a line of its own."""
 
 CARRIED = "carried"
 """The array through which the parts of a longer function hand on values."""
@@ -62,65 +58,26 @@ RESERVED = frozenset(
 
 
 class Text:
-    """The text of a function's operations, those used once written where they are used.
+    """The text of a function's values.
 
     Parameters
     ----------
-    function : Function
+    scheduled : ScheduledFunction
     real : {"fb_real", "double"}, optional
         The type of its values.
-    inline_angles : bool
-        Whether sine and cosine are those of fourbar_angle.h, or the library's.
 
     Attributes
     ----------
     names : dict of int to str
         What the arguments and the nodes that have a line of their own are called.
-    lines : list of int
-        The latter nodes, in order of evaluation.
     """
 
-    def __init__(self, function: Function, real: str = "double", *, inline_angles: bool) -> None:
+    def __init__(self, scheduled: ScheduledFunction, real: str = "double") -> None:
         self.real = real
-        self.inline_angles = inline_angles
-        self.operations = dict(function.statements)
-        self.names = _argument_names(function)
-        uses = Counter(operand for operation in self.operations.values() for operand in operands(operation))
-        uses.update(entry.node for result in function.results for entry in result.entries)
-        named = {a for o in self.operations.values() if isinstance(o, Call) for a in o.arguments}
-        named.update(node for node, count in uses.items() if count > 1)
-        lengths: dict[int, int] = {}  # operands in the text of what has no line of its own
-        for node, operation in self.operations.items():
-            length = sum(lengths.get(operand, 1) for operand in operands(operation))
-            if node not in named and not isinstance(operation, Call) and length <= INLINED:
-                lengths[node] = length
-        self.lines = [node for node in self.operations if node not in lengths]
-        self.names.update((node, f"z{position}") for position, node in enumerate(self.lines))
-
-    def referred(self, node: int) -> set[int]:
-        """The nodes that the text of a node names; of one that has a name, itself."""
-        found: set[int] = set()
-        stack = [node]
-        while stack:
-            node = stack.pop()
-            if node in self.names:
-                found.add(node)
-            elif node != ONE:
-                stack.extend(operands(self.operations[node]))
-        return found
-
-    def referred_by(self, line: int) -> set[int]:
-        """The nodes that a line names on its right-hand side."""
-        return {name for operand in operands(self.operations[line]) for name in self.referred(operand)}
-
-    def angle(self, line: int) -> tuple[str, int] | None:
-        """The function and the argument of a line that is an inline sine or cosine."""
-        operation = self.operations[line]
-        if not self.inline_angles or not isinstance(operation, Call):
-            return None
-        function = operation.expression
-        inline = isinstance(function, (sm.sin, sm.cos)) and function.args[0].is_Symbol
-        return (str(function.func), operation.arguments[0]) if inline else None
+        self.inline_angles = scheduled.inline_angles
+        self.operations = dict(scheduled.function.statements)
+        self.names = _argument_names(scheduled.function)
+        self.names.update((node, f"z{position}") for position, node in enumerate(scheduled.lines))
 
     def value(self, line: int) -> str:
         """The right-hand side of a line."""

@@ -63,11 +63,13 @@ def _generate(model: Model, progress: Progress) -> tuple[Equations, dict[str, st
     from fourbar_codegen.cython_source import manifest_of, manifest_text, wrapper_text
     from fourbar_codegen.equations import form_equations
     from fourbar_codegen.lower import lower
+    from fourbar_codegen.schedule import schedule
 
     progress.stage("forming the equations")
     equations = form_equations(model)
     progress.stage("sharing what is common")
     program = lower(model.name, equations)
+    scheduled = schedule(program)
     progress.stage("printing")
     names = {
         "coordinates": model.coordinates,
@@ -76,13 +78,13 @@ def _generate(model: Model, progress: Progress) -> tuple[Equations, dict[str, st
         "inputs": tuple(leaf.name for leaf in program.inputs),
         "outputs": model.outputs,
     }
-    manifest = manifest_of(model, program, names, fingerprint(_described(model)))
-    lanes = lanes_text(program)
+    manifest = manifest_of(model, equations, program, names, fingerprint(_described(model)))
+    lanes = lanes_text(scheduled)
     return equations, {
-        f"{model.name}_kernel.c": kernel_text(program, names),
+        f"{model.name}_kernel.c": kernel_text(scheduled, names),
         **({f"{model.name}_lanes.c": lanes} if lanes else {}),
-        f"{model.name}_derivatives.c": derivatives_text(program, names),
-        f"{model.name}_kernel.h": header_text(program, names),
+        f"{model.name}_derivatives.c": derivatives_text(scheduled, names),
+        f"{model.name}_kernel.h": header_text(scheduled, names),
         f"{model.name}.pyx": wrapper_text(model, manifest),
         "manifest.json": manifest_text(manifest),
     }

@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from fourbar_codegen.equations import Equations
 from fourbar_codegen.model import Model
 from fourbar_codegen.program import Program
 
@@ -14,12 +15,15 @@ __all__ = ["manifest_of", "manifest_text", "wrapper_text"]
 MANIFEST_FORMAT = 6
 
 
-def manifest_of(model: Model, program: Program, names: Mapping[str, Sequence[str]], fingerprint: str) -> dict[str, Any]:
+def manifest_of(
+    model: Model, equations: Equations, program: Program, names: Mapping[str, Sequence[str]], fingerprint: str
+) -> dict[str, Any]:
     """What a compiled model knows of itself: names, order, defaults, units, operation counts.
 
     Parameters
     ----------
     model : Model
+    equations : Equations
     program : Program
     names : mapping of str to sequence of str
         The model's `coordinates`, `speeds`, `parameters`, `inputs` and `outputs`, as compiled.
@@ -58,16 +62,16 @@ def manifest_of(model: Model, program: Program, names: Mapping[str, Sequence[str
             for entry in model.input_entries
             if entry.name in names["inputs"]
         ],
-        "moving_inputs": list(program.moving),
+        "moving_inputs": list(equations.moving),
         "n_breakpoints": program.sizes.n_breakpoints,
-        "n_jumps": program.n_jumps,
+        "n_jumps": equations.n_jumps,
         "outputs": list(names["outputs"]),
-        "position_constraints": program.position_formulas,
+        "position_constraints": equations.position_formulas,
         "points": [
             {"name": name, "parent": place.parent, "body": place.body}
-            for name, place in zip(_distinct([place.name for place in program.places]), program.places, strict=True)
+            for name, place in zip(_distinct([place.name for place in equations.places]), equations.places, strict=True)
         ],
-        "forced_points": list(program.forced),
+        "forced_points": list(equations.forced),
         "initial": model.initial,
         "velocity_rows": [row for row, entry in enumerate(closed) if not entry],
         "can_project": sum(map(bool, closed)) == sum(map(bool, positions)),

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fourbar_codegen.arguments import flag, is_mapping, name_of, named_columns, numbers, one_of
 from fourbar_codegen.batch import BLOCK, n_workers
-from fourbar_codegen.consistency import is_rounded
+from fourbar_codegen.consistency import is_rounded, projects
 from fourbar_codegen.discontinuities import boundary, discontinuities
 from fourbar_codegen.ensemble import Ensemble
 from fourbar_codegen.errors import AssemblyError, FourbarError, ModelError, shown
@@ -49,6 +49,7 @@ def run(
 ) -> Ensemble:
     """Many runs at once; see `CompiledModel.ensemble`."""
     one_of(given["method"], METHODS, "method for ensembles")
+    projects(model, given["constraints"])  # of one member, "baumgarte" is allowed as well
     options = RunOptions.of(model, **given)
     if options.t_eval is None:
         options = replace(options, t_eval=np.array(options.t_span))

@@ -33,10 +33,27 @@ from fourbar_codegen.linear import TooManyCoupledError, UndeterminedError, solve
 from fourbar_codegen.mechanism import Mechanism
 from fourbar_codegen.model import InputEntry, Model, multiplier
 from fourbar_codegen.motion import INERTIAL, Components, Motion, add
-from fourbar_codegen.program import Place, Result
-from fourbar_codegen.tape import Scalar, Tape
+from fourbar_codegen.tape import Result, Scalar, Tape
 
-__all__ = ["Equations", "form_equations"]
+__all__ = ["DrawnPoint", "Equations", "form_equations"]
+
+
+@dataclass(frozen=True)
+class DrawnPoint:
+    """A point that is drawn.
+
+    Attributes
+    ----------
+    name : str
+    parent : int or None
+        The point from which a line leads to it; None for the origin.
+    body : str or None
+        The body whose mass centre it is.
+    """
+
+    name: str
+    parent: int | None
+    body: str | None
 
 
 @dataclass(frozen=True)
@@ -94,7 +111,7 @@ class Equations:
     power : Result
         What all loads do, (1,); NaN if that is not what changes the kinetic energy. It is made into nothing but a test
         of the other results.
-    places : tuple of Place
+    places : tuple of DrawnPoint
     points : Result
         Their positions in the inertial frame, (n_points, 3).
     forced : tuple of int
@@ -145,7 +162,7 @@ class Equations:
     coordinate_change: Result
     energies: Result
     power: Result
-    places: tuple[Place, ...]
+    places: tuple[DrawnPoint, ...]
     points: Result
     forced: tuple[int, ...]
     forces: Result
@@ -395,12 +412,12 @@ def _columns(tape: Tape, rows: Sequence[Scalar], unknown: Sequence[Scalar]) -> l
     return [[gradient[i] for gradient in gradients] for i in range(len(unknown))]
 
 
-def _places(mechanism: Mechanism, motion: Motion) -> tuple[tuple[Place, ...], list[Components], dict[int, int]]:
+def _places(mechanism: Mechanism, motion: Motion) -> tuple[tuple[DrawnPoint, ...], list[Components], dict[int, int]]:
     """The points that are drawn and their positions, but for those with symbols that the model does not know.
 
     And which of them the mechanism's points are, by their numbers.
     """
-    places: list[Place] = []
+    places: list[DrawnPoint] = []
     positions: list[Components] = []
     of_points: dict[int, int] = {}
     numbers: dict[int | None, int | None] = {None: None}
@@ -415,7 +432,7 @@ def _places(mechanism: Mechanism, motion: Motion) -> tuple[tuple[Place, ...], li
         numbers[number] = len(places)
         if point.number is not None:
             of_points[point.number] = len(places)
-        places.append(Place(point.name, parent, point.body))
+        places.append(DrawnPoint(point.name, parent, point.body))
         positions.append(offset if parent is None else add(positions[parent], offset))
     return tuple(places), positions, of_points
 

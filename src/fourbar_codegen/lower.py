@@ -13,10 +13,10 @@ from collections.abc import Sequence
 from fourbar_codegen.angles import add_angles
 from fourbar_codegen.equations import Equations
 from fourbar_codegen.identities import rank as find_rank
-from fourbar_codegen.program import Array, Function, Program, Result, Sizes
-from fourbar_codegen.share import Statements, share
-from fourbar_codegen.structure import MOST_CONSTRAINTS, Split, Structure, find_split, find_structure
-from fourbar_codegen.tape import ONE, Leaf, Scalar, Tape, operands, operations_of
+from fourbar_codegen.program import Array, Function, Program, Sizes, Split, Statements, Structure
+from fourbar_codegen.share import share
+from fourbar_codegen.structure import MOST_CONSTRAINTS, find_split, find_structure
+from fourbar_codegen.tape import ONE, Leaf, Result, Scalar, Tape, operands, operations_of
 
 __all__ = ["lower"]
 
@@ -168,6 +168,8 @@ def lower(name: str, equations: Equations) -> Program:
         n_h=len(e.position_constraints.entries),
         n_c=len(e.velocity_bias.entries),
         n_o=len(e.outputs.entries),
+        n_points=len(e.places),
+        n_forces=len(e.forced),
         n_breakpoints=len(e.breakpoints.entries),
         rank=rank,
         n_constants=len(constants.nodes),
@@ -179,11 +181,6 @@ def lower(name: str, equations: Equations) -> Program:
         derivatives=functions[first:],
         split=_split(e, rank, structure),
         structure=structure,
-        position_formulas=e.position_formulas,
-        moving=e.moving,
-        n_jumps=e.n_jumps,
-        places=e.places,
-        forced=e.forced,
     )
 
 

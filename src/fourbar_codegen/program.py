@@ -9,13 +9,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
-from fourbar_codegen.share import Statements
-from fourbar_codegen.structure import Split, Structure
-from fourbar_codegen.tape import ONE, Leaf, Scalar, operands, operations_of
+from fourbar_codegen.tape import ONE, Leaf, Node, Result, operands, operations_of
 
-__all__ = ["Array", "Function", "Place", "Program", "Result", "Sizes"]
+__all__ = ["Array", "Entries", "Function", "Program", "Sizes", "Split", "Statements", "Structure"]
+
+Statements = tuple[tuple[int, Node], ...]
+"""Nodes and what they are, in order of evaluation."""
+
+Entries = tuple[tuple[int, int], ...]
+"""Rows and columns of the entries of a matrix that are not zero."""
 
 
 @dataclass(frozen=True)
@@ -33,22 +36,6 @@ class Array:
     name: str
     nodes: tuple[int, ...]
     leaves: tuple[Leaf | None, ...]
-
-
-@dataclass(frozen=True)
-class Result:
-    """A named array of expressions, row by row.
-
-    Attributes
-    ----------
-    name : str
-    shape : tuple of int
-    entries : tuple of Scalar
-    """
-
-    name: str
-    shape: tuple[int, ...]
-    entries: tuple[Scalar, ...]
 
 
 @dataclass(frozen=True)
@@ -104,21 +91,79 @@ class Function:
 
 
 @dataclass(frozen=True)
-class Place:
-    """A point that is drawn.
+class Structure:
+    """An elimination of the unknowns u', then -lambda, in a fixed order.
 
     Attributes
     ----------
-    name : str
-    parent : int or None
-        The point from which a line leads to it; None for the origin.
-    body : str or None
-        The body whose mass centre it is.
+    mass_entries, jacobian_entries : tuple of (int, int)
+        Rows and columns of the entries that are not zero: of M on and below the diagonal, and of J row by row.
+    order : tuple of int
+        The unknown that each step eliminates.
+    below : tuple of tuple of int
+        For each step, the later ones that have an entry in its column.
     """
 
-    name: str
-    parent: int | None
-    body: str | None
+    mass_entries: Entries
+    jacobian_entries: Entries
+    order: tuple[int, ...]
+    below: tuple[tuple[int, ...], ...]
+
+    def tables(self) -> dict[str, list[int]]:
+        """What fourbar_sparse.h loops over.
+
+        Places in memory number the diagonal in the order of the steps, then the columns below it.
+        """
+        n_u = len(self.order) - len({row for row, _ in self.jacobian_entries})
+        step = {unknown: k for k, unknown in enumerate(self.order)}
+        starts = [0]
+        for rows in self.below:
+            starts.append(starts[-1] + len(rows))
+        place = {(k, k): k for k in range(len(self.order))}
+        for k, rows in enumerate(self.below):
+            place.update({(row, k): len(self.order) + starts[k] + i for i, row in enumerate(rows)})
+
+        def at(a: int, b: int) -> int:
+            return place[max(step[a], step[b]), min(step[a], step[b])]
+
+        rows_of_jacobian = [[c for r, c in self.jacobian_entries if r == row] for row in range(len(self.order) - n_u)]
+        pairs = [at(a, b) for columns in rows_of_jacobian for i, a in enumerate(columns) for b in columns[: i + 1]]
+        row_starts = [0]
+        for columns in rows_of_jacobian:
+            row_starts.append(row_starts[-1] + len(columns))
+        # The last row first, so that a column can be scaled where it stands while it is used.
+        targets = [
+            place[rows[i], rows[j]] for rows in self.below for i in reversed(range(len(rows))) for j in range(i + 1)
+        ]
+        return {
+            "mass_row": [row for row, _ in self.mass_entries],
+            "mass_column": [column for _, column in self.mass_entries],
+            "mass_place": [at(row, column) for row, column in self.mass_entries],
+            "jacobian_row": row_starts,
+            "jacobian_column": [column for _, column in self.jacobian_entries],
+            "jacobian_place": [at(n_u + row, column) for row, column in self.jacobian_entries],
+            "pair_place": pairs,
+            "unknown": list(self.order),
+            "column": starts,
+            "below": [row for rows in self.below for row in rows],
+            "target": targets,
+        }
+
+
+@dataclass(frozen=True)
+class Split:
+    """An order in which full constraints are solved for as many speeds.
+
+    Attributes
+    ----------
+    rows : tuple of int
+        The constraints, in the order of elimination.
+    speeds : tuple of int
+        The speeds that they are solved for, in that order, and behind them the others.
+    """
+
+    rows: tuple[int, ...]
+    speeds: tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -131,6 +176,8 @@ class Sizes:
         Coordinates, speeds, parameters, inputs.
     n_h, n_c, n_o : int
         Position constraints; velocity constraints; outputs.
+    n_points, n_forces : int
+        Points that are drawn, and those with forces of inputs.
     n_breakpoints : int
         Times at which expressions have a jump or a kink.
     rank : int
@@ -146,6 +193,8 @@ class Sizes:
     n_h: int
     n_c: int
     n_o: int
+    n_points: int
+    n_forces: int
     n_breakpoints: int
     rank: int
     n_constants: int
@@ -168,16 +217,6 @@ class Program:
     structure : Structure or None
         How the equations of `dynamics` are solved, if not as full ones. Then that function gives the entries of M and J
         that are not zero, one after another.
-    position_formulas : dict
-        The position constraints as `formulas` writes them.
-    moving : tuple of int
-        The inputs that positions, velocities or constraints depend on.
-    n_jumps : int
-        How many of the breakpoints, which come first, are of positions or velocities.
-    places : tuple of Place
-        What `drawing` gives the positions of.
-    forced : tuple of int
-        Those of them that it gives forces on.
     """
 
     name: str
@@ -186,11 +225,6 @@ class Program:
     derivatives: tuple[Function, ...]
     split: Split
     structure: Structure | None
-    position_formulas: dict[str, Any]
-    moving: tuple[int, ...]
-    n_jumps: int
-    places: tuple[Place, ...]
-    forced: tuple[int, ...]
 
     @property
     def parameters(self) -> tuple[Leaf, ...]:

@@ -16,11 +16,10 @@ from fractions import Fraction
 from typing import TypeVar
 
 from fourbar_codegen.convert import make_again
+from fourbar_codegen.program import Statements
 from fourbar_codegen.tape import ONE, Leaf, Node, Number, Product, Scalar, Sum, Tape, operands
 
-__all__ = ["Statements", "share"]
-
-Statements = tuple[tuple[int, Node], ...]
+__all__ = ["share"]
 
 Operand = TypeVar("Operand")
 Pair = TypeVar("Pair", bound=tuple[Number, ...])

@@ -20,11 +20,10 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
-__all__ = ["MOST_CONSTRAINTS", "Split", "Structure", "find_split", "find_structure"]
+from fourbar_codegen.program import Entries, Split, Structure
 
-Entries = tuple[tuple[int, int], ...]
+__all__ = ["MOST_CONSTRAINTS", "find_split", "find_structure"]
 
 FEWEST_SPEEDS = 8
 MOST_CONSTRAINTS = 8
@@ -38,66 +37,6 @@ TINY = 1e-12
 
 GAIN = 4
 """How many times fewer multiplications make up for their places in memory being looked up."""
-
-
-@dataclass(frozen=True)
-class Structure:
-    """An elimination of the unknowns u', then -lambda, in a fixed order.
-
-    Attributes
-    ----------
-    mass_entries, jacobian_entries : tuple of (int, int)
-        Rows and columns of the entries that are not zero: of M on and below the diagonal, and of J row by row.
-    order : tuple of int
-        The unknown that each step eliminates.
-    below : tuple of tuple of int
-        For each step, the later ones that have an entry in its column.
-    """
-
-    mass_entries: Entries
-    jacobian_entries: Entries
-    order: tuple[int, ...]
-    below: tuple[tuple[int, ...], ...]
-
-    def tables(self) -> dict[str, list[int]]:
-        """What fourbar_sparse.h loops over.
-
-        Places in memory number the diagonal in the order of the steps, then the columns below it.
-        """
-        n_u = len(self.order) - len({row for row, _ in self.jacobian_entries})
-        step = {unknown: k for k, unknown in enumerate(self.order)}
-        starts = [0]
-        for rows in self.below:
-            starts.append(starts[-1] + len(rows))
-        place = {(k, k): k for k in range(len(self.order))}
-        for k, rows in enumerate(self.below):
-            place.update({(row, k): len(self.order) + starts[k] + i for i, row in enumerate(rows)})
-
-        def at(a: int, b: int) -> int:
-            return place[max(step[a], step[b]), min(step[a], step[b])]
-
-        rows_of_jacobian = [[c for r, c in self.jacobian_entries if r == row] for row in range(len(self.order) - n_u)]
-        pairs = [at(a, b) for columns in rows_of_jacobian for i, a in enumerate(columns) for b in columns[: i + 1]]
-        row_starts = [0]
-        for columns in rows_of_jacobian:
-            row_starts.append(row_starts[-1] + len(columns))
-        # The last row first, so that a column can be scaled where it stands while it is used.
-        targets = [
-            place[rows[i], rows[j]] for rows in self.below for i in reversed(range(len(rows))) for j in range(i + 1)
-        ]
-        return {
-            "mass_row": [row for row, _ in self.mass_entries],
-            "mass_column": [column for _, column in self.mass_entries],
-            "mass_place": [at(row, column) for row, column in self.mass_entries],
-            "jacobian_row": row_starts,
-            "jacobian_column": [column for _, column in self.jacobian_entries],
-            "jacobian_place": [at(n_u + row, column) for row, column in self.jacobian_entries],
-            "pair_place": pairs,
-            "unknown": list(self.order),
-            "column": starts,
-            "below": [row for rows in self.below for row in rows],
-            "target": targets,
-        }
 
 
 def find_structure(n_u: int, n_c: int, mass_entries: Entries, jacobian_entries: Entries) -> Structure | None:
@@ -161,22 +100,6 @@ def find_structure(n_u: int, n_c: int, mass_entries: Entries, jacobian_entries: 
     if GAIN * sparse > dense:
         return None
     return Structure(mass_entries, jacobian_entries, tuple(order), below)
-
-
-@dataclass(frozen=True)
-class Split:
-    """An order in which full constraints are solved for as many speeds.
-
-    Attributes
-    ----------
-    rows : tuple of int
-        The constraints, in the order of elimination.
-    speeds : tuple of int
-        The speeds that they are solved for, in that order, and behind them the others.
-    """
-
-    rows: tuple[int, ...]
-    speeds: tuple[int, ...]
 
 
 def find_split(n_c: int, n_u: int, rank: int, jacobians: Sequence[Sequence[Sequence[float]]]) -> Split:

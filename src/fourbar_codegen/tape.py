@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Container, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, NamedTuple
 
@@ -25,6 +26,7 @@ __all__ = [
     "Number",
     "Product",
     "Reciprocal",
+    "Result",
     "Scalar",
     "Sum",
     "Tape",
@@ -196,6 +198,22 @@ class Scalar:
 
     def __repr__(self) -> str:
         return f"{self.coefficient} {self.tape.nodes[self.node]}"
+
+
+@dataclass(frozen=True)
+class Result:
+    """A named array of scalars, row by row.
+
+    Attributes
+    ----------
+    name : str
+    shape : tuple of int
+    entries : tuple of Scalar
+    """
+
+    name: str
+    shape: tuple[int, ...]
+    entries: tuple[Scalar, ...]
 
 
 class Tape:

@@ -19,8 +19,7 @@ from fourbar_codegen.equations import Equations
 from fourbar_codegen.errors import BuildError, ModelError, SimulationError
 from fourbar_codegen.kernel import Kernel
 from fourbar_codegen.loop_closure import nearest_closed
-from fourbar_codegen.program import Result
-from fourbar_codegen.tape import Scalar
+from fourbar_codegen.tape import Result, Scalar
 
 __all__ = ["verify"]
 

@@ -5,9 +5,9 @@ import math
 import pytest
 import sympy as sm
 
-from fourbar_codegen.angles import add_angles
-from fourbar_codegen.convert import Conversion
-from fourbar_codegen.tape import Call, Tape
+from fourbar_codegen.expressions.convert import Conversion
+from fourbar_codegen.expressions.tape import Call, Tape
+from fourbar_codegen.lowering.angles import add_angles
 
 A, B, C = sm.symbols("a b c")
 POINT = {"a": 0.3, "b": -1.1, "c": 2.5}

@@ -11,10 +11,10 @@ from sympy.physics.mechanics.system import System
 from systems import masses_on_a_line, spatial_four_bar
 
 import fourbar_codegen as fb
-from fourbar_codegen.convert import Conversion
-from fourbar_codegen.formulas import formulas
-from fourbar_codegen.polynomials import Constraints
-from fourbar_codegen.tape import Tape
+from fourbar_codegen.analysis.polynomials import Constraints
+from fourbar_codegen.expressions.convert import Conversion
+from fourbar_codegen.expressions.formulas import formulas
+from fourbar_codegen.expressions.tape import Tape
 
 
 def circles(center, radius, other, another):
@@ -185,7 +185,7 @@ def test_sums_and_powers():
 
 def test_infinitely_many_ways(monkeypatch):
     """A rhombus folded flat: the crank's end lies on the other pivot, and the rest turns freely about it."""
-    monkeypatch.setattr("fourbar_codegen.assembly.MOST", 50)
+    monkeypatch.setattr("fourbar_codegen.analysis.assembly_modes.MOST", 50)
     model = linkage(1)
     assert len(model.initial_states([1.0], [0.0], parameters=[1.0] * 5)) == 2
     folded = model.initial_states([0.0], [0.0], parameters=[1.0] * 5)
@@ -407,7 +407,7 @@ def test_pictures_of_modes(four_bar, monkeypatch):
         assert np.abs(ends - points["joint3_link3_joint"][:2]).max(axis=1).min() == 0.0
     with pytest.raises(fb.ModelError, match="nothing to draw"):
         four_bar.initial_states(parameters={"l1": 3.0}).plot()
-    monkeypatch.setattr("fourbar_codegen.visual.MOST_PANELS", 1)
+    monkeypatch.setattr("fourbar_codegen.presentation.figures.MOST_PANELS", 1)
     assert len(four_bar.initial_states().plot().axes) == 1
 
 

@@ -16,8 +16,9 @@ import sympy as sm
 from systems import slider
 
 import fourbar_codegen as fb
-from fourbar_codegen import build, cache, fingerprint
 from fourbar_codegen import compile as pipeline
+from fourbar_codegen.building import cache, toolchain
+from fourbar_codegen.expressions import fingerprint
 
 CHANGES = [
     "orientation", "angular velocity", "position", "velocity", "mass", "inertia", "body", "load", "point of a load",
@@ -52,27 +53,27 @@ def test_key_knows_every_part_of_the_model(change):
 def test_key_knows_the_toolchain(change, monkeypatch, tmp_path):
     model = slider()
     key = pipeline.key_of(model)
-    build._package_digest.cache_clear()
+    toolchain._package_digest.cache_clear()
     if change in {"package", "abi"}:
         # The kernel's interface is one of the package's headers: any change to a source file counts.
-        (tmp_path / "runtime").mkdir()
-        for path in build.PACKAGE.rglob("*"):
-            if path.suffix in {".py", ".h"} and path.parent in {build.PACKAGE, build.PACKAGE / "runtime"}:
+        for path in toolchain.PACKAGE.rglob("*"):
+            if path.suffix in {".py", ".h"}:
+                (tmp_path / path.relative_to(toolchain.PACKAGE)).parent.mkdir(exist_ok=True)
                 text = path.read_text()
                 if path.name == ("fourbar_kernel.h" if change == "abi" else "lower.py"):
                     text += "\n"
-                (tmp_path / path.relative_to(build.PACKAGE)).write_text(text)
-        monkeypatch.setattr(build, "PACKAGE", tmp_path)
+                (tmp_path / path.relative_to(toolchain.PACKAGE)).write_text(text)
+        monkeypatch.setattr(toolchain, "PACKAGE", tmp_path)
     elif change == "python":
-        monkeypatch.setattr(build.sys, "implementation", type("Fake", (), {"cache_tag": "cpython-399"}))
+        monkeypatch.setattr(toolchain.sys, "implementation", type("Fake", (), {"cache_tag": "cpython-399"}))
     elif change == "numpy":
         monkeypatch.setattr("numpy.__version__", "0")
     elif change == "sympy":
-        monkeypatch.setattr(build, "distribution_version", lambda name: "0")
+        monkeypatch.setattr(toolchain, "distribution_version", lambda name: "0")
     elif change == "cython":
         (tmp_path / "Shadow.py").write_text('__version__ = "0"')
         spec = type("Spec", (), {"origin": str(tmp_path / "__init__.py")})
-        monkeypatch.setattr(build, "find_spec", lambda name: spec)
+        monkeypatch.setattr(toolchain, "find_spec", lambda name: spec)
     elif change == "compiler":
         monkeypatch.setenv("CC", "clang")
     elif change == "compiler file":
@@ -83,13 +84,13 @@ def test_key_knows_the_toolchain(change, monkeypatch, tmp_path):
         key = pipeline.key_of(model)
         compiler.write_text("#!/bin/sh\n# another version\n")
     elif change == "flags":
-        monkeypatch.setattr(build, "KERNEL_FLAGS", ("-O2",))
+        monkeypatch.setattr(toolchain, "KERNEL_FLAGS", ("-O2",))
     elif change == "CFLAGS":
         monkeypatch.setenv("CFLAGS", "-ffast-math")
     elif change == "processor":
-        monkeypatch.setattr(build, "_processor", lambda: "another")
+        monkeypatch.setattr(toolchain, "_processor", lambda: "another")
     changed = pipeline.key_of(model)
-    build._package_digest.cache_clear()
+    toolchain._package_digest.cache_clear()
     assert changed != key
 
 
@@ -219,7 +220,7 @@ def test_states_side_by_side_are_compiled_when_they_are_needed(monkeypatch, tmp_
     def forbidden(*_):
         raise AssertionError("they are there already")
 
-    monkeypatch.setattr(build, "build_lanes", forbidden)
+    monkeypatch.setattr(toolchain, "build_lanes", forbidden)
     second = fb.compile_model(slider())
     np.testing.assert_array_equal(second.rhs_batch(0.0, x), rates)
     assert second.ensemble((0.0, 0.1), start).success.all()
@@ -287,7 +288,7 @@ def test_models_sent_to_another_processor(monkeypatch, tmp_path):
     sent, x = pickle.dumps(model), [0.5, 0.1, 0.2, 0.3]
     assert not model.is_portable
     assert pickle.loads(sent).path == model.path
-    monkeypatch.setattr(build, "_processor", lambda: "another")
+    monkeypatch.setattr(toolchain, "_processor", lambda: "another")
     other = pickle.loads(sent)
     assert other.path != model.path
     np.testing.assert_array_equal(other.rhs(0.0, x), model.rhs(0.0, x))  # it is the same processor after all
@@ -301,7 +302,7 @@ def test_models_that_were_built_to_travel(monkeypatch, tmp_path):
     model = fb.load(fb.build_model(slider(), tmp_path))
     sent, x = pickle.dumps(model), [0.5, 0.1, 0.2, 0.3]
     assert model.is_portable
-    monkeypatch.setattr(build, "_processor", lambda: "another")
+    monkeypatch.setattr(toolchain, "_processor", lambda: "another")
     assert pickle.loads(sent).path == model.path
     other = fb.build_model(slider("default"), tmp_path / "other")
     other.replace(model.path)
@@ -332,7 +333,7 @@ def test_modules_of_another_layout_are_refused(monkeypatch, tmp_path):
     assert "    long n_times;\n" in text
     (headers / "fourbar_batch.h").write_text(text.replace("    long n_times;\n", "    long n_times, more;\n"))
     with monkeypatch.context() as patched:
-        patched.setattr("fourbar_codegen.build.get_include", lambda: str(headers))
+        patched.setattr("fourbar_codegen.building.toolchain.get_include", lambda: str(headers))
         module = fb.build_model(slider(), tmp_path / "built", check=False)  # which would load it
     with pytest.raises(fb.ModelError, match=r"^The compiled model slider was built with another version"):
         fb.load(module)

@@ -11,7 +11,7 @@ from sympy.physics.mechanics.system import System
 from test_prescribed import driven_pendulum, driven_slider_crank
 
 import fourbar_codegen as fb
-from fourbar_codegen import integrate
+from fourbar_codegen.simulation import integrate
 
 t = me.dynamicsymbols._t
 m, k, T = sm.symbols("m k T")

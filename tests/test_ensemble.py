@@ -16,7 +16,7 @@ from terminal import on_terminal
 from tutorial import tutorial_four_bar
 
 import fourbar_codegen as fb
-from fourbar_codegen.kernel import _restore
+from fourbar_codegen.kernel.kernel import _restore
 from fourbar_codegen.runtime.batch import width
 
 GENERATOR = np.random.default_rng(20)
@@ -502,7 +502,9 @@ def test_members_that_explode(four_bar):
 
 def test_progress_bar_on_a_terminal():
     code = "import fourbar_codegen as fb\n{}fb.load('four_bar').ensemble((0.0, 1.0){})"
-    impatient = "import fourbar_codegen.ensemble_run\nfourbar_codegen.ensemble_run.PATIENCE = 0.0\n"
+    impatient = (
+        "import fourbar_codegen.simulation.ensemble_run\nfourbar_codegen.simulation.ensemble_run.PATIENCE = 0.0\n"
+    )
     assert "four_bar: " in on_terminal("-c", code.format(impatient, ""))
     assert on_terminal("-c", code.format(impatient, ", progress=False")).strip() == ""
     assert on_terminal("-c", code.format("", "")).strip() == ""

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import fourbar_codegen as fb
-from fourbar_codegen import build, files
+from fourbar_codegen import files
+from fourbar_codegen.building import toolchain
 
 
 @pytest.fixture(scope="module")
@@ -120,10 +121,10 @@ def test_what_was_written_is_on_the_disk_before_it_is_seen(tmp_path, monkeypatch
 def test_a_module_that_cannot_be_written_leaves_the_old_one(tmp_path, monkeypatch):
     folder, built = tmp_path / "folder", tmp_path / "module.so"
     built.write_bytes(b"new module")
-    monkeypatch.setattr(build, "_build", lambda *_, **__: built)
+    monkeypatch.setattr(toolchain, "_build", lambda *_, **__: built)
 
     def made():
-        return build.build_extension("module", {"module.pyx": "new"}, folder, portable=True)
+        return toolchain.build_extension("module", {"module.pyx": "new"}, folder, portable=True)
 
     made().write_bytes(b"old module")
     opened = (folder / "module.so").open("rb")  # as a process that has loaded it
@@ -133,7 +134,7 @@ def test_a_module_that_cannot_be_written_leaves_the_old_one(tmp_path, monkeypatc
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     with monkeypatch.context() as patch:
-        patch.setattr(build.shutil, "copyfileobj", full)
+        patch.setattr(toolchain.shutil, "copyfileobj", full)
         with pytest.raises(fb.BuildError, match=r"module.so cannot be written: No space"):
             made()
     assert sorted(path.name for path in folder.iterdir()) == ["module.pyx", "module.so"]

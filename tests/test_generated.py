@@ -15,14 +15,14 @@ from programs import require
 from systems import coordinate_free, fixed, pendulum, slider
 
 import fourbar_codegen as fb
-from fourbar_codegen.c_expressions import Text
-from fourbar_codegen.convert import Conversion
-from fourbar_codegen.equations import form_equations
-from fourbar_codegen.lower import lower
-from fourbar_codegen.program import Array, Function
-from fourbar_codegen.schedule import schedule_function
-from fourbar_codegen.share import share
-from fourbar_codegen.tape import Result, Tape
+from fourbar_codegen.codegen.c_expressions import Text
+from fourbar_codegen.dynamics.equations import form_equations
+from fourbar_codegen.expressions.convert import Conversion
+from fourbar_codegen.expressions.tape import Result, Tape
+from fourbar_codegen.lowering.cse import share
+from fourbar_codegen.lowering.lower import lower
+from fourbar_codegen.lowering.program import Array, Function
+from fourbar_codegen.lowering.schedule import schedule_function
 
 ROOT = Path(__file__).parent.parent
 COMMITTED = ROOT / "generated" / "four_bar"

@@ -11,9 +11,9 @@ import sympy.physics.mechanics as me
 from sympy.physics.mechanics.system import System
 
 import fourbar_codegen as fb
-from fourbar_codegen.convert import Conversion
-from fourbar_codegen.identities import recognize, vanish
-from fourbar_codegen.tape import Tape
+from fourbar_codegen.expressions.convert import Conversion
+from fourbar_codegen.expressions.identities import recognize, vanish
+from fourbar_codegen.expressions.tape import Tape
 
 q1, q2, u1, u2 = me.dynamicsymbols("q1 q2 u1 u2")
 a, b, c, K = sm.symbols("a b c K")

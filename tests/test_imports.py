@@ -10,53 +10,54 @@ import pytest
 import fourbar_codegen
 
 PACKAGE = Path(fourbar_codegen.__file__).parent
-FOLDERS = {
-    "": ["errors", "progress", "files", "tables", "arguments"],
-    "expressions": [
-        "tape", "numeric", "convert", "derivatives", "breakpoints", "formulas", "identities", "linear", "fingerprint",
-    ],
-    "modeling": ["model", "mechanism"],
-    "dynamics": ["motion", "kinematics", "kane", "composite", "equations"],
-    "lowering": ["program", "structure", "angles", "share", "lower", "schedule"],
-    "codegen": ["c_expressions", "c_source", "cython_source"],
-    "building": ["build", "cache"],
-    "kernel": ["loading", "elimination", "kernel", "inputs", "consistency"],
-    "analysis": ["loop_closure", "polynomials", "initial_state", "assembly", "linearize"],
-    "results": ["trajectory", "ensemble"],
-    "simulation": [
-        "integration", "discontinuities", "events", "singularity", "options", "solver_run", "solvers", "integrate",
-        "simulate", "batch", "ensemble_run",
-    ],
-    "presentation": ["storage", "drawing", "visual", "report"],
-    "compiled": ["compiled"],
-    "compile": ["compile", "verify"],
-    "cli": ["__init__", "__main__", "cli"],
+ROOT = {
+    "arguments": "ground", "errors": "ground", "files": "ground", "progress": "ground", "tables": "ground",
+    "compiled": "compiled", "solvers": "compiled", "compile": "compile", "verify": "compile",
+    "__init__": "cli", "__main__": "cli", "cli": "cli",
 }  # fmt: skip
-"""Which folder each file belongs to."""
+"""The layers of the files that are in no folder; that of the others is their folder."""
 
 ON = {
-    "": ["runtime"],
-    "expressions": [""],
+    "runtime": [],
+    "ground": ["runtime"],
+    "expressions": ["ground"],
     "modeling": ["expressions"],
+    "models": ["modeling"],
     "dynamics": ["modeling"],
     "lowering": ["dynamics"],
     "codegen": ["lowering"],
-    "building": [""],
-    "kernel": ["building", "runtime"],
+    "building": ["ground"],
+    "kernel": ["building"],
     "analysis": ["kernel"],
     "results": ["kernel"],
     "simulation": ["analysis", "results"],
     "presentation": ["analysis", "results"],
     "compiled": ["simulation", "presentation"],
     "compile": ["codegen", "compiled"],
-    "cli": ["compile"],
+    "cli": ["compile", "models"],
 }
-"""What each folder stands on: it may import that, and what that stands on."""
+"""What each layer stands on: it may import that, and what that stands on."""
 
-GENERATION = {"expressions", "modeling", "dynamics", "lowering", "codegen"}
-HOME = {file: folder for folder, files in FOLDERS.items() for file in files}
-DOORS = {("trajectory", "storage"), ("trajectory", "visual"), ("trajectory", "report"), ("assembly", "visual")}
+GENERATION = {"expressions", "modeling", "models", "dynamics", "lowering", "codegen"}
+BOTH = {"compile", "cli"}
+FILES = {
+    ".".join(path.relative_to(PACKAGE).with_suffix("").parts): path
+    for path in PACKAGE.rglob("*.py")
+    if path.parent == PACKAGE or path.name != "__init__.py" or path.parent.name == "models"
+}
+DOORS = {
+    ("results.trajectory", "presentation.storage"),
+    ("results.trajectory", "presentation.figures"),
+    ("results.trajectory", "presentation.report"),
+    ("analysis.assembly_modes", "presentation.figures"),
+}
 """What a result does with itself on request, imported in the function: `Trajectory.save`, `.plot`, and the like."""
+
+
+def layer(name):
+    """That of a file or a folder, by its name within the package."""
+    first = name.partition(".")[0]
+    return first if first in ON else ROOT[first]
 
 
 def below(folder):
@@ -64,7 +65,7 @@ def below(folder):
 
 
 def imports(path):
-    """The modules that a file imports, and whether it does so in a function; relative imports are not used."""
+    """The modules that a file imports, or names from modules, and whether it does so in a function."""
     tree = ast.parse(path.read_text())
     within = {id(node) for f in ast.walk(tree) if isinstance(f, ast.FunctionDef) for node in ast.walk(f)}
     for node in ast.walk(tree):
@@ -75,45 +76,47 @@ def imports(path):
             yield from ((f"{node.module}.{alias.name}", id(node) in within) for alias in node.names)
 
 
-def own(path):
-    """The files and folders of the package that a file imports, and whether it does so in a function."""
-    for module, within in imports(path):
-        if module.startswith("fourbar_codegen."):
-            first = module.split(".")[1]
-            if first in HOME or first in {"runtime", "models"}:
-                yield first, within
+def own(name):
+    """The files of the package that one imports, or folders without a file of Python, and whether in a function."""
+    for module, within in imports(FILES[name]):
+        package, _, rest = module.partition(".")
+        if package == "fourbar_codegen":
+            parts = rest.split(".")
+            found = (".".join(parts[:length]) for length in (len(parts), len(parts) - 1))
+            yield next((file for file in found if file in FILES), parts[0]), within
 
 
-def test_every_file_has_a_folder():
-    assert sorted(HOME) == sorted(path.stem for path in PACKAGE.glob("*.py"))
+def test_every_file_has_a_layer():
+    for name in FILES:
+        assert layer(name) in ON
+    assert set(ROOT) == {name for name in FILES if "." not in name}
 
 
-@pytest.mark.parametrize("name", sorted(set(HOME) - set(FOLDERS["cli"])))
+@pytest.mark.parametrize("name", sorted(FILES))
 def test_imports_go_down(name):
-    for imported, within in own(PACKAGE / f"{name}.py"):
-        folder = HOME.get(imported, imported)
-        if not (within and (name, imported) in DOORS):
-            assert folder in below(HOME[name]), f"{name} imports {imported}"
+    for imported, within in own(name):
+        if not (within and (name, imported) in DOORS) and layer(name) != "cli":
+            assert layer(imported) in below(layer(name)), f"{name} imports {imported}"
 
 
 def test_no_cycles():
     """Also within a folder, and counting imports in functions, but for what results do with themselves."""
-    edges = {name: {b for b, _ in own(PACKAGE / f"{name}.py") if b in HOME and (name, b) not in DOORS} for name in HOME}
-    edges |= {name: set() for name in FOLDERS["cli"]}
+    edges = {name: {imported for imported, _ in own(name) if (name, imported) not in DOORS} for name in FILES}
+    del edges["__init__"]  # which imports what is asked of it
     while edges:
         ready = {name for name, on in edges.items() if not on & edges.keys()}
         assert ready, f"these import each other: {sorted(edges)}"
         edges = {name: on for name, on in edges.items() if name not in ready}
 
 
-@pytest.mark.parametrize("name", sorted(HOME))
+@pytest.mark.parametrize("name", sorted(FILES))
 def test_halves_import_their_own_libraries(name):
-    modules = {module.split(".")[0] for module, _ in imports(PACKAGE / f"{name}.py")}
-    if HOME[name] in GENERATION:
+    modules = {module.split(".")[0] for module, _ in imports(FILES[name])}
+    if layer(name) in GENERATION:
         assert "scipy" not in modules
-    elif HOME[name] not in {"compile", "cli"}:
+    elif layer(name) not in BOTH:
         assert "sympy" not in modules
-    assert "subprocess" not in modules or name == "build"
+    assert "subprocess" not in modules or name == "building.toolchain"
 
 
 def run(code):

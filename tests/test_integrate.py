@@ -15,8 +15,8 @@ from scipy.integrate import solve_ivp
 from sympy.physics.mechanics.system import System
 
 import fourbar_codegen as fb
-import fourbar_codegen.integrate
-import fourbar_codegen.options
+import fourbar_codegen.simulation.integrate
+import fourbar_codegen.simulation.options
 
 METHODS = ["RK45", "DOP853"]
 
@@ -458,8 +458,8 @@ def test_without_a_step_there_is_no_interpolant(method):
 
 
 def test_the_limit_of_steps_by_default(four_bar, monkeypatch):
-    monkeypatch.setitem(fourbar_codegen.options.STEPS, "DOP853", 7)
-    monkeypatch.setitem(fourbar_codegen.options.STEPS, "ALI3P", 7)
+    monkeypatch.setitem(fourbar_codegen.simulation.options.STEPS, "DOP853", 7)
+    monkeypatch.setitem(fourbar_codegen.simulation.options.STEPS, "ALI3P", 7)
     assert "max_steps = 7 " in four_bar.simulate((0.0, 4.0)).message
     assert four_bar.simulate((0.0, 4.0), max_steps=None).success
     # What max_step asks for is no explosion, whatever the direction.
@@ -496,7 +496,7 @@ def test_energy_that_grows_beyond_reason(four_bar):
     for force in (1e5, lambda t, x: 1e5 if t > 0.9 else 0.0):
         driven = four_bar.simulate((0.0, 1.0), x0, parameters=still, inputs={"F": force}, max_step=0.05)
         assert driven.kinetic_energy[-1] > 1e3
-        assert driven.message == fourbar_codegen.integrate.REACHED_END
+        assert driven.message == fourbar_codegen.simulation.integrate.REACHED_END
 
 
 @pytest.fixture

@@ -86,7 +86,7 @@ def test_types_for_editors(tmp_path):
     environment = {**os.environ, "MYPYPATH": "" if "site-packages" in place else place}
     done = subprocess.run([*command, sys.executable, str(path)], capture_output=True, text=True, env=environment)
     revealed = re.findall(r'Revealed type is "(.*?)"', done.stdout)
-    assert revealed[:2] == ["fourbar_codegen.compiled.CompiledModel", "fourbar_codegen.trajectory.Trajectory"]
+    assert revealed[:2] == ["fourbar_codegen.compiled.CompiledModel", "fourbar_codegen.results.trajectory.Trajectory"]
     assert all(text.startswith("numpy.ndarray") for text in revealed[2:])
     assert len(revealed) == 4
     assert 'Unexpected keyword argument "tolerance"' in done.stdout

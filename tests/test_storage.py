@@ -17,7 +17,7 @@ import xarray
 from systems import slider
 
 import fourbar_codegen as fb
-from fourbar_codegen import build
+from fourbar_codegen.building import toolchain
 
 
 @pytest.fixture(scope="module")
@@ -321,7 +321,7 @@ def test_paths_that_no_file_can_have(run, tmp_path, monkeypatch):
             with pytest.raises(fb.ModelError, match="File name too long"):
                 use(path)
     with pytest.raises(fb.BuildError, match="File name too long"):
-        build.write_sources("model", {"model.c": ""}, Path("n" * 5000))
+        toolchain.write_sources("model", {"model.c": ""}, Path("n" * 5000))
     assert list(tmp_path.iterdir()) == []
     for ending in (".csv", ".npz", ".nc", ".html", ".png", ".gif"):
         path = run.resample([0.0, 0.1]).save(os.fsdecode(b"\xff\n" + ending.encode()))  # a name, if a strange one

@@ -7,8 +7,8 @@ import pytest
 from systems import slider
 
 import fourbar_codegen as fb
-import fourbar_codegen.c_source
-import fourbar_codegen.equations
+import fourbar_codegen.codegen.c_source
+import fourbar_codegen.dynamics.equations
 
 WRONG_MULTIPLIERS = """\
 #include "fourbar_solve.h"
@@ -30,14 +30,14 @@ WRONG_MULTIPLIERS = """\
 )
 def test_a_defect_is_found_and_named(tmp_path, monkeypatch, text, pattern, replacement, function):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
-    original = getattr(fourbar_codegen.c_source, text)
+    original = getattr(fourbar_codegen.codegen.c_source, text)
 
     def damaged(*arguments):
         changed, count = re.subn(pattern, replacement, original(*arguments), count=1)
         assert count == 1
         return changed
 
-    monkeypatch.setattr(fourbar_codegen.c_source, text, damaged)
+    monkeypatch.setattr(fourbar_codegen.codegen.c_source, text, damaged)
     with pytest.raises(fb.BuildError, match=function):
         fb.compile_model(slider())
     # Nothing of it is kept.
@@ -59,7 +59,7 @@ def test_a_defect_is_found_and_named(tmp_path, monkeypatch, text, pattern, repla
 def test_a_wrong_equation_is_found_and_named(tmp_path, monkeypatch, result, entry, identity):
     # What is compiled is what was formed; what was formed is wrong.
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
-    original = fourbar_codegen.equations.form_equations
+    original = fourbar_codegen.dynamics.equations.form_equations
 
     def damaged(model):
         equations = original(model)
@@ -68,6 +68,6 @@ def test_a_wrong_equation_is_found_and_named(tmp_path, monkeypatch, result, entr
         entries[entry] = entries[entry] * 2 + equations.tape.one
         return dataclasses.replace(equations, **{result: dataclasses.replace(right, entries=tuple(entries))})
 
-    monkeypatch.setattr(fourbar_codegen.equations, "form_equations", damaged)
+    monkeypatch.setattr(fourbar_codegen.dynamics.equations, "form_equations", damaged)
     with pytest.raises(fb.BuildError, match=re.escape(f"do not satisfy {identity}")):
         fb.compile_model(fb.models.four_bar())

@@ -19,14 +19,14 @@ from fourbar_codegen.errors import (
 
 if TYPE_CHECKING:
     from fourbar_codegen import models, solvers
-    from fourbar_codegen.assembly import AssemblyModes
-    from fourbar_codegen.build import get_include
+    from fourbar_codegen.analysis.assembly_modes import AssemblyModes
+    from fourbar_codegen.building.toolchain import get_include
     from fourbar_codegen.compile import build_model, build_wheel, compile_model, generate_sources
     from fourbar_codegen.compiled import CompiledModel, load, load_trajectory
-    from fourbar_codegen.ensemble import Ensemble
-    from fourbar_codegen.events import Event
-    from fourbar_codegen.model import Model, Parameter, joint_force, multiplier
-    from fourbar_codegen.trajectory import Trajectory
+    from fourbar_codegen.modeling.model import Model, Parameter, joint_force, multiplier
+    from fourbar_codegen.results.ensemble import Ensemble
+    from fourbar_codegen.results.trajectory import Trajectory
+    from fourbar_codegen.simulation.events import Event
 
 __all__ = [
     "AssemblyError",
@@ -56,22 +56,22 @@ __all__ = [
 ]
 
 _HOME = {
-    "AssemblyModes": "assembly",
+    "AssemblyModes": "analysis.assembly_modes",
     "CompiledModel": "compiled",
-    "Ensemble": "ensemble",
-    "Event": "events",
-    "Model": "model",
-    "Parameter": "model",
-    "Trajectory": "trajectory",
+    "Ensemble": "results.ensemble",
+    "Event": "simulation.events",
+    "Model": "modeling.model",
+    "Parameter": "modeling.model",
+    "Trajectory": "results.trajectory",
     "build_model": "compile",
     "build_wheel": "compile",
     "compile_model": "compile",
     "generate_sources": "compile",
-    "get_include": "build",
-    "joint_force": "model",
+    "get_include": "building.toolchain",
+    "joint_force": "modeling.model",
     "load": "compiled",
     "load_trajectory": "compiled",
-    "multiplier": "model",
+    "multiplier": "modeling.model",
 }
 
 

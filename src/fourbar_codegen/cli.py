@@ -165,7 +165,7 @@ def _simulated(
 def simulate(samples: int, outputs: tuple[Path, ...], **run: Any) -> None:
     import numpy as np
 
-    from fourbar_codegen.trajectory import check_ending
+    from fourbar_codegen.results.trajectory import check_ending
 
     for path in outputs:
         check_ending(path)
@@ -201,7 +201,7 @@ def animate(output: Path, **run: Any) -> None:
 
 def _show(output: Path, endings: tuple[str, ...], run: dict[str, Any]) -> None:
     """Simulate with a state for each picture, and write these."""
-    from fourbar_codegen.report import picture_times
+    from fourbar_codegen.presentation.report import picture_times
 
     if output.suffix.lower() not in endings:
         raise fb.ModelError(
@@ -267,7 +267,7 @@ def _report(trajectory: Trajectory, method: str, seconds: float) -> None:
     help="Folder in which the model's folder is made.",
 )
 def generate(model: str, output: Path) -> None:
-    from fourbar_codegen.build import write_sources
+    from fourbar_codegen.building.toolchain import write_sources
 
     source = _model(model)
     folder = output / source.name
@@ -302,7 +302,7 @@ def build(model: str, output: Path, wheel: bool, version: str) -> None:
 @main.command(help="Show a model's names, defaults, sizes and operation counts.\n\n" + MODEL_HELP)
 @_MODEL
 def info(model: str) -> None:
-    from fourbar_codegen.cache import cache_folder
+    from fourbar_codegen.building.cache import cache_folder
 
     compiled = _compiled(model)
     manifest = compiled.manifest

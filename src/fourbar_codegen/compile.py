@@ -11,17 +11,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fourbar_codegen.arguments import flag
-from fourbar_codegen.build import WHEEL_SUMMARY, build_extension, cache_key, pack_wheel
-from fourbar_codegen.cache import cached
+from fourbar_codegen.building.cache import cached
+from fourbar_codegen.building.toolchain import WHEEL_SUMMARY, build_extension, cache_key, pack_wheel
 from fourbar_codegen.compiled import CompiledModel
 from fourbar_codegen.errors import ModelError
+from fourbar_codegen.expressions.fingerprint import fingerprint
 from fourbar_codegen.files import path_of
-from fourbar_codegen.fingerprint import fingerprint
-from fourbar_codegen.model import Model
+from fourbar_codegen.modeling.model import Model
 from fourbar_codegen.progress import Progress
 
 if TYPE_CHECKING:
-    from fourbar_codegen.equations import Equations
+    from fourbar_codegen.dynamics.equations import Equations
 
 __all__ = ["build_model", "build_wheel", "compile_model", "generate_sources", "key_of"]
 
@@ -59,11 +59,11 @@ def _generate(model: Model, progress: Progress) -> tuple[Equations, dict[str, st
     """The equations, and the sources made of them."""
     _require_model(model)
     # Imported here: a model that is in the cache needs none of it.
-    from fourbar_codegen.c_source import derivatives_text, header_text, kernel_text, lanes_text
-    from fourbar_codegen.cython_source import manifest_of, manifest_text, wrapper_text
-    from fourbar_codegen.equations import form_equations
-    from fourbar_codegen.lower import lower
-    from fourbar_codegen.schedule import schedule
+    from fourbar_codegen.codegen.c_source import derivatives_text, header_text, kernel_text, lanes_text
+    from fourbar_codegen.codegen.cython_source import manifest_of, manifest_text, wrapper_text
+    from fourbar_codegen.dynamics.equations import form_equations
+    from fourbar_codegen.lowering.lower import lower
+    from fourbar_codegen.lowering.schedule import schedule
 
     progress.stage("forming the equations")
     equations = form_equations(model)

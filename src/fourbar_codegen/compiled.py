@@ -12,16 +12,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.arguments import Values
 from fourbar_codegen.errors import ModelError
-from fourbar_codegen.kernel import Kernel
-from fourbar_codegen.loading import module_of
+from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.kernel.loading import module_of
 from fourbar_codegen.runtime.integrator import Ode, Stepper
 
 if TYPE_CHECKING:
-    from fourbar_codegen.assembly import AssemblyModes
-    from fourbar_codegen.ensemble import Ensemble
-    from fourbar_codegen.events import EventLike
-    from fourbar_codegen.inputs import InputSource
-    from fourbar_codegen.trajectory import Trajectory
+    from fourbar_codegen.analysis.assembly_modes import AssemblyModes
+    from fourbar_codegen.kernel.inputs import InputSource
+    from fourbar_codegen.results.ensemble import Ensemble
+    from fourbar_codegen.results.trajectory import Trajectory
+    from fourbar_codegen.simulation.events import EventLike
 
 __all__ = ["CompiledModel", "load", "load_trajectory"]
 
@@ -94,7 +94,7 @@ def load_trajectory(path: str | Path, model: CompiledModel | None = None) -> Tra
     """
     if not (model is None or isinstance(model, CompiledModel)):
         raise ModelError(f"model must be a CompiledModel or None, not {model!r}.")
-    from fourbar_codegen.storage import read_trajectory
+    from fourbar_codegen.presentation.storage import read_trajectory
 
     return read_trajectory(path, model, CompiledModel.find)
 
@@ -190,7 +190,7 @@ class CompiledModel(Kernel):
         >>> A.shape, B.shape
         ((2, 2), (2, 1))
         """
-        from fourbar_codegen.linearize import linearize
+        from fourbar_codegen.analysis.linearization import linearize
 
         return linearize(self, t, x, p, r)
 
@@ -238,7 +238,7 @@ class CompiledModel(Kernel):
         >>> bool(abs(four_bar.rhs(0.0, x, r={"F": 0.0})).max() < 1e-9)
         True
         """
-        from fourbar_codegen.linearize import equilibrium
+        from fourbar_codegen.analysis.linearization import equilibrium
 
         return equilibrium(self, guess, t=t, parameters=parameters, inputs=inputs)
 
@@ -290,7 +290,7 @@ class CompiledModel(Kernel):
         >>> x0.round(6).tolist()
         [-0.5, -2.246416, -1.497827, -0.1, 0.071583, -0.027469]
         """
-        from fourbar_codegen.initial_state import initial_state
+        from fourbar_codegen.analysis.initial_state import initial_state
 
         return initial_state(self, coordinates, speeds, t=t, guess=guess, parameters=parameters, inputs=inputs)
 
@@ -308,7 +308,7 @@ class CompiledModel(Kernel):
         They are complete where the loops are those of dyads, one after another: constraints, one or two at a time, in
         no more unknown coordinates, that are trigonometric in angles and polynomial in displacements. So are the
         four-bar linkage, the slider-crank, and chains of them. Other loops are searched from many beginnings, and the
-        number of modes is a lower bound. See `fourbar_codegen.assembly` for the method.
+        number of modes is a lower bound. See `fourbar_codegen.analysis.assembly_modes` for the method.
 
         Parameters
         ----------
@@ -332,7 +332,7 @@ class CompiledModel(Kernel):
         >>> len(modes), modes.is_complete
         (2, True)
         """
-        from fourbar_codegen.initial_state import initial_states
+        from fourbar_codegen.analysis.initial_state import initial_states
 
         return initial_states(self, coordinates, speeds, t=t, parameters=parameters, inputs=inputs)
 
@@ -364,7 +364,7 @@ class CompiledModel(Kernel):
         >>> solve_ivp(f, (0.0, 1.0), x0, method=fb.solvers.DOP853).success
         True
         """
-        from fourbar_codegen.inputs import bind
+        from fourbar_codegen.kernel.inputs import bind
 
         return bind(self, parameters, inputs)
 
@@ -474,8 +474,8 @@ class CompiledModel(Kernel):
         >>> bool(abs(trajectory.constraint_residual).max() < 1e-12)
         True
         """
-        from fourbar_codegen.options import RunOptions
-        from fourbar_codegen.simulate import simulate
+        from fourbar_codegen.simulation.options import RunOptions
+        from fourbar_codegen.simulation.simulate import simulate
 
         options = RunOptions.of(
             self, t_span=t_span, x0=x0, method=method, parameters=parameters, inputs=inputs, t_eval=t_eval, rtol=rtol,
@@ -530,7 +530,7 @@ class CompiledModel(Kernel):
         >>> four_bar.rhs_batch(0.0, states, {"k": np.linspace(1.0, 5.0, 1000)}).shape
         (6, 1000)
         """
-        from fourbar_codegen.batch import evaluate
+        from fourbar_codegen.simulation.batch import evaluate
 
         return evaluate(self, t, x, p, r, out=out, workers=workers)
 
@@ -603,7 +603,7 @@ class CompiledModel(Kernel):
         >>> ensemble.success.all(), ensemble["q1"].shape
         (np.True_, (100, 2))
         """
-        from fourbar_codegen.ensemble_run import run
+        from fourbar_codegen.simulation.ensemble_run import run
 
         return run(
             self, x0, parameters, inputs, workers=workers, parallel=parallel, progress=progress,
@@ -659,6 +659,6 @@ class CompiledModel(Kernel):
         >>> round(stepper.t, 9), x.shape
         (0.1, (6,))
         """
-        from fourbar_codegen.simulate import make_stepper
+        from fourbar_codegen.simulation.simulate import make_stepper
 
         return make_stepper(self, h, x0, t=t, parameters=parameters, inputs=inputs, constraints=constraints)

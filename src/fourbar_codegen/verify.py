@@ -14,12 +14,12 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from fourbar_codegen.elimination import INDEPENDENT, row_sizes
-from fourbar_codegen.equations import Equations
+from fourbar_codegen.analysis.loop_closure import nearest_closed
+from fourbar_codegen.dynamics.equations import Equations
 from fourbar_codegen.errors import BuildError, ModelError, SimulationError
-from fourbar_codegen.kernel import Kernel
-from fourbar_codegen.loop_closure import nearest_closed
-from fourbar_codegen.tape import Result, Scalar
+from fourbar_codegen.expressions.tape import Result, Scalar
+from fourbar_codegen.kernel.dependent import INDEPENDENT, row_sizes
+from fourbar_codegen.kernel.kernel import Kernel
 
 __all__ = ["verify"]
 
@@ -57,7 +57,7 @@ def verify(equations: Equations, compiled: Kernel) -> None:
     Examples
     --------
     >>> import fourbar_codegen as fb
-    >>> from fourbar_codegen.equations import form_equations
+    >>> from fourbar_codegen.dynamics.equations import form_equations
     >>> verify(form_equations(fb.models.four_bar()), fb.load("four_bar"))
     """
     generator = random.Random(0)

@@ -9,7 +9,7 @@ import sympy as sm
 import sympy.physics.mechanics as me
 from sympy.physics.mechanics.system import System
 
-from fourbar_codegen.model import Model, Parameter
+from fourbar_codegen.modeling.model import Model, Parameter
 
 __all__ = ["cartesian_pendulum"]
 

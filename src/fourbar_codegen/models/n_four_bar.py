@@ -12,7 +12,7 @@ from sympy.physics.mechanics.system import System
 
 from fourbar_codegen.arguments import is_integer
 from fourbar_codegen.errors import ModelError, shown
-from fourbar_codegen.model import Model, Parameter
+from fourbar_codegen.modeling.model import Model, Parameter
 
 __all__ = ["n_four_bar"]
 

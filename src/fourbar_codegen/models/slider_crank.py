@@ -6,7 +6,7 @@ import sympy as sm
 import sympy.physics.mechanics as me
 from sympy.physics.mechanics.system import System
 
-from fourbar_codegen.model import Model, Parameter, joint_force
+from fourbar_codegen.modeling.model import Model, Parameter, joint_force
 
 __all__ = ["slider_crank"]
 

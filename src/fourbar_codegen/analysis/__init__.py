@@ -1,0 +1,1 @@
+"""Positions: closed loops, initial states, assembly modes, linearization, equilibrium."""

@@ -1,0 +1,407 @@
+"""Assembly modes: all the ways in which the loops close for given independent coordinates.
+
+Where one or two constraints hold no more unknown coordinates than that, as in the loops of dyads (four-bar linkage,
+slider-crank, and all that is composed of them), and are polynomials in exp(i angle) and in displacements, all solutions
+are found: the roots of their resultant, with as many digits as tell them apart, are all there are. What is left, if
+anything, is searched from many beginnings, which finds a lower bound.
+
+Source: dyads are solved in the order in which they hang on each other as Assur groups of the second class (J. M.
+McCarthy and G. S. Soh, *Geometric Design of Linkages*, 2nd ed., 2011, chapter 2, has the four-bar's two modes); two
+polynomials by Sylvester's resultant (D. Cox, J. Little, D. O'Shea, *Ideals, Varieties, and Algorithms*, chapter 3).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourbar_codegen.analysis.loop_closure import Loops
+from fourbar_codegen.analysis.polynomials import Constraints, Polynomial, real_roots, terms_of
+from fourbar_codegen.errors import ModelError, shown
+from fourbar_codegen.kernel.kernel import Kernel
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from fourbar_codegen.progress import Progress
+
+__all__ = ["AssemblyModes", "closed_coordinates"]
+
+Floats = NDArray[np.float64]
+
+ROUNDING = 1e-13
+"""The share of its terms to which a constraint is satisfied in a mode."""
+
+DISTINCT = 1e-5
+"""Modes that are not known to this share are told apart if they differ by more. Where two meet, constraints are
+satisfied to ROUNDING within its root, 3e-7."""
+
+EPS = float(np.finfo(float).eps)
+
+DEAD = 1e-5
+"""Where singular values of a group's slopes have this ratio, two modes meet, or are not known to more digits."""
+
+MOST = 1024
+"""No more modes than these are made: they multiply with the number of loops."""
+
+WITHOUT_NEWS = 100
+"""So many beginnings in a row that lead to nothing new end a search."""
+
+MOST_BEGINNINGS = 3000
+
+
+@dataclass(frozen=True, eq=False)
+class AssemblyModes:
+    """The ways in which the loops close for the same independent coordinates and speeds.
+
+    Made by `CompiledModel.initial_states`: it has a length, and states by number, ordered by their dependent
+    coordinates, angles between -pi and pi.
+
+    Attributes
+    ----------
+    model : CompiledModel
+    t : float
+        Time, s.
+    x : ndarray, shape (n, n_x)
+        The states. Dependent speeds are NaN in a mode in which they do not follow from the independent ones.
+    is_complete : bool
+        Whether there are no others. Otherwise their number is a lower bound.
+    parameters, inputs : ndarray or None
+        As they were given, in order.
+
+    Examples
+    --------
+    >>> import fourbar_codegen as fb
+    >>> modes = fb.load("four_bar").initial_states({"q1": -0.5}, {"u1": -0.1})
+    >>> modes
+    <AssemblyModes of four_bar: 2, and no others>
+    >>> modes[0].round(6).tolist()
+    [-0.5, -2.246416, -1.497827, -0.1, 0.071583, -0.027469]
+    """
+
+    model: Kernel
+    t: float
+    x: Floats
+    is_complete: bool
+    parameters: Floats | None
+    inputs: Floats | None
+
+    def __getitem__(self, number: int) -> Floats:
+        """The state of a mode."""
+        try:
+            state: Floats = self.x[number]
+        except ValueError as error:  # NumPy's, for ragged lists
+            raise ModelError(f"A mode is known by its number, below {len(self)}, not by {shown(number)}.") from error
+        return state
+
+    def __len__(self) -> int:
+        """The number of modes."""
+        return len(self.x)
+
+    def __iter__(self) -> Iterator[Floats]:
+        """The states of all modes."""
+        return iter(self.x)
+
+    def __repr__(self) -> str:
+        return f"<AssemblyModes of {self.model.name}: {self._number()}>"
+
+    def _number(self) -> str:
+        if not len(self):
+            return "the loops cannot be closed" if self.is_complete else "none found"
+        return f"{len(self)}, and no others" if self.is_complete else f"at least {len(self)}"
+
+    def _repr_html_(self) -> str:
+        from fourbar_codegen.tables import table
+
+        rows = [(f"{i}", *(f"{value:.6g}" for value in x)) for i, x in enumerate(self.x)]
+        return table(f"Assembly modes of {self.model.name}: {self._number()}", ("mode", *self.model.states), rows)
+
+    def plot(self) -> Figure:
+        """Draw the mechanism in each of its modes, the first 24 of them; needs the extra ``visual``.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+
+        Raises
+        ------
+        ModelError
+            If there is nothing to draw, or Matplotlib is not installed.
+        """
+        from fourbar_codegen.presentation.figures import plot_modes
+
+        return plot_modes(self)
+
+
+def closed_coordinates(loops: Loops, start: Floats, progress: Progress) -> tuple[list[Floats], bool]:
+    """All values of the dependent coordinates that are found to close the loops, and whether there are no others.
+
+    Parameters
+    ----------
+    loops : Loops
+    start : ndarray, shape (n,)
+        Around which displacements are tried, where beginnings have to be.
+    progress : Progress
+        Is told how many there are so far.
+
+    Returns
+    -------
+    list of ndarray
+        In ascending order, angles between -pi and pi.
+    bool
+    """
+    generator = np.random.default_rng(0)
+    chart = _Chart.of(loops, start, generator)
+    loops = chart.loops
+    groups, rest = _groups(chart, generator)
+    partial = [np.zeros(len(start))]
+    complete = True
+    for number, group in enumerate(groups):
+        extended: list[Floats] = []
+        for dependent in partial:
+            progress.stage(f"{len(extended)} of {', '.join(chart.names[j] for j in group.unknowns)}")
+            roots = _roots(chart, group, dependent)
+            if roots is None:  # of infinitely many ways, or at the edge of that
+                complete, rest = False, [*rest, *group.unknowns]
+                roots = [dependent]
+            elif not roots and any(_is_dead(loops, before, dependent) for before in groups[:number]):
+                complete = False  # what comes before is known to half of all digits
+            extended += roots
+        complete &= len(extended) <= MOST
+        partial = extended[:MOST]
+    if rest and partial:
+        complete = False
+        found = _search(chart, partial, rest, start, generator, progress)
+    else:
+        found = [dependent for dependent in partial if loops.are_closed(dependent)]
+    sizes = np.abs(found).max(axis=0, initial=1e-300) if found else 1.0
+    return sorted(found, key=lambda dependent: tuple(np.round(dependent / sizes, 6))), complete
+
+
+def _constraints(loops: Loops) -> Constraints:
+    """Those of positions, as formulas; dependent coordinates are 1 as long as they are not known."""
+    model = loops.model
+    parameters, inputs = model.manifest["parameters"], model.manifest["inputs"]
+    p = [entry["default"] for entry in parameters] if loops.p is None else loops.p
+    r = model.default_inputs(loops.t, loops.p) if loops.r is None else loops.r
+    q = loops.coordinates(np.ones(loops.n_dependent))
+    values = {("t", ""): loops.t}
+    values |= {("q", name): value for name, value in zip(model.coordinates, q, strict=True)}
+    values |= {("p", entry["name"]): value for entry, value in zip(parameters, p, strict=True)}
+    values |= {("r", entry["name"]): value for entry, value in zip(inputs, r, strict=True)}
+    return Constraints(model.manifest["position_constraints"], values)
+
+
+def _scales(loops: Loops, q: Floats) -> Floats:
+    """What each position constraint's terms amount to."""
+    scales, *_ = loops.model.constraint_scale(loops.t, np.concatenate((q, np.zeros(loops.model.n_u))), loops.p, loops.r)
+    return scales
+
+
+@dataclass(frozen=True)
+class _Chart:
+    """The loops with what is known of their dependent coordinates.
+
+    Attributes
+    ----------
+    loops : Loops
+    constraints : Constraints
+        As polynomials.
+    held : ndarray of bool, shape (n_h, n)
+        Which constraint holds which coordinate.
+    is_angle : ndarray of bool, shape (n,)
+        Whether nothing changes with it by 2 pi.
+    scales : ndarray, shape (n,)
+        A usual value: 1 of angles, and of displacements about what it takes to close a loop.
+    """
+
+    loops: Loops
+    constraints: Constraints
+    held: NDArray[np.bool_]
+    is_angle: NDArray[np.bool_]
+    scales: Floats
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What the dependent coordinates are called."""
+        return self.loops.model.coordinates[-self.loops.n_dependent :]
+
+    @classmethod
+    def of(cls, loops: Loops, start: Floats, generator: np.random.Generator) -> _Chart:
+        """From what the equations hold, and the constraints at random coordinates."""
+        constraints, rows = _constraints(loops), range(loops.model.n_h)
+        given, names = np.split(np.array(loops.model.coordinates, dtype=object), [len(loops.q_i)])
+        # Independent angles between -pi and pi: sines of large ones are known to fewer digits in double precision.
+        turns = [all(constraints.is_periodic(row, name) for row in rows) for name in given]
+        loops = replace(loops, q_i=np.where(turns, np.remainder(loops.q_i + np.pi, 2 * np.pi) - np.pi, loops.q_i))
+        constraints = constraints.with_values({("q", name): q for name, q in zip(given, loops.q_i, strict=True)})
+        held = np.array([[constraints.depends(row, name) for name in names] for row in rows], dtype=bool)
+        is_angle = np.array([all(constraints.is_periodic(row, name) for row in rows) for name in names], dtype=bool)
+        points = np.where(is_angle, generator.uniform(-np.pi, np.pi, (4, len(start))), start)
+        known = [loops.position(point) for point in points]
+        gaps = np.array([np.abs(error).max() for error, _ in known])
+        rates = np.array([np.abs(slopes).max(axis=0) for _, slopes in known])
+        with np.errstate(all="ignore"):
+            reach = np.median(gaps[:, None] / rates, axis=0)
+        scales = np.where(is_angle | ~np.isfinite(reach) | (reach == 0.0), 1.0, reach)
+        return cls(loops, constraints, held, is_angle, scales)
+
+    def wrapped(self, dependent: Floats) -> Floats:
+        """With angles between -pi and pi, where -pi is pi."""
+        turns = np.ceil((dependent - np.pi) / (2 * np.pi) - DISTINCT)
+        return np.where(self.is_angle, dependent - 2 * np.pi * turns, dependent)
+
+    def add(self, dependent: Floats, found: list[Floats], solved: _Solved | None = None) -> bool:
+        """Append it unless it is there already."""
+        if found:
+            reach = self._uncertainty(dependent, solved or _Solved.all_of(self, dependent))
+            for other in found:
+                difference = dependent - other
+                turns = np.where(self.is_angle, np.round(difference / (2 * np.pi)), 0.0)
+                if (np.abs(difference - 2 * np.pi * turns) <= reach).all():
+                    return False
+        found.append(self.wrapped(dependent))
+        return True
+
+    def _uncertainty(self, dependent: Floats, solved: _Solved) -> Floats:
+        """How far a solution moves if each constraint changes by `ROUNDING` of its terms; at most `DISTINCT`."""
+        error, slopes = self.loops.position(dependent)
+        rows, columns = list(solved.rows), list(solved.unknowns)
+        error, slopes = error[rows], slopes[rows][:, columns]
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            alone = np.where(slopes != 0.0, solved.terms[:, None] / np.abs(slopes), 0.0).max(axis=0)
+        most = DISTINCT * np.where(self.is_angle[columns], 1.0, np.maximum(np.abs(dependent[columns]), alone))
+        try:
+            inverse = np.abs(np.linalg.pinv(slopes, rcond=EPS))
+        except np.linalg.LinAlgError:
+            inverse = np.full(slopes.T.shape, np.inf)
+        reach = EPS * np.abs(dependent)
+        reach[columns] += np.minimum(inverse @ (ROUNDING * solved.terms + np.abs(error)), most)
+        return reach
+
+
+@dataclass(frozen=True)
+class _Group:
+    """One or two constraints and as many coordinates that they determine once those of earlier groups are known."""
+
+    rows: tuple[int, ...]
+    unknowns: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """Constraints and the coordinates that were solved for; what the constraints' terms amount to there."""
+
+    rows: Sequence[int]
+    unknowns: Sequence[int]
+    terms: Floats
+
+    @classmethod
+    def all_of(cls, chart: _Chart, dependent: Floats) -> _Solved:
+        """All constraints by all dependent coordinates."""
+        terms = _scales(chart.loops, chart.loops.coordinates(dependent))
+        return cls(range(len(terms)), range(len(dependent)), terms)
+
+
+def _groups(chart: _Chart, generator: np.random.Generator) -> tuple[list[_Group], list[int]]:
+    """The groups in the order of their solution, and the coordinates that are in none."""
+    groups: list[_Group] = []
+    unknown = set(range(chart.loops.n_dependent))
+    rows = list(range(len(chart.held)))
+
+    def next_group() -> _Group | None:
+        for size in (1, 2):
+            for chosen in combinations(rows, size):
+                held = [j for j in sorted(unknown) if chart.held[list(chosen), j].any()]
+                if len(held) == size:
+                    group = _Group(chosen, tuple(held))
+                    anywhere = generator.uniform(-np.pi, np.pi, chart.loops.n_dependent) * chart.scales
+                    # Redundant constraints have infinitely many common roots wherever they are looked at.
+                    if _candidates(chart, group, _polynomials(chart, group, anywhere)) is not None:
+                        return group
+        return None
+
+    while unknown and (group := next_group()) is not None:
+        groups.append(group)
+        unknown -= set(group.unknowns)
+        rows = [row for row in rows if row not in group.rows]
+    return groups, sorted(unknown)
+
+
+def _polynomials(chart: _Chart, group: _Group, dependent: Floats) -> list[Polynomial] | None:
+    """The group's constraints as polynomials in its unknowns, or None if they are of another form."""
+    names = chart.names
+    known = {("q", names[j]): float(dependent[j]) for j in range(len(names)) if j not in group.unknowns}
+    unknowns = [(names[j], bool(chart.is_angle[j])) for j in group.unknowns]
+    return chart.constraints.with_values(known).polynomials(group.rows, unknowns)
+
+
+def _candidates(chart: _Chart, group: _Group, polynomials: list[Polynomial] | None) -> list[tuple[float, ...]] | None:
+    """Values of the group's unknowns that may be a common root; None if there may be infinitely many."""
+    is_angle = [bool(chart.is_angle[j]) for j in group.unknowns]
+    return None if polynomials is None else real_roots(polynomials, is_angle)
+
+
+def _roots(chart: _Chart, group: _Group, dependent: Floats) -> list[Floats] | None:
+    """The dependent coordinates with each of the solutions for a group's unknowns; None if they are not isolated."""
+    loops, rows, columns = chart.loops, list(group.rows), list(group.unknowns)
+    polynomials = _polynomials(chart, group, dependent)
+    candidates = _candidates(chart, group, polynomials)
+    if polynomials is None or candidates is None:
+        return None
+    found: list[Floats] = []
+    for candidate in candidates:
+        point = dependent.copy()
+        point[columns] = candidate
+        # Terms are those of the polynomial, and those that its coefficients consist of.
+        q = loops.coordinates(point)
+        error, slopes = loops.model.position(loops.t, q, loops.p, loops.r)
+        at = [1.0 if chart.is_angle[j] else abs(value) for j, value in zip(columns, candidate, strict=True)]
+        terms = np.abs(slopes[rows]) @ np.abs(q) + [terms_of(polynomial, at) for polynomial in polynomials]
+        if (np.abs(error[rows]) <= ROUNDING * terms).all():
+            chart.add(point, found, _Solved(rows, columns, terms))
+    return found
+
+
+def _is_dead(loops: Loops, group: _Group, dependent: Floats) -> bool:
+    """Whether two solutions of a group meet there, or nearly."""
+    slopes = loops.jacobian(dependent)[np.ix_(group.rows, group.unknowns)]
+    sizes = np.linalg.svd(slopes, compute_uv=False)
+    return bool(sizes[-1] <= DEAD * sizes[0])
+
+
+def _search(
+    chart: _Chart,
+    partial: list[Floats],
+    rest: Sequence[int],
+    start: Floats,
+    generator: np.random.Generator,
+    progress: Progress,
+) -> list[Floats]:
+    """Solutions from many beginnings: what is known of the coordinates, and others at random."""
+    found: list[Floats] = []
+    others = list(rest)
+
+    def beginnings() -> Iterator[Floats]:
+        yield start
+        for number in range(MOST_BEGINNINGS):
+            begin = partial[number % len(partial)].copy()
+            reach = chart.scales * np.where(chart.is_angle, 1.0, 10.0 ** generator.uniform(-1.0, 1.0))
+            middle = np.where(chart.is_angle, 0.0, start)
+            begin[others] = (middle + reach * generator.uniform(-np.pi, np.pi, len(start)))[others]
+            yield begin
+
+    in_vain = 0
+    for begin in beginnings():
+        progress.stage(f"{len(found)} found")
+        dependent = chart.loops.search(begin)
+        news = dependent is not None and chart.add(dependent, found)
+        in_vain = 0 if news else in_vain + 1
+        if in_vain >= max(WITHOUT_NEWS, 2 * len(partial)) or len(found) >= MOST:
+            break
+    return found

@@ -1,0 +1,130 @@
+"""The position constraints as functions of the dependent coordinates, and how these are found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourbar_codegen.kernel.dependent import SINGULAR
+from fourbar_codegen.kernel.kernel import Kernel
+
+__all__ = ["Loops", "nearest_closed"]
+
+Floats = NDArray[np.float64]
+
+CLOSED = 1e-10
+"""Configurations count as closed if the constraints are violated by no more than this share of their scales."""
+
+CORRECTIONS = 30
+
+
+@dataclass(frozen=True)
+class Loops:
+    """The position constraints as functions of the dependent coordinates alone.
+
+    Attributes
+    ----------
+    model : Kernel
+    t : float
+    q_i : ndarray
+        The independent coordinates.
+    p, r : ndarray or None
+        Parameters and inputs.
+    """
+
+    model: Kernel
+    t: float
+    q_i: Floats
+    p: Floats | None
+    r: Floats | None
+
+    @property
+    def n_dependent(self) -> int:
+        """Number of dependent coordinates."""
+        return self.model.n_q - len(self.q_i)
+
+    def coordinates(self, dependent: Floats) -> Floats:
+        """All of them."""
+        return np.concatenate((self.q_i, dependent))
+
+    def position(self, dependent: Floats) -> tuple[Floats, Floats]:
+        """The residual and its derivatives with respect to the dependent coordinates."""
+        if not np.isfinite(dependent).all():  # a step of a solver that has lost its way
+            return np.full(self.model.n_h, np.inf), np.full((self.model.n_h, len(dependent)), np.inf)
+        error, slopes = self.model.position(self.t, self.coordinates(dependent), self.p, self.r)
+        return error, slopes[:, len(self.q_i) :]
+
+    def residual(self, dependent: Floats) -> Floats:
+        """The residual alone."""
+        return self.position(dependent)[0]
+
+    def jacobian(self, dependent: Floats) -> Floats:
+        """Its derivatives alone."""
+        return self.position(dependent)[1]
+
+    def are_closed(self, dependent: Floats) -> bool:
+        """Whether all constraints hold, each by its own scale."""
+        if not np.isfinite(dependent).all():
+            return False
+        q = self.coordinates(dependent)
+        return _holds(self.model, self.t, q, self.model.position(self.t, q, self.p, self.r)[0], self.p, self.r)
+
+    def newton(self, dependent: Floats) -> Floats | None:
+        """A solution where each step halves the residual at least, until rounding errors are left; None elsewhere."""
+        error, slopes = self.position(dependent)
+        while len(dependent) == self.model.n_h:
+            size = np.abs(error).max()
+            try:
+                tried = dependent - np.linalg.solve(slopes, error)
+            except np.linalg.LinAlgError:
+                return None
+            error_there, slopes_there = self.position(tried)
+            if not np.abs(error_there).max() < 0.5 * size:
+                return dependent if self.are_closed(dependent) else None
+            dependent, error, slopes = tried, error_there, slopes_there
+        return None
+
+    def closest(self, begin: Floats) -> Floats:
+        """Where SciPy's solvers end that begin there; the loops may be open."""
+        from scipy.optimize import fsolve, leastsq
+
+        # The solvers' own verdict compares steps; what counts here is the residual.
+        # fsolve needs as many constraints as unknowns, and these independent: redundant ones are for leastsq.
+        for solve in (fsolve, leastsq) if len(begin) == self.model.n_h else (leastsq,):
+            derivative = {"fprime" if solve is fsolve else "Dfun": self.jacobian}
+            found: Floats = solve(self.residual, begin, xtol=1e-13, full_output=True, **derivative)[0]
+            if self.are_closed(found):
+                break
+        return found
+
+    def search(self, begin: Floats) -> Floats | None:
+        """A solution, by Newton's method close to the beginning, else by SciPy's solvers; None if they find none."""
+        near = self.newton(begin)
+        if near is not None:
+            return near
+        found = self.closest(begin)
+        return found if self.are_closed(found) else None
+
+
+def _holds(model: Kernel, t: float, q: Floats, residual: Floats, p: Floats | None, r: Floats | None) -> bool:
+    """Whether the position constraints hold that have this residual, each by its own scale."""
+    scale, *_ = model.constraint_scale(t, np.concatenate((q, np.zeros(model.n_u))), p, r)
+    return bool((np.abs(residual) <= CLOSED * scale).all() and np.isfinite(scale).all())
+
+
+def nearest_closed(model: Kernel, t: float, q: Floats, p: Floats | None, r: Floats | None) -> Floats | None:
+    """Coordinates that satisfy the position constraints, by the Gauss-Newton method from some that need not.
+
+    All of them move, by the shortest change, so that redundant constraints are as good as others. None where it does
+    not come to an end.
+    """
+    for _ in range(CORRECTIONS):
+        residual, slopes = model.position(t, q, p, r)
+        if not (np.isfinite(residual).all() and np.isfinite(slopes).all()):
+            return None
+        if _holds(model, t, q, residual, p, r):
+            return q
+        q = q - np.linalg.lstsq(slopes, residual, rcond=SINGULAR)[0]
+    return None

@@ -1,0 +1,1 @@
+"""Schedule -> text: C, Cython and the manifest. What is printed here was decided before."""

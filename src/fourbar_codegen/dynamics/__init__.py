@@ -1,0 +1,1 @@
+"""Mechanism -> Equations: kinematics, Kane's method, constraints and their derivatives."""

@@ -1,0 +1,602 @@
+"""Model -> Equations: Kane's equations and the constraints, as straight-line code.
+
+Kane's method with intermediate variables (T. R. Kane and D. A. Levinson, *Dynamics: Theory and
+Applications*, 1985, chapters 4 to 6), with all generalized speeds treated as independent:
+
+    M(q, t, p) u' = f(q, u, t, p, r)
+
+    M_rs = sum over bodies of  m v_r . v_s + w_r . I . w_s
+    f_r  = sum over loads of  F . v_r + T . w_r  -  sum over bodies of  v_r . P* + w_r . H*
+
+with partial velocities v_r = dv/du_r and w_r, and the rates P* of m v and H* of I . w for u' = 0. The
+constraints J u + b = 0 enter as rows J u' + gamma = 0; they are solved numerically, in C.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import chain
+from typing import Any
+
+import sympy as sm
+
+from fourbar_codegen.dynamics.kane import Kane
+from fourbar_codegen.dynamics.kinematic_equations import solve_kinematics
+from fourbar_codegen.dynamics.kinematics import INERTIAL, Components, Motion, add
+from fourbar_codegen.errors import ModelError
+from fourbar_codegen.expressions.breakpoints import breakpoints
+from fourbar_codegen.expressions.convert import Conversion, substitute
+from fourbar_codegen.expressions.derivatives import Direction, Rounding, pull_back
+from fourbar_codegen.expressions.formulas import formulas
+from fourbar_codegen.expressions.identities import recognize, vanish
+from fourbar_codegen.expressions.linear import TooManyCoupledError, UndeterminedError, solve_linear
+from fourbar_codegen.expressions.tape import Result, Scalar, Tape
+from fourbar_codegen.modeling.model import InputEntry, Model, multiplier
+from fourbar_codegen.modeling.system_reader import Mechanism
+
+__all__ = ["DrawnPoint", "Equations", "form_equations"]
+
+
+@dataclass(frozen=True)
+class DrawnPoint:
+    """A point that is drawn.
+
+    Attributes
+    ----------
+    name : str
+    parent : int or None
+        The point from which a line leads to it; None for the origin.
+    body : str or None
+        The body whose mass centre it is.
+    """
+
+    name: str
+    parent: int | None
+    body: str | None
+
+
+@dataclass(frozen=True)
+class Equations:
+    """The equations of a mechanism over one tape.
+
+    Attributes
+    ----------
+    tape : Tape
+    time : Scalar
+    coordinates, speeds, parameters, inputs : tuple of Scalar
+        The leaves, in the order of the state and argument arrays. Of the parameters, those that the model
+        names or the equations need; of the inputs' rates, those of inputs that prescribe a motion.
+    moving : tuple of int
+        The inputs that positions, velocities or constraints depend on.
+    accelerations : tuple of Scalar
+        Leaves that stand for u' in `residual_jacobian`.
+    multipliers : tuple of Scalar
+        Leaves that stand for the constraints' multipliers there.
+    n_dependent_speeds : int
+    velocity_constraints_derived : bool
+        Whether the velocity constraints begin with the rates of the position constraints.
+    default_inputs : Result
+        The inputs' expressions, (n_r,); NaN where there is none.
+    default_input_jacobian : Result
+        Their derivatives with respect to p, (n_r, n_p); zero where there is none.
+    breakpoints : Result
+        The times at which any of these results has a jump or a kink, as far as they follow from parameters,
+        (n_breakpoints,).
+    n_jumps : int
+        How many of these, which come first, are of positions or velocities.
+    outputs : Result
+        The outputs, (n_o,), for u' and multipliers in `accelerations` and `multipliers`.
+    coordinate_rates : Result
+        q', (n_q,).
+    mass_matrix, forcing : Result
+        M, (n_u, n_u), and f, (n_u,).
+    position_constraints, position_jacobian : Result
+        Phi, (n_h,), and dPhi/dq, (n_h, n_q).
+    position_formulas : dict
+        Phi as `formulas` writes it.
+    constraint_jacobian, velocity_bias, acceleration_bias : Result
+        J, (n_c, n_u); b and gamma, (n_c,). Rows of holonomic constraints first, if they are derived.
+    position_closure, velocity_closure : Result
+        By how much the constraints are violated, row by row as in J: Phi where a row is its rate, else 0, (n_c,); and
+        J u + b, (n_c,).
+    position_scale, position_closure_scale, velocity_closure_scale : Result
+        What violations of `position_constraints`, (n_h,), `position_closure` and `velocity_closure`, (n_c,), are
+        measured by: what rounding errors make of them.
+    coordinate_change : Result
+        K du, (n_q,), the change of the coordinates that goes with a change of the speeds' integrals, which stands in
+        `accelerations`.
+    energies : Result
+        Kinetic and potential energy, (2,); the latter NaN if a position that it needs is not defined.
+    power : Result
+        What all loads do, (1,); NaN if that is not what changes the kinetic energy. It is made into nothing but a test
+        of the other results.
+    places : tuple of DrawnPoint
+    points : Result
+        Their positions in the inertial frame, (n_points, 3).
+    forced : tuple of int
+        The places at which inputs' forces act.
+    forces : Result
+        These forces in the inertial frame, (n_forces, 3).
+    velocity_jacobian, velocity_input_jacobian : Result
+        d(J u + b)/dq, (n_c, n_q), and d(J u + b)/dr, (n_c, n_r).
+    position_input_jacobian : Result
+        dPhi/dr, (n_h, n_r).
+    coordinate_rate_jacobian, coordinate_rate_parameter_jacobian, coordinate_rate_input_jacobian : Result
+        Derivatives of q' with respect to x, p and r, (n_q, n_x), (n_q, n_p) and (n_q, n_r).
+    residual_jacobian, residual_parameter_jacobian, residual_input_jacobian : Result
+        Derivatives of (f - M u' + J^T lambda, -(J u' + gamma)) at fixed u' and lambda, (n_u + n_c, n_x),
+        (n_u + n_c, n_p) and (n_u + n_c, n_r).
+    """
+
+    tape: Tape
+    time: Scalar
+    coordinates: tuple[Scalar, ...]
+    speeds: tuple[Scalar, ...]
+    parameters: tuple[Scalar, ...]
+    inputs: tuple[Scalar, ...]
+    moving: tuple[int, ...]
+    accelerations: tuple[Scalar, ...]
+    multipliers: tuple[Scalar, ...]
+    n_dependent_speeds: int
+    velocity_constraints_derived: bool
+    default_inputs: Result
+    default_input_jacobian: Result
+    breakpoints: Result
+    n_jumps: int
+    outputs: Result
+    coordinate_rates: Result
+    mass_matrix: Result
+    forcing: Result
+    position_constraints: Result
+    position_jacobian: Result
+    position_formulas: dict[str, Any]
+    constraint_jacobian: Result
+    velocity_bias: Result
+    acceleration_bias: Result
+    position_closure: Result
+    velocity_closure: Result
+    position_scale: Result
+    position_closure_scale: Result
+    velocity_closure_scale: Result
+    coordinate_change: Result
+    energies: Result
+    power: Result
+    places: tuple[DrawnPoint, ...]
+    points: Result
+    forced: tuple[int, ...]
+    forces: Result
+    velocity_jacobian: Result
+    velocity_input_jacobian: Result
+    position_input_jacobian: Result
+    coordinate_rate_jacobian: Result
+    coordinate_rate_parameter_jacobian: Result
+    coordinate_rate_input_jacobian: Result
+    residual_jacobian: Result
+    residual_parameter_jacobian: Result
+    residual_input_jacobian: Result
+
+
+def form_equations(model: Model) -> Equations:
+    """Form the equations of motion of a model.
+
+    Parameters
+    ----------
+    model : Model
+
+    Returns
+    -------
+    Equations
+
+    Raises
+    ------
+    ModelError
+        If the kinematic equations do not determine q', or are not linear in q' and u, or a velocity
+        constraint is not linear in u, or unknown forces do not follow from the auxiliary speeds' equations, or
+        the expression of an input that prescribes a motion does not have its rates everywhere.
+
+    Examples
+    --------
+    >>> from fourbar_codegen.models import four_bar
+    >>> form_equations(four_bar()).constraint_jacobian.shape
+    (2, 3)
+    """
+    mechanism = model.mechanism
+    tape = Tape()
+    v = _variables(tape, model)
+    leaves = _leaves(tape, model, v)
+    q_rates = tuple(recognize(tape, solve_kinematics(tape, mechanism, leaves, v.u)))
+    leaves.update(zip((c.diff(mechanism.time) for c in mechanism.coordinates), q_rates, strict=True))
+    leaves.update(zip(model.noncontributing, v.unknown, strict=True))
+    convert = convert_virtual = Conversion(tape, leaves)
+
+    # The rate of a function of (q, u, r, t) with u held, or with u' given: of the inputs, those whose rates are inputs.
+    held = {v.time: tape.one, **dict(zip(v.q, q_rates, strict=True)), **_input_rates(model, v)}
+    rate = Direction(tape, held)
+    total_rate = Direction(tape, {**held, **dict(zip(v.u, v.a, strict=True))})
+
+    motion = virtual = Motion(tape, mechanism, convert, rate)
+    if v.aux:
+        convert_virtual = Conversion(tape, {**leaves, **dict(zip(mechanism.auxiliary_speeds, v.aux, strict=True))})
+        virtual = Motion(tape, mechanism, convert_virtual, rate)
+    kane = Kane(tape, motion, virtual, v.u, v.aux, rate)
+    kane.use_poisson_rates([rate, total_rate])
+    mass_matrix = kane.mass_matrix()
+    # f, and f - M u' with the rows of the auxiliary speeds last; the unknown forces, which those bring out, apart.
+    no_unknown = dict.fromkeys(v.unknown, tape.zero)
+    forcing = substitute(tape, kane.generalized_forces(rate)[: len(v.u)], no_unknown)
+    with_unknown = kane.generalized_forces(total_rate)
+    balance = substitute(tape, with_unknown, no_unknown)
+    columns = _columns(tape, with_unknown, v.unknown)
+    if tape.depends([*chain(*mass_matrix, *columns), *balance], {*v.aux, *v.unknown}):
+        raise ModelError("Velocities must be linear in the auxiliary speeds, and loads in the unknown forces.")
+
+    formed = tape.reach([*q_rates, *chain(*mass_matrix), *forcing])
+    constraints = _constraints(tape, mechanism, convert, convert_virtual, v, rate, formed)
+    lam = tuple(tape.leaf("l", number) for number in range(len(constraints.velocities)))
+    # f - M u' + J^T lambda; and -(J u' + gamma), the rate of the constraints for given u'.
+    reactions = pull_back(tape, list(zip(constraints.virtual_velocities, lam, strict=True)), (*v.u, *v.aux))
+    dynamic = [row + reaction for row, reaction in zip(balance, reactions, strict=True)]
+    kinematic = [-total_rate(expr) for expr in constraints.velocities]
+
+    forces = _forces(tape, model, columns, constraints, dynamic[len(v.u) :])
+    # From here on the unknown forces stand for themselves no more.
+    leaves.update(zip(model.noncontributing, forces, strict=False))
+    leaves.update(zip((speed.diff(mechanism.time) for speed in mechanism.speeds), v.a, strict=True))
+    leaves.update({multiplier(number): symbol for number, symbol in enumerate(lam, start=1)})
+    convert = Conversion(tape, leaves)
+    changing = (v.time, *v.q, *v.u, *v.r, *v.a, *lam, *v.unknown)
+    energies = [kane.kinetic_energy(), kane.potential_energy(model.potential_energy, changing)]
+
+    def gradients(rows: Sequence[Scalar], variables: Sequence[Scalar]) -> list[list[Scalar]]:
+        return [pull_back(tape, [(row, tape.one)], variables) for row in rows]
+
+    closure = _position_closure(tape, constraints, rate)
+    rounding = Rounding(tape)
+    n_q, n_u = len(v.q), len(v.u)
+    places, points, numbers = _places(mechanism, motion)
+    applied = _applied_forces(tape, mechanism, motion, numbers, v)
+    results = [
+        _vector("outputs", [*forces, *(convert(expr) for expr in model.output_expressions.values())]),
+        _vector("coordinate_rates", q_rates),
+        _matrix("mass_matrix", mass_matrix, n_u),
+        _vector("forcing", forcing),
+        _vector("position_constraints", constraints.positions),
+        _matrix("position_jacobian", _position_jacobian(tape, constraints, v.q, q_rates, v.u), n_q),
+        _matrix("constraint_jacobian", constraints.jacobian, n_u),
+        _vector("velocity_bias", substitute(tape, constraints.velocities, dict.fromkeys(v.u, tape.zero))),
+        _vector("acceleration_bias", constraints.acceleration_bias),
+        _vector("position_closure", closure),
+        _vector("velocity_closure", constraints.velocities),
+        _vector("position_scale", map(rounding, constraints.positions)),
+        _vector("position_closure_scale", map(rounding, closure)),
+        _vector("velocity_closure_scale", map(rounding, constraints.velocities)),
+        _vector("coordinate_change", map(Direction(tape, dict(zip(v.u, v.a, strict=True))), q_rates)),
+        _vector("energies", energies),
+        _vector("power", substitute(tape, [kane.power()], no_unknown)),
+        _matrix("points", points, 3),
+        _matrix("forces", list(applied.values()), 3),
+        _matrix("velocity_jacobian", gradients(constraints.velocities, v.q), n_q),
+    ]
+    residual = (*dynamic[:n_u], *kinematic)
+    entries = [*residual, *chain.from_iterable(result.entries for result in results)]
+    closing = (*constraints.positions, *constraints.velocities)
+    inputs = _inputs(tape, model, v, entries, closing)
+    moving = [*closing, energies[0], *chain(*points)]
+    moved = set(tape.reach(moving))
+    nan = tape.number(float("nan"))
+    defaults = [nan if e.expression is None else convert(e.expression) for e in inputs.values()]
+    default_inputs = _vector("inputs", defaults)
+    entries += defaults
+    moving += [default for leaf, default in zip(inputs, defaults, strict=True) if leaf.node in moved]
+    jumps, is_complete = breakpoints(tape, v.time, moving)
+    if not is_complete:
+        pairs = zip(inputs.values(), defaults, strict=True)
+        names = {entry.of for entry, default in pairs if not breakpoints(tape, v.time, [default])[1]}
+        raise ModelError(
+            f"A prescribed motion{', of input ' * bool(names)}{', '.join(sorted(names))} changes its form "
+            "at times that cannot be read off, and its rate may jump there: its conditions may be linear or quadratic "
+            f"in {mechanism.time}, with coefficients of parameters, or a table may be given for it."
+        )
+    others, _ = breakpoints(tape, v.time, [*residual, *q_rates, *defaults])
+    times = dict.fromkeys([*jumps, *others])
+    needed = tuple(
+        leaf
+        for symbol, leaf in zip(model.parameter_symbols, v.p, strict=True)
+        if symbol in model.named_parameters or tape.depends(entries, {leaf})
+    )
+    results += [
+        _vector("breakpoints", times),
+        _matrix("default_input_jacobian", gradients(defaults, needed), len(needed)),
+        _matrix("velocity_input_jacobian", gradients(constraints.velocities, tuple(inputs)), len(inputs)),
+        _matrix("position_input_jacobian", gradients(constraints.positions, tuple(inputs)), len(inputs)),
+    ]
+    for kind, variables in (("", (*v.q, *v.u)), ("_parameter", needed), ("_input", tuple(inputs))):
+        directions = [Direction(tape, {s: tape.one}) for s in variables]
+        for name, rows in (("coordinate_rate", q_rates), ("residual", residual)):
+            columns_of_rows = [[d(row) for d in directions] for row in rows]
+            results.append(_matrix(f"{name}{kind}_jacobian", columns_of_rows, len(variables)))
+    return Equations(
+        tape=tape,
+        time=v.time,
+        coordinates=v.q,
+        speeds=v.u,
+        parameters=needed,
+        inputs=tuple(inputs),
+        moving=tuple(place for place, leaf in enumerate(inputs) if leaf.node in moved),
+        accelerations=v.a,
+        multipliers=lam,
+        n_dependent_speeds=mechanism.n_dependent_speeds,
+        velocity_constraints_derived=mechanism.velocity_constraints_derived,
+        default_inputs=default_inputs,
+        n_jumps=len(jumps),
+        position_formulas=formulas(tape, constraints.positions),
+        places=places,
+        forced=tuple(applied),
+        **{result.name: result for result in results},
+    )
+
+
+@dataclass(frozen=True)
+class _Variables:
+    """The leaves of the tape: time, coordinates, speeds, parameters, inputs, u', auxiliary speeds, unknown forces."""
+
+    time: Scalar
+    q: tuple[Scalar, ...]
+    u: tuple[Scalar, ...]
+    p: tuple[Scalar, ...]
+    r: tuple[Scalar, ...]
+    a: tuple[Scalar, ...]
+    aux: tuple[Scalar, ...]
+    unknown: tuple[Scalar, ...]
+
+
+def _variables(tape: Tape, model: Model) -> _Variables:
+    return _Variables(
+        time=tape.leaf("t", ""),
+        q=tuple(tape.leaf("q", name) for name in model.coordinates),
+        u=tuple(tape.leaf("u", name) for name in model.speeds),
+        p=tuple(tape.leaf("p", name) for name in model.parameters),
+        r=tuple(tape.leaf("r", name) for name in model.inputs),
+        a=tuple(tape.leaf("a", name) for name in model.speeds),
+        aux=tuple(tape.leaf("w", number) for number in range(len(model.mechanism.auxiliary_speeds))),
+        unknown=tuple(tape.leaf("n", number) for number in range(len(model.noncontributing))),
+    )
+
+
+def _leaves(tape: Tape, model: Model, v: _Variables) -> dict[sm.Basic, Scalar]:
+    """What stands on the tape for the model's symbols and functions of time; auxiliary speeds are zero."""
+    mechanism = model.mechanism
+    leaves: dict[sm.Basic, Scalar] = {mechanism.time: v.time}
+    leaves.update(zip(mechanism.coordinates, v.q, strict=True))
+    leaves.update(zip(mechanism.speeds, v.u, strict=True))
+    leaves.update(dict.fromkeys(mechanism.auxiliary_speeds, tape.zero))
+    leaves.update(zip(model.parameter_symbols, v.p, strict=True))
+    for symbol, expr in model.derived_parameters.items():
+        leaves[symbol] = Conversion(tape, leaves)(expr)
+    leaves.update(zip((entry.function for entry in model.input_entries), v.r, strict=True))
+    return leaves
+
+
+def _input_rates(model: Model, v: _Variables) -> dict[Scalar, Scalar]:
+    """The rates of those inputs whose rates are inputs too."""
+    leaf_of = {entry.function: leaf for entry, leaf in zip(model.input_entries, v.r, strict=True)}
+    rates = {leaf: leaf_of.get(function.diff(model.mechanism.time)) for function, leaf in leaf_of.items()}
+    return {leaf: rate for leaf, rate in rates.items() if rate is not None}
+
+
+def _inputs(
+    tape: Tape, model: Model, v: _Variables, entries: Sequence[Scalar], closing: Sequence[Scalar]
+) -> dict[Scalar, InputEntry]:
+    """The inputs, and behind each that prescribes a motion its rates, by their leaves.
+
+    It does where a rate of it has come into the equations, of which these are the entries. An input in the constraints
+    does in any case: where the rows of J are others than the constraints' rates, its own rates do not stand in them.
+    """
+    of_leaf = dict(zip(v.r, model.input_entries, strict=True))
+    reached, closed = set(tape.reach(entries)), set(tape.reach(closing))
+    prescribing = {e.of for leaf, e in of_leaf.items() if leaf.node in (reached if e.order else closed)}
+    needed = {leaf: entry for leaf, entry in of_leaf.items() if not entry.order or entry.of in prescribing}
+    for entry in needed.values():
+        if entry.order and entry.expression is not None and entry.expression.has(sm.Derivative, sm.Subs):
+            raise ModelError(
+                f"Input {entry.of} prescribes a motion, so that its first two rates are needed; its expression "
+                f"{model.input_expressions[entry.function.expr]} does not have them everywhere."
+            )
+    return needed
+
+
+def _columns(tape: Tape, rows: Sequence[Scalar], unknown: Sequence[Scalar]) -> list[list[Scalar]]:
+    """The derivatives of the rows with respect to each of the unknown forces."""
+    gradients = [pull_back(tape, [(row, tape.one)], unknown) for row in rows]
+    return [[gradient[i] for gradient in gradients] for i in range(len(unknown))]
+
+
+def _places(mechanism: Mechanism, motion: Motion) -> tuple[tuple[DrawnPoint, ...], list[Components], dict[int, int]]:
+    """The points that are drawn and their positions, but for those with symbols that the model does not know.
+
+    And which of them the mechanism's points are, by their numbers.
+    """
+    places: list[DrawnPoint] = []
+    positions: list[Components] = []
+    of_points: dict[int, int] = {}
+    numbers: dict[int | None, int | None] = {None: None}
+    for number, point in enumerate(mechanism.drawn):
+        if point.parent not in numbers:
+            continue
+        try:
+            offset = motion.express(motion.vector(point.offset), INERTIAL)
+        except ModelError:
+            continue
+        parent = numbers[point.parent]
+        numbers[number] = len(places)
+        if point.number is not None:
+            of_points[point.number] = len(places)
+        places.append(DrawnPoint(point.name, parent, point.body))
+        positions.append(offset if parent is None else add(positions[parent], offset))
+    return tuple(places), positions, of_points
+
+
+def _applied_forces(
+    tape: Tape, mechanism: Mechanism, motion: Motion, places: dict[int, int], v: _Variables
+) -> dict[int, Components]:
+    """The sum of the forces with inputs in them at each of the points that are drawn, by the number of its place."""
+    forces: dict[int, Components] = {}
+    for load in mechanism.loads:
+        if load.kind == "force" and load.place in places:
+            force = motion.express(motion.vector(load.vector), INERTIAL)
+            if tape.depends(force, set(v.r)) and not tape.depends(force, {*v.aux, *v.unknown}):
+                place = places[load.place]
+                forces[place] = add(forces[place], force) if place in forces else force
+    return forces
+
+
+def _forces(
+    tape: Tape, model: Model, columns: Sequence[Sequence[Scalar]], constraints: _Constraints, rest: Sequence[Scalar]
+) -> tuple[Scalar, ...]:
+    """What keeps the auxiliary speeds zero: Q = M u' - f - J^T lambda in their rows, or the forces that give it."""
+    if not model.noncontributing:
+        return tuple(-row for row in rest)
+    mechanism = model.mechanism
+    n_i = len(mechanism.speeds) - mechanism.n_dependent_speeds
+    forces = _noncontributing(tape, columns, constraints, rest, n_i)
+    if forces is None:
+        names = ", ".join(str(f.func) for f in model.noncontributing)
+        raise ModelError(
+            f"The unknown forces {names} do not follow from the auxiliary speeds "
+            f"{', '.join(str(w.func) for w in mechanism.auxiliary_speeds)}: they do work in the motion itself, "
+            "or at no auxiliary speed. Forces that are known are named in inputs=."
+        )
+    return forces
+
+
+@dataclass(frozen=True)
+class _Constraints:
+    """Positions Phi, velocities J u + b, J by speeds and by auxiliary speeds, and gamma.
+
+    The velocities begin with the rates of the positions if they are `derived`; `virtual_velocities` are the velocities
+    with the auxiliary speeds where they are not zero.
+    """
+
+    positions: tuple[Scalar, ...]
+    derived: bool
+    velocities: tuple[Scalar, ...]
+    virtual_velocities: tuple[Scalar, ...]
+    jacobian: tuple[tuple[Scalar, ...], ...]
+    auxiliary_jacobian: tuple[tuple[Scalar, ...], ...]
+    acceleration_bias: tuple[Scalar, ...]
+
+    def rows(self) -> list[tuple[Scalar, ...]]:
+        """The rows of both Jacobians as one."""
+        return [(*row, *more) for row, more in zip(self.jacobian, self.auxiliary_jacobian, strict=True)]
+
+
+def _constraints(
+    tape: Tape,
+    mechanism: Mechanism,
+    convert: Conversion,
+    convert_virtual: Conversion,
+    v: _Variables,
+    rate: Direction,
+    formed: Sequence[int],
+) -> _Constraints:
+    positions = recognize(tape, [convert(expr) for expr in mechanism.holonomic_constraints], formed)
+    velocities = recognize(tape, [convert(expr) for expr in mechanism.velocity_constraints], formed)
+    virtual = (
+        recognize(tape, [convert_virtual(expr) for expr in mechanism.velocity_constraints], formed)
+        if v.aux
+        else velocities
+    )
+    if mechanism.velocity_constraints_derived:
+        # The rates of positions do not have the auxiliary speeds.
+        derived = [rate(expr) for expr in positions]
+        velocities, virtual = [*derived, *velocities], [*derived, *virtual]
+    gradients = [pull_back(tape, [(expr, tape.one)], (*v.u, *v.aux)) for expr in virtual]
+    for number, gradient in enumerate(gradients, start=1):
+        if tape.depends(gradient[: len(v.u)], v.u):
+            raise ModelError(f"Velocity constraint {number} is not linear in the generalized speeds.")
+    return _Constraints(
+        tuple(positions),
+        mechanism.velocity_constraints_derived,
+        tuple(velocities),
+        tuple(virtual),
+        tuple(tuple(gradient[: len(v.u)]) for gradient in gradients),
+        tuple(tuple(gradient[len(v.u) :]) for gradient in gradients),
+        tuple(rate(expr) for expr in velocities),
+    )
+
+
+def _position_closure(tape: Tape, constraints: _Constraints, rate: Direction) -> list[Scalar]:
+    """For each velocity constraint the position constraint, or its negative, that it is the rate of, or zero."""
+    rows = [tape.zero] * len(constraints.velocities)
+    if constraints.derived:
+        rows[: len(constraints.positions)] = constraints.positions
+        return rows
+    for position in constraints.positions:
+        derived = rate(position)
+        free = [k for k, row in enumerate(rows) if not row]
+        for sign in (1, -1):
+            same = vanish(tape, [constraints.velocities[k] - derived * sign for k in free])
+            if any(same):
+                rows[free[same.index(True)]] = position * sign
+                break
+    return rows
+
+
+def _position_jacobian(
+    tape: Tape, constraints: _Constraints, q: Sequence[Scalar], q_rates: Sequence[Scalar], u: Sequence[Scalar]
+) -> list[list[Scalar]]:
+    """dPhi/dq; a coordinate whose rate is a speed of its own has that speed's column of J, which stands already."""
+    rows = [pull_back(tape, [(expr, tape.one)], q) for expr in constraints.positions]
+    if constraints.derived:
+        for j, rate in enumerate(q_rates):
+            if rate in u and not tape.depends([*q_rates[:j], *q_rates[j + 1 :]], [rate]):
+                for row, of_speeds in zip(rows, constraints.jacobian, strict=False):
+                    row[j] = of_speeds[u.index(rate)]
+    return rows
+
+
+def _noncontributing(
+    tape: Tape,
+    columns: Sequence[Sequence[Scalar]],
+    constraints: _Constraints,
+    rest: Sequence[Scalar],
+    n_i: int,
+) -> tuple[Scalar, ...] | None:
+    """The unknown forces F that keep the auxiliary speeds zero; None if they are not determined.
+
+    They act as B F on the speeds and as B_a F on the auxiliary ones. Forces that do no work in the motion are
+    reactions, B = J^T C, so that lambda, found without them, includes C F. What is left in the rows of the
+    auxiliary speeds is (B_a - J_a^T C) F + rest = 0, with rest = f_a - M_a u' + J_a^T lambda.
+
+    Source: Kane and Levinson 1985, section 4.9, with constraints as multipliers.
+    """
+    rows, n_c = constraints.rows(), len(constraints.jacobian)
+    n_u = len(columns[0]) - len(rest)
+    work: list[Scalar] = []
+    matrix: list[list[Scalar]] = [[] for _ in rest]
+    try:
+        for column in columns:
+            reaction: tuple[Scalar, ...] = (tape.zero,) * n_c
+            if any(column[:n_u]):
+                of_dependent = [[row[i] for row in rows] for i in range(n_i, n_u)]
+                reaction = solve_linear(tape, of_dependent, [-entry for entry in column[n_i:n_u]])
+            for i, entry in enumerate(column):
+                terms = [row[i] * c for row, c in zip(rows, reaction, strict=True)]
+                difference = tape.sum([entry, *(-term for term in terms)])
+                if i < n_i:
+                    work.append(difference)
+                elif i >= n_u:
+                    matrix[i - n_u].append(difference)
+        return solve_linear(tape, matrix, rest) if all(vanish(tape, work)) else None
+    except (UndeterminedError, TooManyCoupledError):
+        return None
+
+
+def _vector(name: str, entries: Iterable[Scalar]) -> Result:
+    entries = tuple(entries)
+    return Result(name, (len(entries),), entries)
+
+
+def _matrix(name: str, rows: Sequence[Sequence[Scalar]], columns: int) -> Result:
+    return Result(name, (len(rows), columns), tuple(entry for row in rows for entry in row))

@@ -1,0 +1,289 @@
+"""Mass matrix, forcing and energies by Kane's method.
+
+Source: T. R. Kane and D. A. Levinson, *Dynamics: Theory and Applications*, 1985, chapters 4 to 6.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import sympy as sm
+
+from fourbar_codegen.dynamics.composite_bodies import CompositeBodies
+from fourbar_codegen.dynamics.kinematics import (
+    INERTIAL,
+    Accumulated,
+    Components,
+    Motion,
+    Rotation,
+    Vector,
+    add,
+    cross,
+    differentiate,
+    dot,
+    merged,
+    multiply,
+    negative,
+    scale,
+)
+from fourbar_codegen.expressions.derivatives import Direction, pull_back
+from fourbar_codegen.expressions.identities import vanish
+from fourbar_codegen.expressions.tape import Scalar, Tape
+from fourbar_codegen.modeling.system_reader import Body, Mechanism
+
+__all__ = ["Kane"]
+
+MANY = 8
+"""Bodies that some speed moves alike, from which on composites are sure to take fewer operations than the bodies one by
+one; with fewer, it is counted."""
+
+
+@dataclass(frozen=True)
+class _Inertia:
+    """A body's central inertia, and its angular velocity and momentum along the same axes.
+
+    Attributes
+    ----------
+    frame : int
+        The axes.
+    matrix : Rotation
+    angular_velocity, momentum : Components
+    """
+
+    frame: int
+    matrix: Rotation
+    angular_velocity: Components
+    momentum: Components
+
+
+class Kane:
+    """The kinetics of a mechanism on a tape.
+
+    Parameters
+    ----------
+    tape : Tape
+    motion, virtual : Motion
+        Of the mechanism; and with the auxiliary speeds where they are not zero, for partial velocities.
+    speeds, auxiliary : sequence of Scalar
+        The leaves of the generalized speeds, and of the auxiliary ones.
+    rate : Direction
+        Differentiation with respect to time, with u' = 0.
+    """
+
+    def __init__(
+        self,
+        tape: Tape,
+        motion: Motion,
+        virtual: Motion,
+        speeds: Sequence[Scalar],
+        auxiliary: Sequence[Scalar],
+        rate: Direction,
+    ) -> None:
+        self.tape = tape
+        self.motion = motion
+        self.virtual = virtual
+        self.mechanism: Mechanism = motion.mechanism
+        self.speeds = tuple(speeds)
+        self.auxiliary = tuple(auxiliary)
+        self.rate = rate
+        self._consistent = False
+        self._masses = [motion.convert(body.mass) for body in self.mechanism.bodies]
+        self._inertias = [self._inertia(body) for body in self.mechanism.bodies]
+
+    def use_poisson_rates(self, rates: Iterable[Direction]) -> None:
+        """Let derivatives with respect to time take the rates of direction cosines from the angular velocities.
+
+        Poisson's equations, R* = R [w x] (Kane, Likins and Levinson, *Spacecraft Dynamics*, 1983, chapter 1),
+        are far shorter than what the chain rule makes of products of direction cosines, and constraints are
+        full of those. They hold where a frame's angular velocity is the one that follows from its orientation;
+        where a user set another one (with a constraint substituted into it, say), the chain rule stays.
+        """
+        motion, frames = self.motion, self.mechanism.frames
+        rates = list(rates)
+        known = [frame.angular_velocity is not None for frame in frames]
+        candidates = [n for n, frame in enumerate(frames) if n != INERTIAL and known[n] and known[frame.parent]]
+        # The rates of each frame's axes in its parent, by the chain rule and by the angular velocities.
+        differences: list[Scalar] = []
+        for number in candidates:
+            relative = motion.angular_velocity_in_parent(number)
+            for axis in motion.dcm(number):
+                expected = cross(relative, axis)
+                differences += [rates[0](x) - y for x, y in zip(axis, expected, strict=True)]
+        vanishing = iter(vanish(self.tape, differences))
+        consistent = {INERTIAL}
+        for number in candidates:
+            agree = [next(vanishing) for _ in range(9)]
+            if all(agree) and frames[number].parent in consistent:
+                consistent.add(number)
+                angular_velocity = motion.angular_velocity(number)
+                for row in motion.rotation(number, INERTIAL):
+                    for entry, derivative in zip(row, cross(row, angular_velocity), strict=True):
+                        for rate in rates:
+                            rate.give(entry, derivative)
+        self._consistent = len(consistent) == len(frames)
+
+    def mass_matrix(self) -> list[list[Scalar]]:
+        """M of M u' = f, shape (n_u, n_u).
+
+        M_rs = sum of m v_r . v_s + w_r . I . w_s over the bodies, with partial velocities v_r = dv/du_r, w_r = dw/du_r.
+
+        Source: Kane and Levinson 1985, section 4.11 (generalized inertia forces).
+        """
+        tape, n_u = self.tape, len(self.speeds)
+        along = [Direction(tape, {speed: tape.one}) for speed in self.speeds]
+        composites = CompositeBodies(self.motion, along, self.rate)
+        entries = self._entries_by_bodies(along, composites.entries())
+        if composites.largest < MANY:
+            apart = self._entries_by_bodies(along, {})
+            entries = min(entries, apart, key=lambda e: tape.count_operations(e.values()))
+        return [[entries[max(r, s), min(r, s)] for s in range(n_u)] for r in range(n_u)]
+
+    def _entries_by_bodies(
+        self, along: Sequence[Direction], known: Mapping[tuple[int, int], Scalar]
+    ) -> dict[tuple[int, int], Scalar]:
+        """The entries M_rs, r >= s, those that are not known as sums over the bodies."""
+        partials = [Accumulated(self.motion, functools.partial(_rates_of_part, d)) for d in along]
+        terms: dict[tuple[int, int], list[Scalar]] = {(r, s): [] for r in range(len(along)) for s in range(r + 1)}
+        for body, mass, inertia in zip(self.mechanism.bodies, self._masses, self._inertias, strict=True):
+            moving = [s for s, partial in enumerate(partials) if partial(body.point)]
+            for i, r in enumerate(moving):
+                for s in moving[: i + 1]:
+                    if (r, s) not in known:
+                        product = self.motion.dot(partials[r](body.point), partials[s](body.point))
+                        terms[r, s].append(mass * product)
+            if inertia is None:
+                continue
+            turns = [differentiate(d, inertia.angular_velocity) for d in along]
+            turning = [s for s, turn in enumerate(turns) if any(turn)]
+            momenta = {s: multiply(inertia.matrix, turns[s]) for s in turning}
+            for i, r in enumerate(turning):
+                for s in turning[: i + 1]:
+                    if (r, s) not in known:
+                        terms[r, s].append(dot(momenta[s], turns[r]))
+        return {pair: known.get(pair) or self.tape.sum(entry) for pair, entry in terms.items()}
+
+    def generalized_forces(self, rate: Direction) -> list[Scalar]:
+        """The forces of loads and of inertia, shape (n_u + n_aux,): f, or f - M u' for given u'.
+
+        The sum of (F - P*) . v_r + (T - H*) . w_r over the bodies, P* and H* the rates of momentum. The rows of the
+        auxiliary speeds, which are zero and stay so, stand last.
+
+        Parameters
+        ----------
+        rate : Direction
+            Differentiation with respect to time: with u' = 0, or given u'.
+
+        Source: Kane and Levinson 1985, sections 4.4 (active forces), 4.9 (noncontributing ones) and 4.11 (inertia
+        forces). What is common to the bodies beyond a point is added up before it is projected, from the ends
+        of the chains inwards, as by Luh, Walker and Paul, "On-line computational scheme for mechanical
+        manipulators", *J. Dynamic Systems, Measurement, and Control* 102 (1980).
+        """
+        motion, virtual = self.motion, self.virtual
+        forces: list[list[tuple[int, Components]]] = [[] for _ in self.mechanism.points]
+        projections: list[tuple[Scalar, Scalar]] = []  # velocities, and what acts along them
+        for load in self.mechanism.loads:
+            vector = motion.vector(load.vector)
+            if load.kind == "force":
+                forces[load.place] += vector
+            else:
+                torque = motion.express(vector, load.place)
+                projections += zip(virtual.angular_velocity(load.place), torque, strict=True)
+
+        def rate_of_part(frame: int, components: Components) -> Components:
+            return add(differentiate(rate, components), cross(motion.angular_velocity(frame), components))
+
+        accelerations = Accumulated(motion, rate_of_part)
+        for body, mass, inertia in zip(self.mechanism.bodies, self._masses, self._inertias, strict=True):
+            forces[body.point] += _scaled(-mass, accelerations(body.point))
+            mass_rate = rate(mass)
+            if mass_rate:
+                forces[body.point] += _scaled(-mass_rate, motion.velocity(body.point))
+            if inertia is not None:
+                assert body.frame is not None
+                spin = motion.angular_velocity(inertia.frame)
+                torque = add(differentiate(rate, inertia.momentum), cross(spin, inertia.momentum))
+                virtual_velocity = virtual.angular_velocity_in(body.frame, inertia.frame)
+                projections += zip(virtual_velocity, negative(torque), strict=True)
+        for point in reversed(range(len(forces))):
+            total = merged(forces[point])
+            if not total:
+                continue
+            base, parts = virtual.step(point)
+            if base is not None and virtual.moves(base):
+                total = ((INERTIAL, motion.express(total, INERTIAL)),)
+                forces[base] += total
+            for frame, components in parts:
+                projections += zip(components, motion.express(total, frame), strict=True)
+        return pull_back(self.tape, projections, (*self.speeds, *self.auxiliary))
+
+    def power(self) -> Scalar:
+        """The sum of F . v + T . w over the loads; NaN where it is not what changes the kinetic energy.
+
+        That is where a mass varies, a frame does not turn as its angular velocity says, or a body's inertia is given in
+        a frame that may turn within the body.
+        """
+        motion = self.motion
+        within = all(body.inertia_frame == body.frame for body in self.mechanism.bodies)
+        if not (within and self._consistent) or any(map(self.rate, self._masses)):
+            return self.tape.number(float("nan"))
+        terms = []
+        for load in self.mechanism.loads:
+            vector = motion.vector(load.vector)
+            if load.kind == "force":
+                terms.append(motion.dot(vector, motion.velocity(load.place)))
+            else:
+                angular_velocity = ((load.place, motion.angular_velocity(load.place)),)
+                terms.append(motion.dot(((load.place, motion.express(vector, load.place)),), angular_velocity))
+        return self.tape.sum(terms)
+
+    def kinetic_energy(self) -> Scalar:
+        """The sum of m v.v / 2 + w.I.w / 2 over the bodies."""
+        terms = []
+        for body, mass, inertia in zip(self.mechanism.bodies, self._masses, self._inertias, strict=True):
+            velocity = self.motion.velocity(body.point)
+            terms.append(mass * self.motion.dot(velocity, velocity))
+            if inertia is not None:
+                terms.append(dot(inertia.momentum, inertia.angular_velocity))
+        return self.tape.sum(terms) / 2
+
+    def potential_energy(self, given: sm.Expr | None, variables: Sequence[Scalar]) -> Scalar:
+        """The given expression, or what the bodies carry, or -F.r of every constant force; NaN if not known.
+
+        A force that is constant in the inertial frame has the potential -F.r, r the position of its point.
+        `variables` are the leaves that may change during a motion.
+        """
+        motion = self.motion
+        if given is not None:
+            return motion.convert(given)
+        if not all(body.potential_energy.is_zero for body in self.mechanism.bodies):
+            return self.tape.sum([motion.convert(body.potential_energy) for body in self.mechanism.bodies])
+        terms = []
+        for load in self.mechanism.loads:
+            if load.kind == "torque" or not motion.velocity(load.place):
+                continue
+            force = motion.express(motion.vector(load.vector), INERTIAL)
+            if self.tape.depends(force, variables):
+                continue
+            if load.position is None:
+                return self.tape.number(float("nan"))
+            terms.append(-dot(force, motion.express(motion.vector(load.position), INERTIAL)))
+        return self.tape.sum(terms)
+
+    def _inertia(self, body: Body) -> _Inertia | None:
+        if body.inertia is None:
+            return None
+        assert body.frame is not None
+        assert body.inertia_frame is not None
+        matrix = self.motion.matrix(body.inertia)
+        angular_velocity = self.motion.angular_velocity_in(body.frame, body.inertia_frame)
+        return _Inertia(body.inertia_frame, matrix, angular_velocity, multiply(matrix, angular_velocity))
+
+
+def _scaled(factor: Scalar, vector: Vector) -> Vector:
+    return tuple((frame, scale(factor, components)) for frame, components in vector)
+
+
+def _rates_of_part(rate: Direction, _: int, components: Components) -> Components:
+    return differentiate(rate, components)

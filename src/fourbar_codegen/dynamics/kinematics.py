@@ -1,0 +1,320 @@
+"""Rotations, angular velocities and velocities on a tape, each from that of its neighbour.
+
+Nothing is expanded: a vector stays a sum of components in the frames it was written in, and goes through the
+direction cosines of neighbouring frames only where a dot product needs one common frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import sympy as sm
+
+from fourbar_codegen.errors import ModelError
+from fourbar_codegen.expressions.convert import Conversion
+from fourbar_codegen.expressions.identities import vanish
+from fourbar_codegen.expressions.tape import Scalar, Tape
+from fourbar_codegen.modeling import system_reader as stored
+from fourbar_codegen.modeling.system_reader import Mechanism
+
+__all__ = [
+    "INERTIAL",
+    "Accumulated",
+    "Components",
+    "Motion",
+    "Rotation",
+    "Vector",
+    "add",
+    "cross",
+    "differentiate",
+    "dot",
+    "merged",
+    "multiply",
+    "negative",
+    "scale",
+]
+
+INERTIAL = 0
+Components = tuple[Scalar, Scalar, Scalar]
+"""Components of a vector along the axes of one frame."""
+Vector = tuple[tuple[int, Components], ...]
+"""A sum of components, each in the frame of the given number."""
+Rotation = tuple[Components, Components, Components]
+Step = tuple[int | None, Vector | None]
+UNKNOWN: Step = (None, None)
+
+
+def dot(a: Components, b: Components) -> Scalar:
+    """A . b, in one frame."""
+    return a[0].tape.sum([x * y for x, y in zip(a, b, strict=True)])
+
+
+def cross(a: Components, b: Components) -> Components:
+    """A x b, in one frame."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+def add(*vectors: Components) -> Components:
+    """The sum of vectors in one frame."""
+    return _three([entries[0].tape.sum(entries) for entries in zip(*vectors, strict=True)])
+
+
+def scale(factor: Scalar, a: Components) -> Components:
+    """A number times a vector."""
+    return factor * a[0], factor * a[1], factor * a[2]
+
+
+def multiply(matrix: Rotation, a: Components) -> Components:
+    """A matrix times a vector."""
+    return _three([dot(row, a) for row in matrix])
+
+
+def differentiate(derivative: Callable[[Scalar], Scalar], a: Components) -> Components:
+    """The derivatives of components."""
+    return derivative(a[0]), derivative(a[1]), derivative(a[2])
+
+
+def negative(a: Components) -> Components:
+    """-a."""
+    return -a[0], -a[1], -a[2]
+
+
+def merged(vector: Sequence[tuple[int, Components]]) -> Vector:
+    """A vector with one part in each frame."""
+    parts: dict[int, Components] = {}
+    for frame, components in vector:
+        parts[frame] = add(parts[frame], components) if frame in parts else components
+    return tuple((frame, components) for frame, components in parts.items() if any(components))
+
+
+class Motion:
+    """How the frames and points of a mechanism move.
+
+    Parameters
+    ----------
+    tape : Tape
+    mechanism : Mechanism
+    convert : Conversion
+        What stands on the tape for the System's symbols, coordinates' rates included.
+    rate : callable
+        Differentiation with respect to time.
+    """
+
+    def __init__(self, tape: Tape, mechanism: Mechanism, convert: Conversion, rate: Callable[[Scalar], Scalar]) -> None:
+        self.tape = tape
+        self.mechanism = mechanism
+        self.convert = convert
+        self.zero: Components = (tape.zero,) * 3
+        self._rate = rate
+        self._rotations: dict[tuple[int, int], Rotation] = {}
+        self._in_frame: dict[tuple[int, Components, int], Components] = {}
+        self._angular_velocities: dict[int, Components] = {}
+        self._steps: list[Step] = []
+        self._form_steps()
+        self.velocity = Accumulated(self, lambda _, components: components)
+
+    def vector(self, vector: stored.Vector) -> Vector:
+        """A vector on the tape."""
+        return tuple((frame, _three([self.convert(e) for e in components])) for frame, components in vector)
+
+    def matrix(self, entries: Sequence[sm.Expr]) -> Rotation:
+        """A matrix of 9 entries on the tape."""
+        converted = [self.convert(entry) for entry in entries]
+        return _three(converted[0:3]), _three(converted[3:6]), _three(converted[6:9])
+
+    def rotation(self, source: int, target: int) -> Rotation:
+        """The matrix that takes components in frame `source` to components in frame `target`.
+
+        It goes up or down the tree of frames, one neighbour at a time, so that chains share their products.
+        """
+        known = self._rotations.get((source, target))
+        if known is None:
+            frames = self.mechanism.frames
+            if source == target:
+                zero, one = self.tape.zero, self.tape.one
+                known = ((one, zero, zero), (zero, one, zero), (zero, zero, one))
+            elif target > source:
+                # A parent's number is smaller than its child's: the greater one is not an ancestor of the other.
+                above = _transpose(self.rotation(source, frames[target].parent))
+                known = _three_rows([[dot(row, column) for column in above] for row in self.dcm(target)])
+            else:
+                known = _transpose(self.rotation(target, source))
+            self._rotations[source, target] = known
+        return known
+
+    def dcm(self, frame: int) -> Rotation:
+        """The direction cosines of a frame in its parent."""
+        return self.matrix(self.mechanism.frames[frame].dcm)
+
+    def express(self, vector: Vector, frame: int) -> Components:
+        """Components of a vector along the axes of one frame."""
+        parts = []
+        for source, components in vector:
+            key = (source, components, frame)
+            if key not in self._in_frame:
+                self._in_frame[key] = (
+                    components if source == frame else multiply(self.rotation(source, frame), components)
+                )
+            parts.append(self._in_frame[key])
+        return add(self.zero, *parts)
+
+    def angular_velocity(self, frame: int) -> Components:
+        """The angular velocity of a frame, in its own axes."""
+        known = self._angular_velocities.get(frame)
+        if known is None:
+            reference = self.mechanism.frames[frame].reference
+            relative = self.express(self.relative_angular_velocity(frame), frame)
+            known = relative
+            if frame != INERTIAL and reference != INERTIAL:
+                known = add(multiply(self.rotation(reference, frame), self.angular_velocity(reference)), relative)
+            self._angular_velocities[frame] = known
+        return known
+
+    def angular_velocity_in(self, frame: int, axes: int) -> Components:
+        """The angular velocity of a frame along the axes of another one, by way of those between both."""
+        difference: list[Components] = []
+        a, b = frame, axes
+        while a != b:
+            further = max(a, b)
+            relative = self.express(self.relative_angular_velocity(further), axes)
+            reference = self.mechanism.frames[further].reference
+            if further == a:
+                difference.append(relative)
+                a = reference
+            else:
+                difference.append(negative(relative))
+                b = reference
+        return add(self.angular_velocity(axes), *difference)
+
+    def relative_angular_velocity(self, frame: int) -> Vector:
+        """The angular velocity of a frame in its reference."""
+        vector = self.mechanism.frames[frame].angular_velocity
+        if vector is None:
+            name = self.mechanism.frames[frame].name
+            raise ModelError(f"The angular velocity of frame {name} is not defined: call {name}.set_ang_vel.")
+        return self.vector(vector)
+
+    def angular_velocity_in_parent(self, frame: int) -> Components:
+        """The angular velocity of a frame relative to its parent, along the parent's axes."""
+        stored_frame = self.mechanism.frames[frame]
+        relative = self.express(self.relative_angular_velocity(frame), stored_frame.parent)
+        if stored_frame.reference == stored_frame.parent:
+            return relative
+        return add(relative, negative(self.angular_velocity(stored_frame.parent)))
+
+    @property
+    def moving(self) -> list[int]:
+        """The points whose velocity is known: of others nothing but the position is needed."""
+        return [point for point, step in enumerate(self._steps) if step != UNKNOWN]
+
+    def step(self, point: int) -> tuple[int | None, Vector]:
+        """A point's velocity as that of another point, if not None, and what is to be added to it."""
+        base, parts = self._steps[point]
+        assert parts is not None  # what a body or a load needs, the reader has asked for
+        return base, parts
+
+    def dot(self, a: Vector, b: Vector) -> Scalar:
+        """The product a . b, in the frame that both are written in or else in the inertial one."""
+        frames = {frame for frame, _ in (*a, *b)}
+        frame = frames.pop() if len(frames) == 1 else INERTIAL
+        return dot(self.express(a, frame), self.express(b, frame))
+
+    def moves(self, point: int) -> bool:
+        """Whether the velocity of a point may be other than zero."""
+        base, parts = self.step(point)
+        return any(any(components) for _, components in parts) or (base is not None and self.moves(base))
+
+    def _form_steps(self) -> None:
+        """Find the points whose velocity follows from that of their parent.
+
+        Point b, at the offset r from point a, has v_b = v_a + r* + w x r in each frame that r is written in (Kane and
+        Levinson 1985, section 2.7), unless a user set another velocity, with a constraint substituted into it, say.
+        That is told by a numerical identity test.
+        """
+        differences: list[Components] = []
+        tested: list[int] = []
+        for number, point in enumerate(self.mechanism.points):
+            given = None if point.velocity is None else self.vector(point.velocity)
+            step: Step = (None, given)
+            if point.parent is not None and self._steps[point.parent] != UNKNOWN:
+                try:
+                    step = (point.parent, self._rate_of_offset(point.offset))
+                except ModelError:  # an offset may have symbols that the equations do not know
+                    if point.derived:
+                        raise
+            self._steps.append(step)
+            base, parts = step
+            if given is not None and base is not None:
+                tested.append(number)
+                steps = [*self._path(base), *(parts or ()), *((f, negative(c)) for f, c in given)]
+                difference = merged(steps)
+                frame = difference[0][0] if len(difference) == 1 else INERTIAL
+                differences.append(self.express(difference, frame))
+        vanishing = iter(vanish(self.tape, [entry for difference in differences for entry in difference]))
+        for number in tested:
+            entries = [next(vanishing) for _ in range(3)]
+            if not all(entries):
+                self._steps[number] = (None, self._path(number))
+
+    def _path(self, point: int) -> Vector:
+        """A point's velocity as SymPy has it, or else by way of the points before it."""
+        given = self.mechanism.points[point].velocity
+        if given is not None:
+            return self.vector(given)
+        base, parts = self.step(point)
+        return parts if base is None else (*self._path(base), *parts)
+
+    def _rate_of_offset(self, offset: stored.Vector) -> Vector:
+        parts = []
+        for frame, components in self.vector(offset):
+            rates = differentiate(self._rate, components)
+            parts.append((frame, add(rates, cross(self.angular_velocity(frame), components))))
+        return tuple(parts)
+
+
+class Accumulated:
+    """A vector for each point: that of the point before it, and what the step between both adds.
+
+    A vector that is written in one frame stays there; others are added up in the inertial frame, so that points with
+    a part of their path in common have that sum in common.
+
+    Parameters
+    ----------
+    motion : Motion
+    added : callable
+        Takes a frame and the components of a part of a velocity in it to components in that frame.
+    """
+
+    def __init__(self, motion: Motion, added: Callable[[int, Components], Components]) -> None:
+        self._motion = motion
+        self._added = added
+        self._known: dict[int, Vector] = {}
+
+    def __call__(self, point: int) -> Vector:
+        """The vector of a point."""
+        known = self._known.get(point)
+        if known is None:
+            motion = self._motion
+            base, parts = motion.step(point)
+            before = self(base) if base is not None else ()
+            step = merged([(frame, self._added(frame, components)) for frame, components in parts])
+            known = merged([*before, *step])
+            if len(known) > 1:
+                both = add(motion.express(before, INERTIAL), motion.express(step, INERTIAL))
+                known = ((INERTIAL, both),)
+            self._known[point] = known
+        return known
+
+
+def _three(entries: Sequence[Scalar]) -> Components:
+    x, y, z = entries
+    return x, y, z
+
+
+def _three_rows(rows: Sequence[Sequence[Scalar]]) -> Rotation:
+    x, y, z = map(_three, rows)
+    return x, y, z
+
+
+def _transpose(matrix: Rotation) -> Rotation:
+    return _three_rows(list(zip(*matrix, strict=True)))

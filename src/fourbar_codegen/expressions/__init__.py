@@ -1,0 +1,1 @@
+"""Expressions as straight-line code: kept once, differentiated, compared, written as data."""

@@ -1,0 +1,238 @@
+"""SymPy expressions -> nodes of a tape."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from fractions import Fraction
+
+import sympy as sm
+from sympy.core.function import AppliedUndef
+from sympy.functions.elementary.piecewise import ExprCondPair
+from sympy.functions.special.delta_functions import DiracDelta
+from sympy.logic.boolalg import Boolean
+
+from fourbar_codegen.errors import ModelError
+from fourbar_codegen.expressions.tape import (
+    ONE,
+    Call,
+    Leaf,
+    Node,
+    Number,
+    Product,
+    Reciprocal,
+    Scalar,
+    Sum,
+    Tape,
+    placeholder,
+)
+
+__all__ = [
+    "Conversion",
+    "apply",
+    "expression_of",
+    "is_computable",
+    "make_again",
+    "smooth_sinc",
+    "substitute",
+    "without_impulses",
+]
+
+OPERATIONS = (
+    *(sm.Add, sm.Mul, sm.Pow, sm.NumberSymbol, sm.Max, sm.Min, sm.UnevaluatedExpr),
+    *(ExprCondPair, Boolean),  # of a Piecewise
+)
+"""What expressions are made of, beside numbers, functions, and what stands for values."""
+
+
+class Conversion:
+    """Takes expressions to a tape, each subexpression once.
+
+    Parameters
+    ----------
+    tape : Tape
+    leaves : mapping of Basic to Scalar
+        What stands on the tape for symbols and functions of time. It may grow while this is in use.
+    """
+
+    def __init__(self, tape: Tape, leaves: Mapping[sm.Basic, Scalar]) -> None:
+        self.tape = tape
+        self.leaves = leaves
+        self._known: dict[sm.Basic, Scalar] = {}
+
+    def __call__(self, expression: sm.Expr) -> Scalar:
+        """What stands for an expression.
+
+        Raises
+        ------
+        ModelError
+            If it contains something that is neither a leaf nor computable.
+        """
+        known, leaves = self._known, self.leaves
+        # Depth first without recursion: the expressions of long chains are deep.
+        stack = [expression]
+        while stack:
+            node = stack[-1]
+            if node in known:
+                stack.pop()
+            elif node in leaves:
+                known[node] = leaves[node]
+            elif not is_computable(node):
+                raise ModelError(f"{node} in {expression} cannot be compiled.")
+            elif missing := [argument for argument in _arguments(node) if argument not in known]:
+                stack.extend(reversed(missing))
+            else:
+                try:
+                    known[node] = self._operation(node)
+                except (ZeroDivisionError, TypeError):
+                    raise ModelError(f"{node} in {expression} cannot be compiled: it has no real value.") from None
+        return known[expression]
+
+    def _operation(self, node: sm.Expr) -> Scalar:
+        known, tape = self._known, self.tape
+        if node.is_Add:
+            return tape.sum([known[argument] for argument in node.args])
+        if node.is_Mul:
+            return tape.product([known[argument] for argument in node.args])
+        if isinstance(node, sm.UnevaluatedExpr):
+            return known[node.args[0]]
+        if node.is_number:
+            return tape.number(_number(node))
+        if node.is_Pow:
+            base, exponent = node.args
+            if exponent.is_Integer:
+                return tape.power(known[base], int(exponent))
+            if exponent.is_Rational and exponent < 0:
+                return tape.power(apply(tape, sm.Pow(placeholder(0), -exponent), [known[base]]), -1)
+        arguments = _arguments(node)
+        stand_ins = {argument: placeholder(i) for i, argument in enumerate(arguments)}
+        return apply(tape, _with_arguments(node, stand_ins), [known[argument] for argument in arguments])
+
+
+RECIPROCALS = {sm.sech: sm.cosh, sm.csch: sm.sinh, sm.coth: sm.tanh}
+OF_RECIPROCALS = {sm.acoth: sm.atanh, sm.asech: sm.acosh, sm.acsch: sm.asinh}
+"""What SymPy prints in exponentials, which overflow, and logarithms, which cancel, in terms of C's own functions."""
+
+
+def apply(tape: Tape, function: sm.Expr, arguments: Sequence[Scalar]) -> Scalar:
+    """The value of a function, given as an expression in ``placeholder(0)``, ``placeholder(1)``, ..."""
+    nodes = list(dict.fromkeys(argument.node for argument in arguments if argument.node != ONE))
+    stand_ins = [
+        expression_of(a.coefficient) * (sm.S.One if a.node == ONE else placeholder(nodes.index(a.node)))
+        for a in arguments
+    ]
+    # Here SymPy takes signs and factors out: sin(-x) = -sin(x).
+    built = function.xreplace({placeholder(i): stand_in for i, stand_in in enumerate(stand_ins)})
+    factor, rest = built.as_coeff_Mul()
+    if isinstance(rest, sm.Max | sm.Min):
+        # Their derivatives are step functions; those of Piecewise are Piecewise.
+        rest = rest.rewrite(sm.Piecewise)
+    elif rest.func in RECIPROCALS:
+        rest = 1 / RECIPROCALS[rest.func](*rest.args)
+    elif rest.func in OF_RECIPROCALS:
+        rest = OF_RECIPROCALS[rest.func](1 / rest.args[0])
+    elif isinstance(rest, sm.sinc):
+        rest = smooth_sinc(*rest.args)
+    elif isinstance(rest, sm.Mod):
+        # C's fmod has the sign of the dividend, SymPy's Mod that of the divisor.
+        dividend, divisor = rest.args
+        rest = dividend - divisor * sm.floor(dividend / divisor)
+    leaves = {placeholder(i): Scalar(tape, 1, node) for i, node in enumerate(nodes)}
+    arithmetic = rest.is_Atom or rest.is_Add or rest.is_Mul or rest.is_number
+    power = rest.is_Pow and rest.exp.is_Rational and (rest.exp.is_Integer or rest.exp < 0)
+    if arithmetic or power or not all(_is_multiple(argument) for argument in _arguments(rest)):
+        return Conversion(tape, leaves)(rest) * _number(factor)
+    used = sorted(rest.free_symbols, key=lambda symbol: symbol.name)
+    called = rest.xreplace({symbol: placeholder(i) for i, symbol in enumerate(used)})
+    return tape.call(called, tuple(leaves[symbol].node for symbol in used)) * _number(factor)
+
+
+def without_impulses(derivative: sm.Expr) -> sm.Expr:
+    """A derivative where nothing jumps: what a jump has for one is zero everywhere else."""
+    return derivative.replace(DiracDelta, lambda *_: sm.S.Zero) if derivative.has(DiracDelta) else derivative
+
+
+def smooth_sinc(x: sm.Expr) -> sm.Expr:
+    """sin(x) / x in parts whose derivatives are its own, also at 0, where those of the quotient are 0 / 0.
+
+    Up to |x| = 1 by the power series. What is left out of it changes third derivatives by less than 1e-17.
+    """
+    series = sum((sm.Rational((-1) ** k, sm.factorial(2 * k + 1)) * placeholder(0) ** k for k in range(11)), sm.S.Zero)
+    return sm.Piecewise((sm.sin(x) / x, x**2 > 1), (sm.horner(series).xreplace({placeholder(0): x**2}), True))
+
+
+def substitute(tape: Tape, scalars: Sequence[Scalar], values: Mapping[Scalar, Scalar]) -> list[Scalar]:
+    """The scalars with leaves replaced."""
+    known = {leaf.node: value for leaf, value in values.items()}
+    known[ONE] = tape.one
+    for node in tape.reach(scalars, known):
+        operation = tape.nodes[node]
+        known[node] = (
+            Scalar(tape, 1, node) if isinstance(operation, Leaf) else make_again(tape, operation, known.__getitem__)
+        )
+    return [known[scalar.node] * scalar.coefficient for scalar in scalars]
+
+
+def make_again(tape: Tape, operation: Node, value: Callable[[int], Scalar]) -> Scalar:
+    """An operation, not a leaf, on what its operands have become."""
+    match operation:
+        case Sum(terms):
+            return tape.sum([value(term) * coefficient for term, coefficient in terms])
+        case Product(factors):
+            return tape.product([value(factor) for factor in factors])
+        case Reciprocal(denominator):
+            return tape.power(value(denominator), -1)
+        case Call(expression, arguments):
+            return apply(tape, expression, [value(argument) for argument in arguments])
+    raise TypeError(f"{operation} is not an operation")
+
+
+def expression_of(value: Number) -> sm.Expr:
+    """A number as SymPy has it."""
+    return sm.Rational(value.numerator, value.denominator) if isinstance(value, Fraction) else sm.sympify(value)
+
+
+def _number(expression: sm.Expr) -> Number:
+    if expression.is_Integer:
+        return int(expression)
+    if expression.is_Rational:
+        return Fraction(int(expression.p), int(expression.q))
+    return float(expression)
+
+
+def _arguments(node: sm.Basic) -> list[sm.Expr]:
+    """The expressions that a node is made of; those in conditions and tuples count as its own."""
+    found: dict[sm.Expr, None] = {}
+    for argument in node.args:
+        found.update(dict.fromkeys([argument] if isinstance(argument, sm.Expr) else _arguments(argument)))
+    return list(found)
+
+
+def _with_arguments(node: sm.Basic, arguments: Mapping[sm.Expr, sm.Expr]) -> sm.Basic:
+    """The node with other expressions for those that `_arguments` finds."""
+    if not node.args:
+        return node
+    return node.func(*[arguments[a] if isinstance(a, sm.Expr) else _with_arguments(a, arguments) for a in node.args])
+
+
+def _is_multiple(argument: sm.Expr) -> bool:
+    return bool(argument.is_number or argument.as_coeff_Mul()[1].is_Symbol)
+
+
+def is_computable(node: sm.Basic) -> bool:
+    """Whether a node has a value in double arithmetic, its arguments apart: symbols and functions of time have none."""
+    if isinstance(node, sm.Number):
+        value = abs(_in_double(node))
+        return math.isfinite(value) and (value > 0.0 or node.is_zero is True)
+    if isinstance(node, sm.Symbol | AppliedUndef):
+        return False
+    if isinstance(node, sm.Function):
+        return type(node).__module__.startswith("sympy.")
+    return isinstance(node, OPERATIONS)
+
+
+def _in_double(value: sm.Number) -> float:
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf

@@ -1,0 +1,1 @@
+"""A loaded model that evaluates, and what it is asked with."""

@@ -1,0 +1,100 @@
+"""Whether a state is one of the mechanism, to begin from, and how it is kept so."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourbar_codegen.errors import ModelError, SimulationError, shown
+from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.runtime.evaluator import NOT_CLOSED, OK, is_finite
+from fourbar_codegen.runtime.integrator import Ode
+
+__all__ = ["FLOOR", "NOT_RATES", "check_start", "consistent", "is_rounded", "projects"]
+
+Floats = NDArray[np.float64]
+
+CONSISTENT = 1e-3
+"""By what share of the coordinates or speeds projection may move the state that a run begins from."""
+
+FLOOR = 1e-12
+"""And by how much in any case: rounding errors."""
+
+NOT_RATES = "The velocity constraints of this model are not the rates of its position constraints, one by one"
+
+
+def projects(model: Kernel, constraints: str, *more: str) -> bool:
+    """Whether states are to be moved onto the constraints."""
+    allowed = ("project", *more, "none")
+    if not isinstance(constraints, str) or constraints not in allowed:
+        raise ModelError(f"constraints must be {' or '.join(map(repr, allowed))}, not {shown(constraints)}.")
+    if constraints == "none" or not model.n_c + model.n_h:
+        return False
+    if not model.manifest["can_project"]:
+        raise ModelError(
+            f"{NOT_RATES}, so that it is not known how these are violated: take constraints='none', or state them as "
+            "rates."
+        )
+    return constraints == "project"
+
+
+def check_start(model: Kernel, ode: Ode, t: float, state: Floats, p: Floats | None, *, passes: bool = False) -> None:
+    """Raise where the first evaluation would fail: an integrator could not even choose a first step.
+
+    What passes singular positions may begin at one.
+    """
+    if is_finite(state) and is_finite(ode(t, state)):
+        return
+    r = ode.input_values(t, state)
+    if not (passes and all(map(is_finite, model.dynamics(t, state, p, r)))):
+        model.rhs(t, state, p, r)
+
+
+def consistent(ode: Ode, t: float, x0: Floats) -> Floats:
+    """The state to begin from, moved onto the constraints.
+
+    Parameters
+    ----------
+    ode : Ode
+    t : float
+    x0 : ndarray, shape (n_x,)
+
+    Returns
+    -------
+    ndarray, shape (n_x,)
+
+    Raises
+    ------
+    ModelError
+        If it violates them by more than what rounding to four digits does.
+    SimulationError
+        If the equations cannot be evaluated there.
+    """
+    status, x = ode.closest(t, x0)
+    if status == OK and np.abs(x - x0).max(initial=0.0) <= FLOOR:
+        return x
+    if status == NOT_CLOSED or not is_rounded(ode.n_q, x0, x):
+        raise ModelError(
+            f"The state x0 = {np.array2string(x0, precision=6, separator=', ')} violates the constraints: "
+            + (f"the nearest one that does not differs by {np.abs(x - x0).max():.2g}. " if status == OK else "")
+            + "CompiledModel.initial_state() makes consistent states; constraints='none' takes x0 as it is, unless the "
+            "method is ALI3P, or IDA in a formulation other than index-1."
+        )
+    if status != OK:
+        raise SimulationError(ode.explain(status, t, x0))
+    return x
+
+
+def is_rounded(n_q: int, x0: Floats, x: Floats) -> Any:
+    """Whether states, or each of those in rows, differ from consistent ones by no more than rounding to four digits."""
+    moved = np.abs(x - x0)
+    if (moved <= FLOOR).all():
+        return np.ones(x0.shape[:-1], dtype=bool)[()]
+    # Of angles, whole turns say nothing; of what is small as a whole, small changes are large.
+    size = np.empty_like(x0)
+    for part in (slice(None, n_q), slice(n_q, None)):
+        size[..., part] = np.minimum(1.0, np.abs(x0[..., part]).max(axis=-1, keepdims=True, initial=0.0))
+    size[..., n_q:] = np.maximum(size[..., n_q:], np.abs(x0[..., n_q:]))
+    return (moved <= CONSISTENT * size + FLOOR).all(axis=-1)

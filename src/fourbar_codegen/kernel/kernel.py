@@ -1,0 +1,466 @@
+"""Kernel: a loaded model's names, and all that it evaluates at a state."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fourbar_codegen.arguments import Values, is_mapping, name_of, named_array, named_values
+from fourbar_codegen.building.cache import is_whole
+from fourbar_codegen.errors import ModelError, SimulationError
+from fourbar_codegen.kernel.dependent import eliminate
+from fourbar_codegen.kernel.loading import build_from_sources, find_module, load_lanes, module_at
+from fourbar_codegen.progress import Progress
+from fourbar_codegen.runtime.evaluator import NOT_FINITE, Evaluator, is_finite
+
+__all__ = ["Kernel"]
+
+Floats = NDArray[np.float64]
+
+
+class Kernel(Evaluator):
+    """A mechanism's equations of motion, compiled, and what they are evaluated with.
+
+    Arguments stand in the order (t, x, p, r): time, state x = [q; u], parameters, inputs. Parameters and inputs are
+    arrays in order, or mappings from names or SymPy symbols that may leave out what has a default.
+
+    Its attributes are those of `fourbar_codegen.CompiledModel`.
+    """
+
+    def __init__(self, capsule: object, manifest: dict[str, Any]) -> None:  # noqa: ARG002  # Evaluator takes it
+        self.path = Path()
+        self.name: str = manifest["name"]
+        self.coordinates: tuple[str, ...] = tuple(manifest["coordinates"])
+        self.speeds: tuple[str, ...] = tuple(manifest["speeds"])
+        self.states = (*self.coordinates, *self.speeds)
+        self.parameters: tuple[str, ...] = tuple(entry["name"] for entry in manifest["parameters"])
+        self.inputs: tuple[str, ...] = tuple(entry["name"] for entry in manifest["inputs"])
+        self.outputs: tuple[str, ...] = tuple(manifest["outputs"])
+        self.points: tuple[str, ...] = tuple(entry["name"] for entry in manifest["points"])
+        self.forced_points: tuple[str, ...] = tuple(self.points[place] for place in manifest["forced_points"])
+        self.defaults: Mapping[str, float | None] = MappingProxyType(
+            {e["name"]: e["default"] for e in manifest["parameters"]}
+        )
+        self.units: dict[str, str] = {e["name"]: e["unit"] for e in manifest["parameters"]}
+        self.descriptions: dict[str, str] = {e["name"]: e["description"] for e in manifest["parameters"]}
+
+    @classmethod
+    def from_module(cls, module: Any) -> Self:
+        """The model that an imported extension module holds."""
+        try:
+            model = cls(module.kernel, json.loads(module.manifest))
+        except ModelError:  # is one, of another layout
+            raise
+        except (AttributeError, ValueError) as error:
+            raise ModelError(f"{module.__name__} is not a compiled model: {error}.") from error
+        model.path = Path(module.__file__)
+        return model
+
+    @classmethod
+    def from_file(cls, path: Path) -> Self:
+        """The model in an extension module that is not on Python's path."""
+        return cls.from_module(module_at(path))
+
+    @classmethod
+    def find(cls, name: str, fingerprint: str) -> Self | None:
+        """The model of a name and fingerprint, if it can be had without building it; see `loading.find_module`."""
+        module = find_module(name, fingerprint)
+        return None if module is None else cls.from_module(module)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        path = str(self.path) if self.is_portable else None
+        return _restore, (type(self), self.name, path, self.manifest, self._sources())
+
+    def _sources(self) -> dict[str, str] | None:
+        """The sources beside the module, or None where they are missing or damaged."""
+        if not is_whole(self.path.parent):
+            return None
+        endings = (".pyx", "_kernel.c", "_kernel.h", "_lanes.c", "_derivatives.c")
+        files = [file for ending in endings if (file := self.path.with_name(f"{self.name}{ending}")).is_file()]
+        return {file.name: file.read_text(encoding="utf-8") for file in files} or None
+
+    def require_lanes(self) -> None:
+        """Build and load the functions for several states side by side, where the module was built without them.
+
+        They are in modules that were built to travel. `compile_model` leaves them to the first batch or ensemble, which
+        calls this.
+
+        Raises
+        ------
+        BuildError, CacheError
+            As for `compile_model`.
+        ModelError
+            If the sources are no longer beside the module.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> four_bar = fb.load("four_bar")
+        >>> four_bar.require_lanes()
+        >>> four_bar.lacks_lanes
+        False
+        """
+        if not self.lacks_lanes:
+            return
+        sources = self._sources() or {}
+        if f"{self.name}_lanes.c" not in sources:
+            raise ModelError(
+                f"Batches and ensembles need functions that compile_model leaves for later, and their sources are not "
+                f"beside {self.path} any more, or damaged: compile the model again. A module of build_model has them "
+                "inside."
+            )
+        with Progress(f"fourbar_codegen: {self.name}") as progress:
+            progress.stage("compiling for many states at once")
+            self._attach_lanes(load_lanes(self.name, sources))
+
+    def __repr__(self) -> str:
+        return (
+            f"<{type(self).__name__} {self.name}: coordinates {', '.join(self.coordinates)}; "
+            f"speeds {', '.join(self.speeds)}; "
+            f"parameters {', '.join(self.parameters) or 'none'}; inputs {', '.join(self.inputs) or 'none'}>"
+        )
+
+    # Names to arrays.
+
+    def parameter_values(self, p: Values) -> Values:
+        """All parameter values in order, for an array or a mapping.
+
+        Raises
+        ------
+        ModelError
+            If a name is not a parameter's, or a parameter has neither value nor default.
+        """
+        if not is_mapping(p):
+            return p
+        return named_values(p, self.parameters, self.defaults, "parameter")
+
+    def input_values(self, r: Values, defaults: Sequence[float]) -> Values:
+        """All input values in order, for an array or a mapping."""
+        if not is_mapping(r):
+            return r
+        known = {name: None if math.isnan(value) else value for name, value in zip(self.inputs, defaults, strict=True)}
+        return named_values(r, self.inputs, known | self.rates_at_rest(r), "input")
+
+    def rates_at_rest(self, r: Mapping[Any, Any]) -> dict[str, float]:
+        """The rates of motions that r gives, 0 each: an input that is given without its rates is at rest."""
+        in_force = zip(self.manifest["inputs"], self.defaults_in_force(r), strict=True)
+        return {entry["name"]: 0.0 for entry, expression in in_force if entry["order"] and not expression}
+
+    def defaults_in_force(self, r: Values | None) -> list[bool]:
+        """For each input, whether it is what its expression gives: r names neither it nor what it is a rate of."""
+        if r is None or not is_mapping(r):
+            return super().defaults_in_force(r)
+        given = {name_of(key) for key in r}
+        return [given.isdisjoint({entry["name"], entry["of"]}) for entry in self.manifest["inputs"]]
+
+    def missing(self) -> str:
+        """What has to be given in every call."""
+        parameters = [name for name, value in self.defaults.items() if value is None]
+        inputs = [entry["name"] for entry in self.manifest["inputs"] if entry["expression"] is None]
+        parts = [
+            f"{kind} {', '.join(names)}" for kind, names in (("parameters", parameters), ("inputs", inputs)) if names
+        ]
+        return f"The model {self.name} has no default for its {' and '.join(parts)}: give them in the call."
+
+    # Matrices and vectors.
+
+    def tree_mass_matrix(self, t: float, x: ArrayLike, p: Values | None = None) -> Floats:
+        """M of Kane's equations M u' = f with all speeds independent, shape (n_u, n_u).
+
+        Parameters
+        ----------
+        t, x, p
+            As for `rhs`.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> fb.load("four_bar").tree_mass_matrix(0.0, [0.0] * 6).shape
+        (3, 3)
+        """
+        return self._finite(self.dynamics(t, x, p, np.zeros(self.n_r))[1], t, x)
+
+    def tree_forcing(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
+        """The vector f of Kane's equations M u' = f with all speeds independent, shape (n_u,).
+
+        Parameters
+        ----------
+        t, x, p, r
+            As for `rhs`.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> fb.load("four_bar").tree_forcing(0.0, [0.0] * 6).round(1).tolist()
+        [-2374.0, -1417.5, -240.3]
+        """
+        return self._finite(self.dynamics(t, x, p, r)[2], t, x)
+
+    def mass_matrix(self, t: float, x: ArrayLike, p: Values | None = None) -> Floats:
+        """SymPy's ``System.mass_matrix``, shape (n_u, n_u).
+
+        In the model's own partition: Kane's equations projected on the independent speeds, above the
+        constraints' Jacobian. See `forcing`.
+
+        Parameters
+        ----------
+        t, x, p
+            As for `rhs`.
+
+        Raises
+        ------
+        SimulationError
+            If the model's own dependent speeds do not follow from the independent ones in this configuration.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> four_bar = fb.load("four_bar")
+        >>> four_bar.mass_matrix(0.0, four_bar.initial_state()).shape
+        (3, 3)
+        """
+        _, mass_matrix, _, jacobian, _ = self.dynamics(t, x, p, np.zeros(self.n_r))
+        self._finite(jacobian, t, x)
+        return self._finite(np.vstack((self._projection(jacobian).T @ mass_matrix, jacobian)), t, x)
+
+    def forcing(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
+        """SymPy's ``System.forcing``, shape (n_u,): ``mass_matrix @ u' = forcing``.
+
+        Parameters
+        ----------
+        t, x, p, r
+            As for `rhs`.
+
+        Raises
+        ------
+        SimulationError
+            If the model's own dependent speeds do not follow from the independent ones in this configuration.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> four_bar = fb.load("four_bar")
+        >>> x0 = four_bar.initial_state()
+        >>> residual = four_bar.mass_matrix(0.0, x0) @ four_bar.rhs(0.0, x0)[3:] - four_bar.forcing(0.0, x0)
+        >>> bool(abs(residual).max() < 1e-9)
+        True
+        """
+        _, _, forcing, jacobian, bias = self.dynamics(t, x, p, r)
+        self._finite(jacobian, t, x)
+        return self._finite(np.concatenate((self._projection(jacobian).T @ forcing, -bias)), t, x)
+
+    def _finite(self, values: Floats, t: float, x: ArrayLike) -> Floats:
+        """The values; a SimulationError where the equations have none that is finite."""
+        if not is_finite(np.ascontiguousarray(values)):
+            raise SimulationError(self.failure(NOT_FINITE, t, x))
+        return values
+
+    def _projection(self, jacobian: Floats) -> Floats:
+        """T with u = T u_i + ... for the model's own independent speeds, shape (n_u, n_ui)."""
+        n_i = self.n_u - self.manifest["n_dependent_speeds"]
+        return np.vstack((np.eye(n_i), eliminate(jacobian, n_i, self.speeds[n_i:])))
+
+    def position_constraints(self, t: float, q: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
+        """Residuals of the holonomic constraints, shape (n_h,), in the constraints' units.
+
+        Parameters
+        ----------
+        t : float
+        q : array_like, shape (n_q,)
+        p, r : array_like or mapping, optional
+            As for `rhs`; the inputs count where they prescribe a motion.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> fb.load("four_bar").position_constraints(0.0, [0.0, 0.0, 0.0]).tolist()
+        [3.0, 0.0]
+        """
+        return self._finite(self.position(t, q, p, r)[0], t, q)
+
+    def positions(self, t: float, q: ArrayLike, p: Values | None = None, r: Values | None = None) -> dict[str, Floats]:
+        """Positions of the mechanism's points, by name, m, each of shape (3,), from the System's fixed point.
+
+        Parameters
+        ----------
+        t : float
+        q : array_like, shape (n_q,)
+        p, r : array_like or mapping, optional
+            As for `position_constraints`.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> four_bar = fb.load("four_bar")
+        >>> q = four_bar.initial_state()[:3]
+        >>> four_bar.positions(0.0, q)["joint3_link3_joint"].round(3).tolist()
+        [-0.084, -0.625, 0.0]
+        """
+        coordinates = named_array(q, self.coordinates, {}, "coordinate")
+        positions, _ = self.drawing(t, np.concatenate((coordinates, np.zeros(self.n_u))), p, r)
+        return dict(zip(self.points, positions, strict=True))
+
+    def velocity_constraints(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
+        """Residuals J u + b of the velocity constraints, shape (n_c,), holonomic ones first.
+
+        Parameters
+        ----------
+        t, x, p, r
+            As for `rhs`; the inputs count where they prescribe a motion.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> four_bar = fb.load("four_bar")
+        >>> bool(abs(four_bar.velocity_constraints(0.0, four_bar.initial_state())).max() < 1e-14)
+        True
+        """
+        jacobian, bias = self.velocity(t, x, p, r)
+        residual: Floats = jacobian @ np.asarray(x, dtype=float)[self.n_q :] + bias
+        return self._finite(residual, t, x)
+
+    def constraint_jacobian(self, t: float, q: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
+        """J of the velocity constraints J u + b = 0, shape (n_c, n_u).
+
+        Parameters
+        ----------
+        t : float
+        q : array_like, shape (n_q,)
+        p, r : array_like or mapping, optional
+            As for `rhs`; the inputs count where they prescribe a motion.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> abs(fb.load("four_bar").constraint_jacobian(0.0, [0.0, 0.0, 0.0])).round(3).tolist()
+        [[0.0, 0.0, 0.0], [2.2, 1.7, 0.7]]
+        """
+        coordinates = named_array(q, self.coordinates, {}, "coordinate")
+        return self._finite(self.velocity(t, np.concatenate((coordinates, np.zeros(self.n_u))), p, r)[0], t, q)
+
+    def multipliers(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
+        """Multipliers lambda of M u' = f + J^T lambda, shape (n_c,).
+
+        They are the generalized reactions conjugate to the constraints as they were written: for the four-bar,
+        the force (N) of the ground on the end of link 4.
+
+        Parameters
+        ----------
+        t, x, p, r
+            As for `rhs`.
+
+        Raises
+        ------
+        SimulationError
+            In a singular position.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> four_bar = fb.load("four_bar")
+        >>> four_bar.multipliers(0.0, four_bar.initial_state()).shape
+        (2,)
+        """
+        return self.accelerations(t, x, p, r)[1]
+
+    def output(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
+        """The outputs, shape (n_o,), in the order of ``outputs``.
+
+        Parameters
+        ----------
+        t, x, p, r
+            As for `rhs`.
+
+        Raises
+        ------
+        SimulationError
+            In a singular position.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> four_bar = fb.load("four_bar")
+        >>> four_bar.outputs, four_bar.output(0.0, four_bar.initial_state()).shape
+        ((), (0,))
+        """
+        return self.held(t, x, *self.accelerations(t, x, p, r), p, r)[0]
+
+    def kinetic_energy(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> float:
+        """Kinetic energy, J.
+
+        Parameters
+        ----------
+        t, x, p, r
+            As for `rhs`; the inputs count where they prescribe a motion.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> fb.load("four_bar").kinetic_energy(0.0, [0.1, 0.2, 0.3, 0.0, 0.0, 0.0])
+        0.0
+        """
+        return float(self._finite(self.energy(t, x, p, r)[:1], t, x)[0])
+
+    def potential_energy(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> float:
+        """Potential energy, J: as given with the Model, or of the forces that are constant, such as gravity.
+
+        Parameters
+        ----------
+        t, x, p, r
+            As for `rhs`; the inputs count where they prescribe a motion.
+
+        Raises
+        ------
+        ModelError
+            If the System does not define the position of a point that a constant force acts on; or the energy
+            depends on an input that has no expression and is not given.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> fb.load("four_bar").potential_energy(0.0, [0.0] * 6)
+        0.0
+        """
+        if not self.manifest["has_potential_energy"]:
+            raise ModelError(
+                f"The potential energy of {self.name} is not known: a constant force acts on a point whose position "
+                "from the System's fixed point is not defined. Give potential_energy= to the Model."
+            )
+        energy = float(self.energy(t, x, p, r)[1])
+        if r is None and math.isnan(energy) and any(e["expression"] is None for e in self.manifest["inputs"]):
+            raise ModelError(self.missing())
+        return float(self._finite(np.array([energy]), t, x)[0])
+
+
+def _restore(
+    kind: type[Kernel], name: str, path: str | None, manifest: dict[str, Any], sources: Mapping[str, str] | None
+) -> Kernel:
+    """A model from another process, which may run on another machine.
+
+    A module that was built to travel is loaded from its path. One that was built for its machine has none here: where
+    another machine sees the same folder, its processor may lack the instructions, and the cache's key knows that. What
+    is not there, is another model or cannot be loaded is built from the sources that came along.
+    """
+    if path is not None and Path(path).is_file():
+        with suppress(ModelError):
+            model = kind.from_file(Path(path))
+            if model.manifest == manifest:
+                return model
+    with suppress(ModelError):
+        found = kind.find(name, manifest["fingerprint"])
+        if found is not None and found.manifest == manifest:
+            return found
+    if sources is None:
+        raise ModelError(
+            f"The model {name} that was sent is not found here, or only another one of its name, and its sources were "
+            "not beside it: install its wheel, or send what build_model made, from the folder that has its sources."
+        )
+    return kind.from_module(build_from_sources(name, sources))

@@ -1,0 +1,158 @@
+"""The structure of M u' = f + J^T lambda, J u' + gamma = 0 where most entries are zero: an order of elimination.
+
+With a weight w > 0 for each constraint, u' and lambda are those of
+
+    [M + J^T w J   J^T] [  u'   ]   [f - J^T w gamma]
+    [     J         0 ] [-lambda] = [    -gamma     ]
+
+whose upper left block is positive definite wherever the equations determine u', though M alone may be singular. So
+Gaussian elimination needs no pivoting, if each constraint comes after all speeds in it: its pivot then is negative as
+long as the constraints are independent. The order is chosen here, once, by the smallest number of neighbours; a row of
+loops takes operations linear in their number.
+
+Source: the augmented Lagrangian for saddle point systems, Benzi, Golub and Liesen, "Numerical solution of saddle point
+problems", *Acta Numerica* 14 (2005), section 3.5; minimum degree, Davis, *Direct Methods for Sparse Linear Systems*,
+2006, chapter 7.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+
+from fourbar_codegen.lowering.program import Entries, Split, Structure
+
+__all__ = ["MOST_CONSTRAINTS", "find_split", "find_structure"]
+
+FEWEST_SPEEDS = 8
+MOST_CONSTRAINTS = 8
+"""Of full equations, constraints for which a split is chosen in advance; see fourbar_solve.h."""
+
+GOOD_PIVOT = 0.25
+"""The pivot by the largest entry of its row, as a mean, from which on an order is taken; see fourbar_solve.h."""
+
+TINY = 1e-12
+"""The share of its row below which a pivot is nothing but rounding errors."""
+
+GAIN = 4
+"""How many times fewer multiplications make up for their places in memory being looked up."""
+
+
+def find_structure(n_u: int, n_c: int, mass_entries: Entries, jacobian_entries: Entries) -> Structure | None:
+    """An order of elimination, if that pays; None if the matrices are too small or too full.
+
+    Parameters
+    ----------
+    n_u, n_c : int
+        Numbers of speeds and of constraints, none of them redundant.
+    mass_entries, jacobian_entries : tuple of (int, int)
+        Rows and columns of the entries that are not zero, as in `Structure`.
+
+    Returns
+    -------
+    Structure or None
+
+    Examples
+    --------
+    >>> tree = tuple((i, j) for i in range(9) for j in range(i + 1) if j in (0, i))
+    >>> find_structure(9, 0, tree, ()).below[:2]
+    ((7,), (7,))
+    """
+    if n_u < FEWEST_SPEEDS:
+        return None
+    neighbours: list[set[int]] = [set() for _ in range(n_u + n_c)]
+
+    def join(members: Sequence[int]) -> None:
+        for member in members:
+            neighbours[member].update(members)
+            neighbours[member].discard(member)
+
+    for entry in mass_entries:
+        join(entry)
+    for row in range(n_c):
+        join([*(column for r, column in jacobian_entries if r == row), n_u + row])
+    waiting = [{column for r, column in jacobian_entries if r == row} for row in range(n_c)]
+    if not all(waiting):
+        return None  # a constraint without speeds
+
+    order: list[int] = []
+    columns: list[set[int]] = []
+    ready = set(range(n_u))
+    while ready:
+        unknown = min(ready, key=lambda candidate: (len(neighbours[candidate]), candidate))
+        ready.discard(unknown)
+        order.append(unknown)
+        columns.append(neighbours[unknown])
+        for neighbour in neighbours[unknown]:
+            neighbours[neighbour].discard(unknown)
+        join(sorted(neighbours[unknown]))
+        for row, missing in enumerate(waiting):
+            if unknown in missing:
+                missing.discard(unknown)
+                if not missing:
+                    ready.add(n_u + row)
+    step = {unknown: k for k, unknown in enumerate(order)}
+    below = tuple(tuple(sorted(step[unknown] for unknown in column)) for column in columns)
+    sparse = sum(len(rows) * (len(rows) + 3) // 2 for rows in below)
+    n_i = n_u - n_c
+    dense = n_c**2 * n_u + n_c * n_i * n_u + n_i * n_u**2 // 2 + n_i**3 // 6
+    if GAIN * sparse > dense:
+        return None
+    return Structure(mass_entries, jacobian_entries, tuple(order), below)
+
+
+def find_split(n_c: int, n_u: int, rank: int, jacobians: Sequence[Sequence[Sequence[float]]]) -> Split:
+    """The order whose pivots are large by their rows, at some examples of J.
+
+    At each step the next constraint and speed are those with the largest product, over the examples, of the pivots by
+    the largest entries of their rows. They are sought among the dependent speeds, which stand last; among all where
+    these are no good choice.
+
+    Parameters
+    ----------
+    n_c, n_u, rank : int
+        Numbers of constraints, of speeds, and of dependent ones.
+    jacobians : sequence of n_c rows of n_u numbers
+
+    Returns
+    -------
+    Split
+
+    Examples
+    --------
+    >>> find_split(2, 3, 2, [[[1.0, 0.0, 2.0], [0.5, 1.0, 1.0]]])
+    Split(rows=(0, 1), speeds=(2, 1, 0))
+    """
+    dependent, order = range(n_u - rank, n_u), list(zip(range(n_c), range(n_u - rank, n_u), strict=False))
+    if rank == n_c and jacobians:  # redundant constraints are pivoted as it comes
+        order, worst = _pivot(jacobians, n_c, dependent)
+        if worst < GOOD_PIVOT:
+            order, _ = _pivot(jacobians, n_c, range(n_u))
+    speeds = [speed for _, speed in order]
+    return Split(tuple(row for row, _ in order), (*speeds, *(speed for speed in range(n_u) if speed not in speeds)))
+
+
+def _pivot(
+    jacobians: Sequence[Sequence[Sequence[float]]], n_c: int, speeds: Sequence[int]
+) -> tuple[list[tuple[int, int]], float]:
+    """Pairs of row and speed in the order of elimination; the pivot of the worst step, as a mean over the examples."""
+    matrices = [[list(row) for row in jacobian] for jacobian in jacobians]
+    waiting, order, worst = list(itertools.product(range(n_c), speeds)), [], 0.0
+    while waiting:
+        shares = {pair: sum(_share(matrix, *pair) for matrix in matrices) for pair in waiting}
+        pivot = row, speed = max(shares, key=shares.__getitem__)
+        worst = min(worst, shares[pivot])
+        order.append(pivot)
+        waiting = [pair for pair in waiting if pair[0] != row and pair[1] != speed]
+        for matrix in matrices:
+            for other in {pair[0] for pair in waiting}:
+                factor = matrix[other][speed] / (matrix[row][speed] or math.inf)
+                matrix[other] = [a - factor * b for a, b in zip(matrix[other], matrix[row], strict=True)]
+    return order, math.exp(worst / len(matrices))
+
+
+def _share(matrix: Sequence[Sequence[float]], row: int, speed: int) -> float:
+    """The logarithm of an entry by the largest one in its row that is left."""
+    largest = max(abs(entry) for entry in matrix[row])
+    return math.log(max(abs(matrix[row][speed]) / largest, TINY) if largest else TINY)

@@ -1,0 +1,302 @@
+"""Equations -> Program: one straight-line function for everything that is evaluated together.
+
+For each function: keep the operations it needs, add angles, move what depends on parameters alone into `prepare`, and
+share what is left in common.
+"""
+
+from __future__ import annotations
+
+import itertools
+import random
+from collections.abc import Sequence
+
+from fourbar_codegen.dynamics.equations import Equations
+from fourbar_codegen.expressions.identities import rank as find_rank
+from fourbar_codegen.expressions.tape import ONE, Leaf, Result, Scalar, Tape, operands, operations_of
+from fourbar_codegen.lowering.angles import add_angles
+from fourbar_codegen.lowering.cse import share
+from fourbar_codegen.lowering.elimination import MOST_CONSTRAINTS, find_split, find_structure
+from fourbar_codegen.lowering.program import Array, Function, Program, Sizes, Split, Statements, Structure
+
+__all__ = ["lower"]
+
+POINTS = 8
+"""Pairs of random points at which the constraints' Jacobian is looked at."""
+
+
+def lower(name: str, equations: Equations) -> Program:
+    """Lower equations to a program.
+
+    Parameters
+    ----------
+    name : str
+        The model's name.
+    equations : Equations
+
+    Returns
+    -------
+    Program
+        With functions `prepare`, `default_inputs`, `dynamics`, and the others below.
+
+    Examples
+    --------
+    >>> from fourbar_codegen.dynamics.equations import form_equations
+    >>> from fourbar_codegen.models import four_bar
+    >>> [f.name for f in lower("four_bar", form_equations(four_bar())).functions][:2]
+    ['prepare', 'default_inputs']
+    """
+    e = equations
+    time = _array("t", (e.time,))
+    state = _array("x", (*e.coordinates, *e.speeds))
+    coordinates = _array("q", e.coordinates)
+    inputs = _array("r", e.inputs)
+    held = (inputs, _array("accelerations", e.accelerations), _array("multipliers", e.multipliers))
+    rank = _rank(e)
+    structure = _structure(e, rank)
+    mass_matrix, constraint_jacobian = _entries(e, structure)
+    # name, summary, arguments before and after the constants, results
+    specifications: list[tuple[str, str, list[Array], list[Array], list[Result]]] = [
+        ("default_inputs", "Inputs r from their expressions; NaN without one.", [time], [], [e.default_inputs]),
+        ("breakpoints", "Times at which expressions have a jump or a kink.", [], [], [e.breakpoints]),
+        (
+            "dynamics",
+            "q', and M, f, J, gamma of M u' = f + J^T lambda, J u' + gamma = 0.",
+            [time, state],
+            [inputs],
+            [e.coordinate_rates, mass_matrix, e.forcing, constraint_jacobian, e.acceleration_bias],
+        ),
+        (
+            "position",
+            "Holonomic constraints Phi(q, t) and dPhi/dq.",
+            [time, coordinates],
+            [inputs],
+            [e.position_constraints, e.position_jacobian],
+        ),
+        (
+            "velocity",
+            "J and b of the velocity constraints J u + b = 0.",
+            [time, state],
+            [inputs],
+            [e.constraint_jacobian, e.velocity_bias],
+        ),
+        (
+            "closure",
+            "By how much the constraints are violated: Phi in the rows of J that are its rates, and J u + b.",
+            [time, state],
+            [inputs],
+            [e.position_closure, e.velocity_closure],
+        ),
+        (
+            "constraint_scale",
+            "What violations of the position constraints, and of the rows of `closure`, are measured by.",
+            [time, state],
+            [inputs],
+            [e.position_scale, e.position_closure_scale, e.velocity_closure_scale],
+        ),
+        (
+            "coordinate_change",
+            "K v, the change of the coordinates for a change v of what the speeds integrate to.",
+            [time, coordinates],
+            [inputs, _array("change", e.accelerations)],
+            [e.coordinate_change],
+        ),
+        ("energy", "Kinetic and potential energy.", [time, state], [inputs], [e.energies]),
+        ("output", "The outputs, with u' and lambda given.", [time, state], [*held], [e.outputs]),
+        (
+            "drawing",
+            "Positions of the points that are drawn, and the inputs' forces on them.",
+            [time, state],
+            [inputs],
+            [e.points, e.forces],
+        ),
+        (
+            "sensitivity",
+            "d/dx of q', and of f - M u' + J^T lambda and -(J u' + gamma) with u' and lambda held.",
+            [time, state],
+            [*held],
+            [e.coordinate_rate_jacobian, e.residual_jacobian],
+        ),
+        (
+            "parameter_sensitivity",
+            "The same derivatives with respect to the parameters.",
+            [time, state],
+            [*held],
+            [e.coordinate_rate_parameter_jacobian, e.residual_parameter_jacobian],
+        ),
+        (
+            "input_sensitivity",
+            "The same derivatives with respect to the inputs.",
+            [time, state],
+            [*held],
+            [e.coordinate_rate_input_jacobian, e.residual_input_jacobian],
+        ),
+        (
+            "default_input_sensitivity",
+            "d/dp of the inputs' expressions; zero without one.",
+            [time],
+            [],
+            [e.default_input_jacobian],
+        ),
+        (
+            "constraint_sensitivity",
+            "d/dq of the velocity constraints J u + b; d/dr of the position constraints and of J u + b.",
+            [time, state],
+            [inputs],
+            [e.velocity_jacobian, e.position_input_jacobian, e.velocity_input_jacobian],
+        ),
+    ]
+    pool = _Constants(e.tape, e.parameters)
+    first = next(i for i, (name, *_) in enumerate(specifications) if name == "drawing")
+    written_out = _WrittenOut(e.tape)
+    before_sharing = [written_out.operations(results) for *_, results in specifications]
+    lowered = [
+        share(e.tape, add_angles(e.tape, entries, pool.is_constant), pool.is_constant)
+        for entries in ([entry for result in results for entry in result.entries] for *_, results in specifications)
+    ]
+    constants, prepare = pool.finish(lowered)
+    functions = tuple(
+        Function(name, summary, (*before, constants, *after), statements, _shaped(results, entries), count)
+        for (name, summary, before, after, results), (statements, entries), count in zip(
+            specifications, lowered, before_sharing, strict=True
+        )
+    )
+    sizes = Sizes(
+        n_q=len(e.coordinates),
+        n_u=len(e.speeds),
+        n_p=len(e.parameters),
+        n_r=len(e.inputs),
+        n_h=len(e.position_constraints.entries),
+        n_c=len(e.velocity_bias.entries),
+        n_o=len(e.outputs.entries),
+        n_points=len(e.places),
+        n_forces=len(e.forced),
+        n_breakpoints=len(e.breakpoints.entries),
+        rank=rank,
+        n_constants=len(constants.nodes),
+    )
+    return Program(
+        name=name,
+        sizes=sizes,
+        functions=(prepare, *functions[:first]),
+        derivatives=functions[first:],
+        split=_split(e, rank, structure),
+        structure=structure,
+    )
+
+
+def _rank(e: Equations) -> int:
+    """How many constraints are not redundant: as many as there are dependent speeds, or as J has independent rows.
+
+    The latter at a random point; at states that satisfy the constraints, `verify` looks for more.
+    """
+    n_u = len(e.speeds)
+    entries = e.constraint_jacobian.entries
+    return min(e.n_dependent_speeds, find_rank(e.tape, [entries[i : i + n_u] for i in range(0, len(entries), n_u)]))
+
+
+def _split(e: Equations, rank: int, structure: Structure | None) -> Split:
+    """From J at random points, some of them close to where the coordinates are zero, as models often begin."""
+    n_u, n_c = len(e.speeds), len(e.velocity_bias.entries)
+    if structure is not None or n_c > MOST_CONSTRAINTS:
+        return find_split(n_c, n_u, rank, [])  # none is taken
+    generator = random.Random(0)
+    jacobians = []
+    for size in (0.05, 1.0) * POINTS:
+        values = {leaf: generator.uniform(0.1, 1.0) for leaf in (e.time, *e.speeds, *e.parameters, *e.inputs)}
+        values.update((leaf, generator.uniform(-size, size)) for leaf in e.coordinates)
+        try:
+            entries = e.tape.evaluate(e.constraint_jacobian.entries, values)
+        except (ArithmeticError, ValueError, TypeError):
+            continue  # not everything has a value everywhere
+        jacobians.append([entries[i : i + n_u] for i in range(0, len(entries), n_u)])
+    return find_split(n_c, n_u, rank, jacobians)
+
+
+def _structure(e: Equations, rank: int) -> Structure | None:
+    n_u, n_c = len(e.speeds), len(e.velocity_bias.entries)
+    if rank < n_c:
+        return None  # redundant constraints need pivoting
+    mass = tuple((i, j) for i in range(n_u) for j in range(i + 1) if e.mass_matrix.entries[i * n_u + j])
+    jacobian = tuple((i, j) for i in range(n_c) for j in range(n_u) if e.constraint_jacobian.entries[i * n_u + j])
+    return find_structure(n_u, n_c, mass, jacobian)
+
+
+def _entries(e: Equations, structure: Structure | None) -> tuple[Result, Result]:
+    """The mass matrix and the constraint Jacobian as `dynamics` gives them."""
+    if structure is None:
+        return e.mass_matrix, e.constraint_jacobian
+    n_u = len(e.speeds)
+    mass = tuple(e.mass_matrix.entries[i * n_u + j] for i, j in structure.mass_entries)
+    jacobian = tuple(e.constraint_jacobian.entries[i * n_u + j] for i, j in structure.jacobian_entries)
+    return Result("mass_matrix", (len(mass),), mass), Result("constraint_jacobian", (len(jacobian),), jacobian)
+
+
+class _Constants:
+    """What depends on parameters alone, collected from all functions for `prepare`."""
+
+    def __init__(self, tape: Tape, parameters: tuple[Scalar, ...]) -> None:
+        self.tape = tape
+        self.parameters = parameters
+        self._is_constant: list[bool] = [True]
+
+    def is_constant(self, node: int) -> bool:
+        """Whether a node depends on parameters alone."""
+        known, nodes = self._is_constant, self.tape.nodes
+        for operation in nodes[len(known) : node + 1]:
+            if isinstance(operation, Leaf):
+                known.append(operation.kind == "p")
+            else:
+                known.append(all(known[operand] for operand in operands(operation)))
+        return known[node]
+
+    def finish(self, lowered: Sequence[tuple[Statements, list[Scalar]]]) -> tuple[Array, Function]:
+        """The array of constants that the lowered functions use, and the function that fills it."""
+        tape = self.tape
+        used: dict[int, None] = dict.fromkeys(parameter.node for parameter in self.parameters)
+        for statements, entries in lowered:
+            needed = [operand for _, operation in statements for operand in operands(operation)]
+            used.update((n, None) for n in (*needed, *(e.node for e in entries)) if n != ONE and self.is_constant(n))
+        nodes = tuple(used)
+        statements, entries = share(tape, [Scalar(tape, 1, node) for node in nodes], lambda _: False)
+        prepare = Function(
+            "prepare",
+            "The parameters, and behind them all that is derived from them alone.",
+            (_array("p", self.parameters),),
+            statements,
+            (Result("constants", (len(nodes),), tuple(entries)),),
+            0,  # what it computes is counted where it is used
+        )
+        n_p = len(self.parameters)
+        leaves = (*(_leaf(parameter) for parameter in self.parameters), *[None] * (len(nodes) - n_p))
+        return Array("constants", nodes, leaves), prepare
+
+
+class _WrittenOut:
+    """Counts the operations of expressions with everything that they refer to put in its place."""
+
+    def __init__(self, tape: Tape) -> None:
+        self.tape = tape
+        self._known: list[int] = [0]
+
+    def operations(self, results: Sequence[Result]) -> int:
+        known = self._known
+        entries = [entry for result in results for entry in result.entries]
+        for operation in self.tape.nodes[len(known) : max((entry.node for entry in entries), default=0) + 1]:
+            known.append(operations_of(operation) + sum([known[operand] for operand in operands(operation)]))
+        return sum(known[entry.node] + (not entry.is_number and entry.coefficient != 1) for entry in entries)
+
+
+def _array(name: str, leaves: Sequence[Scalar]) -> Array:
+    return Array(name, tuple(leaf.node for leaf in leaves), tuple(map(_leaf, leaves)))
+
+
+def _leaf(scalar: Scalar) -> Leaf:
+    leaf = scalar.tape.nodes[scalar.node]
+    assert isinstance(leaf, Leaf)
+    return leaf
+
+
+def _shaped(results: Sequence[Result], entries: Sequence[Scalar]) -> tuple[Result, ...]:
+    """The results with other entries, given one after another."""
+    remaining = iter(entries)
+    return tuple(Result(r.name, r.shape, tuple(itertools.islice(remaining, len(r.entries)))) for r in results)

@@ -1,0 +1,239 @@
+"""The intermediate representation: straight-line functions between arrays.
+
+Plain frozen data. What can be printed is decided by what builds it (`lower`), how it
+is printed by what reads it (`c_source`); in between, a Program checks itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from fourbar_codegen.expressions.tape import ONE, Leaf, Node, Result, operands, operations_of
+
+__all__ = ["Array", "Entries", "Function", "Program", "Sizes", "Split", "Statements", "Structure"]
+
+Statements = tuple[tuple[int, Node], ...]
+"""Nodes and what they are, in order of evaluation."""
+
+Entries = tuple[tuple[int, int], ...]
+"""Rows and columns of the entries of a matrix that are not zero."""
+
+
+@dataclass(frozen=True)
+class Array:
+    """An argument that holds one node in each entry.
+
+    Attributes
+    ----------
+    name : str
+    nodes : tuple of int
+    leaves : tuple of Leaf or None
+        What each entry is called; None for a constant that is derived from parameters.
+    """
+
+    name: str
+    nodes: tuple[int, ...]
+    leaves: tuple[Leaf | None, ...]
+
+
+@dataclass(frozen=True)
+class Function:
+    """Statements that take argument arrays to result arrays.
+
+    Attributes
+    ----------
+    name : str
+    summary : str
+        A sentence on what it computes.
+    arguments : tuple of Array
+    statements : tuple of (int, Node)
+        The nodes in order of evaluation; every one is assigned once.
+    results : tuple of Result
+    operations_before_sharing : int
+        Number of operations if every result were written out in full, nothing evaluated once for two places.
+    """
+
+    name: str
+    summary: str
+    arguments: tuple[Array, ...]
+    statements: Statements
+    results: tuple[Result, ...]
+    operations_before_sharing: int
+
+    def __post_init__(self) -> None:
+        known = [node for array in self.arguments for node in array.nodes]
+        defined = {ONE, *known}
+        if len(defined) != len(known) + 1:
+            raise ValueError(f"{self.name}: an argument stands in two places")
+        for node, operation in self.statements:
+            if node in defined:
+                raise ValueError(f"{self.name}: node {node} is assigned twice")
+            self._check_defined(operands(operation), defined)
+            defined.add(node)
+        for result in self.results:
+            if math.prod(result.shape) != len(result.entries):
+                raise ValueError(f"{self.name}: {result.name} has {len(result.entries)} entries, shape {result.shape}")
+            self._check_defined([entry.node for entry in result.entries], defined)
+
+    def _check_defined(self, nodes: Iterable[int], defined: set[int]) -> None:
+        missing = set(nodes) - defined
+        if missing:
+            raise ValueError(f"{self.name}: nodes {sorted(missing)} used before definition")
+
+    @property
+    def operations(self) -> int:
+        """Number of additions, multiplications, divisions and function calls."""
+        counted = sum(map(operations_of, (operation for _, operation in self.statements)))
+        entries = [entry for result in self.results for entry in result.entries]
+        return counted + sum(not entry.is_number and entry.coefficient != 1 for entry in entries)
+
+
+@dataclass(frozen=True)
+class Structure:
+    """An elimination of the unknowns u', then -lambda, in a fixed order.
+
+    Attributes
+    ----------
+    mass_entries, jacobian_entries : tuple of (int, int)
+        Rows and columns of the entries that are not zero: of M on and below the diagonal, and of J row by row.
+    order : tuple of int
+        The unknown that each step eliminates.
+    below : tuple of tuple of int
+        For each step, the later ones that have an entry in its column.
+    """
+
+    mass_entries: Entries
+    jacobian_entries: Entries
+    order: tuple[int, ...]
+    below: tuple[tuple[int, ...], ...]
+
+    def tables(self) -> dict[str, list[int]]:
+        """What fourbar_sparse.h loops over.
+
+        Places in memory number the diagonal in the order of the steps, then the columns below it.
+        """
+        n_u = len(self.order) - len({row for row, _ in self.jacobian_entries})
+        step = {unknown: k for k, unknown in enumerate(self.order)}
+        starts = [0]
+        for rows in self.below:
+            starts.append(starts[-1] + len(rows))
+        place = {(k, k): k for k in range(len(self.order))}
+        for k, rows in enumerate(self.below):
+            place.update({(row, k): len(self.order) + starts[k] + i for i, row in enumerate(rows)})
+
+        def at(a: int, b: int) -> int:
+            return place[max(step[a], step[b]), min(step[a], step[b])]
+
+        rows_of_jacobian = [[c for r, c in self.jacobian_entries if r == row] for row in range(len(self.order) - n_u)]
+        pairs = [at(a, b) for columns in rows_of_jacobian for i, a in enumerate(columns) for b in columns[: i + 1]]
+        row_starts = [0]
+        for columns in rows_of_jacobian:
+            row_starts.append(row_starts[-1] + len(columns))
+        # The last row first, so that a column can be scaled where it stands while it is used.
+        targets = [
+            place[rows[i], rows[j]] for rows in self.below for i in reversed(range(len(rows))) for j in range(i + 1)
+        ]
+        return {
+            "mass_row": [row for row, _ in self.mass_entries],
+            "mass_column": [column for _, column in self.mass_entries],
+            "mass_place": [at(row, column) for row, column in self.mass_entries],
+            "jacobian_row": row_starts,
+            "jacobian_column": [column for _, column in self.jacobian_entries],
+            "jacobian_place": [at(n_u + row, column) for row, column in self.jacobian_entries],
+            "pair_place": pairs,
+            "unknown": list(self.order),
+            "column": starts,
+            "below": [row for rows in self.below for row in rows],
+            "target": targets,
+        }
+
+
+@dataclass(frozen=True)
+class Split:
+    """An order in which full constraints are solved for as many speeds.
+
+    Attributes
+    ----------
+    rows : tuple of int
+        The constraints, in the order of elimination.
+    speeds : tuple of int
+        The speeds that they are solved for, in that order, and behind them the others.
+    """
+
+    rows: tuple[int, ...]
+    speeds: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Lengths of the arrays.
+
+    Attributes
+    ----------
+    n_q, n_u, n_p, n_r : int
+        Coordinates, speeds, parameters, inputs.
+    n_h, n_c, n_o : int
+        Position constraints; velocity constraints; outputs.
+    n_points, n_forces : int
+        Points that are drawn, and those with forces of inputs.
+    n_breakpoints : int
+        Times at which expressions have a jump or a kink.
+    rank : int
+        The number of velocity constraints that are not redundant: that of dependent speeds, or fewer.
+    n_constants : int
+        Parameters and what is derived from them alone.
+    """
+
+    n_q: int
+    n_u: int
+    n_p: int
+    n_r: int
+    n_h: int
+    n_c: int
+    n_o: int
+    n_points: int
+    n_forces: int
+    n_breakpoints: int
+    rank: int
+    n_constants: int
+
+
+@dataclass(frozen=True)
+class Program:
+    """All functions of one model.
+
+    Attributes
+    ----------
+    name : str
+    sizes : Sizes
+    functions : tuple of Function
+        `prepare` first, which derives the constants that all others take.
+    derivatives : tuple of Function
+        Those that give derivatives or are for pictures: longer than the others, or called less often.
+    split : Split
+        The order in which `dynamics`' constraints are eliminated from full equations.
+    structure : Structure or None
+        How the equations of `dynamics` are solved, if not as full ones. Then that function gives the entries of M and J
+        that are not zero, one after another.
+    """
+
+    name: str
+    sizes: Sizes
+    functions: tuple[Function, ...]
+    derivatives: tuple[Function, ...]
+    split: Split
+    structure: Structure | None
+
+    @property
+    def parameters(self) -> tuple[Leaf, ...]:
+        """The parameters, in order."""
+        [array] = self.functions[0].arguments
+        return tuple(leaf for leaf in array.leaves if leaf is not None)
+
+    @property
+    def inputs(self) -> tuple[Leaf, ...]:
+        """The inputs, in order, with the rates of those that prescribe a motion."""
+        arrays = (array for function in self.functions for array in function.arguments)
+        return tuple(leaf for leaf in next(array for array in arrays if array.name == "r").leaves if leaf is not None)

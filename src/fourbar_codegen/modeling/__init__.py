@@ -1,0 +1,1 @@
+"""What users model: a System with its parameters, inputs and outputs, read from SymPy's mechanics objects."""

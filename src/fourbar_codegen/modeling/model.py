@@ -1,0 +1,534 @@
+"""Model: a SymPy System with the values, units and names that its symbols carry."""
+
+from __future__ import annotations
+
+import keyword
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import chain
+from typing import TYPE_CHECKING, Any
+
+import sympy as sm
+from sympy.core.function import AppliedUndef
+
+from fourbar_codegen.arguments import finite_number, is_mapping, name_of
+from fourbar_codegen.errors import ModelError, shown
+from fourbar_codegen.expressions.convert import is_computable, smooth_sinc, without_impulses
+from fourbar_codegen.modeling.system_reader import Mechanism, read_mechanism, walk
+
+if TYPE_CHECKING:
+    from sympy.physics.mechanics import KanesMethod, ReferenceFrame, Vector
+    from sympy.physics.mechanics.system import System
+
+__all__ = ["InputEntry", "Model", "Parameter", "joint_force", "multiplier"]
+
+IMPORTED = frozenset({"cpython", "cython", "libc", "numpy", "fb", "fourbar"})
+"""What the generated module imports and includes itself."""
+
+COLUMNS = re.compile(r"kinetic_energy|potential_energy|constraint_residual_\d+|file|allow_pickle")
+"""Names of a trajectory's own columns, and of the arguments of numpy.savez, which takes columns by name."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """What is known of a parameter.
+
+    Attributes
+    ----------
+    value : float, Expr or None
+        Its default; None if every run has to give it. A parameter whose value is an expression of others
+        always follows from them, and is none of the compiled model's parameters.
+    unit : str
+        As it is to be shown, for instance ``"kg m^2"``.
+    description : str
+
+    Examples
+    --------
+    >>> Parameter(9.81, "m/s^2", "gravitational acceleration").value
+    9.81
+    """
+
+    value: float | sm.Expr | None = None
+    unit: str = ""
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        if self.value is not None and not getattr(self.value, "free_symbols", None):
+            object.__setattr__(self, "value", finite_number(self.value, "a parameter"))
+        for name in ("unit", "description"):
+            if not isinstance(getattr(self, name), str):
+                raise ModelError(f"A parameter's {name} must be text, not {shown(getattr(self, name))}.")
+
+
+@dataclass(frozen=True)
+class InputEntry:
+    """An entry of the array of inputs r.
+
+    Attributes
+    ----------
+    name : str
+        The input's name, with a prime for each time derivative.
+    function : Expr
+        The function of time, or its derivative.
+    expression : Expr or None
+        Its default.
+    of : str
+        The input's name.
+    order : int
+        How often it is differentiated: 0, or 1 and 2 for an input that prescribes a motion.
+    """
+
+    name: str
+    function: sm.Expr
+    expression: sm.Expr | None
+    of: str
+    order: int
+
+
+def multiplier(number: int) -> sm.Expr:
+    """What stands for a constraint's multiplier in the expression of an output.
+
+    Parameters
+    ----------
+    number : int
+        The constraint's, from 1: in the order of `CompiledModel.multipliers`, holonomic ones first.
+
+    Returns
+    -------
+    Expr
+
+    Raises
+    ------
+    ModelError
+        If it is not a number of a constraint.
+
+    Examples
+    --------
+    >>> multiplier(2)
+    multiplier(2)
+    """
+    if not isinstance(number, int) or isinstance(number, bool) or number < 1:
+        raise ModelError(f"A multiplier has the number of its constraint, from 1; not {number!r}.")
+    return sm.Function("multiplier", real=True)(sm.Integer(number))
+
+
+def joint_force(name: str, directions: Mapping[int, Vector], frame: ReferenceFrame) -> dict[str, sm.Expr]:
+    """The force in a joint that constraints close, as outputs of a Model.
+
+    Where constraint k keeps the component along e_k of the position (or velocity) of a point B relative to a
+    point A at zero, its multiplier is the force along e_k on the body of B; the body of A gets the opposite.
+    That holds as long as no velocity had the constraint substituted into it.
+
+    Parameters
+    ----------
+    name : str
+        The joint's.
+    directions : mapping of int to Vector
+        For each of the joint's constraints, its number (see `multiplier`) and the direction e_k that the
+        relative position is dotted with.
+    frame : ReferenceFrame
+        In whose axes the force is wanted.
+
+    Returns
+    -------
+    dict of str to Expr
+        Outputs ``{name}_x``, ``{name}_y`` and ``{name}_z``; in the constraints' units, newton for metres.
+
+    Raises
+    ------
+    ModelError
+        If the directions are no mapping to vectors, or not known in the frame.
+
+    Source: Kane and Levinson 1985, section 4.9; Featherstone, *Rigid Body Dynamics Algorithms*, 2008, section 8.
+
+    Examples
+    --------
+    >>> from sympy.physics.mechanics import ReferenceFrame
+    >>> N = ReferenceFrame("N")
+    >>> joint_force("pin", {1: N.x, 2: N.y}, N)
+    {'pin_x': multiplier(1), 'pin_y': multiplier(2), 'pin_z': 0}
+    """
+    try:
+        return {
+            f"{name}_{letter}": sm.Add(*(multiplier(k) * direction.dot(axis) for k, direction in directions.items()))
+            for letter, axis in zip("xyz", frame, strict=True)
+        }
+    except (AttributeError, TypeError, ValueError) as error:
+        if isinstance(error, ModelError):
+            raise
+        raise ModelError(
+            f"joint_force takes a mapping from numbers of constraints to vectors, and a frame that these are oriented "
+            f"in, not {directions!r} and {frame!r}: {error}"
+        ) from error
+
+
+class Model:
+    """A mechanism ready to be compiled.
+
+    Parameters
+    ----------
+    system : sympy.physics.mechanics.System or KanesMethod
+        A System as its ``form_eoms`` takes it, or a KanesMethod with its bodies and loads. It is read once,
+        here: later changes to it do not reach the Model. Accelerations follow from the velocities; those set
+        with ``Point.set_acc`` are not read. Of redundant constraints, only as many dependent coordinates and
+        speeds are to be named as there are independent ones.
+    name : str, optional
+        A Python identifier; names the compiled module.
+    parameters : mapping of Symbol to float, Expr or Parameter, optional
+        Default values, or expressions of other parameters. Symbols of the System that are not named here
+        follow in alphabetical order, without a default, as far as the equations need them (a
+        body's automatic inertia symbols often drop out).
+    inputs : mapping of function of time to Expr, float or None, optional
+        Every function of time that is neither coordinate nor speed, with its default: an expression of time
+        and parameters, a number, or None if every run has to give it. Where it prescribes a motion (its rates
+        come into the equations: it stands in an orientation, a position, a velocity, a constraint, or
+        differentiated), its first and second rate become inputs behind it, named with primes, with the
+        derivatives of the expression as defaults. One in a kinematic differential equation alone does so only
+        where velocities or constraints take it up.
+    initial : mapping of coordinate or speed to float, optional
+        Default initial values of the independent coordinates and speeds, and guesses of the dependent
+        coordinates. Dependent speeds follow from these.
+    potential_energy : Expr, optional
+        In terms of coordinates, parameters and time. By default the sum of the bodies' ``potential_energy``
+        and the potentials of all forces that are constant in the System's frame, such as gravity.
+    outputs : mapping of str to Expr, optional
+        What else is of interest, by name: expressions of time, coordinates, speeds, both differentiated once,
+        inputs, parameters, and multipliers (see `multiplier`, `joint_force`). With auxiliary speeds, outputs
+        come first that say what keeps them zero: the functions of time in the loads that are not named
+        otherwise, as many as there are auxiliary speeds; or the generalized noncontributing forces, under the
+        names of the auxiliary speeds, where the loads have none.
+
+    Raises
+    ------
+    ModelError
+        If the System's parts do not fit together, or a symbol is missing, unknown, or named twice.
+
+    Examples
+    --------
+    >>> import sympy as sm, sympy.physics.mechanics as me
+    >>> from sympy.physics.mechanics.system import System
+    >>> m, k = sm.symbols("m k")
+    >>> q, u = me.dynamicsymbols("q u")
+    >>> wall, block = me.RigidBody("wall"), me.RigidBody("block", mass=m)
+    >>> system = System.from_newtonian(wall)
+    >>> system.add_joints(me.PrismaticJoint("slide", wall, block, q, u))
+    >>> system.add_loads(me.Force(block.masscenter, -k * q * wall.x))
+    >>> Model(system, name="oscillator", parameters={m: 2.0, k: 8.0}).coordinates
+    ('q',)
+    """
+
+    def __init__(
+        self,
+        system: System | KanesMethod,
+        *,
+        name: str = "model",
+        parameters: Mapping[sm.Symbol, float | sm.Expr | Parameter] | None = None,
+        inputs: Mapping[sm.Expr, sm.Expr | float | None] | None = None,
+        initial: Mapping[sm.Expr, float] | None = None,
+        potential_energy: sm.Expr | None = None,
+        outputs: Mapping[str, sm.Expr] | None = None,
+    ) -> None:
+        if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
+            raise ModelError(f"A model's name is letters, digits and underscores, a letter first; not {name!r}.")
+        if keyword.iskeyword(name) or name in IMPORTED:
+            raise ModelError(f"A model cannot be named {name!r}: Python or the generated code needs that name.")
+        self.system = system
+        self.name = name
+        self.mechanism: Mechanism = read_mechanism(system)
+        for label, expressions in (*self.mechanism.labelled_loads(), *self.mechanism.labelled_structure()):
+            _check_expressions(expressions, label)
+        self.input_expressions = self._read_inputs(_mapping(inputs, "inputs"))
+        self.potential_energy = None if potential_energy is None else _expression(potential_energy, "potential_energy")
+        self.output_expressions = {
+            name_of(key): _expression(e, f"output {name_of(key)}") for key, e in _mapping(outputs, "outputs").items()
+        }
+        self.noncontributing: tuple[sm.Expr, ...] = self._find_noncontributing()
+        self.input_entries = self._list_inputs()
+        parameters = _mapping(parameters, "parameters")
+        self.named_parameters = tuple(parameters)
+        self.parameter_symbols, self.derived_parameters = self._collect_parameters(parameters)
+        self._check_names()
+        self._check_inputs()
+        self._check_holonomic_constraints()
+        self.initial = self._check_initial(_mapping(initial, "initial"))
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the generalized coordinates, the independent ones first."""
+        return tuple(_name(q) for q in self.mechanism.coordinates)
+
+    @property
+    def speeds(self) -> tuple[str, ...]:
+        """Names of the generalized speeds, the independent ones first."""
+        return tuple(_name(u) for u in self.mechanism.speeds)
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the inputs, and of the rates of those that may prescribe a motion; the equations tell which do."""
+        return tuple(entry.name for entry in self.input_entries)
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the outputs, those of the auxiliary speeds first."""
+        return (*map(_name, self.noncontributing or self.mechanism.auxiliary_speeds), *self.output_expressions)
+
+    @cached_property
+    def parameters(self) -> dict[str, Parameter]:
+        """All symbols of the System by name, the ones that were named first."""
+        return {symbol.name: parameter for symbol, parameter in self.parameter_symbols.items()}
+
+    def __repr__(self) -> str:
+        return (
+            f"<Model {self.name}: {len(self.coordinates)} coordinates, {len(self.speeds)} speeds, "
+            f"{len(self.parameter_symbols)} parameters, {len(self.inputs)} inputs>"
+        )
+
+    def _repr_html_(self) -> str:
+        from fourbar_codegen.tables import names_table
+
+        return names_table(
+            f"Model {self.name}",
+            [
+                ("coordinate", self.coordinates, self.mechanism.n_dependent_coordinates),
+                ("speed", self.speeds, self.mechanism.n_dependent_speeds),
+            ],
+            {name: (p.value, p.unit, p.description) for name, p in self.parameters.items()},
+            {e.name: None if e.expression is None else str(e.expression) for e in self.input_entries},
+            self.outputs,
+        )
+
+    def _read_inputs(self, inputs: Mapping[sm.Expr, sm.Expr | float | None]) -> dict[sm.Expr, sm.Expr | None]:
+        for function in inputs:
+            if not isinstance(function, AppliedUndef) or function.args != (self.mechanism.time,):
+                raise ModelError(f"inputs= has functions of {self.mechanism.time} as keys, not {function!r}.")
+        return {f: None if e is None else _expression(e, f"the input {f}") for f, e in inputs.items()}
+
+    def _labelled(self) -> Iterator[tuple[str, Iterable[sm.Expr]]]:
+        """All expressions of the model, with words that say where they stand."""
+        yield from self.mechanism.labelled_loads()
+        yield from self.mechanism.labelled_structure()
+        if self.potential_energy is not None:
+            yield "the potential energy", (self.potential_energy,)
+        for function, expression in self.input_expressions.items():
+            if expression is not None:
+                yield f"the expression of input {_name(function)}", (expression,)
+        for name, expression in self.output_expressions.items():
+            yield f"output {name}", (expression,)
+
+    def _find_noncontributing(self) -> tuple[sm.Expr, ...]:
+        """Functions of time in the loads that nobody named: the unknown forces that auxiliary speeds bring out."""
+        mechanism = self.mechanism
+        if not mechanism.auxiliary_speeds:
+            return ()
+        known = {*mechanism.coordinates, *mechanism.speeds, *mechanism.auxiliary_speeds, *self.input_expressions}
+        loads = chain.from_iterable(expressions for _, expressions in mechanism.labelled_loads())
+        found = [node for node in walk(loads) if isinstance(node, AppliedUndef) and node not in known]
+        if found and len(found) != len(mechanism.auxiliary_speeds):
+            raise ModelError(
+                f"The loads have {len(found)} functions of time that are neither coordinates nor speeds nor named in "
+                f"inputs= ({', '.join(sorted(map(_name, found)))}), for {len(mechanism.auxiliary_speeds)} auxiliary "
+                "speeds: there must be as many unknown forces, or none."
+            )
+        return tuple(sorted(found, key=_name))
+
+    def _list_inputs(self) -> tuple[InputEntry, ...]:
+        """The inputs, and behind each that may prescribe a motion its first and second rate."""
+        t = self.mechanism.time
+        structure = walk(chain.from_iterable(expressions for _, expressions in self.mechanism.labelled_structure()))
+        prescribed = {node for node in structure if isinstance(node, AppliedUndef)}
+        everywhere = walk(chain.from_iterable(expressions for _, expressions in self._labelled()))
+        prescribed |= {node.expr for node in everywhere if isinstance(node, sm.Derivative)}
+        entries: list[InputEntry] = []
+        for function, expression in self.input_expressions.items():
+            for order in range(3 if function in prescribed else 1):
+                default = expression if order == 0 or expression is None else _rate(entries[-1].expression, t)
+                derivative = function if order == 0 else function.diff((t, order))
+                entries.append(InputEntry(_name(function) + order * "'", derivative, default, _name(function), order))
+        return tuple(entries)
+
+    def _collect_parameters(
+        self, given: Mapping[sm.Symbol, float | sm.Expr | Parameter]
+    ) -> tuple[dict[sm.Symbol, Parameter], dict[sm.Symbol, sm.Expr]]:
+        """The given symbols in their order, then the others by name; and those that are expressions of others."""
+        mechanism, t = self.mechanism, self.mechanism.time
+        entries = {entry.function for entry in self.input_entries}
+        known = {
+            *mechanism.coordinates,
+            *mechanism.speeds,
+            *mechanism.auxiliary_speeds,
+            *entries,
+            *self.noncontributing,
+        }
+        rates = {q.diff(t) for q in mechanism.coordinates} | entries
+        n_c = len(mechanism.velocity_constraints)
+        n_c += len(mechanism.holonomic_constraints) if mechanism.velocity_constraints_derived else 0
+        of_outputs = {multiplier(number) for number in range(1, n_c + 1)} | {u.diff(t) for u in mechanism.speeds}
+        values = {s: v.value if isinstance(v, Parameter) else v for s, v in given.items()}
+        derived = {s: _of_parameters(s, v, t) for s, v in values.items() if getattr(v, "free_symbols", None)}
+        found: set[sm.Symbol] = set()
+        labelled = [*self._labelled(), *((f"the expression of parameter {s}", (e,)) for s, e in derived.items())]
+        for label, expressions in labelled:
+            extra = of_outputs if label.startswith("output ") else set()
+            for node in walk(expressions):
+                if isinstance(node, sm.Symbol):
+                    found.add(node)
+                elif isinstance(node, AppliedUndef) and node.func == multiplier(1).func and extra:
+                    if node not in extra:
+                        raise ModelError(f"{node} in {label}: the model has {n_c} constraints on velocities.")
+                elif isinstance(node, AppliedUndef) and node not in known | extra:
+                    raise ModelError(
+                        f"{node} in {label} is neither a coordinate {self.coordinates} nor a speed {self.speeds} nor "
+                        f"an input {self.inputs}: add it to the System's coordinates or speeds, or name it in inputs=."
+                    )
+                elif isinstance(node, sm.Derivative) and node not in rates | extra:
+                    raise ModelError(
+                        f"{node} in {label} cannot be compiled: of all derivatives, only the first ones of the "
+                        f"coordinates {self.coordinates}, the first and second ones of inputs, and in outputs the "
+                        "first ones of the speeds may appear."
+                    )
+        found.discard(t)
+        parameters: dict[sm.Symbol, Parameter] = {}
+        for symbol, value in given.items():
+            if not isinstance(symbol, sm.Symbol):
+                raise ModelError(f"parameters= has Symbols as keys, not {symbol!r}.")
+            if symbol not in found:
+                names = ", ".join(sorted(s.name for s in found))
+                raise ModelError(f"Parameter {symbol} does not appear in the model; its symbols are {names}.")
+            if symbol not in derived:
+                parameters[symbol] = value if isinstance(value, Parameter) else Parameter(value)
+        for symbol in sorted(found - parameters.keys() - derived.keys(), key=lambda s: s.name):
+            parameters[symbol] = Parameter()
+        return parameters, _in_order(derived)
+
+    def _check_names(self) -> None:
+        names = [*self.coordinates, *self.speeds, *self.inputs, *self.outputs]
+        names += [symbol.name for symbol in (*self.parameter_symbols, *self.derived_parameters)]
+        repeated = sorted({name for name in names if names.count(name) > 1})
+        if repeated:
+            raise ModelError(
+                f"These names stand for more than one symbol: {', '.join(repeated)}. Coordinates, speeds, inputs, "
+                "outputs and parameters are found by name, so each needs its own."
+            )
+        columns = sorted(name for name in names if COLUMNS.fullmatch(name))
+        if columns:
+            raise ModelError(f"Trajectories have columns named {', '.join(columns)}; give the symbols other names.")
+        if self.mechanism.time.name in names:
+            raise ModelError(f"{self.mechanism.time.name} is the name of time; give the other symbol another name.")
+
+    def _check_inputs(self) -> None:
+        """Their expressions know only time and parameters; in the structure, they are differentiated once at most."""
+        allowed = {self.mechanism.time, *self.parameter_symbols, *self.derived_parameters}
+        for function, expression in self.input_expressions.items():
+            if expression is None:
+                continue
+            functions = any(isinstance(node, AppliedUndef | sm.Derivative) for node in walk([expression]))
+            if functions or not expression.free_symbols <= allowed:
+                raise ModelError(
+                    f"The expression of input {_name(function)} may contain time and parameters only, not "
+                    f"{expression}. State feedback goes into the loads, or in at run time as a callable of (t, x)."
+                )
+        accelerations = {entry.function for entry in self.input_entries if entry.order == 2}
+        for label, expressions in self.mechanism.labelled_structure():
+            for node in walk(expressions):
+                if node in accelerations:
+                    raise ModelError(
+                        f"{node} in {label} cannot be compiled: velocities and constraints may contain an input and "
+                        "its first derivative, whose rates are then inputs too."
+                    )
+
+    def _check_holonomic_constraints(self) -> None:
+        speeds = set(self.mechanism.speeds)
+        for number, expression in enumerate(self.mechanism.holonomic_constraints, start=1):
+            for node in walk([expression]):
+                if node in speeds or isinstance(node, sm.Derivative):
+                    raise ModelError(
+                        f"Holonomic constraint {number} contains {node}: it may depend on coordinates and time only. A "
+                        "constraint on speeds goes to add_nonholonomic_constraints."
+                    )
+
+    def _check_initial(self, given: Mapping[sm.Expr, float]) -> dict[str, float]:
+        states = {*self.mechanism.coordinates, *self.mechanism.speeds}
+        dependent = self.mechanism.speeds[len(self.speeds) - self.mechanism.n_dependent_speeds :]
+        initial = {}
+        for function, value in given.items():
+            if function not in states:
+                raise ModelError(f"{function} in initial= is none of the states {(*self.coordinates, *self.speeds)}.")
+            if function in dependent:
+                raise ModelError(
+                    f"{function} in initial= is a dependent speed: it follows from the others, leave it out."
+                )
+            initial[_name(function)] = finite_number(value, f"initial {_name(function)}")
+        return initial
+
+
+def _of_parameters(symbol: sm.Symbol, value: Any, time: sm.Symbol) -> sm.Expr:
+    """The expression of a parameter, checked."""
+    expression = _expression(value, f"the expression of parameter {symbol}")
+    if any(node == time or isinstance(node, AppliedUndef | sm.Derivative) for node in walk([expression])):
+        raise ModelError(f"The expression of parameter {symbol} may contain parameters only, not {expression}.")
+    return expression
+
+
+def _in_order(derived: Mapping[sm.Symbol, sm.Expr]) -> dict[sm.Symbol, sm.Expr]:
+    """Parameters that are expressions of others, each behind those that it needs."""
+    ordered: dict[sm.Symbol, sm.Expr] = {}
+    waiting = dict(derived)
+    while waiting:
+        ready = [symbol for symbol, e in waiting.items() if not e.free_symbols & waiting.keys()]
+        if not ready:
+            raise ModelError(f"The parameters {', '.join(s.name for s in waiting)} are expressions of each other.")
+        for symbol in ready:
+            ordered[symbol] = waiting.pop(symbol)
+    return ordered
+
+
+def _mapping(given: Any, argument: str) -> Mapping[Any, Any]:
+    if given is None:
+        return {}
+    if not is_mapping(given):
+        raise ModelError(f"{argument}= must be a mapping from symbols to values, not {given!r}.")
+    return given
+
+
+def _rate(expression: sm.Expr, t: sm.Symbol) -> sm.Expr:
+    """The derivative by time, but for what jumps: an impulse takes the place of that where a run comes to it."""
+    smooth = expression.replace(sm.sinc, smooth_sinc)
+    # Of an absolute value, SymPy differentiates real and imaginary parts where a symbol might be complex.
+    real = {s: sm.Dummy(s.name, real=True) for s in smooth.free_symbols} if smooth.has(sm.Abs, sm.sign) else {}
+    rate = smooth.xreplace(real).diff(real.get(t, t))
+    return without_impulses(rate).xreplace({dummy: symbol for symbol, dummy in real.items()})
+
+
+def _expression(given: Any, what: str) -> sm.Expr:
+    """A SymPy expression; text is not evaluated."""
+    try:
+        expression = sm.sympify(given, strict=True)
+    except (sm.SympifyError, TypeError) as error:  # the latter is SymPy's for some of what is in containers
+        raise ModelError(f"{what} must be an expression or a number, not {shown(given)}.") from error
+    _check_expressions([expression], what)
+    if expression.is_extended_real is False or expression.is_finite is False:
+        raise ModelError(f"{what} must be a real and finite expression, not {shown(given)}.")
+    return expression
+
+
+def _check_expressions(expressions: Iterable[sm.Basic], label: str) -> None:
+    """Raise where an expression has something in it that is no operation on real numbers."""
+    expressions = tuple(expressions)
+    for expression in expressions:
+        if not isinstance(expression, sm.Expr):
+            raise ModelError(f"{label} must be a real and finite expression, not {shown(expression)}.")
+    for node in walk(expressions):
+        is_value = isinstance(node, AppliedUndef | sm.Derivative) or (
+            isinstance(node, sm.Symbol) and node.is_commutative
+        )
+        if not (is_value or is_computable(node)):
+            raise ModelError(
+                f"{shown(node)} in {label} cannot be compiled: expressions are made of real numbers within the range "
+                "of double, symbols, functions of time, sums, products, powers, and SymPy's functions of these."
+            )
+
+
+def _name(function: sm.Expr) -> str:
+    return str(function.func)

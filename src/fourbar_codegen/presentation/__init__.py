@@ -1,0 +1,1 @@
+"""Results in files, figures, animations and reports."""

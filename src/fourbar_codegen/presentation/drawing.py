@@ -1,0 +1,154 @@
+"""What there is to draw of a trajectory: the mechanism's points at equally spaced times, and curves over time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourbar_codegen.errors import ModelError
+from fourbar_codegen.results.trajectory import Trajectory
+
+__all__ = ["Drawing", "Panel", "drawing", "equal_times", "extent", "panels"]
+
+Floats = NDArray[np.float64]
+
+PLANAR = 1e-9
+"""Points that leave the plane of x and y, or their places, by less than this share of the mechanism's size do not."""
+
+ARROW = 0.25
+"""Length of the greatest force's arrow, as a share of the mechanism's size."""
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A trajectory at the times at which it is shown, and where its points are.
+
+    Attributes
+    ----------
+    shown : Trajectory
+    positions : ndarray, shape (n_points, 3, n_t)
+        In the inertial frame, m.
+    arrows : dict of int to ndarray, shape (3, n_t)
+        The tips of arrows that show the inputs' forces, m, by the number of the point at which they begin.
+    size : float
+    is_planar : bool
+        As `extent` has them.
+    """
+
+    shown: Trajectory
+    positions: Floats
+    arrows: dict[int, Floats]
+    size: float
+    is_planar: bool
+
+    def moves(self, point: int) -> bool:
+        """Whether a point does not stay where it is."""
+        return bool(np.ptp(self.positions[point], axis=1).max() > PLANAR * self.size)
+
+    def moving_bodies(self) -> dict[int, str]:
+        """Number and name of the mass centres that move: what leaves a trace if nobody says otherwise."""
+        return {number: name for number, name, _, body in self.points() if body is not None and self.moves(number)}
+
+    def points(self) -> Iterator[tuple[int, str, int | None, str | None]]:
+        """Number, name, number of the point from which a line leads to it, and body of each point."""
+        for number, entry in enumerate(self.shown.model.manifest["points"]):
+            yield number, entry["name"], entry["parent"], entry["body"]
+
+
+def extent(positions: Floats) -> tuple[float, bool]:
+    """How far points reach along one of the axes, m, and whether all of them stay in one plane z = constant.
+
+    Parameters
+    ----------
+    positions : ndarray, shape (n_points, 3, n_t)
+    """
+    size = float(np.ptp(positions, axis=(0, 2)).max()) or 1.0
+    return size, bool(np.ptp(positions[:, 2]) <= PLANAR * size)
+
+
+def equal_times(start: float, end: float, rate: float) -> Floats:
+    """Equally spaced times from start to end, about so many in a second."""
+    return np.linspace(start, end, 1 + max(1, round(abs(end - start) * rate)) if start != end else 1)
+
+
+def drawing(trajectory: Trajectory, times: Callable[[float, float], Floats]) -> Drawing:
+    """What there is to draw at certain times.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    times : callable
+        It is given the first and the last time of the run, and returns those to be shown.
+
+    Returns
+    -------
+    Drawing
+
+    Raises
+    ------
+    ModelError
+        If there is nothing to draw.
+    """
+    model, t = trajectory.model, trajectory.t
+    if not model.points:
+        raise ModelError(f"There is nothing of {model.name} to draw: no positions are given from a point at rest.")
+    if not len(t):
+        raise ModelError(f"There is nothing of {model.name} to draw: the run has no states.")
+    shown = trajectory.resample(times(t[0], t[-1]))
+    positions = np.array([shown.points[name] for name in model.points])
+    size, is_planar = extent(positions)
+    # A force that is not finite has no arrow.
+    forces = {name: np.where(np.isfinite(force).all(axis=0), force, 0.0) for name, force in shown.forces.items()}
+    greatest = max((np.abs(force).max() for force in forces.values()), default=0.0)
+    if greatest:
+        forces = {name: force / greatest for name, force in forces.items()}
+        longest = max(np.linalg.norm(force, axis=0).max() for force in forces.values())
+        forces = {name: ARROW * size * force / longest for name, force in forces.items()}
+    arrows = {model.points.index(name): shown.points[name] + force for name, force in forces.items() if greatest}
+    return Drawing(shown, positions, arrows, size, is_planar)
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Curves that share their axes.
+
+    Attributes
+    ----------
+    title : str
+    curves : dict of str to ndarray, shape (n_t,)
+    is_logarithmic : bool
+        Whether they span orders of magnitude.
+    """
+
+    title: str
+    curves: dict[str, Floats]
+    is_logarithmic: bool = False
+
+
+def panels(trajectory: Trajectory) -> list[Panel]:
+    """All curves of a trajectory over time: coordinates, speeds, inputs, outputs, multipliers, residual, energy."""
+    model = trajectory.model
+    energies = {
+        "kinetic": trajectory.kinetic_energy,
+        "potential": trajectory.potential_energy,
+        "sum": trajectory.energy,
+    }
+    found = [
+        Panel("Coordinates (rad or m)", dict(zip(model.coordinates, trajectory.q, strict=True))),
+        Panel("Speeds (rad/s or m/s)", dict(zip(model.speeds, trajectory.u, strict=True))),
+        Panel("Inputs", dict(zip(model.inputs, trajectory.r, strict=True))),
+        Panel("Outputs", dict(zip(model.outputs, trajectory.outputs, strict=True))),
+        Panel(
+            "Multipliers of the constraints",
+            {f"lambda {number}": row for number, row in enumerate(trajectory.multipliers, start=1)},
+        ),
+        Panel("Energy (J)", {name: row for name, row in energies.items() if np.isfinite(row).any()}),
+    ]
+    if len(trajectory.constraint_residual):
+        # Zero has no place on a logarithmic axis; half the spacing of doubles around 1 stands for it.
+        largest = np.maximum(np.abs(trajectory.constraint_residual).max(axis=0), np.finfo(float).eps / 2)
+        found.insert(-1, Panel(f"{trajectory.residual_label} (units of the constraints)", {"largest": largest}, True))
+    return [panel for panel in found if panel.curves]

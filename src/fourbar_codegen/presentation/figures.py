@@ -1,0 +1,250 @@
+"""Pictures of trajectories: plots with Matplotlib, animations with SymMePlot."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourbar_codegen.arguments import positive
+from fourbar_codegen.errors import ModelError, shown
+from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.presentation.drawing import drawing, equal_times, extent, panels
+from fourbar_codegen.progress import PATIENCE
+
+if TYPE_CHECKING:
+    from matplotlib.animation import FuncAnimation
+    from matplotlib.figure import Figure
+
+    from fourbar_codegen.analysis.assembly_modes import AssemblyModes
+    from fourbar_codegen.results.trajectory import Trajectory
+
+__all__ = ["animate", "plot_modes", "plot_paths", "plot_trajectory", "write_animation"]
+
+Floats = NDArray[np.float64]
+
+FPS = 30.0
+"""Pictures per second, where nobody says otherwise."""
+
+MOST_PICTURES = 10_000
+"""An animation takes no more: each is some hundredths of a second to draw."""
+
+MOST_PANELS = 24
+"""No more assembly modes are drawn."""
+
+SMOOTH = 401
+"""States that a curve looks smooth with."""
+
+
+def _imported(name: str, what: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise ModelError(f"{what} need {name.split('.')[0]}: pip install 'fourbar_codegen[visual]'.") from error
+
+
+def plot_trajectory(trajectory: Trajectory) -> Figure:
+    """All curves of a trajectory over time, one panel above the other; see `drawing.panels`.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Made without pyplot: it appears on no screen by itself and needs not be closed.
+
+    Raises
+    ------
+    ModelError
+        If Matplotlib is not installed.
+    """
+    figure_class = _imported("matplotlib.figure", "Plots").Figure
+    if len(trajectory.t) < SMOOTH and len(np.unique(trajectory.t)) > 1:
+        trajectory = trajectory.resample(np.linspace(trajectory.t[0], trajectory.t[-1], SMOOTH))
+    shown = panels(trajectory)
+    figure: Figure = figure_class(figsize=(7.0, 2.2 * len(shown)), layout="constrained")
+    for axes, panel in zip(figure.subplots(len(shown), 1, sharex=True, squeeze=False).flat, shown, strict=True):
+        for name, values in panel.curves.items():
+            axes.plot(trajectory.t, values, label=_label(name))
+        axes.set_title(panel.title, loc="left", fontsize="medium")
+        if panel.is_logarithmic:
+            axes.set_yscale("log")
+        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+        axes.grid(alpha=0.3)
+    axes.set_xlabel("time (s)")
+    figure.suptitle(trajectory.model.name)
+    return figure
+
+
+def plot_paths(trajectory: Trajectory, points: Sequence[str]) -> Figure:
+    """Draw the paths of points, and the mechanism at the first time; see `Trajectory.plot_paths`."""
+    points = _checked(trajectory.model, points)
+    drawn = drawing(trajectory, lambda start, end: np.linspace(start, end, SMOOTH if start != end else 1))
+    figure, [axes] = _figure(1, drawn.is_planar)
+    _draw_mechanism(axes, trajectory.model, drawn.positions[:, :, 0], drawn.is_planar)
+    dimensions = 2 if drawn.is_planar else 3
+    traced = points or list(drawn.moving_bodies().values())
+    for name in traced:
+        axes.plot(*drawn.positions[trajectory.model.points.index(name), :dimensions], label=_label(name))
+    axes.set_aspect("equal")
+    if traced:
+        axes.legend()
+    axes.set_title(trajectory.model.name)
+    return figure
+
+
+def plot_modes(modes: AssemblyModes) -> Figure:
+    """Draw the mechanism in each of its assembly modes; see `AssemblyModes.plot`."""
+    model = modes.model
+    if not model.points or not len(modes):
+        raise ModelError(f"There is nothing to draw: {modes!r} with the points {', '.join(model.points) or 'none'}.")
+    states = np.where(np.isfinite(modes.x), modes.x, 0.0)[:MOST_PANELS]
+    positions = np.stack([model.drawing(modes.t, x, modes.parameters, modes.inputs)[0] for x in states], axis=2)
+    size, planar = extent(positions)
+    figure, cells = _figure(len(states), planar)
+    figure.suptitle(
+        f"{model.name}: {len(modes)} assembly modes"
+        + ("" if modes.is_complete else ", or more")
+        + ("" if len(states) == len(modes) else f"; the first {len(states)}")
+    )
+    low, high = positions.min(axis=(0, 2)), positions.max(axis=(0, 2))
+    n_qi = model.n_q - model.manifest["n_dependent_coordinates"]
+    for number, axes in enumerate(cells):
+        _draw_mechanism(axes, model, positions[:, :, number], planar)
+        named = zip(model.coordinates[n_qi:], modes.x[number, n_qi : model.n_q], strict=True)
+        text = _label(", ".join(f"{name} = {value:.3g}" for name, value in [*named][:3]))
+        axes.set_title(f"{number}: {text}", fontsize="small")
+        for name, begin, end in list(zip("xyz", low, high, strict=True))[: 2 if planar else 3]:
+            getattr(axes, f"set_{name}lim")(begin - 0.05 * size, end + 0.05 * size)
+        axes.set_aspect("equal")
+    return figure
+
+
+def _label(name: str) -> str:
+    """A name as Matplotlib shows it: not as a formula, and though it begins with an underscore."""
+    label = name.replace("$", r"\$")
+    return f" {label}" if label.startswith("_") else label
+
+
+def _figure(panels: int, planar: bool) -> tuple[Figure, list[Any]]:
+    """A figure with axes side by side, in rows of four."""
+    figure_class = _imported("matplotlib.figure", "Plots").Figure
+    columns = min(panels, 4)
+    rows = -(-panels // columns)
+    side = 5.0 if panels == 1 else 2.8
+    figure: Any = figure_class(figsize=(side * columns, side * rows), layout="constrained")
+    how = {} if planar else {"projection": "3d"}
+    axes = [figure.add_subplot(rows, columns, number + 1, **how) for number in range(panels)]
+    for each in axes:
+        each.set_xlabel("x (m)")
+        each.set_ylabel("y (m)")
+        if planar:
+            each.grid(alpha=0.3)
+        else:
+            each.set_zlabel("z (m)")
+    return figure, axes
+
+
+def _draw_mechanism(axes: Any, model: Kernel, positions: Floats, planar: bool) -> None:
+    """The lines between the points, and the mass centres."""
+    dimensions = 2 if planar else 3
+    for place, entry in zip(positions, model.manifest["points"], strict=True):
+        if entry["parent"] is not None:
+            axes.plot(*np.transpose([positions[entry["parent"]], place])[:dimensions], color="0.3", linewidth=2.0)
+        if entry["body"] is not None:
+            axes.plot(*place[:dimensions, None], "o", color="tab:blue", markersize=4)
+
+
+def _checked(model: Kernel, points: Iterable[str]) -> list[str]:
+    """Names of points of the model."""
+    try:
+        names = [] if isinstance(points, str) else list(points)
+    except TypeError:  # no sequence, or one that only looks like it
+        names = []
+    if not all(isinstance(name, str) for name in names) or not (names or isinstance(points, list | tuple)):
+        raise ModelError(f"Points are given as a sequence of their names, not {shown(points)}.")
+    unknown = [name for name in names if name not in model.points]
+    if unknown:
+        raise ModelError(f"There is no point {', '.join(map(str, unknown))}; there are {', '.join(model.points)}.")
+    return names
+
+
+def animate(trajectory: Trajectory, *, fps: float, speed: float, traces: Sequence[str]) -> FuncAnimation:
+    """Animate a trajectory; see `Trajectory.animate`.
+
+    SymMePlot draws vectors whose components are symbols; the compiled positions take the place of these.
+    """
+    scenes = _imported("symmeplot.matplotlib", "Animations")
+    figures = _imported("matplotlib.figure", "Animations")
+    me = _imported("sympy.physics.mechanics", "Animations")
+    model = trajectory.model
+    positive(fps, "fps")
+    positive(speed, "speed")
+    traces = _checked(model, traces)
+    n = abs(np.ptp(trajectory.t)) * fps / speed if len(trajectory.t) else 0.0
+    if n > MOST_PICTURES:
+        raise ModelError(f"The animation would have {n:.0f} pictures, more than {MOST_PICTURES}: take a greater speed.")
+    drawn = drawing(trajectory, lambda start, end: equal_times(start, end, fps / speed))
+    size = drawn.size
+    positions = np.array([*drawn.positions, *drawn.arrows.values()])
+    symbols = importlib.import_module("sympy").symbols(f"x:{3 * len(positions)}")
+    frame, origin = me.ReferenceFrame(""), me.Point("")
+    vectors = [
+        sum((s * axis for s, axis in zip(xyz, frame, strict=True)), me.Vector(0))
+        for xyz in zip(*[iter(symbols)] * 3, strict=True)
+    ]
+    # Strict only in one direction: behind the points stand the tips of the arrows.
+    points = [origin.locatenew(name, vector) for name, vector in zip(model.points, vectors, strict=False)]
+    figure = figures.Figure(figsize=(6.0, 6.0))
+    axes = figure.add_subplot(projection="3d")
+    scene = scenes.Scene3D(frame, origin, ax=axes, scale=0.1 * size)
+    for number, name, parent, body in drawn.points():
+        if parent is not None:
+            scene.add_line([points[parent], points[number]], color="black", linewidth=2.5)
+        if body is not None:
+            scene.add_point(points[number], color="tab:blue", markersize=6)
+        if name in traces:
+            scene.add_point_trace(points[number], color="tab:red", s=2)
+    for number, tip in zip(drawn.arrows, vectors[len(points) :], strict=True):
+        scene.add_vector(tip - vectors[number], points[number], color="tab:orange", mutation_scale=15)
+    scene.lambdify_system(symbols)
+    scene.evaluate_system(*positions[:, :, 0].ravel())
+    scene.plot(prettify=False)
+    low, high = positions.min(axis=(0, 2)), positions.max(axis=(0, 2))
+    middle = (low + high) / 2
+    for i, name in enumerate("xyz"):
+        getattr(axes, f"set_{name}lim")(middle[i] - 0.55 * size, middle[i] + 0.55 * size)
+    axes.set_aspect("equal")
+    axes.set_proj_type("ortho")
+    axes.set_box_aspect((1.0, 1.0, 1.0), zoom=1.6)
+    axes.set_axis_off()
+    if drawn.is_planar:
+        axes.view_init(elev=90.0, azim=-90.0)
+    animation: FuncAnimation = scene.animate(
+        lambda i: tuple(positions[:, :, i].ravel()), positions.shape[2], interval=1000.0 / fps, blit=False
+    )
+    return animation
+
+
+def write_animation(trajectory: Trajectory, path: Path, kind: str) -> None:
+    """Write an animation to a file, whose name ends like its kind, as a GIF or an MP4."""
+    animations = _imported("matplotlib.animation", "Animations")
+    name = {"gif": "pillow", "mp4": "ffmpeg"}[kind]
+    if not animations.writers.is_available(name):
+        raise ModelError(f"{kind.upper()} needs {name}, which is not installed.")
+    animation = animate(trajectory, fps=FPS, speed=1.0, traces=())
+    from tqdm import tqdm
+
+    with tqdm(desc=f"{trajectory.model.name}, {kind.upper()}", unit="picture", delay=PATIENCE, disable=None) as bar:
+
+        def advance(_: int, total: int) -> None:
+            bar.total = total
+            bar.update()
+
+        animation.save(path, writer=animations.writers[name](fps=FPS), progress_callback=advance)

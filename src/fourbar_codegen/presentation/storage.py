@@ -1,0 +1,346 @@
+"""Trajectories as data that travel: datasets of xarray, NetCDF and NPZ files, and back."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import struct
+import sys
+from collections.abc import Callable, Mapping
+from hashlib import sha256
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
+from zipfile import is_zipfile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourbar_codegen.errors import FourbarError, ModelError
+from fourbar_codegen.files import path_of
+from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.results.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    import xarray
+
+__all__ = ["attributes", "read_trajectory", "to_dataset", "versions", "write_netcdf", "write_npz"]
+
+Floats = NDArray[np.float64]
+
+ATTRIBUTES = "run_attributes"
+"""Name of the array of an NPZ file that holds what is not an array, as JSON."""
+
+SEAL = b"fourbar_codegen SHA-256 "
+"""Stands behind a NetCDF file, before the digest of all that is before it. HDF5 does not read what is behind its end,
+but may read what is damaged for ever."""
+
+MOST_COMPRESSED = 1100
+"""No more bytes come of one in a file: zlib's limit is 1032."""
+
+
+def versions() -> dict[str, str]:
+    """Of this package and what it computes with, as far as they are installed."""
+    found = {}
+    for name in ("fourbar_codegen", "numpy", "scipy", "sympy"):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def attributes(trajectory: Trajectory) -> dict[str, Any]:
+    """What it takes to make a run again, and how it ended."""
+    model = trajectory.model
+    values = list(model.defaults.values()) if trajectory.parameters is None else trajectory.parameters.tolist()
+    return {
+        "model": model.name,
+        "fingerprint": model.manifest["fingerprint"],
+        "parameters": dict(zip(model.parameters, values, strict=True)),
+        "settings": dict(trajectory.settings),
+        "versions": versions(),
+        **{name: getattr(trajectory, name) for name in ("nfev", "njev", "nlu", "status", "success", "message")},
+    }
+
+
+def to_dataset(trajectory: Trajectory) -> xarray.Dataset:
+    """A trajectory as a dataset; see `Trajectory.to_xarray`."""
+    try:
+        import xarray
+    except ImportError as error:
+        raise ModelError("Datasets need xarray: pip install 'fourbar_codegen[data]'.") from error
+    model = trajectory.model
+    described = (
+        (model.coordinates, trajectory.q, "coordinate"),
+        (model.speeds, trajectory.u, "speed"),
+        (model.inputs, trajectory.r, "input"),
+        (model.outputs, trajectory.outputs, "output"),
+    )
+    variables = {
+        name: ("time", values, {"kind": kind})
+        for names, rows, kind in described
+        for name, values in zip(names, rows, strict=True)
+    }
+    taken = {"time", "constraint", "row", "point", "forced_point", "axis"} & set(variables)
+    if taken:
+        raise ModelError(
+            f"A dataset has a place of its own for {', '.join(taken)}: name the state or output otherwise."
+        )
+    more = {
+        "constraint_residual": (("constraint", "time"), trajectory.constraint_residual, {}),
+        "velocity_residual": (("row", "time"), trajectory.velocity_residual, {}),
+        "multiplier": (("row", "time"), trajectory.multipliers, {}),
+        "kinetic_energy": ("time", trajectory.kinetic_energy, {"units": "J"}),
+        "potential_energy": ("time", trajectory.potential_energy, {"units": "J"}),
+        "position": (
+            ("point", "axis", "time"),
+            np.reshape(list(trajectory.points.values()), (len(model.points), 3, len(trajectory.t))),
+            {"units": "m"},
+        ),
+        "force": (
+            ("forced_point", "axis", "time"),
+            np.reshape(list(trajectory.forces.values()), (len(model.forced_points), 3, len(trajectory.t))),
+            {"units": "N"},
+        ),
+    }
+    described_by = {
+        name: json.dumps(value) if isinstance(value, Mapping) else int(value) if isinstance(value, bool) else value
+        for name, value in attributes(trajectory).items()
+    }
+    return xarray.Dataset(
+        {**variables, **{name: value for name, value in more.items() if name not in variables}},
+        coords={
+            "time": ("time", trajectory.t, {"units": "s"}),
+            "point": list(model.points),
+            "forced_point": list(model.forced_points),
+            "axis": ["x", "y", "z"],
+        },
+        attrs=described_by,
+    )
+
+
+def _require_h5netcdf() -> None:
+    for name in ("xarray", "h5netcdf", "h5py"):
+        if find_spec(name) is None:
+            raise ModelError(f"NetCDF needs {name}: pip install 'fourbar_codegen[data]'.")
+
+
+def write_netcdf(trajectory: Trajectory, file: IO[bytes]) -> None:
+    """A trajectory as NetCDF 4, by h5netcdf."""
+    dataset = to_dataset(trajectory)
+    _require_h5netcdf()
+    import h5netcdf
+    from xarray.backends import H5NetCDFStore
+
+    # With checksums, which are NetCDF's own: damaged numbers are not read as others.
+    numbers = (name for name, array in dataset.variables.items() if array.dtype == float and array.size)
+    summed = {name: {"fletcher32": True} for name in numbers}
+    # In memory, where no write fails: HDF5 may end the process when it closes a file that it could not write.
+    memory = io.BytesIO()
+    try:
+        with h5netcdf.File(memory, "w") as held:
+            dataset.dump_to_store(H5NetCDFStore(held), encoding=summed)
+    except ValueError as error:  # names of outputs may be anything
+        raise ModelError(f"NetCDF cannot hold this trajectory: {error}.") from error
+    content = memory.getbuffer()
+    file.write(content)
+    file.write(SEAL + sha256(content).digest())
+
+
+def write_npz(trajectory: Trajectory, file: IO[bytes]) -> None:
+    """A trajectory as NumPy's arrays by name, and the rest as JSON."""
+    arrays: dict[str, Any] = dict(trajectory.columns())
+    if ATTRIBUTES in arrays:
+        raise ModelError(f"NPZ files have a place of their own for {ATTRIBUTES}: name the state or output otherwise.")
+    arrays[ATTRIBUTES] = np.array(json.dumps(attributes(trajectory)))
+    np.savez(file, **arrays)
+
+
+def read_trajectory(path: str | Path, model: Kernel | None, find: Callable[[str, str], Kernel | None]) -> Trajectory:
+    """A trajectory that was saved; see `fourbar_codegen.load_trajectory`.
+
+    Parameters
+    ----------
+    path : str or Path
+    model : Kernel or None
+        The model that was run.
+    find : callable
+        Where none is given: the model of a name and fingerprint, or None.
+    """
+    path = path_of(path)
+    reader = _READERS.get(path.suffix.lower())
+    if reader is None:
+        raise ModelError(f"Trajectories are read from {' and '.join(_READERS)} files; {path.name!r} ends otherwise.")
+    try:
+        if not path.is_file():
+            raise ModelError(f"{path} cannot be read: there is no such file.")
+        attributes, columns = reader(path)
+    except ModelError:
+        raise
+    except OSError as error:
+        raise ModelError(f"{path} cannot be read: {error.strerror or error}.") from error
+    except Exception as error:  # whatever the libraries that read it find in a damaged file
+        raise _unreadable(path, error) from error
+    try:
+        name, fingerprint = (_entry(attributes, key, str) for key in ("model", "fingerprint"))
+        model = find(name, fingerprint) if model is None else model
+        if model is None:
+            raise ModelError(
+                f"{path} is a run of the model {name!r} with the fingerprint {fingerprint[:16]!r}, which neither comes "
+                "with the package, nor was installed from a wheel, nor is in the cache of this machine: pass it, as "
+                f"load_trajectory({str(path)!r}, model=compile_model(...)), or model=load(...) with the path of the "
+                "module that build_model made."
+            )
+        if fingerprint != model.manifest["fingerprint"]:
+            raise ModelError(
+                f"{path} is a run of another model, {name!r} with the fingerprint {fingerprint[:16]!r}: {model.name} "
+                f"has {model.manifest['fingerprint'][:16]}. Give the model that was run as model=."
+            )
+        return _trajectory(model, attributes, columns)
+    except FourbarError:
+        raise
+    except (KeyError, ValueError) as error:
+        raise _unreadable(path, error) from error
+
+
+def _unreadable(path: Path, error: Exception) -> ModelError:
+    reason = f"{error} is missing" if isinstance(error, KeyError) else str(error) or type(error).__name__
+    return ModelError(f"{path} holds no trajectory that fourbar_codegen has saved: {reason}.")
+
+
+def _trajectory(model: Kernel, attributes: Mapping[str, Any], columns: Mapping[str, Any]) -> Trajectory:
+    """What was read, or a KeyError or ValueError that says what is wrong with it."""
+    t = _column(columns, "t")
+    steps = np.diff(t)
+    if not np.isfinite(t).all() or not ((steps >= 0).all() or (steps <= 0).all()):
+        raise ValueError("its times are not finite, or do not go in one direction")
+    parameters, settings = (_entry(attributes, key, dict) for key in ("parameters", "settings"))
+    _entry(settings, "constraints", str)
+    values = [_number(parameters, name) for name in model.parameters]
+    rows = {name: _column(columns, name) for name in (*model.states, *model.inputs)}
+    for name, row in rows.items():
+        if row.shape != t.shape:
+            raise ValueError(f"its {name} has {len(row)} values for {len(t)} times")
+    return Trajectory(
+        model=model,
+        parameters=np.array(values, dtype=float),
+        t=t,
+        y=np.reshape([rows[name] for name in model.states], (model.n_x, len(t))),
+        r=np.reshape([rows[name] for name in model.inputs], (model.n_r, len(t))),
+        sol=None,
+        t_events=None,
+        y_events=None,
+        settings=settings,
+        inputs=None,
+        success=_entry(attributes, "success", bool),
+        message=_entry(attributes, "message", str),
+        **{key: _entry(attributes, key, int) for key in _COUNTS},
+    )
+
+
+def _entry(attributes: Mapping[str, Any], key: str, kind: type) -> Any:
+    value = attributes[key]
+    # NetCDF has no larger integers.
+    if type(value) is not kind or (isinstance(value, int) and abs(value) >= 2**63):
+        raise ValueError(f"its {key} is no {kind.__name__}")
+    return value
+
+
+def _number(parameters: Mapping[str, Any], name: str) -> float:
+    value = parameters[name]
+    # An int may be too large for a float.
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
+        raise ValueError(f"its parameter {name} is no finite number")
+    return float(value)
+
+
+def _column(columns: Mapping[str, Any], name: str) -> Floats:
+    values = np.asarray(columns[name])
+    if values.dtype.kind not in "fiu" or values.ndim != 1:
+        raise ValueError(f"its {name} is no row of real numbers, but {values.dtype} of shape {values.shape}")
+    return np.ascontiguousarray(values, dtype=float)
+
+
+_Read = tuple[Mapping[str, Any], Mapping[str, Any]]
+
+
+def _read_npz(path: Path) -> _Read:
+    with path.open("rb") as opened:
+        if not is_zipfile(opened):  # in which case NumPy would give advice about pickles
+            raise ModelError(f"{path} is no NPZ file, or a damaged one.")
+        with np.load(opened, allow_pickle=False) as file:
+            arrays = dict(file)
+    return _parsed(str(arrays[ATTRIBUTES])), arrays
+
+
+def _read_netcdf(path: Path) -> _Read:
+    _require_h5netcdf()
+    import h5netcdf
+
+    content = path.read_bytes()
+    end = len(content) - len(SEAL) - sha256().digest_size
+    if content[end:].startswith(SEAL) and content[end + len(SEAL) :] != sha256(content[:end]).digest():
+        raise ModelError(f"{path} is damaged, or another program has changed it: its digest is another one.")
+    _require_whole_heaps(content)
+    _require_own_data(io.BytesIO(content))
+    most = MOST_COMPRESSED * len(content)
+    with h5netcdf.File(io.BytesIO(content), "r") as file:
+        attributes = dict(file.attrs)
+        variables = {name: v for name, v in file.variables.items() if v.dimensions == ("time",)}
+        for name, variable in variables.items():
+            if variable.shape[0] * variable.dtype.itemsize > most:  # HDF5 fills what is not there
+                raise ValueError(f"its {name} claims {variable.shape[0]} values, for which the file is too small")
+        columns = {name: variable[...] for name, variable in variables.items()}
+    columns["t"] = columns.pop("time")
+    for name in ("parameters", "settings"):
+        attributes[name] = _parsed(attributes[name])
+    attributes["success"] = bool(attributes["success"])
+    attributes.update({name: int(attributes[name]) for name in _COUNTS})
+    return attributes, columns
+
+
+def _require_whole_heaps(content: bytes) -> None:
+    """Raise a ValueError if a heap of texts is damaged: HDF5 2.0 may go through its objects for ever.
+
+    Source: The HDF Group, *HDF5 File Format Specification Version 3.0*, section III.E, disk format of global heaps.
+    """
+    header = struct.Struct("<H6xQ")  # an object's index, and its size; that of free space, index 0, with the header
+    for heap in re.finditer(rb"GCOL\x01", content):
+        place = heap.start() + header.size
+        end = heap.start() + int.from_bytes(content[heap.start() + 8 : place], "little")
+        length = header.size
+        while place + header.size <= end <= len(content) and length >= header.size:
+            index, size = header.unpack_from(content, place)
+            length = header.size + (size + 7) // 8 * 8 if index else size
+            place += length
+        if length < header.size or not place <= end <= len(content):
+            raise ValueError("the heap of its texts is damaged")
+
+
+def _require_own_data(file: IO[bytes]) -> None:
+    """Raise a ValueError if a variable is in another file: HDF5 would read whatever is there."""
+    import h5py
+
+    with h5py.File(file, "r") as opened:
+        for name in opened:
+            link = opened.get(name, getlink=True)
+            if not isinstance(link, h5py.HardLink):
+                raise ValueError(f"its {name} is a link to another place")
+            entry = opened[name]
+            if isinstance(entry, h5py.Dataset) and (entry.is_virtual or entry.external):
+                raise ValueError(f"its {name} is in another file")
+
+
+def _parsed(text: str) -> dict[str, Any]:
+    value = json.loads(text)
+    if not isinstance(value, dict):
+        raise ValueError(f"where names and values should be, there is {type(value).__name__}")
+    return value
+
+
+_COUNTS = ("nfev", "njev", "nlu", "status")
+
+_READERS: dict[str, Callable[[Path], _Read]] = {".nc": _read_netcdf, ".npz": _read_npz}

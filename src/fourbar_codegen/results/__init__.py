@@ -1,0 +1,1 @@
+"""What simulations give: data, and the doors to files and figures."""

@@ -1,0 +1,439 @@
+"""Trajectory: the result of a simulation, with SciPy's names."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fourbar_codegen.arguments import name_of, sample_times
+from fourbar_codegen.errors import ModelError
+from fourbar_codegen.files import path_of, replacing
+from fourbar_codegen.kernel.kernel import Kernel
+
+if TYPE_CHECKING:
+    import xarray
+    from matplotlib.animation import FuncAnimation
+    from matplotlib.figure import Figure
+
+
+__all__ = ["Trajectory", "check_ending"]
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Trajectory:
+    """States over time.
+
+    Attributes
+    ----------
+    t : ndarray, shape (n_t,)
+        Times, s.
+    y : ndarray, shape (n_x, n_t)
+        States in columns: coordinates, then speeds.
+    r : ndarray, shape (n_r, n_t)
+        Inputs in columns.
+    sol : callable or None
+        Interpolant of the state, if ``dense_output`` was asked for.
+    t_events, y_events : list of ndarray or None
+        Times and states of each event.
+    nfev, njev, nlu : int
+        Numbers of evaluations of the right-hand side and its Jacobian, and of factorizations.
+    status : int
+        0: the end was reached; 1: a terminal event; -1: the integrator failed.
+    success : bool
+    message : str
+        Why it ended.
+    model : Kernel
+    parameters : ndarray or None
+        The parameter values, if they are not the defaults.
+    settings : dict
+        How the run was asked for: method, t_span, rtol, atol, constraints and what else it had.
+    inputs : mapping or None
+        The inputs' sources as they were given, in copies; None of a run that was read from a file.
+
+    Examples
+    --------
+    >>> import fourbar_codegen as fb
+    >>> trajectory = fb.load("four_bar").simulate((0.0, 1.0), t_eval=[0.0, 0.5, 1.0])
+    >>> trajectory["q1"].shape, trajectory.q.shape, trajectory.energy.shape
+    ((3,), (3, 3), (3,))
+    """
+
+    model: Kernel
+    parameters: Floats | None
+    t: Floats
+    y: Floats
+    r: Floats
+    sol: Callable[[Any], Floats] | None
+    t_events: list[Floats] | None
+    y_events: list[Floats] | None
+    nfev: int
+    njev: int
+    nlu: int
+    status: int
+    success: bool
+    message: str
+    settings: Mapping[str, Any]
+    inputs: Mapping[Any, Any] | None
+
+    @property
+    def q(self) -> Floats:
+        """Generalized coordinates, shape (n_q, n_t)."""
+        return self.y[: self.model.n_q]
+
+    @property
+    def u(self) -> Floats:
+        """Generalized speeds, shape (n_u, n_t)."""
+        return self.y[self.model.n_q :]
+
+    def __getitem__(self, name: Any) -> Floats:
+        """A coordinate, speed, input or output over time, by name or SymPy symbol, shape (n_t,)."""
+        model = self.model
+        for names, rows in ((model.states, "y"), (model.inputs, "r"), (model.outputs, "outputs")):
+            if name_of(name) in names:
+                values: Floats = getattr(self, rows)[names.index(name_of(name))]
+                return values
+        names = (*model.states, *model.inputs, *model.outputs)
+        raise ModelError(f"There is no state, input or output {name_of(name)!r}; there are {', '.join(names)}.")
+
+    @cached_property
+    def _derived(self) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+        return self.model.along(self.t, self.y, self.r, self.parameters)
+
+    @property
+    def constraint_residual(self) -> Floats:
+        """By how much constraints are violated, shape (n, n_t), in their units.
+
+        Phi of those on positions, n_h rows; then J u + b of those on velocities alone, which are no rates of these.
+        """
+        positions, velocities, *_ = self._derived
+        return np.concatenate((positions, velocities[self.model.manifest["velocity_rows"]]))
+
+    @property
+    def residual_label(self) -> str:
+        """What `constraint_residual` is called where it is shown."""
+        return "Constraint residual" if self.model.manifest["velocity_rows"] else "Loop residual"
+
+    @property
+    def velocity_residual(self) -> Floats:
+        """Residuals of the velocity constraints, J u + b, shape (n_c, n_t), in the constraints' units per second."""
+        return self._derived[1]
+
+    @cached_property
+    def _drawing(self) -> list[Floats]:
+        return self.model.drawing_along(self.t, self.y, self.r, self.parameters)
+
+    @property
+    def points(self) -> dict[str, Floats]:
+        """Positions of the mechanism's points over time, by name, m, each of shape (3, n_t).
+
+        They are those of the System's own points, from its fixed point, along the axes of its frame.
+        """
+        return dict(zip(self.model.points, self._drawing[0], strict=True))
+
+    @property
+    def forces(self) -> dict[str, Floats]:
+        """The inputs' forces over time, by the name of the point that they act on, N, each of shape (3, n_t).
+
+        Along the axes of the System's frame; the sum of those loads at a point that depend on an input.
+        """
+        return dict(zip(self.model.forced_points, self._drawing[1], strict=True))
+
+    @property
+    def kinetic_energy(self) -> Floats:
+        """Kinetic energy, J, shape (n_t,)."""
+        values: Floats = self._derived[2][0]
+        return values
+
+    @property
+    def potential_energy(self) -> Floats:
+        """Potential energy, J, shape (n_t,); NaN where the model does not know it."""
+        values: Floats = self._derived[2][1]
+        return values
+
+    @property
+    def energy(self) -> Floats:
+        """Kinetic plus potential energy, J, shape (n_t,)."""
+        return self.kinetic_energy + self.potential_energy
+
+    @property
+    def multipliers(self) -> Floats:
+        """Multipliers of the constraints, shape (n_c, n_t); NaN in singular positions."""
+        return self._derived[3]
+
+    @property
+    def outputs(self) -> Floats:
+        """Outputs, shape (n_o, n_t); NaN in singular positions."""
+        return self._derived[4]
+
+    def resample(self, times: ArrayLike) -> Trajectory:
+        """The same run at other times, for pictures and tables.
+
+        States are those of ``sol`` where there is one; otherwise of cubic Hermite polynomials through the stored states
+        and their rates, whose error goes with the fourth power of the distance between these. Either are moved onto the
+        constraints if the run's are. Inputs come from their sources; of a run that was read from a file, those that are
+        not their expressions are interpolated linearly, and where one of these prescribes a motion, states stay as they
+        are.
+
+        Parameters
+        ----------
+        times : array_like, shape (n,)
+            Within the run, in its direction, s.
+
+        Returns
+        -------
+        Trajectory
+
+        Raises
+        ------
+        ModelError
+            If there are no times, they are not sorted, or they lie outside the run; or the run has no states.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> coarse = fb.load("four_bar").simulate((0.0, 1.0))
+        >>> coarse.resample([0.0, 0.25, 0.5]).y.shape
+        (6, 3)
+        """
+        from scipy.interpolate import CubicHermiteSpline
+
+        from fourbar_codegen.kernel.inputs import along
+
+        if not len(self.t):
+            raise ModelError("The run has no states.")
+        times = sample_times(times, self.t[0], self.t[-1], "times")
+        ode, prescribed = along(self.model, self.parameters, self.t, self.r, self.inputs)
+        stored, places = np.unique(self.t, return_index=True)  # an event at the beginning is stored beside it
+        if self.sol is not None:
+            states = np.asarray(self.sol(times))
+        elif len(stored) == 1:
+            states = np.repeat(self.y[:, :1], len(times), axis=1)
+        elif not np.isfinite(self.y).all():
+            raise ModelError("Some of the states are not numbers: there is nothing to interpolate between.")
+        else:
+            rates = [ode(t, x) for t, x in zip(stored, self.y.T[places], strict=True)]
+            states = CubicHermiteSpline(stored, self.y.T[places], np.reshape(rates, (len(stored), -1)))(times).T
+        if self.settings["constraints"] == "project" and self.model.manifest["can_project"] and not prescribed:
+            states = np.reshape([ode.project(t, x) for t, x in zip(times, states.T, strict=True)], states.T.shape).T
+        return replace(self, t=times, y=states, r=ode.inputs_along(times, states))
+
+    def columns(self) -> dict[str, Floats]:
+        """Everything over time by name, each of shape (n_t,): t, states, inputs, outputs, residuals, energies."""
+        columns = {"t": self.t, **dict(zip(self.model.states, self.y, strict=True))}
+        columns.update(zip(self.model.inputs, self.r, strict=True))
+        columns.update(zip(self.model.outputs, self.outputs, strict=True))
+        columns.update({f"constraint_residual_{i}": row for i, row in enumerate(self.constraint_residual, start=1)})
+        columns["kinetic_energy"] = self.kinetic_energy
+        columns["potential_energy"] = self.potential_energy
+        return columns
+
+    def to_xarray(self) -> xarray.Dataset:
+        """The trajectory as a dataset of xarray, which needs the extra ``data``.
+
+        Returns
+        -------
+        xarray.Dataset
+            Over ``time`` (s) a variable for each coordinate, speed, input and output, by name; residuals, multipliers,
+            energies (J), the points' positions (m) and the inputs' forces on them (N). Its attributes are what it takes
+            to make the run again: model and fingerprint, parameters, settings and versions, the latter three as JSON;
+            and how it ended.
+
+        Raises
+        ------
+        ModelError
+            If xarray is not installed.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> dataset = fb.load("four_bar").simulate((0.0, 1.0), t_eval=[0.0, 0.5, 1.0]).to_xarray()
+        >>> dataset["q1"].sel(time=0.5).shape, dataset["position"].dims
+        ((), ('point', 'axis', 'time'))
+        """
+        from fourbar_codegen.presentation.storage import to_dataset
+
+        return to_dataset(self)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the trajectory to a file.
+
+        Parameters
+        ----------
+        path : str or Path
+            Its ending tells the kind: ``.csv`` (a row for each time, all digits), ``.npz`` (NumPy, an array
+            for each name), ``.nc`` (NetCDF, as `to_xarray` has it; needs the extra ``data``), ``.html`` (an interactive
+            report), ``.png`` (a plot), ``.gif`` or ``.mp4`` (an animation); the last three need the extra ``visual``,
+            ``.mp4`` also FFmpeg. Missing folders are made. `load_trajectory` reads ``.npz`` and ``.nc``. Whatever goes
+            wrong, a file that was there stays as it was.
+
+        Returns
+        -------
+        Path
+
+        Raises
+        ------
+        ModelError
+            If it is no path, the ending is another one, the file cannot be written, or what it takes is missing.
+        """
+        path = path_of(path)
+        writer = check_ending(path)
+        try:
+            with replacing(path) as file:
+                writer(self, file)
+        except OSError as error:
+            raise ModelError(f"{path} cannot be written: {error.strerror or error}.") from error
+        return path
+
+    def animate(self, *, fps: float = 30.0, speed: float = 1.0, traces: Sequence[str] | None = None) -> FuncAnimation:
+        """Move the mechanism's points and the lines between them, by SymMePlot; needs the extra ``visual``.
+
+        Parameters
+        ----------
+        fps : float, optional
+            Pictures per second.
+        speed : float, optional
+            Seconds of the run that a second shows.
+        traces : sequence of str, optional
+            Names of points that leave a trace.
+
+        Returns
+        -------
+        matplotlib.animation.FuncAnimation
+            To be shown in a notebook by its ``to_jshtml()``, or to be saved; `save` does that for GIF and MP4.
+
+        Raises
+        ------
+        ModelError
+            If the extra is not installed, a trace's point does not exist, or no point's position is known.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> run = fb.load("four_bar").simulate((0.0, 1.0))
+        >>> animation = run.animate(traces=["P2"])  # doctest: +SKIP
+        """
+        from fourbar_codegen.presentation.figures import animate
+
+        return animate(self, fps=fps, speed=speed, traces=traces or ())
+
+    def plot(self) -> Figure:
+        """Coordinates, speeds, inputs, outputs (joint forces among them), multipliers, loop residual and energy.
+
+        Over time, one above the other; needs the extra ``visual``.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+
+        Raises
+        ------
+        ModelError
+            If Matplotlib is not installed.
+        """
+        from fourbar_codegen.presentation.figures import plot_trajectory
+
+        return plot_trajectory(self)
+
+    def plot_paths(self, points: Sequence[str] = ()) -> Figure:
+        """Draw the paths of points, such as coupler curves, and the mechanism as it begins; needs the extra ``visual``.
+
+        Parameters
+        ----------
+        points : sequence of str, optional
+            Names of the points; the mass centres that move otherwise.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+
+        Raises
+        ------
+        ModelError
+            If a point does not exist, there is nothing to draw, or Matplotlib is not installed.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> run = fb.load("four_bar").simulate((0.0, 1.0))
+        >>> figure = run.plot_paths(["link3_masscenter"])  # doctest: +SKIP
+        """
+        from fourbar_codegen.presentation.figures import plot_paths
+
+        return plot_paths(self, points)
+
+    def __repr__(self) -> str:
+        n, name = len(self.t), self.model.name
+        span = f"{self.t[0]:g} s to {self.t[-1]:g} s, {n} states" if n else "no states"
+        return f"<Trajectory of {name}: {span}, {self.nfev} evaluations; {self.message}>"
+
+    def _repr_html_(self) -> str:
+        from fourbar_codegen.presentation.report import run_rows
+        from fourbar_codegen.tables import table
+
+        return table("Trajectory", (), run_rows(self))
+
+
+def _write_csv(trajectory: Trajectory, file: IO[bytes]) -> None:
+    columns = trajectory.columns()
+    text = io.TextIOWrapper(file, encoding="utf-8", newline="")
+    writer = csv.writer(text)
+    writer.writerow(columns)
+    writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
+    text.detach()  # the file stays open
+
+
+def _write_npz(trajectory: Trajectory, file: IO[bytes]) -> None:
+    from fourbar_codegen.presentation.storage import write_npz
+
+    write_npz(trajectory, file)
+
+
+def _write_netcdf(trajectory: Trajectory, file: IO[bytes]) -> None:
+    from fourbar_codegen.presentation.storage import write_netcdf
+
+    write_netcdf(trajectory, file)
+
+
+def _write_png(trajectory: Trajectory, file: IO[bytes]) -> None:
+    trajectory.plot().savefig(file, dpi=120, format="png")
+
+
+def _write_html(trajectory: Trajectory, file: IO[bytes]) -> None:
+    from fourbar_codegen.presentation.report import report_text
+
+    file.write(report_text(trajectory).encode("utf-8"))
+
+
+def _write_animation(trajectory: Trajectory, file: IO[bytes], kind: str) -> None:
+    from fourbar_codegen.presentation.figures import write_animation
+
+    write_animation(trajectory, Path(file.name), kind)
+
+
+_WRITERS: dict[str, Callable[[Trajectory, IO[bytes]], None]] = {
+    ".csv": _write_csv,
+    ".npz": _write_npz,
+    ".nc": _write_netcdf,
+    ".html": _write_html,
+    ".png": _write_png,
+    ".gif": partial(_write_animation, kind="gif"),
+    ".mp4": partial(_write_animation, kind="mp4"),
+}
+
+
+def check_ending(path: Path) -> Callable[[Trajectory, IO[bytes]], None]:
+    """What writes a file with the ending of the path, or a ModelError."""
+    writer = _WRITERS.get(path.suffix.lower())
+    if writer is None:
+        raise ModelError(f"A trajectory is saved as {', '.join(_WRITERS)}; {path.name!r} ends otherwise.")
+    return writer

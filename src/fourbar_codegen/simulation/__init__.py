@@ -1,0 +1,1 @@
+"""Motions: runs of all methods, events, jumps, singular positions, ensembles."""

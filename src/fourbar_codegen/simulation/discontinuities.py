@@ -1,0 +1,356 @@
+"""Jumps and kinks of what is given as a function of time: where they are, and what a jump of velocities does.
+
+Integrators assume that x' is smooth within a step. So a step ends where an input's table has a point, and where a
+condition of an expression changes (see `breakpoints`). Where the rate of a prescribed motion jumps, speeds jump with
+it: an impulse passes through the constraints, and through the bodies that the motion carries.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourbar_codegen.errors import SimulationError
+from fourbar_codegen.runtime.integrator import Ode, Table
+from fourbar_codegen.simulation.integration import Integration
+
+__all__ = ["Boundary", "Discontinuity", "Pieces", "boundary", "discontinuities", "jumps", "speeds_behind"]
+
+Floats = NDArray[np.float64]
+
+JUMP = 1e-9
+"""The share of their size by which values jump from one double to the next; less may be rounding errors."""
+
+STEADY = 10.0
+"""So many times the change from one double to the next, on either side, is none either: of large times these are far
+apart."""
+
+SAME = 4
+"""Times that differ by so many spacings of the latest one are the same but for rounding errors, and so are the sides of
+a condition there."""
+
+
+@dataclass(frozen=True)
+class Discontinuity:
+    """A time at which something has a jump or a kink.
+
+    Attributes
+    ----------
+    t, until : float
+        The time; or the first and last of several that differ by rounding errors.
+    moves : bool
+        Whether that may be a position or a velocity; forces otherwise, across which speeds are continuous.
+    rounding : float
+        By how much conditions may miss the time.
+    """
+
+    t: float
+    until: float
+    moves: bool
+    rounding: float
+
+
+@dataclass(frozen=True)
+class Boundary:
+    """How a run passes a discontinuity.
+
+    Attributes
+    ----------
+    end, begin : float
+        Where one step ends and the next one begins: the same, or where speeds jump next to each other.
+    last, first : float
+        The times up to which, and from which on, values belong to either side.
+    """
+
+    end: float
+    begin: float
+    last: float
+    first: float
+
+
+def discontinuities(ode: Ode, begin: float, end: float) -> list[Discontinuity]:
+    """Those between two times, both included, in order from one to the other.
+
+    Parameters
+    ----------
+    ode : Ode
+        With parameters and inputs bound.
+    begin, end : float
+
+    Returns
+    -------
+    list of Discontinuity
+    """
+    n_moves = ode.manifest["n_jumps"]
+    known = {t: number < n_moves for number, t in reversed(list(enumerate(ode.breakpoints().tolist())))}
+    for entry, source in zip(ode.manifest["inputs"], ode.sources, strict=True):
+        if isinstance(source, Table):
+            moves = source.jumps() if entry["order"] == 1 else np.zeros(len(source.times), dtype=bool)
+            for t, jumps in zip(source.times.tolist(), moves.tolist(), strict=True):
+                known[t] = known.get(t, False) or jumps
+    if not known:
+        return []
+    low, high = min(begin, end), max(begin, end)
+    within = sorted((t for t in known if low <= t <= high), reverse=end < begin)
+    latest = max(abs(t) for t in (begin, end, *within) if math.isfinite(t))
+    same = SAME * math.ulp(latest)
+    found: list[Discontinuity] = []
+    for t in within:
+        if found and abs(t - found[-1].until) <= same:
+            found[-1] = Discontinuity(found[-1].t, t, found[-1].moves or known[t], same)
+        else:
+            found.append(Discontinuity(t, t, known[t], same))
+    return found
+
+
+def boundary(ode: Ode, at: Discontinuity, towards: float, x: Floats) -> Boundary:
+    """How a run passes a discontinuity.
+
+    Where speeds jump, the value at its time belongs to one side, or to none: of tables to what is between their ends,
+    of a Piecewise to the branch whose condition holds, and that of SymPy's Heaviside is half of each.
+
+    Parameters
+    ----------
+    ode : Ode
+    at : Discontinuity
+    towards : float
+        Infinity, with the sign of the run's direction.
+    x : ndarray, shape (n_x,)
+        A state of the run before it.
+
+    Returns
+    -------
+    Boundary
+    """
+    rounding = math.copysign(at.rounding, towards)
+    before, behind = at.t - rounding, at.until + rounding
+    if at.moves:
+        prescribed = _Prescribed(ode, x)
+        for value, jumped in prescribed.velocities(before, behind):
+            if jumped.any():
+                if not np.isfinite(prescribed.inputs(at.t)).all():  # such as the slope of a root where that is zero
+                    return Boundary(before, behind, before, behind)
+                place = np.flatnonzero(jumped)[0]
+                to_left, to_right = (abs(value(at.t) - value(side))[place] for side in (before, behind))
+                end = at.t if to_left < JUMP * to_right else before
+                begin = at.until if to_right < JUMP * to_left else behind
+                return Boundary(end, begin, before, behind)
+    return Boundary(at.t, at.until, before, behind)
+
+
+def speeds_behind(ode: Ode, at: Boundary, x: Floats) -> Floats | None:
+    """The speeds behind a boundary, shape (n_u,); None where they do not jump.
+
+    With the kinetic energy T = u^T M u / 2 + m(q, t)^T u + T_0 and the constraints J u + b(q, t) = 0, jumps of m and b
+    at fixed positions give
+
+        M (u_+ - u_-) = -(m_+ - m_-) + J^T Lambda,    J (u_+ - u_-) = -(b_+ - b_-)
+
+    with the constraints' impulses Lambda: generalized momenta dT/du change by what the constraints transmit.
+
+    Parameters
+    ----------
+    ode : Ode
+    at : Boundary
+    x : ndarray, shape (n_x,)
+        The state before it.
+
+    Raises
+    ------
+    SimulationError
+        If positions jump: no finite force does that. Or if no speeds satisfy the constraints behind it.
+
+    Source: F. Pfeiffer, C. Glocker, *Multibody Dynamics with Unilateral Contacts*, Wiley, 1996, section 8.2.
+    """
+    prescribed = _Prescribed(ode, x)
+    for name in prescribed.jumping_positions(at.last, at.first):
+        raise SimulationError(
+            f"{name} jumps at t = {at.first:.9g}, which no finite force does: prescribe a continuous motion."
+        )
+    momentum, bias = (
+        np.where(jumped, value(at.first) - value(at.last), 0.0)
+        for value, jumped in prescribed.velocities(at.last, at.first)
+    )
+    if not (momentum.any() or bias.any()):
+        return None
+    mass_matrix, jacobian = prescribed.matrices(at.first)
+    # Each speed in units of its inertia, each constraint in units of its row.
+    speed = 1.0 / np.sqrt(_positive(np.diag(mass_matrix)))
+    row = 1.0 / _positive(np.linalg.norm(jacobian * speed, axis=1))
+    scaled = row[:, np.newaxis] * jacobian * speed
+    none = np.zeros((len(row), len(row)))
+    matrix = np.block([[speed[:, np.newaxis] * mass_matrix * speed, -scaled.T], [scaled, none]])
+    wanted = np.concatenate([-speed * momentum, -row * bias])
+    change = np.linalg.lstsq(matrix, wanted, rcond=None)[0][: len(speed)]
+    if (np.abs(scaled @ change + row * bias) > JUMP * np.abs(wanted).max()).any():
+        raise SimulationError(
+            f"The rates of prescribed motions jump at t = {at.first:.9g}, and no speeds satisfy the velocity "
+            "constraints behind it: the motions contradict each other."
+        )
+    found: Floats = x[ode.n_q :] + speed * change
+    return found
+
+
+def _positive(values: Floats) -> Floats:
+    return np.where(values > 0.0, values, 1.0)
+
+
+OfTime = Callable[[float], Floats]
+
+
+def _jumped(value: OfTime, size: Floats | float, before: float, behind: float) -> NDArray[np.bool_]:
+    """Which entries jump from one time to the next, and do not just go on."""
+    step = behind - before
+    earlier, at, then, later = (value(t) for t in (before - step, before, behind, behind + step))
+    jumped: NDArray[np.bool_] = np.abs(then - at) > JUMP * size + STEADY * (np.abs(at - earlier) + np.abs(later - then))
+    return jumped
+
+
+class _Prescribed:
+    """What time prescribes at a state, as functions of time."""
+
+    def __init__(self, ode: Ode, x: Floats) -> None:
+        self.ode, self.model, self.p, self.x = ode, ode.evaluator, ode.parameters, x
+        self.at_rest = np.concatenate([x[: ode.n_q], np.zeros(ode.n_x - ode.n_q)])
+
+    def inputs(self, t: float) -> Floats:
+        return self.ode.input_values(t, self.x)
+
+    def matrices(self, t: float) -> tuple[Floats, Floats]:
+        """M and J."""
+        r = self.inputs(t)
+        return self.model.dynamics(t, self.x, self.p, r)[1], self.model.velocity(t, self.x, self.p, r)[0]
+
+    def bias(self, t: float) -> Floats:
+        """What b is in J u + b = 0, shape (n_c,)."""
+        return self.model.velocity(t, self.x, self.p, self.inputs(t))[1]
+
+    def kinetic_energy(self, t: float, x: Floats) -> float:
+        return float(self.model.energy(t, x, self.p, self.inputs(t))[0])
+
+    def velocities(self, before: float, behind: float) -> list[tuple[OfTime, NDArray[np.bool_]]]:
+        """The momentum m that motions carry, shape (n_u,), and b; and which of their entries jump."""
+        mass = np.diag(self.matrices(behind)[0])
+        # T is nowhere negative: where nothing is carried, m is 0. With these speeds both parts of T weigh the same.
+        carried = max(self.kinetic_energy(t, self.at_rest) for t in (before, behind))
+        speeds = np.sqrt(2.0 * max(carried, 0.0) / np.where(mass > 0.0, mass, np.inf))
+
+        def momentum(t: float) -> Floats:
+            """The slope at u = 0 of T, which is of degree 2 in u."""
+            found = np.zeros(len(speeds))
+            for i in np.flatnonzero(speeds):
+                change = np.zeros(len(self.x))
+                change[self.ode.n_q + i] = speeds[i]
+                energies = [self.kinetic_energy(t, self.at_rest + sign * change) for sign in (1.0, -1.0)]
+                found[i] = (energies[0] - energies[1]) / (2.0 * speeds[i])
+            return found
+
+        measure = self.model.constraint_scale(behind, self.x, self.p, self.inputs(behind))[2]
+        sizes = ((momentum, mass * speeds), (self.bias, measure))
+        return [(value, _jumped(value, size, before, behind)) for value, size in sizes]
+
+    def jumping_positions(self, before: float, behind: float) -> list[str]:
+        """Names of what jumps among the motions, constraints and points."""
+        q, entries = self.x[: self.ode.n_q], self.ode.manifest["inputs"]
+        moving = {entry["of"] for entry in entries if entry["order"]}
+        places = [place for place, entry in enumerate(entries) if entry["name"] in moving]
+
+        def motions(t: float) -> Floats:
+            return self.inputs(t)[places]
+
+        def constraints(t: float) -> Floats:
+            return self.model.position(t, q, self.p, self.inputs(t))[0]
+
+        def points(t: float) -> Floats:
+            return self.model.drawing(t, self.x, self.p, self.inputs(t))[0].ravel()
+
+        jumped = _jumped(motions, np.abs(motions(before)) + np.abs(motions(behind)), before, behind)
+        names = [f"Input {entries[places[i]]['name']}" for i in np.flatnonzero(jumped)]
+        measure = self.model.constraint_scale(behind, self.x, self.p, self.inputs(behind))[0]
+        if _jumped(constraints, measure, before, behind).any():
+            names.append("A constraint")
+        if _jumped(points, np.abs(points(behind)).max(initial=0.0), before, behind).any():
+            names.append("The position of a point")
+        return names
+
+
+class Pieces:
+    """The pieces of a run from one discontinuity to the next: steps end there, and speeds may jump.
+
+    Parameters
+    ----------
+    ode : Ode
+    span : (float, float)
+    """
+
+    def __init__(self, ode: Ode, span: tuple[float, float]) -> None:
+        self._ode, self._span = ode, span
+        self._towards = math.copysign(math.inf, span[1] - span[0])
+        self._later = discontinuities(ode, *span)
+        self._next: tuple[Discontinuity, Boundary] | None = None
+
+    @property
+    def ahead(self) -> bool:
+        """Whether there is another piece behind the present one."""
+        return self._next is not None
+
+    def begin(self, run: Integration) -> None:
+        """Make the run end where its first piece does."""
+        t, x = run.t, run.x
+        if not self._later:
+            return
+        if self._later[0].t != t:
+            self._enter(run, t, -self._towards, x, jumps=False)
+            return
+        at = self._later.pop(0)
+        here = boundary(self._ode, at, self._towards, x)
+        if here.end == t != here.begin:  # the state at the beginning is one before the jump
+            self._next = at, here
+            run.enter(t, t, -self._towards, t)
+        else:
+            self._enter(run, t, here.first, x, jumps=False)
+
+    def go_on(self, run: Integration) -> bool:
+        """From the end of a piece to the next one; whether a state close by satisfies the constraints there.
+
+        Raises
+        ------
+        SimulationError
+            As `speeds_behind`.
+        """
+        assert self._next is not None
+        at, here = self._next
+        x, t, jumps = run.x, here.begin, here.begin != here.end
+        if at.moves:
+            speeds = speeds_behind(self._ode, here, x)
+            if speeds is not None:
+                x[self._ode.n_q :] = speeds
+                if not jumps:  # only here, not where the piece began
+                    t, jumps = here.first, True
+        return self._enter(run, t, here.first, x, jumps=jumps)
+
+    def _enter(self, run: Integration, t: float, first: float, x: Floats, *, jumps: bool) -> bool:
+        end, last, self._next = self._span[1], self._towards, None
+        if self._later:
+            at = self._later.pop(0)
+            here = boundary(self._ode, at, self._towards, x)
+            last = here.last
+            if here.end != self._span[1]:
+                self._next, end = (at, here), here.end
+        return run.enter(t, end, first, last, x if jumps else None)
+
+    def end(self, run: Integration) -> None:
+        """Let values be taken at all times again."""
+        run.ode.clock = self._span[0], -math.inf, math.inf
+
+
+def jumps(ode: Ode, begin: float, end: float, x: Floats) -> list[Boundary]:
+    """Where speeds jump between two times, for integrators that do not know of it; x is a state at the first one."""
+    found = discontinuities(ode, begin, end)
+    towards = math.copysign(math.inf, end - begin)
+    boundaries = [boundary(ode, at, towards, x) for at in found if at.moves]
+    return [at for at in boundaries if at.begin != at.end and end not in {at.end, at.begin} and begin != at.begin]

@@ -1,0 +1,291 @@
+"""Many runs at once: side by side in vectors, on all cores, or on those of an engine of joblib."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourbar_codegen.analysis.initial_state import initial_state
+from fourbar_codegen.arguments import flag, is_mapping, name_of, named_columns, numbers, one_of
+from fourbar_codegen.errors import AssemblyError, FourbarError, ModelError, shown
+from fourbar_codegen.kernel.consistency import is_rounded, projects
+from fourbar_codegen.kernel.inputs import bind, by_member, by_name, input_sources, inputs_of, is_by_member
+from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.progress import PATIENCE
+from fourbar_codegen.results.ensemble import Ensemble
+from fourbar_codegen.runtime.batch import DONE, Members, width
+from fourbar_codegen.simulation.batch import BLOCK, n_workers
+from fourbar_codegen.simulation.discontinuities import boundary, discontinuities
+from fourbar_codegen.simulation.integrate import REACHED_END
+from fourbar_codegen.simulation.options import METHODS, RunOptions
+from fourbar_codegen.simulation.simulate import simulate
+
+__all__ = ["run"]
+
+Floats = NDArray[np.float64]
+
+PAUSE = 0.05
+"""Seconds between two looks at how far the threads are."""
+
+
+def run(
+    model: Kernel,
+    x0: Any,
+    parameters: Any,
+    inputs: Any,
+    *,
+    workers: int | None,
+    parallel: Any,
+    progress: bool,
+    **given: Any,
+) -> Ensemble:
+    """Many runs at once; see `CompiledModel.ensemble`."""
+    one_of(given["method"], METHODS, "method for ensembles")
+    projects(model, given["constraints"])  # of one member, "baumgarte" is allowed as well
+    options = RunOptions.of(model, **given)
+    if options.t_eval is None:
+        options = replace(options, t_eval=np.array(options.t_span))
+    assert options.t_eval is not None
+    workers = n_workers(workers)
+    shows_bar = flag(progress, "progress")
+    if not (parallel is None or _is_engine(parallel)):
+        raise ModelError(f"parallel must be a joblib.Parallel or None, not {shown(parallel)}.")
+    # Arrays of one dimension have a number for each member.
+    inputs = {key: by_member(key, source) for key, source in by_name(model, inputs).items()}
+    p, states, n = _members(model, options.t_span[0], x0, parameters, inputs)
+    if n:
+        bind(model, p[0], inputs_of(inputs, 0))  # raises where an input has no source
+    runs = _Runs(model, options, states, p, inputs)
+    from tqdm import tqdm
+
+    # Silent where nobody watches: disable=None looks whether there is a terminal.
+    with tqdm(total=n, desc=model.name, unit="run", delay=PATIENCE, disable=None if shows_bar else True) as bar:
+        if parallel is None or not n:
+            y, success, messages, nfev = _on_threads(runs, workers, bar)
+        else:
+            y, success, messages, nfev = _on_engine(runs, parallel, bar)
+    return Ensemble(
+        model=model, t=options.t_eval, y=y, success=success, messages=messages, nfev=nfev, parameters=p, inputs=inputs,
+        settings=options.settings(),
+    )  # fmt: skip
+
+
+def _is_engine(parallel: object) -> bool:
+    """Whether it is a joblib.Parallel; without joblib, there is none."""
+    try:
+        from joblib import Parallel
+    except ImportError:
+        return False
+    return isinstance(parallel, Parallel)
+
+
+def _members(
+    model: Kernel, t: float, x0: Any, parameters: Any, inputs: Mapping[Any, Any]
+) -> tuple[Floats, Floats, int]:
+    """Parameters and initial states of all members, shapes (n, n_p) and (n, n_x), and n."""
+    p = named_columns(
+        _columns({} if parameters is None else parameters, "parameters", model.n_p),
+        model.parameters,
+        model.defaults,
+        "parameter",
+    )
+    x = None if x0 is None else named_columns(_columns(x0, "x0", model.n_x), model.states, {}, "state")
+    by_member = [key for key, source in inputs.items() if is_by_member(source)]
+    lengths = [(f"input {name_of(key)}", len(inputs[key])) for key in by_member]
+    lengths += [(w, len(rows.T)) for w, rows in (("parameters", p), ("x0", x)) if rows is not None and rows.ndim == 2]
+    if len({length for _, length in lengths}) > 1:
+        raise ModelError(
+            "All that is given for each member must have the same length: "
+            + ", ".join(f"{name} has {length}" for name, length in lengths)
+        )
+    n = lengths[0][1] if lengths else 1
+    for what, rows in (("parameters", p), ("x0", x)):
+        if rows is not None and not np.isfinite(rows).all():
+            raise ModelError(f"{what} must be finite.")
+    # Copies, also where a single row or column already lies as it is needed.
+    p = np.array(np.broadcast_to(p.T, (n, model.n_p)), order="C")
+    if x is not None:
+        return p, np.array(np.broadcast_to(x.T, (n, model.n_x)), order="C"), n
+    known: dict[bytes, Floats] = {}
+    states = np.empty((n, model.n_x))
+    for member in range(n):
+        key = p[member].tobytes() + b"".join(inputs[name][member].tobytes() for name in by_member)
+        if key not in known:
+            try:
+                known[key] = initial_state(model, t=t, parameters=p[member], inputs=inputs_of(inputs, member))
+            except AssemblyError as error:
+                raise AssemblyError(f"Member {member}: {error}", error.residual) from error
+        states[member] = known[key]
+    return p, states, n
+
+
+def _columns(given: Any, what: str, n: int) -> Any:
+    """Values by name, or those of members in rows, as columns."""
+    if is_mapping(given):
+        return given
+    values = numbers(given, what)
+    if not 1 <= values.ndim <= 2 or values.shape[-1] != n:
+        raise ModelError(f"{what} must have shape ({n},), or (members, {n}), not {values.shape}.")
+    return values.T
+
+
+def _sources(model: Kernel, inputs: Mapping[Any, Any], n: int) -> list[object]:
+    """For each input None, a Table, a callable, or an array with a value for each member."""
+    by_member = {name_of(key): value for key, value in inputs.items() if is_by_member(value)}
+    sources = input_sources(model, inputs_of(inputs, 0) if n else {})
+    for place, entry in enumerate(model.manifest["inputs"]):
+        if entry["of"] in by_member and not entry["order"]:
+            sources[place] = by_member[entry["of"]]
+    return sources
+
+
+Results = tuple[Floats, NDArray[np.bool_], tuple[str, ...], NDArray[np.int_]]
+"""States, success, messages and numbers of evaluations of all members."""
+
+
+@dataclass(frozen=True)
+class _Runs:
+    """What is to be run, members in rows, and how."""
+
+    model: Kernel
+    options: RunOptions
+    states: Floats
+    parameters: Floats
+    inputs: Mapping[Any, Any]
+
+    def of(self, member: int) -> RunOptions:
+        """Those of a member."""
+        inputs = inputs_of(self.inputs, member)
+        return replace(self.options, x0=self.states[member], parameters=self.parameters[member], inputs=inputs)
+
+    def block(self, members: slice) -> _Runs:
+        """Some of the members."""
+        inputs = inputs_of(self.inputs, members)
+        return replace(self, states=self.states[members], parameters=self.parameters[members], inputs=inputs)
+
+
+def _on_threads(runs: _Runs, workers: int, bar: Any) -> Results:
+    """Side by side those that can be, the others alone."""
+    model, options, states, n = runs.model, runs.options, runs.states, len(runs.states)
+    assert options.t_eval is not None
+    y: Floats | None = None
+    success, nfev, messages = np.zeros(n, dtype=bool), np.zeros(n, dtype=int), [REACHED_END] * n
+    stopped = threading.Event()
+
+    def check(_: float) -> None:
+        if stopped.is_set():
+            raise _StoppedError
+
+    def alone(member: int) -> None:
+        try:
+            found = simulate(model, replace(runs.of(member), progress=check))
+        except FourbarError as error:
+            messages[member] = str(error)
+            return
+        assert y is not None
+        y[member, :, : len(found.t)] = found.y
+        success[member], messages[member], nfev[member] = found.success, found.message, found.nfev
+
+    sources = _sources(model, runs.inputs, n)
+    called = any(map(callable, sources))
+    if not called:
+        model.require_lanes()
+    waiting = np.arange(n)
+    members = None
+    tasks: list[Future[None]] = []
+    # Callables may have a memory: they get no two members at once.
+    with ThreadPoolExecutor(1 if called else workers) as pool:
+        try:
+            breaks = _breaks(runs) if width(model) > 1 and not called else None
+            if breaks is not None:
+                moved = states.copy()
+                rtol, atol = (np.array(np.broadcast_to(value, model.n_x)) for value in (options.rtol, options.atol))
+                members = Members(
+                    model, options.method, *options.t_span, moved, runs.parameters, sources, options.max_step, rtol,
+                    atol, options.project, options.t_eval, breaks, options.max_steps or 0,
+                )  # fmt: skip
+                tasks = [pool.submit(members.run) for _ in range(min(workers, n))]
+                for _ in _finished(tasks):
+                    bar.update(members.n_ended - bar.n)
+                success = (members.status == DONE) & is_rounded(model.n_q, states, moved)
+                y, nfev = members.samples, members.n_evaluations
+                waiting = np.flatnonzero(~success)
+                y[waiting], nfev[waiting] = np.nan, 0
+            else:
+                y = np.full((n, model.n_x, len(options.t_eval)), np.nan)
+            bar.n = n - len(waiting)  # members that have to run again do not count twice
+            tasks = [pool.submit(alone, int(member)) for member in waiting]
+            for finished in _finished(tasks):
+                bar.update(finished)
+        except BaseException:
+            stopped.set()
+            if members is not None:
+                members.stop()
+            for task in tasks:
+                task.cancel()
+            raise
+    assert y is not None
+    return y, success, tuple(messages), nfev
+
+
+def _breaks(runs: _Runs) -> Floats | None:
+    """Where the steps of all members end, and the times up to which and from which on values belong to either side.
+
+    In rows. None where members do not end them at the same times, or velocities may jump.
+    """
+    begin, end = runs.options.t_span
+    by_parameters = runs.model.manifest["n_breakpoints"] > 0
+    alike = np.unique(runs.parameters, axis=0) if by_parameters else runs.parameters[:1]
+    found: list[Any] = []
+    for p in alike:
+        ode = bind(runs.model, p, inputs_of(runs.inputs, 0))
+        marks = discontinuities(ode, begin, end)
+        if any(mark.moves for mark in marks):
+            return None
+        sides = [boundary(ode, mark, math.copysign(math.inf, end - begin), runs.states[0]) for mark in marks]
+        found.append([(side.end, side.last, side.first) for side in sides])
+    if not found or any(breaks != found[0] for breaks in found):
+        return None
+    return np.reshape(np.array(found[0], dtype=float), (-1, 3)).T
+
+
+class _StoppedError(Exception):
+    """The user has interrupted all runs."""
+
+
+def _finished(tasks: Sequence[Future[None]]) -> Iterator[int]:
+    """Looks up now and then, also for an interrupt from the keyboard, until all tasks are done: how many more are."""
+    pending: Any = tasks
+    while pending:
+        done, pending = wait(pending, timeout=PAUSE)
+        for task in done:
+            task.result()
+        yield len(done)
+
+
+def _on_engine(runs: _Runs, parallel: Any, bar: Any) -> Results:
+    """By joblib, in blocks of members."""
+    from joblib import delayed
+
+    blocks = [slice(begin, begin + BLOCK) for begin in range(0, len(runs.states), BLOCK)]
+    tasks = (delayed(_block)(number, runs.block(members)) for number, members in enumerate(blocks))
+    parts: dict[int, Results] = {}
+    for number, part in parallel(tasks):  # in the order in which they come
+        parts[number] = part
+        bar.update(len(part[0]))
+    y, success, messages, nfev = zip(*(parts[number] for number in range(len(blocks))), strict=True)
+    return np.concatenate(y), np.concatenate(success), tuple(itertools.chain(*messages)), np.concatenate(nfev)
+
+
+def _block(number: int, runs: _Runs) -> tuple[int, Results]:
+    from tqdm import tqdm
+
+    return number, _on_threads(runs, 1, tqdm(disable=True))

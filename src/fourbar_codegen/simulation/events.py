@@ -1,0 +1,154 @@
+"""Events: what to find the times of, and how these are found in each step of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourbar_codegen.arguments import finite_number, name_of, number
+from fourbar_codegen.errors import ModelError, shown
+from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.simulation.integration import Integration
+
+__all__ = ["Event", "EventLike", "Watch", "events_of"]
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something to find the times of: where a function changes its sign.
+
+    Parameters
+    ----------
+    function : str or callable
+        The name of an output, which is evaluated in C; or a function of (t, x).
+    terminal : bool or int, optional
+        Whether the run ends with it; a number ends it with the event of that number.
+    direction : float, optional
+        Positive for changes from negative to positive alone, negative for the opposite ones, 0 for both.
+    """
+
+    function: str | Callable[[float, Floats], float]
+    terminal: bool | int = False
+    direction: float = 0.0
+
+    def __post_init__(self) -> None:
+        finite_number(self.direction, "an event's direction")
+        if not isinstance(self.terminal, int) or self.terminal < 0:
+            raise ModelError(
+                f"An event's terminal must be True, False or a number of events, not {shown(self.terminal)}."
+            )
+
+
+EventLike = Event | str | Callable[[float, Floats], float]
+
+
+def events_of(model: Kernel, events: object) -> list[Event] | None:
+    """What a run is given as events, checked."""
+    if events is None:
+        return None
+    watched = []
+    for event in events if isinstance(events, list | tuple) else [events]:
+        if not isinstance(event, Event):
+            given: Any = event
+            event = Event(given, getattr(given, "terminal", False), getattr(given, "direction", 0.0))
+        if not callable(event.function):
+            name = name_of(event.function)
+            if name not in model.outputs:
+                known = ", ".join(model.outputs) or "none"
+                raise ModelError(
+                    f"events must be callables of (t, x) or names of outputs ({known}), not {shown(event.function)}."
+                )
+            event = replace(event, function=name)
+        watched.append(event)
+    return watched
+
+
+class Watch:
+    """Events as ``solve_ivp`` has them: found between the ends of each step, by Brent's method on the interpolant."""
+
+    def __init__(self, model: Kernel, events: Sequence[Event]) -> None:
+        self.events = events
+        self.times: list[Any] = [[] for _ in events]
+        self.states: list[Any] = [[] for _ in events]
+        self.callables = [(i, e.function) for i, e in enumerate(events) if callable(e.function)]
+        self.named = [i for i, e in enumerate(events) if not callable(e.function)]
+        self.outputs = [
+            (model.outputs.index(events[i].function), int(np.sign(events[i].direction))) for i in self.named
+        ]
+        self.values = [0.0] * len(events)
+        self.went_on = np.nan
+        """Where the present piece of the run begins, behind another one."""
+
+    def begin(self, run: Integration) -> None:
+        """The functions' values at the beginning."""
+        for place, i in enumerate(self.named):
+            self.values[i] = run.event_values[1][place]
+        for i, function in self.callables:
+            self.values[i] = self._call(function, run.t, run.x)
+
+    def _call(self, function: Callable[[float, Floats], float], t: float, x: Floats) -> float:
+        return number(function(t, x), "What the callable of an event returns")
+
+    def look(self, run: Integration) -> float | None:
+        """Note the events of the last step; at which share of it the one is that ends the run."""
+        before = self._move_on(run)
+        for share, i in sorted((self._root(run, i, before[i]), i) for i in self._changed(before)):
+            if share == 0.0 and self.times[i] and self.times[i][-1] == self.went_on == run.time_within(share):
+                continue  # found where the piece before ended
+            if self._note(i, run.time_within(share), run.state_within(share)):
+                return share
+        return None
+
+    def across(self, run: Integration) -> bool:
+        """Note the events of a jump to the state that a run goes on from; whether one of them ends it."""
+        before, self.went_on = self._move_on(run), run.t
+        changed = [i for i in self._changed(before) if before[i] != self.values[i]]
+        ends = [self._note(i, run.t, run.x) for i in changed]
+        return any(ends)
+
+    def _move_on(self, run: Integration) -> list[float]:
+        """Evaluate the functions where the run is; their values before."""
+        before = list(self.values)
+        for place, i in enumerate(self.named):  # the steps between were not looked at
+            before[i] = run.event_values[0][place]
+        self.begin(run)
+        return before
+
+    def _changed(self, before: Sequence[float]) -> list[int]:
+        """The events whose functions have changed their sign."""
+        found = []
+        for i, event in enumerate(self.events):
+            up, down = before[i] <= 0.0 <= self.values[i], before[i] >= 0.0 >= self.values[i]
+            if (up and event.direction >= 0) or (down and event.direction <= 0):
+                found.append(i)
+        return found
+
+    def _note(self, i: int, t: float, x: Floats) -> bool:
+        """An event, and whether it ends the run."""
+        self.times[i].append(t)
+        self.states[i].append(x)
+        terminal = self.events[i].terminal
+        return bool(terminal) and len(self.times[i]) >= int(terminal)
+
+    def _root(self, run: Integration, i: int, before: float) -> float:
+        """The share of the last step at which a function is zero."""
+        from scipy.optimize import brentq
+
+        known = {0.0: before, 1.0: self.values[i]}
+
+        def value(share: float) -> float:
+            if share in known:
+                return known[share]
+            if i in self.named:
+                return float(run.event_values_within(share)[self.named.index(i)])
+            function: Any = self.events[i].function
+            return self._call(function, run.time_within(share), run.state_within(share))
+
+        precision = 4 * np.finfo(float).eps
+        return float(brentq(value, 0.0, 1.0, xtol=precision, rtol=precision))

@@ -1,0 +1,173 @@
+"""Runs of all methods: samples, events, discontinuities, dense output, and what there is to say at the end."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourbar_codegen.errors import SimulationError
+from fourbar_codegen.kernel.consistency import consistent
+from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.runtime.integrator import Ode, Run
+from fourbar_codegen.simulation.discontinuities import Pieces
+from fourbar_codegen.simulation.events import Watch
+from fourbar_codegen.simulation.integration import Integration
+from fourbar_codegen.simulation.options import FIXED_STEP, SOLVERS, RunOptions
+from fourbar_codegen.simulation.singularity import Singular
+
+__all__ = ["REACHED_END", "Result", "integrate"]
+
+Floats = NDArray[np.float64]
+
+PAUSE = 0.02
+"""Seconds after which a run in C looks up: for an interrupt from the keyboard, and to say how far it is."""
+
+REACHED_END = "The solver successfully reached the end of the integration interval."
+TERMINATED = "A termination event occurred."
+DIVERGED = "The equations of a step could not be solved: take a shorter max_step."
+FAILED = {
+    "too small": "Required step size is less than spacing between numbers.",
+    "infinite": "The step's length is not finite: give a finite end, or max_step.",
+    "open": "A step has opened the loops too far to be closed again: take smaller tolerances.",
+}
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a run gives; the names are those of ``solve_ivp``."""
+
+    t: Floats
+    y: Floats
+    sol: Callable[[Any], Floats] | None
+    t_events: list[Floats] | None
+    y_events: list[Floats] | None
+    nfev: int
+    njev: int
+    nlu: int
+    status: int
+    message: str
+    last: tuple[float, Floats]
+    """Time and state that were reached, whatever the times of the samples."""
+
+
+def integrate(
+    model: Kernel, ode: Ode, x0: Floats, options: RunOptions, progress: Callable[[float], object] | None
+) -> Result:
+    """Integrate from one time to another.
+
+    Parameters
+    ----------
+    model : Kernel
+    ode : Ode
+        The right-hand side; nothing else may use it during the run.
+    x0 : ndarray, shape (n_x,)
+    options : RunOptions
+    progress : callable of the time, or None
+
+    Returns
+    -------
+    Result
+    """
+    span, method, max_steps, t_eval = options.t_span, options.method, options.max_steps, options.t_eval
+    watch = Watch(model, options.events or ())
+    # ALI3P closes positions by itself, whatever is done with its states.
+    closes = options.project or (method == FIXED_STEP and model.manifest["can_project"])
+    start = consistent(ode, span[0], x0) if closes else x0
+    arguments = method, span[0], start, span[1], options.max_step, options.rtol, options.atol, options.project, t_eval
+    run: Integration
+    if method in SOLVERS:
+        from fourbar_codegen.simulation.solver_run import SolverRun
+
+        more = {} if options.formulation is None else {"formulation": options.formulation}
+        run = SolverRun(model, ode, *arguments, [place for place, _ in watch.outputs], more)
+    else:
+        run = Run(ode, *arguments, watch.outputs, bool(watch.callables) or options.dense_output)
+    run.begin()
+    watch.begin(run)
+    pieces = Pieces(ode, span)
+    pieces.begin(run)
+    dense: Any = run.dense_output() if options.dense_output else None  # which takes steps of this kind of run
+    samples: list[tuple[Floats, Floats]] = []
+    ending: tuple[int, str] | None = None
+    steps, noted = 16, time.perf_counter()
+    while ending is None:
+        begin = time.perf_counter()
+        reason = run.on(steps if max_steps is None else min(steps, max_steps - run.n_steps))
+        now = time.perf_counter()
+        if progress is not None and now - noted >= PAUSE:
+            progress(run.t)
+            noted = now
+        if reason == "event":
+            if run.turned:
+                samples.append(run.take_samples())
+                singular = Singular(model, run.ode, _passed(run, samples)).within_step(run)
+                if singular:
+                    run.discard()
+                    ending = -1, singular
+                    break
+            if dense is not None:
+                dense.add(run)
+            end = watch.look(run)
+            if end is not None:
+                run.stop_within(end)
+                ending = 1, TERMINATED
+        elif reason == "full":
+            samples.append(run.take_samples())
+        elif reason == "paused":
+            steps = round(min(max(steps * PAUSE / (now - begin), 1), 4 * steps))
+            if run.n_steps == max_steps:
+                ending = -1, f"It has taken max_steps = {max_steps} steps; None is no limit."
+        elif reason == "end":
+            if not pieces.ahead:
+                ending = 0, REACHED_END
+                continue
+            samples.append(run.take_samples())
+            try:
+                closed = pieces.go_on(run)
+            except SimulationError as error:
+                ending = -1, str(error)
+            else:
+                ending = (1, TERMINATED) if watch.across(run) else None if closed else (-1, FAILED["open"])
+        elif reason == "diverged":
+            ending = -1, run.ode.failure or DIVERGED
+        else:
+            samples.append(run.take_samples())
+            at = Singular(model, run.ode, _passed(run, samples))
+            singular = at.here(run.t, run.x, collapsed=reason == "collapsed")
+            if singular or reason != "collapsed":
+                ending = -1, singular or run.ode.failure or FAILED.get(reason, reason)
+    status, message = ending
+    while run.on(0) == "full":
+        samples.append(run.take_samples())
+    samples.append(run.take_samples())
+    pieces.end(run)
+    if status < 0:
+        message = f"The integration stopped at t = {run.t:.9g}: {message}"
+    t = np.concatenate([times for times, _ in samples])
+    y = np.concatenate([states for _, states in samples]).T
+    if dense is not None and t_eval is None and t.size > 1 and t[-1] == t[-2]:
+        t, y = t[:-1], y[:, :-1]  # an event where a step begins; SciPy leaves that time away as well, beside `sol`
+    return Result(
+        t=t,
+        y=y,
+        sol=dense or None,  # without a step there is nothing between states
+        t_events=None if options.events is None else [np.array(times) for times in watch.times],
+        y_events=None if options.events is None else [np.array(states) for states in watch.states],
+        nfev=run.n_evaluations,
+        njev=run.n_jacobians,
+        nlu=run.n_factorizations,
+        status=status,
+        message=message,
+        last=(run.t, run.x),
+    )
+
+
+def _passed(run: Integration, samples: Sequence[tuple[Floats, Floats]]) -> list[tuple[float, Floats]]:
+    """Times and states of the run so far."""
+    passed = [sample for times, states in samples for sample in zip(times, states, strict=True)]
+    return passed or [(run.t, run.x)]

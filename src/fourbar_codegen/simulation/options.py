@@ -1,0 +1,153 @@
+"""RunOptions: how a run is asked for, checked."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourbar_codegen.arguments import (
+    flag,
+    is_integer,
+    longest_step,
+    name_of,
+    named_array,
+    one_of,
+    positive,
+    sample_times,
+    time_span,
+    tolerance,
+)
+from fourbar_codegen.errors import ModelError, shown
+from fourbar_codegen.kernel.consistency import projects
+from fourbar_codegen.kernel.inputs import by_name, own_source
+from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.simulation.events import Event, events_of
+
+__all__ = ["FIXED_STEP", "METHODS", "SOLVERS", "RunOptions"]
+
+Floats = NDArray[np.float64]
+
+METHODS = ("DOP853", "RK45")
+"""Explicit methods with step control, in C."""
+
+FIXED_STEP = "ALI3P"
+"""The method that passes singular positions, by steps of one length; see ``fourbar_augmented.h``."""
+
+SOLVERS = ("RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA")
+"""Those of `fourbar_codegen.solvers` that are not in C as a whole."""
+
+STEPS = dict.fromkeys((*METHODS, FIXED_STEP), 1_000_000) | dict.fromkeys(SOLVERS, 100_000)
+"""The most steps of a run that gives no other number: seconds of computing, for mechanisms of a few bodies; ..."""
+
+MARGIN = 10
+"""... or so many times those that max_step asks for, where these are more."""
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """The arguments of `CompiledModel.simulate`, which documents them, checked; made by `of`.
+
+    Attributes
+    ----------
+    project : bool
+        Whether states are moved onto the constraints.
+    """
+
+    t_span: tuple[float, float]
+    x0: Floats | None
+    method: str
+    parameters: Floats | None
+    inputs: Mapping[Any, Any] | None
+    t_eval: Floats | None
+    rtol: Floats
+    atol: Floats
+    events: list[Event] | None
+    constraints: str
+    stabilization: float | None
+    dense_output: bool
+    max_step: float
+    max_steps: int | None
+    formulation: str | None
+    progress: Callable[[float], object] | Literal[False] | None
+    project: bool
+
+    @classmethod
+    def of(cls, model: Kernel, **given: Any) -> RunOptions:
+        """The arguments as they were given.
+
+        What an ensemble has for each member, or not at all, may be left out: initial state, parameters, inputs, and how
+        a single run is looked at.
+
+        Raises
+        ------
+        ModelError
+            If one has a wrong shape or name, is not finite, or is not for the method.
+        """
+        method = one_of(given["method"], (*METHODS, FIXED_STEP, *SOLVERS), "method")
+        constraints, formulation, progress = given["constraints"], given.get("formulation"), given.get("progress")
+        if not (formulation is None or method == "IDA"):
+            raise ModelError(f"A formulation is for IDA; {method} has none.")
+        project = projects(model, constraints, *(() if method in (FIXED_STEP, "IDA") else ("baumgarte",)))
+        start, end = time_span(given["t_span"])
+        max_step = longest_step(given["max_step"])
+        if method == FIXED_STEP and max_step == math.inf:
+            raise ModelError(f"{FIXED_STEP} takes steps of one length: give it as max_step.")
+        if not (progress is None or progress is False or callable(progress)):
+            raise ModelError(f"progress must be a callable of the time, False or None, not {shown(progress)}.")
+        x0, t_eval, inputs = (given.get(name) for name in ("x0", "t_eval", "inputs"))
+        if inputs is not None:
+            inputs = {key: own_source(name_of(key), source) for key, source in by_name(model, inputs).items()}
+        return cls(
+            t_span=(start, end),
+            x0=None if x0 is None else named_array(x0, model.states, {}, "state"),
+            method=method,
+            parameters=model.parameter_vector(given["parameters"]) if "parameters" in given else None,
+            inputs=None
+            if inputs is None
+            else {k: own_source(name_of(k), s) for k, s in by_name(model, inputs).items()},
+            t_eval=None if t_eval is None else sample_times(t_eval, start, end),
+            rtol=tolerance(given["rtol"], "rtol"),
+            atol=tolerance(given["atol"], "atol", model.n_x),
+            events=events_of(model, given.get("events")),
+            constraints=constraints,
+            stabilization=positive(given["stabilization"], "stabilization") if constraints == "baumgarte" else None,
+            dense_output=flag(given.get("dense_output", False), "dense_output"),
+            max_step=max_step,
+            max_steps=_most_steps(given["max_steps"], method, (start, end), max_step),
+            formulation=formulation,
+            progress=progress,
+            project=project,
+        )
+
+    def settings(self) -> dict[str, Any]:
+        """What a result says of how it was asked for."""
+        return {
+            "method": self.method,
+            "t_span": self.t_span,
+            "rtol": float(self.rtol),
+            "atol": self.atol.tolist(),
+            "constraints": self.constraints,
+            **({"stabilization": self.stabilization} if self.stabilization is not None else {}),
+            **({"max_step": self.max_step} if self.max_step < math.inf else {}),
+            **({"formulation": self.formulation} if self.formulation is not None else {}),
+        }
+
+
+def _most_steps(given: object, method: str, span: tuple[float, float], max_step: float) -> int | None:
+    """The most steps that a run may take: by default those of its method."""
+    length = abs(span[1] - span[0])
+    if max_step < np.spacing(length):
+        raise ModelError(f"max_step = {max_step:g} is lost in the rounding of the run's {length:g} s.")
+    if isinstance(given, str) and given == "auto":
+        return max(STEPS[method], int(min(MARGIN * length / max_step, sys.maxsize)))
+    if given is None:
+        return None
+    if not is_integer(given) or given < 1:
+        raise ModelError(f"max_steps must be a positive integer, 'auto', or None for no limit, not {shown(given)}.")
+    return min(int(given), sys.maxsize)

@@ -1,0 +1,116 @@
+"""Singular positions, where the constraints' Jacobian loses rank: whether a run has come to one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourbar_codegen.kernel.consistency import FLOOR
+from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.runtime.integrator import Ode
+from fourbar_codegen.simulation.integration import Integration
+
+__all__ = ["Singular"]
+
+Floats = NDArray[np.float64]
+
+COLLAPSED, PASSED, NEAR = 1e-3, 1e-4, 0.2
+"""A position is singular where the smallest singular value of J is below this share of what it usually was in the run:
+where the steps' length collapses; within a step over which the constraints have changed their orientation; or is close
+where a step fails."""
+
+JUMPED = 1e-3
+"""The share of the largest change between neighbouring states of a step that is left when one has looked closer five
+times: of what is continuous, a thirty-second remains each time."""
+
+STATES = 100
+"""States along the run that tell what it usually was."""
+
+
+class Singular:
+    """Tells whether a run has come to a singular position, where the constraints' Jacobian loses rank.
+
+    The measure is the smallest singular value of J by what it has been in the run (the median), with each column of J,
+    and then each row, in units of its largest entry in the run: metres and radians count alike.
+
+    Parameters
+    ----------
+    model : Kernel
+    ode : Ode
+    passed : sequence of (float, ndarray)
+        Times and states of the run so far.
+    """
+
+    def __init__(self, model: Kernel, ode: Ode, passed: Sequence[tuple[float, Floats]]) -> None:
+        self.model, self.ode = model, ode
+        self.rank = model.manifest["n_dependent_speeds"]
+        if self.rank:
+            # The last states of a run that collapses are all alike: those before count by the time they stand for.
+            since = [abs(t - passed[0][0]) for t, _ in passed]
+            order = np.searchsorted(since, np.linspace(0.0, since[-1], STATES))
+            jacobians = np.array([self._jacobian(*passed[min(i, len(passed) - 1)]) for i in order])
+            column = np.abs(jacobians).max(axis=(0, 1))
+            column[column == 0.0] = 1.0
+            row = np.abs(jacobians / column).max(axis=(0, 2))
+            row[row == 0.0] = 1.0
+            self.size = row[:, np.newaxis] * column
+            self.usual = float(np.median([self._least(jacobian) for jacobian in jacobians]))
+
+    def _jacobian(self, t: float, x: Floats) -> Floats:
+        return self.model.velocity(t, x, self.ode.parameters, self.ode.input_values(t, x))[0]
+
+    def _least(self, jacobian: Floats) -> float:
+        return float(np.linalg.svd(jacobian / self.size, compute_uv=False)[self.rank - 1])
+
+    def _ratio(self, t: float, x: Floats) -> float:
+        if not np.isfinite(x).all():
+            return np.inf  # of a run that explodes; nothing is known of its position
+        return self._least(self._jacobian(t, x)) / self.usual if self.usual else 0.0
+
+    def here(self, t: float, x: Floats, *, collapsed: bool) -> str:
+        """A sentence, if it is at a state at which steps collapse, or close to one behind which there is no next."""
+        if not self.rank:
+            return ""
+        at = self._sentence("runs into", t, x, COLLAPSED, ", and the steps collapse")
+        if at or collapsed or self.ode.failure:
+            return at
+        return self._sentence("comes close to", t, x, NEAR, ", and the next step fails: try smaller tolerances")
+
+    def within_step(self, run: Integration) -> str:
+        """A sentence, if it has been passed in the last step of a run.
+
+        There the loops' states have a position of less rank between them; or one of them is followed by another one, by
+        which the loops close in another way.
+        """
+        shares = jump_shares = np.linspace(0.0, 1.0, 33)
+        jumped = []
+        for _ in range(5):  # to within 1e-6 of the step
+            ratios = [self._ratio(run.time_within(share), run.state_within(share)) for share in shares[1:-1]]
+            least = 1 + int(np.argmin(ratios))
+            at = float(shares[least])
+            shares = np.linspace(shares[least - 1], shares[least + 1], 33)
+            states = [run.state_within(share)[: self.model.n_q] for share in jump_shares]
+            changes = np.abs(np.diff(states, axis=0)).max(axis=1)
+            largest = int(np.argmax(changes))
+            jumped.append(changes[largest])
+            jump_shares = np.linspace(jump_shares[largest], jump_shares[largest + 1], 33)
+        t, x = run.time_within(at), run.state_within(at)
+        passed = self._sentence("passes", t, x, PASSED, ", and may go on in more than one way")
+        if passed or not jumped[-1] > JUMPED * jumped[0] + FLOOR:
+            return passed
+        return (
+            f"A step has crossed to another way of closing the loops at t = {run.time_within(jump_shares[0]):.6g}, "
+            "past a singular position: take smaller tolerances."
+        )
+
+    def _sentence(self, verb: str, t: float, x: Floats, threshold: float, more: str) -> str:
+        ratio = self._ratio(t, x)
+        if not ratio < threshold:
+            return ""
+        where = ", ".join(f"{name} = {value:.6g}" for name, value in zip(self.model.coordinates, x, strict=False))
+        return (
+            f"The mechanism {verb} a singular position at t = {t:.6g}, {where}: the constraints' Jacobian loses rank "
+            f"(its smallest singular value is {ratio:.1e} of what it usually was){more}."
+        )

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 
 from fourbar_codegen.arguments import flag
 from fourbar_codegen.building.cache import cached
-from fourbar_codegen.building.toolchain import WHEEL_SUMMARY, build_extension, cache_key, pack_wheel
+from fourbar_codegen.building.toolchain import build_extension, cache_key
+from fourbar_codegen.building.wheel import WHEEL_SUMMARY, pack_wheel
 from fourbar_codegen.compiled import CompiledModel
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.expressions.fingerprint import fingerprint
@@ -60,7 +61,8 @@ def _generate(model: Model, progress: Progress) -> tuple[Equations, dict[str, st
     _require_model(model)
     # Imported here: a model that is in the cache needs none of it.
     from fourbar_codegen.codegen.c_source import derivatives_text, header_text, kernel_text, lanes_text
-    from fourbar_codegen.codegen.cython_source import manifest_of, manifest_text, wrapper_text
+    from fourbar_codegen.codegen.cython_source import wrapper_text
+    from fourbar_codegen.codegen.manifest import manifest_of, manifest_text
     from fourbar_codegen.dynamics.equations import form_equations
     from fourbar_codegen.lowering.lower import lower
     from fourbar_codegen.lowering.schedule import schedule

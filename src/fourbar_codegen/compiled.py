@@ -238,7 +238,7 @@ class CompiledModel(Kernel):
         >>> bool(abs(four_bar.rhs(0.0, x, r={"F": 0.0})).max() < 1e-9)
         True
         """
-        from fourbar_codegen.analysis.linearization import equilibrium
+        from fourbar_codegen.analysis.equilibrium import equilibrium
 
         return equilibrium(self, guess, t=t, parameters=parameters, inputs=inputs)
 

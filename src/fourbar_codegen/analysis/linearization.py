@@ -1,29 +1,19 @@
-"""Linearization about a state, in the independent coordinates and speeds, and states of equilibrium."""
+"""Linearization about a state, in the independent coordinates and speeds."""
 
 from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.analysis.loop_closure import Loops
 from fourbar_codegen.arguments import Values, finite_number, named_array
-from fourbar_codegen.errors import ModelError, SimulationError
+from fourbar_codegen.errors import ModelError
 from fourbar_codegen.kernel.dependent import eliminate
-from fourbar_codegen.kernel.inputs import InputSource, bind, input_sources
 from fourbar_codegen.kernel.kernel import Kernel
 
-__all__ = ["equilibrium", "linearize"]
+__all__ = ["linearize"]
 
 Floats = NDArray[np.float64]
 
-# An equilibrium counts as found if the loops are closed to this share of their scales, and the accelerations are this
-# share of what they were where the search began, or of what changes of the coordinates by themselves would make.
-COORDINATE_TOLERANCE = 1e-9
-# The smallest mass that counts beside the largest.
-LIGHT = 1e-12
 # A state counts as one of the mechanism if the constraints are violated by no more than this share of their scales.
 CLOSED = 1e-6
 
@@ -64,78 +54,3 @@ def _check_constraints(model: Kernel, t: float, x: Floats, p: Values | None, r: 
             f"The state violates the constraints: positions by {positions}, velocities by {velocities}. "
             "initial_state makes states that satisfy them."
         )
-
-
-def equilibrium(
-    model: Kernel,
-    guess: Values | None,
-    *,
-    t: float,
-    parameters: Values | None,
-    inputs: Mapping[Any, InputSource] | None,
-) -> Floats:
-    """A state of rest that lasts; see `CompiledModel.equilibrium`."""
-    from scipy.optimize import least_squares
-
-    if not model.n_q:
-        raise ModelError(f"The model {model.name} has no coordinates, whose values an equilibrium is.")
-    if model.n_q - model.manifest["n_dependent_coordinates"] > model.n_u:
-        raise ModelError(
-            f"The model {model.name} has more independent coordinates than speeds: what they are cannot be searched. "
-            "Make the relation between them (such as the norm of a quaternion) a holonomic constraint."
-        )
-    t = finite_number(t, "t")
-    if any(map(callable, input_sources(model, inputs))):
-        raise ModelError(
-            "An equilibrium is searched with inputs that are numbers, tables or expressions, not callables."
-        )
-    defaults = {**dict.fromkeys(model.coordinates, 0.0), **model.manifest["initial"]}
-    start = named_array(guess, model.coordinates, {n: defaults[n] for n in model.coordinates}, "coordinate")
-    p = model.parameter_vector(parameters)
-    r = bind(model, p, inputs).input_values(t, np.zeros(model.n_x))
-
-    def at_rest(q: Floats) -> Floats:
-        return np.concatenate((q, np.zeros(model.n_u)))
-
-    def evaluated(q: Floats) -> Floats:
-        x = at_rest(q)
-        rates, accelerations = np.split(model.rhs(t, x, p, r), [model.n_q])
-        loops, velocities = model.position_constraints(t, q, p, r) / size, model.velocity_constraints(t, x, p, r)
-        return np.concatenate((loops, velocities, rates, weights @ accelerations))
-
-    def residual(q: Floats) -> Floats:
-        try:
-            return evaluated(q)
-        except SimulationError:  # the search takes a shorter step
-            return np.full(model.n_h + model.n_c + model.n_x, np.inf)
-
-    def slopes(q: Floats) -> Floats:
-        x = at_rest(q)
-        rates, accelerations = np.split(model.jacobian(t, x, p, r)[:, : model.n_q], [model.n_q])
-        loops = model.position(t, q, p, r)[1] / size[:, np.newaxis]
-        return np.vstack((loops, model.constraint_sensitivity(t, x, p, r)[0], rates, weights @ accelerations))
-
-    begin = start
-    if model.n_h and model.manifest["n_dependent_speeds"] < model.n_c:
-        # Away from closed loops, redundant constraints are independent, and the equations have no solution.
-        n_qi = model.n_q - model.manifest["n_dependent_coordinates"]
-        loops = Loops(model, t, start[:n_qi], p, r)
-        dependent = loops.search(start[n_qi:])
-        begin = start if dependent is None else loops.coordinates(dependent)
-    # In units that a change of those of length, mass and time leaves alone: loops by their terms, accelerations in the
-    # metric of the mass matrix, by what they are where the search begins.
-    size, *_ = model.constraint_scale(t, at_rest(begin), p, r)
-    size[~(size > 0.0)] = 1.0
-    masses, axes = np.linalg.eigh(model.tree_mass_matrix(t, at_rest(begin), p))
-    weights = np.sqrt(np.maximum(masses, LIGHT * masses.max(initial=0.0)))[:, np.newaxis] * axes.T
-    weights /= np.linalg.norm(weights @ model.rhs(t, at_rest(begin), p, r)[model.n_q :]) or 1.0
-    found = least_squares(residual, begin, jac=slopes, x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15).x
-    errors, scales = np.abs(residual(found)), np.abs(slopes(found)) @ np.abs(found)
-    if not (errors <= COORDINATE_TOLERANCE * np.maximum(scales, 1.0)).all():
-        names = ", ".join(f"{name} = {value:.6g}" for name, value in zip(model.coordinates, found, strict=True))
-        raise SimulationError(
-            f"No equilibrium was found from the guess {start.tolist()}: the search ended at {names}, where up to "
-            f"{errors.max():.3g} is left of what constraints and accelerations are measured by. Give another guess, or "
-            "inputs that hold the mechanism."
-        )
-    return at_rest(found)

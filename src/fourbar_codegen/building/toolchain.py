@@ -1,4 +1,4 @@
-"""Sources -> extension module: the only place that runs a compiler."""
+"""Sources -> extension module: the only place that runs a compiler, or another tool."""
 
 from __future__ import annotations
 
@@ -26,8 +26,9 @@ __all__ = [
     "build_extension",
     "build_lanes",
     "cache_key",
+    "copied",
     "get_include",
-    "pack_wheel",
+    "run_tool",
     "toolchain",
     "write_sources",
 ]
@@ -212,10 +213,10 @@ def build_extension(
         if check is not None:
             check(module)
         write_sources(name, sources, folder)
-        return _copied(module, folder)
+        return copied(module, folder)
 
 
-def _copied(built: Path, folder: Path) -> Path:
+def copied(built: Path, folder: Path) -> Path:
     """A built file in a folder of the user's; a module that a process has loaded does not change under its feet."""
     target = folder / built.name
     try:
@@ -284,94 +285,6 @@ def build_lanes(name: str, sources: Mapping[str, str], folder: Path) -> Path:
         return _link([compiled], folder / f"{name}_lanes.so")
 
 
-WHEEL_SETUP = """\
-from setuptools import Distribution, setup
-
-
-class Binary(Distribution):
-    def has_ext_modules(self):
-        return True  # it is there already
-
-
-setup(
-    distclass=Binary,
-    name={name!r},
-    version={version!r},
-    description={description!r},
-    packages=[{name!r}],
-    package_data={{{name!r}: ["*"]}},
-    install_requires={requires!r},
-    extras_require={extras!r},
-)
-"""
-
-WHEEL_INIT = '''\
-"""Compiled equations of motion of the model "{name}": ``fourbar_codegen.load({name!r})``, or `rhs` with NumPy alone."""
-
-from {name}.{name} import kernel, manifest, rhs
-
-__all__ = ["kernel", "manifest", "rhs"]
-'''
-
-
-WHEEL_SUMMARY = "Compiled equations of motion of the model"
-
-
-def pack_wheel(
-    module: Path, folder: Path, *, version: str, requires: Sequence[str], extras: Mapping[str, Sequence[str]]
-) -> Path:
-    """Pack an extension module, and what lies beside it, into a wheel for Pythons and machines like this one.
-
-    Parameters
-    ----------
-    module : Path
-        As `build_extension` made it, in a folder of its own.
-    folder : Path
-        Where the wheel comes; created if it does not exist.
-    version : str
-        Of the wheel.
-    requires : sequence of str
-        What it depends on.
-    extras : mapping of str to sequence of str
-        What else, by the names of extras.
-
-    Returns
-    -------
-    Path
-        The wheel.
-
-    Raises
-    ------
-    BuildError
-        If setuptools is missing or fails, or the folder cannot be written.
-    """
-    name = module.name.split(".")[0]
-    with tempfile.TemporaryDirectory() as temporary:
-        project = Path(temporary)
-        shutil.copytree(module.parent, project / name)
-        (project / name / "__init__.py").write_text(WHEEL_INIT.format(name=name), encoding="utf-8")
-        setup = WHEEL_SETUP.format(
-            name=name,
-            version=version,
-            description=f"{WHEEL_SUMMARY} {name}",
-            requires=list(requires),
-            extras=dict(extras),
-        )
-        (project / "setup.py").write_text(setup, encoding="utf-8")
-        try:
-            _run(
-                [sys.executable, "setup.py", "--quiet", "bdist_wheel"], project / "dist", tool="setuptools", cwd=project
-            )
-        except BuildError as error:
-            if "invalid command 'bdist_wheel'" in error.output:
-                raise BuildError(
-                    "This version of setuptools makes no wheels: pip install 'setuptools>=77'.", output=error.output
-                ) from error
-            raise
-        (wheel,) = (project / "dist").glob("*.whl")
-        return _copied(wheel, folder)
-
-
 def _build(name: str, sources: Mapping[str, str], folder: Path, *, portable: bool) -> Path:
     write_sources(name, sources, folder)
     flags = {"_kernel.c": KERNEL_FLAGS, "_derivatives.c": DERIVATIVES_FLAGS}
@@ -389,7 +302,7 @@ def _build(name: str, sources: Mapping[str, str], folder: Path, *, portable: boo
 
 
 def _link(objects: Iterable[Path], target: Path) -> Path:
-    _run([*_compiler(), *map(str, objects), *_link_flags(), *STRICT_LINK_FLAGS, "-o", str(target)], target)
+    run_tool([*_compiler(), *map(str, objects), *_link_flags(), *STRICT_LINK_FLAGS, "-o", str(target)], target)
     return target
 
 
@@ -413,14 +326,14 @@ def _compile(source: Path, flags: Sequence[str]) -> Path:
     target = source.with_suffix(".o")
     folders = [str(source.parent), get_include(), np.get_include(), sysconfig.get_path("include")]
     include = [word for folder in folders for word in ("-I", folder)]
-    _run(
+    run_tool(
         [*_compiler(), *flags, *_user_flags("CFLAGS"), *STRICT_FLAGS, *include, "-c", str(source), "-o", str(target)],
         target,
     )
     return target
 
 
-def _run(command: Sequence[str], target: Path, tool: str = "the C compiler", cwd: Path | None = None) -> None:
+def run_tool(command: Sequence[str], target: Path, tool: str = "the C compiler", cwd: Path | None = None) -> None:
     """Run a tool that is to make a file or folder; its output becomes part of the error if it fails."""
     try:
         done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False, cwd=cwd)

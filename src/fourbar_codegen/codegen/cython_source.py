@@ -1,101 +1,13 @@
-"""Program and Model -> the Cython wrapper of a kernel, and the manifest that describes it."""
+"""Model and manifest -> the Cython wrapper of a kernel."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
 from typing import Any
 
-from fourbar_codegen.dynamics.equations import Equations
-from fourbar_codegen.lowering.program import Program
+from fourbar_codegen.codegen.manifest import manifest_text
 from fourbar_codegen.modeling.model import Model
 
-__all__ = ["manifest_of", "manifest_text", "wrapper_text"]
-
-MANIFEST_FORMAT = 6
-
-
-def manifest_of(
-    model: Model, equations: Equations, program: Program, names: Mapping[str, Sequence[str]], fingerprint: str
-) -> dict[str, Any]:
-    """What a compiled model knows of itself: names, order, defaults, units, operation counts.
-
-    Parameters
-    ----------
-    model : Model
-    equations : Equations
-    program : Program
-    names : mapping of str to sequence of str
-        The model's `coordinates`, `speeds`, `parameters`, `inputs` and `outputs`, as compiled.
-    fingerprint : str
-        Of all that the model's equations depend on.
-
-    Returns
-    -------
-    dict
-        Plain data, as JSON has it.
-    """
-    functions = {function.name: function.results for function in program.functions}
-    energies = functions["energy"][0].entries
-    # Every position constraint has to have a row of J that is its rate.
-    closed, positions = functions["closure"][0].entries, functions["position"][0].entries
-    return {
-        "format": MANIFEST_FORMAT,
-        "name": model.name,
-        "fingerprint": fingerprint,
-        "coordinates": list(names["coordinates"]),
-        "speeds": list(names["speeds"]),
-        "n_dependent_coordinates": model.mechanism.n_dependent_coordinates,
-        "n_dependent_speeds": model.mechanism.n_dependent_speeds,
-        "parameters": [
-            {"name": name, "default": p.value, "unit": p.unit, "description": p.description}
-            for name, p in ((name, model.parameters[name]) for name in names["parameters"])
-        ],
-        "derived_parameters": {symbol.name: str(expr) for symbol, expr in model.derived_parameters.items()},
-        "inputs": [
-            {
-                "name": entry.name,
-                "expression": None if entry.expression is None else str(entry.expression),
-                "of": entry.of,
-                "order": entry.order,
-            }
-            for entry in model.input_entries
-            if entry.name in names["inputs"]
-        ],
-        "moving_inputs": list(equations.moving),
-        "n_breakpoints": program.sizes.n_breakpoints,
-        "n_jumps": equations.n_jumps,
-        "outputs": list(names["outputs"]),
-        "position_constraints": equations.position_formulas,
-        "points": [
-            {"name": name, "parent": place.parent, "body": place.body}
-            for name, place in zip(_distinct([place.name for place in equations.places]), equations.places, strict=True)
-        ],
-        "forced_points": list(equations.forced),
-        "initial": model.initial,
-        "velocity_rows": [row for row, entry in enumerate(closed) if not entry],
-        "can_project": sum(map(bool, closed)) == sum(map(bool, positions)),
-        "has_potential_energy": not energies[1].is_nan,
-        "operations_before_sharing": {
-            function.name: function.operations_before_sharing for function in (*program.functions, *program.derivatives)
-        },
-        "operations": {function.name: function.operations for function in (*program.functions, *program.derivatives)},
-    }
-
-
-def _distinct(names: Sequence[str]) -> list[str]:
-    """The names, with a number behind those that have been used before."""
-    taken: dict[str, int] = {}
-    distinct = []
-    for name in names:
-        taken[name] = taken.get(name, 0) + 1
-        distinct.append(name if taken[name] == 1 else f"{name} ({taken[name]})")
-    return distinct
-
-
-def manifest_text(manifest: dict[str, Any]) -> str:
-    """The manifest as it is written beside the sources."""
-    return json.dumps(manifest, indent=2, ensure_ascii=True, allow_nan=False) + "\n"
+__all__ = ["wrapper_text"]
 
 
 def wrapper_text(model: Model, manifest: dict[str, Any]) -> str:

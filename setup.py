@@ -11,7 +11,7 @@ from Cython.Build import cythonize
 from setuptools import Extension, setup
 
 RUNTIME = "src/fourbar_codegen/runtime"
-# Behind the user's flags, as in build.py: what is not a number has to be noticed, and roundings are part of the method.
+# Behind the user's flags, as in toolchain.py: what is not a number has to be noticed, and roundings are part of the method.
 STRICT_FLAGS = ["-fno-fast-math", "-fno-finite-math-only", "-fno-unsafe-math-optimizations"]
 MACROS = [("NPY_NO_DEPRECATED_API", "NPY_1_7_API_VERSION")]
 
@@ -30,7 +30,7 @@ def extension(name: str, sources: list[Path | str], folder: Path | str, *flags: 
 
 runtime = [extension(f"runtime.{wrapper.stem}", [wrapper], RUNTIME) for wrapper in sorted(Path(RUNTIME).glob("*.pyx"))]
 models = [
-    # The flags of build.py.
+    # The flags of toolchain.py.
     extension(
         f"prebuilt.{wrapper.stem}",
         [wrapper, *sorted(wrapper.parent.glob("*.c"))],

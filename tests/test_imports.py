@@ -1,6 +1,7 @@
-"""Imports go one way, and are quiet and light."""
+"""Imports go one way, and are quiet and light. ``python tests/test_imports.py`` draws the folders anew."""
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -10,15 +11,17 @@ import pytest
 import fourbar_codegen
 
 PACKAGE = Path(fourbar_codegen.__file__).parent
+DRAWING = Path(__file__).parents[1] / "docs" / "folders.svg"
 ROOT = {
-    "arguments": "ground", "errors": "ground", "files": "ground", "progress": "ground", "tables": "ground",
+    "errors": "errors", "arguments": "ground", "files": "ground", "progress": "ground", "tables": "ground",
     "compiled": "compiled", "solvers": "compiled", "compile": "compile", "verify": "compile",
     "__init__": "cli", "__main__": "cli", "cli": "cli",
 }  # fmt: skip
 """The layers of the files that are in no folder; that of the others is their folder."""
 
 ON = {
-    "runtime": [],
+    "errors": [],
+    "runtime": ["errors"],
     "ground": ["runtime"],
     "expressions": ["ground"],
     "modeling": ["expressions"],
@@ -83,7 +86,8 @@ def own(name):
         if package == "fourbar_codegen":
             parts = rest.split(".")
             found = (".".join(parts[:length]) for length in (len(parts), len(parts) - 1))
-            yield next((file for file in found if file in FILES), parts[0]), within
+            folder = parts[0] if parts[0] in ON else "__init__"
+            yield next((file for file in found if file in FILES), folder), within
 
 
 def test_every_file_has_a_layer():
@@ -109,6 +113,12 @@ def test_no_cycles():
         edges = {name: on for name, on in edges.items() if name not in ready}
 
 
+def test_the_runtime_stands_on_errors_alone():
+    for path in [path for suffix in ("pyx", "pxd", "pyi") for path in PACKAGE.glob(f"runtime/*.{suffix}")]:
+        imported = re.findall(r"^\s*from fourbar_codegen\.(\w+)", path.read_text(), flags=re.MULTILINE)
+        assert set(imported) <= {"errors", "runtime"}, path.name
+
+
 @pytest.mark.parametrize("name", sorted(FILES))
 def test_halves_import_their_own_libraries(name):
     modules = {module.split(".")[0] for module, _ in imports(FILES[name])}
@@ -117,6 +127,61 @@ def test_halves_import_their_own_libraries(name):
     elif layer(name) not in BOTH:
         assert "sympy" not in modules
     assert "subprocess" not in modules or name == "building.toolchain"
+
+
+def edges_between_layers():
+    """What each layer imports, but for what it reaches through others anyway."""
+    on = {name: {layer(b) for file in FILES if layer(file) == name for b, _ in own(file) if (file, b) not in DOORS}
+          - {name} for name in ON}  # fmt: skip
+    on["runtime"].add("errors")  # its modules are compiled
+
+    def reached(name):
+        return on[name].union(*(reached(lower) for lower in on[name]))
+
+    return {name: {b for b in on[name] if not any(b in reached(c) for c in on[name])} for name in on}
+
+
+def drawing():
+    """The layers, each above those that it imports, as SVG."""
+    on, rows = edges_between_layers(), []
+    while placed := {name for row in rows for name in row} ^ on.keys():
+        ready = [name for name in placed if not on[name] & placed]
+        rows.append(sorted(ready, key=lambda name: (name not in GENERATION, name)))
+    labels = {name: f"{name}/" for name in ON}
+    labels |= {kind: ", ".join(f"{file}.py" for file in ROOT if ROOT[file] == kind) for kind in set(ROOT.values())}
+    lines, boxes, center, top = [], [], {}, 64 * len(rows)
+    for level, row in enumerate(rows):
+        widths = [8 * len(labels[name]) + 24 for name in row]
+        gap = (760 - sum(widths)) / (len(row) + 1)
+        for place, (name, width) in enumerate(zip(row, widths, strict=True)):
+            x, y = gap * (place + 1) + sum(widths[:place]), top - 64 * level - 46
+            center[name] = x + width / 2, y + 14
+            color = (
+                "#e8f0fe"
+                if name in GENERATION
+                else "#eee"
+                if name in BOTH | {"errors", "ground", "runtime"}
+                else "#fef3e0"
+            )
+            boxes += [
+                f'<rect x="{x:.0f}" y="{y}" width="{width}" height="28" rx="4" fill="{color}" stroke="#444"/>',
+                f'<text x="{x + width / 2:.0f}" y="{y + 19}" text-anchor="middle">{labels[name]}</text>',
+            ]
+        for name in row:
+            for lower in sorted(on[name]):
+                (x, y), (end, low) = center[name], center[lower]
+                curve = f"M{x:.0f} {y + 14}C{x:.0f} {y + 40} {end:.0f} {low - 40} {end:.0f} {low - 15}"
+                lines.append(f'<path d="{curve}" fill="none" stroke="#666" marker-end="url(#tip)"/>')
+    return "\n".join([
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 760 {top}" font-family="monospace" font-size="13">',
+        ('<marker id="tip" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="8" markerHeight="8" orient="auto">'
+        '<path d="M0 0L8 4L0 8z" fill="#666"/></marker>'),
+        f'<rect width="760" height="{top}" fill="white"/>', *lines, *boxes, "</svg>\n",
+    ])  # fmt: skip
+
+
+def test_the_drawing_is_that_of_the_code():
+    assert DRAWING.read_text() == drawing()
 
 
 def run(code):
@@ -146,3 +211,7 @@ def test_public_names_exist():
         assert getattr(fourbar_codegen, name) is not None
     with pytest.raises(AttributeError, match="nonsense"):
         _ = fourbar_codegen.nonsense
+
+
+if __name__ == "__main__":
+    DRAWING.write_text(drawing())

@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.arguments import Values
-from fourbar_codegen.runtime.evaluator import Evaluator
+from fourbar_codegen.runtime.evaluator import Evaluator, Values
 
 Floats = NDArray[np.float64]
 

@@ -273,7 +273,7 @@ static inline fb_mask fb_turned(fb_crew *c, const fb_mask asked)
             c->row_unit[i] = fb_select(asked, fb_greater(share, c->row_unit[i]), c->row_unit[i]);
         }
     for (int k = 0; k < N_C; ++k) {
-        const fb_real unit = c->column_unit[fb_speed(k)] * c->row_unit[usual_row[k]];
+        const fb_real unit = c->column_unit[usual_speed[k]] * c->row_unit[usual_row[k]];
         const fb_real pivot = fb_abs(s->split.lu[k][k]) / unit;
         orientation = fb_select(pivot < orientation, pivot, orientation);
         sign = fb_select(s->split.lu[k][k] < 0.0, -sign, sign);

@@ -28,11 +28,11 @@ typedef struct fb_split {
     fb_real reduced[N_U][N_U];           /* T^T M T = L D L^T: L below the diagonal, 1/D on it */
 } fb_split;
 
-/* The speed at a place of the split. */
-static inline int fb_speed(const int place)
-{
-    return usual_speed[place];
-}
+#define FB_VALUE fb_real
+#define FB_FACTORS fb_split
+#define FB_OF(name) name##_side_by_side
+#define FB_REQUIRE_POSITIVE(s, value) (s)->good &= (value) > 0.0
+#include "fourbar_pivoted.h"
 
 static FB_INLINE void fb_split_of(const fb_real *restrict mass_matrix, const fb_real *restrict jacobian,
                                fb_split *restrict s)
@@ -42,7 +42,7 @@ static FB_INLINE void fb_split_of(const fb_real *restrict mass_matrix, const fb_
     for (int i = 0; i < N_C; ++i) {
         size[i] = fb_number(0.0);
         for (int j = 0; j < N_U; ++j) {
-            s->lu[i][j] = jacobian[usual_row[i] * N_U + fb_speed(j)];
+            s->lu[i][j] = jacobian[usual_row[i] * N_U + usual_speed[j]];
             size[i] += fb_abs(s->lu[i][j]);
         }
         sizes += size[i];
@@ -53,86 +53,22 @@ static FB_INLINE void fb_split_of(const fb_real *restrict mass_matrix, const fb_
         for (int j = k; j < N_U; ++j)
             left += fb_abs(s->lu[k][j]);
         s->good &= fb_abs(s->lu[k][k]) > FB_LANES_TOLERANCE * left;
-        s->inverse[k] = 1.0 / s->lu[k][k];
-        for (int i = k + 1; i < N_C; ++i) {
-            const fb_real factor = s->lu[i][k] *= s->inverse[k];
-            for (int j = k + 1; j < N_U; ++j)
-                s->lu[i][j] -= factor * s->lu[k][j];
-        }
+        fb_eliminate_below_side_by_side(s->lu, s->inverse, k);
     }
-    for (int k = N_C - 1; k >= 0; --k)
-        for (int j = N_C; j < N_U; ++j) {
-            fb_real sum = s->lu[k][j];
-            for (int i = k + 1; i < N_C; ++i)
-                sum += s->lu[k][i] * s->lu[i][j];
-            s->lu[k][j] = -s->inverse[k] * sum;
-        }
-    for (int i = 0; i < N_U; ++i)
-        for (int j = 0; j < N_U; ++j)
-            s->mass[i][j] = mass_matrix[fb_speed(i) * N_U + fb_speed(j)];
-    for (int b = N_C; b < N_U; ++b) {
-        fb_real product[N_U]; /* column b of M T */
-        for (int i = 0; i < N_U; ++i) {
-            product[i] = s->mass[i][b];
-            for (int d = 0; d < N_C; ++d)
-                product[i] += s->mass[i][d] * s->lu[d][b];
-        }
-        for (int a = b; a < N_U; ++a) {
-            s->reduced[a][b] = product[a];
-            for (int d = 0; d < N_C; ++d)
-                s->reduced[a][b] += s->lu[d][a] * product[d];
-        }
-    }
-    for (int b = N_C; b < N_U; ++b) {
-        s->good &= s->reduced[b][b] > 0.0;
-        s->reduced[b][b] = 1.0 / s->reduced[b][b];
-        for (int a = N_U - 1; a > b; --a) {
-            const fb_real factor = s->reduced[a][b] * s->reduced[b][b];
-            for (int c = b + 1; c <= a; ++c)
-                s->reduced[a][c] -= factor * s->reduced[c][b];
-            s->reduced[a][b] = factor;
-        }
-    }
+    fb_reduce_side_by_side(mass_matrix, s, usual_speed);
 }
 
 /* u' for one right-hand side (f, gamma); f may be NULL, for zeros. */
 static FB_INLINE void fb_split_solve(const fb_real *restrict forcing, const fb_real *restrict acceleration_bias,
                                   const fb_split *restrict s, fb_real *restrict accelerations)
 {
-    fb_real w[FB_AT_LEAST_1(N_C)], v[N_U], g[N_U];
+    fb_real w[FB_AT_LEAST_1(N_C)];
     for (int i = 0; i < N_C; ++i) {
         w[i] = acceleration_bias[usual_row[i]];
         for (int k = 0; k < i; ++k)
             w[i] -= s->lu[i][k] * w[k];
     }
-    for (int k = N_C - 1; k >= 0; --k) {
-        fb_real sum = -w[k];
-        for (int i = k + 1; i < N_C; ++i)
-            sum -= s->lu[k][i] * v[i];
-        v[k] = sum * s->inverse[k];
-    }
-    for (int i = 0; i < N_U; ++i) {
-        g[i] = forcing ? forcing[fb_speed(i)] : fb_number(0.0);
-        for (int d = 0; d < N_C; ++d)
-            g[i] -= s->mass[i][d] * v[d];
-    }
-    for (int a = N_C; a < N_U; ++a) {
-        v[a] = g[a];
-        for (int d = 0; d < N_C; ++d)
-            v[a] += s->lu[d][a] * g[d];
-        for (int c = N_C; c < a; ++c)
-            v[a] -= s->reduced[a][c] * v[c];
-    }
-    for (int a = N_U - 1; a >= N_C; --a) {
-        v[a] *= s->reduced[a][a];
-        for (int c = a + 1; c < N_U; ++c)
-            v[a] -= s->reduced[c][a] * v[c];
-    }
-    for (int d = 0; d < N_C; ++d)
-        for (int a = N_C; a < N_U; ++a)
-            v[d] += s->lu[d][a] * v[a];
-    for (int i = 0; i < N_U; ++i)
-        accelerations[fb_speed(i)] = v[i];
+    fb_back_side_by_side(forcing, w, s, accelerations, usual_speed);
 }
 
 /* States side by side: their equations, and the kernel for one state with its memory. */

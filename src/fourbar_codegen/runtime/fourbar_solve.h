@@ -69,6 +69,14 @@ static inline void fb_swap_int(int *a, int *b)
     *b = c;
 }
 
+#define FB_VALUE double
+#define FB_FACTORS fb_factors
+#define FB_OF(name) name
+#define FB_REQUIRE_POSITIVE(s, value)                                                                                  \
+    if (!((value) > 0.0))                                                                                              \
+        return FB_MASS_SINGULAR
+#include "fourbar_pivoted.h"
+
 /* P S J Q = L [U_d U_i]. */
 static inline int fb_eliminate(const double *restrict jacobian, fb_factors *restrict s)
 {
@@ -112,24 +120,13 @@ static inline int fb_eliminate(const double *restrict jacobian, fb_factors *rest
                 fb_swap_double(&s->lu[i][k], &s->lu[i][pivot_column]);
             fb_swap_int(&s->column[k], &s->column[pivot_column]);
         }
-        s->inverse[k] = 1.0 / s->lu[k][k];
-        for (int i = k + 1; i < N_C; ++i) {
-            const double factor = s->lu[i][k] *= s->inverse[k];
-            for (int j = k + 1; j < N_U; ++j)
-                s->lu[i][j] -= factor * s->lu[k][j];
-        }
+        fb_eliminate_below(s->lu, s->inverse, k);
     }
     s->left = 0.0;
     for (int i = N_RANK; i < N_C; ++i)
         for (int j = N_RANK; j < N_U; ++j)
             s->left = fb_max(s->left, fabs(s->lu[i][j]));
     return s->left <= FB_DRIFT_TOLERANCE ? FB_OK : FB_CONSTRAINTS_INDEPENDENT;
-}
-
-/* The speed at a place of the split, which the compiler knows where it is the usual one. */
-static inline int fb_column(const fb_factors *restrict s, const int usual, const int i)
-{
-    return usual ? usual_speed[i] : s->column[i];
 }
 
 /* P J Q = L [U_d U_i] with the usual split; returns whether that is a good one. With rows in a given order, and each
@@ -148,7 +145,7 @@ static inline int fb_eliminate_usual(const double *restrict jacobian, fb_factors
             return 0;
         s->scale[i] = 1.0;
         for (int j = 0; j < N_U; ++j)
-            lu[i][j] = jacobian[usual_row[i] * N_U + fb_column(s, 1, j)];
+            lu[i][j] = jacobian[usual_row[i] * N_U + usual_speed[j]];
     }
     for (int k = 0; k < N_C; ++k) {
         double pivot = FB_NEAR_DEPENDENCE * size[k];
@@ -156,12 +153,7 @@ static inline int fb_eliminate_usual(const double *restrict jacobian, fb_factors
             pivot = fb_max(pivot, fabs(lu[k][j]));
         if (!(fabs(lu[k][k]) > FB_USUAL_TOLERANCE * pivot))
             return 0;
-        s->inverse[k] = 1.0 / lu[k][k];
-        for (int i = k + 1; i < N_C; ++i) {
-            const double factor = lu[i][k] *= s->inverse[k];
-            for (int j = k + 1; j < N_U; ++j)
-                lu[i][j] -= factor * lu[k][j];
-        }
+        fb_eliminate_below(lu, s->inverse, k);
     }
     for (int i = 0; i < N_C; ++i) {
         s->row[i] = usual_row[i];
@@ -169,50 +161,8 @@ static inline int fb_eliminate_usual(const double *restrict jacobian, fb_factors
             s->lu[i][j] = lu[i][j];
     }
     for (int j = 0; j < N_U; ++j)
-        s->column[j] = fb_column(s, 1, j);
+        s->column[j] = usual_speed[j];
     return 1;
-}
-
-/* A and T^T M T = L D L^T. */
-static inline int fb_reduce(const double *restrict mass_matrix, fb_factors *restrict s, const int usual)
-{
-    for (int k = N_RANK - 1; k >= 0; --k) {
-        for (int j = N_RANK; j < N_U; ++j) {
-            double sum = s->lu[k][j];
-            for (int i = k + 1; i < N_RANK; ++i)
-                sum += s->lu[k][i] * s->lu[i][j];
-            s->lu[k][j] = -s->inverse[k] * sum;
-        }
-    }
-    for (int i = 0; i < N_U; ++i)
-        for (int j = 0; j < N_U; ++j)
-            s->mass[i][j] = mass_matrix[fb_column(s, usual, i) * N_U + fb_column(s, usual, j)];
-    for (int b = N_RANK; b < N_U; ++b) {
-        double product[N_U]; /* column b of M T */
-        for (int i = 0; i < N_U; ++i) {
-            product[i] = s->mass[i][b];
-            for (int d = 0; d < N_RANK; ++d)
-                product[i] += s->mass[i][d] * s->lu[d][b];
-        }
-        for (int a = b; a < N_U; ++a) {
-            double sum = product[a];
-            for (int d = 0; d < N_RANK; ++d)
-                sum += s->lu[d][a] * product[d];
-            s->reduced[a][b] = sum;
-        }
-    }
-    for (int b = N_RANK; b < N_U; ++b) {
-        if (!(s->reduced[b][b] > 0.0))
-            return FB_MASS_SINGULAR;
-        s->reduced[b][b] = 1.0 / s->reduced[b][b];
-        for (int a = N_U - 1; a > b; --a) {
-            const double factor = s->reduced[a][b] * s->reduced[b][b];
-            for (int c = b + 1; c <= a; ++c)
-                s->reduced[a][c] -= factor * s->reduced[c][b];
-            s->reduced[a][b] = factor;
-        }
-    }
-    return FB_OK;
 }
 
 /* w = L^-1 P S gamma; returns the size of P S gamma. */
@@ -229,42 +179,6 @@ static inline double fb_forward(const double *restrict acceleration_bias, const 
             w[i] -= s->lu[i][k] * w[k];
     }
     return size;
-}
-
-/* u' from f and w = L^-1 P S gamma. */
-static inline void fb_back(const double *restrict forcing, const double *restrict w, const fb_factors *restrict s,
-                           double *restrict accelerations, const int usual)
-{
-    double v[N_U] = {0.0}, g[N_U];
-    for (int k = N_RANK - 1; k >= 0; --k) {
-        double sum = -w[k];
-        for (int i = k + 1; i < N_RANK; ++i)
-            sum -= s->lu[k][i] * v[i];
-        v[k] = sum * s->inverse[k];
-    }
-    for (int i = 0; i < N_U; ++i) {
-        g[i] = forcing[fb_column(s, usual, i)];
-        for (int d = 0; d < N_RANK; ++d)
-            g[i] -= s->mass[i][d] * v[d];
-    }
-    for (int a = N_RANK; a < N_U; ++a) {
-        double sum = g[a];
-        for (int d = 0; d < N_RANK; ++d)
-            sum += s->lu[d][a] * g[d];
-        for (int c = N_RANK; c < a; ++c)
-            sum -= s->reduced[a][c] * v[c];
-        v[a] = sum;
-    }
-    for (int a = N_U - 1; a >= N_RANK; --a) {
-        v[a] *= s->reduced[a][a];
-        for (int c = a + 1; c < N_U; ++c)
-            v[a] -= s->reduced[c][a] * v[c];
-    }
-    for (int d = 0; d < N_RANK; ++d)
-        for (int a = N_RANK; a < N_U; ++a)
-            v[d] += s->lu[d][a] * v[a];
-    for (int i = 0; i < N_U; ++i)
-        accelerations[fb_column(s, usual, i)] = v[i];
 }
 
 /* The units of J: the largest entries so far of its columns, and, in units of these, of its rows. */
@@ -318,13 +232,13 @@ static inline int fb_factor(const double *restrict mass_matrix, const double *re
 {
     s->usual = FB_TRY_USUAL && fb_eliminate_usual(constraint_jacobian, s);
     if (s->usual) {
-        const int status = fb_reduce(mass_matrix, s, 1);
+        const int status = fb_reduce(mass_matrix, s, usual_speed);
         return status == FB_OK || all_finite(constraint_jacobian, N_C * N_U) == FB_OK ? status : FB_NOT_FINITE;
     }
     if (all_finite(constraint_jacobian, N_C * N_U) != FB_OK)
         return FB_NOT_FINITE;
     const int status = fb_eliminate(constraint_jacobian, s);
-    return status == FB_OK ? fb_reduce(mass_matrix, s, 0) : status;
+    return status == FB_OK ? fb_reduce(mass_matrix, s, s->column) : status;
 }
 
 /* u' for one right-hand side (f, gamma). */
@@ -334,11 +248,11 @@ static inline int fb_solve(const double *restrict forcing, const double *restric
     double w[FB_AT_LEAST_1(N_C)];
     if (s->usual) {
         fb_forward(acceleration_bias, s, w, 1);
-        fb_back(forcing, w, s, accelerations, 1);
+        fb_back(forcing, w, s, accelerations, usual_speed);
         return FB_OK;
     }
     double size = fb_forward(acceleration_bias, s, w, 0);
-    fb_back(forcing, w, s, accelerations, 0);
+    fb_back(forcing, w, s, accelerations, s->column);
     /* The rows beyond the rank have to hold by themselves. */
     for (int i = 0; i < N_U && N_RANK < N_C; ++i)
         size = fb_max(size, fabs(accelerations[i]));

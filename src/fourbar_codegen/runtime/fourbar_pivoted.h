@@ -1,0 +1,98 @@
+/* With a pivot order, the part of fourbar_solve.h that computes alike for one state and for several side by side: FB_VALUE is
+ * a double or a vector of them, FB_FACTORS the type of the factors, FB_OF(name) what a function is called. Before it is
+ * included, FB_REQUIRE_POSITIVE(s, value) says what to do unless a value is positive.
+ *
+ * `order` is the static pivot order, so that the compiler knows its places, or one that was found at run time.
+ */
+
+/* Row k below the diagonal of U_d, by a pivot that is not zero. */
+static FB_INLINE void FB_OF(fb_eliminate_below)(FB_VALUE lu[][N_U], FB_VALUE *restrict inverse, const int k)
+{
+    inverse[k] = 1.0 / lu[k][k];
+    for (int i = k + 1; i < N_C; ++i) {
+        const FB_VALUE factor = lu[i][k] *= inverse[k];
+        for (int j = k + 1; j < N_U; ++j)
+            lu[i][j] -= factor * lu[k][j];
+    }
+}
+
+/* A and T^T M T = L D L^T. */
+static FB_INLINE int FB_OF(fb_reduce)(const FB_VALUE *restrict mass_matrix, FB_FACTORS *restrict s, const int *order)
+{
+    for (int k = N_RANK - 1; k >= 0; --k)
+        for (int j = N_RANK; j < N_U; ++j) {
+            FB_VALUE sum = s->lu[k][j];
+            for (int i = k + 1; i < N_RANK; ++i)
+                sum += s->lu[k][i] * s->lu[i][j];
+            s->lu[k][j] = -s->inverse[k] * sum;
+        }
+    for (int i = 0; i < N_U; ++i)
+        for (int j = 0; j < N_U; ++j)
+            s->mass[i][j] = mass_matrix[order[i] * N_U + order[j]];
+    for (int b = N_RANK; b < N_U; ++b) {
+        FB_VALUE product[N_U]; /* column b of M T */
+        for (int i = 0; i < N_U; ++i) {
+            product[i] = s->mass[i][b];
+            for (int d = 0; d < N_RANK; ++d)
+                product[i] += s->mass[i][d] * s->lu[d][b];
+        }
+        for (int a = b; a < N_U; ++a) {
+            FB_VALUE sum = product[a];
+            for (int d = 0; d < N_RANK; ++d)
+                sum += s->lu[d][a] * product[d];
+            s->reduced[a][b] = sum;
+        }
+    }
+    for (int b = N_RANK; b < N_U; ++b) {
+        FB_REQUIRE_POSITIVE(s, s->reduced[b][b]);
+        s->reduced[b][b] = 1.0 / s->reduced[b][b];
+        for (int a = N_U - 1; a > b; --a) {
+            const FB_VALUE factor = s->reduced[a][b] * s->reduced[b][b];
+            for (int c = b + 1; c <= a; ++c)
+                s->reduced[a][c] -= factor * s->reduced[c][b];
+            s->reduced[a][b] = factor;
+        }
+    }
+    return FB_OK;
+}
+
+/* u' from f, or from zeros where that is NULL, and w = L^-1 P S gamma. */
+static FB_INLINE void FB_OF(fb_back)(const FB_VALUE *restrict forcing, const FB_VALUE *restrict w,
+                                     const FB_FACTORS *restrict s, FB_VALUE *restrict accelerations, const int *order)
+{
+    FB_VALUE v[N_U], g[N_U];
+    for (int k = N_RANK - 1; k >= 0; --k) {
+        FB_VALUE sum = -w[k];
+        for (int i = k + 1; i < N_RANK; ++i)
+            sum -= s->lu[k][i] * v[i];
+        v[k] = sum * s->inverse[k];
+    }
+    for (int i = 0; i < N_U; ++i) {
+        g[i] = forcing ? forcing[order[i]] : (FB_VALUE){0.0};
+        for (int d = 0; d < N_RANK; ++d)
+            g[i] -= s->mass[i][d] * v[d];
+    }
+    for (int a = N_RANK; a < N_U; ++a) {
+        FB_VALUE sum = g[a];
+        for (int d = 0; d < N_RANK; ++d)
+            sum += s->lu[d][a] * g[d];
+        for (int c = N_RANK; c < a; ++c)
+            sum -= s->reduced[a][c] * v[c];
+        v[a] = sum;
+    }
+    for (int a = N_U - 1; a >= N_RANK; --a) {
+        v[a] *= s->reduced[a][a];
+        for (int c = a + 1; c < N_U; ++c)
+            v[a] -= s->reduced[c][a] * v[c];
+    }
+    for (int d = 0; d < N_RANK; ++d)
+        for (int a = N_RANK; a < N_U; ++a)
+            v[d] += s->lu[d][a] * v[a];
+    for (int i = 0; i < N_U; ++i)
+        accelerations[order[i]] = v[i];
+}
+
+#undef FB_VALUE
+#undef FB_FACTORS
+#undef FB_OF
+#undef FB_REQUIRE_POSITIVE

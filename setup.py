@@ -11,7 +11,8 @@ from Cython.Build import cythonize
 from setuptools import Extension, setup
 
 RUNTIME = "src/fourbar_codegen/runtime"
-# Behind the user's flags, as in toolchain.py: what is not a number has to be noticed, and roundings are part of the method.
+# Behind the user's flags, as in toolchain.py: what is not a number has to be noticed, and roundings are part of the
+# method.
 STRICT_FLAGS = ["-fno-fast-math", "-fno-finite-math-only", "-fno-unsafe-math-optimizations"]
 MACROS = [("NPY_NO_DEPRECATED_API", "NPY_1_7_API_VERSION")]
 

@@ -30,7 +30,7 @@ driven_four_bar = import_module("08_stiff_drive").driven_four_bar
 TOLERANCES = [10.0**-k for k in range(3, 11)]
 STEPS = [1e-2, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5]  # of ALI3P
 SHOWN = 1e-6
-LONGEST = 1.0  # s
+MAX_OPERANDS = 1.0  # s
 SAMPLES = 41
 PERTURBATION = 1e-8  # of each entry of a state
 METHODS: dict[str, dict[str, Any]] = {
@@ -115,7 +115,7 @@ def precision(case: Case, rounds: int) -> list[dict[str, Any]]:
             settings = {"max_step": step} if name == "ALI3P" else {"rtol": tolerance, "atol": tolerance}
             run = partial(case.run, **{"method": name, **how, **settings})
             seconds = timed(run)
-            if seconds > LONGEST:
+            if seconds > MAX_OPERANDS:
                 del going[name]
             else:
                 runs[name] = run, settings
@@ -202,7 +202,7 @@ def tables(
             setting = ("max_step", 1e-3) if method == "ALI3P" else ("rtol", SHOWN)
             shown = [row for row in rows if row["method"] == method and setting in row.items()]
             if not shown or "message" in shown[0]:
-                lines.append(f"| {method} | {'fails' if shown else f'more than {LONGEST:g} s'} | | | | | |")
+                lines.append(f"| {method} | {'fails' if shown else f'more than {MAX_OPERANDS:g} s'} | | | | | |")
                 continue
             (row,) = shown
             lines.append(

@@ -185,7 +185,7 @@ def test_sums_and_powers():
 
 def test_infinitely_many_ways(monkeypatch):
     """A rhombus folded flat: the crank's end lies on the other pivot, and the rest turns freely about it."""
-    monkeypatch.setattr("fourbar_codegen.analysis.assembly_modes.MOST", 50)
+    monkeypatch.setattr("fourbar_codegen.analysis.assembly_modes.MAX_MODES", 50)
     model = linkage(1)
     assert len(model.initial_states([1.0], [0.0], parameters=[1.0] * 5)) == 2
     folded = model.initial_states([0.0], [0.0], parameters=[1.0] * 5)

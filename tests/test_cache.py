@@ -209,18 +209,18 @@ def test_states_side_by_side_are_compiled_when_they_are_needed(monkeypatch, tmp_
     start = first.initial_state({"q1": 0.48}, {"u1": 0.0})
     assert first.simulate((0.0, 0.1), start).success
     assert first.ensemble((0.0, 0.1), start, inputs={"F": lambda t, x: 1.0}).success.all()
-    assert first.lacks_lanes
+    assert first.lacks_batch_functions
     assert entries(tmp_path) == ["slider"]
     x = np.linspace(0.1, 2.0, 40).reshape(4, 10)
     rates = first.rhs_batch(0.0, x)
-    assert not first.lacks_lanes
+    assert not first.lacks_batch_functions
     assert entries(tmp_path) == ["slider", "slider_lanes"]
     np.testing.assert_allclose(rates, np.transpose([first.rhs(0.0, column) for column in x.T]), rtol=1e-12)
 
     def forbidden(*_):
         raise AssertionError("they are there already")
 
-    monkeypatch.setattr(toolchain, "build_lanes", forbidden)
+    monkeypatch.setattr(toolchain, "build_batch_functions", forbidden)
     second = fb.compile_model(slider())
     np.testing.assert_array_equal(second.rhs_batch(0.0, x), rates)
     assert second.ensemble((0.0, 0.1), start).success.all()
@@ -250,7 +250,7 @@ def test_states_side_by_side_without_their_sources(monkeypatch, tmp_path):
 
 def test_another_models_sources_in_the_folder(tmp_path):
     """Many loops are not evaluated side by side; what is left of another model of the same name does not count."""
-    lanes = tmp_path / "n_four_bar_10_lanes.c"
+    lanes = tmp_path / "n_four_bar_10_batch.c"
     lanes.write_text("of another model")
     model = fb.load(fb.build_model(fb.models.n_four_bar(10), tmp_path))
     assert not lanes.exists()
@@ -277,7 +277,7 @@ def test_modules_for_others_have_all_in_one_file(monkeypatch, tmp_path):
     module = fb.build_model(slider(), tmp_path / "folder")
     shutil.move(module, tmp_path / module.name)
     model = fb.load(tmp_path / module.name)
-    assert not model.lacks_lanes
+    assert not model.lacks_batch_functions
     assert np.isfinite(model.rhs_batch(0.0, np.full((4, 3), 0.5))).all()
     assert not (tmp_path / "cache").exists()
 
@@ -341,10 +341,10 @@ def test_modules_of_another_layout_are_refused(monkeypatch, tmp_path):
 
 def test_states_side_by_side_of_another_layout_are_refused(monkeypatch):
     model, found = fb.compile_model(slider()), []
-    attach = type(model)._attach_lanes
+    attach = type(model)._attach_batch_functions
     with monkeypatch.context() as patched:
-        patched.setattr(fb.CompiledModel, "_attach_lanes", lambda _, address: found.append(address))
-        model.require_lanes()
+        patched.setattr(fb.CompiledModel, "_attach_batch_functions", lambda _, address: found.append(address))
+        model.require_batch_functions()
     # The version, the sizes of eight structs, the width, and two functions.
     words = (ctypes.c_size_t * 12).from_address(found[0])
     for place in range(9):
@@ -355,9 +355,9 @@ def test_states_side_by_side_of_another_layout_are_refused(monkeypatch):
     # As it was before it had sizes: the width, and two functions.
     with pytest.raises(fb.ModelError, match="another version of this package"):
         attach(model, ctypes.addressof(words) + ctypes.sizeof(ctypes.c_size_t * 9))
-    assert model.lacks_lanes
+    assert model.lacks_batch_functions
     attach(model, found[0])
-    assert not model.lacks_lanes
+    assert not model.lacks_batch_functions
 
 
 def test_unwritable_cache(monkeypatch, tmp_path):
@@ -409,7 +409,7 @@ def flip(source):
         lambda module: (module.parent / "checksum").unlink(),
         lambda module: (module.parent / "checksum").write_text("  slider_kernel.c\n"),
         lambda module: flip(module.with_name("slider_kernel.c")),
-        lambda module: module.with_name("slider_lanes.c").unlink(),
+        lambda module: module.with_name("slider_batch.c").unlink(),
         lambda module: (shutil.rmtree(module.parent), module.parent.write_text("a file")),
         lambda module: module.parent.rename(
             f"{module.parent}.{os.geteuid()}.building"

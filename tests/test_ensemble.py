@@ -1,4 +1,4 @@
-"""Many states and many runs at once: the same as one by one, in any company."""
+"""Many states and many runs at once: the same as one by one, whatever stands beside them."""
 
 import multiprocessing
 import subprocess
@@ -61,7 +61,7 @@ MODELS = {
 def compiled(request):
     model, side_by_side = MODELS[request.param]
     compiled = fb.compile_model(model())
-    compiled.require_lanes()
+    compiled.require_batch_functions()
     assert (width(compiled) > 1) == side_by_side
     return compiled
 

@@ -19,7 +19,7 @@ from fourbar_codegen.codegen.c_expressions import Text
 from fourbar_codegen.dynamics.equations import form_equations
 from fourbar_codegen.expressions.convert import Conversion
 from fourbar_codegen.expressions.tape import Result, Tape
-from fourbar_codegen.lowering.cse import share
+from fourbar_codegen.lowering.cse import eliminate_common_subexpressions
 from fourbar_codegen.lowering.lower import lower
 from fourbar_codegen.lowering.program import Array, Function
 from fourbar_codegen.lowering.schedule import schedule_function
@@ -31,7 +31,7 @@ NAMES = [
     "four_bar_derivatives.c",
     "four_bar_kernel.c",
     "four_bar_kernel.h",
-    "four_bar_lanes.c",
+    "four_bar_batch.c",
     "manifest.json",
 ]
 
@@ -63,7 +63,7 @@ def test_kernel_compiles_without_warnings(tmp_path, compiler, optimization, mode
     for name, text in fb.generate_sources(model()).items():
         (tmp_path / name).write_text(text)
     # Instruction sets matter to states side by side.
-    sources = sorted(map(str, tmp_path.glob("*_lanes.c" if "-m" in optimization else "*.c")))
+    sources = sorted(map(str, tmp_path.glob("*_batch.c" if "-m" in optimization else "*.c")))
     command = [
         require(compiler),
         "-c",
@@ -144,7 +144,7 @@ def test_printed_expressions_mean_what_they_say(expr):
     values = {"x": 1.3, "y": 0.7, "z": 2.1}
     tape = Tape()
     leaves = {symbol: tape.leaf("p", symbol.name) for symbol in (x, y, z)}
-    statements, [value] = share(tape, [Conversion(tape, leaves)(expr)], lambda _: False)
+    statements, [value] = eliminate_common_subexpressions(tape, [Conversion(tape, leaves)(expr)], lambda _: False)
     nodes = tuple(leaf.node for leaf in leaves.values())
     arguments = (Array("p", nodes, tuple(tape.nodes[node] for node in nodes)),)
     function = Function("f", "", arguments, statements, (Result("y", (1,), (value,)),), 0)

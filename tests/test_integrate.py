@@ -101,7 +101,7 @@ def test_every_state_that_is_handed_out_satisfies_the_constraints(case, method):
         # Of the end of a step, the interpolant is another approximation by rounding errors, and is projected itself.
         np.testing.assert_allclose(stepped.sol(times), sampled.y, rtol=0, atol=1e-12 * np.abs(sampled.y).max())
     for t, x in states:
-        positions, velocities = compiled.closure(t, x)
+        positions, velocities = compiled.constraint_violation(t, x)
         jacobian, _ = compiled.velocity(t, x)
         # Rounding errors of a few dozen operations on coordinates and speeds.
         size = np.abs(jacobian).max(initial=0.0) * np.abs(x).max()
@@ -590,7 +590,7 @@ def test_stepper_holds_inputs_and_keeps_loops_closed(four_bar):
     forces = np.repeat(np.random.default_rng(2).normal(scale=50.0, size=20), 50)
     states = np.array([stepper.step([force] if i % 2 else {"F": force}) for i, force in enumerate(forces)])
     for t, x in zip(1e-3 * np.arange(1, 1001), states, strict=True):
-        positions, velocities = four_bar.closure(t, x)
+        positions, velocities = four_bar.constraint_violation(t, x)
         # 1e-13 of coordinates of 3 rad, of speeds of 10 rad/s.
         assert np.abs(positions).max() < 1e-12
         assert np.abs(velocities).max() < 1e-11

@@ -54,7 +54,7 @@ static double evaluate(const fb_kernel *k, const double *p)
     k->dynamics(0.5, x, c, r, qs, m, f, j, g);
     k->position(0.5, x, c, r, phi, pq);
     k->velocity(0.5, x, c, r, j, g);
-    k->closure(0.5, x, c, r, l, g);
+    k->constraint_violation(0.5, x, c, r, l, g);
     k->coordinate_change(0.5, x, c, r, a, qs);
     k->constraint_sensitivity(0.5, x, c, r, vq, pr, vr);
     k->energy(0.5, x, c, r, e);
@@ -66,7 +66,7 @@ static double evaluate(const fb_kernel *k, const double *p)
         sum += n[i] ? all[0] : 0.0;
         free(q), free(y), free(all);
     }
-    k->turned(work);
+    k->orientation_changed(work);
     k->project(0.5, x, c, r, 0, work);
     sum += rates[0] + e[0];
     double *const all[] = {x, c, r, a, l, rates, qs, m, f, j, g, phi, pq, vq, pr, vr, e, o, rp};
@@ -153,7 +153,7 @@ static double implicit(const fb_kernel *k, const double *p, const double *x0)
 }
 
 typedef struct work {
-    const fb_lanes *lanes;
+    const fb_batch_functions *batch_functions;
     const fb_batch *batch;
     const fb_ensemble *ensemble;
     long begin, end;
@@ -163,9 +163,9 @@ static void *on_thread(void *given)
 {
     const work *const w = given;
     if (w->batch)
-        w->lanes->batch(w->batch, w->begin, w->end);
+        w->batch_functions->batch(w->batch, w->begin, w->end);
     else
-        w->lanes->run(w->ensemble);
+        w->batch_functions->run(w->ensemble);
     return NULL;
 }
 
@@ -173,10 +173,10 @@ static void on_threads(const fb_kernel *k, const fb_batch *batch, const fb_ensem
 {
     pthread_t threads[3];
     work works[3];
-    if (k->lanes == NULL || k->lanes->width == 0)
+    if (k->batch_functions == NULL || k->batch_functions->width == 0)
         return;
     for (int i = 0; i < 3; ++i) {
-        works[i] = (work){k->lanes, batch, ensemble, n * i / 3, n * (i + 1) / 3};
+        works[i] = (work){k->batch_functions, batch, ensemble, n * i / 3, n * (i + 1) / 3};
         pthread_create(threads + i, NULL, on_thread, works + i);
     }
     for (int i = 0; i < 3; ++i)
@@ -283,8 +283,8 @@ class Program:
         self.command = [os.environ.get("CC", "cc"), "-std=c11", "-O0", "-g", f"-fsanitize={sanitizer}", "-pthread"]
         self.command += ["-fno-sanitize-recover=all", f"-I{fb.get_include()}", f"-I{folder}"]
         self.command += [f"-DKERNEL={model.name}_kernel", "-include", f"{model.name}_kernel.h"]
-        self.lanes = folder / f"{model.name}_lanes.c"
-        self.objects = [self.compiled(path) for path in sorted(folder.glob("*.c")) if path != self.lanes]
+        self.batch_functions = folder / f"{model.name}_batch.c"
+        self.objects = [self.compiled(path) for path in sorted(folder.glob("*.c")) if path != self.batch_functions]
 
     def compiled(self, path, *flags):
         subprocess.run([*self.command, *flags, "-c", str(path), "-o", f"{path}.o"], check=True)
@@ -292,7 +292,7 @@ class Program:
 
     def run(self, flags, values):
         """What it prints, with the functions for states side by side compiled with more flags."""
-        lanes = [self.compiled(self.lanes, *flags)] if self.lanes.is_file() else []
+        lanes = [self.compiled(self.batch_functions, *flags)] if self.batch_functions.is_file() else []
         program = str(self.folder / "program")
         subprocess.run([*self.command, *self.objects, *lanes, "-o", program, "-lm"], check=True)
         done = subprocess.run([program, *values], capture_output=True, text=True, check=False)

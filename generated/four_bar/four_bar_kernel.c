@@ -31,11 +31,11 @@ enum {
     N_CONSTANTS = 51
 };
 #define FB_NAME(function) four_bar_##function
-#define FB_HAS_LANES
+#define FB_HAS_BATCH_FUNCTIONS
 
 /* The order in which constraints are eliminated as a rule; the speeds for which they are solved, and the others. */
-static const int usual_row[] = {1, 0};
-static const int usual_speed[] = {1, 2, 0};
+static const int static_pivot_row[] = {1, 0};
+static const int static_pivot_speed[] = {1, 2, 0};
 
 /* The parameters, and behind them all that is derived from them alone. */
 static void prepare(const fb_real *restrict p, fb_real *restrict constants)
@@ -234,8 +234,8 @@ static void dynamics(fb_real t, const fb_real *restrict x, const fb_real *restri
 }
 
 /* By how much the constraints are violated: Phi in the rows of J that are its rates, and J u + b. */
-static void closure(fb_real t, const fb_real *restrict x, const fb_real *restrict constants,
-    const fb_real *restrict r, fb_real *restrict position_closure, fb_real *restrict velocity_closure)
+static void constraint_violation(fb_real t, const fb_real *restrict x, const fb_real *restrict constants,
+    const fb_real *restrict r, fb_real *restrict position_violation, fb_real *restrict velocity_violation)
 {
     (void)t;
     (void)r;
@@ -252,11 +252,11 @@ static void closure(fb_real t, const fb_real *restrict x, const fb_real *restric
     const fb_real l2 = constants[2];
     const fb_real l3 = constants[3];
     const fb_real l4 = constants[4];
-    position_closure[0] = l1 + l2*z0 + l4*z3 + l3*z4;
+    position_violation[0] = l1 + l2*z0 + l4*z3 + l3*z4;
     const fb_real z5 = angles0.sin[0];
     const fb_real z6 = angles0.sin[1];
     const fb_real z7 = angles0.sin[2];
-    position_closure[1] = l2*z5 + l4*z6 + l3*z7;
+    position_violation[1] = l2*z5 + l4*z6 + l3*z7;
     const fb_real u1 = x[3];
     const fb_real z8 = u1*l2;
     const fb_real u2 = x[4];
@@ -264,14 +264,14 @@ static void closure(fb_real t, const fb_real *restrict x, const fb_real *restric
     const fb_real u3 = x[5];
     const fb_real z10 = l4*(u3 + z9);
     const fb_real z11 = l3*z9;
-    velocity_closure[0] = -(z8*z5 + z10*z6 + z11*z7);
-    velocity_closure[1] = z8*z0 + z10*z3 + z11*z4;
+    velocity_violation[0] = -(z8*z5 + z10*z6 + z11*z7);
+    velocity_violation[1] = z8*z0 + z10*z3 + z11*z4;
 }
 
-/* What violations of the position constraints, and of the rows of `closure`, are measured by. */
+/* What violations of the position constraints, and of the rows of `constraint_violation`, are measured by. */
 static void constraint_scale(fb_real t, const fb_real *restrict x, const fb_real *restrict constants,
-    const fb_real *restrict r, fb_real *restrict position_scale, fb_real *restrict position_closure_scale,
-    fb_real *restrict velocity_closure_scale)
+    const fb_real *restrict r, fb_real *restrict position_scale, fb_real *restrict position_violation_scale,
+    fb_real *restrict velocity_violation_scale)
 {
     (void)t;
     (void)r;
@@ -321,13 +321,13 @@ static void constraint_scale(fb_real t, const fb_real *restrict x, const fb_real
     const fb_real k21 = constants[21];
     const fb_real z33 = k27 + k21*z9 + k22*z10 + k23*z11 + k24*z15 + k25*z32 + k26*z30;
     position_scale[0] = z33;
-    position_closure_scale[0] = z33;
+    position_violation_scale[0] = z33;
     const fb_real z34 = z0*z7 + z6*z5;
     const fb_real z35 = fb_abs(z34);
     const fb_real z36 = z19*z22 + z21*z10 + z20*z31 + z18*z30;
     const fb_real z37 = k21*z35 + k22*z22 + k23*z14 + k24*z28 + k25*z36 + k26*z31;
     position_scale[1] = z37;
-    position_closure_scale[1] = z37;
+    position_violation_scale[1] = z37;
     const fb_real u1 = x[3];
     const fb_real u2 = x[4];
     const fb_real z38 = u1 + u2;
@@ -349,7 +349,7 @@ static void constraint_scale(fb_real t, const fb_real *restrict x, const fb_real
     const fb_real z53 = fb_abs(z38);
     const fb_real z54 = k21*z41 + k22*z43 + k23*z45 + k24*(z14*z47 + z28*z46) + k25*(z35*z51 + z52*z36) +
         k26*(z22*z50 + z53*z31);
-    velocity_closure_scale[0] = z54;
+    velocity_violation_scale[0] = z54;
     const fb_real z55 = z39*z8;
     const fb_real z56 = fb_abs(z55);
     const fb_real z57 = z38*z5;
@@ -358,7 +358,7 @@ static void constraint_scale(fb_real t, const fb_real *restrict x, const fb_real
     const fb_real z60 = fb_abs(z59);
     const fb_real z61 = k21*z56 + k22*z58 + k23*z60 + k24*(z11*z47 + z15*z46) + k25*(z9*z51 + z52*z32) +
         k26*(z10*z50 + z53*z30);
-    velocity_closure_scale[1] = z61;
+    velocity_violation_scale[1] = z61;
 }
 
 /* K v, the change of the coordinates for a change v of what the speeds integrate to. */
@@ -378,7 +378,7 @@ static void coordinate_change(fb_real t, const fb_real *restrict q, const fb_rea
 }
 
 #ifdef FB_SIDE_BY_SIDE
-#include "fourbar_lanes.h"
+#include "fourbar_side_by_side.h"
 #else
 /* Times at which expressions have a jump or a kink. */
 static void breakpoints(const double *restrict constants, double *restrict breakpoints)

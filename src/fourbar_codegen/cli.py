@@ -165,10 +165,10 @@ def _simulated(
 def simulate(samples: int, outputs: tuple[Path, ...], **run: Any) -> None:
     import numpy as np
 
-    from fourbar_codegen.results.trajectory import check_ending
+    from fourbar_codegen.results.trajectory import check_suffix
 
     for path in outputs:
-        check_ending(path)
+        check_suffix(path)
     trajectory, seconds = _simulated(lambda start, end: np.linspace(start, end, samples), **run)
     _report(trajectory, run["method"], seconds)
     for path in outputs:
@@ -199,15 +199,16 @@ def animate(output: Path, **run: Any) -> None:
     _show(output, (".gif", ".mp4"), run)
 
 
-def _show(output: Path, endings: tuple[str, ...], run: dict[str, Any]) -> None:
+def _show(output: Path, suffixes: tuple[str, ...], run: dict[str, Any]) -> None:
     """Simulate with a state for each picture, and write these."""
-    from fourbar_codegen.presentation.report import picture_times
+    from fourbar_codegen.presentation.report import frame_times
 
-    if output.suffix.lower() not in endings:
+    if output.suffix.lower() not in suffixes:
         raise fb.ModelError(
-            f"{output} must end with {' or '.join(endings)}. fourbar animate writes films, report pages, simulate data."
+            f"{output} must end with {' or '.join(suffixes)}. fourbar animate writes films, report pages, simulate "
+            "data."
         )
-    trajectory, _ = _simulated(picture_times, **run)
+    trajectory, _ = _simulated(frame_times, **run)
     click.echo(f"Written: {trajectory.save(output)}")
     _check_end(trajectory)
 

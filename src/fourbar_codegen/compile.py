@@ -49,7 +49,7 @@ def generate_sources(model: Model) -> dict[str, str]:
     --------
     >>> import fourbar_codegen as fb
     >>> sorted(fb.generate_sources(fb.models.four_bar()))
-    ['four_bar.pyx', 'four_bar_derivatives.c', 'four_bar_kernel.c', 'four_bar_kernel.h', 'four_bar_lanes.c',
+    ['four_bar.pyx', 'four_bar_derivatives.c', 'four_bar_kernel.c', 'four_bar_kernel.h', 'four_bar_batch.c',
      'manifest.json']
     """
     with Progress(f"fourbar_codegen: {getattr(model, 'name', '')}") as progress:
@@ -60,7 +60,7 @@ def _generate(model: Model, progress: Progress) -> tuple[Equations, dict[str, st
     """The equations, and the sources made of them."""
     _require_model(model)
     # Imported here: a model that is in the cache needs none of it.
-    from fourbar_codegen.codegen.c_source import derivatives_text, header_text, kernel_text, lanes_text
+    from fourbar_codegen.codegen.c_source import batch_text, derivatives_text, header_text, kernel_text
     from fourbar_codegen.codegen.cython_source import wrapper_text
     from fourbar_codegen.codegen.manifest import manifest_of, manifest_text
     from fourbar_codegen.dynamics.equations import form_equations
@@ -81,10 +81,10 @@ def _generate(model: Model, progress: Progress) -> tuple[Equations, dict[str, st
         "outputs": model.outputs,
     }
     manifest = manifest_of(model, equations, program, names, fingerprint(_described(model)))
-    lanes = lanes_text(scheduled)
+    batch = batch_text(scheduled)
     return equations, {
         f"{model.name}_kernel.c": kernel_text(scheduled, names),
-        **({f"{model.name}_lanes.c": lanes} if lanes else {}),
+        **({f"{model.name}_batch.c": batch} if batch else {}),
         f"{model.name}_derivatives.c": derivatives_text(scheduled, names),
         f"{model.name}_kernel.h": header_text(scheduled, names),
         f"{model.name}.pyx": wrapper_text(model, manifest),

@@ -307,8 +307,8 @@ class CompiledModel(Kernel):
 
         They are complete where the loops are those of dyads, one after another: constraints, one or two at a time, in
         no more unknown coordinates, that are trigonometric in angles and polynomial in displacements. So are the
-        four-bar linkage, the slider-crank, and chains of them. Other loops are searched from many beginnings, and the
-        number of modes is a lower bound. See `fourbar_codegen.analysis.assembly_modes` for the method.
+        four-bar linkage, the slider-crank, and chains of them. Other loops are searched from many starting points, and
+        the number of modes is a lower bound. See `fourbar_codegen.analysis.assembly_modes` for the method.
 
         Parameters
         ----------

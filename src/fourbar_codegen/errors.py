@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 __all__ = ["AssemblyError", "BuildError", "CacheError", "FourbarError", "ModelError", "SimulationError", "shown"]
 
-LONGEST = 300
+MAX_SHOWN = 300
 """Characters that a message spends on what was given."""
 
 
@@ -88,4 +88,4 @@ def shown(given: object) -> str:
         text = repr(given)
     except Exception:
         return f"an object of the class {type(given).__name__}"
-    return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
+    return text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}..."

@@ -121,9 +121,12 @@ def _compiled_results(
         ),
         "position": ([e.position_constraints, e.position_jacobian], compiled.position(t, x[: compiled.n_q], p, r)),
         "velocity": ([e.constraint_jacobian, e.velocity_bias], compiled.velocity(t, x, p, r)),
-        "closure": ([e.position_closure, e.velocity_closure], compiled.closure(t, x, p, r)),
+        "constraint_violation": (
+            [e.position_violation, e.velocity_violation],
+            compiled.constraint_violation(t, x, p, r),
+        ),
         "constraint_scale": (
-            [e.position_scale, e.position_closure_scale, e.velocity_closure_scale],
+            [e.position_scale, e.position_violation_scale, e.velocity_violation_scale],
             compiled.constraint_scale(t, x, p, r),
         ),
         "coordinate_change": ([e.coordinate_change], [compiled.coordinate_change(t, x, accelerations, p, r)]),

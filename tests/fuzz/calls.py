@@ -175,8 +175,9 @@ class Calls:
 
 
 NOT_FOR_USERS = {
-    "breakpoints", "default_input_sensitivity", "defaults_in_force", "failure", "from_file", "from_module",
-    "input_values", "lacks_lanes", "missing", "parameter_values", "rates_at_rest", "require_lanes", "too_few_dependent",
+    "breakpoints", "default_input_sensitivity", "defaults_in_force", "failure", "find", "from_file", "from_module",
+    "input_values", "lacks_batch_functions", "missing", "parameter_values", "rates_at_rest", "require_batch_functions",
+    "too_few_dependent",
 }  # fmt: skip
 """Names of `CompiledModel` by which parts of the package speak to each other."""
 
@@ -197,7 +198,8 @@ def calls_of(name: str) -> dict[str, Call]:
         calls.add(function, getattr(model, function), **state, **values)
     # What these are made of, as it comes.
     for function in (
-        "dynamics", "velocity", "closure", "constraint_scale", "energy", "drawing", "constraint_sensitivity",
+        "dynamics", "velocity", "constraint_violation", "constraint_scale", "energy", "drawing",
+        "constraint_sensitivity",
     ):  # fmt: skip
         calls.add(function, getattr(model, function), **state, **values, may_be_nan=True)
     calls.add("rhs into", model.rhs, **state, **values, out=np.empty(model.n_x))

@@ -3,7 +3,7 @@
 Where one or two constraints hold no more unknown coordinates than that, as in the loops of dyads (four-bar linkage,
 slider-crank, and all that is composed of them), and are polynomials in exp(i angle) and in displacements, all solutions
 are found: the roots of their resultant, with as many digits as tell them apart, are all there are. What is left, if
-anything, is searched from many beginnings, which finds a lower bound.
+anything, is searched from many starting points, which finds a lower bound.
 
 Source: dyads are solved in the order in which they hang on each other as Assur groups of the second class (J. M.
 McCarthy and G. S. Soh, *Geometric Design of Linkages*, 2nd ed., 2011, chapter 2, has the four-bar's two modes); two
@@ -46,13 +46,13 @@ EPS = float(np.finfo(float).eps)
 DEAD = 1e-5
 """Where singular values of a group's slopes have this ratio, two modes meet, or are not known to more digits."""
 
-MOST = 1024
+MAX_MODES = 1024
 """No more modes than these are made: they multiply with the number of loops."""
 
 WITHOUT_NEWS = 100
-"""So many beginnings in a row that lead to nothing new end a search."""
+"""So many starting points in a row that lead to nothing new end a search."""
 
-MOST_BEGINNINGS = 3000
+MAX_STARTING_POINTS = 3000
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +145,7 @@ def closed_coordinates(loops: Loops, start: Floats, progress: Progress) -> tuple
     ----------
     loops : Loops
     start : ndarray, shape (n,)
-        Around which displacements are tried, where beginnings have to be.
+        Around which displacements are tried, where starting points have to be.
     progress : Progress
         Is told how many there are so far.
 
@@ -172,8 +172,8 @@ def closed_coordinates(loops: Loops, start: Floats, progress: Progress) -> tuple
             elif not roots and any(_is_dead(loops, before, dependent) for before in groups[:number]):
                 complete = False  # what comes before is known to half of all digits
             extended += roots
-        complete &= len(extended) <= MOST
-        partial = extended[:MOST]
+        complete &= len(extended) <= MAX_MODES
+        partial = extended[:MAX_MODES]
     if rest and partial:
         complete = False
         found = _search(chart, partial, rest, start, generator, progress)
@@ -383,13 +383,13 @@ def _search(
     generator: np.random.Generator,
     progress: Progress,
 ) -> list[Floats]:
-    """Solutions from many beginnings: what is known of the coordinates, and others at random."""
+    """Solutions from many starting points: what is known of the coordinates, and others at random."""
     found: list[Floats] = []
     others = list(rest)
 
-    def beginnings() -> Iterator[Floats]:
+    def starting_points() -> Iterator[Floats]:
         yield start
-        for number in range(MOST_BEGINNINGS):
+        for number in range(MAX_STARTING_POINTS):
             begin = partial[number % len(partial)].copy()
             reach = chart.scales * np.where(chart.is_angle, 1.0, 10.0 ** generator.uniform(-1.0, 1.0))
             middle = np.where(chart.is_angle, 0.0, start)
@@ -397,11 +397,11 @@ def _search(
             yield begin
 
     in_vain = 0
-    for begin in beginnings():
+    for begin in starting_points():
         progress.stage(f"{len(found)} found")
         dependent = chart.loops.search(begin)
         news = dependent is not None and chart.add(dependent, found)
         in_vain = 0 if news else in_vain + 1
-        if in_vain >= max(WITHOUT_NEWS, 2 * len(partial)) or len(found) >= MOST:
+        if in_vain >= max(WITHOUT_NEWS, 2 * len(partial)) or len(found) >= MAX_MODES:
             break
     return found

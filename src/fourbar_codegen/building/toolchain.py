@@ -23,8 +23,8 @@ from fourbar_codegen.errors import BuildError
 from fourbar_codegen.files import replacing
 
 __all__ = [
+    "build_batch_functions",
     "build_extension",
-    "build_lanes",
     "cache_key",
     "copied",
     "get_include",
@@ -41,7 +41,7 @@ COMMON_FLAGS = ("-fPIC", "-g0")
 # processor: -fno-tree-vectorize takes 10 % off the four-bar's evaluation.
 KERNEL_FLAGS = (*COMMON_FLAGS, "-O3", "-fno-tree-vectorize")
 # States side by side need short loops unrolled, which -O2 leaves out, and nothing else of -O3.
-LANES_FLAGS = (*COMMON_FLAGS, "-O2", "-fpeel-loops", "-fno-tree-vectorize")
+BATCH_FLAGS = (*COMMON_FLAGS, "-O2", "-fpeel-loops", "-fno-tree-vectorize")
 # What the compiler does beyond -O1 takes it half as long again, for a few per cent of long straight-line code.
 DERIVATIVES_FLAGS = (*COMMON_FLAGS, "-O1")
 # Behind the user's flags: a kernel has to notice what is not a number, and so have integrators.
@@ -87,7 +87,7 @@ def toolchain() -> dict[str, object]:
         "compiler file": _file_identity(shutil.which(compiler[0])),
         "flags": [
             KERNEL_FLAGS,
-            LANES_FLAGS,
+            BATCH_FLAGS,
             DERIVATIVES_FLAGS,
             STRICT_LINK_FLAGS,
             WRAPPER_FLAGS,
@@ -194,7 +194,8 @@ def build_extension(
     folder : Path
         Created if it does not exist; it is touched only when all has been built.
     portable : bool
-        Whether the module may be used on another machine of the same kind. If not, `build_lanes` makes the rest of it.
+        Whether the module may be used on another machine of the same kind. If not, `build_batch_functions` makes the
+        rest of it.
     check : callable, optional
         Called with the module before it comes to the folder, where it does not come if this raises.
 
@@ -248,14 +249,14 @@ def write_sources(name: str, sources: Mapping[str, str], folder: Path) -> None:
         for filename, text in sources.items():
             with replacing(folder / filename) as file:
                 file.write(text.encode("utf-8"))
-        lanes = f"{name}_lanes.c"
-        if lanes not in sources:  # not every model has that one
-            (folder / lanes).unlink(missing_ok=True)
+        batch = f"{name}_batch.c"
+        if batch not in sources:  # not every model has that one
+            (folder / batch).unlink(missing_ok=True)
     except OSError as error:
         raise BuildError(f"{folder} cannot be written: {error.strerror or error}.") from error
 
 
-def build_lanes(name: str, sources: Mapping[str, str], folder: Path) -> Path:
+def build_batch_functions(name: str, sources: Mapping[str, str], folder: Path) -> Path:
     """Compile a model's functions for several states side by side, for this machine alone.
 
     Compilers take as long for them as for all the rest, and only batches and ensembles need them.
@@ -272,7 +273,7 @@ def build_lanes(name: str, sources: Mapping[str, str], folder: Path) -> Path:
     Returns
     -------
     Path
-        A shared library that has the ``fb_lanes`` named ``{name}_lanes``; see ``fourbar_batch.h``.
+        A shared library that has the ``fb_batch_functions`` named ``{name}_batch_functions``; see ``fourbar_batch.h``.
 
     Raises
     ------
@@ -281,21 +282,21 @@ def build_lanes(name: str, sources: Mapping[str, str], folder: Path) -> Path:
     """
     with tempfile.TemporaryDirectory() as temporary:
         write_sources(name, sources, Path(temporary))
-        compiled = _compile(Path(temporary) / f"{name}_lanes.c", (*LANES_FLAGS, *MACHINE_FLAGS))
-        return _link([compiled], folder / f"{name}_lanes.so")
+        compiled = _compile(Path(temporary) / f"{name}_batch.c", (*BATCH_FLAGS, *MACHINE_FLAGS))
+        return _link([compiled], folder / f"{name}_batch_functions.so")
 
 
 def _build(name: str, sources: Mapping[str, str], folder: Path, *, portable: bool) -> Path:
     write_sources(name, sources, folder)
     flags = {"_kernel.c": KERNEL_FLAGS, "_derivatives.c": DERIVATIVES_FLAGS}
     if not portable:
-        flags = {ending: (*chosen, "-DFB_ONE_MACHINE", *MACHINE_FLAGS) for ending, chosen in flags.items()}
-    elif f"{name}_lanes.c" in sources:
-        flags["_lanes.c"] = LANES_FLAGS
+        flags = {suffix: (*chosen, "-DFB_ONE_MACHINE", *MACHINE_FLAGS) for suffix, chosen in flags.items()}
+    elif f"{name}_batch.c" in sources:
+        flags["_batch.c"] = BATCH_FLAGS
     from concurrent.futures import ThreadPoolExecutor
 
     with ThreadPoolExecutor(2) as pool:
-        jobs = [pool.submit(_compile, folder / f"{name}{ending}", chosen) for ending, chosen in flags.items()]
+        jobs = [pool.submit(_compile, folder / f"{name}{suffix}", chosen) for suffix, chosen in flags.items()]
         wrapper = _compile(_cythonize(folder / f"{name}.pyx"), WRAPPER_FLAGS)
         objects = [*(job.result() for job in jobs), wrapper]
     return _link(objects, folder / f"{name}{sysconfig.get_config_var('EXT_SUFFIX')}")

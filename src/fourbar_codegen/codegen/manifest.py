@@ -38,7 +38,7 @@ def manifest_of(
     functions = {function.name: function.results for function in program.functions}
     energies = functions["energy"][0].entries
     # Every position constraint has to have a row of J that is its rate.
-    closed, positions = functions["closure"][0].entries, functions["position"][0].entries
+    closed, positions = functions["constraint_violation"][0].entries, functions["position"][0].entries
     return {
         "format": MANIFEST_FORMAT,
         "name": model.name,

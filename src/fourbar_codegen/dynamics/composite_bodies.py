@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from fourbar_codegen.dynamics.kinematics import (
     INERTIAL,
     Components,
-    Motion,
+    Kinematics,
     Rotation,
     add,
     cross,
@@ -26,7 +26,7 @@ from fourbar_codegen.dynamics.kinematics import (
     multiply,
     scale,
 )
-from fourbar_codegen.expressions.derivatives import Direction
+from fourbar_codegen.expressions.derivatives import Jvp
 from fourbar_codegen.expressions.tape import Scalar
 
 __all__ = ["CompositeBodies"]
@@ -80,14 +80,14 @@ class CompositeBodies:
 
     Parameters
     ----------
-    motion : Motion
-    along : sequence of Direction
+    motion : Kinematics
+    along : sequence of Jvp
         Differentiation with respect to each speed.
-    rate : Direction
+    rate : Jvp
         Differentiation with respect to time.
     """
 
-    def __init__(self, motion: Motion, along: Sequence[Direction], rate: Direction) -> None:
+    def __init__(self, motion: Kinematics, along: Sequence[Jvp], rate: Jvp) -> None:
         self.motion = motion
         self.tape = motion.tape
         self._rate = rate
@@ -137,7 +137,7 @@ class CompositeBodies:
                     entries.setdefault((s, r), self.tape.zero)
         return entries
 
-    def _field(self, along: Direction) -> _Field | None:
+    def _field(self, along: Jvp) -> _Field | None:
         """How a speed moves the bodies that it moves; None if not alike."""
         motion = self.motion
         frames, points = motion.mechanism.frames, motion.mechanism.points
@@ -195,7 +195,7 @@ class CompositeBodies:
                 return None
         return _Field(anchor, turn, drift_of_anchor, tuple(branches), tuple(at_anchor), count)
 
-    def _is_rigid(self, point: int, turned: set[int], along: Direction) -> bool:
+    def _is_rigid(self, point: int, turned: set[int], along: Jvp) -> bool:
         """Whether a point is fixed, as far as the speed can move it, to its base in frames that turn with the speed."""
         for frame, components in self.motion.vector(self.motion.mechanism.points[point].offset):
             if any(components) and bool(turned) != (frame in turned):

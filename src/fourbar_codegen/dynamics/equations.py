@@ -23,13 +23,13 @@ import sympy as sm
 
 from fourbar_codegen.dynamics.kane import Kane
 from fourbar_codegen.dynamics.kinematic_equations import solve_kinematics
-from fourbar_codegen.dynamics.kinematics import INERTIAL, Components, Motion, add
+from fourbar_codegen.dynamics.kinematics import INERTIAL, Components, Kinematics, add
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.expressions.breakpoints import breakpoints
 from fourbar_codegen.expressions.convert import Conversion, substitute
-from fourbar_codegen.expressions.derivatives import Direction, Rounding, pull_back
+from fourbar_codegen.expressions.derivatives import Jvp, Rounding, vjp
 from fourbar_codegen.expressions.formulas import formulas
-from fourbar_codegen.expressions.identities import recognize, vanish
+from fourbar_codegen.expressions.identities import deduplicate, is_zero
 from fourbar_codegen.expressions.linear import TooManyCoupledError, UndeterminedError, solve_linear
 from fourbar_codegen.expressions.tape import Result, Scalar, Tape
 from fourbar_codegen.modeling.model import InputEntry, Model, multiplier
@@ -97,11 +97,11 @@ class Equations:
         Phi as `formulas` writes it.
     constraint_jacobian, velocity_bias, acceleration_bias : Result
         J, (n_c, n_u); b and gamma, (n_c,). Rows of holonomic constraints first, if they are derived.
-    position_closure, velocity_closure : Result
+    position_violation, velocity_violation : Result
         By how much the constraints are violated, row by row as in J: Phi where a row is its rate, else 0, (n_c,); and
         J u + b, (n_c,).
-    position_scale, position_closure_scale, velocity_closure_scale : Result
-        What violations of `position_constraints`, (n_h,), `position_closure` and `velocity_closure`, (n_c,), are
+    position_scale, position_violation_scale, velocity_violation_scale : Result
+        What violations of `position_constraints`, (n_h,), `position_violation` and `velocity_violation`, (n_c,), are
         measured by: what rounding errors make of them.
     coordinate_change : Result
         K du, (n_q,), the change of the coordinates that goes with a change of the speeds' integrals, which stands in
@@ -154,11 +154,11 @@ class Equations:
     constraint_jacobian: Result
     velocity_bias: Result
     acceleration_bias: Result
-    position_closure: Result
-    velocity_closure: Result
+    position_violation: Result
+    velocity_violation: Result
     position_scale: Result
-    position_closure_scale: Result
-    velocity_closure_scale: Result
+    position_violation_scale: Result
+    velocity_violation_scale: Result
     coordinate_change: Result
     energies: Result
     power: Result
@@ -205,20 +205,20 @@ def form_equations(model: Model) -> Equations:
     tape = Tape()
     v = _variables(tape, model)
     leaves = _leaves(tape, model, v)
-    q_rates = tuple(recognize(tape, solve_kinematics(tape, mechanism, leaves, v.u)))
+    q_rates = tuple(deduplicate(tape, solve_kinematics(tape, mechanism, leaves, v.u)))
     leaves.update(zip((c.diff(mechanism.time) for c in mechanism.coordinates), q_rates, strict=True))
     leaves.update(zip(model.noncontributing, v.unknown, strict=True))
     convert = convert_virtual = Conversion(tape, leaves)
 
     # The rate of a function of (q, u, r, t) with u held, or with u' given: of the inputs, those whose rates are inputs.
     held = {v.time: tape.one, **dict(zip(v.q, q_rates, strict=True)), **_input_rates(model, v)}
-    rate = Direction(tape, held)
-    total_rate = Direction(tape, {**held, **dict(zip(v.u, v.a, strict=True))})
+    rate = Jvp(tape, held)
+    total_rate = Jvp(tape, {**held, **dict(zip(v.u, v.a, strict=True))})
 
-    motion = virtual = Motion(tape, mechanism, convert, rate)
+    motion = virtual = Kinematics(tape, mechanism, convert, rate)
     if v.aux:
         convert_virtual = Conversion(tape, {**leaves, **dict(zip(mechanism.auxiliary_speeds, v.aux, strict=True))})
-        virtual = Motion(tape, mechanism, convert_virtual, rate)
+        virtual = Kinematics(tape, mechanism, convert_virtual, rate)
     kane = Kane(tape, motion, virtual, v.u, v.aux, rate)
     kane.use_poisson_rates([rate, total_rate])
     mass_matrix = kane.mass_matrix()
@@ -235,7 +235,7 @@ def form_equations(model: Model) -> Equations:
     constraints = _constraints(tape, mechanism, convert, convert_virtual, v, rate, formed)
     lam = tuple(tape.leaf("l", number) for number in range(len(constraints.velocities)))
     # f - M u' + J^T lambda; and -(J u' + gamma), the rate of the constraints for given u'.
-    reactions = pull_back(tape, list(zip(constraints.virtual_velocities, lam, strict=True)), (*v.u, *v.aux))
+    reactions = vjp(tape, list(zip(constraints.virtual_velocities, lam, strict=True)), (*v.u, *v.aux))
     dynamic = [row + reaction for row, reaction in zip(balance, reactions, strict=True)]
     kinematic = [-total_rate(expr) for expr in constraints.velocities]
 
@@ -249,9 +249,9 @@ def form_equations(model: Model) -> Equations:
     energies = [kane.kinetic_energy(), kane.potential_energy(model.potential_energy, changing)]
 
     def gradients(rows: Sequence[Scalar], variables: Sequence[Scalar]) -> list[list[Scalar]]:
-        return [pull_back(tape, [(row, tape.one)], variables) for row in rows]
+        return [vjp(tape, [(row, tape.one)], variables) for row in rows]
 
-    closure = _position_closure(tape, constraints, rate)
+    violation = _position_violation(tape, constraints, rate)
     rounding = Rounding(tape)
     n_q, n_u = len(v.q), len(v.u)
     places, points, numbers = _places(mechanism, motion)
@@ -266,12 +266,12 @@ def form_equations(model: Model) -> Equations:
         _matrix("constraint_jacobian", constraints.jacobian, n_u),
         _vector("velocity_bias", substitute(tape, constraints.velocities, dict.fromkeys(v.u, tape.zero))),
         _vector("acceleration_bias", constraints.acceleration_bias),
-        _vector("position_closure", closure),
-        _vector("velocity_closure", constraints.velocities),
+        _vector("position_violation", violation),
+        _vector("velocity_violation", constraints.velocities),
         _vector("position_scale", map(rounding, constraints.positions)),
-        _vector("position_closure_scale", map(rounding, closure)),
-        _vector("velocity_closure_scale", map(rounding, constraints.velocities)),
-        _vector("coordinate_change", map(Direction(tape, dict(zip(v.u, v.a, strict=True))), q_rates)),
+        _vector("position_violation_scale", map(rounding, violation)),
+        _vector("velocity_violation_scale", map(rounding, constraints.velocities)),
+        _vector("coordinate_change", map(Jvp(tape, dict(zip(v.u, v.a, strict=True))), q_rates)),
         _vector("energies", energies),
         _vector("power", substitute(tape, [kane.power()], no_unknown)),
         _matrix("points", points, 3),
@@ -312,7 +312,7 @@ def form_equations(model: Model) -> Equations:
         _matrix("position_input_jacobian", gradients(constraints.positions, tuple(inputs)), len(inputs)),
     ]
     for kind, variables in (("", (*v.q, *v.u)), ("_parameter", needed), ("_input", tuple(inputs))):
-        directions = [Direction(tape, {s: tape.one}) for s in variables]
+        directions = [Jvp(tape, {s: tape.one}) for s in variables]
         for name, rows in (("coordinate_rate", q_rates), ("residual", residual)):
             columns_of_rows = [[d(row) for d in directions] for row in rows]
             results.append(_matrix(f"{name}{kind}_jacobian", columns_of_rows, len(variables)))
@@ -408,11 +408,13 @@ def _inputs(
 
 def _columns(tape: Tape, rows: Sequence[Scalar], unknown: Sequence[Scalar]) -> list[list[Scalar]]:
     """The derivatives of the rows with respect to each of the unknown forces."""
-    gradients = [pull_back(tape, [(row, tape.one)], unknown) for row in rows]
+    gradients = [vjp(tape, [(row, tape.one)], unknown) for row in rows]
     return [[gradient[i] for gradient in gradients] for i in range(len(unknown))]
 
 
-def _places(mechanism: Mechanism, motion: Motion) -> tuple[tuple[DrawnPoint, ...], list[Components], dict[int, int]]:
+def _places(
+    mechanism: Mechanism, motion: Kinematics
+) -> tuple[tuple[DrawnPoint, ...], list[Components], dict[int, int]]:
     """The points that are drawn and their positions, but for those with symbols that the model does not know.
 
     And which of them the mechanism's points are, by their numbers.
@@ -438,7 +440,7 @@ def _places(mechanism: Mechanism, motion: Motion) -> tuple[tuple[DrawnPoint, ...
 
 
 def _applied_forces(
-    tape: Tape, mechanism: Mechanism, motion: Motion, places: dict[int, int], v: _Variables
+    tape: Tape, mechanism: Mechanism, motion: Kinematics, places: dict[int, int], v: _Variables
 ) -> dict[int, Components]:
     """The sum of the forces with inputs in them at each of the points that are drawn, by the number of its place."""
     forces: dict[int, Components] = {}
@@ -497,13 +499,13 @@ def _constraints(
     convert: Conversion,
     convert_virtual: Conversion,
     v: _Variables,
-    rate: Direction,
+    rate: Jvp,
     formed: Sequence[int],
 ) -> _Constraints:
-    positions = recognize(tape, [convert(expr) for expr in mechanism.holonomic_constraints], formed)
-    velocities = recognize(tape, [convert(expr) for expr in mechanism.velocity_constraints], formed)
+    positions = deduplicate(tape, [convert(expr) for expr in mechanism.holonomic_constraints], formed)
+    velocities = deduplicate(tape, [convert(expr) for expr in mechanism.velocity_constraints], formed)
     virtual = (
-        recognize(tape, [convert_virtual(expr) for expr in mechanism.velocity_constraints], formed)
+        deduplicate(tape, [convert_virtual(expr) for expr in mechanism.velocity_constraints], formed)
         if v.aux
         else velocities
     )
@@ -511,7 +513,7 @@ def _constraints(
         # The rates of positions do not have the auxiliary speeds.
         derived = [rate(expr) for expr in positions]
         velocities, virtual = [*derived, *velocities], [*derived, *virtual]
-    gradients = [pull_back(tape, [(expr, tape.one)], (*v.u, *v.aux)) for expr in virtual]
+    gradients = [vjp(tape, [(expr, tape.one)], (*v.u, *v.aux)) for expr in virtual]
     for number, gradient in enumerate(gradients, start=1):
         if tape.depends(gradient[: len(v.u)], v.u):
             raise ModelError(f"Velocity constraint {number} is not linear in the generalized speeds.")
@@ -526,7 +528,7 @@ def _constraints(
     )
 
 
-def _position_closure(tape: Tape, constraints: _Constraints, rate: Direction) -> list[Scalar]:
+def _position_violation(tape: Tape, constraints: _Constraints, rate: Jvp) -> list[Scalar]:
     """For each velocity constraint the position constraint, or its negative, that it is the rate of, or zero."""
     rows = [tape.zero] * len(constraints.velocities)
     if constraints.derived:
@@ -536,7 +538,7 @@ def _position_closure(tape: Tape, constraints: _Constraints, rate: Direction) ->
         derived = rate(position)
         free = [k for k, row in enumerate(rows) if not row]
         for sign in (1, -1):
-            same = vanish(tape, [constraints.velocities[k] - derived * sign for k in free])
+            same = is_zero(tape, [constraints.velocities[k] - derived * sign for k in free])
             if any(same):
                 rows[free[same.index(True)]] = position * sign
                 break
@@ -547,7 +549,7 @@ def _position_jacobian(
     tape: Tape, constraints: _Constraints, q: Sequence[Scalar], q_rates: Sequence[Scalar], u: Sequence[Scalar]
 ) -> list[list[Scalar]]:
     """dPhi/dq; a coordinate whose rate is a speed of its own has that speed's column of J, which stands already."""
-    rows = [pull_back(tape, [(expr, tape.one)], q) for expr in constraints.positions]
+    rows = [vjp(tape, [(expr, tape.one)], q) for expr in constraints.positions]
     if constraints.derived:
         for j, rate in enumerate(q_rates):
             if rate in u and not tape.depends([*q_rates[:j], *q_rates[j + 1 :]], [rate]):
@@ -588,7 +590,7 @@ def _noncontributing(
                     work.append(difference)
                 elif i >= n_u:
                     matrix[i - n_u].append(difference)
-        return solve_linear(tape, matrix, rest) if all(vanish(tape, work)) else None
+        return solve_linear(tape, matrix, rest) if all(is_zero(tape, work)) else None
     except (UndeterminedError, TooManyCoupledError):
         return None
 

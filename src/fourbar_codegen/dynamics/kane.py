@@ -16,7 +16,7 @@ from fourbar_codegen.dynamics.kinematics import (
     INERTIAL,
     Accumulated,
     Components,
-    Motion,
+    Kinematics,
     Rotation,
     Vector,
     add,
@@ -28,14 +28,14 @@ from fourbar_codegen.dynamics.kinematics import (
     negative,
     scale,
 )
-from fourbar_codegen.expressions.derivatives import Direction, pull_back
-from fourbar_codegen.expressions.identities import vanish
+from fourbar_codegen.expressions.derivatives import Jvp, vjp
+from fourbar_codegen.expressions.identities import is_zero
 from fourbar_codegen.expressions.tape import Scalar, Tape
 from fourbar_codegen.modeling.system_reader import Body, Mechanism
 
 __all__ = ["Kane"]
 
-MANY = 8
+MIN_COMPOSITE = 8
 """Bodies that some speed moves alike, from which on composites are sure to take fewer operations than the bodies one by
 one; with fewer, it is counted."""
 
@@ -64,22 +64,22 @@ class Kane:
     Parameters
     ----------
     tape : Tape
-    motion, virtual : Motion
+    motion, virtual : Kinematics
         Of the mechanism; and with the auxiliary speeds where they are not zero, for partial velocities.
     speeds, auxiliary : sequence of Scalar
         The leaves of the generalized speeds, and of the auxiliary ones.
-    rate : Direction
+    rate : Jvp
         Differentiation with respect to time, with u' = 0.
     """
 
     def __init__(
         self,
         tape: Tape,
-        motion: Motion,
-        virtual: Motion,
+        motion: Kinematics,
+        virtual: Kinematics,
         speeds: Sequence[Scalar],
         auxiliary: Sequence[Scalar],
-        rate: Direction,
+        rate: Jvp,
     ) -> None:
         self.tape = tape
         self.motion = motion
@@ -92,7 +92,7 @@ class Kane:
         self._masses = [motion.convert(body.mass) for body in self.mechanism.bodies]
         self._inertias = [self._inertia(body) for body in self.mechanism.bodies]
 
-    def use_poisson_rates(self, rates: Iterable[Direction]) -> None:
+    def use_poisson_rates(self, rates: Iterable[Jvp]) -> None:
         """Let derivatives with respect to time take the rates of direction cosines from the angular velocities.
 
         Poisson's equations, R* = R [w x] (Kane, Likins and Levinson, *Spacecraft Dynamics*, 1983, chapter 1),
@@ -111,7 +111,7 @@ class Kane:
             for axis in motion.dcm(number):
                 expected = cross(relative, axis)
                 differences += [rates[0](x) - y for x, y in zip(axis, expected, strict=True)]
-        vanishing = iter(vanish(self.tape, differences))
+        vanishing = iter(is_zero(self.tape, differences))
         consistent = {INERTIAL}
         for number in candidates:
             agree = [next(vanishing) for _ in range(9)]
@@ -132,16 +132,16 @@ class Kane:
         Source: Kane and Levinson 1985, section 4.11 (generalized inertia forces).
         """
         tape, n_u = self.tape, len(self.speeds)
-        along = [Direction(tape, {speed: tape.one}) for speed in self.speeds]
+        along = [Jvp(tape, {speed: tape.one}) for speed in self.speeds]
         composites = CompositeBodies(self.motion, along, self.rate)
         entries = self._entries_by_bodies(along, composites.entries())
-        if composites.largest < MANY:
+        if composites.largest < MIN_COMPOSITE:
             apart = self._entries_by_bodies(along, {})
             entries = min(entries, apart, key=lambda e: tape.count_operations(e.values()))
         return [[entries[max(r, s), min(r, s)] for s in range(n_u)] for r in range(n_u)]
 
     def _entries_by_bodies(
-        self, along: Sequence[Direction], known: Mapping[tuple[int, int], Scalar]
+        self, along: Sequence[Jvp], known: Mapping[tuple[int, int], Scalar]
     ) -> dict[tuple[int, int], Scalar]:
         """The entries M_rs, r >= s, those that are not known as sums over the bodies."""
         partials = [Accumulated(self.motion, functools.partial(_rates_of_part, d)) for d in along]
@@ -164,7 +164,7 @@ class Kane:
                         terms[r, s].append(dot(momenta[s], turns[r]))
         return {pair: known.get(pair) or self.tape.sum(entry) for pair, entry in terms.items()}
 
-    def generalized_forces(self, rate: Direction) -> list[Scalar]:
+    def generalized_forces(self, rate: Jvp) -> list[Scalar]:
         """The forces of loads and of inertia, shape (n_u + n_aux,): f, or f - M u' for given u'.
 
         The sum of (F - P*) . v_r + (T - H*) . w_r over the bodies, P* and H* the rates of momentum. The rows of the
@@ -172,7 +172,7 @@ class Kane:
 
         Parameters
         ----------
-        rate : Direction
+        rate : Jvp
             Differentiation with respect to time: with u' = 0, or given u'.
 
         Source: Kane and Levinson 1985, sections 4.4 (active forces), 4.9 (noncontributing ones) and 4.11 (inertia
@@ -216,7 +216,7 @@ class Kane:
                 forces[base] += total
             for frame, components in parts:
                 projections += zip(components, motion.express(total, frame), strict=True)
-        return pull_back(self.tape, projections, (*self.speeds, *self.auxiliary))
+        return vjp(self.tape, projections, (*self.speeds, *self.auxiliary))
 
     def power(self) -> Scalar:
         """The sum of F . v + T . w over the loads; NaN where it is not what changes the kinetic energy.
@@ -285,5 +285,5 @@ def _scaled(factor: Scalar, vector: Vector) -> Vector:
     return tuple((frame, scale(factor, components)) for frame, components in vector)
 
 
-def _rates_of_part(rate: Direction, _: int, components: Components) -> Components:
+def _rates_of_part(rate: Jvp, _: int, components: Components) -> Components:
     return differentiate(rate, components)

@@ -8,7 +8,7 @@ import sympy as sm
 
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.expressions.convert import Conversion
-from fourbar_codegen.expressions.derivatives import pull_back
+from fourbar_codegen.expressions.derivatives import vjp
 from fourbar_codegen.expressions.linear import LARGEST_BLOCK, TooManyCoupledError, UndeterminedError, solve_linear
 from fourbar_codegen.expressions.tape import Scalar, Tape
 from fourbar_codegen.modeling.system_reader import Mechanism
@@ -50,7 +50,7 @@ def solve_kinematics(
     matrix: list[list[Scalar]] = []
     rest: list[Scalar] = []
     for number, equation in enumerate(mechanism.kinematic_equations, start=1):
-        gradient = pull_back(tape, [(with_rates(equation), tape.one)], [*unknown, *u])
+        gradient = vjp(tape, [(with_rates(equation), tape.one)], [*unknown, *u])
         if tape.depends(gradient, [*unknown, *u]):
             raise ModelError(
                 f"Kinematic differential equation {number}, {equation}, is not linear in the coordinates' rates and "

@@ -12,7 +12,7 @@ import sympy as sm
 
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.expressions.convert import Conversion
-from fourbar_codegen.expressions.identities import vanish
+from fourbar_codegen.expressions.identities import is_zero
 from fourbar_codegen.expressions.tape import Scalar, Tape
 from fourbar_codegen.modeling import system_reader as stored
 from fourbar_codegen.modeling.system_reader import Mechanism
@@ -21,7 +21,7 @@ __all__ = [
     "INERTIAL",
     "Accumulated",
     "Components",
-    "Motion",
+    "Kinematics",
     "Rotation",
     "Vector",
     "add",
@@ -87,7 +87,7 @@ def merged(vector: Sequence[tuple[int, Components]]) -> Vector:
     return tuple((frame, components) for frame, components in parts.items() if any(components))
 
 
-class Motion:
+class Kinematics:
     """How the frames and points of a mechanism move.
 
     Parameters
@@ -250,7 +250,7 @@ class Motion:
                 difference = merged(steps)
                 frame = difference[0][0] if len(difference) == 1 else INERTIAL
                 differences.append(self.express(difference, frame))
-        vanishing = iter(vanish(self.tape, [entry for difference in differences for entry in difference]))
+        vanishing = iter(is_zero(self.tape, [entry for difference in differences for entry in difference]))
         for number in tested:
             entries = [next(vanishing) for _ in range(3)]
             if not all(entries):
@@ -280,12 +280,12 @@ class Accumulated:
 
     Parameters
     ----------
-    motion : Motion
+    motion : Kinematics
     added : callable
         Takes a frame and the components of a part of a velocity in it to components in that frame.
     """
 
-    def __init__(self, motion: Motion, added: Callable[[int, Components], Components]) -> None:
+    def __init__(self, motion: Kinematics, added: Callable[[int, Components], Components]) -> None:
         self._motion = motion
         self._added = added
         self._known: dict[int, Vector] = {}

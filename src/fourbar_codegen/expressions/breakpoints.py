@@ -13,7 +13,7 @@ import sympy as sm
 from sympy.core.relational import Relational
 
 from fourbar_codegen.expressions.convert import apply, substitute
-from fourbar_codegen.expressions.derivatives import Direction
+from fourbar_codegen.expressions.derivatives import Jvp
 from fourbar_codegen.expressions.tape import Call, Leaf, Scalar, Tape, placeholder
 
 __all__ = ["breakpoints"]
@@ -51,7 +51,7 @@ def breakpoints(tape: Tape, time: Scalar, scalars: Iterable[Scalar]) -> tuple[li
     >>> sorted(tape.evaluate(found, {leaves[end]: 3.0})), is_complete
     ([1.0, 3.0], True)
     """
-    derivative = Direction(tape, {time: tape.one})
+    derivative = Jvp(tape, {time: tape.one})
     times: dict[Scalar, None] = {}
     is_complete = True
     for node in tape.reach(scalars):
@@ -112,7 +112,7 @@ def _choices(tape: Tape, time: Scalar, node: int) -> list[Scalar]:
     return [apply(tape, each, arguments) for each in chosen]
 
 
-def _roots(tape: Tape, time: Scalar, boundary: Scalar, derivative: Direction) -> list[Scalar] | None:
+def _roots(tape: Tape, time: Scalar, boundary: Scalar, derivative: Jvp) -> list[Scalar] | None:
     """The times at which a scalar is zero, or may touch zero; None where these are not known."""
     if not _is_of_time(tape, time, boundary) or not _is_prescribed(boundary):
         return []

@@ -27,13 +27,13 @@ from fourbar_codegen.expressions.tape import (
     placeholder,
 )
 
-__all__ = ["Direction", "Rounding", "pull_back"]
+__all__ = ["Jvp", "Rounding", "vjp"]
 
 LEAST = 1e-12
 """What is smaller counts as this to `Rounding`: zero but for rounding errors is as good as zero."""
 
 
-class Direction:
+class Jvp:
     """Differentiation along one direction in the space of the leaves.
 
     Parameters
@@ -124,7 +124,7 @@ def _size(tape: Tape, scalar: Scalar) -> Scalar:
     return apply(tape, sm.Abs(placeholder(0)), [scalar])
 
 
-def pull_back(tape: Tape, scalars: Sequence[tuple[Scalar, Scalar]], leaves: Sequence[Scalar]) -> list[Scalar]:
+def vjp(tape: Tape, scalars: Sequence[tuple[Scalar, Scalar]], leaves: Sequence[Scalar]) -> list[Scalar]:
     """The sums of weights times derivatives of scalars, for each leaf, by one pass backwards.
 
     Parameters
@@ -142,7 +142,7 @@ def pull_back(tape: Tape, scalars: Sequence[tuple[Scalar, Scalar]], leaves: Sequ
     dependent = tape.dependent(nodes, leaves)
     if any(_is_piecewise(tape.nodes[node]) for node in dependent):
         # Backwards, a branch that is not taken would have its derivative, which may not be a number, times zero.
-        directions = [Direction(tape, {leaf: tape.one}) for leaf in leaves]
+        directions = [Jvp(tape, {leaf: tape.one}) for leaf in leaves]
         return [tape.sum([weight * d(scalar) for scalar, weight in scalars]) for d in directions]
     parts: dict[int, list[Scalar]] = {}
     for scalar, weight in scalars:

@@ -22,7 +22,7 @@ import sympy as sm
 from fourbar_codegen.expressions.convert import substitute
 from fourbar_codegen.expressions.tape import ONE, Call, Leaf, Number, Product, Reciprocal, Scalar, Sum, Tape
 
-__all__ = ["rank", "recognize", "vanish"]
+__all__ = ["deduplicate", "is_zero", "rank"]
 
 PRIME = 0x6A09E667F3BCC908B2FB1366EA957D67
 """The first prime behind the digits of the square root of 2: for primes such as 2**127 - 1, 2**127 would be 1."""
@@ -32,7 +32,7 @@ TOLERANCE = 1e-9
 MODERATE = 1e-6
 
 
-def recognize(tape: Tape, scalars: Sequence[Scalar], known: Iterable[int] = ()) -> list[Scalar]:
+def deduplicate(tape: Tape, scalars: Sequence[Scalar], known: Iterable[int] = ()) -> list[Scalar]:
     """The scalars with known nodes, or with zero or one, in place of nodes that have the same values.
 
     Nodes are known that are given, or that come first. A constraint that was dotted out of a chain of frames, for
@@ -60,7 +60,7 @@ def recognize(tape: Tape, scalars: Sequence[Scalar], known: Iterable[int] = ()) 
     return substitute(tape, scalars, same)
 
 
-def vanish(tape: Tape, scalars: Sequence[Scalar]) -> list[bool]:
+def is_zero(tape: Tape, scalars: Sequence[Scalar]) -> list[bool]:
     """Whether each scalar is zero wherever the leaves are."""
     nodes = tape.reach(scalars)
     values = _exact_values(tape, nodes)

@@ -17,7 +17,7 @@ from fourbar_codegen.arguments import Values, is_mapping, name_of, named_array, 
 from fourbar_codegen.building.cache import is_whole
 from fourbar_codegen.errors import ModelError, SimulationError
 from fourbar_codegen.kernel.dependent import eliminate
-from fourbar_codegen.kernel.loading import build_from_sources, find_module, load_lanes, module_at
+from fourbar_codegen.kernel.loading import build_from_sources, find_module, load_batch_functions, module_at
 from fourbar_codegen.progress import Progress
 from fourbar_codegen.runtime.evaluator import NOT_FINITE, Evaluator, is_finite
 
@@ -83,11 +83,11 @@ class Kernel(Evaluator):
         """The sources beside the module, or None where they are missing or damaged."""
         if not is_whole(self.path.parent):
             return None
-        endings = (".pyx", "_kernel.c", "_kernel.h", "_lanes.c", "_derivatives.c")
-        files = [file for ending in endings if (file := self.path.with_name(f"{self.name}{ending}")).is_file()]
+        suffixes = (".pyx", "_kernel.c", "_kernel.h", "_batch.c", "_derivatives.c")
+        files = [file for suffix in suffixes if (file := self.path.with_name(f"{self.name}{suffix}")).is_file()]
         return {file.name: file.read_text(encoding="utf-8") for file in files} or None
 
-    def require_lanes(self) -> None:
+    def require_batch_functions(self) -> None:
         """Build and load the functions for several states side by side, where the module was built without them.
 
         They are in modules that were built to travel. `compile_model` leaves them to the first batch or ensemble, which
@@ -104,14 +104,14 @@ class Kernel(Evaluator):
         --------
         >>> import fourbar_codegen as fb
         >>> four_bar = fb.load("four_bar")
-        >>> four_bar.require_lanes()
-        >>> four_bar.lacks_lanes
+        >>> four_bar.require_batch_functions()
+        >>> four_bar.lacks_batch_functions
         False
         """
-        if not self.lacks_lanes:
+        if not self.lacks_batch_functions:
             return
         sources = self._sources() or {}
-        if f"{self.name}_lanes.c" not in sources:
+        if f"{self.name}_batch.c" not in sources:
             raise ModelError(
                 f"Batches and ensembles need functions that compile_model leaves for later, and their sources are not "
                 f"beside {self.path} any more, or damaged: compile the model again. A module of build_model has them "
@@ -119,7 +119,7 @@ class Kernel(Evaluator):
             )
         with Progress(f"fourbar_codegen: {self.name}") as progress:
             progress.stage("compiling for many states at once")
-            self._attach_lanes(load_lanes(self.name, sources))
+            self._attach_batch_functions(load_batch_functions(self.name, sources))
 
     def __repr__(self) -> str:
         return (

@@ -12,11 +12,11 @@ from pathlib import Path
 from types import ModuleType
 
 from fourbar_codegen.building.cache import cached, find_cached
-from fourbar_codegen.building.toolchain import build_extension, build_lanes, cache_key
+from fourbar_codegen.building.toolchain import build_batch_functions, build_extension, cache_key
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.files import path_of
 
-__all__ = ["build_from_sources", "find_module", "load_lanes", "module_at", "module_of"]
+__all__ = ["build_from_sources", "find_module", "load_batch_functions", "module_at", "module_of"]
 
 # What this process loaded from files: the system goes on giving out the first module of a path.
 _LOADED: dict[str, tuple[int, int, int]] = {}
@@ -112,10 +112,10 @@ def build_from_sources(name: str, sources: Mapping[str, str]) -> ModuleType:
     return module_at(_built(name, sources, lambda folder: build_extension(name, sources, folder, portable=False)))
 
 
-def load_lanes(model: str, sources: Mapping[str, str]) -> int:
+def load_batch_functions(model: str, sources: Mapping[str, str]) -> int:
     """Build and load a model's functions for several states side by side: the address of their table."""
-    name = f"{model}_lanes"
-    path = _built(name, sources, lambda folder: build_lanes(model, sources, folder))
+    name = f"{model}_batch_functions"
+    path = _built(name, sources, lambda folder: build_batch_functions(model, sources, folder))
     try:
         library = ctypes.CDLL(str(path))  # which stays loaded as long as the process runs
     except OSError as error:

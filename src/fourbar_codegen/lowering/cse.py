@@ -19,19 +19,21 @@ from fourbar_codegen.expressions.convert import make_again
 from fourbar_codegen.expressions.tape import ONE, Leaf, Node, Number, Product, Scalar, Sum, Tape, operands
 from fourbar_codegen.lowering.program import Statements
 
-__all__ = ["share"]
+__all__ = ["eliminate_common_subexpressions"]
 
 Operand = TypeVar("Operand")
 Pair = TypeVar("Pair", bound=tuple[Number, ...])
 
-MANY = 5000
+MAX_OPERATIONS = 5000
 """Operations beyond which products share nothing: half of the time for a few per cent of the operations."""
 
-LONGEST = 40
+MAX_OPERANDS = 40
 """Sums and products of more operands share nothing: their pairs are too many."""
 
 
-def share(tape: Tape, roots: Sequence[Scalar], is_constant: Callable[[int], bool]) -> tuple[Statements, list[Scalar]]:
+def eliminate_common_subexpressions(
+    tape: Tape, roots: Sequence[Scalar], is_constant: Callable[[int], bool]
+) -> tuple[Statements, list[Scalar]]:
     """The operations that roots need, in order of evaluation, and the roots in their terms.
 
     Parameters
@@ -47,7 +49,7 @@ def share(tape: Tape, roots: Sequence[Scalar], is_constant: Callable[[int], bool
     roots : list of Scalar
     """
     block = _Block(tape, _Flattening(tape, roots, is_constant).roots, is_constant)
-    thorough = len(block.operations) <= MANY
+    thorough = len(block.operations) <= MAX_OPERATIONS
     if thorough:
         block.share_products()
     block.factor_sums()
@@ -282,7 +284,7 @@ def _extract_pairs(
     """Replace the most frequent pair of operands by one, until no pair occurs twice."""
     holders: dict[Pair, set[int]] = {}
     for node, item in items.items():
-        if len(item) <= LONGEST:
+        if len(item) <= MAX_OPERANDS:
             for key in keys(item):
                 holders.setdefault(key, set()).add(node)
     heap = [(-len(nodes), key) for key, nodes in holders.items() if len(nodes) > 1]

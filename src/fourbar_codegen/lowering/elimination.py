@@ -21,13 +21,13 @@ import itertools
 import math
 from collections.abc import Sequence
 
-from fourbar_codegen.lowering.program import Entries, Split, Structure
+from fourbar_codegen.lowering.program import Entries, PivotOrder, Structure
 
-__all__ = ["MOST_CONSTRAINTS", "find_split", "find_structure"]
+__all__ = ["MAX_CONSTRAINTS", "find_pivot_order", "find_structure"]
 
 FEWEST_SPEEDS = 8
-MOST_CONSTRAINTS = 8
-"""Of full equations, constraints for which a split is chosen in advance; see fourbar_solve.h."""
+MAX_CONSTRAINTS = 8
+"""Of full equations, constraints for which a pivot order is chosen in advance; see fourbar_solve.h."""
 
 GOOD_PIVOT = 0.25
 """The pivot by the largest entry of its row, as a mean, from which on an order is taken; see fourbar_solve.h."""
@@ -102,7 +102,7 @@ def find_structure(n_u: int, n_c: int, mass_entries: Entries, jacobian_entries: 
     return Structure(mass_entries, jacobian_entries, tuple(order), below)
 
 
-def find_split(n_c: int, n_u: int, rank: int, jacobians: Sequence[Sequence[Sequence[float]]]) -> Split:
+def find_pivot_order(n_c: int, n_u: int, rank: int, jacobians: Sequence[Sequence[Sequence[float]]]) -> PivotOrder:
     """The order whose pivots are large by their rows, at some examples of J.
 
     At each step the next constraint and speed are those with the largest product, over the examples, of the pivots by
@@ -117,12 +117,12 @@ def find_split(n_c: int, n_u: int, rank: int, jacobians: Sequence[Sequence[Seque
 
     Returns
     -------
-    Split
+    PivotOrder
 
     Examples
     --------
-    >>> find_split(2, 3, 2, [[[1.0, 0.0, 2.0], [0.5, 1.0, 1.0]]])
-    Split(rows=(0, 1), speeds=(2, 1, 0))
+    >>> find_pivot_order(2, 3, 2, [[[1.0, 0.0, 2.0], [0.5, 1.0, 1.0]]])
+    PivotOrder(rows=(0, 1), speeds=(2, 1, 0))
     """
     dependent, order = range(n_u - rank, n_u), list(zip(range(n_c), range(n_u - rank, n_u), strict=False))
     if rank == n_c and jacobians:  # redundant constraints are pivoted as it comes
@@ -130,7 +130,9 @@ def find_split(n_c: int, n_u: int, rank: int, jacobians: Sequence[Sequence[Seque
         if worst < GOOD_PIVOT:
             order, _ = _pivot(jacobians, n_c, range(n_u))
     speeds = [speed for _, speed in order]
-    return Split(tuple(row for row, _ in order), (*speeds, *(speed for speed in range(n_u) if speed not in speeds)))
+    return PivotOrder(
+        tuple(row for row, _ in order), (*speeds, *(speed for speed in range(n_u) if speed not in speeds))
+    )
 
 
 def _pivot(

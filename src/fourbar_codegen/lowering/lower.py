@@ -14,9 +14,9 @@ from fourbar_codegen.dynamics.equations import Equations
 from fourbar_codegen.expressions.identities import rank as find_rank
 from fourbar_codegen.expressions.tape import ONE, Leaf, Result, Scalar, Tape, operands, operations_of
 from fourbar_codegen.lowering.angles import add_angles
-from fourbar_codegen.lowering.cse import share
-from fourbar_codegen.lowering.elimination import MOST_CONSTRAINTS, find_split, find_structure
-from fourbar_codegen.lowering.program import Array, Function, Program, Sizes, Split, Statements, Structure
+from fourbar_codegen.lowering.cse import eliminate_common_subexpressions
+from fourbar_codegen.lowering.elimination import MAX_CONSTRAINTS, find_pivot_order, find_structure
+from fourbar_codegen.lowering.program import Array, Function, PivotOrder, Program, Sizes, Statements, Structure
 
 __all__ = ["lower"]
 
@@ -80,18 +80,18 @@ def lower(name: str, equations: Equations) -> Program:
             [e.constraint_jacobian, e.velocity_bias],
         ),
         (
-            "closure",
+            "constraint_violation",
             "By how much the constraints are violated: Phi in the rows of J that are its rates, and J u + b.",
             [time, state],
             [inputs],
-            [e.position_closure, e.velocity_closure],
+            [e.position_violation, e.velocity_violation],
         ),
         (
             "constraint_scale",
-            "What violations of the position constraints, and of the rows of `closure`, are measured by.",
+            "What violations of the position constraints, and of the rows of `constraint_violation`, are measured by.",
             [time, state],
             [inputs],
-            [e.position_scale, e.position_closure_scale, e.velocity_closure_scale],
+            [e.position_scale, e.position_violation_scale, e.velocity_violation_scale],
         ),
         (
             "coordinate_change",
@@ -150,7 +150,7 @@ def lower(name: str, equations: Equations) -> Program:
     written_out = _WrittenOut(e.tape)
     before_sharing = [written_out.operations(results) for *_, results in specifications]
     lowered = [
-        share(e.tape, add_angles(e.tape, entries, pool.is_constant), pool.is_constant)
+        eliminate_common_subexpressions(e.tape, add_angles(e.tape, entries, pool.is_constant), pool.is_constant)
         for entries in ([entry for result in results for entry in result.entries] for *_, results in specifications)
     ]
     constants, prepare = pool.finish(lowered)
@@ -179,7 +179,7 @@ def lower(name: str, equations: Equations) -> Program:
         sizes=sizes,
         functions=(prepare, *functions[:first]),
         derivatives=functions[first:],
-        split=_split(e, rank, structure),
+        pivot_order=_pivot_order(e, rank, structure),
         structure=structure,
     )
 
@@ -194,11 +194,11 @@ def _rank(e: Equations) -> int:
     return min(e.n_dependent_speeds, find_rank(e.tape, [entries[i : i + n_u] for i in range(0, len(entries), n_u)]))
 
 
-def _split(e: Equations, rank: int, structure: Structure | None) -> Split:
+def _pivot_order(e: Equations, rank: int, structure: Structure | None) -> PivotOrder:
     """From J at random points, some of them close to where the coordinates are zero, as models often begin."""
     n_u, n_c = len(e.speeds), len(e.velocity_bias.entries)
-    if structure is not None or n_c > MOST_CONSTRAINTS:
-        return find_split(n_c, n_u, rank, [])  # none is taken
+    if structure is not None or n_c > MAX_CONSTRAINTS:
+        return find_pivot_order(n_c, n_u, rank, [])  # none is taken
     generator = random.Random(0)
     jacobians = []
     for size in (0.05, 1.0) * POINTS:
@@ -209,7 +209,7 @@ def _split(e: Equations, rank: int, structure: Structure | None) -> Split:
         except (ArithmeticError, ValueError, TypeError):
             continue  # not everything has a value everywhere
         jacobians.append([entries[i : i + n_u] for i in range(0, len(entries), n_u)])
-    return find_split(n_c, n_u, rank, jacobians)
+    return find_pivot_order(n_c, n_u, rank, jacobians)
 
 
 def _structure(e: Equations, rank: int) -> Structure | None:
@@ -257,7 +257,9 @@ class _Constants:
             needed = [operand for _, operation in statements for operand in operands(operation)]
             used.update((n, None) for n in (*needed, *(e.node for e in entries)) if n != ONE and self.is_constant(n))
         nodes = tuple(used)
-        statements, entries = share(tape, [Scalar(tape, 1, node) for node in nodes], lambda _: False)
+        statements, entries = eliminate_common_subexpressions(
+            tape, [Scalar(tape, 1, node) for node in nodes], lambda _: False
+        )
         prepare = Function(
             "prepare",
             "The parameters, and behind them all that is derived from them alone.",

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from fourbar_codegen.expressions.tape import ONE, Leaf, Node, Result, operands, operations_of
 
-__all__ = ["Array", "Entries", "Function", "Program", "Sizes", "Split", "Statements", "Structure"]
+__all__ = ["Array", "Entries", "Function", "PivotOrder", "Program", "Sizes", "Statements", "Structure"]
 
 Statements = tuple[tuple[int, Node], ...]
 """Nodes and what they are, in order of evaluation."""
@@ -151,7 +151,7 @@ class Structure:
 
 
 @dataclass(frozen=True)
-class Split:
+class PivotOrder:
     """An order in which full constraints are solved for as many speeds.
 
     Attributes
@@ -212,7 +212,7 @@ class Program:
         `prepare` first, which derives the constants that all others take.
     derivatives : tuple of Function
         Those that give derivatives or are for pictures: longer than the others, or called less often.
-    split : Split
+    pivot_order : PivotOrder
         The order in which `dynamics`' constraints are eliminated from full equations.
     structure : Structure or None
         How the equations of `dynamics` are solved, if not as full ones. Then that function gives the entries of M and J
@@ -223,7 +223,7 @@ class Program:
     sizes: Sizes
     functions: tuple[Function, ...]
     derivatives: tuple[Function, ...]
-    split: Split
+    pivot_order: PivotOrder
     structure: Structure | None
 
     @property

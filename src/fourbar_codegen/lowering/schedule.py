@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import sympy as sm
 
 from fourbar_codegen.expressions.tape import ONE, Call, Scalar, operands
-from fourbar_codegen.lowering.elimination import MOST_CONSTRAINTS
+from fourbar_codegen.lowering.elimination import MAX_CONSTRAINTS
 from fourbar_codegen.lowering.program import Function, Program
 
 __all__ = [
@@ -48,14 +48,21 @@ TOGETHER = 4
 ZEROS = 32
 """Zeros in a result that are stored one by one."""
 
-SIDE_BY_SIDE = ("prepare", "default_inputs", "dynamics", "closure", "constraint_scale", "coordinate_change")
-"""The functions that are compiled for several states side by side as well; fourbar_lanes.h says what for."""
+SIDE_BY_SIDE = (
+    "prepare",
+    "default_inputs",
+    "dynamics",
+    "constraint_violation",
+    "constraint_scale",
+    "coordinate_change",
+)
+"""The functions that are compiled for several states side by side as well; fourbar_side_by_side.h says what for."""
 
 SHORT = 600
 """Operations of equations that are compiled into what calls them. Side by side that gains 7 % for a chain of eight
 links (527), and 3 % for the bicycle (1301), which takes half as long again to compile."""
 
-MOST_ARGUMENTS = 4
+MAX_ARGUMENTS = 4
 """Arguments of the functions that fourbar_real.h can evaluate lane by lane."""
 
 
@@ -198,12 +205,12 @@ def schedule(program: Program) -> Schedule:
     """
     sizes, functions = program.sizes, program.functions
     calls = (o for f in functions if f.name in SIDE_BY_SIDE for _, o in f.statements if isinstance(o, Call))
-    few_arguments = all(len(call.arguments) <= MOST_ARGUMENTS for call in calls)
+    few_arguments = all(len(call.arguments) <= MAX_ARGUMENTS for call in calls)
     return Schedule(
         program=program,
         functions=tuple(schedule_function(f, inline_angles=True) for f in functions),
         derivatives=tuple(schedule_function(f, inline_angles=False) for f in program.derivatives),
-        has_batches=few_arguments and program.structure is None and sizes.rank == sizes.n_c <= MOST_CONSTRAINTS,
+        has_batches=few_arguments and program.structure is None and sizes.rank == sizes.n_c <= MAX_CONSTRAINTS,
         is_short=next(f for f in functions if f.name == "dynamics").operations <= SHORT,
     )
 

@@ -12,7 +12,7 @@ from fourbar_codegen.modeling.model import Model, Parameter
 
 __all__ = ["chain"]
 
-MOST = 1_000
+MAX_LINKS = 1_000
 """A larger number of links is taken for a slip."""
 
 
@@ -45,9 +45,9 @@ def chain(links: int = 3, *, closed: bool = False) -> Model:
     2
     """
     fewest = 3 if flag(closed, "closed") else 1
-    if not is_integer(links) or not fewest <= links <= MOST:
+    if not is_integer(links) or not fewest <= links <= MAX_LINKS:
         kind = "closed" if closed else "open"
-        raise ModelError(f"The number of links of an {kind} chain is {fewest} to {MOST}, not {shown(links)}.")
+        raise ModelError(f"The number of links of an {kind} chain is {fewest} to {MAX_LINKS}, not {shown(links)}.")
     q, u = me.dynamicsymbols(f"q1:{links + 1}"), me.dynamicsymbols(f"u1:{links + 1}")
     m, length, d, g = sm.symbols("m l d g")
     t = me.dynamicsymbols._t

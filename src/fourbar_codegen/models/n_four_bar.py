@@ -16,7 +16,7 @@ from fourbar_codegen.modeling.model import Model, Parameter
 
 __all__ = ["n_four_bar"]
 
-MOST = 1_000
+MAX_LOOPS = 1_000
 """A larger number of loops is taken for a slip."""
 
 
@@ -46,8 +46,8 @@ def n_four_bar(loops: int = 2) -> Model:
     >>> fb.models.n_four_bar(2).mechanism.n_dependent_coordinates
     4
     """
-    if not is_integer(loops) or not 1 <= loops <= MOST:
-        raise ModelError(f"The number of loops of an N-four-bar mechanism is 1 to {MOST}, not {shown(loops)}.")
+    if not is_integer(loops) or not 1 <= loops <= MAX_LOOPS:
+        raise ModelError(f"The number of loops of an N-four-bar mechanism is 1 to {MAX_LOOPS}, not {shown(loops)}.")
     upright, across = me.dynamicsymbols(f"p0:{loops + 1}"), me.dynamicsymbols(f"c1:{loops + 1}")
     v, w = me.dynamicsymbols(f"v0:{loops + 1}"), me.dynamicsymbols(f"w1:{loops + 1}")
     m, length, g = sm.symbols("m l g")

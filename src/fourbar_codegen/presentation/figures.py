@@ -30,7 +30,7 @@ Floats = NDArray[np.float64]
 FPS = 30.0
 """Pictures per second, where nobody says otherwise."""
 
-MOST_PICTURES = 10_000
+MAX_FRAMES = 10_000
 """An animation takes no more: each is some hundredths of a second to draw."""
 
 MOST_PANELS = 24
@@ -188,8 +188,8 @@ def animate(trajectory: Trajectory, *, fps: float, speed: float, traces: Sequenc
     positive(speed, "speed")
     traces = _checked(model, traces)
     n = abs(np.ptp(trajectory.t)) * fps / speed if len(trajectory.t) else 0.0
-    if n > MOST_PICTURES:
-        raise ModelError(f"The animation would have {n:.0f} pictures, more than {MOST_PICTURES}: take a greater speed.")
+    if n > MAX_FRAMES:
+        raise ModelError(f"The animation would have {n:.0f} frames, more than {MAX_FRAMES}: take a greater speed.")
     drawn = drawing(trajectory, lambda start, end: equal_times(start, end, fps / speed))
     size = drawn.size
     positions = np.array([*drawn.positions, *drawn.arrows.values()])

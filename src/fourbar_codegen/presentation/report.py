@@ -17,14 +17,14 @@ from fourbar_codegen.presentation.storage import attributes
 if TYPE_CHECKING:
     from fourbar_codegen.results.trajectory import Trajectory
 
-__all__ = ["picture_times", "report_text", "run_rows"]
+__all__ = ["frame_times", "report_text", "run_rows"]
 
 Floats = NDArray[np.float64]
 
 PICTURES_PER_SECOND = 60
 LEAST_PICTURES = 241
 """Short runs are shown at more times, so that their curves are smooth."""
-MOST_PICTURES = 601
+MAX_FRAMES = 601
 """More than these are not embedded: longer runs are shown at fewer times."""
 
 
@@ -45,7 +45,7 @@ def report_text(trajectory: Trajectory) -> str:
     ModelError
         If there is nothing to show: no points whose positions are known, or no states.
     """
-    drawn = drawing(trajectory, picture_times)
+    drawn = drawing(trajectory, frame_times)
     traced = drawn.moving_bodies()
     data = {
         "times": _packed(drawn.shown.t, "<f8"),
@@ -67,9 +67,9 @@ def report_text(trajectory: Trajectory) -> str:
     return page.replace("@TITLE@", html.escape(trajectory.model.name)).replace("@DATA@", text)
 
 
-def picture_times(start: float, end: float) -> Floats:
+def frame_times(start: float, end: float) -> Floats:
     """The times at which a run from start to end is shown."""
-    n = np.clip(round(abs(end - start) * PICTURES_PER_SECOND), LEAST_PICTURES, MOST_PICTURES) if start != end else 1
+    n = np.clip(round(abs(end - start) * PICTURES_PER_SECOND), LEAST_PICTURES, MAX_FRAMES) if start != end else 1
     return np.linspace(start, end, int(n))
 
 

@@ -37,7 +37,7 @@ SEAL = b"fourbar_codegen SHA-256 "
 """Stands behind a NetCDF file, before the digest of all that is before it. HDF5 does not read what is behind its end,
 but may read what is damaged for ever."""
 
-MOST_COMPRESSED = 1100
+MAX_COMPRESSION = 1100
 """No more bytes come of one in a file: zlib's limit is 1032."""
 
 
@@ -286,7 +286,7 @@ def _read_netcdf(path: Path) -> _Read:
         raise ModelError(f"{path} is damaged, or another program has changed it: its digest is another one.")
     _require_whole_heaps(content)
     _require_own_data(io.BytesIO(content))
-    most = MOST_COMPRESSED * len(content)
+    most = MAX_COMPRESSION * len(content)
     with h5netcdf.File(io.BytesIO(content), "r") as file:
         attributes = dict(file.attrs)
         variables = {name: v for name, v in file.variables.items() if v.dimensions == ("time",)}

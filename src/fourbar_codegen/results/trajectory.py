@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-__all__ = ["Trajectory", "check_ending"]
+__all__ = ["Trajectory", "check_suffix"]
 
 Floats = NDArray[np.float64]
 
@@ -286,7 +286,7 @@ class Trajectory:
             If it is no path, the ending is another one, the file cannot be written, or what it takes is missing.
         """
         path = path_of(path)
-        writer = check_ending(path)
+        writer = check_suffix(path)
         try:
             with replacing(path) as file:
                 writer(self, file)
@@ -431,7 +431,7 @@ _WRITERS: dict[str, Callable[[Trajectory, IO[bytes]], None]] = {
 }
 
 
-def check_ending(path: Path) -> Callable[[Trajectory, IO[bytes]], None]:
+def check_suffix(path: Path) -> Callable[[Trajectory, IO[bytes]], None]:
     """What writes a file with the ending of the path, or a ModelError."""
     writer = _WRITERS.get(path.suffix.lower())
     if writer is None:

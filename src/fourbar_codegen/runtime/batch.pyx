@@ -5,7 +5,7 @@ cimport cython
 cimport numpy as cnp
 from cpython.mem cimport PyMem_Calloc, PyMem_Free
 
-from fourbar_codegen.runtime.evaluator cimport Evaluator, data, fb_kernel, fb_lanes, fb_source
+from fourbar_codegen.runtime.evaluator cimport Evaluator, data, fb_kernel, fb_batch_functions, fb_source
 from fourbar_codegen.runtime.integrator cimport Table, fb_dop853, fb_rk45, fb_tableau
 
 import numpy as np
@@ -50,7 +50,7 @@ cdef extern from "fourbar_batch.h":
         long *next
         long *n_ended
         const int *stop
-    ctypedef struct fb_lanes:
+    ctypedef struct fb_batch_functions:
         int width
         int (*batch)(const fb_batch *, long, long) noexcept nogil
         int (*run)(const fb_ensemble *) noexcept nogil
@@ -58,15 +58,15 @@ cdef extern from "fourbar_batch.h":
 DONE = FB_MEMBER_DONE
 
 
-cdef const fb_lanes *_lanes(Evaluator evaluator) noexcept:
+cdef const fb_batch_functions *_batch_functions(Evaluator evaluator) noexcept:
     """The functions for several states side by side, or NULL."""
-    cdef const fb_lanes *lanes = evaluator.lanes
-    return lanes if lanes != NULL and lanes.width > 1 else NULL
+    cdef const fb_batch_functions *functions = evaluator.batch_functions
+    return functions if functions != NULL and functions.width > 1 else NULL
 
 
 def width(Evaluator evaluator not None):
     """How many states are evaluated side by side."""
-    return _lanes(evaluator).width if _lanes(evaluator) != NULL else 1
+    return _batch_functions(evaluator).width if _batch_functions(evaluator) != NULL else 1
 
 
 cdef fb_columns _columns(cnp.ndarray array, int axes):
@@ -106,11 +106,11 @@ cdef class Batch:
 
     def evaluate(self, long begin, long end):
         """The states from one to another; other threads may evaluate others at the same time."""
-        cdef const fb_lanes *lanes = _lanes(self.evaluator)
+        cdef const fb_batch_functions *functions = _batch_functions(self.evaluator)
         cdef int status
         with nogil:
-            if lanes != NULL:
-                status = lanes.batch(&self.batch, begin, end)
+            if functions != NULL:
+                status = functions.batch(&self.batch, begin, end)
             else:
                 status = fb_batch_one_by_one(&self.batch, begin, end)
         if status:
@@ -201,11 +201,11 @@ cdef class Members:
 
     def run(self):
         """Run members until none waits; other threads may do so at the same time."""
-        cdef const fb_lanes *lanes = _lanes(self.evaluator)
+        cdef const fb_batch_functions *functions = _batch_functions(self.evaluator)
         cdef int status = 0
-        if lanes != NULL:
+        if functions != NULL:
             with nogil:
-                status = lanes.run(&self.ensemble)
+                status = functions.run(&self.ensemble)
         if status:
             raise MemoryError
 

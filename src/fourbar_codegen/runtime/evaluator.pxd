@@ -12,7 +12,7 @@ cdef extern from "fourbar_kernel.h":
     int FB_NOT_FINITE
     int FB_NOT_CLOSED
     int FB_CONSTRAINTS_INDEPENDENT
-    ctypedef struct fb_lanes
+    ctypedef struct fb_batch_functions
     ctypedef int fb_evaluation(double, const double *, const double *, const double *, double *, void *) noexcept nogil
     ctypedef void fb_sensitivity(double, const double *, const double *, const double *, const double *,
                                  const double *, double *, double *) noexcept nogil
@@ -36,13 +36,13 @@ cdef extern from "fourbar_kernel.h":
                          double *, double *) noexcept nogil
         void (*position)(double, const double *, const double *, const double *, double *, double *) noexcept nogil
         void (*velocity)(double, const double *, const double *, const double *, double *, double *) noexcept nogil
-        void (*closure)(double, const double *, const double *, const double *, double *, double *) noexcept nogil
+        void (*constraint_violation)(double, const double *, const double *, const double *, double *, double *) noexcept nogil
         void (*constraint_scale)(double, const double *, const double *, const double *, double *, double *,
                                  double *) noexcept nogil
         void (*coordinate_change)(double, const double *, const double *, const double *, const double *,
                                   double *) noexcept nogil
         int (*project)(double, double *, const double *, const double *, int, void *) noexcept nogil
-        int (*turned)(void *) noexcept nogil
+        int (*orientation_changed)(void *) noexcept nogil
         void (*constraint_sensitivity)(double, const double *, const double *, const double *, double *, double *,
                                        double *) noexcept nogil
         void (*energy)(double, const double *, const double *, const double *, double *) noexcept nogil
@@ -52,8 +52,8 @@ cdef extern from "fourbar_kernel.h":
         fb_sensitivity *parameter_sensitivity
         fb_sensitivity *input_sensitivity
         void (*drawing)(double, const double *, const double *, const double *, double *, double *) noexcept nogil
-        const fb_lanes *lanes
-        int lanes_apart
+        const fb_batch_functions *batch_functions
+        int batch_functions_apart
         int one_machine
 
 cdef extern from "fourbar_problem.h":
@@ -109,7 +109,7 @@ cdef cnp.ndarray vector(object values, int n, str what)
 
 cdef class Evaluator:
     cdef const fb_kernel *kernel
-    cdef const fb_lanes *lanes
+    cdef const fb_batch_functions *batch_functions
     cdef object capsule
     cdef readonly dict manifest
     cdef readonly int n_q, n_u, n_x, n_p, n_r, n_h, n_c, n_o

@@ -15,7 +15,7 @@ from fourbar_codegen.errors import ModelError, SimulationError, shown
 cnp.import_array()
 
 cdef extern from "fourbar_batch.h":
-    int fb_lanes_agree(const fb_lanes *) noexcept nogil
+    int fb_batch_functions_agree(const fb_batch_functions *) noexcept nogil
 
 OK, NOT_CLOSED, NOT_FINITE = FB_OK, FB_NOT_CLOSED, FB_NOT_FINITE
 
@@ -162,9 +162,9 @@ cdef class Evaluator:
         cdef const fb_kernel *kernel = <const fb_kernel *>PyCapsule_GetPointer(capsule, FB_CAPSULE_NAME)
         if kernel.abi_version != FB_ABI_VERSION or kernel.struct_size != sizeof(fb_kernel):
             raise _other_layout(manifest)
-        if kernel.lanes != NULL and not fb_lanes_agree(kernel.lanes):
+        if kernel.batch_functions != NULL and not fb_batch_functions_agree(kernel.batch_functions):
             raise _other_layout(manifest)
-        self.kernel, self.lanes = kernel, kernel.lanes
+        self.kernel, self.batch_functions = kernel, kernel.batch_functions
         self.capsule, self.manifest = capsule, manifest
         self.n_q, self.n_u, self.n_p, self.n_r = kernel.n_q, kernel.n_u, kernel.n_p, kernel.n_r
         self.n_h, self.n_c, self.n_o, self.n_x = kernel.n_h, kernel.n_c, kernel.n_o, kernel.n_q + kernel.n_u
@@ -188,26 +188,26 @@ cdef class Evaluator:
         PyMem_Free(self.work)
 
     @property
-    def lacks_lanes(self):
+    def lacks_batch_functions(self):
         """Whether the functions for several states side by side are in a library that has not been attached yet."""
-        return self.lanes == NULL and self.kernel.lanes_apart != 0
+        return self.batch_functions == NULL and self.kernel.batch_functions_apart != 0
 
     @property
     def is_portable(self):
         """Whether it was built to travel, and not for the processor of one machine."""
         return self.kernel.one_machine == 0
 
-    def _attach_lanes(self, size_t address):
-        """Take the functions for several states side by side, an ``fb_lanes``, that were built apart from the kernel.
+    def _attach_batch_functions(self, size_t address):
+        """Take the functions for several states side by side, an ``fb_batch_functions``, that were built apart from the kernel.
 
         Raises
         ------
         ModelError
             If they were built with another version of the package.
         """
-        if not fb_lanes_agree(<const fb_lanes *>address):
+        if not fb_batch_functions_agree(<const fb_batch_functions *>address):
             raise _other_layout(self.manifest)
-        self.lanes = <const fb_lanes *>address
+        self.batch_functions = <const fb_batch_functions *>address
 
     def parameter_values(self, p):
         """All parameter values in order; a subclass that knows their names also takes mappings."""
@@ -544,7 +544,7 @@ cdef class Evaluator:
                              data(bias))
         return jacobian, bias
 
-    def closure(self, t, x, p=None, r=None):
+    def constraint_violation(self, t, x, p=None, r=None):
         """By how much the constraints are violated, row by row as in J: positions and velocities, shape (n_c,) each."""
         t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
@@ -553,12 +553,12 @@ cdef class Evaluator:
         cdef cnp.ndarray positions = new_array(self.n_c)
         cdef cnp.ndarray velocities = new_array(self.n_c)
         cdef const double *constants = self._prepare(parameters)
-        self.kernel.closure(t, data(state), constants, self._fill(t, constants, inputs), data(positions),
+        self.kernel.constraint_violation(t, data(state), constants, self._fill(t, constants, inputs), data(positions),
                             data(velocities))
         return positions, velocities
 
     def constraint_scale(self, t, x, p=None, r=None):
-        """What violations are measured by: of the position constraints, shape (n_h,), and of the rows of `closure`, shape
+        """What violations are measured by: of the position constraints, shape (n_h,), and of the rows of `constraint_violation`, shape
         (n_c,) each."""
         t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
@@ -737,7 +737,7 @@ cdef class Evaluator:
             t_i, x_i, r_i = data(t)[i], data(x) + i * self.n_x, data(r) + i * self.n_r
             lambda_i = data(multipliers) + i * self.n_c
             self.kernel.position(t_i, x_i, constants, r_i, data(constraints) + i * self.n_h, data(jacobian))
-            self.kernel.closure(t_i, x_i, constants, r_i, data(positions), data(velocities) + i * self.n_c)
+            self.kernel.constraint_violation(t_i, x_i, constants, r_i, data(positions), data(velocities) + i * self.n_c)
             self.kernel.energy(t_i, x_i, constants, r_i, data(energies) + 2 * i)
             if self.kernel.accelerations(t_i, x_i, constants, r_i, data(accelerations), lambda_i, self.work) == FB_OK:
                 self.kernel.output(t_i, x_i, constants, r_i, data(accelerations), lambda_i,

@@ -1,5 +1,6 @@
-/* Arrays whose lengths the model gives: C has none of length zero, several of them share memory, and results are checked
- * for being numbers. */
+/* Arrays whose lengths depend on the model: declared with one entry at least, since C has no arrays of length 0; several
+ * laid into one block of memory; checked for numbers that are not finite. And what constraint violations are compared
+ * with. */
 #ifndef FOURBAR_ARRAY_H
 #define FOURBAR_ARRAY_H
 

@@ -152,7 +152,7 @@ static inline int fb_augmented_equations(fb_run *s, const double t, const double
         return called;
     p->kernel->dynamics(t, x, p->constants, p->inputs, coordinate_rates, a->mass_matrix, a->forcing, a->jacobian,
                         a->bias);
-    p->kernel->closure(t, x, p->constants, p->inputs, a->positions, a->velocities);
+    p->kernel->constraint_violation(t, x, p->constants, p->inputs, a->positions, a->velocities);
     s->n_evaluations += 1;
     fb_note_failure(p, fb_finite(a->forcing, p->kernel->n_u) ? FB_OK : FB_NOT_FINITE, t, x);
     return 0;
@@ -292,7 +292,8 @@ static inline int fb_augmented_newton(fb_run *s, const double t, const double h,
         for (int row = 0; row < k->n_c; ++row) {
             const double force =
                 penalty * (row < k->n_h ? 4.0 / (h * h) * a->positions[row] : 2.0 / h * a->velocities[row]);
-            /* What the penalty was at the solution of the last iteration's linear equations is taken over. */
+            /* lambda <- lambda - penalty (4 Phi / h^2 or 2 (J u + b) / h): the force by which the penalty held the
+             * constraint becomes part of the multiplier, so that the next iteration's penalty need not hold it. */
             a->multipliers[row] -= iteration > 0 ? force : 0.0;
             a->penalized[row] = a->multipliers[row] - force;
         }

@@ -66,19 +66,19 @@ typedef struct fb_ensemble {
  * headers than their caller. */
 typedef struct fb_layout {
     int abi_version;
-    size_t lanes; /* of fb_lanes itself: what stands behind is read where this one agrees */
+    size_t batch_functions; /* of fb_batch_functions itself: what stands behind is read where this one agrees */
     size_t kernel, batch, columns, ensemble, source, table, tableau;
 } fb_layout;
 
 #define FB_LAYOUT                                                                                                      \
     {                                                                                                                  \
-        .abi_version = FB_ABI_VERSION, .lanes = sizeof(fb_lanes), .kernel = sizeof(fb_kernel),                         \
+        .abi_version = FB_ABI_VERSION, .batch_functions = sizeof(fb_batch_functions), .kernel = sizeof(fb_kernel),                         \
         .batch = sizeof(fb_batch), .columns = sizeof(fb_columns), .ensemble = sizeof(fb_ensemble),                     \
         .source = sizeof(fb_source), .table = sizeof(fb_table), .tableau = sizeof(fb_tableau)                          \
     }
 
 /* What a model has for states side by side; width 0 where the compiler has no vectors. */
-struct fb_lanes {
+struct fb_batch_functions {
     fb_layout layout;
     int width;
     /* the states from begin to end; 0, or -1 where there is no memory */
@@ -88,10 +88,10 @@ struct fb_lanes {
 };
 
 /* Whether a model's functions for states side by side were built with these headers. */
-static inline int fb_lanes_agree(const fb_lanes *lanes)
+static inline int fb_batch_functions_agree(const fb_batch_functions *functions)
 {
-    const fb_layout own = FB_LAYOUT, *const built = &lanes->layout;
-    return built->abi_version == own.abi_version && built->lanes == own.lanes && built->kernel == own.kernel &&
+    const fb_layout own = FB_LAYOUT, *const built = &functions->layout;
+    return built->abi_version == own.abi_version && built->batch_functions == own.batch_functions && built->kernel == own.kernel &&
            built->batch == own.batch && built->columns == own.columns && built->ensemble == own.ensemble &&
            built->source == own.source && built->table == own.table && built->tableau == own.tableau;
 }

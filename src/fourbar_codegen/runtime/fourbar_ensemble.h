@@ -13,7 +13,7 @@ typedef struct fb_crew {
     double h_abs[FB_WIDTH];
     int rejected[FB_WIDTH], next_break[FB_WIDTH];
     fb_real first, last; /* of their pieces of time, as fb_clock has it */
-    /* J at the beginning of the step, and the orientation of its columns in the usual split, as `fb_orientation` has it;
+    /* J at the beginning of the step, and the orientation of its columns in the static pivot order, as `fb_orientation` has it;
      * that is not a number where it is not known; and the largest one of the run, and the units */
     fb_real jacobian_before[FB_AT_LEAST_1(N_JACOBIAN)], orientation, largest_orientation;
     fb_real column_unit[N_U], row_unit[FB_AT_LEAST_1(N_C)];
@@ -112,10 +112,10 @@ static inline fb_mask fb_crew_close(fb_crew *restrict c, const fb_real t, fb_rea
     fb_real positions[FB_AT_LEAST_1(N_C)], velocities[FB_AT_LEAST_1(N_C)];
     fb_real position_scale[FB_AT_LEAST_1(N_C)], velocity_scale[FB_AT_LEAST_1(N_C)], unused[FB_AT_LEAST_1(N_H)];
     fb_real change[N_U], coordinate_changes[FB_AT_LEAST_1(N_Q)], last = fb_number(INFINITY);
-    fb_mask open = asked & s->split.good, closed = open & 0;
+    fb_mask open = asked & s->factors.good, closed = open & 0;
     constraint_scale(t, x, s->constants, s->inputs, unused, position_scale, velocity_scale);
     for (int i = 0; i < CORRECTIONS && fb_any(open); ++i) {
-        closure(t, x, s->constants, s->inputs, positions, velocities);
+        constraint_violation(t, x, s->constants, s->inputs, positions, velocities);
         fb_real size = fb_number(0.0), sum = size;
         for (int j = 0; j < N_C; ++j) {
             /* 0 by a scale of 0 is none. */
@@ -136,9 +136,9 @@ static inline fb_mask fb_crew_close(fb_crew *restrict c, const fb_real t, fb_rea
         if (!fb_any(open))
             break;
         last = size;
-        fb_split_solve(NULL, positions, &s->split, change);
+        fb_solve_side_by_side(NULL, positions, &s->factors, change);
         coordinate_change(t, x, s->constants, s->inputs, change, coordinate_changes);
-        fb_split_solve(NULL, velocities, &s->split, change);
+        fb_solve_side_by_side(NULL, velocities, &s->factors, change);
         for (int j = 0; j < N_Q; ++j)
             x[j] = fb_select(open, x[j] + coordinate_changes[j], x[j]);
         for (int j = 0; j < N_U; ++j)
@@ -147,15 +147,15 @@ static inline fb_mask fb_crew_close(fb_crew *restrict c, const fb_real t, fb_rea
     return closed;
 }
 
-/* The same, by the kernel for one state where need be; `known` says whether the factors are those of a state close
+/* The same, by the kernel for one state where need be; `factors_valid` says whether the factors are those of a state close
  * by. What cannot be closed stays as it is, and is not a number where the constraints have no value. */
 static __attribute__((noinline)) fb_mask fb_crew_project(fb_crew *restrict c, const fb_ensemble *e, const fb_real since,
-                                                         fb_real *restrict x, const fb_mask asked, const int known)
+                                                         fb_real *restrict x, const fb_mask asked, const int factors_valid)
 {
     fb_side *const s = &c->side;
     const fb_real t = fb_crew_time(c, e, since);
     fb_crew_inputs(c, e, t);
-    if (!known) {
+    if (!factors_valid) {
         fb_real coordinate_rates[FB_AT_LEAST_1(N_Q)];
         fb_side_equations(s, t, x, coordinate_rates);
     }
@@ -251,15 +251,15 @@ static inline void fb_enter(fb_crew *c, const fb_ensemble *e, const int lane)
     }
 }
 
-/* Whether J, of the last evaluation, has another orientation than at the beginning of the step, as `turned` of
+/* Whether J, of the last evaluation, has another orientation than at the beginning of the step, as `orientation_changed` of
  * fourbar_model.h has it; it is the one of the next step's beginning in the lanes that have been asked for. */
-static inline fb_mask fb_turned(fb_crew *c, const fb_mask asked)
+static inline fb_mask fb_orientation_changed(fb_crew *c, const fb_mask asked)
 {
     const fb_side *const s = &c->side;
-    fb_mask turned = asked & 0;
+    fb_mask changed = asked & 0;
     fb_real orientation = fb_number(INFINITY), sign = fb_number(1.0);
     if (N_C == 0)
-        return turned;
+        return changed;
     /* As fb_note_units has it. */
     for (int i = 0; i < N_C; ++i)
         for (int j = 0; j < N_U; ++j) {
@@ -273,14 +273,14 @@ static inline fb_mask fb_turned(fb_crew *c, const fb_mask asked)
             c->row_unit[i] = fb_select(asked, fb_greater(share, c->row_unit[i]), c->row_unit[i]);
         }
     for (int k = 0; k < N_C; ++k) {
-        const fb_real unit = c->column_unit[usual_speed[k]] * c->row_unit[usual_row[k]];
-        const fb_real pivot = fb_abs(s->split.lu[k][k]) / unit;
+        const fb_real unit = c->column_unit[static_pivot_speed[k]] * c->row_unit[static_pivot_row[k]];
+        const fb_real pivot = fb_abs(s->factors.lu[k][k]) / unit;
         orientation = fb_select(pivot < orientation, pivot, orientation);
-        sign = fb_select(s->split.lu[k][k] < 0.0, -sign, sign);
+        sign = fb_select(s->factors.lu[k][k] < 0.0, -sign, sign);
     }
-    orientation = fb_select(s->split.good, sign * orientation, fb_number(NAN));
+    orientation = fb_select(s->factors.good, sign * orientation, fb_number(NAN));
     const fb_real both = orientation * c->orientation;
-    turned = asked & ((both < 0.0) | (fb_abs(orientation) < FB_CLOSE_BY * c->largest_orientation));
+    changed = asked & ((both < 0.0) | (fb_abs(orientation) < FB_CLOSE_BY * c->largest_orientation));
     c->largest_orientation =
         fb_select(asked, fb_greater(fb_abs(orientation), c->largest_orientation), c->largest_orientation);
     const fb_mask unknown = asked & (both != both);
@@ -295,18 +295,18 @@ static inline fb_mask fb_turned(fb_crew *c, const fb_mask asked)
                 fb_take_lane(s->constraint_jacobian, lane, N_JACOBIAN, now);
                 fb_take_lane(c->jacobian_before, lane, N_JACOBIAN, before);
                 if (fb_eliminate(now, &factors) != FB_OK) {
-                    turned[lane] = -1;
+                    changed[lane] = -1;
                     continue;
                 }
                 const double at_end = fb_orientation(now, &units, &factors);
                 if (at_end * fb_orientation(before, &units, &factors) < 0.0 ||
                     fabs(at_end) < FB_CLOSE_BY * c->largest_orientation[lane])
-                    turned[lane] = -1;
+                    changed[lane] = -1;
             }
     for (int i = 0; i < N_JACOBIAN; ++i)
         c->jacobian_before[i] = fb_select(asked, s->constraint_jacobian[i], c->jacobian_before[i]);
     c->orientation = fb_select(asked, orientation, c->orientation);
-    return turned;
+    return changed;
 }
 
 /* The coefficients of the interpolants from the states x to x_new. */
@@ -434,10 +434,10 @@ static void fb_crew_step(fb_crew *restrict c, const fb_ensemble *e)
     }
     for (int i = 0; i < N_X; ++i)
         taken &= end[i] - end[i] == 0.0;
-    const fb_mask turned = fb_turned(c, taken);
-    if (fb_any(turned))
+    const fb_mask changed = fb_orientation_changed(c, taken);
+    if (fb_any(changed))
         for (int lane = 0; lane < FB_WIDTH; ++lane)
-            if (turned[lane]) {
+            if (changed[lane]) {
                 fb_leave(c, e, lane, FB_MEMBER_LEFT);
                 taken[lane] = 0;
             }

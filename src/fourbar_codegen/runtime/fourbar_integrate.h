@@ -78,7 +78,7 @@ struct fb_run {
     long room, n_samples;
     int pending; /* whether the last step's samples are still to be taken */
     double until; /* no samples behind this time */
-    int turned;      /* whether the constraints' orientation has changed in the last step */
+    int orientation_changed;      /* whether the constraints' orientation has changed in the last step */
     int look_at_all; /* whether every step is one to look at */
     /* outputs whose changes of sign are events */
     int n_events;
@@ -173,7 +173,7 @@ static inline int fb_begin(fb_run *s)
     int status = fb_evaluate(s, s->t, s->x, f0);
     if (status < 0)
         return status;
-    s->problem->kernel->turned(s->problem->work);
+    s->problem->kernel->orientation_changed(s->problem->work);
     const double interval = fabs(s->t_bound - s->t);
     const double d0 = fb_rms(s, s->x, NULL, s->x), d1 = fb_rms(s, f0, NULL, s->x);
     double h0 = d0 < 1e-5 || d1 < 1e-5 ? 1e-6 : 0.01 * d0 / d1;
@@ -471,7 +471,7 @@ static inline int fb_is_event(const double before, const double after, const int
 static inline int fb_turned_within(fb_run *s)
 {
     const long n_evaluations = s->n_evaluations; /* looks count as little as those for events */
-    int turned = 0;
+    int orientation_changed = 0;
     for (int i = 0; i <= FB_LOOKS; ++i) {
         const double since = i == FB_LOOKS ? s->t : s->t_old + s->h * i / FB_LOOKS;
         int status = 0;
@@ -483,11 +483,11 @@ static inline int fb_turned_within(fb_run *s)
             status = fb_evaluate(s, since, s->along, s->along + s->padded);
         if (status < 0)
             return status;
-        turned |= s->problem->kernel->turned(s->problem->work) && i > 0;
+        orientation_changed |= s->problem->kernel->orientation_changed(s->problem->work) && i > 0;
     }
     s->n_evaluations = n_evaluations;
     s->interpolant_known = 0;
-    return turned;
+    return orientation_changed;
 }
 
 /* Up to n steps; returns an FB_RUN, or negative from the caller of inputs. */
@@ -515,12 +515,12 @@ static inline int fb_run_on(fb_run *s, long n)
         if (status != FB_RUN_PAUSED)
             return status;
         /* What passes singular positions need not look for them. */
-        s->turned = s->augmented ? 0 : s->problem->kernel->turned(s->problem->work);
-        if (s->turned)
-            s->turned = fb_turned_within(s);
-        if (s->turned < 0)
-            return s->turned;
-        int look = s->look_at_all | s->turned;
+        s->orientation_changed = s->augmented ? 0 : s->problem->kernel->orientation_changed(s->problem->work);
+        if (s->orientation_changed)
+            s->orientation_changed = fb_turned_within(s);
+        if (s->orientation_changed < 0)
+            return s->orientation_changed;
+        int look = s->look_at_all | s->orientation_changed;
         if (s->n_events > 0) {
             memcpy(s->event_old, s->event_value, (size_t)s->n_events * sizeof *s->event_old);
             status = fb_event_values(s, s->t, s->x, s->event_value);

@@ -49,7 +49,7 @@ typedef void fb_constraint_sensitivity(double t, const double *x, const double *
 typedef void fb_drawing(double t, const double *x, const double *constants, const double *r, double *points,
                         double *forces);
 
-typedef struct fb_lanes fb_lanes; /* fourbar_batch.h */
+typedef struct fb_batch_functions fb_batch_functions; /* fourbar_batch.h */
 
 typedef struct fb_kernel {
     int abi_version;
@@ -88,24 +88,24 @@ typedef struct fb_kernel {
     void (*velocity)(double t, const double *x, const double *constants, const double *r, double *constraint_jacobian,
                      double *velocity_bias);
     /* by how much the constraints are violated, row by row as in J: Phi, and J u + b */
-    void (*closure)(double t, const double *x, const double *constants, const double *r, double *position_closure,
-                    double *velocity_closure);
-    /* what Phi, n_h values, and the rows of closure, n_c values each, are measured by: what rounding errors make of them,
+    void (*constraint_violation)(double t, const double *x, const double *constants, const double *r, double *position_violation,
+                    double *velocity_violation);
+    /* what Phi, n_h values, and the rows of constraint_violation, n_c values each, are measured by: what rounding errors make of them,
      * in units of the precision of double */
     void (*constraint_scale)(double t, const double *x, const double *constants, const double *r,
-                             double *position_scale, double *position_closure_scale, double *velocity_closure_scale);
+                             double *position_scale, double *position_violation_scale, double *velocity_violation_scale);
     /* K v for q' = K u + k */
     void (*coordinate_change)(double t, const double *q, const double *constants, const double *r, const double *change,
                               double *coordinate_change);
-    /* Moves x onto the constraints, from which it has drifted. `known` says that rhs was called with the same `work` at
+    /* Moves x onto the constraints, from which it has drifted. `factors_valid` says that rhs was called with the same `work` at
      * a state close to x. */
-    int (*project)(double t, double *x, const double *constants, const double *r, int known, void *work);
+    int (*project)(double t, double *x, const double *constants, const double *r, int factors_valid, void *work);
     /* Whether the constraints have changed their orientation from one call to the next: whether the determinant of the
      * columns of J that rhs has taken for dependent when it was last called with `work` has another sign than it had.
      * Then J has lost rank on the way, or a long step has jumped over a dead point of these speeds. Or whether J has
      * changed by as much as its own size, so that this says nothing; or is close to losing rank, where loops that are
      * closed but for rounding errors may lead past the singular position. */
-    int (*turned)(void *work);
+    int (*orientation_changed)(void *work);
     /* d(J u + b)/dq, dPhi/dr and d(J u + b)/dr */
     fb_constraint_sensitivity *constraint_sensitivity;
     /* kinetic and potential energy */
@@ -116,8 +116,8 @@ typedef struct fb_kernel {
     /* with respect to x, p and r */
     fb_sensitivity *sensitivity, *parameter_sensitivity, *input_sensitivity;
     fb_drawing *drawing; /* positions (n_points, 3) and forces (n_forces, 3) in the inertial frame */
-    const fb_lanes *lanes; /* the same for several states side by side, or NULL */
-    int lanes_apart;       /* whether they are in a library of their own */
+    const fb_batch_functions *batch_functions; /* the same for several states side by side, or NULL */
+    int batch_functions_apart;       /* whether they are in a library of their own */
     int one_machine;       /* whether it was compiled for the processor of one machine, and not to travel */
 } fb_kernel;
 

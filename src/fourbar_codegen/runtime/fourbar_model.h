@@ -27,11 +27,11 @@ typedef struct fb_work {
     double accelerations[N_U];
     double multipliers[FB_AT_LEAST_1(N_C)];
     double residual_jacobian[(N_U + N_C) * N_COLUMNS];
-    double jacobian_before[FB_AT_LEAST_1(N_JACOBIAN)]; /* J when `turned` was last called */
+    double jacobian_before[FB_AT_LEAST_1(N_JACOBIAN)]; /* J when `orientation_changed` was last called */
 #ifndef FB_SPARSE
-    fb_units units; /* of J as `turned` has met it */
+    fb_units units; /* of J as `orientation_changed` has met it */
     double orientation_before;
-    int usual_before;
+    int was_static;
 #endif
     double largest_orientation; /* that it has met, 0 before it was called */
 } fb_work;
@@ -109,7 +109,7 @@ static int stabilized(double t, const double *x, const double *constants, const 
     double positions[FB_AT_LEAST_1(N_C)], velocities[FB_AT_LEAST_1(N_C)];
     dynamics(t, x, constants, r, w->coordinate_rates, w->mass_matrix, w->forcing, w->constraint_jacobian,
              w->acceleration_bias);
-    closure(t, x, constants, r, positions, velocities);
+    constraint_violation(t, x, constants, r, positions, velocities);
     for (int i = 0; i < N_C; ++i)
         w->acceleration_bias[i] += 2.0 * a * velocities[i] + a * a * positions[i];
     int status = factor_at(t, x, constants, r, w);
@@ -135,7 +135,7 @@ static int accelerations(double t, const double *x, const double *constants, con
  * is what M v = J^T lambda, J v + Phi = 0 gives, so that the equations of motion are solved with other right-hand
  * sides; q changes by K v. For the speeds likewise, with J u + b. Nonholonomic rows leave v alone.
  */
-static int project(double t, double *x, const double *constants, const double *r, int known, void *work)
+static int project(double t, double *x, const double *constants, const double *r, int factors_valid, void *work)
 {
     static const double at_rest[N_U] = {0.0};
     fb_work *const w = work;
@@ -146,7 +146,7 @@ static int project(double t, double *x, const double *constants, const double *r
         return FB_OK;
     for (int attempt = 0; attempt < FACTORIZATIONS; ++attempt) {
         int status = FB_OK;
-        if (attempt > 0 || !known) {
+        if (attempt > 0 || !factors_valid) {
             dynamics(t, x, constants, r, w->coordinate_rates, w->mass_matrix, w->forcing, w->constraint_jacobian,
                      w->acceleration_bias);
             status = factor_at(t, x, constants, r, w);
@@ -154,7 +154,7 @@ static int project(double t, double *x, const double *constants, const double *r
         constraint_scale(t, x, constants, r, unused, position_scale, velocity_scale);
         double last = INFINITY;
         for (int i = 0; i < CORRECTIONS; ++i) {
-            closure(t, x, constants, r, positions, velocities);
+            constraint_violation(t, x, constants, r, positions, velocities);
             const double position = fb_violation(positions, position_scale, N_C);
             const double velocity = fb_violation(velocities, velocity_scale, N_C);
             if (position != position || velocity != velocity)
@@ -182,7 +182,7 @@ static int project(double t, double *x, const double *constants, const double *r
     return FB_NOT_CLOSED;
 }
 
-static int turned(void *work)
+static int orientation_changed(void *work)
 {
     fb_work *const w = work;
     int result = 0;
@@ -192,8 +192,8 @@ static int turned(void *work)
         const double now = fb_orientation(w->constraint_jacobian, &w->units, &w->factors);
         result = fabs(now) < FB_CLOSE_BY * w->largest_orientation;
         if (w->largest_orientation > 0.0) {
-            /* Of the usual columns it is known. */
-            const int known = w->factors.usual && w->usual_before;
+            /* Of the columns of the static pivot order it is known. */
+            const int known = w->factors.is_static && w->was_static;
             result |= now * (known ? w->orientation_before
                                    : fb_orientation(w->jacobian_before, &w->units, &w->factors)) < 0.0;
         }
@@ -210,7 +210,7 @@ static int turned(void *work)
             }
         result |= w->largest_orientation > 0.0 && changed > size;
         w->orientation_before = now;
-        w->usual_before = w->factors.usual;
+        w->was_static = w->factors.is_static;
         w->largest_orientation = fb_max(fabs(now), w->largest_orientation);
     }
 #else
@@ -288,11 +288,11 @@ const fb_kernel FB_NAME(kernel) = {
     .dynamics = full_dynamics,
     .position = position,
     .velocity = velocity,
-    .closure = closure,
+    .constraint_violation = constraint_violation,
     .constraint_scale = constraint_scale,
     .coordinate_change = coordinate_change,
     .project = project,
-    .turned = turned,
+    .orientation_changed = orientation_changed,
     .constraint_sensitivity = FB_NAME(constraint_sensitivity),
     .energy = energy,
     .output = output,
@@ -303,9 +303,9 @@ const fb_kernel FB_NAME(kernel) = {
 #ifdef FB_ONE_MACHINE
     .one_machine = 1,
 #endif
-#if defined FB_HAS_LANES && defined FB_ONE_MACHINE /* where they can be built when they are needed */
-    .lanes_apart = 1,
-#elif defined FB_HAS_LANES
-    .lanes = &FB_NAME(lanes),
+#if defined FB_HAS_BATCH_FUNCTIONS && defined FB_ONE_MACHINE /* where they can be built when they are needed */
+    .batch_functions_apart = 1,
+#elif defined FB_HAS_BATCH_FUNCTIONS
+    .batch_functions = &FB_NAME(batch_functions),
 #endif
 };

@@ -154,8 +154,8 @@ static inline int fb_problem_jacobian(fb_problem *s, const double since, const d
     return 0;
 }
 
-/* Moves x onto the constraints, and leaves it as it is where that fails; `known` as for the kernel's function. */
-static inline int fb_problem_project(fb_problem *s, const double since, double *x, const int known)
+/* Moves x onto the constraints, and leaves it as it is where that fails; `factors_valid` as for the kernel's function. */
+static inline int fb_problem_project(fb_problem *s, const double since, double *x, const int factors_valid)
 {
     const double t = fb_time(&s->clock, since);
     const size_t size = (size_t)(s->kernel->n_q + s->kernel->n_u) * sizeof *x;
@@ -163,7 +163,7 @@ static inline int fb_problem_project(fb_problem *s, const double since, double *
     if (called < 0)
         return called;
     memcpy(s->moved_x, x, size);
-    const int status = s->kernel->project(t, s->moved_x, s->constants, s->inputs, known, s->work);
+    const int status = s->kernel->project(t, s->moved_x, s->constants, s->inputs, factors_valid, s->work);
     if (status == FB_OK)
         memcpy(x, s->moved_x, size);
     return status;

@@ -7,8 +7,9 @@
  *     (T^T M T) u_i' = T^T (f - M [e; 0]),
  *
  * symmetric and positive definite even where M alone is singular. Here dependent speeds stand first.
- * u' does not depend on the split. The usual one, by the tables usual_row and usual_speed, was chosen when the source
- * was generated, so that the compiler knows its places; where it is a bad one, the best is chosen anew in each call.
+ * u' does not depend on the split. A static pivot order, by the tables static_pivot_row and static_pivot_speed, was chosen
+ * when the source was generated, so that the compiler knows its places; where it is a bad one, the best is chosen anew
+ * in each call.
  */
 #ifndef FOURBAR_SOLVE_H
 #define FOURBAR_SOLVE_H
@@ -26,13 +27,13 @@ enum { N_MASS = N_U * N_U, N_JACOBIAN = N_C * N_U };
  * left in them, and they must be satisfied, to this share of gamma and u'. They may be redundant on the constraint
  * manifold alone, from which a run drifts. */
 #define FB_DRIFT_TOLERANCE 1e-3
-/* Or nearly: where gamma and u' vanish, what is left are rounding errors. */
+/* Or nearly: where gamma and u' is_zero, what is left are rounding errors. */
 #define FB_NEARLY 1e-12
 
-/* Whether the usual split is tried first: with many constraints its code becomes long. */
-#define FB_TRY_USUAL (N_C > 0 && N_C <= 8 && N_RANK == N_C)
+/* Whether the static pivot order is tried first: with many constraints its code becomes long. */
+#define FB_TRY_STATIC (N_C > 0 && N_C <= 8 && N_RANK == N_C)
 /* It is taken where its pivots are no less than this share of the largest in their row. */
-#define FB_USUAL_TOLERANCE 0.25
+#define FB_STATIC_TOLERANCE 0.25
 /* A singular position is close by where the smallest pivot is below this share of what it has been in a run; less than
  * where positions count as singular, and more than what lies between two branches that meet there, if the loops are
  * closed to rounding errors: these open the branches to the root of their size. */
@@ -46,7 +47,7 @@ enum { N_MASS = N_U * N_U, N_JACOBIAN = N_C * N_U };
 
 typedef struct fb_factors {
     double left; /* of the scaled J in redundant rows, the largest entry */
-    int usual; /* whether the split is the usual one */
+    int is_static; /* whether the pivot order is the static one */
     int row[FB_AT_LEAST_1(N_C)], column[N_U]; /* P, Q */
     double scale[FB_AT_LEAST_1(N_C)];   /* S, in the order of the rows of L */
     double inverse[FB_AT_LEAST_1(N_C)]; /* 1 / the diagonal of U_d */
@@ -129,15 +130,15 @@ static inline int fb_eliminate(const double *restrict jacobian, fb_factors *rest
     return s->left <= FB_DRIFT_TOLERANCE ? FB_OK : FB_CONSTRAINTS_INDEPENDENT;
 }
 
-/* P J Q = L [U_d U_i] with the usual split; returns whether that is a good one. With rows in a given order, and each
+/* P J Q = L [U_d U_i] by the static pivot order; returns whether that is a good one. With rows in a given order, and each
  * pivot compared with its own row, no scaling is needed. */
-static inline int fb_eliminate_usual(const double *restrict jacobian, fb_factors *restrict s)
+static inline int fb_eliminate_static(const double *restrict jacobian, fb_factors *restrict s)
 {
     double lu[FB_AT_LEAST_1(N_C)][N_U], size[FB_AT_LEAST_1(N_C)], largest = 0.0;
     for (int i = 0; i < N_C; ++i) {
         size[i] = 0.0;
         for (int j = 0; j < N_U; ++j)
-            size[i] = fb_max(size[i], fabs(jacobian[usual_row[i] * N_U + j]));
+            size[i] = fb_max(size[i], fabs(jacobian[static_pivot_row[i] * N_U + j]));
         largest = fb_max(largest, size[i]);
     }
     for (int i = 0; i < N_C; ++i) {
@@ -145,33 +146,33 @@ static inline int fb_eliminate_usual(const double *restrict jacobian, fb_factors
             return 0;
         s->scale[i] = 1.0;
         for (int j = 0; j < N_U; ++j)
-            lu[i][j] = jacobian[usual_row[i] * N_U + usual_speed[j]];
+            lu[i][j] = jacobian[static_pivot_row[i] * N_U + static_pivot_speed[j]];
     }
     for (int k = 0; k < N_C; ++k) {
         double pivot = FB_NEAR_DEPENDENCE * size[k];
         for (int j = k; j < N_U; ++j)
             pivot = fb_max(pivot, fabs(lu[k][j]));
-        if (!(fabs(lu[k][k]) > FB_USUAL_TOLERANCE * pivot))
+        if (!(fabs(lu[k][k]) > FB_STATIC_TOLERANCE * pivot))
             return 0;
         fb_eliminate_below(lu, s->inverse, k);
     }
     for (int i = 0; i < N_C; ++i) {
-        s->row[i] = usual_row[i];
+        s->row[i] = static_pivot_row[i];
         for (int j = 0; j < N_U; ++j)
             s->lu[i][j] = lu[i][j];
     }
     for (int j = 0; j < N_U; ++j)
-        s->column[j] = usual_speed[j];
+        s->column[j] = static_pivot_speed[j];
     return 1;
 }
 
 /* w = L^-1 P S gamma; returns the size of P S gamma. */
 static inline double fb_forward(const double *restrict acceleration_bias, const fb_factors *restrict s,
-                                double *restrict w, const int usual)
+                                double *restrict w, const int is_static)
 {
     double size = 0.0;
     for (int i = 0; i < N_C; ++i) {
-        w[i] = s->scale[i] * acceleration_bias[usual ? usual_row[i] : s->row[i]];
+        w[i] = s->scale[i] * acceleration_bias[is_static ? static_pivot_row[i] : s->row[i]];
         if (N_RANK < N_C && s->scale[i] == 0.0)
             w[i] = acceleration_bias[s->row[i]];
         size = fb_max(size, fabs(w[i]));
@@ -230,9 +231,9 @@ static inline double fb_orientation(const double *restrict jacobian, const fb_un
 static inline int fb_factor(const double *restrict mass_matrix, const double *restrict constraint_jacobian,
                             fb_factors *restrict s)
 {
-    s->usual = FB_TRY_USUAL && fb_eliminate_usual(constraint_jacobian, s);
-    if (s->usual) {
-        const int status = fb_reduce(mass_matrix, s, usual_speed);
+    s->is_static = FB_TRY_STATIC && fb_eliminate_static(constraint_jacobian, s);
+    if (s->is_static) {
+        const int status = fb_reduce(mass_matrix, s, static_pivot_speed);
         return status == FB_OK || all_finite(constraint_jacobian, N_C * N_U) == FB_OK ? status : FB_NOT_FINITE;
     }
     if (all_finite(constraint_jacobian, N_C * N_U) != FB_OK)
@@ -246,9 +247,9 @@ static inline int fb_solve(const double *restrict forcing, const double *restric
                            const fb_factors *restrict s, double *restrict accelerations)
 {
     double w[FB_AT_LEAST_1(N_C)];
-    if (s->usual) {
+    if (s->is_static) {
         fb_forward(acceleration_bias, s, w, 1);
-        fb_back(forcing, w, s, accelerations, usual_speed);
+        fb_back(forcing, w, s, accelerations, static_pivot_speed);
         return FB_OK;
     }
     double size = fb_forward(acceleration_bias, s, w, 0);

@@ -56,7 +56,7 @@ cdef extern from "fourbar_integrate.h":
         long room, n_samples
         int pending
         double until, t_begin
-        int turned, follows
+        int orientation_changed, follows
         int look_at_all
         int n_events
         const int *event_output
@@ -322,9 +322,9 @@ cdef class Ode:
             memcpy(data(result) + i * n_r, self.problem.inputs, n_r * sizeof(double))
         return result.T
 
-    def turned(self):
+    def orientation_changed(self):
         """Whether the constraints have changed their orientation from one call to the next: see `fb_kernel`."""
-        return bool(self.problem.kernel.turned(self.problem.work))
+        return bool(self.problem.kernel.orientation_changed(self.problem.work))
 
     def closest(self, t, x):
         """The state moved onto the constraints, shape (n_x,), behind the kernel's status of that."""
@@ -708,9 +708,9 @@ cdef class Run:
         return DenseOutput(self.ode, self.method, self.run.direction, self.run.project, [self.t], [self.run.t], [])
 
     @property
-    def turned(self):
+    def orientation_changed(self):
         """Whether the constraints' orientation has changed in the last step."""
-        return bool(self.run.turned)
+        return bool(self.run.orientation_changed)
 
     @property
     def t(self):

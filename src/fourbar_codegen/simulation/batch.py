@@ -56,7 +56,7 @@ def evaluate(
     # For arrays that are contiguous, as these are, the bounds tell it.
     elif any(np.may_share_memory(out, given) for given in (times, states, parameters, inputs) if given is not None):
         raise ModelError("out must not share memory with t, x, p or r.")
-    model.require_lanes()
+    model.require_batch_functions()
     batch = Batch(model, times, states, parameters, inputs, out)
     n_threads = min(n_workers(workers), -(-n // BLOCK))
     if n_threads < 2:

@@ -197,7 +197,7 @@ def _on_threads(runs: _Runs, workers: int, bar: Any) -> Results:
     sources = _sources(model, runs.inputs, n)
     called = any(map(callable, sources))
     if not called:
-        model.require_lanes()
+        model.require_batch_functions()
     waiting = np.arange(n)
     members = None
     tasks: list[Future[None]] = []

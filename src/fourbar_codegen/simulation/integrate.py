@@ -103,7 +103,7 @@ def integrate(
             progress(run.t)
             noted = now
         if reason == "event":
-            if run.turned:
+            if run.orientation_changed:
                 samples.append(run.take_samples())
                 singular = Singular(model, run.ode, _passed(run, samples)).within_step(run)
                 if singular:

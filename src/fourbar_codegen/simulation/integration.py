@@ -48,7 +48,7 @@ class Integration(Protocol):
         """The event functions at the beginning and at the end of the last step."""
 
     @property
-    def turned(self) -> bool:
+    def orientation_changed(self) -> bool:
         """Whether the constraints have changed their orientation over the last step."""
 
     def begin(self) -> None:

@@ -54,8 +54,8 @@ def simulate(model: Kernel, options: RunOptions) -> Trajectory:
                 bars.append(stack.enter_context(Progress(model.name, unwatched=True)))
             bars[0].stage(f"simulating, t = {t:.6g} of {end:g} s")
 
-        told = show if options.progress is None else options.progress or None
-        result = integrate(model, ode, state, options, told)
+        report = show if options.progress is None else options.progress or None
+        result = integrate(model, ode, state, options, report)
     message = result.message + _growth(model, ode, result)
     return Trajectory(
         model=model,

@@ -17,16 +17,14 @@ __all__ = ["Singular"]
 Floats = NDArray[np.float64]
 
 COLLAPSED, PASSED, NEAR = 1e-3, 1e-4, 0.2
-"""A position is singular where the smallest singular value of J is below this share of what it usually was in the run:
-where the steps' length collapses; within a step over which the constraints have changed their orientation; or is close
-where a step fails."""
+"""Thresholds of the smallest singular value of J, as a share of its median over the run: where steps collapse, within a
+step over which the constraints' orientation has changed, and where a step fails."""
 
 JUMPED = 1e-3
-"""The share of the largest change between neighbouring states of a step that is left when one has looked closer five
-times: of what is continuous, a thirty-second remains each time."""
+"""The share of the first largest change between states of a step above which a jump is left after five refinements."""
 
 STATES = 100
-"""States along the run that tell what it usually was."""
+"""States along the run of which the median is taken."""
 
 
 class Singular:

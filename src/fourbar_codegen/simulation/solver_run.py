@@ -68,7 +68,7 @@ class SolverRun:
         self._counted = [0, 0, 0]
         self.ode: Ode = self._solver.ode
         self.t, self.t_old, self._since, self._since_old = t, t, 0.0, 0.0
-        self.n_steps, self.turned = 0, False
+        self.n_steps, self.orientation_changed = 0, False
         self._x = self._x_old = np.array(x)
         self._t_bound, self._bound, self._until = t_bound, t_bound - t, t_bound - t
         self._times, self._next = times, 0
@@ -97,7 +97,7 @@ class SolverRun:
 
     def begin(self) -> None:
         """Before the first step."""
-        self._turned()
+        self._orientation_changed()
         values = self._event_values(self.t, self._x)
         self.event_values = values, values
 
@@ -156,7 +156,7 @@ class SolverRun:
         self.t, self._since, self._x = self._at(since), since, x
         self.n_steps += 1
         self._pending, self._interpolant = True, None
-        self.turned = self._turned()
+        self.orientation_changed = self._orientation_changed()
         if self._outputs:
             self.event_values = self.event_values[1], self._event_values(self.t, x)
         return "event"
@@ -164,18 +164,20 @@ class SolverRun:
     def _at(self, since: float) -> float:
         return self._t_bound if since == self._bound else self._origin + since
 
-    def _turned(self) -> bool:
+    def _orientation_changed(self) -> bool:
         """Whether the constraints have changed their orientation since the last call, and not only in a long step."""
-        if not self._turned_at(1.0) or self.n_steps == 0:
+        if not self._orientation_changed_at(1.0) or self.n_steps == 0:
             return False
         self.ode(self._since_old, self._x_old)
-        self.ode.turned()
-        turned = [self._turned_at(look / LOOKS) for look in range(1, LOOKS + 1)]  # to the end, where the run goes on
+        self.ode.orientation_changed()
+        turned = [
+            self._orientation_changed_at(look / LOOKS) for look in range(1, LOOKS + 1)
+        ]  # to the end, where the run goes on
         return any(turned)
 
-    def _turned_at(self, share: float) -> bool:
+    def _orientation_changed_at(self, share: float) -> bool:
         self.ode(self._within(share), self.state_within(share))
-        return self.ode.turned()
+        return self.ode.orientation_changed()
 
     def _sample(self) -> None:
         """Those of the last step."""

@@ -1,7 +1,7 @@
 /* The equations of motion of FB_WIDTH states side by side, a state in each lane of fb_real.
  *
  * What a lane holds does not depend on what the others hold. The equations are solved as in fourbar_solve.h with the
- * usual split of the speeds; a lane where that is a bad one is left to the kernel for one state.
+ * static pivot order; a lane where that is a bad one is left to the kernel for one state.
  */
 #include "fourbar_array.h"
 #include "fourbar_batch.h"
@@ -15,34 +15,34 @@
 
 enum { N_X = N_Q + N_U };
 
-/* The split is taken where its pivots are no less than this share of the sum of their row, which takes less time than
+/* The order is taken where its pivots are no less than this share of the sum of their row, which takes less time than
  * the largest entry. That is less than fourbar_solve.h asks for, at the cost of a digit or two, since pivoting in one
  * lane makes all of them wait. */
 #define FB_LANES_TOLERANCE 0.01
 
-typedef struct fb_split {
+typedef struct fb_factors_side_by_side {
     fb_mask good;
     fb_real inverse[FB_AT_LEAST_1(N_C)]; /* 1 / the diagonal of U_d */
     fb_real lu[FB_AT_LEAST_1(N_C)][N_U]; /* L below the diagonal, U_d on and above it, then A */
     fb_real mass[N_U][N_U];              /* Q^T M Q */
     fb_real reduced[N_U][N_U];           /* T^T M T = L D L^T: L below the diagonal, 1/D on it */
-} fb_split;
+} fb_factors_side_by_side;
 
 #define FB_VALUE fb_real
-#define FB_FACTORS fb_split
+#define FB_FACTORS fb_factors_side_by_side
 #define FB_OF(name) name##_side_by_side
 #define FB_REQUIRE_POSITIVE(s, value) (s)->good &= (value) > 0.0
 #include "fourbar_pivoted.h"
 
-static FB_INLINE void fb_split_of(const fb_real *restrict mass_matrix, const fb_real *restrict jacobian,
-                               fb_split *restrict s)
+static FB_INLINE void fb_factor_side_by_side(const fb_real *restrict mass_matrix, const fb_real *restrict jacobian,
+                               fb_factors_side_by_side *restrict s)
 {
     fb_real size[FB_AT_LEAST_1(N_C)], sizes = fb_number(0.0);
     s->good = (fb_mask)(fb_bits){0} == 0;
     for (int i = 0; i < N_C; ++i) {
         size[i] = fb_number(0.0);
         for (int j = 0; j < N_U; ++j) {
-            s->lu[i][j] = jacobian[usual_row[i] * N_U + usual_speed[j]];
+            s->lu[i][j] = jacobian[static_pivot_row[i] * N_U + static_pivot_speed[j]];
             size[i] += fb_abs(s->lu[i][j]);
         }
         sizes += size[i];
@@ -55,20 +55,20 @@ static FB_INLINE void fb_split_of(const fb_real *restrict mass_matrix, const fb_
         s->good &= fb_abs(s->lu[k][k]) > FB_LANES_TOLERANCE * left;
         fb_eliminate_below_side_by_side(s->lu, s->inverse, k);
     }
-    fb_reduce_side_by_side(mass_matrix, s, usual_speed);
+    fb_reduce_side_by_side(mass_matrix, s, static_pivot_speed);
 }
 
 /* u' for one right-hand side (f, gamma); f may be NULL, for zeros. */
-static FB_INLINE void fb_split_solve(const fb_real *restrict forcing, const fb_real *restrict acceleration_bias,
-                                  const fb_split *restrict s, fb_real *restrict accelerations)
+static FB_INLINE void fb_solve_side_by_side(const fb_real *restrict forcing, const fb_real *restrict acceleration_bias,
+                                  const fb_factors_side_by_side *restrict s, fb_real *restrict accelerations)
 {
     fb_real w[FB_AT_LEAST_1(N_C)];
     for (int i = 0; i < N_C; ++i) {
-        w[i] = acceleration_bias[usual_row[i]];
+        w[i] = acceleration_bias[static_pivot_row[i]];
         for (int k = 0; k < i; ++k)
             w[i] -= s->lu[i][k] * w[k];
     }
-    fb_back_side_by_side(forcing, w, s, accelerations, usual_speed);
+    fb_back_side_by_side(forcing, w, s, accelerations, static_pivot_speed);
 }
 
 /* States side by side: their equations, and the kernel for one state with its memory. */
@@ -77,7 +77,7 @@ typedef struct fb_side {
     fb_real constants[FB_AT_LEAST_1(N_CONSTANTS)], inputs[FB_AT_LEAST_1(N_R)];
     fb_real mass_matrix[N_U * N_U], forcing[N_U];
     fb_real constraint_jacobian[FB_AT_LEAST_1(N_JACOBIAN)], acceleration_bias[FB_AT_LEAST_1(N_C)];
-    fb_split split; /* of the last evaluation */
+    fb_factors_side_by_side factors; /* of the last evaluation */
     double lane_x[N_X], lane_constants[FB_AT_LEAST_1(N_CONSTANTS)], lane_inputs[FB_AT_LEAST_1(N_R)], lane_rates[N_X];
     void *work, *memory;
 } fb_side;
@@ -108,14 +108,14 @@ static __attribute__((noinline)) void fb_lane_rates(fb_side *s, const double t, 
     fb_put_lane(s->lane_rates, lane, N_X, rates);
 }
 
-/* Sets up the equations, with the inputs known, and splits them. Once for all that call it: compilers are quick with it
- * then, and the processor finds it where it was. */
+/* Sets up the equations, with the inputs known, and factors them. One function for all that call it: that is
+ * compiled once, and stays in the cache of instructions. */
 static __attribute__((noinline)) FB_FLATTEN void fb_side_equations(fb_side *restrict s, const fb_real t, const fb_real *restrict x,
                                                         fb_real *restrict coordinate_rates)
 {
     dynamics(t, x, s->constants, s->inputs, coordinate_rates, s->mass_matrix, s->forcing, s->constraint_jacobian,
              s->acceleration_bias);
-    fb_split_of(s->mass_matrix, s->constraint_jacobian, &s->split);
+    fb_factor_side_by_side(s->mass_matrix, s->constraint_jacobian, &s->factors);
 }
 
 /* x' of the lanes that are asked for, with the inputs known. */
@@ -123,10 +123,10 @@ static inline void fb_side_rates(fb_side *restrict s, const fb_real t, const fb_
                                  fb_real *restrict rates)
 {
     fb_side_equations(s, t, x, rates);
-    fb_split_solve(s->forcing, s->acceleration_bias, &s->split, rates + N_Q);
-    if (fb_any(asked & ~s->split.good))
+    fb_solve_side_by_side(s->forcing, s->acceleration_bias, &s->factors, rates + N_Q);
+    if (fb_any(asked & ~s->factors.good))
         for (int lane = 0; lane < FB_WIDTH; ++lane)
-            if (asked[lane] & ~s->split.good[lane])
+            if (asked[lane] & ~s->factors.good[lane])
                 fb_lane_rates(s, t[lane], x, lane, rates);
 }
 
@@ -185,7 +185,7 @@ static FB_INLINE void fb_put_columns(const fb_real *restrict from, const int row
             memcpy(to + row * n + i, from + row, (size_t)count * sizeof(double));
 }
 
-/* What the lanes hold whose split is not good, or whose rates are not finite, by the kernel for one state. */
+/* What the lanes hold whose pivots are not good, or whose rates are not finite, by the kernel for one state. */
 static __attribute__((noinline)) void fb_repair(const fb_batch *b, const long i, const int count, const fb_real *t,
                                                 const fb_real *x, const fb_mask *good, fb_real *rates, fb_side *s)
 {
@@ -221,7 +221,7 @@ static FB_INLINE void fb_batch_of(const fb_batch *b, const long begin, const lon
         count = end - i < count ? (int)(end - i) : count;
         fb_real t, x[N_X], rates[N_X], mass_matrix[N_U * N_U], forcing[N_U];
         fb_real constraint_jacobian[FB_AT_LEAST_1(N_JACOBIAN)], acceleration_bias[FB_AT_LEAST_1(N_C)];
-        fb_split split;
+        fb_factors_side_by_side factors;
         fb_load(&b->t, 1, i, count, &t);
         fb_load(&b->x, N_X, i, count, x);
         if (own) {
@@ -233,14 +233,14 @@ static FB_INLINE void fb_batch_of(const fb_batch *b, const long begin, const lon
         else
             fb_load(&b->r, N_R, i, count, r);
         dynamics(t, x, constants, r, rates, mass_matrix, forcing, constraint_jacobian, acceleration_bias);
-        fb_split_of(mass_matrix, constraint_jacobian, &split);
-        fb_split_solve(forcing, acceleration_bias, &split, rates + N_Q);
+        fb_factor_side_by_side(mass_matrix, constraint_jacobian, &factors);
+        fb_solve_side_by_side(forcing, acceleration_bias, &factors, rates + N_Q);
         fb_real sum = t;
         for (int j = 0; j < N_X; ++j)
             sum += rates[j];
         /* The sum may also be infinite where no rate is; then nothing is changed. */
-        if (fb_any(~(split.good & (sum - sum == 0.0))))
-            fb_repair(b, i, count, &t, x, &split.good, rates, s);
+        if (fb_any(~(factors.good & (sum - sum == 0.0))))
+            fb_repair(b, i, count, &t, x, &factors.good, rates, s);
         fb_put_columns(rates, N_X, b->n, i, count, b->rates);
     }
 }
@@ -266,4 +266,4 @@ static FB_FLATTEN int batch(const fb_batch *b, const long begin, const long end)
 
 #include "fourbar_ensemble.h"
 
-const fb_lanes FB_NAME(lanes) = {.layout = FB_LAYOUT, .width = FB_WIDTH, .batch = batch, .run = run};
+const fb_batch_functions FB_NAME(batch_functions) = {.layout = FB_LAYOUT, .width = FB_WIDTH, .batch = batch, .run = run};

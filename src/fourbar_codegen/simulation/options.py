@@ -108,9 +108,7 @@ class RunOptions:
             x0=None if x0 is None else named_array(x0, model.states, {}, "state"),
             method=method,
             parameters=model.parameter_vector(given["parameters"]) if "parameters" in given else None,
-            inputs=None
-            if inputs is None
-            else {k: own_source(name_of(k), s) for k, s in by_name(model, inputs).items()},
+            inputs=inputs,
             t_eval=None if t_eval is None else sample_times(t_eval, start, end),
             rtol=tolerance(given["rtol"], "rtol"),
             atol=tolerance(given["atol"], "atol", model.n_x),

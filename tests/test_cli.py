@@ -156,9 +156,9 @@ def test_help_and_version():
 def test_all_methods_can_be_chosen():
     """The command line names them without importing what runs them."""
     from fourbar_codegen import cli
-    from fourbar_codegen.simulation import integrate
+    from fourbar_codegen.simulation import options
 
-    assert set(cli.METHODS) == {*integrate.METHODS, integrate.FIXED_STEP, *integrate.SOLVERS}
+    assert set(cli.METHODS) == {*options.METHODS, options.FIXED_STEP, *options.SOLVERS}
 
 
 def test_models_that_are_not_compiled_yet_are_known_by_name():

@@ -28,10 +28,10 @@ ROOT = Path(__file__).parent.parent
 COMMITTED = ROOT / "generated" / "four_bar"
 NAMES = [
     "four_bar.pyx",
+    "four_bar_batch.c",
     "four_bar_derivatives.c",
     "four_bar_kernel.c",
     "four_bar_kernel.h",
-    "four_bar_batch.c",
     "manifest.json",
 ]
 
@@ -170,16 +170,16 @@ def test_printed_expressions_mean_what_they_say(expr):
         lambda: fb.models.chain(7, closed=True),
     ],
 )
-def test_usual_split_needs_no_pivoting_along_a_motion(make):
+def test_static_pivot_order_needs_no_pivoting_along_a_motion(make):
     """Each pivot is at least a quarter of the largest entry of its row, which is what fourbar_solve.h asks for. The
     entries of row k after elimination are, up to a common factor, the minors of columns 0 to k - 1 and another one."""
     model = make()
-    split = lower(model.name, form_equations(model)).split
+    order = lower(model.name, form_equations(model)).pivot_order
     compiled = fb.compile_model(model)
     trajectory = compiled.simulate((0.0, 2.0), inputs=dict.fromkeys(compiled.inputs, 0.0), t_eval=np.linspace(0, 2, 21))
     assert trajectory.success
     for t, x in zip(trajectory.t, trajectory.y.T, strict=True):
-        jacobian = compiled.velocity(t, x)[0][np.ix_(split.rows, split.speeds)]
+        jacobian = compiled.velocity(t, x)[0][np.ix_(order.rows, order.speeds)]
         for k in range(compiled.n_c):
             columns = [[*range(k), j] for j in range(k, compiled.n_u)]
             row = [abs(np.linalg.det(jacobian[: k + 1, chosen])) for chosen in columns]

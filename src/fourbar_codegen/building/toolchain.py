@@ -308,17 +308,17 @@ def _link(objects: Iterable[Path], target: Path) -> Path:
 
 
 def _cythonize(source: Path) -> Path:
+    from Cython.Build import cythonize
     from Cython.Compiler.Errors import CompileError
-    from Cython.Compiler.Main import CompilationOptions, compile_single, default_options
+    from setuptools import Extension
 
-    options = CompilationOptions(default_options, language_level=3, include_path=[get_include()])
+    # By the name of the file alone: folders above may be packages of someone else.
+    module = Extension(source.stem, [str(source)])
     try:
-        result = compile_single(str(source), options, source.stem)
+        cythonize([module], include_path=[get_include()], language_level=3, force=True, quiet=True)
     except CompileError as error:
-        raise BuildError(f"Cython refused {source}.", output=str(error)) from error
-    if result.num_errors or not result.c_file:
-        raise BuildError(f"Cython refused {source}; its messages are above.")
-    return Path(result.c_file)
+        raise BuildError(f"Cython refused {source}; its messages are above.") from error
+    return source.with_suffix(".c")
 
 
 def _compile(source: Path, flags: Sequence[str]) -> Path:

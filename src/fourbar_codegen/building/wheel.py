@@ -43,6 +43,9 @@ __all__ = ["kernel", "manifest", "rhs"]
 '''
 
 
+BUILD_WHEEL = "from setuptools import build_meta; build_meta.build_wheel('dist')"
+"""What tools for packages ask setuptools for, by PEP 517."""
+
 WHEEL_SUMMARY = "Compiled equations of motion of the model"
 
 
@@ -88,9 +91,7 @@ def pack_wheel(
         )
         (project / "setup.py").write_text(setup, encoding="utf-8")
         try:
-            run_tool(
-                [sys.executable, "setup.py", "--quiet", "bdist_wheel"], project / "dist", tool="setuptools", cwd=project
-            )
+            run_tool([sys.executable, "-c", BUILD_WHEEL], project / "dist", tool="setuptools", cwd=project)
         except BuildError as error:
             if "invalid command 'bdist_wheel'" in error.output:
                 raise BuildError(

@@ -407,7 +407,7 @@ def test_pictures_of_modes(four_bar, monkeypatch):
         assert np.abs(ends - points["joint3_link3_joint"][:2]).max(axis=1).min() == 0.0
     with pytest.raises(fb.ModelError, match="nothing to draw"):
         four_bar.initial_states(parameters={"l1": 3.0}).plot()
-    monkeypatch.setattr("fourbar_codegen.presentation.figures.MOST_PANELS", 1)
+    monkeypatch.setattr("fourbar_codegen.presentation.figures.MAX_PANELS", 1)
     assert len(four_bar.initial_states().plot().axes) == 1
 
 

@@ -19,6 +19,7 @@ import fourbar_codegen as fb
 from fourbar_codegen import compile as pipeline
 from fourbar_codegen.building import cache, toolchain
 from fourbar_codegen.expressions import fingerprint
+from fourbar_codegen.kernel import loading
 
 CHANGES = [
     "orientation", "angular velocity", "position", "velocity", "mass", "inertia", "body", "load", "point of a load",
@@ -214,13 +215,13 @@ def test_states_side_by_side_are_compiled_when_they_are_needed(monkeypatch, tmp_
     x = np.linspace(0.1, 2.0, 40).reshape(4, 10)
     rates = first.rhs_batch(0.0, x)
     assert not first.lacks_batch_functions
-    assert entries(tmp_path) == ["slider", "slider_lanes"]
+    assert entries(tmp_path) == ["slider", "slider_batch_functions"]
     np.testing.assert_allclose(rates, np.transpose([first.rhs(0.0, column) for column in x.T]), rtol=1e-12)
 
     def forbidden(*_):
         raise AssertionError("they are there already")
 
-    monkeypatch.setattr(toolchain, "build_batch_functions", forbidden)
+    monkeypatch.setattr(loading, "build_batch_functions", forbidden)
     second = fb.compile_model(slider())
     np.testing.assert_array_equal(second.rhs_batch(0.0, x), rates)
     assert second.ensemble((0.0, 0.1), start).success.all()
@@ -250,11 +251,11 @@ def test_states_side_by_side_without_their_sources(monkeypatch, tmp_path):
 
 def test_another_models_sources_in_the_folder(tmp_path):
     """Many loops are not evaluated side by side; what is left of another model of the same name does not count."""
-    lanes = tmp_path / "n_four_bar_10_batch.c"
-    lanes.write_text("of another model")
+    batch = tmp_path / "n_four_bar_10_batch.c"
+    batch.write_text("of another model")
     model = fb.load(fb.build_model(fb.models.n_four_bar(10), tmp_path))
-    assert not lanes.exists()
-    lanes.write_text("of another model")
+    assert not batch.exists()
+    batch.write_text("of another model")
     x = np.full((model.n_x, 2), 0.1)
     np.testing.assert_array_equal(model.rhs_batch(0.0, x)[:, 0], model.rhs(0.0, x[:, 0]))
 

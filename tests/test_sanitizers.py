@@ -292,9 +292,9 @@ class Program:
 
     def run(self, flags, values):
         """What it prints, with the functions for states side by side compiled with more flags."""
-        lanes = [self.compiled(self.batch_functions, *flags)] if self.batch_functions.is_file() else []
+        batch = [self.compiled(self.batch_functions, *flags)] if self.batch_functions.is_file() else []
         program = str(self.folder / "program")
-        subprocess.run([*self.command, *self.objects, *lanes, "-o", program, "-lm"], check=True)
+        subprocess.run([*self.command, *self.objects, *batch, "-o", program, "-lm"], check=True)
         done = subprocess.run([program, *values], capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
         return [float(word) for word in done.stdout.split()]

@@ -33,7 +33,7 @@ FPS = 30.0
 MAX_FRAMES = 10_000
 """An animation takes no more: each is some hundredths of a second to draw."""
 
-MOST_PANELS = 24
+MAX_PANELS = 24
 """No more assembly modes are drawn."""
 
 SMOOTH = 401
@@ -104,7 +104,7 @@ def plot_modes(modes: AssemblyModes) -> Figure:
     model = modes.model
     if not model.points or not len(modes):
         raise ModelError(f"There is nothing to draw: {modes!r} with the points {', '.join(model.points) or 'none'}.")
-    states = np.where(np.isfinite(modes.x), modes.x, 0.0)[:MOST_PANELS]
+    states = np.where(np.isfinite(modes.x), modes.x, 0.0)[:MAX_PANELS]
     positions = np.stack([model.drawing(modes.t, x, modes.parameters, modes.inputs)[0] for x in states], axis=2)
     size, planar = extent(positions)
     figure, cells = _figure(len(states), planar)

@@ -19,6 +19,8 @@ lint: $(INSTALLED)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/clang-format --dry-run --Werror src/fourbar_codegen/runtime/*.h
+	PATH=$(BIN):$$PATH $(BIN)/cython-lint --max-line-length 120 src/fourbar_codegen/runtime/*.pyx src/fourbar_codegen/runtime/*.pxd
 
 docs: $(INSTALLED_DOCS)
 	$(BIN)/python -m sphinx --fail-on-warning --quiet -b html docs docs/_build/html

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import sympy as sm
 import sympy.physics.mechanics as me
-from measure import DOCS, circumstances, compare, replace_in_page, save_picture, timed
+from measure import DOCS, circumstances, compare, replace_in_page, save_figure, timed
 from scipy.integrate import solve_ivp
 from sympy.physics.mechanics.system import System
 from tutorial import Tutorial
@@ -141,7 +141,7 @@ def plot(t: Any, residuals: dict[str, Any], path: Path) -> None:
     axes.set_ylabel("loop open by, m")
     axes.legend(fontsize="small")
     axes.grid(alpha=0.3)
-    save_picture(figure, path)
+    save_figure(figure, path)
 
 
 if __name__ == "__main__":

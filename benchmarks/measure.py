@@ -98,7 +98,7 @@ def replace_in_page(page: Path, mark: str, text: str, command: str, report: dict
     page.write_text(f"{before}<!-- {mark} -->\n{text}\n\n{written}\n{end}{after}")
 
 
-def save_picture(figure: Figure, path: Path) -> None:
+def save_figure(figure: Figure, path: Path) -> None:
     """Write a figure, the same file for the same curves."""
     import matplotlib as mpl
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from measure import DOCS, PROJECT, call, circumstances, compare, replace_in_page, save_picture, timed
+from measure import DOCS, PROJECT, call, circumstances, compare, replace_in_page, save_figure, timed
 from sksundae.ida import IDA
 
 import fourbar_codegen as fb
@@ -183,7 +183,7 @@ def plot(results: dict[str, list[dict[str, Any]]], path: Path) -> None:
         axes.grid(alpha=0.3)
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4)
-    save_picture(figure, path)
+    save_figure(figure, path)
 
 
 def tables(

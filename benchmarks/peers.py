@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 import sympy as sm
-from measure import DOCS, call, circumstances, compare, evaluation, replace_in_page, save_picture, timed
+from measure import DOCS, call, circumstances, compare, evaluation, replace_in_page, save_figure, timed
 from scipy.integrate import solve_ivp
 from tutorial import Floats, Tutorial, tutorial_four_bar
 
@@ -410,7 +410,7 @@ def plot(rows: list[dict[str, Any]], path: Path) -> None:
     axes.set_ylabel("time of the simulation, ms")
     axes.grid(alpha=0.3)
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small")
-    save_picture(figure, path)
+    save_figure(figure, path)
 
 
 def main() -> None:

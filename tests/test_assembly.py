@@ -398,7 +398,7 @@ def test_wrong_names(four_bar):
         four_bar.initial_states({"q2": 1.0})
 
 
-def test_pictures_of_modes(four_bar, monkeypatch):
+def test_plots_of_modes(four_bar, monkeypatch):
     figure = four_bar.initial_states().plot()
     assert len(figure.axes) == 2
     for axes, mode in zip(figure.axes, four_bar.initial_states(), strict=True):

@@ -88,7 +88,7 @@ def test_impulse_of_a_motion_that_starts_at_once(expression, how):
     x0 = dict.fromkeys(model.states, 0.0) | {"q": 0.3}
     run = model.simulate((0.0, 1.0), x0, **TIGHT)
     np.testing.assert_allclose([run["q"][-1], run["u"][-1]], kicked([0.5], [1.0], 1.0), atol=1e-7)
-    # Before the jump and behind it, times that differ by their last bit; each state agrees with what holds there.
+    # Before the jump and after it, times that differ by their last bit; each state agrees with what holds there.
     jump = np.argmin(np.abs(run.t - 0.5))
     assert (np.diff(run.t) > 0.0).all()
     assert np.ptp(run.t[np.abs(run.t - 0.5) < 1e-12]) < 10 * np.spacing(1.0)
@@ -318,7 +318,7 @@ def test_either_side_of_a_jump_is_told_by_its_time(begin, end, jump, method, tmp
     around = (jump + away)[: 2 if jump == end else 3]
     sampled = model.simulate((begin, end), [0.3, 0.5], inputs=motion, t_eval=around, **how)
     assert np.ptp(sampled["u"] + sampled["s'"]) < 1e-12
-    if jump != end:  # where there is nothing to interpolate behind it
+    if jump != end:  # where there is nothing to interpolate after it
         np.testing.assert_allclose(run.sol(around), sampled.y, rtol=1e-12)
     assert fb.load_trajectory(run.save(tmp_path / "run.npz")).t.tolist() == run.t.tolist()
 

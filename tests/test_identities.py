@@ -46,12 +46,12 @@ def convert():
         ((1 + sm.Integer(2) ** 127 * a) / (1 + a) - 1, False),
     ],
 )
-def test_what_vanishes(convert, expression, same):
+def test_is_zero(convert, expression, same):
     scalar = convert(expression)
     assert is_zero(convert.tape, [scalar]) == [same]
 
 
-def test_known_nodes_are_recognized(convert):
+def test_existing_nodes_are_reused(convert):
     # cos(a + b) by the direction cosines of two frames, associated in two ways
     first = convert((sm.cos(a) * sm.cos(b) - sm.sin(a) * sm.sin(b)) * sm.cos(c))
     known = convert.tape.reach([first])

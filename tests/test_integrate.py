@@ -59,8 +59,8 @@ def test_coefficients_are_scipys(method):
     else:
         np.testing.assert_array_equal(array("error"), [*scipys.E5, *scipys.E3])
         np.testing.assert_array_equal(array("dense"), scipys.D.ravel())
-        np.testing.assert_array_equal(array("more_a"), scipys.A_EXTRA.ravel())
-        np.testing.assert_array_equal(array("more_c"), scipys.C_EXTRA)
+        np.testing.assert_array_equal(array("a_extra"), scipys.A_EXTRA.ravel())
+        np.testing.assert_array_equal(array("c_extra"), scipys.C_EXTRA)
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -98,15 +98,15 @@ def test_no_color(environment):
     assert "\x1b" not in fourbar("info", **environment)
 
 
-def test_a_bar_while_pictures_are_drawn(tmp_path):
-    """On a terminal, up to all pictures; not a word elsewhere. Without patience, however fast they are drawn."""
+def test_a_bar_while_frames_are_drawn(tmp_path):
+    """On a terminal, up to all frames; not a word elsewhere. Without patience, however fast they are drawn."""
     code = (
-        "import fourbar_codegen as fb; from fourbar_codegen import visual; visual.PATIENCE = 0.0\n"
+        "import fourbar_codegen as fb; from fourbar_codegen.presentation import figures; figures.PATIENCE = 0.0\n"
         f"fb.load('four_bar').simulate((0.0, 1.0)).save({str(tmp_path / 'run.gif')!r})"
     )
-    pictures = [int(number) for number in re.findall(r"(\d+)/31 ", on_terminal("-c", code))]
-    assert pictures == sorted(pictures)
-    assert pictures[-1] == 31
+    frames = [int(number) for number in re.findall(r"(\d+)/31 ", on_terminal("-c", code))]
+    assert frames == sorted(frames)
+    assert frames[-1] == 31
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=True).stderr == b""
 
 

@@ -126,12 +126,12 @@ def test_animations(trajectory, tmp_path):
     path = trajectory.resample(np.linspace(0.0, 1.0, 5)).save(tmp_path / "run.gif")
     with Image.open(path) as image:
         assert image.n_frames == 31
-        pictures = []
+        frames = []
         for frame in (0, 15):
             image.seek(frame)
-            pictures.append(np.asarray(image.convert("L")))
-    assert (pictures[0] < 100).sum() > 500  # ink
-    assert (pictures[0] != pictures[1]).sum() > 500
+            frames.append(np.asarray(image.convert("L")))
+    assert (frames[0] < 100).sum() > 500  # ink
+    assert (frames[0] != frames[1]).sum() > 500
     assert list(tmp_path.iterdir()) == [path]
     animation = trajectory.resample([0.0, 0.1]).animate(traces=["P2"], speed=0.5)
     assert "<img" in animation.to_jshtml()
@@ -312,11 +312,11 @@ def test_scrubbing_shows_the_state_at_that_time(opened, trajectory):
     # The page chooses scale and place: they follow from two points at rest, the ground's, 0.8 m apart.
     ends = center(page, "P41"), center(page, "P1")
     scale = (ends[1][0] - ends[0][0]) / 0.8
-    for picture in (0, 1, 77, 240):
-        scrub.fill(str(picture))
-        assert page.locator("#time").text_content() == f"t = {times[picture]:.3f} s"
+    for frame in (0, 1, 77, 240):
+        scrub.fill(str(frame))
+        assert page.locator("#time").text_content() == f"t = {times[frame]:.3f} s"
         for name in ("P2", "joint3_link3_joint", "link3_masscenter"):
-            x, y, _ = points[name][:, picture]
+            x, y, _ = points[name][:, frame]
             expected = ends[0] + scale * np.array([x + 0.4, -y])
             # To the third decimal of a pixel that the page writes, and single precision.
             np.testing.assert_allclose(center(page, name), expected, rtol=0, atol=2e-3)
@@ -326,7 +326,7 @@ def test_scrubbing_shows_the_state_at_that_time(opened, trajectory):
         x1, x2, y1, y2 = (float(arrow.get_attribute(name)) for name in ("x1", "x2", "y1", "y2"))
         np.testing.assert_allclose([x1, y1], center(page, "joint3_link3_joint"), atol=2e-3)
         greatest = np.abs(np.sin(np.pi * times)).max()
-        assert x2 - x1 == pytest.approx(0.25 * size * scale * np.sin(np.pi * times[picture]) / greatest, abs=4e-3)
+        assert x2 - x1 == pytest.approx(0.25 * size * scale * np.sin(np.pi * times[frame]) / greatest, abs=4e-3)
         assert y2 == y1
         assert arrow.get_attribute("visibility") == ("hidden" if abs(x2 - x1) < 1 else "visible")
     shown = page.locator("#plots output").first.text_content()

@@ -222,7 +222,7 @@ static double together(const fb_kernel *k, const double *p, const double *x0, co
         .kernel = k, .n = N, .x = x, .p = ps, .n_sources = k->n_r < 2 ? k->n_r : 2, .sources = sources,
         .values = values,
         .method = method, .project = k->n_c > 0, .t_bound = 0.5, .max_step = INFINITY, .first = -INFINITY,
-        .last = INFINITY, .breaks = table_times + 1, .before = table_times + 1, .behind = table_times + 1,
+        .last = INFINITY, .breaks = table_times + 1, .before = table_times + 1, .after = table_times + 1,
         .n_breaks = 1, .rtol = tolerance, .atol = tolerance, .times = times, .n_times = 3, .samples = samples,
         .status = status, .n_evaluations = counts, .next = &next, .n_ended = &ended, .stop = &stop,
     };

@@ -282,7 +282,7 @@ def test_saved_files_hold_the_trajectory(four_bar, tmp_path):
     assert picture.startswith(b"\x89PNG")
 
 
-def test_run_into_a_singular_position_is_a_value_with_a_sentence():
+def test_run_into_a_singular_position_is_reported_in_the_message():
     # Both bars of a parallelogram in line: J loses rank, and the motion cannot go on along the constraint.
     four_bar = fb.load("four_bar")
     parameters = {"l1": 1.0, "l2": 1.0, "l3": 1.0, "l4": 1.0, "k": 0.0, "c": 0.0, "g": 0.0}
@@ -291,7 +291,7 @@ def test_run_into_a_singular_position_is_a_value_with_a_sentence():
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_integrator_failure_is_a_value_with_a_sentence(four_bar, method):
+def test_integrator_failure_is_reported_in_the_message(four_bar, method):
     run = four_bar.simulate((0.0, 1.0), method=method, inputs={"F": lambda t, x: 10.0 if t < 0.5 else np.nan})
     assert not run.success
     assert run.status == -1

@@ -50,9 +50,9 @@ def test_a_datasets_attributes_make_the_run_again(run, four_bar):
     assert set(json.loads(attributes["versions"])) >= {"fourbar_codegen", "numpy", "scipy", "sympy"}
 
 
-@pytest.mark.parametrize("ending", [".npz", ".nc"])
-def test_there_and_back(run, four_bar, tmp_path, ending):
-    path = run.save(tmp_path / f"run{ending}")
+@pytest.mark.parametrize("suffix", [".npz", ".nc"])
+def test_there_and_back(run, four_bar, tmp_path, suffix):
+    path = run.save(tmp_path / f"run{suffix}")
     for model in (None, four_bar):
         back = fb.load_trajectory(path, model)
         for name in ("t", "y", "r", "energy", "multipliers"):
@@ -64,10 +64,10 @@ def test_there_and_back(run, four_bar, tmp_path, ending):
     np.testing.assert_array_equal(back.resample([0.5]).y, run.resample([0.5]).y)
 
 
-@pytest.mark.parametrize("ending", [".npz", ".nc"])
-def test_a_run_that_ended_early(four_bar, tmp_path, ending):
+@pytest.mark.parametrize("suffix", [".npz", ".nc"])
+def test_a_run_that_ended_early(four_bar, tmp_path, suffix):
     run = four_bar.simulate((0.0, 8.0))
-    back = fb.load_trajectory(run.save(tmp_path / f"run{ending}"))
+    back = fb.load_trajectory(run.save(tmp_path / f"run{suffix}"))
     assert back.success is False
     assert "singular position" in back.message
 
@@ -180,11 +180,11 @@ def test_installed_models_are_found_but_not_in_the_current_folder(slider_run, tm
     assert "which neither comes with" in elsewhere(installed, **environment).stderr
 
 
-@pytest.mark.parametrize("ending", [".npz", ".nc"])
-def test_damaged_files(run, tmp_path, ending):
-    whole = run.save(tmp_path / f"run{ending}").read_bytes()
+@pytest.mark.parametrize("suffix", [".npz", ".nc"])
+def test_damaged_files(run, tmp_path, suffix):
+    whole = run.save(tmp_path / f"run{suffix}").read_bytes()
     for i, content in enumerate((b"", whole[: len(whole) // 2], whole[:200])):
-        path = tmp_path / f"damaged{i}{ending}"
+        path = tmp_path / f"damaged{i}{suffix}"
         path.write_bytes(content)
         with pytest.raises(fb.ModelError, match=r"cannot be read|no NPZ file|no trajectory") as error:
             fb.load_trajectory(path)
@@ -323,10 +323,10 @@ def test_paths_that_no_file_can_have(run, tmp_path, monkeypatch):
     with pytest.raises(fb.BuildError, match="File name too long"):
         toolchain.write_sources("model", {"model.c": ""}, Path("n" * 5000))
     assert list(tmp_path.iterdir()) == []
-    for ending in (".csv", ".npz", ".nc", ".html", ".png", ".gif"):
-        path = run.resample([0.0, 0.1]).save(os.fsdecode(b"\xff\n" + ending.encode()))  # a name, if a strange one
+    for suffix in (".csv", ".npz", ".nc", ".html", ".png", ".gif"):
+        path = run.resample([0.0, 0.1]).save(os.fsdecode(b"\xff\n" + suffix.encode()))  # a name, if a strange one
         assert path.is_file()
-        if ending in (".npz", ".nc"):
+        if suffix in (".npz", ".nc"):
             assert len(fb.load_trajectory(path).t) == 2
 
 
@@ -339,13 +339,13 @@ def test_settings_of_other_kinds_of_numbers(four_bar, tmp_path):
 def test_changed_bits(run, tmp_path):
     """Checksums of both kinds of files tell, wherever they are changed, or what is read is the same."""
     generator = np.random.default_rng(0)
-    for ending in (".npz", ".nc"):
-        whole = run.save(tmp_path / f"run{ending}").read_bytes()
+    for suffix in (".npz", ".nc"):
+        whole = run.save(tmp_path / f"run{suffix}").read_bytes()
         told = 0
         for i in range(40):
             content = bytearray(whole)
             content[generator.integers(len(content))] ^= 1 << int(generator.integers(8))
-            path = tmp_path / f"changed{i}{ending}"
+            path = tmp_path / f"changed{i}{suffix}"
             path.write_bytes(content)
             try:
                 back = fb.load_trajectory(path)
@@ -382,18 +382,18 @@ run = fb.load("four_bar").simulate((0.0, 1.0))
 run.to_xarray()
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
-for ending in ("csv", "npz", "nc", "html"):
+for suffix in ("csv", "npz", "nc", "html"):
     try:
-        run.save(f"{tmp_path}/run.{{ending}}")
+        run.save(f"{tmp_path}/run.{{suffix}}")
     except fb.ModelError as error:
         print(error)
 """
-    endings = ("csv", "npz", "nc", "html")
-    for ending in endings:
-        (tmp_path / f"run.{ending}").write_text("old")
+    suffixes = ("csv", "npz", "nc", "html")
+    for suffix in suffixes:
+        (tmp_path / f"run.{suffix}").write_text("old")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines() == [
-        f"{tmp_path}/run.{ending} cannot be written: File too large." for ending in endings
+        f"{tmp_path}/run.{suffix} cannot be written: File too large." for suffix in suffixes
     ]
-    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {f"run.{e}": "old" for e in endings}
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {f"run.{e}": "old" for e in suffixes}

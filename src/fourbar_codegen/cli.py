@@ -35,7 +35,7 @@ class _ModelName(click.ParamType):  # type: ignore[type-arg]  # generic in newer
     name = "model"
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:  # noqa: ARG002  # click's
-        """The names of the package's models, told from its files, and files."""
+        """The names of the package's models, read from its files, and files."""
         files = (Path(__file__).parent / "models").glob("[a-z]*.py")
         names = sorted(file.stem for file in files if file.stem.startswith(incomplete))
         return [*map(CompletionItem, names)] or [CompletionItem(incomplete, type="file")]
@@ -200,7 +200,7 @@ def animate(output: Path, **run: Any) -> None:
 
 
 def _show(output: Path, suffixes: tuple[str, ...], run: dict[str, Any]) -> None:
-    """Simulate with a state for each picture, and write these."""
+    """Simulate with a state for each frame, and write these."""
     from fourbar_codegen.presentation.report import frame_times
 
     if output.suffix.lower() not in suffixes:

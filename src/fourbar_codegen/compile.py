@@ -49,7 +49,7 @@ def generate_sources(model: Model) -> dict[str, str]:
     --------
     >>> import fourbar_codegen as fb
     >>> sorted(fb.generate_sources(fb.models.four_bar()))
-    ['four_bar.pyx', 'four_bar_derivatives.c', 'four_bar_kernel.c', 'four_bar_kernel.h', 'four_bar_batch.c',
+    ['four_bar.pyx', 'four_bar_batch.c', 'four_bar_derivatives.c', 'four_bar_kernel.c', 'four_bar_kernel.h',
      'manifest.json']
     """
     with Progress(f"fourbar_codegen: {getattr(model, 'name', '')}") as progress:
@@ -69,7 +69,7 @@ def _generate(model: Model, progress: Progress) -> tuple[Equations, dict[str, st
 
     progress.stage("forming the equations")
     equations = form_equations(model)
-    progress.stage("sharing what is common")
+    progress.stage("eliminating common subexpressions")
     program = lower(model.name, equations)
     scheduled = schedule(program)
     progress.stage("printing")

@@ -1,4 +1,4 @@
-"""The package's exceptions: one base class, one subclass per part of the line."""
+"""The package's exceptions: one base class, and a subclass for each stage that may fail."""
 
 from __future__ import annotations
 

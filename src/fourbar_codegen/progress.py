@@ -1,4 +1,4 @@
-"""What takes so long says how far it is."""
+"""Progress of long work, on the terminal."""
 
 from __future__ import annotations
 

@@ -1,9 +1,10 @@
 """The compiled functions against the equations they were made from, and against mechanics, right after compilation.
 
-What lies between equations and functions is sharing, hoisting, the printer, splitting, and the C compiler. The
-equations are evaluated in Python, node by node as they were formed, at random states. What lies before them is told by
-identities that do not come from how they were formed: the kinetic energy is w^T M w / 2 in each direction w of the
-speeds, its change is what the loads do and M u' - f, and the constraints' rates are their changes from state to state.
+What lies between equations and functions is common subexpression elimination, hoisting, the printer, splitting, and the
+C compiler. The equations are evaluated in Python, node by node as they were formed, at random states. What lies before
+them is checked by identities that do not come from how they were formed: the kinetic energy is w^T M w / 2 in each
+direction w of the speeds, its change is what the loads do and M u' - f, and the constraints' rates are their changes
+from state to state.
 """
 
 from __future__ import annotations

@@ -276,8 +276,8 @@ def calls_of(name: str) -> dict[str, Call]:
     calls.add("trajectory[]", trajectory.__getitem__, name=first)
     calls.add("trajectory.sol", trajectory.sol, t=times)
     calls.add("trajectory.resample", trajectory.resample, times=times)
-    for ending, share in (("csv", 0.3), ("npz", 0.3), ("nc", 0.1), ("html", 0.05), ("png", 0.01)):
-        calls.add(f"trajectory.save {ending}", lambda path: trajectory.save(path), path=f"run.{ending}", share=share)
+    for suffix, share in (("csv", 0.3), ("npz", 0.3), ("nc", 0.1), ("html", 0.05), ("png", 0.01)):
+        calls.add(f"trajectory.save {suffix}", lambda path: trajectory.save(path), path=f"run.{suffix}", share=share)
     calls.add("trajectory.animate", trajectory.animate, fps=30.0, speed=1.0, traces=[model.points[0]], share=0.02)
     calls.add("trajectory.plot_paths", trajectory.plot_paths, points=[model.points[0]], share=0.02)
     calls.add("load_trajectory", fb.load_trajectory, path=saved, model=model, share=0.5)

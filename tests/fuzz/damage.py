@@ -23,8 +23,8 @@ def runs() -> dict[str, tuple[fb.Trajectory, bytes]]:
     with tempfile.TemporaryDirectory() as folder:
         for name, how in (("one", {"parameters": {"l2": 0.45}}), ("other", {"inputs": {"F": 3.0}, "method": "RK45"})):
             run = four_bar.simulate((0.0, 0.5), t_eval=times, **how)
-            for ending in ("npz", "nc"):
-                found[f"{name}.{ending}"] = run, run.save(Path(folder) / f"{name}.{ending}").read_bytes()
+            for suffix in ("npz", "nc"):
+                found[f"{name}.{suffix}"] = run, run.save(Path(folder) / f"{name}.{suffix}").read_bytes()
             for method in (zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA):
                 found[f"{name} {method}.npz"] = run, _compressed(found[f"{name}.npz"][1], method)
             path = Path(folder) / "compressed.nc"

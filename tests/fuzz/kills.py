@@ -67,8 +67,8 @@ def compiling(generator: np.random.Generator, say: Callable[[str], None], folder
 
 def saving(generator: np.random.Generator, say: Callable[[str], None], folder: Path) -> None:
     """A process saves two runs in turn over each other; the file is one of them, or was not yet there."""
-    ending = str(generator.choice(["csv", "npz", "nc", "html"]))
-    path = folder / f"run.{ending}"
+    suffix = str(generator.choice(["csv", "npz", "nc", "html"]))
+    path = folder / f"run.{suffix}"
     process = subprocess.Popen(
         [sys.executable, "-c", SAVE, str(path)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
     )
@@ -83,9 +83,9 @@ def saving(generator: np.random.Generator, say: Callable[[str], None], folder: P
     if not path.exists():
         return
     runs = [fb.load("four_bar").simulate((0.0, end)) for end in (0.5, 1.0)]
-    if ending in ("npz", "nc"):
+    if suffix in ("npz", "nc"):
         back = fb.load_trajectory(path)
         assert any(np.array_equal(back.y, run.y) for run in runs)
     else:
-        contents = [run.save(folder / f"whole.{ending}").read_bytes() for run in runs]
+        contents = [run.save(folder / f"whole.{suffix}").read_bytes() for run in runs]
         assert path.read_bytes() in contents

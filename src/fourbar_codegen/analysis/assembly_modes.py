@@ -145,9 +145,9 @@ def closed_coordinates(loops: Loops, start: Floats, progress: Progress) -> tuple
     ----------
     loops : Loops
     start : ndarray, shape (n,)
-        Around which displacements are tried, where starting points have to be.
+        Centre of the random starting points, for displacements.
     progress : Progress
-        Is told how many there are so far.
+        Receives how many there are so far.
 
     Returns
     -------
@@ -217,7 +217,8 @@ class _Chart:
     is_angle : ndarray of bool, shape (n,)
         Whether nothing changes with it by 2 pi.
     scales : ndarray, shape (n,)
-        A usual value: 1 of angles, and of displacements about what it takes to close a loop.
+        Typical values: 1 for angles; for displacements about what it takes to close a loop, the median of residuals
+        over their derivatives.
     """
 
     loops: Loops

@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 CLOSED = 1e-10
 """Configurations count as closed if the constraints are violated by no more than this share of their scales."""
 
-CORRECTIONS = 30
+MAX_CORRECTIONS = 30
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ def nearest_closed(model: Kernel, t: float, q: Floats, p: Floats | None, r: Floa
     All of them move, by the shortest change, so that redundant constraints are as good as others. None where it does
     not come to an end.
     """
-    for _ in range(CORRECTIONS):
+    for _ in range(MAX_CORRECTIONS):
         residual, slopes = model.position(t, q, p, r)
         if not (np.isfinite(residual).all() and np.isfinite(slopes).all()):
             return None

@@ -24,16 +24,16 @@ DIGITS = 25
 
 COEFFICIENT_DIGITS = 100
 
-NOTHING = 1e-80
+ROUNDING = 1e-80
 """A coefficient is nothing below this share of what it could be."""
 
-VANISHING = 1e-18
+RELATIVE_ZERO = 1e-18
 """Coefficients on a line through a root, which has `DIGITS`, are nothing below this share of their terms."""
 
 NEAR = 1e-5
 """A root counts as real if it is so by this share. Where two real ones meet, data known to 1e-13 leave 3e-7."""
 
-HIGHEST_DEGREE = 64
+MAX_DEGREE = 64
 """Of polynomials whose roots are asked for: seconds are enough for those."""
 
 Powers = tuple[int, ...]
@@ -153,7 +153,7 @@ class Constraints:
             if polynomial is None or not all(map(expansion.numbers.isfinite, polynomial.values())):
                 return None
             scale, largest = expansion.exact(factor), max((abs(c) for c in polynomial.values()), default=0)
-            found.append({powers: scale * c for powers, c in polynomial.items() if abs(c) > NOTHING * largest})
+            found.append({powers: scale * c for powers, c in polynomial.items() if abs(c) > ROUNDING * largest})
         return found
 
 
@@ -174,13 +174,13 @@ def _operands(operation: list[Any]) -> list[int]:
     return _mentioned(operation)
 
 
-def _mentioned(said: list[Any]) -> list[int]:
-    match said:
+def _mentioned(encoded: list[Any]) -> list[int]:
+    match encoded:
         case ["@", node]:
             return [node]
         case ["=", _]:
             return []
-    return [node for argument in said[1] for node in _mentioned(argument)]
+    return [node for argument in encoded[1] for node in _mentioned(argument)]
 
 
 class _Expansion:
@@ -215,7 +215,7 @@ class _Expansion:
                 return _Value(None, None)
             case [kind, str(name)]:
                 return self._leaf(kind, name)
-        return self._said(operation, known)
+        return self._call_value(operation, known)
 
     def _leaf(self, kind: str, name: str) -> _Value:
         place = self.places.get(name) if kind == "q" else None
@@ -267,13 +267,13 @@ class _Expansion:
         except (ValueError, ZeroDivisionError, OverflowError):
             return self.number(self.numbers.nan)
 
-    def _said(self, said: list[Any], known: Mapping[Any, _Value]) -> _Value:
-        match said:
+    def _call_value(self, encoded: list[Any], known: Mapping[Any, _Value]) -> _Value:
+        match encoded:
             case ["@", node]:
                 return known[node]
             case ["=", number]:
                 return self.number(self.exact(number))
-        name, arguments = said[0], [self._said(argument, known) for argument in said[1]]
+        name, arguments = encoded[0], [self._call_value(argument, known) for argument in encoded[1]]
         if name == "+":
             return self._sum([(argument, 1) for argument in arguments])
         if name == "*":
@@ -376,7 +376,7 @@ def _real_pairs(polynomials: Sequence[Polynomial], is_angle: Sequence[bool]) -> 
         terms = [max(_at_size(coefficient, x) for coefficient in f.values()) for f in by_second]
         isolating = False
         for line, size in zip(lines, terms, strict=True):
-            held = {k: c for k, c in line.items() if abs(c) > VANISHING * size}
+            held = {k: c for k, c in line.items() if abs(c) > RELATIVE_ZERO * size}
             if not held:
                 continue
             isolating = True
@@ -433,7 +433,7 @@ def _difference(one: Coefficients, other: Coefficients, factor: Any) -> Coeffici
     found = {}
     for power in {*one, *other}:
         a, b = one.get(power, 0), factor * other.get(power, 0)
-        if abs(a - b) > NOTHING * (abs(a) + abs(b)):
+        if abs(a - b) > ROUNDING * (abs(a) + abs(b)):
             found[power] = a - b
     return found
 
@@ -458,7 +458,7 @@ def _resultant(f: dict[int, Coefficients], g: dict[int, Coefficients]) -> Coeffi
     lowest = [min(min(c) for c in polynomial.values()) for polynomial in (f, g)]
     highest = [max(max(c) for c in polynomial.values()) for polynomial in (f, g)]
     degree = n * (highest[0] - lowest[0]) + m * (highest[1] - lowest[1])
-    if degree > HIGHEST_DEGREE:
+    if degree > MAX_DEGREE:
         return None
     points = [numbers.expjpi(numbers.mpf(2 * k) / (degree + 1)) for k in range(degree + 1)]
     values, bound = [], numbers.zero
@@ -472,7 +472,7 @@ def _resultant(f: dict[int, Coefficients], g: dict[int, Coefficients]) -> Coeffi
     coefficients = {
         k: sum(value / x**k for value, x in zip(values, points, strict=True)) / (degree + 1) for k in range(degree + 1)
     }
-    held = {k: c for k, c in coefficients.items() if abs(c) > NOTHING * bound}
+    held = {k: c for k, c in coefficients.items() if abs(c) > ROUNDING * bound}
     return held or None
 
 
@@ -497,7 +497,7 @@ def _roots(coefficients: Coefficients, is_angle: bool) -> list[Any] | None:
     lowest, highest = min(coefficients), max(coefficients)
     zeros = [] if is_angle else [_numbers().zero] * lowest
     degree = highest - lowest
-    if degree > HIGHEST_DEGREE:
+    if degree > MAX_DEGREE:
         return None
     if not degree:
         return zeros

@@ -1,4 +1,4 @@
-"""Extension module -> wheel."""
+"""A model's extension module -> a wheel of its own."""
 
 from __future__ import annotations
 

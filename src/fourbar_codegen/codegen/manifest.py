@@ -39,6 +39,7 @@ def manifest_of(
     energies = functions["energy"][0].entries
     # Every position constraint has to have a row of J that is its rate.
     closed, positions = functions["constraint_violation"][0].entries, functions["position"][0].entries
+    point_names = [point.name for point in equations.drawn_points]
     return {
         "format": MANIFEST_FORMAT,
         "name": model.name,
@@ -68,8 +69,8 @@ def manifest_of(
         "outputs": list(names["outputs"]),
         "position_constraints": equations.position_formulas,
         "points": [
-            {"name": name, "parent": place.parent, "body": place.body}
-            for name, place in zip(_distinct([place.name for place in equations.places]), equations.places, strict=True)
+            {"name": name, "parent": point.parent, "body": point.body}
+            for name, point in zip(_distinct(point_names), equations.drawn_points, strict=True)
         ],
         "forced_points": list(equations.forced),
         "initial": model.initial,

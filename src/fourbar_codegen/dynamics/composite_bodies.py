@@ -80,21 +80,21 @@ class CompositeBodies:
 
     Parameters
     ----------
-    motion : Kinematics
+    kinematics : Kinematics
     along : sequence of Jvp
         Differentiation with respect to each speed.
     rate : Jvp
         Differentiation with respect to time.
     """
 
-    def __init__(self, motion: Kinematics, along: Sequence[Jvp], rate: Jvp) -> None:
-        self.motion = motion
-        self.tape = motion.tape
+    def __init__(self, kinematics: Kinematics, along: Sequence[Jvp], rate: Jvp) -> None:
+        self.kinematics = kinematics
+        self.tape = kinematics.tape
         self._rate = rate
-        points, bodies = motion.mechanism.points, motion.mechanism.bodies
+        points, bodies = kinematics.mechanism.points, kinematics.mechanism.bodies
         self._children: list[list[int]] = [[] for _ in points]
-        for point in motion.moving:
-            base, _ = motion.step(point)
+        for point in kinematics.moving:
+            base, _ = kinematics.step(point)
             if base is not None:
                 self._children[base].append(point)
         self._bodies_at: list[list[int]] = [[] for _ in points]
@@ -129,7 +129,7 @@ class CompositeBodies:
                 came_from = point
                 arm = self._offset(point)
                 torque = add(torque, cross(arm, force))
-                point, _ = self.motion.step(point)
+                point, _ = self.kinematics.step(point)
         # Bodies that hang on each other are nested; what two speeds move apart from each other has no product.
         for s, field in enumerate(self.fields):
             for r, other in enumerate(self.fields[:s]):
@@ -139,18 +139,18 @@ class CompositeBodies:
 
     def _field(self, along: Jvp) -> _Field | None:
         """How a speed moves the bodies that it moves; None if not alike."""
-        motion = self.motion
-        frames, points = motion.mechanism.frames, motion.mechanism.points
-        turn = motion.zero
+        kinematics = self.kinematics
+        frames, points = kinematics.mechanism.frames, kinematics.mechanism.points
+        turn = kinematics.zero
         turned: set[int] = set()
         for number, frame in enumerate(frames):
             if frame.angular_velocity is None:
                 continue
-            relative = [(f, differentiate(along, c)) for f, c in motion.relative_angular_velocity(number)]
+            relative = [(f, differentiate(along, c)) for f, c in kinematics.relative_angular_velocity(number)]
             if any(any(components) for _, components in relative):
                 if turned:
                     return None
-                turn = motion.express(tuple(relative), INERTIAL)
+                turn = kinematics.express(tuple(relative), INERTIAL)
                 turned.add(number)
             elif number != INERTIAL and frame.reference in turned:
                 turned.add(number)
@@ -158,8 +158,8 @@ class CompositeBodies:
         moved: set[int] = set()
         anchors: dict[int, Components] = {}
         branches: list[int] = []
-        for point in motion.moving:
-            base, parts = motion.step(point)
+        for point in kinematics.moving:
+            base, parts = kinematics.step(point)
             drift = [(frame, differentiate(along, components)) for frame, components in parts]
             rigid = base is not None and self._is_rigid(point, turned, along)
             if base in moved:
@@ -169,11 +169,11 @@ class CompositeBodies:
             elif rigid and base is not None and turned and points[point].offset:
                 # Carried along, if only about the axis that it lies on.
                 moved.add(point)
-                anchors[base] = motion.zero
+                anchors[base] = kinematics.zero
                 branches.append(point)
             elif any(any(components) for _, components in drift):
                 moved.add(point)
-                anchors[point] = motion.express(tuple(drift), INERTIAL)
+                anchors[point] = kinematics.express(tuple(drift), INERTIAL)
         if len(anchors) != 1:
             return None
         [(anchor, drift_of_anchor)] = anchors.items()
@@ -182,7 +182,7 @@ class CompositeBodies:
 
         at_anchor: list[int] = []
         count = 0
-        for number, body in enumerate(motion.mechanism.bodies):
+        for number, body in enumerate(kinematics.mechanism.bodies):
             turns = body.frame in turned
             if body.point not in moved and not turns:
                 continue
@@ -197,7 +197,7 @@ class CompositeBodies:
 
     def _is_rigid(self, point: int, turned: set[int], along: Jvp) -> bool:
         """Whether a point is fixed, as far as the speed can move it, to its base in frames that turn with the speed."""
-        for frame, components in self.motion.vector(self.motion.mechanism.points[point].offset):
+        for frame, components in self.kinematics.vector(self.kinematics.mechanism.points[point].offset):
             if any(components) and bool(turned) != (frame in turned):
                 return False
             if any(along(self._rate(entry)) for entry in components):
@@ -208,7 +208,7 @@ class CompositeBodies:
         """Bodies at a point, and all that hangs on points next to it."""
         parts = [self._body(number) for number in bodies]
         parts += [self._shifted(self._hanging(branch), self._offset(branch)) for branch in branches]
-        zero = self.motion.zero
+        zero = self.kinematics.zero
         return _Composite(
             self.tape.sum([part.mass for part in parts]),
             add(zero, *(part.first_moment for part in parts)),
@@ -223,17 +223,17 @@ class CompositeBodies:
         return known
 
     def _body(self, number: int) -> _Composite:
-        body = self.motion.mechanism.bodies[number]
-        inertia: Rotation = (self.motion.zero,) * 3
+        body = self.kinematics.mechanism.bodies[number]
+        inertia: Rotation = (self.kinematics.zero,) * 3
         if body.inertia is not None:
             assert body.inertia_frame is not None
             # I = R I' R^T
-            rotation = self.motion.rotation(body.inertia_frame, INERTIAL)
-            within = self.motion.matrix(body.inertia)
+            rotation = self.kinematics.rotation(body.inertia_frame, INERTIAL)
+            within = self.kinematics.matrix(body.inertia)
             columns = [multiply(within, row) for row in rotation]
             upper = {(i, j): dot(rotation[i], columns[j]) for i in range(3) for j in range(i, 3)}
             inertia = _matrix([[upper[min(i, j), max(i, j)] for j in range(3)] for i in range(3)])
-        return _Composite(self.motion.convert(body.mass), self.motion.zero, inertia)
+        return _Composite(self.kinematics.convert(body.mass), self.kinematics.zero, inertia)
 
     def _shifted(self, body: _Composite, arm: Components) -> _Composite:
         """The composite about another point, from which its own is at `arm`.
@@ -258,10 +258,10 @@ class CompositeBodies:
 
     def _offset(self, point: int) -> Components:
         """The position of a point from its base, in the inertial frame."""
-        base, _ = self.motion.step(point)
+        base, _ = self.kinematics.step(point)
         if base is None:
-            return self.motion.zero
-        return self.motion.express(self.motion.vector(self.motion.mechanism.points[point].offset), INERTIAL)
+            return self.kinematics.zero
+        return self.kinematics.express(self.kinematics.vector(self.kinematics.mechanism.points[point].offset), INERTIAL)
 
 
 def _contains(outer: _Field, inner: _Field) -> bool:

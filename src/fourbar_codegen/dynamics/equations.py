@@ -21,9 +21,11 @@ from typing import Any
 
 import sympy as sm
 
+from fourbar_codegen.dynamics.constraints import Constraints, form_constraints, position_jacobian, position_violation
+from fourbar_codegen.dynamics.drawn_points import applied_forces, drawn_points
 from fourbar_codegen.dynamics.kane import Kane
 from fourbar_codegen.dynamics.kinematic_equations import solve_kinematics
-from fourbar_codegen.dynamics.kinematics import INERTIAL, Components, Kinematics, add
+from fourbar_codegen.dynamics.kinematics import Kinematics
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.expressions.breakpoints import breakpoints
 from fourbar_codegen.expressions.convert import Conversion, substitute
@@ -33,27 +35,9 @@ from fourbar_codegen.expressions.identities import deduplicate, is_zero
 from fourbar_codegen.expressions.linear import TooManyCoupledError, UndeterminedError, solve_linear
 from fourbar_codegen.expressions.tape import Result, Scalar, Tape
 from fourbar_codegen.modeling.model import InputEntry, Model, multiplier
-from fourbar_codegen.modeling.system_reader import Mechanism
+from fourbar_codegen.modeling.system_reader import DrawnPoint
 
-__all__ = ["DrawnPoint", "Equations", "form_equations"]
-
-
-@dataclass(frozen=True)
-class DrawnPoint:
-    """A point that is drawn.
-
-    Attributes
-    ----------
-    name : str
-    parent : int or None
-        The point from which a line leads to it; None for the origin.
-    body : str or None
-        The body whose mass centre it is.
-    """
-
-    name: str
-    parent: int | None
-    body: str | None
+__all__ = ["Equations", "form_equations"]
 
 
 @dataclass(frozen=True)
@@ -111,11 +95,11 @@ class Equations:
     power : Result
         What all loads do, (1,); NaN if that is not what changes the kinetic energy. It is made into nothing but a test
         of the other results.
-    places : tuple of DrawnPoint
+    drawn_points : tuple of DrawnPoint
     points : Result
         Their positions in the inertial frame, (n_points, 3).
     forced : tuple of int
-        The places at which inputs' forces act.
+        The points at which inputs' forces act.
     forces : Result
         These forces in the inertial frame, (n_forces, 3).
     velocity_jacobian, velocity_input_jacobian : Result
@@ -162,7 +146,7 @@ class Equations:
     coordinate_change: Result
     energies: Result
     power: Result
-    places: tuple[DrawnPoint, ...]
+    drawn_points: tuple[DrawnPoint, ...]
     points: Result
     forced: tuple[int, ...]
     forces: Result
@@ -215,11 +199,11 @@ def form_equations(model: Model) -> Equations:
     rate = Jvp(tape, held)
     total_rate = Jvp(tape, {**held, **dict(zip(v.u, v.a, strict=True))})
 
-    motion = virtual = Kinematics(tape, mechanism, convert, rate)
+    kinematics = virtual = Kinematics(tape, mechanism, convert, rate)
     if v.aux:
         convert_virtual = Conversion(tape, {**leaves, **dict(zip(mechanism.auxiliary_speeds, v.aux, strict=True))})
         virtual = Kinematics(tape, mechanism, convert_virtual, rate)
-    kane = Kane(tape, motion, virtual, v.u, v.aux, rate)
+    kane = Kane(tape, kinematics, virtual, v.u, v.aux, rate)
     kane.use_poisson_rates([rate, total_rate])
     mass_matrix = kane.mass_matrix()
     # f, and f - M u' with the rows of the auxiliary speeds last; the unknown forces, which those bring out, apart.
@@ -232,7 +216,7 @@ def form_equations(model: Model) -> Equations:
         raise ModelError("Velocities must be linear in the auxiliary speeds, and loads in the unknown forces.")
 
     formed = tape.reach([*q_rates, *chain(*mass_matrix), *forcing])
-    constraints = _constraints(tape, mechanism, convert, convert_virtual, v, rate, formed)
+    constraints = form_constraints(tape, mechanism, convert, convert_virtual, v.u, v.aux, rate, formed)
     lam = tuple(tape.leaf("l", number) for number in range(len(constraints.velocities)))
     # f - M u' + J^T lambda; and -(J u' + gamma), the rate of the constraints for given u'.
     reactions = vjp(tape, list(zip(constraints.virtual_velocities, lam, strict=True)), (*v.u, *v.aux))
@@ -251,18 +235,18 @@ def form_equations(model: Model) -> Equations:
     def gradients(rows: Sequence[Scalar], variables: Sequence[Scalar]) -> list[list[Scalar]]:
         return [vjp(tape, [(row, tape.one)], variables) for row in rows]
 
-    violation = _position_violation(tape, constraints, rate)
+    violation = position_violation(tape, constraints, rate)
     rounding = Rounding(tape)
     n_q, n_u = len(v.q), len(v.u)
-    places, points, numbers = _places(mechanism, motion)
-    applied = _applied_forces(tape, mechanism, motion, numbers, v)
+    drawn, points, numbers = drawn_points(mechanism, kinematics)
+    applied = applied_forces(tape, mechanism, kinematics, numbers, v.r, (*v.aux, *v.unknown))
     results = [
         _vector("outputs", [*forces, *(convert(expr) for expr in model.output_expressions.values())]),
         _vector("coordinate_rates", q_rates),
         _matrix("mass_matrix", mass_matrix, n_u),
         _vector("forcing", forcing),
         _vector("position_constraints", constraints.positions),
-        _matrix("position_jacobian", _position_jacobian(tape, constraints, v.q, q_rates, v.u), n_q),
+        _matrix("position_jacobian", position_jacobian(tape, constraints, v.q, q_rates, v.u), n_q),
         _matrix("constraint_jacobian", constraints.jacobian, n_u),
         _vector("velocity_bias", substitute(tape, constraints.velocities, dict.fromkeys(v.u, tape.zero))),
         _vector("acceleration_bias", constraints.acceleration_bias),
@@ -331,7 +315,7 @@ def form_equations(model: Model) -> Equations:
         default_inputs=default_inputs,
         n_jumps=len(jumps),
         position_formulas=formulas(tape, constraints.positions),
-        places=places,
+        drawn_points=drawn,
         forced=tuple(applied),
         **{result.name: result for result in results},
     )
@@ -412,49 +396,8 @@ def _columns(tape: Tape, rows: Sequence[Scalar], unknown: Sequence[Scalar]) -> l
     return [[gradient[i] for gradient in gradients] for i in range(len(unknown))]
 
 
-def _places(
-    mechanism: Mechanism, motion: Kinematics
-) -> tuple[tuple[DrawnPoint, ...], list[Components], dict[int, int]]:
-    """The points that are drawn and their positions, but for those with symbols that the model does not know.
-
-    And which of them the mechanism's points are, by their numbers.
-    """
-    places: list[DrawnPoint] = []
-    positions: list[Components] = []
-    of_points: dict[int, int] = {}
-    numbers: dict[int | None, int | None] = {None: None}
-    for number, point in enumerate(mechanism.drawn):
-        if point.parent not in numbers:
-            continue
-        try:
-            offset = motion.express(motion.vector(point.offset), INERTIAL)
-        except ModelError:
-            continue
-        parent = numbers[point.parent]
-        numbers[number] = len(places)
-        if point.number is not None:
-            of_points[point.number] = len(places)
-        places.append(DrawnPoint(point.name, parent, point.body))
-        positions.append(offset if parent is None else add(positions[parent], offset))
-    return tuple(places), positions, of_points
-
-
-def _applied_forces(
-    tape: Tape, mechanism: Mechanism, motion: Kinematics, places: dict[int, int], v: _Variables
-) -> dict[int, Components]:
-    """The sum of the forces with inputs in them at each of the points that are drawn, by the number of its place."""
-    forces: dict[int, Components] = {}
-    for load in mechanism.loads:
-        if load.kind == "force" and load.place in places:
-            force = motion.express(motion.vector(load.vector), INERTIAL)
-            if tape.depends(force, set(v.r)) and not tape.depends(force, {*v.aux, *v.unknown}):
-                place = places[load.place]
-                forces[place] = add(forces[place], force) if place in forces else force
-    return forces
-
-
 def _forces(
-    tape: Tape, model: Model, columns: Sequence[Sequence[Scalar]], constraints: _Constraints, rest: Sequence[Scalar]
+    tape: Tape, model: Model, columns: Sequence[Sequence[Scalar]], constraints: Constraints, rest: Sequence[Scalar]
 ) -> tuple[Scalar, ...]:
     """What keeps the auxiliary speeds zero: Q = M u' - f - J^T lambda in their rows, or the forces that give it."""
     if not model.noncontributing:
@@ -472,96 +415,10 @@ def _forces(
     return forces
 
 
-@dataclass(frozen=True)
-class _Constraints:
-    """Positions Phi, velocities J u + b, J by speeds and by auxiliary speeds, and gamma.
-
-    The velocities begin with the rates of the positions if they are `derived`; `virtual_velocities` are the velocities
-    with the auxiliary speeds where they are not zero.
-    """
-
-    positions: tuple[Scalar, ...]
-    derived: bool
-    velocities: tuple[Scalar, ...]
-    virtual_velocities: tuple[Scalar, ...]
-    jacobian: tuple[tuple[Scalar, ...], ...]
-    auxiliary_jacobian: tuple[tuple[Scalar, ...], ...]
-    acceleration_bias: tuple[Scalar, ...]
-
-    def rows(self) -> list[tuple[Scalar, ...]]:
-        """The rows of both Jacobians as one."""
-        return [(*row, *more) for row, more in zip(self.jacobian, self.auxiliary_jacobian, strict=True)]
-
-
-def _constraints(
-    tape: Tape,
-    mechanism: Mechanism,
-    convert: Conversion,
-    convert_virtual: Conversion,
-    v: _Variables,
-    rate: Jvp,
-    formed: Sequence[int],
-) -> _Constraints:
-    positions = deduplicate(tape, [convert(expr) for expr in mechanism.holonomic_constraints], formed)
-    velocities = deduplicate(tape, [convert(expr) for expr in mechanism.velocity_constraints], formed)
-    virtual = (
-        deduplicate(tape, [convert_virtual(expr) for expr in mechanism.velocity_constraints], formed)
-        if v.aux
-        else velocities
-    )
-    if mechanism.velocity_constraints_derived:
-        # The rates of positions do not have the auxiliary speeds.
-        derived = [rate(expr) for expr in positions]
-        velocities, virtual = [*derived, *velocities], [*derived, *virtual]
-    gradients = [vjp(tape, [(expr, tape.one)], (*v.u, *v.aux)) for expr in virtual]
-    for number, gradient in enumerate(gradients, start=1):
-        if tape.depends(gradient[: len(v.u)], v.u):
-            raise ModelError(f"Velocity constraint {number} is not linear in the generalized speeds.")
-    return _Constraints(
-        tuple(positions),
-        mechanism.velocity_constraints_derived,
-        tuple(velocities),
-        tuple(virtual),
-        tuple(tuple(gradient[: len(v.u)]) for gradient in gradients),
-        tuple(tuple(gradient[len(v.u) :]) for gradient in gradients),
-        tuple(rate(expr) for expr in velocities),
-    )
-
-
-def _position_violation(tape: Tape, constraints: _Constraints, rate: Jvp) -> list[Scalar]:
-    """For each velocity constraint the position constraint, or its negative, that it is the rate of, or zero."""
-    rows = [tape.zero] * len(constraints.velocities)
-    if constraints.derived:
-        rows[: len(constraints.positions)] = constraints.positions
-        return rows
-    for position in constraints.positions:
-        derived = rate(position)
-        free = [k for k, row in enumerate(rows) if not row]
-        for sign in (1, -1):
-            same = is_zero(tape, [constraints.velocities[k] - derived * sign for k in free])
-            if any(same):
-                rows[free[same.index(True)]] = position * sign
-                break
-    return rows
-
-
-def _position_jacobian(
-    tape: Tape, constraints: _Constraints, q: Sequence[Scalar], q_rates: Sequence[Scalar], u: Sequence[Scalar]
-) -> list[list[Scalar]]:
-    """dPhi/dq; a coordinate whose rate is a speed of its own has that speed's column of J, which stands already."""
-    rows = [vjp(tape, [(expr, tape.one)], q) for expr in constraints.positions]
-    if constraints.derived:
-        for j, rate in enumerate(q_rates):
-            if rate in u and not tape.depends([*q_rates[:j], *q_rates[j + 1 :]], [rate]):
-                for row, of_speeds in zip(rows, constraints.jacobian, strict=False):
-                    row[j] = of_speeds[u.index(rate)]
-    return rows
-
-
 def _noncontributing(
     tape: Tape,
     columns: Sequence[Sequence[Scalar]],
-    constraints: _Constraints,
+    constraints: Constraints,
     rest: Sequence[Scalar],
     n_i: int,
 ) -> tuple[Scalar, ...] | None:

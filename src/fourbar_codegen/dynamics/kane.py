@@ -64,7 +64,7 @@ class Kane:
     Parameters
     ----------
     tape : Tape
-    motion, virtual : Kinematics
+    kinematics, virtual : Kinematics
         Of the mechanism; and with the auxiliary speeds where they are not zero, for partial velocities.
     speeds, auxiliary : sequence of Scalar
         The leaves of the generalized speeds, and of the auxiliary ones.
@@ -75,21 +75,21 @@ class Kane:
     def __init__(
         self,
         tape: Tape,
-        motion: Kinematics,
+        kinematics: Kinematics,
         virtual: Kinematics,
         speeds: Sequence[Scalar],
         auxiliary: Sequence[Scalar],
         rate: Jvp,
     ) -> None:
         self.tape = tape
-        self.motion = motion
+        self.kinematics = kinematics
         self.virtual = virtual
-        self.mechanism: Mechanism = motion.mechanism
+        self.mechanism: Mechanism = kinematics.mechanism
         self.speeds = tuple(speeds)
         self.auxiliary = tuple(auxiliary)
         self.rate = rate
         self._consistent = False
-        self._masses = [motion.convert(body.mass) for body in self.mechanism.bodies]
+        self._masses = [kinematics.convert(body.mass) for body in self.mechanism.bodies]
         self._inertias = [self._inertia(body) for body in self.mechanism.bodies]
 
     def use_poisson_rates(self, rates: Iterable[Jvp]) -> None:
@@ -100,25 +100,25 @@ class Kane:
         full of those. They hold where a frame's angular velocity is the one that follows from its orientation;
         where a user set another one (with a constraint substituted into it, say), the chain rule stays.
         """
-        motion, frames = self.motion, self.mechanism.frames
+        kinematics, frames = self.kinematics, self.mechanism.frames
         rates = list(rates)
         known = [frame.angular_velocity is not None for frame in frames]
         candidates = [n for n, frame in enumerate(frames) if n != INERTIAL and known[n] and known[frame.parent]]
         # The rates of each frame's axes in its parent, by the chain rule and by the angular velocities.
         differences: list[Scalar] = []
         for number in candidates:
-            relative = motion.angular_velocity_in_parent(number)
-            for axis in motion.dcm(number):
+            relative = kinematics.angular_velocity_in_parent(number)
+            for axis in kinematics.dcm(number):
                 expected = cross(relative, axis)
                 differences += [rates[0](x) - y for x, y in zip(axis, expected, strict=True)]
-        vanishing = iter(is_zero(self.tape, differences))
+        are_zero = iter(is_zero(self.tape, differences))
         consistent = {INERTIAL}
         for number in candidates:
-            agree = [next(vanishing) for _ in range(9)]
+            agree = [next(are_zero) for _ in range(9)]
             if all(agree) and frames[number].parent in consistent:
                 consistent.add(number)
-                angular_velocity = motion.angular_velocity(number)
-                for row in motion.rotation(number, INERTIAL):
+                angular_velocity = kinematics.angular_velocity(number)
+                for row in kinematics.rotation(number, INERTIAL):
                     for entry, derivative in zip(row, cross(row, angular_velocity), strict=True):
                         for rate in rates:
                             rate.give(entry, derivative)
@@ -133,7 +133,7 @@ class Kane:
         """
         tape, n_u = self.tape, len(self.speeds)
         along = [Jvp(tape, {speed: tape.one}) for speed in self.speeds]
-        composites = CompositeBodies(self.motion, along, self.rate)
+        composites = CompositeBodies(self.kinematics, along, self.rate)
         entries = self._entries_by_bodies(along, composites.entries())
         if composites.largest < MIN_COMPOSITE:
             apart = self._entries_by_bodies(along, {})
@@ -144,14 +144,14 @@ class Kane:
         self, along: Sequence[Jvp], known: Mapping[tuple[int, int], Scalar]
     ) -> dict[tuple[int, int], Scalar]:
         """The entries M_rs, r >= s, those that are not known as sums over the bodies."""
-        partials = [Accumulated(self.motion, functools.partial(_rates_of_part, d)) for d in along]
+        partials = [Accumulated(self.kinematics, functools.partial(_rates_of_part, d)) for d in along]
         terms: dict[tuple[int, int], list[Scalar]] = {(r, s): [] for r in range(len(along)) for s in range(r + 1)}
         for body, mass, inertia in zip(self.mechanism.bodies, self._masses, self._inertias, strict=True):
             moving = [s for s, partial in enumerate(partials) if partial(body.point)]
             for i, r in enumerate(moving):
                 for s in moving[: i + 1]:
                     if (r, s) not in known:
-                        product = self.motion.dot(partials[r](body.point), partials[s](body.point))
+                        product = self.kinematics.dot(partials[r](body.point), partials[s](body.point))
                         terms[r, s].append(mass * product)
             if inertia is None:
                 continue
@@ -180,29 +180,29 @@ class Kane:
         of the chains inwards, as by Luh, Walker and Paul, "On-line computational scheme for mechanical
         manipulators", *J. Dynamic Systems, Measurement, and Control* 102 (1980).
         """
-        motion, virtual = self.motion, self.virtual
+        kinematics, virtual = self.kinematics, self.virtual
         forces: list[list[tuple[int, Components]]] = [[] for _ in self.mechanism.points]
         projections: list[tuple[Scalar, Scalar]] = []  # velocities, and what acts along them
         for load in self.mechanism.loads:
-            vector = motion.vector(load.vector)
+            vector = kinematics.vector(load.vector)
             if load.kind == "force":
-                forces[load.place] += vector
+                forces[load.target] += vector
             else:
-                torque = motion.express(vector, load.place)
-                projections += zip(virtual.angular_velocity(load.place), torque, strict=True)
+                torque = kinematics.express(vector, load.target)
+                projections += zip(virtual.angular_velocity(load.target), torque, strict=True)
 
         def rate_of_part(frame: int, components: Components) -> Components:
-            return add(differentiate(rate, components), cross(motion.angular_velocity(frame), components))
+            return add(differentiate(rate, components), cross(kinematics.angular_velocity(frame), components))
 
-        accelerations = Accumulated(motion, rate_of_part)
+        accelerations = Accumulated(kinematics, rate_of_part)
         for body, mass, inertia in zip(self.mechanism.bodies, self._masses, self._inertias, strict=True):
             forces[body.point] += _scaled(-mass, accelerations(body.point))
             mass_rate = rate(mass)
             if mass_rate:
-                forces[body.point] += _scaled(-mass_rate, motion.velocity(body.point))
+                forces[body.point] += _scaled(-mass_rate, kinematics.velocity(body.point))
             if inertia is not None:
                 assert body.frame is not None
-                spin = motion.angular_velocity(inertia.frame)
+                spin = kinematics.angular_velocity(inertia.frame)
                 torque = add(differentiate(rate, inertia.momentum), cross(spin, inertia.momentum))
                 virtual_velocity = virtual.angular_velocity_in(body.frame, inertia.frame)
                 projections += zip(virtual_velocity, negative(torque), strict=True)
@@ -212,10 +212,10 @@ class Kane:
                 continue
             base, parts = virtual.step(point)
             if base is not None and virtual.moves(base):
-                total = ((INERTIAL, motion.express(total, INERTIAL)),)
+                total = ((INERTIAL, kinematics.express(total, INERTIAL)),)
                 forces[base] += total
             for frame, components in parts:
-                projections += zip(components, motion.express(total, frame), strict=True)
+                projections += zip(components, kinematics.express(total, frame), strict=True)
         return vjp(self.tape, projections, (*self.speeds, *self.auxiliary))
 
     def power(self) -> Scalar:
@@ -224,26 +224,26 @@ class Kane:
         That is where a mass varies, a frame does not turn as its angular velocity says, or a body's inertia is given in
         a frame that may turn within the body.
         """
-        motion = self.motion
+        kinematics = self.kinematics
         within = all(body.inertia_frame == body.frame for body in self.mechanism.bodies)
         if not (within and self._consistent) or any(map(self.rate, self._masses)):
             return self.tape.number(float("nan"))
         terms = []
         for load in self.mechanism.loads:
-            vector = motion.vector(load.vector)
+            vector = kinematics.vector(load.vector)
             if load.kind == "force":
-                terms.append(motion.dot(vector, motion.velocity(load.place)))
+                terms.append(kinematics.dot(vector, kinematics.velocity(load.target)))
             else:
-                angular_velocity = ((load.place, motion.angular_velocity(load.place)),)
-                terms.append(motion.dot(((load.place, motion.express(vector, load.place)),), angular_velocity))
+                torque = ((load.target, kinematics.express(vector, load.target)),)
+                terms.append(kinematics.dot(torque, ((load.target, kinematics.angular_velocity(load.target)),)))
         return self.tape.sum(terms)
 
     def kinetic_energy(self) -> Scalar:
         """The sum of m v.v / 2 + w.I.w / 2 over the bodies."""
         terms = []
         for body, mass, inertia in zip(self.mechanism.bodies, self._masses, self._inertias, strict=True):
-            velocity = self.motion.velocity(body.point)
-            terms.append(mass * self.motion.dot(velocity, velocity))
+            velocity = self.kinematics.velocity(body.point)
+            terms.append(mass * self.kinematics.dot(velocity, velocity))
             if inertia is not None:
                 terms.append(dot(inertia.momentum, inertia.angular_velocity))
         return self.tape.sum(terms) / 2
@@ -254,21 +254,21 @@ class Kane:
         A force that is constant in the inertial frame has the potential -F.r, r the position of its point.
         `variables` are the leaves that may change during a motion.
         """
-        motion = self.motion
+        kinematics = self.kinematics
         if given is not None:
-            return motion.convert(given)
+            return kinematics.convert(given)
         if not all(body.potential_energy.is_zero for body in self.mechanism.bodies):
-            return self.tape.sum([motion.convert(body.potential_energy) for body in self.mechanism.bodies])
+            return self.tape.sum([kinematics.convert(body.potential_energy) for body in self.mechanism.bodies])
         terms = []
         for load in self.mechanism.loads:
-            if load.kind == "torque" or not motion.velocity(load.place):
+            if load.kind == "torque" or not kinematics.velocity(load.target):
                 continue
-            force = motion.express(motion.vector(load.vector), INERTIAL)
+            force = kinematics.express(kinematics.vector(load.vector), INERTIAL)
             if self.tape.depends(force, variables):
                 continue
             if load.position is None:
                 return self.tape.number(float("nan"))
-            terms.append(-dot(force, motion.express(motion.vector(load.position), INERTIAL)))
+            terms.append(-dot(force, kinematics.express(kinematics.vector(load.position), INERTIAL)))
         return self.tape.sum(terms)
 
     def _inertia(self, body: Body) -> _Inertia | None:
@@ -276,8 +276,8 @@ class Kane:
             return None
         assert body.frame is not None
         assert body.inertia_frame is not None
-        matrix = self.motion.matrix(body.inertia)
-        angular_velocity = self.motion.angular_velocity_in(body.frame, body.inertia_frame)
+        matrix = self.kinematics.matrix(body.inertia)
+        angular_velocity = self.kinematics.angular_velocity_in(body.frame, body.inertia_frame)
         return _Inertia(body.inertia_frame, matrix, angular_velocity, multiply(matrix, angular_velocity))
 
 

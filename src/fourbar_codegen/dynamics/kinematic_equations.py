@@ -9,7 +9,7 @@ import sympy as sm
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.expressions.convert import Conversion
 from fourbar_codegen.expressions.derivatives import vjp
-from fourbar_codegen.expressions.linear import LARGEST_BLOCK, TooManyCoupledError, UndeterminedError, solve_linear
+from fourbar_codegen.expressions.linear import MAX_COUPLED, TooManyCoupledError, UndeterminedError, solve_linear
 from fourbar_codegen.expressions.tape import Scalar, Tape
 from fourbar_codegen.modeling.system_reader import Mechanism
 
@@ -70,6 +70,6 @@ def solve_kinematics(
         ) from None
     except TooManyCoupledError as coupled:
         raise ModelError(
-            f"{coupled} kinematic differential equations are coupled; at most {LARGEST_BLOCK} coordinates' rates may "
+            f"{coupled} kinematic differential equations are coupled; at most {MAX_COUPLED} coordinates' rates may "
             "depend on each other."
         ) from None

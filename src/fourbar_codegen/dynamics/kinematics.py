@@ -229,7 +229,7 @@ class Kinematics:
 
         Point b, at the offset r from point a, has v_b = v_a + r* + w x r in each frame that r is written in (Kane and
         Levinson 1985, section 2.7), unless a user set another velocity, with a constraint substituted into it, say.
-        That is told by a numerical identity test.
+        A numerical identity test decides.
         """
         differences: list[Components] = []
         tested: list[int] = []
@@ -250,9 +250,9 @@ class Kinematics:
                 difference = merged(steps)
                 frame = difference[0][0] if len(difference) == 1 else INERTIAL
                 differences.append(self.express(difference, frame))
-        vanishing = iter(is_zero(self.tape, [entry for difference in differences for entry in difference]))
+        are_zero = iter(is_zero(self.tape, [entry for difference in differences for entry in difference]))
         for number in tested:
-            entries = [next(vanishing) for _ in range(3)]
+            entries = [next(are_zero) for _ in range(3)]
             if not all(entries):
                 self._steps[number] = (None, self._path(number))
 
@@ -280,13 +280,13 @@ class Accumulated:
 
     Parameters
     ----------
-    motion : Kinematics
+    kinematics : Kinematics
     added : callable
         Takes a frame and the components of a part of a velocity in it to components in that frame.
     """
 
-    def __init__(self, motion: Kinematics, added: Callable[[int, Components], Components]) -> None:
-        self._motion = motion
+    def __init__(self, kinematics: Kinematics, added: Callable[[int, Components], Components]) -> None:
+        self._kinematics = kinematics
         self._added = added
         self._known: dict[int, Vector] = {}
 
@@ -294,13 +294,13 @@ class Accumulated:
         """The vector of a point."""
         known = self._known.get(point)
         if known is None:
-            motion = self._motion
-            base, parts = motion.step(point)
+            kinematics = self._kinematics
+            base, parts = kinematics.step(point)
             before = self(base) if base is not None else ()
             step = merged([(frame, self._added(frame, components)) for frame, components in parts])
             known = merged([*before, *step])
             if len(known) > 1:
-                both = add(motion.express(before, INERTIAL), motion.express(step, INERTIAL))
+                both = add(kinematics.express(before, INERTIAL), kinematics.express(step, INERTIAL))
                 known = ((INERTIAL, both),)
             self._known[point] = known
         return known

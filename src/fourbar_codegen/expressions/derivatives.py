@@ -29,7 +29,7 @@ from fourbar_codegen.expressions.tape import (
 
 __all__ = ["Jvp", "Rounding", "vjp"]
 
-LEAST = 1e-12
+MIN_MAGNITUDE = 1e-12
 """What is smaller counts as this to `Rounding`: zero but for rounding errors is as good as zero."""
 
 
@@ -78,11 +78,11 @@ class Jvp:
 class Rounding:
     """What rounding errors make of scalars, in units of the precision of double.
 
-    To first order, with every leaf v known to |v| + LEAST, sines and cosines to 1, since angles that vanish are known
-    to no more either, and other functions to their own value: the error of a node is the sum, over its operands, of its
-    derivative's size times theirs. So a constraint Phi has at least sum_j |dPhi/dq_j| |q_j|, and terms that cancel, or
-    constants, count with their size. Where a constraint is violated by no more than some of these units, nothing in it
-    is known better.
+    To first order, with every leaf v known to |v| + MIN_MAGNITUDE, sines and cosines to 1, since angles of zero are
+    known to no more either, and other functions to their own value: the error of a node is the sum, over its operands,
+    of its derivative's size times theirs. So a constraint Phi has at least sum_j |dPhi/dq_j| |q_j|, and terms that
+    cancel, or constants, count with their size. Where a constraint is violated by no more than some of these units,
+    nothing in it is known better.
 
     Source: N. J. Higham, *Accuracy and Stability of Numerical Algorithms*, 2nd ed. 2002, section 3.3, running error
     analysis.
@@ -107,7 +107,7 @@ class Rounding:
         known, tape = self._known, self.tape
         operation = tape.nodes[node]
         if isinstance(operation, Leaf):
-            return _size(tape, Scalar(tape, 1, node)) + tape.number(LEAST)
+            return _size(tape, Scalar(tape, 1, node)) + tape.number(MIN_MAGNITUDE)
         if isinstance(operation, Sum):
             return tape.sum([known[term] * magnitude(coefficient) for term, coefficient in operation.terms])
         if isinstance(operation, Call) and _is_piecewise(operation):

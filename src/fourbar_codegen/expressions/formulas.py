@@ -39,7 +39,7 @@ def formulas(tape: Tape, scalars: Sequence[Scalar]) -> dict[str, Any]:
         ``["+", [[0, 2], [1, -1]], constant]`` numbers 0 and 1 with factors, and a number; ``["*", [0, 1]]``;
         ``["/", 0]`` the reciprocal; ``["sin", argument]`` and other functions, whose arguments are nested lists of
         functions, ``"+"``, ``"*"``, ``"^"``, numbers ``["=", 2]`` and operations ``["@", 0]``; ``["?", [0, 1]]`` what
-        cannot be said in these. ``results``, a pair of operation and factor for each scalar; None is the number 1.
+        cannot be encoded in these. ``results``, a pair of operation and factor for each scalar; None is the number 1.
 
     Examples
     --------
@@ -73,12 +73,12 @@ def _operation(node: Node, places: dict[int, int | None]) -> list[Any]:
             return ["/", places[operand]]
         case Call(expression, arguments):
             operands = [places[argument] for argument in arguments]
-            said = _said(expression, operands)
-            return ["?", operands] if said is None else said
+            encoded = _encoded(expression, operands)
+            return ["?", operands] if encoded is None else encoded
     raise AssertionError(node)
 
 
-def _said(expr: sm.Expr, operands: list[int | None]) -> list[Any] | None:
+def _encoded(expr: sm.Expr, operands: list[int | None]) -> list[Any] | None:
     if expr.is_Symbol:
         return ["@", operands[int(expr.name[1:])]]
     if expr.is_Rational:
@@ -86,7 +86,7 @@ def _said(expr: sm.Expr, operands: list[int | None]) -> list[Any] | None:
     if expr.is_Float:
         return ["=", float(expr)]
     name = {sm.Add: "+", sm.Mul: "*", sm.Pow: "^", **FUNCTIONS}.get(expr.func)
-    arguments = [_said(argument, operands) for argument in expr.args]
+    arguments = [_encoded(argument, operands) for argument in expr.args]
     return None if name is None or not arguments or None in arguments else [name, arguments]
 
 

@@ -1,4 +1,4 @@
-"""Identities between expressions, told by their values at a random point.
+"""Identities between expressions, decided by their values at a random point.
 
 Trigonometric identities, which SymPy needs minutes to prove and straight-line code does not show, are found this way in
 a millisecond. The values are exact, integers modulo a prime of 127 bits: every angle has sine and cosine
@@ -65,7 +65,7 @@ def is_zero(tape: Tape, scalars: Sequence[Scalar]) -> list[bool]:
     nodes = tape.reach(scalars)
     values = _exact_values(tape, nodes)
     # Numbers such as the cosine of 0.3 make exact identities of nothing but sines and cosines inexact.
-    inexact = iter(_vanish_nearly(tape, scalars, nodes))
+    inexact = iter(_is_zero_to_rounding(tape, scalars, nodes))
     return [nearly or not scalar or values[scalar.node] == 0 for scalar, nearly in zip(scalars, inexact, strict=True)]
 
 
@@ -146,7 +146,7 @@ def _residue(value: Number) -> int | None:
     return fraction.numerator * pow(fraction.denominator, -1, PRIME)
 
 
-def _vanish_nearly(tape: Tape, scalars: Sequence[Scalar], nodes: Sequence[int]) -> list[bool]:
+def _is_zero_to_rounding(tape: Tape, scalars: Sequence[Scalar], nodes: Sequence[int]) -> list[bool]:
     """Whether scalars vanish but for rounding errors, if they are made of sines, cosines and numbers around 1."""
     plain = _plain_nodes(tape, nodes)
     tested = [Scalar(tape, 1, scalar.node) for scalar in scalars if scalar.node in plain]

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 from fourbar_codegen.expressions.tape import Scalar, Tape
 
-__all__ = ["LARGEST_BLOCK", "TooManyCoupledError", "UndeterminedError", "solve_linear"]
+__all__ = ["MAX_COUPLED", "TooManyCoupledError", "UndeterminedError", "solve_linear"]
 
-LARGEST_BLOCK = 6
+MAX_COUPLED = 6
 """Expansion by minors grows as n!; coupled coordinates come in threes (attitude) and rarely in sixes."""
 
 
@@ -28,7 +28,7 @@ class UndeterminedError(Exception):
 
 
 class TooManyCoupledError(Exception):
-    """More equations depend on each other than `LARGEST_BLOCK`; the argument is their number."""
+    """More equations depend on each other than `MAX_COUPLED`; the argument is their number."""
 
 
 def solve_linear(tape: Tape, matrix: Sequence[Sequence[Scalar]], constants: Sequence[Scalar]) -> tuple[Scalar, ...]:
@@ -95,7 +95,7 @@ def _blocks(
         blocks = [block for block in blocks if not block[1] & own]
         blocks.append(({row}.union(*(r for r, _ in joined)), own.union(*(c for _, c in joined))))
     for block_rows, _ in blocks:
-        if len(block_rows) > LARGEST_BLOCK:
+        if len(block_rows) > MAX_COUPLED:
             raise TooManyCoupledError(len(block_rows))
     return sorted((tuple(sorted(r)), tuple(sorted(c))) for r, c in blocks)
 

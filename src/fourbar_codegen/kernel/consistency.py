@@ -1,4 +1,4 @@
-"""Whether a state is one of the mechanism, to begin from, and how it is kept so."""
+"""Whether a state satisfies the constraints, so that a run may begin there, and what keeps it so."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Fewer operations for the same values: common parts of sums and products, factors in front, constants together.
+"""Common subexpression elimination: common parts of sums and products, factors in front, constants together.
 
 The tape has what is equal as a whole; here, the sums and products that it built in pairs are put together again and
-taken apart along what several of them share.
+taken apart along what several of them have in common.
 
 Source: Hosangadi, Fallah and Kastner, "Optimizing polynomial expressions by algebraic factorization and common
 subexpression elimination", *IEEE Transactions on CAD* 25 (2006); the greedy choice of the most frequent pair is theirs.
@@ -25,10 +25,10 @@ Operand = TypeVar("Operand")
 Pair = TypeVar("Pair", bound=tuple[Number, ...])
 
 MAX_OPERATIONS = 5000
-"""Operations beyond which products share nothing: half of the time for a few per cent of the operations."""
+"""Operations beyond which products are left as they are: half of the time for a few per cent of the operations."""
 
 MAX_OPERANDS = 40
-"""Sums and products of more operands share nothing: their pairs are too many."""
+"""Sums and products of more operands are left as they are: their pairs are too many."""
 
 
 def eliminate_common_subexpressions(
@@ -51,11 +51,11 @@ def eliminate_common_subexpressions(
     block = _Block(tape, _Flattening(tape, roots, is_constant).roots, is_constant)
     thorough = len(block.operations) <= MAX_OPERATIONS
     if thorough:
-        block.share_products()
+        block.eliminate_common_products()
     block.factor_sums()
-    block.share_sums()
+    block.eliminate_common_sums()
     if thorough:
-        block.share_products()
+        block.eliminate_common_products()
     return tuple(block.operations.items()), block.roots
 
 
@@ -187,7 +187,7 @@ class _Block:
         self.roots = [value(root.node) * root.coefficient for root in self.roots]
         self.operations = self._reached({})
 
-    def share_products(self) -> None:
+    def eliminate_common_products(self) -> None:
         """Take out pairs of factors that several products have."""
         items = {n: list(o.factors) for n, o in self.operations.items() if isinstance(o, Product)}
 
@@ -204,7 +204,7 @@ class _Block:
         self.operations.update((node, Product(tuple(factors))) for node, factors in items.items())
         self._take_up()
 
-    def share_sums(self) -> None:
+    def eliminate_common_sums(self) -> None:
         """Take out pairs of terms that several sums have, or multiples of them."""
         items = {n: list(o.terms) for n, o in self.operations.items() if isinstance(o, Sum)}
 

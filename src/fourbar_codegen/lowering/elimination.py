@@ -25,7 +25,7 @@ from fourbar_codegen.lowering.program import Entries, PivotOrder, Structure
 
 __all__ = ["MAX_CONSTRAINTS", "find_pivot_order", "find_structure"]
 
-FEWEST_SPEEDS = 8
+MIN_SPEEDS = 8
 MAX_CONSTRAINTS = 8
 """Of full equations, constraints for which a pivot order is chosen in advance; see fourbar_solve.h."""
 
@@ -59,7 +59,7 @@ def find_structure(n_u: int, n_c: int, mass_entries: Entries, jacobian_entries: 
     >>> find_structure(9, 0, tree, ()).below[:2]
     ((7,), (7,))
     """
-    if n_u < FEWEST_SPEEDS:
+    if n_u < MIN_SPEEDS:
         return None
     neighbours: list[set[int]] = [set() for _ in range(n_u + n_c)]
 

@@ -1,7 +1,7 @@
 """Equations -> Program: one straight-line function for everything that is evaluated together.
 
 For each function: keep the operations it needs, add angles, move what depends on parameters alone into `prepare`, and
-share what is left in common.
+eliminate common subexpressions.
 """
 
 from __future__ import annotations
@@ -168,7 +168,7 @@ def lower(name: str, equations: Equations) -> Program:
         n_h=len(e.position_constraints.entries),
         n_c=len(e.velocity_bias.entries),
         n_o=len(e.outputs.entries),
-        n_points=len(e.places),
+        n_points=len(e.drawn_points),
         n_forces=len(e.forced),
         n_breakpoints=len(e.breakpoints.entries),
         rank=rank,

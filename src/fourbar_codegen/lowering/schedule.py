@@ -200,8 +200,8 @@ def schedule(program: Program) -> Schedule:
     >>> from fourbar_codegen.lowering.lower import lower
     >>> from fourbar_codegen.models import four_bar
     >>> scheduled = schedule(lower("four_bar", form_equations(four_bar())))
-    >>> scheduled.has_batches, scheduled.functions[0].parts[0].steps[0]
-    (True, Load(node=1, array='p', position=0))
+    >>> scheduled.has_batches, [function.function.name for function in scheduled.functions[:3]]
+    (True, ['prepare', 'default_inputs', 'breakpoints'])
     """
     sizes, functions = program.sizes, program.functions
     calls = (o for f in functions if f.name in SIDE_BY_SIDE for _, o in f.statements if isinstance(o, Call))

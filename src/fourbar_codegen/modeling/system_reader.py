@@ -146,7 +146,7 @@ class Load:
     kind : {"force", "torque"}
     name : str
     vector : Vector
-    place : int
+    target : int
         The point that the force acts on, or the frame that the torque acts on.
     position : Vector or None
         The point's position from the System's fixed point; None for a torque or where SymPy knows none.
@@ -155,7 +155,7 @@ class Load:
     kind: Literal["force", "torque"]
     name: str
     vector: Vector
-    place: int
+    target: int
     position: Vector | None
 
 
@@ -454,7 +454,7 @@ class _Reader:
                 parents.update(_neighbours(root, _positions))
                 parents[root] = None
         # SymPy differentiates, in the inertial frame, the position from the nearest point whose velocity is known; that
-        # does not end for spatial chains. Along the tree of positions `Motion` does it frame by frame.
+        # does not end for spatial chains. Along the tree of positions `Kinematics` does it frame by frame.
         derived: set[me.Point] = set()
         for point in needed:
             path = list(_ancestors(point, parents))

@@ -28,7 +28,7 @@ __all__ = ["animate", "plot_modes", "plot_paths", "plot_trajectory", "write_anim
 Floats = NDArray[np.float64]
 
 FPS = 30.0
-"""Pictures per second, where nobody says otherwise."""
+"""Frames per second by default."""
 
 MAX_FRAMES = 10_000
 """An animation takes no more: each is some hundredths of a second to draw."""
@@ -241,7 +241,7 @@ def write_animation(trajectory: Trajectory, path: Path, kind: str) -> None:
     animation = animate(trajectory, fps=FPS, speed=1.0, traces=())
     from tqdm import tqdm
 
-    with tqdm(desc=f"{trajectory.model.name}, {kind.upper()}", unit="picture", delay=PATIENCE, disable=None) as bar:
+    with tqdm(desc=f"{trajectory.model.name}, {kind.upper()}", unit="frame", delay=PATIENCE, disable=None) as bar:
 
         def advance(_: int, total: int) -> None:
             bar.total = total

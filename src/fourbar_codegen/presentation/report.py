@@ -21,8 +21,8 @@ __all__ = ["frame_times", "report_text", "run_rows"]
 
 Floats = NDArray[np.float64]
 
-PICTURES_PER_SECOND = 60
-LEAST_PICTURES = 241
+FRAMES_PER_SECOND = 60
+MIN_FRAMES = 241
 """Short runs are shown at more times, so that their curves are smooth."""
 MAX_FRAMES = 601
 """More than these are not embedded: longer runs are shown at fewer times."""
@@ -69,7 +69,7 @@ def report_text(trajectory: Trajectory) -> str:
 
 def frame_times(start: float, end: float) -> Floats:
     """The times at which a run from start to end is shown."""
-    n = np.clip(round(abs(end - start) * PICTURES_PER_SECOND), LEAST_PICTURES, MAX_FRAMES) if start != end else 1
+    n = np.clip(round(abs(end - start) * FRAMES_PER_SECOND), MIN_FRAMES, MAX_FRAMES) if start != end else 1
     return np.linspace(start, end, int(n))
 
 

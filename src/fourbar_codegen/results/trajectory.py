@@ -270,7 +270,7 @@ class Trajectory:
         Parameters
         ----------
         path : str or Path
-            Its ending tells the kind: ``.csv`` (a row for each time, all digits), ``.npz`` (NumPy, an array
+            Its suffix gives the kind: ``.csv`` (a row for each time, all digits), ``.npz`` (NumPy, an array
             for each name), ``.nc`` (NetCDF, as `to_xarray` has it; needs the extra ``data``), ``.html`` (an interactive
             report), ``.png`` (a plot), ``.gif`` or ``.mp4`` (an animation); the last three need the extra ``visual``,
             ``.mp4`` also FFmpeg. Missing folders are made. `load_trajectory` reads ``.npz`` and ``.nc``. Whatever goes
@@ -283,7 +283,7 @@ class Trajectory:
         Raises
         ------
         ModelError
-            If it is no path, the ending is another one, the file cannot be written, or what it takes is missing.
+            If it is no path, the suffix is another one, the file cannot be written, or what it takes is missing.
         """
         path = path_of(path)
         writer = check_suffix(path)
@@ -300,7 +300,7 @@ class Trajectory:
         Parameters
         ----------
         fps : float, optional
-            Pictures per second.
+            Frames per second.
         speed : float, optional
             Seconds of the run that a second shows.
         traces : sequence of str, optional
@@ -432,7 +432,7 @@ _WRITERS: dict[str, Callable[[Trajectory, IO[bytes]], None]] = {
 
 
 def check_suffix(path: Path) -> Callable[[Trajectory, IO[bytes]], None]:
-    """What writes a file with the ending of the path, or a ModelError."""
+    """What writes a file with the suffix of the path, or a ModelError."""
     writer = _WRITERS.get(path.suffix.lower())
     if writer is None:
         raise ModelError(f"A trajectory is saved as {', '.join(_WRITERS)}; {path.name!r} ends otherwise.")

@@ -1,1 +1,1 @@
-"""The run half's compiled part: C headers that kernels include, and the module that calls kernels."""
+"""The run half's compiled part: C headers that kernels include, and the Cython modules that call kernels."""

@@ -37,7 +37,7 @@ cdef extern from "fourbar_batch.h":
         double first, last
         const double *breaks
         const double *before
-        const double *behind
+        const double *after
         int n_breaks
         long max_steps
         const double *rtol
@@ -170,8 +170,8 @@ cdef class Members:
         given = [(i, source) for i, source in enumerate(sources) if source is not None]
         cdef cnp.ndarray values = np.zeros((n, len(given)))
         towards = np.copysign(np.inf, t_bound - t)
-        ends, before, behind = breaks
-        e.first = behind[0] if t in ends else -towards
+        ends, before, after = breaks
+        e.first = after[0] if t in ends else -towards
         e.last = before[len(ends) - 1] if t_bound in ends else towards
         breaks, times = np.ascontiguousarray(breaks[:, (ends != t) & (ends != t_bound)]), times - t
         self.evaluator, self.kept = evaluator, [x, p, rtol, atol, times, breaks, values, given]
@@ -187,10 +187,12 @@ cdef class Members:
                 values[:, k] = source
         e.kernel, e.n, e.x, e.p = evaluator.kernel, n, data(x), data(p)
         e.n_sources, e.sources, e.values = len(given), self.sources, data(values)
+        if method not in ("RK45", "DOP853"):
+            raise ValueError(f"no method for many runs: {method}")
         e.method = &fb_rk45 if method == "RK45" else &fb_dop853
         e.project, e.origin, e.t_bound, e.max_step, e.max_steps = project, t, t_bound - t, max_step, max_steps
         e.n_breaks = np.shape(breaks)[1]
-        e.breaks, e.before, e.behind = data(breaks), data(breaks) + e.n_breaks, data(breaks) + 2 * e.n_breaks
+        e.breaks, e.before, e.after = data(breaks), data(breaks) + e.n_breaks, data(breaks) + 2 * e.n_breaks
         e.rtol, e.atol, e.times, e.n_times = data(rtol), data(atol), data(times), len(times)
         e.samples, e.status = data(samples), <char *>cnp.PyArray_DATA(status)
         e.n_evaluations = <long *>cnp.PyArray_DATA(n_evaluations)

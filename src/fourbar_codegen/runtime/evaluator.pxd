@@ -25,7 +25,8 @@ cdef extern from "fourbar_kernel.h":
         void (*default_inputs)(double, const double *, double *) noexcept nogil
         void (*breakpoints)(const double *, double *) noexcept nogil
         fb_evaluation *rhs
-        int (*stabilized)(double, const double *, const double *, const double *, double, double *, void *) noexcept nogil
+        int (*stabilized)(double, const double *, const double *, const double *, double, double *,
+                          void *) noexcept nogil
         fb_evaluation *jacobian
         fb_evaluation *parameter_jacobian
         fb_evaluation *input_jacobian
@@ -36,7 +37,8 @@ cdef extern from "fourbar_kernel.h":
                          double *, double *) noexcept nogil
         void (*position)(double, const double *, const double *, const double *, double *, double *) noexcept nogil
         void (*velocity)(double, const double *, const double *, const double *, double *, double *) noexcept nogil
-        void (*constraint_violation)(double, const double *, const double *, const double *, double *, double *) noexcept nogil
+        void (*constraint_violation)(double, const double *, const double *, const double *, double *,
+                                     double *) noexcept nogil
         void (*constraint_scale)(double, const double *, const double *, const double *, double *, double *,
                                  double *) noexcept nogil
         void (*coordinate_change)(double, const double *, const double *, const double *, const double *,
@@ -117,9 +119,9 @@ cdef class Evaluator:
     cdef double *constants
     cdef double *inputs
     cdef void *work
-    cdef bint defaults_known
-    cdef bint inputs_known
-    cdef bint moving_known
+    cdef bint has_defaults
+    cdef bint has_inputs
+    cdef bint has_motions
     cdef cnp.ndarray _parameters(self, object p)
     cdef cnp.ndarray _inputs(self, double t, cnp.ndarray parameters, object r, bint known)
     cdef cnp.ndarray _state(self, double t, object x, int n)

@@ -176,9 +176,9 @@ cdef class Evaluator:
             raise MemoryError
         values = [NAN if entry["default"] is None else entry["default"] for entry in manifest["parameters"]]
         cdef cnp.ndarray defaults = vector(values, self.n_p, "The default parameters")
-        self.defaults_known = fb_finite(data(defaults), self.n_p)
+        self.has_defaults = fb_finite(data(defaults), self.n_p)
         unknown = {place for place, entry in enumerate(manifest["inputs"]) if entry["expression"] is None}
-        self.inputs_known, self.moving_known = not unknown, not unknown & set(manifest["moving_inputs"])
+        self.has_inputs, self.has_motions = not unknown, not unknown & set(manifest["moving_inputs"])
         kernel.prepare(data(defaults), self.default_constants)
 
     def __dealloc__(self):
@@ -198,7 +198,7 @@ cdef class Evaluator:
         return self.kernel.one_machine == 0
 
     def _attach_batch_functions(self, size_t address):
-        """Take the functions for several states side by side, an ``fb_batch_functions``, that were built apart from the kernel.
+        """Take an ``fb_batch_functions`` that was built apart from the kernel: functions for states side by side.
 
         Raises
         ------
@@ -232,9 +232,9 @@ cdef class Evaluator:
         where = f"at t = {t:.9g}, x = {np.array2string(np.asarray(x), precision=6, separator=', ')}"
         if status == FB_CONSTRAINTS_DEPENDENT:
             return (
-                f"The mechanism is in a singular position {where}: the constraints' Jacobian has lost rank, so that the "
-                "accelerations are not determined, or no acceleration satisfies all constraints. (Or one constraint is "
-                "smaller than another by the precision of double: then give them units of like size.)"
+                f"The mechanism is in a singular position {where}: the constraints' Jacobian has lost rank, so that "
+                "the accelerations are not determined, or no acceleration satisfies all constraints. (Or one "
+                "constraint is smaller than another by the precision of double: then give them units of like size.)"
             )
         if status == FB_CONSTRAINTS_INDEPENDENT:
             return self.too_few_dependent(where)
@@ -263,7 +263,7 @@ cdef class Evaluator:
         """All parameters, or None for the defaults."""
         cdef cnp.ndarray values
         if p is None:
-            if not self.defaults_known:
+            if not self.has_defaults:
                 raise ModelError(self.missing())
             return None
         if type(p) is not np.ndarray:
@@ -347,7 +347,7 @@ cdef class Evaluator:
         """
         t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.inputs_known)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray result
         result = new_array(self.n_x) if out is None else self._output(out, state, parameters, inputs)
@@ -476,7 +476,7 @@ cdef class Evaluator:
 
     cdef cnp.ndarray _differentiate(self, fb_evaluation *function, int columns, double t, x, p, r):
         cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.inputs_known)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray result = new_array(self.n_x, columns)
         cdef const double *constants = self._prepare(parameters)
@@ -490,7 +490,7 @@ cdef class Evaluator:
         """u', shape (n_u,), and the constraints' multipliers lambda, shape (n_c,)."""
         t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.inputs_known)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray accelerations = new_array(self.n_u)
         cdef cnp.ndarray multipliers = new_array(self.n_c)
@@ -506,7 +506,7 @@ cdef class Evaluator:
         """q', M, f, J and gamma of M u' = f + J^T lambda, J u' + gamma = 0."""
         t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.inputs_known)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray rates = new_array(self.n_q)
         cdef cnp.ndarray mass_matrix = new_array(self.n_u, self.n_u)
@@ -522,7 +522,7 @@ cdef class Evaluator:
         """The position constraints, shape (n_h,), and their derivatives by q, shape (n_h, n_q)."""
         t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.moving_known)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_motions)
         cdef cnp.ndarray coordinates = self._state(t, q, self.n_q)
         cdef cnp.ndarray constraints = new_array(self.n_h)
         cdef cnp.ndarray jacobian = new_array(self.n_h, self.n_q)
@@ -535,7 +535,7 @@ cdef class Evaluator:
         """J, shape (n_c, n_u), and b, shape (n_c,), of the velocity constraints J u + b = 0."""
         t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.moving_known)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_motions)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray jacobian = new_array(self.n_c, self.n_u)
         cdef cnp.ndarray bias = new_array(self.n_c)
@@ -548,21 +548,23 @@ cdef class Evaluator:
         """By how much the constraints are violated, row by row as in J: positions and velocities, shape (n_c,) each."""
         t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.moving_known)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_motions)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray positions = new_array(self.n_c)
         cdef cnp.ndarray velocities = new_array(self.n_c)
         cdef const double *constants = self._prepare(parameters)
-        self.kernel.constraint_violation(t, data(state), constants, self._fill(t, constants, inputs), data(positions),
-                            data(velocities))
+        self.kernel.constraint_violation(
+            t, data(state), constants, self._fill(t, constants, inputs), data(positions), data(velocities))
         return positions, velocities
 
     def constraint_scale(self, t, x, p=None, r=None):
-        """What violations are measured by: of the position constraints, shape (n_h,), and of the rows of `constraint_violation`, shape
-        (n_c,) each."""
+        """What violations are measured by.
+
+        Of the position constraints, shape (n_h,), and of both results of `constraint_violation`, shape (n_c,) each.
+        """
         t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.moving_known)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_motions)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray constraints = new_array(self.n_h)
         cdef cnp.ndarray positions = new_array(self.n_c)
@@ -576,7 +578,7 @@ cdef class Evaluator:
         """K v, the change of the coordinates, shape (n_q,), for a change v of what the speeds integrate to."""
         t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.inputs_known)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray v = vector(change, self.n_u, "The change")
         cdef cnp.ndarray result = new_array(self.n_q)
@@ -589,7 +591,7 @@ cdef class Evaluator:
         """d(J u + b)/dq, shape (n_c, n_q), dPhi/dr, shape (n_h, n_r), and d(J u + b)/dr, shape (n_c, n_r)."""
         t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.moving_known)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_motions)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray by_coordinates = new_array(self.n_c, self.n_q)
         cdef cnp.ndarray positions, velocities
@@ -603,7 +605,7 @@ cdef class Evaluator:
         """Kinetic and potential energy, shape (2,)."""
         t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.moving_known)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_motions)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray energies = new_array(2)
         cdef const double *constants = self._prepare(parameters)
@@ -614,7 +616,7 @@ cdef class Evaluator:
         """Positions of the points that are drawn, shape (n_points, 3), and the inputs' forces, shape (n_forces, 3)."""
         t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.moving_known)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_motions)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray points = new_array(self.kernel.n_points, 3)
         cdef cnp.ndarray forces = new_array(self.kernel.n_forces, 3)
@@ -656,10 +658,10 @@ cdef class Evaluator:
         """
         t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.inputs_known)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray a = vector(accelerations, self.n_u, "The accelerations")
-        cdef cnp.ndarray l = vector(multipliers, self.n_c, "The multipliers")
+        cdef cnp.ndarray lam = vector(multipliers, self.n_c, "The multipliers")
         cdef cnp.ndarray outputs = new_array(self.n_o)
         cdef cnp.ndarray rates, residuals
         cdef list results = [outputs]
@@ -671,10 +673,10 @@ cdef class Evaluator:
         functions[0], columns[0] = self.kernel.sensitivity, self.n_x
         functions[1], columns[1] = self.kernel.parameter_sensitivity, self.n_p
         functions[2], columns[2] = self.kernel.input_sensitivity, self.n_r
-        self.kernel.output(t, data(state), constants, filled, data(a), data(l), data(outputs))
+        self.kernel.output(t, data(state), constants, filled, data(a), data(lam), data(outputs))
         for i in range(3):
             rates, residuals = new_array(self.n_q, columns[i]), new_array(self.n_u + self.n_c, columns[i])
-            functions[i](t, data(state), constants, filled, data(a), data(l), data(rates), data(residuals))
+            functions[i](t, data(state), constants, filled, data(a), data(lam), data(rates), data(residuals))
             results += [rates, residuals]
         return results
 

@@ -12,7 +12,7 @@
 #include <stdint.h>
 #include <string.h>
 
-#define FB_LARGEST_ANGLE 1e6
+#define FB_MAX_ANGLE 1e6
 
 typedef struct fb_angles {
     fb_real sin[4], cos[4];
@@ -54,14 +54,14 @@ static FB_INLINE double fb_sin(const double x)
 {
     double s, c;
     fb_sine_1(&x, &s, &c);
-    return fabs(x) < FB_LARGEST_ANGLE ? s : sin(x);
+    return fabs(x) < FB_MAX_ANGLE ? s : sin(x);
 }
 
 static FB_INLINE double fb_cos(const double x)
 {
     double s, c;
     fb_sine_1(&x, &s, &c);
-    return fabs(x) < FB_LARGEST_ANGLE ? c : cos(x);
+    return fabs(x) < FB_MAX_ANGLE ? c : cos(x);
 }
 
 static FB_INLINE fb_angles fb_angles_of(const double x0, const double x1, const double x2, const double x3)
@@ -86,7 +86,7 @@ static FB_INLINE fb_angles fb_angles_of(const double x0, const double x1, const 
     fb_sine_1(&x3, angles.sin + 3, angles.cos + 3);
 #endif
     /* One comparison for the four; not true either where one is not a number. */
-    if (!(x0 * x0 + x1 * x1 + x2 * x2 + x3 * x3 < FB_LARGEST_ANGLE * FB_LARGEST_ANGLE)) {
+    if (!(x0 * x0 + x1 * x1 + x2 * x2 + x3 * x3 < FB_MAX_ANGLE * FB_MAX_ANGLE)) {
         const fb_angles each = {{fb_sin(x0), fb_sin(x1), fb_sin(x2), fb_sin(x3)},
                                 {fb_cos(x0), fb_cos(x1), fb_cos(x2), fb_cos(x3)}};
         return each;
@@ -105,7 +105,7 @@ static FB_INLINE fb_angles fb_angles_of(const double x0, const double x1, const 
 static __attribute__((noinline)) void fb_large_angles(const fb_real *angle, fb_real *sine, fb_real *cosine)
 {
     for (int lane = 0; lane < FB_WIDTH; ++lane)
-        if (!(fabs((*angle)[lane]) < FB_LARGEST_ANGLE)) {
+        if (!(fabs((*angle)[lane]) < FB_MAX_ANGLE)) {
             (*sine)[lane] = sin((*angle)[lane]);
             (*cosine)[lane] = cos((*angle)[lane]);
         }
@@ -114,7 +114,7 @@ static __attribute__((noinline)) void fb_large_angles(const fb_real *angle, fb_r
 static FB_INLINE void fb_sine_and_cosine(const fb_real *angle, fb_real *sine, fb_real *cosine)
 {
     fb_sine_lanes(angle, sine, cosine);
-    if (fb_any(~(fb_abs(*angle) < FB_LARGEST_ANGLE)))
+    if (fb_any(~(fb_abs(*angle) < FB_MAX_ANGLE)))
         fb_large_angles(angle, sine, cosine);
 }
 
@@ -138,7 +138,7 @@ static FB_INLINE fb_angles fb_angles_of(const fb_real x0, const fb_real x1, cons
     fb_angles angles;
     for (int i = 0; i < 4; ++i)
         fb_sine_lanes(x + i, angles.sin + i, angles.cos + i);
-    if (fb_any(~(x0 * x0 + x1 * x1 + x2 * x2 + x3 * x3 < FB_LARGEST_ANGLE * FB_LARGEST_ANGLE)))
+    if (fb_any(~(x0 * x0 + x1 * x1 + x2 * x2 + x3 * x3 < FB_MAX_ANGLE * FB_MAX_ANGLE)))
         for (int i = 0; i < 4; ++i)
             fb_large_angles(x + i, angles.sin + i, angles.cos + i);
     return angles;

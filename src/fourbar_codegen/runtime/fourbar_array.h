@@ -1,6 +1,6 @@
-/* Arrays whose lengths depend on the model: declared with one entry at least, since C has no arrays of length 0; several
- * laid into one block of memory; checked for numbers that are not finite. And what constraint violations are compared
- * with. */
+/* Arrays whose lengths depend on the model: declared with one entry at least, since C has no arrays of length 0;
+ * several laid into one block of memory; checked for numbers that are not finite. And what constraint violations are
+ * compared with. */
 #ifndef FOURBAR_ARRAY_H
 #define FOURBAR_ARRAY_H
 
@@ -12,7 +12,7 @@
 #define FB_AT_LEAST_1(n) ((n) > 0 ? (n) : 1)
 
 /* Corrections of a projection that are tried with one factorization, and factorizations. */
-enum { CORRECTIONS = 8, FACTORIZATIONS = 3 };
+enum { MAX_CORRECTIONS = 8, MAX_FACTORIZATIONS = 3 };
 /* A state is on the constraints where they are violated by no more than this share of the constraints' scales, 45 times
  * the precision of double, ... */
 #define FB_CLOSED 1e-14
@@ -53,7 +53,7 @@ typedef struct fb_place {
     int size;
 } fb_place;
 
-/* The length of n arrays together, which are placed in memory one behind the other, if there is any yet. */
+/* The length of n arrays together, which are placed in memory one after the other, if there is any yet. */
 static inline size_t fb_place_all(const fb_place *places, const size_t n, double *memory)
 {
     size_t length = 0;

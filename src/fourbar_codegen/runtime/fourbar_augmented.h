@@ -1,19 +1,19 @@
-/* Steps of one length that pass singular positions: the augmented Lagrangian formulation of index 3, with projections of
- * positions, velocities and accelerations.
+/* Steps of one length that pass singular positions: the augmented Lagrangian formulation of index 3, with projections
+ * of positions, velocities and accelerations.
  *
  * The trapezoidal rule takes M u' = f + J^T lambda to an equation for the speeds at the step's end, of which the
  * positions and accelerations there are functions. It is solved by Newton's method, with lambda = lambda* - alpha g in
- * the place of a multiplier for each constraint g = 0: since alpha J^T J is added to a positive definite matrix, no rank
- * of J is asked for, and redundant constraints are as good as others. lambda* takes over what lambda is, iteration by
- * iteration, so that the penalty alpha need not be large for g to vanish. Then positions, speeds and accelerations are
- * moved onto their constraints by the change that is least in the metric of M. lambda* begins as the shortest of all
- * multipliers that have the same effect: what J^T does not see would grow without bound at a singular position.
+ * the place of a multiplier for each constraint g = 0: since alpha J^T J is added to a positive definite matrix, no
+ * rank of J is asked for, and redundant constraints are as good as others. lambda* takes over what lambda is, iteration
+ * by iteration, so that the penalty alpha need not be large for g to vanish. Then positions, speeds and accelerations
+ * are moved onto their constraints by the change that is least in the metric of M. lambda* begins as the shortest of
+ * all multipliers that have the same effect: what J^T does not see would grow without bound at a singular position.
  *
  * The mass matrix has to be positive definite without the constraints.
  *
  * Source: E. Bayo, R. Ledesma, "Augmented Lagrangian and mass-orthogonal projection methods for constrained multibody
- * dynamics", Nonlinear Dynamics 9 (1996); J. Cuadrado, J. Cardenal, E. Bayo, "Modeling and solution methods for efficient
- * real-time simulation of multibody dynamics", Multibody System Dynamics 1 (1997).
+ * dynamics", Nonlinear Dynamics 9 (1996); J. Cuadrado, J. Cardenal, E. Bayo, "Modeling and solution methods for
+ * efficient real-time simulation of multibody dynamics", Multibody System Dynamics 1 (1997).
  */
 #ifndef FOURBAR_AUGMENTED_H
 #define FOURBAR_AUGMENTED_H
@@ -29,16 +29,16 @@
 #define FB_DIVERGED 1e-6
 #define FB_ROUNDING 1e-14
 /* The share of max_step down to which steps are halved. */
-#define FB_SHORTEST_STEP 1e-3
+#define FB_MIN_STEP 1e-3
 /* The share of a step that is not worth another one. */
 #define FB_SAME_TIME 1e-3
-/* Projections that change positions or speeds by more than this share of the step's change, or of its rounding errors, are
- * no corrections any more. */
+/* Projections that change positions or speeds by more than this share of the step's change, or of its rounding errors,
+ * are no corrections any more. */
 #define FB_CORRECTION 0.1
 /* Of the trace of J J^T: multipliers of singular values below its root are left out. */
 #define FB_SHORTEST 1e-10
 
-enum { FB_MOST_ITERATIONS = 12, FB_MOST_PROJECTIONS = 20, FB_REFINEMENTS = 3 };
+enum { FB_MAX_ITERATIONS = 12, FB_MAX_PROJECTIONS = 20, FB_REFINEMENTS = 3 };
 
 typedef struct fb_augmented {
     double *mass_matrix, *forcing, *jacobian, *bias; /* M, f, J, gamma */
@@ -57,12 +57,23 @@ static inline size_t fb_place_augmented(const fb_kernel *k, fb_augmented *a, dou
 {
     const int q = k->n_q, u = k->n_u, c = k->n_c, x = q + u;
     const fb_place places[] = {
-        {&a->mass_matrix, u * u}, {&a->forcing, u},         {&a->jacobian, u * c},
-        {&a->bias, c},            {&a->positions, c},       {&a->velocities, c},
-        {&a->multipliers, c},     {&a->multipliers_old, c}, {&a->penalized, c},
-        {&a->matrix, u * u},      {&a->normal, c * c},      {&a->change, u},
-        {&a->unit, u},            {&a->coordinate_change, q}, {&a->rate_jacobian, q * x},
-        {&a->residual_jacobian, (u + c) * x}, {&a->scales, c + c + k->n_h},
+        {&a->mass_matrix, u * u},
+        {&a->forcing, u},
+        {&a->jacobian, u * c},
+        {&a->bias, c},
+        {&a->positions, c},
+        {&a->velocities, c},
+        {&a->multipliers, c},
+        {&a->multipliers_old, c},
+        {&a->penalized, c},
+        {&a->matrix, u * u},
+        {&a->normal, c * c},
+        {&a->change, u},
+        {&a->unit, u},
+        {&a->coordinate_change, q},
+        {&a->rate_jacobian, q * x},
+        {&a->residual_jacobian, (u + c) * x},
+        {&a->scales, c + c + k->n_h},
     };
     return fb_place_all(places, sizeof places / sizeof *places, memory);
 }
@@ -211,14 +222,14 @@ static inline int fb_project_accelerations(fb_run *s, double *restrict accelerat
     return FB_RUN_PAUSED;
 }
 
-/* x' at the beginning of a run, or where it goes on behind a breakpoint. */
+/* x' at the beginning of a run, or where it goes on after a breakpoint. */
 static inline int fb_augmented_begin(fb_run *s)
 {
     const fb_kernel *const k = s->problem->kernel;
     fb_augmented *const a = s->augmented;
     double *const accelerations = s->stages + k->n_q;
     s->h_abs = s->max_step;
-    s->follows = 0;
+    s->fsal = 0;
     const int called = fb_augmented_equations(s, fb_time(&s->problem->clock, s->t), s->x, s->stages);
     if (called < 0)
         return called;
@@ -231,8 +242,7 @@ static inline int fb_augmented_begin(fb_run *s)
         for (int row = 0; row < k->n_c; ++row)
             accelerations[i] -= penalty * a->jacobian[row * k->n_u + i] * a->bias[row];
     }
-    if (!fb_solve_matrix(k, a, accelerations) ||
-        fb_project_accelerations(s, accelerations) != FB_RUN_PAUSED)
+    if (!fb_solve_matrix(k, a, accelerations) || fb_project_accelerations(s, accelerations) != FB_RUN_PAUSED)
         memset(accelerations, 0, (size_t)k->n_u * sizeof(double));
     return 0;
 }
@@ -247,8 +257,7 @@ static inline void fb_newton_matrix(fb_run *s, const double t, const double h, c
     const int n_q = k->n_q, n_u = k->n_u, n_x = n_q + n_u;
     a->n_jacobians += 1;
     memcpy(a->matrix, a->mass_matrix, (size_t)(n_u * n_u) * sizeof(double));
-    k->sensitivity(t, x, p->constants, p->inputs, accelerations, a->penalized, a->rate_jacobian,
-                   a->residual_jacobian);
+    k->sensitivity(t, x, p->constants, p->inputs, accelerations, a->penalized, a->rate_jacobian, a->residual_jacobian);
     for (int j = 0; j < n_u; ++j) {
         memset(a->unit, 0, (size_t)n_u * sizeof(double));
         a->unit[j] = 1.0;
@@ -277,7 +286,7 @@ static inline int fb_augmented_newton(fb_run *s, const double t, const double h,
         rounding = fb_max(rounding, FB_ROUNDING * fabs(x_old[i] / h));
     for (int i = 0; i < n_q + n_u; ++i)
         x[i] = x_old[i] + h * f_old[i];
-    for (int iteration = 0; iteration < FB_MOST_ITERATIONS && !(changed <= FB_CONVERGED * size + rounding);
+    for (int iteration = 0; iteration < FB_MAX_ITERATIONS && !(changed <= FB_CONVERGED * size + rounding);
          ++iteration) {
         const int called = fb_augmented_equations(s, t, x, rates);
         if (called < 0)
@@ -332,7 +341,7 @@ static inline int fb_augmented_project(fb_run *s, const double t, double *restri
     fb_problem *const p = s->problem;
     const fb_kernel *const k = p->kernel;
     fb_augmented *const a = s->augmented;
-    for (int i = 0; i < FB_MOST_PROJECTIONS; ++i) {
+    for (int i = 0; i < FB_MAX_PROJECTIONS; ++i) {
         const int called = fb_augmented_equations(s, t, x, coordinate_rates);
         if (called < 0)
             return called;
@@ -347,7 +356,7 @@ static inline int fb_augmented_project(fb_run *s, const double t, double *restri
         k->coordinate_change(t, x, p->constants, p->inputs, a->change, a->coordinate_change);
         for (int j = 0; j < k->n_q; ++j)
             x[j] += a->coordinate_change[j];
-        if (i == FB_MOST_PROJECTIONS - 1 && !(violation <= FB_NEARLY_CLOSED))
+        if (i == FB_MAX_PROJECTIONS - 1 && !(violation <= FB_NEARLY_CLOSED))
             return FB_RUN_DIVERGED;
     }
     for (int i = 0; i < FB_REFINEMENTS && k->n_c > 0; ++i) {
@@ -395,10 +404,10 @@ static inline int fb_augmented_step_on(fb_run *s)
 {
     const size_t size = (size_t)s->problem->kernel->n_c * sizeof(double);
     int status = FB_RUN_DIVERGED;
-    if (s->follows)
+    if (s->fsal)
         memcpy(s->stages, s->stages + s->padded, (size_t)s->padded * sizeof(double));
     memcpy(s->augmented->multipliers_old, s->augmented->multipliers, size);
-    for (double h = s->max_step; status == FB_RUN_DIVERGED && h >= FB_SHORTEST_STEP * s->max_step; h /= 2) {
+    for (double h = s->max_step; status == FB_RUN_DIVERGED && h >= FB_MIN_STEP * s->max_step; h /= 2) {
         double t_new = s->t + h * s->direction;
         /* A last step that is next to nothing would be all rounding errors. */
         if (s->direction * (t_new - s->t_bound) > -FB_SAME_TIME * s->max_step)

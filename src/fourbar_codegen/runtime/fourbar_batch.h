@@ -46,36 +46,40 @@ typedef struct fb_ensemble {
     const fb_tableau *method;
     int project;
     double origin, t_bound, max_step; /* when all begin; and since then, as are all times of the runs, when they end */
-    double first, last; /* times between which values belong to the runs */
-    /* (n_breaks,): times between the ends, in the order of the runs, at which steps end; and those up to which, and from
-     * which on, values belong to either side */
-    const double *breaks, *before, *behind;
+    double first, last;               /* times between which values belong to the runs */
+    /* (n_breaks,): times between the ends, in the order of the runs, at which steps end; and those up to which, and
+     * from which on, values belong to either side */
+    const double *breaks, *before, *after;
     int n_breaks;
     long max_steps;            /* of each; 0 for no limit */
     const double *rtol, *atol; /* (n_x,) */
     const double *times;       /* (n_times,), in the order of the run */
     long n_times;
-    double *samples;       /* (n, n_x, n_times) */
-    char *status;          /* (n,): FB_MEMBER */
-    long *n_evaluations;   /* (n,) */
+    double *samples;      /* (n, n_x, n_times) */
+    char *status;         /* (n,): FB_MEMBER */
+    long *n_evaluations;  /* (n,) */
     long *next, *n_ended; /* of the members, by all workers */
-    const int *stop;       /* whether to give up */
+    const int *stop;      /* whether to give up */
 } fb_ensemble;
 
 /* The sizes of all that is handed to a model's functions for states side by side, which may have been built with other
  * headers than their caller. */
 typedef struct fb_layout {
     int abi_version;
-    size_t batch_functions; /* of fb_batch_functions itself: what stands behind is read where this one agrees */
+    size_t batch_functions; /* of fb_batch_functions itself: what stands after is read where this one agrees */
     size_t kernel, batch, columns, ensemble, source, table, tableau;
 } fb_layout;
 
 #define FB_LAYOUT                                                                                                      \
-    {                                                                                                                  \
-        .abi_version = FB_ABI_VERSION, .batch_functions = sizeof(fb_batch_functions), .kernel = sizeof(fb_kernel),                         \
-        .batch = sizeof(fb_batch), .columns = sizeof(fb_columns), .ensemble = sizeof(fb_ensemble),                     \
-        .source = sizeof(fb_source), .table = sizeof(fb_table), .tableau = sizeof(fb_tableau)                          \
-    }
+    {.abi_version = FB_ABI_VERSION,                                                                                    \
+     .batch_functions = sizeof(fb_batch_functions),                                                                    \
+     .kernel = sizeof(fb_kernel),                                                                                      \
+     .batch = sizeof(fb_batch),                                                                                        \
+     .columns = sizeof(fb_columns),                                                                                    \
+     .ensemble = sizeof(fb_ensemble),                                                                                  \
+     .source = sizeof(fb_source),                                                                                      \
+     .table = sizeof(fb_table),                                                                                        \
+     .tableau = sizeof(fb_tableau)}
 
 /* What a model has for states side by side; width 0 where the compiler has no vectors. */
 struct fb_batch_functions {
@@ -91,9 +95,10 @@ struct fb_batch_functions {
 static inline int fb_batch_functions_agree(const fb_batch_functions *functions)
 {
     const fb_layout own = FB_LAYOUT, *const built = &functions->layout;
-    return built->abi_version == own.abi_version && built->batch_functions == own.batch_functions && built->kernel == own.kernel &&
-           built->batch == own.batch && built->columns == own.columns && built->ensemble == own.ensemble &&
-           built->source == own.source && built->table == own.table && built->tableau == own.tableau;
+    return built->abi_version == own.abi_version && built->batch_functions == own.batch_functions &&
+           built->kernel == own.kernel && built->batch == own.batch && built->columns == own.columns &&
+           built->ensemble == own.ensemble && built->source == own.source && built->table == own.table &&
+           built->tableau == own.tableau;
 }
 
 /* The same by the kernel for one state. */

@@ -3,9 +3,9 @@
  * (a singular position, steps that collapse, a projection that fails, what is not a number) leaves it, and is marked.
  */
 
-typedef struct fb_crew {
+typedef struct fb_lanes {
     fb_side side; /* what belongs to states side by side comes first */
-    fb_real stages[FB_LARGEST_METHOD + 4][N_X], interpolant[7][N_X];
+    fb_real stages[FB_MAX_STAGES + 4][N_X], interpolant[7][N_X];
     fb_real x[N_X], t; /* the runs' states and times */
     fb_mask active;
     fb_mask n_evaluations;
@@ -13,8 +13,8 @@ typedef struct fb_crew {
     double h_abs[FB_WIDTH];
     int rejected[FB_WIDTH], next_break[FB_WIDTH];
     fb_real first, last; /* of their pieces of time, as fb_clock has it */
-    /* J at the beginning of the step, and the orientation of its columns in the static pivot order, as `fb_orientation` has it;
-     * that is not a number where it is not known; and the largest one of the run, and the units */
+    /* J at the beginning of the step, and the orientation of its columns in the static pivot order, as `fb_orientation`
+     * has it; that is not a number where it is not known; and the largest one of the run, and the units */
     fb_real jacobian_before[FB_AT_LEAST_1(N_JACOBIAN)], orientation, largest_orientation;
     fb_real column_unit[N_U], row_unit[FB_AT_LEAST_1(N_C)];
     fb_source sources[FB_WIDTH][FB_AT_LEAST_1(N_R)];
@@ -23,9 +23,9 @@ typedef struct fb_crew {
     fb_run begin;
     double padded[4][(N_X + FB_BLOCK - 1) / FB_BLOCK * FB_BLOCK];
     double lane_failed[N_X], lane_moved[N_X];
-} fb_crew;
+} fb_lanes;
 
-static inline void fb_crew_inputs(fb_crew *restrict c, const fb_ensemble *e, const fb_real t)
+static inline void fb_lanes_inputs(fb_lanes *restrict c, const fb_ensemble *e, const fb_real t)
 {
     if (N_R == 0)
         return;
@@ -39,41 +39,41 @@ static inline void fb_crew_inputs(fb_crew *restrict c, const fb_ensemble *e, con
 }
 
 /* As fb_time. */
-static inline fb_real fb_crew_time(const fb_crew *c, const fb_ensemble *e, const fb_real since)
+static inline fb_real fb_lanes_time(const fb_lanes *c, const fb_ensemble *e, const fb_real since)
 {
     const fb_real t = e->origin + since;
     return fb_select(t < c->first, c->first, fb_select(t > c->last, c->last, t));
 }
 
 /* The end of a lane's piece of time: the next breakpoint, or the end of the run; ... */
-static inline double fb_crew_bound(const fb_crew *c, const fb_ensemble *e, const int lane)
+static inline double fb_lanes_bound(const fb_lanes *c, const fb_ensemble *e, const int lane)
 {
     return c->next_break[lane] < e->n_breaks ? e->breaks[c->next_break[lane]] - e->origin : e->t_bound;
 }
 
 /* ... and the times between which values belong to it. */
-static inline void fb_crew_piece(fb_crew *c, const fb_ensemble *e, const int lane)
+static inline void fb_lanes_piece(fb_lanes *c, const fb_ensemble *e, const int lane)
 {
     const int next = c->next_break[lane];
-    const double first = next > 0 ? e->behind[next - 1] : e->first;
+    const double first = next > 0 ? e->after[next - 1] : e->first;
     const double last = next < e->n_breaks ? e->before[next] : e->last;
     c->first[lane] = first < last ? first : last;
     c->last[lane] = first < last ? last : first;
 }
 
 /* x' of the lanes that are asked for. */
-static __attribute__((noinline)) void fb_crew_rates(fb_crew *restrict c, const fb_ensemble *e, const fb_real since, const fb_real *x,
-                                 const fb_mask asked, fb_real *rates)
+static __attribute__((noinline)) void fb_lanes_rates(fb_lanes *restrict c, const fb_ensemble *e, const fb_real since,
+                                                     const fb_real *x, const fb_mask asked, fb_real *rates)
 {
-    const fb_real t = fb_crew_time(c, e, since);
-    fb_crew_inputs(c, e, t);
+    const fb_real t = fb_lanes_time(c, e, since);
+    fb_lanes_inputs(c, e, t);
     fb_side_rates(&c->side, t, x, asked, rates);
     c->n_evaluations -= asked;
 }
 
 /* base + factor times the weighted sum of stages; base may be NULL. */
-static inline void fb_crew_combine(const fb_crew *restrict c, const fb_weights *w, const fb_real factor,
-                                   const fb_real *base, fb_real *restrict result)
+static inline void fb_lanes_combine(const fb_lanes *restrict c, const fb_weights *w, const fb_real factor,
+                                    const fb_real *base, fb_real *restrict result)
 {
     for (int i = 0; i < N_X; ++i) {
         fb_real sum = fb_number(0.0);
@@ -84,19 +84,19 @@ static inline void fb_crew_combine(const fb_crew *restrict c, const fb_weights *
 }
 
 /* The square of the error estimate in units of the tolerances, times the number of states; as `fb_error_of`. */
-static inline fb_real fb_crew_error(const fb_crew *restrict c, const fb_ensemble *e, const fb_real h,
-                                    const fb_real *restrict x_new)
+static inline fb_real fb_lanes_error(const fb_lanes *restrict c, const fb_ensemble *e, const fb_real h,
+                                     const fb_real *restrict x_new)
 {
     const int two = e->method->n_errors == 2;
     fb_real error[N_X], scale[N_X], sum = fb_number(0.0), sum3 = fb_number(0.0);
-    fb_crew_combine(c, c->begin.error, two ? fb_number(1.0) : h, NULL, error);
+    fb_lanes_combine(c, c->begin.error, two ? fb_number(1.0) : h, NULL, error);
     for (int i = 0; i < N_X; ++i) {
         scale[i] = 1.0 / (e->atol[i] + fb_greater(fb_abs(x_new[i]), fb_abs(c->x[i])) * e->rtol[i]);
         sum += (error[i] * scale[i]) * (error[i] * scale[i]);
     }
     if (!two)
         return sum;
-    fb_crew_combine(c, c->begin.error + 1, fb_number(1.0), NULL, error);
+    fb_lanes_combine(c, c->begin.error + 1, fb_number(1.0), NULL, error);
     for (int i = 0; i < N_X; ++i)
         sum3 += (error[i] * scale[i]) * (error[i] * scale[i]);
     /* h^2 sum^2 / (sum + 0.01 sum3), and 0 for nothing at all */
@@ -106,7 +106,7 @@ static inline fb_real fb_crew_error(const fb_crew *restrict c, const fb_ensemble
 
 /* Newton's method as in `project` of fourbar_model.h, with the factors of the last evaluation, for the lanes that are
  * asked for; returns those that are closed. */
-static inline fb_mask fb_crew_close(fb_crew *restrict c, const fb_real t, fb_real *restrict x, const fb_mask asked)
+static inline fb_mask fb_lanes_close(fb_lanes *restrict c, const fb_real t, fb_real *restrict x, const fb_mask asked)
 {
     fb_side *const s = &c->side;
     fb_real positions[FB_AT_LEAST_1(N_C)], velocities[FB_AT_LEAST_1(N_C)];
@@ -114,7 +114,7 @@ static inline fb_mask fb_crew_close(fb_crew *restrict c, const fb_real t, fb_rea
     fb_real change[N_U], coordinate_changes[FB_AT_LEAST_1(N_Q)], last = fb_number(INFINITY);
     fb_mask open = asked & s->factors.good, closed = open & 0;
     constraint_scale(t, x, s->constants, s->inputs, unused, position_scale, velocity_scale);
-    for (int i = 0; i < CORRECTIONS && fb_any(open); ++i) {
+    for (int i = 0; i < MAX_CORRECTIONS && fb_any(open); ++i) {
         constraint_violation(t, x, s->constants, s->inputs, positions, velocities);
         fb_real size = fb_number(0.0), sum = size;
         for (int j = 0; j < N_C; ++j) {
@@ -147,21 +147,22 @@ static inline fb_mask fb_crew_close(fb_crew *restrict c, const fb_real t, fb_rea
     return closed;
 }
 
-/* The same, by the kernel for one state where need be; `factors_valid` says whether the factors are those of a state close
- * by. What cannot be closed stays as it is, and is not a number where the constraints have no value. */
-static __attribute__((noinline)) fb_mask fb_crew_project(fb_crew *restrict c, const fb_ensemble *e, const fb_real since,
-                                                         fb_real *restrict x, const fb_mask asked, const int factors_valid)
+/* The same, by the kernel for one state where need be; `factors_valid` says whether the factors are those of a state
+ * close by. What cannot be closed stays as it is, and is not a number where the constraints have no value. */
+static __attribute__((noinline)) fb_mask fb_lanes_project(fb_lanes *restrict c, const fb_ensemble *e,
+                                                          const fb_real since, fb_real *restrict x, const fb_mask asked,
+                                                          const int factors_valid)
 {
     fb_side *const s = &c->side;
-    const fb_real t = fb_crew_time(c, e, since);
-    fb_crew_inputs(c, e, t);
+    const fb_real t = fb_lanes_time(c, e, since);
+    fb_lanes_inputs(c, e, t);
     if (!factors_valid) {
         fb_real coordinate_rates[FB_AT_LEAST_1(N_Q)];
         fb_side_equations(s, t, x, coordinate_rates);
     }
     fb_real given[N_X];
     memcpy(given, x, sizeof given);
-    fb_mask closed = fb_crew_close(c, t, x, asked);
+    fb_mask closed = fb_lanes_close(c, t, x, asked);
     if (fb_any(asked & ~closed))
         for (int lane = 0; lane < FB_WIDTH; ++lane)
             if (asked[lane] & ~closed[lane]) {
@@ -177,7 +178,7 @@ static __attribute__((noinline)) fb_mask fb_crew_project(fb_crew *restrict c, co
     return closed;
 }
 
-static inline void fb_leave(fb_crew *c, const fb_ensemble *e, const int lane, const enum FB_MEMBER how)
+static inline void fb_leave(fb_lanes *c, const fb_ensemble *e, const int lane, const enum FB_MEMBER how)
 {
     const long member = c->member[lane];
     e->n_evaluations[member] = (long)c->n_evaluations[lane];
@@ -187,7 +188,7 @@ static inline void fb_leave(fb_crew *c, const fb_ensemble *e, const int lane, co
 }
 
 /* The next sample of the run in a lane. */
-static inline void fb_store(fb_crew *c, const fb_ensemble *e, const int lane, const fb_real *x)
+static inline void fb_store(fb_lanes *c, const fb_ensemble *e, const int lane, const fb_real *x)
 {
     double *const samples = e->samples + c->member[lane] * N_X * e->n_times + c->next_time[lane];
     for (int i = 0; i < N_X; ++i)
@@ -196,7 +197,7 @@ static inline void fb_store(fb_crew *c, const fb_ensemble *e, const int lane, co
 }
 
 /* The next member that waits comes to a free lane. */
-static inline void fb_enter(fb_crew *c, const fb_ensemble *e, const int lane)
+static inline void fb_enter(fb_lanes *c, const fb_ensemble *e, const int lane)
 {
     fb_side *const s = &c->side;
     fb_run *const b = &c->begin;
@@ -207,7 +208,7 @@ static inline void fb_enter(fb_crew *c, const fb_ensemble *e, const int lane)
         c->member[lane] = member;
         c->next_time[lane] = c->n_steps[lane] = 0;
         c->rejected[lane] = c->next_break[lane] = 0;
-        fb_crew_piece(c, e, lane);
+        fb_lanes_piece(c, e, lane);
         c->problem.clock = (fb_clock){e->origin, c->first[lane], c->last[lane]};
         double *const x = e->x + member * N_X;
         s->kernel->prepare(e->p + member * N_P, s->lane_constants);
@@ -251,9 +252,10 @@ static inline void fb_enter(fb_crew *c, const fb_ensemble *e, const int lane)
     }
 }
 
-/* Whether J, of the last evaluation, has another orientation than at the beginning of the step, as `orientation_changed` of
- * fourbar_model.h has it; it is the one of the next step's beginning in the lanes that have been asked for. */
-static inline fb_mask fb_orientation_changed(fb_crew *c, const fb_mask asked)
+/* Whether J, of the last evaluation, has another orientation than at the beginning of the step, as
+ * `orientation_changed` of fourbar_model.h has it; it is the one of the next step's beginning in the lanes that have
+ * been asked for. */
+static inline fb_mask fb_orientation_changed(fb_lanes *c, const fb_mask asked)
 {
     const fb_side *const s = &c->side;
     fb_mask changed = asked & 0;
@@ -310,20 +312,20 @@ static inline fb_mask fb_orientation_changed(fb_crew *c, const fb_mask asked)
 }
 
 /* The coefficients of the interpolants from the states x to x_new. */
-static inline void fb_crew_interpolant(fb_crew *restrict c, const fb_ensemble *e, const fb_real h,
-                                       const fb_real *x_new, const fb_mask within)
+static inline void fb_lanes_interpolant(fb_lanes *restrict c, const fb_ensemble *e, const fb_real h,
+                                        const fb_real *x_new, const fb_mask within)
 {
     const fb_tableau *const m = e->method;
     const fb_run *const b = &c->begin;
     fb_real scratch[N_X];
     if (!m->hermite) {
         for (int i = 0; i < m->n_dense; ++i)
-            fb_crew_combine(c, b->dense + i, h, NULL, c->interpolant[i]);
+            fb_lanes_combine(c, b->dense + i, h, NULL, c->interpolant[i]);
         return;
     }
-    for (int i = 0; i < m->n_more; ++i) {
-        fb_crew_combine(c, b->more + i, h, c->x, scratch);
-        fb_crew_rates(c, e, c->t + m->more_c[i] * h, scratch, within, c->stages[m->n_stages + 1 + i]);
+    for (int i = 0; i < m->n_extra; ++i) {
+        fb_lanes_combine(c, b->more + i, h, c->x, scratch);
+        fb_lanes_rates(c, e, c->t + m->c_extra[i] * h, scratch, within, c->stages[m->n_stages + 1 + i]);
     }
     const fb_real *const f_old = c->stages[0], *const f = c->stages[m->n_stages];
     for (int i = 0; i < N_X; ++i) {
@@ -333,12 +335,12 @@ static inline void fb_crew_interpolant(fb_crew *restrict c, const fb_ensemble *e
         c->interpolant[2][i] = 2.0 * change - h * (f[i] + f_old[i]);
     }
     for (int i = 0; i < m->n_dense; ++i)
-        fb_crew_combine(c, b->dense + i, h, NULL, c->interpolant[3 + i]);
+        fb_lanes_combine(c, b->dense + i, h, NULL, c->interpolant[3 + i]);
 }
 
 /* The states at a share y of each step. */
-static inline void fb_crew_interpolate(const fb_crew *restrict c, const fb_tableau *m, const fb_real y,
-                                       fb_real *restrict x)
+static inline void fb_lanes_interpolate(const fb_lanes *restrict c, const fb_tableau *m, const fb_real y,
+                                        fb_real *restrict x)
 {
     for (int i = 0; i < N_X; ++i) {
         fb_real sum = fb_number(0.0);
@@ -354,8 +356,8 @@ static inline void fb_crew_interpolate(const fb_crew *restrict c, const fb_table
 }
 
 /* The samples within the steps from t to t_new that have been taken in the lanes asked for. */
-static inline void fb_crew_sample(fb_crew *restrict c, const fb_ensemble *e, const fb_real h, const double *t_new,
-                                  const fb_real *x_new, const fb_mask asked)
+static inline void fb_lanes_sample(fb_lanes *restrict c, const fb_ensemble *e, const fb_real h, const double *t_new,
+                                   const fb_real *x_new, const fb_mask asked)
 {
     const double direction = e->t_bound > 0.0 ? 1.0 : -1.0;
     int prepared = 0;
@@ -375,11 +377,11 @@ static inline void fb_crew_sample(fb_crew *restrict c, const fb_ensemble *e, con
         if (!fb_any(within))
             return;
         if (!prepared)
-            fb_crew_interpolant(c, e, h, x_new, within);
+            fb_lanes_interpolant(c, e, h, x_new, within);
         prepared = 1; /* for all that come later: each round has fewer lanes */
-        fb_crew_interpolate(c, e->method, (t - c->t) / h, x);
+        fb_lanes_interpolate(c, e->method, (t - c->t) / h, x);
         if (e->project)
-            fb_crew_project(c, e, t, x, within, 0);
+            fb_lanes_project(c, e, t, x, within, 0);
         for (int lane = 0; lane < FB_WIDTH; ++lane)
             if (within[lane])
                 fb_store(c, e, lane, x);
@@ -387,7 +389,7 @@ static inline void fb_crew_sample(fb_crew *restrict c, const fb_ensemble *e, con
 }
 
 /* A step in each lane, taken where its error allows. */
-static void fb_crew_step(fb_crew *restrict c, const fb_ensemble *e)
+static void fb_lanes_step(fb_lanes *restrict c, const fb_ensemble *e)
 {
     const fb_tableau *const m = e->method;
     const double direction = e->t_bound > 0.0 ? 1.0 : -1.0;
@@ -409,7 +411,7 @@ static void fb_crew_step(fb_crew *restrict c, const fb_ensemble *e)
             continue;
         }
         t_new[lane] = t + c->h_abs[lane] * direction;
-        const double bound = fb_crew_bound(c, e, lane);
+        const double bound = fb_lanes_bound(c, e, lane);
         if (direction * (t_new[lane] - bound) > 0.0) {
             t_new[lane] = bound;
             proposed[lane] = c->rejected[lane] ? 0.0 : c->h_abs[lane];
@@ -420,17 +422,17 @@ static void fb_crew_step(fb_crew *restrict c, const fb_ensemble *e)
     fb_real t_end;
     memcpy(&t_end, t_new, sizeof t_end);
     for (int k = 1; k <= m->n_stages; ++k) {
-        fb_crew_combine(c, c->begin.stage + k, h, c->x, x_new);
+        fb_lanes_combine(c, c->begin.stage + k, h, c->x, x_new);
         if (k < m->n_stages)
-            fb_crew_rates(c, e, c->t + m->c[k] * h, x_new, c->active, c->stages[k]);
+            fb_lanes_rates(c, e, c->t + m->c[k] * h, x_new, c->active, c->stages[k]);
     }
     if (!e->project || c->begin.error[0].stage[c->begin.error[0].n - 1] == m->n_stages)
-        fb_crew_rates(c, e, t_end, x_new, c->active, end);
-    const fb_real error = fb_crew_error(c, e, h, x_new);
+        fb_lanes_rates(c, e, t_end, x_new, c->active, end);
+    const fb_real error = fb_lanes_error(c, e, h, x_new);
     fb_mask taken = c->active & (error < (double)N_X);
     if (e->project && fb_any(taken)) {
-        taken = fb_crew_project(c, e, t_end, x_new, taken, 1);
-        fb_crew_rates(c, e, t_end, x_new, taken, end);
+        taken = fb_lanes_project(c, e, t_end, x_new, taken, 1);
+        fb_lanes_rates(c, e, t_end, x_new, taken, end);
     }
     for (int i = 0; i < N_X; ++i)
         taken &= end[i] - end[i] == 0.0;
@@ -441,7 +443,7 @@ static void fb_crew_step(fb_crew *restrict c, const fb_ensemble *e)
                 fb_leave(c, e, lane, FB_MEMBER_LEFT);
                 taken[lane] = 0;
             }
-    fb_crew_sample(c, e, h, t_new, x_new, taken);
+    fb_lanes_sample(c, e, h, t_new, x_new, taken);
     for (int i = 0; i < N_X; ++i) {
         c->x[i] = fb_select(taken, x_new[i], c->x[i]);
         c->stages[0][i] = fb_select(taken, end[i], c->stages[0][i]);
@@ -461,16 +463,16 @@ static void fb_crew_step(fb_crew *restrict c, const fb_ensemble *e)
             c->h_abs[lane] = c->h_abs[lane] > proposed[lane] ? c->h_abs[lane] : proposed[lane];
             if (t_new[lane] == e->t_bound)
                 fb_leave(c, e, lane, FB_MEMBER_DONE);
-            else if (t_new[lane] == fb_crew_bound(c, e, lane)) {
+            else if (t_new[lane] == fb_lanes_bound(c, e, lane)) {
                 c->next_break[lane] += 1;
-                fb_crew_piece(c, e, lane);
+                fb_lanes_piece(c, e, lane);
                 passed[lane] = -1;
             }
         }
     }
     if (fb_any(passed)) { /* as fb_resume */
         fb_real rates[N_X];
-        fb_crew_rates(c, e, c->t, c->x, passed, rates);
+        fb_lanes_rates(c, e, c->t, c->x, passed, rates);
         for (int i = 0; i < N_X; ++i)
             c->stages[0][i] = fb_select(passed, rates[i], c->stages[0][i]);
     }
@@ -478,7 +480,7 @@ static void fb_crew_step(fb_crew *restrict c, const fb_ensemble *e)
 
 static int run(const fb_ensemble *e)
 {
-    fb_crew *const c = (fb_crew *)fb_new_side(e->kernel, sizeof *c);
+    fb_lanes *const c = (fb_lanes *)fb_new_side(e->kernel, sizeof *c);
     if (c == NULL)
         return -1;
     fb_run *const b = &c->begin;
@@ -511,7 +513,7 @@ static int run(const fb_ensemble *e)
                 fb_enter(c, e, lane);
         if (!fb_any(c->active) || __atomic_load_n(e->stop, __ATOMIC_RELAXED))
             break;
-        fb_crew_step(c, e);
+        fb_lanes_step(c, e);
     }
     fb_free_side(&c->side);
     return 0;

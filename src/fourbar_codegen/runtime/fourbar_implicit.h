@@ -39,11 +39,21 @@ static inline size_t fb_place_implicit(fb_problem *problem, const int formulatio
     const fb_kernel *const k = problem->kernel;
     const int q = k->n_q, u = k->n_u, c = k->n_c, h = k->n_h, x = q + u;
     const fb_place places[] = {
-        {&s->coordinate_rates, q},      {&s->mass_matrix, u * u},         {&s->forcing, u},
-        {&s->jacobian, u * c},          {&s->bias, c},                    {&s->positions, h},
-        {&s->position_jacobian, h * q}, {&s->velocities, c},              {&s->velocity_jacobian, c * q},
-        {&s->rate_jacobian, q * x},     {&s->residual_jacobian, (u + c) * x}, {&s->change, u},
-        {&s->coordinate_change, q},     {&s->unused, (h + c) * k->n_r},   {&s->row, x + c + h},
+        {&s->coordinate_rates, q},
+        {&s->mass_matrix, u * u},
+        {&s->forcing, u},
+        {&s->jacobian, u * c},
+        {&s->bias, c},
+        {&s->positions, h},
+        {&s->position_jacobian, h * q},
+        {&s->velocities, c},
+        {&s->velocity_jacobian, c * q},
+        {&s->rate_jacobian, q * x},
+        {&s->residual_jacobian, (u + c) * x},
+        {&s->change, u},
+        {&s->coordinate_change, q},
+        {&s->unused, (h + c) * k->n_r},
+        {&s->row, x + c + h},
         {&s->metric, u},
     };
     s->problem = problem;
@@ -169,8 +179,7 @@ static inline int fb_implicit_derivative(fb_implicit *s, const double t, const d
         }
         return 0;
     }
-    k->constraint_sensitivity(t, z, p->constants, p->inputs, s->velocity_jacobian, s->unused,
-                              s->unused + n_h * k->n_r);
+    k->constraint_sensitivity(t, z, p->constants, p->inputs, s->velocity_jacobian, s->unused, s->unused + n_h * k->n_r);
     for (int i = 0; i < n_c; ++i) {
         double *const row = matrix + (n_x + i) * n;
         if (s->formulation == FB_INDEX_3 && i < n_h) {

@@ -22,7 +22,7 @@
 #define FB_COLLAPSE 1e-9
 #define FB_RECOVERY 1e-3
 
-enum { FB_BLOCK = 8, FB_LARGEST_METHOD = 16 };
+enum { FB_BLOCK = 8, FB_MAX_STAGES = 16 };
 
 /* States along a step at which the constraints' orientation is looked at, where its ends do not tell. */
 enum { FB_LOOKS = 8 };
@@ -42,8 +42,8 @@ enum FB_RUN {
 /* The weights of a linear combination of stages, without zeros. */
 typedef struct fb_weights {
     int n;
-    int stage[FB_LARGEST_METHOD];
-    double weight[FB_LARGEST_METHOD];
+    int stage[FB_MAX_STAGES];
+    double weight[FB_MAX_STAGES];
 } fb_weights;
 
 struct fb_augmented;
@@ -55,7 +55,7 @@ struct fb_run {
     const fb_tableau *method;
     int (*step)(fb_run *run);       /* one accepted step: FB_RUN_PAUSED, or why there is none */
     struct fb_augmented *augmented; /* for fourbar_augmented.h, or NULL */
-    fb_weights stage[FB_LARGEST_METHOD], error[2], more[4], dense[4];
+    fb_weights stage[FB_MAX_STAGES], error[2], more[4], dense[4];
     int n, padded;
     double direction, t_bound, max_step;
     const double *rtol, *atol; /* (padded,), the padding not 0 */
@@ -64,10 +64,10 @@ struct fb_run {
     double t, t_old, h, h_abs;
     double *x, *x_old, *scratch; /* (padded,) */
     double *along;               /* (2, padded): a state within the last step, and x' there */
-    double *stages;              /* (s + 1 + n_more, padded): x' at the beginning, the stages, x' at the end */
+    double *stages;              /* (s + 1 + n_extra, padded): x' at the beginning, the stages, x' at the end */
     double *interpolant;         /* (n_dense + 3, padded) */
-    int follows; /* whether x' at the end of the last step is that at the beginning of the next one */
-    int interpolant_known;
+    int fsal;                    /* whether x' at the end of the last step is that at the beginning of the next one */
+    int interpolant_valid;
     long n_evaluations, n_steps;
     double t_begin;
     int collapsed; /* whether that was said */
@@ -76,10 +76,10 @@ struct fb_run {
     long n_times, next_time;
     double *sample_t, *sample_x; /* (room,), (room, n) */
     long room, n_samples;
-    int pending; /* whether the last step's samples are still to be taken */
-    double until; /* no samples behind this time */
-    int orientation_changed;      /* whether the constraints' orientation has changed in the last step */
-    int look_at_all; /* whether every step is one to look at */
+    int pending;             /* whether the last step's samples are still to be taken */
+    double until;            /* no samples after this time */
+    int orientation_changed; /* whether the constraints' orientation has changed in the last step */
+    int look_at_all;         /* whether every step is one to look at */
     /* outputs whose changes of sign are events */
     int n_events;
     const int *event_output, *event_direction;
@@ -106,10 +106,10 @@ static inline void fb_prepare_method(fb_run *s)
     fb_weights_of(m->b, n, s->stage + n);
     for (int i = 0; i < m->n_errors; ++i)
         fb_weights_of(m->error + i * (n + 1), n + 1, s->error + i);
-    for (int i = 0; i < m->n_more; ++i)
-        fb_weights_of(m->more_a + i * (n + 1 + m->n_more), n + 1 + i, s->more + i);
+    for (int i = 0; i < m->n_extra; ++i)
+        fb_weights_of(m->a_extra + i * (n + 1 + m->n_extra), n + 1 + i, s->more + i);
     for (int i = 0; i < m->n_dense; ++i)
-        fb_weights_of(m->dense + i * (n + 1 + m->n_more), n + 1 + m->n_more, s->dense + i);
+        fb_weights_of(m->dense + i * (n + 1 + m->n_extra), n + 1 + m->n_extra, s->dense + i);
 }
 
 /* base + factor times the weighted sum of stages; base may be NULL. */
@@ -221,15 +221,15 @@ static inline void fb_accept(fb_run *s, const double t_new)
     s->h = t_new - s->t;
     s->t = t_new;
     s->n_steps += 1;
-    s->interpolant_known = 0;
-    s->follows = 1;
+    s->interpolant_valid = 0;
+    s->fsal = 1;
     s->pending = 1;
 }
 
-/* x' where a run goes on behind a breakpoint, with steps as long as they were. */
+/* x' where a run goes on after a breakpoint, with steps as long as they were. */
 static inline int fb_resume(fb_run *s)
 {
-    s->follows = 0;
+    s->fsal = 0;
     return fb_evaluate(s, s->t, s->x, s->stages);
 }
 
@@ -264,8 +264,8 @@ static inline int fb_step_on(fb_run *s)
     double h_abs = fb_first_length(s->h_abs, s->max_step, min_step);
     double proposed = 0.0; /* for a step that ends with the run, or at a breakpoint */
     int rejected = 0;
-    s->interpolant_known = 0;
-    if (s->follows)
+    s->interpolant_valid = 0;
+    if (s->fsal)
         memcpy(s->stages, end, (size_t)s->padded * sizeof *end);
     for (;;) {
         /* Also where it is not a number. */
@@ -281,7 +281,7 @@ static inline int fb_step_on(fb_run *s)
         if (!isfinite(h))
             return FB_RUN_INFINITE;
         int status = fb_stages(s, h);
-        /* With projection x' at the end is evaluated behind it, unless the error estimate needs it. */
+        /* With projection x' at the end is evaluated after it, unless the error estimate needs it. */
         const int first = !s->project || s->error[0].stage[s->error[0].n - 1] == m->n_stages;
         if (status == 0 && first)
             status = fb_evaluate(s, t_new, s->scratch, end);
@@ -301,8 +301,7 @@ static inline int fb_step_on(fb_run *s)
         }
         if (error_norm < 1.0 && !fb_finite(end, s->n))
             error_norm = NAN;
-        const double factor =
-            error_norm == 0.0 ? FB_MAX_FACTOR : FB_SAFETY * pow(error_norm, -1.0 / (m->order + 1.0));
+        const double factor = error_norm == 0.0 ? FB_MAX_FACTOR : FB_SAFETY * pow(error_norm, -1.0 / (m->order + 1.0));
         h_abs *= fb_change(factor, error_norm < 1.0, rejected);
         if (error_norm < 1.0) {
             s->h_abs = h_abs > proposed ? h_abs : proposed;
@@ -344,16 +343,16 @@ static inline int fb_fixed_step(fb_run *s, const double h)
 static inline int fb_prepare_interpolant(fb_run *s)
 {
     const fb_tableau *const m = s->method;
-    if (s->interpolant_known)
+    if (s->interpolant_valid)
         return 0;
     if (!m->hermite) {
         for (int i = 0; i < m->n_dense; ++i)
             fb_combine(s, s->dense + i, s->h, NULL, s->interpolant + i * s->padded);
     } else {
-        for (int i = 0; i < m->n_more; ++i) {
+        for (int i = 0; i < m->n_extra; ++i) {
             double *const stage = s->stages + (m->n_stages + 1 + i) * s->padded;
             fb_combine(s, s->more + i, s->h, s->x_old, s->scratch);
-            const int status = fb_evaluate(s, s->t_old + m->more_c[i] * s->h, s->scratch, stage);
+            const int status = fb_evaluate(s, s->t_old + m->c_extra[i] * s->h, s->scratch, stage);
             if (status < 0)
                 return status;
         }
@@ -367,7 +366,7 @@ static inline int fb_prepare_interpolant(fb_run *s)
         for (int i = 0; i < m->n_dense; ++i)
             fb_combine(s, s->dense + i, s->h, NULL, s->interpolant + (3 + i) * s->padded);
     }
-    s->interpolant_known = 1;
+    s->interpolant_valid = 1;
     return 0;
 }
 
@@ -388,8 +387,8 @@ static inline void fb_interpolate(const fb_tableau *m, const double *coefficient
     }
 }
 
-/* Moves an interpolant onto the constraints. It stands where no state close by satisfies them, and is not a number where
- * they have no value. */
+/* Moves an interpolant onto the constraints. It stands where no state close by satisfies them, and is not a number
+ * where they have no value. */
 static inline int fb_project_sample(fb_problem *p, const double t, double *x)
 {
     const int closed = fb_problem_project(p, t, x, 0);
@@ -402,7 +401,7 @@ static inline int fb_project_sample(fb_problem *p, const double t, double *x)
 /* The state at a time in the last step; the present one where there was none since the run has begun or gone on. */
 static inline int fb_state_at(fb_run *s, const double t, double *x)
 {
-    if (t == s->t || !s->follows) {
+    if (t == s->t || !s->fsal) {
         memcpy(x, s->x, (size_t)s->n * sizeof *x);
         return 0;
     }
@@ -466,9 +465,9 @@ static inline int fb_is_event(const double before, const double after, const int
     return (before <= 0.0 && after >= 0.0 && direction >= 0) || (before >= 0.0 && after <= 0.0 && direction <= 0);
 }
 
-/* Whether the constraints' orientation has changed also from one to the next of several states along the last step; where
- * it has not, J kept its rank, and the step was only a long one. Ends with an evaluation at the state reached. */
-static inline int fb_turned_within(fb_run *s)
+/* Whether the constraints' orientation has changed also from one to the next of several states along the last step;
+ * where it has not, J kept its rank, and the step was only a long one. Ends with an evaluation at the state reached. */
+static inline int fb_orientation_changed_within(fb_run *s)
 {
     const long n_evaluations = s->n_evaluations; /* looks count as little as those for events */
     int orientation_changed = 0;
@@ -486,7 +485,7 @@ static inline int fb_turned_within(fb_run *s)
         orientation_changed |= s->problem->kernel->orientation_changed(s->problem->work) && i > 0;
     }
     s->n_evaluations = n_evaluations;
-    s->interpolant_known = 0;
+    s->interpolant_valid = 0;
     return orientation_changed;
 }
 
@@ -517,7 +516,7 @@ static inline int fb_run_on(fb_run *s, long n)
         /* What passes singular positions need not look for them. */
         s->orientation_changed = s->augmented ? 0 : s->problem->kernel->orientation_changed(s->problem->work);
         if (s->orientation_changed)
-            s->orientation_changed = fb_turned_within(s);
+            s->orientation_changed = fb_orientation_changed_within(s);
         if (s->orientation_changed < 0)
             return s->orientation_changed;
         int look = s->look_at_all | s->orientation_changed;

@@ -25,10 +25,10 @@
 
 enum FB_STATUS {
     FB_OK = 0,
-    FB_CONSTRAINTS_DEPENDENT = 1, /* J has lost rank, or J u' + gamma = 0 has no solution */
-    FB_MASS_SINGULAR = 2,         /* T^T M T is not positive definite */
-    FB_NOT_FINITE = 3,            /* a result is infinite or not a number */
-    FB_NOT_CLOSED = 4,            /* no state close by satisfies the constraints */
+    FB_CONSTRAINTS_DEPENDENT = 1,  /* J has lost rank, or J u' + gamma = 0 has no solution */
+    FB_MASS_SINGULAR = 2,          /* T^T M T is not positive definite */
+    FB_NOT_FINITE = 3,             /* a result is infinite or not a number */
+    FB_NOT_CLOSED = 4,             /* no state close by satisfies the constraints */
     FB_CONSTRAINTS_INDEPENDENT = 5 /* J has a larger rank than the model has dependent speeds */
 };
 
@@ -56,18 +56,18 @@ typedef struct fb_kernel {
     size_t struct_size;
     size_t work_size;
     int n_q, n_u, n_p, n_r;
-    int n_h; /* position constraints */
-    int n_c; /* velocity constraints */
-    int n_o; /* outputs */
+    int n_h;           /* position constraints */
+    int n_c;           /* velocity constraints */
+    int n_o;           /* outputs */
     int n_breakpoints; /* times at which expressions have a jump or a kink */
-    int n_points; /* points that are drawn */
-    int n_forces; /* those of them on which forces of inputs act */
+    int n_points;      /* points that are drawn */
+    int n_forces;      /* those of them on which forces of inputs act */
     int n_constants;
 
     void (*prepare)(const double *p, double *constants);
     void (*default_inputs)(double t, const double *constants, double *r);
     void (*breakpoints)(const double *constants, double *times);
-    fb_evaluation *rhs;                                           /* x' */
+    fb_evaluation *rhs; /* x' */
     /* the same, with gamma + 2 a (J u + b) + a^2 Phi in the place of gamma, so that violations Phi decay as
      * Phi'' + 2 a Phi' + a^2 Phi = 0 (J. Baumgarte, "Stabilization of constraints and integrals of motion in dynamical
      * systems", Computer Methods in Applied Mechanics and Engineering 1, 1972) */
@@ -82,23 +82,24 @@ typedef struct fb_kernel {
     void (*dynamics)(double t, const double *x, const double *constants, const double *r, double *coordinate_rates,
                      double *mass_matrix, double *forcing, double *constraint_jacobian, double *acceleration_bias);
     /* Phi(q, t) and dPhi/dq */
-    void (*position)(double t, const double *q, const double *constants, const double *r,
-                     double *position_constraints, double *position_jacobian);
+    void (*position)(double t, const double *q, const double *constants, const double *r, double *position_constraints,
+                     double *position_jacobian);
     /* J and b of J u + b = 0 */
     void (*velocity)(double t, const double *x, const double *constants, const double *r, double *constraint_jacobian,
                      double *velocity_bias);
     /* by how much the constraints are violated, row by row as in J: Phi, and J u + b */
-    void (*constraint_violation)(double t, const double *x, const double *constants, const double *r, double *position_violation,
-                    double *velocity_violation);
-    /* what Phi, n_h values, and the rows of constraint_violation, n_c values each, are measured by: what rounding errors make of them,
-     * in units of the precision of double */
+    void (*constraint_violation)(double t, const double *x, const double *constants, const double *r,
+                                 double *position_violation, double *velocity_violation);
+    /* what Phi, n_h values, and the rows of constraint_violation, n_c values each, are measured by: what rounding
+     * errors make of them, in units of the precision of double */
     void (*constraint_scale)(double t, const double *x, const double *constants, const double *r,
-                             double *position_scale, double *position_violation_scale, double *velocity_violation_scale);
+                             double *position_scale, double *position_violation_scale,
+                             double *velocity_violation_scale);
     /* K v for q' = K u + k */
     void (*coordinate_change)(double t, const double *q, const double *constants, const double *r, const double *change,
                               double *coordinate_change);
-    /* Moves x onto the constraints, from which it has drifted. `factors_valid` says that rhs was called with the same `work` at
-     * a state close to x. */
+    /* Moves x onto the constraints, from which it has drifted. `factors_valid` says that rhs was called with the same
+     * `work` at a state close to x. */
     int (*project)(double t, double *x, const double *constants, const double *r, int factors_valid, void *work);
     /* Whether the constraints have changed their orientation from one call to the next: whether the determinant of the
      * columns of J that rhs has taken for dependent when it was last called with `work` has another sign than it had.
@@ -117,8 +118,8 @@ typedef struct fb_kernel {
     fb_sensitivity *sensitivity, *parameter_sensitivity, *input_sensitivity;
     fb_drawing *drawing; /* positions (n_points, 3) and forces (n_forces, 3) in the inertial frame */
     const fb_batch_functions *batch_functions; /* the same for several states side by side, or NULL */
-    int batch_functions_apart;       /* whether they are in a library of their own */
-    int one_machine;       /* whether it was compiled for the processor of one machine, and not to travel */
+    int batch_functions_apart;                 /* whether they are in a library of their own */
+    int one_machine; /* whether it was compiled for the processor of one machine, and not to travel */
 } fb_kernel;
 
 #endif

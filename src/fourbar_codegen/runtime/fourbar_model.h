@@ -12,10 +12,7 @@
 #include "fourbar_solve.h"
 #endif
 
-enum {
-    N_X = N_Q + N_U,
-    N_COLUMNS = N_X > N_P ? (N_X > N_R ? N_X : N_R) : (N_P > N_R ? N_P : N_R)
-};
+enum { N_X = N_Q + N_U, N_COLUMNS = N_X > N_P ? (N_X > N_R ? N_X : N_R) : (N_P > N_R ? N_P : N_R) };
 
 typedef struct fb_work {
     double coordinate_rates[FB_AT_LEAST_1(N_Q)];
@@ -38,9 +35,8 @@ typedef struct fb_work {
 
 #ifdef FB_SPARSE
 /* The matrices of `dynamics` with their zeros. */
-static void full_dynamics(double t, const double *x, const double *constants, const double *r,
-                          double *coordinate_rates, double *mass_matrix, double *forcing, double *constraint_jacobian,
-                          double *acceleration_bias)
+static void full_dynamics(double t, const double *x, const double *constants, const double *r, double *coordinate_rates,
+                          double *mass_matrix, double *forcing, double *constraint_jacobian, double *acceleration_bias)
 {
     double mass[N_MASS], jacobian[FB_AT_LEAST_1(N_JACOBIAN)];
     dynamics(t, x, constants, r, coordinate_rates, mass, forcing, jacobian, acceleration_bias);
@@ -58,8 +54,8 @@ static void full_dynamics(double t, const double *x, const double *constants, co
 #define full_dynamics dynamics
 #endif
 
-/* The factors at a state. Constraints that are redundant on the constraint manifold alone are so no more where loops are
- * open; others never were. */
+/* The factors at a state. Constraints that are redundant on the constraint manifold alone are so no more where loops
+ * are open; others never were. */
 static inline int factor_at(double t, const double *x, const double *constants, const double *r, fb_work *restrict w)
 {
     const int status = fb_factor(w->mass_matrix, w->constraint_jacobian, &w->factors);
@@ -92,7 +88,8 @@ static inline int solve_accelerations(double t, const double *restrict x, const 
     return fb_solve(w->forcing, w->acceleration_bias, &w->factors, rates);
 }
 
-static FB_FLATTEN int rhs(double t, const double *x, const double *constants, const double *r, double *rates, void *work)
+static FB_FLATTEN int rhs(double t, const double *x, const double *constants, const double *r, double *rates,
+                          void *work)
 {
     fb_work *const w = work;
     double *const coordinate_rates = N_Q > 0 ? rates : w->coordinate_rates;
@@ -144,7 +141,7 @@ static int project(double t, double *x, const double *constants, const double *r
     double coordinate_changes[FB_AT_LEAST_1(N_Q)];
     if (N_C == 0)
         return FB_OK;
-    for (int attempt = 0; attempt < FACTORIZATIONS; ++attempt) {
+    for (int attempt = 0; attempt < MAX_FACTORIZATIONS; ++attempt) {
         int status = FB_OK;
         if (attempt > 0 || !factors_valid) {
             dynamics(t, x, constants, r, w->coordinate_rates, w->mass_matrix, w->forcing, w->constraint_jacobian,
@@ -153,7 +150,7 @@ static int project(double t, double *x, const double *constants, const double *r
         }
         constraint_scale(t, x, constants, r, unused, position_scale, velocity_scale);
         double last = INFINITY;
-        for (int i = 0; i < CORRECTIONS; ++i) {
+        for (int i = 0; i < MAX_CORRECTIONS; ++i) {
             constraint_violation(t, x, constants, r, positions, velocities);
             const double position = fb_violation(positions, position_scale, N_C);
             const double velocity = fb_violation(velocities, velocity_scale, N_C);
@@ -194,8 +191,9 @@ static int orientation_changed(void *work)
         if (w->largest_orientation > 0.0) {
             /* Of the columns of the static pivot order it is known. */
             const int known = w->factors.is_static && w->was_static;
-            result |= now * (known ? w->orientation_before
-                                   : fb_orientation(w->jacobian_before, &w->units, &w->factors)) < 0.0;
+            result |=
+                now * (known ? w->orientation_before : fb_orientation(w->jacobian_before, &w->units, &w->factors)) <
+                0.0;
         }
         double changed = 0.0, size = 0.0;
         for (int i = 0; i < N_C; ++i)

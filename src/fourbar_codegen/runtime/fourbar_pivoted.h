@@ -1,6 +1,6 @@
-/* With a pivot order, the part of fourbar_solve.h that computes alike for one state and for several side by side: FB_VALUE is
- * a double or a vector of them, FB_FACTORS the type of the factors, FB_OF(name) what a function is called. Before it is
- * included, FB_REQUIRE_POSITIVE(s, value) says what to do unless a value is positive.
+/* With a pivot order, the part of fourbar_solve.h that computes alike for one state and for several side by side:
+ * FB_VALUE is a double or a vector of them, FB_FACTORS the type of the factors, FB_OF(name) what a function is called.
+ * Before it is included, FB_REQUIRE_POSITIVE(s, value) says what to do unless a value is positive.
  *
  * `order` is the static pivot order, so that the compiler knows its places, or one that was found at run time.
  */

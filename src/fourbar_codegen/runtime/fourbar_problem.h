@@ -11,8 +11,9 @@
 /* A function of time by polynomials between given times, both ends included, constant before and after. */
 typedef struct fb_table {
     int n_intervals, n_coefficients;
-    const double *times;        /* (n_intervals + 1,), strictly increasing */
-    const double *coefficients; /* (n_intervals, n_coefficients), highest power first, of the time since the beginning */
+    const double *times; /* (n_intervals + 1,), strictly increasing */
+    const double
+        *coefficients; /* (n_intervals, n_coefficients), highest power first, of the time since the beginning */
     double before, after;
 } fb_table;
 
@@ -125,10 +126,9 @@ static inline int fb_problem_rates(void *problem, const double since, const doub
     const int called = fb_fill_inputs(s, t, x);
     if (called < 0)
         return called;
-    const int status =
-        s->stabilization > 0.0
-            ? s->kernel->stabilized(t, x, s->constants, s->inputs, s->stabilization, rates, s->work)
-            : s->kernel->rhs(t, x, s->constants, s->inputs, rates, s->work);
+    const int status = s->stabilization > 0.0
+                           ? s->kernel->stabilized(t, x, s->constants, s->inputs, s->stabilization, rates, s->work)
+                           : s->kernel->rhs(t, x, s->constants, s->inputs, rates, s->work);
     if (status != FB_OK || s->status != FB_OK)
         fb_note_failure(s, status, t, x);
     if (status != FB_OK)
@@ -154,7 +154,8 @@ static inline int fb_problem_jacobian(fb_problem *s, const double since, const d
     return 0;
 }
 
-/* Moves x onto the constraints, and leaves it as it is where that fails; `factors_valid` as for the kernel's function. */
+/* Moves x onto the constraints, and leaves it as it is where that fails; `factors_valid` as for the kernel's function.
+ */
 static inline int fb_problem_project(fb_problem *s, const double since, double *x, const int factors_valid)
 {
     const double t = fb_time(&s->clock, since);

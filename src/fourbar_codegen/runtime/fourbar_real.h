@@ -13,8 +13,8 @@
 #define FB_INLINE inline
 #endif
 
-/* Short equations become part of what calls them: what they compute stays in registers, and what nobody asks for is left
- * out. */
+/* Short equations become part of what calls them: what they compute stays in registers, and what nobody asks for is
+ * left out. */
 #if defined(FB_SHORT) && defined(__GNUC__)
 #define FB_FLATTEN __attribute__((flatten))
 #else

@@ -18,7 +18,7 @@ enum { N_X = N_Q + N_U };
 /* The order is taken where its pivots are no less than this share of the sum of their row, which takes less time than
  * the largest entry. That is less than fourbar_solve.h asks for, at the cost of a digit or two, since pivoting in one
  * lane makes all of them wait. */
-#define FB_LANES_TOLERANCE 0.01
+#define FB_BATCH_PIVOT_TOLERANCE 0.01
 
 typedef struct fb_factors_side_by_side {
     fb_mask good;
@@ -35,7 +35,7 @@ typedef struct fb_factors_side_by_side {
 #include "fourbar_pivoted.h"
 
 static FB_INLINE void fb_factor_side_by_side(const fb_real *restrict mass_matrix, const fb_real *restrict jacobian,
-                               fb_factors_side_by_side *restrict s)
+                                             fb_factors_side_by_side *restrict s)
 {
     fb_real size[FB_AT_LEAST_1(N_C)], sizes = fb_number(0.0);
     s->good = (fb_mask)(fb_bits){0} == 0;
@@ -52,7 +52,7 @@ static FB_INLINE void fb_factor_side_by_side(const fb_real *restrict mass_matrix
         s->good &= size[k] > FB_NEAR_DEPENDENCE * sizes;
         for (int j = k; j < N_U; ++j)
             left += fb_abs(s->lu[k][j]);
-        s->good &= fb_abs(s->lu[k][k]) > FB_LANES_TOLERANCE * left;
+        s->good &= fb_abs(s->lu[k][k]) > FB_BATCH_PIVOT_TOLERANCE * left;
         fb_eliminate_below_side_by_side(s->lu, s->inverse, k);
     }
     fb_reduce_side_by_side(mass_matrix, s, static_pivot_speed);
@@ -60,7 +60,7 @@ static FB_INLINE void fb_factor_side_by_side(const fb_real *restrict mass_matrix
 
 /* u' for one right-hand side (f, gamma); f may be NULL, for zeros. */
 static FB_INLINE void fb_solve_side_by_side(const fb_real *restrict forcing, const fb_real *restrict acceleration_bias,
-                                  const fb_factors_side_by_side *restrict s, fb_real *restrict accelerations)
+                                            const fb_factors_side_by_side *restrict s, fb_real *restrict accelerations)
 {
     fb_real w[FB_AT_LEAST_1(N_C)];
     for (int i = 0; i < N_C; ++i) {
@@ -110,8 +110,8 @@ static __attribute__((noinline)) void fb_lane_rates(fb_side *s, const double t, 
 
 /* Sets up the equations, with the inputs known, and factors them. One function for all that call it: that is
  * compiled once, and stays in the cache of instructions. */
-static __attribute__((noinline)) FB_FLATTEN void fb_side_equations(fb_side *restrict s, const fb_real t, const fb_real *restrict x,
-                                                        fb_real *restrict coordinate_rates)
+static __attribute__((noinline)) FB_FLATTEN void
+fb_side_equations(fb_side *restrict s, const fb_real t, const fb_real *restrict x, fb_real *restrict coordinate_rates)
 {
     dynamics(t, x, s->constants, s->inputs, coordinate_rates, s->mass_matrix, s->forcing, s->constraint_jacobian,
              s->acceleration_bias);
@@ -248,7 +248,7 @@ static FB_INLINE void fb_batch_of(const fb_batch *b, const long begin, const lon
 static FB_FLATTEN int batch(const fb_batch *b, const long begin, const long end)
 {
     if (begin >= end)
-        return 0; /* of no states, not even parameters can be read */
+        return 0;                                         /* of no states, not even parameters can be read */
     fb_side *const s = fb_new_side(b->kernel, sizeof *s); /* for single states */
     if (s == NULL)
         return -1;
@@ -266,4 +266,5 @@ static FB_FLATTEN int batch(const fb_batch *b, const long begin, const long end)
 
 #include "fourbar_ensemble.h"
 
-const fb_batch_functions FB_NAME(batch_functions) = {.layout = FB_LAYOUT, .width = FB_WIDTH, .batch = batch, .run = run};
+const fb_batch_functions FB_NAME(batch_functions) = {
+    .layout = FB_LAYOUT, .width = FB_WIDTH, .batch = batch, .run = run};

@@ -7,9 +7,9 @@
  *     (T^T M T) u_i' = T^T (f - M [e; 0]),
  *
  * symmetric and positive definite even where M alone is singular. Here dependent speeds stand first.
- * u' does not depend on the split. A static pivot order, by the tables static_pivot_row and static_pivot_speed, was chosen
- * when the source was generated, so that the compiler knows its places; where it is a bad one, the best is chosen anew
- * in each call.
+ * u' does not depend on the split. A static pivot order, by the tables static_pivot_row and static_pivot_speed, was
+ * chosen when the source was generated, so that the compiler knows its places; where it is a bad one, the best is
+ * chosen anew in each call.
  */
 #ifndef FOURBAR_SOLVE_H
 #define FOURBAR_SOLVE_H
@@ -27,7 +27,7 @@ enum { N_MASS = N_U * N_U, N_JACOBIAN = N_C * N_U };
  * left in them, and they must be satisfied, to this share of gamma and u'. They may be redundant on the constraint
  * manifold alone, from which a run drifts. */
 #define FB_DRIFT_TOLERANCE 1e-3
-/* Or nearly: where gamma and u' is_zero, what is left are rounding errors. */
+/* Or to this floor: where gamma and u' are zero, what is left are rounding errors. */
 #define FB_NEARLY 1e-12
 
 /* Whether the static pivot order is tried first: with many constraints its code becomes long. */
@@ -46,14 +46,14 @@ enum { N_MASS = N_U * N_U, N_JACOBIAN = N_C * N_U };
 #define FB_OPENED 1e4
 
 typedef struct fb_factors {
-    double left; /* of the scaled J in redundant rows, the largest entry */
-    int is_static; /* whether the pivot order is the static one */
+    double left;                              /* of the scaled J in redundant rows, the largest entry */
+    int is_static;                            /* whether the pivot order is the static one */
     int row[FB_AT_LEAST_1(N_C)], column[N_U]; /* P, Q */
-    double scale[FB_AT_LEAST_1(N_C)];   /* S, in the order of the rows of L */
-    double inverse[FB_AT_LEAST_1(N_C)]; /* 1 / the diagonal of U_d */
-    double lu[FB_AT_LEAST_1(N_C)][N_U]; /* L below the diagonal, U_d on and above it, then A */
-    double mass[N_U][N_U];              /* Q^T M Q */
-    double reduced[N_U][N_U];           /* T^T M T = L D L^T: L below the diagonal, 1/D on it */
+    double scale[FB_AT_LEAST_1(N_C)];         /* S, in the order of the rows of L */
+    double inverse[FB_AT_LEAST_1(N_C)];       /* 1 / the diagonal of U_d */
+    double lu[FB_AT_LEAST_1(N_C)][N_U];       /* L below the diagonal, U_d on and above it, then A */
+    double mass[N_U][N_U];                    /* Q^T M Q */
+    double reduced[N_U][N_U];                 /* T^T M T = L D L^T: L below the diagonal, 1/D on it */
 } fb_factors;
 
 static inline void fb_swap_double(double *a, double *b)
@@ -75,7 +75,7 @@ static inline void fb_swap_int(int *a, int *b)
 #define FB_OF(name) name
 #define FB_REQUIRE_POSITIVE(s, value)                                                                                  \
     if (!((value) > 0.0))                                                                                              \
-        return FB_MASS_SINGULAR
+    return FB_MASS_SINGULAR
 #include "fourbar_pivoted.h"
 
 /* P S J Q = L [U_d U_i]. */
@@ -130,8 +130,8 @@ static inline int fb_eliminate(const double *restrict jacobian, fb_factors *rest
     return s->left <= FB_DRIFT_TOLERANCE ? FB_OK : FB_CONSTRAINTS_INDEPENDENT;
 }
 
-/* P J Q = L [U_d U_i] by the static pivot order; returns whether that is a good one. With rows in a given order, and each
- * pivot compared with its own row, no scaling is needed. */
+/* P J Q = L [U_d U_i] by the static pivot order; returns whether that is a good one. With rows in a given order, and
+ * each pivot compared with its own row, no scaling is needed. */
 static inline int fb_eliminate_static(const double *restrict jacobian, fb_factors *restrict s)
 {
     double lu[FB_AT_LEAST_1(N_C)][N_U], size[FB_AT_LEAST_1(N_C)], largest = 0.0;
@@ -198,8 +198,8 @@ static inline void fb_note_units(const double *restrict jacobian, fb_units *rest
                 units->row[i] = fabs(jacobian[i * N_U + j]) / units->column[j];
 }
 
-/* The sign of the determinant of the columns of J that stand for the dependent speeds, times the smallest pivot of these,
- * with columns and rows in their units: it goes through 0, or close to it, at a singular position. */
+/* The sign of the determinant of the columns of J that stand for the dependent speeds, times the smallest pivot of
+ * these, with columns and rows in their units: it goes through 0, or close to it, at a singular position. */
 static inline double fb_orientation(const double *restrict jacobian, const fb_units *restrict units,
                                     const fb_factors *restrict s)
 {

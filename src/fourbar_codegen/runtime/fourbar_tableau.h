@@ -3,7 +3,8 @@
  * RK45: J. R. Dormand, P. J. Prince, "A family of embedded Runge-Kutta formulae", Journal of Computational and Applied
  * Mathematics 6 (1980); its interpolant: L. F. Shampine, "Some practical Runge-Kutta formulas", Mathematics of
  * Computation 46 (1986). DOP853: E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, 2nd
- * ed. 1993, section II.10.
+ * ed. 1993, section II.10. The classical method of order 4, for fixed steps; and what the trapezoidal rule of
+ * fourbar_augmented.h needs for its interpolant.
  */
 #ifndef FOURBAR_TABLEAU_H
 #define FOURBAR_TABLEAU_H
@@ -16,13 +17,15 @@ typedef struct fb_tableau {
     int n_errors;            /* 0 for fixed steps */
     const double *error;     /* (n_errors, s + 1): weights of the stages and of x' at the step's end */
     double order;            /* of the error estimate */
-    int n_more;              /* stages that the interpolant needs beside */
-    const double *more_a, *more_c;
+    int n_extra;             /* stages that the interpolant needs beside */
+    const double *a_extra, *c_extra;
     int hermite; /* whether the interpolant's first coefficients are those of the cubic through x and x' at both ends */
     int n_dense; /* further rows of its coefficients */
     const double *dense;
 } fb_tableau;
 
+/* A stage in each row. */
+/* clang-format off */
 static const double fb_rk45_a[36] = {
     0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
     0.2, 0.0, 0.0, 0.0, 0.0, 0.0,
@@ -92,7 +95,7 @@ static const double fb_dop853_error[26] = {
     -0.4226823213237919, -0.1521609496625161, 0.20136540080403034, 0.02265179219836082, 0.0
 };
 
-static const double fb_dop853_more_a[48] = {
+static const double fb_dop853_a_extra[48] = {
     0.056167502283047954, 0.0, 0.0, 0.0, 0.0, 0.0, 0.25350021021662483, -0.2462390374708025,
     -0.12419142326381637, 0.15329179827876568, 0.00820105229563469, 0.007567897660545699, -0.008298, 0.0, 0.0,
     0.0,
@@ -103,7 +106,7 @@ static const double fb_dop853_more_a[48] = {
     0.3567271874552811, 0.0, 0.0, 0.0, -0.0013990241651590145, 2.9475147891527724, -9.15095847217987, 0.0
 };
 
-static const double fb_dop853_more_c[3] = {
+static const double fb_dop853_c_extra[3] = {
     0.1, 0.2, 0.7777777777777778
 };
 
@@ -136,17 +139,34 @@ static const double fb_rk4_c[4] = {
     0.0, 0.5, 0.5, 1.0
 };
 
-static const fb_tableau fb_rk45 = {.n_stages = 6, .a = fb_rk45_a, .b = fb_rk45_b, .c = fb_rk45_c, .n_errors = 1,
-                                   .error = fb_rk45_error, .order = 4.0, .n_dense = 4, .dense = fb_rk45_dense};
+/* clang-format on */
+static const fb_tableau fb_rk45 = {.n_stages = 6,
+                                   .a = fb_rk45_a,
+                                   .b = fb_rk45_b,
+                                   .c = fb_rk45_c,
+                                   .n_errors = 1,
+                                   .error = fb_rk45_error,
+                                   .order = 4.0,
+                                   .n_dense = 4,
+                                   .dense = fb_rk45_dense};
 
-static const fb_tableau fb_dop853 = {.n_stages = 12, .a = fb_dop853_a, .b = fb_dop853_b, .c = fb_dop853_c,
-                                     .n_errors = 2, .error = fb_dop853_error, .order = 7.0, .n_more = 3,
-                                     .more_a = fb_dop853_more_a, .more_c = fb_dop853_more_c, .hermite = 1,
-                                     .n_dense = 4, .dense = fb_dop853_dense};
+static const fb_tableau fb_dop853 = {.n_stages = 12,
+                                     .a = fb_dop853_a,
+                                     .b = fb_dop853_b,
+                                     .c = fb_dop853_c,
+                                     .n_errors = 2,
+                                     .error = fb_dop853_error,
+                                     .order = 7.0,
+                                     .n_extra = 3,
+                                     .a_extra = fb_dop853_a_extra,
+                                     .c_extra = fb_dop853_c_extra,
+                                     .hermite = 1,
+                                     .n_dense = 4,
+                                     .dense = fb_dop853_dense};
 
 static const fb_tableau fb_rk4 = {.n_stages = 4, .a = fb_rk4_a, .b = fb_rk4_b, .c = fb_rk4_c};
 
-/* Not a Runge-Kutta method to itself: see fourbar_augmented.h. */
+/* No coefficients: fourbar_augmented.h takes the steps. The interpolant is the cubic one. */
 static const double fb_trapezoid_0[1] = {0.0};
 static const fb_tableau fb_trapezoid = {
     .n_stages = 1, .a = fb_trapezoid_0, .b = fb_trapezoid_0, .c = fb_trapezoid_0, .hermite = 1};

@@ -14,7 +14,7 @@ cdef extern from "fourbar_tableau.h":
         int n_errors
         const double *error
         double order
-        int n_more, hermite, n_dense
+        int n_extra, hermite, n_dense
     const fb_tableau fb_rk4, fb_rk45, fb_dop853, fb_trapezoid
 
 

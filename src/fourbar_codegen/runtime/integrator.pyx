@@ -4,12 +4,13 @@
 cimport cython
 cimport numpy as cnp
 from cpython.mem cimport PyMem_Calloc, PyMem_Free
-from libc.math cimport INFINITY, NAN
+from libc.math cimport INFINITY
 from libc.string cimport memcpy
 
 from fourbar_codegen.runtime.evaluator cimport (
-    FB_OK, Evaluator, data, fb_all_time, fb_clock, fb_fill_inputs, fb_finite, fb_kernel, fb_problem,
-    fb_problem_jacobian, fb_problem_project, fb_problem_rates, fb_source, fb_table, fb_time, new_array, number, numbers, rows, time_of, vector)
+    FB_OK, Evaluator, data, fb_all_time, fb_clock, fb_fill_inputs, fb_kernel, fb_problem,
+    fb_problem_jacobian, fb_problem_project, fb_problem_rates, fb_source, fb_table, fb_time, new_array, number, numbers,
+    rows, time_of, vector)
 
 import numpy as np
 
@@ -56,7 +57,7 @@ cdef extern from "fourbar_integrate.h":
         long room, n_samples
         int pending
         double until, t_begin
-        int orientation_changed, follows
+        int orientation_changed, fsal
         int look_at_all
         int n_events
         const int *event_output
@@ -94,13 +95,13 @@ def check_within(times, begin, end):
 def steps_at(times, direction, bounds, since):
     """The numbers of the steps that times lie in; `bounds` are the beginning of the first one, and the ends of all.
 
-    By `since`, the same since the beginning of the run, which is finer; where that is the same on either side of a jump,
-    by the times themselves.
+    By `since`, the same since the beginning of the run, which is finer; where that is the same on either side of a
+    jump, by the times themselves.
     """
     ends, at = direction * np.array(since), direction * (times - bounds[0])
     steps = np.clip(np.searchsorted(ends, at) - 1, 0, len(ends) - 2)
-    behind = (ends[steps + 1] == at) & (direction * times > direction * np.array(bounds)[steps + 1])
-    return np.minimum(steps + behind, len(ends) - 2)
+    after = (ends[steps + 1] == at) & (direction * times > direction * np.array(bounds)[steps + 1])
+    return np.minimum(steps + after, len(ends) - 2)
 
 
 cdef class Table:
@@ -416,7 +417,7 @@ cdef class EmbeddedSteps:
             raise ModelError("The shapes of a Runge-Kutta method's coefficients do not agree.")
         self.tableau = fb_tableau(
             n_stages=n_stages, a=data(a), b=data(b), c=data(c), n_errors=np.ndim(errors), error=data(errors),
-            order=-1.0 / error_exponent - 1.0, n_more=0, hermite=0, n_dense=0)
+            order=-1.0 / error_exponent - 1.0, n_extra=0, hermite=0, n_dense=0)
         _prepare(run, ode, &self.tableau)
         run.direction, run.t_bound, run.max_step, run.project = direction, t_bound, max_step, ode.projects
         self.kept += [np.zeros((n_stages + 6, run.padded)), _padded(rtol, run), _padded(atol, run)]
@@ -452,7 +453,7 @@ cdef class EmbeddedSteps:
                 or cnp.PyArray_DIM(stages, 1) != run.n):
             raise ModelError(f"The stages must be a contiguous array of {n_stages + 1} states.")
         _enter(&self.busy)
-        run.t, run.h_abs, run.n_evaluations, run.n_steps, run.follows = t, h_abs, 0, 0, 0
+        run.t, run.h_abs, run.n_evaluations, run.n_steps, run.fsal = t, h_abs, 0, 0, 0
         memcpy(run.x, data(state), run.n * sizeof(double))
         memcpy(run.stages, data(stages), run.n * sizeof(double))
         with nogil:
@@ -488,9 +489,15 @@ cdef int _padded_size(int n):
     return (n + FB_BLOCK - 1) // FB_BLOCK * FB_BLOCK
 
 
-cdef const fb_tableau *_tableau_of(str method) noexcept:
+cdef const fb_tableau *_tableau_of(str method) except NULL:
     """Of the methods that `Run` has."""
-    return &fb_rk45 if method == "RK45" else &fb_dop853 if method == "DOP853" else &fb_trapezoid
+    if method == "RK45":
+        return &fb_rk45
+    if method == "DOP853":
+        return &fb_dop853
+    if method == "ALI3P":
+        return &fb_trapezoid
+    raise ValueError(f"no method in C: {method}")
 
 
 cdef cnp.ndarray _padded(values, const fb_run *run):
@@ -553,23 +560,23 @@ cdef class Run:
     cdef cnp.ndarray kept_t
     cdef cnp.ndarray kept_x
 
-    # In C, times are counted from the beginning, so that steps are as fine at any time; outside, they are what they are.
+    # In C, times are counted from the beginning, so that steps are as fine at any time; outside, they are absolute.
 
     def __cinit__(self, Ode ode not None, str method, double t, x, double t_bound, double max_step, rtol, atol,
                   bint project, times, events, bint look_at_all):
-        cdef int n = ode.evaluator.n_x, rows
+        cdef int n = ode.evaluator.n_x, n_stages
         cdef cnp.ndarray state = vector(x, n, "The state x")
         cdef fb_run *run = &self.run
         _prepare(run, ode, _tableau_of(method))
         run.step = fb_step_on
-        rows = run.method.n_stages + 1 + run.method.n_more
+        n_stages = run.method.n_stages + 1 + run.method.n_extra
         self.ode, self.method, self.kept = ode, method, []
         ode.clock = t, -INFINITY, INFINITY
         self.t_begin, self.since_begin, self.t_bound, self.times = t, 0.0, t_bound, times
         run.direction, run.t_bound, run.max_step = 1.0 if t_bound > t else -1.0, t_bound - t, max_step
         run.project, run.until = project, run.t_bound
         run.x, run.x_old, run.scratch, run.along = self._zeros(1), self._zeros(1), self._zeros(1), self._zeros(2)
-        run.stages, run.interpolant = self._zeros(rows), self._zeros(run.method.n_dense + 3)
+        run.stages, run.interpolant = self._zeros(n_stages), self._zeros(run.method.n_dense + 3)
         run.rtol, run.atol = <double *>self._keep(_padded(rtol, run)), <double *>self._keep(_padded(atol, run))
         memcpy(run.x, data(state), n * sizeof(double))
         if times is not None:
@@ -592,8 +599,8 @@ cdef class Run:
         self.kept.append(array)
         return cnp.PyArray_DATA(array)
 
-    cdef double *_zeros(self, int rows):
-        return <double *>self._keep(np.zeros((rows, self.run.padded)))
+    cdef double *_zeros(self, int n):
+        return <double *>self._keep(np.zeros((n, self.run.padded)))
 
     def take_samples(self):
         """The samples since the last call, shapes (n,) and (n, n_x)."""
@@ -637,7 +644,7 @@ cdef class Run:
         run.t, run.t_bound = t - origin, t_bound - origin
         self.t_begin, self.since_begin, self.t_bound = t, run.t, t_bound
         run.until = run.t_bound
-        if self.times is not None:  # by what they are: from the beginning, those on either side of a jump may be the same
+        if self.times is not None:  # absolute: from the beginning, those on either side of a jump may be the same
             run.n_times = np.searchsorted(run.direction * self.times, run.direction * t_bound, side="right")
         if x is not None:
             state = vector(x, run.n, "The state x")
@@ -652,7 +659,8 @@ cdef class Run:
         return True
 
     def on(self, long steps):
-        """Up to so many steps; why it stopped: "end", "paused", "full", "event", "too small", "infinite", "collapsed"."""
+        """Take up to so many steps; why it stopped: "end", "paused", "full", "event", "too small", "infinite",
+        "collapsed", "diverged"."""
         cdef int status
         with nogil:
             status = fb_run_on(&self.run, steps)
@@ -689,7 +697,7 @@ cdef class Run:
         return values
 
     def stop_within(self, double share):
-        """End the run at a share of the last step: the state there is the last one, with no samples behind it."""
+        """End the run at a share of the last step: the state there is the last one, with no samples after it."""
         cdef cnp.ndarray x = self.state_within(share)
         t = self.time_within(share)
         self.run.until = self.run.t_bound = self._within(share)
@@ -704,7 +712,7 @@ cdef class Run:
         self.run.t, self.run.pending = self.run.t_old, 0
 
     def dense_output(self):
-        """To be told of each step."""
+        """Take in the last step."""
         return DenseOutput(self.ode, self.method, self.run.direction, self.run.project, [self.t], [self.run.t], [])
 
     @property
@@ -854,9 +862,9 @@ cdef class Stepper:
         for end, begin in self.jumps:
             if min(self.run.t, next_time) < max(end, begin) and max(self.run.t, next_time) > min(end, begin):
                 raise SimulationError(
-                    f"The rate of a prescribed motion jumps at t = {begin:.9g}, and speeds with it, within the step from "
-                    f"{self.run.t:.9g} to {next_time:.9g}: CompiledModel.simulate passes it, from where a new stepper "
-                    "goes on.")
+                    f"The rate of a prescribed motion jumps at t = {begin:.9g}, and speeds with it, within the step "
+                    f"from {self.run.t:.9g} to {next_time:.9g}: CompiledModel.simulate passes it, from where a new "
+                    "stepper goes on.")
 
     @property
     def t(self):
@@ -897,7 +905,8 @@ cdef class DenseOutput:
     cdef list ends
     cdef list steps
 
-    def __cinit__(self, Ode ode not None, str method, double direction, bint project, list times, list ends, list steps):
+    def __cinit__(self, Ode ode not None, str method, double direction, bint project, list times, list ends,
+                  list steps):
         self.ode, self.method, self.direction, self.project = ode, method, direction, project
         self.times, self.ends, self.steps = times, ends, steps
         self.tableau, self.padded = _tableau_of(method), _padded_size(ode.evaluator.n_x)

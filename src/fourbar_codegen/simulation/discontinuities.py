@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from fourbar_codegen.errors import SimulationError
 from fourbar_codegen.runtime.integrator import Ode, Table
-from fourbar_codegen.simulation.integration import Integration
+from fourbar_codegen.simulation.run_protocol import Integration
 
-__all__ = ["Boundary", "Discontinuity", "Pieces", "boundary", "discontinuities", "jumps", "speeds_behind"]
+__all__ = ["Boundary", "Discontinuity", "Pieces", "boundary", "discontinuities", "jumps", "speeds_after"]
 
 Floats = NDArray[np.float64]
 
@@ -127,23 +127,23 @@ def boundary(ode: Ode, at: Discontinuity, towards: float, x: Floats) -> Boundary
     Boundary
     """
     rounding = math.copysign(at.rounding, towards)
-    before, behind = at.t - rounding, at.until + rounding
+    before, after = at.t - rounding, at.until + rounding
     if at.moves:
         prescribed = _Prescribed(ode, x)
-        for value, jumped in prescribed.velocities(before, behind):
+        for value, jumped in prescribed.velocities(before, after):
             if jumped.any():
                 if not np.isfinite(prescribed.inputs(at.t)).all():  # such as the slope of a root where that is zero
-                    return Boundary(before, behind, before, behind)
+                    return Boundary(before, after, before, after)
                 place = np.flatnonzero(jumped)[0]
-                to_left, to_right = (abs(value(at.t) - value(side))[place] for side in (before, behind))
+                to_left, to_right = (abs(value(at.t) - value(side))[place] for side in (before, after))
                 end = at.t if to_left < JUMP * to_right else before
-                begin = at.until if to_right < JUMP * to_left else behind
-                return Boundary(end, begin, before, behind)
-    return Boundary(at.t, at.until, before, behind)
+                begin = at.until if to_right < JUMP * to_left else after
+                return Boundary(end, begin, before, after)
+    return Boundary(at.t, at.until, before, after)
 
 
-def speeds_behind(ode: Ode, at: Boundary, x: Floats) -> Floats | None:
-    """The speeds behind a boundary, shape (n_u,); None where they do not jump.
+def speeds_after(ode: Ode, at: Boundary, x: Floats) -> Floats | None:
+    """The speeds after a boundary, shape (n_u,); None where they do not jump.
 
     With the kinetic energy T = u^T M u / 2 + m(q, t)^T u + T_0 and the constraints J u + b(q, t) = 0, jumps of m and b
     at fixed positions give
@@ -162,7 +162,7 @@ def speeds_behind(ode: Ode, at: Boundary, x: Floats) -> Floats | None:
     Raises
     ------
     SimulationError
-        If positions jump: no finite force does that. Or if no speeds satisfy the constraints behind it.
+        If positions jump: no finite force does that. Or if no speeds satisfy the constraints after it.
 
     Source: F. Pfeiffer, C. Glocker, *Multibody Dynamics with Unilateral Contacts*, Wiley, 1996, section 8.2.
     """
@@ -189,7 +189,7 @@ def speeds_behind(ode: Ode, at: Boundary, x: Floats) -> Floats | None:
     if (np.abs(scaled @ change + row * bias) > JUMP * np.abs(wanted).max()).any():
         raise SimulationError(
             f"The rates of prescribed motions jump at t = {at.first:.9g}, and no speeds satisfy the velocity "
-            "constraints behind it: the motions contradict each other."
+            "constraints after it: the motions contradict each other."
         )
     found: Floats = x[ode.n_q :] + speed * change
     return found
@@ -202,10 +202,10 @@ def _positive(values: Floats) -> Floats:
 OfTime = Callable[[float], Floats]
 
 
-def _jumped(value: OfTime, size: Floats | float, before: float, behind: float) -> NDArray[np.bool_]:
+def _jumped(value: OfTime, size: Floats | float, before: float, after: float) -> NDArray[np.bool_]:
     """Which entries jump from one time to the next, and do not just go on."""
-    step = behind - before
-    earlier, at, then, later = (value(t) for t in (before - step, before, behind, behind + step))
+    step = after - before
+    earlier, at, then, later = (value(t) for t in (before - step, before, after, after + step))
     jumped: NDArray[np.bool_] = np.abs(then - at) > JUMP * size + STEADY * (np.abs(at - earlier) + np.abs(later - then))
     return jumped
 
@@ -232,11 +232,11 @@ class _Prescribed:
     def kinetic_energy(self, t: float, x: Floats) -> float:
         return float(self.model.energy(t, x, self.p, self.inputs(t))[0])
 
-    def velocities(self, before: float, behind: float) -> list[tuple[OfTime, NDArray[np.bool_]]]:
+    def velocities(self, before: float, after: float) -> list[tuple[OfTime, NDArray[np.bool_]]]:
         """The momentum m that motions carry, shape (n_u,), and b; and which of their entries jump."""
-        mass = np.diag(self.matrices(behind)[0])
+        mass = np.diag(self.matrices(after)[0])
         # T is nowhere negative: where nothing is carried, m is 0. With these speeds both parts of T weigh the same.
-        carried = max(self.kinetic_energy(t, self.at_rest) for t in (before, behind))
+        carried = max(self.kinetic_energy(t, self.at_rest) for t in (before, after))
         speeds = np.sqrt(2.0 * max(carried, 0.0) / np.where(mass > 0.0, mass, np.inf))
 
         def momentum(t: float) -> Floats:
@@ -249,11 +249,11 @@ class _Prescribed:
                 found[i] = (energies[0] - energies[1]) / (2.0 * speeds[i])
             return found
 
-        measure = self.model.constraint_scale(behind, self.x, self.p, self.inputs(behind))[2]
+        measure = self.model.constraint_scale(after, self.x, self.p, self.inputs(after))[2]
         sizes = ((momentum, mass * speeds), (self.bias, measure))
-        return [(value, _jumped(value, size, before, behind)) for value, size in sizes]
+        return [(value, _jumped(value, size, before, after)) for value, size in sizes]
 
-    def jumping_positions(self, before: float, behind: float) -> list[str]:
+    def jumping_positions(self, before: float, after: float) -> list[str]:
         """Names of what jumps among the motions, constraints and points."""
         q, entries = self.x[: self.ode.n_q], self.ode.manifest["inputs"]
         moving = {entry["of"] for entry in entries if entry["order"]}
@@ -268,12 +268,12 @@ class _Prescribed:
         def points(t: float) -> Floats:
             return self.model.drawing(t, self.x, self.p, self.inputs(t))[0].ravel()
 
-        jumped = _jumped(motions, np.abs(motions(before)) + np.abs(motions(behind)), before, behind)
+        jumped = _jumped(motions, np.abs(motions(before)) + np.abs(motions(after)), before, after)
         names = [f"Input {entries[places[i]]['name']}" for i in np.flatnonzero(jumped)]
-        measure = self.model.constraint_scale(behind, self.x, self.p, self.inputs(behind))[0]
-        if _jumped(constraints, measure, before, behind).any():
+        measure = self.model.constraint_scale(after, self.x, self.p, self.inputs(after))[0]
+        if _jumped(constraints, measure, before, after).any():
             names.append("A constraint")
-        if _jumped(points, np.abs(points(behind)).max(initial=0.0), before, behind).any():
+        if _jumped(points, np.abs(points(after)).max(initial=0.0), before, after).any():
             names.append("The position of a point")
         return names
 
@@ -295,7 +295,7 @@ class Pieces:
 
     @property
     def ahead(self) -> bool:
-        """Whether there is another piece behind the present one."""
+        """Whether there is another piece after the present one."""
         return self._next is not None
 
     def begin(self, run: Integration) -> None:
@@ -320,13 +320,13 @@ class Pieces:
         Raises
         ------
         SimulationError
-            As `speeds_behind`.
+            As `speeds_after`.
         """
         assert self._next is not None
         at, here = self._next
         x, t, jumps = run.x, here.begin, here.begin != here.end
         if at.moves:
-            speeds = speeds_behind(self._ode, here, x)
+            speeds = speeds_after(self._ode, here, x)
             if speeds is not None:
                 x[self._ode.n_q :] = speeds
                 if not jumps:  # only here, not where the piece began

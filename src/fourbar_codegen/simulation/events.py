@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fourbar_codegen.arguments import finite_number, name_of, number
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.kernel.kernel import Kernel
-from fourbar_codegen.simulation.integration import Integration
+from fourbar_codegen.simulation.run_protocol import Integration
 
 __all__ = ["Event", "EventLike", "Watch", "events_of"]
 
@@ -83,7 +83,7 @@ class Watch:
         ]
         self.values = [0.0] * len(events)
         self.went_on = np.nan
-        """Where the present piece of the run begins, behind another one."""
+        """Where the present piece of the run begins, after another one."""
 
     def begin(self, run: Integration) -> None:
         """The functions' values at the beginning."""

@@ -16,8 +16,8 @@ from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.runtime.integrator import Ode, Run
 from fourbar_codegen.simulation.discontinuities import Pieces
 from fourbar_codegen.simulation.events import Watch
-from fourbar_codegen.simulation.integration import Integration
 from fourbar_codegen.simulation.options import FIXED_STEP, SOLVERS, RunOptions
+from fourbar_codegen.simulation.run_protocol import Integration
 from fourbar_codegen.simulation.singularity import Singular
 
 __all__ = ["REACHED_END", "Result", "integrate"]
@@ -93,9 +93,9 @@ def integrate(
     pieces.begin(run)
     dense: Any = run.dense_output() if options.dense_output else None  # which takes steps of this kind of run
     samples: list[tuple[Floats, Floats]] = []
-    ending: tuple[int, str] | None = None
+    outcome: tuple[int, str] | None = None
     steps, noted = 16, time.perf_counter()
-    while ending is None:
+    while outcome is None:
         begin = time.perf_counter()
         reason = run.on(steps if max_steps is None else min(steps, max_steps - run.n_steps))
         now = time.perf_counter()
@@ -108,40 +108,40 @@ def integrate(
                 singular = Singular(model, run.ode, _passed(run, samples)).within_step(run)
                 if singular:
                     run.discard()
-                    ending = -1, singular
+                    outcome = -1, singular
                     break
             if dense is not None:
                 dense.add(run)
             end = watch.look(run)
             if end is not None:
                 run.stop_within(end)
-                ending = 1, TERMINATED
+                outcome = 1, TERMINATED
         elif reason == "full":
             samples.append(run.take_samples())
         elif reason == "paused":
             steps = round(min(max(steps * PAUSE / (now - begin), 1), 4 * steps))
             if run.n_steps == max_steps:
-                ending = -1, f"It has taken max_steps = {max_steps} steps; None is no limit."
+                outcome = -1, f"It has taken max_steps = {max_steps} steps; None is no limit."
         elif reason == "end":
             if not pieces.ahead:
-                ending = 0, REACHED_END
+                outcome = 0, REACHED_END
                 continue
             samples.append(run.take_samples())
             try:
                 closed = pieces.go_on(run)
             except SimulationError as error:
-                ending = -1, str(error)
+                outcome = -1, str(error)
             else:
-                ending = (1, TERMINATED) if watch.across(run) else None if closed else (-1, FAILED["open"])
+                outcome = (1, TERMINATED) if watch.across(run) else None if closed else (-1, FAILED["open"])
         elif reason == "diverged":
-            ending = -1, run.ode.failure or DIVERGED
+            outcome = -1, run.ode.failure or DIVERGED
         else:
             samples.append(run.take_samples())
             at = Singular(model, run.ode, _passed(run, samples))
             singular = at.here(run.t, run.x, collapsed=reason == "collapsed")
             if singular or reason != "collapsed":
-                ending = -1, singular or run.ode.failure or FAILED.get(reason, reason)
-    status, message = ending
+                outcome = -1, singular or run.ode.failure or FAILED.get(reason, reason)
+    status, message = outcome
     while run.on(0) == "full":
         samples.append(run.take_samples())
     samples.append(run.take_samples())

@@ -117,7 +117,7 @@ class RunOptions:
             stabilization=positive(given["stabilization"], "stabilization") if constraints == "baumgarte" else None,
             dense_output=flag(given.get("dense_output", False), "dense_output"),
             max_step=max_step,
-            max_steps=_most_steps(given["max_steps"], method, (start, end), max_step),
+            max_steps=_max_steps(given["max_steps"], method, (start, end), max_step),
             formulation=formulation,
             progress=progress,
             project=project,
@@ -137,7 +137,7 @@ class RunOptions:
         }
 
 
-def _most_steps(given: object, method: str, span: tuple[float, float], max_step: float) -> int | None:
+def _max_steps(given: object, method: str, span: tuple[float, float], max_step: float) -> int | None:
     """The most steps that a run may take: by default those of its method."""
     length = abs(span[1] - span[0])
     if max_step < np.spacing(length):

@@ -10,18 +10,26 @@ from numpy.typing import NDArray
 from fourbar_codegen.kernel.consistency import FLOOR
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.runtime.integrator import Ode
-from fourbar_codegen.simulation.integration import Integration
+from fourbar_codegen.simulation.run_protocol import Integration
 
 __all__ = ["Singular"]
 
 Floats = NDArray[np.float64]
 
-COLLAPSED, PASSED, NEAR = 1e-3, 1e-4, 0.2
-"""Thresholds of the smallest singular value of J, as a share of its median over the run: where steps collapse, within a
-step over which the constraints' orientation has changed, and where a step fails."""
+# A position counts as singular where the smallest singular value of J is less than this, relative to its median over
+# the run:
+COLLAPSED = 1e-3
+"""... where steps collapse;"""
+
+PASSED = 1e-4
+"""... within a step over which the constraints' orientation has changed;"""
+
+NEAR = 0.2
+"""... where a step fails."""
 
 JUMPED = 1e-3
-"""The share of the first largest change between states of a step above which a jump is left after five refinements."""
+"""States of a step jump if after five refinements, of 32 intervals each, the largest change between neighbours is more
+than this, relative to that of the first."""
 
 STATES = 100
 """States along the run of which the median is taken."""
@@ -54,7 +62,7 @@ class Singular:
             row = np.abs(jacobians / column).max(axis=(0, 2))
             row[row == 0.0] = 1.0
             self.size = row[:, np.newaxis] * column
-            self.usual = float(np.median([self._least(jacobian) for jacobian in jacobians]))
+            self.median = float(np.median([self._least(jacobian) for jacobian in jacobians]))
 
     def _jacobian(self, t: float, x: Floats) -> Floats:
         return self.model.velocity(t, x, self.ode.parameters, self.ode.input_values(t, x))[0]
@@ -65,19 +73,19 @@ class Singular:
     def _ratio(self, t: float, x: Floats) -> float:
         if not np.isfinite(x).all():
             return np.inf  # of a run that explodes; nothing is known of its position
-        return self._least(self._jacobian(t, x)) / self.usual if self.usual else 0.0
+        return self._least(self._jacobian(t, x)) / self.median if self.median else 0.0
 
     def here(self, t: float, x: Floats, *, collapsed: bool) -> str:
-        """A sentence, if it is at a state at which steps collapse, or close to one behind which there is no next."""
+        """A message, or none: whether the state at which steps collapse, or after which none succeeds, is singular."""
         if not self.rank:
             return ""
-        at = self._sentence("runs into", t, x, COLLAPSED, ", and the steps collapse")
+        at = self._message("runs into", t, x, COLLAPSED, ", and the steps collapse")
         if at or collapsed or self.ode.failure:
             return at
-        return self._sentence("comes close to", t, x, NEAR, ", and the next step fails: try smaller tolerances")
+        return self._message("comes close to", t, x, NEAR, ", and the next step fails: try smaller tolerances")
 
     def within_step(self, run: Integration) -> str:
-        """A sentence, if it has been passed in the last step of a run.
+        """A message, or none: whether the last step of a run has passed a singular position.
 
         There the loops' states have a position of less rank between them; or one of them is followed by another one, by
         which the loops close in another way.
@@ -95,7 +103,7 @@ class Singular:
             jumped.append(changes[largest])
             jump_shares = np.linspace(jump_shares[largest], jump_shares[largest + 1], 33)
         t, x = run.time_within(at), run.state_within(at)
-        passed = self._sentence("passes", t, x, PASSED, ", and may go on in more than one way")
+        passed = self._message("passes", t, x, PASSED, ", and may go on in more than one way")
         if passed or not jumped[-1] > JUMPED * jumped[0] + FLOOR:
             return passed
         return (
@@ -103,12 +111,12 @@ class Singular:
             "past a singular position: take smaller tolerances."
         )
 
-    def _sentence(self, verb: str, t: float, x: Floats, threshold: float, more: str) -> str:
+    def _message(self, verb: str, t: float, x: Floats, threshold: float, more: str) -> str:
         ratio = self._ratio(t, x)
         if not ratio < threshold:
             return ""
         where = ", ".join(f"{name} = {value:.6g}" for name, value in zip(self.model.coordinates, x, strict=False))
         return (
             f"The mechanism {verb} a singular position at t = {t:.6g}, {where}: the constraints' Jacobian loses rank "
-            f"(its smallest singular value is {ratio:.1e} of what it usually was){more}."
+            f"(its smallest singular value is {ratio:.1e} of its median over the run){more}."
         )

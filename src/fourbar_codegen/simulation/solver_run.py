@@ -234,7 +234,7 @@ class SolverRun:
         return values[list(self._outputs)]
 
     def stop_within(self, share: float) -> None:
-        """End the run at a share of the last step: the state there is the last one, with no samples behind it."""
+        """End the run at a share of the last step: the state there is the last one, with no samples after it."""
         self._until = self._within(share)
         if self._times is None:
             self.t, self._x = self.time_within(share), self.state_within(share)
@@ -244,7 +244,7 @@ class SolverRun:
         self.t, self._x, self._pending = self.t_old, self._x_old, False
 
     def dense_output(self) -> _Solution:
-        """To be told of each step."""
+        """Take in the last step."""
         return _Solution(self.ode, self._project, self.t)
 
 

@@ -24,7 +24,7 @@ manifest = (
     '{\n'
     '  "format": 6,\n'
     '  "name": "four_bar",\n'
-    '  "fingerprint": "f283a102b9ea02f3616ec65fa3780b0ebfdbdaea004688280ff7f1fae1280dcc",\n'
+    '  "fingerprint": "f09b35a335c7b5dd3e974d4f709a66e0ec7e337a4facaf8db7c598994bc675fb",\n'
     '  "coordinates": [\n'
     '    "q1",\n'
     '    "q2",\n'

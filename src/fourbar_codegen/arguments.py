@@ -217,7 +217,7 @@ def flag(value: object, name: str) -> bool:
     return bool(value)
 
 
-def one_of(value: object, allowed: Sequence[str], kind: str) -> str:
+def one_of(value: object, allowed: Collection[str], kind: str) -> str:
     """One of the words that are allowed, or a ModelError that lists them."""
     if not isinstance(value, str) or value not in allowed:
         raise ModelError(f"There is no {kind} {shown(value)}; there are {', '.join(allowed)}.")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.expressions.convert import Conversion
-from fourbar_codegen.expressions.derivatives import Jvp, vjp
+from fourbar_codegen.expressions.derivatives import Jvp, jacobian
 from fourbar_codegen.expressions.identities import deduplicate, is_zero
 from fourbar_codegen.expressions.tape import Scalar, Tape
 from fourbar_codegen.modeling.system_reader import Mechanism
@@ -77,7 +77,7 @@ def form_constraints(
         # The rates of positions do not have the auxiliary speeds.
         derived = [rate(expr) for expr in positions]
         velocities, virtual = [*derived, *velocities], [*derived, *virtual]
-    gradients = [vjp(tape, [(expr, tape.one)], (*u, *aux)) for expr in virtual]
+    gradients = jacobian(tape, virtual, (*u, *aux))
     for number, gradient in enumerate(gradients, start=1):
         if tape.depends(gradient[: len(u)], u):
             raise ModelError(f"Velocity constraint {number} is not linear in the generalized speeds.")
@@ -113,7 +113,7 @@ def position_jacobian(
     tape: Tape, constraints: Constraints, q: Sequence[Scalar], q_rates: Sequence[Scalar], u: Sequence[Scalar]
 ) -> list[list[Scalar]]:
     """dPhi/dq; a coordinate whose rate is a speed of its own has that speed's column of J, which stands already."""
-    rows = [vjp(tape, [(expr, tape.one)], q) for expr in constraints.positions]
+    rows = jacobian(tape, constraints.positions, q)
     if constraints.derived:
         for j, rate in enumerate(q_rates):
             if rate in u and not tape.depends([*q_rates[:j], *q_rates[j + 1 :]], [rate]):

@@ -29,7 +29,7 @@ from fourbar_codegen.dynamics.kinematics import Kinematics
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.expressions.breakpoints import breakpoints
 from fourbar_codegen.expressions.convert import Conversion, substitute
-from fourbar_codegen.expressions.derivatives import Jvp, Rounding, vjp
+from fourbar_codegen.expressions.derivatives import Jvp, Rounding, jacobian, vjp
 from fourbar_codegen.expressions.formulas import formulas
 from fourbar_codegen.expressions.identities import deduplicate, is_zero
 from fourbar_codegen.expressions.linear import TooManyCoupledError, UndeterminedError, solve_linear
@@ -232,9 +232,6 @@ def form_equations(model: Model) -> Equations:
     changing = (v.time, *v.q, *v.u, *v.r, *v.a, *lam, *v.unknown)
     energies = [kane.kinetic_energy(), kane.potential_energy(model.potential_energy, changing)]
 
-    def gradients(rows: Sequence[Scalar], variables: Sequence[Scalar]) -> list[list[Scalar]]:
-        return [vjp(tape, [(row, tape.one)], variables) for row in rows]
-
     violation = position_violation(tape, constraints, rate)
     rounding = Rounding(tape)
     n_q, n_u = len(v.q), len(v.u)
@@ -260,7 +257,7 @@ def form_equations(model: Model) -> Equations:
         _vector("power", substitute(tape, [kane.power()], no_unknown)),
         _matrix("points", points, 3),
         _matrix("forces", list(applied.values()), 3),
-        _matrix("velocity_jacobian", gradients(constraints.velocities, v.q), n_q),
+        _matrix("velocity_jacobian", jacobian(tape, constraints.velocities, v.q), n_q),
     ]
     residual = (*dynamic[:n_u], *kinematic)
     entries = [*residual, *chain.from_iterable(result.entries for result in results)]
@@ -291,9 +288,9 @@ def form_equations(model: Model) -> Equations:
     )
     results += [
         _vector("breakpoints", times),
-        _matrix("default_input_jacobian", gradients(defaults, needed), len(needed)),
-        _matrix("velocity_input_jacobian", gradients(constraints.velocities, tuple(inputs)), len(inputs)),
-        _matrix("position_input_jacobian", gradients(constraints.positions, tuple(inputs)), len(inputs)),
+        _matrix("default_input_jacobian", jacobian(tape, defaults, needed), len(needed)),
+        _matrix("velocity_input_jacobian", jacobian(tape, constraints.velocities, tuple(inputs)), len(inputs)),
+        _matrix("position_input_jacobian", jacobian(tape, constraints.positions, tuple(inputs)), len(inputs)),
     ]
     for kind, variables in (("", (*v.q, *v.u)), ("_parameter", needed), ("_input", tuple(inputs))):
         directions = [Jvp(tape, {s: tape.one}) for s in variables]
@@ -392,7 +389,7 @@ def _inputs(
 
 def _columns(tape: Tape, rows: Sequence[Scalar], unknown: Sequence[Scalar]) -> list[list[Scalar]]:
     """The derivatives of the rows with respect to each of the unknown forces."""
-    gradients = [vjp(tape, [(row, tape.one)], unknown) for row in rows]
+    gradients = jacobian(tape, rows, unknown)
     return [[gradient[i] for gradient in gradients] for i in range(len(unknown))]
 
 

@@ -6,7 +6,7 @@ cost a small multiple of what they differentiate.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import sympy as sm
 
@@ -27,7 +27,7 @@ from fourbar_codegen.expressions.tape import (
     placeholder,
 )
 
-__all__ = ["Jvp", "Rounding", "vjp"]
+__all__ = ["Jvp", "Rounding", "jacobian", "vjp"]
 
 MIN_MAGNITUDE = 1e-12
 """What is smaller counts as this to `Rounding`: zero but for rounding errors is as good as zero."""
@@ -122,6 +122,11 @@ class Rounding:
 def _size(tape: Tape, scalar: Scalar) -> Scalar:
     """The absolute value."""
     return apply(tape, sm.Abs(placeholder(0)), [scalar])
+
+
+def jacobian(tape: Tape, rows: Iterable[Scalar], leaves: Sequence[Scalar]) -> list[list[Scalar]]:
+    """The derivatives of scalars, in rows, with respect to leaves, each row by one pass backwards."""
+    return [vjp(tape, [(row, tape.one)], leaves) for row in rows]
 
 
 def vjp(tape: Tape, scalars: Sequence[tuple[Scalar, Scalar]], leaves: Sequence[Scalar]) -> list[Scalar]:

@@ -5,8 +5,8 @@ cimport cython
 cimport numpy as cnp
 from cpython.mem cimport PyMem_Calloc, PyMem_Free
 
-from fourbar_codegen.runtime.evaluator cimport Evaluator, data, fb_kernel, fb_batch_functions, fb_source
-from fourbar_codegen.runtime.integrator cimport Table, fb_dop853, fb_rk45, fb_tableau
+from fourbar_codegen.runtime.evaluator cimport Evaluator, data, fb_batch_functions, fb_kernel, fb_source
+from fourbar_codegen.runtime.integrator cimport Table, fb_tableau, tableau_of
 
 import numpy as np
 
@@ -187,9 +187,9 @@ cdef class Members:
                 values[:, k] = source
         e.kernel, e.n, e.x, e.p = evaluator.kernel, n, data(x), data(p)
         e.n_sources, e.sources, e.values = len(given), self.sources, data(values)
-        if method not in ("RK45", "DOP853"):
-            raise ValueError(f"no method for many runs: {method}")
-        e.method = &fb_rk45 if method == "RK45" else &fb_dop853
+        e.method = tableau_of(method)
+        if not e.method.n_errors:
+            raise ValueError(f"no step control for many runs: {method}")
         e.project, e.origin, e.t_bound, e.max_step, e.max_steps = project, t, t_bound - t, max_step, max_steps
         e.n_breaks = np.shape(breaks)[1]
         e.breaks, e.before, e.after = data(breaks), data(breaks) + e.n_breaks, data(breaks) + 2 * e.n_breaks

@@ -18,6 +18,9 @@ cdef extern from "fourbar_tableau.h":
     const fb_tableau fb_rk4, fb_rk45, fb_dop853, fb_trapezoid
 
 
+cdef const fb_tableau *tableau_of(str method) except NULL
+
+
 cdef class Table:
     cdef readonly cnp.ndarray times
     cdef cnp.ndarray coefficients

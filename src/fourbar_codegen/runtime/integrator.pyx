@@ -489,8 +489,8 @@ cdef int _padded_size(int n):
     return (n + FB_BLOCK - 1) // FB_BLOCK * FB_BLOCK
 
 
-cdef const fb_tableau *_tableau_of(str method) except NULL:
-    """Of the methods that `Run` has."""
+cdef const fb_tableau *tableau_of(str method) except NULL:
+    """The coefficients of a method in C."""
     if method == "RK45":
         return &fb_rk45
     if method == "DOP853":
@@ -567,7 +567,7 @@ cdef class Run:
         cdef int n = ode.evaluator.n_x, n_stages
         cdef cnp.ndarray state = vector(x, n, "The state x")
         cdef fb_run *run = &self.run
-        _prepare(run, ode, _tableau_of(method))
+        _prepare(run, ode, tableau_of(method))
         run.step = fb_step_on
         n_stages = run.method.n_stages + 1 + run.method.n_extra
         self.ode, self.method, self.kept = ode, method, []
@@ -909,7 +909,7 @@ cdef class DenseOutput:
                   list steps):
         self.ode, self.method, self.direction, self.project = ode, method, direction, project
         self.times, self.ends, self.steps = times, ends, steps
-        self.tableau, self.padded = _tableau_of(method), _padded_size(ode.evaluator.n_x)
+        self.tableau, self.padded = tableau_of(method), _padded_size(ode.evaluator.n_x)
         self.rows = self.tableau.n_dense + (3 if self.tableau.hermite else 0)
 
     def __reduce__(self):

@@ -98,8 +98,8 @@ def _members(
         "parameter",
     )
     x = None if x0 is None else named_columns(_columns(x0, "x0", model.n_x), model.states, {}, "state")
-    by_member = [key for key, source in inputs.items() if is_by_member(source)]
-    lengths = [(f"input {name_of(key)}", len(inputs[key])) for key in by_member]
+    varied = [key for key, source in inputs.items() if is_by_member(source)]
+    lengths = [(f"input {name_of(key)}", len(inputs[key])) for key in varied]
     lengths += [(w, len(rows.T)) for w, rows in (("parameters", p), ("x0", x)) if rows is not None and rows.ndim == 2]
     if len({length for _, length in lengths}) > 1:
         raise ModelError(
@@ -117,7 +117,7 @@ def _members(
     known: dict[bytes, Floats] = {}
     states = np.empty((n, model.n_x))
     for member in range(n):
-        key = p[member].tobytes() + b"".join(inputs[name][member].tobytes() for name in by_member)
+        key = p[member].tobytes() + b"".join(inputs[name][member].tobytes() for name in varied)
         if key not in known:
             try:
                 known[key] = initial_state(model, t=t, parameters=p[member], inputs=inputs_of(inputs, member))
@@ -139,11 +139,11 @@ def _columns(given: Any, what: str, n: int) -> Any:
 
 def _sources(model: Kernel, inputs: Mapping[Any, Any], n: int) -> list[object]:
     """For each input None, a Table, a callable, or an array with a value for each member."""
-    by_member = {name_of(key): value for key, value in inputs.items() if is_by_member(value)}
+    varied = {name_of(key): value for key, value in inputs.items() if is_by_member(value)}
     sources = input_sources(model, inputs_of(inputs, 0) if n else {})
     for place, entry in enumerate(model.manifest["inputs"]):
-        if entry["of"] in by_member and not entry["order"]:
-            sources[place] = by_member[entry["of"]]
+        if entry["of"] in varied and not entry["order"]:
+            sources[place] = varied[entry["of"]]
     return sources
 
 

@@ -89,7 +89,7 @@ class RunOptions:
         ModelError
             If one has a wrong shape or name, is not finite, or is not for the method.
         """
-        method = one_of(given["method"], (*METHODS, FIXED_STEP, *SOLVERS), "method")
+        method = one_of(given["method"], STEPS, "method")
         constraints, formulation, progress = given["constraints"], given.get("formulation"), given.get("progress")
         if not (formulation is None or method == "IDA"):
             raise ModelError(f"A formulation is for IDA; {method} has none.")

@@ -33,7 +33,7 @@ half, and the range of its potential energy. A constant force makes 4 times that
 twice as much; what a load feeds that goes with the motion grows exponentially."""
 
 SAMPLES = 100
-"""States along a run that tell it."""
+"""States along a run whose energies are compared."""
 
 COORDINATES_ALONE = " In index 3 the tolerance holds for the coordinates of a step alone; speeds are less exact."
 

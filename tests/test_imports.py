@@ -1,6 +1,7 @@
 """Imports go one way, and are quiet and light. ``python tests/test_imports.py`` draws the folders anew."""
 
 import ast
+import pickle
 import re
 import subprocess
 import sys
@@ -213,6 +214,17 @@ def test_public_names_exist():
         assert getattr(fourbar_codegen, name) is not None
     with pytest.raises(AttributeError, match="nonsense"):
         _ = fourbar_codegen.nonsense
+
+
+@pytest.mark.parametrize(
+    ("name", "of_class"),
+    [("compiled", "_restore"), ("trajectory", "Trajectory"), ("ensemble", "Ensemble"), ("model", "Parameter")],
+)
+def test_a_pickle_from_before_the_folders_says_so(name, of_class):
+    # As protocol 0 has a function or class, and its call without arguments.
+    old = f"cfourbar_codegen.{name}\n{of_class}\n(tR.".encode()
+    with pytest.raises((fourbar_codegen.ModelError, ImportError), match=r"earlier version.*make it again"):
+        pickle.loads(old)
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ The names below are imported where they are first used: importing the package im
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -73,6 +74,24 @@ _HOME = {
     "load_trajectory": "compiled",
     "multiplier": "modeling.model",
 }
+
+
+class _EarlierModules:
+    """Says in a sentence why a pickle cannot be read that names a module by which its class was once found."""
+
+    NAMES = tuple(f"fourbar_codegen.{name}" for name in ("assembly", "ensemble", "integrate", "model", "trajectory"))
+
+    @classmethod
+    def find_spec(cls, name: str, *_: object) -> None:
+        if name in cls.NAMES:
+            raise ModuleNotFoundError(
+                f"There is no module {name} any more. A pickle that names it was made by an earlier version of "
+                "fourbar_codegen: make it again. Import the classes from fourbar_codegen itself.",
+                name=name,
+            )
+
+
+sys.meta_path.append(_EarlierModules)
 
 
 def __getattr__(name: str) -> Any:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.errors import ModelError, shown
-from fourbar_codegen.runtime.evaluator import is_finite, number, numbers
+from fourbar_codegen.runtime.evaluator import is_finite, is_ready, number, numbers
 
 __all__ = [
     "Values",
@@ -97,6 +97,8 @@ def named_array(
     given: Values | None, names: Sequence[str], defaults: Mapping[str, float], kind: str
 ) -> NDArray[np.float64]:
     """Finite values in the order of the names, from an array or a mapping."""
+    if type(given) is np.ndarray and given.shape == (len(names),) and is_ready(given) and is_finite(given):
+        return given.copy()  # without the words for what may be wrong
     if given is None or is_mapping(given):
         known = {name: defaults[name] for name in names if name in defaults}
         return np.array(named_values(given or {}, names, known, kind))
@@ -161,6 +163,10 @@ def named_columns(
 
 def time_span(t_span: Sequence[float]) -> tuple[float, float]:
     """The first and the last time of a run, which differ."""
+    if type(t_span) is tuple and len(t_span) == 2:  # two finite floats, as most are, without an array
+        start, end = t_span
+        if type(start) is float is type(end) and start != end and math.isfinite(start) and math.isfinite(end):
+            return start, end
     span = numbers(t_span, "The times t_span")
     if span.shape != (2,) or not is_finite(span) or span[0] == span[1]:
         raise ModelError(f"t_span must be two times, finite and different, not {shown(t_span)}.")

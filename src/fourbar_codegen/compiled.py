@@ -662,3 +662,11 @@ class CompiledModel(Kernel):
         from fourbar_codegen.simulation.simulate import make_stepper
 
         return make_stepper(self, h, x0, t=t, parameters=parameters, inputs=inputs, constraints=constraints)
+
+
+def _restore(*_: object) -> CompiledModel:
+    """What a compiled model's pickle named, before `kernel` had a function for it."""
+    raise ModelError(
+        "This pickle of a compiled model was made by an earlier version of fourbar_codegen: make it again, or load the "
+        "module by fourbar_codegen.load."
+    )

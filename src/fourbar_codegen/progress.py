@@ -35,28 +35,30 @@ class Progress:
     """
 
     def __init__(self, task: str, *, unwatched: bool = False) -> None:
-        self._task = task
-        self._stage = ""
+        self._task, self._unwatched = task, unwatched
+        self._stage: str | None = None
         self._begin = time.monotonic()
-        self._done = threading.Event()
-        watched = sys.stderr is not None and (sys.stderr.isatty() or "ipykernel" in sys.modules)
-        show = self._show if watched else self._print if unwatched and sys.stderr is not None else None
-        self._thread = threading.Thread(target=show, daemon=True) if show else None
+        self._thread: threading.Thread | None = None
 
     def stage(self, name: str) -> None:
         """What is being done from now on."""
+        if self._stage is None:  # what is over before its first stage costs nothing
+            watched = sys.stderr is not None and (sys.stderr.isatty() or "ipykernel" in sys.modules)
+            show = self._show if watched else self._print if self._unwatched and sys.stderr is not None else None
+            if show is not None:
+                self._done = threading.Event()
+                self._thread = threading.Thread(target=show, daemon=True)
+                self._thread.start()
         self._stage = name
 
     def __enter__(self) -> Progress:
-        if self._thread is not None:
-            self._thread.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        self._done.set()
         if self._thread is not None:
+            self._done.set()
             self._thread.join()
 
     def _show(self) -> None:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fourbar_codegen.errors import ModelError, SimulationError, shown
 from fourbar_codegen.kernel.kernel import Kernel
-from fourbar_codegen.runtime.evaluator import NOT_CLOSED, OK, is_finite
+from fourbar_codegen.runtime.evaluator import NOT_CLOSED, OK, is_finite, largest_difference
 from fourbar_codegen.runtime.integrator import Ode
 
 __all__ = ["FLOOR", "NOT_RATES", "check_start", "consistent", "is_rounded", "projects"]
@@ -73,7 +73,7 @@ def consistent(ode: Ode, t: float, x0: Floats) -> Floats:
         If the equations cannot be evaluated there.
     """
     status, x = ode.closest(t, x0)
-    if status == OK and np.abs(x - x0).max(initial=0.0) <= FLOOR:
+    if status == OK and largest_difference(x, x0) <= FLOOR:
         return x
     if status == NOT_CLOSED or not is_rounded(ode.n_q, x0, x):
         raise ModelError(

@@ -37,6 +37,8 @@ KINDS = ("linear", "pchip", "cubic")
 
 def bind(model: Kernel, parameters: Values | None, inputs: Mapping[Any, InputSource] | None) -> Ode:
     """The right-hand side with parameters and inputs bound; see `CompiledModel.ode`."""
+    if inputs is None and model.has_inputs:
+        return Ode(model, parameters, [None] * model.n_r)
     sources = [None] * model.n_r if inputs is None else input_sources(model, inputs)
     missing = [
         entry["name"]

@@ -120,7 +120,7 @@ cdef class Evaluator:
     cdef double *inputs
     cdef void *work
     cdef bint has_defaults
-    cdef bint has_inputs
+    cdef readonly bint has_inputs
     cdef bint has_motions
     cdef cnp.ndarray _parameters(self, object p)
     cdef cnp.ndarray _inputs(self, double t, cnp.ndarray parameters, object r, bint known)

@@ -4,7 +4,7 @@
 cimport numpy as cnp
 from cpython.mem cimport PyMem_Calloc, PyMem_Free, PyMem_Malloc
 from cpython.pycapsule cimport PyCapsule_GetPointer
-from libc.math cimport NAN
+from libc.math cimport NAN, fabs
 
 import sys
 
@@ -33,7 +33,7 @@ cdef cnp.ndarray new_array(int rows, int columns=-1):
     return cnp.PyArray_EMPTY(1 if columns < 0 else 2, shape, cnp.NPY_DOUBLE, 0)
 
 
-cdef inline bint _is_ready(object values) noexcept:
+cpdef bint is_ready(object values) noexcept:
     """Whether values are an array as C takes it."""
     return (cnp.PyArray_CheckExact(values) and cnp.PyArray_TYPE(values) == cnp.NPY_DOUBLE
             and cnp.PyArray_ISCARRAY_RO(values))
@@ -61,7 +61,7 @@ cpdef cnp.ndarray numbers(object values, str what):
         If there are complex numbers, text, times, masked entries, None or numbers beyond the range of double among
         them, or rows of different lengths.
     """
-    if _is_ready(values):
+    if is_ready(values):
         return values
     try:
         return _read(values)
@@ -122,12 +122,13 @@ cdef bint _masked(object values, int depth):
 
 cdef cnp.ndarray rows(object columns, str what):
     """Real numbers, as `numbers` has them, with rows for the columns that are given."""
-    return numbers(np.transpose(numbers(columns, what)), what)
+    cdef cnp.ndarray given = columns if cnp.PyArray_CheckExact(columns) else numbers(columns, what)
+    return numbers(given.T, what)  # of what was handed out, states in columns, the same array
 
 
 cdef cnp.ndarray vector(object values, int n, str what):
     """Real numbers, as `numbers` has them, of the shape (n,)."""
-    cdef cnp.ndarray array = <cnp.ndarray>values if _is_ready(values) else numbers(values, what)
+    cdef cnp.ndarray array = <cnp.ndarray>values if is_ready(values) else numbers(values, what)
     if cnp.PyArray_NDIM(array) != 1 or cnp.PyArray_DIM(array, 0) != n:
         raise ModelError(f"{what} must have shape ({n},), not {(<object>array).shape}.")
     return array
@@ -142,6 +143,19 @@ cdef bint _overlap(cnp.ndarray a, cnp.ndarray b) noexcept:
 def is_finite(cnp.ndarray values not None):
     """Whether all entries of a contiguous array of double are finite; for a few, NumPy takes ten times as long."""
     return bool(fb_finite(data(values), cnp.PyArray_SIZE(values)))
+
+
+def largest_difference(cnp.ndarray a not None, cnp.ndarray b not None):
+    """The largest difference of two contiguous arrays of double with as many entries; NaN where one is."""
+    cdef double largest = 0.0, difference
+    cdef Py_ssize_t i
+    for i in range(cnp.PyArray_SIZE(a)):
+        difference = fabs(data(a)[i] - data(b)[i])
+        if not difference <= largest:
+            largest = difference
+            if difference != difference:
+                break
+    return largest
 
 
 cdef class Evaluator:

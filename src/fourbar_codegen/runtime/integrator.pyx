@@ -8,9 +8,9 @@ from libc.math cimport INFINITY
 from libc.string cimport memcpy
 
 from fourbar_codegen.runtime.evaluator cimport (
-    FB_OK, Evaluator, data, fb_all_time, fb_clock, fb_fill_inputs, fb_kernel, fb_problem,
-    fb_problem_jacobian, fb_problem_project, fb_problem_rates, fb_source, fb_table, fb_time, new_array, number, numbers,
-    rows, time_of, vector)
+    FB_OK, Evaluator, data, fb_all_time, fb_clock, fb_fill_inputs, fb_finite, fb_kernel,
+    fb_problem, fb_problem_jacobian, fb_problem_project, fb_problem_rates, fb_source, fb_table, fb_time,
+    new_array, number, numbers, rows, time_of, vector)
 
 import numpy as np
 
@@ -262,6 +262,11 @@ cdef class Ode:
         return self.evaluator.manifest
 
     @property
+    def n_breakpoints(self):
+        """The number of times at which expressions have a jump or a kink."""
+        return self.problem.kernel.n_breakpoints
+
+    @property
     def n_q(self):
         """The number of coordinates."""
         return self.evaluator.n_q
@@ -316,7 +321,7 @@ cdef class Ode:
         cdef cnp.ndarray result = new_array(n, n_r)
         if np.shape(x) != (n, n_x):
             raise ModelError(f"{n} times need states of shape ({n_x}, {n}), not {np.shape(states)}.")
-        if not np.isfinite(t).all():
+        if not fb_finite(data(t), n):
             raise ModelError("The times must be finite.")
         for i in range(n):
             self.check(fb_fill_inputs(&self.problem, data(t)[i], data(x) + i * n_x))
@@ -360,6 +365,16 @@ cdef class Ode:
         if status != FB_OK:
             raise SimulationError(self.evaluator.failure(status, t, state))
         return rates, result
+
+    def energies(self, t, x):
+        """Kinetic and potential energy; NaN for one that is not known."""
+        t = time_of(t)
+        cdef double[2] found
+        cdef cnp.ndarray state = vector(x, self.evaluator.n_x, "The state x")
+        self.check(fb_fill_inputs(&self.problem, t, data(state)))
+        self.problem.kernel.energy(
+            fb_time(&self.problem.clock, t), data(state), self.problem.constants, self.problem.inputs, found)
+        return found[0], found[1]
 
     def jac(self, t, x):
         """d f / d x, shape (n_x, n_x)."""
@@ -502,11 +517,18 @@ cdef const fb_tableau *tableau_of(str method) except NULL:
 
 cdef cnp.ndarray _padded(values, const fb_run *run):
     """Tolerances, and ones where states are padded with zeros."""
-    cdef cnp.ndarray array = new_array(run.padded)
-    array[:run.n] = values
-    for i in range(run.n, run.padded):
-        data(array)[i] = 1.0
+    cdef cnp.ndarray given = numbers(values, "A tolerance"), array = new_array(run.padded)
+    cdef int i, step = cnp.PyArray_SIZE(given) != 1
+    if step and cnp.PyArray_SIZE(given) != run.n:
+        raise ModelError(f"A tolerance is a number or {run.n} numbers, not {cnp.PyArray_SIZE(given)}.")
+    for i in range(run.padded):
+        data(array)[i] = data(given)[i * step] if i < run.n else 1.0
     return array
+
+
+cdef cnp.ndarray _zeros(int n, int m):
+    cdef cnp.npy_intp[2] shape = [n, m]
+    return cnp.PyArray_ZEROS(2, shape, cnp.NPY_DOUBLE, 0)
 
 
 cdef cnp.ndarray _state_of(const fb_run *run):
@@ -564,19 +586,20 @@ cdef class Run:
 
     def __cinit__(self, Ode ode not None, str method, double t, x, double t_bound, double max_step, rtol, atol,
                   bint project, times, events, bint look_at_all):
-        cdef int n = ode.evaluator.n_x, n_stages
+        cdef int n = ode.evaluator.n_x, n_stages, n_dense
         cdef cnp.ndarray state = vector(x, n, "The state x")
         cdef fb_run *run = &self.run
         _prepare(run, ode, tableau_of(method))
         run.step = fb_step_on
-        n_stages = run.method.n_stages + 1 + run.method.n_extra
+        n_stages, n_dense = run.method.n_stages + 1 + run.method.n_extra, run.method.n_dense + 3
         self.ode, self.method, self.kept = ode, method, []
         ode.clock = t, -INFINITY, INFINITY
         self.t_begin, self.since_begin, self.t_bound, self.times = t, 0.0, t_bound, times
         run.direction, run.t_bound, run.max_step = 1.0 if t_bound > t else -1.0, t_bound - t, max_step
         run.project, run.until = project, run.t_bound
-        run.x, run.x_old, run.scratch, run.along = self._zeros(1), self._zeros(1), self._zeros(1), self._zeros(2)
-        run.stages, run.interpolant = self._zeros(n_stages), self._zeros(run.method.n_dense + 3)
+        run.x = <double *>self._keep(_zeros(5 + n_stages + n_dense, run.padded))
+        run.x_old, run.scratch, run.along = run.x + run.padded, run.x + 2 * run.padded, run.x + 3 * run.padded
+        run.stages, run.interpolant = run.along + 2 * run.padded, run.along + (2 + n_stages) * run.padded
         run.rtol, run.atol = <double *>self._keep(_padded(rtol, run)), <double *>self._keep(_padded(atol, run))
         memcpy(run.x, data(state), n * sizeof(double))
         if times is not None:
@@ -599,9 +622,6 @@ cdef class Run:
         self.kept.append(array)
         return cnp.PyArray_DATA(array)
 
-    cdef double *_zeros(self, int n):
-        return <double *>self._keep(np.zeros((n, self.run.padded)))
-
     def take_samples(self):
         """The samples since the last call, shapes (n,) and (n, n_x)."""
         cdef long i, n = self.run.n_samples
@@ -620,7 +640,7 @@ cdef class Run:
         return samples
 
     cdef int _make_room(self, long room) except -1:
-        self.kept_t, self.kept_x = np.empty(room), np.empty((room, self.run.n))
+        self.kept_t, self.kept_x = new_array(room), new_array(room, self.run.n)
         self.run.sample_t, self.run.sample_x, self.run.room = data(self.kept_t), data(self.kept_x), room
         return 0
 

@@ -85,6 +85,8 @@ def discontinuities(ode: Ode, begin: float, end: float) -> list[Discontinuity]:
     -------
     list of Discontinuity
     """
+    if not (ode.n_breakpoints or Table in map(type, ode.sources)):
+        return []
     n_moves = ode.manifest["n_jumps"]
     known = {t: number < n_moves for number, t in reversed(list(enumerate(ode.breakpoints().tolist())))}
     for entry, source in zip(ode.manifest["inputs"], ode.sources, strict=True):
@@ -92,8 +94,6 @@ def discontinuities(ode: Ode, begin: float, end: float) -> list[Discontinuity]:
             moves = source.jumps() if entry["order"] == 1 else np.zeros(len(source.times), dtype=bool)
             for t, jumps in zip(source.times.tolist(), moves.tolist(), strict=True):
                 known[t] = known.get(t, False) or jumps
-    if not known:
-        return []
     low, high = min(begin, end), max(begin, end)
     within = sorted((t for t in known if low <= t <= high), reverse=end < begin)
     latest = max(abs(t) for t in (begin, end, *within) if math.isfinite(t))

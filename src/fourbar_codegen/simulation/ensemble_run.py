@@ -52,7 +52,7 @@ def run(
     projects(model, given["constraints"])  # of one member, "baumgarte" is allowed as well
     options = RunOptions.of(model, **given)
     if options.t_eval is None:
-        options = replace(options, t_eval=np.array(options.t_span))
+        options = options._replace(t_eval=np.array(options.t_span))
     assert options.t_eval is not None
     workers = n_workers(workers)
     shows_bar = flag(progress, "progress")
@@ -164,7 +164,7 @@ class _Runs:
     def of(self, member: int) -> RunOptions:
         """Those of a member."""
         inputs = inputs_of(self.inputs, member)
-        return replace(self.options, x0=self.states[member], parameters=self.parameters[member], inputs=inputs)
+        return self.options._replace(x0=self.states[member], parameters=self.parameters[member], inputs=inputs)
 
     def block(self, members: slice) -> _Runs:
         """Some of the members."""
@@ -186,7 +186,7 @@ def _on_threads(runs: _Runs, workers: int, bar: Any) -> Results:
 
     def alone(member: int) -> None:
         try:
-            found = simulate(model, replace(runs.of(member), progress=check))
+            found = simulate(model, runs.of(member)._replace(progress=check))
         except FourbarError as error:
             messages[member] = str(error)
             return

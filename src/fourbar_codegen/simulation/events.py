@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -82,7 +83,7 @@ class Watch:
             (model.outputs.index(events[i].function), int(np.sign(events[i].direction))) for i in self.named
         ]
         self.values = [0.0] * len(events)
-        self.went_on = np.nan
+        self.went_on = math.nan
         """Where the present piece of the run begins, after another one."""
 
     def begin(self, run: Integration) -> None:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,8 +36,7 @@ FAILED = {
 }
 
 
-@dataclass(frozen=True)
-class Result:
+class Result(NamedTuple):
     """What a run gives; the names are those of ``solve_ivp``."""
 
     t: Floats
@@ -148,8 +146,8 @@ def integrate(
     pieces.end(run)
     if status < 0:
         message = f"The integration stopped at t = {run.t:.9g}: {message}"
-    t = np.concatenate([times for times, _ in samples])
-    y = np.concatenate([states for _, states in samples]).T
+    t, y = samples[0] if len(samples) == 1 else map(np.concatenate, zip(*samples, strict=True))
+    y = y.T
     if dense is not None and t_eval is None and t.size > 1 and t[-1] == t[-2]:
         t, y = t[:-1], y[:, :-1]  # an event where a step begins; SciPy leaves that time away as well, beside `sol`
     return Result(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
@@ -46,13 +45,10 @@ def simulate(model: Kernel, options: RunOptions) -> Trajectory:
     if options.stabilization is not None:
         ode.stabilization = options.stabilization
     check_start(model, ode, start, state, p, passes=options.method == FIXED_STEP)
-    with ExitStack() as stack:
-        bars: list[Progress] = []  # made where a run is a long one
+    with Progress(model.name, unwatched=True) as progress:
 
         def show(t: float) -> None:
-            if not bars:
-                bars.append(stack.enter_context(Progress(model.name, unwatched=True)))
-            bars[0].stage(f"simulating, t = {t:.6g} of {end:g} s")
+            progress.stage(f"simulating, t = {t:.6g} of {end:g} s")
 
         report = show if options.progress is None else options.progress or None
         result = integrate(model, ode, state, options, report)
@@ -82,7 +78,7 @@ def _growth(model: Kernel, ode: Ode, result: Result) -> str:
     end, _ = result.last
 
     def energies(t: float, x: Floats) -> tuple[float, float]:
-        kinetic, potential = model.energy(t, x, ode.parameters, ode.input_values(t, x)).tolist()
+        kinetic, potential = ode.energies(t, x)
         return kinetic, potential if model.manifest["has_potential_energy"] else 0.0
 
     n = len(result.t)

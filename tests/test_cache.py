@@ -2,8 +2,10 @@
 
 import contextlib
 import ctypes
+import json
 import os
 import pickle
+import re
 import shutil
 import subprocess
 import sys
@@ -17,9 +19,8 @@ from systems import slider
 
 import fourbar_codegen as fb
 from fourbar_codegen import compile as pipeline
-from fourbar_codegen.building import cache, toolchain
+from fourbar_codegen.building import cache, library, toolchain
 from fourbar_codegen.expressions import fingerprint
-from fourbar_codegen.kernel import loading
 
 CHANGES = [
     "orientation", "angular velocity", "position", "velocity", "mass", "inertia", "body", "load", "point of a load",
@@ -37,24 +38,12 @@ def test_key_knows_every_part_of_the_model(change):
 
 @pytest.mark.parametrize(
     "change",
-    [
-        "package",
-        "abi",
-        "python",
-        "numpy",
-        "sympy",
-        "cython",
-        "compiler",
-        "compiler file",
-        "flags",
-        "CFLAGS",
-        "processor",
-    ],
+    ["package", "abi", "sympy", "compiler", "compiler file", "flags", "CFLAGS", "processor"],
 )
 def test_key_knows_the_toolchain(change, monkeypatch, tmp_path):
     model = slider()
     key = pipeline.key_of(model)
-    toolchain._package_digest.cache_clear()
+    forget_digests()
     if change in {"package", "abi"}:
         # The kernel's interface is one of the package's headers: any change to a source file counts.
         for path in toolchain.PACKAGE.rglob("*"):
@@ -65,16 +54,8 @@ def test_key_knows_the_toolchain(change, monkeypatch, tmp_path):
                     text += "\n"
                 (tmp_path / path.relative_to(toolchain.PACKAGE)).write_text(text)
         monkeypatch.setattr(toolchain, "PACKAGE", tmp_path)
-    elif change == "python":
-        monkeypatch.setattr(toolchain.sys, "implementation", type("Fake", (), {"cache_tag": "cpython-399"}))
-    elif change == "numpy":
-        monkeypatch.setattr("numpy.__version__", "0")
     elif change == "sympy":
         monkeypatch.setattr(toolchain, "distribution_version", lambda name: "0")
-    elif change == "cython":
-        (tmp_path / "Shadow.py").write_text('__version__ = "0"')
-        spec = type("Spec", (), {"origin": str(tmp_path / "__init__.py")})
-        monkeypatch.setattr(toolchain, "find_spec", lambda name: spec)
     elif change == "compiler":
         monkeypatch.setenv("CC", "clang")
     elif change == "compiler file":
@@ -91,8 +72,13 @@ def test_key_knows_the_toolchain(change, monkeypatch, tmp_path):
     elif change == "processor":
         monkeypatch.setattr(toolchain, "_processor", lambda: "another")
     changed = pipeline.key_of(model)
-    toolchain._package_digest.cache_clear()
+    forget_digests()
     assert changed != key
+
+
+def forget_digests():
+    toolchain._package_digest.cache_clear()
+    toolchain._headers_digest.cache_clear()
 
 
 def test_key_is_the_same_in_every_process():
@@ -158,8 +144,7 @@ def test_warm_call_forms_no_equations(monkeypatch):
     def forbidden(*_):
         raise AssertionError("a warm call must not come here")
 
-    monkeypatch.setattr(pipeline, "generate_sources", forbidden)
-    monkeypatch.setattr(pipeline, "build_extension", forbidden)
+    monkeypatch.setattr(pipeline, "_generate", forbidden)
     warm = fb.compile_model(slider())
     x = [0.5, 0.1, 0.2, 0.3]
     assert warm.rhs(0.0, x).tolist() == cold.rhs(0.0, x).tolist()
@@ -177,9 +162,7 @@ def test_failed_build_leaves_nothing_and_the_next_one_succeeds(monkeypatch, tmp_
 
 def test_concurrent_calls_build_once(monkeypatch, tmp_path):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
-    calls = []
-    real = pipeline.build_extension
-    monkeypatch.setattr(pipeline, "build_extension", lambda *a, **k: calls.append(a) or real(*a, **k))
+    calls = compilations(monkeypatch)
     models = [slider() for _ in range(3)]
     results = []
     threads = [threading.Thread(target=lambda m=m: results.append(fb.compile_model(m))) for m in models]
@@ -188,15 +171,127 @@ def test_concurrent_calls_build_once(monkeypatch, tmp_path):
     for thread in threads:
         thread.join()
     assert len(results) == 3
-    assert len(calls) == 1
+    assert calls == ["slider_kernel.so"]
 
 
-def test_folder_in_the_cache_holds_sources_and_module_only(monkeypatch, tmp_path):
+def compilations(monkeypatch):
+    """The libraries that are compiled from now on."""
+    calls = []
+    real = toolchain.compile_library
+    monkeypatch.setattr(library, "compile_library", lambda path, *more: calls.append(path.name) or real(path, *more))
+    return calls
+
+
+def test_another_number_compiles_nothing(monkeypatch, tmp_path):
+    """Defaults, units and initial values are no part of a library."""
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
-    fb.compile_model(slider())
-    (folder,) = [path for path in tmp_path.iterdir() if path.is_dir()]
-    kinds = sorted(path.suffix for path in folder.iterdir())
-    assert kinds == ["", ".c", ".c", ".c", ".h", ".json", ".pyx", ".so"]
+    calls = compilations(monkeypatch)
+    first = fb.compile_model(slider())
+    assert calls == ["slider_kernel.so"]
+    for change in ("default", "unit", "initial value"):
+        other = fb.compile_model(slider(change))
+        assert other.manifest != first.manifest
+        assert fb.load(other.path).manifest == other.manifest == json.loads(sources_of(change)["manifest.json"])
+    assert fb.compile_model(slider(), check=False).manifest == first.manifest
+    assert calls == ["slider_kernel.so"]
+    assert fb.compile_model(slider("mass")).manifest != first.manifest
+    assert calls == ["slider_kernel.so"] * 2
+
+
+def sources_of(change):
+    return fb.generate_sources(slider(change))
+
+
+def test_a_change_of_the_package_that_leaves_the_sources_compiles_nothing(monkeypatch, tmp_path):
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
+    first = fb.compile_model(slider())
+    first.require_derivatives()
+    calls = compilations(monkeypatch)
+    monkeypatch.setattr(toolchain, "_package_digest", lambda: "of another version")
+    second = fb.compile_model(slider())
+    assert second.path != first.path
+    assert second.jacobian(0.0, np.full(4, 0.3)).tolist() == first.jacobian(0.0, np.full(4, 0.3)).tolist()
+    assert calls == []
+    monkeypatch.setattr(toolchain, "_headers_digest", lambda: "of another version")
+    fb.compile_model(slider()).require_derivatives()
+    assert calls == ["slider_kernel.so", "slider_derivatives.so"]
+
+
+def test_folder_in_the_cache_holds_sources_library_and_numbers_only(monkeypatch, tmp_path):
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
+    model = fb.compile_model(slider())
+    names = sorted(path.name for path in model.path.parent.iterdir())
+    assert names == ["checksum", "slider_batch.c", "slider_derivatives.c", "slider_kernel.c", "slider_kernel.h",
+                     "slider_kernel.so", "slider_numbers.json"]  # fmt: skip
+
+
+def test_a_library_without_its_numbers(tmp_path):
+    path = fb.compile_model(slider()).path
+    alone = shutil.copy(path, tmp_path)
+    numbers = tmp_path / "slider_numbers.json"
+    for text in (None, "", "{}", '{"parameters": []}'):
+        if text is not None:
+            numbers.write_text(text)
+        with pytest.raises(fb.ModelError, match=r"slider_numbers\.json beside it"):
+            fb.load(alone)
+    shutil.copy(path.with_name(numbers.name), numbers)
+    assert fb.load(alone).defaults == fb.load(path).defaults
+
+
+def test_derivatives_are_compiled_when_they_are_needed(monkeypatch, tmp_path):
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
+    model = fb.compile_model(slider())
+    start = model.initial_state({"q1": 0.48}, {"u1": 0.0})
+    for how in ({}, {"method": "RK45"}, {"constraints": "baumgarte"}, {"constraints": "none", "dense_output": True}):
+        assert model.simulate((0.0, 0.1), start, **how).success
+    assert len(model.simulate((0.0, 0.1), start).multipliers) == model.n_c
+    assert model.lacks_derivatives
+    whole = fb.load(fb.build_model(slider(), tmp_path / "whole"))
+    x = np.array([0.5, 0.1, 0.2, 0.3])
+    asked = {
+        "jacobian": lambda m: m.jacobian(0.0, x),
+        "parameter_jacobian": lambda m: m.parameter_jacobian(0.0, x),
+        "input_jacobian": lambda m: m.input_jacobian(0.0, x),
+        "linearize": lambda m: m.linearize(0.0, start)[0],
+        "positions": lambda m: np.array(list(m.positions(0.0, x[:2]).values())),
+        "points": lambda m: np.array(list(m.simulate((0.0, 0.1), start).points.values())),
+        "Radau": lambda m: m.simulate((0.0, 0.1), start, method="Radau").y,
+        "ALI3P": lambda m: m.simulate((0.0, 0.1), start, method="ALI3P", max_step=0.01).y,
+        "IDA": lambda m: m.simulate((0.0, 0.1), start, method="IDA").y,
+        "CVODE": lambda m: m.simulate((0.0, 0.1), start, method="CVODE").y,
+        "ode": lambda m: m.ode().jac(0.0, x),
+    }
+    for name, ask in asked.items():
+        model = fb.compile_model(slider())
+        assert model.lacks_derivatives, name
+        # With other instructions: rounding, and what the solvers' tolerance of 1e-6 makes of it.
+        np.testing.assert_allclose(ask(model), ask(whole), rtol=1e-6, atol=1e-9, err_msg=name)
+        assert not model.lacks_derivatives, name
+
+
+@pytest.mark.parametrize(
+    ("part", "pattern", "replacement", "message"),
+    [
+        ("derivatives", r"(residual_jacobian\[1\] = )", r"\g<1>0.1 + ", "derivative dx'/dx"),
+        ("derivatives", r"(parameter_jacobian\[1\] = )", r"\g<1>0.1 + ", "derivative"),
+        ("derivatives", r"(velocity_jacobian\[0\] = )", r"\g<1>0.1 + ", r"derivative d\(J u \+ b\)/dq"),
+        ("batch", r"(forcing\[1\] = )", r"\g<1>1.1*", "for several states side by side"),
+    ],
+)
+def test_a_defect_of_a_part_is_found_when_it_is_built(monkeypatch, tmp_path, part, pattern, replacement, message):
+    """What is compiled later is compared without SymPy, and not kept where it does not agree."""
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
+    sources = fb.generate_sources(slider())
+    sources["slider_batch.c"] = "#define FB_SIDE_BY_SIDE\n" + sources["slider_kernel.c"]  # as it includes it
+    original = sources[f"slider_{part}.c"]
+    damaged, count = re.subn(pattern, replacement, original, count=1)
+    assert count == 1
+    monkeypatch.setattr(f"fourbar_codegen.codegen.c_source.{part}_text", lambda *_: damaged)
+    model = fb.compile_model(slider())
+    for _ in range(2):
+        with pytest.raises(fb.BuildError, match=message):
+            (model.require_derivatives if part == "derivatives" else model.require_batch_functions)()
+    assert entries(tmp_path) == ["slider", "slider_kernel"]
 
 
 def entries(folder):
@@ -211,20 +306,17 @@ def test_states_side_by_side_are_compiled_when_they_are_needed(monkeypatch, tmp_
     assert first.simulate((0.0, 0.1), start).success
     assert first.ensemble((0.0, 0.1), start, inputs={"F": lambda t, x: 1.0}).success.all()
     assert first.lacks_batch_functions
-    assert entries(tmp_path) == ["slider"]
+    assert entries(tmp_path) == ["slider", "slider_kernel"]
     x = np.linspace(0.1, 2.0, 40).reshape(4, 10)
     rates = first.rhs_batch(0.0, x)
     assert not first.lacks_batch_functions
-    assert entries(tmp_path) == ["slider", "slider_batch_functions"]
+    assert entries(tmp_path) == ["slider", "slider_batch_functions", "slider_kernel"]
     np.testing.assert_allclose(rates, np.transpose([first.rhs(0.0, column) for column in x.T]), rtol=1e-12)
-
-    def forbidden(*_):
-        raise AssertionError("they are there already")
-
-    monkeypatch.setattr(loading, "build_batch_functions", forbidden)
+    calls = compilations(monkeypatch)
     second = fb.compile_model(slider())
     np.testing.assert_array_equal(second.rhs_batch(0.0, x), rates)
     assert second.ensemble((0.0, 0.1), start).success.all()
+    assert calls == []
 
 
 def test_states_side_by_side_that_cannot_be_compiled(monkeypatch, tmp_path):
@@ -235,7 +327,7 @@ def test_states_side_by_side_that_cannot_be_compiled(monkeypatch, tmp_path):
     for _ in range(2):
         with pytest.raises(fb.BuildError, match="exit code: 1"):
             model.rhs_batch(0.0, x)
-    assert entries(tmp_path) == ["slider"]
+    assert entries(tmp_path) == ["slider", "slider_kernel"]
     assert np.isfinite(model.rhs(0.0, x[:, 0])).all()
     monkeypatch.delenv("CC")
     assert np.isfinite(model.rhs_batch(0.0, x)).all()
@@ -319,7 +411,6 @@ def test_models_sent_without_their_sources(tmp_path):
     model = fb.load(fb.build_model(slider("name"), tmp_path))
     for path in tmp_path.glob("*.[ch]"):
         path.unlink()
-    (tmp_path / f"{model.name}.pyx").unlink()
     sent = pickle.dumps(model)
     assert pickle.loads(sent).path == model.path
     model.path.unlink()

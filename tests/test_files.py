@@ -124,7 +124,7 @@ def test_a_module_that_cannot_be_written_leaves_the_old_one(tmp_path, monkeypatc
     monkeypatch.setattr(toolchain, "_build", lambda *_, **__: built)
 
     def made():
-        return toolchain.build_extension("module", {"module.pyx": "new"}, folder, portable=True)
+        return toolchain.build_extension("module", {"module.pyx": "new"}, folder)
 
     made().write_bytes(b"old module")
     opened = (folder / "module.so").open("rb")  # as a process that has loaded it

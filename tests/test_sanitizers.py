@@ -42,13 +42,13 @@ static double evaluate(const fb_kernel *k, const double *p)
     double *vr = doubles(k->n_c * k->n_r), *e = doubles(2), *o = doubles(k->n_o);
     double *rp = doubles(k->n_r * k->n_p);
     const int n[3] = {n_x, k->n_p, k->n_r};
-    fb_sensitivity *const of[3] = {k->sensitivity, k->parameter_sensitivity, k->input_sensitivity};
-    fb_evaluation *const by[3] = {k->jacobian, k->parameter_jacobian, k->input_jacobian};
+    const fb_derivatives *const d = k->derivatives;
+    fb_sensitivity *const of[3] = {d->sensitivity, d->parameter_sensitivity, d->input_sensitivity};
     void *work = calloc(1, k->work_size);
     double sum = 0.0;
     k->prepare(p, c);
     k->default_inputs(0.5, c, r);
-    k->default_input_sensitivity(0.5, c, rp);
+    d->default_input_sensitivity(0.5, c, rp);
     k->rhs(0.5, x, c, r, rates, work);
     k->accelerations(0.5, x, c, r, a, l, work);
     k->dynamics(0.5, x, c, r, qs, m, f, j, g);
@@ -56,13 +56,13 @@ static double evaluate(const fb_kernel *k, const double *p)
     k->velocity(0.5, x, c, r, j, g);
     k->constraint_violation(0.5, x, c, r, l, g);
     k->coordinate_change(0.5, x, c, r, a, qs);
-    k->constraint_sensitivity(0.5, x, c, r, vq, pr, vr);
+    d->constraint_sensitivity(0.5, x, c, r, vq, pr, vr);
     k->energy(0.5, x, c, r, e);
     k->output(0.5, x, c, r, a, l, o);
     for (int i = 0; i < 3; ++i) {
         double *q = doubles(k->n_q * n[i]), *y = doubles(n_y * n[i]), *all = doubles(n_x * n[i]);
         of[i](0.5, x, c, r, a, l, q, y);
-        by[i](0.5, x, c, r, all, work);
+        k->differentiate(of[i], n[i], 0.5, x, c, r, all, work);
         sum += n[i] ? all[0] : 0.0;
         free(q), free(y), free(all);
     }

@@ -14,7 +14,7 @@
 #include <math.h>
 
 /* Positions of the points that are drawn, and the inputs' forces on them. */
-void four_bar_drawing(double t, const double *restrict x, const double *restrict constants,
+static void drawing(double t, const double *restrict x, const double *restrict constants,
     const double *restrict r, double *restrict points, double *restrict forces)
 {
     (void)t;
@@ -87,7 +87,7 @@ void four_bar_drawing(double t, const double *restrict x, const double *restrict
 }
 
 /* d/dx of q', and of f - M u' + J^T lambda and -(J u' + gamma) with u' and lambda held. */
-void four_bar_sensitivity(double t, const double *restrict x, const double *restrict constants,
+static void sensitivity(double t, const double *restrict x, const double *restrict constants,
     const double *restrict r, const double *restrict accelerations, const double *restrict multipliers,
     double *restrict coordinate_rate_jacobian, double *restrict residual_jacobian)
 {
@@ -259,7 +259,7 @@ void four_bar_sensitivity(double t, const double *restrict x, const double *rest
 }
 
 /* The same derivatives with respect to the parameters. */
-void four_bar_parameter_sensitivity(double t, const double *restrict x, const double *restrict constants,
+static void parameter_sensitivity(double t, const double *restrict x, const double *restrict constants,
     const double *restrict r, const double *restrict accelerations, const double *restrict multipliers,
     double *restrict coordinate_rate_parameter_jacobian, double *restrict residual_parameter_jacobian)
 {
@@ -442,7 +442,7 @@ void four_bar_parameter_sensitivity(double t, const double *restrict x, const do
 }
 
 /* The same derivatives with respect to the inputs. */
-void four_bar_input_sensitivity(double t, const double *restrict x, const double *restrict constants,
+static void input_sensitivity(double t, const double *restrict x, const double *restrict constants,
     const double *restrict r, const double *restrict accelerations, const double *restrict multipliers,
     double *restrict coordinate_rate_input_jacobian, double *restrict residual_input_jacobian)
 {
@@ -469,7 +469,7 @@ void four_bar_input_sensitivity(double t, const double *restrict x, const double
 }
 
 /* d/dp of the inputs' expressions; zero without one. */
-void four_bar_default_input_sensitivity(double t, const double *restrict constants,
+static void default_input_sensitivity(double t, const double *restrict constants,
     double *restrict default_input_jacobian)
 {
     (void)t;
@@ -485,7 +485,7 @@ void four_bar_default_input_sensitivity(double t, const double *restrict constan
 }
 
 /* d/dq of the velocity constraints J u + b; d/dr of the position constraints and of J u + b. */
-void four_bar_constraint_sensitivity(double t, const double *restrict x, const double *restrict constants,
+static void constraint_sensitivity(double t, const double *restrict x, const double *restrict constants,
     const double *restrict r, double *restrict velocity_jacobian, double *restrict position_input_jacobian,
     double *restrict velocity_input_jacobian)
 {
@@ -527,3 +527,14 @@ void four_bar_constraint_sensitivity(double t, const double *restrict x, const d
     velocity_input_jacobian[0] = 0.0;
     velocity_input_jacobian[1] = 0.0;
 }
+
+const fb_derivatives four_bar_derivatives = {
+    .abi_version = FB_ABI_VERSION,
+    .struct_size = sizeof(fb_derivatives),
+    .drawing = drawing,
+    .sensitivity = sensitivity,
+    .parameter_sensitivity = parameter_sensitivity,
+    .input_sensitivity = input_sensitivity,
+    .default_input_sensitivity = default_input_sensitivity,
+    .constraint_sensitivity = constraint_sensitivity,
+};

@@ -14,11 +14,7 @@
 #include "fourbar_kernel.h"
 
 extern const fb_kernel four_bar_kernel;
+extern const fb_derivatives four_bar_derivatives;
 extern const fb_batch_functions four_bar_batch_functions;
-
-fb_sensitivity four_bar_sensitivity, four_bar_parameter_sensitivity, four_bar_input_sensitivity;
-fb_default_input_sensitivity four_bar_default_input_sensitivity;
-fb_constraint_sensitivity four_bar_constraint_sensitivity;
-fb_drawing four_bar_drawing;
 
 #endif

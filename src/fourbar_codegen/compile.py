@@ -1,23 +1,26 @@
-"""The pipeline: Model -> Equations -> Program -> C and Cython text -> extension module -> CompiledModel."""
+"""The pipeline: Model -> Equations -> Program -> C and Cython text -> library or extension module -> CompiledModel."""
 
 from __future__ import annotations
 
 import re
 import sys
 import tempfile
+from collections.abc import Callable
 from importlib.metadata import metadata, packages_distributions
 from importlib.metadata import version as distribution_version
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from fourbar_codegen.arguments import flag
 from fourbar_codegen.building.cache import cached
-from fourbar_codegen.building.toolchain import build_extension, cache_key
+from fourbar_codegen.building.library import install
+from fourbar_codegen.building.toolchain import build_extension
 from fourbar_codegen.building.wheel import WHEEL_SUMMARY, pack_wheel
 from fourbar_codegen.compiled import CompiledModel
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.expressions.fingerprint import fingerprint
 from fourbar_codegen.files import path_of
+from fourbar_codegen.kernel.loading import cache_key
 from fourbar_codegen.modeling.model import Model
 from fourbar_codegen.progress import Progress
 
@@ -53,11 +56,12 @@ def generate_sources(model: Model) -> dict[str, str]:
      'manifest.json']
     """
     with Progress(f"fourbar_codegen: {getattr(model, 'name', '')}") as progress:
-        return _generate(model, progress)[1]
+        _, sources, _ = _generate(model, progress)
+        return sources
 
 
-def _generate(model: Model, progress: Progress) -> tuple[Equations, dict[str, str]]:
-    """The equations, and the sources made of them."""
+def _generate(model: Model, progress: Progress) -> tuple[Equations, dict[str, str], dict[str, Any]]:
+    """The equations, the sources made of them, and the manifest."""
     _require_model(model)
     # Imported here: a model that is in the cache needs none of it.
     from fourbar_codegen.codegen.c_source import batch_text, derivatives_text, header_text, kernel_text
@@ -82,7 +86,7 @@ def _generate(model: Model, progress: Progress) -> tuple[Equations, dict[str, st
     }
     manifest = manifest_of(model, equations, program, names, fingerprint(_described(model)))
     batch = batch_text(scheduled)
-    return equations, {
+    sources = {
         f"{model.name}_kernel.c": kernel_text(scheduled, names),
         **({f"{model.name}_batch.c": batch} if batch else {}),
         f"{model.name}_derivatives.c": derivatives_text(scheduled, names),
@@ -90,13 +94,15 @@ def _generate(model: Model, progress: Progress) -> tuple[Equations, dict[str, st
         f"{model.name}.pyx": wrapper_text(model, manifest),
         "manifest.json": manifest_text(manifest),
     }
+    return equations, sources, manifest
 
 
 def key_of(model: Model) -> str:
     """The key of a model in the cache: a digest of all that its compiled module depends on.
 
     That is the whole mechanism as the equations see it, the names, defaults and inputs, of which the manifest has the
-    fingerprint; this package's own sources, and the tools: Python, NumPy, SymPy, Cython, the compiler and its flags.
+    fingerprint; this package's own sources, SymPy, the compiler and its flags. The library has a key of its own, of its
+    sources and the compiler, so that models that lead to the same sources share it.
     """
     return cache_key(fingerprint(_described(model)))
 
@@ -145,7 +151,7 @@ def build_model(model: Model, folder: str | Path, *, check: bool = True) -> Path
         As for `compile_model`.
     """
     _require_model(model)
-    return _build(model, path_of(folder), portable=True, check=check)
+    return _build(model, path_of(folder), check=check)
 
 
 def build_wheel(model: Model, folder: str | Path, *, version: str = "0.1.0", check: bool = True) -> Path:
@@ -201,7 +207,7 @@ def build_wheel(model: Model, folder: str | Path, *, version: str = "0.1.0", che
     requires = [f"numpy>={np.__version__.split('.')[0]}.0"]
     extras = {"simulate": [f"fourbar_codegen~={own}.0"]}
     with tempfile.TemporaryDirectory() as temporary:
-        module = _build(model, Path(temporary) / model.name, portable=True, check=check)
+        module = _build(model, Path(temporary) / model.name, check=check)
         return pack_wheel(module, folder, version=version, requires=requires, extras=extras)
 
 
@@ -214,32 +220,41 @@ def _is_taken(name: str) -> bool:
     return any(not (metadata(owner)["Summary"] or "").startswith(WHEEL_SUMMARY) for owner in owners)
 
 
-def _build(model: Model, folder: Path, *, portable: bool, check: bool) -> Path:
+def _build(model: Model, folder: Path, *, check: bool) -> Path:
+    """An extension module in a folder."""
     compares = flag(check, "check")
     with Progress(f"fourbar_codegen: {model.name}") as progress:
-        equations, sources = _generate(model, progress)
-
-        def compare(module: Path) -> None:
-            from fourbar_codegen.verify import verify
-
-            progress.stage("checking")
-            verify(equations, CompiledModel.from_file(module))
-
+        equations, sources, _ = _generate(model, progress)
         progress.stage("compiling")
-        return build_extension(model.name, sources, folder, portable=portable, check=compare if compares else None)
+        compare = _comparison(equations, progress) if compares else None
+        return build_extension(model.name, sources, folder, check=compare)
+
+
+def _comparison(equations: Equations, progress: Progress) -> Callable[[Path], None]:
+    """What compares a compiled model with its equations."""
+
+    def compare(module: Path) -> None:
+        from fourbar_codegen.verify import verify
+
+        progress.stage("checking")
+        verify(equations, CompiledModel.from_file(module))
+
+    return compare
 
 
 def compile_model(model: Model, *, check: bool = True) -> CompiledModel:
     """Compile a model, or load it from the cache if the same model was compiled before.
 
-    The cache is in the user's cache folder, or in the folder that the environment variable
-    ``FOURBAR_CODEGEN_CACHE`` names.
+    What a simulation by an explicit method needs is compiled at once; derivatives, what is drawn, and the functions for
+    several states side by side when they are first asked for. The cache is in the user's cache folder, or in the folder
+    that the environment variable ``FOURBAR_CODEGEN_CACHE`` names.
 
     Parameters
     ----------
     model : Model
     check : bool, optional
-        Whether to compare the compiled functions with the equations, evaluated in Python at random states.
+        Whether to compare the compiled functions with the equations, evaluated in Python at random states. (What is
+        compiled later is compared then: derivatives with differences, states side by side with one after the other.)
 
     Returns
     -------
@@ -264,6 +279,10 @@ def compile_model(model: Model, *, check: bool = True) -> CompiledModel:
     check = flag(check, "check")
 
     def build(folder: Path) -> Path:
-        return _build(model, folder, portable=False, check=check)
+        with Progress(f"fourbar_codegen: {model.name}") as progress:
+            equations, sources, manifest = _generate(model, progress)
+            progress.stage("compiling")
+            compare = _comparison(equations, progress) if check else None
+            return install(model.name, sources, manifest, folder, check=compare)
 
     return CompiledModel.from_file(cached(model.name, key_of(model), build))

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from fourbar_codegen.arguments import Values
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.kernel.kernel import Kernel
-from fourbar_codegen.kernel.loading import module_of
+from fourbar_codegen.kernel.loading import load_named
 from fourbar_codegen.runtime.integrator import Ode, Stepper
 
 if TYPE_CHECKING:
@@ -31,14 +31,15 @@ Floats = NDArray[np.float64]
 def load(name: str | Path) -> CompiledModel:
     """Load a model that is compiled already; neither SymPy nor a compiler is needed.
 
-    (For a module of `compile_model`, in the cache, a compiler is needed once more by its first batch or ensemble.)
+    (For a library of `compile_model`, in the cache, a compiler is needed once more by its first Jacobian or picture, and
+    by its first batch or ensemble.)
 
     Parameters
     ----------
     name : str or Path
         The name of a model that comes with the package, ``"four_bar"``, or that was installed from a wheel
         of `build_wheel` (not what lies in the current folder); or the path of an extension module that
-        ``fourbar build`` or `build_model` made. Of an installed package, nothing runs that does not say in its
+        ``fourbar build`` or `build_model` made, or of a library of `compile_model`. Of an installed package, nothing runs that does not say in its
         manifest.json that it is that model.
 
     Returns
@@ -55,7 +56,7 @@ def load(name: str | Path) -> CompiledModel:
     >>> load("four_bar").coordinates
     ('q1', 'q2', 'q3')
     """
-    return CompiledModel.from_module(module_of(name))
+    return CompiledModel.from_loaded(load_named(name))
 
 
 def load_trajectory(path: str | Path, model: CompiledModel | None = None) -> Trajectory:
@@ -123,7 +124,7 @@ class CompiledModel(Kernel):
     units, descriptions : dict of str to str
         Of the parameters.
     path : Path
-        The extension module.
+        The extension module, or the library that `compile_model` made; `load` takes it.
     manifest : dict
         All that is known of the model, as in the manifest.json beside the generated sources.
     n_q, n_u, n_x, n_p, n_r : int

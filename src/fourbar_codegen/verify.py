@@ -111,9 +111,8 @@ def _compiled_results(
     """What every compiled function gives, beside the results that it is to give."""
     t = values[e.time]
     x, p, r, accelerations, multipliers = _arrays(e, values)
-    outputs, *sensitivities = compiled.held(t, x, accelerations, multipliers, p, r)
-    got = {
-        "default_input_sensitivity": ([e.default_input_jacobian], [compiled.default_input_sensitivity(t, p)]),
+    outputs = compiled.outputs_for(t, x, accelerations, multipliers, p, r)
+    got: dict[str, tuple[list[Result], Sequence[Floats]]] = {
         "breakpoints": ([e.breakpoints], [compiled.breakpoints(p)]),
         "default_inputs": ([e.default_inputs], [compiled.default_inputs(t, p)]),
         "dynamics": (
@@ -131,20 +130,25 @@ def _compiled_results(
             compiled.constraint_scale(t, x, p, r),
         ),
         "coordinate_change": ([e.coordinate_change], [compiled.coordinate_change(t, x, accelerations, p, r)]),
-        "constraint_sensitivity": (
-            [e.velocity_jacobian, e.position_input_jacobian, e.velocity_input_jacobian],
-            compiled.constraint_sensitivity(t, x, p, r),
-        ),
-        "drawing": ([e.points, e.forces], compiled.drawing(t, x, p, r)),
         "energy": ([e.energies], [compiled.energy(t, x, p, r)]),
         "output": ([e.outputs], [outputs]),
-        "sensitivity": ([e.coordinate_rate_jacobian, e.residual_jacobian], sensitivities[0:2]),
-        "parameter_sensitivity": (
-            [e.coordinate_rate_parameter_jacobian, e.residual_parameter_jacobian],
-            sensitivities[2:4],
-        ),
-        "input_sensitivity": ([e.coordinate_rate_input_jacobian, e.residual_input_jacobian], sensitivities[4:6]),
     }
+    if not compiled.lacks_derivatives:  # otherwise they are compared when they are built; see `kernel.comparison`
+        sensitivities = compiled.sensitivities(t, x, accelerations, multipliers, p, r)
+        got |= {
+            "default_input_sensitivity": ([e.default_input_jacobian], [compiled.default_input_sensitivity(t, p)]),
+            "constraint_sensitivity": (
+                [e.velocity_jacobian, e.position_input_jacobian, e.velocity_input_jacobian],
+                compiled.constraint_sensitivity(t, x, p, r),
+            ),
+            "drawing": ([e.points, e.forces], compiled.drawing(t, x, p, r)),
+            "sensitivity": ([e.coordinate_rate_jacobian, e.residual_jacobian], sensitivities[0:2]),
+            "parameter_sensitivity": (
+                [e.coordinate_rate_parameter_jacobian, e.residual_parameter_jacobian],
+                sensitivities[2:4],
+            ),
+            "input_sensitivity": ([e.coordinate_rate_input_jacobian, e.residual_input_jacobian], sensitivities[4:6]),
+        }
     return {function: tuple(zip(results, arrays, strict=True)) for function, (results, arrays) in got.items()}
 
 

@@ -175,9 +175,9 @@ class Calls:
 
 
 NOT_FOR_USERS = {
-    "breakpoints", "default_input_sensitivity", "defaults_in_force", "failure", "find", "from_file", "from_module",
-    "input_values", "lacks_batch_functions", "missing", "parameter_values", "rates_at_rest", "require_batch_functions",
-    "too_few_dependent",
+    "breakpoints", "capsule", "default_input_sensitivity", "defaults_in_force", "failure", "find", "from_file",
+    "from_loaded", "has_inputs", "input_values", "lacks_batch_functions", "lacks_derivatives", "missing",
+    "parameter_values", "rates_at_rest", "require_batch_functions", "require_derivatives", "too_few_dependent",
 }  # fmt: skip
 """Names of `CompiledModel` by which parts of the package speak to each other."""
 
@@ -212,7 +212,8 @@ def calls_of(name: str) -> dict[str, Call]:
     change = x0[model.n_q :]
     calls.add("coordinate_change", model.coordinate_change, **state, change=change, **values, may_be_nan=True)
     held = {"accelerations": acceleration, "multipliers": multipliers}
-    calls.add("held", model.held, **state, **held, **values, may_be_nan=True)
+    for function in ("outputs_for", "sensitivities"):
+        calls.add(function, getattr(model, function), **state, **held, **values, may_be_nan=True)
     calls.add("default_inputs", model.default_inputs, t=0.3, p=p, may_be_nan=True)
     calls.add("parameter_vector", model.parameter_vector, p=p)
     states, inputs = np.tile(x0[:, np.newaxis], 3), np.tile(r[:, np.newaxis], 3)

@@ -1,4 +1,4 @@
-"""Sources -> extension module: the only place that runs a compiler, or another tool."""
+"""Sources -> libraries and extension modules: the only place that runs a compiler, or another tool."""
 
 from __future__ import annotations
 
@@ -9,27 +9,30 @@ import platform
 import shlex
 import shutil
 import subprocess
-import sys
 import sysconfig
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 from importlib.metadata import PackageNotFoundError
 from importlib.metadata import version as distribution_version
-from importlib.util import find_spec
 from pathlib import Path
 
 from fourbar_codegen.errors import BuildError
 from fourbar_codegen.files import replacing
 
 __all__ = [
-    "build_batch_functions",
+    "BATCH_FLAGS",
+    "COMMON_FLAGS",
+    "DERIVATIVES_FLAGS",
+    "KERNEL_FLAGS",
     "build_extension",
-    "cache_key",
+    "compile_library",
     "copied",
+    "digest_of",
+    "generator",
     "get_include",
+    "library_toolchain",
     "run_tool",
-    "toolchain",
     "write_sources",
 ]
 
@@ -67,22 +70,14 @@ def get_include() -> str:
     return str(PACKAGE / "runtime")
 
 
-def toolchain() -> dict[str, object]:
-    """All that changes a compiled module besides the model: this package, Python and the build tools.
+def library_toolchain() -> dict[str, object]:
+    """All that changes a shared library besides the sources: the headers, the compiler, its flags and the processor.
 
-    No process is started: a compiler is known by its path, size and date, Cython by the file that holds its
-    version.
+    No process is started: a compiler is known by its path, size and date.
     """
-    import numpy as np
-
-    cython = find_spec("Cython")
     compiler = _compiler()
     return {
-        "package": _package_digest(),
-        "python": f"{sys.implementation.cache_tag} {sysconfig.get_config_var('EXT_SUFFIX')}",
-        "numpy": np.__version__,
-        "sympy": _sympy_version(),
-        "cython": _digest([Path(cython.origin).with_name("Shadow.py")]) if cython and cython.origin else "",
+        "headers": _headers_digest(),
         "compiler": compiler,
         "compiler file": _file_identity(shutil.which(compiler[0])),
         "flags": [
@@ -90,7 +85,6 @@ def toolchain() -> dict[str, object]:
             BATCH_FLAGS,
             DERIVATIVES_FLAGS,
             STRICT_LINK_FLAGS,
-            WRAPPER_FLAGS,
             MACHINE_FLAGS,
             _user_flags("CFLAGS"),
             _link_flags(),
@@ -99,20 +93,14 @@ def toolchain() -> dict[str, object]:
     }
 
 
-def cache_key(source: object) -> str:
-    """The key in the cache of what is built from a source by this toolchain, for this machine.
+def generator() -> dict[str, object]:
+    """All that changes a model's sources besides the model: this package and SymPy."""
+    return {"package": _package_digest(), "sympy": _sympy_version()}
 
-    Parameters
-    ----------
-    source : object
-        A model's fingerprint, or texts; plain data, as JSON has it.
 
-    Returns
-    -------
-    str
-        64 hexadecimal digits.
-    """
-    return hashlib.sha256(json.dumps([source, toolchain()], sort_keys=True).encode()).hexdigest()
+def digest_of(data: object) -> str:
+    """The digest of plain data, as JSON has it: 64 hexadecimal digits."""
+    return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
 
 
 def _sympy_version() -> str:
@@ -146,8 +134,13 @@ def _user_flags(variable: str) -> list[str]:
 
 @cache
 def _package_digest() -> str:
-    """Digest of the package's own sources, so that a change to the generator reaches the cache's keys."""
-    return _digest(sorted(path for path in PACKAGE.rglob("*") if path.suffix in {".py", ".h"}))
+    """Digest of the package's Python files: a change to the generator reaches the models' keys."""
+    return _digest(sorted(PACKAGE.rglob("*.py")))
+
+
+@cache
+def _headers_digest() -> str:
+    return _digest(sorted(Path(get_include()).glob("*.h")))
 
 
 def _digest(paths: Iterable[Path]) -> str:
@@ -176,14 +169,9 @@ def _processor() -> str:
 
 
 def build_extension(
-    name: str,
-    sources: Mapping[str, str],
-    folder: Path,
-    *,
-    portable: bool,
-    check: Callable[[Path], None] | None = None,
+    name: str, sources: Mapping[str, str], folder: Path, *, check: Callable[[Path], None] | None = None
 ) -> Path:
-    """Write sources into a folder and compile them to an extension module there.
+    """Write sources into a folder and compile them to an extension module there, for other machines of this kind.
 
     Parameters
     ----------
@@ -193,9 +181,6 @@ def build_extension(
         Text by file name.
     folder : Path
         Created if it does not exist; it is touched only when all has been built.
-    portable : bool
-        Whether the module may be used on another machine of the same kind. If not, `build_batch_functions` makes the
-        rest of it.
     check : callable, optional
         Called with the module before it comes to the folder, where it does not come if this raises.
 
@@ -210,11 +195,40 @@ def build_extension(
         If the folder cannot be written, or a tool is missing or fails; with the tool's output.
     """
     with tempfile.TemporaryDirectory() as temporary:
-        module = _build(name, sources, Path(temporary), portable=portable)
+        module = _build(name, sources, Path(temporary))
         if check is not None:
             check(module)
         write_sources(name, sources, folder)
         return copied(module, folder)
+
+
+def compile_library(library: Path, sources: Mapping[str, str], units: Mapping[str, Sequence[str]]) -> Path:
+    """Compile C sources to a shared library, for this machine alone.
+
+    Parameters
+    ----------
+    library : Path
+    sources : mapping of str to str
+        Text by file name.
+    units : mapping of str to sequence of str
+        The flags of each of them that is to be compiled.
+
+    Returns
+    -------
+    Path
+        The library.
+
+    Raises
+    ------
+    BuildError
+        If a tool is missing or fails; with the tool's output.
+    """
+    with tempfile.TemporaryDirectory() as temporary:
+        for filename, text in sources.items():
+            (Path(temporary) / filename).write_text(text, encoding="utf-8")
+        more = ("-DFB_ONE_MACHINE", *MACHINE_FLAGS)
+        flags = {Path(temporary) / filename: (*own, *more) for filename, own in units.items()}
+        return _link(_compile_all(flags), library)
 
 
 def copied(built: Path, folder: Path) -> Path:
@@ -256,50 +270,29 @@ def write_sources(name: str, sources: Mapping[str, str], folder: Path) -> None:
         raise BuildError(f"{folder} cannot be written: {error.strerror or error}.") from error
 
 
-def build_batch_functions(name: str, sources: Mapping[str, str], folder: Path) -> Path:
-    """Compile a model's functions for several states side by side, for this machine alone.
-
-    Compilers take as long for them as for all the rest, and only batches and ensembles need them.
-
-    Parameters
-    ----------
-    name : str
-        The model's.
-    sources : mapping of str to str
-        Text by file name, as for `build_extension`.
-    folder : Path
-        Where the library comes.
-
-    Returns
-    -------
-    Path
-        A shared library that has the ``fb_batch_functions`` named ``{name}_batch_functions``; see ``fourbar_batch.h``.
-
-    Raises
-    ------
-    BuildError
-        If a tool is missing or fails; with the tool's output.
-    """
-    with tempfile.TemporaryDirectory() as temporary:
-        write_sources(name, sources, Path(temporary))
-        compiled = _compile(Path(temporary) / f"{name}_batch.c", (*BATCH_FLAGS, *MACHINE_FLAGS))
-        return _link([compiled], folder / f"{name}_batch_functions.so")
-
-
-def _build(name: str, sources: Mapping[str, str], folder: Path, *, portable: bool) -> Path:
+def _build(name: str, sources: Mapping[str, str], folder: Path) -> Path:
     write_sources(name, sources, folder)
-    flags = {"_kernel.c": KERNEL_FLAGS, "_derivatives.c": DERIVATIVES_FLAGS}
-    if not portable:
-        flags = {suffix: (*chosen, "-DFB_ONE_MACHINE", *MACHINE_FLAGS) for suffix, chosen in flags.items()}
-    elif f"{name}_batch.c" in sources:
-        flags["_batch.c"] = BATCH_FLAGS
+    flags: dict[Path, Sequence[str]] = {
+        folder / f"{name}_kernel.c": KERNEL_FLAGS,
+        folder / f"{name}_derivatives.c": DERIVATIVES_FLAGS,
+    }
+    if f"{name}_batch.c" in sources:
+        flags[folder / f"{name}_batch.c"] = BATCH_FLAGS
+    from concurrent.futures import ThreadPoolExecutor
+
+    with ThreadPoolExecutor(1) as pool:
+        job = pool.submit(_compile_all, flags)
+        wrapper = _compile(_cythonize(folder / f"{name}.pyx"), WRAPPER_FLAGS, _python_folders())
+        objects = [*job.result(), wrapper]
+    return _link(objects, folder / f"{name}{sysconfig.get_config_var('EXT_SUFFIX')}")
+
+
+def _compile_all(flags: Mapping[Path, Sequence[str]]) -> list[Path]:
+    """The object files of C sources, two at a time."""
     from concurrent.futures import ThreadPoolExecutor
 
     with ThreadPoolExecutor(2) as pool:
-        jobs = [pool.submit(_compile, folder / f"{name}{suffix}", chosen) for suffix, chosen in flags.items()]
-        wrapper = _compile(_cythonize(folder / f"{name}.pyx"), WRAPPER_FLAGS)
-        objects = [*(job.result() for job in jobs), wrapper]
-    return _link(objects, folder / f"{name}{sysconfig.get_config_var('EXT_SUFFIX')}")
+        return list(pool.map(_compile, flags, flags.values()))
 
 
 def _link(objects: Iterable[Path], target: Path) -> Path:
@@ -321,12 +314,16 @@ def _cythonize(source: Path) -> Path:
     return source.with_suffix(".c")
 
 
-def _compile(source: Path, flags: Sequence[str]) -> Path:
+def _python_folders() -> list[str]:
+    """The headers that a wrapper needs."""
     import numpy as np
 
+    return [np.get_include(), sysconfig.get_path("include")]
+
+
+def _compile(source: Path, flags: Sequence[str], folders: Sequence[str] = ()) -> Path:
     target = source.with_suffix(".o")
-    folders = [str(source.parent), get_include(), np.get_include(), sysconfig.get_path("include")]
-    include = [word for folder in folders for word in ("-I", folder)]
+    include = [word for folder in (str(source.parent), get_include(), *folders) for word in ("-I", folder)]
     run_tool(
         [*_compiler(), *flags, *_user_flags("CFLAGS"), *STRICT_FLAGS, *include, "-c", str(source), "-o", str(target)],
         target,

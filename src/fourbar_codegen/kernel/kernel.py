@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import MappingProxyType
@@ -15,9 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.arguments import Values, is_mapping, name_of, named_array, named_values
 from fourbar_codegen.building.cache import is_whole
+from fourbar_codegen.building.library import SUFFIXES
 from fourbar_codegen.errors import ModelError, SimulationError
+from fourbar_codegen.kernel.comparison import compare_batch_functions, compare_derivatives
 from fourbar_codegen.kernel.dependent import eliminate
-from fourbar_codegen.kernel.loading import build_from_sources, find_module, load_batch_functions, module_at
+from fourbar_codegen.kernel.loading import Loaded, load_file, load_from_sources, load_known, load_part
 from fourbar_codegen.progress import Progress
 from fourbar_codegen.runtime.evaluator import NOT_FINITE, Evaluator, is_finite
 
@@ -53,27 +54,27 @@ class Kernel(Evaluator):
         self.descriptions: dict[str, str] = {e["name"]: e["description"] for e in manifest["parameters"]}
 
     @classmethod
-    def from_module(cls, module: Any) -> Self:
-        """The model that an imported extension module holds."""
+    def from_loaded(cls, loaded: Loaded) -> Self:
+        """The model that was loaded."""
         try:
-            model = cls(module.kernel, json.loads(module.manifest))
-        except ModelError:  # is one, of another layout
-            raise
-        except (AttributeError, ValueError) as error:
-            raise ModelError(f"{module.__name__} is not a compiled model: {error}.") from error
-        model.path = Path(module.__file__)
+            model = cls(loaded.kernel, loaded.manifest)
+        except (ValueError, KeyError) as error:
+            if isinstance(error, ModelError):  # is one, of another layout
+                raise
+            raise ModelError(f"{loaded.path} is not a compiled model: {error}.") from error
+        model.path = loaded.path
         return model
 
     @classmethod
     def from_file(cls, path: Path) -> Self:
-        """The model in an extension module that is not on Python's path."""
-        return cls.from_module(module_at(path))
+        """The model in a file; see `loading.load_file`."""
+        return cls.from_loaded(load_file(path))
 
     @classmethod
     def find(cls, name: str, fingerprint: str) -> Self | None:
-        """The model of a name and fingerprint, if it can be had without building it; see `loading.find_module`."""
-        module = find_module(name, fingerprint)
-        return None if module is None else cls.from_module(module)
+        """The model of a name and fingerprint, if it can be had without building it; see `loading.load_known`."""
+        found = load_known(name, fingerprint)
+        return None if found is None else cls.from_loaded(found)
 
     def __reduce__(self) -> tuple[Any, ...]:
         path = str(self.path) if self.is_portable else None
@@ -83,12 +84,11 @@ class Kernel(Evaluator):
         """The sources beside the module, or None where they are missing or damaged."""
         if not is_whole(self.path.parent):
             return None
-        suffixes = (".pyx", "_kernel.c", "_kernel.h", "_batch.c", "_derivatives.c")
-        files = [file for suffix in suffixes if (file := self.path.with_name(f"{self.name}{suffix}")).is_file()]
+        files = [file for suffix in SUFFIXES if (file := self.path.with_name(f"{self.name}{suffix}")).is_file()]
         return {file.name: file.read_text(encoding="utf-8") for file in files} or None
 
     def require_batch_functions(self) -> None:
-        """Build and load the functions for several states side by side, where the module was built without them.
+        """Build and load the functions for several states side by side, where the model was built without them.
 
         They are in modules that were built to travel. `compile_model` leaves them to the first batch or ensemble, which
         calls this.
@@ -108,18 +108,51 @@ class Kernel(Evaluator):
         >>> four_bar.lacks_batch_functions
         False
         """
-        if not self.lacks_batch_functions:
-            return
+        if self.lacks_batch_functions:
+            attach, compare = type(self)._attach_batch_functions, compare_batch_functions
+            self._require("batch_functions", "_batch.c", "Batches and ensembles need", attach, compare)
+
+    def require_derivatives(self) -> None:
+        """Build and load derivatives, and what is drawn, where the model was built without them.
+
+        As `require_batch_functions`: `compile_model` leaves them to the first Jacobian or picture.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> four_bar = fb.load("four_bar")
+        >>> four_bar.require_derivatives()
+        >>> four_bar.lacks_derivatives
+        False
+        """
+        if self.lacks_derivatives:
+            attach, compare = type(self)._attach_derivatives, compare_derivatives
+            self._require("derivatives", "_derivatives.c", "Derivatives and pictures need", attach, compare)
+
+    def _require(
+        self,
+        part: str,
+        suffix: str,
+        needed: str,
+        attach: Callable[[Self, int], None],
+        compare: Callable[[Evaluator], None],
+    ) -> None:
+        """Attach a part from its library, which is built and compared first where it is not in the cache."""
         sources = self._sources() or {}
-        if f"{self.name}_batch.c" not in sources:
+        if f"{self.name}{suffix}" not in sources:
             raise ModelError(
-                f"Batches and ensembles need functions that compile_model leaves for later, and their sources are not "
-                f"beside {self.path} any more, or damaged: compile the model again. A module of build_model has them "
-                "inside."
+                f"{needed} functions that compile_model leaves for later, and their sources are not beside {self.path} "
+                "any more, or damaged: compile the model again. A module of build_model has them inside."
             )
         with Progress(f"fourbar_codegen: {self.name}") as progress:
-            progress.stage("compiling for many states at once")
-            self._attach_batch_functions(load_batch_functions(self.name, sources))
+            progress.stage(f"compiling {part.replace('_', ' ')}")
+
+            def check(address: int) -> None:
+                model = type(self)(self.capsule, self.manifest)
+                attach(model, address)
+                compare(model)
+
+            attach(self, load_part(self.name, part, sources, check))
 
     def __repr__(self) -> str:
         return (
@@ -391,7 +424,7 @@ class Kernel(Evaluator):
         >>> four_bar.outputs, four_bar.output(0.0, four_bar.initial_state()).shape
         ((), (0,))
         """
-        return self.held(t, x, *self.accelerations(t, x, p, r), p, r)[0]
+        return self.outputs_for(t, x, *self.accelerations(t, x, p, r), p, r)
 
     def kinetic_energy(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> float:
         """Kinetic energy, J.
@@ -463,4 +496,4 @@ def _restore(
             f"The model {name} that was sent is not found here, or only another one of its name, and its sources were "
             "not beside it: install its wheel, or send what build_model made, from the folder that has its sources."
         )
-    return kind.from_module(build_from_sources(name, sources))
+    return kind.from_loaded(load_from_sources(name, sources, manifest))

@@ -10,20 +10,32 @@ from collections.abc import Callable, Mapping
 from importlib import import_module, machinery, util
 from pathlib import Path
 from types import ModuleType
+from typing import Any, NamedTuple
 
 from fourbar_codegen.building.cache import cached, find_cached
-from fourbar_codegen.building.toolchain import build_batch_functions, build_extension, cache_key
+from fourbar_codegen.building.library import build_part, install, manifest_of, numbers_path
+from fourbar_codegen.building.toolchain import digest_of, generator, library_toolchain
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.files import path_of
+from fourbar_codegen.runtime.evaluator import kernel_at
 
-__all__ = ["build_from_sources", "find_module", "load_batch_functions", "module_at", "module_of"]
+__all__ = ["Loaded", "cache_key", "load_file", "load_from_sources", "load_known", "load_named", "load_part"]
 
-# What this process loaded from files: the system goes on giving out the first module of a path.
+# What this process loaded from files: the system goes on giving out the first library of a path.
 _LOADED: dict[str, tuple[int, int, int]] = {}
 
 
-def module_of(name: str | Path) -> ModuleType:
-    """The extension module of a model, by its name or its path.
+class Loaded(NamedTuple):
+    """A compiled model that was loaded."""
+
+    kernel: object
+    """The capsule of its kernel."""
+    manifest: dict[str, Any]
+    path: Path
+
+
+def load_named(name: str | Path) -> Loaded:
+    """Load a compiled model by its name or its path.
 
     Parameters
     ----------
@@ -39,16 +51,16 @@ def module_of(name: str | Path) -> ModuleType:
         raise ModelError(f"A compiled model is known by its name or its path, not {name!r}.")
     path = path_of(name)
     try:
-        is_module = path.suffix != "" and path.is_file()
+        is_file = path.suffix != "" and path.is_file()
     except OSError as error:
         raise ModelError(f"{path} cannot be loaded as a compiled model: {error.strerror}.") from error
-    if is_module:
-        return module_at(path)
+    if is_file:
+        return load_file(path)
     if str(name) in _prebuilt():
-        return import_module(f"fourbar_codegen.prebuilt.{name}")
+        return _of_module(import_module(f"fourbar_codegen.prebuilt.{name}"))
     installed = _installed(str(name))
     if installed is not None:
-        return module_at(installed)
+        return load_file(installed)
     known = ", ".join(_prebuilt()) or "none"
     raise ModelError(
         f"There is no compiled model {str(name)!r}: it is neither one of the package's ({known}) nor one installed "
@@ -56,8 +68,8 @@ def module_of(name: str | Path) -> ModuleType:
     )
 
 
-def find_module(name: str, fingerprint: str) -> ModuleType | None:
-    """The extension module of a name and fingerprint, if it can be had without building it.
+def load_known(name: str, fingerprint: str) -> Loaded | None:
+    """Load the model of a name and fingerprint, if it can be had without building it.
 
     It is one that comes with the package, was installed from a wheel, or is in the cache of `compile_model`, built for
     this machine. Name and fingerprint may come from a stranger's file: neither becomes a path, and nothing is loaded
@@ -66,22 +78,37 @@ def find_module(name: str, fingerprint: str) -> ModuleType | None:
     if not name.isidentifier():
         return None
     if name in _prebuilt():
-        module = module_of(name)
-        if json.loads(module.manifest)["fingerprint"] == fingerprint:
-            return module
+        found = load_named(name)
+        if found.manifest["fingerprint"] == fingerprint:
+            return found
     path = _installed(name, fingerprint) or find_cached(name, cache_key(fingerprint))
-    return None if path is None else module_at(path)
+    return None if path is None else load_file(path)
 
 
-def module_at(path: Path) -> ModuleType:
-    """The extension module in a file, which need not be on Python's path.
+def cache_key(source: object) -> str:
+    """The key in the cache of a model that is made of a source by this package and these tools, for this machine.
+
+    Parameters
+    ----------
+    source : object
+        A model's fingerprint, or texts; plain data, as JSON has it.
+
+    Returns
+    -------
+    str
+        64 hexadecimal digits.
+    """
+    return digest_of([source, generator(), library_toolchain()])
+
+
+def load_file(path: Path) -> Loaded:
+    """Load a compiled model from a file: an extension module, or the library of a kernel with its numbers beside it.
 
     Raises
     ------
     ModelError
-        If it cannot be loaded, or this process has loaded what was there before.
+        If it cannot be loaded, is none, or this process has loaded what was there before.
     """
-    name = path.name.split(".")[0]
     status = path.stat()
     identity = (status.st_ino, status.st_size, status.st_mtime_ns)
     place = str(path.resolve())
@@ -90,6 +117,20 @@ def module_at(path: Path) -> ModuleType:
             f"{path} was built again after this process loaded it, and a module cannot be loaded anew: restart "
             "Python, or build into another folder."
         )
+    try:
+        library = ctypes.CDLL(str(path))  # which stays loaded as long as the process runs
+        if hasattr(library, "fourbar_library"):
+            return _of_library(library, path)
+        return _of_module(_import(path))
+    except (ImportError, OSError) as error:
+        if not _is_held(path):
+            del _LOADED[place]
+        raise ModelError(f"{path} cannot be loaded as a compiled model: {error}.{_noexec(error)}") from error
+
+
+def _import(path: Path) -> ModuleType:
+    """The extension module in a file, which need not be on Python's path."""
+    name = path.name.split(".")[0]
     loader = machinery.ExtensionFileLoader(name, str(path))
     taken = name in sys.modules
     try:
@@ -97,34 +138,62 @@ def module_at(path: Path) -> ModuleType:
         assert spec is not None
         module = util.module_from_spec(spec)
         loader.exec_module(module)
-    except ImportError as error:
-        if not _is_held(path):
-            del _LOADED[place]
-        raise ModelError(f"{path} cannot be loaded as a compiled model: {error}.{_noexec(error)}") from error
     finally:
         if not taken:  # Cython enters its modules there, and the next import of that name would end at this one
             sys.modules.pop(name, None)
     return module
 
 
-def build_from_sources(name: str, sources: Mapping[str, str]) -> ModuleType:
-    """The extension module of generated sources, built for this machine, in the cache."""
-    return module_at(_built(name, sources, lambda folder: build_extension(name, sources, folder, portable=False)))
+def _of_module(module: ModuleType) -> Loaded:
+    try:
+        return Loaded(module.kernel, json.loads(module.manifest), Path(str(module.__file__)))
+    except (AttributeError, ValueError) as error:
+        raise ModelError(f"{module.__name__} is not a compiled model: {error}.") from error
 
 
-def load_batch_functions(model: str, sources: Mapping[str, str]) -> int:
-    """Build and load a model's functions for several states side by side: the address of their table."""
-    name = f"{model}_batch_functions"
-    path = _built(name, sources, lambda folder: build_batch_functions(model, sources, folder))
+class _Library(ctypes.Structure):
+    """``fb_library`` of fourbar_kernel.h."""
+
+    _fields_ = (("kernel", ctypes.c_void_p), ("structure", ctypes.POINTER(ctypes.c_char_p)))
+
+
+def _of_library(library: ctypes.CDLL, path: Path) -> Loaded:
+    table = _Library.in_dll(library, "fourbar_library")
+    lines: list[bytes] = []
+    while (line := table.structure[len(lines)]) is not None:
+        lines.append(line)
+    try:
+        numbers = json.loads(numbers_path(path).read_text(encoding="utf-8"))
+        manifest = manifest_of(json.loads(b"".join(lines)), numbers)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ModelError(
+            f"{path} is a model without its numbers: its defaults, units and initial values are to be in "
+            f"{numbers_path(path).name} beside it ({error})."
+        ) from error
+    return Loaded(kernel_at(table.kernel), manifest, path)
+
+
+def load_from_sources(name: str, sources: Mapping[str, str], manifest: Mapping[str, Any]) -> Loaded:
+    """Load the model of generated sources and a manifest, built for this machine, in the cache."""
+    key = cache_key([sources, manifest])
+    return load_file(cached(name, key, lambda folder: install(name, sources, manifest, folder)))
+
+
+def load_part(name: str, part: str, sources: Mapping[str, str], check: Callable[[int], None]) -> int:
+    """Build and load a part of a model that `compile_model` leaves for later: the address of its table.
+
+    What is built is checked first.
+    """
+    path = build_part(name, part, sources, check=lambda built: check(_address(built, f"{name}_{part}")))
+    return _address(path, f"{name}_{part}")
+
+
+def _address(path: Path, symbol: str) -> int:
     try:
         library = ctypes.CDLL(str(path))  # which stays loaded as long as the process runs
     except OSError as error:
         raise ModelError(f"{path} cannot be loaded: {error}.{_noexec(error)}") from error
-    return ctypes.addressof(ctypes.c_char.in_dll(library, name))
-
-
-def _built(name: str, sources: Mapping[str, str], build: Callable[[Path], Path]) -> Path:
-    return cached(name, cache_key([name, sources]), build)
+    return ctypes.addressof(ctypes.c_char.in_dll(library, symbol))
 
 
 def _is_held(path: Path) -> bool:

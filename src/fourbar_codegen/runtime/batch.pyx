@@ -60,7 +60,7 @@ DONE = FB_MEMBER_DONE
 
 cdef const fb_batch_functions *_batch_functions(Evaluator evaluator) noexcept:
     """The functions for several states side by side, or NULL."""
-    cdef const fb_batch_functions *functions = evaluator.batch_functions
+    cdef const fb_batch_functions *functions = evaluator.kernel.batch_functions
     return functions if functions != NULL and functions.width > 1 else NULL
 
 

@@ -16,6 +16,16 @@ cdef extern from "fourbar_kernel.h":
     ctypedef int fb_evaluation(double, const double *, const double *, const double *, double *, void *) noexcept nogil
     ctypedef void fb_sensitivity(double, const double *, const double *, const double *, const double *,
                                  const double *, double *, double *) noexcept nogil
+    ctypedef struct fb_derivatives:
+        int abi_version
+        size_t struct_size
+        fb_sensitivity *sensitivity
+        fb_sensitivity *parameter_sensitivity
+        fb_sensitivity *input_sensitivity
+        void (*default_input_sensitivity)(double, const double *, double *) noexcept nogil
+        void (*constraint_sensitivity)(double, const double *, const double *, const double *, double *, double *,
+                                       double *) noexcept nogil
+        void (*drawing)(double, const double *, const double *, const double *, double *, double *) noexcept nogil
     ctypedef struct fb_kernel:
         int abi_version
         size_t struct_size
@@ -27,10 +37,8 @@ cdef extern from "fourbar_kernel.h":
         fb_evaluation *rhs
         int (*stabilized)(double, const double *, const double *, const double *, double, double *,
                           void *) noexcept nogil
-        fb_evaluation *jacobian
-        fb_evaluation *parameter_jacobian
-        fb_evaluation *input_jacobian
-        void (*default_input_sensitivity)(double, const double *, double *) noexcept nogil
+        int (*differentiate)(fb_sensitivity *, int, double, const double *, const double *, const double *, double *,
+                             void *) noexcept nogil
         int (*accelerations)(double, const double *, const double *, const double *, double *, double *,
                              void *) noexcept nogil
         void (*dynamics)(double, const double *, const double *, const double *, double *, double *, double *,
@@ -45,15 +53,10 @@ cdef extern from "fourbar_kernel.h":
                                   double *) noexcept nogil
         int (*project)(double, double *, const double *, const double *, int, void *) noexcept nogil
         int (*orientation_changed)(void *) noexcept nogil
-        void (*constraint_sensitivity)(double, const double *, const double *, const double *, double *, double *,
-                                       double *) noexcept nogil
         void (*energy)(double, const double *, const double *, const double *, double *) noexcept nogil
         void (*output)(double, const double *, const double *, const double *, const double *, const double *,
                        double *) noexcept nogil
-        fb_sensitivity *sensitivity
-        fb_sensitivity *parameter_sensitivity
-        fb_sensitivity *input_sensitivity
-        void (*drawing)(double, const double *, const double *, const double *, double *, double *) noexcept nogil
+        const fb_derivatives *derivatives
         const fb_batch_functions *batch_functions
         int batch_functions_apart
         int one_machine
@@ -111,8 +114,8 @@ cdef cnp.ndarray vector(object values, int n, str what)
 
 cdef class Evaluator:
     cdef const fb_kernel *kernel
-    cdef const fb_batch_functions *batch_functions
-    cdef object capsule
+    cdef fb_kernel own
+    cdef readonly object capsule
     cdef readonly dict manifest
     cdef readonly int n_q, n_u, n_x, n_p, n_r, n_h, n_c, n_o
     cdef double *default_constants
@@ -129,4 +132,5 @@ cdef class Evaluator:
     cdef const double *_fill(self, double t, const double *constants, cnp.ndarray inputs) noexcept
     cdef int _check_columns(self, cnp.ndarray t, cnp.ndarray x, cnp.ndarray r) except -1
     cdef cnp.ndarray _output(self, object out, cnp.ndarray state, cnp.ndarray parameters, cnp.ndarray inputs)
-    cdef cnp.ndarray _differentiate(self, fb_evaluation *function, int columns, double t, x, p, r)
+    cdef const fb_derivatives *derivatives(self) except NULL
+    cdef cnp.ndarray _differentiate(self, fb_sensitivity *function, int columns, double t, x, p, r)

@@ -3,7 +3,7 @@
 
 cimport numpy as cnp
 from cpython.mem cimport PyMem_Calloc, PyMem_Free, PyMem_Malloc
-from cpython.pycapsule cimport PyCapsule_GetPointer
+from cpython.pycapsule cimport PyCapsule_GetPointer, PyCapsule_New
 from libc.math cimport NAN, fabs
 
 import sys
@@ -24,6 +24,11 @@ cdef object _other_layout(manifest):
     return ModelError(
         f"The compiled model {manifest['name']} was built with another version of this package (whose kernel "
         f"interface is {FB_ABI_VERSION}), and its data have another layout: build it again.")
+
+
+cdef bint _agree(const fb_derivatives *derivatives) noexcept:
+    """Whether derivatives were built with these headers."""
+    return derivatives.abi_version == FB_ABI_VERSION and derivatives.struct_size == sizeof(fb_derivatives)
 
 
 cdef cnp.ndarray new_array(int rows, int columns=-1):
@@ -158,6 +163,11 @@ def largest_difference(cnp.ndarray a not None, cnp.ndarray b not None):
     return largest
 
 
+def kernel_at(size_t address):
+    """The capsule of a kernel in a library that stays loaded, as extension modules have one."""
+    return PyCapsule_New(<void *>address, FB_CAPSULE_NAME, NULL)
+
+
 cdef class Evaluator:
     """Evaluates one kernel.
 
@@ -178,7 +188,10 @@ cdef class Evaluator:
             raise _other_layout(manifest)
         if kernel.batch_functions != NULL and not fb_batch_functions_agree(kernel.batch_functions):
             raise _other_layout(manifest)
-        self.kernel, self.batch_functions = kernel, kernel.batch_functions
+        if kernel.derivatives != NULL and not _agree(kernel.derivatives):
+            raise _other_layout(manifest)
+        self.own = kernel[0]  # which what is built apart is attached to
+        self.kernel = &self.own
         self.capsule, self.manifest = capsule, manifest
         self.n_q, self.n_u, self.n_p, self.n_r = kernel.n_q, kernel.n_u, kernel.n_p, kernel.n_r
         self.n_h, self.n_c, self.n_o, self.n_x = kernel.n_h, kernel.n_c, kernel.n_o, kernel.n_q + kernel.n_u
@@ -204,7 +217,12 @@ cdef class Evaluator:
     @property
     def lacks_batch_functions(self):
         """Whether the functions for several states side by side are in a library that has not been attached yet."""
-        return self.batch_functions == NULL and self.kernel.batch_functions_apart != 0
+        return self.kernel.batch_functions == NULL and self.kernel.batch_functions_apart != 0
+
+    @property
+    def lacks_derivatives(self):
+        """Whether derivatives, and what is drawn, are in a library that has not been attached yet."""
+        return self.kernel.derivatives == NULL
 
     @property
     def is_portable(self):
@@ -221,7 +239,23 @@ cdef class Evaluator:
         """
         if not fb_batch_functions_agree(<const fb_batch_functions *>address):
             raise _other_layout(self.manifest)
-        self.batch_functions = <const fb_batch_functions *>address
+        self.own.batch_functions = <const fb_batch_functions *>address
+
+    def _attach_derivatives(self, size_t address):
+        """The same for an ``fb_derivatives``."""
+        if not _agree(<const fb_derivatives *>address):
+            raise _other_layout(self.manifest)
+        self.own.derivatives = <const fb_derivatives *>address
+
+    def require_derivatives(self):
+        """Attach the derivatives; a subclass that knows where they come from builds them."""
+        raise ModelError("The derivatives are in a library of their own: attach it.")
+
+    cdef const fb_derivatives *derivatives(self) except NULL:
+        """Those of the kernel, built first where that was left for later."""
+        if self.kernel.derivatives == NULL:
+            self.require_derivatives()
+        return self.kernel.derivatives
 
     def parameter_values(self, p):
         """All parameter values in order; a subclass that knows their names also takes mappings."""
@@ -410,7 +444,7 @@ cdef class Evaluator:
         (6, 6)
         """
         t = time_of(t)
-        return self._differentiate(self.kernel.jacobian, self.n_x, t, x, p, r)
+        return self._differentiate(self.derivatives().sensitivity, self.n_x, t, x, p, r)
 
     def parameter_jacobian(self, t, x, p=None, r=None):
         """The derivatives of the right-hand side with respect to the parameters.
@@ -442,7 +476,7 @@ cdef class Evaluator:
         (6, 8)
         """
         t = time_of(t)
-        cdef cnp.ndarray result = self._differentiate(self.kernel.parameter_jacobian, self.n_p, t, x, p, r)
+        cdef cnp.ndarray result = self._differentiate(self.derivatives().parameter_sensitivity, self.n_p, t, x, p, r)
         cdef cnp.ndarray by_inputs
         cdef cnp.ndarray by_parameters = self.default_input_sensitivity(t, p)
         cdef list in_force = self.defaults_in_force(r)
@@ -451,7 +485,7 @@ cdef class Evaluator:
         cdef list changing = [j for j in range(self.n_r) if in_force[j] and by_parameters[j].any()]
         if not changing:
             return result
-        by_inputs = self._differentiate(self.kernel.input_jacobian, self.n_r, t, x, p, r)
+        by_inputs = self._differentiate(self.derivatives().input_sensitivity, self.n_r, t, x, p, r)
         for j in changing:
             for i in range(self.n_x):
                 for k in range(self.n_p):
@@ -486,16 +520,16 @@ cdef class Evaluator:
         [[0.0], [0.0], [0.0]]
         """
         t = time_of(t)
-        return self._differentiate(self.kernel.input_jacobian, self.n_r, t, x, p, r)
+        return self._differentiate(self.derivatives().input_sensitivity, self.n_r, t, x, p, r)
 
-    cdef cnp.ndarray _differentiate(self, fb_evaluation *function, int columns, double t, x, p, r):
+    cdef cnp.ndarray _differentiate(self, fb_sensitivity *function, int columns, double t, x, p, r):
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray result = new_array(self.n_x, columns)
         cdef const double *constants = self._prepare(parameters)
-        cdef int status = function(
-            t, data(state), constants, self._fill(t, constants, inputs), data(result), self.work)
+        cdef int status = self.kernel.differentiate(
+            function, columns, t, data(state), constants, self._fill(t, constants, inputs), data(result), self.work)
         if status != FB_OK:
             raise SimulationError(self.failure(status, t, x))
         return result
@@ -610,8 +644,9 @@ cdef class Evaluator:
         cdef cnp.ndarray by_coordinates = new_array(self.n_c, self.n_q)
         cdef cnp.ndarray positions, velocities
         positions, velocities = new_array(self.n_h, self.n_r), new_array(self.n_c, self.n_r)
+        cdef const fb_derivatives *derivatives = self.derivatives()
         cdef const double *constants = self._prepare(parameters)
-        self.kernel.constraint_sensitivity(t, data(state), constants, self._fill(t, constants, inputs),
+        derivatives.constraint_sensitivity(t, data(state), constants, self._fill(t, constants, inputs),
                                            data(by_coordinates), data(positions), data(velocities))
         return by_coordinates, positions, velocities
 
@@ -634,8 +669,9 @@ cdef class Evaluator:
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray points = new_array(self.kernel.n_points, 3)
         cdef cnp.ndarray forces = new_array(self.kernel.n_forces, 3)
+        cdef const fb_derivatives *derivatives = self.derivatives()
         cdef const double *constants = self._prepare(parameters)
-        self.kernel.drawing(t, data(state), constants, self._fill(t, constants, inputs), data(points), data(forces))
+        derivatives.drawing(t, data(state), constants, self._fill(t, constants, inputs), data(points), data(forces))
         return points, forces
 
     def drawing_along(self, times, states, inputs, p=None):
@@ -648,9 +684,10 @@ cdef class Evaluator:
         cdef int i, n_t = np.size(t)
         cdef cnp.ndarray points = new_array(n_t, 3 * self.kernel.n_points)
         cdef cnp.ndarray forces = new_array(n_t, 3 * self.kernel.n_forces)
+        cdef const fb_derivatives *derivatives = self.derivatives()
         cdef const double *constants = self._prepare(parameters)
         for i in range(n_t):
-            self.kernel.drawing(data(t)[i], data(x) + i * self.n_x, constants, data(r) + i * self.n_r,
+            derivatives.drawing(data(t)[i], data(x) + i * self.n_x, constants, data(r) + i * self.n_r,
                                 data(points) + i * 3 * self.kernel.n_points,
                                 data(forces) + i * 3 * self.kernel.n_forces)
         return [
@@ -665,11 +702,8 @@ cdef class Evaluator:
                 f"inputs of shape ({self.n_r}, {np.size(t)}), not {np.shape(r)[::-1]}.")
         return 0
 
-    def held(self, t, x, accelerations, multipliers, p=None, r=None):
-        """What is evaluated for given u' and lambda: the outputs, and the sensitivities by x, p and r.
-
-        The latter are dq', shape (n_q, n), and d(f - M u' + J^T lambda, -(J u' + gamma)), shape (n_u + n_c, n).
-        """
+    def outputs_for(self, t, x, accelerations, multipliers, p=None, r=None):
+        """The outputs, shape (n_o,), for given u' and lambda."""
         t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
@@ -677,17 +711,33 @@ cdef class Evaluator:
         cdef cnp.ndarray a = vector(accelerations, self.n_u, "The accelerations")
         cdef cnp.ndarray lam = vector(multipliers, self.n_c, "The multipliers")
         cdef cnp.ndarray outputs = new_array(self.n_o)
+        cdef const double *constants = self._prepare(parameters)
+        self.kernel.output(t, data(state), constants, self._fill(t, constants, inputs), data(a), data(lam),
+                           data(outputs))
+        return outputs
+
+    def sensitivities(self, t, x, accelerations, multipliers, p=None, r=None):
+        """The sensitivities by x, p and r for given u' and lambda, six arrays.
+
+        They are dq', shape (n_q, n), and d(f - M u' + J^T lambda, -(J u' + gamma)), shape (n_u + n_c, n).
+        """
+        t = time_of(t)
+        cdef cnp.ndarray parameters = self._parameters(p)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
+        cdef cnp.ndarray state = self._state(t, x, self.n_x)
+        cdef cnp.ndarray a = vector(accelerations, self.n_u, "The accelerations")
+        cdef cnp.ndarray lam = vector(multipliers, self.n_c, "The multipliers")
         cdef cnp.ndarray rates, residuals
-        cdef list results = [outputs]
+        cdef list results = []
+        cdef const fb_derivatives *derivatives = self.derivatives()
         cdef const double *constants = self._prepare(parameters)
         cdef const double *filled = self._fill(t, constants, inputs)
         cdef fb_sensitivity *functions[3]
         cdef int i
         cdef int columns[3]
-        functions[0], columns[0] = self.kernel.sensitivity, self.n_x
-        functions[1], columns[1] = self.kernel.parameter_sensitivity, self.n_p
-        functions[2], columns[2] = self.kernel.input_sensitivity, self.n_r
-        self.kernel.output(t, data(state), constants, filled, data(a), data(lam), data(outputs))
+        functions[0], columns[0] = derivatives.sensitivity, self.n_x
+        functions[1], columns[1] = derivatives.parameter_sensitivity, self.n_p
+        functions[2], columns[2] = derivatives.input_sensitivity, self.n_r
         for i in range(3):
             rates, residuals = new_array(self.n_q, columns[i]), new_array(self.n_u + self.n_c, columns[i])
             functions[i](t, data(state), constants, filled, data(a), data(lam), data(rates), data(residuals))
@@ -719,7 +769,8 @@ cdef class Evaluator:
         t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray result = new_array(self.n_r, self.n_p)
-        self.kernel.default_input_sensitivity(t, self._prepare(parameters), data(result))
+        cdef const fb_derivatives *derivatives = self.derivatives()
+        derivatives.default_input_sensitivity(t, self._prepare(parameters), data(result))
         return result
 
     def along(self, times, states, inputs, p=None):

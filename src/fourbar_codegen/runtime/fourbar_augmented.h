@@ -257,7 +257,8 @@ static inline void fb_newton_matrix(fb_run *s, const double t, const double h, c
     const int n_q = k->n_q, n_u = k->n_u, n_x = n_q + n_u;
     a->n_jacobians += 1;
     memcpy(a->matrix, a->mass_matrix, (size_t)(n_u * n_u) * sizeof(double));
-    k->sensitivity(t, x, p->constants, p->inputs, accelerations, a->penalized, a->rate_jacobian, a->residual_jacobian);
+    k->derivatives->sensitivity(t, x, p->constants, p->inputs, accelerations, a->penalized, a->rate_jacobian,
+                                a->residual_jacobian);
     for (int j = 0; j < n_u; ++j) {
         memset(a->unit, 0, (size_t)n_u * sizeof(double));
         a->unit[j] = 1.0;

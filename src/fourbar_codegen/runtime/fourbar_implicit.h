@@ -153,7 +153,8 @@ static inline int fb_implicit_derivative(fb_implicit *s, const double t, const d
     const int called = fb_implicit_equations(s, t, z);
     if (called < 0)
         return called;
-    k->sensitivity(t, z, p->constants, p->inputs, z_rate + n_q, z + n_x, s->rate_jacobian, s->residual_jacobian);
+    k->derivatives->sensitivity(t, z, p->constants, p->inputs, z_rate + n_q, z + n_x, s->rate_jacobian,
+                                s->residual_jacobian);
     memset(matrix, 0, (size_t)(n * n) * sizeof *matrix);
     for (int i = 0; i < n_q; ++i) {
         for (int j = 0; j < n_x; ++j)
@@ -179,7 +180,8 @@ static inline int fb_implicit_derivative(fb_implicit *s, const double t, const d
         }
         return 0;
     }
-    k->constraint_sensitivity(t, z, p->constants, p->inputs, s->velocity_jacobian, s->unused, s->unused + n_h * k->n_r);
+    k->derivatives->constraint_sensitivity(t, z, p->constants, p->inputs, s->velocity_jacobian, s->unused,
+                                           s->unused + n_h * k->n_r);
     for (int i = 0; i < n_c; ++i) {
         double *const row = matrix + (n_x + i) * n;
         if (s->formulation == FB_INDEX_3 && i < n_h) {

@@ -13,7 +13,7 @@
 
 #include <stddef.h>
 
-#define FB_ABI_VERSION 9
+#define FB_ABI_VERSION 10
 #define FB_CAPSULE_NAME "fourbar_codegen.kernel"
 
 /* Long functions are printed in parts, which the compiler must not put together again. */
@@ -40,14 +40,21 @@ typedef void fb_sensitivity(double t, const double *x, const double *constants, 
                             const double *accelerations, const double *multipliers, double *coordinate_rate_jacobian,
                             double *residual_jacobian);
 
-typedef void fb_default_input_sensitivity(double t, const double *constants, double *default_input_jacobian);
-
-typedef void fb_constraint_sensitivity(double t, const double *x, const double *constants, const double *r,
-                                       double *velocity_jacobian, double *position_input_jacobian,
-                                       double *velocity_input_jacobian);
-
-typedef void fb_drawing(double t, const double *x, const double *constants, const double *r, double *points,
-                        double *forces);
+/* Derivatives, and what is drawn: what a simulation by an explicit method does without. */
+typedef struct fb_derivatives {
+    int abi_version;
+    size_t struct_size;
+    fb_sensitivity *sensitivity, *parameter_sensitivity, *input_sensitivity; /* with respect to x, p and r */
+    /* dr/dp of the default inputs, n_r by n_p */
+    void (*default_input_sensitivity)(double t, const double *constants, double *default_input_jacobian);
+    /* d(J u + b)/dq, dPhi/dr and d(J u + b)/dr */
+    void (*constraint_sensitivity)(double t, const double *x, const double *constants, const double *r,
+                                   double *velocity_jacobian, double *position_input_jacobian,
+                                   double *velocity_input_jacobian);
+    /* positions (n_points, 3) and forces (n_forces, 3) in the inertial frame */
+    void (*drawing)(double t, const double *x, const double *constants, const double *r, double *points,
+                    double *forces);
+} fb_derivatives;
 
 typedef struct fb_batch_functions fb_batch_functions; /* fourbar_batch.h */
 
@@ -73,8 +80,9 @@ typedef struct fb_kernel {
      * systems", Computer Methods in Applied Mechanics and Engineering 1, 1972) */
     int (*stabilized)(double t, const double *x, const double *constants, const double *r, double a, double *rates,
                       void *work);
-    fb_evaluation *jacobian, *parameter_jacobian, *input_jacobian; /* dx'/dx, dx'/dp, dx'/dr, each n_x by n */
-    fb_default_input_sensitivity *default_input_sensitivity;       /* dr/dp of the default inputs, n_r by n_p */
+    /* dx'/dx, dx'/dp or dx'/dr, each n_x by n, of the sensitivity with respect to n quantities */
+    int (*differentiate)(fb_sensitivity *sensitivity, int n, double t, const double *x, const double *constants,
+                         const double *r, double *matrix, void *work);
     /* u' and the multipliers lambda of M u' = f + J^T lambda */
     int (*accelerations)(double t, const double *x, const double *constants, const double *r, double *accelerations,
                          double *multipliers, void *work);
@@ -107,19 +115,40 @@ typedef struct fb_kernel {
      * changed by as much as its own size, so that this says nothing; or is close to losing rank, where loops that are
      * closed but for rounding errors may lead past the singular position. */
     int (*orientation_changed)(void *work);
-    /* d(J u + b)/dq, dPhi/dr and d(J u + b)/dr */
-    fb_constraint_sensitivity *constraint_sensitivity;
     /* kinetic and potential energy */
     void (*energy)(double t, const double *x, const double *constants, const double *r, double *energies);
     /* the outputs, for u' and lambda as given */
     void (*output)(double t, const double *x, const double *constants, const double *r, const double *accelerations,
                    const double *multipliers, double *outputs);
-    /* with respect to x, p and r */
-    fb_sensitivity *sensitivity, *parameter_sensitivity, *input_sensitivity;
-    fb_drawing *drawing; /* positions (n_points, 3) and forces (n_forces, 3) in the inertial frame */
+    const fb_derivatives *derivatives;         /* or NULL, where they are in a library of their own */
     const fb_batch_functions *batch_functions; /* the same for several states side by side, or NULL */
     int batch_functions_apart;                 /* whether they are in a library of their own */
     int one_machine; /* whether it was compiled for the processor of one machine, and not to travel */
 } fb_kernel;
+
+/* What a shared library without Python says of itself: the symbol `fourbar_library`. */
+typedef struct fb_library {
+    const fb_kernel *kernel;
+    const char *const *structure; /* of the manifest, lines of JSON, and NULL behind the last */
+} fb_library;
+
+/* dx'/dx, dx'/dp and dx'/dr; the kernel needs its derivatives. */
+static inline int fb_jacobian(const fb_kernel *k, double t, const double *x, const double *constants, const double *r,
+                              double *matrix, void *work)
+{
+    return k->differentiate(k->derivatives->sensitivity, k->n_q + k->n_u, t, x, constants, r, matrix, work);
+}
+
+static inline int fb_parameter_jacobian(const fb_kernel *k, double t, const double *x, const double *constants,
+                                        const double *r, double *matrix, void *work)
+{
+    return k->differentiate(k->derivatives->parameter_sensitivity, k->n_p, t, x, constants, r, matrix, work);
+}
+
+static inline int fb_input_jacobian(const fb_kernel *k, double t, const double *x, const double *constants,
+                                    const double *r, double *matrix, void *work)
+{
+    return k->differentiate(k->derivatives->input_sensitivity, k->n_r, t, x, constants, r, matrix, work);
+}
 
 #endif

@@ -219,7 +219,7 @@ static int orientation_changed(void *work)
 
 /* Differentiating M u' = f + J^T lambda and J u' + gamma = 0 in some direction gives equations for the change of
  * u' with the same matrices; the right-hand sides are the n columns of residual_jacobian. */
-static int differentiate(fb_sensitivity *function, const int n, double t, const double *x, const double *constants,
+static int differentiate(fb_sensitivity *function, int n, double t, const double *x, const double *constants,
                          const double *r, double *matrix, void *work)
 {
     fb_work *const w = work;
@@ -239,23 +239,6 @@ static int differentiate(fb_sensitivity *function, const int n, double t, const 
             matrix[(N_Q + i) * n + j] = solution[i];
     }
     return all_finite(matrix, N_X * n);
-}
-
-static int jacobian(double t, const double *x, const double *constants, const double *r, double *matrix, void *work)
-{
-    return differentiate(FB_NAME(sensitivity), N_X, t, x, constants, r, matrix, work);
-}
-
-static int parameter_jacobian(double t, const double *x, const double *constants, const double *r, double *matrix,
-                              void *work)
-{
-    return differentiate(FB_NAME(parameter_sensitivity), N_P, t, x, constants, r, matrix, work);
-}
-
-static int input_jacobian(double t, const double *x, const double *constants, const double *r, double *matrix,
-                          void *work)
-{
-    return differentiate(FB_NAME(input_sensitivity), N_R, t, x, constants, r, matrix, work);
 }
 
 const fb_kernel FB_NAME(kernel) = {
@@ -278,10 +261,7 @@ const fb_kernel FB_NAME(kernel) = {
     .breakpoints = breakpoints,
     .rhs = rhs,
     .stabilized = stabilized,
-    .jacobian = jacobian,
-    .parameter_jacobian = parameter_jacobian,
-    .input_jacobian = input_jacobian,
-    .default_input_sensitivity = FB_NAME(default_input_sensitivity),
+    .differentiate = differentiate,
     .accelerations = accelerations,
     .dynamics = full_dynamics,
     .position = position,
@@ -291,19 +271,17 @@ const fb_kernel FB_NAME(kernel) = {
     .coordinate_change = coordinate_change,
     .project = project,
     .orientation_changed = orientation_changed,
-    .constraint_sensitivity = FB_NAME(constraint_sensitivity),
     .energy = energy,
     .output = output,
-    .sensitivity = FB_NAME(sensitivity),
-    .parameter_sensitivity = FB_NAME(parameter_sensitivity),
-    .input_sensitivity = FB_NAME(input_sensitivity),
-    .drawing = FB_NAME(drawing),
-#ifdef FB_ONE_MACHINE
+#ifdef FB_ONE_MACHINE /* where the rest can be built when it is needed */
     .one_machine = 1,
-#endif
-#if defined FB_HAS_BATCH_FUNCTIONS && defined FB_ONE_MACHINE /* where they can be built when they are needed */
+#ifdef FB_HAS_BATCH_FUNCTIONS
     .batch_functions_apart = 1,
-#elif defined FB_HAS_BATCH_FUNCTIONS
+#endif
+#else
+    .derivatives = &FB_NAME(derivatives),
+#ifdef FB_HAS_BATCH_FUNCTIONS
     .batch_functions = &FB_NAME(batch_functions),
+#endif
 #endif
 };

@@ -146,7 +146,7 @@ static inline int fb_problem_jacobian(fb_problem *s, const double since, const d
     const int called = fb_fill_inputs(s, t, x);
     if (called < 0)
         return called;
-    const int status = s->kernel->jacobian(t, x, s->constants, s->inputs, matrix, s->work);
+    const int status = fb_jacobian(s->kernel, t, x, s->constants, s->inputs, matrix, s->work);
     if (status != FB_OK) {
         fb_note_failure(s, status, t, x);
         memset(matrix, 0, (size_t)(n * n) * sizeof *matrix);

@@ -52,6 +52,7 @@ cdef class Rates:
 
     def jacobian(self, double t, cnp.ndarray x, rates, cnp.ndarray matrix):
         """dx'/dx, (n_x, n_x)."""
+        self.ode.evaluator.derivatives()
         self.ode.check(fb_problem_jacobian(&self.ode.problem, t, _at(x), _at(matrix)))
 
 
@@ -76,6 +77,7 @@ cdef class Residual:
 
     def __cinit__(self, Ode ode not None, str formulation):
         cdef int chosen = _FORMULATIONS[formulation]
+        ode.evaluator.derivatives()
         self.ode = ode
         self.memory = np.zeros(fb_place_implicit(&ode.problem, chosen, &self.implicit, NULL))
         fb_place_implicit(&ode.problem, chosen, &self.implicit, _at(self.memory))

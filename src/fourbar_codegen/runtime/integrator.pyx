@@ -381,6 +381,7 @@ cdef class Ode:
         t = time_of(t)
         cdef cnp.ndarray state = vector(x, self.evaluator.n_x, "The state x")
         cdef cnp.ndarray result = new_array(self.evaluator.n_x, self.evaluator.n_x)
+        self.evaluator.derivatives()
         self.check(fb_problem_jacobian(&self.problem, t, data(state), data(result)))
         return result
 
@@ -613,6 +614,7 @@ cdef class Run:
             run.event_old = <double *>self._keep(np.zeros(run.n_events))
             run.outputs = <double *>self._keep(np.zeros(ode.evaluator.n_u + ode.evaluator.n_c + ode.evaluator.n_o))
         if method == "ALI3P":
+            ode.evaluator.derivatives()
             run.step, run.augmented = fb_augmented_step_on, &self.augmented
             memory = np.zeros(fb_place_augmented(ode.evaluator.kernel, &self.augmented, NULL))
             fb_place_augmented(ode.evaluator.kernel, &self.augmented, <double *>self._keep(memory))

@@ -1,0 +1,200 @@
+"""Sources -> shared libraries for this machine, as `compile_model` uses them: C alone, without Python.
+
+A model comes in parts. The kernel is what a simulation needs; derivatives and the functions for several states side by
+side are compiled when they are first asked for. The kernel's library has the model's structure inside: names, order,
+formulas. Its numbers, which defaults, units and initial values are, lie beside it, so that a model that differs in
+these alone has the same library.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from fourbar_codegen.building.cache import cached
+from fourbar_codegen.building.toolchain import (
+    BATCH_FLAGS,
+    COMMON_FLAGS,
+    DERIVATIVES_FLAGS,
+    KERNEL_FLAGS,
+    compile_library,
+    digest_of,
+    library_toolchain,
+)
+
+__all__ = ["SUFFIXES", "build_part", "install", "manifest_of", "numbers_path"]
+
+PARTS = {
+    "kernel": (("_kernel.c", "_kernel.h"), KERNEL_FLAGS),
+    "derivatives": (("_derivatives.c", "_kernel.h"), DERIVATIVES_FLAGS),
+    "batch_functions": (("_batch.c", "_kernel.c", "_kernel.h"), BATCH_FLAGS),
+}
+"""The sources of each part by their suffixes, the one that is compiled first, and the flags."""
+
+SUFFIXES = tuple(dict.fromkeys(suffix for suffixes, _ in PARTS.values() for suffix in suffixes))
+"""Of the sources that all parts are built from."""
+
+NUMBERS = ("default", "unit", "description")
+"""What of a parameter is not structure."""
+
+
+def build_part(
+    name: str,
+    part: str,
+    sources: Mapping[str, str],
+    structure: Mapping[str, Any] | None = None,
+    *,
+    check: Callable[[Path], object] | None = None,
+) -> Path:
+    """The shared library of a part, from the cache if it was built there before.
+
+    Its key is made of the sources' text, the headers, the flags and the compiler, and of nothing else.
+
+    Parameters
+    ----------
+    name : str
+        The model's.
+    part : {"kernel", "derivatives", "batch_functions"}
+    sources : mapping of str to str
+        Text by file name.
+    structure : mapping, optional
+        What the kernel's library is to say of itself.
+    check : callable, optional
+        Called with a library that was built, before it comes to the cache, where it does not come if this raises.
+
+    Returns
+    -------
+    Path
+        A shared library that has the part's table: ``{name}_kernel`` and ``fb_library``, ``{name}_derivatives``,
+        ``{name}_batch_functions``.
+
+    Raises
+    ------
+    BuildError
+        If a tool is missing or fails; with the tool's output.
+    CacheError
+        If the cache cannot be written.
+    """
+    suffixes, flags = PARTS[part]
+    texts = {f"{name}{suffix}": sources[f"{name}{suffix}"] for suffix in suffixes}
+    units = {f"{name}{suffixes[0]}": flags}
+    if structure is not None:
+        texts[f"{name}_structure.c"] = structure_text(name, structure)
+        units[f"{name}_structure.c"] = COMMON_FLAGS
+
+    def build(folder: Path) -> Path:
+        with tempfile.TemporaryDirectory() as temporary:
+            # By a path of its own: the system goes on giving out the first library that was loaded from one.
+            library = compile_library(Path(temporary) / f"{name}_{part}.so", texts, units)
+            if check is not None:
+                check(library)
+            return Path(shutil.copy(library, folder))
+
+    return cached(f"{name}_{part}", digest_of([part, texts, library_toolchain()]), build)
+
+
+def install(
+    name: str,
+    sources: Mapping[str, str],
+    manifest: Mapping[str, Any],
+    folder: Path,
+    *,
+    check: Callable[[Path], None] | None = None,
+) -> Path:
+    """Put a model's library into a folder, with its sources and numbers beside it.
+
+    Parameters
+    ----------
+    name : str
+    sources : mapping of str to str
+        Text by file name; what no part needs is left out.
+    manifest : mapping
+    folder : Path
+        There already.
+    check : callable, optional
+        Called with the library before it comes to the folder, where it does not come if this raises.
+
+    Returns
+    -------
+    Path
+        The kernel's library.
+
+    Raises
+    ------
+    BuildError, CacheError
+        As `build_part`.
+    """
+    structure, numbers = _split(manifest)
+    kept = {filename: text for filename, text in sources.items() if filename.removeprefix(name) in SUFFIXES}
+    kept[f"{name}_numbers.json"] = json.dumps(numbers, indent=2) + "\n"
+    checked = False
+
+    def complete(built: Path) -> None:
+        nonlocal checked
+        numbers_path(built).write_text(kept[f"{name}_numbers.json"], encoding="utf-8")
+        if check is not None:
+            check(built)
+        checked = True
+
+    library = build_part(name, "kernel", kept, structure, check=complete)
+    if not checked:  # it was there, for a model with other numbers, or of which nothing was checked
+        with tempfile.TemporaryDirectory() as temporary:
+            complete(Path(shutil.copy(library, temporary)))
+    for filename, text in kept.items():
+        (folder / filename).write_text(text, encoding="utf-8")
+    return Path(shutil.copy(library, folder))
+
+
+def numbers_path(library: Path) -> Path:
+    """The file of a model's numbers beside its library."""
+    return library.with_name(f"{library.stem.removesuffix('_kernel')}_numbers.json")
+
+
+def _split(manifest: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """A manifest's structure and numbers."""
+    parameters = manifest["parameters"]
+    numbers = {
+        "fingerprint": manifest["fingerprint"],
+        "parameters": [{key: entry[key] for key in NUMBERS} for entry in parameters],
+        "initial": manifest["initial"],
+    }
+    structure = {key: value for key, value in manifest.items() if key not in numbers}
+    return structure | {"parameters": [{"name": entry["name"]} for entry in parameters]}, numbers
+
+
+def manifest_of(structure: Mapping[str, Any], numbers: Mapping[str, Any]) -> dict[str, Any]:
+    """The manifest of a structure and numbers.
+
+    Raises
+    ------
+    ValueError, KeyError, TypeError
+        If the numbers are another structure's.
+    """
+    pairs = zip(structure["parameters"], numbers["parameters"], strict=True)
+    return {
+        **structure,
+        "fingerprint": numbers["fingerprint"],
+        "parameters": [{**entry, **{key: values[key] for key in NUMBERS}} for entry, values in pairs],
+        "initial": numbers["initial"],
+    }
+
+
+def structure_text(name: str, structure: Mapping[str, Any]) -> str:
+    """The C source that puts a structure into a library, line by line: C99 asks for no longer strings."""
+    text = json.dumps(structure, indent=1, ensure_ascii=True, allow_nan=False)
+    lines = "\n".join(f"    {json.dumps(line)}," for line in text.splitlines())
+    return f"""\
+/* What the model "{name}" is made of, as JSON, generated by fourbar_codegen. Do not edit. */
+#include "{name}_kernel.h"
+
+static const char *const structure[] = {{
+{lines}
+    NULL,
+}};
+
+const fb_library fourbar_library = {{&{name}_kernel, structure}};
+"""

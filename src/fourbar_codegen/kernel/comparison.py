@@ -1,0 +1,160 @@
+"""What is compiled after the kernel, against the kernel: derivatives by differences, states side by side one by one.
+
+The kernel itself was compared with the equations when it was compiled; see `verify`. These parts come later, where
+neither SymPy nor the equations are at hand.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourbar_codegen.errors import BuildError, SimulationError
+from fourbar_codegen.runtime.batch import Batch, width
+from fourbar_codegen.runtime.evaluator import Evaluator
+
+__all__ = ["compare_batch_functions", "compare_derivatives"]
+
+Floats = NDArray[np.float64]
+
+STATES = 2
+ATTEMPTS = 8
+STEP = 2e-4
+"""Of differences, relative to what is changed where that is large. Extrapolated to h^4, their error is some 1e-14 of
+the fifth derivative, and that of rounding some 1e-12."""
+
+TOLERANCE = 1e-6
+"""The share of the largest entry of a matrix by which a derivative may miss a difference that is sure of itself."""
+
+ALONE = 1e-8
+"""And rates of states side by side those of one: sines differ in the last bit, and what is solved may be
+ill-conditioned."""
+
+
+DEFECT = "That is a defect of the C compiler, its flags, or this package. Try other CFLAGS, or another compiler in CC."
+
+
+def compare_derivatives(model: Evaluator) -> None:
+    """Compare derivatives with extrapolated differences of the kernel's functions, at random states.
+
+    Differences that two steps do not agree on, as near singular positions and kinks, are passed over.
+
+    Parameters
+    ----------
+    model : Evaluator
+        With derivatives attached.
+
+    Raises
+    ------
+    BuildError
+        If one does not agree.
+
+    Source: L. F. Richardson, "The approximate arithmetical solution by finite differences of physical problems",
+    *Philosophical Transactions of the Royal Society A* 210 (1911).
+    """
+    generator, compared = random.Random(0), 0
+    for _ in range(ATTEMPTS):
+        t, x, p, r = _arguments(model, generator)
+        try:
+            with np.errstate(all="ignore"):
+                compared += _compare_at(model, t, x, p, r)
+        except SimulationError:  # the equations have no value there
+            continue
+        if compared >= STATES:
+            return
+
+
+def _compare_at(model: Evaluator, t: float, x: Floats, p: Floats, r: Floats) -> bool:
+    n_q = model.n_q
+
+    def velocities(x: Floats, r: Floats) -> Floats:
+        jacobian, bias = model.velocity(t, x, p, r)
+        return jacobian @ x[n_q:] + bias
+
+    def at(q: Floats) -> Floats:
+        return np.concatenate((q, x[n_q:]))
+
+    by_coordinates, positions_by_inputs, velocities_by_inputs = model.constraint_sensitivity(t, x, p, r)
+    pairs: list[tuple[str, Floats, Callable[[Floats], Floats], Floats]] = [
+        ("dx'/dx", model.jacobian(t, x, p, r), lambda x: model.rhs(t, x, p, r), x),
+        ("dx'/dp", model.parameter_jacobian(t, x, p, r), lambda p: model.rhs(t, x, p, r), p),
+        ("dx'/dr", model.input_jacobian(t, x, p, r), lambda r: model.rhs(t, x, p, r), r),
+        ("d(J u + b)/dq", by_coordinates, lambda q: velocities(at(q), r), x[:n_q]),
+        ("d(J u + b)/dr", velocities_by_inputs, lambda r: velocities(x, r), r),
+        ("dPhi/dr", positions_by_inputs, lambda r: model.position(t, x[:n_q], p, r)[0], r),
+        ("dr/dp", model.default_input_sensitivity(t, p), lambda p: model.default_inputs(t, p), p),
+    ]
+    for what, got, function, point in pairs:
+        expected, sure = _differences(function, point)
+        largest = np.abs(expected[np.isfinite(expected)]).max(initial=0.0)
+        wrong = sure & ~(np.abs(got - expected) <= TOLERANCE * (1.0 + largest))
+        if wrong.any():
+            raise BuildError(
+                f"The compiled derivative {what} of the model {model.manifest['name']} is\n{got}\nat a random state, "
+                f"where differences give\n{expected}\n{DEFECT}"
+            )
+    return True
+
+
+def _differences(function: Callable[[Floats], Floats], point: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    """The derivatives of a function at a point, by central differences, and which of them two steps agree on."""
+    columns, sure = [], []
+    size = np.shape(function(point))
+    for i in range(len(point)):
+        step = STEP * max(abs(point[i]), 1.0)
+
+        def slope(h: float, i: int = i) -> Floats:
+            moved = [point.copy(), point.copy()]
+            moved[0][i] += h
+            moved[1][i] -= h
+            change: Floats = function(moved[0]) - function(moved[1])
+            return change / float(moved[0][i] - moved[1][i])
+
+        coarse, fine, finest = slope(2.0 * step), slope(step), slope(0.5 * step)
+        before, after = fine + (fine - coarse) / 3.0, finest + (finest - fine) / 3.0
+        columns.append(after)
+        sure.append(np.abs(after - before) <= 0.1 * TOLERANCE * (1.0 + np.abs(after).max(initial=0.0)))
+    if not columns:
+        return np.zeros((*size, 0)), np.zeros((*size, 0), dtype=bool)
+    return np.stack(columns, axis=-1), np.stack(sure, axis=-1)
+
+
+def compare_batch_functions(model: Evaluator) -> None:
+    """Compare rates of states side by side with those of one state after the other, at random states.
+
+    Raises
+    ------
+    BuildError
+        If they do not agree.
+    """
+    generator = random.Random(0)
+    n = 2 * width(model) + 1  # whole vectors, and what is left over
+    arguments = [_arguments(model, generator) for _ in range(n)]
+    t, x, p, r = (np.array(columns).T.copy() for columns in zip(*arguments, strict=True))
+    rates = np.empty_like(x)
+    Batch(model, t, x, p, r, rates).evaluate(0, n)
+    for i, (time, state, parameters, inputs) in enumerate(arguments):
+        try:
+            expected: Any = model.rhs(time, state, parameters, inputs)
+        except SimulationError:
+            continue
+        if not (np.abs(rates[:, i] - expected) <= ALONE * (1.0 + np.abs(expected).max(initial=0.0))).all():
+            raise BuildError(
+                f"The compiled right-hand side of the model {model.manifest['name']} for several states side by side "
+                f"gives\n{rates[:, i]}\nat a random state, and that for one state\n{expected}\n{DEFECT}"
+            )
+
+
+def _arguments(model: Evaluator, generator: random.Random) -> tuple[float, Floats, Floats, Floats]:
+    """Time, state, parameters and inputs, as `verify` takes them."""
+
+    def numbers(n: int, low: float, high: float) -> Floats:
+        return np.array([generator.uniform(low, high) for _ in range(n)])
+
+    defaults = np.array([entry["default"] for entry in model.manifest["parameters"]], dtype=float)
+    p = np.where(np.isnan(defaults), numbers(model.n_p, 0.5, 1.5), defaults)
+    return generator.uniform(-1.0, 1.0), numbers(model.n_x, -1.0, 1.0), p, numbers(model.n_r, -1.0, 1.0)

@@ -31,16 +31,16 @@ Floats = NDArray[np.float64]
 def load(name: str | Path) -> CompiledModel:
     """Load a model that is compiled already; neither SymPy nor a compiler is needed.
 
-    (For a library of `compile_model`, in the cache, a compiler is needed once more by its first Jacobian or picture, and
-    by its first batch or ensemble.)
+    (For a library of `compile_model`, in the cache, a compiler is needed once more by its first Jacobian or picture,
+    and by its first batch or ensemble.)
 
     Parameters
     ----------
     name : str or Path
         The name of a model that comes with the package, ``"four_bar"``, or that was installed from a wheel
         of `build_wheel` (not what lies in the current folder); or the path of an extension module that
-        ``fourbar build`` or `build_model` made, or of a library of `compile_model`. Of an installed package, nothing runs that does not say in its
-        manifest.json that it is that model.
+        ``fourbar build`` or `build_model` made, or of a library of `compile_model`. Of an installed package, nothing
+        runs that does not say in its manifest.json that it is that model.
 
     Returns
     -------

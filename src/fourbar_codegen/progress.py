@@ -19,7 +19,8 @@ SHARE = 60.0
 class Progress:
     """Shows the stage that a long task is in, from its second second on, until it ends.
 
-    Where someone watches, on a terminal or in a notebook, in one line that vanishes.
+    Where someone watches, on a terminal or in a notebook, in one line that vanishes. How long each stage has taken goes to
+    the logger ``fourbar_codegen``, at the level INFO.
 
     Parameters
     ----------
@@ -37,6 +38,7 @@ class Progress:
     def __init__(self, task: str, *, unwatched: bool = False) -> None:
         self._task, self._unwatched = task, unwatched
         self._stage: str | None = None
+        self._entered = 0.0
         self._begin = time.monotonic()
         self._thread: threading.Thread | None = None
 
@@ -49,7 +51,14 @@ class Progress:
                 self._done = threading.Event()
                 self._thread = threading.Thread(target=show, daemon=True)
                 self._thread.start()
-        self._stage = name
+        self._log()
+        self._stage, self._entered = name, time.monotonic()
+
+    def _log(self) -> None:
+        logging = sys.modules.get("logging")  # without which nobody listens
+        if logging is not None and self._stage is not None:
+            took = time.monotonic() - self._entered
+            logging.getLogger("fourbar_codegen").info("%s: %s took %.3f s", self._task, self._stage, took)
 
     def __enter__(self) -> Progress:
         return self
@@ -57,6 +66,7 @@ class Progress:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
+        self._log()
         if self._thread is not None:
             self._done.set()
             self._thread.join()

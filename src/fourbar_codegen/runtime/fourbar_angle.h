@@ -64,6 +64,15 @@ static FB_INLINE double fb_cos(const double x)
     return fabs(x) < FB_MAX_ANGLE ? c : cos(x);
 }
 
+/* One by one, where an angle is large or not finite: a call, which compilers would repeat in every function. */
+static FB_PART void fb_large_angles(const double *x, fb_angles *angles)
+{
+    for (int i = 0; i < 4; ++i) {
+        angles->sin[i] = fb_sin(x[i]);
+        angles->cos[i] = fb_cos(x[i]);
+    }
+}
+
 static FB_INLINE fb_angles fb_angles_of(const double x0, const double x1, const double x2, const double x3)
 {
     /* Entry by entry: compilers keep these in registers. */
@@ -87,9 +96,8 @@ static FB_INLINE fb_angles fb_angles_of(const double x0, const double x1, const 
 #endif
     /* One comparison for the four; not true either where one is not a number. */
     if (!(x0 * x0 + x1 * x1 + x2 * x2 + x3 * x3 < FB_MAX_ANGLE * FB_MAX_ANGLE)) {
-        const fb_angles each = {{fb_sin(x0), fb_sin(x1), fb_sin(x2), fb_sin(x3)},
-                                {fb_cos(x0), fb_cos(x1), fb_cos(x2), fb_cos(x3)}};
-        return each;
+        const double x[4] = {x0, x1, x2, x3};
+        fb_large_angles(x, &angles);
     }
     return angles;
 }

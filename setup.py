@@ -36,6 +36,8 @@ models = [
         f"prebuilt.{wrapper.stem}",
         [wrapper, *sorted(wrapper.parent.glob("*.c"))],
         wrapper.parent,
+        "-O2",
+        "-fpeel-loops",
         "-fno-tree-vectorize",
     )
     for wrapper in sorted(Path("generated").glob("*/*.pyx"))

@@ -6,8 +6,7 @@ import re
 import sys
 import tempfile
 from collections.abc import Callable
-from importlib.metadata import metadata, packages_distributions
-from importlib.metadata import version as distribution_version
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,7 +24,9 @@ from fourbar_codegen.modeling.model import Model
 from fourbar_codegen.progress import Progress
 
 if TYPE_CHECKING:
+    from fourbar_codegen.dynamics.derivatives import Derivatives
     from fourbar_codegen.dynamics.equations import Equations
+    from fourbar_codegen.lowering.schedule import Schedule
 
 __all__ = ["build_model", "build_wheel", "compile_model", "generate_sources", "key_of"]
 
@@ -56,17 +57,27 @@ def generate_sources(model: Model) -> dict[str, str]:
      'manifest.json']
     """
     with Progress(f"fourbar_codegen: {getattr(model, 'name', '')}") as progress:
-        _, sources, _ = _generate(model, progress)
+        _, _, sources = _generate(model, progress)
         return sources
 
 
-def _generate(model: Model, progress: Progress) -> tuple[Equations, dict[str, str], dict[str, Any]]:
-    """The equations, the sources made of them, and the manifest."""
+@dataclass(frozen=True)
+class _Generated:
+    """What a kernel is compiled from, and what the rest is generated from."""
+
+    equations: Equations
+    scheduled: Schedule
+    names: dict[str, tuple[str, ...]]
+    sources: dict[str, str]
+    manifest: dict[str, Any]
+
+
+def _generate_kernel(model: Model, progress: Progress) -> _Generated:
+    """The equations, and the sources of what a simulation needs."""
     _require_model(model)
     # Imported here: a model that is in the cache needs none of it.
-    from fourbar_codegen.codegen.c_source import batch_text, derivatives_text, header_text, kernel_text
-    from fourbar_codegen.codegen.cython_source import wrapper_text
-    from fourbar_codegen.codegen.manifest import manifest_of, manifest_text
+    from fourbar_codegen.codegen.c_source import batch_text, header_text, kernel_text
+    from fourbar_codegen.codegen.manifest import manifest_of
     from fourbar_codegen.dynamics.equations import form_equations
     from fourbar_codegen.lowering.lower import lower
     from fourbar_codegen.lowering.schedule import schedule
@@ -84,17 +95,50 @@ def _generate(model: Model, progress: Progress) -> tuple[Equations, dict[str, st
         "inputs": tuple(leaf.name for leaf in program.inputs),
         "outputs": model.outputs,
     }
-    manifest = manifest_of(model, equations, program, names, fingerprint(_described(model)))
     batch = batch_text(scheduled)
     sources = {
         f"{model.name}_kernel.c": kernel_text(scheduled, names),
         **({f"{model.name}_batch.c": batch} if batch else {}),
-        f"{model.name}_derivatives.c": derivatives_text(scheduled, names),
         f"{model.name}_kernel.h": header_text(scheduled, names),
-        f"{model.name}.pyx": wrapper_text(model, manifest),
-        "manifest.json": manifest_text(manifest),
     }
-    return equations, sources, manifest
+    manifest = manifest_of(model, equations, program, names, fingerprint(_described(model)))
+    return _Generated(equations, scheduled, names, sources, manifest)
+
+
+def _generate_rest(generated: _Generated) -> tuple[Derivatives, dict[str, str], dict[str, Any]]:
+    """The derivatives, their source, and the operation counts of the manifest."""
+    from fourbar_codegen.codegen.c_source import derivatives_text
+    from fourbar_codegen.codegen.manifest import operations_of
+    from fourbar_codegen.dynamics.derivatives import form_derivatives
+    from fourbar_codegen.lowering.lower import lower_derivatives
+    from fourbar_codegen.lowering.schedule import schedule_function
+
+    program = generated.scheduled.program
+    derivatives = form_derivatives(generated.equations)
+    functions = lower_derivatives(program, generated.equations, derivatives)
+    scheduled = [schedule_function(function, inline_angles=False) for function in functions]
+    text = derivatives_text(program.name, scheduled, generated.names)
+    return derivatives, {f"{program.name}_derivatives.c": text}, operations_of((*program.functions, *functions))
+
+
+def _generate(model: Model, progress: Progress) -> tuple[Equations, Derivatives, dict[str, str]]:
+    """The equations, their derivatives, and all sources made of them."""
+    generated = _generate_kernel(model, progress)
+    from fourbar_codegen.codegen.cython_source import wrapper_text
+    from fourbar_codegen.codegen.manifest import manifest_text
+
+    derivatives, source, operations = _generate_rest(generated)
+    manifest = {**generated.manifest, **operations}
+    return (
+        generated.equations,
+        derivatives,
+        {
+            **generated.sources,
+            **source,
+            f"{model.name}.pyx": wrapper_text(model, manifest),
+            "manifest.json": manifest_text(manifest),
+        },
+    )
 
 
 def key_of(model: Model) -> str:
@@ -201,6 +245,8 @@ def build_wheel(model: Model, folder: str | Path, *, version: str = "0.1.0", che
     if not isinstance(version, str) or not re.fullmatch(pattern, version):
         raise ModelError(f"A version looks like 1.0 or 0.2.1, not {version!r}.")
     folder = path_of(folder)
+    from importlib.metadata import version as distribution_version
+
     import numpy as np
 
     own = ".".join(distribution_version("fourbar_codegen").split(".")[:2])
@@ -215,6 +261,8 @@ def _is_taken(name: str) -> bool:
     """Whether a wheel of this name would stand in the way of another module."""
     if name in {"fourbar_codegen", "four_bar", "setup", "test", *sys.stdlib_module_names}:
         return True
+    from importlib.metadata import metadata, packages_distributions
+
     owners = packages_distributions().get(name, [])
     # Wheels of models, of which a new version may be made, have the name of what they hold.
     return any(not (metadata(owner)["Summary"] or "").startswith(WHEEL_SUMMARY) for owner in owners)
@@ -224,20 +272,22 @@ def _build(model: Model, folder: Path, *, check: bool) -> Path:
     """An extension module in a folder."""
     compares = flag(check, "check")
     with Progress(f"fourbar_codegen: {model.name}") as progress:
-        equations, sources, _ = _generate(model, progress)
+        equations, derivatives, sources = _generate(model, progress)
         progress.stage("compiling")
-        compare = _comparison(equations, progress) if compares else None
+        compare = _comparison(progress, equations, derivatives) if compares else None
         return build_extension(model.name, sources, folder, check=compare)
 
 
-def _comparison(equations: Equations, progress: Progress) -> Callable[[Path], None]:
+def _comparison(
+    progress: Progress, equations: Equations, derivatives: Derivatives | None = None
+) -> Callable[[Path], None]:
     """What compares a compiled model with its equations."""
 
     def compare(module: Path) -> None:
         from fourbar_codegen.verify import verify
 
         progress.stage("checking")
-        verify(equations, CompiledModel.from_file(module))
+        verify(CompiledModel.from_file(module), equations, derivatives)
 
     return compare
 
@@ -279,10 +329,19 @@ def compile_model(model: Model, *, check: bool = True) -> CompiledModel:
     check = flag(check, "check")
 
     def build(folder: Path) -> Path:
-        with Progress(f"fourbar_codegen: {model.name}") as progress:
-            equations, sources, manifest = _generate(model, progress)
+        from concurrent.futures import ThreadPoolExecutor
+
+        with Progress(f"fourbar_codegen: {model.name}") as progress, ThreadPoolExecutor(1) as pool:
+            generated = _generate_kernel(model, progress)
             progress.stage("compiling")
-            compare = _comparison(equations, progress) if check else None
-            return install(model.name, sources, manifest, folder, check=compare)
+            rest = pool.submit(_generate_rest, generated)  # while the compiler works on the kernel
+            return install(
+                model.name,
+                generated.sources,
+                generated.manifest,
+                folder,
+                rest=lambda: rest.result()[1:],
+                check=_comparison(progress, generated.equations) if check else None,
+            )
 
     return CompiledModel.from_file(cached(model.name, key_of(model), build))

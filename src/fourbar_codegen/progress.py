@@ -19,8 +19,8 @@ SHARE = 60.0
 class Progress:
     """Shows the stage that a long task is in, from its second second on, until it ends.
 
-    Where someone watches, on a terminal or in a notebook, in one line that vanishes. How long each stage has taken goes to
-    the logger ``fourbar_codegen``, at the level INFO.
+    Where someone watches, on a terminal or in a notebook, in one line that vanishes. How long each stage has taken goes
+    to the logger ``fourbar_codegen``, at the level INFO.
 
     Parameters
     ----------

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourbar_codegen.analysis.loop_closure import nearest_closed
+from fourbar_codegen.dynamics.derivatives import Derivatives
 from fourbar_codegen.dynamics.equations import Equations
 from fourbar_codegen.errors import BuildError, ModelError, SimulationError
 from fourbar_codegen.expressions.tape import Result, Scalar
@@ -34,13 +35,15 @@ CLOSURES = 16
 TOLERANCE = 1e-7
 
 
-def verify(equations: Equations, compiled: Kernel) -> None:
-    """Compare all functions of a compiled model with its equations.
+def verify(compiled: Kernel, equations: Equations, derivatives: Derivatives | None = None) -> None:
+    """Compare the functions of a compiled model with its equations.
 
     Parameters
     ----------
-    equations : Equations
     compiled : Kernel
+    equations : Equations
+    derivatives : Derivatives, optional
+        Those of a model that has them compiled. Of others, they are compared when they are; see `kernel.comparison`.
 
     Raises
     ------
@@ -59,17 +62,17 @@ def verify(equations: Equations, compiled: Kernel) -> None:
     --------
     >>> import fourbar_codegen as fb
     >>> from fourbar_codegen.dynamics.equations import form_equations
-    >>> verify(form_equations(fb.models.four_bar()), fb.load("four_bar"))
+    >>> verify(fb.load("four_bar"), form_equations(fb.models.four_bar()))
     """
     generator = random.Random(0)
     compared = 0
     for _ in range(ATTEMPTS):
         values = _random_values(equations, compiled, generator)
         try:
-            expected = _evaluate(equations, values)
+            expected = _evaluate(equations, derivatives, values)
         except (ArithmeticError, ValueError, TypeError):
             continue
-        for function, results in _compiled_results(equations, compiled, values).items():
+        for function, results in _compiled_results(equations, derivatives, compiled, values).items():
             for result, got in results:
                 _compare(compiled.name, function, result, got, expected[result.name])
         _compare_solution(compiled, expected, values, equations)
@@ -90,12 +93,9 @@ def _random_values(e: Equations, compiled: Kernel, generator: random.Random) -> 
     return values
 
 
-def _results(e: Equations) -> list[Result]:
-    return [value for value in vars(e).values() if isinstance(value, Result)]
-
-
-def _evaluate(e: Equations, values: Mapping[Scalar, float]) -> dict[str, Floats]:
-    results = _results(e)
+def _evaluate(e: Equations, d: Derivatives | None, values: Mapping[Scalar, float]) -> dict[str, Floats]:
+    formed = (*vars(e).values(), *(() if d is None else vars(d).values()))
+    results = [value for value in formed if isinstance(value, Result)]
     numbers = iter(e.tape.evaluate([entry for result in results for entry in result.entries], values))
     return {r.name: np.array([next(numbers) for _ in r.entries]).reshape(r.shape) for r in results}
 
@@ -106,7 +106,7 @@ def _arrays(e: Equations, values: Mapping[Scalar, float]) -> list[Floats]:
 
 
 def _compiled_results(
-    e: Equations, compiled: Kernel, values: Mapping[Scalar, float]
+    e: Equations, d: Derivatives | None, compiled: Kernel, values: Mapping[Scalar, float]
 ) -> dict[str, Sequence[tuple[Result, Floats]]]:
     """What every compiled function gives, beside the results that it is to give."""
     t = values[e.time]
@@ -133,21 +133,21 @@ def _compiled_results(
         "energy": ([e.energies], [compiled.energy(t, x, p, r)]),
         "output": ([e.outputs], [outputs]),
     }
-    if not compiled.lacks_derivatives:  # otherwise they are compared when they are built; see `kernel.comparison`
+    if d is not None:
         sensitivities = compiled.sensitivities(t, x, accelerations, multipliers, p, r)
         got |= {
-            "default_input_sensitivity": ([e.default_input_jacobian], [compiled.default_input_sensitivity(t, p)]),
+            "default_input_sensitivity": ([d.default_input_jacobian], [compiled.default_input_sensitivity(t, p)]),
             "constraint_sensitivity": (
-                [e.velocity_jacobian, e.position_input_jacobian, e.velocity_input_jacobian],
+                [d.velocity_jacobian, d.position_input_jacobian, d.velocity_input_jacobian],
                 compiled.constraint_sensitivity(t, x, p, r),
             ),
             "drawing": ([e.points, e.forces], compiled.drawing(t, x, p, r)),
-            "sensitivity": ([e.coordinate_rate_jacobian, e.residual_jacobian], sensitivities[0:2]),
+            "sensitivity": ([d.coordinate_rate_jacobian, d.residual_jacobian], sensitivities[0:2]),
             "parameter_sensitivity": (
-                [e.coordinate_rate_parameter_jacobian, e.residual_parameter_jacobian],
+                [d.coordinate_rate_parameter_jacobian, d.residual_parameter_jacobian],
                 sensitivities[2:4],
             ),
-            "input_sensitivity": ([e.coordinate_rate_input_jacobian, e.residual_input_jacobian], sensitivities[4:6]),
+            "input_sensitivity": ([d.coordinate_rate_input_jacobian, d.residual_input_jacobian], sensitivities[4:6]),
         }
     return {function: tuple(zip(results, arrays, strict=True)) for function, (results, arrays) in got.items()}
 

@@ -17,7 +17,6 @@ from typing import Any
 
 from fourbar_codegen.building.cache import cached
 from fourbar_codegen.building.toolchain import (
-    BATCH_FLAGS,
     COMMON_FLAGS,
     DERIVATIVES_FLAGS,
     KERNEL_FLAGS,
@@ -31,15 +30,18 @@ __all__ = ["SUFFIXES", "build_part", "install", "manifest_of", "numbers_path"]
 PARTS = {
     "kernel": (("_kernel.c", "_kernel.h"), KERNEL_FLAGS),
     "derivatives": (("_derivatives.c", "_kernel.h"), DERIVATIVES_FLAGS),
-    "batch_functions": (("_batch.c", "_kernel.c", "_kernel.h"), BATCH_FLAGS),
+    "batch_functions": (("_batch.c", "_kernel.c", "_kernel.h"), KERNEL_FLAGS),
 }
 """The sources of each part by their suffixes, the one that is compiled first, and the flags."""
 
 SUFFIXES = tuple(dict.fromkeys(suffix for suffixes, _ in PARTS.values() for suffix in suffixes))
 """Of the sources that all parts are built from."""
 
-NUMBERS = ("default", "unit", "description")
-"""What of a parameter is not structure."""
+NUMBERS = ("fingerprint", "initial", "operations", "operations_before_sharing")
+"""What of a manifest is not structure; ..."""
+
+PARAMETER_NUMBERS = ("default", "unit", "description")
+"""... and what of each of its parameters."""
 
 
 def build_part(
@@ -103,6 +105,7 @@ def install(
     manifest: Mapping[str, Any],
     folder: Path,
     *,
+    rest: Callable[[], tuple[Mapping[str, str], Mapping[str, Any]]],
     check: Callable[[Path], None] | None = None,
 ) -> Path:
     """Put a model's library into a folder, with its sources and numbers beside it.
@@ -111,10 +114,13 @@ def install(
     ----------
     name : str
     sources : mapping of str to str
-        Text by file name; what no part needs is left out.
+        Text by file name: those of the kernel at least.
     manifest : mapping
+        Its structure at least.
     folder : Path
         There already.
+    rest : callable
+        Called when the kernel has been compiled, for the other sources, and the rest of the manifest.
     check : callable, optional
         Called with the library before it comes to the folder, where it does not come if this raises.
 
@@ -128,24 +134,25 @@ def install(
     BuildError, CacheError
         As `build_part`.
     """
-    structure, numbers = _split(manifest)
-    kept = {filename: text for filename, text in sources.items() if filename.removeprefix(name) in SUFFIXES}
-    kept[f"{name}_numbers.json"] = json.dumps(numbers, indent=2) + "\n"
     checked = False
 
     def complete(built: Path) -> None:
         nonlocal checked
-        numbers_path(built).write_text(kept[f"{name}_numbers.json"], encoding="utf-8")
+        more, of_manifest = rest()
+        for filename, text in (*sources.items(), *more.items()):
+            if filename.removeprefix(name) in SUFFIXES:
+                (folder / filename).write_text(text, encoding="utf-8")
+        numbers = json.dumps(_numbers({**manifest, **of_manifest}), indent=2) + "\n"
+        for library in (built, folder / built.name):
+            numbers_path(library).write_text(numbers, encoding="utf-8")
         if check is not None:
             check(built)
         checked = True
 
-    library = build_part(name, "kernel", kept, structure, check=complete)
+    library = build_part(name, "kernel", sources, _structure(manifest), check=complete)
     if not checked:  # it was there, for a model with other numbers, or of which nothing was checked
         with tempfile.TemporaryDirectory() as temporary:
             complete(Path(shutil.copy(library, temporary)))
-    for filename, text in kept.items():
-        (folder / filename).write_text(text, encoding="utf-8")
     return Path(shutil.copy(library, folder))
 
 
@@ -154,16 +161,16 @@ def numbers_path(library: Path) -> Path:
     return library.with_name(f"{library.stem.removesuffix('_kernel')}_numbers.json")
 
 
-def _split(manifest: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """A manifest's structure and numbers."""
-    parameters = manifest["parameters"]
-    numbers = {
-        "fingerprint": manifest["fingerprint"],
-        "parameters": [{key: entry[key] for key in NUMBERS} for entry in parameters],
-        "initial": manifest["initial"],
-    }
-    structure = {key: value for key, value in manifest.items() if key not in numbers}
-    return structure | {"parameters": [{"name": entry["name"]} for entry in parameters]}, numbers
+def _structure(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """What of a manifest stands in the library."""
+    structure = {key: value for key, value in manifest.items() if key not in NUMBERS}
+    return structure | {"parameters": [{"name": entry["name"]} for entry in manifest["parameters"]]}
+
+
+def _numbers(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """What lies beside it."""
+    parameters = [{key: entry[key] for key in PARAMETER_NUMBERS} for entry in manifest["parameters"]]
+    return {**{key: manifest[key] for key in NUMBERS}, "parameters": parameters}
 
 
 def manifest_of(structure: Mapping[str, Any], numbers: Mapping[str, Any]) -> dict[str, Any]:
@@ -177,9 +184,8 @@ def manifest_of(structure: Mapping[str, Any], numbers: Mapping[str, Any]) -> dic
     pairs = zip(structure["parameters"], numbers["parameters"], strict=True)
     return {
         **structure,
-        "fingerprint": numbers["fingerprint"],
-        "parameters": [{**entry, **{key: values[key] for key in NUMBERS}} for entry, values in pairs],
-        "initial": numbers["initial"],
+        **{key: numbers[key] for key in NUMBERS},
+        "parameters": [{**entry, **{key: values[key] for key in PARAMETER_NUMBERS}} for entry, values in pairs],
     }
 
 

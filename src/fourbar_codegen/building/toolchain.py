@@ -9,19 +9,17 @@ import platform
 import shlex
 import shutil
 import subprocess
+import sys
 import sysconfig
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
-from importlib.metadata import PackageNotFoundError
-from importlib.metadata import version as distribution_version
 from pathlib import Path
 
 from fourbar_codegen.errors import BuildError
 from fourbar_codegen.files import replacing
 
 __all__ = [
-    "BATCH_FLAGS",
     "COMMON_FLAGS",
     "DERIVATIVES_FLAGS",
     "KERNEL_FLAGS",
@@ -41,10 +39,10 @@ PACKAGE = Path(__file__).parents[1]
 # Position-independent code without debugging information, which would double the file.
 COMMON_FLAGS = ("-fPIC", "-g0")
 # Scalar straight-line code stores results that vectorized loops would reload two at a time, which stalls the
-# processor: -fno-tree-vectorize takes 10 % off the four-bar's evaluation.
-KERNEL_FLAGS = (*COMMON_FLAGS, "-O3", "-fno-tree-vectorize")
-# States side by side need short loops unrolled, which -O2 leaves out, and nothing else of -O3.
-BATCH_FLAGS = (*COMMON_FLAGS, "-O2", "-fpeel-loops", "-fno-tree-vectorize")
+# processor: -fno-tree-vectorize takes 10 % off the four-bar's evaluation. The solve's short loops, and those over
+# states side by side, need to be unrolled, which -O2 leaves out; the rest of -O3 costs a third of the time, for
+# nothing.
+KERNEL_FLAGS = (*COMMON_FLAGS, "-O2", "-fpeel-loops", "-fno-tree-vectorize")
 # What the compiler does beyond -O1 takes it half as long again, for a few per cent of long straight-line code.
 DERIVATIVES_FLAGS = (*COMMON_FLAGS, "-O1")
 # Behind the user's flags: a kernel has to notice what is not a number, and so have integrators.
@@ -82,7 +80,6 @@ def library_toolchain() -> dict[str, object]:
         "compiler file": _file_identity(shutil.which(compiler[0])),
         "flags": [
             KERNEL_FLAGS,
-            BATCH_FLAGS,
             DERIVATIVES_FLAGS,
             STRICT_LINK_FLAGS,
             MACHINE_FLAGS,
@@ -105,8 +102,13 @@ def digest_of(data: object) -> str:
 
 def _sympy_version() -> str:
     """Without importing it: what is built from sources does without."""
+    sympy = sys.modules.get("sympy")
+    if sympy is not None:
+        return str(sympy.__version__)
+    from importlib.metadata import PackageNotFoundError, version
+
     try:
-        return distribution_version("sympy")
+        return version("sympy")
     except PackageNotFoundError:
         return ""
 
@@ -277,7 +279,7 @@ def _build(name: str, sources: Mapping[str, str], folder: Path) -> Path:
         folder / f"{name}_derivatives.c": DERIVATIVES_FLAGS,
     }
     if f"{name}_batch.c" in sources:
-        flags[folder / f"{name}_batch.c"] = BATCH_FLAGS
+        flags[folder / f"{name}_batch.c"] = KERNEL_FLAGS
     from concurrent.futures import ThreadPoolExecutor
 
     with ThreadPoolExecutor(1) as pool:

@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from fourbar_codegen.dynamics.equations import Equations
-from fourbar_codegen.lowering.program import Program
+from fourbar_codegen.lowering.program import Function, Program
 from fourbar_codegen.modeling.model import Model
 
-__all__ = ["manifest_of", "manifest_text"]
+__all__ = ["manifest_of", "manifest_text", "operations_of"]
 
 MANIFEST_FORMAT = 6
 
@@ -18,7 +18,7 @@ MANIFEST_FORMAT = 6
 def manifest_of(
     model: Model, equations: Equations, program: Program, names: Mapping[str, Sequence[str]], fingerprint: str
 ) -> dict[str, Any]:
-    """What a compiled model knows of itself: names, order, defaults, units, operation counts.
+    """What a compiled model knows of itself: names, order, defaults, units. `operations_of` adds operation counts.
 
     Parameters
     ----------
@@ -77,10 +77,14 @@ def manifest_of(
         "velocity_rows": [row for row, entry in enumerate(closed) if not entry],
         "can_project": sum(map(bool, closed)) == sum(map(bool, positions)),
         "has_potential_energy": not energies[1].is_nan,
-        "operations_before_sharing": {
-            function.name: function.operations_before_sharing for function in (*program.functions, *program.derivatives)
-        },
-        "operations": {function.name: function.operations for function in (*program.functions, *program.derivatives)},
+    }
+
+
+def operations_of(functions: Sequence[Function]) -> dict[str, Any]:
+    """The part of a manifest that counts operations, of the program's functions and of derivatives."""
+    return {
+        "operations_before_sharing": {function.name: function.operations_before_sharing for function in functions},
+        "operations": {function.name: function.operations for function in functions},
     }
 
 

@@ -54,7 +54,7 @@ class Equations:
     moving : tuple of int
         The inputs that positions, velocities or constraints depend on.
     accelerations : tuple of Scalar
-        Leaves that stand for u' in `residual_jacobian`.
+        Leaves that stand for u' in `residual`.
     multipliers : tuple of Scalar
         Leaves that stand for the constraints' multipliers there.
     n_dependent_speeds : int
@@ -62,8 +62,6 @@ class Equations:
         Whether the velocity constraints begin with the rates of the position constraints.
     default_inputs : Result
         The inputs' expressions, (n_r,); NaN where there is none.
-    default_input_jacobian : Result
-        Their derivatives with respect to p, (n_r, n_p); zero where there is none.
     breakpoints : Result
         The times at which any of these results has a jump or a kink, as far as they follow from parameters,
         (n_breakpoints,).
@@ -102,15 +100,9 @@ class Equations:
         The points at which inputs' forces act.
     forces : Result
         These forces in the inertial frame, (n_forces, 3).
-    velocity_jacobian, velocity_input_jacobian : Result
-        d(J u + b)/dq, (n_c, n_q), and d(J u + b)/dr, (n_c, n_r).
-    position_input_jacobian : Result
-        dPhi/dr, (n_h, n_r).
-    coordinate_rate_jacobian, coordinate_rate_parameter_jacobian, coordinate_rate_input_jacobian : Result
-        Derivatives of q' with respect to x, p and r, (n_q, n_x), (n_q, n_p) and (n_q, n_r).
-    residual_jacobian, residual_parameter_jacobian, residual_input_jacobian : Result
-        Derivatives of (f - M u' + J^T lambda, -(J u' + gamma)) at fixed u' and lambda, (n_u + n_c, n_x),
-        (n_u + n_c, n_p) and (n_u + n_c, n_r).
+    residual : Result
+        (f - M u' + J^T lambda, -(J u' + gamma)) for u' and multipliers in `accelerations` and `multipliers`,
+        (n_u + n_c,), to be differentiated.
     """
 
     tape: Tape
@@ -125,7 +117,6 @@ class Equations:
     n_dependent_speeds: int
     velocity_constraints_derived: bool
     default_inputs: Result
-    default_input_jacobian: Result
     breakpoints: Result
     n_jumps: int
     outputs: Result
@@ -150,15 +141,7 @@ class Equations:
     points: Result
     forced: tuple[int, ...]
     forces: Result
-    velocity_jacobian: Result
-    velocity_input_jacobian: Result
-    position_input_jacobian: Result
-    coordinate_rate_jacobian: Result
-    coordinate_rate_parameter_jacobian: Result
-    coordinate_rate_input_jacobian: Result
-    residual_jacobian: Result
-    residual_parameter_jacobian: Result
-    residual_input_jacobian: Result
+    residual: Result
 
 
 def form_equations(model: Model) -> Equations:
@@ -257,10 +240,9 @@ def form_equations(model: Model) -> Equations:
         _vector("power", substitute(tape, [kane.power()], no_unknown)),
         _matrix("points", points, 3),
         _matrix("forces", list(applied.values()), 3),
-        _matrix("velocity_jacobian", jacobian(tape, constraints.velocities, v.q), n_q),
+        _vector("residual", (*dynamic[:n_u], *kinematic)),
     ]
-    residual = (*dynamic[:n_u], *kinematic)
-    entries = [*residual, *chain.from_iterable(result.entries for result in results)]
+    entries = [*chain.from_iterable(result.entries for result in results)]
     closing = (*constraints.positions, *constraints.velocities)
     inputs = _inputs(tape, model, v, entries, closing)
     moving = [*closing, energies[0], *chain(*points)]
@@ -279,24 +261,13 @@ def form_equations(model: Model) -> Equations:
             "at times that cannot be read off, and its rate may jump there: its conditions may be linear or quadratic "
             f"in {mechanism.time}, with coefficients of parameters, or a table may be given for it."
         )
-    others, _ = breakpoints(tape, v.time, [*residual, *q_rates, *defaults])
+    others, _ = breakpoints(tape, v.time, [*dynamic[:n_u], *kinematic, *q_rates, *defaults])
     times = dict.fromkeys([*jumps, *others])
     needed = tuple(
         leaf
         for symbol, leaf in zip(model.parameter_symbols, v.p, strict=True)
         if symbol in model.named_parameters or tape.depends(entries, {leaf})
     )
-    results += [
-        _vector("breakpoints", times),
-        _matrix("default_input_jacobian", jacobian(tape, defaults, needed), len(needed)),
-        _matrix("velocity_input_jacobian", jacobian(tape, constraints.velocities, tuple(inputs)), len(inputs)),
-        _matrix("position_input_jacobian", jacobian(tape, constraints.positions, tuple(inputs)), len(inputs)),
-    ]
-    for kind, variables in (("", (*v.q, *v.u)), ("_parameter", needed), ("_input", tuple(inputs))):
-        directions = [Jvp(tape, {s: tape.one}) for s in variables]
-        for name, rows in (("coordinate_rate", q_rates), ("residual", residual)):
-            columns_of_rows = [[d(row) for d in directions] for row in rows]
-            results.append(_matrix(f"{name}{kind}_jacobian", columns_of_rows, len(variables)))
     return Equations(
         tape=tape,
         time=v.time,
@@ -310,6 +281,7 @@ def form_equations(model: Model) -> Equations:
         n_dependent_speeds=mechanism.n_dependent_speeds,
         velocity_constraints_derived=mechanism.velocity_constraints_derived,
         default_inputs=default_inputs,
+        breakpoints=_vector("breakpoints", times),
         n_jumps=len(jumps),
         position_formulas=formulas(tape, constraints.positions),
         drawn_points=drawn,

@@ -176,7 +176,7 @@ def _of_library(library: ctypes.CDLL, path: Path) -> Loaded:
 def load_from_sources(name: str, sources: Mapping[str, str], manifest: Mapping[str, Any]) -> Loaded:
     """Load the model of generated sources and a manifest, built for this machine, in the cache."""
     key = cache_key([sources, manifest])
-    return load_file(cached(name, key, lambda folder: install(name, sources, manifest, folder)))
+    return load_file(cached(name, key, lambda folder: install(name, sources, manifest, folder, rest=lambda: ({}, {}))))
 
 
 def load_part(name: str, part: str, sources: Mapping[str, str], check: Callable[[int], None]) -> int:

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import itertools
 import random
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
+from fourbar_codegen.dynamics.derivatives import Derivatives
 from fourbar_codegen.dynamics.equations import Equations
 from fourbar_codegen.expressions.identities import rank as find_rank
 from fourbar_codegen.expressions.tape import ONE, Leaf, Result, Scalar, Tape, operands, operations_of
@@ -18,7 +19,10 @@ from fourbar_codegen.lowering.cse import eliminate_common_subexpressions
 from fourbar_codegen.lowering.elimination import MAX_CONSTRAINTS, find_pivot_order, find_structure
 from fourbar_codegen.lowering.program import Array, Function, PivotOrder, Program, Sizes, Statements, Structure
 
-__all__ = ["lower"]
+__all__ = ["lower", "lower_derivatives"]
+
+_Specification = tuple[str, str, Sequence[Array], Sequence[Array], Sequence[Result]]
+"""Of a function: name, summary, arguments before and after the constants, results."""
 
 POINTS = 8
 """Pairs of random points at which the constraints' Jacobian is looked at."""
@@ -50,12 +54,11 @@ def lower(name: str, equations: Equations) -> Program:
     state = _array("x", (*e.coordinates, *e.speeds))
     coordinates = _array("q", e.coordinates)
     inputs = _array("r", e.inputs)
-    held = (inputs, _array("accelerations", e.accelerations), _array("multipliers", e.multipliers))
+    held = _held(e)
     rank = _rank(e)
     structure = _structure(e, rank)
     mass_matrix, constraint_jacobian = _entries(e, structure)
-    # name, summary, arguments before and after the constants, results
-    specifications: list[tuple[str, str, list[Array], list[Array], list[Result]]] = [
+    specifications: list[_Specification] = [
         ("default_inputs", "Inputs r from their expressions; NaN without one.", [time], [], [e.default_inputs]),
         ("breakpoints", "Times at which expressions have a jump or a kink.", [], [], [e.breakpoints]),
         (
@@ -102,64 +105,10 @@ def lower(name: str, equations: Equations) -> Program:
         ),
         ("energy", "Kinetic and potential energy.", [time, state], [inputs], [e.energies]),
         ("output", "The outputs, with u' and lambda given.", [time, state], [*held], [e.outputs]),
-        (
-            "drawing",
-            "Positions of the points that are drawn, and the inputs' forces on them.",
-            [time, state],
-            [inputs],
-            [e.points, e.forces],
-        ),
-        (
-            "sensitivity",
-            "d/dx of q', and of f - M u' + J^T lambda and -(J u' + gamma) with u' and lambda held.",
-            [time, state],
-            [*held],
-            [e.coordinate_rate_jacobian, e.residual_jacobian],
-        ),
-        (
-            "parameter_sensitivity",
-            "The same derivatives with respect to the parameters.",
-            [time, state],
-            [*held],
-            [e.coordinate_rate_parameter_jacobian, e.residual_parameter_jacobian],
-        ),
-        (
-            "input_sensitivity",
-            "The same derivatives with respect to the inputs.",
-            [time, state],
-            [*held],
-            [e.coordinate_rate_input_jacobian, e.residual_input_jacobian],
-        ),
-        (
-            "default_input_sensitivity",
-            "d/dp of the inputs' expressions; zero without one.",
-            [time],
-            [],
-            [e.default_input_jacobian],
-        ),
-        (
-            "constraint_sensitivity",
-            "d/dq of the velocity constraints J u + b; d/dr of the position constraints and of J u + b.",
-            [time, state],
-            [inputs],
-            [e.velocity_jacobian, e.position_input_jacobian, e.velocity_input_jacobian],
-        ),
     ]
     pool = _Constants(e.tape, e.parameters)
-    first = next(i for i, (name, *_) in enumerate(specifications) if name == "drawing")
-    written_out = _WrittenOut(e.tape)
-    before_sharing = [written_out.operations(results) for *_, results in specifications]
-    lowered = [
-        eliminate_common_subexpressions(e.tape, add_angles(e.tape, entries, pool.is_constant), pool.is_constant)
-        for entries in ([entry for result in results for entry in result.entries] for *_, results in specifications)
-    ]
+    lowered = _lowered(e.tape, specifications, pool.is_constant)
     constants, prepare = pool.finish(lowered)
-    functions = tuple(
-        Function(name, summary, (*before, constants, *after), statements, _shaped(results, entries), count)
-        for (name, summary, before, after, results), (statements, entries), count in zip(
-            specifications, lowered, before_sharing, strict=True
-        )
-    )
     sizes = Sizes(
         n_q=len(e.coordinates),
         n_u=len(e.speeds),
@@ -177,10 +126,123 @@ def lower(name: str, equations: Equations) -> Program:
     return Program(
         name=name,
         sizes=sizes,
-        functions=(prepare, *functions[:first]),
-        derivatives=functions[first:],
+        functions=(prepare, *_functions(e.tape, specifications, lowered, constants)),
+        constants=constants,
         pivot_order=_pivot_order(e, rank, structure),
         structure=structure,
+    )
+
+
+def lower_derivatives(program: Program, equations: Equations, derivatives: Derivatives) -> tuple[Function, ...]:
+    """Lower what a simulation does without: derivatives, and what is drawn.
+
+    Of what depends on parameters alone they share what the program's functions have; the rest they evaluate themselves.
+
+    Parameters
+    ----------
+    program : Program
+        As `lower` has made it of the equations.
+    equations : Equations
+    derivatives : Derivatives
+
+    Returns
+    -------
+    tuple of Function
+
+    Examples
+    --------
+    >>> from fourbar_codegen.dynamics.derivatives import form_derivatives
+    >>> from fourbar_codegen.dynamics.equations import form_equations
+    >>> from fourbar_codegen.models import four_bar
+    >>> equations = form_equations(four_bar())
+    >>> functions = lower_derivatives(lower("four_bar", equations), equations, form_derivatives(equations))
+    >>> [f.name for f in functions][:2]
+    ['drawing', 'sensitivity']
+    """
+    e, d = equations, derivatives
+    time, state, inputs = _array("t", (e.time,)), _array("x", (*e.coordinates, *e.speeds)), _array("r", e.inputs)
+    held = _held(e)
+    specifications: list[_Specification] = [
+        (
+            "drawing",
+            "Positions of the points that are drawn, and the inputs' forces on them.",
+            [time, state],
+            [inputs],
+            [e.points, e.forces],
+        ),
+        (
+            "sensitivity",
+            "d/dx of q', and of f - M u' + J^T lambda and -(J u' + gamma) with u' and lambda held.",
+            [time, state],
+            held,
+            [d.coordinate_rate_jacobian, d.residual_jacobian],
+        ),
+        (
+            "parameter_sensitivity",
+            "The same derivatives with respect to the parameters.",
+            [time, state],
+            held,
+            [d.coordinate_rate_parameter_jacobian, d.residual_parameter_jacobian],
+        ),
+        (
+            "input_sensitivity",
+            "The same derivatives with respect to the inputs.",
+            [time, state],
+            held,
+            [d.coordinate_rate_input_jacobian, d.residual_input_jacobian],
+        ),
+        (
+            "default_input_sensitivity",
+            "d/dp of the inputs' expressions; zero without one.",
+            [time],
+            [],
+            [d.default_input_jacobian],
+        ),
+        (
+            "constraint_sensitivity",
+            "d/dq of the velocity constraints J u + b; d/dr of the position constraints and of J u + b.",
+            [time, state],
+            [inputs],
+            [d.velocity_jacobian, d.position_input_jacobian, d.velocity_input_jacobian],
+        ),
+    ]
+    known = {ONE, *program.constants.nodes}
+    lowered = _lowered(e.tape, specifications, known.__contains__)
+    return _functions(e.tape, specifications, lowered, program.constants)
+
+
+def _held(e: Equations) -> tuple[Array, ...]:
+    """The arguments behind the constants where u' and the multipliers are given."""
+    return _array("r", e.inputs), _array("accelerations", e.accelerations), _array("multipliers", e.multipliers)
+
+
+def _lowered(
+    tape: Tape, specifications: Sequence[_Specification], is_constant: Callable[[int], bool]
+) -> list[tuple[Statements, list[Scalar]]]:
+    """The statements and entries of functions."""
+    return [
+        eliminate_common_subexpressions(tape, add_angles(tape, entries, is_constant), is_constant)
+        for entries in ([entry for result in results for entry in result.entries] for *_, results in specifications)
+    ]
+
+
+def _functions(
+    tape: Tape,
+    specifications: Sequence[_Specification],
+    lowered: Sequence[tuple[Statements, list[Scalar]]],
+    constants: Array,
+) -> tuple[Function, ...]:
+    written_out = _WrittenOut(tape)
+    return tuple(
+        Function(
+            name,
+            summary,
+            (*before, constants, *after),
+            statements,
+            _shaped(results, entries),
+            written_out.operations(results),
+        )
+        for (name, summary, before, after, results), (statements, entries) in zip(specifications, lowered, strict=True)
     )
 
 

@@ -210,8 +210,8 @@ class Program:
     sizes : Sizes
     functions : tuple of Function
         `prepare` first, which derives the constants that all others take.
-    derivatives : tuple of Function
-        Those that give derivatives or are for pictures: longer than the others, or called less often.
+    constants : Array
+        What they are.
     pivot_order : PivotOrder
         The order in which `dynamics`' constraints are eliminated from full equations.
     structure : Structure or None
@@ -222,7 +222,7 @@ class Program:
     name: str
     sizes: Sizes
     functions: tuple[Function, ...]
-    derivatives: tuple[Function, ...]
+    constants: Array
     pivot_order: PivotOrder
     structure: Structure | None
 

@@ -175,8 +175,7 @@ class Schedule:
     Attributes
     ----------
     program : Program
-    functions, derivatives : tuple of ScheduledFunction
-        Those of the kernel, and the derivatives.
+    functions : tuple of ScheduledFunction
     has_batches : bool
         Whether there are functions for several states side by side: the equations are solved without pivoting as a
         rule, and none calls a function of many arguments.
@@ -186,7 +185,6 @@ class Schedule:
 
     program: Program
     functions: tuple[ScheduledFunction, ...]
-    derivatives: tuple[ScheduledFunction, ...]
     has_batches: bool
     is_short: bool
 
@@ -209,7 +207,6 @@ def schedule(program: Program) -> Schedule:
     return Schedule(
         program=program,
         functions=tuple(schedule_function(f, inline_angles=True) for f in functions),
-        derivatives=tuple(schedule_function(f, inline_angles=False) for f in program.derivatives),
         has_batches=few_arguments and program.structure is None and sizes.rank == sizes.n_c <= MAX_CONSTRAINTS,
         is_short=next(f for f in functions if f.name == "dynamics").operations <= SHORT,
     )

@@ -65,7 +65,7 @@ static FB_INLINE double fb_cos(const double x)
 }
 
 /* One by one, where an angle is large or not finite: a call, which compilers would repeat in every function. */
-static FB_PART void fb_large_angles(const double *x, fb_angles *angles)
+static FB_CALLED void fb_large_angles(const double *x, fb_angles *angles)
 {
     for (int i = 0; i < 4; ++i) {
         angles->sin[i] = fb_sin(x[i]);
@@ -96,8 +96,8 @@ static FB_INLINE fb_angles fb_angles_of(const double x0, const double x1, const 
 #endif
     /* One comparison for the four; not true either where one is not a number. */
     if (!(x0 * x0 + x1 * x1 + x2 * x2 + x3 * x3 < FB_MAX_ANGLE * FB_MAX_ANGLE)) {
-        const double x[4] = {x0, x1, x2, x3};
-        fb_large_angles(x, &angles);
+        const double each[4] = {x0, x1, x2, x3};
+        fb_large_angles(each, &angles);
     }
     return angles;
 }

@@ -13,6 +13,13 @@
 #define FB_INLINE inline
 #endif
 
+/* What is called where compilers would repeat it; not every model does. */
+#if defined(__GNUC__)
+#define FB_CALLED __attribute__((noinline, unused))
+#else
+#define FB_CALLED
+#endif
+
 /* Short equations become part of what calls them: what they compute stays in registers, and what nobody asks for is
  * left out. */
 #if defined(FB_SHORT) && defined(__GNUC__)

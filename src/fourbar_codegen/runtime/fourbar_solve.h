@@ -130,37 +130,55 @@ static inline int fb_eliminate(const double *restrict jacobian, fb_factors *rest
     return s->left <= FB_DRIFT_TOLERANCE ? FB_OK : FB_CONSTRAINTS_INDEPENDENT;
 }
 
+/* Where all is known, compilers that unroll loops early keep all in registers: a tenth to a sixth of an evaluation. */
+#if defined(__clang__)
+#define FB_UNROLL _Pragma("unroll(8)")
+#elif defined(__GNUC__)
+#define FB_UNROLL _Pragma("GCC unroll 8")
+#else
+#define FB_UNROLL
+#endif
+
 /* P J Q = L [U_d U_i] by the static pivot order; returns whether that is a good one. With rows in a given order, and
  * each pivot compared with its own row, no scaling is needed. */
 static inline int fb_eliminate_static(const double *restrict jacobian, fb_factors *restrict s)
 {
     double lu[FB_AT_LEAST_1(N_C)][N_U], size[FB_AT_LEAST_1(N_C)], largest = 0.0;
+    FB_UNROLL
     for (int i = 0; i < N_C; ++i) {
         size[i] = 0.0;
+        FB_UNROLL
         for (int j = 0; j < N_U; ++j)
             size[i] = fb_max(size[i], fabs(jacobian[static_pivot_row[i] * N_U + j]));
         largest = fb_max(largest, size[i]);
     }
+    FB_UNROLL
     for (int i = 0; i < N_C; ++i) {
         if (!(size[i] > FB_NEAR_DEPENDENCE * largest))
             return 0;
         s->scale[i] = 1.0;
+        FB_UNROLL
         for (int j = 0; j < N_U; ++j)
             lu[i][j] = jacobian[static_pivot_row[i] * N_U + static_pivot_speed[j]];
     }
+    FB_UNROLL
     for (int k = 0; k < N_C; ++k) {
         double pivot = FB_NEAR_DEPENDENCE * size[k];
+        FB_UNROLL
         for (int j = k; j < N_U; ++j)
             pivot = fb_max(pivot, fabs(lu[k][j]));
         if (!(fabs(lu[k][k]) > FB_STATIC_TOLERANCE * pivot))
             return 0;
         fb_eliminate_below(lu, s->inverse, k);
     }
+    FB_UNROLL
     for (int i = 0; i < N_C; ++i) {
         s->row[i] = static_pivot_row[i];
+        FB_UNROLL
         for (int j = 0; j < N_U; ++j)
             s->lu[i][j] = lu[i][j];
     }
+    FB_UNROLL
     for (int j = 0; j < N_U; ++j)
         s->column[j] = static_pivot_speed[j];
     return 1;
@@ -171,11 +189,13 @@ static inline double fb_forward(const double *restrict acceleration_bias, const 
                                 double *restrict w, const int is_static)
 {
     double size = 0.0;
+    FB_UNROLL
     for (int i = 0; i < N_C; ++i) {
         w[i] = s->scale[i] * acceleration_bias[is_static ? static_pivot_row[i] : s->row[i]];
         if (N_RANK < N_C && s->scale[i] == 0.0)
             w[i] = acceleration_bias[s->row[i]];
         size = fb_max(size, fabs(w[i]));
+        FB_UNROLL
         for (int k = 0; k < i && k < N_RANK; ++k)
             w[i] -= s->lu[i][k] * w[k];
     }

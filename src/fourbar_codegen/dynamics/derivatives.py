@@ -1,0 +1,90 @@
+"""Equations -> Derivatives: of q', of what the equations of motion leave, and of the constraints.
+
+A simulation by an explicit method needs none of them: they are formed while the compiler works on the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from fourbar_codegen.dynamics.equations import Equations
+from fourbar_codegen.expressions.derivatives import Jvp, jacobian
+from fourbar_codegen.expressions.tape import Result, Scalar
+
+__all__ = ["Derivatives", "form_derivatives"]
+
+
+@dataclass(frozen=True)
+class Derivatives:
+    """Derivatives of a mechanism's equations, on their tape.
+
+    Attributes
+    ----------
+    coordinate_rate_jacobian, coordinate_rate_parameter_jacobian, coordinate_rate_input_jacobian : Result
+        Derivatives of q' with respect to x, p and r, (n_q, n_x), (n_q, n_p) and (n_q, n_r).
+    residual_jacobian, residual_parameter_jacobian, residual_input_jacobian : Result
+        Derivatives of (f - M u' + J^T lambda, -(J u' + gamma)) at fixed u' and lambda, (n_u + n_c, n_x),
+        (n_u + n_c, n_p) and (n_u + n_c, n_r).
+    default_input_jacobian : Result
+        Derivatives of the inputs' expressions with respect to p, (n_r, n_p); zero where there is none.
+    velocity_jacobian, velocity_input_jacobian : Result
+        d(J u + b)/dq, (n_c, n_q), and d(J u + b)/dr, (n_c, n_r).
+    position_input_jacobian : Result
+        dPhi/dr, (n_h, n_r).
+    """
+
+    coordinate_rate_jacobian: Result
+    coordinate_rate_parameter_jacobian: Result
+    coordinate_rate_input_jacobian: Result
+    residual_jacobian: Result
+    residual_parameter_jacobian: Result
+    residual_input_jacobian: Result
+    default_input_jacobian: Result
+    velocity_jacobian: Result
+    velocity_input_jacobian: Result
+    position_input_jacobian: Result
+
+
+def form_derivatives(equations: Equations) -> Derivatives:
+    """Differentiate the equations of motion of a model.
+
+    Parameters
+    ----------
+    equations : Equations
+
+    Returns
+    -------
+    Derivatives
+
+    Examples
+    --------
+    >>> from fourbar_codegen.dynamics.equations import form_equations
+    >>> from fourbar_codegen.models import four_bar
+    >>> form_derivatives(form_equations(four_bar())).residual_jacobian.shape
+    (5, 6)
+    """
+    e = equations
+    state = (*e.coordinates, *e.speeds)
+
+    def backwards(name: str, of: Result, variables: Sequence[Scalar]) -> Result:
+        return _matrix(name, jacobian(e.tape, of.entries, variables), len(variables))
+
+    formed: dict[str, Result] = {}
+    for kind, variables in (("", state), ("_parameter", e.parameters), ("_input", e.inputs)):
+        # These two have much in common, and so have their rows: forwards, a direction is followed once.
+        directions = [Jvp(e.tape, {variable: e.tape.one}) for variable in variables]
+        for name, of in (("coordinate_rate", e.coordinate_rates), ("residual", e.residual)):
+            key = f"{name}{kind}_jacobian"
+            formed[key] = _matrix(key, [[d(row) for d in directions] for row in of.entries], len(variables))
+    return Derivatives(
+        default_input_jacobian=backwards("default_input_jacobian", e.default_inputs, e.parameters),
+        velocity_jacobian=backwards("velocity_jacobian", e.velocity_violation, e.coordinates),
+        velocity_input_jacobian=backwards("velocity_input_jacobian", e.velocity_violation, e.inputs),
+        position_input_jacobian=backwards("position_input_jacobian", e.position_constraints, e.inputs),
+        **formed,
+    )
+
+
+def _matrix(name: str, rows: Sequence[Sequence[Scalar]], columns: int) -> Result:
+    return Result(name, (len(rows), columns), tuple(entry for row in rows for entry in row))

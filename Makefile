@@ -2,6 +2,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+INSTALLED_RUN := $(VENV)/installed-run
 INSTALLED := $(VENV)/installed
 INSTALLED_DOCS := $(VENV)/installed-docs
 # What a compiled part is made of; the Python files are used where they stand.
@@ -9,7 +10,7 @@ SOURCES := pyproject.toml setup.py $(wildcard src/fourbar_codegen/runtime/*.pyx 
 
 .PHONY: run test lint docs bench fuzz generate clean
 
-run: $(INSTALLED)
+run: $(INSTALLED_RUN)
 	$(BIN)/fourbar simulate four_bar -o results/four_bar.csv -o results/four_bar.npz -o results/four_bar.png
 
 test: $(INSTALLED)
@@ -28,6 +29,7 @@ docs: $(INSTALLED_DOCS)
 bench: $(INSTALLED)
 	$(BIN)/python -m pip install --quiet --editable '.[bench]'
 	$(BIN)/python benchmarks/four_bar.py --output results/benchmark.json
+	$(BIN)/python benchmarks/cold.py --output results/cold.json
 	$(BIN)/python benchmarks/models.py --output results/models.json
 	$(BIN)/python benchmarks/drift.py --output results/drift.json
 	$(BIN)/python benchmarks/methods.py --output results/methods.json
@@ -41,15 +43,16 @@ fuzz: $(INSTALLED)
 generate: $(INSTALLED)
 	$(BIN)/fourbar generate four_bar -o generated
 
+$(INSTALLED_RUN): EXTRAS := visual
 $(INSTALLED): EXTRAS := test,visual
-# Tests and linters find what they need there as well: each installation compiles the package. Python files are
-# compiled when they are first imported, which are a fraction of them.
 $(INSTALLED_DOCS): EXTRAS := test,visual,docs
-$(INSTALLED) $(INSTALLED_DOCS): $(SOURCES)
+# What needs less finds it there as well: each installation compiles the package. Python files are compiled when they
+# are first imported, which are a fraction of them.
+$(INSTALLED_RUN) $(INSTALLED) $(INSTALLED_DOCS): $(SOURCES)
 	$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "Python 3.11 or newer is needed; name one: make PYTHON=python3.12")'
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --no-compile --editable '.[$(EXTRAS)]'
-	touch $(INSTALLED) $@
+	touch $(INSTALLED_RUN) $(if $(findstring test,$(EXTRAS)),$(INSTALLED)) $@
 
 clean:
 	rm -rf $(VENV) build results docs/_build docs/notebooks src/*.egg-info src/fourbar_codegen/*/*.so

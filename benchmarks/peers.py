@@ -1,8 +1,8 @@
 """Simulation of the tutorial's four-bar by this package and by its peers, side by side in one run.
 
 One evaluation from Python, a batch of 4096 states, one simulation of 4 s, and many with different parameters; how long
-each integrator takes for what error, against a reference at 1e-13; and a fresh process from SymPy's model to the first
-simulation. Peers that are not installed are skipped with a line: ``pip install 'fourbar_codegen[bench]'``.
+each integrator takes for what error, against a reference at 1e-13. How long a first simulation takes is in cold.py.
+Peers that are not installed are skipped with a line: ``pip install 'fourbar_codegen[bench]'``.
 """
 
 from __future__ import annotations
@@ -12,8 +12,6 @@ import functools
 import itertools
 import json
 import os
-import subprocess
-import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from importlib.util import find_spec
@@ -22,7 +20,7 @@ from typing import Any
 
 import numpy as np
 import sympy as sm
-from measure import DOCS, call, circumstances, compare, evaluation, replace_in_page, save_figure, timed
+from measure import DOCS, call, circumstances, compare, evaluation, replace_in_page, save_figure
 from scipy.integrate import solve_ivp
 from tutorial import Floats, Tutorial, tutorial_four_bar
 
@@ -330,17 +328,6 @@ WAYS = {
     "fourbar_codegen": by_ourselves, "the tutorial's code": by_tutorial, "heyoka": by_heyoka, "numba": by_numba,
     "PyDy": by_pydy, "CasADi": by_casadi, "scikit-sundae": by_sundae, "JiTCODE": by_jitcode,
 }  # fmt: skip
-STARTS = {
-    "fourbar_codegen, nothing in the cache": ("fourbar_codegen", "fourbar_codegen, DOP853, loop kept closed"),
-    "fourbar_codegen, compiled before": ("fourbar_codegen", "fourbar_codegen, DOP853, loop kept closed"),
-    "the tutorial's code": ("the tutorial's code", "the tutorial's code, solve_ivp DOP853"),
-    "heyoka": ("heyoka", "heyoka, Taylor"),
-    "numba": ("numba", "numba, solve_ivp DOP853"),
-    "PyDy, cython": ("PyDy", "PyDy, cython, solve_ivp DOP853"),
-    "CasADi": ("CasADi", "CasADi, CVODES"),
-    "JiTCODE": ("JiTCODE", "JiTCODE, dop853"),
-}
-"""Of each package the integrator whose first simulation a fresh process waits for."""
 
 
 def installed() -> dict[str, Any]:
@@ -349,18 +336,6 @@ def installed() -> dict[str, Any]:
     for name in missing:
         print(f"{name} is not installed: pip install 'fourbar_codegen[bench]'", flush=True)
     return {name: way for name, way in WAYS.items() if name not in missing}
-
-
-def start(name: str, folder: str) -> Callable[[], float]:
-    """A measure of a fresh process up to its first simulation."""
-
-    def measure() -> float:
-        cache = tempfile.mkdtemp() if "nothing" in name else folder
-        environment = {**os.environ, "FOURBAR_CODEGEN_CACHE": cache, "NUMBA_CACHE_DIR": tempfile.mkdtemp()}
-        command = [sys.executable, __file__, "--first", *STARTS[name]]
-        return timed(lambda: subprocess.run(command, check=True, capture_output=True, env=environment))
-
-    return measure
 
 
 def of_kind(found: dict[str, Any], kind: str) -> dict[str, Any]:
@@ -451,15 +426,7 @@ def main() -> None:
             each = seconds / len(case.stiffness)
             many.append({"way": name, "tolerance": tolerance, "error": error, "us": each * 1e6, "ratio": slow / each})
             print(json.dumps(many[-1]), flush=True)
-    with tempfile.TemporaryDirectory() as folder:
-        starting = {name: start(name, folder) for name, (package, _) in STARTS.items() if package in ways}
-        for measure in starting.values():
-            measure()  # so that all files have been read
-        medians = compare(*starting.values(), rounds=3)
-    starts = dict(zip(starting, medians, strict=True))
-    for name, seconds in starts.items():
-        print(f"first simulation: {name:<40} {seconds:8.3g} s", flush=True)
-    report = {**circumstances(), "one": one, "batch": batch, "precision": rows, "many": many, "starts": starts}
+    report = {**circumstances(), "one": one, "batch": batch, "precision": rows, "many": many}
     options.output.parent.mkdir(parents=True, exist_ok=True)
     options.output.write_text(json.dumps(report, indent=2) + "\n")
     picture = DOCS / "peers.svg" if options.docs else options.output.with_suffix(".svg")
@@ -469,7 +436,7 @@ def main() -> None:
         replace_in_page(
             DOCS / "benchmarks.md",
             "peers",
-            tables(one, batch, rows, many, starts),
+            tables(one, batch, rows, many),
             "python benchmarks/peers.py --docs",
             report,
         )
@@ -493,7 +460,6 @@ def tables(
     batch: dict[str, float],
     rows: list[dict[str, Any]],
     many: list[dict[str, Any]],
-    starts: dict[str, float],
 ) -> str:
     errors = (1e-4, 1e-7, 1e-10)
     slow = one["the tutorial's code"]
@@ -531,10 +497,6 @@ def tables(
         cells = [f"{row['seconds'] * 1e3:.3g} ms, {row['error']:.0e}" for row in shown]
         lines.append(f"| {name} | {' | '.join(cells)} |")
     lines += [
-        "\nA fresh process, from SymPy's model to the first simulation:\n",
-        "| | |",
-        "|---|---|",
-        *(f"| {name} | {seconds:.3g} s |" for name, seconds in sorted(starts.items(), key=lambda item: -item[1])),
         "\n10,000 simulations of 4 s with different stiffnesses, each, with the largest error of five of them:\n",
         "| | tolerance | error | time | against the tutorial's code |",
         "|---|---|---|---|---|",

@@ -7,9 +7,11 @@ import os
 import pickle
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -450,6 +452,97 @@ def test_states_side_by_side_of_another_layout_are_refused(monkeypatch):
     assert model.lacks_batch_functions
     attach(model, found[0])
     assert not model.lacks_batch_functions
+
+
+class Sleeper:
+    """A compiler that starts another program, which lasts, and waits for it."""
+
+    def __init__(self, folder):
+        self.compiler, self.started = folder / "sleepcc", folder / "started"
+        self.started.mkdir()
+        self.compiler.write_text(f"#!/bin/sh\nsleep 1000 &\ntouch {self.started}/$!\nwait\n")
+        self.compiler.chmod(0o755)
+
+    def programs(self):
+        """Those that have been started, of which there are some, sooner or later."""
+        while not (found := [int(path.name) for path in self.started.iterdir()]):
+            time.sleep(0.01)
+        return found
+
+    def end(self):
+        """Wait until all have ended, but for what their parents make of it."""
+        for number in self.programs():
+            stat = Path(f"/proc/{number}/stat")
+            with contextlib.suppress(FileNotFoundError):
+                while stat.read_text().split()[2] != "Z":
+                    time.sleep(0.01)
+
+
+@pytest.fixture
+def sleeper(tmp_path, monkeypatch):
+    sleeper = Sleeper(tmp_path)
+    monkeypatch.setenv("CC", str(sleeper.compiler))
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path / "cache"))
+    return sleeper
+
+
+def test_a_compiler_that_hangs_is_stopped(sleeper, monkeypatch, tmp_path):
+    monkeypatch.setenv("FOURBAR_CODEGEN_TIME_LIMIT", "0.5")
+    with pytest.raises(fb.BuildError, match=r"has not ended within 0.5 s .* FOURBAR_CODEGEN_TIME_LIMIT"):
+        fb.compile_model(slider())
+    sleeper.end()
+    assert [path for path in (tmp_path / "cache").iterdir() if path.is_dir()] == []
+    for wrong in ("", "soon", "0", "-1", "nan"):
+        monkeypatch.setenv("FOURBAR_CODEGEN_TIME_LIMIT", wrong)
+        with pytest.raises(fb.BuildError, match="a positive number of seconds"):
+            fb.compile_model(slider())
+
+
+COMPILES = "import sys; sys.path.insert(0, 'tests')\nimport fourbar_codegen as fb; from systems import slider\n"
+
+
+@pytest.mark.parametrize("how", ["compile_model(slider())", "build_model(slider(), sys.argv[1])"])
+def test_an_interrupt_ends_compilation(sleeper, tmp_path, how):
+    code = (
+        "import os, pathlib, signal, threading, time\n"
+        "def interrupt():\n"
+        f"    while not any(pathlib.Path({str(sleeper.started)!r}).iterdir()): time.sleep(0.01)\n"
+        "    os.kill(os.getpid(), signal.SIGINT)\n"
+        f"{COMPILES}"
+        "threading.Thread(target=interrupt).start()\n"
+        f"fb.{how}\n"
+    )
+    command = [sys.executable, "-c", code, str(tmp_path / "folder")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.stderr.rstrip().endswith("KeyboardInterrupt")
+    sleeper.end()
+    assert not (tmp_path / "folder").exists()
+
+
+def test_who_waits_says_for_whom(sleeper, monkeypatch, capsys):
+    monkeypatch.setattr(cache, "PATIENCE", 0.0)
+    command = [sys.executable, "-c", f"{COMPILES}fb.compile_model(slider())"]
+    first = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+    programs = sleeper.programs()
+
+    def wait():
+        with contextlib.suppress(fb.BuildError):
+            fb.compile_model(slider())
+
+    second = threading.Thread(target=wait)
+    second.start()
+    said = ""
+    while "waiting" not in said:
+        time.sleep(0.01)
+        said += capsys.readouterr().err
+    assert f"waiting for process {first.pid} on " in said
+    first.kill()
+    while second.is_alive():  # now it is the second one's turn
+        for number in {*sleeper.programs(), *programs}:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(number, signal.SIGKILL)
+        time.sleep(0.01)
+    first.wait()
 
 
 def test_unwritable_cache(monkeypatch, tmp_path):

@@ -7,7 +7,7 @@ import threading
 import time
 from types import TracebackType
 
-__all__ = ["Progress"]
+__all__ = ["PATIENCE", "Progress"]
 
 PATIENCE = 1.0
 """Seconds without a word, and between two lines where these stay."""
@@ -25,9 +25,9 @@ class Progress:
     Parameters
     ----------
     task : str
-    unwatched : bool, optional
-        Whether it is said elsewhere as well, where stderr goes to a file or to another process: in a line a second,
-        after a minute in fewer.
+    unwatched : float, optional
+        After how many seconds it is said elsewhere as well, where stderr goes to a file or to another process: in a
+        line a second, after a minute in fewer. A minute, by default.
 
     Examples
     --------
@@ -35,7 +35,7 @@ class Progress:
     ...     progress.stage("compiling")
     """
 
-    def __init__(self, task: str, *, unwatched: bool = False) -> None:
+    def __init__(self, task: str, *, unwatched: float = 60.0) -> None:
         self._task, self._unwatched = task, unwatched
         self._stage: str | None = None
         self._entered = 0.0
@@ -46,7 +46,7 @@ class Progress:
         """What is being done from now on."""
         if self._stage is None:  # what is over before its first stage costs nothing
             watched = sys.stderr is not None and (sys.stderr.isatty() or "ipykernel" in sys.modules)
-            show = self._show if watched else self._print if self._unwatched and sys.stderr is not None else None
+            show = self._show if watched else self._print if sys.stderr is not None else None
             if show is not None:
                 self._done = threading.Event()
                 self._thread = threading.Thread(target=show, daemon=True)
@@ -83,8 +83,10 @@ class Progress:
             self._write(f"\r{'':<{width}}\r")
 
     def _print(self) -> None:
-        while not self._done.wait(max(PATIENCE, (time.monotonic() - self._begin) / SHARE)):
+        wait = self._unwatched
+        while not self._done.wait(wait):
             self._write(f"{self._text()}\n")
+            wait = max(PATIENCE, (time.monotonic() - self._begin) / SHARE)
 
     def _text(self) -> str:
         return f"{self._task}: {self._stage}, {time.monotonic() - self._begin:.0f} s"

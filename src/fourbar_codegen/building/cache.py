@@ -9,15 +9,22 @@ from __future__ import annotations
 import atexit
 import hashlib
 import os
+import platform
 import shutil
 import stat
 import tempfile
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from fourbar_codegen.errors import CacheError
+from fourbar_codegen.progress import PATIENCE, Progress
+
+if TYPE_CHECKING:
+    from filelock import BaseFileLock
 
 __all__ = ["cache_folder", "cached", "find_cached", "is_whole"]
 
@@ -104,7 +111,7 @@ def _cached(place: Path, build: Callable[[Path], Path]) -> Path:
         root.mkdir(parents=True, exist_ok=True)
         _close(root)
     own = f"{place.name}.{_user()}"
-    with FileLock(root / f"{own}.lock"):
+    with _held(FileLock(root / f"{own}.lock"), root / f"{own}.holder", place.name.rpartition("-")[0]):
         found = _module_in(place)
         if found is not None:
             return found
@@ -123,6 +130,29 @@ def _cached(place: Path, build: Callable[[Path], Path]) -> Path:
         finally:
             _remove(temporary)
         return place / module.name
+
+
+@contextmanager
+def _held(lock: BaseFileLock, holder: Path, name: str) -> Iterator[None]:
+    """A lock, and beside it, for those who wait, by whom it is held."""
+    from filelock import Timeout
+
+    try:
+        lock.acquire(timeout=0.0)
+    except Timeout:
+        with Progress(f"fourbar_codegen: {name}", unwatched=PATIENCE) as progress:
+            try:
+                by = holder.read_text(encoding="utf-8")
+            except OSError:  # it has begun, or ended, just now
+                by = "another process"
+            progress.stage(f"waiting for {by}, which compiles it; {lock.lock_file} is its lock")
+            lock.acquire()
+    try:
+        holder.write_text(f"process {os.getpid()} on {platform.node()}", encoding="utf-8")
+        yield
+    finally:
+        holder.unlink(missing_ok=True)
+        lock.release()
 
 
 def find_cached(name: str, key: str) -> Path | None:

@@ -8,12 +8,14 @@ import os
 import platform
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 import sysconfig
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import cache
+from contextlib import suppress
+from functools import cache, partial
 from pathlib import Path
 
 from fourbar_codegen.errors import BuildError
@@ -35,6 +37,34 @@ __all__ = [
 ]
 
 PACKAGE = Path(__file__).parents[1]
+
+
+class _Running:
+    """The tools that run at the moment, for one task; none begins after they were stopped."""
+
+    def __init__(self) -> None:
+        self._processes: set[subprocess.Popen[str]] = set()
+        self._stopped = False
+
+    def add(self, process: subprocess.Popen[str]) -> None:
+        """One that has begun."""
+        self._processes.add(process)
+        if self._stopped:
+            _stop(process)
+
+    def discard(self, process: subprocess.Popen[str]) -> None:
+        """One that has ended."""
+        self._processes.discard(process)
+
+    def stop(self) -> None:
+        """End them; who has started them notices."""
+        self._stopped = True
+        for process in tuple(self._processes):
+            _stop(process)
+
+
+TIME_LIMIT = "FOURBAR_CODEGEN_TIME_LIMIT"
+"""The environment variable with the seconds that a tool may take; an hour, by default."""
 
 # Position-independent code without debugging information, which would double the file.
 COMMON_FLAGS = ("-fPIC", "-g0")
@@ -230,7 +260,7 @@ def compile_library(library: Path, sources: Mapping[str, str], units: Mapping[st
             (Path(temporary) / filename).write_text(text, encoding="utf-8")
         more = ("-DFB_ONE_MACHINE", *MACHINE_FLAGS)
         flags = {Path(temporary) / filename: (*own, *more) for filename, own in units.items()}
-        return _link(_compile_all(flags), library)
+        return _link(_side_by_side([partial(_compile, *unit) for unit in flags.items()]), library)
 
 
 def copied(built: Path, folder: Path) -> Path:
@@ -280,21 +310,27 @@ def _build(name: str, sources: Mapping[str, str], folder: Path) -> Path:
     }
     if f"{name}_batch.c" in sources:
         flags[folder / f"{name}_batch.c"] = KERNEL_FLAGS
-    from concurrent.futures import ThreadPoolExecutor
 
-    with ThreadPoolExecutor(1) as pool:
-        job = pool.submit(_compile_all, flags)
-        wrapper = _compile(_cythonize(folder / f"{name}.pyx"), WRAPPER_FLAGS, _python_folders())
-        objects = [*job.result(), wrapper]
+    def compile_wrapper(running: _Running) -> Path:
+        return _compile(_cythonize(folder / f"{name}.pyx"), WRAPPER_FLAGS, running, _python_folders())
+
+    objects = _side_by_side([compile_wrapper, *(partial(_compile, *unit) for unit in flags.items())])
     return _link(objects, folder / f"{name}{sysconfig.get_config_var('EXT_SUFFIX')}")
 
 
-def _compile_all(flags: Mapping[Path, Sequence[str]]) -> list[Path]:
-    """The object files of C sources, two at a time."""
+def _side_by_side(jobs: Sequence[Callable[[_Running], Path]]) -> list[Path]:
+    """What jobs make, two at a time; where one fails, what the others run is stopped."""
     from concurrent.futures import ThreadPoolExecutor
 
+    running = _Running()
     with ThreadPoolExecutor(2) as pool:
-        return list(pool.map(_compile, flags, flags.values()))
+        try:
+            submitted = [pool.submit(job, running) for job in jobs]
+            return [job.result() for job in submitted]
+        except BaseException:  # as from the keyboard
+            pool.shutdown(wait=False, cancel_futures=True)
+            running.stop()
+            raise
 
 
 def _link(objects: Iterable[Path], target: Path) -> Path:
@@ -323,20 +359,41 @@ def _python_folders() -> list[str]:
     return [np.get_include(), sysconfig.get_path("include")]
 
 
-def _compile(source: Path, flags: Sequence[str], folders: Sequence[str] = ()) -> Path:
+def _compile(source: Path, flags: Sequence[str], running: _Running, folders: Sequence[str] = ()) -> Path:
     target = source.with_suffix(".o")
     include = [word for folder in (str(source.parent), get_include(), *folders) for word in ("-I", folder)]
     run_tool(
         [*_compiler(), *flags, *_user_flags("CFLAGS"), *STRICT_FLAGS, *include, "-c", str(source), "-o", str(target)],
         target,
+        running=running,
     )
     return target
 
 
-def run_tool(command: Sequence[str], target: Path, tool: str = "the C compiler", cwd: Path | None = None) -> None:
-    """Run a tool that is to make a file or folder; its output becomes part of the error if it fails."""
+def run_tool(
+    command: Sequence[str],
+    target: Path,
+    tool: str = "the C compiler",
+    cwd: Path | None = None,
+    running: _Running | None = None,
+) -> None:
+    """Run a tool that is to make a file or folder; its output becomes part of the error if it fails.
+
+    It is among `running` as long as it runs, so that it can be stopped from another thread.
+    """
+    name, limit = tool[0].upper() + tool[1:], _time_limit()
+    running = running or _Running()
     try:
-        done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False, cwd=cwd)
+        # In a session of its own: compilers start other programs, which are stopped with them.
+        process = subprocess.Popen(
+            command,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+            cwd=cwd,
+            start_new_session=True,
+        )
     except OSError as error:
         raise BuildError(
             f"The C compiler {command[0]!r} could not be started: {error.strerror}. Install one (for instance gcc or "
@@ -344,11 +401,47 @@ def run_tool(command: Sequence[str], target: Path, tool: str = "the C compiler",
             "brought need none: fourbar_codegen.load.",
             command=command,
         ) from error
-    if done.returncode or not target.exists():
-        name = tool[0].upper() + tool[1:]
+    running.add(process)
+    try:
+        output, _ = process.communicate(timeout=limit)
+    except subprocess.TimeoutExpired as error:
+        _stop(process)
+        process.communicate()
         raise BuildError(
-            f"{name} failed." if done.returncode else f"{name} made no {target.name}.",
+            f"{name} has not ended within {limit:g} s and was stopped: the environment variable {TIME_LIMIT} is the "
+            "limit, in seconds.",
             command=command,
-            exit_code=done.returncode,
-            output=done.stdout + done.stderr,
+        ) from error
+    except BaseException:
+        _stop(process)
+        process.communicate()
+        raise
+    finally:
+        running.discard(process)
+    if process.returncode or not target.exists():
+        raise BuildError(
+            f"{name} failed." if process.returncode else f"{name} made no {target.name}.",
+            command=command,
+            exit_code=process.returncode,
+            output=output,
         )
+
+
+def _time_limit() -> float:
+    text = os.environ.get(TIME_LIMIT, "3600")
+    try:
+        limit = float(text)
+    except ValueError:
+        limit = 0.0
+    if not limit > 0.0:
+        raise BuildError(f"The environment variable {TIME_LIMIT} is a positive number of seconds, not {text!r}.")
+    return limit
+
+
+def _stop(process: subprocess.Popen[str]) -> None:
+    """End a tool, and what it has started."""
+    if hasattr(os, "killpg"):
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+    else:
+        process.kill()

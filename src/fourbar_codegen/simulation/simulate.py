@@ -15,7 +15,7 @@ from fourbar_codegen.errors import ModelError
 from fourbar_codegen.kernel.consistency import check_start, consistent, projects
 from fourbar_codegen.kernel.inputs import InputSource, bind
 from fourbar_codegen.kernel.kernel import Kernel
-from fourbar_codegen.progress import Progress
+from fourbar_codegen.progress import PATIENCE, Progress
 from fourbar_codegen.results.trajectory import Trajectory
 from fourbar_codegen.runtime.integrator import Ode, Stepper
 from fourbar_codegen.simulation.discontinuities import jumps
@@ -45,7 +45,7 @@ def simulate(model: Kernel, options: RunOptions) -> Trajectory:
     if options.stabilization is not None:
         ode.stabilization = options.stabilization
     check_start(model, ode, start, state, p, passes=options.method == FIXED_STEP)
-    with Progress(model.name, unwatched=True) as progress:
+    with Progress(model.name, unwatched=PATIENCE) as progress:
 
         def show(t: float) -> None:
             progress.stage(f"simulating, t = {t:.6g} of {end:g} s")

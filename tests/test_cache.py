@@ -2,6 +2,7 @@
 
 import contextlib
 import ctypes
+import errno
 import json
 import os
 import pickle
@@ -476,6 +477,49 @@ class Sleeper:
             with contextlib.suppress(FileNotFoundError):
                 while stat.read_text().split()[2] != "Z":
                     time.sleep(0.01)
+
+
+def test_the_cache_is_kept_within_its_limit(monkeypatch, tmp_path):
+    """What was not used for longest goes first; use is what counts, not age."""
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
+    known = set()
+    for day, change in enumerate(("", "mass", "orientation")):
+        fb.compile_model(slider(change))
+        for entry in {entry.folder for entry in cache.entries()} - known:
+            os.utime(entry / "checksum", (86400 * day, 86400 * day))
+            known.add(entry)
+    used_again = fb.compile_model(slider("")).path.parent
+    before = cache.entries()
+    assert before[0].folder == used_again
+    limit = sum(entry.size for entry in before)
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE_SIZE", str(limit))
+    made = fb.compile_model(slider("load")).path.parent
+    after = [entry.folder for entry in cache.entries()]
+    assert sum(entry.size for entry in cache.entries()) <= limit
+    assert made in after
+    kept = [entry.folder for entry in before if entry.folder in after]
+    assert 0 < len(kept) < len(before)
+    assert kept == [entry.folder for entry in before][: len(kept)]
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE_SIZE", "0")
+    last = fb.compile_model(slider("inertia"))
+    assert [entry.folder for entry in cache.entries()] == [last.path.parent]
+    assert np.isfinite(last.rhs(0.0, [0.5, 0.1, 0.2, 0.3])).all()
+    for wrong in ("", "much", "-1", "nan"):
+        monkeypatch.setenv("FOURBAR_CODEGEN_CACHE_SIZE", wrong)
+        with pytest.raises(fb.CacheError, match="a number of bytes"):
+            fb.compile_model(slider("body"))
+
+
+def test_a_cache_that_cannot_be_written_goes_on_serving(monkeypatch, tmp_path):
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
+    path = fb.compile_model(slider()).path
+
+    def refused(*_, **__):
+        raise PermissionError(errno.EROFS, os.strerror(errno.EROFS))
+
+    monkeypatch.setattr(os, "utime", refused)
+    monkeypatch.setattr(Path, "mkdir", refused)
+    assert fb.compile_model(slider()).path == path
 
 
 @pytest.fixture

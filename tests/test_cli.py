@@ -3,6 +3,7 @@
 import csv
 import importlib.metadata
 import json
+import os
 import re
 import subprocess
 import sys
@@ -138,6 +139,26 @@ def test_info_lists_names_defaults_and_operations():
     output = run("info").output
     for words in ("q1 independent; q2, q3 dependent", "l2              0.5 m", "100*sin(pi*t)", "dynamics"):
         assert words in output
+
+
+def test_cache_is_listed_and_cleared(tmp_path, monkeypatch):
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
+    assert "0 libraries and models, 0.00 MB" in run("cache").output
+    path = fb.compile_model(fb.models.cartesian_pendulum()).path
+    (tmp_path / "notes.txt").write_text("of somebody else")
+    listed = run("cache").output
+    assert "2 libraries and models" in listed
+    assert "cartesian_pendulum_kernel " in listed
+    size = sum(file.stat().st_size for folder in tmp_path.glob("cartesian*/") for file in folder.iterdir())
+    assert f"{size / 1e6:.2f} MB, in {tmp_path}" in listed
+    assert "0 libraries and models removed" in run("cache", "--clear", "--older-than", "1").output
+    assert path.is_file()
+    os.utime(path.with_name("checksum"), (0, 0))
+    assert "1 libraries and models, " in run("cache", "--older-than", "1").output
+    assert "1 libraries and models removed" in run("cache", "--clear", "--older-than", "1").output
+    assert not path.exists()
+    assert "1 libraries and models removed" in run("cache", "--clear").output
+    assert (tmp_path / "notes.txt").is_file()
 
 
 def test_help_and_version():

@@ -328,6 +328,27 @@ def info(model: str) -> None:
     click.echo(f"cache of compiled models: {cache_folder()}")
 
 
+@main.command()
+@click.option("--clear", is_flag=True, help="Remove what is there. Loaded models go on working.")
+@click.option(
+    "--older-than", type=click.FloatRange(min=0.0), metavar="DAYS", help="Only what was not used for so many days."
+)
+def cache(clear: bool, older_than: float | None) -> None:
+    """List the compiled models in the cache, with their sizes, or remove them."""
+    from fourbar_codegen.building import cache as folder
+
+    older = 86400.0 * (older_than or 0.0)
+    now = time.time()
+    found = folder.clear(older) if clear else [e for e in folder.entries() if now - e.used >= older]
+    for entry in found:
+        click.echo(f"  {entry.name:<40} {entry.size / 1e6:9.2f} MB, used {(now - entry.used) / 86400.0:.1f} days ago")
+    total = sum(entry.size for entry in found) / 1e6
+    removed = " removed" if clear else ""
+    click.echo(f"{len(found)} libraries and models{removed}, {total:.2f} MB, in {folder.cache_folder()}")
+    if not clear:
+        click.echo(f"at most {folder.size_limit() / 1e6:g} MB, or what {folder.SIZE_LIMIT} says")
+
+
 def _compiled(model: str) -> CompiledModel:
     """A model that comes compiled, or one compiled now."""
     if model.endswith(".py"):

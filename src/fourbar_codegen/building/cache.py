@@ -8,14 +8,18 @@ from __future__ import annotations
 
 import atexit
 import hashlib
+import math
 import os
 import platform
+import re
 import shutil
 import stat
 import tempfile
+import time
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -26,10 +30,37 @@ from fourbar_codegen.progress import PATIENCE, Progress
 if TYPE_CHECKING:
     from filelock import BaseFileLock
 
-__all__ = ["cache_folder", "cached", "find_cached", "is_whole"]
+__all__ = ["Entry", "cache_folder", "cached", "clear", "entries", "find_cached", "is_whole", "size_limit"]
 
 VARIABLE = "FOURBAR_CODEGEN_CACHE"
+SIZE_LIMIT = "FOURBAR_CODEGEN_CACHE_SIZE"
+"""The environment variable with the number of bytes beyond which what was not used for longest is removed; 2 GB, by
+default."""
+
 CHECKSUM = "checksum"
+ENTRY = re.compile(r"(?P<name>\w+)-[0-9a-f]{32}")
+"""What the folders in the cache are called."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A folder in the cache.
+
+    Attributes
+    ----------
+    folder : Path
+    name : str
+        Of the model, or of a part of it.
+    size : int
+        Bytes.
+    used : float
+        When it was last used, in seconds since 1970.
+    """
+
+    folder: Path
+    name: str
+    size: int
+    used: float
 
 
 def cache_folder() -> Path:
@@ -92,7 +123,9 @@ def cached(name: str, key: str, build: Callable[[Path], Path]) -> Path:
                 f"write there, or name another folder in the environment variable {VARIABLE}.",
                 stacklevel=2,
             )
-        return _cached(place, build)
+        found = _cached(place, build)
+        _note_use(place)
+        return found
     except OSError as error:
         raise CacheError(
             f"The cache folder {root} cannot be used: {error.strerror or error}. Name another one in the environment "
@@ -129,6 +162,7 @@ def _cached(place: Path, build: Callable[[Path], Path]) -> Path:
             temporary.replace(place)
         finally:
             _remove(temporary)
+        _keep_within(root, size_limit(), place)
         return place / module.name
 
 
@@ -153,6 +187,104 @@ def _held(lock: BaseFileLock, holder: Path, name: str) -> Iterator[None]:
     finally:
         holder.unlink(missing_ok=True)
         lock.release()
+
+
+def _note_use(place: Path) -> None:
+    with suppress(OSError):  # of another user, or where nothing can be written
+        os.utime(place / CHECKSUM)
+
+
+def size_limit() -> float:
+    """The number of bytes that the cache may have.
+
+    Raises
+    ------
+    CacheError
+        If the environment variable is no number.
+    """
+    text = os.environ.get(SIZE_LIMIT, "2e9")
+    try:
+        limit = float(text)
+    except ValueError:
+        limit = math.nan
+    if not limit >= 0.0:
+        raise CacheError(f"The environment variable {SIZE_LIMIT} is a number of bytes, such as 2e9, not {text!r}.")
+    return limit
+
+
+def entries() -> list[Entry]:
+    """What is in the cache, what was used last first.
+
+    Raises
+    ------
+    CacheError
+        If the folder cannot be read.
+    """
+    root = cache_folder()
+    try:
+        return _entries(root)
+    except OSError as error:
+        raise CacheError(f"The cache folder {root} cannot be read: {error.strerror or error}.") from error
+
+
+def _entries(root: Path) -> list[Entry]:
+    found = []
+    for folder in root.iterdir() if root.is_dir() else ():
+        known = ENTRY.fullmatch(folder.name)
+        if known is None or folder.is_symlink() or not folder.is_dir():
+            continue
+        with suppress(FileNotFoundError):  # removed just now
+            size = sum(path.lstat().st_size for path in folder.iterdir())
+            found.append(Entry(folder, known["name"], size, (folder / CHECKSUM).stat().st_mtime))
+    return sorted(found, key=lambda entry: entry.used, reverse=True)
+
+
+def clear(older_than: float = 0.0) -> list[Entry]:
+    """Remove what is in the cache. Models that are loaded go on working, but for what they have not compiled yet.
+
+    Parameters
+    ----------
+    older_than : float, optional
+        Only what was not used for so many seconds.
+
+    Returns
+    -------
+    list of Entry
+        What was removed.
+
+    Raises
+    ------
+    CacheError
+        If something cannot be removed.
+    """
+    last = time.time() - older_than
+    removed = [entry for entry in entries() if entry.used <= last]
+    for entry in removed:
+        try:
+            _discard(entry.folder)
+        except OSError as error:
+            raise CacheError(f"{entry.folder} cannot be removed: {error.strerror or error}.") from error
+    return removed
+
+
+def _keep_within(root: Path, limit: float, newest: Path) -> None:
+    """Remove what was not used for longest, but not what has just been made."""
+    found = _entries(root)
+    size = sum(entry.size for entry in found)
+    for entry in reversed(found):
+        if size <= limit:
+            return
+        if entry.folder != newest:
+            with suppress(OSError):  # another user's
+                _discard(entry.folder)
+                size -= entry.size
+
+
+def _discard(folder: Path) -> None:
+    """Remove a folder of the cache: from one moment to the next for those who look for it."""
+    aside = folder.with_name(f"{folder.name}.{_user()}.{os.getpid()}.removed")
+    folder.replace(aside)
+    shutil.rmtree(aside)
 
 
 def find_cached(name: str, key: str) -> Path | None:

@@ -99,7 +99,7 @@ def cached(name: str, key: str, build: Callable[[Path], Path]) -> Path:
     Raises
     ------
     CacheError
-        If the folder cannot be written.
+        If the folder cannot be written, or an environment variable makes no sense.
 
     Warns
     -----
@@ -111,7 +111,7 @@ def cached(name: str, key: str, build: Callable[[Path], Path]) -> Path:
     A module is built in a temporary folder, under a lock, and moved to its place in one step: other
     processes see it whole or not at all, and a failed build leaves nothing behind.
     """
-    root = cache_folder()
+    root, limit = cache_folder(), size_limit()
     try:
         place = _place(root, name, key)
         reason = _distrusted_entry(place)
@@ -123,7 +123,7 @@ def cached(name: str, key: str, build: Callable[[Path], Path]) -> Path:
                 f"write there, or name another folder in the environment variable {VARIABLE}.",
                 stacklevel=2,
             )
-        found = _cached(place, build)
+        found = _cached(place, build, limit)
         _note_use(place)
         return found
     except OSError as error:
@@ -133,7 +133,7 @@ def cached(name: str, key: str, build: Callable[[Path], Path]) -> Path:
         ) from error
 
 
-def _cached(place: Path, build: Callable[[Path], Path]) -> Path:
+def _cached(place: Path, build: Callable[[Path], Path], limit: float) -> Path:
     found = _module_in(place)
     if found is not None:
         return found
@@ -162,7 +162,7 @@ def _cached(place: Path, build: Callable[[Path], Path]) -> Path:
             temporary.replace(place)
         finally:
             _remove(temporary)
-        _keep_within(root, size_limit(), place)
+        _keep_within(root, limit, place)
         return place / module.name
 
 

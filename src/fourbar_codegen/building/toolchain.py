@@ -66,6 +66,9 @@ class _Running:
 TIME_LIMIT = "FOURBAR_CODEGEN_TIME_LIMIT"
 """The environment variable with the seconds that a tool may take; an hour, by default."""
 
+PAUSE = 0.5
+"""Seconds for which tools are waited for at a time."""
+
 # Position-independent code without debugging information, which would double the file.
 COMMON_FLAGS = ("-fPIC", "-g0")
 # Scalar straight-line code stores results that vectorized loops would reload two at a time, which stalls the
@@ -320,12 +323,17 @@ def _build(name: str, sources: Mapping[str, str], folder: Path) -> Path:
 
 def _side_by_side(jobs: Sequence[Callable[[_Running], Path]]) -> list[Path]:
     """What jobs make, two at a time; where one fails, what the others run is stopped."""
-    from concurrent.futures import ThreadPoolExecutor
+    from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 
     running = _Running()
     with ThreadPoolExecutor(2) as pool:
         try:
             submitted = [pool.submit(job, running) for job in jobs]
+            pending = set(submitted)
+            while pending:  # in turns: what interrupts Python just before it waits is noticed when it goes on
+                done, pending = wait(pending, PAUSE, FIRST_EXCEPTION)
+                for job in done:
+                    job.result()
             return [job.result() for job in submitted]
         except BaseException:  # as from the keyboard
             pool.shutdown(wait=False, cancel_futures=True)

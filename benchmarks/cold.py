@@ -147,21 +147,18 @@ def main() -> None:
     options = parser.parse_args()
     own = str(HERE.parent / "src")
     versions = {"": own} | ({", before": options.against} if options.against else {})
+    hows = {"nothing cached": False, "compiled before": True}
     tables: dict[str, dict[str, Callable[[], float]]] = {
         "from a finished Model to its first call": {
-            f"{title}, {'compiled before' if warm else 'nothing cached'}{version}": compiling(name, source, warm=warm)
+            f"{title}, {how}{version}": compiling(name, source, warm=warm)
             for title, name in MODELS.items()
-            for warm in (False, True)
+            for how, warm in hows.items()
             for version, source in versions.items()
         },
         "the four-bar, from import to the first trajectory": {
-            **{
-                f"fourbar_codegen, {'compiled before' if warm else 'nothing cached'}{version}": simulating(
-                    source, warm=warm
-                )
-                for warm in (False, True)
-                for version, source in versions.items()
-            },
+            f"fourbar_codegen, {how}{version}": simulating(source, warm=warm)
+            for how, warm in hows.items()
+            for version, source in versions.items()
         },
         "a pendulum, from import to the first trajectory": {
             name: partial(timed, process(code, own, cache=None)) for name, code in PENDULUM_BY.items()

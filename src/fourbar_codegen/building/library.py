@@ -2,8 +2,8 @@
 
 A model comes in parts. The kernel is what a simulation needs; derivatives and the functions for several states side by
 side are compiled when they are first asked for. The kernel's library has the model's structure inside: names, order,
-formulas. Its numbers, which defaults, units and initial values are, lie beside it, so that a model that differs in
-these alone has the same library.
+formulas. Its numbers lie beside it (defaults, units, initial values; the fingerprint and operation counts as well), so
+that a model that differs in these alone has the same library.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from fourbar_codegen.building.toolchain import (
     library_toolchain,
 )
 
-__all__ = ["SUFFIXES", "build_part", "install", "manifest_of", "numbers_path"]
+__all__ = ["PARTS", "SUFFIXES", "build_part", "install", "manifest_of", "numbers_path"]
 
 PARTS = {
     "kernel": (("_kernel.c", "_kernel.h"), KERNEL_FLAGS),
@@ -71,8 +71,8 @@ def build_part(
     Returns
     -------
     Path
-        A shared library that has the part's table: ``{name}_kernel`` and ``fb_library``, ``{name}_derivatives``,
-        ``{name}_batch_functions``.
+        A shared library that has the part's table: ``{name}_kernel`` (and ``fourbar_library``, where a structure is
+        given), ``{name}_derivatives``, ``{name}_batch_functions``.
 
     Raises
     ------

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from fourbar_codegen.dynamics.equations import Equations
+from fourbar_codegen.dynamics.equations import Equations, matrix
 from fourbar_codegen.expressions.derivatives import Jvp, jacobian
 from fourbar_codegen.expressions.tape import Result, Scalar
 
@@ -68,7 +68,7 @@ def form_derivatives(equations: Equations) -> Derivatives:
     state = (*e.coordinates, *e.speeds)
 
     def backwards(name: str, of: Result, variables: Sequence[Scalar]) -> Result:
-        return _matrix(name, jacobian(e.tape, of.entries, variables), len(variables))
+        return matrix(name, jacobian(e.tape, of.entries, variables), len(variables))
 
     formed: dict[str, Result] = {}
     for kind, variables in (("", state), ("_parameter", e.parameters), ("_input", e.inputs)):
@@ -76,7 +76,7 @@ def form_derivatives(equations: Equations) -> Derivatives:
         directions = [Jvp(e.tape, {variable: e.tape.one}) for variable in variables]
         for name, of in (("coordinate_rate", e.coordinate_rates), ("residual", e.residual)):
             key = f"{name}{kind}_jacobian"
-            formed[key] = _matrix(key, [[d(row) for d in directions] for row in of.entries], len(variables))
+            formed[key] = matrix(key, [[d(row) for d in directions] for row in of.entries], len(variables))
     return Derivatives(
         default_input_jacobian=backwards("default_input_jacobian", e.default_inputs, e.parameters),
         velocity_jacobian=backwards("velocity_jacobian", e.velocity_violation, e.coordinates),
@@ -84,7 +84,3 @@ def form_derivatives(equations: Equations) -> Derivatives:
         position_input_jacobian=backwards("position_input_jacobian", e.position_constraints, e.inputs),
         **formed,
     )
-
-
-def _matrix(name: str, rows: Sequence[Sequence[Scalar]], columns: int) -> Result:
-    return Result(name, (len(rows), columns), tuple(entry for row in rows for entry in row))

@@ -37,7 +37,7 @@ from fourbar_codegen.expressions.tape import Result, Scalar, Tape
 from fourbar_codegen.modeling.model import InputEntry, Model, multiplier
 from fourbar_codegen.modeling.system_reader import DrawnPoint
 
-__all__ = ["Equations", "form_equations"]
+__all__ = ["Equations", "form_equations", "matrix"]
 
 
 @dataclass(frozen=True)
@@ -223,11 +223,11 @@ def form_equations(model: Model) -> Equations:
     results = [
         _vector("outputs", [*forces, *(convert(expr) for expr in model.output_expressions.values())]),
         _vector("coordinate_rates", q_rates),
-        _matrix("mass_matrix", mass_matrix, n_u),
+        matrix("mass_matrix", mass_matrix, n_u),
         _vector("forcing", forcing),
         _vector("position_constraints", constraints.positions),
-        _matrix("position_jacobian", position_jacobian(tape, constraints, v.q, q_rates, v.u), n_q),
-        _matrix("constraint_jacobian", constraints.jacobian, n_u),
+        matrix("position_jacobian", position_jacobian(tape, constraints, v.q, q_rates, v.u), n_q),
+        matrix("constraint_jacobian", constraints.jacobian, n_u),
         _vector("velocity_bias", substitute(tape, constraints.velocities, dict.fromkeys(v.u, tape.zero))),
         _vector("acceleration_bias", constraints.acceleration_bias),
         _vector("position_violation", violation),
@@ -238,8 +238,8 @@ def form_equations(model: Model) -> Equations:
         _vector("coordinate_change", map(Jvp(tape, dict(zip(v.u, v.a, strict=True))), q_rates)),
         _vector("energies", energies),
         _vector("power", substitute(tape, [kane.power()], no_unknown)),
-        _matrix("points", points, 3),
-        _matrix("forces", list(applied.values()), 3),
+        matrix("points", points, 3),
+        matrix("forces", list(applied.values()), 3),
         _vector("residual", (*dynamic[:n_u], *kinematic)),
     ]
     entries = [*chain.from_iterable(result.entries for result in results)]
@@ -426,5 +426,6 @@ def _vector(name: str, entries: Iterable[Scalar]) -> Result:
     return Result(name, (len(entries),), entries)
 
 
-def _matrix(name: str, rows: Sequence[Sequence[Scalar]], columns: int) -> Result:
+def matrix(name: str, rows: Sequence[Sequence[Scalar]], columns: int) -> Result:
+    """A result of given rows; there may be none, so that the number of columns is given as well."""
     return Result(name, (len(rows), columns), tuple(entry for row in rows for entry in row))

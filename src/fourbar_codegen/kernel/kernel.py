@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.arguments import Values, is_mapping, name_of, named_array, named_values
 from fourbar_codegen.building.cache import is_whole
-from fourbar_codegen.building.library import SUFFIXES
+from fourbar_codegen.building.library import PARTS, SUFFIXES
 from fourbar_codegen.errors import ModelError, SimulationError
 from fourbar_codegen.kernel.comparison import compare_batch_functions, compare_derivatives
 from fourbar_codegen.kernel.dependent import eliminate
@@ -110,7 +110,7 @@ class Kernel(Evaluator):
         """
         if self.lacks_batch_functions:
             attach, compare = type(self)._attach_batch_functions, compare_batch_functions
-            self._require("batch_functions", "_batch.c", "Batches and ensembles need", attach, compare)
+            self._require("batch_functions", "Batches and ensembles need", attach, compare)
 
     def require_derivatives(self) -> None:
         """Build and load derivatives, and what is drawn, where the model was built without them.
@@ -127,19 +127,18 @@ class Kernel(Evaluator):
         """
         if self.lacks_derivatives:
             attach, compare = type(self)._attach_derivatives, compare_derivatives
-            self._require("derivatives", "_derivatives.c", "Derivatives and pictures need", attach, compare)
+            self._require("derivatives", "Derivatives and pictures need", attach, compare)
 
     def _require(
         self,
         part: str,
-        suffix: str,
         needed: str,
         attach: Callable[[Self, int], None],
         compare: Callable[[Evaluator], None],
     ) -> None:
         """Attach a part from its library, which is built and compared first where it is not in the cache."""
         sources = self._sources() or {}
-        if f"{self.name}{suffix}" not in sources:
+        if any(f"{self.name}{suffix}" not in sources for suffix in PARTS[part][0]):
             raise ModelError(
                 f"{needed} functions that compile_model leaves for later, and their sources are not beside {self.path} "
                 "any more, or damaged: compile the model again. A module of build_model has them inside."

@@ -7,10 +7,11 @@ import json
 import os
 import sys
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from importlib import import_module, machinery, util
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any
 
 from fourbar_codegen.building.cache import cached, find_cached
 from fourbar_codegen.building.library import build_part, install, manifest_of, numbers_path
@@ -25,11 +26,19 @@ __all__ = ["Loaded", "cache_key", "load_file", "load_from_sources", "load_known"
 _LOADED: dict[str, tuple[int, int, int]] = {}
 
 
-class Loaded(NamedTuple):
-    """A compiled model that was loaded."""
+@dataclass(frozen=True)
+class Loaded:
+    """A compiled model that was loaded.
+
+    Attributes
+    ----------
+    kernel : object
+        The capsule of its kernel.
+    manifest : dict
+    path : Path
+    """
 
     kernel: object
-    """The capsule of its kernel."""
     manifest: dict[str, Any]
     path: Path
 

@@ -1,6 +1,8 @@
 """Shared fixtures, and a run on CI that fails where something was skipped."""
 
 import os
+import sys
+from pathlib import Path
 
 import pytest
 from tutorial import tutorial_four_bar
@@ -10,11 +12,12 @@ import fourbar_codegen as fb
 
 @pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory):
-    """No test reads or writes the user's cache; those that run side by side have one in common."""
-    if "PYTEST_XDIST_WORKER" in os.environ:
-        folder = tmp_path_factory.getbasetemp().parent / "cache"
-    else:
-        folder = tmp_path_factory.mktemp("cache")
+    """No test reads or writes the user's cache; they have one of their own, from run to run in a virtual environment.
+
+    What was compiled there is found as long as it would be compiled to the same.
+    """
+    in_environment = sys.prefix != sys.base_prefix
+    folder = Path(sys.prefix) / "cache-of-tests" if in_environment else tmp_path_factory.getbasetemp().parent / "cache"
     os.environ["FOURBAR_CODEGEN_CACHE"] = str(folder)
     return folder
 

@@ -45,6 +45,9 @@ def test_a_defect_is_found_and_named(tmp_path, monkeypatch, text, pattern, repla
         fb.build_model(slider(), tmp_path / "folder")
     assert not (tmp_path / "folder").exists()
     assert fb.compile_model(slider(), check=False).name == "slider"
+    # Nor is what was not compared taken for what was.
+    with pytest.raises(fb.BuildError, match=function):
+        fb.compile_model(slider())
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fourbar_codegen.arguments import flag
-from fourbar_codegen.building.cache import cached
+from fourbar_codegen.building.cache import cached, find_cached
 from fourbar_codegen.building.library import install
 from fourbar_codegen.building.toolchain import build_extension
 from fourbar_codegen.building.wheel import WHEEL_SUMMARY, pack_wheel
@@ -141,14 +141,14 @@ def _generate(model: Model, progress: Progress) -> tuple[Equations, Derivatives,
     )
 
 
-def key_of(model: Model) -> str:
-    """The key of a model in the cache: a digest of all that its compiled module depends on.
+def key_of(model: Model, *, checked: bool = True) -> str:
+    """The key of a model in the cache: a digest of all that its compiled module depends on, and whether it was checked.
 
     That is the whole mechanism as the equations see it, the names, defaults and inputs, of which the manifest has the
     fingerprint; this package's own sources, SymPy, the compiler and its flags. The library has a key of its own, of its
     sources and the compiler, so that models that lead to the same sources share it.
     """
-    return cache_key(fingerprint(_described(model)))
+    return cache_key(fingerprint(_described(model)), checked=checked)
 
 
 def _described(model: Model) -> tuple[object, ...]:
@@ -303,8 +303,9 @@ def compile_model(model: Model, *, check: bool = True) -> CompiledModel:
     ----------
     model : Model
     check : bool, optional
-        Whether to compare the compiled functions with the equations, evaluated in Python at random states. (What is
-        compiled later is compared then: derivatives with differences, states side by side with one after the other.)
+        Whether to compare the compiled functions with the equations, evaluated in Python at random states. A model that
+        was compiled without is compared when it is compiled with. (What is compiled later is compared then: derivatives
+        with differences, states side by side with one after the other.)
 
     Returns
     -------
@@ -344,4 +345,7 @@ def compile_model(model: Model, *, check: bool = True) -> CompiledModel:
                 check=_comparison(progress, generated.equations) if check else None,
             )
 
-    return CompiledModel.from_file(cached(model.name, key_of(model), build))
+    key = key_of(model)
+    if not check and find_cached(model.name, key) is None:
+        key = key_of(model, checked=False)
+    return CompiledModel.from_file(cached(model.name, key, build))

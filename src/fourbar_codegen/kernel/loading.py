@@ -90,24 +90,30 @@ def load_known(name: str, fingerprint: str) -> Loaded | None:
         found = load_named(name)
         if found.manifest["fingerprint"] == fingerprint:
             return found
-    path = _installed(name, fingerprint) or find_cached(name, cache_key(fingerprint))
+    path = (
+        _installed(name, fingerprint)
+        or find_cached(name, cache_key(fingerprint))
+        or find_cached(name, cache_key(fingerprint, checked=False))
+    )
     return None if path is None else load_file(path)
 
 
-def cache_key(source: object) -> str:
+def cache_key(source: object, *, checked: bool = True) -> str:
     """The key in the cache of a model that is made of a source by this package and these tools, for this machine.
 
     Parameters
     ----------
     source : object
         A model's fingerprint, or texts; plain data, as JSON has it.
+    checked : bool, optional
+        Whether it was compared with its equations: one that was not is none that was.
 
     Returns
     -------
     str
         64 hexadecimal digits.
     """
-    return digest_of([source, generator(), library_toolchain()])
+    return digest_of([source, checked, generator(), library_toolchain()])
 
 
 def load_file(path: Path) -> Loaded:

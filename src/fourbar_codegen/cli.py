@@ -304,6 +304,7 @@ def build(model: str, output: Path, wheel: bool, version: str) -> None:
 @_MODEL
 def info(model: str) -> None:
     from fourbar_codegen.building.cache import cache_folder
+    from fourbar_codegen.building.compiler import find_compiler
 
     compiled = _compiled(model)
     manifest = compiled.manifest
@@ -325,6 +326,7 @@ def info(model: str) -> None:
     click.echo("operations (written out in full):")
     for function, count in manifest["operations"].items():
         click.echo(f"  {function:<22} {count:>7} ({manifest['operations_before_sharing'][function]:.4g})")
+    click.echo(f"C compiler: {find_compiler()}")
     click.echo(f"cache of compiled models: {cache_folder()}")
 
 

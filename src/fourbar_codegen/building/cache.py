@@ -30,7 +30,17 @@ from fourbar_codegen.progress import PATIENCE, Progress
 if TYPE_CHECKING:
     from filelock import BaseFileLock
 
-__all__ = ["Entry", "cache_folder", "cached", "clear", "entries", "find_cached", "is_whole", "size_limit"]
+__all__ = [
+    "Entry",
+    "cache_folder",
+    "cached",
+    "clear",
+    "entries",
+    "find_cached",
+    "is_whole",
+    "size_limit",
+    "tool_folder",
+]
 
 VARIABLE = "FOURBAR_CODEGEN_CACHE"
 SIZE_LIMIT = "FOURBAR_CODEGEN_CACHE_SIZE"
@@ -127,10 +137,7 @@ def cached(name: str, key: str, build: Callable[[Path], Path]) -> Path:
         _note_use(place)
         return found
     except OSError as error:
-        raise CacheError(
-            f"The cache folder {root} cannot be used: {error.strerror or error}. Name another one in the environment "
-            f"variable {VARIABLE}."
-        ) from error
+        raise _unusable(root, error) from error
 
 
 def _cached(place: Path, build: Callable[[Path], Path], limit: float) -> Path:
@@ -189,6 +196,38 @@ def _held(lock: BaseFileLock, holder: Path, name: str) -> Iterator[None]:
         lock.release()
 
 
+def tool_folder(name: str, key: str) -> Path:
+    """A folder in the cache in which a tool keeps files of its own, which nobody else can read.
+
+    Parameters
+    ----------
+    name, key : str
+        As for `cached`.
+
+    Raises
+    ------
+    CacheError
+        If the folder cannot be made.
+    """
+    root = cache_folder()
+    try:
+        if _distrusted(root) or _distrusted(_place(root, name, key)):
+            root = _own_folder()
+        place = _place(root, name, key)
+        place.mkdir(mode=0o700, parents=True, exist_ok=True)
+        (place / CHECKSUM).touch()
+    except OSError as error:
+        raise _unusable(root, error) from error
+    return place
+
+
+def _unusable(root: Path, error: OSError) -> CacheError:
+    return CacheError(
+        f"The cache folder {root} cannot be used: {error.strerror or error}. Name another one in the environment "
+        f"variable {VARIABLE}."
+    )
+
+
 def _note_use(place: Path) -> None:
     with suppress(OSError):  # of another user, or where nothing can be written
         os.utime(place / CHECKSUM)
@@ -234,7 +273,7 @@ def _entries(root: Path) -> list[Entry]:
         if known is None or folder.is_symlink() or not folder.is_dir():
             continue
         with suppress(FileNotFoundError):  # removed just now
-            size = sum(path.lstat().st_size for path in folder.iterdir())
+            size = sum(path.lstat().st_size for path in folder.rglob("*"))
             found.append(Entry(folder, known["name"], size, (folder / CHECKSUM).stat().st_mtime))
     return sorted(found, key=lambda entry: entry.used, reverse=True)
 

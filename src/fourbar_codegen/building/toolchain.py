@@ -6,7 +6,6 @@ import hashlib
 import json
 import os
 import platform
-import shlex
 import shutil
 import signal
 import subprocess
@@ -18,6 +17,8 @@ from contextlib import suppress
 from functools import cache, partial
 from pathlib import Path
 
+from fourbar_codegen.building.cache import tool_folder
+from fourbar_codegen.building.compiler import INSTALL, Compiler, find_compiler, user_flags
 from fourbar_codegen.errors import BuildError
 from fourbar_codegen.files import replacing
 
@@ -69,8 +70,8 @@ TIME_LIMIT = "FOURBAR_CODEGEN_TIME_LIMIT"
 PAUSE = 0.5
 """Seconds for which tools are waited for at a time."""
 
-# Position-independent code without debugging information, which would double the file.
-COMMON_FLAGS = ("-fPIC", "-g0")
+# Without debugging information, which would double the file. Compilers for Windows refuse -fPIC: all code there is.
+COMMON_FLAGS = ("-g0",) if os.name == "nt" else ("-fPIC", "-g0")
 # Scalar straight-line code stores results that vectorized loops would reload two at a time, which stalls the
 # processor: -fno-tree-vectorize takes 10 % off the four-bar's evaluation. The solve's short loops, and those over
 # states side by side, need to be unrolled, which -O2 leaves out; the rest of -O3 costs a third of the time, for
@@ -83,8 +84,6 @@ STRICT_FLAGS = ("-fno-fast-math", "-fno-finite-math-only", "-fno-unsafe-math-opt
 # With such flags, compilers also link code that takes denormal numbers for zero, in the whole process that loads it.
 # Another -O takes the place of -Ofast, which is one of them.
 STRICT_LINK_FLAGS = ("-O2", *STRICT_FLAGS)
-# For what is built on the machine that it is used on.
-MACHINE_FLAGS = ("-march=native",) if platform.machine() == "x86_64" else ()
 # The wrapper only passes pointers on; what counts is how long its compilation takes.
 WRAPPER_FLAGS = (*COMMON_FLAGS, "-O1", "-DNPY_NO_DEPRECATED_API=NPY_1_7_API_VERSION")
 
@@ -106,18 +105,20 @@ def library_toolchain() -> dict[str, object]:
 
     No process is started: a compiler is known by its path, size and date.
     """
-    compiler = _compiler()
+    compiler = find_compiler()
     return {
         "headers": _headers_digest(),
-        "compiler": compiler,
-        "compiler file": _file_identity(shutil.which(compiler[0])),
+        "compiler": compiler.command,
+        "compiler file": _file_identity(shutil.which(compiler.command[0])),
         "flags": [
             KERNEL_FLAGS,
             DERIVATIVES_FLAGS,
             STRICT_LINK_FLAGS,
-            MACHINE_FLAGS,
-            _user_flags("CFLAGS"),
-            _link_flags(),
+            compiler.flags,
+            compiler.machine_flags,
+            compiler.link_flags,
+            user_flags("CFLAGS"),
+            user_flags("LDFLAGS"),
         ],
         "processor": _processor(),
     }
@@ -144,27 +145,6 @@ def _sympy_version() -> str:
         return version("sympy")
     except PackageNotFoundError:
         return ""
-
-
-def _compiler() -> list[str]:
-    """The C compiler: the environment's, or the one that Python was built with."""
-    return _user_flags("CC") or shlex.split(sysconfig.get_config_var("CC") or "cc")
-
-
-def _link_flags() -> list[str]:
-    """How to link an extension module on this system: what Python's own build adds to its compiler."""
-    command = shlex.split(sysconfig.get_config_var("LDSHARED") or "cc -shared")
-    own = shlex.split(sysconfig.get_config_var("CC") or "cc")
-    flags = command[len(own) :] if command[: len(own)] == own else command[1:]
-    return [*flags, *_user_flags("LDFLAGS")]
-
-
-def _user_flags(variable: str) -> list[str]:
-    try:
-        return shlex.split(os.environ.get(variable, ""))
-    except ValueError as error:
-        text = os.environ[variable]
-        raise BuildError(f"The environment variable {variable} cannot be read: {error}, in {text!r}.") from error
 
 
 @cache
@@ -261,7 +241,7 @@ def compile_library(library: Path, sources: Mapping[str, str], units: Mapping[st
     with tempfile.TemporaryDirectory() as temporary:
         for filename, text in sources.items():
             (Path(temporary) / filename).write_text(text, encoding="utf-8")
-        more = ("-DFB_ONE_MACHINE", *MACHINE_FLAGS)
+        more = ("-DFB_ONE_MACHINE", *find_compiler().machine_flags)
         flags = {Path(temporary) / filename: (*own, *more) for filename, own in units.items()}
         return _link(_side_by_side([partial(_compile, *unit) for unit in flags.items()]), library)
 
@@ -307,15 +287,12 @@ def write_sources(name: str, sources: Mapping[str, str], folder: Path) -> None:
 
 def _build(name: str, sources: Mapping[str, str], folder: Path) -> Path:
     write_sources(name, sources, folder)
-    flags: dict[Path, Sequence[str]] = {
-        folder / f"{name}_kernel.c": KERNEL_FLAGS,
-        folder / f"{name}_derivatives.c": DERIVATIVES_FLAGS,
-    }
-    if f"{name}_batch.c" in sources:
-        flags[folder / f"{name}_batch.c"] = KERNEL_FLAGS
+    units = {"_kernel.c": KERNEL_FLAGS, "_batch.c": KERNEL_FLAGS, "_derivatives.c": DERIVATIVES_FLAGS}
+    more = find_compiler().portable_flags
+    flags = {folder / f"{name}{s}": (*own, *more) for s, own in units.items() if f"{name}{s}" in sources}
 
     def compile_wrapper(running: _Running) -> Path:
-        return _compile(_cythonize(folder / f"{name}.pyx"), WRAPPER_FLAGS, running, _python_folders())
+        return _compile(_cythonize(folder / f"{name}.pyx"), (*WRAPPER_FLAGS, *more), running, _python_folders())
 
     objects = _side_by_side([compile_wrapper, *(partial(_compile, *unit) for unit in flags.items())])
     return _link(objects, folder / f"{name}{sysconfig.get_config_var('EXT_SUFFIX')}")
@@ -342,8 +319,9 @@ def _side_by_side(jobs: Sequence[Callable[[_Running], Path]]) -> list[Path]:
 
 
 def _link(objects: Iterable[Path], target: Path) -> Path:
-    run_tool([*_compiler(), *map(str, objects), *_link_flags(), *STRICT_LINK_FLAGS, "-o", str(target)], target)
-    return target
+    compiler = find_compiler()
+    options = [*compiler.link_flags, *user_flags("LDFLAGS"), *compiler.flags, *STRICT_LINK_FLAGS]
+    return _run_compiler(compiler, [*map(str, objects), *options], target)
 
 
 def _cythonize(source: Path) -> Path:
@@ -368,22 +346,30 @@ def _python_folders() -> list[str]:
 
 
 def _compile(source: Path, flags: Sequence[str], running: _Running, folders: Sequence[str] = ()) -> Path:
-    target = source.with_suffix(".o")
     include = [word for folder in (str(source.parent), get_include(), *folders) for word in ("-I", folder)]
-    run_tool(
-        [*_compiler(), *flags, *_user_flags("CFLAGS"), *STRICT_FLAGS, *include, "-c", str(source), "-o", str(target)],
-        target,
-        running=running,
-    )
+    compiler = find_compiler()
+    options = [*flags, *user_flags("CFLAGS"), *compiler.flags, *STRICT_FLAGS, *include]
+    return _run_compiler(compiler, [*options, "-c", str(source)], source.with_suffix(".o"), running)
+
+
+def _run_compiler(compiler: Compiler, arguments: Sequence[str], target: Path, running: _Running | None = None) -> Path:
+    environment = None
+    if compiler.is_zig:  # what it makes once, such as the system's libraries to link against, is kept
+        kept, once = tool_folder("ziglang", digest_of(_file_identity(shutil.which(compiler.command[0])))), target.parent
+        environment = {**os.environ, "ZIG_GLOBAL_CACHE_DIR": str(kept), "ZIG_LOCAL_CACHE_DIR": str(once / "zig-cache")}
+    tool = f"the C compiler {compiler}"
+    run_tool([*compiler.command, *arguments, "-o", str(target)], target, tool, running=running, environment=environment)
     return target
 
 
 def run_tool(
     command: Sequence[str],
     target: Path,
-    tool: str = "the C compiler",
+    tool: str,
+    *,
     cwd: Path | None = None,
     running: _Running | None = None,
+    environment: Mapping[str, str] | None = None,
 ) -> None:
     """Run a tool that is to make a file or folder; its output becomes part of the error if it fails.
 
@@ -400,13 +386,13 @@ def run_tool(
             text=True,
             errors="replace",
             cwd=cwd,
+            env=environment,
             start_new_session=True,
         )
     except OSError as error:
         raise BuildError(
-            f"The C compiler {command[0]!r} could not be started: {error.strerror}. Install one (for instance gcc or "
-            "clang), or name one in the environment variable CC. Models that build_model, fourbar build or a wheel has "
-            "brought need none: fourbar_codegen.load.",
+            f"{name} could not be started: {error.strerror}. {INSTALL} Models that build_model, fourbar build or a "
+            "wheel has brought need none: fourbar_codegen.load.",
             command=command,
         ) from error
     running.add(process)

@@ -1,0 +1,129 @@
+"""Which C compiler is used: the one that CC names, the system's, or clang as the package ziglang brings it."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shlex
+import shutil
+import sys
+import sysconfig
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+from fourbar_codegen.errors import BuildError
+
+__all__ = ["Compiler", "find_compiler", "user_flags"]
+
+INSTALL = "Install one (gcc or clang, or pip install 'fourbar_codegen[compiler]'), or name one in CC."
+
+
+@dataclass(frozen=True)
+class Compiler:
+    """A C compiler that takes the options of gcc.
+
+    Attributes
+    ----------
+    command : tuple of str
+    origin : str
+        Where it was found; empty where there is none, and the command is the one that Python was built with.
+    flags : tuple of str
+        What it always needs.
+    machine_flags : tuple of str
+        For code that runs on this machine alone.
+    portable_flags : tuple of str
+        For code that runs on other machines of this kind as well.
+    link_flags : tuple of str
+        For a shared library that Python may load.
+    is_zig : bool
+        Whether it keeps files of its own, in the folders that two environment variables name.
+    """
+
+    command: tuple[str, ...]
+    origin: str
+    flags: tuple[str, ...]
+    machine_flags: tuple[str, ...]
+    portable_flags: tuple[str, ...]
+    link_flags: tuple[str, ...]
+    is_zig: bool
+
+    def __str__(self) -> str:
+        return f"{shlex.join(self.command)} ({self.origin or f'not found. {INSTALL}'})"
+
+
+def find_compiler() -> Compiler:
+    """The C compiler that is used.
+
+    Raises
+    ------
+    BuildError
+        If an environment variable cannot be read.
+
+    Examples
+    --------
+    >>> find_compiler().origin
+    'the system'
+    """
+    named = user_flags("CC")
+    pythons = shlex.split(sysconfig.get_config_var("CC") or "cc")
+    if named:
+        return _gnu(named, "the environment variable CC", _pythons_link_flags())
+    if shutil.which(pythons[0]):
+        return _gnu(pythons, "the system", _pythons_link_flags())
+    for command in ("cc", "gcc", "clang"):
+        if shutil.which(command):
+            return _gnu([command], "the system", _own_link_flags())
+    zig = _ziglang()
+    if zig is not None:
+        return _gnu([str(zig), "cc"], "the package ziglang", _own_link_flags())
+    return _gnu(pythons, "", _pythons_link_flags())
+
+
+def user_flags(variable: str) -> list[str]:
+    """The words of an environment variable.
+
+    Raises
+    ------
+    BuildError
+        If they cannot be told apart.
+    """
+    try:
+        return shlex.split(os.environ.get(variable, ""))
+    except ValueError as error:
+        text = os.environ[variable]
+        raise BuildError(f"The environment variable {variable} cannot be read: {error}, in {text!r}.") from error
+
+
+def _gnu(command: list[str], origin: str, link_flags: list[str]) -> Compiler:
+    # zig is clang with defaults of its own: it compiles for this machine, and checks for undefined behaviour.
+    zig = Path(command[0]).stem == "zig" or "ziglang" in command
+    native = ("-march=native",) if platform.machine() in {"x86_64", "AMD64"} else ()
+    return Compiler(
+        tuple(command),
+        origin,
+        flags=("-fno-sanitize=undefined",) if zig else (),
+        machine_flags=() if zig else native,
+        portable_flags=("-mcpu=baseline",) if zig else (),
+        link_flags=tuple(_own_link_flags() if zig else link_flags),
+        is_zig=zig,
+    )
+
+
+def _pythons_link_flags() -> list[str]:
+    """What Python's own build adds to its compiler to link an extension module."""
+    command = shlex.split(sysconfig.get_config_var("LDSHARED") or "cc -shared")
+    own = shlex.split(sysconfig.get_config_var("CC") or "cc")
+    return command[len(own) :] if command[: len(own)] == own else command[1:]
+
+
+def _own_link_flags() -> list[str]:
+    return ["-shared", *(["-undefined", "dynamic_lookup"] if sys.platform == "darwin" else [])]
+
+
+def _ziglang() -> Path | None:
+    """The program in the package ziglang, where that is installed (https://ziglang.org, https://pypi.org)."""
+    spec = find_spec("ziglang")
+    folders = map(Path, (spec and spec.submodule_search_locations) or ())
+    programs = (folder / ("zig.exe" if os.name == "nt" else "zig") for folder in folders)
+    return next((program for program in programs if program.is_file()), None)

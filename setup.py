@@ -4,42 +4,70 @@ The runtime, and every model whose generated sources are in generated/. It gener
 """
 
 import os
+import platform
 from pathlib import Path
 
 import numpy as np
 from Cython.Build import cythonize
 from setuptools import Extension, setup
+from setuptools.command.build_ext import build_ext
 
 RUNTIME = "src/fourbar_codegen/runtime"
-# Behind the user's flags, as in toolchain.py: what is not a number has to be noticed, and roundings are part of the
-# method.
-STRICT_FLAGS = ["-fno-fast-math", "-fno-finite-math-only", "-fno-unsafe-math-optimizations"]
 MACROS = [("NPY_NO_DEPRECATED_API", "NPY_1_7_API_VERSION")]
+# For compilers that take gcc's options. Behind the user's flags, as in toolchain.py: what is not a number has to be
+# noticed, and roundings are part of the method.
+STRICT = ["-fno-fast-math", "-fno-finite-math-only", "-fno-unsafe-math-optimizations"]
+LINK = ["-O2", *STRICT]
+WRAPPED = ["-O3", "-g0", *STRICT]
+# The flags of toolchain.py.
+KERNEL = ["-O2", "-fpeel-loops", "-fno-tree-vectorize", "-g0", *STRICT]
+VERSIONS = {"avx2": ["-mavx2", "-mfma"], "avx512": ["-mavx2", "-mfma", "-mavx512f", "-mavx512dq", "-mavx512vl"]}
+# Microsoft's: versions for more instructions are empty there.
+MICROSOFT = ["/O2", "/fp:precise", "/std:c11"]
 
 
-def extension(name: str, sources: list[Path | str], folder: Path | str, *flags: str) -> Extension:
+def extension(name: str, sources: list[Path | str], folder: Path | str) -> Extension:
     return Extension(
         f"fourbar_codegen.{name}",
         [str(source) for source in sources],
         include_dirs=[str(folder), RUNTIME, np.get_include()],
         depends=[str(path) for path in sorted(Path(RUNTIME).glob("*.h")) + sorted(Path(RUNTIME).glob("*.pxd"))],
         define_macros=MACROS,
-        extra_compile_args=["-O3", *flags, "-g0", *STRICT_FLAGS],
-        extra_link_args=["-O2", *STRICT_FLAGS],
     )
+
+
+class BuildExtension(build_ext):
+    """Flags by the kind of compiler and source, which an Extension alone cannot have."""
+
+    def build_extension(self, ext: Extension) -> None:
+        """Build one, by setuptools."""
+        if self.compiler.compiler_type == "msvc":
+            ext.extra_compile_args = MICROSOFT
+        else:
+            is_model = ext.name.startswith("fourbar_codegen.prebuilt.")
+            ext.extra_compile_args, ext.extra_link_args = KERNEL if is_model else WRAPPED, LINK
+            if platform.machine() in {"x86_64", "AMD64"}:
+                for version, flags in VERSIONS.items():
+                    self.compile_version(ext, f"_{version}.c", flags)
+        super().build_extension(ext)
+
+    def compile_version(self, ext: Extension, suffix: str, flags: list[str]) -> None:
+        """Compile the sources of a version apart from the others."""
+        sources = [source for source in ext.sources if source.endswith(suffix)]
+        ext.sources = [source for source in ext.sources if source not in sources]
+        ext.extra_objects += self.compiler.compile(
+            sources,
+            output_dir=self.build_temp,
+            macros=ext.define_macros,
+            include_dirs=ext.include_dirs,
+            extra_postargs=[*ext.extra_compile_args, *flags],
+            depends=[*ext.depends, *ext.sources],
+        )
 
 
 runtime = [extension(f"runtime.{wrapper.stem}", [wrapper], RUNTIME) for wrapper in sorted(Path(RUNTIME).glob("*.pyx"))]
 models = [
-    # The flags of toolchain.py.
-    extension(
-        f"prebuilt.{wrapper.stem}",
-        [wrapper, *sorted(wrapper.parent.glob("*.c"))],
-        wrapper.parent,
-        "-O2",
-        "-fpeel-loops",
-        "-fno-tree-vectorize",
-    )
+    extension(f"prebuilt.{wrapper.stem}", [wrapper, *sorted(wrapper.parent.glob("*.c"))], wrapper.parent)
     for wrapper in sorted(Path("generated").glob("*/*.pyx"))
 ]
 
@@ -49,5 +77,6 @@ setup(
         build_dir="build/cython",
         include_path=["src"],
     ),
+    cmdclass={"build_ext": BuildExtension},
     options={"build_ext": {"parallel": os.cpu_count()}},
 )

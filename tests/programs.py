@@ -4,7 +4,15 @@ import shutil
 
 import pytest
 
-PACKAGES = {"gcc": "gcc", "clang": "clang", "chromium": "chromium", "ffmpeg": "ffmpeg", "ffprobe": "ffmpeg"}
+PACKAGES = {
+    "gcc": "gcc",
+    "clang": "clang",
+    "chromium": "chromium",
+    "ffmpeg": "ffmpeg",
+    "ffprobe": "ffmpeg",
+    "qemu-aarch64": "qemu-user",
+    "qemu-x86_64": "qemu-user",
+}
 """By whose name Debian installs them."""
 
 

@@ -29,9 +29,13 @@ COMMITTED = ROOT / "generated" / "four_bar"
 NAMES = [
     "four_bar.pyx",
     "four_bar_batch.c",
+    "four_bar_batch_avx2.c",
+    "four_bar_batch_avx512.c",
     "four_bar_derivatives.c",
     "four_bar_kernel.c",
     "four_bar_kernel.h",
+    "four_bar_kernel_avx2.c",
+    "four_bar_kernel_avx512.c",
     "manifest.json",
 ]
 

@@ -16,8 +16,10 @@ cdef extern from "four_bar_kernel.h":
         int n_q, n_u, n_p, n_r, n_constants
         void (*prepare)(const double *, double *)
         int (*rhs)(double, const double *, const double *, const double *, double *, void *)
+    const fb_kernel *fb_fastest(const fb_kernel *)
     const fb_kernel four_bar_kernel
 
+cdef const fb_kernel *fastest = fb_fastest(&four_bar_kernel)
 kernel = PyCapsule_New(<void *>&four_bar_kernel, FB_CAPSULE_NAME, NULL)
 
 manifest = (
@@ -510,7 +512,7 @@ cdef cnp.ndarray _vector(values, int size, name):
 
 def rhs(double t, x, p, r):
     """Rates x' of the state x at time t, for parameters p and inputs r; all in the manifest's order."""
-    cdef const fb_kernel *k = &four_bar_kernel
+    cdef const fb_kernel *k = fastest
     cdef cnp.npy_intp n_x = k.n_q + k.n_u
     cdef cnp.ndarray state = _vector(x, n_x, "x")
     cdef cnp.ndarray parameters = _vector(p, k.n_p, "p")

@@ -30,8 +30,13 @@ enum {
     N_RANK = 2,
     N_CONSTANTS = 33
 };
-#define FB_NAME(function) four_bar_##function
+#define FB_DERIVATIVES four_bar_derivatives
 #define FB_HAS_BATCH_FUNCTIONS
+#ifndef FB_TABLE /* as in the versions for processors with more instructions */
+#define FB_TABLE(name) four_bar_##name
+#define FB_INSTRUCTIONS FB_BASELINE
+#define FB_FASTER &four_bar_kernel_avx2
+#endif
 
 /* The order in which constraints are eliminated as a rule; the speeds for which they are solved, and the others. */
 static const int static_pivot_row[] = {1, 0};

@@ -326,6 +326,7 @@ def info(model: str) -> None:
     click.echo("operations (written out in full):")
     for function, count in manifest["operations"].items():
         click.echo(f"  {function:<22} {count:>7} ({manifest['operations_before_sharing'][function]:.4g})")
+    click.echo(f"instructions: {compiled.instructions}")
     click.echo(f"C compiler: {find_compiler()}")
     click.echo(f"cache of compiled models: {cache_folder()}")
 

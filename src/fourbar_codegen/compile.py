@@ -19,9 +19,10 @@ from fourbar_codegen.compiled import CompiledModel
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.expressions.fingerprint import fingerprint
 from fourbar_codegen.files import path_of
-from fourbar_codegen.kernel.loading import cache_key
+from fourbar_codegen.kernel.loading import cache_key, load_file
 from fourbar_codegen.modeling.model import Model
 from fourbar_codegen.progress import Progress
+from fourbar_codegen.runtime.evaluator import versions
 
 if TYPE_CHECKING:
     from fourbar_codegen.dynamics.derivatives import Derivatives
@@ -53,8 +54,8 @@ def generate_sources(model: Model) -> dict[str, str]:
     --------
     >>> import fourbar_codegen as fb
     >>> sorted(fb.generate_sources(fb.models.four_bar()))
-    ['four_bar.pyx', 'four_bar_batch.c', 'four_bar_derivatives.c', 'four_bar_kernel.c', 'four_bar_kernel.h',
-     'manifest.json']
+    ['four_bar.pyx', 'four_bar_batch.c', 'four_bar_batch_avx2.c', 'four_bar_batch_avx512.c', 'four_bar_derivatives.c',
+     'four_bar_kernel.c', 'four_bar_kernel.h', 'four_bar_kernel_avx2.c', 'four_bar_kernel_avx512.c', 'manifest.json']
     """
     with Progress(f"fourbar_codegen: {getattr(model, 'name', '')}") as progress:
         _, _, sources = _generate(model, progress)
@@ -124,6 +125,7 @@ def _generate_rest(generated: _Generated) -> tuple[Derivatives, dict[str, str], 
 def _generate(model: Model, progress: Progress) -> tuple[Equations, Derivatives, dict[str, str]]:
     """The equations, their derivatives, and all sources made of them."""
     generated = _generate_kernel(model, progress)
+    from fourbar_codegen.codegen.c_source import version_texts
     from fourbar_codegen.codegen.cython_source import wrapper_text
     from fourbar_codegen.codegen.manifest import manifest_text
 
@@ -134,6 +136,7 @@ def _generate(model: Model, progress: Progress) -> tuple[Equations, Derivatives,
         derivatives,
         {
             **generated.sources,
+            **{f"{model.name}{suffix}": text for suffix, text in version_texts(generated.scheduled).items()},
             **source,
             f"{model.name}.pyx": wrapper_text(model, manifest),
             "manifest.json": manifest_text(manifest),
@@ -284,10 +287,16 @@ def _comparison(
     """What compares a compiled model with its equations."""
 
     def compare(module: Path) -> None:
+        from fourbar_codegen.kernel.comparison import compare_batch_functions
         from fourbar_codegen.verify import verify
 
         progress.stage("checking")
-        verify(CompiledModel.from_file(module), equations, derivatives)
+        loaded = load_file(module)
+        for kernel in versions(loaded.kernel):
+            model = CompiledModel(kernel, loaded.manifest)
+            verify(model, equations, derivatives)
+            if not model.lacks_batch_functions:
+                compare_batch_functions(model)
 
     return compare
 

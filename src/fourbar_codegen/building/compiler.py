@@ -105,7 +105,8 @@ def _gnu(command: list[str], origin: str, link_flags: list[str]) -> Compiler:
         flags=("-fno-sanitize=undefined",) if zig else (),
         machine_flags=() if zig else native,
         portable_flags=("-mcpu=baseline",) if zig else (),
-        link_flags=tuple(_own_link_flags() if zig else link_flags),
+        # There, too: what it links to every library is compiled for a processor.
+        link_flags=(*_own_link_flags(), "-mcpu=baseline") if zig else tuple(link_flags),
         is_zig=zig,
     )
 

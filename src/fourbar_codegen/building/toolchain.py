@@ -84,6 +84,21 @@ STRICT_FLAGS = ("-fno-fast-math", "-fno-finite-math-only", "-fno-unsafe-math-opt
 # With such flags, compilers also link code that takes denormal numbers for zero, in the whole process that loads it.
 # Another -O takes the place of -Ofast, which is one of them.
 STRICT_LINK_FLAGS = ("-O2", *STRICT_FLAGS)
+# Versions of a kernel, of which the fastest that the processor can run is taken when a module is loaded. What else is
+# native to a processor makes no difference that could be measured.
+_X86 = platform.machine() in {"x86_64", "AMD64"}
+AVX2_FLAGS = (*KERNEL_FLAGS, *(("-mavx2", "-mfma") if _X86 else ()))
+AVX512_FLAGS = (*AVX2_FLAGS, *(("-mavx512f", "-mavx512dq", "-mavx512vl") if _X86 else ()))
+UNITS = {
+    "_kernel.c": KERNEL_FLAGS,
+    "_batch.c": KERNEL_FLAGS,
+    "_kernel_avx2.c": AVX2_FLAGS,
+    "_batch_avx2.c": AVX2_FLAGS,
+    "_kernel_avx512.c": AVX512_FLAGS,
+    "_batch_avx512.c": AVX512_FLAGS,
+    "_derivatives.c": DERIVATIVES_FLAGS,
+}
+"""The sources of an extension module beside its wrapper, by the ends of their names, and their flags."""
 # The wrapper only passes pointers on; what counts is how long its compilation takes.
 WRAPPER_FLAGS = (*COMMON_FLAGS, "-O1", "-DNPY_NO_DEPRECATED_API=NPY_1_7_API_VERSION")
 
@@ -191,7 +206,7 @@ def build_extension(
     Parameters
     ----------
     name : str
-        The module's name; `sources` has ``{name}.pyx``, ``{name}_kernel.c`` and ``{name}_derivatives.c``.
+        The module's name; `sources` has ``{name}.pyx``, and of `UNITS` what the model has.
     sources : mapping of str to str
         Text by file name.
     folder : Path
@@ -278,18 +293,17 @@ def write_sources(name: str, sources: Mapping[str, str], folder: Path) -> None:
         for filename, text in sources.items():
             with replacing(folder / filename) as file:
                 file.write(text.encode("utf-8"))
-        batch = f"{name}_batch.c"
-        if batch not in sources:  # not every model has that one
-            (folder / batch).unlink(missing_ok=True)
+        for suffix in UNITS:
+            if f"{name}{suffix}" not in sources:  # not every model has all
+                (folder / f"{name}{suffix}").unlink(missing_ok=True)
     except OSError as error:
         raise BuildError(f"{folder} cannot be written: {error.strerror or error}.") from error
 
 
 def _build(name: str, sources: Mapping[str, str], folder: Path) -> Path:
     write_sources(name, sources, folder)
-    units = {"_kernel.c": KERNEL_FLAGS, "_batch.c": KERNEL_FLAGS, "_derivatives.c": DERIVATIVES_FLAGS}
     more = find_compiler().portable_flags
-    flags = {folder / f"{name}{s}": (*own, *more) for s, own in units.items() if f"{name}{s}" in sources}
+    flags = {folder / f"{name}{s}": (*own, *more) for s, own in UNITS.items() if f"{name}{s}" in sources}
 
     def compile_wrapper(running: _Running) -> Path:
         return _compile(_cythonize(folder / f"{name}.pyx"), (*WRAPPER_FLAGS, *more), running, _python_folders())

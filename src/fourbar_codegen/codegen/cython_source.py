@@ -39,8 +39,10 @@ cdef extern from "{name}_kernel.h":
         int n_q, n_u, n_p, n_r, n_constants
         void (*prepare)(const double *, double *)
         int (*rhs)(double, const double *, const double *, const double *, double *, void *)
+    const fb_kernel *fb_fastest(const fb_kernel *)
     const fb_kernel {name}_kernel
 
+cdef const fb_kernel *fastest = fb_fastest(&{name}_kernel)
 kernel = PyCapsule_New(<void *>&{name}_kernel, FB_CAPSULE_NAME, NULL)
 
 manifest = (
@@ -57,7 +59,7 @@ cdef cnp.ndarray _vector(values, int size, name):
 
 def rhs(double t, x, p, r):
     """Rates x' of the state x at time t, for parameters p and inputs r; all in the manifest's order."""
-    cdef const fb_kernel *k = &{name}_kernel
+    cdef const fb_kernel *k = fastest
     cdef cnp.npy_intp n_x = k.n_q + k.n_u
     cdef cnp.ndarray state = _vector(x, n_x, "x")
     cdef cnp.ndarray parameters = _vector(p, k.n_p, "p")

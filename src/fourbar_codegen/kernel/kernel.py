@@ -20,7 +20,7 @@ from fourbar_codegen.kernel.comparison import compare_batch_functions, compare_d
 from fourbar_codegen.kernel.dependent import eliminate
 from fourbar_codegen.kernel.loading import Loaded, load_file, load_from_sources, load_known, load_part
 from fourbar_codegen.progress import Progress
-from fourbar_codegen.runtime.evaluator import NOT_FINITE, Evaluator, is_finite
+from fourbar_codegen.runtime.evaluator import NOT_FINITE, Evaluator, is_finite, versions
 
 __all__ = ["Kernel"]
 
@@ -55,9 +55,9 @@ class Kernel(Evaluator):
 
     @classmethod
     def from_loaded(cls, loaded: Loaded) -> Self:
-        """The model that was loaded."""
+        """The model that was loaded, in the fastest version that the processor can run."""
         try:
-            model = cls(loaded.kernel, loaded.manifest)
+            model = cls(versions(loaded.kernel)[-1], loaded.manifest)
         except (ValueError, KeyError) as error:
             if isinstance(error, ModelError):  # is one, of another layout
                 raise

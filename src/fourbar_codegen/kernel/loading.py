@@ -33,7 +33,7 @@ class Loaded:
     Attributes
     ----------
     kernel : object
-        The capsule of its kernel.
+        The capsule of its kernel, of which there may be faster versions; see `evaluator.versions`.
     manifest : dict
     path : Path
     """

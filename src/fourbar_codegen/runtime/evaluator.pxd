@@ -60,6 +60,9 @@ cdef extern from "fourbar_kernel.h":
         const fb_batch_functions *batch_functions
         int batch_functions_apart
         int one_machine
+        int instructions
+        const fb_kernel *faster
+    bint fb_runs_here(const fb_kernel *) noexcept nogil
 
 cdef extern from "fourbar_problem.h":
     ctypedef struct fb_table:

@@ -168,6 +168,24 @@ def kernel_at(size_t address):
     return PyCapsule_New(<void *>address, FB_CAPSULE_NAME, NULL)
 
 
+cdef const fb_kernel *_kernel_in(object capsule) except NULL:
+    return <const fb_kernel *>PyCapsule_GetPointer(capsule, FB_CAPSULE_NAME)
+
+
+def versions(capsule not None):
+    """The capsules of a kernel's versions that the processor can run, each faster than the one before.
+
+    The first is the given one, for all processors of its kind.
+    """
+    cdef const fb_kernel *kernel = _kernel_in(capsule)
+    found = [capsule]
+    # Another layout may have something else in that place: an Evaluator of it says so.
+    while kernel.struct_size == sizeof(fb_kernel) and fb_runs_here(kernel) and fb_runs_here(kernel.faster):
+        kernel = kernel.faster
+        found.append(kernel_at(<size_t>kernel))
+    return found
+
+
 cdef class Evaluator:
     """Evaluates one kernel.
 
@@ -183,7 +201,7 @@ cdef class Evaluator:
     # another thread in, then fills the buffers and calls the kernel without a step of Python in between.
 
     def __cinit__(self, capsule, manifest):
-        cdef const fb_kernel *kernel = <const fb_kernel *>PyCapsule_GetPointer(capsule, FB_CAPSULE_NAME)
+        cdef const fb_kernel *kernel = _kernel_in(capsule)
         if kernel.abi_version != FB_ABI_VERSION or kernel.struct_size != sizeof(fb_kernel):
             raise _other_layout(manifest)
         if kernel.batch_functions != NULL and not fb_batch_functions_agree(kernel.batch_functions):
@@ -228,6 +246,13 @@ cdef class Evaluator:
     def is_portable(self):
         """Whether it was built to travel, and not for the processor of one machine."""
         return self.kernel.one_machine == 0
+
+    @property
+    def instructions(self):
+        """What it was compiled for: "native", the processor of this machine; or, of a module that travels, "baseline",
+        "avx2" or "avx512", the most that the processor has.
+        """
+        return "native" if self.kernel.one_machine else ("baseline", "avx2", "avx512")[self.kernel.instructions]
 
     def _attach_batch_functions(self, size_t address):
         """Take an ``fb_batch_functions`` that was built apart from the kernel: functions for states side by side.

@@ -13,7 +13,7 @@
 
 #include <stddef.h>
 
-#define FB_ABI_VERSION 10
+#define FB_ABI_VERSION 11
 #define FB_CAPSULE_NAME "fourbar_codegen.kernel"
 
 /* Long functions are printed in parts, which the compiler must not put together again. */
@@ -22,6 +22,9 @@
 #else
 #define FB_PART
 #endif
+
+/* The instructions that a kernel was compiled for, beyond those that all processors of its kind have. */
+enum FB_INSTRUCTION_SET { FB_BASELINE = 0, FB_AVX2 = 1, FB_AVX512 = 2 };
 
 enum FB_STATUS {
     FB_OK = 0,
@@ -123,8 +126,36 @@ typedef struct fb_kernel {
     const fb_derivatives *derivatives;         /* or NULL, where they are in a library of their own */
     const fb_batch_functions *batch_functions; /* the same for several states side by side, or NULL */
     int batch_functions_apart;                 /* whether they are in a library of their own */
-    int one_machine; /* whether it was compiled for the processor of one machine, and not to travel */
+    int one_machine;                /* whether it was compiled for the processor of one machine, and not to travel */
+    int instructions;               /* an FB_INSTRUCTION_SET */
+    const struct fb_kernel *faster; /* the same for processors with more instructions, or NULL; empty, with abi_version
+                                     * 0, where the compiler was not told to use them */
 } fb_kernel;
+
+/* Whether a kernel is there, and the processor has the instructions that it was compiled for. */
+static inline int fb_runs_here(const fb_kernel *k)
+{
+    if (k == NULL || k->abi_version != FB_ABI_VERSION)
+        return 0;
+#if defined(__GNUC__) && (defined(__x86_64__) || defined(__i386__))
+    __builtin_cpu_init();
+    const int avx2 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
+    if (k->instructions == FB_AVX512)
+        return avx2 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&
+               __builtin_cpu_supports("avx512vl");
+    if (k->instructions == FB_AVX2)
+        return avx2;
+#endif
+    return k->instructions == FB_BASELINE;
+}
+
+/* The fastest version of a kernel that the processor can run. */
+static inline const fb_kernel *fb_fastest(const fb_kernel *kernel)
+{
+    while (fb_runs_here(kernel->faster))
+        kernel = kernel->faster;
+    return kernel;
+}
 
 /* What a shared library without Python says of itself: the symbol `fourbar_library`. */
 typedef struct fb_library {

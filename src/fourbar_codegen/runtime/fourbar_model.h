@@ -1,7 +1,8 @@
 /* The part of a kernel that is the same for every model: it solves what the generated functions set up.
  *
  * Included once, at the end of a generated source, which defines N_Q, N_U, ..., the functions `prepare` to
- * `output`, and FB_NAME(function), the names of the table `kernel` and of the derivatives, which stand elsewhere.
+ * `output`, and the names of tables: FB_TABLE(kernel), FB_TABLE(batch_functions), and FB_DERIVATIVES, which stands
+ * elsewhere.
  */
 #include "fourbar_array.h"
 #include "fourbar_kernel.h"
@@ -241,7 +242,7 @@ static int differentiate(fb_sensitivity *function, int n, double t, const double
     return all_finite(matrix, N_X * n);
 }
 
-const fb_kernel FB_NAME(kernel) = {
+const fb_kernel FB_TABLE(kernel) = {
     .abi_version = FB_ABI_VERSION,
     .struct_size = sizeof(fb_kernel),
     .work_size = sizeof(fb_work),
@@ -279,9 +280,11 @@ const fb_kernel FB_NAME(kernel) = {
     .batch_functions_apart = 1,
 #endif
 #else
-    .derivatives = &FB_NAME(derivatives),
+    .derivatives = &FB_DERIVATIVES,
 #ifdef FB_HAS_BATCH_FUNCTIONS
-    .batch_functions = &FB_NAME(batch_functions),
+    .batch_functions = &FB_TABLE(batch_functions),
+    .instructions = FB_INSTRUCTIONS,
+    .faster = FB_FASTER,
 #endif
 #endif
 };

@@ -266,5 +266,5 @@ static FB_FLATTEN int batch(const fb_batch *b, const long begin, const long end)
 
 #include "fourbar_ensemble.h"
 
-const fb_batch_functions FB_NAME(batch_functions) = {
+const fb_batch_functions FB_TABLE(batch_functions) = {
     .layout = FB_LAYOUT, .width = FB_WIDTH, .batch = batch, .run = run};

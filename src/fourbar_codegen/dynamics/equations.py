@@ -263,10 +263,11 @@ def form_equations(model: Model) -> Equations:
         )
     others, _ = breakpoints(tape, v.time, [*dynamic[:n_u], *kinematic, *q_rates, *defaults])
     times = dict.fromkeys([*jumps, *others])
+    reached = set(tape.reach(entries))
     needed = tuple(
         leaf
         for symbol, leaf in zip(model.parameter_symbols, v.p, strict=True)
-        if symbol in model.named_parameters or tape.depends(entries, {leaf})
+        if symbol in model.named_parameters or leaf.node in reached
     )
     return Equations(
         tape=tape,

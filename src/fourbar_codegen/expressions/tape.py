@@ -227,6 +227,7 @@ class Tape:
 
     def __init__(self) -> None:
         self.nodes: list[Node] = [Product(())]
+        self._operands: list[tuple[int, ...]] = [()]
         self._numbers: dict[tuple[type, Any], int] = {}
         self.zero = Scalar(self, 0, ONE)
         self.one = Scalar(self, 1, ONE)
@@ -246,6 +247,7 @@ class Tape:
         if known is None:
             known = self._numbers[key] = len(self.nodes)
             self.nodes.append(operation)
+            self._operands.append(operands(operation))
         return known
 
     def _node(self, operation: Node) -> Scalar:
@@ -332,7 +334,7 @@ class Tape:
             node = stack.pop()
             if node not in found and node not in known and node != ONE:
                 found.add(node)
-                stack.extend(operands(self.nodes[node]))
+                stack += self._operands[node]
         return sorted(found)
 
     def count_operations(self, scalars: Iterable[Scalar]) -> int:
@@ -347,7 +349,7 @@ class Tape:
         """Those of the nodes, given in order of evaluation, that depend on any of the leaves."""
         found = {leaf.node for leaf in leaves}
         for node in nodes:
-            if not found.isdisjoint(operands(self.nodes[node])):
+            if not found.isdisjoint(self._operands[node]):
                 found.add(node)
         return found
 

@@ -316,5 +316,7 @@ def _extract_pairs(
 def _ratio(a: Number, b: Number) -> Number:
     if isinstance(a, float) or isinstance(b, float):
         return a / b
+    if type(a) is type(b) is int and not a % b:  # as nearly all are, without the time that a Fraction takes
+        return a // b
     ratio = Fraction(a) / Fraction(b)
     return ratio.numerator if ratio.denominator == 1 else ratio

@@ -800,13 +800,40 @@ def test_a_home_that_cannot_be_used(shared, monkeypatch):
     assert module.read_text() == "first"
 
 
-def test_file_systems_that_run_nothing(four_bar, tmp_path):
-    mount = ["mount", "-t", "tmpfs", "-o", "noexec", "tmpfs", str(tmp_path)]
+@contextlib.contextmanager
+def mounted(folder, options):
+    """A file system of its own on a folder."""
+    mount = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(folder)]
     if subprocess.run(mount, capture_output=True, check=False).returncode:
-        pytest.skip("only who may mount has a file system with noexec: run the tests as root as well")
+        pytest.skip("only who may mount has a file system of its own: run the tests as root as well")
     try:
+        yield
+    finally:
+        subprocess.run(["umount", "--lazy", str(folder)], check=True)
+
+
+def test_a_full_disk_leaves_the_cache_as_it_was(monkeypatch, tmp_path):
+    with mounted(tmp_path, "size=400k"):
+        monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path / "cache"))
+        first = fb.compile_model(slider())
+        before = [entry.folder for entry in cache.entries()]
+        file = os.open(tmp_path / "all", os.O_CREAT | os.O_WRONLY)
+        with contextlib.suppress(OSError):  # when nothing is left
+            while True:
+                os.write(file, bytes(64))
+        os.close(file)
+        for call in (lambda: fb.compile_model(slider("mass")), lambda: first.jacobian(0.0, [0.3] * 4)):
+            with pytest.raises(fb.CacheError, match="No space left on device"):
+                call()
+        assert [entry.folder for entry in cache.entries()] == before
+        assert not list((tmp_path / "cache").glob("*.building"))
+        assert fb.compile_model(slider()).path == first.path  # what is there can be had
+        (tmp_path / "all").unlink()
+        assert first.jacobian(0.0, [0.3] * 4).shape == (4, 4)
+
+
+def test_file_systems_that_run_nothing(four_bar, tmp_path):
+    with mounted(tmp_path, "noexec"):
         shutil.copy(four_bar.path, tmp_path)
         with pytest.raises(fb.ModelError, match="mounted with noexec"):
             fb.load(tmp_path / four_bar.path.name)
-    finally:
-        subprocess.run(["umount", "--lazy", str(tmp_path)], check=True)

@@ -18,6 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from measure import (
     README,
     call,
@@ -35,6 +36,7 @@ import fourbar_codegen as fb
 
 ROOT = Path(__file__).parent.parent
 ROUNDS = 15
+STATES = 4096
 
 
 TUTORIAL_PROCESS = """
@@ -139,12 +141,19 @@ def main() -> None:
     row("evaluation from Python, ode()(t, x)", "us", 80, one, evaluation(ode, x0, 5000))
     sources = {path.name: path.read_text() for path in (ROOT / "generated" / "four_bar").glob("*.[ch]")}
     inside = functools.partial(evaluation_inside_c, "four_bar", sources, t=0.5, x=x0, p=tutorial.p_values)
-    row("evaluation inside C, as in the wheel", "us", 200, one, inside(function="rhs", flags=[]))
+    row("evaluation inside C, on any processor", "us", 200, one, inside(function="rhs", flags=[]))
     native = ["-march=native"] if platform.machine() == "x86_64" else []
     row("evaluation inside C, for this machine", "us", 200, one, inside(function="rhs", flags=native))
     forming = row("forming q', M, f, J, gamma inside C", "us", None, inside(function="dynamics", flags=native))
     operations = four_bar.manifest["operations"]["dynamics"]
     print(f"{'the same per operation':<52} {'':>10} {1e9 * forming / operations:10.4f} ns")
+
+    own = fb.compile_model(fb.models.four_bar())
+    states = np.tile(x0, (STATES, 1)).T + 1e-3 * np.random.default_rng(0).standard_normal((6, STATES))
+    each = evaluation(tutorial.rhs, x0, 500)
+    for name, model in (("as shipped", four_bar), ("compiled for this machine", own)):
+        side_by_side = functools.partial(model.rhs_batch, 0.5, states)
+        row(f"{STATES} states at once, {name}", "ms", None, lambda: STATES * each(), call(side_by_side))
 
     default = {"method": "RK45", "rtol": 1e-3, "atol": 1e-6}
     for name, target, how in (("RK45 as by default", None, default), ("DOP853 at 1e-10", 200, precise)):
@@ -153,6 +162,8 @@ def main() -> None:
         row(f"simulate, 4 s, {name}, loop kept closed", "ms", target, slow, call(simulate))
         # Then the processor has to find its code and data anew.
         row("the same, alone after other work", "ms", None, slow, functools.partial(timed, simulate))
+        here = functools.partial(own.simulate, (0, 4), x0, **how)
+        row("as before, compiled for this machine", "ms", None, slow, call(here))
     row("solve_ivp, 4 s, default RK45, steps in C", "ms", 7,
         solve(tutorial.rhs), solve(ode, method=fb.solvers.RK45))  # fmt: skip
     row("solve_ivp, 4 s, DOP853 at 1e-10, steps in C", "ms", None,

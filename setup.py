@@ -5,6 +5,7 @@ The runtime, and every model whose generated sources are in generated/. It gener
 
 import os
 import platform
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -46,7 +47,8 @@ class BuildExtension(build_ext):
         else:
             is_model = ext.name.startswith("fourbar_codegen.prebuilt.")
             ext.extra_compile_args, ext.extra_link_args = KERNEL if is_model else WRAPPED, LINK
-            if platform.machine() in {"x86_64", "AMD64"}:
+            # macOS builds may be for two kinds of processors at once.
+            if platform.machine() in {"x86_64", "AMD64"} and sys.platform != "darwin":
                 for version, flags in VERSIONS.items():
                     self.compile_version(ext, f"_{version}.c", flags)
         super().build_extension(ext)

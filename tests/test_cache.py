@@ -339,9 +339,47 @@ def test_states_side_by_side_that_cannot_be_compiled(monkeypatch, tmp_path):
 def test_states_side_by_side_without_their_sources(monkeypatch, tmp_path):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     model = fb.compile_model(slider())
-    shutil.rmtree(model.path.parent)
+    x = np.full((4, 3), 0.5)
+    alone = tmp_path / "alone"
+    alone.mkdir()
+    for name in ("slider_kernel.so", "slider_numbers.json"):
+        shutil.copy(model.path.with_name(name), alone)
     with pytest.raises(fb.ModelError, match="compile the model again"):
-        model.rhs_batch(0.0, np.full((4, 3), 0.5))
+        fb.load(alone / "slider_kernel.so").rhs_batch(0.0, x)
+    # A model that is loaded has what it needs, and can be compiled again.
+    cache.clear()
+    rates = model.rhs_batch(0.0, x)
+    again = fb.compile_model(slider())
+    assert again.path == model.path
+    np.testing.assert_array_equal(again.rhs_batch(0.0, x), rates)
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(model)).rhs_batch(0.0, x), rates)
+
+
+def test_a_cache_of_no_size(monkeypatch, tmp_path):
+    """What was just made stays, and a model does not need what went."""
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE_SIZE", "1")
+    model = fb.compile_model(slider())
+    x = np.full((4, 3), 0.5)
+    assert model.jacobian(0.0, x[:, 0]).shape == (4, 4)
+    np.testing.assert_allclose(model.rhs_batch(0.0, x)[:, 0], fb.compile_model(slider()).rhs(0.0, x[:, 0]), rtol=1e-14)
+
+
+def test_a_library_that_vanishes_is_built_again(monkeypatch, tmp_path):
+    """Another process may clear the cache between two steps of a compilation."""
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
+    original, removed = library.build_part, []
+
+    def build_part(*arguments, **options):
+        path = original(*arguments, **options)
+        if len(removed) < 2:
+            shutil.rmtree(path.parent)
+            removed.append(path)
+        return path
+
+    monkeypatch.setattr(library, "build_part", build_part)
+    assert np.isfinite(fb.compile_model(slider()).rhs(0.0, [0.5, 0.1, 0.2, 0.3])).all()
+    assert len(removed) == 2
 
 
 def test_another_models_sources_in_the_folder(tmp_path):
@@ -504,7 +542,7 @@ def test_the_cache_is_kept_within_its_limit(monkeypatch, tmp_path):
     last = fb.compile_model(slider("inertia"))
     assert [entry.folder for entry in cache.entries()] == [last.path.parent]
     assert np.isfinite(last.rhs(0.0, [0.5, 0.1, 0.2, 0.3])).all()
-    for wrong in ("", "much", "-1", "nan"):
+    for wrong in ("much", "-1", "nan"):
         monkeypatch.setenv("FOURBAR_CODEGEN_CACHE_SIZE", wrong)
         with pytest.raises(fb.CacheError, match="a number of bytes"):
             fb.compile_model(slider("body"))
@@ -536,10 +574,15 @@ def test_a_compiler_that_hangs_is_stopped(sleeper, monkeypatch, tmp_path):
         fb.compile_model(slider())
     sleeper.end()
     assert [path for path in (tmp_path / "cache").iterdir() if path.is_dir()] == []
-    for wrong in ("", "soon", "0", "-1", "nan"):
+    for wrong in ("soon", "0", "-1", "nan"):
         monkeypatch.setenv("FOURBAR_CODEGEN_TIME_LIMIT", wrong)
         with pytest.raises(fb.BuildError, match="a positive number of seconds"):
             fb.compile_model(slider())
+    monkeypatch.delenv("CC")
+    for none in ("", "inf"):
+        monkeypatch.setenv("FOURBAR_CODEGEN_TIME_LIMIT", none)
+        monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path / f"cache{none}"))
+        assert fb.compile_model(slider()).name == "slider"
 
 
 COMPILES = "import sys; sys.path.insert(0, 'tests')\nimport fourbar_codegen as fb; from systems import slider\n"
@@ -655,16 +698,18 @@ def test_damaged_entry_is_built_anew(tmp_path, filled, damage):
 
 
 def test_damaged_sources_are_not_used(tmp_path, monkeypatch):
-    """Those of a model that is loaded already: they would be compiled for ensembles, and travel with it."""
+    """They would be compiled for ensembles, and travel with a model."""
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     model = slider()
     model.name = "damaged"
     model = fb.compile_model(model)
     flip(model.path.with_name("damaged_kernel.c"))
+    damaged = fb.load(model.path)
     with pytest.raises(fb.ModelError, match="damaged: compile the model again"):
-        model.ensemble((0.0, 1.0), np.zeros(model.n_x), parameters={"m": [1.0, 2.0]})
+        damaged.ensemble((0.0, 1.0), np.zeros(model.n_x), parameters={"m": [1.0, 2.0]})
+    assert np.isfinite(model.rhs_batch(0.0, np.full((4, 3), 0.5))).all()  # was loaded before
     elsewhere = tmp_path / "elsewhere"
-    sent = pickle.dumps(model)
+    sent = pickle.dumps(damaged)
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(elsewhere))
     with pytest.raises(fb.ModelError, match="its sources were not beside it"):
         pickle.loads(sent)

@@ -231,3 +231,23 @@ def test_compilers_without_vectors_compile_c99_alone(tmp_path):
     """None of gcc's extensions stands where a compiler does not say that it has them, as Microsoft's does not."""
     for source in sorted(SOURCES.glob("*.c")):  # musl's INFINITY is 1e5000f there
         zig_cc(tmp_path, "x86_64-linux-musl", [source], "-c", "-U__GNUC__", "-pedantic-errors", "-Wno-literal-range")
+
+
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+@pytest.mark.parametrize(
+    "flags", [["-ffast-math"], ["-Ofast"], ["-fassociative-math", "-fno-signed-zeros", "-fno-trapping-math"]]
+)
+def test_fast_math_is_refused_or_does_nothing_to_generated_sources(four_bar, tutorial, tmp_path, compiler, flags):
+    """With reassociation, angles would be rounded to wrong quadrants without a word."""
+    (tmp_path / "main.c").write_text(MAIN)
+    command = [require(compiler), "-O2", *flags, "-I", str(SOURCES), "-I", fb.get_include(), str(tmp_path / "main.c")]
+    command += [*map(str, sorted(SOURCES.glob("*.c"))), "-o", str(tmp_path / "main"), "-lm"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    if done.returncode:
+        assert "Results would be wrong with -ffast-math" in done.stderr
+        return
+    assert compiler == "clang"
+    numbers = [repr(float(value)) for value in (*four_bar.defaults.values(), *STATE)]
+    done = subprocess.run([tmp_path / "main", *numbers], capture_output=True, text=True, check=True)
+    rates = [float(line) for line in done.stdout.splitlines()]
+    np.testing.assert_allclose(rates, tutorial.rhs(0.3, np.array(STATE)), **ROUNDING)

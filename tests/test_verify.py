@@ -4,6 +4,8 @@ import dataclasses
 import re
 
 import pytest
+import sympy as sm
+import sympy.physics.mechanics as me
 from systems import slider
 
 import fourbar_codegen as fb
@@ -76,3 +78,26 @@ def test_a_wrong_equation_is_found_and_named(tmp_path, monkeypatch, result, entr
     monkeypatch.setattr(fourbar_codegen.dynamics.equations, "form_equations", damaged)
     with pytest.raises(fb.BuildError, match=re.escape(f"do not satisfy {identity}")):
         fb.compile_model(fb.models.four_bar())
+
+
+@pytest.mark.parametrize(
+    "force",
+    [lambda q: sm.Piecewise((-q, q > 0)), lambda q: -sm.interpolating_spline(1, q, [0, 1, 2], [0, 1, 4])],
+    ids=["half a spring", "spline"],
+)
+def test_states_for_which_a_force_has_no_value_are_passed_over(force):
+    q, u = me.dynamicsymbols("q u")
+    frame, origin, point = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
+    origin.set_vel(frame, 0)
+    point.set_pos(origin, q * frame.x)
+    point.set_vel(frame, u * frame.x)
+    system = me.System(frame, origin)
+    system.add_coordinates(q)
+    system.add_speeds(u)
+    system.add_kdes(u - q.diff())
+    system.add_bodies(me.Particle("B", point, 2))
+    system.add_loads(me.Force(point, force(q) * frame.x))
+    model = fb.compile_model(fb.Model(system, name="partly"))
+    assert model.rhs(0.0, [0.5, 0.0]).tolist() == [0.0, -0.25]
+    with pytest.raises(fb.SimulationError):
+        model.rhs(0.0, [-0.5, 0.0])

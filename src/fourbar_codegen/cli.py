@@ -304,7 +304,7 @@ def build(model: str, output: Path, wheel: bool, version: str) -> None:
 @_MODEL
 def info(model: str) -> None:
     from fourbar_codegen.building.cache import cache_folder
-    from fourbar_codegen.building.compiler import find_compiler
+    from fourbar_codegen.building.compiler import INSTALL, find_compiler
 
     compiled = _compiled(model)
     manifest = compiled.manifest
@@ -327,7 +327,8 @@ def info(model: str) -> None:
     for function, count in manifest["operations"].items():
         click.echo(f"  {function:<22} {count:>7} ({manifest['operations_before_sharing'][function]:.4g})")
     click.echo(f"instructions: {compiled.instructions}")
-    click.echo(f"C compiler: {find_compiler()}")
+    compiler = find_compiler()
+    click.echo(f"C compiler: {compiler}{'' if compiler.origin else f'. {INSTALL}'}")
     click.echo(f"cache of compiled models: {cache_folder()}")
 
 

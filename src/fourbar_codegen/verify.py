@@ -76,6 +76,8 @@ def verify(compiled: Kernel, equations: Equations, derivatives: Derivatives | No
             for result, got in results:
                 _compare(compiled.name, function, result, got, expected[result.name])
         _compare_solution(compiled, expected, values, equations)
+        if not np.isfinite(expected["forcing"]).all():  # outside of where an expression is defined
+            continue
         _check_identities(compiled, expected, values, equations)
         compared += 1
         if compared == STATES:

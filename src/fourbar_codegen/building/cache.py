@@ -241,7 +241,7 @@ def size_limit() -> float:
     CacheError
         If the environment variable is no number.
     """
-    text = os.environ.get(SIZE_LIMIT, "2e9")
+    text = os.environ.get(SIZE_LIMIT) or "2e9"
     try:
         limit = float(text)
     except ValueError:

@@ -16,7 +16,10 @@ from fourbar_codegen.errors import BuildError
 
 __all__ = ["Compiler", "find_compiler", "user_flags"]
 
-INSTALL = "Install one (gcc or clang, or pip install 'fourbar_codegen[compiler]'), or name one in CC."
+INSTALL = (
+    "Install one (gcc or clang, or pip install 'fourbar_codegen[compiler]'), or name one in CC, in quotes where its "
+    "path has spaces."
+)
 
 
 @dataclass(frozen=True)
@@ -49,7 +52,7 @@ class Compiler:
     is_zig: bool
 
     def __str__(self) -> str:
-        return f"{shlex.join(self.command)} ({self.origin or f'not found. {INSTALL}'})"
+        return f"{shlex.join(self.command)} ({self.origin or 'not found'})"
 
 
 def find_compiler() -> Compiler:

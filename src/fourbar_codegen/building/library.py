@@ -12,6 +12,7 @@ import json
 import shutil
 import tempfile
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from fourbar_codegen.building.toolchain import (
     digest_of,
     library_toolchain,
 )
+from fourbar_codegen.errors import CacheError
 
 __all__ = ["PARTS", "SUFFIXES", "build_part", "install", "manifest_of", "numbers_path"]
 
@@ -36,6 +38,9 @@ PARTS = {
 
 SUFFIXES = tuple(dict.fromkeys(suffix for suffixes, _ in PARTS.values() for suffix in suffixes))
 """Of the sources that all parts are built from."""
+
+ATTEMPTS = 5
+"""To put a library into a model's folder."""
 
 NUMBERS = ("fingerprint", "initial", "operations", "operations_before_sharing")
 """What of a manifest is not structure; ..."""
@@ -149,11 +154,14 @@ def install(
             check(built)
         checked = True
 
-    library = build_part(name, "kernel", sources, _structure(manifest), check=complete)
-    if not checked:  # it was there, for a model with other numbers, or of which nothing was checked
-        with tempfile.TemporaryDirectory() as temporary:
-            complete(Path(shutil.copy(library, temporary)))
-    return Path(shutil.copy(library, folder))
+    for _ in range(ATTEMPTS):
+        library = build_part(name, "kernel", sources, _structure(manifest), check=complete)
+        with suppress(FileNotFoundError):  # where another process has removed it in between, to keep the cache small
+            if not checked:  # it was there, for a model with other numbers, or of which nothing was checked
+                with tempfile.TemporaryDirectory() as temporary:
+                    complete(Path(shutil.copy(library, temporary)))
+            return Path(shutil.copy(library, folder))
+    raise CacheError(f"{library} was removed {ATTEMPTS} times as soon as it was there: let the cache be larger.")
 
 
 def numbers_path(library: Path) -> Path:

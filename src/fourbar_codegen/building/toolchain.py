@@ -67,6 +67,9 @@ class _Running:
 TIME_LIMIT = "FOURBAR_CODEGEN_TIME_LIMIT"
 """The environment variable with the seconds that a tool may take; an hour, by default."""
 
+LONGEST = 1e6
+"""Seconds from which on there is no limit; poll() counts milliseconds in 32 bits."""
+
 PAUSE = 0.5
 """Seconds for which tools are waited for at a time."""
 
@@ -405,8 +408,8 @@ def run_tool(
         )
     except OSError as error:
         raise BuildError(
-            f"{name} could not be started: {error.strerror}. {INSTALL} Models that build_model, fourbar build or a "
-            "wheel has brought need none: fourbar_codegen.load.",
+            f"{name} could not be started: {error.strerror}, {command[0]!r}. {INSTALL} Models that build_model, "
+            "fourbar build or a wheel has brought need none: fourbar_codegen.load.",
             command=command,
         ) from error
     running.add(process)
@@ -435,15 +438,15 @@ def run_tool(
         )
 
 
-def _time_limit() -> float:
-    text = os.environ.get(TIME_LIMIT, "3600")
+def _time_limit() -> float | None:
+    text = os.environ.get(TIME_LIMIT) or "3600"
     try:
         limit = float(text)
     except ValueError:
         limit = 0.0
     if not limit > 0.0:
         raise BuildError(f"The environment variable {TIME_LIMIT} is a positive number of seconds, not {text!r}.")
-    return limit
+    return limit if limit < LONGEST else None
 
 
 def _stop(process: subprocess.Popen[str]) -> None:

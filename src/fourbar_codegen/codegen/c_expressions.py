@@ -226,8 +226,10 @@ def _print(printer: _Printer, expr: sm.Expr) -> str:
     try:
         return printer.doprint(expr)  # type: ignore[no-any-return]
     except (PrintMethodNotImplementedError, OverflowError) as error:
-        kind = type(expr).__name__
-        raise ModelError(f"The model contains {kind} or an expression in it that C99 does not have: {error}") from error
+        reason = str(error).partition("\n")[0]  # the rest is about options of the printer
+        raise ModelError(
+            f"The model contains {type(expr).__name__} or an expression in it that C99 does not have: {reason}"
+        ) from error
 
 
 def _argument_names(function: Function) -> dict[int, str]:

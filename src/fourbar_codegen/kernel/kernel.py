@@ -13,12 +13,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.arguments import Values, is_mapping, name_of, named_array, named_values
-from fourbar_codegen.building.cache import is_whole
-from fourbar_codegen.building.library import PARTS, SUFFIXES
+from fourbar_codegen.building.library import PARTS
 from fourbar_codegen.errors import ModelError, SimulationError
 from fourbar_codegen.kernel.comparison import compare_batch_functions, compare_derivatives
 from fourbar_codegen.kernel.dependent import eliminate
-from fourbar_codegen.kernel.loading import Loaded, load_file, load_from_sources, load_known, load_part
+from fourbar_codegen.kernel.loading import Loaded, load_file, load_from_sources, load_known, load_part, sources_beside
 from fourbar_codegen.progress import Progress
 from fourbar_codegen.runtime.evaluator import NOT_FINITE, Evaluator, is_finite, versions
 
@@ -38,6 +37,7 @@ class Kernel(Evaluator):
 
     def __init__(self, capsule: object, manifest: dict[str, Any]) -> None:  # noqa: ARG002  # Evaluator takes it
         self.path = Path()
+        self._sources_when_loaded: dict[str, str] | None = None
         self.name: str = manifest["name"]
         self.coordinates: tuple[str, ...] = tuple(manifest["coordinates"])
         self.speeds: tuple[str, ...] = tuple(manifest["speeds"])
@@ -63,6 +63,7 @@ class Kernel(Evaluator):
                 raise
             raise ModelError(f"{loaded.path} is not a compiled model: {error}.") from error
         model.path = loaded.path
+        model._sources_when_loaded = loaded.sources
         return model
 
     @classmethod
@@ -81,11 +82,8 @@ class Kernel(Evaluator):
         return _restore, (type(self), self.name, path, self.manifest, self._sources())
 
     def _sources(self) -> dict[str, str] | None:
-        """The sources beside the module, or None where they are missing or damaged."""
-        if not is_whole(self.path.parent):
-            return None
-        files = [file for suffix in SUFFIXES if (file := self.path.with_name(f"{self.name}{suffix}")).is_file()]
-        return {file.name: file.read_text(encoding="utf-8") for file in files} or None
+        """The sources: as they were beside a library when it was loaded, or as they are beside a module."""
+        return sources_beside(self.path, self.name) if self.is_portable else self._sources_when_loaded
 
     def require_batch_functions(self) -> None:
         """Build and load the functions for several states side by side, where the model was built without them.
@@ -140,8 +138,8 @@ class Kernel(Evaluator):
         sources = self._sources() or {}
         if any(f"{self.name}{suffix}" not in sources for suffix in PARTS[part][0]):
             raise ModelError(
-                f"{needed} functions that compile_model leaves for later, and their sources are not beside {self.path} "
-                "any more, or damaged: compile the model again. A module of build_model has them inside."
+                f"{needed} functions that compile_model leaves for later, and their sources were not beside "
+                f"{self.path}, or damaged: compile the model again. A module of build_model has them inside."
             )
         with Progress(f"fourbar_codegen: {self.name}") as progress:
             progress.stage(f"compiling {part.replace('_', ' ')}")

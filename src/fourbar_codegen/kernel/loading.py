@@ -5,7 +5,9 @@ from __future__ import annotations
 import ctypes
 import json
 import os
+import shutil
 import sys
+import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module, machinery, util
@@ -13,14 +15,23 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from fourbar_codegen.building.cache import cached, find_cached
-from fourbar_codegen.building.library import build_part, install, manifest_of, numbers_path
+from fourbar_codegen.building.cache import cached, find_cached, is_whole
+from fourbar_codegen.building.library import SUFFIXES, build_part, install, manifest_of, numbers_path
 from fourbar_codegen.building.toolchain import digest_of, generator, library_toolchain
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.files import path_of
 from fourbar_codegen.runtime.evaluator import kernel_at
 
-__all__ = ["Loaded", "cache_key", "load_file", "load_from_sources", "load_known", "load_named", "load_part"]
+__all__ = [
+    "Loaded",
+    "cache_key",
+    "load_file",
+    "load_from_sources",
+    "load_known",
+    "load_named",
+    "load_part",
+    "sources_beside",
+]
 
 # What this process loaded from files: the system goes on giving out the first library of a path.
 _LOADED: dict[str, tuple[int, int, int]] = {}
@@ -36,11 +47,14 @@ class Loaded:
         The capsule of its kernel, of which there may be faster versions; see `evaluator.versions`.
     manifest : dict
     path : Path
+    sources : dict of str to str or None
+        Text by file name, of a library, whose other parts are built of them; of a module, which has all parts, none.
     """
 
     kernel: object
     manifest: dict[str, Any]
     path: Path
+    sources: dict[str, str] | None = None
 
 
 def load_named(name: str | Path) -> Loaded:
@@ -128,6 +142,9 @@ def load_file(path: Path) -> Loaded:
     identity = (status.st_ino, status.st_size, status.st_mtime_ns)
     place = str(path.resolve())
     if _LOADED.setdefault(place, identity) != identity:
+        if numbers_path(path).is_file():  # a library, of which another one can be loaded from another place
+            with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as temporary:
+                return _of_library(ctypes.CDLL(shutil.copy(path, temporary)), path)
         raise ModelError(
             f"{path} was built again after this process loaded it, and a module cannot be loaded anew: restart "
             "Python, or build into another folder."
@@ -185,7 +202,15 @@ def _of_library(library: ctypes.CDLL, path: Path) -> Loaded:
             f"{path} is a model without its numbers: its defaults, units and initial values are to be in "
             f"{numbers_path(path).name} beside it ({error})."
         ) from error
-    return Loaded(kernel_at(table.kernel), manifest, path)
+    return Loaded(kernel_at(table.kernel), manifest, path, sources_beside(path, manifest["name"]))
+
+
+def sources_beside(path: Path, name: str) -> dict[str, str] | None:
+    """The sources beside a compiled model of a name, or None where they are missing or damaged."""
+    if not is_whole(path.parent):
+        return None
+    files = [file for suffix in SUFFIXES if (file := path.with_name(f"{name}{suffix}")).is_file()]
+    return {file.name: file.read_text(encoding="utf-8") for file in files} or None
 
 
 def load_from_sources(name: str, sources: Mapping[str, str], manifest: Mapping[str, Any]) -> Loaded:

@@ -7,6 +7,15 @@
 #include <float.h>
 #include <math.h>
 
+/* What is not a number has to be noticed, and roundings are part of the method. */
+#if defined(__FAST_MATH__) || defined(__ASSOCIATIVE_MATH__) ||                                                         \
+    (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__ > 0)
+#error "Results would be wrong with -ffast-math or -Ofast: leave them out, or let " \
+    "-fno-fast-math -fno-finite-math-only -fno-unsafe-math-optimizations follow them."
+#elif defined(__clang__) /* which does not say so of all such options */
+#pragma float_control(precise, on)
+#endif
+
 #if defined(__GNUC__)
 #define FB_INLINE inline __attribute__((always_inline))
 #else

@@ -236,36 +236,6 @@ def test_energy_of_a_conservative_four_bar_over_1000_s(four_bar):
     np.testing.assert_allclose(run.energy, run.energy[0], rtol=1e-7)
 
 
-def kanes_pendulum(velocity):
-    """A pendulum in Cartesian coordinates by KanesMethod, which takes velocity constraints as they are given."""
-    x, y, vx, vy = me.dynamicsymbols("x y v_x v_y")
-    m, g, length = sm.symbols("m g l")
-    t = me.dynamicsymbols._t
-    ground, origin, bob = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
-    origin.set_vel(ground, 0)
-    bob.set_pos(origin, x * ground.x + y * ground.y)
-    bob.set_vel(ground, vx * ground.x + vy * ground.y)
-    kane = me.KanesMethod(
-        ground, [y], [vy], kd_eqs=[vy - y.diff(t), vx - x.diff(t)], q_dependent=[x], u_dependent=[vx],
-        configuration_constraints=[x**2 + y**2 - length**2], velocity_constraints=[velocity(x, y, vx, vy, length)],
-    )  # fmt: skip
-    kane.kanes_equations([me.Particle("bob", bob, m)], [(bob, -m * g * ground.y)])
-    values = {m: 1.0, g: 9.81, length: 1.0}
-    return fb.compile_model(fb.Model(kane, name="kanes", parameters=values, initial={x: -1.0, y: 0.0, vy: 0.0}))
-
-
-def test_velocity_constraints_that_are_the_positions_rates():
-    pendulum = kanes_pendulum(lambda x, y, vx, vy, length: -2 * (x * vx + y * vy))
-    run = pendulum.simulate((0.0, 1.0), rtol=1e-11, atol=1e-11)
-    # As above; y at t = 1 s of benchmark A01.
-    assert run["y"][-1] == pytest.approx(-0.16501085312554, abs=1e-9)
-    assert np.abs(run.constraint_residual).max() < 1e-12
-    other = kanes_pendulum(lambda x, y, vx, vy, length: (x * vx + y * vy) / length)
-    with pytest.raises(fb.ModelError, match="not the rates of its position constraints"):
-        other.simulate((0.0, 1.0))
-    assert other.simulate((0.0, 1.0), constraints="none").success
-
-
 def test_events_are_scipys(four_bar):
     def turning(t, x):
         return x[3]

@@ -23,6 +23,7 @@ enum {
     N_R = 1,
     N_H = 2,
     N_C = 2,
+    N_I = 0,
     N_O = 0,
     N_BREAKPOINTS = 0,
     N_POINTS = 11,
@@ -37,6 +38,9 @@ enum {
 #define FB_INSTRUCTIONS FB_BASELINE
 #define FB_FASTER &four_bar_kernel_avx2
 #endif
+
+/* The row of J that keeps each position constraint; -1 where no speed changes it, or others keep it. */
+static const int position_row[] = {0, 1};
 
 /* The order in which constraints are eliminated as a rule; the speeds for which they are solved, and the others. */
 static const int static_pivot_row[] = {1, 0};
@@ -212,7 +216,7 @@ static void dynamics(fb_real t, const fb_real *restrict x, const fb_real *restri
     forcing[0] = -z46;
 }
 
-/* By how much the constraints are violated: Phi in the rows of J that are its rates, and J u + b. */
+/* Violations of constraints: Phi in the rows of J that are its rates, then what no speed changes; J u + b. */
 static void constraint_violation(fb_real t, const fb_real *restrict x, const fb_real *restrict constants,
     const fb_real *restrict r, fb_real *restrict position_violation, fb_real *restrict velocity_violation)
 {
@@ -338,6 +342,19 @@ static void constraint_scale(fb_real t, const fb_real *restrict x, const fb_real
     const fb_real z61 = k21*z56 + k22*z58 + k23*z60 + k24*(z11*z47 + z15*z46) + k25*(z9*z51 + z52*z32) +
         k26*(z10*z50 + z53*z30);
     velocity_violation_scale[1] = z61;
+}
+
+/* The change of the coordinates that corrects position constraints which no speed changes. */
+static void invariant_correction(fb_real t, const fb_real *restrict q, const fb_real *restrict constants,
+    const fb_real *restrict r, fb_real *restrict invariant_correction)
+{
+    (void)t;
+    (void)q;
+    (void)constants;
+    (void)r;
+    invariant_correction[0] = fb_number(0.0);
+    invariant_correction[1] = fb_number(0.0);
+    invariant_correction[2] = fb_number(0.0);
 }
 
 /* K v, the change of the coordinates for a change v of what the speeds integrate to. */

@@ -132,6 +132,10 @@ def _compiled_results(
             compiled.constraint_scale(t, x, p, r),
         ),
         "coordinate_change": ([e.coordinate_change], [compiled.coordinate_change(t, x, accelerations, p, r)]),
+        "invariant_correction": (
+            [e.invariant_correction],
+            [compiled.invariant_correction(t, x[: compiled.n_q], p, r)],
+        ),
         "energy": ([e.energies], [compiled.energy(t, x, p, r)]),
         "output": ([e.outputs], [outputs]),
     }
@@ -210,10 +214,10 @@ def _check_identities(
         return fine if agree.all() else None
 
     checks: list[tuple[str, Callable[[float, Floats, Floats, Floats], Floats], Floats]] = []
-    n_h = compiled.n_h if e.velocity_constraints_derived else 0
-    if n_h:
-        rates = (jacobian @ u + bias)[:n_h]
-        checks.append(("dPhi/dt = J u + b", lambda t, x, p, r: compiled.position(t, x[:n_q], p, r)[0], rates))
+    if e.velocity_constraints_derived:
+        places = [place for place, row in enumerate(e.position_rows) if row is not None]
+        rates = (jacobian @ u + bias)[: len(places)]
+        checks.append(("dPhi/dt = J u + b", lambda t, x, p, r: compiled.position(t, x[:n_q], p, r)[0][places], rates))
     if compiled.n_c:
         rates = jacobian @ accelerations + expected["acceleration_bias"]
         checks.append(("d(J u + b)/dt = J u' + gamma", lambda t, x, p, r: _velocities(compiled, t, x, p, r), rates))

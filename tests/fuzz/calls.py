@@ -205,8 +205,8 @@ def calls_of(name: str) -> dict[str, Call]:
     calls.add("rhs into", model.rhs, **state, **values, out=np.empty(model.n_x))
     for function in ("mass_matrix", "tree_mass_matrix"):
         calls.add(function, getattr(model, function), **state, p=p)
-    for function in ("position", "position_constraints", "positions", "constraint_jacobian"):
-        raw = function == "position"
+    for function in ("position", "invariant_correction", "position_constraints", "positions", "constraint_jacobian"):
+        raw = function in {"position", "invariant_correction"}
         calls.add(function, getattr(model, function), t=0.3, q=x0[: model.n_q], **values, may_be_nan=raw)
     acceleration, multipliers = model.accelerations(0.3, x0)
     change = x0[model.n_q :]

@@ -65,6 +65,8 @@ def kernel_text(scheduled: Schedule, names: Mapping[str, Sequence[str]]) -> str:
     )
     others += '\n\n#include "fourbar_model.h"'
     short = "#define FB_SHORT\n" if scheduled.is_short else ""
+    tables = _position_rows_text(program.position_rows)
+    tables += _structure_text(program.structure) or _pivot_order_text(program.pivot_order)
     note, batch_functions = "", f"\n#define FB_TABLE(name) {program.name}_##name"
     if has_batches:
         batch_functions = f"""
@@ -96,6 +98,7 @@ enum {{
     N_R = {sizes.n_r},
     N_H = {sizes.n_h},
     N_C = {sizes.n_c},
+    N_I = {sizes.n_i},
     N_O = {sizes.n_o},
     N_BREAKPOINTS = {sizes.n_breakpoints},
     N_POINTS = {sizes.n_points},
@@ -104,7 +107,7 @@ enum {{
     N_CONSTANTS = {sizes.n_constants}
 }};
 #define FB_DERIVATIVES {program.name}_derivatives{batch_functions}
-{_structure_text(program.structure) or _pivot_order_text(program.pivot_order)}
+{tables}
 {side_by_side}
 
 {others}
@@ -158,6 +161,15 @@ def version_texts(scheduled: Schedule) -> dict[str, str]:
 {otherwise}#endif
 """
     return texts
+
+
+def _position_rows_text(rows: Sequence[int | None]) -> str:
+    """The table of fourbar_model.h."""
+    numbers = ", ".join("-1" if row is None else str(row) for row in rows or (None,))
+    return f"""
+/* The row of J that keeps each position constraint; -1 where no speed changes it, or others keep it. */
+static const int position_row[] = {{{numbers}}};
+"""
 
 
 def _pivot_order_text(order: PivotOrder) -> str:

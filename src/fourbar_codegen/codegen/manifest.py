@@ -12,7 +12,7 @@ from fourbar_codegen.modeling.model import Model
 
 __all__ = ["manifest_of", "manifest_text", "operations_of"]
 
-MANIFEST_FORMAT = 6
+MANIFEST_FORMAT = 7
 
 
 def manifest_of(
@@ -37,8 +37,7 @@ def manifest_of(
     """
     functions = {function.name: function.results for function in program.functions}
     energies = functions["energy"][0].entries
-    # Every position constraint has to have a row of J that is its rate.
-    closed, positions = functions["constraint_violation"][0].entries, functions["position"][0].entries
+    violation = functions["constraint_violation"][0].entries[: program.sizes.n_c]
     point_names = [point.name for point in equations.drawn_points]
     return {
         "format": MANIFEST_FORMAT,
@@ -74,8 +73,9 @@ def manifest_of(
         ],
         "forced_points": list(equations.forced),
         "initial": model.initial,
-        "velocity_rows": [row for row, entry in enumerate(closed) if not entry],
-        "can_project": sum(map(bool, closed)) == sum(map(bool, positions)),
+        "invariants": list(equations.invariants),
+        "position_rows": list(program.position_rows),
+        "velocity_rows": [row for row, entry in enumerate(violation) if not entry],
         "has_potential_energy": not energies[1].is_nan,
     }
 

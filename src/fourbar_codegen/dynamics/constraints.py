@@ -1,4 +1,4 @@
-"""Mechanism -> its constraints: positions, velocities, Jacobians, and the accelerations' bias."""
+"""Mechanism -> Constraints: positions, velocities, Jacobians, and the accelerations' bias."""
 
 from __future__ import annotations
 
@@ -10,20 +10,23 @@ from fourbar_codegen.expressions.convert import Conversion
 from fourbar_codegen.expressions.derivatives import Jvp, jacobian
 from fourbar_codegen.expressions.identities import deduplicate, is_zero
 from fourbar_codegen.expressions.tape import Scalar, Tape
-from fourbar_codegen.modeling.system_reader import Mechanism
+from fourbar_codegen.modeling.system_reader import Mechanism, wrong_number
 
-__all__ = ["Constraints", "form_constraints", "position_jacobian", "position_violation"]
+__all__ = ["Constraints", "form_constraints", "position_jacobian"]
 
 
 @dataclass(frozen=True)
 class Constraints:
-    """Positions Phi, velocities J u + b, J by speeds and by auxiliary speeds, and gamma.
+    """Positions Phi, their rates, velocities J u + b, J by speeds and by auxiliary speeds, and gamma.
 
-    The velocities begin with the rates of the positions if they are `derived`; `virtual_velocities` are the velocities
-    with the auxiliary speeds where they are not zero.
+    `invariants` are the positions whose rates are zero for all speeds. The velocities begin with the rates of the
+    others if they are `derived`; `virtual_velocities` are the velocities with the auxiliary speeds where they are not
+    zero.
     """
 
     positions: tuple[Scalar, ...]
+    rates: tuple[Scalar, ...]
+    invariants: tuple[int, ...]
     derived: bool
     velocities: tuple[Scalar, ...]
     virtual_velocities: tuple[Scalar, ...]
@@ -41,6 +44,7 @@ def form_constraints(
     mechanism: Mechanism,
     convert: Conversion,
     convert_virtual: Conversion,
+    q: Sequence[Scalar],
     u: Sequence[Scalar],
     aux: Sequence[Scalar],
     rate: Jvp,
@@ -54,8 +58,8 @@ def form_constraints(
     mechanism : Mechanism
     convert, convert_virtual : Conversion
         The latter with the auxiliary speeds, where there are some.
-    u, aux : sequence of Scalar
-        Generalized and auxiliary speeds.
+    q, u, aux : sequence of Scalar
+        Coordinates, generalized and auxiliary speeds.
     rate : Jvp
         The rate of what depends on coordinates, speeds and time, with the speeds held.
     formed : sequence of int
@@ -64,7 +68,8 @@ def form_constraints(
     Raises
     ------
     ModelError
-        If a velocity constraint is not linear in the speeds.
+        If a velocity constraint is not linear in the speeds; or dependent speeds are missing, or are too many where
+        no speed changes some of the positions.
     """
     positions = deduplicate(tape, [convert(expr) for expr in mechanism.holonomic_constraints], formed)
     velocities = deduplicate(tape, [convert(expr) for expr in mechanism.velocity_constraints], formed)
@@ -73,16 +78,25 @@ def form_constraints(
         if aux
         else velocities
     )
+    rates = [rate(expr) for expr in positions]
+    still = is_zero(tape, rates)
+    invariants = tuple(k for k, expr in enumerate(positions) if still[k] and tape.depends([expr], q))
     if mechanism.velocity_constraints_derived:
         # The rates of positions do not have the auxiliary speeds.
-        derived = [rate(expr) for expr in positions]
+        derived = [expr for k, expr in enumerate(rates) if k not in invariants]
         velocities, virtual = [*derived, *velocities], [*derived, *virtual]
+    dependent = mechanism.speeds[len(u) - mechanism.n_dependent_speeds :]
+    problem = wrong_number("velocity", len(velocities), "u", dependent)
+    if problem:
+        raise ModelError(f"The System cannot be compiled: {problem}.")
     gradients = jacobian(tape, virtual, (*u, *aux))
     for number, gradient in enumerate(gradients, start=1):
         if tape.depends(gradient[: len(u)], u):
             raise ModelError(f"Velocity constraint {number} is not linear in the generalized speeds.")
     return Constraints(
         tuple(positions),
+        tuple(rates),
+        invariants,
         mechanism.velocity_constraints_derived,
         tuple(velocities),
         tuple(virtual),
@@ -90,23 +104,6 @@ def form_constraints(
         tuple(tuple(gradient[len(u) :]) for gradient in gradients),
         tuple(rate(expr) for expr in velocities),
     )
-
-
-def position_violation(tape: Tape, constraints: Constraints, rate: Jvp) -> list[Scalar]:
-    """For each velocity constraint the position constraint, or its negative, that it is the rate of, or zero."""
-    rows = [tape.zero] * len(constraints.velocities)
-    if constraints.derived:
-        rows[: len(constraints.positions)] = constraints.positions
-        return rows
-    for position in constraints.positions:
-        derived = rate(position)
-        free = [k for k, row in enumerate(rows) if not row]
-        for sign in (1, -1):
-            same = is_zero(tape, [constraints.velocities[k] - derived * sign for k in free])
-            if any(same):
-                rows[free[same.index(True)]] = position * sign
-                break
-    return rows
 
 
 def position_jacobian(
@@ -117,6 +114,7 @@ def position_jacobian(
     if constraints.derived:
         for j, rate in enumerate(q_rates):
             if rate in u and not tape.depends([*q_rates[:j], *q_rates[j + 1 :]], [rate]):
-                for row, of_speeds in zip(rows, constraints.jacobian, strict=False):
+                kept = [row for k, row in enumerate(rows) if k not in constraints.invariants]
+                for row, of_speeds in zip(kept, constraints.jacobian, strict=False):
                     row[j] = of_speeds[u.index(rate)]
     return rows

@@ -21,7 +21,8 @@ from typing import Any
 
 import sympy as sm
 
-from fourbar_codegen.dynamics.constraints import Constraints, form_constraints, position_jacobian, position_violation
+from fourbar_codegen.dynamics.constraints import Constraints, form_constraints, position_jacobian
+from fourbar_codegen.dynamics.corrections import form_corrections
 from fourbar_codegen.dynamics.drawn_points import applied_forces, drawn_points
 from fourbar_codegen.dynamics.kane import Kane
 from fourbar_codegen.dynamics.kinematic_equations import solve_kinematics
@@ -59,7 +60,11 @@ class Equations:
         Leaves that stand for the constraints' multipliers there.
     n_dependent_speeds : int
     velocity_constraints_derived : bool
-        Whether the velocity constraints begin with the rates of the position constraints.
+        Whether the velocity constraints begin with the rates of the position constraints but the invariants.
+    position_rows : tuple of (int or None)
+        For each position constraint the row of J that keeps it; None for invariants, and for redundant ones.
+    invariants : tuple of int
+        The position constraints whose rates are zero for all speeds.
     default_inputs : Result
         The inputs' expressions, (n_r,); NaN where there is none.
     breakpoints : Result
@@ -80,11 +85,13 @@ class Equations:
     constraint_jacobian, velocity_bias, acceleration_bias : Result
         J, (n_c, n_u); b and gamma, (n_c,). Rows of holonomic constraints first, if they are derived.
     position_violation, velocity_violation : Result
-        By how much the constraints are violated, row by row as in J: Phi where a row is its rate, else 0, (n_c,); and
-        J u + b, (n_c,).
+        By how much the constraints are violated, row by row as in J: Phi where a row is its rate, else 0, and behind
+        them the invariants, (n_c + n_i,); and J u + b, (n_c,).
     position_scale, position_violation_scale, velocity_violation_scale : Result
-        What violations of `position_constraints`, (n_h,), `position_violation` and `velocity_violation`, (n_c,), are
-        measured by: what rounding errors make of them.
+        What violations of `position_constraints`, (n_h,), `position_violation` and `velocity_violation` are measured
+        by: what rounding errors make of them.
+    invariant_correction : Result
+        The change of the coordinates that corrects violations of the invariants, (n_q,).
     coordinate_change : Result
         K du, (n_q,), the change of the coordinates that goes with a change of the speeds' integrals, which stands in
         `accelerations`.
@@ -116,6 +123,8 @@ class Equations:
     multipliers: tuple[Scalar, ...]
     n_dependent_speeds: int
     velocity_constraints_derived: bool
+    position_rows: tuple[int | None, ...]
+    invariants: tuple[int, ...]
     default_inputs: Result
     breakpoints: Result
     n_jumps: int
@@ -134,6 +143,7 @@ class Equations:
     position_scale: Result
     position_violation_scale: Result
     velocity_violation_scale: Result
+    invariant_correction: Result
     coordinate_change: Result
     energies: Result
     power: Result
@@ -199,7 +209,7 @@ def form_equations(model: Model) -> Equations:
         raise ModelError("Velocities must be linear in the auxiliary speeds, and loads in the unknown forces.")
 
     formed = tape.reach([*q_rates, *chain(*mass_matrix), *forcing])
-    constraints = form_constraints(tape, mechanism, convert, convert_virtual, v.u, v.aux, rate, formed)
+    constraints = form_constraints(tape, mechanism, convert, convert_virtual, v.q, v.u, v.aux, rate, formed)
     lam = tuple(tape.leaf("l", number) for number in range(len(constraints.velocities)))
     # f - M u' + J^T lambda; and -(J u' + gamma), the rate of the constraints for given u'.
     reactions = vjp(tape, list(zip(constraints.virtual_velocities, lam, strict=True)), (*v.u, *v.aux))
@@ -215,7 +225,9 @@ def form_equations(model: Model) -> Equations:
     changing = (v.time, *v.q, *v.u, *v.r, *v.a, *lam, *v.unknown)
     energies = [kane.kinetic_energy(), kane.potential_energy(model.potential_energy, changing)]
 
-    violation = position_violation(tape, constraints, rate)
+    corrections = form_corrections(
+        tape, constraints, v.q, v.u, _values(model, v), model.mechanism.holonomic_constraints
+    )
     rounding = Rounding(tape)
     n_q, n_u = len(v.q), len(v.u)
     drawn, points, numbers = drawn_points(mechanism, kinematics)
@@ -230,11 +242,12 @@ def form_equations(model: Model) -> Equations:
         matrix("constraint_jacobian", constraints.jacobian, n_u),
         _vector("velocity_bias", substitute(tape, constraints.velocities, dict.fromkeys(v.u, tape.zero))),
         _vector("acceleration_bias", constraints.acceleration_bias),
-        _vector("position_violation", violation),
+        _vector("position_violation", corrections.violation),
         _vector("velocity_violation", constraints.velocities),
         _vector("position_scale", map(rounding, constraints.positions)),
-        _vector("position_violation_scale", map(rounding, violation)),
+        _vector("position_violation_scale", corrections.scale),
         _vector("velocity_violation_scale", map(rounding, constraints.velocities)),
+        _vector("invariant_correction", corrections.coordinate_change),
         _vector("coordinate_change", map(Jvp(tape, dict(zip(v.u, v.a, strict=True))), q_rates)),
         _vector("energies", energies),
         _vector("power", substitute(tape, [kane.power()], no_unknown)),
@@ -281,6 +294,8 @@ def form_equations(model: Model) -> Equations:
         multipliers=lam,
         n_dependent_speeds=mechanism.n_dependent_speeds,
         velocity_constraints_derived=mechanism.velocity_constraints_derived,
+        position_rows=corrections.rows,
+        invariants=corrections.invariants,
         default_inputs=default_inputs,
         breakpoints=_vector("breakpoints", times),
         n_jumps=len(jumps),
@@ -330,6 +345,13 @@ def _leaves(tape: Tape, model: Model, v: _Variables) -> dict[sm.Basic, Scalar]:
         leaves[symbol] = Conversion(tape, leaves)(expr)
     leaves.update(zip((entry.function for entry in model.input_entries), v.r, strict=True))
     return leaves
+
+
+def _values(model: Model, v: _Variables) -> dict[Scalar, float]:
+    """What the model gives values to."""
+    values = {leaf: model.parameters[name].value for leaf, name in zip(v.p, model.parameters, strict=True)}
+    values.update((leaf, model.initial.get(name)) for leaf, name in zip(v.q, model.coordinates, strict=True))
+    return {leaf: float(value) for leaf, value in values.items() if value is not None}
 
 
 def _input_rates(model: Model, v: _Variables) -> dict[Scalar, Scalar]:

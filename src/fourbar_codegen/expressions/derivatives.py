@@ -27,7 +27,7 @@ from fourbar_codegen.expressions.tape import (
     placeholder,
 )
 
-__all__ = ["Jvp", "Rounding", "jacobian", "vjp"]
+__all__ = ["Jvp", "Rounding", "absolute", "jacobian", "vjp"]
 
 MIN_MAGNITUDE = 1e-12
 """What is smaller counts as this to `Rounding`: zero but for rounding errors is as good as zero."""
@@ -107,19 +107,21 @@ class Rounding:
         known, tape = self._known, self.tape
         operation = tape.nodes[node]
         if isinstance(operation, Leaf):
-            return _size(tape, Scalar(tape, 1, node)) + tape.number(MIN_MAGNITUDE)
+            return absolute(tape, Scalar(tape, 1, node)) + tape.number(MIN_MAGNITUDE)
         if isinstance(operation, Sum):
             return tape.sum([known[term] * magnitude(coefficient) for term, coefficient in operation.terms])
         if isinstance(operation, Call) and _is_piecewise(operation):
-            return _size(tape, _piecewise_rate(tape, operation, [known[argument] for argument in operation.arguments]))
-        errors = [known[operand] * _size(tape, partial) for operand, partial in _partials(tape, node)]
+            return absolute(
+                tape, _piecewise_rate(tape, operation, [known[argument] for argument in operation.arguments])
+            )
+        errors = [known[operand] * absolute(tape, partial) for operand, partial in _partials(tape, node)]
         if isinstance(operation, Call):
             angle = isinstance(operation.expression, sm.sin | sm.cos)
-            errors.append(tape.one if angle else _size(tape, Scalar(tape, 1, node)))
+            errors.append(tape.one if angle else absolute(tape, Scalar(tape, 1, node)))
         return tape.sum(errors)
 
 
-def _size(tape: Tape, scalar: Scalar) -> Scalar:
+def absolute(tape: Tape, scalar: Scalar) -> Scalar:
     """The absolute value."""
     return apply(tape, sm.Abs(placeholder(0)), [scalar])
 

@@ -12,7 +12,7 @@ from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.runtime.evaluator import NOT_CLOSED, OK, is_finite, largest_difference
 from fourbar_codegen.runtime.integrator import Ode
 
-__all__ = ["FLOOR", "NOT_RATES", "check_start", "consistent", "is_rounded", "projects"]
+__all__ = ["FLOOR", "check_start", "consistent", "is_rounded", "projects"]
 
 Floats = NDArray[np.float64]
 
@@ -22,22 +22,13 @@ CONSISTENT = 1e-3
 FLOOR = 1e-12
 """And by how much in any case: rounding errors."""
 
-NOT_RATES = "The velocity constraints of this model are not the rates of its position constraints, one by one"
-
 
 def projects(model: Kernel, constraints: str, *more: str) -> bool:
     """Whether states are to be moved onto the constraints."""
     allowed = ("project", *more, "none")
     if not isinstance(constraints, str) or constraints not in allowed:
         raise ModelError(f"constraints must be {' or '.join(map(repr, allowed))}, not {shown(constraints)}.")
-    if constraints == "none" or not model.n_c + model.n_h:
-        return False
-    if not model.manifest["can_project"]:
-        raise ModelError(
-            f"{NOT_RATES}, so that it is not known how these are violated: take constraints='none', or state them as "
-            "rates."
-        )
-    return constraints == "project"
+    return constraints == "project" and model.n_c + model.n_h > 0
 
 
 def check_start(model: Kernel, ode: Ode, t: float, state: Floats, p: Floats | None, *, passes: bool = False) -> None:

@@ -84,7 +84,7 @@ def lower(name: str, equations: Equations) -> Program:
         ),
         (
             "constraint_violation",
-            "By how much the constraints are violated: Phi in the rows of J that are its rates, and J u + b.",
+            "Violations of constraints: Phi in the rows of J that are its rates, then what no speed changes; J u + b.",
             [time, state],
             [inputs],
             [e.position_violation, e.velocity_violation],
@@ -95,6 +95,13 @@ def lower(name: str, equations: Equations) -> Program:
             [time, state],
             [inputs],
             [e.position_scale, e.position_violation_scale, e.velocity_violation_scale],
+        ),
+        (
+            "invariant_correction",
+            "The change of the coordinates that corrects position constraints which no speed changes.",
+            [time, coordinates],
+            [inputs],
+            [e.invariant_correction],
         ),
         (
             "coordinate_change",
@@ -116,6 +123,7 @@ def lower(name: str, equations: Equations) -> Program:
         n_r=len(e.inputs),
         n_h=len(e.position_constraints.entries),
         n_c=len(e.velocity_bias.entries),
+        n_i=len(e.invariants),
         n_o=len(e.outputs.entries),
         n_points=len(e.drawn_points),
         n_forces=len(e.forced),
@@ -128,6 +136,7 @@ def lower(name: str, equations: Equations) -> Program:
         sizes=sizes,
         functions=(prepare, *_functions(e.tape, specifications, lowered, constants)),
         constants=constants,
+        position_rows=e.position_rows,
         pivot_order=_pivot_order(e, rank, structure),
         structure=structure,
     )

@@ -174,8 +174,8 @@ class Sizes:
     ----------
     n_q, n_u, n_p, n_r : int
         Coordinates, speeds, parameters, inputs.
-    n_h, n_c, n_o : int
-        Position constraints; velocity constraints; outputs.
+    n_h, n_c, n_i, n_o : int
+        Position constraints; velocity constraints; position constraints that no speed changes; outputs.
     n_points, n_forces : int
         Points that are drawn, and those with forces of inputs.
     n_breakpoints : int
@@ -192,6 +192,7 @@ class Sizes:
     n_r: int
     n_h: int
     n_c: int
+    n_i: int
     n_o: int
     n_points: int
     n_forces: int
@@ -212,6 +213,8 @@ class Program:
         `prepare` first, which derives the constants that all others take.
     constants : Array
         What they are.
+    position_rows : tuple of (int or None)
+        For each position constraint the row of J that keeps it, if one does.
     pivot_order : PivotOrder
         The order in which `dynamics`' constraints are eliminated from full equations.
     structure : Structure or None
@@ -223,6 +226,7 @@ class Program:
     sizes: Sizes
     functions: tuple[Function, ...]
     constants: Array
+    position_rows: tuple[int | None, ...]
     pivot_order: PivotOrder
     structure: Structure | None
 

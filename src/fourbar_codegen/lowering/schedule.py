@@ -55,6 +55,7 @@ SIDE_BY_SIDE = (
     "constraint_violation",
     "constraint_scale",
     "coordinate_change",
+    "invariant_correction",
 )
 """The functions that are compiled for several states side by side as well; fourbar_side_by_side.h says what for."""
 

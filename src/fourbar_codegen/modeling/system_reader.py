@@ -28,6 +28,7 @@ __all__ = [
     "Vector",
     "read_mechanism",
     "walk",
+    "wrong_number",
 ]
 
 Components = tuple[sm.Expr, sm.Expr, sm.Expr]
@@ -383,17 +384,23 @@ def _check_counts(system: _Description) -> None:
             f"it has {n_q} generalized coordinates {_names((*system.q_ind, *system.q_dep))} but {len(system.kdes)} "
             "kinematic differential equations: give one for each coordinate with add_kdes"
         )
-    for kind, n_constraints, what, dependent, names in (
-        ("holonomic", len(system.holonomic_constraints), "coordinates", system.q_dep, "q_ind and q_dep"),
-        ("velocity", n_velocity, "speeds", system.u_dep, "u_ind and u_dep"),
-    ):
-        if len(dependent) > n_constraints or (n_constraints and not dependent):
-            problems.append(
-                f"it has {n_constraints} {kind} constraints but {len(dependent)} dependent {what} {_names(dependent)}: "
-                f"set {names}, one dependent variable for each constraint that is not redundant"
-            )
-    if problems:
-        raise ModelError("The System cannot be compiled: " + "; ".join(problems) + ".")
+    problems.append(wrong_number("holonomic", len(system.holonomic_constraints), "q", system.q_dep))
+    # Holonomic constraints that no speed changes, such as norms of quaternions, need no dependent speed.
+    if any(problems) or system.u_dep or system.velocity_constraints:
+        problems.append(wrong_number("velocity", n_velocity, "u", system.u_dep))
+    if any(problems):
+        raise ModelError(f"The System cannot be compiled: {'; '.join(filter(None, problems))}.")
+
+
+def wrong_number(kind: str, n_constraints: int, letter: Literal["q", "u"], dependent: Sequence[sm.Expr]) -> str:
+    """What is wrong with the number of dependent variables, if anything is."""
+    if len(dependent) <= n_constraints and (dependent or not n_constraints):
+        return ""
+    what = "coordinates" if letter == "q" else "speeds"
+    return (
+        f"it has {n_constraints} {kind} constraints but {len(dependent)} dependent {what} {_names(dependent)}: set "
+        f"{letter}_ind and {letter}_dep, one dependent variable for each constraint that is not redundant"
+    )
 
 
 def _names(functions: Iterable[Any]) -> str:

@@ -223,7 +223,7 @@ class Trajectory:
         else:
             rates = [ode(t, x) for t, x in zip(stored, self.y.T[places], strict=True)]
             states = CubicHermiteSpline(stored, self.y.T[places], np.reshape(rates, (len(stored), -1)))(times).T
-        if self.settings["constraints"] == "project" and self.model.manifest["can_project"] and not prescribed:
+        if self.settings["constraints"] == "project" and not prescribed:
             states = np.reshape([ode.project(t, x) for t, x in zip(times, states.T, strict=True)], states.T.shape).T
         return replace(self, t=times, y=states, r=ode.inputs_along(times, states))
 

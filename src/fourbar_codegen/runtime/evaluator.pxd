@@ -30,7 +30,8 @@ cdef extern from "fourbar_kernel.h":
         int abi_version
         size_t struct_size
         size_t work_size
-        int n_q, n_u, n_p, n_r, n_h, n_c, n_o, n_breakpoints, n_points, n_forces, n_constants
+        int n_q, n_u, n_p, n_r, n_h, n_c, n_i, n_o, n_breakpoints, n_points, n_forces, n_constants
+        const int *position_row
         void (*prepare)(const double *, double *) noexcept nogil
         void (*default_inputs)(double, const double *, double *) noexcept nogil
         void (*breakpoints)(const double *, double *) noexcept nogil
@@ -49,6 +50,7 @@ cdef extern from "fourbar_kernel.h":
                                      double *) noexcept nogil
         void (*constraint_scale)(double, const double *, const double *, const double *, double *, double *,
                                  double *) noexcept nogil
+        void (*invariant_correction)(double, const double *, const double *, const double *, double *) noexcept nogil
         void (*coordinate_change)(double, const double *, const double *, const double *, const double *,
                                   double *) noexcept nogil
         int (*project)(double, double *, const double *, const double *, int, void *) noexcept nogil
@@ -120,7 +122,7 @@ cdef class Evaluator:
     cdef fb_kernel own
     cdef readonly object capsule
     cdef readonly dict manifest
-    cdef readonly int n_q, n_u, n_x, n_p, n_r, n_h, n_c, n_o
+    cdef readonly int n_q, n_u, n_x, n_p, n_r, n_h, n_c, n_i, n_o
     cdef double *default_constants
     cdef double *constants
     cdef double *inputs

@@ -29,6 +29,7 @@ class Evaluator:
     n_r: int
     n_h: int
     n_c: int
+    n_i: int
     n_o: int
     manifest: dict[str, Any]
     def __init__(self, capsule: object, manifest: dict[str, Any]) -> None: ...
@@ -81,6 +82,9 @@ class Evaluator:
     ) -> tuple[Floats, Floats, Floats]: ...
     def coordinate_change(
         self, t: float, x: ArrayLike, change: ArrayLike, p: Values | None = None, r: Values | None = None
+    ) -> Floats: ...
+    def invariant_correction(
+        self, t: float, q: ArrayLike, p: Values | None = None, r: Values | None = None
     ) -> Floats: ...
     def constraint_sensitivity(
         self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None

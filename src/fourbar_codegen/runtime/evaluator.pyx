@@ -212,7 +212,8 @@ cdef class Evaluator:
         self.kernel = &self.own
         self.capsule, self.manifest = capsule, manifest
         self.n_q, self.n_u, self.n_p, self.n_r = kernel.n_q, kernel.n_u, kernel.n_p, kernel.n_r
-        self.n_h, self.n_c, self.n_o, self.n_x = kernel.n_h, kernel.n_c, kernel.n_o, kernel.n_q + kernel.n_u
+        self.n_h, self.n_c, self.n_i, self.n_o = kernel.n_h, kernel.n_c, kernel.n_i, kernel.n_o
+        self.n_x = kernel.n_q + kernel.n_u
         self.default_constants = <double *>PyMem_Calloc(kernel.n_constants + 1, sizeof(double))
         self.constants = <double *>PyMem_Calloc(kernel.n_constants + 1, sizeof(double))
         self.inputs = <double *>PyMem_Calloc(self.n_r + 1, sizeof(double))
@@ -618,12 +619,15 @@ cdef class Evaluator:
         return jacobian, bias
 
     def constraint_violation(self, t, x, p=None, r=None):
-        """By how much the constraints are violated, row by row as in J: positions and velocities, shape (n_c,) each."""
+        """By how much the constraints are violated, row by row as in J, with positions that no speed changes behind.
+
+        Positions, shape (n_c + n_i,), and velocities, shape (n_c,).
+        """
         t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_motions)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
-        cdef cnp.ndarray positions = new_array(self.n_c)
+        cdef cnp.ndarray positions = new_array(self.n_c + self.n_i)
         cdef cnp.ndarray velocities = new_array(self.n_c)
         cdef const double *constants = self._prepare(parameters)
         self.kernel.constraint_violation(
@@ -633,14 +637,14 @@ cdef class Evaluator:
     def constraint_scale(self, t, x, p=None, r=None):
         """What violations are measured by.
 
-        Of the position constraints, shape (n_h,), and of both results of `constraint_violation`, shape (n_c,) each.
+        Of the position constraints, shape (n_h,), and of both results of `constraint_violation`.
         """
         t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_motions)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray constraints = new_array(self.n_h)
-        cdef cnp.ndarray positions = new_array(self.n_c)
+        cdef cnp.ndarray positions = new_array(self.n_c + self.n_i)
         cdef cnp.ndarray velocities = new_array(self.n_c)
         cdef const double *constants = self._prepare(parameters)
         self.kernel.constraint_scale(t, data(state), constants, self._fill(t, constants, inputs), data(constraints),
@@ -658,6 +662,18 @@ cdef class Evaluator:
         cdef const double *constants = self._prepare(parameters)
         self.kernel.coordinate_change(t, data(state), constants, self._fill(t, constants, inputs), data(v),
                                       data(result))
+        return result
+
+    def invariant_correction(self, t, q, p=None, r=None):
+        """The change of the coordinates, shape (n_q,), that corrects position constraints which no speed changes."""
+        t = time_of(t)
+        cdef cnp.ndarray parameters = self._parameters(p)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_motions)
+        cdef cnp.ndarray coordinates = self._state(t, q, self.n_q)
+        cdef cnp.ndarray result = new_array(self.n_q)
+        cdef const double *constants = self._prepare(parameters)
+        self.kernel.invariant_correction(t, data(coordinates), constants, self._fill(t, constants, inputs),
+                                         data(result))
         return result
 
     def constraint_sensitivity(self, t, x, p=None, r=None):
@@ -813,7 +829,7 @@ cdef class Evaluator:
         cdef int n_t = cnp.PyArray_DIM(t, 0)
         cdef cnp.ndarray constraints = new_array(n_t, self.n_h)
         cdef cnp.ndarray velocities = new_array(n_t, self.n_c)
-        cdef cnp.ndarray positions = new_array(self.n_c)
+        cdef cnp.ndarray positions = new_array(self.n_c + self.n_i)
         cdef cnp.ndarray energies = new_array(n_t, 2)
         cdef cnp.ndarray multipliers = np.full((n_t, self.n_c), NAN)
         cdef cnp.ndarray outputs = np.full((n_t, self.n_o), NAN)

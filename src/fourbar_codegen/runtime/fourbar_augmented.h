@@ -42,26 +42,27 @@ enum { FB_MAX_ITERATIONS = 12, FB_MAX_PROJECTIONS = 20, FB_REFINEMENTS = 3 };
 
 typedef struct fb_augmented {
     double *mass_matrix, *forcing, *jacobian, *bias; /* M, f, J, gamma */
-    double *positions, *velocities;                  /* Phi in the rows of J that are its rates, J u + b */
-    double *scales;                                  /* what positions, (n_c,), and others are measured by */
-    double *multipliers, *multipliers_old;           /* lambda*, and that of the step's beginning, (n_c,) */
-    double *penalized;                               /* lambda* - alpha g, (n_c,) */
-    double *matrix, *normal;                         /* (n_u, n_u), (n_c, n_c) */
-    double *change, *unit, *coordinate_change;       /* (n_u,), (n_u,), (n_q,) */
-    double *rate_jacobian, *residual_jacobian;       /* (n_q, n_x), (n_u + n_c, n_x) */
+    double *positions, *velocities;            /* Phi in the rows of J that are its rates, (n_c + n_i,), J u + b */
+    double *scales;                            /* what positions, (n_c + n_i,), and others are measured by */
+    double *multipliers, *multipliers_old;     /* lambda*, and that of the step's beginning, (n_c,) */
+    double *penalized;                         /* lambda* - alpha g, (n_c,) */
+    double *matrix, *normal;                   /* (n_u, n_u), (n_c, n_c) */
+    double *change, *unit;                     /* (n_u,) */
+    double *coordinate_change, *correction;    /* (n_q,) */
+    double *rate_jacobian, *residual_jacobian; /* (n_q, n_x), (n_u + n_c, n_x) */
     long n_jacobians, n_factorizations;
 } fb_augmented;
 
 /* Places the arrays in memory, if there is any yet; returns how many doubles they are. */
 static inline size_t fb_place_augmented(const fb_kernel *k, fb_augmented *a, double *memory)
 {
-    const int q = k->n_q, u = k->n_u, c = k->n_c, x = q + u;
+    const int q = k->n_q, u = k->n_u, c = k->n_c, i = k->n_i, x = q + u;
     const fb_place places[] = {
         {&a->mass_matrix, u * u},
         {&a->forcing, u},
         {&a->jacobian, u * c},
         {&a->bias, c},
-        {&a->positions, c},
+        {&a->positions, c + i},
         {&a->velocities, c},
         {&a->multipliers, c},
         {&a->multipliers_old, c},
@@ -71,9 +72,10 @@ static inline size_t fb_place_augmented(const fb_kernel *k, fb_augmented *a, dou
         {&a->change, u},
         {&a->unit, u},
         {&a->coordinate_change, q},
+        {&a->correction, q},
         {&a->rate_jacobian, q * x},
         {&a->residual_jacobian, (u + c) * x},
-        {&a->scales, c + c + k->n_h},
+        {&a->scales, c + i + c + k->n_h},
     };
     return fb_place_all(places, sizeof places / sizeof *places, memory);
 }
@@ -139,15 +141,15 @@ static inline int fb_solve_matrix(const fb_kernel *k, fb_augmented *a, double *b
     return fb_eliminate_full(k->n_u, a->matrix, b);
 }
 
-/* `change` is the least one in the metric of M with J change = -violation, as far as J can, of the rows up to n. */
-static inline int fb_least_change(const fb_kernel *k, fb_augmented *a, const int n, const double *restrict violation)
+/* `change` is the least one in the metric of M with J change = -violation, as far as J can. */
+static inline int fb_least_change(const fb_kernel *k, fb_augmented *a, const double *restrict violation)
 {
     const double penalty = fb_penalty(k, a, FB_PROJECTION_PENALTY);
     memcpy(a->matrix, a->mass_matrix, (size_t)(k->n_u * k->n_u) * sizeof(double));
     fb_penalize(k, a, penalty, a->matrix);
     for (int i = 0; i < k->n_u; ++i) {
         a->change[i] = 0.0;
-        for (int row = 0; row < n; ++row)
+        for (int row = 0; row < k->n_c; ++row)
             a->change[i] -= penalty * a->jacobian[row * k->n_u + i] * violation[row];
     }
     return fb_solve_matrix(k, a, a->change);
@@ -213,7 +215,7 @@ static inline int fb_project_accelerations(fb_run *s, double *restrict accelerat
     fb_augmented *const a = s->augmented;
     for (int i = 0; i < FB_REFINEMENTS && k->n_c > 0; ++i) {
         fb_acceleration_violation(k, a, accelerations);
-        if (!fb_least_change(k, a, k->n_c, a->positions))
+        if (!fb_least_change(k, a, a->positions))
             return FB_RUN_DIVERGED;
         for (int j = 0; j < k->n_u; ++j)
             accelerations[j] += a->change[j];
@@ -274,6 +276,15 @@ static inline void fb_newton_matrix(fb_run *s, const double t, const double h, c
     fb_penalize(k, a, penalty, a->matrix);
 }
 
+/* Whether a row of J is the rate of a position constraint. */
+static inline int fb_is_rate(const fb_kernel *k, const int row)
+{
+    for (int i = 0; i < k->n_h; ++i)
+        if (k->position_row[i] == row)
+            return 1;
+    return 0;
+}
+
 /* Newton's method for the speeds at the step's end, in x with the positions, and the accelerations in x'. */
 static inline int fb_augmented_newton(fb_run *s, const double t, const double h, double *restrict x,
                                       double *restrict rates)
@@ -301,7 +312,7 @@ static inline int fb_augmented_newton(fb_run *s, const double t, const double h,
         }
         for (int row = 0; row < k->n_c; ++row) {
             const double force =
-                penalty * (row < k->n_h ? 4.0 / (h * h) * a->positions[row] : 2.0 / h * a->velocities[row]);
+                penalty * (fb_is_rate(k, row) ? 4.0 / (h * h) * a->positions[row] : 2.0 / h * a->velocities[row]);
             /* lambda <- lambda - penalty (4 Phi / h^2 or 2 (J u + b) / h): the force by which the penalty held the
              * constraint becomes part of the multiplier, so that the next iteration's penalty need not hold it. */
             a->multipliers[row] -= iteration > 0 ? force : 0.0;
@@ -346,22 +357,24 @@ static inline int fb_augmented_project(fb_run *s, const double t, double *restri
         const int called = fb_augmented_equations(s, t, x, coordinate_rates);
         if (called < 0)
             return called;
-        k->constraint_scale(t, x, p->constants, p->inputs, a->scales + 2 * k->n_c, a->scales, a->scales + k->n_c);
-        const double violation = fb_violation(a->positions, a->scales, k->n_c);
+        const int n = k->n_c + k->n_i;
+        k->constraint_scale(t, x, p->constants, p->inputs, a->scales + n + k->n_c, a->scales, a->scales + n);
+        const double violation = fb_violation(a->positions, a->scales, n);
         if (violation != violation)
             return FB_RUN_DIVERGED;
         if (violation <= FB_CLOSED)
             break;
-        if (!fb_least_change(k, a, k->n_h, a->positions))
+        if (!fb_least_change(k, a, a->positions))
             return FB_RUN_DIVERGED;
         k->coordinate_change(t, x, p->constants, p->inputs, a->change, a->coordinate_change);
+        k->invariant_correction(t, x, p->constants, p->inputs, a->correction);
         for (int j = 0; j < k->n_q; ++j)
-            x[j] += a->coordinate_change[j];
+            x[j] += a->coordinate_change[j] + a->correction[j];
         if (i == FB_MAX_PROJECTIONS - 1 && !(violation <= FB_NEARLY_CLOSED))
             return FB_RUN_DIVERGED;
     }
     for (int i = 0; i < FB_REFINEMENTS && k->n_c > 0; ++i) {
-        if (!fb_least_change(k, a, k->n_c, a->velocities))
+        if (!fb_least_change(k, a, a->velocities))
             return FB_RUN_DIVERGED;
         for (int j = 0; j < k->n_u; ++j)
             x[k->n_q + j] += a->change[j];

@@ -109,9 +109,10 @@ static inline fb_real fb_lanes_error(const fb_lanes *restrict c, const fb_ensemb
 static inline fb_mask fb_lanes_close(fb_lanes *restrict c, const fb_real t, fb_real *restrict x, const fb_mask asked)
 {
     fb_side *const s = &c->side;
-    fb_real positions[FB_AT_LEAST_1(N_C)], velocities[FB_AT_LEAST_1(N_C)];
-    fb_real position_scale[FB_AT_LEAST_1(N_C)], velocity_scale[FB_AT_LEAST_1(N_C)], unused[FB_AT_LEAST_1(N_H)];
-    fb_real change[N_U], coordinate_changes[FB_AT_LEAST_1(N_Q)], last = fb_number(INFINITY);
+    fb_real positions[FB_AT_LEAST_1(N_C + N_I)], velocities[FB_AT_LEAST_1(N_C)];
+    fb_real position_scale[FB_AT_LEAST_1(N_C + N_I)], velocity_scale[FB_AT_LEAST_1(N_C)], unused[FB_AT_LEAST_1(N_H)];
+    fb_real change[N_U], coordinate_changes[FB_AT_LEAST_1(N_Q)], correction[FB_AT_LEAST_1(N_Q)];
+    fb_real last = fb_number(INFINITY);
     fb_mask open = asked & s->factors.good, closed = open & 0;
     constraint_scale(t, x, s->constants, s->inputs, unused, position_scale, velocity_scale);
     for (int i = 0; i < MAX_CORRECTIONS && fb_any(open); ++i) {
@@ -122,6 +123,10 @@ static inline fb_mask fb_lanes_close(fb_lanes *restrict c, const fb_real t, fb_r
             size = fb_greater(fb_abs(positions[j]) / position_scale[j], size);
             size = fb_greater(fb_abs(velocities[j]) / velocity_scale[j], size);
             sum += positions[j] + velocities[j];
+        }
+        for (int j = N_C; j < N_C + N_I; ++j) {
+            size = fb_greater(fb_abs(positions[j]) / position_scale[j], size);
+            sum += positions[j];
         }
         open &= sum - sum == 0.0;
         fb_mask done = size <= FB_CLOSED;
@@ -139,6 +144,11 @@ static inline fb_mask fb_lanes_close(fb_lanes *restrict c, const fb_real t, fb_r
         fb_solve_side_by_side(NULL, positions, &s->factors, change);
         coordinate_change(t, x, s->constants, s->inputs, change, coordinate_changes);
         fb_solve_side_by_side(NULL, velocities, &s->factors, change);
+        if (N_I > 0) {
+            invariant_correction(t, x, s->constants, s->inputs, correction);
+            for (int j = 0; j < N_Q; ++j)
+                coordinate_changes[j] += correction[j];
+        }
         for (int j = 0; j < N_Q; ++j)
             x[j] = fb_select(open, x[j] + coordinate_changes[j], x[j]);
         for (int j = 0; j < N_U; ++j)

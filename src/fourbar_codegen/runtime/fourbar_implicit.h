@@ -6,9 +6,10 @@
  *   index 2, Gear-Gupta-Leimkuhler q' = K (u + D J^T mu) + k   J u + b = 0, Phi = 0
  *   index 3                        q' = K u + k                Phi = 0, and J u + b = 0 in nonholonomic rows
  *
- * where mu, which vanishes along the solution, belongs to the holonomic rows, which come first; it keeps the positions
- * where the speeds, being on their constraints, would let them drift. D has the squares of the speeds' absolute
- * tolerances, by the largest one: with equal ones it is the identity, and with others they share in that by them.
+ * where mu, which vanishes along the solution, belongs to the rows that keep positions; it keeps these where the
+ * speeds, being on their constraints, would let them drift. D has the squares of the speeds' absolute tolerances, by
+ * the largest one: with equal ones it is the identity, and with others they share in that by them. Positions that no
+ * speed changes, such as norms of quaternions, add Phi_q^T mu to q' in index 2, and are left alone in index 3.
  *
  * Source: C. W. Gear, B. Leimkuhler, G. K. Gupta, "Automatic integration of Euler-Lagrange equations with constraints",
  * Journal of Computational and Applied Mathematics 12-13 (1985).
@@ -98,12 +99,14 @@ static inline int fb_implicit_form(fb_implicit *s, const double t, const double 
     for (int i = 0; i < n_q; ++i)
         residual[i] = z_rate[i] - s->coordinate_rates[i];
     if (s->formulation == FB_INDEX_2) {
-        for (int j = 0; j < n_u; ++j) {
-            s->change[j] = 0.0;
-            for (int row = 0; row < n_h; ++row)
-                s->change[j] += s->metric[j] * s->jacobian[row * n_u + j] * mu[row];
-        }
+        memset(s->change, 0, (size_t)n_u * sizeof(double));
+        for (int i = 0; i < n_h; ++i)
+            for (int j = 0; j < n_u && k->position_row[i] >= 0; ++j)
+                s->change[j] += s->metric[j] * s->jacobian[k->position_row[i] * n_u + j] * mu[i];
         k->coordinate_change(t, z, p->constants, p->inputs, s->change, s->coordinate_change);
+        for (int i = 0; i < n_h; ++i)
+            for (int j = 0; j < n_q && k->position_row[i] < 0; ++j)
+                s->coordinate_change[j] += s->position_jacobian[i * n_q + j] * mu[i];
         for (int i = 0; i < n_q; ++i)
             residual[i] -= s->coordinate_change[i];
     }
@@ -122,11 +125,12 @@ static inline int fb_implicit_form(fb_implicit *s, const double t, const double 
     }
     k->velocity(t, z, p->constants, p->inputs, s->jacobian, s->velocities); /* J again, and b */
     for (int row = 0; row < n_c; ++row)
-        residual[n_x + row] = s->formulation == FB_INDEX_3 && row < n_h
-                                  ? s->positions[row]
-                                  : s->velocities[row] + fb_row_times(s, row, z + n_q);
-    for (int row = 0; row < n_h && s->formulation == FB_INDEX_2; ++row)
-        residual[n_x + n_c + row] = s->positions[row];
+        residual[n_x + row] = s->velocities[row] + fb_row_times(s, row, z + n_q);
+    for (int i = 0; i < n_h; ++i)
+        if (s->formulation == FB_INDEX_2)
+            residual[n_x + n_c + i] = s->positions[i];
+        else if (k->position_row[i] >= 0)
+            residual[n_x + k->position_row[i]] = s->positions[i];
     return 0;
 }
 
@@ -184,20 +188,24 @@ static inline int fb_implicit_derivative(fb_implicit *s, const double t, const d
                                            s->unused + n_h * k->n_r);
     for (int i = 0; i < n_c; ++i) {
         double *const row = matrix + (n_x + i) * n;
-        if (s->formulation == FB_INDEX_3 && i < n_h) {
-            memcpy(row, s->position_jacobian + i * n_q, (size_t)n_q * sizeof *row);
-            continue;
-        }
         memcpy(row, s->velocity_jacobian + i * n_q, (size_t)n_q * sizeof *row);
         memcpy(row + n_q, s->jacobian + i * n_u, (size_t)n_u * sizeof *row);
     }
-    for (int i = 0; i < n_h && s->formulation == FB_INDEX_2; ++i) {
-        memcpy(matrix + (n_x + n_c + i) * n, s->position_jacobian + i * n_q, (size_t)n_q * sizeof *matrix);
-        for (int j = 0; j < n_u; ++j)
-            s->change[j] = s->metric[j] * s->jacobian[i * n_u + j];
-        k->coordinate_change(t, z, p->constants, p->inputs, s->change, s->coordinate_change);
-        for (int j = 0; j < n_q; ++j)
-            matrix[j * n + n_x + n_c + i] = -s->coordinate_change[j];
+    for (int i = 0; i < n_h; ++i) {
+        const int kept_by = k->position_row[i];
+        const double *const slopes = s->position_jacobian + i * n_q;
+        if (s->formulation == FB_INDEX_2) {
+            memcpy(matrix + (n_x + n_c + i) * n, slopes, (size_t)n_q * sizeof *matrix);
+            for (int j = 0; j < n_u && kept_by >= 0; ++j)
+                s->change[j] = s->metric[j] * s->jacobian[kept_by * n_u + j];
+            k->coordinate_change(t, z, p->constants, p->inputs, s->change, s->coordinate_change);
+            for (int j = 0; j < n_q; ++j)
+                matrix[j * n + n_x + n_c + i] = kept_by >= 0 ? -s->coordinate_change[j] : -slopes[j];
+        } else if (kept_by >= 0) {
+            double *const row = matrix + (n_x + kept_by) * n;
+            memset(row, 0, (size_t)n_x * sizeof *row);
+            memcpy(row, slopes, (size_t)n_q * sizeof *row);
+        }
     }
     return 0;
 }

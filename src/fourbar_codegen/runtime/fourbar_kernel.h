@@ -13,7 +13,7 @@
 
 #include <stddef.h>
 
-#define FB_ABI_VERSION 11
+#define FB_ABI_VERSION 12
 #define FB_CAPSULE_NAME "fourbar_codegen.kernel"
 
 /* Long functions are printed in parts, which the compiler must not put together again. */
@@ -68,11 +68,13 @@ typedef struct fb_kernel {
     int n_q, n_u, n_p, n_r;
     int n_h;           /* position constraints */
     int n_c;           /* velocity constraints */
+    int n_i;           /* of the position constraints those that no speed changes, such as norms of quaternions */
     int n_o;           /* outputs */
     int n_breakpoints; /* times at which expressions have a jump or a kink */
     int n_points;      /* points that are drawn */
     int n_forces;      /* those of them on which forces of inputs act */
     int n_constants;
+    const int *position_row; /* for each position constraint the row of J that keeps it, or -1 */
 
     void (*prepare)(const double *p, double *constants);
     void (*default_inputs)(double t, const double *constants, double *r);
@@ -98,14 +100,18 @@ typedef struct fb_kernel {
     /* J and b of J u + b = 0 */
     void (*velocity)(double t, const double *x, const double *constants, const double *r, double *constraint_jacobian,
                      double *velocity_bias);
-    /* by how much the constraints are violated, row by row as in J: Phi, and J u + b */
+    /* by how much the constraints are violated, row by row as in J: Phi, and J u + b. Behind the n_c positions stand
+     * those that no speed changes, n_i values. */
     void (*constraint_violation)(double t, const double *x, const double *constants, const double *r,
                                  double *position_violation, double *velocity_violation);
-    /* what Phi, n_h values, and the rows of constraint_violation, n_c values each, are measured by: what rounding
-     * errors make of them, in units of the precision of double */
+    /* what Phi, n_h values, and both results of constraint_violation are measured by: what rounding errors make of
+     * them, in units of the precision of double */
     void (*constraint_scale)(double t, const double *x, const double *constants, const double *r,
                              double *position_scale, double *position_violation_scale,
                              double *velocity_violation_scale);
+    /* the change of q that corrects the position constraints that no speed changes */
+    void (*invariant_correction)(double t, const double *q, const double *constants, const double *r,
+                                 double *invariant_correction);
     /* K v for q' = K u + k */
     void (*coordinate_change)(double t, const double *q, const double *constants, const double *r, const double *change,
                               double *coordinate_change);

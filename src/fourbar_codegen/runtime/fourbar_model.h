@@ -63,7 +63,7 @@ static inline int factor_at(double t, const double *x, const double *constants, 
 #ifndef FB_SPARSE
     if (N_RANK < N_C && status == FB_OK && w->factors.left > FB_REDUNDANT) {
         double positions[FB_AT_LEAST_1(N_H)], slopes[FB_AT_LEAST_1(N_H * N_Q)], scale[FB_AT_LEAST_1(N_H)];
-        double unused[2][FB_AT_LEAST_1(N_C)];
+        double unused[2][FB_AT_LEAST_1(N_C + N_I)];
         position(t, x, constants, r, positions, slopes);
         constraint_scale(t, x, constants, r, scale, unused[0], unused[1]);
         /* What a violation makes of rows grows with what pivots divide them by. */
@@ -104,7 +104,7 @@ static int stabilized(double t, const double *x, const double *constants, const 
                       void *work)
 {
     fb_work *const w = work;
-    double positions[FB_AT_LEAST_1(N_C)], velocities[FB_AT_LEAST_1(N_C)];
+    double positions[FB_AT_LEAST_1(N_C + N_I)], velocities[FB_AT_LEAST_1(N_C)];
     dynamics(t, x, constants, r, w->coordinate_rates, w->mass_matrix, w->forcing, w->constraint_jacobian,
              w->acceleration_bias);
     constraint_violation(t, x, constants, r, positions, velocities);
@@ -131,16 +131,17 @@ static int accelerations(double t, const double *x, const double *constants, con
 
 /* Newton's method with the factors of a state close by. A change v with J v = -Phi that is the least in the metric of M
  * is what M v = J^T lambda, J v + Phi = 0 gives, so that the equations of motion are solved with other right-hand
- * sides; q changes by K v. For the speeds likewise, with J u + b. Nonholonomic rows leave v alone.
+ * sides; q changes by K v. For the speeds likewise, with J u + b. Nonholonomic rows leave v alone. Positions that no
+ * speed changes have a correction of their own.
  */
 static int project(double t, double *x, const double *constants, const double *r, int factors_valid, void *work)
 {
     static const double at_rest[N_U] = {0.0};
     fb_work *const w = work;
-    double positions[FB_AT_LEAST_1(N_C)], velocities[FB_AT_LEAST_1(N_C)], change[N_U];
-    double position_scale[FB_AT_LEAST_1(N_C)], velocity_scale[FB_AT_LEAST_1(N_C)], unused[FB_AT_LEAST_1(N_H)];
-    double coordinate_changes[FB_AT_LEAST_1(N_Q)];
-    if (N_C == 0)
+    double positions[FB_AT_LEAST_1(N_C + N_I)], velocities[FB_AT_LEAST_1(N_C)], change[N_U];
+    double position_scale[FB_AT_LEAST_1(N_C + N_I)], velocity_scale[FB_AT_LEAST_1(N_C)], unused[FB_AT_LEAST_1(N_H)];
+    double coordinate_changes[FB_AT_LEAST_1(N_Q)], correction[FB_AT_LEAST_1(N_Q)] = {0.0};
+    if (N_C + N_I == 0)
         return FB_OK;
     for (int attempt = 0; attempt < MAX_FACTORIZATIONS; ++attempt) {
         int status = FB_OK;
@@ -153,7 +154,7 @@ static int project(double t, double *x, const double *constants, const double *r
         double last = INFINITY;
         for (int i = 0; i < MAX_CORRECTIONS; ++i) {
             constraint_violation(t, x, constants, r, positions, velocities);
-            const double position = fb_violation(positions, position_scale, N_C);
+            const double position = fb_violation(positions, position_scale, N_C + N_I);
             const double velocity = fb_violation(velocities, velocity_scale, N_C);
             if (position != position || velocity != velocity)
                 return FB_NOT_FINITE;
@@ -171,8 +172,10 @@ static int project(double t, double *x, const double *constants, const double *r
             fb_solve(at_rest, positions, &w->factors, change);
             coordinate_change(t, x, constants, r, change, coordinate_changes);
             fb_solve(at_rest, velocities, &w->factors, change);
+            if (N_I > 0)
+                invariant_correction(t, x, constants, r, correction);
             for (int j = 0; j < N_Q; ++j)
-                x[j] += coordinate_changes[j];
+                x[j] += coordinate_changes[j] + correction[j];
             for (int j = 0; j < N_U; ++j)
                 x[N_Q + j] += change[j];
         }
@@ -252,11 +255,13 @@ const fb_kernel FB_TABLE(kernel) = {
     .n_r = N_R,
     .n_h = N_H,
     .n_c = N_C,
+    .n_i = N_I,
     .n_o = N_O,
     .n_breakpoints = N_BREAKPOINTS,
     .n_points = N_POINTS,
     .n_forces = N_FORCES,
     .n_constants = N_CONSTANTS,
+    .position_row = position_row,
     .prepare = prepare,
     .default_inputs = default_inputs,
     .breakpoints = breakpoints,
@@ -269,6 +274,7 @@ const fb_kernel FB_TABLE(kernel) = {
     .velocity = velocity,
     .constraint_violation = constraint_violation,
     .constraint_scale = constraint_scale,
+    .invariant_correction = invariant_correction,
     .coordinate_change = coordinate_change,
     .project = project,
     .orientation_changed = orientation_changed,

@@ -74,7 +74,7 @@ def integrate(
     span, method, max_steps, t_eval = options.t_span, options.method, options.max_steps, options.t_eval
     watch = Watch(model, options.events or ())
     # ALI3P closes positions by itself, whatever is done with its states.
-    closes = options.project or (method == FIXED_STEP and model.manifest["can_project"])
+    closes = options.project or method == FIXED_STEP
     start = consistent(ode, span[0], x0) if closes else x0
     arguments = method, span[0], start, span[1], options.max_step, options.rtol, options.atol, options.project, t_eval
     run: Integration

@@ -32,7 +32,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.arguments import finite_number, longest_step, number, numbers, one_of, positive, tolerance
 from fourbar_codegen.errors import ModelError, shown
-from fourbar_codegen.kernel.consistency import NOT_RATES, consistent
+from fourbar_codegen.kernel.consistency import consistent
 from fourbar_codegen.runtime.evaluator import is_finite
 from fourbar_codegen.runtime.implicit import FORMULATIONS, Rates, Residual
 from fourbar_codegen.runtime.integrator import EmbeddedSteps, Ode
@@ -330,11 +330,10 @@ class IDA(_Sundials):
         ode, manifest = self.ode, self.ode.manifest
         one_of(formulation, FORMULATIONS, "formulation")
         if formulation != "index-1":
-            if not manifest["can_project"]:
-                raise ModelError(f"{NOT_RATES}: take formulation='index-1'.")
             self.y = consistent(ode, t0, self.y)
         rates, multipliers = ode.multipliers(t0, self.y)
-        if manifest["n_dependent_speeds"] < len(multipliers):
+        without_row = manifest["position_rows"].count(None) - len(manifest["invariants"])
+        if without_row or manifest["n_dependent_speeds"] < len(multipliers):
             raise ModelError(
                 "IDA solves for all multipliers, which redundant constraints leave open: all other methods take them."
             )

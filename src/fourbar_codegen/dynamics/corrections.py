@@ -1,0 +1,371 @@
+"""Constraints -> Corrections: which velocity constraints keep the positions, and what closes these again.
+
+Along a motion, Phi' = D u + d with D = Phi_q K and d = Phi_q k + Phi_t, for q' = K u + k. A model may state velocity
+constraints S u + b = 0 of its own. They keep Phi where each row of [D d] is a combination of rows of [S b]: the same up
+to the form, times a factor, or several together. That is a question about mechanics and not about expressions, so it is
+answered by numbers: at random states, and where it does not hold at all of them, at random closed ones.
+
+A violation Phi is corrected by a change v of what the speeds integrate to, with D v = -Phi, and nothing else changed.
+Equations of motion are solved with the rows of S; in these, S v = -w has the same solution if
+
+    w = G Phi    with    S = G D + H R,
+
+R being rows of S that, together with D, are a basis of all of them. A position constraint whose rate is zero for all
+speeds, such as the norm of a quaternion, is an invariant of the kinematic equations. No change of the speeds corrects
+it; the shortest change of the coordinates does, dq = -Phi_q^T (Phi_q Phi_q^T)^-1 Phi.
+
+Source: invariants and projections: E. Hairer, C. Lubich, G. Wanner, *Geometric Numerical Integration*, 2nd ed. 2006,
+sections IV.1 and IV.4.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import chain, islice
+
+import numpy as np
+import sympy as sm
+from numpy.typing import NDArray
+
+from fourbar_codegen.dynamics.constraints import Constraints
+from fourbar_codegen.errors import ModelError, shown
+from fourbar_codegen.expressions.convert import substitute
+from fourbar_codegen.expressions.derivatives import Rounding, absolute, jacobian
+from fourbar_codegen.expressions.identities import deduplicate, is_zero
+from fourbar_codegen.expressions.linear import MAX_COUPLED, TooManyCoupledError, UndeterminedError, solve_linear
+from fourbar_codegen.expressions.tape import Leaf, Number, Scalar, Tape
+
+__all__ = ["Corrections", "form_corrections"]
+
+Floats = NDArray[np.float64]
+Point = dict[Scalar, float]
+
+STATES = 5
+"""At how many states rows are compared."""
+ATTEMPTS = 60
+"""How many are drawn for that: expressions have no value everywhere, and loops do not close from everywhere."""
+DEPENDENT = 1e-8
+"""A row that differs from a combination of others by no more than this share of its size is one."""
+CONSTANT = 1e-9
+"""A coefficient that is the same at all states, but for this share, is a number."""
+MAX_DENOMINATOR = 64
+"""And a fraction with no larger denominator, if it is as close to one."""
+CLOSED = 1e-12
+MAX_CORRECTIONS = 40
+"""Of Newton's method, on the way to a closed state; each is no longer than 1."""
+
+
+@dataclass(frozen=True)
+class Corrections:
+    """What corrects violations of position constraints.
+
+    Attributes
+    ----------
+    violation : tuple of Scalar
+        For each row of J the w of J v = -w, or zero; behind them the invariants, (n_c + n_i,).
+    scale : tuple of Scalar
+        What these are measured by.
+    rows : tuple of (int or None)
+        For each position constraint the row of J that keeps it: with rows of other position constraints and of those on
+        velocities alone, if w has several. None for invariants, and for what others make redundant.
+    invariants : tuple of int
+        Which position constraints they are.
+    coordinate_change : tuple of Scalar
+        The change of the coordinates that corrects the invariants, (n_q,).
+    """
+
+    violation: tuple[Scalar, ...]
+    scale: tuple[Scalar, ...]
+    rows: tuple[int | None, ...]
+    invariants: tuple[int, ...]
+    coordinate_change: tuple[Scalar, ...]
+
+
+def form_corrections(
+    tape: Tape,
+    constraints: Constraints,
+    q: Sequence[Scalar],
+    u: Sequence[Scalar],
+    values: Mapping[Scalar, float],
+    expressions: Sequence[sm.Expr],
+) -> Corrections:
+    """Form what corrects violations of position constraints.
+
+    Parameters
+    ----------
+    tape : Tape
+    constraints : Constraints
+    q, u : sequence of Scalar
+        The coordinates' and the speeds' leaves.
+    values : mapping of Scalar to float
+        Values of leaves near which the equations are defined; others are looked for where these are not.
+    expressions : sequence of Expr
+        The position constraints, for messages.
+
+    Returns
+    -------
+    Corrections
+
+    Raises
+    ------
+    ModelError
+        If the motion does not keep a position constraint, whatever the parameters are.
+    """
+    rounding = Rounding(tape)
+    positions, invariants = constraints.positions, constraints.invariants
+    kept = [k for k in range(len(positions)) if k not in invariants]
+    n_c = len(constraints.velocities)
+    combined = _one_by_one(tape, constraints, kept)
+    if combined is None:
+        combined = _combinations(tape, constraints, kept, u, values, expressions)
+    violation, scale = [tape.zero] * n_c, [tape.zero] * n_c
+    for row, terms in combined.items():
+        violation[row] = tape.sum([factor * positions[k] for k, factor in terms.items()])
+        scale[row] = tape.sum([absolute(tape, factor) * rounding(positions[k]) for k, factor in terms.items()])
+    return Corrections(
+        (*violation, *(positions[k] for k in invariants)),
+        (*scale, *(rounding(positions[k]) for k in invariants)),
+        _assigned(combined, len(positions)),
+        invariants,
+        _shortest_change(tape, [positions[k] for k in invariants], q),
+    )
+
+
+_Combinations = dict[int, dict[int, Scalar]]
+"""G: by the number of the row in J, its factors of the position constraints by their numbers."""
+
+
+def _one_by_one(tape: Tape, constraints: Constraints, kept: Sequence[int]) -> _Combinations | None:
+    """Rows that are rates, or their negatives; None if a position constraint has none."""
+    if constraints.derived:
+        return {row: {k: tape.one} for row, k in enumerate(kept)}
+    found: _Combinations = {}
+    for k in kept:
+        free = [row for row in range(len(constraints.velocities)) if row not in found]
+        for sign in (1, -1):
+            same = is_zero(tape, [constraints.velocities[row] - constraints.rates[k] * sign for row in free])
+            if any(same):
+                found[free[same.index(True)]] = {k: tape.number(sign)}
+                break
+        else:
+            return None
+    return found
+
+
+def _combinations(
+    tape: Tape,
+    constraints: Constraints,
+    kept: Sequence[int],
+    u: Sequence[Scalar],
+    values: Mapping[Scalar, float],
+    expressions: Sequence[sm.Expr],
+) -> _Combinations:
+    """Rows that are combinations of rates, and of rows on velocities alone."""
+    rates, velocities = [constraints.rates[k] for k in kept], constraints.velocities
+    rows = [*jacobian(tape, rates, u), *map(list, constraints.jacobian)]
+    biases = substitute(tape, [*rates, *velocities], dict.fromkeys(u, tape.zero))
+    entries = [entry for row, bias in zip(rows, biases, strict=True) for entry in (*row, bias)]
+    states = _States(tape, constraints.positions, entries, values)
+    n_k = len(kept)
+    matrices = _kept(states, len(rows), {k: expressions[k] for k in kept})
+    independent, others = _basis(matrices[0], n_k)
+    basis = [*independent, *others]
+    found: _Combinations = {}
+    for row in range(n_k, len(rows)):
+        if row in others:
+            continue
+        coefficients = np.array([_coefficients(matrix[basis], matrix[row]) for matrix in matrices])
+        sizes = np.array([np.linalg.norm(m[basis], axis=1) / np.linalg.norm(m[row]) for m in matrices])
+        needed = np.flatnonzero((np.abs(coefficients) * sizes > DEPENDENT).any(axis=0))
+        members = [basis[place] for place in needed]
+        factors = [_constant(tape, coefficients[:, place]) for place in needed]
+        if any(factor is None for factor, member in zip(factors, members, strict=True) if member < n_k):
+            formed = tape.reach([*chain.from_iterable(rows)])
+            factors = [*deduplicate(tape, _least_squares(tape, [rows[k] for k in members], rows[row]), formed)]
+        pairs = zip(members, factors, strict=True)
+        found[row - n_k] = {kept[member]: factor for member, factor in pairs if member < n_k and factor is not None}
+    return found
+
+
+def _kept(states: _States, n_rows: int, positions: Mapping[int, sm.Expr]) -> list[Floats]:
+    """Rows of rates, which come first, and of velocity constraints, at states where the former depend on the latter."""
+    n_k, labels = len(positions), [f"holonomic constraint {k + 1}, {shown(e)}," for k, e in positions.items()]
+    left, tried = np.full(n_k, np.inf), "at random states"
+    for points, where in ((states.anywhere(), tried), (states.closed(), "at random states that satisfy the positions")):
+        matrices = [np.reshape(numbers, (n_rows, -1)) for numbers in islice(points, STATES)]
+        if not matrices:
+            continue
+        # At single states, rows may happen to depend on each other.
+        left, tried = np.median([_left(matrix, n_k) for matrix in matrices], axis=0), where
+        if (left <= DEPENDENT).all():
+            return matrices
+    if not np.isfinite(left).all():
+        raise ModelError(
+            f"Whether the velocity constraints keep {' '.join(labels)} is not known: neither at random states nor near "
+            "the given values do they all have a value."
+        )
+    raise ModelError(
+        f"The velocity constraints do not keep {labels[int(np.argmax(left))]} at zero: {tried}, its rate is no "
+        "combination of them, so that the motion would leave it. Add its rate, Phi.diff(t), to the velocity "
+        "constraints; or let a System derive the rates of its holonomic constraints, as it does where "
+        "velocity_constraints is not set; or leave the holonomic constraint out, if it only serves to find an initial "
+        "state."
+    )
+
+
+def _left(matrix: Floats, n_k: int) -> Floats:
+    """How much of each of the first rows is no combination of the others, as a share of its size."""
+    matrix = matrix / _units(matrix)
+    rates, rows = matrix[:n_k], matrix[n_k:]
+    sizes = np.linalg.norm(rates, axis=1)
+    if not len(rows):
+        return np.ones(n_k)
+    rows = rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), np.finfo(float).tiny)
+    combined = np.linalg.lstsq(rows.T, rates.T, rcond=DEPENDENT)[0].T @ rows
+    return np.asarray(np.linalg.norm(rates - combined, axis=1) / np.where(sizes > 0.0, sizes, 1.0))
+
+
+def _units(matrix: Floats) -> Floats:
+    """The columns' largest entries: metres and radians count alike."""
+    size = np.abs(matrix).max(axis=0)
+    return np.asarray(np.where(size > 0.0, size, 1.0))
+
+
+def _basis(matrix: Floats, n_k: int) -> tuple[list[int], list[int]]:
+    """Of the first rows as many as are independent, and of the others those that make up a basis with them."""
+    left = matrix / _units(matrix)
+    left = left / np.maximum(np.linalg.norm(left, axis=1, keepdims=True), np.finfo(float).tiny)
+    chosen: tuple[list[int], list[int]] = [], []
+    for group, members in zip(chosen, (range(n_k), range(n_k, len(matrix))), strict=True):
+        for _ in members:
+            sizes = np.linalg.norm(left[members.start : members.stop], axis=1)
+            if sizes.max() <= DEPENDENT:
+                break
+            pivot = members[int(np.argmax(sizes))]
+            direction = left[pivot] / np.linalg.norm(left[pivot])
+            left = left - np.outer(left @ direction, direction)
+            group.append(pivot)
+    return sorted(chosen[0]), sorted(chosen[1])
+
+
+def _coefficients(basis: Floats, row: Floats) -> Floats:
+    """Those of a row that is a combination of a basis."""
+    units = _units(np.vstack((basis, row)))
+    sizes = np.linalg.norm(basis / units, axis=1)
+    found = np.linalg.lstsq((basis / units).T / sizes, row / units, rcond=None)[0]
+    return np.asarray(found / sizes)
+
+
+def _constant(tape: Tape, values: Floats) -> Scalar | None:
+    """A number, if it is the same at all states."""
+    first = float(values[0])
+    if not (np.abs(values - first) <= CONSTANT * abs(first)).all():
+        return None
+    fraction = Fraction(first).limit_denominator(MAX_DENOMINATOR)
+    value: Number = fraction if abs(fraction - first) <= CONSTANT * abs(first) else first
+    return tape.number(value.numerator if isinstance(value, Fraction) and value.denominator == 1 else value)
+
+
+def _least_squares(tape: Tape, basis: Sequence[Sequence[Scalar]], row: Sequence[Scalar]) -> tuple[Scalar, ...]:
+    """The coefficients of a row that is a combination of others, from their normal equations."""
+
+    def dot(a: Sequence[Scalar], b: Sequence[Scalar]) -> Scalar:
+        return tape.sum([x * y for x, y in zip(a, b, strict=True)])
+
+    try:
+        return solve_linear(tape, [[dot(a, b) for b in basis] for a in basis], [-dot(a, row) for a in basis])
+    except TooManyCoupledError as coupled:
+        raise ModelError(
+            f"A velocity constraint combines the rates of {coupled} constraints with factors that change with the "
+            f"state; at most {MAX_COUPLED} can be told apart. State the rates of the position constraints one by one."
+        ) from None
+
+
+def _assigned(combined: _Combinations, n_positions: int) -> tuple[int | None, ...]:
+    """For each position constraint a row of its own."""
+    rows: list[int | None] = [None] * n_positions
+    for row, terms in sorted(combined.items(), key=lambda item: len(item[1])):
+        k = next((k for k in terms if rows[k] is None), None)
+        if k is not None:
+            rows[k] = row
+    return tuple(rows)
+
+
+def _shortest_change(tape: Tape, invariants: Sequence[Scalar], q: Sequence[Scalar]) -> tuple[Scalar, ...]:
+    """The change -Phi_q^T (Phi_q Phi_q^T)^-1 Phi."""
+    if not invariants:
+        return (tape.zero,) * len(q)
+    slopes = jacobian(tape, invariants, q)
+    gram = [[tape.sum([x * y for x, y in zip(a, b, strict=True)]) for b in slopes] for a in slopes]
+    try:
+        multipliers = solve_linear(tape, gram, invariants)
+    except (UndeterminedError, TooManyCoupledError):
+        raise ModelError(
+            "Position constraints that hold for all speeds, such as norms of quaternions, depend on each other."
+        ) from None
+    return tuple(
+        tape.sum([slope[j] * factor for slope, factor in zip(slopes, multipliers, strict=True)]) for j in range(len(q))
+    )
+
+
+class _States:
+    """Random states, and the values of scalars there."""
+
+    def __init__(
+        self, tape: Tape, positions: Sequence[Scalar], scalars: Sequence[Scalar], values: Mapping[Scalar, float]
+    ) -> None:
+        self.tape, self.positions, self.scalars, self.values = tape, positions, scalars, values
+        self.generator = random.Random(0)
+        operations = {node: tape.nodes[node] for node in tape.reach([*positions, *scalars])}
+        self.kinds = {Scalar(tape, 1, node): op.kind for node, op in operations.items() if isinstance(op, Leaf)}
+
+    def anywhere(self) -> Iterator[Floats]:
+        """The scalars' values at random states."""
+        for point in self._points():
+            numbers = self._numbers(self.scalars, point)
+            if numbers is not None:
+                yield numbers
+
+    def closed(self) -> Iterator[Floats]:
+        """The same at states that satisfy the positions, for which coordinates and parameters are moved."""
+        closing = set(self.tape.reach(self.positions))
+        moved = [leaf for leaf, kind in self.kinds.items() if leaf.node in closing and kind in "qp"]
+        entries = [*self.positions, *chain.from_iterable(jacobian(self.tape, self.positions, moved))]
+        for point in self._points():
+            if self._close(point, moved, entries):
+                numbers = self._numbers(self.scalars, point)
+                if numbers is not None:
+                    yield numbers
+
+    def _points(self) -> Iterator[Point]:
+        """At first of all sizes alike, then near the given values."""
+        draw = self.generator.uniform
+        for number in range(ATTEMPTS):
+            near = self.values if number >= ATTEMPTS // 2 else {}
+            yield {leaf: near[leaf] + draw(-0.1, 0.1) if leaf in near else draw(0.2, 1.5) for leaf in self.kinds}
+
+    def _numbers(self, scalars: Sequence[Scalar], point: Point) -> Floats | None:
+        try:
+            numbers = np.array(self.tape.evaluate(scalars, point))
+        except (ArithmeticError, ValueError, TypeError):
+            return None
+        return numbers if np.isfinite(numbers).all() else None
+
+    def _close(self, point: Point, moved: Sequence[Scalar], entries: Sequence[Scalar]) -> bool:
+        """Newton's method with the shortest steps."""
+        n_h = len(self.positions)
+        for _ in range(MAX_CORRECTIONS):
+            numbers = self._numbers(entries, point)
+            if numbers is None:
+                return False
+            violation, slopes = numbers[:n_h], numbers[n_h:].reshape(n_h, -1)
+            if (np.abs(violation) <= CLOSED * (1.0 + np.abs(slopes).sum(axis=1))).all():
+                return True
+            step = -np.linalg.lstsq(slopes, violation, rcond=CLOSED)[0]
+            step /= max(1.0, float(np.linalg.norm(step)))
+            for leaf, change in zip(moved, step, strict=True):
+                point[leaf] += float(change)
+        return False

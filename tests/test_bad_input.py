@@ -283,7 +283,20 @@ def test_loop_that_closes_from_another_guess():
         (lambda: fb.load("__main__"), ["'__main__'"]),
         (lambda: fb.Model(pendulum(mass=u.diff(t))), ["Derivative(u(t), t)", "mass of body bob"]),
         (lambda: fb.Model(pendulum(mass=sm.Symbol("q"))), ["q", "more than one"]),
-        (lambda: fb.Model(pendulum(), parameters={sm.Symbol("h"): 1.0}), ["h", "g, l, m"]),
+        (
+            lambda: fb.Model(pendulum(), parameters={sm.Symbol("m_"): 1.0, sm.Symbol("gg"): 1.0}),
+            ["m_ (the nearest is m), gg (the nearest is g)", "extra='ignore'"],
+        ),
+        (
+            lambda: fb.Model(pendulum(), parameters={sm.Symbol("m", positive=True): 1.0}, extra="ignore"),
+            ["Symbol('m') in the model", "Symbol('m', positive=True)"],
+        ),
+        (lambda: fb.Model(pendulum(), extra="keep"), ["'ignore'", "'keep'"]),
+        (
+            lambda: fb.Model(pendulum(mass=F + me.dynamicsymbols("G"))),
+            ["F(t) in the mass", "G(t) in the mass", "'auto'"],
+        ),
+        (lambda: fb.Model(pendulum(mass=F), inputs="all"), ["inputs=", "'all'"]),
         (lambda: fb.Model(pendulum(), parameters={m: "heavy"}), ["'heavy'"]),
         (lambda: fb.Model(pendulum(), parameters={m: np.inf}), ["finite"]),
         (lambda: fb.Model(pendulum(), initial={F: 1.0}), ["F(t)", "'q', 'u'"]),

@@ -318,3 +318,26 @@ def test_parameters_that_are_expressions_of_others():
     assert pendulum.kinetic_energy(0.0, [0.0, 2.0], {"l": 0.25}) == pytest.approx(4.0 * 0.25**3 * 2.0**2 / 2, rel=1e-14)
     with pytest.raises(fb.ModelError, match="no parameter 'm'"):
         pendulum.rhs(0.0, [0.0, 0.0], {"m": 1.0})
+
+
+def test_inputs_that_nobody_declared():
+    """A spring and damper whose constants are functions of time, as SymBRiM's are; a constant for one of them stands
+    among the parameters, beside names of other models."""
+    q, u, k, c, q_ref = me.dynamicsymbols("q u k c q_ref")
+    m = sm.Symbol("m")
+    ground, origin, point = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
+    origin.set_vel(ground, 0)
+    point.set_pos(origin, q * ground.x)
+    point.set_vel(ground, u * ground.x)
+    system = System(ground, origin)
+    system.add_bodies(me.Particle("block", point, m))
+    system.add_loads(me.Force(point, (-k * (q - q_ref) - c * u) * ground.x))
+    system.add_coordinates(q)
+    system.add_speeds(u)
+    system.add_kdes(u - q.diff(t))
+    values = {m: 2.0, k: 8.0, sm.Symbol("other_m"): 3.0}
+    model = fb.compile_model(fb.Model(system, name="undeclared", parameters=values, inputs="auto", extra="ignore"))
+    assert (model.parameters, model.inputs) == (("m",), ("c", "k", "q_ref"))
+    # q'' = -4 (q - 1) from rest at 0
+    run = model.simulate((0.0, 3.0), [0.0, 0.0], inputs={"q_ref": 1.0}, rtol=1e-10, atol=1e-10)
+    np.testing.assert_allclose(run["q"], 1.0 - np.cos(2.0 * run.t), rtol=0, atol=1e-8)

@@ -54,6 +54,20 @@ def test_outputs_along_a_trajectory(tmp_path):
     assert "F_y" in run.save(tmp_path / "run.csv").read_text().splitlines()[0].split(",")
 
 
+def test_unknown_forces_come_before_inputs():
+    """inputs="auto" leaves them to auxiliary speeds, and guesses nothing where there are more."""
+    model = closed_by_auxiliary_speeds(unknown_forces=True)
+    values = {symbol: parameter.value for symbol, parameter in model.parameter_symbols.items()}
+    automatic = fb.Model(model.system, parameters=values, inputs="auto")
+    assert (automatic.outputs, automatic.inputs) == (("F_x", "F_y"), ())
+    wind = me.dynamicsymbols("wind")
+    body = model.system.bodies[0]
+    model.system.add_loads(me.Force(body.masscenter, wind * model.system.frame.x))
+    with pytest.raises(fb.ModelError, match=r"3 functions of time .*F_x, F_y, wind.* 2 auxiliary.*Name those"):
+        fb.Model(model.system, parameters=values, inputs="auto")
+    assert fb.Model(model.system, parameters=values, inputs={wind: 0}).outputs == ("F_x", "F_y")
+
+
 def test_forces_that_are_not_determined():
     model = closed_by_auxiliary_speeds(unknown_forces=True)
     system = model.system

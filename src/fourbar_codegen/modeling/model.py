@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import difflib
 import keyword
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import sympy as sm
 from sympy.core.function import AppliedUndef
@@ -180,13 +181,14 @@ class Model:
         Default values, or expressions of other parameters. Symbols of the System that are not named here
         follow in alphabetical order, without a default, as far as the equations need them (a
         body's automatic inertia symbols often drop out).
-    inputs : mapping of function of time to Expr, float or None, optional
+    inputs : mapping of function of time to Expr, float or None, or "auto", optional
         Every function of time that is neither coordinate nor speed, with its default: an expression of time
         and parameters, a number, or None if every run has to give it. Where it prescribes a motion (its rates
         come into the equations: it stands in an orientation, a position, a velocity, a constraint, or
         differentiated), its first and second rate become inputs behind it, named with primes, with the
         derivatives of the expression as defaults. One in a kinematic differential equation alone does so only
-        where velocities or constraints take it up.
+        where velocities or constraints take it up. "auto" stands for all of them: they are 0 by default, or what
+        ``parameters`` has for them.
     initial : mapping of coordinate or speed to float, optional
         Default initial values of the independent coordinates and speeds, and guesses of the dependent
         coordinates. Dependent speeds follow from these.
@@ -199,6 +201,9 @@ class Model:
         come first that say what keeps them zero: the functions of time in the loads that are not named
         otherwise, as many as there are auxiliary speeds; or the generalized noncontributing forces, under the
         names of the auxiliary speeds, where the loads have none.
+    extra : {"raise", "ignore"}, optional
+        What to do with parameters that the System does not have. A symbol of the same name with other assumptions,
+        such as ``positive=True``, is an error in any case.
 
     Raises
     ------
@@ -225,10 +230,11 @@ class Model:
         *,
         name: str = "model",
         parameters: Mapping[sm.Symbol, float | sm.Expr | Parameter] | None = None,
-        inputs: Mapping[sm.Expr, sm.Expr | float | None] | None = None,
+        inputs: Mapping[sm.Expr, sm.Expr | float | None] | Literal["auto"] | None = None,
         initial: Mapping[sm.Expr, float] | None = None,
         potential_energy: sm.Expr | None = None,
         outputs: Mapping[str, sm.Expr] | None = None,
+        extra: Literal["raise", "ignore"] = "raise",
     ) -> None:
         if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
             raise ModelError(f"A model's name is letters, digits and underscores, a letter first; not {name!r}.")
@@ -239,16 +245,23 @@ class Model:
         self.mechanism: Mechanism = read_mechanism(system)
         for label, expressions in (*self.mechanism.labelled_loads(), *self.mechanism.labelled_structure()):
             _check_expressions(expressions, label)
-        self.input_expressions = self._read_inputs(_mapping(inputs, "inputs"))
+        parameters, is_automatic = _mapping(parameters, "parameters"), isinstance(inputs, str) and inputs == "auto"
+        self.input_expressions = self._read_inputs({} if is_automatic else _mapping(inputs, "inputs"))
         self.potential_energy = None if potential_energy is None else _expression(potential_energy, "potential_energy")
         self.output_expressions = {
             name_of(key): _expression(e, f"output {name_of(key)}") for key, e in _mapping(outputs, "outputs").items()
         }
         self.noncontributing: tuple[sm.Expr, ...] = self._find_noncontributing()
+        undeclared = self._find_undeclared()
+        if is_automatic:
+            # Who has constants in one mapping may have numbers for some of them there.
+            self.input_expressions = {f: _expression(parameters.get(f, 0), f"the input {f}") for f in undeclared}
+            parameters = {key: value for key, value in parameters.items() if key not in undeclared}
+        elif undeclared:
+            raise ModelError(self._neither(undeclared))
         self.input_entries = self._list_inputs()
-        parameters = _mapping(parameters, "parameters")
-        self.named_parameters = tuple(parameters)
-        self.parameter_symbols, self.derived_parameters = self._collect_parameters(parameters)
+        self.parameter_symbols, self.derived_parameters = self._collect_parameters(parameters, extra)
+        self.named_parameters = tuple(symbol for symbol in parameters if symbol in self.parameter_symbols)
         self._check_names()
         self._check_inputs()
         self._check_holonomic_constraints()
@@ -329,9 +342,31 @@ class Model:
             raise ModelError(
                 f"The loads have {len(found)} functions of time that are neither coordinates nor speeds nor named in "
                 f"inputs= ({', '.join(sorted(map(_name, found)))}), for {len(mechanism.auxiliary_speeds)} auxiliary "
-                "speeds: there must be as many unknown forces, or none."
+                "speeds: there must be as many unknown forces, or none. Name those that are known in inputs=."
             )
         return tuple(sorted(found, key=_name))
+
+    def _find_undeclared(self) -> dict[sm.Expr, str]:
+        """Functions of time that nobody named, in the order of their names, with where they stand."""
+        mechanism = self.mechanism
+        known = {*mechanism.coordinates, *mechanism.speeds, *mechanism.auxiliary_speeds}
+        known |= {*self.input_expressions, *self.noncontributing}
+        found: dict[sm.Expr, str] = {}
+        for label, expressions in self._labelled():
+            for node in walk(expressions):
+                function = node.expr if isinstance(node, sm.Derivative) else node
+                if isinstance(function, AppliedUndef) and function.args == (mechanism.time,) and function not in known:
+                    found.setdefault(function, label)
+        return dict(sorted(found.items(), key=lambda item: _name(item[0])))
+
+    def _neither(self, functions: Mapping[sm.Expr, str]) -> str:
+        """What is to be done about functions that are unknown, given with where they stand."""
+        names = "; ".join(f"{function} in {label}" for function, label in functions.items())
+        return (
+            f"{names}: not among the coordinates {self.coordinates}, the speeds {self.speeds} and the inputs "
+            f"{tuple(map(_name, self.input_expressions))}. Add such functions of time to the System's coordinates or "
+            "speeds, or name them in inputs=; inputs='auto' takes all of them for inputs that are 0 by default."
+        )
 
     def _list_inputs(self) -> tuple[InputEntry, ...]:
         """The inputs, and behind each that may prescribe a motion its first and second rate."""
@@ -349,7 +384,7 @@ class Model:
         return tuple(entries)
 
     def _collect_parameters(
-        self, given: Mapping[sm.Symbol, float | sm.Expr | Parameter]
+        self, given: Mapping[sm.Symbol, float | sm.Expr | Parameter], extra: str
     ) -> tuple[dict[sm.Symbol, Parameter], dict[sm.Symbol, sm.Expr]]:
         """The given symbols in their order, then the others by name; and those that are expressions of others."""
         mechanism, t = self.mechanism, self.mechanism.time
@@ -370,34 +405,29 @@ class Model:
         found: set[sm.Symbol] = set()
         labelled = [*self._labelled(), *((f"the expression of parameter {s}", (e,)) for s, e in derived.items())]
         for label, expressions in labelled:
-            extra = of_outputs if label.startswith("output ") else set()
+            in_outputs = of_outputs if label.startswith("output ") else set()
             for node in walk(expressions):
                 if isinstance(node, sm.Symbol):
                     found.add(node)
-                elif isinstance(node, AppliedUndef) and node.func == multiplier(1).func and extra:
-                    if node not in extra:
+                elif isinstance(node, AppliedUndef) and node.func == multiplier(1).func and in_outputs:
+                    if node not in in_outputs:
                         raise ModelError(f"{node} in {label}: the model has {n_c} constraints on velocities.")
-                elif isinstance(node, AppliedUndef) and node not in known | extra:
-                    raise ModelError(
-                        f"{node} in {label} is neither a coordinate {self.coordinates} nor a speed {self.speeds} nor "
-                        f"an input {self.inputs}: add it to the System's coordinates or speeds, or name it in inputs=."
-                    )
-                elif isinstance(node, sm.Derivative) and node not in rates | extra:
+                elif isinstance(node, AppliedUndef) and node not in known | in_outputs:
+                    raise ModelError(self._neither({node: label}))
+                elif isinstance(node, sm.Derivative) and node not in rates | in_outputs:
                     raise ModelError(
                         f"{node} in {label} cannot be compiled: of all derivatives, only the first ones of the "
                         f"coordinates {self.coordinates}, the first and second ones of inputs, and in outputs the "
                         "first ones of the speeds may appear."
                     )
         found.discard(t)
-        parameters: dict[sm.Symbol, Parameter] = {}
-        for symbol, value in given.items():
-            if not isinstance(symbol, sm.Symbol):
-                raise ModelError(f"parameters= has Symbols as keys, not {symbol!r}.")
-            if symbol not in found:
-                names = ", ".join(sorted(s.name for s in found))
-                raise ModelError(f"Parameter {symbol} does not appear in the model; its symbols are {names}.")
-            if symbol not in derived:
-                parameters[symbol] = value if isinstance(value, Parameter) else Parameter(value)
+        _check_unknown(given, found, extra)
+        derived = {symbol: expression for symbol, expression in derived.items() if symbol in found}
+        parameters = {
+            symbol: value if isinstance(value, Parameter) else Parameter(value)
+            for symbol, value in given.items()
+            if symbol in found and symbol not in derived
+        }
         for symbol in sorted(found - parameters.keys() - derived.keys(), key=lambda s: s.name):
             parameters[symbol] = Parameter()
         return parameters, _in_order(derived)
@@ -461,6 +491,29 @@ class Model:
                 )
             initial[_name(function)] = finite_number(value, f"initial {_name(function)}")
         return initial
+
+
+def _check_unknown(given: Mapping[Any, Any], found: Iterable[sm.Symbol], extra: str) -> None:
+    """Raise where parameters are given that the model does not have, if they are not to be ignored."""
+    if extra not in ("raise", "ignore"):
+        raise ModelError(f"extra must be 'raise' or 'ignore', not {shown(extra)}.")
+    of_name = {symbol.name: symbol for symbol in found}
+    wrong, unknown = [], []
+    for symbol in given:
+        if not isinstance(symbol, sm.Symbol):
+            raise ModelError(f"parameters= has Symbols as keys, not {symbol!r}; functions of time are inputs.")
+        mine = of_name.get(symbol.name)
+        if mine is None:
+            nearest = difflib.get_close_matches(symbol.name, of_name, 1, cutoff=0.0)
+            unknown.append(symbol.name + (f" (the nearest is {nearest[0]})" if nearest else ""))
+        elif mine != symbol:
+            wrong.append(f"{symbol.name} is {sm.srepr(mine)} in the model and {sm.srepr(symbol)} in parameters=")
+    if wrong:
+        raise ModelError(f"{'; '.join(wrong)}: to SymPy these are two symbols. Take the model's.")
+    if unknown and extra == "raise":
+        raise ModelError(
+            f"These parameters do not appear in the model: {', '.join(unknown)}. extra='ignore' leaves them out."
+        )
 
 
 def _of_parameters(symbol: sm.Symbol, value: Any, time: sm.Symbol) -> sm.Expr:

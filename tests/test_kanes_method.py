@@ -66,3 +66,45 @@ def test_what_is_missing_is_said():
         fb.Model(kanes_method(model.system, bodies=None))
     with pytest.raises(fb.ModelError, match=r"3 generalized coordinates .* but 0 kinematic"):
         fb.Model(kanes_method(model.system, kd_eqs=None))
+
+
+def disc_without_an_angle(inertia_in="leaning"):
+    """A disc that rolls: its wheel frame has an angular velocity and no orientation."""
+    t = me.dynamicsymbols._t
+    yaw, lean, u1, u2, u3 = me.dynamicsymbols("yaw lean u1 u2 u3")
+    m, r, g, drive = sm.symbols("m r g drive")
+    frames = {name: me.ReferenceFrame(name) for name in ("ground", "heading", "leaning", "disc")}
+    ground, heading, leaning, disc = frames.values()
+    heading.orient_axis(ground, ground.z, yaw)
+    leaning.orient_axis(heading, heading.x, lean)
+    disc.set_ang_vel(leaning, u2 * leaning.y)
+    contact, center = me.Point("C"), me.Point("O")
+    contact.set_vel(ground, 0)
+    center.set_pos(contact, r * leaning.z)
+    center.v2pt_theory(contact, ground, disc)
+    inertia = me.inertia(frames[inertia_in], m * r**2 / 4, m * r**2 / 2, m * r**2 / 4)
+    kane = me.KanesMethod(
+        ground, [yaw, lean], [u1, u2, u3], kd_eqs=[lean.diff(t) - u1, yaw.diff(t) - u3],
+        bodies=[me.RigidBody("disc", center, disc, m, (inertia, center))],
+        forcelist=[(center, -m * g * heading.z), (disc, drive * leaning.y)],
+    )  # fmt: skip
+    return kane, {m: 1.5, r: 0.35, g: 9.81, drive: 0.4}
+
+
+def test_a_frame_without_an_orientation():
+    kane, values = disc_without_an_angle()
+    kane.kanes_equations()
+    compiled = fb.compile_model(fb.Model(kane, name="no_angle", parameters=values))
+    x = dict(zip((*kane.q, *kane.u), (0.3, 0.4, -0.6, 2.0, 0.5), strict=True))
+    expected = np.array(kane.rhs().subs(x).subs(values), dtype=float).ravel()
+    np.testing.assert_allclose(compiled.rhs(0.0, list(x.values())), expected, rtol=1e-13)
+    run = compiled.simulate((0.0, 2.0), list(x.values()), parameters={"drive": 0.0}, rtol=1e-10, atol=1e-10)
+    # Rolling does no work: kinetic energy and m g r cos(lean) add up to what they were.
+    height = 1.5 * 9.81 * 0.35 * np.cos(run["lean"])
+    np.testing.assert_allclose(run.kinetic_energy + height, run.kinetic_energy[0] + height[0], rtol=1e-8)
+
+
+def test_where_an_orientation_is_needed():
+    kane, values = disc_without_an_angle(inertia_in="disc")
+    with pytest.raises(fb.ModelError, match=r"Frame disc, used by body disc, is not oriented .*orient_axis.* inertia in a frame"):
+        fb.Model(kane, parameters=values)

@@ -143,8 +143,9 @@ class Kinematics:
         return known
 
     def dcm(self, frame: int) -> Rotation:
-        """The direction cosines of a frame in its parent."""
-        return self.matrix(self.mechanism.frames[frame].dcm)
+        """The direction cosines of a frame in its parent; of one without orientation, those of the parent itself."""
+        stored_dcm = self.mechanism.frames[frame].dcm
+        return self.rotation(frame, frame) if stored_dcm is None else self.matrix(stored_dcm)
 
     def express(self, vector: Vector, frame: int) -> Components:
         """Components of a vector along the axes of one frame."""

@@ -47,8 +47,9 @@ class Frame:
     name : str
     parent : int
         Number of the parent frame; the inertial frame, number 0, is its own parent.
-    dcm : tuple of Expr
-        The 9 entries, row by row, of the matrix whose row i holds axis i of this frame in the parent's axes.
+    dcm : tuple of Expr or None
+        The 9 entries, row by row, of the matrix whose row i holds axis i of this frame in the parent's axes; None where
+        a frame has an angular velocity and no orientation. Then no vector is written in it.
     angular_velocity : Vector or None
         In the frame `reference`; None where SymPy knows none.
     reference : int
@@ -57,7 +58,7 @@ class Frame:
 
     name: str
     parent: int
-    dcm: tuple[sm.Expr, ...]
+    dcm: tuple[sm.Expr, ...] | None
     angular_velocity: Vector | None
     reference: int
 
@@ -204,7 +205,7 @@ class Mechanism:
     def labelled_structure(self) -> Iterator[tuple[str, Iterable[sm.Expr]]]:
         """All other expressions, likewise."""
         for frame in self.frames[1:]:
-            yield f"the orientation of frame {frame.name}", frame.dcm
+            yield f"the orientation of frame {frame.name}", frame.dcm or ()
             yield f"the angular velocity of frame {frame.name}", _entries(frame.angular_velocity)
         for point in self.points:
             yield f"the velocity of point {point.name}", _entries(point.velocity)
@@ -416,6 +417,8 @@ class _Reader:
         # ``ReferenceFrame.dcm`` finds its way by listing every path in the graph and multiplies out what lies on
         # it; one breadth-first pass over the neighbours keeps the tree as it was modelled.
         self.parents = _neighbours(inertial, lambda frame: frame._dcm_dict)
+        # A frame that nothing is written in need not be oriented: the wheel of a bicycle whose angle nobody asks for.
+        self.turning = _neighbours(inertial, lambda frame: frame._ang_vel_dict)
         self.numbers: dict[me.ReferenceFrame, int] = {inertial: 0}
         self.points: list[Point] = []
         self.point_numbers: dict[me.Point, int] = {}
@@ -424,10 +427,20 @@ class _Reader:
         if frame not in self.parents:
             raise ModelError(
                 f"Frame {frame.name}, used by {used_by}, is not oriented relative to the System's frame "
-                f"{self.inertial.name}: call {frame.name}.orient_axis or another of its orient methods."
+                f"{self.inertial.name}: call {frame.name}.orient_axis or another of its orient methods, or write vectors "
+                "and inertia in a frame that is oriented."
             )
         if frame not in self.numbers:
             self.number(self.parents[frame], used_by)
+            self.numbers[frame] = len(self.numbers)
+        return self.numbers[frame]
+
+    def number_of_turning(self, frame: me.ReferenceFrame, used_by: str) -> int:
+        """The number of a frame of which nothing but the angular velocity is needed."""
+        if frame in self.parents or frame not in self.turning:
+            return self.number(frame, used_by)
+        if frame not in self.numbers:
+            self.number_of_turning(self.turning[frame], used_by)
             self.numbers[frame] = len(self.numbers)
         return self.numbers[frame]
 
@@ -496,7 +509,7 @@ class _Reader:
             if point is not root:
                 position = point._pos_dict[parent]
                 frames = [frame for _, frame in position.args] if isinstance(position, me.Vector) else []
-                if parent not in numbers or any(frame not in self.numbers for frame in frames):
+                if parent not in numbers or not all(f in self.numbers and f in self.parents for f in frames):
                     continue
                 offset = self.vector(position, f"point {point.name}")
             numbers[point] = len(points)
@@ -567,7 +580,7 @@ class _Reader:
             body.name,
             mass,
             point,
-            self.number(body.frame, name),
+            self.number_of_turning(body.frame, name),
             self.number(frame, name),
             inertia,
             potential_energy,
@@ -578,7 +591,7 @@ class _Reader:
         if isinstance(location, me.ReferenceFrame):
             name = f"torque on frame {location.name}"
             self.angular_velocity(location, name)
-            return Load("torque", name, self.vector(vector, name), self.number(location, name), None)
+            return Load("torque", name, self.vector(vector, name), self.number_of_turning(location, name), None)
         name = f"force at point {location.name}"
         number = self.point_numbers[location]
         return Load("force", name, self.vector(vector, name), number, self.position(location, name))
@@ -595,13 +608,15 @@ class _Reader:
         # The direction cosines between neighbours are the ones that orient_axis and its like stored.
         frames = []
         for (frame, number), velocity in zip(self.numbers.items(), angular_velocities, strict=True):
-            parent = self.numbers[self.parents[frame]]
+            is_oriented = frame in self.parents
+            neighbour = self.parents[frame] if is_oriented else self.turning[frame]
+            parent = self.numbers[neighbour]
             relative = _difference(velocity, angular_velocities[parent])
             frames.append(
                 Frame(
                     frame.name,
                     parent,
-                    tuple(frame.dcm(self.parents[frame])),
+                    tuple(frame.dcm(neighbour)) if is_oriented else None,
                     *((velocity, 0) if relative is None or not number else (relative, parent)),
                 )
             )

@@ -427,8 +427,8 @@ class _Reader:
         if frame not in self.parents:
             raise ModelError(
                 f"Frame {frame.name}, used by {used_by}, is not oriented relative to the System's frame "
-                f"{self.inertial.name}: call {frame.name}.orient_axis or another of its orient methods, or write vectors "
-                "and inertia in a frame that is oriented."
+                f"{self.inertial.name}: call {frame.name}.orient_axis or another of its orient methods, or write "
+                "vectors and inertia in a frame that is oriented."
             )
         if frame not in self.numbers:
             self.number(self.parents[frame], used_by)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
+from sympy.physics.mechanics.system import System
 
 import fourbar_codegen as fb
 
@@ -108,3 +109,41 @@ def test_where_an_orientation_is_needed():
     kane, values = disc_without_an_angle(inertia_in="disc")
     with pytest.raises(fb.ModelError, match=r"Frame disc, used by body disc, is not oriented .* inertia in a frame"):
         fb.Model(kane, parameters=values)
+
+
+def test_potential_energy_of_gravity():
+    """Positions are given from a point at rest, which has to be one."""
+    kane, values = disc_without_an_angle()
+    disc = fb.compile_model(fb.Model(kane, name="on_level_ground", parameters=values))
+    # The disc's contact moves, but not along gravity: m g r cos(lean).
+    assert disc.potential_energy(0.0, [0.3, 0.4, 1.0, 2.0, 3.0]) == pytest.approx(1.5 * 9.81 * 0.35 * np.cos(0.4))
+    [body], [_, torque] = kane.bodies, kane.forcelist
+    slope = kane._inertial.x
+    forces = [(body.masscenter, -sm.Symbol("m") * sm.Symbol("g") * slope), torque]
+    other = me.KanesMethod(
+        kane._inertial, kane.q[:], kane.u[:], kd_eqs=[a - b for a, b in kane.kindiffdict().items()], bodies=[body],
+        forcelist=forces,
+    )  # fmt: skip
+    on_a_wall = fb.compile_model(fb.Model(other, name="on_a_wall", parameters=values))
+    with pytest.raises(fb.ModelError, match="potential_energy="):
+        on_a_wall.potential_energy(0.0, [0.3, 0.4, 1.0, 2.0, 3.0])
+
+
+def test_lagrange_is_refused_with_a_sentence():
+    m, g = sm.symbols("m g")
+    x = me.dynamicsymbols("x")
+    ground, origin, point = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
+    origin.set_vel(ground, 0)
+    point.set_pos(origin, x * ground.x)
+    point.set_vel(ground, x.diff(me.dynamicsymbols._t) * ground.x)
+    block = me.Particle("block", point, m)
+    block.potential_energy = m * g * x
+    lagrange = me.LagrangesMethod(me.Lagrangian(ground, block), [x], bodies=[block], frame=ground)
+    with pytest.raises(fb.ModelError, match=r"LagrangesMethod cannot be read.*Kane's method.*u - q' = 0"):
+        fb.Model(lagrange)
+    wall, slider = me.RigidBody("wall"), me.RigidBody("slider", mass=m)
+    system = System.from_newtonian(wall)
+    system.add_joints(me.PrismaticJoint("slide", wall, slider, x, x.diff(me.dynamicsymbols._t)))
+    system.form_eoms(eom_method=me.LagrangesMethod)
+    with pytest.raises(fb.ModelError, match=r"Derivative\(x\(t\), t\) are derivatives, as for LagrangesMethod"):
+        fb.Model(system)

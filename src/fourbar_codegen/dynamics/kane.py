@@ -251,7 +251,8 @@ class Kane:
     def potential_energy(self, given: sm.Expr | None, variables: Sequence[Scalar]) -> Scalar:
         """The given expression, or what the bodies carry, or -F.r of every constant force; NaN if not known.
 
-        A force that is constant in the inertial frame has the potential -F.r, r the position of its point.
+        A force that is constant in the inertial frame has the potential -F.r, r the position of its point. It loses as
+        much as the force does work: d(-F.r)/dt = -F.v.
         `variables` are the leaves that may change during a motion.
         """
         kinematics = self.kinematics
@@ -259,7 +260,7 @@ class Kane:
             return kinematics.convert(given)
         if not all(body.potential_energy.is_zero for body in self.mechanism.bodies):
             return self.tape.sum([kinematics.convert(body.potential_energy) for body in self.mechanism.bodies])
-        terms = []
+        terms, power = [], []
         for load in self.mechanism.loads:
             if load.kind == "torque" or not kinematics.velocity(load.target):
                 continue
@@ -269,7 +270,12 @@ class Kane:
             if load.position is None:
                 return self.tape.number(float("nan"))
             terms.append(-dot(force, kinematics.express(kinematics.vector(load.position), INERTIAL)))
-        return self.tape.sum(terms)
+            power.append(kinematics.dot(((INERTIAL, force),), kinematics.velocity(load.target)))
+        potential = self.tape.sum(terms)
+        # A position that is not given from a fixed point has to have the velocity for its rate.
+        loss = self.tape.sum([self.rate(potential), *power])
+        is_known = self.mechanism.has_fixed_point or all(is_zero(self.tape, [loss]))
+        return potential if is_known else self.tape.number(float("nan"))
 
     def _inertia(self, body: Body) -> _Inertia | None:
         if body.inertia is None:

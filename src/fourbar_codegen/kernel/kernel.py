@@ -462,7 +462,7 @@ class Kernel(Evaluator):
         if not self.manifest["has_potential_energy"]:
             raise ModelError(
                 f"The potential energy of {self.name} is not known: a constant force acts on a point whose position "
-                "from the System's fixed point is not defined. Give potential_energy= to the Model."
+                "from a fixed point is not defined. Give potential_energy= to the Model."
             )
         energy = float(self.energy(t, x, p, r)[1])
         if r is None and math.isnan(energy) and any(e["expression"] is None for e in self.manifest["inputs"]):

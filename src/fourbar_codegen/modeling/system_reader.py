@@ -151,7 +151,8 @@ class Load:
     target : int
         The point that the force acts on, or the frame that the torque acts on.
     position : Vector or None
-        The point's position from the System's fixed point; None for a torque or where SymPy knows none.
+        The point's position from the System's fixed point, or from a point at rest where there is none, as in a
+        KanesMethod; None for a torque or where SymPy knows none.
     """
 
     kind: Literal["force", "torque"]
@@ -176,6 +177,9 @@ class Mechanism:
     kinematic_equations, holonomic_constraints, velocity_constraints : tuple of Expr
         Each to be zero. The velocity constraints follow from the holonomic constraints, in their order, if
         `velocity_constraints_derived`; then the nonholonomic ones stand behind them.
+    has_fixed_point : bool
+        Whether it is known to be at rest what the loads' positions are given from. A point whose velocity is set to
+        zero need not be, such as the contact of a wheel that rolls.
     drawn : tuple of DrawnPoint
         The points whose positions follow from the System's fixed point, or else from a point at rest. Nothing but
         pictures depends on them.
@@ -195,6 +199,7 @@ class Mechanism:
     holonomic_constraints: tuple[sm.Expr, ...]
     velocity_constraints: tuple[sm.Expr, ...]
     velocity_constraints_derived: bool
+    has_fixed_point: bool
     drawn: tuple[DrawnPoint, ...]
 
     def labelled_loads(self) -> Iterator[tuple[str, Iterable[sm.Expr]]]:
@@ -270,6 +275,12 @@ def read_mechanism(system: System | me.KanesMethod) -> Mechanism:
         description = _of_system(system)
     elif isinstance(system, me.KanesMethod):
         description = _of_kanes_method(system)
+    elif isinstance(system, me.LagrangesMethod):
+        raise ModelError(
+            "A LagrangesMethod cannot be read: equations are formed by Kane's method, from bodies and loads. Make a "
+            "System or a KanesMethod of these, with a speed u for each coordinate q and the kinematic equation u - q' = 0; "
+            "forces that a Lagrangian has as potentials become loads."
+        )
     else:
         raise ModelError(
             f"A Model needs a System or a KanesMethod of sympy.physics.mechanics, not a {type(system).__name__}."
@@ -297,6 +308,7 @@ def read_mechanism(system: System | me.KanesMethod) -> Mechanism:
         holonomic_constraints=tuple(description.holonomic_constraints),
         velocity_constraints=tuple(description.velocity_constraints),
         velocity_constraints_derived=description.derived,
+        has_fixed_point=description.fixed_point is not None,
         drawn=drawn,
     )
 
@@ -380,7 +392,13 @@ def _check_counts(system: _Description) -> None:
     if not system.bodies:
         problems.append("it has no bodies: call add_bodies, or add joints; a KanesMethod takes them as bodies=")
     n_q = len(system.q_ind) + len(system.q_dep)
-    if len(system.kdes) != n_q:
+    rates = [u for u in (*system.u_ind, *system.u_dep) if isinstance(u, sm.Derivative)]
+    if rates:
+        problems.append(
+            f"its speeds {', '.join(map(str, rates))} are derivatives, as for LagrangesMethod, and Kane's method is what "
+            "is read: give each coordinate q a speed u of its own, and the kinematic differential equation u - q' = 0"
+        )
+    elif len(system.kdes) != n_q:
         problems.append(
             f"it has {n_q} generalized coordinates {_names((*system.q_ind, *system.q_dep))} but {len(system.kdes)} "
             "kinematic differential equations: give one for each coordinate with add_kdes"
@@ -555,10 +573,11 @@ class _Reader:
         return self.vector(angular_velocity, used_by)
 
     def position(self, point: me.Point, used_by: str) -> Vector | None:
-        if self.fixed_point is None:
+        origin = self.fixed_point or self._at_rest(point)
+        if origin is None:
             return None
         try:
-            return self.vector(point.pos_from(self.fixed_point), used_by)
+            return self.vector(point.pos_from(origin), used_by)
         except ValueError:
             return None
 

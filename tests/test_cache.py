@@ -521,7 +521,7 @@ def test_the_cache_is_kept_within_its_limit(monkeypatch, tmp_path):
     """What was not used for longest goes first; use is what counts, not age."""
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     known = set()
-    for day, change in enumerate(("", "mass", "orientation")):
+    for day, change in enumerate(("", "mass", "actuator")):
         fb.compile_model(slider(change))
         for entry in {entry.folder for entry in cache.entries()} - known:
             os.utime(entry / "checksum", (86400 * day, 86400 * day))

@@ -15,6 +15,7 @@ from fourbar_codegen.errors import (
     CacheError,
     FourbarError,
     ModelError,
+    ModelWarning,
     SimulationError,
 )
 
@@ -40,6 +41,7 @@ __all__ = [
     "FourbarError",
     "Model",
     "ModelError",
+    "ModelWarning",
     "Parameter",
     "SimulationError",
     "Trajectory",

@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 import sys
 import tempfile
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +17,7 @@ from fourbar_codegen.building.library import install
 from fourbar_codegen.building.toolchain import build_extension
 from fourbar_codegen.building.wheel import WHEEL_SUMMARY, pack_wheel
 from fourbar_codegen.compiled import CompiledModel
-from fourbar_codegen.errors import ModelError
+from fourbar_codegen.errors import ModelError, ModelWarning
 from fourbar_codegen.expressions.fingerprint import fingerprint
 from fourbar_codegen.files import path_of
 from fourbar_codegen.kernel.loading import cache_key, load_file
@@ -58,8 +59,9 @@ def generate_sources(model: Model) -> dict[str, str]:
      'four_bar_kernel.c', 'four_bar_kernel.h', 'four_bar_kernel_avx2.c', 'four_bar_kernel_avx512.c', 'manifest.json']
     """
     with Progress(f"fourbar_codegen: {getattr(model, 'name', '')}") as progress:
-        _, _, sources = _generate(model, progress)
-        return sources
+        equations, _, sources = _generate(model, progress)
+    _warn(equations.warnings, 3)
+    return sources
 
 
 @dataclass(frozen=True)
@@ -278,7 +280,15 @@ def _build(model: Model, folder: Path, *, check: bool) -> Path:
         equations, derivatives, sources = _generate(model, progress)
         progress.stage("compiling")
         compare = _comparison(progress, equations, derivatives) if compares else None
-        return build_extension(model.name, sources, folder, check=compare)
+        module = build_extension(model.name, sources, folder, check=compare)
+    _warn(equations.warnings, 4)
+    return module
+
+
+def _warn(sentences: Iterable[str], level: int) -> None:
+    """Warn where kinematics contradict themselves, on the caller's line."""
+    for sentence in sentences:
+        warnings.warn(sentence, ModelWarning, stacklevel=level)
 
 
 def _comparison(
@@ -329,6 +339,12 @@ def compile_model(model: Model, *, check: bool = True) -> CompiledModel:
     CacheError
         If the cache's folder cannot be written.
 
+    Warns
+    -----
+    ModelWarning
+        If kinematics contradict themselves: an angular velocity or a velocity was set that is another one than follows
+        from orientations or positions, or an acceleration that is another one than follows from velocities.
+
     Examples
     --------
     >>> import fourbar_codegen as fb
@@ -357,4 +373,6 @@ def compile_model(model: Model, *, check: bool = True) -> CompiledModel:
     key = key_of(model)
     if not check and find_cached(model.name, key) is None:
         key = key_of(model, checked=False)
-    return CompiledModel.from_file(cached(model.name, key, build))
+    compiled = CompiledModel.from_file(cached(model.name, key, build))
+    _warn(compiled.manifest["warnings"], 3)
+    return compiled

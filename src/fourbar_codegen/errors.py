@@ -4,7 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-__all__ = ["AssemblyError", "BuildError", "CacheError", "FourbarError", "ModelError", "SimulationError", "shown"]
+__all__ = [
+    "AssemblyError",
+    "BuildError",
+    "CacheError",
+    "FourbarError",
+    "ModelError",
+    "ModelWarning",
+    "SimulationError",
+    "shown",
+]
 
 MAX_SHOWN = 300
 """Characters that a message spends on what was given."""
@@ -19,6 +28,10 @@ class ModelError(FourbarError, ValueError):
 
     The message names what was given and what is allowed.
     """
+
+
+class ModelWarning(UserWarning):
+    """A model can be compiled, and may not mean what was meant: its kinematics contradict themselves."""
 
 
 class BuildError(FourbarError, RuntimeError):

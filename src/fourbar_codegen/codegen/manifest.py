@@ -76,6 +76,7 @@ def manifest_of(
         "invariants": list(equations.invariants),
         "position_rows": list(program.position_rows),
         "velocity_rows": [row for row, entry in enumerate(violation) if not entry],
+        "warnings": list(equations.warnings),
         "has_potential_energy": not energies[1].is_nan,
     }
 

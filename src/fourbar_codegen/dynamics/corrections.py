@@ -20,8 +20,7 @@ sections IV.1 and IV.4.
 
 from __future__ import annotations
 
-import random
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import chain, islice
@@ -31,31 +30,26 @@ import sympy as sm
 from numpy.typing import NDArray
 
 from fourbar_codegen.dynamics.constraints import Constraints
+from fourbar_codegen.dynamics.random_states import RandomStates
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.expressions.convert import substitute
 from fourbar_codegen.expressions.derivatives import Rounding, absolute, jacobian
 from fourbar_codegen.expressions.identities import deduplicate, is_zero
 from fourbar_codegen.expressions.linear import MAX_COUPLED, TooManyCoupledError, UndeterminedError, solve_linear
-from fourbar_codegen.expressions.tape import Leaf, Number, Scalar, Tape
+from fourbar_codegen.expressions.tape import Number, Scalar, Tape
 
 __all__ = ["Corrections", "form_corrections"]
 
 Floats = NDArray[np.float64]
-Point = dict[Scalar, float]
 
 STATES = 5
 """At how many states rows are compared."""
-ATTEMPTS = 60
-"""How many are drawn for that: expressions have no value everywhere, and loops do not close from everywhere."""
 DEPENDENT = 1e-8
 """A row that differs from a combination of others by no more than this share of its size is one."""
 CONSTANT = 1e-9
 """A coefficient that is the same at all states, but for this share, is a number."""
 MAX_DENOMINATOR = 64
 """And a fraction with no larger denominator, if it is as close to one."""
-CLOSED = 1e-12
-MAX_CORRECTIONS = 40
-"""Of Newton's method, on the way to a closed state; each is no longer than 1."""
 
 
 @dataclass(frozen=True)
@@ -168,7 +162,7 @@ def _combinations(
     rows = [*jacobian(tape, rates, u), *map(list, constraints.jacobian)]
     biases = substitute(tape, [*rates, *velocities], dict.fromkeys(u, tape.zero))
     entries = [entry for row, bias in zip(rows, biases, strict=True) for entry in (*row, bias)]
-    states = _States(tape, constraints.positions, entries, values)
+    states = RandomStates(tape, constraints, values, entries)
     n_k = len(kept)
     matrices = _kept(states, len(rows), {k: expressions[k] for k in kept})
     independent, others = _basis(matrices[0], n_k)
@@ -190,7 +184,7 @@ def _combinations(
     return found
 
 
-def _kept(states: _States, n_rows: int, positions: Mapping[int, sm.Expr]) -> list[Floats]:
+def _kept(states: RandomStates, n_rows: int, positions: Mapping[int, sm.Expr]) -> list[Floats]:
     """Rows of rates, which come first, and of velocity constraints, at states where the former depend on the latter."""
     n_k, labels = len(positions), [f"holonomic constraint {k + 1}, {shown(e)}," for k, e in positions.items()]
     left, tried = np.full(n_k, np.inf), "at random states"
@@ -309,63 +303,3 @@ def _shortest_change(tape: Tape, invariants: Sequence[Scalar], q: Sequence[Scala
     return tuple(
         tape.sum([slope[j] * factor for slope, factor in zip(slopes, multipliers, strict=True)]) for j in range(len(q))
     )
-
-
-class _States:
-    """Random states, and the values of scalars there."""
-
-    def __init__(
-        self, tape: Tape, positions: Sequence[Scalar], scalars: Sequence[Scalar], values: Mapping[Scalar, float]
-    ) -> None:
-        self.tape, self.positions, self.scalars, self.values = tape, positions, scalars, values
-        self.generator = random.Random(0)
-        operations = {node: tape.nodes[node] for node in tape.reach([*positions, *scalars])}
-        self.kinds = {Scalar(tape, 1, node): op.kind for node, op in operations.items() if isinstance(op, Leaf)}
-
-    def anywhere(self) -> Iterator[Floats]:
-        """The scalars' values at random states."""
-        for point in self._points():
-            numbers = self._numbers(self.scalars, point)
-            if numbers is not None:
-                yield numbers
-
-    def closed(self) -> Iterator[Floats]:
-        """The same at states that satisfy the positions, for which coordinates and parameters are moved."""
-        closing = set(self.tape.reach(self.positions))
-        moved = [leaf for leaf, kind in self.kinds.items() if leaf.node in closing and kind in "qp"]
-        entries = [*self.positions, *chain.from_iterable(jacobian(self.tape, self.positions, moved))]
-        for point in self._points():
-            if self._close(point, moved, entries):
-                numbers = self._numbers(self.scalars, point)
-                if numbers is not None:
-                    yield numbers
-
-    def _points(self) -> Iterator[Point]:
-        """At first of all sizes alike, then near the given values."""
-        draw = self.generator.uniform
-        for number in range(ATTEMPTS):
-            near = self.values if number >= ATTEMPTS // 2 else {}
-            yield {leaf: near[leaf] + draw(-0.1, 0.1) if leaf in near else draw(0.2, 1.5) for leaf in self.kinds}
-
-    def _numbers(self, scalars: Sequence[Scalar], point: Point) -> Floats | None:
-        try:
-            numbers = np.array(self.tape.evaluate(scalars, point))
-        except (ArithmeticError, ValueError, TypeError):
-            return None
-        return numbers if np.isfinite(numbers).all() else None
-
-    def _close(self, point: Point, moved: Sequence[Scalar], entries: Sequence[Scalar]) -> bool:
-        """Newton's method with the shortest steps."""
-        n_h = len(self.positions)
-        for _ in range(MAX_CORRECTIONS):
-            numbers = self._numbers(entries, point)
-            if numbers is None:
-                return False
-            violation, slopes = numbers[:n_h], numbers[n_h:].reshape(n_h, -1)
-            if (np.abs(violation) <= CLOSED * (1.0 + np.abs(slopes).sum(axis=1))).all():
-                return True
-            step = -np.linalg.lstsq(slopes, violation, rcond=CLOSED)[0]
-            step /= max(1.0, float(np.linalg.norm(step)))
-            for leaf, change in zip(moved, step, strict=True):
-                point[leaf] += float(change)
-        return False

@@ -22,6 +22,7 @@ from typing import Any
 import sympy as sm
 
 from fourbar_codegen.dynamics.constraints import Constraints, form_constraints, position_jacobian
+from fourbar_codegen.dynamics.contradictions import find_contradictions
 from fourbar_codegen.dynamics.corrections import form_corrections
 from fourbar_codegen.dynamics.drawn_points import applied_forces, drawn_points
 from fourbar_codegen.dynamics.kane import Kane
@@ -107,6 +108,8 @@ class Equations:
         The points at which inputs' forces act.
     forces : Result
         These forces in the inertial frame, (n_forces, 3).
+    warnings : tuple of str
+        Where kinematics contradict themselves.
     residual : Result
         (f - M u' + J^T lambda, -(J u' + gamma)) for u' and multipliers in `accelerations` and `multipliers`,
         (n_u + n_c,), to be differentiated.
@@ -152,6 +155,7 @@ class Equations:
     forced: tuple[int, ...]
     forces: Result
     residual: Result
+    warnings: tuple[str, ...]
 
 
 def form_equations(model: Model) -> Equations:
@@ -225,9 +229,12 @@ def form_equations(model: Model) -> Equations:
     changing = (v.time, *v.q, *v.u, *v.r, *v.a, *lam, *v.unknown)
     energies = [kane.kinetic_energy(), kane.potential_energy(model.potential_energy, changing)]
 
-    corrections = form_corrections(
-        tape, constraints, v.q, v.u, _values(model, v), model.mechanism.holonomic_constraints
-    )
+    values = _values(model, v)
+    corrections = form_corrections(tape, constraints, v.q, v.u, values, mechanism.holonomic_constraints)
+    second = zip((q.diff((mechanism.time, 2)) for q in mechanism.coordinates), map(total_rate, q_rates), strict=True)
+    zeros = dict.fromkeys((w.diff(mechanism.time) for w in mechanism.auxiliary_speeds), tape.zero)
+    with_rates = Conversion(tape, {**leaves, **dict(second), **zeros})
+    warnings = find_contradictions(kinematics, constraints, rate, total_rate, with_rates, v.u, v.a, values)
     rounding = Rounding(tape)
     n_q, n_u = len(v.q), len(v.u)
     drawn, points, numbers = drawn_points(mechanism, kinematics)
@@ -302,6 +309,7 @@ def form_equations(model: Model) -> Equations:
         position_formulas=formulas(tape, constraints.positions),
         drawn_points=drawn,
         forced=tuple(applied),
+        warnings=warnings,
         **{result.name: result for result in results},
     )
 

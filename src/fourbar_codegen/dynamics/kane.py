@@ -88,7 +88,6 @@ class Kane:
         self.speeds = tuple(speeds)
         self.auxiliary = tuple(auxiliary)
         self.rate = rate
-        self._consistent = False
         self._masses = [kinematics.convert(body.mass) for body in self.mechanism.bodies]
         self._inertias = [self._inertia(body) for body in self.mechanism.bodies]
 
@@ -122,7 +121,7 @@ class Kane:
                     for entry, derivative in zip(row, cross(row, angular_velocity), strict=True):
                         for rate in rates:
                             rate.give(entry, derivative)
-        self._consistent = len(consistent) == len(frames)
+        kinematics.turning_as_oriented = frozenset(consistent)
 
     def mass_matrix(self) -> list[list[Scalar]]:
         """M of M u' = f, shape (n_u, n_u).
@@ -226,7 +225,8 @@ class Kane:
         """
         kinematics = self.kinematics
         within = all(body.inertia_frame == body.frame for body in self.mechanism.bodies)
-        if not (within and self._consistent) or any(map(self.rate, self._masses)):
+        is_consistent = len(kinematics.turning_as_oriented) == len(self.mechanism.frames)
+        if not (within and is_consistent) or any(map(self.rate, self._masses)):
             return self.tape.number(float("nan"))
         terms = []
         for load in self.mechanism.loads:
@@ -274,7 +274,7 @@ class Kane:
         potential = self.tape.sum(terms)
         # A position that is not given from a fixed point has to have the velocity for its rate.
         loss = self.tape.sum([self.rate(potential), *power])
-        is_known = self.mechanism.has_fixed_point or all(is_zero(self.tape, [loss]))
+        is_known = self.mechanism.fixed_point is not None or all(is_zero(self.tape, [loss]))
         return potential if is_known else self.tape.number(float("nan"))
 
     def _inertia(self, body: Body) -> _Inertia | None:

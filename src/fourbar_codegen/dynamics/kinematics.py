@@ -111,6 +111,7 @@ class Kinematics:
         self._angular_velocities: dict[int, Components] = {}
         self._steps: list[Step] = []
         self._form_steps()
+        self.turning_as_oriented = frozenset({INERTIAL})  # frames whose angular velocity is that of their axes
         self.velocity = Accumulated(self, lambda _, components: components)
 
     def vector(self, vector: stored.Vector) -> Vector:
@@ -224,6 +225,14 @@ class Kinematics:
         """Whether the velocity of a point may be other than zero."""
         base, parts = self.step(point)
         return any(any(components) for _, components in parts) or (base is not None and self.moves(base))
+
+    def moves_as_placed(self, point: int) -> bool:
+        """Whether the velocity of a point is seen to be the rate of its position, from a point that is at rest."""
+        base, parts = self._steps[point]
+        if base is None:
+            return self.mechanism.points[point].parent is None and not parts
+        frames = {frame for frame, _ in self.mechanism.points[point].offset}
+        return frames <= self.turning_as_oriented and self.moves_as_placed(base)
 
     def _form_steps(self) -> None:
         """Find the points whose velocity follows from that of their parent.

@@ -128,6 +128,8 @@ class Body:
     inertia : tuple of Expr or None
         The 9 entries of the central inertia.
     potential_energy : Expr
+    acceleration : Vector or None
+        Of the mass centre, in the inertial frame, if one was set. Equations do not depend on it.
     """
 
     name: str
@@ -137,6 +139,7 @@ class Body:
     inertia_frame: int | None
     inertia: tuple[sm.Expr, ...] | None
     potential_energy: sm.Expr
+    acceleration: Vector | None
 
 
 @dataclass(frozen=True)
@@ -177,9 +180,9 @@ class Mechanism:
     kinematic_equations, holonomic_constraints, velocity_constraints : tuple of Expr
         Each to be zero. The velocity constraints follow from the holonomic constraints, in their order, if
         `velocity_constraints_derived`; then the nonholonomic ones stand behind them.
-    has_fixed_point : bool
-        Whether it is known to be at rest what the loads' positions are given from. A point whose velocity is set to
-        zero need not be, such as the contact of a wheel that rolls.
+    fixed_point : int or None
+        Number of the System's fixed point, which loads' positions are given from; a KanesMethod has none. A point whose
+        velocity is set to zero need not be fixed: the contact of a wheel is not.
     drawn : tuple of DrawnPoint
         The points whose positions follow from the System's fixed point, or else from a point at rest. Nothing but
         pictures depends on them.
@@ -199,7 +202,7 @@ class Mechanism:
     holonomic_constraints: tuple[sm.Expr, ...]
     velocity_constraints: tuple[sm.Expr, ...]
     velocity_constraints_derived: bool
-    has_fixed_point: bool
+    fixed_point: int | None
     drawn: tuple[DrawnPoint, ...]
 
     def labelled_loads(self) -> Iterator[tuple[str, Iterable[sm.Expr]]]:
@@ -278,8 +281,8 @@ def read_mechanism(system: System | me.KanesMethod) -> Mechanism:
     elif isinstance(system, me.LagrangesMethod):
         raise ModelError(
             "A LagrangesMethod cannot be read: equations are formed by Kane's method, from bodies and loads. Make a "
-            "System or a KanesMethod of these, with a speed u for each coordinate q and the kinematic equation u - q' = 0; "
-            "forces that a Lagrangian has as potentials become loads."
+            "System or a KanesMethod of these, with a speed u for each coordinate q and the kinematic equation "
+            "u - q' = 0; forces that a Lagrangian has as potentials become loads."
         )
     else:
         raise ModelError(
@@ -308,7 +311,7 @@ def read_mechanism(system: System | me.KanesMethod) -> Mechanism:
         holonomic_constraints=tuple(description.holonomic_constraints),
         velocity_constraints=tuple(description.velocity_constraints),
         velocity_constraints_derived=description.derived,
-        has_fixed_point=description.fixed_point is not None,
+        fixed_point=None if description.fixed_point is None else reader.point_numbers.get(description.fixed_point),
         drawn=drawn,
     )
 
@@ -395,8 +398,9 @@ def _check_counts(system: _Description) -> None:
     rates = [u for u in (*system.u_ind, *system.u_dep) if isinstance(u, sm.Derivative)]
     if rates:
         problems.append(
-            f"its speeds {', '.join(map(str, rates))} are derivatives, as for LagrangesMethod, and Kane's method is what "
-            "is read: give each coordinate q a speed u of its own, and the kinematic differential equation u - q' = 0"
+            f"its speeds {', '.join(map(str, rates))} are derivatives, as for LagrangesMethod, and Kane's method is "
+            "what is read: give each coordinate q a speed u of its own, and the kinematic differential equation "
+            "u - q' = 0"
         )
     elif len(system.kdes) != n_q:
         problems.append(
@@ -581,12 +585,20 @@ class _Reader:
         except ValueError:
             return None
 
+    def acceleration(self, point: me.Point) -> Vector | None:
+        given = point._acc_dict.get(self.inertial)
+        try:
+            return None if given is None else self.vector(given, f"acceleration of point {point.name}")
+        except ModelError:
+            return None  # it is written in a frame that nothing else needs
+
     def body(self, body: me.RigidBody | me.Particle) -> Body:
         name = f"body {body.name}"
         mass, potential_energy = sm.sympify(body.mass), sm.sympify(body.potential_energy)
         point = self.point_numbers[body.masscenter]
+        acceleration = self.acceleration(body.masscenter)
         if not isinstance(body, me.RigidBody):  # the deprecated Body is a RigidBody and a Particle
-            return Body(body.name, mass, point, None, None, None, potential_energy)
+            return Body(body.name, mass, point, None, None, None, potential_energy, acceleration)
         self.angular_velocity(body.frame, name)
         # The inertia stays in the frame it was given in, which need not be fixed in the body (the wheel of a
         # bicycle is simplest in a frame that does not spin with it); mixed frames go to the body's own.
@@ -603,6 +615,7 @@ class _Reader:
             self.number(frame, name),
             inertia,
             potential_energy,
+            acceleration,
         )
 
     def load(self, load: Any) -> Load:

@@ -1,0 +1,254 @@
+"""Kinematics that contradict themselves: what a user set, beside what follows from orientations and positions.
+
+Angular velocities and velocities may be set, with a constraint or a generalized speed substituted into them, and Kane's
+equations are formed with what was set. Where all constraints are satisfied, it has to be what follows. That is compared
+by numbers, for the frames and mass centres of bodies and the points that forces act on. A point whose velocity was set
+to zero is the contact of a wheel, as a rule, which is at rest and moves along; it is not asked about.
+
+Accelerations follow from velocities here. SymPy takes those that are set, by ``Point.a2pt_theory`` for example, which
+are others where the point that they are given from is not fixed in the body.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourbar_codegen.dynamics.constraints import Constraints
+from fourbar_codegen.dynamics.kinematics import (
+    INERTIAL,
+    Accumulated,
+    Kinematics,
+    Vector,
+    add,
+    cross,
+    differentiate,
+    dot,
+)
+from fourbar_codegen.dynamics.random_states import RandomStates
+from fourbar_codegen.errors import ModelError
+from fourbar_codegen.expressions.convert import Conversion
+from fourbar_codegen.expressions.derivatives import Jvp
+from fourbar_codegen.expressions.identities import is_zero
+from fourbar_codegen.expressions.tape import Scalar
+from fourbar_codegen.modeling import system_reader as stored
+
+__all__ = ["find_contradictions"]
+
+Floats = NDArray[np.float64]
+
+STATES = 3
+ALIKE = 1e-6
+"""Two vectors are alike that differ by no more than this share of the larger one."""
+SMALL = 1e-3
+"""Vectors that are smaller than this, at states of the order of 1, are compared with it."""
+
+
+def find_contradictions(
+    kinematics: Kinematics,
+    constraints: Constraints,
+    rate: Jvp,
+    total_rate: Jvp,
+    convert: Conversion,
+    speeds: Sequence[Scalar],
+    accelerations: Sequence[Scalar],
+    values: Mapping[Scalar, float],
+) -> tuple[str, ...]:
+    """Find where a mechanism's kinematics contradict themselves.
+
+    Parameters
+    ----------
+    kinematics : Kinematics
+    constraints : Constraints
+    rate, total_rate : Jvp
+        Differentiation with respect to time with u' = 0, and with u' given.
+    convert : Conversion
+        That knows u' and q''.
+    speeds, accelerations : sequence of Scalar
+        The leaves of u and u'.
+    values : mapping of Scalar to float
+        Values of leaves near which the equations are defined.
+
+    Returns
+    -------
+    tuple of str
+        A sentence for each contradiction.
+    """
+    numbers = _Numbers(kinematics, rate)
+    claims = [*_of_frames(numbers), *_of_points(numbers), *_of_accelerations(numbers, total_rate, convert)]
+    if not claims:
+        return ()
+    states = RandomStates(kinematics.tape, constraints, values, numbers.scalars, _not_orthonormal(kinematics))
+    differing = []
+    for values_there in islice(states.moving(speeds, accelerations), STATES):
+        axes, turning = numbers.orientations(values_there)
+        found = [
+            (claim.was_set(values_there, axes, turning), claim.follows(values_there, axes, turning)) for claim in claims
+        ]
+        differing.append([_differ(a, b) for a, b in found])
+    if not differing:
+        return ()
+    return tuple(
+        f"{claim.sentence} At a random state that satisfies all constraints these are {_shown(a)} and {_shown(b)}."
+        for claim, (a, b), differ in zip(claims, found, np.all(differing, axis=0), strict=True)
+        if differ
+    )
+
+
+def _not_orthonormal(kinematics: Kinematics) -> list[Scalar]:
+    """What is zero where direction cosines are such: norms of quaternions that no constraint holds, for example."""
+    one = kinematics.tape.one
+    entries = []
+    for number, frame in enumerate(kinematics.mechanism.frames):
+        if number != INERTIAL and frame.dcm is not None:
+            rows = kinematics.dcm(number)
+            entries += [dot(rows[i], rows[j]) - one * int(i == j) for i in range(3) for j in range(i + 1)]
+    return [entry for entry, is_so in zip(entries, is_zero(kinematics.tape, entries), strict=True) if not is_so]
+
+
+def _differ(a: Floats, b: Floats) -> bool:
+    size = max(float(np.linalg.norm(a)), float(np.linalg.norm(b)), SMALL)
+    return float(np.linalg.norm(a - b)) > ALIKE * size
+
+
+def _shown(vector: Floats) -> str:
+    return "(" + ", ".join(f"{x:.3g}" for x in vector.round(12) + 0.0) + ")"
+
+
+_Evaluated = Callable[[Floats, Mapping[int, Floats], Mapping[int, Floats]], Floats]
+"""A vector along the axes of the inertial frame: of numbers, the frames' axes, and their angular velocities."""
+
+
+@dataclass(frozen=True)
+class _Claim:
+    """Two vectors that have to be the same."""
+
+    sentence: str
+    was_set: _Evaluated
+    follows: _Evaluated
+
+
+class _Numbers:
+    """Scalars that are evaluated together, and the orientations that follow from direction cosines."""
+
+    def __init__(self, kinematics: Kinematics, rate: Jvp) -> None:
+        self.kinematics, self.rate = kinematics, rate
+        self.scalars: list[Scalar] = []
+        self._dcms: list[tuple[int, slice, slice]] = []
+
+    def place(self, scalars: Sequence[Scalar]) -> slice:
+        """Where the values of scalars will stand."""
+        self.scalars += scalars
+        return slice(len(self.scalars) - len(scalars), len(self.scalars))
+
+    def vector(self, vector: Vector) -> _Evaluated:
+        """A vector by its components."""
+        parts = [(frame, self.place(components)) for frame, components in vector]
+        return lambda values, axes, _: np.sum([values[part] @ axes[f] for f, part in parts] or [np.zeros(3)], axis=0)
+
+    def rate_of_vector(self, vector: Vector) -> _Evaluated:
+        """Its derivative, with frames that turn as their direction cosines do."""
+        parts = [(f, self.place(c), self.place(differentiate(self.rate, c))) for f, c in vector]
+        return lambda values, axes, turning: np.sum(
+            [values[rates] @ axes[f] + np.cross(turning[f], values[part] @ axes[f]) for f, part, rates in parts]
+            or [np.zeros(3)],
+            axis=0,
+        )
+
+    def angular_velocity(self, frame: int) -> _Evaluated:
+        """That of a frame, as it follows from its orientation."""
+        return lambda _, __, turning: turning[frame]
+
+    def place_orientations(self) -> None:
+        """The direction cosines of all frames, and their rates."""
+        if self._dcms:
+            return
+        for number, frame in enumerate(self.kinematics.mechanism.frames):
+            if number != INERTIAL and frame.dcm is not None:
+                entries = [entry for row in self.kinematics.dcm(number) for entry in row]
+                self._dcms.append((number, self.place(entries), self.place([self.rate(entry) for entry in entries])))
+
+    def orientations(self, values: Floats) -> tuple[dict[int, Floats], dict[int, Floats]]:
+        """The frames' axes, in rows, and their angular velocities: as a_i' = w x a_i, 2 w is the sum of a_i x a_i'."""
+        axes, turning = {INERTIAL: np.eye(3)}, {INERTIAL: np.zeros(3)}
+        for number, dcm, rates in self._dcms:
+            parent = self.kinematics.mechanism.frames[number].parent
+            rows, row_rates = values[dcm].reshape(3, 3), values[rates].reshape(3, 3)
+            axes[number] = rows @ axes[parent]
+            turning[number] = turning[parent] + np.cross(rows, row_rates).sum(axis=0) / 2.0 @ axes[parent]
+        return axes, turning
+
+
+def _of_frames(numbers: _Numbers) -> Iterator[_Claim]:
+    kinematics = numbers.kinematics
+    for body in kinematics.mechanism.bodies:
+        if body.frame is None or body.frame in kinematics.turning_as_oriented:
+            continue
+        frame = kinematics.mechanism.frames[body.frame]
+        if frame.dcm is not None:
+            numbers.place_orientations()
+            yield _Claim(
+                f"The angular velocity of frame {frame.name}, which was set, is another one than follows from its "
+                "orientation, in rad/s; equations take the one that was set.",
+                numbers.vector(((body.frame, kinematics.angular_velocity(body.frame)),)),
+                numbers.angular_velocity(body.frame),
+            )
+
+
+def _of_points(numbers: _Numbers) -> Iterator[_Claim]:
+    kinematics, mechanism = numbers.kinematics, numbers.kinematics.mechanism
+    needed = [body.point for body in mechanism.bodies]
+    needed += [load.target for load in mechanism.loads if load.kind == "force"]
+    for point in dict.fromkeys(needed):
+        velocity = kinematics.velocity(point)
+        path = [point]
+        while (parent := mechanism.points[path[-1]].parent) is not None:
+            path.append(parent)
+        if not velocity or path[-1] != mechanism.fixed_point or kinematics.moves_as_placed(point):
+            continue
+        try:
+            offsets = [part for member in path for part in kinematics.vector(mechanism.points[member].offset)]
+        except ModelError:  # symbols that the equations do not know
+            continue
+        numbers.place_orientations()
+        yield _Claim(
+            f"The velocity of point {mechanism.points[point].name}, which was set, is another one than follows from "
+            "its position, in m/s; equations take the one that was set.",
+            numbers.vector(velocity),
+            numbers.rate_of_vector(tuple(offsets)),
+        )
+
+
+def _of_accelerations(numbers: _Numbers, total_rate: Jvp, convert: Conversion) -> Iterator[_Claim]:
+    kinematics = numbers.kinematics
+
+    def rate_of_part(frame: int, components: tuple[Scalar, Scalar, Scalar]) -> tuple[Scalar, Scalar, Scalar]:
+        return add(differentiate(total_rate, components), cross(kinematics.angular_velocity(frame), components))
+
+    follows = Accumulated(kinematics, rate_of_part)
+    for body in kinematics.mechanism.bodies:
+        if body.acceleration is None:
+            continue
+        try:
+            was_set = _converted(convert, body.acceleration)
+        except ModelError:  # symbols that the equations do not know
+            continue
+        both = [kinematics.express(vector, INERTIAL) for vector in (was_set, follows(body.point))]
+        if not all(is_zero(kinematics.tape, [a - b for a, b in zip(*both, strict=True)])):
+            numbers.place_orientations()
+            first, second = (numbers.vector(((INERTIAL, components),)) for components in both)
+            name = kinematics.mechanism.points[body.point].name
+            yield _Claim(
+                f"The acceleration of point {name}, which was set (by a2pt_theory, for example), is another one than "
+                "follows from its velocity, in m/s^2; equations take the latter, SymPy's the former.",
+                first,
+                second,
+            )
+
+
+def _converted(convert: Conversion, vector: stored.Vector) -> Vector:
+    return tuple((frame, (convert(x), convert(y), convert(z))) for frame, (x, y, z) in vector)

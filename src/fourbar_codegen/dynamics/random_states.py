@@ -1,0 +1,131 @@
+"""Random states of a mechanism, such that satisfy its constraints among them, and the values of expressions there."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourbar_codegen.dynamics.constraints import Constraints
+from fourbar_codegen.expressions.derivatives import jacobian
+from fourbar_codegen.expressions.tape import Leaf, Scalar, Tape
+
+__all__ = ["RandomStates"]
+
+Floats = NDArray[np.float64]
+Point = dict[Scalar, float]
+
+ATTEMPTS = 60
+"""States that are drawn: expressions have no value everywhere, and loops do not close from everywhere."""
+CLOSED = 1e-12
+MAX_CORRECTIONS = 40
+"""Of Newton's method, on the way to a closed state; each is no longer than 1."""
+
+
+class RandomStates:
+    """Random values of the leaves, parameters among them, and the scalars' values there.
+
+    Parameters
+    ----------
+    tape : Tape
+    constraints : Constraints
+    values : mapping of Scalar to float
+        Values of leaves near which expressions are defined; the second half of the states is drawn there.
+    scalars : sequence of Scalar
+    more : sequence of Scalar, optional
+        What has to be zero at closed states, beside the position constraints.
+    """
+
+    def __init__(
+        self,
+        tape: Tape,
+        constraints: Constraints,
+        values: Mapping[Scalar, float],
+        scalars: Sequence[Scalar],
+        more: Sequence[Scalar] = (),
+    ) -> None:
+        self.tape, self.constraints, self.values, self.scalars = tape, constraints, values, scalars
+        self._closing = [*constraints.positions, *more]
+        self._jacobian = [*chain.from_iterable(constraints.jacobian)]
+        entries = [*self._closing, *constraints.velocities, *constraints.acceleration_bias, *scalars]
+        operations = {node: tape.nodes[node] for node in tape.reach(entries)}
+        self._kinds = {Scalar(tape, 1, node): op.kind for node, op in operations.items() if isinstance(op, Leaf)}
+
+    def anywhere(self) -> Iterator[Floats]:
+        """At states that need not satisfy the constraints."""
+        for point in self._points():
+            yield from self._at(point)
+
+    def closed(self) -> Iterator[Floats]:
+        """At states that satisfy the position constraints, for which coordinates and parameters are moved."""
+        for point in self._closed():
+            yield from self._at(point)
+
+    def moving(self, speeds: Sequence[Scalar], accelerations: Sequence[Scalar]) -> Iterator[Floats]:
+        """At closed states that satisfy the velocity constraints as well, and at accelerations that keep them."""
+        constraints, n_u = self.constraints, len(speeds)
+        for point in self._closed():
+            point.update((leaf, point.get(leaf, self._draw())) for leaf in (*speeds, *accelerations))
+            for leaves, violation in ((speeds, constraints.velocities), (accelerations, constraints.acceleration_bias)):
+                numbers = self._numbers([*violation, *self._jacobian], point)
+                if numbers is None:
+                    break
+                left, matrix = numbers[: len(violation)], numbers[len(violation) :].reshape(-1, n_u)
+                if leaves is accelerations:
+                    left = left + matrix @ [point[leaf] for leaf in leaves]
+                for leaf, change in zip(leaves, np.linalg.lstsq(matrix, left, rcond=CLOSED)[0], strict=True):
+                    point[leaf] -= float(change)
+            else:
+                yield from self._at(point)
+
+    def _closed(self) -> Iterator[Point]:
+        closing = set(self.tape.reach(self._closing))
+        moved = [leaf for leaf, kind in self._kinds.items() if leaf.node in closing and kind in "qp"]
+        entries = [*self._closing, *chain.from_iterable(jacobian(self.tape, self._closing, moved))]
+        for point in self._points():
+            if self._close(point, moved, entries):
+                yield point
+
+    def _draw(self) -> float:
+        return self._generator.uniform(0.2, 1.5)
+
+    def _points(self) -> Iterator[Point]:
+        """At first of all sizes alike, then near the given values; the same ones each time."""
+        self._generator = random.Random(0)
+        for number in range(ATTEMPTS):
+            near = self.values if number >= ATTEMPTS // 2 else {}
+            yield {
+                leaf: near[leaf] + self._generator.uniform(-0.1, 0.1) if leaf in near else self._draw()
+                for leaf in self._kinds
+            }
+
+    def _at(self, point: Point) -> Iterator[Floats]:
+        numbers = self._numbers(self.scalars, point)
+        if numbers is not None:
+            yield numbers
+
+    def _numbers(self, scalars: Sequence[Scalar], point: Point) -> Floats | None:
+        try:
+            numbers = np.array(self.tape.evaluate(scalars, point))
+        except (ArithmeticError, ValueError, TypeError):
+            return None
+        return numbers if np.isfinite(numbers).all() else None
+
+    def _close(self, point: Point, moved: Sequence[Scalar], entries: Sequence[Scalar]) -> bool:
+        """Newton's method with the shortest steps."""
+        n_h = len(self._closing)
+        for _ in range(MAX_CORRECTIONS if n_h else 0):
+            numbers = self._numbers(entries, point)
+            if numbers is None:
+                return False
+            violation, slopes = numbers[:n_h], numbers[n_h:].reshape(n_h, -1)
+            if (np.abs(violation) <= CLOSED * (1.0 + np.abs(slopes).sum(axis=1))).all():
+                return True
+            step = -np.linalg.lstsq(slopes, violation, rcond=CLOSED)[0]
+            step /= max(1.0, float(np.linalg.norm(step)))
+            for leaf, change in zip(moved, step, strict=True):
+                point[leaf] += float(change)
+        return not n_h

@@ -1,4 +1,4 @@
-# make run, make test, make lint, make docs, make bench, make fuzz: each sets up what it needs in .venv.
+# make run, make test, make lint, make docs, make bench, make fuzz, make ecosystem: each sets up what it needs in .venv.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -8,7 +8,7 @@ INSTALLED_DOCS := $(VENV)/installed-docs
 # What a compiled part is made of; the Python files are used where they stand.
 SOURCES := pyproject.toml setup.py $(wildcard src/fourbar_codegen/runtime/*.pyx src/fourbar_codegen/runtime/*.h generated/*/*)
 
-.PHONY: run test lint docs bench fuzz generate clean
+.PHONY: run test lint docs bench fuzz ecosystem generate clean
 
 run: $(INSTALLED_RUN)
 	$(BIN)/fourbar simulate four_bar -o results/four_bar.csv -o results/four_bar.npz -o results/four_bar.png
@@ -39,6 +39,10 @@ bench: $(INSTALLED)
 # Hours: 100,000 calls, 1,000 Systems. FUZZ='--calls 1000' does fewer of these, as `python -m fuzz.runner run --help` says.
 fuzz: $(INSTALLED)
 	PYTHONPATH=tests:benchmarks:examples $(BIN)/python -m fuzz.runner run --docs $(FUZZ)
+
+# Models of others, from SymBRiM, SymPy, PyDy and opty; minutes.
+ecosystem: $(INSTALLED)
+	PYTHONPATH=tests:benchmarks $(BIN)/python -m ecosystem
 
 generate: $(INSTALLED)
 	$(BIN)/fourbar generate four_bar -o generated

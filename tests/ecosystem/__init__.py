@@ -1,0 +1,1 @@
+"""Other people's models, as they are: accepted, right, and simulated with default settings."""

@@ -1,0 +1,283 @@
+"""The models, each as those who know it would have it: a System or a KanesMethod, values, and where a run begins.
+
+SymPy's are formed by its own tests, which come with it, SymBRiM's of its components. Those of PyDy and opty are written
+here after their published descriptions, with the same choices of coordinates, speeds and constraints.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+from unittest import mock
+
+import sympy as sm
+import sympy.physics.mechanics as me
+from sympy.physics.mechanics.system import System
+
+T = me.dynamicsymbols._t
+g = sm.Symbol("g")
+
+
+@dataclass(frozen=True)
+class Built:
+    """What a case makes: a model of SymPy's, and what it needs to run. What is not named begins at a small number."""
+
+    system: System | me.KanesMethod
+    values: Mapping[Any, float] = field(default_factory=dict)
+    begin: Mapping[Any, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A model of others.
+
+    Attributes
+    ----------
+    name, source : str
+    build : callable
+    warned : str
+        What is wrong in the model itself, of which there is a warning. Then SymPy's equations are others.
+    """
+
+    name: str
+    source: str
+    build: Callable[[], Built]
+    warned: str = ""
+
+
+class _Formed(Exception):
+    """A KanesMethod has formed its equations: the rest of a test is not needed."""
+
+
+def of_sympys_test(module: str, function: str, which: int = 0) -> Callable[[], Built]:
+    """The KanesMethod, in its order, that a test of sympy.physics.mechanics forms equations of."""
+
+    def build() -> Built:
+        formed: list[me.KanesMethod] = []
+        original = me.KanesMethod.kanes_equations
+
+        def kanes_equations(self: me.KanesMethod, *arguments: Any, **more: Any) -> Any:
+            result = original(self, *arguments, **more)
+            formed.append(self)
+            if len(formed) > which:
+                raise _Formed
+            return result
+
+        test = getattr(importlib.import_module(f"sympy.physics.mechanics.tests.{module}"), function)
+        with warnings.catch_warnings(), mock.patch.object(me.KanesMethod, "kanes_equations", kanes_equations):
+            warnings.simplefilter("ignore")
+            with contextlib.suppress(_Formed):
+                getattr(test, "__wrapped__", test)()
+        return Built(formed[which])
+
+    return build
+
+
+def rolling_disc(**options: bool) -> Callable[[], Built]:
+    """SymBRiM's rolling disc."""
+
+    def build() -> Built:
+        import symbrim as sb
+        from symbrim.other.rolling_disc import RollingDisc
+
+        disc = RollingDisc("disc")
+        disc.wheel, disc.ground = sb.KnifeEdgeWheel("wheel"), sb.FlatGround("ground")
+        disc.tire = sb.NonHolonomicTire("tire")
+        for name, value in options.items():
+            setattr(disc.tire, name, value)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            disc.define_all()
+            system = disc.to_system()
+        system.apply_uniform_gravity(-g * disc.ground.get_normal(disc.ground.origin))
+        system.q_ind, system.u_ind, system.u_dep = disc.q[:], disc.u[2:], disc.u[:2]
+        return Built(system, {disc.wheel.symbols["r"]: 0.4, g: 9.81}, {disc.u[4]: 5.0})
+
+    return build
+
+
+def whipple_bicycle(
+    *, front_frame: str = "RigidFrontFrame", wheel: str = "KnifeEdgeWheel", normal: str = "-z", forces: bool = False
+) -> Callable[[], Built]:
+    """SymBRiM's Whipple bicycle, with the benchmark's values in Moore's convention.
+
+    Source: P. Basu-Mandal, A. Chatterjee, J. M. Papadopoulos, "Hands-free circular motions of a benchmark bicycle",
+    Proceedings of the Royal Society A 463 (2007); the values as SymBRiM's own test has them.
+    """
+
+    def build() -> Built:
+        import symbrim as sb
+
+        bike = sb.WhippleBicycle("bike")
+        bike.ground = sb.FlatGround("ground", normal=normal)
+        bike.rear_frame, bike.front_frame = sb.RigidRearFrame("rear_frame"), getattr(sb, front_frame)("front_frame")
+        bike.rear_wheel, bike.front_wheel = getattr(sb, wheel)("rear_wheel"), getattr(sb, wheel)("front_wheel")
+        bike.rear_tire, bike.front_tire = sb.NonHolonomicTire("rear_tire"), sb.NonHolonomicTire("front_tire")
+        bike.rear_tire.compute_normal_force = bike.front_tire.compute_normal_force = forces
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            bike.define_all()
+            system = bike.to_system()
+        system.apply_uniform_gravity(-g * bike.ground.get_normal(bike.ground.origin))
+        more = bike.front_frame
+        system.q_ind, system.q_dep = [*bike.q[:4], *bike.q[5:], *more.q], [bike.q[4]]
+        system.u_ind = [bike.u[3], *bike.u[5:7], *more.u]
+        system.u_dep = [*bike.u[:3], bike.u[4], bike.u[7]]
+        begin = {bike.q[4]: 0.3, bike.u[5]: -15.0, bike.u[3]: 0.1}  # 4.5 m/s, where it is stable
+        return Built(system, _of_whipple(bike), {**dict.fromkeys([*system.q_ind, *system.u_ind], 0.0), **begin})
+
+    return build
+
+
+def _of_whipple(bike: Any) -> dict[sm.Expr, float]:
+    values = {g: 9.81}
+    for part, numbers in {
+        bike.rear_wheel: {"r": 0.3, "tr": 0.02},
+        bike.front_wheel: {"r": 0.35, "tr": 0.02},
+        bike.rear_frame: {"d1": 0.9534570696121849, "l1": 0.4707271515135145, "l2": -0.47792881146460797},
+        bike.front_frame: {
+            "d2": 0.2676445084476887, "d3": 0.03207142672761929, "l3": -0.00597083392418685, "l4": -0.3699518200282974,
+            "d9": 0.03207142672761929, "k": 19.4e3, "c": 9e3,
+        },
+    }.items():  # fmt: skip
+        values.update({part.symbols[name]: number for name, number in numbers.items() if name in part.symbols})
+    rear, front = (7.178169776497895, 11.0, 4.821830223502103), (0.05841337700152972, 0.06, 0.007586622998470264)
+    for part, mass, diagonal, product in (
+        (bike.rear_frame, 85.0, rear, 3.8225535938357873),
+        (bike.front_frame, 4.0, front, 0.009119225261946298),
+        (bike.rear_wheel, 2.0, (0.0603, 0.12, 0.0603), 0.0),
+        (bike.front_wheel, 3.0, (0.1405, 0.28, 0.1405), 0.0),
+    ):
+        matrix = part.body.central_inertia.to_matrix(part.body.frame)
+        values.update({part.body.mass: mass, **{matrix[i, i]: diagonal[i] for i in range(3)}})
+        if matrix[0, 2]:
+            values[matrix[0, 2]] = product
+    return values
+
+
+def drone() -> Built:
+    """opty's drone: a rigid body in quaternions, whose norm has a dependent speed, with four thrusts and air drag."""
+    m, length, w, d, c = sm.symbols("m l w d c", real=True)
+    position, velocity = me.dynamicsymbols("x y z"), me.dynamicsymbols("v_x v_y v_z")
+    e, u0, turning = me.dynamicsymbols("e0:4"), me.dynamicsymbols("u0"), me.dynamicsymbols("w_x w_y w_z")
+    thrusts = me.dynamicsymbols("F1:5")
+    ground, body, origin, center = me.ReferenceFrame("N"), me.ReferenceFrame("A"), me.Point("O"), me.Point("C")
+    body.orient_quaternion(ground, e)
+    center.set_pos(origin, sum((x * axis for x, axis in zip(position, ground, strict=True)), 0 * ground.x))
+    by_rates, moving = body.ang_vel_in(ground), center.pos_from(origin).dt(ground)
+    kinematic = [v - moving.dot(axis) for v, axis in zip(velocity, body, strict=True)]
+    kinematic += [u0 - e[0].diff(T), *(x - by_rates.dot(axis) for x, axis in zip(turning, body, strict=True))]
+    body.set_ang_vel(ground, sum((x * axis for x, axis in zip(turning, body, strict=True)), 0 * body.x))
+    origin.set_vel(ground, 0)
+    center.set_vel(ground, sum((v * axis for v, axis in zip(velocity, body, strict=True)), 0 * body.x))
+    loads = [(center, -m * g * ground.z - c * center.vel(ground))]
+    for number, (thrust, right, ahead) in enumerate(zip(thrusts, (1, -1, 1, -1), (1, 1, -1, -1), strict=True)):
+        rotor = center.locatenew(f"P{number}", right * length / 2 * body.x + ahead * w / 2 * body.y)
+        rotor.v2pt_theory(center, ground, body)
+        loads.append((rotor, thrust * body.z))
+    inertia = me.inertia(body, m * (w**2 + d**2) / 12, m * (length**2 + d**2) / 12, m * (length**2 + w**2) / 12)
+    norm = sm.Matrix([sum(x**2 for x in e) - 1])
+    kane = me.KanesMethod(
+        ground, [*position, *e[1:]], [*velocity, *turning], kd_eqs=kinematic, q_dependent=[e[0]], u_dependent=[u0],
+        configuration_constraints=norm, velocity_constraints=norm.diff(T),
+    )  # fmt: skip
+    kane.kanes_equations([me.RigidBody("drone", center, body, m, (inertia, center))], loads)
+    return Built(kane, {m: 2.0, length: 0.5, w: 0.4, d: 0.1, g: 9.81, c: 0.2}, {e[0]: 1.0})
+
+
+def crane() -> Built:
+    """opty's crane: a load on a pendulum below a trolley, its coordinates and their rates as constraints beside."""
+    x, x_load, y_load, q = me.dynamicsymbols("x x_l y_l q")
+    speeds = u, u_load, v_load, turn = me.dynamicsymbols("u u_l v_l u_q")
+    force = me.dynamicsymbols("F")
+    length, m1, m2 = sm.symbols("l m1 m2")
+    ground, rope, origin, trolley, load = (
+        me.ReferenceFrame("N"),
+        me.ReferenceFrame("A"),
+        *map(me.Point, ("O", "P1", "P2")),
+    )
+    origin.set_vel(ground, 0)
+    rope.orient_axis(ground, q, ground.z)
+    rope.set_ang_vel(ground, turn * ground.z)
+    trolley.set_pos(origin, x * ground.x)
+    trolley.set_vel(ground, u * ground.x)
+    load.set_pos(trolley, -length * rope.y)
+    load.v2pt_theory(trolley, ground, rope)
+    places = sm.Matrix([x_load - x - length * sm.sin(q), y_load + length * sm.cos(q)])
+    coordinates = x, x_load, y_load, q
+    kane = me.KanesMethod(
+        ground, [x, q], [u, turn], q_dependent=[x_load, y_load], u_dependent=[u_load, v_load],
+        kd_eqs=[speed - coordinate.diff(T) for speed, coordinate in zip(speeds, coordinates, strict=True)],
+        configuration_constraints=places, velocity_constraints=places.diff(T),
+    )  # fmt: skip
+    forces = [(trolley, force * ground.x - m1 * g * ground.y), (load, -m2 * g * ground.y)]
+    kane.kanes_equations([me.Particle("trolley", trolley, m1), me.Particle("load", load, m2)], forces)
+    return Built(kane, {length: 2.0, m1: 5.0, m2: 1.0, g: 9.81}, {q: 0.5})
+
+
+def three_link_conical_pendulum() -> Built:
+    """PyDy's: each link turns about two axes, and the angular velocities that are set are those of small angles."""
+    angles, speeds = me.dynamicsymbols("theta1:7"), me.dynamicsymbols("omega1:7")
+    lengths, masses, moments = sm.symbols("l1:4"), sm.symbols("m1:4"), sm.symbols("i1:4")
+    ground, joint = me.ReferenceFrame("I"), me.Point("O")
+    joint.set_vel(ground, 0)
+    bodies, loads, parent = [], [], ground
+    for number, (length, m, moment) in enumerate(zip(lengths, masses, moments, strict=True)):
+        link, center, end = me.ReferenceFrame("ABC"[number]), me.Point(f"C{number}"), me.Point(f"P{number}")
+        pair, turning = angles[2 * number : 2 * number + 2], speeds[2 * number : 2 * number + 2]
+        link.orient_body_fixed(parent, (*pair, 0), "xzx")
+        link.set_ang_vel(parent, turning[0] * parent.x + turning[1] * parent.z)
+        center.set_pos(joint, length / 2 * link.y)
+        end.set_pos(joint, length * link.y)
+        center.v2pt_theory(joint, ground, link)
+        end.v2pt_theory(joint, ground, link)
+        inertia = (me.inertia(link, moment, 0, moment), center)
+        bodies.append(me.RigidBody(f"link{number}", center, link, m, inertia))
+        loads.append((center, m * g * ground.y))
+        parent, joint = link, end
+    kinematic = [u - q.diff(T) for q, u in zip(angles, speeds, strict=True)]
+    kane = me.KanesMethod(ground, angles, speeds, kd_eqs=kinematic)
+    kane.kanes_equations(bodies, loads)
+    values = {**dict.fromkeys(lengths, 0.5), **dict.fromkeys(masses, 2.0), **dict.fromkeys(moments, 0.05), g: 9.81}
+    return Built(kane, values)
+
+
+def sympys(name: str, module: str, function: str, which: int = 0, **more: str) -> Case:
+    """A model of one of SymPy's own tests."""
+    return Case(name, f"SymPy, {module}.{function}", of_sympys_test(module, function, which), **more)
+
+
+CONTACT = "a2pt_theory from the contact, which is fixed in no body: SymPy's 2 u2 u3 are 6/5 u2 u3"
+QUICK = (
+    sympys("two masses on a line", "test_kane", "test_two_dof"),
+    sympys("pendulum by its velocity", "test_kane", "test_pend"),
+    sympys("rolling disc, three coordinates", "test_kane", "test_rolling_disc"),
+    sympys("rolling disc, auxiliary speeds", "test_kane", "test_aux", 1, warned=CONTACT),
+    sympys("rolling disc, five speeds", "test_kane5", "test_kane_rolling_disc_lu"),
+    sympys("rolling disc and its height", "test_linearize", "test_linearize_rolling_disc_kane"),
+    sympys("pendulum, Cartesian", "test_linearize", "test_linearize_pendulum_kane_nonminimal"),
+    sympys("forces with rates q'", "test_kane4", "test_replace_qdots_in_force"),
+    sympys("Whipple bicycle, no wheel angles", "test_kane3", "test_bicycle"),
+    Case("rolling disc", "SymBRiM, RollingDisc", rolling_disc()),
+    Case("drone in quaternions", "opty, plot_drone", drone),
+    Case("crane with its load's place", "opty, plot_crane_moving_a_load", crane),
+)
+"""Those that the tests run, too."""
+
+LONG = (
+    Case("Whipple bicycle", "SymBRiM, WhippleBicycle", whipple_bicycle()),
+    Case("Whipple bicycle, normal forces", "SymBRiM, compute_normal_force", whipple_bicycle(forces=True)),
+    Case("Whipple bicycle, upside down", 'SymBRiM, FlatGround(normal="+z")', whipple_bicycle(normal="+z")),
+    Case("Whipple bicycle, thick tyres", "SymBRiM, ToroidalWheel", whipple_bicycle(wheel="ToroidalWheel")),
+    Case("bicycle with a suspension", "SymBRiM", whipple_bicycle(front_frame="SuspensionRigidFrontFrame")),
+    Case(
+        "three-link conical pendulum",
+        "PyDy, three-link-conical-pendulum",
+        three_link_conical_pendulum,
+        warned="the angular velocities that are set are not those of the orientations",
+    ),
+)

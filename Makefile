@@ -42,7 +42,7 @@ fuzz: $(INSTALLED)
 
 # Models of others, from SymBRiM, SymPy, PyDy and opty; minutes.
 ecosystem: $(INSTALLED)
-	PYTHONPATH=tests:benchmarks $(BIN)/python -m ecosystem
+	PYTHONPATH=tests:benchmarks:examples $(BIN)/python -m ecosystem
 
 generate: $(INSTALLED)
 	$(BIN)/fourbar generate four_bar -o generated

@@ -505,3 +505,53 @@ def test_a_gear_of_ratio_two():
             np.testing.assert_allclose(
                 np.sort(found.x[:, 1]), np.sort(np.remainder(expected + np.pi, 2 * np.pi) - np.pi), rtol=1e-12
             )
+
+
+def chained(constraints, start):
+    """Coordinates s0, s1, ... of masses on a line, of which s0 alone is independent."""
+    coordinates = me.dynamicsymbols(f"s0:{len(constraints) + 1}")
+    system = masses_on_a_line([row(*coordinates) for row in constraints], coordinates)
+    return fb.compile_model(fb.Model(system, name="chained", initial=dict.fromkeys(coordinates, start)))
+
+
+def test_loops_are_closed_one_by_one():
+    """Cubics with one real root, near -2.1, and a minimum between it and the guess, where a search ends: all of six are
+    hardly met at once. Each has the one before it in it, in no order."""
+    order = [3, 0, 5, 1, 4, 2]
+    rows = [lambda *s, i=i: s[i + 1] ** 3 - 3 * s[i + 1] + 3 + s[i] / 50 for i in order]
+    model = chained(rows, 1.2)
+    state = model.initial_state({"s0": 0.5}, dict.fromkeys(model.speeds[:1], 0.0))
+    value = 0.5
+    for found in state[1:7]:
+        [value] = [root.real for root in np.roots([1.0, 0.0, -3.0, 3.0 + value / 50.0]) if abs(root.imag) < 1e-12]
+        assert found == pytest.approx(value, rel=1e-12)
+    # A guess that is given is kept to, and what closes elsewhere is said.
+    with pytest.raises(fb.AssemblyError, match=r"close from other guesses, for instance guess=\[-2\.1"):
+        model.initial_state({"s0": 0.5}, [0.0], guess=[1.2] * 6)
+
+
+def test_what_stays_open_is_named():
+    rows = [lambda *s: sm.sin(s[1]) - s[0] / 2, lambda *s: sm.cos(s[2]) - 2 - s[1] / 10, lambda *s: sm.sin(s[3]) - s[1]]
+    model = chained(rows, 0.3)
+    with pytest.raises(fb.AssemblyError, match=r"constraints 2, to be closed by s2, stay open by 1\.0") as caught:
+        model.initial_state({"s0": 0.5}, [0.0])
+    assert "constraints 1," not in str(caught.value)
+    assert "constraints 3," not in str(caught.value)
+
+
+def test_coordinates_within_bounds():
+    model = chained([lambda *s: sm.cos(s[1]) - s[0], lambda *s: sm.sin(s[2]) - sm.sin(s[1])], 2.0)
+    for low, high, expected in ((0.0, np.pi, np.pi / 3), (-np.pi, 0.0, -np.pi / 3), (6.0, 8.0, 2 * np.pi + np.pi / 3)):
+        state = model.initial_state({"s0": 0.5}, [0.0], bounds={"s1": (low, high)})
+        assert state[1] == pytest.approx(expected, rel=1e-12)
+    s1 = me.dynamicsymbols("s1")
+    with pytest.raises(fb.AssemblyError, match="within the bounds"):
+        model.initial_state({"s0": 0.5}, [0.0], bounds={s1: (1.1, 1.2)})
+    for bounds, words in (
+        ({"s0": (0.0, 1.0)}, "no dependent coordinate 's0'; there are s1, s2"),
+        ({"s1": (1.0, 0.0)}, "smaller and a larger"),
+        ({"s1": 3.0}, "smaller and a larger"),
+        ([(0.0, 1.0)], "mapping"),
+    ):
+        with pytest.raises(fb.ModelError, match=words):
+            model.initial_state({"s0": 0.5}, [0.0], bounds=bounds)

@@ -477,7 +477,7 @@ except KeyboardInterrupt:
 
 
 def test_a_member_that_cannot_be_assembled_is_named(four_bar):
-    with pytest.raises(fb.AssemblyError, match="Member 1: The loop does not close"):
+    with pytest.raises(fb.AssemblyError, match="Member 1: The loops do not close"):
         four_bar.ensemble((0.0, 1.0), parameters={"l1": [0.8, 3.0]})
 
 

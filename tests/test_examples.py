@@ -91,3 +91,15 @@ def test_the_stiff_drive(said):
     lines = said("08_stiff_drive").splitlines()[1:]
     evaluations = {line.split()[0]: int(line.split()[1]) for line in lines}
     assert evaluations["DOP853"] > 50 * evaluations["Radau"]
+
+
+def test_the_rider(said):
+    """Assembled from zero, with 17 constraints, and upright for 4 s at 4.5 m/s."""
+    text = said("09_rider_on_a_bicycle")
+    assert "27 coordinates, 17 constraints" in text
+    [violation] = numbers(text, r"violation of a constraint (\S+)")
+    [lean] = numbers(text, r"lean of (\S+) rad")
+    [ridden] = numbers(text, r"(\S+) m ridden")
+    assert violation < 1e-10
+    assert lean < 0.2
+    assert ridden == pytest.approx(4 * 4.5, rel=0.05)

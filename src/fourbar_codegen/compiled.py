@@ -250,14 +250,15 @@ class CompiledModel(Kernel):
         *,
         t: float = 0.0,
         guess: Values | None = None,
+        bounds: Mapping[Any, tuple[float, float]] | None = None,
         parameters: Values | None = None,
         inputs: Mapping[Any, InputSource] | None = None,
     ) -> Floats:
         """A state that satisfies all constraints, from the independent coordinates and speeds.
 
         The dependent coordinates are found by Newton's method where each of its steps halves the residual at least,
-        otherwise by SciPy's ``fsolve``, on the position constraints with their Jacobian; the dependent speeds from the
-        velocity constraints, which are linear in them.
+        otherwise by SciPy's ``fsolve``, on the position constraints with their Jacobian; or loop by loop, each by
+        damped least squares. The dependent speeds follow from the velocity constraints, which are linear in them.
 
         Parameters
         ----------
@@ -266,8 +267,11 @@ class CompiledModel(Kernel):
         t : float, optional
             Time, s.
         guess : array_like or mapping, optional
-            Where to start the search for the dependent coordinates; the model's guess, or 0, otherwise. It
-            decides which of several ways to close the loop is found.
+            Where to start the search for the dependent coordinates; it decides which of several ways to close the
+            loops is found. Without it, the model's guess, or 0, and if loops do not close from there, others about it:
+            each loop in the way that is nearest.
+        bounds : mapping, optional
+            The range of dependent coordinates, (low, high), such as that of a knee; any value otherwise.
         parameters : array_like or mapping, optional
             The defaults otherwise.
         inputs : mapping, optional
@@ -293,7 +297,9 @@ class CompiledModel(Kernel):
         """
         from fourbar_codegen.analysis.initial_state import initial_state
 
-        return initial_state(self, coordinates, speeds, t=t, guess=guess, parameters=parameters, inputs=inputs)
+        return initial_state(
+            self, coordinates, speeds, t=t, guess=guess, bounds=bounds, parameters=parameters, inputs=inputs
+        )
 
     def initial_states(
         self,

@@ -21,10 +21,10 @@ HEAD = (
 def row(case: Case, found: Found) -> str:
     """A line of the table."""
     remark = case.warned or found.message
+    theirs = f"{found.reference_time:.2g} | {found.ratio:.0f} | {found.error:.0e}" if case.is_compared else "- | - | -"
     return (
         f"| {case.name}{f': {remark}' if remark else ''} | {case.source} | {found.n_q + found.n_u} | "
-        f"{found.n_constraints} | {found.operations} | {found.compile_time:.2g} | {found.reference_time:.2g} | "
-        f"{found.ratio:.0f} | {found.error:.0e} | {found.residual:.0e} |"
+        f"{found.n_constraints} | {found.operations} | {found.compile_time:.2g} | {theirs} | {found.residual:.0e} |"
     )
 
 

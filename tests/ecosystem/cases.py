@@ -18,6 +18,8 @@ import sympy as sm
 import sympy.physics.mechanics as me
 from sympy.physics.mechanics.system import System
 
+import fourbar_codegen as fb
+
 T = me.dynamicsymbols._t
 g = sm.Symbol("g")
 
@@ -39,6 +41,8 @@ class Case:
     ----------
     name, source : str
     build : callable
+    is_compared : bool
+        Whether SymPy's own equations are formed beside; where these do not end within 15 minutes, they are not.
     warned : str
         What is wrong in the model itself, of which there is a warning. Then SymPy's equations are others.
     """
@@ -47,6 +51,7 @@ class Case:
     source: str
     build: Callable[[], Built]
     warned: str = ""
+    is_compared: bool = True
 
 
 class _Formed(Exception):
@@ -157,6 +162,16 @@ def _of_whipple(bike: Any) -> dict[sm.Expr, float]:
         if matrix[0, 2]:
             values[matrix[0, 2]] = product
     return values
+
+
+def rider_on_a_bicycle() -> Built:
+    """The one of the examples."""
+    example = importlib.import_module("09_rider_on_a_bicycle")
+    system = example.rider_on_a_bicycle()
+    speed = -example.SPEED / example.GEOMETRY["rear_wheel_r"]
+    values = {s: example.value(s.name) for s in fb.Model(system, inputs="auto").parameter_symbols}
+    begin = {**dict.fromkeys([*system.q_ind, *system.u_ind], 0.0), system.u_ind[1]: speed}
+    return Built(system, values, begin)
 
 
 def drone() -> Built:
@@ -274,6 +289,7 @@ LONG = (
     Case("Whipple bicycle, upside down", 'SymBRiM, FlatGround(normal="+z")', whipple_bicycle(normal="+z")),
     Case("Whipple bicycle, thick tyres", "SymBRiM, ToroidalWheel", whipple_bicycle(wheel="ToroidalWheel")),
     Case("bicycle with a suspension", "SymBRiM", whipple_bicycle(front_frame="SuspensionRigidFrontFrame")),
+    Case("rider on a bicycle", "SymBRiM, BicycleRider", rider_on_a_bicycle, is_compared=False),
     Case(
         "three-link conical pendulum",
         "PyDy, three-link-conical-pendulum",

@@ -136,7 +136,7 @@ def inside_c(model: fb.CompiledModel, x: Floats) -> float:
     return seconds(lambda: model.rhs_batch(0.0, states, workers=1)) / many
 
 
-def run(case: Case, *, with_reference: bool = True) -> Found:
+def run(case: Case) -> Found:
     """Compile a case, compare it, and simulate it."""
     built = case.build()
     start = time.perf_counter()
@@ -147,7 +147,7 @@ def run(case: Case, *, with_reference: bool = True) -> Found:
     built = case.build()  # as nobody has touched it
     trajectory = model.simulate((0.0, SPAN), x0)
     error = ratio = reference_time = float("nan")
-    if with_reference:
+    if case.is_compared:
         start = time.perf_counter()
         rates = reference(built.system, model)
         theirs = rates(x0)

@@ -230,7 +230,8 @@ def calls_of(name: str) -> dict[str, Call]:
     start = {"coordinates": {first: float(x0[0])}, "speeds": {speed: 0.1}, "t": 0.0}
     given = {"parameters": named, "inputs": {source: 1.0}}
     guess = x0[1 : model.n_q]
-    calls.add("initial_state", model.initial_state, **start, guess=guess, **given, share=0.3)
+    bounds = {model.coordinates[-1]: (-4.0, 4.0)}
+    calls.add("initial_state", model.initial_state, **start, guess=guess, bounds=bounds, **given, share=0.3)
     calls.add("initial_states", model.initial_states, **start, **given, may_be_nan=True, share=0.3)
     calls.add("equilibrium", model.equilibrium, guess=x0[: model.n_q], t=0.0, **given, share=0.1)
     run = {"t_span": (0.0, 0.05), "x0": x0, "parameters": p, "inputs": sources, "rtol": 1e-6, "atol": 1e-9}

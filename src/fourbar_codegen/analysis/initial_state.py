@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fourbar_codegen.analysis.loop_closure import Loops
-from fourbar_codegen.arguments import Values, named_array
-from fourbar_codegen.errors import AssemblyError
+from fourbar_codegen.analysis.loop_closure import Loops, nearest_closed
+from fourbar_codegen.analysis.staged_closing import OpenLoop, close_in_stages, turned_towards
+from fourbar_codegen.arguments import Values, is_mapping, name_of, named_array
+from fourbar_codegen.errors import AssemblyError, ModelError, shown
 from fourbar_codegen.kernel.dependent import INDEPENDENT, SINGULAR, row_sizes, solve_dependent
 from fourbar_codegen.kernel.inputs import InputSource, inputs_at
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.progress import Progress
+from fourbar_codegen.runtime.evaluator import numbers
 
 if TYPE_CHECKING:
     from fourbar_codegen.analysis.assembly_modes import AssemblyModes
@@ -25,6 +27,9 @@ Floats = NDArray[np.float64]
 
 FURTHER_GUESSES = 40
 """Guesses tried before a loop is said not to close, beside the one that was given."""
+
+MANY = 8
+"""Coordinates that messages name one by one, also those that are zero."""
 
 CONSISTENT = 1e-10
 """Velocity constraints count as satisfied to this share of their terms."""
@@ -37,12 +42,14 @@ def initial_state(
     *,
     t: float,
     guess: Values | None = None,
+    bounds: Mapping[Any, tuple[float, float]] | None = None,
     parameters: Values | None,
     inputs: Mapping[Any, InputSource] | None,
 ) -> Floats:
     """A state that satisfies all constraints; see `CompiledModel.initial_state`."""
     loops, u_i, start = _given(model, coordinates, speeds, t, guess, parameters, inputs)
-    q = loops.coordinates(_close(loops, start) if model.n_h else start)
+    limits = _limits(bounds, model.coordinates[len(loops.q_i) :])
+    q = loops.coordinates(_close(loops, start, guess is not None, limits) if model.n_h else start)
     return np.concatenate((q, _dependent_speeds(loops, q, u_i)))
 
 
@@ -93,35 +100,70 @@ def _given(
     return Loops(model, t, q_i, p, inputs_at(model, t, p, inputs)), u_i, start
 
 
-def _close(loops: Loops, start: Floats) -> Floats:
-    """Dependent coordinates that satisfy the position constraints, from a guess of them."""
+def _limits(bounds: Mapping[Any, tuple[float, float]] | None, names: Sequence[str]) -> tuple[Floats, Floats] | None:
+    """The least and largest values of the dependent coordinates."""
+    if bounds is None:
+        return None
+    if not is_mapping(bounds):
+        raise ModelError(f"bounds= must be a mapping from dependent coordinates to pairs, not {shown(bounds)}.")
+    lower, upper = np.full(len(names), -np.inf), np.full(len(names), np.inf)
+    for key, pair in bounds.items():
+        name = name_of(key)
+        if name not in names:
+            raise ModelError(f"There is no dependent coordinate {name!r}; there are {', '.join(names)}.")
+        low, high = np.broadcast_to(numbers(pair, f"The bounds of {name}"), 2) if np.shape(pair) == (2,) else (0.0, 0.0)
+        if not low < high:
+            raise ModelError(f"The bounds of {name} must be a smaller and a larger number, not {shown(pair)}.")
+        lower[names.index(name)], upper[names.index(name)] = low, high
+    return lower, upper
+
+
+def _close(loops: Loops, start: Floats, is_given: bool, limits: tuple[Floats, Floats] | None) -> Floats:
+    """Dependent coordinates that satisfy the position constraints, from a guess of them.
+
+    A guess that was given decides in which way the loops are closed; another one is not looked for.
+    """
     dependent = loops.search(start)
     if dependent is not None:
-        return dependent
+        dependent = turned_towards(loops, dependent, start)
+        if limits is None or ((dependent >= limits[0]) & (dependent <= limits[1])).all():
+            return dependent
     model, q_i = loops.model, loops.q_i
     names = model.coordinates[len(q_i) :]
-    generator = np.random.default_rng(0)
-    attempts = [loops.closest(start + generator.uniform(-np.pi, np.pi, len(start))) for _ in range(FURTHER_GUESSES)]
-    found = loops.closest(start)
-    error = loops.residual(found)
-    message = (
-        f"The loop does not close from the guess {_named(names, start)} with "
-        f"{_named(model.coordinates[: len(q_i)], q_i)}: the position constraints keep the residual {error} "
-        f"at {_named(names, found)}."
+    found, open_loops = close_in_stages(loops, start, 0 if is_given else FURTHER_GUESSES, limits)
+    if not open_loops and loops.are_closed(found):
+        return found
+    message = f"The loops do not close from the guess {_named(names, start)} with {_named(model.coordinates, q_i)}"
+    if limits:
+        message += " within the bounds"
+    other, still_open = close_in_stages(loops, start, FURTHER_GUESSES, limits) if is_given else (found, open_loops)
+    if not still_open and loops.are_closed(other):
+        raise AssemblyError(
+            f"{message}: {_open(loops, open_loops)}. They close from other guesses, for instance "
+            f"guess={other.round(3).tolist()}, or without one; initial_states lists the ways in which they close.",
+            loops.residual(found),
+        )
+    message += (
+        f", and cannot be closed from {FURTHER_GUESSES} other guesses for each loop: {_open(loops, still_open)}. "
+        "Check the parameters (a link may be too long or too short) and the independent coordinates"
     )
-    others = [attempt for attempt in attempts if loops.are_closed(attempt)]
-    if others:
-        message += (
-            f" It closes from other guesses, for instance guess={others[0].round(3).tolist()}; initial_states lists "
-            "the ways in which it closes."
-        )
-    else:
-        error = min((error, *map(loops.residual, attempts)), key=lambda e: float(np.abs(e).max()))
-        message += (
-            f" The loop cannot be closed from {FURTHER_GUESSES} other guesses either; the smallest residual is {error}."
-            " Check the parameters (a link may be too long or too short) and the independent coordinates."
-        )
-    raise AssemblyError(message, error)
+    near = nearest_closed(model, loops.t, loops.coordinates(other), loops.p, loops.r)
+    if near is not None and np.abs(near[: len(q_i)] - q_i).max(initial=0.0) < np.pi:
+        message += f"; all loops close, for instance, with {_named(model.coordinates, near[: len(q_i)])}"
+    raise AssemblyError(f"{message}.", loops.residual(other))
+
+
+def _open(loops: Loops, open_loops: Sequence[OpenLoop]) -> str:
+    """Which loops stay open, and by how much."""
+    model, n_i = loops.model, len(loops.q_i)
+    return "; ".join(
+        f"constraints {', '.join(str(row + 1) for row in loop.rows)}, to be closed by "
+        f"{', '.join(model.coordinates[n_i + column] for column in loop.columns) or 'no coordinate'}, stay open by "
+        f"{np.abs(loop.residual).max():.3g}"
+        if np.isfinite(loop.residual).all()
+        else f"constraints {', '.join(str(row + 1) for row in loop.rows)} have no value there"
+        for loop in open_loops
+    )
 
 
 class UndeterminedSpeedsError(AssemblyError):
@@ -152,5 +194,8 @@ def _dependent_speeds(loops: Loops, q: Floats, u_i: Floats, singular: float = SI
     return np.concatenate((u_i, u_d))
 
 
-def _named(names: tuple[Any, ...], values: Floats) -> str:
-    return ", ".join(f"{name} = {value:.6g}" for name, value in zip(names, values, strict=True)) or "none"
+def _named(names: Sequence[str], values: Floats) -> str:
+    pairs = [*zip(names, values, strict=False)]
+    told = [(name, value) for name, value in pairs if value or len(pairs) <= MANY]
+    others = [] if len(told) == len(pairs) else [f"{len(pairs) - len(told)} others 0" if told else "all 0"]
+    return ", ".join([*(f"{name} = {value:.6g}" for name, value in told), *others]) or "none"

@@ -64,12 +64,16 @@ class Loops:
         """Its derivatives alone."""
         return self.position(dependent)[1]
 
-    def are_closed(self, dependent: Floats) -> bool:
-        """Whether all constraints hold, each by its own scale."""
+    def hold(self, dependent: Floats) -> NDArray[np.bool_]:
+        """Which constraints hold, each by its own scale, shape (n_h,)."""
         if not np.isfinite(dependent).all():
-            return False
+            return np.zeros(self.model.n_h, dtype=bool)
         q = self.coordinates(dependent)
-        return _holds(self.model, self.t, q, self.model.position(self.t, q, self.p, self.r)[0], self.p, self.r)
+        return _hold(self.model, self.t, q, self.model.position(self.t, q, self.p, self.r)[0], self.p, self.r)
+
+    def are_closed(self, dependent: Floats) -> bool:
+        """Whether all constraints hold."""
+        return bool(self.hold(dependent).all())
 
     def newton(self, dependent: Floats) -> Floats | None:
         """A solution where each step halves the residual at least, until rounding errors are left; None elsewhere."""
@@ -108,10 +112,12 @@ class Loops:
         return found if self.are_closed(found) else None
 
 
-def _holds(model: Kernel, t: float, q: Floats, residual: Floats, p: Floats | None, r: Floats | None) -> bool:
-    """Whether the position constraints hold that have this residual, each by its own scale."""
+def _hold(
+    model: Kernel, t: float, q: Floats, residual: Floats, p: Floats | None, r: Floats | None
+) -> NDArray[np.bool_]:
+    """Which of the position constraints hold that have this residual, each by its own scale."""
     scale, *_ = model.constraint_scale(t, np.concatenate((q, np.zeros(model.n_u))), p, r)
-    return bool((np.abs(residual) <= CLOSED * scale).all() and np.isfinite(scale).all())
+    return np.asarray((np.abs(residual) <= CLOSED * scale) & np.isfinite(scale))
 
 
 def nearest_closed(model: Kernel, t: float, q: Floats, p: Floats | None, r: Floats | None) -> Floats | None:
@@ -124,7 +130,7 @@ def nearest_closed(model: Kernel, t: float, q: Floats, p: Floats | None, r: Floa
         residual, slopes = model.position(t, q, p, r)
         if not (np.isfinite(residual).all() and np.isfinite(slopes).all()):
             return None
-        if _holds(model, t, q, residual, p, r):
+        if _hold(model, t, q, residual, p, r).all():
             return q
         q = q - np.linalg.lstsq(slopes, residual, rcond=SINGULAR)[0]
     return None

@@ -220,17 +220,21 @@ cdef class Ode:
         """The callables' values; all of them first, since they may run whatever Python they like."""
         cdef cnp.ndarray state
         cdef list called = []
+        cdef tuple given
+        cdef int i
         try:
-            for source, function, what in self.callables:
+            time = t
+            for given in self.callables:
                 state = new_array(self.evaluator.n_x)  # of its own for each: what it does to it stays its own affair
                 memcpy(data(state), x, self.evaluator.n_x * sizeof(double))
-                called.append((source, number(function(t, state), what)))
+                value = given[1](time, state)
+                called.append(value if type(value) is float else number(value, given[2]))
         except BaseException as error:
             self.problem.status = FB_OK  # the equations have not failed, the callable has
             self.error = error
             return -1
-        for source, value in called:
-            self.problem.sources[<int>source].value = value
+        for i in range(len(called)):
+            self.problem.sources[<int>(<tuple>self.callables[i])[0]].value = called[i]
         return 0
 
     cdef int check(self, int status) except -2:

@@ -1,0 +1,192 @@
+"""Loops closed one after another, each by itself.
+
+A rider on a bicycle has a loop for each arm and leg, which need the bicycle's pitch and nothing of each other: from a
+poor guess one of them closes soon, all of them together hardly ever. The constraints that hold a coordinate, and the
+coordinates in a constraint, make a graph; a maximum matching gives each coordinate its constraint, and the strongly
+connected parts that follow are the blocks of a triangular form (A. L. Dulmage, N. S. Mendelsohn, "Coverings of
+bipartite graphs", Canadian Journal of Mathematics 10, 1958). Where there is no matching, with redundant constraints for
+example, the parts that share no coordinate are solved each for itself.
+
+Each block is solved by damped least squares within the coordinates' bounds (SciPy's ``least_squares``: M. A. Branch,
+T. F. Coleman, Y. Li, SIAM Journal on Scientific Computing 21, 1999), from the guess and, if that does not do, from
+others about it; of what is found, what is nearest to the guess is taken.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from graphlib import TopologicalSorter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourbar_codegen.analysis.loop_closure import Loops
+
+__all__ = ["OpenLoop", "close_in_stages", "stages", "turned_towards"]
+
+Floats = NDArray[np.float64]
+
+POINTS = 4
+"""Random configurations at which slopes are looked at."""
+SAME = 1e-9
+"""Positions and slopes that a whole turn changes by no more are those of an angle."""
+
+
+@dataclass(frozen=True)
+class OpenLoop:
+    """Constraints that were not closed.
+
+    Attributes
+    ----------
+    rows, columns : tuple of int
+        The position constraints, and the dependent coordinates that were to close them.
+    residual : ndarray
+        The smallest that was found.
+    """
+
+    rows: tuple[int, ...]
+    columns: tuple[int, ...]
+    residual: Floats
+
+
+def stages(incidence: NDArray[np.bool_]) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
+    """Rows and columns of blocks, each of which needs no columns but its own and those of blocks before it.
+
+    Parameters
+    ----------
+    incidence : ndarray of bool, shape (n_h, n)
+        Which constraint holds which coordinate.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> stages(np.array([[True, True, False], [False, True, False], [False, True, True]]))
+    [((1,), (1,)), ((0,), (0,)), ((2,), (2,))]
+    """
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import connected_components, maximum_bipartite_matching
+
+    n_h, n = incidence.shape
+    matched = maximum_bipartite_matching(csr_array(incidence), perm_type="column")
+    if n_h != n or (matched < 0).any():
+        both = np.block([[np.zeros((n_h, n_h), dtype=bool), incidence], [incidence.T, np.zeros((n, n), dtype=bool)]])
+        count, labels = connected_components(csr_array(both), directed=False)
+        parts = [(np.flatnonzero(labels[:n_h] == k), np.flatnonzero(labels[n_h:] == k)) for k in range(count)]
+        return [(_numbers(rows), _numbers(columns)) for rows, columns in parts if len(rows)]
+    # Row i needs row j first where it holds the coordinate that belongs to j.
+    needs = incidence[:, matched]
+    count, labels = connected_components(csr_array(needs), directed=True, connection="strong")
+    order = TopologicalSorter({k: set() for k in range(count)})
+    for i, j in np.argwhere(needs):
+        if labels[i] != labels[j]:
+            order.add(labels[i], labels[j])
+    blocks = [np.flatnonzero(labels == k) for k in order.static_order()]
+    return [(_numbers(rows), _numbers(np.sort(matched[rows]))) for rows in blocks]
+
+
+def close_in_stages(
+    loops: Loops, start: Floats, further: int, bounds: tuple[Floats, Floats] | None = None
+) -> tuple[Floats, list[OpenLoop]]:
+    """Dependent coordinates with each loop closed, as far as it can be.
+
+    Parameters
+    ----------
+    loops : Loops
+    start : ndarray
+        The guess.
+    further : int
+        How many other guesses are tried for each block.
+    bounds : (ndarray, ndarray), optional
+        The least and the largest value of each dependent coordinate.
+
+    Returns
+    -------
+    dependent : ndarray
+    open_loops : list of OpenLoop
+        Those that were not closed.
+    """
+    generator = np.random.default_rng(0)
+    slopes = [loops.position(start + generator.uniform(-1.0, 1.0, len(start)))[1] for _ in range(POINTS)]
+    incidence = np.any([matrix != 0.0 for matrix in slopes], axis=0)
+    lower, upper = bounds if bounds else (np.full(len(start), -np.inf), np.full(len(start), np.inf))
+    dependent, open_loops = np.clip(start, lower, upper), []
+    for rows, columns in stages(incidence):
+        block = _Block(loops, dependent, list(rows), list(columns), lower[list(columns)], upper[list(columns)])
+        closed, residual = block.solve(further, generator)
+        dependent[block.columns] = closed
+        if residual is not None:
+            open_loops.append(OpenLoop(rows, columns, residual))
+    return dependent, open_loops
+
+
+def turned_towards(loops: Loops, dependent: Floats, guess: Floats) -> Floats:
+    """The same configuration with angles less than a turn from a guess, where nothing changes with whole turns."""
+    result = dependent.copy()
+    known = np.column_stack(loops.position(result))
+    for column in np.flatnonzero(np.abs(dependent - guess) > np.pi):
+        before = result[column]
+        result[column] -= 2.0 * np.pi * np.round((before - guess[column]) / (2.0 * np.pi))
+        if not np.allclose(np.column_stack(loops.position(result)), known, rtol=SAME, atol=SAME):
+            result[column] = before
+    return result
+
+
+@dataclass(frozen=True)
+class _Block:
+    """Constraints, and the coordinates that are to close them, with the others as they are."""
+
+    loops: Loops
+    dependent: Floats
+    rows: list[int]
+    columns: list[int]
+    lower: Floats
+    upper: Floats
+
+    def solve(self, further: int, generator: np.random.Generator) -> tuple[Floats, Floats | None]:
+        """The coordinates, nearest to those that are there; what is left open, if they do not close it."""
+        begin = self.dependent[self.columns]
+        found = [self._end(begin)]
+        if not self._is_closed(found[0]):
+            low, high = np.maximum(self.lower, begin - np.pi), np.minimum(self.upper, begin + np.pi)
+            found += [self._end(generator.uniform(low, high)) for _ in range(further)]
+        closed = [some for some in found if self._is_closed(some)]
+        if closed:
+            return min(closed, key=lambda some: float(np.abs(some - begin).max())), None
+        residuals = [self._position(some)[0] for some in found]
+        best = int(np.argmin([np.abs(residual).max() for residual in residuals]))
+        return found[best], residuals[best]
+
+    def _full(self, some: Floats) -> Floats:
+        full = self.dependent.copy()
+        full[self.columns] = some
+        return full
+
+    def _position(self, some: Floats) -> tuple[Floats, Floats]:
+        error, slopes = self.loops.position(self._full(some))
+        return error[self.rows], slopes[np.ix_(self.rows, self.columns)]
+
+    def _end(self, begin: Floats) -> Floats:
+        """Where the least squares end that begin there; angles turned towards the guess."""
+        from scipy.optimize import least_squares
+
+        error, slopes = self._position(begin)
+        if not self.columns or not (np.isfinite(error).all() and np.isfinite(slopes).all()):
+            return begin
+        found = least_squares(
+            lambda some: self._position(some)[0],
+            begin,
+            jac=lambda some: self._position(some)[1],
+            bounds=(self.lower, self.upper),
+            xtol=1e-15,
+            ftol=1e-15,
+            gtol=1e-15,
+        ).x
+        turned = turned_towards(self.loops, self._full(found), self.dependent)[self.columns]
+        return np.where((turned >= self.lower) & (turned <= self.upper), turned, found)
+
+    def _is_closed(self, some: Floats) -> bool:
+        return bool(self.loops.hold(self._full(some))[self.rows].all())
+
+
+def _numbers(values: NDArray[np.integer]) -> tuple[int, ...]:
+    return tuple(int(value) for value in values)

@@ -11,6 +11,7 @@ from measure import DOCS, circumstances, replace_in_page
 
 from ecosystem.cases import LONG, QUICK, Case
 from ecosystem.conformance import Found, run
+from ecosystem.tutorial_run import main as tutorial_run
 
 HEAD = (
     "| model | of | states | constraints | operations | compiled, s | SymPy, s | faster | difference | residual |\n"
@@ -36,6 +37,8 @@ def main() -> None:
             os.environ["FOURBAR_CODEGEN_CACHE"] = folder
             lines.append(row(case, run(case)))
         click.echo(lines[-1])
+    lines.append(f"\n{tutorial_run()}")
+    click.echo(lines[-1])
     report = circumstances()
     report["versions"]["symbrim"] = version("symbrim")
     replace_in_page(DOCS / "ecosystem.md", "ecosystem", "\n".join(lines), "make ecosystem", report)

@@ -106,7 +106,12 @@ def rolling_disc(**options: bool) -> Callable[[], Built]:
 
 
 def whipple_bicycle(
-    *, front_frame: str = "RigidFrontFrame", wheel: str = "KnifeEdgeWheel", normal: str = "-z", forces: bool = False
+    *,
+    front_frame: str = "RigidFrontFrame",
+    wheel: str = "KnifeEdgeWheel",
+    normal: str = "-z",
+    forces: bool = False,
+    ridden: bool = False,
 ) -> Callable[[], Built]:
     """SymBRiM's Whipple bicycle, with the benchmark's values in Moore's convention.
 
@@ -128,6 +133,11 @@ def whipple_bicycle(
             bike.define_all()
             system = bike.to_system()
         system.apply_uniform_gravity(-g * bike.ground.get_normal(bike.ground.origin))
+        if ridden:  # as in SymBRiM's tutorial: somebody pushes the saddle, and the rider steers
+            push, torque = me.dynamicsymbols("disturbance steer_torque")
+            hub, fork = bike.rear_frame.steer_hub, bike.front_frame.steer_hub
+            system.add_loads(me.Force(bike.rear_frame.saddle.point, push * bike.rear_frame.wheel_hub.axis))
+            system.add_actuators(me.TorqueActuator(torque, hub.axis, hub.frame, fork.frame))
         more = bike.front_frame
         system.q_ind, system.q_dep = [*bike.q[:4], *bike.q[5:], *more.q], [bike.q[4]]
         system.u_ind = [bike.u[3], *bike.u[5:7], *more.u]
@@ -143,7 +153,9 @@ def _of_whipple(bike: Any) -> dict[sm.Expr, float]:
     for part, numbers in {
         bike.rear_wheel: {"r": 0.3, "tr": 0.02},
         bike.front_wheel: {"r": 0.35, "tr": 0.02},
-        bike.rear_frame: {"d1": 0.9534570696121849, "l1": 0.4707271515135145, "l2": -0.47792881146460797},
+        bike.rear_frame: {
+            "d4": 0.4, "d5": -0.5, "d1": 0.9534570696121849, "l1": 0.4707271515135145, "l2": -0.47792881146460797,
+        },
         bike.front_frame: {
             "d2": 0.2676445084476887, "d3": 0.03207142672761929, "l3": -0.00597083392418685, "l4": -0.3699518200282974,
             "d9": 0.03207142672761929, "k": 19.4e3, "c": 9e3,

@@ -16,6 +16,7 @@ from unittest import mock
 
 import sympy as sm
 import sympy.physics.mechanics as me
+from sympy.physics.mechanics.models import multi_mass_spring_damper, n_link_pendulum_on_cart
 from sympy.physics.mechanics.system import System
 
 import fourbar_codegen as fb
@@ -82,7 +83,9 @@ def of_sympys_test(module: str, function: str, which: int = 0) -> Callable[[], B
     return build
 
 
-def rolling_disc(**options: bool) -> Callable[[], Built]:
+def rolling_disc(
+    *, wheel: str = "KnifeEdgeWheel", tire: str = "NonHolonomicTire", force: bool = False
+) -> Callable[[], Built]:
     """SymBRiM's rolling disc."""
 
     def build() -> Built:
@@ -90,19 +93,40 @@ def rolling_disc(**options: bool) -> Callable[[], Built]:
         from symbrim.other.rolling_disc import RollingDisc
 
         disc = RollingDisc("disc")
-        disc.wheel, disc.ground = sb.KnifeEdgeWheel("wheel"), sb.FlatGround("ground")
-        disc.tire = sb.NonHolonomicTire("tire")
-        for name, value in options.items():
-            setattr(disc.tire, name, value)
+        disc.wheel, disc.ground = getattr(sb, wheel)("wheel"), sb.FlatGround("ground")
+        disc.tire = getattr(sb, tire)("tire")
+        disc.tire.compute_normal_force = force
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             disc.define_all()
             system = disc.to_system()
         system.apply_uniform_gravity(-g * disc.ground.get_normal(disc.ground.origin))
-        system.q_ind, system.u_ind, system.u_dep = disc.q[:], disc.u[2:], disc.u[:2]
-        return Built(system, {disc.wheel.symbols["r"]: 0.4, g: 9.81}, {disc.u[4]: 5.0})
+        dependent = 2 if tire == "NonHolonomicTire" else 0
+        system.q_ind, system.u_ind, system.u_dep = disc.q[:], disc.u[dependent:], disc.u[:dependent]
+        sizes = {
+            disc.wheel.symbols[name]: size
+            for name, size in {"r": 0.4, "tr": 0.05}.items()
+            if name in disc.wheel.symbols
+        }
+        return Built(system, {**sizes, g: 9.81}, {disc.u[4]: 5.0})
 
     return build
+
+
+def stationary_bicycle() -> Built:
+    """SymBRiM's bicycle on a stand: a rear wheel with cranks, and a front that steers."""
+    import symbrim as sb
+    from symbrim.bicycle import MasslessCranks, StationaryBicycle
+
+    bike = StationaryBicycle("bike")
+    bike.rear_frame, bike.front_frame = sb.RigidRearFrame("rear_frame"), sb.RigidFrontFrame("front_frame")
+    bike.rear_wheel, bike.front_wheel = sb.KnifeEdgeWheel("rear_wheel"), sb.KnifeEdgeWheel("front_wheel")
+    bike.cranks = MasslessCranks("cranks")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        bike.define_all()
+        system = bike.to_system()
+    return Built(system, _of_whipple(bike))
 
 
 def whipple_bicycle(
@@ -301,6 +325,14 @@ LONG = (
     Case("Whipple bicycle, upside down", 'SymBRiM, FlatGround(normal="+z")', whipple_bicycle(normal="+z")),
     Case("Whipple bicycle, thick tyres", "SymBRiM, ToroidalWheel", whipple_bicycle(wheel="ToroidalWheel")),
     Case("bicycle with a suspension", "SymBRiM", whipple_bicycle(front_frame="SuspensionRigidFrontFrame")),
+    Case("rolling disc, thick", "SymBRiM, ToroidalWheel", rolling_disc(wheel="ToroidalWheel")),
+    Case("rolling disc, normal force", "SymBRiM, compute_normal_force", rolling_disc(force=True)),
+    Case("disc that slides", "SymBRiM, InContactTire", rolling_disc(tire="InContactTire")),
+    Case("stationary bicycle", "SymBRiM, StationaryBicycle", stationary_bicycle),
+    Case("pendulum of five links on a cart", "SymPy, models", lambda: Built(n_link_pendulum_on_cart(5))),
+    Case("eight masses, springs, dampers", "SymPy, models", lambda: Built(multi_mass_spring_damper(8, True, True))),
+    sympys("chaos pendulum", "test_jointsmethod", "test_chaos_pendulum"),
+    sympys("body with products of inertia", "test_kane2", "test_non_central_inertia"),
     Case("rider on a bicycle", "SymBRiM, BicycleRider", rider_on_a_bicycle, is_compared=False),
     Case(
         "three-link conical pendulum",

@@ -103,7 +103,10 @@ class Conversion:
             if exponent.is_Integer:
                 return tape.power(known[base], int(exponent))
             if exponent.is_Rational and exponent < 0:
-                return tape.power(apply(tape, sm.Pow(placeholder(0), -exponent), [known[base]]), -1)
+                # A normalized vector and its rates have E^(-1/2), E^(-3/2), ...: powers of one square root. Positive
+                # powers stay: the derivative of E^(3/2) is 0 where E is, and that of the root is not.
+                root, power = (sm.S.Half, exponent.p) if exponent.q == 2 else (-exponent, -1)
+                return tape.power(apply(tape, sm.Pow(placeholder(0), root), [known[base]]), power)
         arguments = _arguments(node)
         stand_ins = {argument: placeholder(i) for i, argument in enumerate(arguments)}
         return apply(tape, _with_arguments(node, stand_ins), [known[argument] for argument in arguments])

@@ -83,6 +83,7 @@ def form_corrections(
     constraints: Constraints,
     q: Sequence[Scalar],
     u: Sequence[Scalar],
+    rounding: Rounding,
     values: Mapping[Scalar, float],
     expressions: Sequence[sm.Expr],
 ) -> Corrections:
@@ -94,6 +95,8 @@ def form_corrections(
     constraints : Constraints
     q, u : sequence of Scalar
         The coordinates' and the speeds' leaves.
+    rounding : Rounding
+        What rounding errors make of scalars.
     values : mapping of Scalar to float
         Values of leaves near which the equations are defined; others are looked for where these are not.
     expressions : sequence of Expr
@@ -108,7 +111,6 @@ def form_corrections(
     ModelError
         If the motion does not keep a position constraint, whatever the parameters are.
     """
-    rounding = Rounding(tape)
     positions, invariants = constraints.positions, constraints.invariants
     kept = [k for k in range(len(positions)) if k not in invariants]
     n_c = len(constraints.velocities)

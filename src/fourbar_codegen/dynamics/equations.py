@@ -230,12 +230,12 @@ def form_equations(model: Model) -> Equations:
     energies = [kane.kinetic_energy(), kane.potential_energy(model.potential_energy, changing)]
 
     values = _values(model, v)
-    corrections = form_corrections(tape, constraints, v.q, v.u, values, mechanism.holonomic_constraints)
+    rounding = Rounding(tape)
+    corrections = form_corrections(tape, constraints, v.q, v.u, rounding, values, mechanism.holonomic_constraints)
     second = zip((q.diff((mechanism.time, 2)) for q in mechanism.coordinates), map(total_rate, q_rates), strict=True)
     zeros = dict.fromkeys((w.diff(mechanism.time) for w in mechanism.auxiliary_speeds), tape.zero)
     with_rates = Conversion(tape, {**leaves, **dict(second), **zeros})
     warnings = find_contradictions(kinematics, constraints, rate, total_rate, with_rates, v.u, v.a, values)
-    rounding = Rounding(tape)
     n_q, n_u = len(v.q), len(v.u)
     drawn, points, numbers = drawn_points(mechanism, kinematics)
     applied = applied_forces(tape, mechanism, kinematics, numbers, v.r, (*v.aux, *v.unknown))

@@ -67,3 +67,10 @@ def test_tests_without_the_programs_that_they_need(ci, tmp_path):
     ]
     assert ("On CI every test has to run" in done.stdout) == ci
     assert " passed, 23 skipped, " in done.stdout
+
+
+def test_files_that_are_linked_are_there():
+    folder = Path(__file__).parents[1]
+    for page in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md"):
+        links = re.findall(r"\]\((?!http)([^)#]+)", (folder / page).read_text(encoding="utf-8"))
+        assert [link for link in links if not (folder / link).exists()] == []

@@ -145,9 +145,10 @@ def _close(loops: Loops, start: Floats, is_given: bool, limits: tuple[Floats, Fl
         )
     message += (
         f", and cannot be closed from {FURTHER_GUESSES} other guesses for each loop: {_open(loops, still_open)}. "
-        "Check the parameters (a link may be too long or too short) and the independent coordinates"
+        f"Check the parameters (a link may be too long or too short){', the bounds' if limits else ''} and the "
+        "independent coordinates"
     )
-    near = nearest_closed(model, loops.t, loops.coordinates(other), loops.p, loops.r)
+    near = None if limits else nearest_closed(model, loops.t, loops.coordinates(other), loops.p, loops.r)
     if near is not None and np.abs(near[: len(q_i)] - q_i).max(initial=0.0) < np.pi:
         message += f"; all loops close, for instance, with {_named(model.coordinates, near[: len(q_i)])}"
     raise AssemblyError(f"{message}.", loops.residual(other))

@@ -27,7 +27,6 @@ from fourbar_codegen.dynamics.kinematics import (
     add,
     cross,
     differentiate,
-    dot,
 )
 from fourbar_codegen.dynamics.random_states import RandomStates
 from fourbar_codegen.errors import ModelError
@@ -57,6 +56,7 @@ def find_contradictions(
     speeds: Sequence[Scalar],
     accelerations: Sequence[Scalar],
     values: Mapping[Scalar, float],
+    not_orthonormal: Sequence[Scalar],
 ) -> tuple[str, ...]:
     """Find where a mechanism's kinematics contradict themselves.
 
@@ -72,6 +72,8 @@ def find_contradictions(
         The leaves of u and u'.
     values : mapping of Scalar to float
         Values of leaves near which the equations are defined.
+    not_orthonormal : sequence of Scalar
+        What is zero where direction cosines are such.
 
     Returns
     -------
@@ -82,7 +84,7 @@ def find_contradictions(
     claims = [*_of_frames(numbers), *_of_points(numbers), *_of_accelerations(numbers, total_rate, convert)]
     if not claims:
         return ()
-    states = RandomStates(kinematics.tape, constraints, values, numbers.scalars, _not_orthonormal(kinematics))
+    states = RandomStates(kinematics.tape, constraints, values, numbers.scalars, not_orthonormal)
     differing = []
     for values_there in islice(states.moving(speeds, accelerations), STATES):
         axes, turning = numbers.orientations(values_there)
@@ -97,17 +99,6 @@ def find_contradictions(
         for claim, (a, b), differ in zip(claims, found, np.all(differing, axis=0), strict=True)
         if differ
     )
-
-
-def _not_orthonormal(kinematics: Kinematics) -> list[Scalar]:
-    """What is zero where direction cosines are such: norms of quaternions that no constraint holds, for example."""
-    one = kinematics.tape.one
-    entries = []
-    for number, frame in enumerate(kinematics.mechanism.frames):
-        if number != INERTIAL and frame.dcm is not None:
-            rows = kinematics.dcm(number)
-            entries += [dot(rows[i], rows[j]) - one * int(i == j) for i in range(3) for j in range(i + 1)]
-    return [entry for entry, is_so in zip(entries, is_zero(kinematics.tape, entries), strict=True) if not is_so]
 
 
 def _differ(a: Floats, b: Floats) -> bool:
@@ -184,18 +175,18 @@ class _Numbers:
 
 
 def _of_frames(numbers: _Numbers) -> Iterator[_Claim]:
-    kinematics = numbers.kinematics
-    for body in kinematics.mechanism.bodies:
-        if body.frame is None or body.frame in kinematics.turning_as_oriented:
-            continue
-        frame = kinematics.mechanism.frames[body.frame]
-        if frame.dcm is not None:
+    kinematics, mechanism = numbers.kinematics, numbers.kinematics.mechanism
+    needed = [body.frame for body in mechanism.bodies if body.frame is not None]
+    needed += [load.target for load in mechanism.loads if load.kind == "torque"]
+    for number in dict.fromkeys(needed):
+        frame = mechanism.frames[number]
+        if number not in kinematics.turning_as_oriented and frame.dcm is not None:
             numbers.place_orientations()
             yield _Claim(
                 f"The angular velocity of frame {frame.name}, which was set, is another one than follows from its "
                 "orientation, in rad/s; equations take the one that was set.",
-                numbers.vector(((body.frame, kinematics.angular_velocity(body.frame)),)),
-                numbers.angular_velocity(body.frame),
+                numbers.vector(((number, kinematics.angular_velocity(number)),)),
+                numbers.angular_velocity(number),
             )
 
 

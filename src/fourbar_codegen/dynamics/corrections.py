@@ -42,7 +42,7 @@ __all__ = ["Corrections", "form_corrections"]
 
 Floats = NDArray[np.float64]
 
-STATES = 5
+STATES = 8
 """At how many states rows are compared."""
 DEPENDENT = 1e-8
 """A row that differs from a combination of others by no more than this share of its size is one."""
@@ -194,8 +194,7 @@ def _kept(states: RandomStates, n_rows: int, positions: Mapping[int, sm.Expr]) -
         matrices = [np.reshape(numbers, (n_rows, -1)) for numbers in islice(points, STATES)]
         if not matrices:
             continue
-        # At single states, rows may happen to depend on each other.
-        left, tried = np.median([_left(matrix, n_k) for matrix in matrices], axis=0), where
+        left, tried = np.max([_left(matrix, n_k) for matrix in matrices], axis=0), where
         if (left <= DEPENDENT).all():
             return matrices
     if not np.isfinite(left).all():

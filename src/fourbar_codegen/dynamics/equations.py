@@ -108,6 +108,8 @@ class Equations:
         The points at which inputs' forces act.
     forces : Result
         These forces in the inertial frame, (n_forces, 3).
+    not_orthonormal : tuple of Scalar
+        What is zero where direction cosines are such, if that is not everywhere.
     warnings : tuple of str
         Where kinematics contradict themselves.
     residual : Result
@@ -155,6 +157,7 @@ class Equations:
     forced: tuple[int, ...]
     forces: Result
     residual: Result
+    not_orthonormal: tuple[Scalar, ...]
     warnings: tuple[str, ...]
 
 
@@ -208,6 +211,13 @@ def form_equations(model: Model) -> Equations:
     forcing = substitute(tape, kane.generalized_forces(rate)[: len(v.u)], no_unknown)
     with_unknown = kane.generalized_forces(total_rate)
     balance = substitute(tape, with_unknown, no_unknown)
+    not_orthonormal = kinematics.not_orthonormal()
+    if not_orthonormal:
+        # Off the norm of a quaternion, sums that go by other frames are others: derivatives are to be those of M and f.
+        balance[: len(v.u)] = [
+            tape.sum([force, *(-(entry * a) for entry, a in zip(row, v.a, strict=True))])
+            for force, row in zip(forcing, mass_matrix, strict=True)
+        ]
     columns = _columns(tape, with_unknown, v.unknown)
     if tape.depends([*chain(*mass_matrix, *columns), *balance], {*v.aux, *v.unknown}):
         raise ModelError("Velocities must be linear in the auxiliary speeds, and loads in the unknown forces.")
@@ -235,7 +245,9 @@ def form_equations(model: Model) -> Equations:
     second = zip((q.diff((mechanism.time, 2)) for q in mechanism.coordinates), map(total_rate, q_rates), strict=True)
     zeros = dict.fromkeys((w.diff(mechanism.time) for w in mechanism.auxiliary_speeds), tape.zero)
     with_rates = Conversion(tape, {**leaves, **dict(second), **zeros})
-    warnings = find_contradictions(kinematics, constraints, rate, total_rate, with_rates, v.u, v.a, values)
+    warnings = find_contradictions(
+        kinematics, constraints, rate, total_rate, with_rates, v.u, v.a, values, not_orthonormal
+    )
     n_q, n_u = len(v.q), len(v.u)
     drawn, points, numbers = drawn_points(mechanism, kinematics)
     applied = applied_forces(tape, mechanism, kinematics, numbers, v.r, (*v.aux, *v.unknown))
@@ -309,6 +321,7 @@ def form_equations(model: Model) -> Equations:
         position_formulas=formulas(tape, constraints.positions),
         drawn_points=drawn,
         forced=tuple(applied),
+        not_orthonormal=tuple(not_orthonormal),
         warnings=warnings,
         **{result.name: result for result in results},
     )

@@ -204,6 +204,16 @@ class Kinematics:
             return relative
         return add(relative, negative(self.angular_velocity(stored_frame.parent)))
 
+    def not_orthonormal(self) -> list[Scalar]:
+        """What is zero where direction cosines are such, if not everywhere: norms of quaternions, for example."""
+        entries: list[Scalar] = []
+        for number, frame in enumerate(self.mechanism.frames):
+            if number != INERTIAL and frame.dcm is not None:
+                rows = self.dcm(number)
+                products = [(dot(rows[i], rows[j]), i == j) for i in range(3) for j in range(i + 1)]
+                entries += [product - self.tape.one if is_one else product for product, is_one in products]
+        return [entry for entry, is_so in zip(entries, is_zero(self.tape, entries), strict=True) if not is_so]
+
     @property
     def moving(self) -> list[int]:
         """The points whose velocity is known: of others nothing but the position is needed."""

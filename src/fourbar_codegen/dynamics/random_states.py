@@ -13,7 +13,7 @@ from fourbar_codegen.dynamics.constraints import Constraints
 from fourbar_codegen.expressions.derivatives import jacobian
 from fourbar_codegen.expressions.tape import Leaf, Scalar, Tape
 
-__all__ = ["RandomStates"]
+__all__ = ["RandomStates", "close"]
 
 Floats = NDArray[np.float64]
 Point = dict[Scalar, float]
@@ -68,9 +68,9 @@ class RandomStates:
         """At closed states that satisfy the velocity constraints as well, and at accelerations that keep them."""
         constraints, n_u = self.constraints, len(speeds)
         for point in self._closed():
-            point.update((leaf, point.get(leaf, self._draw())) for leaf in (*speeds, *accelerations))
+            point.update((leaf, point.get(leaf, self._draw("u"))) for leaf in (*speeds, *accelerations))
             for leaves, violation in ((speeds, constraints.velocities), (accelerations, constraints.acceleration_bias)):
-                numbers = self._numbers([*violation, *self._jacobian], point)
+                numbers = _numbers(self.tape, [*violation, *self._jacobian], point)
                 if numbers is None:
                     break
                 left, matrix = numbers[: len(violation)], numbers[len(violation) :].reshape(-1, n_u)
@@ -84,13 +84,15 @@ class RandomStates:
     def _closed(self) -> Iterator[Point]:
         closing = set(self.tape.reach(self._closing))
         moved = [leaf for leaf, kind in self._kinds.items() if leaf.node in closing and kind in "qp"]
-        entries = [*self._closing, *chain.from_iterable(jacobian(self.tape, self._closing, moved))]
+        slopes = [*chain.from_iterable(jacobian(self.tape, self._closing, moved))]
         for point in self._points():
-            if self._close(point, moved, entries):
+            if not self._closing or _newton(self.tape, self._closing, slopes, moved, point):
                 yield point
 
-    def _draw(self) -> float:
-        return self._generator.uniform(0.2, 1.5)
+    def _draw(self, kind: str) -> float:
+        """Of either sign, but for parameters, which are lengths and masses as a rule."""
+        size = self._generator.uniform(0.2, 1.5)
+        return size if kind == "p" else self._generator.choice((size, -size))
 
     def _points(self) -> Iterator[Point]:
         """At first of all sizes alike, then near the given values; the same ones each time."""
@@ -98,34 +100,50 @@ class RandomStates:
         for number in range(ATTEMPTS):
             near = self.values if number >= ATTEMPTS // 2 else {}
             yield {
-                leaf: near[leaf] + self._generator.uniform(-0.1, 0.1) if leaf in near else self._draw()
-                for leaf in self._kinds
+                leaf: near[leaf] + self._generator.uniform(-0.1, 0.1) if leaf in near else self._draw(kind)
+                for leaf, kind in self._kinds.items()
             }
 
     def _at(self, point: Point) -> Iterator[Floats]:
-        numbers = self._numbers(self.scalars, point)
+        numbers = _numbers(self.tape, self.scalars, point)
         if numbers is not None:
             yield numbers
 
-    def _numbers(self, scalars: Sequence[Scalar], point: Point) -> Floats | None:
-        try:
-            numbers = np.array(self.tape.evaluate(scalars, point))
-        except (ArithmeticError, ValueError, TypeError):
-            return None
-        return numbers if np.isfinite(numbers).all() else None
 
-    def _close(self, point: Point, moved: Sequence[Scalar], entries: Sequence[Scalar]) -> bool:
-        """Newton's method with the shortest steps."""
-        n_h = len(self._closing)
-        for _ in range(MAX_CORRECTIONS if n_h else 0):
-            numbers = self._numbers(entries, point)
-            if numbers is None:
-                return False
-            violation, slopes = numbers[:n_h], numbers[n_h:].reshape(n_h, -1)
-            if (np.abs(violation) <= CLOSED * (1.0 + np.abs(slopes).sum(axis=1))).all():
-                return True
-            step = -np.linalg.lstsq(slopes, violation, rcond=CLOSED)[0]
-            step /= max(1.0, float(np.linalg.norm(step)))
-            for leaf, change in zip(moved, step, strict=True):
-                point[leaf] += float(change)
-        return not n_h
+def close(tape: Tape, closing: Sequence[Scalar], moved: Sequence[Scalar], point: Point) -> bool:
+    """Move leaves, by Newton's method with the shortest steps, until scalars are zero; whether they are.
+
+    Parameters
+    ----------
+    tape : Tape
+    closing, moved : sequence of Scalar
+        What is to be zero, and the leaves that are moved.
+    point : dict of Scalar to float
+        Values of all leaves, which are changed.
+    """
+    return not closing or _newton(tape, closing, [*chain.from_iterable(jacobian(tape, closing, moved))], moved, point)
+
+
+def _newton(
+    tape: Tape, closing: Sequence[Scalar], slopes: Sequence[Scalar], moved: Sequence[Scalar], point: Point
+) -> bool:
+    for _ in range(MAX_CORRECTIONS):
+        numbers = _numbers(tape, [*closing, *slopes], point)
+        if numbers is None:
+            return False
+        violation, matrix = numbers[: len(closing)], numbers[len(closing) :].reshape(len(closing), -1)
+        if (np.abs(violation) <= CLOSED * (1.0 + np.abs(matrix).sum(axis=1))).all():
+            return True
+        step = -np.linalg.lstsq(matrix, violation, rcond=CLOSED)[0]
+        step /= max(1.0, float(np.linalg.norm(step)))
+        for leaf, change in zip(moved, step, strict=True):
+            point[leaf] += float(change)
+    return False
+
+
+def _numbers(tape: Tape, scalars: Sequence[Scalar], point: Point) -> Floats | None:
+    try:
+        numbers = np.array(tape.evaluate(scalars, point))
+    except (ArithmeticError, ValueError, TypeError):
+        return None
+    return numbers if np.isfinite(numbers).all() else None

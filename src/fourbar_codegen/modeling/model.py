@@ -255,7 +255,10 @@ class Model:
         undeclared = self._find_undeclared()
         if is_automatic:
             # Who has constants in one mapping may have numbers for some of them there.
-            self.input_expressions = {f: _expression(parameters.get(f, 0), f"the input {f}") for f in undeclared}
+            given = {f: getattr(parameters.get(f, 0), "value", parameters.get(f, 0)) for f in undeclared}
+            self.input_expressions = {
+                f: None if value is None else _expression(value, f"the input {f}") for f, value in given.items()
+            }
             parameters = {key: value for key, value in parameters.items() if key not in undeclared}
         elif undeclared:
             raise ModelError(self._neither(undeclared))
@@ -500,6 +503,8 @@ def _check_unknown(given: Mapping[Any, Any], found: Iterable[sm.Symbol], extra: 
     of_name = {symbol.name: symbol for symbol in found}
     wrong, unknown = [], []
     for symbol in given:
+        if isinstance(symbol, AppliedUndef) and extra == "ignore":
+            continue
         if not isinstance(symbol, sm.Symbol):
             raise ModelError(f"parameters= has Symbols as keys, not {symbol!r}; functions of time are inputs.")
         mine = of_name.get(symbol.name)

@@ -116,3 +116,49 @@ def test_velocities_that_constraints_make_right_are_silent():
     system.nonholonomic_constraints = [v + 2 * r * spin]
     with pytest.warns(fb.ModelWarning, match="velocity of point C"):
         fb.generate_sources(fb.Model(system, name="wheel"))
+
+
+def disc_that_slides(*, contact_velocity=1):
+    """A disc in its plane on the ground, with friction at the point of it that touches the ground."""
+    x, turn, v, spin = me.dynamicsymbols("x turn v spin")
+    m, r, b = sm.symbols("m r b")
+    ground, disc, origin, center = me.ReferenceFrame("N"), me.ReferenceFrame("D"), me.Point("O"), me.Point("C")
+    disc.orient_axis(ground, ground.z, turn)
+    disc.set_ang_vel(ground, spin * ground.z)
+    origin.set_vel(ground, 0)
+    center.set_pos(origin, x * ground.x + r * ground.y)
+    center.set_vel(ground, v * ground.x)
+    contact = center.locatenew("K", -r * ground.y)
+    contact.v2pt_theory(center, ground, disc)
+    contact.set_vel(ground, contact_velocity * contact.vel(ground))
+    system = System(ground, origin)
+    system.add_bodies(me.RigidBody("disc", center, disc, m, (me.inertia(disc, 0, 0, m * r**2 / 2), center)))
+    system.add_loads(me.Force(contact, -b * contact.vel(ground)))
+    system.add_coordinates(x, turn)
+    system.add_speeds(v, spin)
+    system.add_kdes(v - x.diff(T), spin - turn.diff(T))
+    return fb.Model(system, name="slides")
+
+
+def test_a_point_of_a_body_for_a_moment_is_silent():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        fb.generate_sources(disc_that_slides())
+    with pytest.warns(fb.ModelWarning, match="velocity of point K"):
+        fb.generate_sources(disc_that_slides(contact_velocity=2))
+
+
+def test_what_is_wrong_on_one_side_alone():
+    q = me.dynamicsymbols("q")
+    with pytest.warns(fb.ModelWarning, match="velocity of point C"):
+        fb.generate_sources(pendulum(moves=sm.sign(q)))
+
+
+def test_the_frame_of_a_torque():
+    model = pendulum()
+    bar = model.system.bodies[0].frame
+    handle = bar.orientnew("handle", "Axis", [0.3, bar.z])
+    handle.set_ang_vel(model.system.frame, 3 * me.dynamicsymbols("u") * bar.z)
+    model.system.add_loads(me.Torque(handle, bar.z))
+    with pytest.warns(fb.ModelWarning, match="angular velocity of frame handle"):
+        fb.generate_sources(fb.Model(model.system, name="turned"))

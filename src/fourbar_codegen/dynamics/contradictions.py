@@ -40,7 +40,7 @@ __all__ = ["find_contradictions"]
 
 Floats = NDArray[np.float64]
 
-STATES = 3
+STATES = 5
 ALIKE = 1e-6
 """Two vectors are alike that differ by no more than this share of the larger one."""
 SMALL = 1e-3
@@ -85,20 +85,18 @@ def find_contradictions(
     if not claims:
         return ()
     states = RandomStates(kinematics.tape, constraints, values, numbers.scalars, not_orthonormal)
-    differing = []
+    found: dict[str, str] = {}
     for values_there in islice(states.moving(speeds, accelerations), STATES):
-        axes, turning = numbers.orientations(values_there)
-        found = [
-            (claim.was_set(values_there, axes, turning), claim.follows(values_there, axes, turning)) for claim in claims
-        ]
-        differing.append([_differ(a, b) for a, b in found])
-    if not differing:
-        return ()
-    return tuple(
-        f"{claim.sentence} At a random state that satisfies all constraints these are {_shown(a)} and {_shown(b)}."
-        for claim, (a, b), differ in zip(claims, found, np.all(differing, axis=0), strict=True)
-        if differ
-    )
+        at = (values_there, *numbers.orientations(values_there))
+        for claim in claims:
+            was_set, follows = claim.was_set(*at), [vector(*at) for vector in claim.follows]
+            if all(_differ(was_set, vector) for vector in follows):
+                found.setdefault(
+                    claim.sentence,
+                    f"{claim.sentence} At a random state that satisfies all constraints these are {_shown(was_set)} "
+                    f"and {_shown(follows[0])}.",
+                )
+    return tuple(found.values())
 
 
 def _differ(a: Floats, b: Floats) -> bool:
@@ -120,7 +118,7 @@ class _Claim:
 
     sentence: str
     was_set: _Evaluated
-    follows: _Evaluated
+    follows: tuple[_Evaluated, ...]  # one of these
 
 
 class _Numbers:
@@ -186,32 +184,56 @@ def _of_frames(numbers: _Numbers) -> Iterator[_Claim]:
                 f"The angular velocity of frame {frame.name}, which was set, is another one than follows from its "
                 "orientation, in rad/s; equations take the one that was set.",
                 numbers.vector(((number, kinematics.angular_velocity(number)),)),
-                numbers.angular_velocity(number),
+                (numbers.angular_velocity(number),),
             )
 
 
 def _of_points(numbers: _Numbers) -> Iterator[_Claim]:
     kinematics, mechanism = numbers.kinematics, numbers.kinematics.mechanism
-    needed = [body.point for body in mechanism.bodies]
-    needed += [load.target for load in mechanism.loads if load.kind == "force"]
-    for point in dict.fromkeys(needed):
-        velocity = kinematics.velocity(point)
-        path = [point]
-        while (parent := mechanism.points[path[-1]].parent) is not None:
-            path.append(parent)
-        if not velocity or path[-1] != mechanism.fixed_point or kinematics.moves_as_placed(point):
-            continue
-        try:
-            offsets = [part for member in path for part in kinematics.vector(mechanism.points[member].offset)]
-        except ModelError:  # symbols that the equations do not know
+    centres = [body.point for body in mechanism.bodies]
+    forced = [load.target for load in mechanism.loads if load.kind == "force"]
+    for point in dict.fromkeys((*centres, *forced)):
+        velocity, offsets = kinematics.velocity(point), _offsets(kinematics, point)
+        if not velocity or offsets is None or kinematics.moves_as_placed(point):
             continue
         numbers.place_orientations()
+        # Where a wheel touches the ground, a force acts on a point of the wheel that is there for a moment alone.
+        bodies = () if point in centres else tuple(_of_bodies(numbers, offsets))
         yield _Claim(
             f"The velocity of point {mechanism.points[point].name}, which was set, is another one than follows from "
             "its position, in m/s; equations take the one that was set.",
             numbers.vector(velocity),
-            numbers.rate_of_vector(tuple(offsets)),
+            (numbers.rate_of_vector(offsets), *bodies),
         )
+
+
+def _offsets(kinematics: Kinematics, point: int) -> Vector | None:
+    """The position of a point from the fixed one, if it is given from there."""
+    points, path = kinematics.mechanism.points, [point]
+    while (parent := points[path[-1]].parent) is not None:
+        path.append(parent)
+    try:
+        parts = [part for member in path for part in kinematics.vector(points[member].offset)]
+    except ModelError:  # symbols that the equations do not know
+        return None
+    return tuple(parts) if path[-1] == kinematics.mechanism.fixed_point else None
+
+
+def _of_bodies(numbers: _Numbers, offsets: Vector) -> Iterator[_Evaluated]:
+    """The velocities that points of the bodies have at a place: v + w x r from each mass centre."""
+    kinematics = numbers.kinematics
+    place = numbers.vector(offsets)
+    for body in kinematics.mechanism.bodies:
+        from_fixed = _offsets(kinematics, body.point)
+        if body.frame is None or from_fixed is None or kinematics.mechanism.frames[body.frame].dcm is None:
+            continue
+        centre, velocity = numbers.vector(from_fixed), numbers.vector(kinematics.velocity(body.point))
+        turning = numbers.vector(((body.frame, kinematics.angular_velocity(body.frame)),))
+        yield _rigid(place, centre, velocity, turning)
+
+
+def _rigid(place: _Evaluated, centre: _Evaluated, velocity: _Evaluated, turning: _Evaluated) -> _Evaluated:
+    return lambda *at: velocity(*at) + np.cross(turning(*at), place(*at) - centre(*at))
 
 
 def _of_accelerations(numbers: _Numbers, total_rate: Jvp, convert: Conversion) -> Iterator[_Claim]:
@@ -237,7 +259,7 @@ def _of_accelerations(numbers: _Numbers, total_rate: Jvp, convert: Conversion) -
                 f"The acceleration of point {name}, which was set (by a2pt_theory, for example), is another one than "
                 "follows from its velocity, in m/s^2; equations take the latter, SymPy's the former.",
                 first,
-                second,
+                (second,),
             )
 
 

@@ -43,7 +43,7 @@ class Case:
     name, source : str
     build : callable
     is_compared : bool
-        Whether SymPy's own equations are formed beside; where these do not end within 15 minutes, they are not.
+        Whether SymPy's own equations are formed beside; not where these take very long.
     warned : str
         What is wrong in the model itself, of which there is a warning. Then SymPy's equations are others.
     """

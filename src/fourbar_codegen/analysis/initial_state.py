@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fourbar_codegen.analysis.loop_closure import Loops, nearest_closed
 from fourbar_codegen.analysis.staged_closing import OpenLoop, close_in_stages, turned_towards
-from fourbar_codegen.arguments import Values, is_mapping, name_of, named_array
+from fourbar_codegen.arguments import Values, is_mapping, named, named_array
 from fourbar_codegen.errors import AssemblyError, ModelError, shown
 from fourbar_codegen.kernel.dependent import INDEPENDENT, SINGULAR, row_sizes, solve_dependent
 from fourbar_codegen.kernel.inputs import InputSource, inputs_at
@@ -107,14 +107,11 @@ def _limits(bounds: Mapping[Any, tuple[float, float]] | None, names: Sequence[st
     if not is_mapping(bounds):
         raise ModelError(f"bounds= must be a mapping from dependent coordinates to pairs, not {shown(bounds)}.")
     lower, upper = np.full(len(names), -np.inf), np.full(len(names), np.inf)
-    for key, pair in bounds.items():
-        name = name_of(key)
-        if name not in names:
-            raise ModelError(f"There is no dependent coordinate {name!r}; there are {', '.join(names)}.")
-        low, high = np.broadcast_to(numbers(pair, f"The bounds of {name}"), 2) if np.shape(pair) == (2,) else (0.0, 0.0)
-        if not low < high:
+    for name, pair in named(bounds, names, "dependent coordinate").items():
+        limits = numbers(pair, f"The bounds of {name}")
+        if limits.shape != (2,) or not limits[0] < limits[1]:
             raise ModelError(f"The bounds of {name} must be a smaller and a larger number, not {shown(pair)}.")
-        lower[names.index(name)], upper[names.index(name)] = low, high
+        lower[names.index(name)], upper[names.index(name)] = limits
     return lower, upper
 
 

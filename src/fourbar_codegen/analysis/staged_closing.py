@@ -121,9 +121,12 @@ def close_in_stages(
 
 def turned_towards(loops: Loops, dependent: Floats, guess: Floats) -> Floats:
     """The same configuration with angles less than a turn from a guess, where nothing changes with whole turns."""
+    far = np.flatnonzero(np.abs(dependent - guess) > np.pi)
+    if not len(far):
+        return dependent
     result = dependent.copy()
     known = np.column_stack(loops.position(result))
-    for column in np.flatnonzero(np.abs(dependent - guess) > np.pi):
+    for column in far:
         before = result[column]
         result[column] -= 2.0 * np.pi * np.round((before - guess[column]) / (2.0 * np.pi))
         if not np.allclose(np.column_stack(loops.position(result)), known, rtol=SAME, atol=SAME):

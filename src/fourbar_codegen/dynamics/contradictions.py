@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import islice
 
 import numpy as np
@@ -24,8 +25,6 @@ from fourbar_codegen.dynamics.kinematics import (
     Accumulated,
     Kinematics,
     Vector,
-    add,
-    cross,
     differentiate,
 )
 from fourbar_codegen.dynamics.random_states import RandomStates
@@ -34,7 +33,6 @@ from fourbar_codegen.expressions.convert import Conversion
 from fourbar_codegen.expressions.derivatives import Jvp
 from fourbar_codegen.expressions.identities import is_zero
 from fourbar_codegen.expressions.tape import Scalar
-from fourbar_codegen.modeling import system_reader as stored
 
 __all__ = ["find_contradictions"]
 
@@ -84,6 +82,7 @@ def find_contradictions(
     claims = [*_of_frames(numbers), *_of_points(numbers), *_of_accelerations(numbers, total_rate, convert)]
     if not claims:
         return ()
+    numbers.place_orientations()
     states = RandomStates(kinematics.tape, constraints, values, numbers.scalars, not_orthonormal)
     found: dict[str, str] = {}
     for values_there in islice(states.moving(speeds, accelerations), STATES):
@@ -154,8 +153,6 @@ class _Numbers:
 
     def place_orientations(self) -> None:
         """The direction cosines of all frames, and their rates."""
-        if self._dcms:
-            return
         for number, frame in enumerate(self.kinematics.mechanism.frames):
             if number != INERTIAL and frame.dcm is not None:
                 entries = [entry for row in self.kinematics.dcm(number) for entry in row]
@@ -179,7 +176,6 @@ def _of_frames(numbers: _Numbers) -> Iterator[_Claim]:
     for number in dict.fromkeys(needed):
         frame = mechanism.frames[number]
         if number not in kinematics.turning_as_oriented and frame.dcm is not None:
-            numbers.place_orientations()
             yield _Claim(
                 f"The angular velocity of frame {frame.name}, which was set, is another one than follows from its "
                 "orientation, in rad/s; equations take the one that was set.",
@@ -196,7 +192,6 @@ def _of_points(numbers: _Numbers) -> Iterator[_Claim]:
         velocity, offsets = kinematics.velocity(point), _offsets(kinematics, point)
         if not velocity or offsets is None or kinematics.moves_as_placed(point):
             continue
-        numbers.place_orientations()
         # Where a wheel touches the ground, a force acts on a point of the wheel that is there for a moment alone.
         bodies = () if point in centres else tuple(_of_bodies(numbers, offsets))
         yield _Claim(
@@ -238,21 +233,16 @@ def _rigid(place: _Evaluated, centre: _Evaluated, velocity: _Evaluated, turning:
 
 def _of_accelerations(numbers: _Numbers, total_rate: Jvp, convert: Conversion) -> Iterator[_Claim]:
     kinematics = numbers.kinematics
-
-    def rate_of_part(frame: int, components: tuple[Scalar, Scalar, Scalar]) -> tuple[Scalar, Scalar, Scalar]:
-        return add(differentiate(total_rate, components), cross(kinematics.angular_velocity(frame), components))
-
-    follows = Accumulated(kinematics, rate_of_part)
+    follows = Accumulated(kinematics, partial(kinematics.derivative, total_rate))
     for body in kinematics.mechanism.bodies:
         if body.acceleration is None:
             continue
         try:
-            was_set = _converted(convert, body.acceleration)
+            was_set = kinematics.vector(body.acceleration, convert)
         except ModelError:  # symbols that the equations do not know
             continue
         both = [kinematics.express(vector, INERTIAL) for vector in (was_set, follows(body.point))]
         if not all(is_zero(kinematics.tape, [a - b for a, b in zip(*both, strict=True)])):
-            numbers.place_orientations()
             first, second = (numbers.vector(((INERTIAL, components),)) for components in both)
             name = kinematics.mechanism.points[body.point].name
             yield _Claim(
@@ -261,7 +251,3 @@ def _of_accelerations(numbers: _Numbers, total_rate: Jvp, convert: Conversion) -
                 first,
                 (second,),
             )
-
-
-def _converted(convert: Conversion, vector: stored.Vector) -> Vector:
-    return tuple((frame, (convert(x), convert(y), convert(z))) for frame, (x, y, z) in vector)

@@ -242,9 +242,13 @@ def form_equations(model: Model) -> Equations:
     values = _values(model, v)
     rounding = Rounding(tape)
     corrections = form_corrections(tape, constraints, v.q, v.u, rounding, values, mechanism.holonomic_constraints)
-    second = zip((q.diff((mechanism.time, 2)) for q in mechanism.coordinates), map(total_rate, q_rates), strict=True)
-    zeros = dict.fromkeys((w.diff(mechanism.time) for w in mechanism.auxiliary_speeds), tape.zero)
-    with_rates = Conversion(tape, {**leaves, **dict(second), **zeros})
+    with_rates = convert
+    if any(body.acceleration is not None for body in mechanism.bodies):
+        second = zip(
+            (q.diff((mechanism.time, 2)) for q in mechanism.coordinates), map(total_rate, q_rates), strict=True
+        )
+        zeros = dict.fromkeys((w.diff(mechanism.time) for w in mechanism.auxiliary_speeds), tape.zero)
+        with_rates = Conversion(tape, {**leaves, **dict(second), **zeros})
     warnings = find_contradictions(
         kinematics, constraints, rate, total_rate, with_rates, v.u, v.a, values, not_orthonormal
     )

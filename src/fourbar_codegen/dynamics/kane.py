@@ -19,7 +19,6 @@ from fourbar_codegen.dynamics.kinematics import (
     Kinematics,
     Rotation,
     Vector,
-    add,
     cross,
     differentiate,
     dot,
@@ -190,10 +189,7 @@ class Kane:
                 torque = kinematics.express(vector, load.target)
                 projections += zip(virtual.angular_velocity(load.target), torque, strict=True)
 
-        def rate_of_part(frame: int, components: Components) -> Components:
-            return add(differentiate(rate, components), cross(kinematics.angular_velocity(frame), components))
-
-        accelerations = Accumulated(kinematics, rate_of_part)
+        accelerations = Accumulated(kinematics, functools.partial(kinematics.derivative, rate))
         for body, mass, inertia in zip(self.mechanism.bodies, self._masses, self._inertias, strict=True):
             forces[body.point] += _scaled(-mass, accelerations(body.point))
             mass_rate = rate(mass)
@@ -201,8 +197,7 @@ class Kane:
                 forces[body.point] += _scaled(-mass_rate, kinematics.velocity(body.point))
             if inertia is not None:
                 assert body.frame is not None
-                spin = kinematics.angular_velocity(inertia.frame)
-                torque = add(differentiate(rate, inertia.momentum), cross(spin, inertia.momentum))
+                torque = kinematics.derivative(rate, inertia.frame, inertia.momentum)
                 virtual_velocity = virtual.angular_velocity_in(body.frame, inertia.frame)
                 projections += zip(virtual_velocity, negative(torque), strict=True)
         for point in reversed(range(len(forces))):

@@ -114,9 +114,10 @@ class Kinematics:
         self.turning_as_oriented = frozenset({INERTIAL})  # frames whose angular velocity is that of their axes
         self.velocity = Accumulated(self, lambda _, components: components)
 
-    def vector(self, vector: stored.Vector) -> Vector:
-        """A vector on the tape."""
-        return tuple((frame, _three([self.convert(e) for e in components])) for frame, components in vector)
+    def vector(self, vector: stored.Vector, convert: Conversion | None = None) -> Vector:
+        """A vector on the tape, by a conversion that knows more symbols if one is given."""
+        convert = convert or self.convert
+        return tuple((frame, _three([convert(e) for e in components])) for frame, components in vector)
 
     def matrix(self, entries: Sequence[sm.Expr]) -> Rotation:
         """A matrix of 9 entries on the tape."""
@@ -187,6 +188,10 @@ class Kinematics:
                 difference.append(negative(relative))
                 b = reference
         return add(self.angular_velocity(axes), *difference)
+
+    def derivative(self, rate: Callable[[Scalar], Scalar], frame: int, components: Components) -> Components:
+        """The derivative, in the inertial frame, of a vector that is written in a frame: r* + w x r."""
+        return add(differentiate(rate, components), cross(self.angular_velocity(frame), components))
 
     def relative_angular_velocity(self, frame: int) -> Vector:
         """The angular velocity of a frame in its reference."""
@@ -285,11 +290,7 @@ class Kinematics:
         return parts if base is None else (*self._path(base), *parts)
 
     def _rate_of_offset(self, offset: stored.Vector) -> Vector:
-        parts = []
-        for frame, components in self.vector(offset):
-            rates = differentiate(self._rate, components)
-            parts.append((frame, add(rates, cross(self.angular_velocity(frame), components))))
-        return tuple(parts)
+        return tuple((frame, self.derivative(self._rate, frame, c)) for frame, c in self.vector(offset))
 
 
 class Accumulated:

@@ -35,7 +35,7 @@ def main() -> None:
     for case in (*QUICK, *LONG):
         with tempfile.TemporaryDirectory() as folder:
             os.environ["FOURBAR_CODEGEN_CACHE"] = folder
-            lines.append(row(case, run(case)))
+            lines.append(row(case, run(case, is_timed=True)))
         click.echo(lines[-1])
     lines.append(f"\n{tutorial_run()}")
     click.echo(lines[-1])

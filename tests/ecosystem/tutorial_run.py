@@ -6,13 +6,14 @@ solved by NumPy in the right-hand side of SciPy's solve_ivp.
 
 from __future__ import annotations
 
-import statistics
-import time
 import warnings
+from functools import partial
 
 import numpy as np
 import sympy as sm
+from measure import compare, timed
 from scipy.integrate import solve_ivp
+from tutorial import Tutorial
 
 import fourbar_codegen as fb
 from ecosystem.cases import whipple_bicycle
@@ -47,32 +48,21 @@ def main() -> str:
     )  # fmt: skip
     inputs = {"disturbance": push, "steer_torque": steering(bicycle.states.index(lean_rate))}
 
+    callables = {"disturbance": push, "steer_torque": steering(names.index(lean_rate))}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        system.form_eoms(constraint_solver="CRAMER")
-    functions = [*model.input_expressions]
-    matrices = sm.lambdify(
-        ([*system.q, *system.u], [*values], functions), (system.mass_matrix_full, system.forcing_full), cse=True
-    )
-    callables = {"disturbance": push, "steer_torque": steering(names.index(lean_rate))}
-    ordered = [callables[str(function.func)] for function in functions]
-    p = np.array([*values.values()])
+        tutorial = Tutorial(system, values, {f: callables[str(f.func)] for f in model.input_expressions})
 
     def rates(t, x):
-        matrix, forcing = matrices(x, p, np.array([call(t, x) for call in ordered]))
-        return np.linalg.solve(matrix, forcing).ravel()
+        inputs = [call(t, x) for call in tutorial.r_functions]
+        return np.linalg.solve(*tutorial.evaluate(x, tutorial.p_values, inputs, t)).ravel()
 
     begin = x0[[bicycle.states.index(name) for name in names]]
     span = (0.0, float(TIMES[-1]))
-    theirs, ours = [], []
-    for _ in range(ROUNDS):
-        clock = time.perf_counter()
-        reference = solve_ivp(rates, span, begin, t_eval=TIMES, **TIGHT)
-        theirs.append(time.perf_counter() - clock)
-        clock = time.perf_counter()
-        run = bicycle.simulate(span, x0, inputs=inputs, t_eval=TIMES, **TIGHT)
-        ours.append(time.perf_counter() - clock)
-    before, after = statistics.median(theirs), statistics.median(ours)
+    theirs = partial(solve_ivp, rates, span, begin, t_eval=TIMES, **TIGHT)
+    ours = partial(bicycle.simulate, span, x0, inputs=inputs, t_eval=TIMES, **TIGHT)
+    reference, run = theirs(), ours()
+    before, after = compare(lambda: timed(theirs), lambda: timed(ours), rounds=ROUNDS)
     difference = np.abs(np.array([run[name] for name in names]) - reference.y).max()
     violation = np.abs(run.constraint_residual).max()
     return (

@@ -164,6 +164,8 @@ def main() -> None:
         row("the same, alone after other work", "ms", None, slow, functools.partial(timed, simulate))
         here = functools.partial(own.simulate, (0, 4), x0, **how)
         row("as before, compiled for this machine", "ms", None, slow, call(here))
+    shortest = functools.partial(four_bar.simulate, (0.0, 1e-9), x0, **precise)
+    row("simulate, a single step: what a run costs at least", "us", None, call(shortest))
     row("solve_ivp, 4 s, default RK45, steps in C", "ms", 7,
         solve(tutorial.rhs), solve(ode, method=fb.solvers.RK45))  # fmt: skip
     row("solve_ivp, 4 s, DOP853 at 1e-10, steps in C", "ms", None,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.errors import ModelError, shown
-from fourbar_codegen.runtime.evaluator import is_finite, is_ready, number, numbers
+from fourbar_codegen.runtime.evaluator import finite_copy, is_finite, number, numbers
 
 __all__ = [
     "Values",
@@ -87,6 +87,8 @@ def named_values(
 
 def finite_number(value: Any, what: str) -> float:
     """A finite float, or a ModelError that says what should have been one."""
+    if type(value) is float and math.isfinite(value):  # as most are, without the words for what may be wrong
+        return value
     known = number(value, f"The value of {what}")
     if not math.isfinite(known):
         raise ModelError(f"The value of {what} must be finite, not {known}.")
@@ -97,8 +99,9 @@ def named_array(
     given: Values | None, names: Sequence[str], defaults: Mapping[str, float], kind: str
 ) -> NDArray[np.float64]:
     """Finite values in the order of the names, from an array or a mapping."""
-    if type(given) is np.ndarray and given.shape == (len(names),) and is_ready(given) and is_finite(given):
-        return given.copy()  # without the words for what may be wrong
+    ready = finite_copy(given, len(names))  # without the words for what may be wrong
+    if ready is not None:
+        return ready
     if given is None or is_mapping(given):
         known = {name: defaults[name] for name in names if name in defaults}
         return np.array(named_values(given or {}, names, known, kind))
@@ -199,16 +202,16 @@ def longest_step(value: float) -> float:
     return math.inf if isinstance(value, float) and value == math.inf else positive(value, "max_step")
 
 
-def tolerance(value: ArrayLike, name: str, size: int = 0) -> NDArray[np.float64]:
-    """A positive tolerance, one for all states or one for each of `size`."""
+def tolerance(value: ArrayLike, name: str, size: int = 0) -> float | NDArray[np.float64]:
+    """A positive tolerance, a number for all states or an array with one for each of `size`."""
     if type(value) is float and 0.0 < value < math.inf:
-        return np.array(value)
+        return value
     allowed = {(), (size,)} if size else {()}
     known = numbers(value, name).copy()
     if known.shape not in allowed or not (is_finite(known) and (known > 0.0).all()):
         words = "a positive number" + (f" or an array of shape ({size},)" if size else "")
         raise ModelError(f"{name} must be {words}, not {shown(value)}.")
-    return known
+    return known if known.ndim else float(known)
 
 
 def is_integer(value: object) -> TypeGuard[int]:

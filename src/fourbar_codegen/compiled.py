@@ -15,6 +15,8 @@ from fourbar_codegen.errors import ModelError
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.kernel.loading import load_named
 from fourbar_codegen.runtime.integrator import Ode, Stepper
+from fourbar_codegen.simulation.options import RunOptions
+from fourbar_codegen.simulation.simulate import make_stepper, simulate
 
 if TYPE_CHECKING:
     from fourbar_codegen.analysis.assembly_modes import AssemblyModes
@@ -481,9 +483,6 @@ class CompiledModel(Kernel):
         >>> bool(abs(trajectory.constraint_residual).max() < 1e-12)
         True
         """
-        from fourbar_codegen.simulation.options import RunOptions
-        from fourbar_codegen.simulation.simulate import simulate
-
         options = RunOptions.of(
             self, t_span=t_span, x0=x0, method=method, parameters=parameters, inputs=inputs, t_eval=t_eval, rtol=rtol,
             atol=atol, events=events, constraints=constraints, stabilization=stabilization, dense_output=dense_output,
@@ -666,8 +665,6 @@ class CompiledModel(Kernel):
         >>> round(stepper.t, 9), x.shape
         (0.1, (6,))
         """
-        from fourbar_codegen.simulation.simulate import make_stepper
-
         return make_stepper(self, h, x0, t=t, parameters=parameters, inputs=inputs, constraints=constraints)
 
 

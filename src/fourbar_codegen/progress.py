@@ -35,12 +35,13 @@ class Progress:
     ...     progress.stage("compiling")
     """
 
+    _stage: str | None = None
+    _entered = 0.0
+    _thread: threading.Thread | None = None
+
     def __init__(self, task: str, *, unwatched: float = 60.0) -> None:
         self._task, self._unwatched = task, unwatched
-        self._stage: str | None = None
-        self._entered = 0.0
         self._begin = time.monotonic()
-        self._thread: threading.Thread | None = None
 
     def stage(self, name: str) -> None:
         """What is being done from now on."""
@@ -66,6 +67,8 @@ class Progress:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
+        if self._stage is None:
+            return
         self._log()
         if self._thread is not None:
             self._done.set()

@@ -23,9 +23,9 @@ FLOOR = 1e-12
 """And by how much in any case: rounding errors."""
 
 
-def projects(model: Kernel, constraints: str, *more: str) -> bool:
-    """Whether states are to be moved onto the constraints."""
-    allowed = ("project", *more, "none")
+def projects(model: Kernel, constraints: str, *, stabilizes: bool = False) -> bool:
+    """Whether states are to be moved onto the constraints, by a method that may allow "baumgarte" or not."""
+    allowed = ("project", "baumgarte", "none") if stabilizes else ("project", "none")
     if not isinstance(constraints, str) or constraints not in allowed:
         raise ModelError(f"constraints must be {' or '.join(map(repr, allowed))}, not {shown(constraints)}.")
     return constraints == "project" and model.n_c + model.n_h > 0

@@ -37,16 +37,15 @@ KINDS = ("linear", "pchip", "cubic")
 
 def bind(model: Kernel, parameters: Values | None, inputs: Mapping[Any, InputSource] | None) -> Ode:
     """The right-hand side with parameters and inputs bound; see `CompiledModel.ode`."""
-    if inputs is None and model.has_inputs:
-        return Ode(model, parameters, [None] * model.n_r)
     sources = [None] * model.n_r if inputs is None else input_sources(model, inputs)
-    missing = [
-        entry["name"]
-        for entry, source in zip(model.manifest["inputs"], sources, strict=True)
-        if entry["expression"] is None and source is None and not entry["order"]
-    ]
-    if missing:
-        raise ModelError(f"No source for input {', '.join(missing)}: give one in inputs=, there is no expression.")
+    if not model.has_inputs:
+        missing = [
+            entry["name"]
+            for entry, source in zip(model.manifest["inputs"], sources, strict=True)
+            if entry["expression"] is None and source is None and not entry["order"]
+        ]
+        if missing:
+            raise ModelError(f"No source for input {', '.join(missing)}: give one in inputs=, there is no expression.")
     return Ode(model, parameters, sources)
 
 
@@ -87,24 +86,26 @@ def input_sources(model: Kernel, inputs: Mapping[Any, InputSource] | None) -> li
     """For each entry of the inputs r None (its expression), a float, a Table or a callable."""
     entries = model.manifest["inputs"]
     names = [entry["name"] for entry in entries if not entry["order"]]
-    orders = {name: [entry["order"] for entry in entries if entry["of"] == name] for name in names}
-    sources: dict[str, list[object]] = {name: [None] * len(orders[name]) for name in names}
+    sources: list[object] = [None] * len(entries)
     for name, given in named(by_name(model, inputs), names, "input").items():
-        prescribed = len(orders[name]) > 1
+        first = model.inputs.index(name)
+        orders = [entry["order"] for entry in entries if entry["of"] == name]  # one after the other, from 0 on
         source = own_source(name, given)
+        of_orders: list[object]
         if callable(source):
-            if prescribed:
+            if len(orders) > 1:
                 raise ModelError(
                     f"Input {name} prescribes a motion, so that its rates are needed: give a number or a table (times, "
                     "values) or (times, values, kind), not a callable."
                 )
-            sources[name] = [source]
+            of_orders = [source]
         elif isinstance(source, tuple):
-            kind = source[2] if len(source) == 3 else "cubic" if prescribed else "linear"
-            sources[name] = list(_interpolants(source[0], source[1], kind, len(orders[name])))
+            kind = source[2] if len(source) == 3 else "linear" if len(orders) == 1 else "cubic"
+            of_orders = list(_interpolants(source[0], source[1], kind, len(orders)))
         else:
-            sources[name] = [source if order == 0 else 0.0 for order in orders[name]]
-    return [source for name in names for source in sources[name]]
+            of_orders = [0.0 if order else source for order in orders]
+        sources[first : first + len(orders)] = of_orders
+    return sources
 
 
 def own_source(name: str, source: Any) -> float | InterpolationTable | Callable[[float, Floats], float]:

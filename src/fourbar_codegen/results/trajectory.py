@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-__all__ = ["Trajectory", "check_suffix"]
+__all__ = ["Trajectory", "check_suffix", "make_trajectory"]
 
 Floats = NDArray[np.float64]
 
@@ -381,6 +381,13 @@ class Trajectory:
         from fourbar_codegen.tables import table
 
         return table("Trajectory", (), run_rows(self))
+
+
+def make_trajectory(**attributes: Any) -> Trajectory:
+    """A `Trajectory` of all its attributes at once: its own way, a call for each, takes a tenth of a short run."""
+    trajectory = Trajectory.__new__(Trajectory)
+    object.__setattr__(trajectory, "__dict__", attributes)
+    return trajectory
 
 
 def _write_csv(trajectory: Trajectory, file: IO[bytes]) -> None:

@@ -5,6 +5,7 @@ cimport numpy as cnp
 from cpython.mem cimport PyMem_Calloc, PyMem_Free, PyMem_Malloc
 from cpython.pycapsule cimport PyCapsule_GetPointer, PyCapsule_New
 from libc.math cimport NAN, fabs
+from libc.string cimport memcpy
 
 import sys
 
@@ -38,7 +39,7 @@ cdef cnp.ndarray new_array(int rows, int columns=-1):
     return cnp.PyArray_EMPTY(1 if columns < 0 else 2, shape, cnp.NPY_DOUBLE, 0)
 
 
-cpdef bint is_ready(object values) noexcept:
+cdef bint is_ready(object values) noexcept:
     """Whether values are an array as C takes it."""
     return (cnp.PyArray_CheckExact(values) and cnp.PyArray_TYPE(values) == cnp.NPY_DOUBLE
             and cnp.PyArray_ISCARRAY_RO(values))
@@ -148,6 +149,19 @@ cdef bint _overlap(cnp.ndarray a, cnp.ndarray b) noexcept:
 def is_finite(cnp.ndarray values not None):
     """Whether all entries of a contiguous array of double are finite; for a few, NumPy takes ten times as long."""
     return bool(fb_finite(data(values), cnp.PyArray_SIZE(values)))
+
+
+def finite_copy(object values, int n):
+    """A copy of n finite numbers that come in an array as C takes it; None for all else."""
+    cdef cnp.ndarray given, copy
+    if not is_ready(values):
+        return None
+    given = values
+    if cnp.PyArray_NDIM(given) != 1 or cnp.PyArray_DIM(given, 0) != n or not fb_finite(data(given), n):
+        return None
+    copy = new_array(n)
+    memcpy(data(copy), data(given), n * sizeof(double))
+    return copy
 
 
 def largest_difference(cnp.ndarray a not None, cnp.ndarray b not None):

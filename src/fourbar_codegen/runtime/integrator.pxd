@@ -31,8 +31,8 @@ cdef class Ode:
     cdef readonly Evaluator evaluator
     cdef fb_problem problem
     cdef readonly tuple sources
+    cdef readonly bint has_tables
     cdef list callables
-    cdef tuple names
     cdef object error
     cdef readonly object parameters
     cdef public bint projects

@@ -20,6 +20,7 @@ class Ode:
     stabilization: float
     parameters: Floats | None
     sources: tuple[object, ...]
+    has_tables: bool
     clock: tuple[float, float, float]
     @property
     def n_breakpoints(self) -> int: ...

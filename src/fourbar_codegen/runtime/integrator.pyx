@@ -175,30 +175,34 @@ cdef class Ode:
         cdef int i
         self.evaluator, self.parameters = evaluator, parameters
         self.problem.kernel, self.problem.clock = evaluator.kernel, fb_all_time
-        self.problem.constants = <double *>PyMem_Calloc(evaluator.kernel.n_constants + 1, sizeof(double))
-        self.problem.inputs = <double *>PyMem_Calloc(evaluator.n_r + 1, sizeof(double))
-        self.problem.failed_x = <double *>PyMem_Calloc(evaluator.n_x + 1, sizeof(double))
-        self.problem.moved_x = <double *>PyMem_Calloc(evaluator.n_x + 1, sizeof(double))
+        cdef int n_constants = evaluator.kernel.n_constants
+        self.problem.constants = <double *>PyMem_Calloc(
+            n_constants + evaluator.n_r + 2 * evaluator.n_x + 1, sizeof(double))
         self.problem.sources = <fb_source *>PyMem_Calloc(evaluator.n_r + 1, sizeof(fb_source))
         self.problem.work = PyMem_Calloc(1, evaluator.kernel.work_size)
-        if not (self.problem.constants and self.problem.inputs and self.problem.failed_x and self.problem.moved_x
-                and self.problem.sources and self.problem.work):
+        if not (self.problem.constants and self.problem.sources and self.problem.work):
             raise MemoryError
-        memcpy(self.problem.constants, evaluator._prepare(parameters), evaluator.kernel.n_constants * sizeof(double))
+        self.problem.inputs = self.problem.constants + n_constants
+        self.problem.failed_x = self.problem.inputs + evaluator.n_r
+        self.problem.moved_x = self.problem.failed_x + evaluator.n_x
+        memcpy(self.problem.constants, evaluator._prepare(parameters), n_constants * sizeof(double))
         self.sources = tuple(sources)
         self.callables, self.error = [], None
-        self.names = getattr(evaluator, "inputs", None) or tuple(range(1, evaluator.n_r + 1))
-        for i, given in zip(range(evaluator.n_r), self.sources, strict=True):
+        if len(self.sources) != evaluator.n_r:
+            raise ModelError(f"{evaluator.n_r} inputs need as many sources, not {len(self.sources)}.")
+        for i in range(evaluator.n_r):
+            given = self.sources[i]
             if given is None:
                 continue
             self.problem.sources[self.problem.n_sources].input = i
             if type(given) is Table:
                 self.problem.sources[self.problem.n_sources].table = &(<Table>given).table
+                self.has_tables = True
             elif callable(given):
-                what = f"What the callable of input {self.names[i]} returns"
+                what = f"What the callable of input {self._name(i)} returns"
                 self.callables.append((self.problem.n_sources, given, what))
             else:
-                self.problem.sources[self.problem.n_sources].value = number(given, f"Input {self.names[i]}")
+                self.problem.sources[self.problem.n_sources].value = number(given, f"Input {self._name(i)}")
             self.problem.n_sources += 1
         if self.callables:
             self.problem.called_inputs, self.problem.caller = _call_inputs, <void *>self
@@ -210,11 +214,12 @@ cdef class Ode:
 
     def __dealloc__(self):
         PyMem_Free(self.problem.constants)
-        PyMem_Free(self.problem.inputs)
-        PyMem_Free(self.problem.failed_x)
-        PyMem_Free(self.problem.moved_x)
         PyMem_Free(self.problem.sources)
         PyMem_Free(self.problem.work)
+
+    def _name(self, int i):
+        names = getattr(self.evaluator, "inputs", None)  # a bare evaluator has none
+        return names[i] if names else i + 1
 
     cdef int _call(self, double t, const double *x) noexcept:
         """The callables' values; all of them first, since they may run whatever Python they like."""
@@ -321,9 +326,9 @@ cdef class Ode:
         """The inputs at times, for states in columns, shape (n_r, n)."""
         cdef cnp.ndarray t = numbers(times, "The times")
         cdef cnp.ndarray x = rows(states, "The states")
-        cdef int i, n = np.size(t), n_x = self.evaluator.n_x, n_r = self.evaluator.n_r
+        cdef int i, n = cnp.PyArray_SIZE(t), n_x = self.evaluator.n_x, n_r = self.evaluator.n_r
         cdef cnp.ndarray result = new_array(n, n_r)
-        if np.shape(x) != (n, n_x):
+        if cnp.PyArray_NDIM(x) != 2 or cnp.PyArray_DIM(x, 0) != n or cnp.PyArray_DIM(x, 1) != n_x:
             raise ModelError(f"{n} times need states of shape ({n_x}, {n}), not {np.shape(states)}.")
         if not fb_finite(data(t), n):
             raise ModelError("The times must be finite.")
@@ -371,13 +376,12 @@ cdef class Ode:
         return rates, result
 
     def energies(self, t, x):
-        """Kinetic and potential energy; NaN for one that is not known."""
+        """Kinetic and potential energy at one time; NaN for one that is not known."""
         t = time_of(t)
         cdef double[2] found
         cdef cnp.ndarray state = vector(x, self.evaluator.n_x, "The state x")
         self.check(fb_fill_inputs(&self.problem, t, data(state)))
-        self.problem.kernel.energy(
-            fb_time(&self.problem.clock, t), data(state), self.problem.constants, self.problem.inputs, found)
+        self.problem.kernel.energy(t, data(state), self.problem.constants, self.problem.inputs, found)
         return found[0], found[1]
 
     def jac(self, t, x):
@@ -440,10 +444,12 @@ cdef class EmbeddedSteps:
             order=-1.0 / error_exponent - 1.0, n_extra=0, hermite=0, n_dense=0)
         _prepare(run, ode, &self.tableau)
         run.direction, run.t_bound, run.max_step, run.project = direction, t_bound, max_step, ode.projects
-        self.kept += [np.zeros((n_stages + 6, run.padded)), _padded(rtol, run), _padded(atol, run)]
+        self.kept.append(_zeros(n_stages + 8, run.padded))
         run.x = data(self.kept[4])
         run.x_old, run.scratch, run.interpolant = run.x + run.padded, run.x + 2 * run.padded, run.x + 3 * run.padded
-        run.stages, run.rtol, run.atol = run.x + 5 * run.padded, data(self.kept[5]), data(self.kept[6])
+        run.rtol, run.atol = (
+            _fill_padded(run.x + 5 * run.padded, rtol, run), _fill_padded(run.x + 6 * run.padded, atol, run))
+        run.stages = run.x + 7 * run.padded
 
     def step(self, double t, double h_abs, x, cnp.ndarray stages not None):
         """One accepted step.
@@ -520,15 +526,23 @@ cdef const fb_tableau *tableau_of(str method) except NULL:
     raise ValueError(f"no method in C: {method}")
 
 
-cdef cnp.ndarray _padded(values, const fb_run *run):
+cdef const double *_fill_padded(double *padded, values, const fb_run *run) except NULL:
     """Tolerances, and ones where states are padded with zeros."""
-    cdef cnp.ndarray given = numbers(values, "A tolerance"), array = new_array(run.padded)
-    cdef int i, step = cnp.PyArray_SIZE(given) != 1
+    cdef cnp.ndarray given
+    cdef int i, step
+    cdef double one
+    if type(values) is float:
+        one = values
+        for i in range(run.padded):
+            padded[i] = one if i < run.n else 1.0
+        return padded
+    given = numbers(values, "A tolerance")
+    step = cnp.PyArray_SIZE(given) != 1
     if step and cnp.PyArray_SIZE(given) != run.n:
         raise ModelError(f"A tolerance is a number or {run.n} numbers, not {cnp.PyArray_SIZE(given)}.")
     for i in range(run.padded):
-        data(array)[i] = data(given)[i * step] if i < run.n else 1.0
-    return array
+        padded[i] = data(given)[i * step] if i < run.n else 1.0
+    return padded
 
 
 cdef cnp.ndarray _zeros(int n, int m):
@@ -594,18 +608,20 @@ cdef class Run:
         cdef int n = ode.evaluator.n_x, n_stages, n_dense
         cdef cnp.ndarray state = vector(x, n, "The state x")
         cdef fb_run *run = &self.run
+        cdef double *memory
         _prepare(run, ode, tableau_of(method))
         run.step = fb_step_on
         n_stages, n_dense = run.method.n_stages + 1 + run.method.n_extra, run.method.n_dense + 3
         self.ode, self.method, self.kept = ode, method, []
-        ode.clock = t, -INFINITY, INFINITY
+        ode.problem.clock = fb_clock(origin=t, first=-INFINITY, last=INFINITY)
         self.t_begin, self.since_begin, self.t_bound, self.times = t, 0.0, t_bound, times
         run.direction, run.t_bound, run.max_step = 1.0 if t_bound > t else -1.0, t_bound - t, max_step
         run.project, run.until = project, run.t_bound
-        run.x = <double *>self._keep(_zeros(5 + n_stages + n_dense, run.padded))
+        run.x = <double *>self._keep(_zeros(7 + n_stages + n_dense, run.padded))
         run.x_old, run.scratch, run.along = run.x + run.padded, run.x + 2 * run.padded, run.x + 3 * run.padded
         run.stages, run.interpolant = run.along + 2 * run.padded, run.along + (2 + n_stages) * run.padded
-        run.rtol, run.atol = <double *>self._keep(_padded(rtol, run)), <double *>self._keep(_padded(atol, run))
+        memory = run.interpolant + n_dense * run.padded
+        run.rtol, run.atol = _fill_padded(memory, rtol, run), _fill_padded(memory + run.padded, atol, run)
         memcpy(run.x, data(state), n * sizeof(double))
         if times is not None:
             run.times = <const double *>self._keep(np.array(times, dtype=np.float64) - t)
@@ -620,8 +636,8 @@ cdef class Run:
         if method == "ALI3P":
             ode.evaluator.derivatives()
             run.step, run.augmented = fb_augmented_step_on, &self.augmented
-            memory = np.zeros(fb_place_augmented(ode.evaluator.kernel, &self.augmented, NULL))
-            fb_place_augmented(ode.evaluator.kernel, &self.augmented, <double *>self._keep(memory))
+            matrices = np.zeros(fb_place_augmented(ode.evaluator.kernel, &self.augmented, NULL))
+            fb_place_augmented(ode.evaluator.kernel, &self.augmented, <double *>self._keep(matrices))
         self._make_room(run.n_times if times is not None else 256)
 
     cdef void *_keep(self, cnp.ndarray array):
@@ -631,7 +647,7 @@ cdef class Run:
     def take_samples(self):
         """The samples since the last call, shapes (n,) and (n, n_x)."""
         cdef long i, n = self.run.n_samples
-        cdef cnp.ndarray times
+        cdef cnp.ndarray times, states
         if self.times is None:
             times = new_array(n)
             for i in range(n):
@@ -639,7 +655,9 @@ cdef class Run:
         else:
             times = self.times[self.n_taken:self.n_taken + n].copy()
         self.n_taken += n
-        samples = (times, self.kept_x[:n].copy())
+        states = new_array(n, self.run.n)
+        memcpy(data(states), self.run.sample_x, n * self.run.n * sizeof(double))
+        samples = (times, states)
         if n == self.run.room:
             self._make_room(2 * n)
         self.run.n_samples = 0

@@ -85,7 +85,7 @@ def discontinuities(ode: Ode, begin: float, end: float) -> list[Discontinuity]:
     -------
     list of Discontinuity
     """
-    if not (ode.n_breakpoints or Table in map(type, ode.sources)):
+    if not (ode.n_breakpoints or ode.has_tables):
         return []
     n_moves = ode.manifest["n_jumps"]
     known = {t: number < n_moves for number, t in reversed(list(enumerate(ode.breakpoints().tolist())))}
@@ -285,12 +285,14 @@ class Pieces:
     ----------
     ode : Ode
     span : (float, float)
+    later : list of Discontinuity
+        Those of the span, one at least.
     """
 
-    def __init__(self, ode: Ode, span: tuple[float, float]) -> None:
+    def __init__(self, ode: Ode, span: tuple[float, float], later: list[Discontinuity]) -> None:
         self._ode, self._span = ode, span
         self._towards = math.copysign(math.inf, span[1] - span[0])
-        self._later = discontinuities(ode, *span)
+        self._later = later
         self._next: tuple[Discontinuity, Boundary] | None = None
 
     @property
@@ -301,8 +303,6 @@ class Pieces:
     def begin(self, run: Integration) -> None:
         """Make the run end where its first piece does."""
         t, x = run.t, run.x
-        if not self._later:
-            return
         if self._later[0].t != t:
             self._enter(run, t, -self._towards, x, jumps=False)
             return

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,14 +12,15 @@ from numpy.typing import NDArray
 from fourbar_codegen.errors import SimulationError
 from fourbar_codegen.kernel.consistency import consistent
 from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.results.trajectory import Trajectory, make_trajectory
 from fourbar_codegen.runtime.integrator import Ode, Run
-from fourbar_codegen.simulation.discontinuities import Pieces
+from fourbar_codegen.simulation.discontinuities import Pieces, discontinuities
 from fourbar_codegen.simulation.events import Watch
 from fourbar_codegen.simulation.options import FIXED_STEP, SOLVERS, RunOptions
 from fourbar_codegen.simulation.run_protocol import Integration
 from fourbar_codegen.simulation.singularity import Singular
 
-__all__ = ["REACHED_END", "Result", "integrate"]
+__all__ = ["REACHED_END", "integrate"]
 
 Floats = NDArray[np.float64]
 
@@ -34,28 +35,20 @@ FAILED = {
     "infinite": "The step's length is not finite: give a finite end, or max_step.",
     "open": "A step has opened the loops too far to be closed again: take smaller tolerances.",
 }
+COORDINATES_ALONE = " In index 3 the tolerance holds for the coordinates of a step alone; speeds are less exact."
 
+GROWN = 1e3
+"""The energy of a run has grown beyond reason where it ends with so many times the largest kinetic energy of its first
+half, and the range of its potential energy. A constant force makes 4 times that of the first half, a constant power
+twice as much; what a load feeds that goes with the motion grows exponentially."""
 
-class Result(NamedTuple):
-    """What a run gives; the names are those of ``solve_ivp``."""
-
-    t: Floats
-    y: Floats
-    sol: Callable[[Any], Floats] | None
-    t_events: list[Floats] | None
-    y_events: list[Floats] | None
-    nfev: int
-    njev: int
-    nlu: int
-    status: int
-    message: str
-    last: tuple[float, Floats]
-    """Time and state that were reached, whatever the times of the samples."""
+SAMPLES = 100
+"""States along a run whose energies are compared."""
 
 
 def integrate(
     model: Kernel, ode: Ode, x0: Floats, options: RunOptions, progress: Callable[[float], object] | None
-) -> Result:
+) -> Trajectory:
     """Integrate from one time to another.
 
     Parameters
@@ -69,26 +62,34 @@ def integrate(
 
     Returns
     -------
-    Result
+    Trajectory
     """
     span, method, max_steps, t_eval = options.t_span, options.method, options.max_steps, options.t_eval
-    watch = Watch(model, options.events or ())
+    watch = Watch(model, options.events) if options.events else None
     # ALI3P closes positions by itself, whatever is done with its states.
     closes = options.project or method == FIXED_STEP
     start = consistent(ode, span[0], x0) if closes else x0
-    arguments = method, span[0], start, span[1], options.max_step, options.rtol, options.atol, options.project, t_eval
+    (t_begin, t_bound), max_step, rtol, atol = span, options.max_step, options.rtol, options.atol
+    outputs = watch.outputs if watch else ()
     run: Integration
     if method in SOLVERS:
         from fourbar_codegen.simulation.solver_run import SolverRun
 
         more = {} if options.formulation is None else {"formulation": options.formulation}
-        run = SolverRun(model, ode, *arguments, [place for place, _ in watch.outputs], more)
+        places = [place for place, _ in outputs]
+        run = SolverRun(
+            model, ode, method, t_begin, start, t_bound, max_step, rtol, atol, options.project, t_eval, places, more
+        )
     else:
-        run = Run(ode, *arguments, watch.outputs, bool(watch.callables) or options.dense_output)
+        look = options.dense_output or (watch is not None and bool(watch.callables))
+        run = Run(ode, method, t_begin, start, t_bound, max_step, rtol, atol, options.project, t_eval, outputs, look)
     run.begin()
-    watch.begin(run)
-    pieces = Pieces(ode, span)
-    pieces.begin(run)
+    if watch:
+        watch.begin(run)
+    later = discontinuities(ode, *span)
+    pieces = Pieces(ode, span, later) if later else None
+    if pieces:
+        pieces.begin(run)
     dense: Any = run.dense_output() if options.dense_output else None  # which takes steps of this kind of run
     samples: list[tuple[Floats, Floats]] = []
     outcome: tuple[int, str] | None = None
@@ -110,7 +111,7 @@ def integrate(
                     break
             if dense is not None:
                 dense.add(run)
-            end = watch.look(run)
+            end = watch.look(run) if watch else None
             if end is not None:
                 run.stop_within(end)
                 outcome = 1, TERMINATED
@@ -121,7 +122,7 @@ def integrate(
             if run.n_steps == max_steps:
                 outcome = -1, f"It has taken max_steps = {max_steps} steps; None is no limit."
         elif reason == "end":
-            if not pieces.ahead:
+            if not (pieces and pieces.ahead):
                 outcome = 0, REACHED_END
                 continue
             samples.append(run.take_samples())
@@ -130,7 +131,8 @@ def integrate(
             except SimulationError as error:
                 outcome = -1, str(error)
             else:
-                outcome = (1, TERMINATED) if watch.across(run) else None if closed else (-1, FAILED["open"])
+                ends = watch is not None and watch.across(run)
+                outcome = (1, TERMINATED) if ends else None if closed else (-1, FAILED["open"])
         elif reason == "diverged":
             outcome = -1, run.ode.failure or DIVERGED
         else:
@@ -143,26 +145,55 @@ def integrate(
     while run.on(0) == "full":
         samples.append(run.take_samples())
     samples.append(run.take_samples())
-    pieces.end(run)
+    if pieces:
+        pieces.end(run)
     if status < 0:
         message = f"The integration stopped at t = {run.t:.9g}: {message}"
     t, y = samples[0] if len(samples) == 1 else map(np.concatenate, zip(*samples, strict=True))
     y = y.T
     if dense is not None and t_eval is None and t.size > 1 and t[-1] == t[-2]:
         t, y = t[:-1], y[:, :-1]  # an event where a step begins; SciPy leaves that time away as well, beside `sol`
-    return Result(
+    if ode.energies(run.t, run.x)[0] > GROWN * ode.energies(t_begin, start)[0]:  # of most runs the ends tell it
+        message += _growth(model, ode, t, y, run)
+    return make_trajectory(
+        model=model,
+        parameters=options.parameters,
         t=t,
         y=y,
+        r=ode.inputs_along(t, y),
         sol=dense or None,  # without a step there is nothing between states
-        t_events=None if options.events is None else [np.array(times) for times in watch.times],
-        y_events=None if options.events is None else [np.array(states) for states in watch.states],
+        t_events=None if options.events is None else [np.array(times) for times in watch.times] if watch else [],
+        y_events=None if options.events is None else [np.array(states) for states in watch.states] if watch else [],
         nfev=run.n_evaluations,
         njev=run.n_jacobians,
         nlu=run.n_factorizations,
         status=status,
-        message=message,
-        last=(run.t, run.x),
+        success=status >= 0,
+        message=message + COORDINATES_ALONE if options.formulation == "index-3" else message,
+        settings=options.settings(),
+        inputs=options.inputs or {},
     )
+
+
+def _growth(model: Kernel, ode: Ode, t: Floats, y: Floats, run: Integration) -> str:
+    """A sentence, if the energy has grown beyond reason; see GROWN."""
+    n, end = len(t), run.t
+    if not n:
+        return ""
+
+    def energies(t: float, x: Floats) -> tuple[float, float]:
+        kinetic, potential = ode.energies(t, x)
+        return kinetic, potential if model.manifest["has_potential_energy"] else 0.0
+
+    samples = np.linspace(0, n - 1, min(n, SAMPLES), dtype=int)
+    passed = [(t[i], *energies(t[i], y[:, i])) for i in samples]
+    reached = energies(end, run.x)
+    first_half = [kinetic for time, kinetic, _ in passed if abs(time - t[0]) <= abs(end - time)]
+    potentials = [reached[1], *(potential for *_, potential in passed)]
+    if not 0.0 < GROWN * max(*first_half, max(potentials) - min(potentials)) < reached[0]:
+        return ""
+    first = sum(passed[0][1:])
+    return f" The energy has grown from {first:.6g} J to {sum(reached):.6g} J: loads feed the motion, or errors do."
 
 
 def _passed(run: Integration, samples: Sequence[tuple[Floats, Floats]]) -> list[tuple[float, Floats]]:

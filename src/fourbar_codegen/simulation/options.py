@@ -65,8 +65,8 @@ class RunOptions(NamedTuple):
     parameters: Floats | None
     inputs: Mapping[Any, Any] | None
     t_eval: Floats | None
-    rtol: Floats
-    atol: Floats
+    rtol: float | Floats
+    atol: float | Floats
     events: list[Event] | None
     constraints: str
     stabilization: float | None
@@ -78,67 +78,91 @@ class RunOptions(NamedTuple):
     project: bool
 
     @classmethod
-    def of(cls, model: Kernel, **given: Any) -> RunOptions:
+    def of(
+        cls,
+        model: Kernel,
+        *,
+        t_span: Any,
+        method: str,
+        rtol: Any,
+        atol: Any,
+        constraints: str,
+        max_step: float,
+        max_steps: Any,
+        x0: Any = None,
+        parameters: Any = None,
+        inputs: Any = None,
+        t_eval: Any = None,
+        events: Any = None,
+        stabilization: Any = None,
+        dense_output: bool = False,
+        formulation: str | None = None,
+        progress: Any = None,
+    ) -> RunOptions:
         """The arguments as they were given.
 
-        What an ensemble has for each member, or not at all, may be left out: initial state, parameters, inputs, and how
-        a single run is looked at.
+        What an ensemble has for each member, or not at all, is left out by it: initial state, parameters, inputs, and
+        how a single run is looked at.
 
         Raises
         ------
         ModelError
             If one has a wrong shape or name, is not finite, or is not for the method.
         """
-        method = one_of(given["method"], STEPS, "method")
-        constraints, formulation, progress = given["constraints"], given.get("formulation"), given.get("progress")
+        one_of(method, STEPS, "method")
         if not (formulation is None or method == "IDA"):
             raise ModelError(f"A formulation is for IDA; {method} has none.")
-        project = projects(model, constraints, *(() if method in (FIXED_STEP, "IDA") else ("baumgarte",)))
-        start, end = time_span(given["t_span"])
-        max_step = longest_step(given["max_step"])
+        project = projects(model, constraints, stabilizes=method not in (FIXED_STEP, "IDA"))
+        span = time_span(t_span)
+        max_step = longest_step(max_step)
         if method == FIXED_STEP and max_step == math.inf:
             raise ModelError(f"{FIXED_STEP} takes steps of one length: give it as max_step.")
         if not (progress is None or progress is False or callable(progress)):
             raise ModelError(f"progress must be a callable of the time, False or None, not {shown(progress)}.")
-        x0, t_eval, inputs = (given.get(name) for name in ("x0", "t_eval", "inputs"))
         if inputs is not None:
             inputs = {key: own_source(name_of(key), source) for key, source in by_name(model, inputs).items()}
-        return cls(
-            t_span=(start, end),
-            x0=None if x0 is None else named_array(x0, model.states, {}, "state"),
-            method=method,
-            parameters=model.parameter_vector(given["parameters"]) if "parameters" in given else None,
-            inputs=inputs,
-            t_eval=None if t_eval is None else sample_times(t_eval, start, end),
-            rtol=tolerance(given["rtol"], "rtol"),
-            atol=tolerance(given["atol"], "atol", model.n_x),
-            events=events_of(model, given.get("events")),
-            constraints=constraints,
-            stabilization=positive(given["stabilization"], "stabilization") if constraints == "baumgarte" else None,
-            dense_output=flag(given.get("dense_output", False), "dense_output"),
-            max_step=max_step,
-            max_steps=_max_steps(given["max_steps"], method, (start, end), max_step),
-            formulation=formulation,
-            progress=progress,
-            project=project,
+        return cls(  # in their order: by name it takes twice as long
+            span,
+            None if x0 is None else named_array(x0, model.states, {}, "state"),
+            method,
+            model.parameter_vector(parameters),
+            inputs,
+            None if t_eval is None else sample_times(t_eval, *span),
+            tolerance(rtol, "rtol"),
+            tolerance(atol, "atol", model.n_x),
+            None if events is None else events_of(model, events),
+            constraints,
+            positive(stabilization, "stabilization") if constraints == "baumgarte" else None,
+            flag(dense_output, "dense_output"),
+            max_step,
+            _max_steps(max_steps, method, span, max_step),
+            formulation,
+            progress,
+            project,
         )
 
     def settings(self) -> dict[str, Any]:
         """What a result says of how it was asked for."""
-        return {
+        settings: dict[str, Any] = {
             "method": self.method,
             "t_span": self.t_span,
-            "rtol": float(self.rtol),
-            "atol": self.atol.tolist(),
+            "rtol": self.rtol,
+            "atol": self.atol.tolist() if isinstance(self.atol, np.ndarray) else self.atol,
             "constraints": self.constraints,
-            **({"stabilization": self.stabilization} if self.stabilization is not None else {}),
-            **({"max_step": self.max_step} if self.max_step < math.inf else {}),
-            **({"formulation": self.formulation} if self.formulation is not None else {}),
         }
+        if self.stabilization is not None:
+            settings["stabilization"] = self.stabilization
+        if self.max_step < math.inf:
+            settings["max_step"] = self.max_step
+        if self.formulation is not None:
+            settings["formulation"] = self.formulation
+        return settings
 
 
 def _max_steps(given: object, method: str, span: tuple[float, float], max_step: float) -> int | None:
     """The most steps that a run may take: by default those of its method."""
+    if max_step == math.inf and type(given) is str and given == "auto":  # as most are
+        return STEPS[method]
     length = abs(span[1] - span[0])
     if max_step < math.ulp(length):
         raise ModelError(f"max_step = {max_step:g} is lost in the rounding of the run's {length:g} s.")

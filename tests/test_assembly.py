@@ -514,6 +514,17 @@ def chained(constraints, start):
     return fb.compile_model(fb.Model(system, name="chained", initial=dict.fromkeys(coordinates, start)))
 
 
+def test_links_of_one_length(four_bar):
+    # A rhombus that can fold: from here, steps along its singular directions end at angles of 1e16, whose sines are
+    # anything.
+    equal = dict.fromkeys(four_bar.parameters, 1.0)
+    for q1 in np.linspace(0.05, 3.0, 60):
+        q = four_bar.initial_state({"q1": q1}, {"u1": 0.1}, guess=[0.0, 0.0], parameters=equal)[:3]
+        assert np.abs(q).max() < 2 * np.pi
+        # The sides as complex numbers; in a folded position to half of all digits.
+        assert abs(np.exp(1j * np.cumsum(q)).sum() + 1.0) < 1e-10
+
+
 def test_loops_are_closed_one_by_one():
     """Cubics with one real root, near -2.1, and a minimum between it and the guess, where a search ends: all of six are
     hardly met at once. Each has the one before it in it, in no order."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,14 @@ Floats = NDArray[np.float64]
 
 CLOSED = 1e-10
 """Configurations count as closed if the constraints are violated by no more than this share of their scales."""
+
+ROUNDING = 4.0 * np.finfo(float).eps
+"""By what share of their scales rounding errors violate them in any case."""
+
+TURN = 2.0 * np.pi
+
+SAME = 1e-9
+"""Positions and slopes that a whole turn changes by no more are those of an angle."""
 
 MAX_CORRECTIONS = 30
 
@@ -64,12 +73,37 @@ class Loops:
         """Its derivatives alone."""
         return self.position(dependent)[1]
 
+    @cached_property
+    def angles(self) -> NDArray[np.bool_]:
+        """Which coordinates the constraints have as angles: whole turns of them change nothing; shape (n_q,)."""
+        q = np.random.default_rng(0).uniform(-np.pi, np.pi, self.model.n_q)
+        known = np.column_stack(self.model.position(self.t, q, self.p, self.r))
+        turned = [
+            np.column_stack(self.model.position(self.t, q + TURN * column, self.p, self.r))
+            for column in np.eye(self.model.n_q)
+        ]
+        return np.array([np.allclose(there, known, rtol=SAME, atol=SAME) for there in turned], dtype=bool)
+
+    def _scale(self, q: Floats, angles: NDArray[np.bool_]) -> Floats:
+        """What violations are measured by, with some of the angles within a turn."""
+        within = np.where(angles, np.remainder(q + np.pi, TURN) - np.pi, q)
+        at_rest = np.zeros(self.model.n_u)
+        scale: Floats = self.model.constraint_scale(self.t, np.concatenate((within, at_rest)), self.p, self.r)[0]
+        return scale
+
     def hold(self, dependent: Floats) -> NDArray[np.bool_]:
-        """Which constraints hold, each by its own scale, shape (n_h,)."""
+        """Which constraints hold, each by its own scale, shape (n_h,).
+
+        The scales are those of rounding errors, which grow with an angle beyond all bounds. What counts is that of
+        angles within a turn: a solver that has lost its way may end at one of 1e16, where nothing means anything.
+        Rounding errors count for what they are where the independent angles are large.
+        """
         if not np.isfinite(dependent).all():
             return np.zeros(self.model.n_h, dtype=bool)
-        q = self.coordinates(dependent)
-        return _hold(self.model, self.t, q, self.model.position(self.t, q, self.p, self.r)[0], self.p, self.r)
+        q, dependent_angles = self.coordinates(dependent), self.angles.copy()
+        dependent_angles[: len(self.q_i)] = False
+        allowed = CLOSED * self._scale(q, self.angles) + ROUNDING * self._scale(q, dependent_angles)
+        return np.asarray((np.abs(self.residual(dependent)) <= allowed) & np.isfinite(allowed))
 
     def are_closed(self, dependent: Floats) -> bool:
         """Whether all constraints hold."""
@@ -112,25 +146,18 @@ class Loops:
         return found if self.are_closed(found) else None
 
 
-def _hold(
-    model: Kernel, t: float, q: Floats, residual: Floats, p: Floats | None, r: Floats | None
-) -> NDArray[np.bool_]:
-    """Which of the position constraints hold that have this residual, each by its own scale."""
-    scale, *_ = model.constraint_scale(t, np.concatenate((q, np.zeros(model.n_u))), p, r)
-    return np.asarray((np.abs(residual) <= CLOSED * scale) & np.isfinite(scale))
-
-
 def nearest_closed(model: Kernel, t: float, q: Floats, p: Floats | None, r: Floats | None) -> Floats | None:
     """Coordinates that satisfy the position constraints, by the Gauss-Newton method from some that need not.
 
     All of them move, by the shortest change, so that redundant constraints are as good as others. None where it does
     not come to an end.
     """
+    loops = Loops(model, t, np.empty(0), p, r)
     for _ in range(MAX_CORRECTIONS):
-        residual, slopes = model.position(t, q, p, r)
+        residual, slopes = loops.position(q)
         if not (np.isfinite(residual).all() and np.isfinite(slopes).all()):
             return None
-        if _hold(model, t, q, residual, p, r).all():
+        if loops.are_closed(q):
             return q
         q = q - np.linalg.lstsq(slopes, residual, rcond=SINGULAR)[0]
     return None

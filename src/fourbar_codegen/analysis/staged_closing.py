@@ -20,7 +20,7 @@ from graphlib import TopologicalSorter
 import numpy as np
 from numpy.typing import NDArray
 
-from fourbar_codegen.analysis.loop_closure import Loops
+from fourbar_codegen.analysis.loop_closure import SAME, TURN, Loops
 
 __all__ = ["OpenLoop", "close_in_stages", "stages", "turned_towards"]
 
@@ -28,8 +28,6 @@ Floats = NDArray[np.float64]
 
 POINTS = 4
 """Random configurations at which slopes are looked at."""
-SAME = 1e-9
-"""Positions and slopes that a whole turn changes by no more are those of an angle."""
 
 
 @dataclass(frozen=True)
@@ -128,7 +126,7 @@ def turned_towards(loops: Loops, dependent: Floats, guess: Floats) -> Floats:
     known = np.column_stack(loops.position(result))
     for column in far:
         before = result[column]
-        result[column] -= 2.0 * np.pi * np.round((before - guess[column]) / (2.0 * np.pi))
+        result[column] -= TURN * np.round((before - guess[column]) / TURN)
         if not np.allclose(np.column_stack(loops.position(result)), known, rtol=SAME, atol=SAME):
             result[column] = before
     return result

@@ -15,7 +15,7 @@ import fourbar_codegen as fb
 T = me.dynamicsymbols._t
 
 
-def pendulum(*, turns=1, moves=1, acceleration=None, name="swing"):
+def pendulum(*, turns=1, moves=1, acceleration=None, angular=None, name="swing"):
     """A rigid bar on a pin whose angular velocity and velocity are set, times factors that should be 1."""
     q, u = me.dynamicsymbols("q u")
     m, g, length = sm.symbols("m g l")
@@ -27,6 +27,8 @@ def pendulum(*, turns=1, moves=1, acceleration=None, name="swing"):
     center.set_vel(ground, moves * length * u * bar.x)
     if acceleration is not None:
         center.set_acc(ground, acceleration(center, origin, ground, bar))
+    if angular is not None:
+        bar.set_ang_acc(ground, angular * u.diff(T) * ground.z)
     system = System(ground, origin)
     system.add_bodies(me.RigidBody("bar", center, bar, m, (me.inertia(bar, 0, 0, m * length**2 / 12), center)))
     system.apply_uniform_gravity(-g * ground.y)
@@ -50,6 +52,7 @@ def twice(center, origin, ground, bar):
         ({"turns": 2}, r"angular velocity of frame bar, which was set, .* orientation"),
         ({"moves": 2}, r"velocity of point C, which was set, .* position"),
         ({"acceleration": twice}, r"acceleration of point C, which was set .*a2pt_theory.* SymPy's the former"),
+        ({"angular": 2}, r"angular acceleration of frame bar, which was set, .* SymPy's the former"),
     ],
 )
 def test_a_contradiction_is_named(changes, sentence, tmp_path):
@@ -67,7 +70,7 @@ def test_a_contradiction_is_named(changes, sentence, tmp_path):
         fb.build_model(model, tmp_path)
 
 
-@pytest.mark.parametrize("changes", [{}, {"acceleration": of_the_point}])
+@pytest.mark.parametrize("changes", [{}, {"acceleration": of_the_point}, {"angular": 1}])
 def test_what_is_set_as_it_follows_is_silent(changes):
     with warnings.catch_warnings():
         warnings.simplefilter("error")

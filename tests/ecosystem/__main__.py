@@ -4,15 +4,29 @@ from __future__ import annotations
 
 import os
 import tempfile
+from collections.abc import Iterable
 from importlib.metadata import version
+from itertools import chain
 
 import click
 from measure import DOCS, circumstances, replace_in_page
 
 from ecosystem.cases import LONG, QUICK, Case
-from ecosystem.conformance import Found, run
+from ecosystem.conformance import Found, refusal, run
+from ecosystem.pages import pages, sympys_tests
 from ecosystem.tutorial_run import main as tutorial_run
+from fourbar_codegen import FourbarError
 
+PAGES = """## Their tests and pages as they are
+
+SymPy's own tests, its tutorials, PyDy's and opty's examples are run from their source distributions, and each
+KanesMethod and System that they form equations of is taken, without a word of its page being changed; values that a
+page does not have are 1.
+"""
+REFUSED = """## What is refused, and why
+
+| model | of | sentence |
+|---|---|---|"""
 HEAD = (
     "| model | of | states | constraints | operations | compiled, s | SymPy, s | faster | difference | residual |\n"
     "|---|---|---|---|---|---|---|---|---|---|"
@@ -29,18 +43,42 @@ def row(case: Case, found: Found) -> str:
     )
 
 
-def main() -> None:
-    """Run all cases, each with an empty cache."""
-    lines = [HEAD]
-    for case in (*QUICK, *LONG):
+def tables(cases: Iterable[Case], disagreements: list[str]) -> tuple[list[str], list[str]]:
+    """The lines of those that are taken and of those that are refused; what is not as it should be is noted."""
+    taken, refused = [], []
+    for case in cases:
         with tempfile.TemporaryDirectory() as folder:
             os.environ["FOURBAR_CODEGEN_CACHE"] = folder
-            lines.append(row(case, run(case, is_timed=True)))
-        click.echo(lines[-1])
-    lines.append(f"\n{tutorial_run()}")
-    click.echo(lines[-1])
+            if case.refused:
+                sentence = refusal(case)
+                refused.append(f"| {case.name} | {case.source} | {sentence} |")
+                wrong = "" if case.refused in sentence else f"refused with: {sentence or 'nothing'}"
+                click.echo(refused[-1])
+            else:
+                try:
+                    found = run(case, is_timed=True)
+                except FourbarError as error:
+                    wrong = f"refused with: {error}"
+                else:
+                    taken.append(row(case, found))
+                    wrong = found.disagreement(case)
+                    click.echo(taken[-1])
+        if wrong:
+            disagreements.append(f"{case.source}, {case.name}: {wrong}")
+            click.echo(disagreements[-1], err=True)
+    return taken, refused
+
+
+def main() -> None:
+    """Run all cases, each with an empty cache."""
+    disagreements: list[str] = []
+    taken, refused = tables((*QUICK, *LONG), disagreements)
+    from_pages, more_refused = tables(chain(sympys_tests(), pages()), disagreements)
+    lines = [HEAD, *taken, f"\n{tutorial_run()}\n", PAGES, HEAD, *from_pages, f"\n{REFUSED}", *refused, *more_refused]
     report = circumstances()
     report["versions"]["symbrim"] = version("symbrim")
+    if disagreements:
+        raise click.ClickException("\n".join(disagreements))
     replace_in_page(DOCS / "ecosystem.md", "ecosystem", "\n".join(lines), "make ecosystem", report)
 
 

@@ -24,6 +24,11 @@ from ecosystem.cases import Built, Case
 Floats = NDArray[np.float64]
 
 SPAN = 2.0
+CLOSED = 1e-10
+ROUNDING = 1e-13
+"""Rounding errors of x' as a share of the largest rate: mass matrices have conditions up to 1e3."""
+CONTRADICTION = 1e-3
+"""And what a contradiction makes of it is no matter of digits."""
 MANY = 2000
 ROUNDS = 3
 
@@ -61,6 +66,17 @@ class Found:
     residual: float
     message: str
     warned: tuple[str, ...]
+
+    def disagreement(self, case: Case) -> str:
+        """What is not as it should be, or nothing."""
+        if bool(self.warned) != bool(case.warned):
+            return f"warned of: {' '.join(self.warned) or 'nothing'}"
+        if self.message:
+            return self.message
+        if not self.residual < CLOSED:
+            return f"constraints are violated by {self.residual:.1e}"
+        is_right = self.error > CONTRADICTION if case.warned else self.error < ROUNDING
+        return f"differs from SymPy's equations by {self.error:.1e}" if case.is_compared and not is_right else ""
 
 
 def compiled(case: Case, built: Built) -> tuple[fb.CompiledModel, tuple[str, ...]]:
@@ -126,6 +142,17 @@ def times_faster(model: fb.CompiledModel, rates: Callable[[Floats], Floats], x: 
     ours = call(partial(model.rhs_batch, 0.0, states, workers=1))
     before, after = compare(call(rates, x), ours, rounds=ROUNDS)
     return MANY * before / after
+
+
+def refusal(case: Case) -> str:
+    """The sentence that a case is refused with, when it is compiled or at its beginning; or nothing."""
+    built = case.build()
+    try:
+        model, _ = compiled(case, built)
+        model.rhs(0.0, begin(model, built))
+    except fb.FourbarError as error:
+        return str(error)
+    return ""
 
 
 def run(case: Case, *, is_timed: bool = False) -> Found:

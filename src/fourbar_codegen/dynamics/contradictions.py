@@ -5,8 +5,8 @@ equations are formed with what was set. Where all constraints are satisfied, it 
 by numbers, for the frames and mass centres of bodies and the points that forces act on. A point whose velocity was set
 to zero is the contact of a wheel, as a rule, which is at rest and moves along; it is not asked about.
 
-Accelerations follow from velocities here. SymPy takes those that are set, by ``Point.a2pt_theory`` for example, which
-are others where the point that they are given from is not fixed in the body.
+Accelerations follow from velocities here, angular ones as well. SymPy takes those that are set, by
+``Point.a2pt_theory`` for example, which are others where the point that they are given from is not fixed in the body.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ from fourbar_codegen.expressions.convert import Conversion
 from fourbar_codegen.expressions.derivatives import Jvp
 from fourbar_codegen.expressions.identities import is_zero
 from fourbar_codegen.expressions.tape import Scalar
+from fourbar_codegen.modeling import system_reader as stored
 
 __all__ = ["find_contradictions"]
 
@@ -233,21 +234,42 @@ def _rigid(place: _Evaluated, centre: _Evaluated, velocity: _Evaluated, turning:
 
 def _of_accelerations(numbers: _Numbers, total_rate: Jvp, convert: Conversion) -> Iterator[_Claim]:
     kinematics = numbers.kinematics
-    follows = Accumulated(kinematics, partial(kinematics.derivative, total_rate))
+    of_point = Accumulated(kinematics, partial(kinematics.derivative, total_rate))
+
+    def of_frame(frame: int) -> Vector:
+        return ((frame, kinematics.derivative(total_rate, frame, kinematics.angular_velocity(frame))),)
+
     for body in kinematics.mechanism.bodies:
-        if body.acceleration is None:
-            continue
-        try:
-            was_set = kinematics.vector(body.acceleration, convert)
-        except ModelError:  # symbols that the equations do not know
-            continue
-        both = [kinematics.express(vector, INERTIAL) for vector in (was_set, follows(body.point))]
-        if not all(is_zero(kinematics.tape, [a - b for a, b in zip(*both, strict=True)])):
-            first, second = (numbers.vector(((INERTIAL, components),)) for components in both)
-            name = kinematics.mechanism.points[body.point].name
-            yield _Claim(
-                f"The acceleration of point {name}, which was set (by a2pt_theory, for example), is another one than "
-                "follows from its velocity, in m/s^2; equations take the latter, SymPy's the former.",
-                first,
-                (second,),
-            )
+        name = kinematics.mechanism.points[body.point].name
+        what = f"The acceleration of point {name}, which was set (by a2pt_theory, for example),", "velocity, in m/s^2"
+        yield from _of_acceleration(numbers, body.acceleration, partial(of_point, body.point), *what, convert)
+        if body.frame is not None:
+            name = kinematics.mechanism.frames[body.frame].name
+            what = f"The angular acceleration of frame {name}, which was set,", "angular velocity, in rad/s^2"
+            follows = partial(of_frame, body.frame)
+            yield from _of_acceleration(numbers, body.angular_acceleration, follows, *what, convert)
+
+
+def _of_acceleration(
+    numbers: _Numbers,
+    given: stored.Vector | None,
+    follows: Callable[[], Vector],
+    what: str,
+    whose: str,
+    convert: Conversion,
+) -> Iterator[_Claim]:
+    kinematics = numbers.kinematics
+    if given is None:
+        return
+    try:
+        was_set = kinematics.vector(given, convert)
+    except ModelError:  # symbols that the equations do not know
+        return
+    both = [kinematics.express(vector, INERTIAL) for vector in (was_set, follows())]
+    if not all(is_zero(kinematics.tape, [a - b for a, b in zip(*both, strict=True)])):
+        first, second = (numbers.vector(((INERTIAL, components),)) for components in both)
+        yield _Claim(
+            f"{what} is another one than follows from its {whose}; equations take the latter, SymPy's the former.",
+            first,
+            (second,),
+        )

@@ -243,7 +243,7 @@ def form_equations(model: Model) -> Equations:
     rounding = Rounding(tape)
     corrections = form_corrections(tape, constraints, v.q, v.u, rounding, values, mechanism.holonomic_constraints)
     with_rates = convert
-    if any(body.acceleration is not None for body in mechanism.bodies):
+    if any((body.acceleration, body.angular_acceleration) != (None, None) for body in mechanism.bodies):
         second = zip(
             (q.diff((mechanism.time, 2)) for q in mechanism.coordinates), map(total_rate, q_rates), strict=True
         )

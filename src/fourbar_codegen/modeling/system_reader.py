@@ -128,8 +128,8 @@ class Body:
     inertia : tuple of Expr or None
         The 9 entries of the central inertia.
     potential_energy : Expr
-    acceleration : Vector or None
-        Of the mass centre, in the inertial frame, if one was set. Equations do not depend on it.
+    acceleration, angular_acceleration : Vector or None
+        Of the mass centre and the frame, in the inertial frame, if one was set. Equations do not depend on them.
     """
 
     name: str
@@ -140,6 +140,7 @@ class Body:
     inertia: tuple[sm.Expr, ...] | None
     potential_energy: sm.Expr
     acceleration: Vector | None
+    angular_acceleration: Vector | None
 
 
 @dataclass(frozen=True)
@@ -585,10 +586,11 @@ class _Reader:
         except ValueError:
             return None
 
-    def acceleration(self, point: me.Point) -> Vector | None:
-        given = point._acc_dict.get(self.inertial)
+    def acceleration(self, of: me.Point | me.ReferenceFrame) -> Vector | None:
+        known = of._ang_acc_dict if isinstance(of, me.ReferenceFrame) else of._acc_dict
+        given = known.get(self.inertial)
         try:
-            return None if given is None else self.vector(given, f"acceleration of point {point.name}")
+            return None if given is None else self.vector(given, f"acceleration of {of.name}")
         except ModelError:
             return None  # it is written in a frame that nothing else needs
 
@@ -598,7 +600,7 @@ class _Reader:
         point = self.point_numbers[body.masscenter]
         acceleration = self.acceleration(body.masscenter)
         if not isinstance(body, me.RigidBody):  # the deprecated Body is a RigidBody and a Particle
-            return Body(body.name, mass, point, None, None, None, potential_energy, acceleration)
+            return Body(body.name, mass, point, None, None, None, potential_energy, acceleration, None)
         self.angular_velocity(body.frame, name)
         # The inertia stays in the frame it was given in, which need not be fixed in the body (the wheel of a
         # bicycle is simplest in a frame that does not spin with it); mixed frames go to the body's own.
@@ -616,6 +618,7 @@ class _Reader:
             inertia,
             potential_energy,
             acceleration,
+            self.acceleration(body.frame),
         )
 
     def load(self, load: Any) -> Load:

@@ -12,7 +12,6 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
-from unittest import mock
 
 import sympy as sm
 import sympy.physics.mechanics as me
@@ -20,6 +19,7 @@ from sympy.physics.mechanics.models import multi_mass_spring_damper, n_link_pend
 from sympy.physics.mechanics.system import System
 
 import fourbar_codegen as fb
+from ecosystem.formed import Formed, taken
 
 T = me.dynamicsymbols._t
 SEAT = {"seat_yaw": 0.0, "seat_pitch": -0.3, "seat_roll": 0.0, "bike_gear_ratio": 2.0}
@@ -60,29 +60,14 @@ class Case:
     is_compared: bool = True
 
 
-class _Formed(Exception):
-    """A KanesMethod has formed its equations: the rest of a test is not needed."""
-
-
 def of_sympys_test(module: str, function: str, which: int = 0) -> Callable[[], Built]:
     """The KanesMethod, in its order, that a test of sympy.physics.mechanics forms equations of."""
 
     def build() -> Built:
-        formed: list[me.KanesMethod] = []
-        original = me.KanesMethod.kanes_equations
-
-        def kanes_equations(self: me.KanesMethod, *arguments: Any, **more: Any) -> Any:
-            result = original(self, *arguments, **more)
-            formed.append(self)
-            if len(formed) > which:
-                raise _Formed
-            return result
-
+        formed: Formed = []
         test = getattr(importlib.import_module(f"sympy.physics.mechanics.tests.{module}"), function)
-        with warnings.catch_warnings(), mock.patch.object(me.KanesMethod, "kanes_equations", kanes_equations):
-            warnings.simplefilter("ignore")
-            with contextlib.suppress(_Formed):
-                getattr(test, "__wrapped__", test)()
+        with taken(formed, which + 1):
+            test()
         return Built(formed[which])
 
     return build

@@ -11,7 +11,6 @@ import contextlib
 import doctest
 import importlib
 import inspect
-import io
 import pkgutil
 import re
 import subprocess
@@ -20,8 +19,7 @@ import tarfile
 import tempfile
 import textwrap
 import types
-import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib.machinery import ModuleSpec
 from pathlib import Path
@@ -29,11 +27,10 @@ from typing import Any
 from unittest import mock
 
 import sympy as sm
-import sympy.physics.mechanics as me
 import sympy.physics.mechanics.tests
-from sympy.physics.mechanics.system import System
 
 from ecosystem.cases import CONTACT, Built, Case
+from ecosystem.formed import Formed, taken
 
 VERSIONS = {"sympy": "1.14.0", "pydy": "0.9.4", "opty": "1.5.0"}
 FOLDERS = {"sympy": "doc/src/tutorials/physics", "pydy": "docs/examples", "opty": "examples-gallery"}
@@ -70,42 +67,8 @@ BEGIN = {"four_bar_linkage_example": {"q1": -1.5}}
 class _Page:
     """What a page has formed equations of, and the parameters' values that it has."""
 
-    models: list[System | me.KanesMethod] = field(default_factory=list)
+    models: Formed = field(default_factory=list)
     values: dict[sm.Symbol, float] = field(default_factory=dict)
-
-    def run(self, work: Callable[[], object]) -> None:
-        """Do what the page does, up to its end or an error; a System's own KanesMethod is not taken."""
-        of_system, of_kane = System.form_eoms, me.KanesMethod.kanes_equations
-        inside = False
-
-        def form_eoms(system: System, *arguments: Any, **more: Any) -> Any:
-            nonlocal inside
-            self._take(system)
-            inside = True
-            try:
-                return of_system(system, *arguments, **more)
-            finally:
-                inside = False
-
-        def kanes_equations(kane: me.KanesMethod, *arguments: Any, **more: Any) -> Any:
-            result = of_kane(kane, *arguments, **more)
-            if not inside:
-                self._take(kane)
-            return result
-
-        with (
-            warnings.catch_warnings(),
-            contextlib.redirect_stdout(io.StringIO()),
-            contextlib.suppress(Exception, SystemExit),
-            mock.patch.object(System, "form_eoms", form_eoms),
-            mock.patch.object(me.KanesMethod, "kanes_equations", kanes_equations),
-        ):
-            warnings.simplefilter("ignore")
-            work()
-
-    def _take(self, model: System | me.KanesMethod) -> None:
-        if not any(model is known for known in self.models):
-            self.models.append(model)
 
     def cases(self, name: str, source: str) -> Iterator[Case]:
         """A case for each model."""
@@ -129,7 +92,8 @@ def sympys_tests() -> Iterator[Case]:
         for name, test in members:
             if "test_" in name and re.search(FORMS, inspect.getsource(test)):
                 page = _Page()
-                page.run(test)
+                with taken(page.models):
+                    test()
                 yield from page.cases(f"{module.name}.{name}", f"SymPy {VERSIONS['sympy']}, tests")
 
 
@@ -158,7 +122,8 @@ def _read(path: Path) -> _Page:
         with contextlib.chdir(path.parent):
             for statement in _statements(path):
                 code = compile(ast.Module([statement], []), path.name, "exec")
-                page.run(lambda code=code: exec(code, namespace))
+                with taken(page.models):
+                    exec(code, namespace)
     finally:
         sys.meta_path.remove(finder)  # type: ignore[arg-type]
         for name in [*filter(_is_stood_in, sys.modules)]:

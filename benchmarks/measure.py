@@ -36,7 +36,12 @@ def call(function: Callable[..., object], *arguments: Any) -> Callable[[], float
     """A measure of a call; short ones are repeated for 20 ms."""
     function(*arguments)  # the first call may compile
     number = max(1, int(0.02 / timed(lambda: function(*arguments))))
-    return lambda: timed(lambda: [function(*arguments) for _ in range(number)]) / number
+
+    def repeated() -> None:  # keeping no result, as one who goes on with the last one
+        for _ in range(number):
+            function(*arguments)
+
+    return lambda: timed(repeated) / number
 
 
 def evaluation(function: Callable[[float, Any], object], x: Any, number: int) -> Callable[[], float]:

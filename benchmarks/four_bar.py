@@ -95,7 +95,7 @@ def write_readme(report: dict[str, Any]) -> None:
         left = f"{row['tutorial']:.3g} {row['unit']}" if row["tutorial"] else ""
         lines.append(
             f"| {row['name'].strip()} | {left} | {row['compiled']:.3g} {row['unit']} | "
-            + (f"{row['ratio']:.3g} |" if row["ratio"] else "|")
+            + (f"{float(format(row['ratio'], '.3g')):,g} |" if row["ratio"] else "|")
         )
     text = (
         "Medians of measures taken in turn, against the tutorial's own code (`lambdify` with `cse=True` and\n"

@@ -26,7 +26,7 @@ manifest = (
     '{\n'
     '  "format": 7,\n'
     '  "name": "four_bar",\n'
-    '  "fingerprint": "6527f863439454c6a70201a71e8dd77be1a713ab44d7bccf4ef1c66729b1857f",\n'
+    '  "fingerprint": "892e1a0819647f648762920c8a2bfe7f22207842ef060257f1858aa270545704",\n'
     '  "coordinates": [\n'
     '    "q1",\n'
     '    "q2",\n'

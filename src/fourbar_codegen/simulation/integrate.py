@@ -179,7 +179,7 @@ def _growth(ode: Ode, t: Floats, y: Floats, run: Integration) -> str:
     n, end = len(t), run.t
     kinetic, potential = reached = ode.energies(end, run.x)
     largest, low, high = 0.0, potential, potential  # NaN where nobody knows it
-    for i in range(0, n, -(-n // SAMPLES)):
+    for i in range(0, n, n // SAMPLES + 1):
         found = ode.energies(t[i], y[:, i])
         if found[0] > largest and abs(t[i] - t[0]) <= abs(end - t[i]):
             largest = found[0]

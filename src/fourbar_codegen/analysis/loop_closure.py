@@ -84,11 +84,10 @@ class Loops:
         ]
         return np.array([np.allclose(there, known, rtol=SAME, atol=SAME) for there in turned], dtype=bool)
 
-    def _scale(self, q: Floats, angles: NDArray[np.bool_]) -> Floats:
-        """What violations are measured by, with some of the angles within a turn."""
-        within = np.where(angles, np.remainder(q + np.pi, TURN) - np.pi, q)
+    def _scale(self, q: Floats) -> Floats:
+        """What violations are measured by."""
         at_rest = np.zeros(self.model.n_u)
-        scale: Floats = self.model.constraint_scale(self.t, np.concatenate((within, at_rest)), self.p, self.r)[0]
+        scale: Floats = self.model.constraint_scale(self.t, np.concatenate((q, at_rest)), self.p, self.r)[0]
         return scale
 
     def hold(self, dependent: Floats) -> NDArray[np.bool_]:
@@ -100,9 +99,13 @@ class Loops:
         """
         if not np.isfinite(dependent).all():
             return np.zeros(self.model.n_h, dtype=bool)
-        q, dependent_angles = self.coordinates(dependent), self.angles.copy()
-        dependent_angles[: len(self.q_i)] = False
-        allowed = CLOSED * self._scale(q, self.angles) + ROUNDING * self._scale(q, dependent_angles)
+        q = self.coordinates(dependent)
+        if np.abs(q).max() <= TURN:
+            allowed = CLOSED * self._scale(q)
+        else:
+            within = np.where(self.angles, np.remainder(q + np.pi, TURN) - np.pi, q)
+            with_own = np.concatenate((self.q_i, within[len(self.q_i) :]))
+            allowed = CLOSED * self._scale(within) + ROUNDING * self._scale(with_own)
         return np.asarray((np.abs(self.residual(dependent)) <= allowed) & np.isfinite(allowed))
 
     def are_closed(self, dependent: Floats) -> bool:

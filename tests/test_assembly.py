@@ -289,6 +289,26 @@ W, S, A, Y = me.dynamicsymbols("w s a y")
 LENGTH = sm.Symbol("l")
 
 
+def test_a_root_at_zero():
+    """A slider by the length of its rod, which is that of the crank: at 0 and 2 cos w, and both are regular."""
+    modes = on_a_line([(S - sm.cos(W)) ** 2 + sm.sin(W) ** 2 - 1], [W, S])
+    for angle in np.linspace(-3.0, 3.0, 13):
+        found = modes(angle)
+        assert found.is_complete
+        np.testing.assert_allclose(np.sort(found.x[:, 1]), np.sort([0.0, 2 * np.cos(angle)]), rtol=0, atol=1e-12)
+
+
+def test_speeds_beside_a_dead_point():
+    """Positions are found to half of all digits there, 1e-8 beside it, where the slope is 1e-8 and not 0."""
+    model = fb.compile_model(fb.Model(masses_on_a_line([sm.cos(A) - W], [W, A]), name="dead_point"))
+    assert model.initial_state([0.9], [0.5], guess=[1.0])[3] == pytest.approx(-0.5 / np.sqrt(1 - 0.9**2), rel=1e-12)
+    near = 1.0 - 1e-8  # known to 1e-8 of the slope, which is 1.4e-4
+    assert model.initial_state([near], [0.5], guess=[1.0])[3] == pytest.approx(-0.5 / np.sqrt(1 - near**2), rel=1e-6)
+    for guess in (0.0, 1.0):
+        with pytest.raises(fb.AssemblyError, match="do not follow from the independent ones"):
+            model.initial_state([1.0], [0.5], guess=[guess])
+
+
 def test_displacements_of_all_sizes():
     """Roots in closed form, in whatever unit: 1e-6 to 1e5, also where the constraint is flat at zero."""
     modes = on_a_line(

@@ -2,6 +2,11 @@
 
 import numpy as np
 import pytest
+import sympy as sm
+import sympy.physics.mechanics as me
+from sympy.physics.mechanics.system import System
+
+import fourbar_codegen as fb
 
 
 def test_energies_against_closed_form(four_bar):
@@ -44,3 +49,27 @@ def test_energy_changes_by_the_work_of_the_force(four_bar):
     work = np.concatenate(([0.0], np.cumsum((power[1:] + power[:-1]) / 2 * np.diff(t))))
     # The trapezoidal rule errs by h^2/12 times the power's second derivative, here below 1e5.
     np.testing.assert_allclose(run.energy - run.energy[0], work, atol=5e-3)
+
+
+def test_energy_that_a_force_makes_has_not_grown_beyond_reason():
+    """A mass from rest by forces t^n has 4^(n + 1) times the kinetic energy at the end that it had half way, though
+    its steps grow so that none ends near there; what a negative damping feeds has grown."""
+    frame, origin = me.ReferenceFrame("N"), me.Point("O")
+    x, u, force = me.dynamicsymbols("x u F")
+    place = origin.locatenew("P", x * frame.x)
+    origin.set_vel(frame, 0)
+    place.set_vel(frame, u * frame.x)
+    system = System(frame, origin)
+    system.add_bodies(me.Particle("P", place, sm.S.One))
+    system.add_coordinates(x)
+    system.add_speeds(u)
+    system.add_kdes(u - x.diff())
+    system.add_loads((place, force * frame.x))
+    mass = fb.compile_model(fb.Model(system, name="pushed", inputs={force: 0.0}, initial={x: 0.0, u: 0.0}))
+    for n in range(4):
+        for span, rtol in (((0.0, 10.0), 1e-6), ((0.0, 10.0), 1e-10), ((0.0, -10.0), 1e-6)):
+            run = mass.simulate(span, inputs={"F": lambda t, _, n=n: t**n}, rtol=rtol)
+            assert run.kinetic_energy[-1] == pytest.approx((10.0 ** (n + 1) / (n + 1)) ** 2 / 2, rel=1e-4)
+            assert "has grown" not in run.message
+    fed = mass.simulate((0.0, 10.0), [0.0, 1e-3], inputs={"F": lambda _, x: 2.0 * x[1]})
+    assert "has grown" in fed.message

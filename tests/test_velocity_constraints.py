@@ -58,6 +58,7 @@ STATED = {
     "by_a_parameter": lambda phi, rate, x, y, u, v: [rate / sm.Symbol("g")],
     "of_unit_length": lambda phi, rate, x, y, u, v: [rate / sm.sqrt(x**2 + y**2)],
     "by_a_function": lambda phi, rate, x, y, u, v: [rate * sm.exp(x) / (2 + sm.sin(y))],
+    "with_the_violation": lambda phi, rate, x, y, u, v: [rate + 5 * phi],
     "on_closed_loops_alone": lambda phi, rate, x, y, u, v: [rate + phi * u],
 }
 

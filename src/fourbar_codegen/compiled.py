@@ -464,8 +464,8 @@ class CompiledModel(Kernel):
         Trajectory
             With ``success`` False and a sentence in ``message`` if the integrator could not finish: for instance at a
             singular position, where the constraints' Jacobian loses rank. Another sentence says from what to what the
-            energy has grown, where it ends with a thousand times the largest kinetic energy of the run's first half and
-            the range of its potential energy; a constant force makes four times.
+            energy has grown, where it ends with a thousand times the largest kinetic energy of the states that are
+            stored of the run's first half, and the range of its potential energy; a constant force makes four times.
 
         Raises
         ------

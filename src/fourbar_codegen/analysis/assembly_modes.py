@@ -14,13 +14,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, islice
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fourbar_codegen.analysis.loop_closure import Loops
+from fourbar_codegen.analysis.loop_closure import DEAD, Loops
 from fourbar_codegen.analysis.polynomials import Constraints, Polynomial, real_roots, terms_of
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.kernel.kernel import Kernel
@@ -37,14 +37,14 @@ Floats = NDArray[np.float64]
 ROUNDING = 1e-13
 """The share of its terms to which a constraint is satisfied in a mode."""
 
+WITNESSES = 12
+"""Starting points from which nothing may be found that is not among all solutions."""
+
 DISTINCT = 1e-5
 """Modes that are not known to this share are told apart if they differ by more. Where two meet, constraints are
 satisfied to ROUNDING within its root, 3e-7."""
 
 EPS = float(np.finfo(float).eps)
-
-DEAD = 1e-5
-"""Where singular values of a group's slopes have this ratio, two modes meet, or are not known to more digits."""
 
 MAX_MODES = 1024
 """No more modes than these are made: they multiply with the number of loops."""
@@ -179,6 +179,11 @@ def closed_coordinates(loops: Loops, start: Floats, progress: Progress) -> tuple
         found = _search(chart, partial, rest, start, generator, progress)
     else:
         found = [dependent for dependent in partial if loops.are_closed(dependent)]
+        for begin in islice(_starting_points(chart, [start], range(len(start)), start, generator), WITNESSES):
+            witness = loops.search(begin)
+            # Where two modes meet, others beside them are rounding errors; but there is one.
+            if witness is not None and (not found or _is_regular(loops, witness)) and _is_exact(loops, witness):
+                complete &= not chart.add(witness, found)
     sizes = np.abs(found).max(axis=0, initial=1e-300) if found else 1.0
     return sorted(found, key=lambda dependent: tuple(np.round(dependent / sizes, 6))), complete
 
@@ -359,14 +364,25 @@ def _roots(chart: _Chart, group: _Group, dependent: Floats) -> list[Floats] | No
     for candidate in candidates:
         point = dependent.copy()
         point[columns] = candidate
-        # Terms are those of the polynomial, and those that its coefficients consist of.
+        # Terms are those of the polynomial, and those that its coefficients and the constraints consist of, which may
+        # cancel where a root is zero.
         q = loops.coordinates(point)
         error, slopes = loops.model.position(loops.t, q, loops.p, loops.r)
         at = [1.0 if chart.is_angle[j] else abs(value) for j, value in zip(columns, candidate, strict=True)]
         terms = np.abs(slopes[rows]) @ np.abs(q) + [terms_of(polynomial, at) for polynomial in polynomials]
+        terms += _scales(loops, q)[rows]
         if (np.abs(error[rows]) <= ROUNDING * terms).all():
             chart.add(point, found, _Solved(rows, columns, terms))
     return found
+
+
+def _is_exact(loops: Loops, dependent: Floats) -> bool:
+    return bool((np.abs(loops.residual(dependent)) <= ROUNDING * _scales(loops, loops.coordinates(dependent))).all())
+
+
+def _is_regular(loops: Loops, dependent: Floats) -> bool:
+    sizes = np.linalg.svd(loops.jacobian(dependent), compute_uv=False)
+    return bool(sizes[-1] > DEAD * sizes[0])
 
 
 def _is_dead(loops: Loops, group: _Group, dependent: Floats) -> bool:
@@ -374,6 +390,20 @@ def _is_dead(loops: Loops, group: _Group, dependent: Floats) -> bool:
     slopes = loops.jacobian(dependent)[np.ix_(group.rows, group.unknowns)]
     sizes = np.linalg.svd(slopes, compute_uv=False)
     return bool(sizes[-1] <= DEAD * sizes[0])
+
+
+def _starting_points(
+    chart: _Chart, partial: list[Floats], rest: Sequence[int], start: Floats, generator: np.random.Generator
+) -> Iterator[Floats]:
+    """What is known of the coordinates, and others at random."""
+    others = list(rest)
+    yield start
+    for number in range(MAX_STARTING_POINTS):
+        begin = partial[number % len(partial)].copy()
+        reach = chart.scales * np.where(chart.is_angle, 1.0, 10.0 ** generator.uniform(-1.0, 1.0))
+        middle = np.where(chart.is_angle, 0.0, start)
+        begin[others] = (middle + reach * generator.uniform(-np.pi, np.pi, len(start)))[others]
+        yield begin
 
 
 def _search(
@@ -384,21 +414,10 @@ def _search(
     generator: np.random.Generator,
     progress: Progress,
 ) -> list[Floats]:
-    """Solutions from many starting points: what is known of the coordinates, and others at random."""
+    """Solutions from many starting points."""
     found: list[Floats] = []
-    others = list(rest)
-
-    def starting_points() -> Iterator[Floats]:
-        yield start
-        for number in range(MAX_STARTING_POINTS):
-            begin = partial[number % len(partial)].copy()
-            reach = chart.scales * np.where(chart.is_angle, 1.0, 10.0 ** generator.uniform(-1.0, 1.0))
-            middle = np.where(chart.is_angle, 0.0, start)
-            begin[others] = (middle + reach * generator.uniform(-np.pi, np.pi, len(start)))[others]
-            yield begin
-
     in_vain = 0
-    for begin in starting_points():
+    for begin in _starting_points(chart, partial, rest, start, generator):
         progress.stage(f"{len(found)} found")
         dependent = chart.loops.search(begin)
         news = dependent is not None and chart.add(dependent, found)

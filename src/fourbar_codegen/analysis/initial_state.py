@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fourbar_codegen.analysis.loop_closure import Loops, nearest_closed
+from fourbar_codegen.analysis.loop_closure import DEAD, Loops, nearest_closed
 from fourbar_codegen.analysis.staged_closing import OpenLoop, close_in_stages, turned_towards
 from fourbar_codegen.arguments import Values, is_mapping, named, named_array
 from fourbar_codegen.errors import AssemblyError, ModelError, shown
-from fourbar_codegen.kernel.dependent import INDEPENDENT, SINGULAR, row_sizes, solve_dependent
+from fourbar_codegen.kernel.dependent import INDEPENDENT, row_sizes, solve_dependent
 from fourbar_codegen.kernel.inputs import InputSource, inputs_at
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.progress import Progress
@@ -30,6 +30,12 @@ FURTHER_GUESSES = 40
 
 MANY = 8
 """Coordinates that messages name one by one, also those that are zero."""
+
+FLAT = 1e-4
+"""Columns of J_d smaller than this, beside the others, are looked at twice."""
+
+KNOWN = 0.01
+"""Speeds that rounding errors of the position change by more than this share do not follow from it."""
 
 CONSISTENT = 1e-10
 """Velocity constraints count as satisfied to this share of their terms."""
@@ -63,7 +69,7 @@ def initial_states(
     inputs: Mapping[Any, InputSource] | None,
 ) -> AssemblyModes:
     """All states with these independent values; see `CompiledModel.initial_states`."""
-    from fourbar_codegen.analysis.assembly_modes import DISTINCT, AssemblyModes, closed_coordinates
+    from fourbar_codegen.analysis.assembly_modes import AssemblyModes, closed_coordinates
 
     loops, u_i, start = _given(model, coordinates, speeds, t, None, parameters, inputs)
     with Progress(f"{model.name}: ways to close the loops") as progress:
@@ -72,7 +78,7 @@ def initial_states(
     for dependent in found:
         q = loops.coordinates(dependent)
         try:
-            u = _dependent_speeds(loops, q, u_i, DISTINCT)  # in a dead point, positions are right to half of all digits
+            u = _dependent_speeds(loops, q, u_i)
         except UndeterminedSpeedsError:
             u = np.concatenate((u_i, np.full(model.n_u - len(u_i), np.nan)))
         states.append(np.concatenate((q, u)))
@@ -168,28 +174,49 @@ class UndeterminedSpeedsError(AssemblyError):
     """The dependent speeds do not follow from the independent ones in a configuration."""
 
 
-def _dependent_speeds(loops: Loops, q: Floats, u_i: Floats, singular: float = SINGULAR) -> Floats:
-    """All speeds: the dependent ones solve J_d u_d = -(J_i u_i + b), and are determined by that."""
+def _dependent_speeds(loops: Loops, q: Floats, u_i: Floats) -> Floats:
+    """All speeds: the dependent ones solve J_d u_d = -(J_i u_i + b), and are determined by that.
+
+    Where J_d is small, in a dead point of a single coordinate, they have to be those of the positions beside, which
+    rounding errors do not tell from this one.
+    """
+    speeds, size = _speeds_at(loops, q, u_i)
+    if size < FLAT and loops.n_dependent:
+        beside = q.copy()
+        beside[len(loops.q_i) :] += loops.uncertainty(q[len(loops.q_i) :])
+        if np.abs(_speeds_at(loops, beside, u_i)[0] - speeds).max() > KNOWN * np.abs(speeds).max():
+            raise _undetermined(loops, q, u_i)
+    return speeds
+
+
+def _undetermined(loops: Loops, q: Floats, u_i: Floats) -> UndeterminedSpeedsError:
+    model = loops.model
+    return UndeterminedSpeedsError(
+        f"The dependent speeds ({', '.join(model.speeds[len(u_i) :])}) do not follow from the independent ones at "
+        f"{_named(model.coordinates, q)}: the constraints' Jacobian with respect to them is singular. Start from "
+        "another configuration, or choose other independent speeds."
+    )
+
+
+def _speeds_at(loops: Loops, q: Floats, u_i: Floats) -> tuple[Floats, float]:
+    """All speeds at a position, and the size of the smallest column of J_d, with rows in units of their largest."""
     model, n_i = loops.model, len(u_i)
     jacobian, bias = model.velocity(loops.t, np.concatenate((q, np.zeros(model.n_u))), loops.p, loops.r)
     if not model.n_c:
-        return u_i
+        return u_i, 1.0
     size = row_sizes(jacobian)
     jacobian, bias = jacobian / size, bias / size[:, 0]
     rank = int(np.linalg.matrix_rank(jacobian, rtol=INDEPENDENT))
     if rank > model.n_u - n_i:
         raise AssemblyError(model.too_few_dependent(f"at {_named(model.coordinates, q)}", rank))
     known = jacobian[:, :n_i] @ u_i + bias
-    u_d, determined = solve_dependent(jacobian, n_i, known, singular)
+    u_d, determined = solve_dependent(jacobian, n_i, known, DEAD)
     error = np.abs(jacobian[:, n_i:] @ u_d + known).max()
     terms = max(np.abs(jacobian[:, n_i:]).max() * np.abs(u_d).max(), np.abs(known).max())
     if determined < len(u_d) or not error <= CONSISTENT * terms:
-        raise UndeterminedSpeedsError(
-            f"The dependent speeds ({', '.join(model.speeds[n_i:])}) do not follow from the independent ones at "
-            f"{_named(model.coordinates, q)}: the constraints' Jacobian with respect to them is singular. Start from "
-            "another configuration, or choose other independent speeds."
-        )
-    return np.concatenate((u_i, u_d))
+        raise _undetermined(loops, q, u_i)
+    smallest = float(np.abs(jacobian[:, n_i:]).max(axis=0).min(initial=1.0))
+    return np.concatenate((u_i, u_d)), smallest
 
 
 def _named(names: Sequence[str], values: Floats) -> str:

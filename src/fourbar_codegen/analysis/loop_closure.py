@@ -26,6 +26,10 @@ TURN = 2.0 * np.pi
 SAME = 1e-9
 """Positions and slopes that a whole turn changes by no more are those of an angle."""
 
+DEAD = 1e-5
+"""Where singular values of slopes have this ratio, two ways to close the loops meet: positions are known to half of all
+digits, and speeds to none."""
+
 MAX_CORRECTIONS = 30
 
 
@@ -107,6 +111,12 @@ class Loops:
             with_own = np.concatenate((self.q_i, within[len(self.q_i) :]))
             allowed = CLOSED * self._scale(within) + ROUNDING * self._scale(with_own)
         return np.asarray((np.abs(self.residual(dependent)) <= allowed) & np.isfinite(allowed))
+
+    def uncertainty(self, dependent: Floats) -> Floats:
+        """How far rounding errors of the constraints move a solution, shape (n,)."""
+        slopes = np.abs(np.linalg.pinv(self.jacobian(dependent)))
+        moved: Floats = slopes @ (ROUNDING * self._scale(self.coordinates(dependent)))
+        return moved
 
     def are_closed(self, dependent: Floats) -> bool:
         """Whether all constraints hold."""

@@ -224,9 +224,9 @@ def _left(matrix: Floats, n_k: int) -> Floats:
 
 
 def _units(matrix: Floats) -> Floats:
-    """The columns' largest entries: metres and radians count alike."""
+    """The columns' largest entries: metres and radians count alike. What is left of violations stays small."""
     size = np.abs(matrix).max(axis=0)
-    return np.asarray(np.where(size > 0.0, size, 1.0))
+    return np.asarray(np.where(size > DEPENDENT * size.max(initial=0.0), size, size.max(initial=0.0) or 1.0))
 
 
 def _basis(matrix: Floats, n_k: int) -> tuple[list[int], list[int]]:

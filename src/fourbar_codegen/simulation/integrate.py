@@ -153,7 +153,7 @@ def integrate(
     y = y.T
     if dense is not None and t_eval is None and t.size > 1 and t[-1] == t[-2]:
         t, y = t[:-1], y[:, :-1]  # an event where a step begins; SciPy leaves that time away as well, beside `sol`
-    message += _growth(ode, t, y, run)
+    message += _growth(ode, t, y, run, by_steps=t_eval is None)
     return make_trajectory(
         model=model,
         parameters=options.parameters,
@@ -174,7 +174,7 @@ def integrate(
     )
 
 
-def _growth(ode: Ode, t: Floats, y: Floats, run: Integration) -> str:
+def _growth(ode: Ode, t: Floats, y: Floats, run: Integration, *, by_steps: bool) -> str:
     """A sentence, if the energy has grown beyond reason; see GROWN."""
     n, end = len(t), run.t
     kinetic, potential = reached = ode.energies(end, run.x)
@@ -189,6 +189,11 @@ def _growth(ode: Ode, t: Floats, y: Floats, run: Integration) -> str:
             high = found[1]
         if kinetic <= GROWN * largest or kinetic <= GROWN * (high - low):
             return ""  # of most runs the first state tells it
+    if by_steps and n > 1:  # from rest, steps grow until one of them is half of the run, along which speeds are smooth
+        half = (t[0] + end) / 2.0
+        there = [np.interp(abs(half - t[0]), np.abs(t - t[0]), row) for row in y]
+        if kinetic <= GROWN * ode.energies(half, np.array(there))[0]:
+            return ""
     if not (n and max(largest, high - low) > 0.0 and not np.isnan(kinetic)):
         return ""
     before, after = map(np.nansum, (ode.energies(t[0], y[:, 0]), reached))

@@ -364,14 +364,13 @@ def _roots(chart: _Chart, group: _Group, dependent: Floats) -> list[Floats] | No
     for candidate in candidates:
         point = dependent.copy()
         point[columns] = candidate
-        # Terms are those of the polynomial, and those that its coefficients and the constraints consist of, which may
-        # cancel where a root is zero.
+        # Terms are those of the polynomial, and those that its coefficients consist of. Where a root is zero they may
+        # have cancelled, and what is left is the rounding of the constraints.
         q = loops.coordinates(point)
         error, slopes = loops.model.position(loops.t, q, loops.p, loops.r)
         at = [1.0 if chart.is_angle[j] else abs(value) for j, value in zip(columns, candidate, strict=True)]
         terms = np.abs(slopes[rows]) @ np.abs(q) + [terms_of(polynomial, at) for polynomial in polynomials]
-        terms += _scales(loops, q)[rows]
-        if (np.abs(error[rows]) <= ROUNDING * terms).all():
+        if (np.abs(error[rows]) <= ROUNDING * np.maximum(terms, _scales(loops, q)[rows])).all():
             chart.add(point, found, _Solved(rows, columns, terms))
     return found
 

@@ -179,11 +179,13 @@ def closed_coordinates(loops: Loops, start: Floats, progress: Progress) -> tuple
         found = _search(chart, partial, rest, start, generator, progress)
     else:
         found = [dependent for dependent in partial if loops.are_closed(dependent)]
+        everything = _Group(tuple(range(loops.model.n_h)), tuple(range(len(start))))
         for begin in islice(_starting_points(chart, [start], range(len(start)), start, generator), WITNESSES):
             witness = loops.search(begin)
             # Where two modes meet, others beside them are rounding errors; but there is one.
-            if witness is not None and (not found or _is_regular(loops, witness)) and _is_exact(loops, witness):
-                complete &= not chart.add(witness, found)
+            if witness is None or not _is_exact(loops, witness) or (found and _is_dead(loops, everything, witness)):
+                continue
+            complete &= not chart.add(witness, found)
     sizes = np.abs(found).max(axis=0, initial=1e-300) if found else 1.0
     return sorted(found, key=lambda dependent: tuple(np.round(dependent / sizes, 6))), complete
 
@@ -200,12 +202,6 @@ def _constraints(loops: Loops) -> Constraints:
     values |= {("p", entry["name"]): value for entry, value in zip(parameters, p, strict=True)}
     values |= {("r", entry["name"]): value for entry, value in zip(inputs, r, strict=True)}
     return Constraints(model.manifest["position_constraints"], values)
-
-
-def _scales(loops: Loops, q: Floats) -> Floats:
-    """What each position constraint's terms amount to."""
-    scales, *_ = loops.model.constraint_scale(loops.t, np.concatenate((q, np.zeros(loops.model.n_u))), loops.p, loops.r)
-    return scales
 
 
 @dataclass(frozen=True)
@@ -310,7 +306,7 @@ class _Solved:
     @classmethod
     def all_of(cls, chart: _Chart, dependent: Floats) -> _Solved:
         """All constraints by all dependent coordinates."""
-        terms = _scales(chart.loops, chart.loops.coordinates(dependent))
+        terms = chart.loops.scale(chart.loops.coordinates(dependent))
         return cls(range(len(terms)), range(len(dependent)), terms)
 
 
@@ -370,18 +366,14 @@ def _roots(chart: _Chart, group: _Group, dependent: Floats) -> list[Floats] | No
         error, slopes = loops.model.position(loops.t, q, loops.p, loops.r)
         at = [1.0 if chart.is_angle[j] else abs(value) for j, value in zip(columns, candidate, strict=True)]
         terms = np.abs(slopes[rows]) @ np.abs(q) + [terms_of(polynomial, at) for polynomial in polynomials]
-        if (np.abs(error[rows]) <= ROUNDING * np.maximum(terms, _scales(loops, q)[rows])).all():
+        if (np.abs(error[rows]) <= ROUNDING * np.maximum(terms, loops.scale(q)[rows])).all():
             chart.add(point, found, _Solved(rows, columns, terms))
     return found
 
 
 def _is_exact(loops: Loops, dependent: Floats) -> bool:
-    return bool((np.abs(loops.residual(dependent)) <= ROUNDING * _scales(loops, loops.coordinates(dependent))).all())
-
-
-def _is_regular(loops: Loops, dependent: Floats) -> bool:
-    sizes = np.linalg.svd(loops.jacobian(dependent), compute_uv=False)
-    return bool(sizes[-1] > DEAD * sizes[0])
+    """Whether it satisfies the constraints as a mode does."""
+    return bool((np.abs(loops.residual(dependent)) <= ROUNDING * loops.scale(loops.coordinates(dependent))).all())
 
 
 def _is_dead(loops: Loops, group: _Group, dependent: Floats) -> bool:

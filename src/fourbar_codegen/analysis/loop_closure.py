@@ -88,8 +88,8 @@ class Loops:
         ]
         return np.array([np.allclose(there, known, rtol=SAME, atol=SAME) for there in turned], dtype=bool)
 
-    def _scale(self, q: Floats) -> Floats:
-        """What violations are measured by."""
+    def scale(self, q: Floats) -> Floats:
+        """What each constraint's terms amount to, by which violations are measured, shape (n_h,)."""
         at_rest = np.zeros(self.model.n_u)
         scale: Floats = self.model.constraint_scale(self.t, np.concatenate((q, at_rest)), self.p, self.r)[0]
         return scale
@@ -105,17 +105,17 @@ class Loops:
             return np.zeros(self.model.n_h, dtype=bool)
         q = self.coordinates(dependent)
         if np.abs(q).max() <= TURN:
-            allowed = CLOSED * self._scale(q)
+            allowed = CLOSED * self.scale(q)
         else:
             within = np.where(self.angles, np.remainder(q + np.pi, TURN) - np.pi, q)
             with_own = np.concatenate((self.q_i, within[len(self.q_i) :]))
-            allowed = CLOSED * self._scale(within) + ROUNDING * self._scale(with_own)
+            allowed = CLOSED * self.scale(within) + ROUNDING * self.scale(with_own)
         return np.asarray((np.abs(self.residual(dependent)) <= allowed) & np.isfinite(allowed))
 
     def uncertainty(self, dependent: Floats) -> Floats:
         """How far rounding errors of the constraints move a solution, shape (n,)."""
         slopes = np.abs(np.linalg.pinv(self.jacobian(dependent)))
-        moved: Floats = slopes @ (ROUNDING * self._scale(self.coordinates(dependent)))
+        moved: Floats = slopes @ (ROUNDING * self.scale(self.coordinates(dependent)))
         return moved
 
     def are_closed(self, dependent: Floats) -> bool:

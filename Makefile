@@ -8,6 +8,9 @@ INSTALLED_DOCS := $(VENV)/installed-docs
 # What a compiled part is made of; the Python files are used where they stand.
 SOURCES := pyproject.toml setup.py $(wildcard src/fourbar_codegen/runtime/*.pyx src/fourbar_codegen/runtime/*.h generated/*/*)
 
+# Tests and benchmarks start Python many times: without it, each of them compiles SymPy anew, which takes seconds.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: run test lint docs bench fuzz ecosystem generate clean
 
 run: $(INSTALLED_RUN)

@@ -309,6 +309,14 @@ def test_speeds_beside_a_dead_point():
             model.initial_state([1.0], [0.5], guess=[guess])
 
 
+def test_a_half_of_an_angle():
+    """What changes with one turn and not with two comes within one of the guess, which is a dead point here."""
+    model = fb.compile_model(fb.Model(masses_on_a_line([sm.cos(A / 2) - W], [W, A]), name="half_angle"))
+    for value in (0.999, 0.5, 0.0, -0.5):
+        angle = model.initial_state([value], [0.5])[1]
+        assert abs(angle) == pytest.approx(2 * np.arccos(value), rel=1e-9)
+
+
 def test_displacements_of_all_sizes():
     """Roots in closed form, in whatever unit: 1e-6 to 1e5, also where the constraint is flat at zero."""
     modes = on_a_line(

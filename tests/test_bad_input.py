@@ -293,6 +293,14 @@ def test_loop_that_closes_from_another_guess():
             lambda: fb.Model(pendulum(), parameters={sm.Symbol("m", positive=True): 1.0}, extra="ignore"),
             ["Symbol('m') in the model", "Symbol('m', positive=True)"],
         ),
+        (
+            lambda: fb.Model(pendulum(mass=F), inputs={F: 0, me.dynamicsymbols("FF"): 0}),
+            ["inputs do not appear in the model: FF (the nearest is F)", "extra='ignore'"],
+        ),
+        (
+            lambda: fb.Model(pendulum(mass=F), inputs={me.dynamicsymbols("F", real=True): 0}, extra="ignore"),
+            ["F has other assumptions in inputs="],
+        ),
         (lambda: fb.Model(pendulum(), extra="keep"), ["'ignore'", "'keep'"]),
         (
             lambda: fb.Model(pendulum(mass=F + me.dynamicsymbols("G"))),

@@ -60,7 +60,7 @@ def test_there_and_back(run, four_bar, tmp_path, suffix):
         for name in ("nfev", "njev", "nlu", "status", "success", "message"):
             assert getattr(back, name) == getattr(run, name)
             assert type(getattr(back, name)) is type(getattr(run, name))
-        assert json.dumps(back.settings) == json.dumps(dict(run.settings))
+        assert back.settings == dict(run.settings)
     np.testing.assert_array_equal(back.resample([0.5]).y, run.resample([0.5]).y)
 
 

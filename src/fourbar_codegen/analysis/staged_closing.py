@@ -118,16 +118,21 @@ def close_in_stages(
 
 
 def turned_towards(loops: Loops, dependent: Floats, guess: Floats) -> Floats:
-    """The same configuration with angles less than a turn from a guess, where nothing changes with whole turns."""
+    """The same configuration with angles near a guess, where nothing changes with whole turns, or with two of them.
+
+    The latter are those of which halves stand in the constraints.
+    """
     far = np.flatnonzero(np.abs(dependent - guess) > np.pi)
     if not len(far):
         return dependent
     result = dependent.copy()
     known = np.column_stack(loops.position(result))
     for column in far:
-        before = result[column]
-        result[column] -= TURN * np.round((before - guess[column]) / TURN)
-        if not np.allclose(np.column_stack(loops.position(result)), known, rtol=SAME, atol=SAME):
+        for period in (TURN, 2.0 * TURN):
+            before = result[column]
+            result[column] -= period * np.round((before - guess[column]) / period)
+            if np.allclose(np.column_stack(loops.position(result)), known, rtol=SAME, atol=SAME):
+                break
             result[column] = before
     return result
 

@@ -9,12 +9,13 @@ import shutil
 import sys
 import sysconfig
 from dataclasses import dataclass
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
 from fourbar_codegen.errors import BuildError
 
-__all__ = ["Compiler", "find_compiler", "user_flags"]
+__all__ = ["Compiler", "find_compiler", "program_of", "user_flags"]
 
 INSTALL = (
     "Install one (gcc or clang, or pip install 'fourbar_codegen[compiler]'), or name one in CC, in quotes where its "
@@ -72,15 +73,31 @@ def find_compiler() -> Compiler:
     pythons = shlex.split(sysconfig.get_config_var("CC") or "cc")
     if named:
         return _gnu(named, "the environment variable CC", _pythons_link_flags())
-    if shutil.which(pythons[0]):
+    if program_of(pythons[0]):
         return _gnu(pythons, "the system", _pythons_link_flags())
     for command in ("cc", "gcc", "clang"):
-        if shutil.which(command):
+        if program_of(command):
             return _gnu([command], "the system", _own_link_flags())
     zig = _ziglang()
     if zig is not None:
         return _gnu([str(zig), "cc"], "the package ziglang", _own_link_flags())
     return _gnu(pythons, "", _pythons_link_flags())
+
+
+def program_of(command: str) -> str:
+    """The path of the program that a command runs; empty where there is none, which may be installed at any time."""
+    try:
+        return _program(command, os.environ.get("PATH"))
+    except FileNotFoundError:
+        return ""
+
+
+@cache  # of what was found, not of what is raised: each folder of the path may take a millisecond
+def _program(command: str, path: str | None) -> str:
+    program = shutil.which(command, path=path)
+    if program is None:
+        raise FileNotFoundError(command)
+    return program
 
 
 def user_flags(variable: str) -> list[str]:

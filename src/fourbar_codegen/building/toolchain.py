@@ -18,7 +18,7 @@ from functools import cache, partial
 from pathlib import Path
 
 from fourbar_codegen.building.cache import tool_folder
-from fourbar_codegen.building.compiler import INSTALL, Compiler, find_compiler, user_flags
+from fourbar_codegen.building.compiler import INSTALL, Compiler, find_compiler, program_of, user_flags
 from fourbar_codegen.errors import BuildError
 from fourbar_codegen.files import replacing
 
@@ -127,7 +127,7 @@ def library_toolchain() -> dict[str, object]:
     return {
         "headers": _headers_digest(),
         "compiler": compiler.command,
-        "compiler file": _file_identity(shutil.which(compiler.command[0])),
+        "compiler file": _file_identity(program_of(compiler.command[0])),
         "flags": [
             KERNEL_FLAGS,
             DERIVATIVES_FLAGS,
@@ -183,11 +183,15 @@ def _digest(paths: Iterable[Path]) -> str:
     return digest.hexdigest()
 
 
-def _file_identity(path: str | None) -> list[object]:
-    if path is None:
+def _file_identity(path: str) -> list[object]:
+    """What tells a file from another one, and from itself after it has changed; of none, nothing."""
+    if not path:
         return []
-    resolved = Path(path).resolve()
-    status = resolved.stat()
+    try:
+        resolved = Path(path).resolve(strict=True)
+        status = resolved.stat()
+    except FileNotFoundError:
+        return []
     return [str(resolved), status.st_size, status.st_mtime_ns]
 
 
@@ -372,7 +376,7 @@ def _compile(source: Path, flags: Sequence[str], running: _Running, folders: Seq
 def _run_compiler(compiler: Compiler, arguments: Sequence[str], target: Path, running: _Running | None = None) -> Path:
     environment = None
     if compiler.is_zig:  # what it makes once, such as the system's libraries to link against, is kept
-        kept, once = tool_folder("ziglang", digest_of(_file_identity(shutil.which(compiler.command[0])))), target.parent
+        kept, once = tool_folder("ziglang", digest_of(_file_identity(program_of(compiler.command[0])))), target.parent
         environment = {**os.environ, "ZIG_GLOBAL_CACHE_DIR": str(kept), "ZIG_LOCAL_CACHE_DIR": str(once / "zig-cache")}
     tool = f"the C compiler {compiler}"
     run_tool([*compiler.command, *arguments, "-o", str(target)], target, tool, running=running, environment=environment)

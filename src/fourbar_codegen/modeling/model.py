@@ -202,8 +202,8 @@ class Model:
         otherwise, as many as there are auxiliary speeds; or the generalized noncontributing forces, under the
         names of the auxiliary speeds, where the loads have none.
     extra : {"raise", "ignore"}, optional
-        What to do with parameters that the System does not have. A symbol of the same name with other assumptions,
-        such as ``positive=True``, is an error in any case.
+        What to do with parameters and inputs that the System does not have. A symbol or function of the same name
+        with other assumptions, such as ``positive=True``, is an error in any case.
 
     Raises
     ------
@@ -252,6 +252,7 @@ class Model:
             name_of(key): _expression(e, f"output {name_of(key)}") for key, e in _mapping(outputs, "outputs").items()
         }
         self.noncontributing: tuple[sm.Expr, ...] = self._find_noncontributing()
+        self._check_appearance(extra)
         undeclared = self._find_undeclared()
         if is_automatic:
             # Who has constants in one mapping may have numbers for some of them there.
@@ -321,6 +322,15 @@ class Model:
                 raise ModelError(f"inputs= has functions of {self.mechanism.time} as keys, not {function!r}.")
         return {f: None if e is None else _expression(e, f"the input {f}") for f, e in inputs.items()}
 
+    def _check_appearance(self, extra: str) -> None:
+        """Raise where inputs are given that the model does not have, if they are not to be ignored."""
+        functions = self._functions()
+        states = {*self.mechanism.coordinates, *self.mechanism.speeds}  # of which names that stand twice are told
+        given = {_name(f): f for f in self.input_expressions if f not in states}
+        known = {_name(f): f for f in functions if f not in states}
+        _check_unknown(given, known, "inputs", extra)
+        self.input_expressions = {f: e for f, e in self.input_expressions.items() if f in functions}
+
     def _labelled(self) -> Iterator[tuple[str, Iterable[sm.Expr]]]:
         """All expressions of the model, with words that say where they stand."""
         yield from self.mechanism.labelled_loads()
@@ -349,18 +359,22 @@ class Model:
             )
         return tuple(sorted(found, key=_name))
 
-    def _find_undeclared(self) -> dict[sm.Expr, str]:
-        """Functions of time that nobody named, in the order of their names, with where they stand."""
-        mechanism = self.mechanism
-        known = {*mechanism.coordinates, *mechanism.speeds, *mechanism.auxiliary_speeds}
-        known |= {*self.input_expressions, *self.noncontributing}
+    def _functions(self) -> dict[sm.Expr, str]:
+        """Functions of time in all expressions, in the order of their names, with where they stand first."""
         found: dict[sm.Expr, str] = {}
         for label, expressions in self._labelled():
             for node in walk(expressions):
                 function = node.expr if isinstance(node, sm.Derivative) else node
-                if isinstance(function, AppliedUndef) and function.args == (mechanism.time,) and function not in known:
+                if isinstance(function, AppliedUndef) and function.args == (self.mechanism.time,):
                     found.setdefault(function, label)
         return dict(sorted(found.items(), key=lambda item: _name(item[0])))
+
+    def _find_undeclared(self) -> dict[sm.Expr, str]:
+        """Those that nobody named."""
+        mechanism = self.mechanism
+        known = {*mechanism.coordinates, *mechanism.speeds, *mechanism.auxiliary_speeds}
+        known |= {*self.input_expressions, *self.noncontributing}
+        return {function: label for function, label in self._functions().items() if function not in known}
 
     def _neither(self, functions: Mapping[sm.Expr, str]) -> str:
         """What is to be done about functions that are unknown, given with where they stand."""
@@ -424,7 +438,11 @@ class Model:
                         "first ones of the speeds may appear."
                     )
         found.discard(t)
-        _check_unknown(given, found, extra)
+        symbols = [s for s in given if not (isinstance(s, AppliedUndef) and extra == "ignore")]
+        for symbol in symbols:
+            if not isinstance(symbol, sm.Symbol):
+                raise ModelError(f"parameters= has Symbols as keys, not {symbol!r}; functions of time are inputs.")
+        _check_unknown({s.name: s for s in symbols}, {s.name: s for s in found}, "parameters", extra)
         derived = {symbol: expression for symbol, expression in derived.items() if symbol in found}
         parameters = {
             symbol: value if isinstance(value, Parameter) else Parameter(value)
@@ -496,28 +514,25 @@ class Model:
         return initial
 
 
-def _check_unknown(given: Mapping[Any, Any], found: Iterable[sm.Symbol], extra: str) -> None:
-    """Raise where parameters are given that the model does not have, if they are not to be ignored."""
+def _check_unknown(given: Mapping[str, sm.Expr], known: Mapping[str, sm.Expr], argument: str, extra: str) -> None:
+    """Raise where names are given that the model does not have, if they are not to be ignored."""
     if extra not in ("raise", "ignore"):
         raise ModelError(f"extra must be 'raise' or 'ignore', not {shown(extra)}.")
-    of_name = {symbol.name: symbol for symbol in found}
     wrong, unknown = [], []
-    for symbol in given:
-        if isinstance(symbol, AppliedUndef) and extra == "ignore":
-            continue
-        if not isinstance(symbol, sm.Symbol):
-            raise ModelError(f"parameters= has Symbols as keys, not {symbol!r}; functions of time are inputs.")
-        mine = of_name.get(symbol.name)
+    for name, symbol in given.items():
+        mine = known.get(name)
         if mine is None:
-            nearest = difflib.get_close_matches(symbol.name, of_name, 1, cutoff=0.0)
-            unknown.append(symbol.name + (f" (the nearest is {nearest[0]})" if nearest else ""))
+            nearest = difflib.get_close_matches(name, known, 1, cutoff=0.0)
+            unknown.append(name + (f" (the nearest is {nearest[0]})" if nearest else ""))
         elif mine != symbol:
-            wrong.append(f"{symbol.name} is {sm.srepr(mine)} in the model and {sm.srepr(symbol)} in parameters=")
+            texts = sm.srepr(mine), sm.srepr(symbol)  # which has no assumptions for functions
+            differ = f"is {texts[0]} in the model and {texts[1]}" if len({*texts}) > 1 else "has other assumptions"
+            wrong.append(f"{name} {differ} in {argument}=")
     if wrong:
         raise ModelError(f"{'; '.join(wrong)}: to SymPy these are two symbols. Take the model's.")
     if unknown and extra == "raise":
         raise ModelError(
-            f"These parameters do not appear in the model: {', '.join(unknown)}. extra='ignore' leaves them out."
+            f"These {argument} do not appear in the model: {', '.join(unknown)}. extra='ignore' leaves them out."
         )
 
 

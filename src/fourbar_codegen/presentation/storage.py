@@ -233,7 +233,7 @@ def _trajectory(model: Kernel, attributes: Mapping[str, Any], columns: Mapping[s
         sol=None,
         t_events=None,
         y_events=None,
-        settings=settings,
+        settings={**settings, "t_span": tuple(_entry(settings, "t_span", list))},
         inputs=None,
         success=_entry(attributes, "success", bool),
         message=_entry(attributes, "message", str),

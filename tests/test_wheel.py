@@ -7,6 +7,7 @@ import subprocess
 import sys
 import venv
 import zipfile
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ import pytest
 from systems import slider
 
 import fourbar_codegen as fb
+from fourbar_codegen.building.wheel import pack_wheel
 
 USE = """
 import sys
@@ -92,15 +94,17 @@ def test_what_is_wrong_is_said(tmp_path, monkeypatch):
             fb.build_wheel(named(refused), tmp_path)
     with pytest.raises(fb.ModelError, match="version"):
         fb.build_wheel(slider(), tmp_path, version="new")
+    module = fb.build_model(slider(), tmp_path / "built")
+    pack = partial(pack_wheel, module, version="1.0", requires=[], extras={})
     with pytest.raises(fb.BuildError, match="cannot be written"):
-        fb.build_wheel(slider(), "/dev/null/dist")
+        pack(Path("/dev/null/dist"))
     old = tmp_path / "old"
     old.write_text("#!/bin/sh\necho \"error: invalid command 'bdist_wheel'\" >&2\nexit 1\n")
     old.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(old))
     with pytest.raises(fb.BuildError, match="pip install 'setuptools>=77'"):
-        fb.build_wheel(slider(), tmp_path / "dist")
+        pack(tmp_path / "dist")
     monkeypatch.setattr(sys, "executable", "/bin/false")
     with pytest.raises(fb.BuildError, match="Setuptools failed"):
-        fb.build_wheel(slider(), tmp_path / "dist")
+        pack(tmp_path / "dist")
     assert not (tmp_path / "dist").exists()

@@ -89,6 +89,9 @@ def build_part(
     suffixes, flags = PARTS[part]
     texts = {f"{name}{suffix}": sources[f"{name}{suffix}"] for suffix in suffixes}
     units = {f"{name}{suffixes[0]}": flags}
+    if part == "kernel":  # in two units, for two cores
+        texts[f"{name}_rhs.c"] = f'#define FB_RHS_ONLY\n#include "{name}_kernel.c"\n'
+        units = {f"{name}_kernel.c": (*flags, "-DFB_WITHOUT_RHS"), f"{name}_rhs.c": flags}
     if structure is not None:
         texts[f"{name}_structure.c"] = structure_text(name, structure)
         units[f"{name}_structure.c"] = COMMON_FLAGS

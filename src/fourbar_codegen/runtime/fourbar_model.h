@@ -2,7 +2,8 @@
  *
  * Included once, at the end of a generated source, which defines N_Q, N_U, ..., the functions `prepare` to
  * `output`, and the names of tables: FB_TABLE(kernel), FB_TABLE(batch_functions), and FB_DERIVATIVES, which stands
- * elsewhere.
+ * elsewhere. A kernel may be compiled in two units side by side: FB_RHS_ONLY has the right-hand side, which takes
+ * longest, and FB_WITHOUT_RHS all else.
  */
 #include "fourbar_array.h"
 #include "fourbar_kernel.h"
@@ -89,8 +90,16 @@ static inline int solve_accelerations(double t, const double *restrict x, const 
     return fb_solve(w->forcing, w->acceleration_bias, &w->factors, rates);
 }
 
-static FB_FLATTEN int rhs(double t, const double *x, const double *constants, const double *r, double *rates,
-                          void *work)
+#if defined(FB_RHS_ONLY) || defined(FB_WITHOUT_RHS)
+#define FB_RHS FB_TABLE(rhs)
+fb_evaluation FB_RHS;
+#else
+#define FB_RHS rhs
+static fb_evaluation FB_RHS;
+#endif
+
+#ifndef FB_WITHOUT_RHS
+FB_FLATTEN int FB_RHS(double t, const double *x, const double *constants, const double *r, double *rates, void *work)
 {
     fb_work *const w = work;
     double *const coordinate_rates = N_Q > 0 ? rates : w->coordinate_rates;
@@ -99,7 +108,9 @@ static FB_FLATTEN int rhs(double t, const double *x, const double *constants, co
         return status;
     return all_finite(rates, N_X);
 }
+#endif
 
+#ifndef FB_RHS_ONLY
 static int stabilized(double t, const double *x, const double *constants, const double *r, double a, double *rates,
                       void *work)
 {
@@ -265,7 +276,7 @@ const fb_kernel FB_TABLE(kernel) = {
     .prepare = prepare,
     .default_inputs = default_inputs,
     .breakpoints = breakpoints,
-    .rhs = rhs,
+    .rhs = FB_RHS,
     .stabilized = stabilized,
     .differentiate = differentiate,
     .accelerations = accelerations,
@@ -294,3 +305,4 @@ const fb_kernel FB_TABLE(kernel) = {
 #endif
 #endif
 };
+#endif

@@ -39,6 +39,9 @@ PARTS = {
 SUFFIXES = tuple(dict.fromkeys(suffix for suffixes, _ in PARTS.values() for suffix in suffixes))
 """Of the sources that all parts are built from."""
 
+INLINED = "#define FB_SHORT\n"
+"""What stands in short kernels: all that the right-hand side calls is compiled once more as a part of it."""
+
 ATTEMPTS = 5
 """To put a library into a model's folder."""
 
@@ -89,7 +92,7 @@ def build_part(
     suffixes, flags = PARTS[part]
     texts = {f"{name}{suffix}": sources[f"{name}{suffix}"] for suffix in suffixes}
     units = {f"{name}{suffixes[0]}": flags}
-    if part == "kernel":  # in two units, for two cores
+    if part == "kernel" and INLINED in texts[f"{name}_kernel.c"]:  # in two units, for two cores
         texts[f"{name}_rhs.c"] = f'#define FB_RHS_ONLY\n#include "{name}_kernel.c"\n'
         units = {f"{name}_kernel.c": (*flags, "-DFB_WITHOUT_RHS"), f"{name}_rhs.c": flags}
     if structure is not None:

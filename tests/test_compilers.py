@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from programs import require
+from programs import compile_c, require
 from systems import slider
 
 import fourbar_codegen as fb
@@ -197,17 +197,10 @@ int main(int argc, char **argv)
 def zig_cc(folder, target, sources, *options):
     """Compile and link with zig, which brings other systems' libraries, as strictly as gcc is asked to."""
     command = [str(compilers._ziglang()), "cc", "-target", target, "-std=c99", "-O2", "-Wall", "-Wextra", "-Werror"]
-    include = ["-I", str(SOURCES), "-I", fb.get_include()]
     kept = str(Path(os.environ["FOURBAR_CODEGEN_CACHE"]) / "zig-of-tests")  # the libraries take a minute
-    environment = {**os.environ, "ZIG_GLOBAL_CACHE_DIR": kept, "ZIG_LOCAL_CACHE_DIR": str(folder / "zig")}
+    environment = {"ZIG_GLOBAL_CACHE_DIR": kept, "ZIG_LOCAL_CACHE_DIR": str(folder / "zig")}
     target = folder / "out"
-    done = subprocess.run(
-        [*command, *include, *options, *map(str, sources), "-o", str(target)],
-        capture_output=True,
-        text=True,
-        env=environment,
-    )
-    assert done.returncode == 0, done.stderr
+    compile_c([*command, *options], sources, target, [SOURCES, fb.get_include()], environment)
     return target
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from programs import compile_c
 
 import fourbar_codegen as fb
 
@@ -281,13 +282,13 @@ class Program:
         (folder / "program.c").write_text(PROGRAM)
         # Optimization would only take away what the sanitizers look at, and takes them a minute for the bicycle.
         self.command = [os.environ.get("CC", "cc"), "-std=c11", "-O0", "-g", f"-fsanitize={sanitizer}", "-pthread"]
-        self.command += ["-fno-sanitize-recover=all", f"-I{fb.get_include()}", f"-I{folder}"]
+        self.command += ["-fno-sanitize-recover=all"]
         self.command += [f"-DKERNEL={model.name}_kernel", "-include", f"{model.name}_kernel.h"]
         self.batch_functions = folder / f"{model.name}_batch.c"
         self.objects = [self.compiled(path) for path in sorted(folder.glob("*.c")) if path != self.batch_functions]
 
     def compiled(self, path, *flags):
-        subprocess.run([*self.command, *flags, "-c", str(path), "-o", f"{path}.o"], check=True)
+        compile_c([*self.command, *flags, "-c"], [path], f"{path}.o", [fb.get_include(), self.folder])
         return f"{path}.o"
 
     def run(self, flags, values):

@@ -165,3 +165,119 @@ def test_the_frame_of_a_torque():
     model.system.add_loads(me.Torque(handle, bar.z))
     with pytest.warns(fb.ModelWarning, match="angular velocity of frame handle"):
         fb.generate_sources(fb.Model(model.system, name="turned"))
+
+
+def particle_on_a_rod(moves, *, as_system, length=0.5):
+    """A pendulum, as KanesMethod or as a System on a point at rest that is not its own."""
+    q, u = me.dynamicsymbols("q u")
+    ground, rod, origin, point = me.ReferenceFrame("N"), me.ReferenceFrame("A"), me.Point("O"), me.Point("P")
+    rod.orient_axis(ground, ground.z, q)
+    rod.set_ang_vel(ground, u * ground.z)
+    origin.set_vel(ground, 0)
+    point.set_pos(origin, -length * rod.y)
+    point.set_vel(ground, moves * length * u * rod.x)
+    gravity, bob = -9.81 * ground.y, me.Particle("bob", point, 1)
+    if as_system:
+        elsewhere = me.Point("Q")
+        elsewhere.set_vel(ground, 0)
+        system = System(ground, elsewhere)
+        system.add_bodies(bob)
+        system.add_loads(me.Force(point, gravity))
+        system.add_coordinates(q)
+        system.add_speeds(u)
+        system.add_kdes(u - q.diff(T))
+    else:
+        system = me.KanesMethod(ground, [q], [u], kd_eqs=[u - q.diff(T)], bodies=[bob], forcelist=[(point, gravity)])
+    return fb.Model(system, name="rod")
+
+
+@pytest.mark.parametrize("as_system", [False, True])
+@pytest.mark.parametrize("moves", [-1, 2])
+def test_velocities_from_a_point_at_rest(as_system, moves):
+    fb.generate_sources(particle_on_a_rod(1, as_system=as_system))
+    with pytest.warns(fb.ModelWarning, match="velocity of point P, .* its position from point O"):
+        fb.generate_sources(particle_on_a_rod(moves, as_system=as_system))
+
+
+@pytest.mark.parametrize("set_to", ["turning rod", "moving bead"])
+def test_a_bead_that_slides_on_its_rod_is_no_point_of_it(set_to):
+    """v2pt_theory is for two points of one body; that the bead is none of the rod nobody says."""
+    q, u, x, v = me.dynamicsymbols("q u x v")
+    ground, rod, origin, bead = me.ReferenceFrame("N"), me.ReferenceFrame("A"), me.Point("O"), me.Point("P")
+    rod.orient_axis(ground, ground.z, q)
+    rod.set_ang_vel(ground, u * ground.z)
+    origin.set_vel(ground, 0)
+    bead.set_pos(origin, x * rod.x)
+    bead.v2pt_theory(origin, ground, rod)
+    if set_to == "moving bead":
+        bead.set_vel(ground, v * rod.x + x * u * rod.y)
+    inertia = (me.inertia(rod, 0, 0, 1), origin)
+    bodies = [me.RigidBody("rod", origin, rod, 1, inertia), me.Particle("bead", bead, 1)]
+    kane = me.KanesMethod(
+        ground, [q, x], [u, v], kd_eqs=[u - q.diff(T), v - x.diff(T)], bodies=bodies,
+        forcelist=[(bead, sm.Symbol("F") * rod.x)],
+    )  # fmt: skip
+    if set_to == "moving bead":
+        fb.generate_sources(fb.Model(kane, name="bead"))
+    else:
+        with pytest.warns(fb.ModelWarning, match="velocity of point P"):
+            fb.generate_sources(fb.Model(kane, name="bead"))
+
+
+def test_a_mass_centre_that_was_set_at_rest():
+    with pytest.warns(fb.ModelWarning, match="velocity of point C"):
+        fb.generate_sources(pendulum(moves=0, name="at_rest"))
+
+
+@pytest.mark.parametrize("turns", [1, -1])
+def test_the_frame_of_an_inertia(turns):
+    """A rotor in a gimbal, with its inertia along the gimbal's axes."""
+    (a, s), (u, w), (m, i, k) = me.dynamicsymbols("a s"), me.dynamicsymbols("u w"), sm.symbols("m I K")
+    ground, gimbal, rotor, center = *map(me.ReferenceFrame, "NLR"), me.Point("O")
+    gimbal.orient_axis(ground, ground.x, a)
+    rotor.orient_axis(gimbal, gimbal.z, s)
+    gimbal.set_ang_vel(ground, turns * u * ground.x)
+    rotor.set_ang_vel(ground, u * ground.x + w * gimbal.z)
+    center.set_vel(ground, 0)
+    body = me.RigidBody("rotor", center, rotor, m, (me.inertia(gimbal, i, i, k), center))
+    kdes = [u - a.diff(T), w - s.diff(T)]
+    kane = me.KanesMethod(ground, [a, s], [u, w], kd_eqs=kdes, bodies=[body], forcelist=[(rotor, ground.x)])
+    if turns == 1:
+        fb.generate_sources(fb.Model(kane, name="gimbal"))
+    else:
+        with pytest.warns(fb.ModelWarning, match="angular velocity of frame L"):
+            fb.generate_sources(fb.Model(kane, name="gimbal"))
+
+
+def bob_on_a_circle(length, *, moves=1, accelerations=None):
+    x, y, u, v = me.dynamicsymbols("x y u v")
+    ground, origin, point = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
+    origin.set_vel(ground, 0)
+    point.set_pos(origin, x * ground.x + y * ground.y)
+    point.set_vel(ground, moves * u * ground.x + v * ground.y)
+    kane = me.KanesMethod(
+        ground, [x], [u], kd_eqs=[u - x.diff(T), v - y.diff(T)], q_dependent=[y], u_dependent=[v],
+        configuration_constraints=[x**2 + y**2 - length**2],
+        velocity_constraints=[u * sm.sqrt(length**2 - y**2) * sm.sign(x) + v * y],
+        acceleration_constraints=accelerations and [accelerations(x, y, u, v)],
+        bodies=[me.Particle("bob", point, 1)], forcelist=[(point, -9810 * ground.y)],
+    )  # fmt: skip
+    return fb.Model(kane, name="circle")
+
+
+@pytest.mark.parametrize("length", [1, 30, 100, 5000])
+def test_lengths_in_millimetres(length):
+    """Hard-coded ones, so that random states have to find them; the row is a rate on closed loops alone."""
+    fb.generate_sources(bob_on_a_circle(length))
+    with pytest.warns(fb.ModelWarning, match="velocity of point P"):
+        fb.generate_sources(bob_on_a_circle(length, moves=2))
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_acceleration_constraints_that_a_kanes_method_was_given(sign):
+    model = bob_on_a_circle(1, accelerations=lambda x, y, u, v: x * u.diff(T) + y * v.diff(T) + sign * (u**2 + v**2))
+    if sign == 1:
+        fb.generate_sources(model)
+    else:
+        with pytest.warns(fb.ModelWarning, match="acceleration constraints that were given are not the rates"):
+            fb.generate_sources(model)

@@ -129,6 +129,56 @@ def test_potential_energy_of_gravity():
         on_a_wall.potential_energy(0.0, [0.3, 0.4, 1.0, 2.0, 3.0])
 
 
+def masses_on_a_line(*, includes_gravity):
+    """Two, a spring at the first one, which has a potential."""
+    (q1, q2), (u1, u2), (m, g, k) = me.dynamicsymbols("q1:3"), me.dynamicsymbols("u1:3"), sm.symbols("m g k")
+    ground, origin = me.ReferenceFrame("N"), me.Point("O")
+    origin.set_vel(ground, 0)
+    system = System(ground, origin)
+    for q, u in ((q1, u1), (q2, u2)):
+        point = origin.locatenew(f"P_{q.func}", q * ground.y)
+        point.set_vel(ground, u * ground.y)
+        body = me.Particle(f"mass_{q.func}", point, m)
+        body.potential_energy = (k * q**2 / 2 if q == q1 else 0) + (m * g * q if includes_gravity else 0)
+        system.add_bodies(body)
+        system.add_loads(me.Force(point, -m * g * ground.y), me.Force(point, (-k * q if q == q1 else 0) * ground.y))
+    system.add_coordinates(q1, q2)
+    system.add_speeds(u1, u2)
+    system.add_kdes(u1 - q1.diff(), u2 - q2.diff())
+    return fb.Model(system, name="line", parameters={m: 1.0, g: 9.81, k: 10.0})
+
+
+@pytest.mark.parametrize("includes_gravity", [False, True])
+def test_potentials_of_bodies_and_of_forces(includes_gravity):
+    """Whether bodies' potentials include those of constant forces, the forces' work tells."""
+    model = fb.compile_model(masses_on_a_line(includes_gravity=includes_gravity))
+    energy = model.potential_energy(0.0, [0.3, 0.4, 0.0, 0.0])
+    assert energy == pytest.approx(0.5 * 10.0 * 0.3**2 + 9.81 * (0.3 + 0.4), rel=1e-14)
+
+
+def test_a_constant_force_at_a_contact_has_no_potential():
+    """It does no work, wherever the contact is."""
+    x, theta, v, omega = me.dynamicsymbols("x theta v omega")
+    m, inertia, radius, force = sm.symbols("m J r F")
+    ground, wheel, origin = me.ReferenceFrame("N"), me.ReferenceFrame("W"), me.Point("O")
+    origin.set_vel(ground, 0)
+    wheel.orient_axis(ground, ground.z, theta)
+    wheel.set_ang_vel(ground, omega * ground.z)
+    center = origin.locatenew("C", x * ground.x + radius * ground.y)
+    center.set_vel(ground, v * ground.x)
+    contact = center.locatenew("K", -radius * ground.y)
+    contact.v2pt_theory(center, ground, wheel)
+    system = System(ground, origin)
+    system.add_bodies(me.RigidBody("wheel", center, wheel, m, (me.inertia(wheel, 0, 0, inertia), center)))
+    system.q_ind, system.u_ind, system.u_dep = [x, theta], [omega], [v]
+    system.add_kdes(x.diff() - v, theta.diff() - omega)
+    system.add_nonholonomic_constraints(v + radius * omega)
+    system.add_loads(me.Force(contact, force * ground.x))
+    model = fb.compile_model(fb.Model(system, name="pushed", parameters={m: 1, inertia: 0.1, radius: 0.3, force: 2.0}))
+    with pytest.raises(fb.ModelError, match="potential_energy="):
+        model.potential_energy(0.0, [0.0, 0.0, 1.0, -0.3])
+
+
 def test_lagrange_is_refused_with_a_sentence():
     m, g = sm.symbols("m g")
     x = me.dynamicsymbols("x")

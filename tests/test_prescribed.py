@@ -352,3 +352,13 @@ def test_inputs_that_nobody_declared():
     # q'' = -4 (q - 1) from rest at 0
     run = model.simulate((0.0, 3.0), [0.0, 0.0], inputs={"q_ref": 1.0}, rtol=1e-10, atol=1e-10)
     np.testing.assert_allclose(run["q"], 1.0 - np.cos(2.0 * run.t), rtol=0, atol=1e-8)
+    for others, sentence in (
+        ({sm.Function("k", real=True)(t): 8.0}, "k has other assumptions in parameters="),
+        ({me.dynamicsymbols("kk"): 8.0}, r"kk \(the nearest is k\)"),
+    ):
+        extra = "ignore" if "assumptions" in sentence else "raise"
+        with pytest.raises(fb.ModelError, match=sentence):
+            fb.Model(system, parameters={m: 2.0, **others}, inputs="auto", extra=extra)
+    system.add_loads(me.Force(point, sm.Function("q", real=True)(t) * ground.x))
+    with pytest.raises(fb.ModelError, match="has other assumptions than the state of that name"):
+        fb.Model(system, parameters=values, inputs="auto", extra="ignore")

@@ -2,8 +2,13 @@
 
 Angular velocities and velocities may be set, with a constraint or a generalized speed substituted into them, and Kane's
 equations are formed with what was set. Where all constraints are satisfied, it has to be what follows. That is compared
-by numbers, for the frames and mass centres of bodies and the points that forces act on. A point whose velocity was set
-to zero is the contact of a wheel, as a rule, which is at rest and moves along; it is not asked about.
+by numbers, for the frames of bodies and of their inertia, their mass centres and the points that forces act on. A point
+whose velocity was set to zero is the contact of a wheel, as a rule, which is at rest and moves along; it is not asked
+about, if it is no mass centre.
+
+From such a contact, positions may be given that lead to no fixed point, as in many a KanesMethod. Then each velocity is
+compared with that of the point before it: they differ by the rate of the position between both, or by w x r where both
+are points of a body, and r is of one length.
 
 Accelerations follow from velocities here, angular ones as well. SymPy takes those that are set, by
 ``Point.a2pt_theory`` for example, which are others where the point that they are given from is not fixed in the body.
@@ -15,6 +20,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,11 +87,13 @@ def find_contradictions(
     """
     numbers = _Numbers(kinematics, rate)
     claims = [*_of_frames(numbers), *_of_points(numbers), *_of_accelerations(numbers, total_rate, convert)]
+    claims += _of_acceleration_constraints(numbers, convert)
     if not claims:
         return ()
     numbers.place_orientations()
     states = RandomStates(kinematics.tape, constraints, values, numbers.scalars, not_orthonormal)
     found: dict[str, str] = {}
+    values_there = None
     for values_there in islice(states.moving(speeds, accelerations), STATES):
         at = (values_there, *numbers.orientations(values_there))
         for claim in claims:
@@ -96,12 +104,19 @@ def find_contradictions(
                     f"{claim.sentence} At a random state that satisfies all constraints these are {_shown(was_set)} "
                     f"and {_shown(follows[0])}.",
                 )
+    if values_there is None:
+        found[""] = (
+            "Velocities or angular velocities were set that are not seen to follow from positions and orientations. "
+            "They could not be compared with these, as no random state was found that satisfies all constraints; give "
+            "a Model initial= values that do."
+        )
     return tuple(found.values())
 
 
 def _differ(a: Floats, b: Floats) -> bool:
+    """Whether they do, or one of them is not a number."""
     size = max(float(np.linalg.norm(a)), float(np.linalg.norm(b)), SMALL)
-    return float(np.linalg.norm(a - b)) > ALIKE * size
+    return not float(np.linalg.norm(a - b)) <= ALIKE * size
 
 
 def _shown(vector: Floats) -> str:
@@ -128,6 +143,7 @@ class _Numbers:
         self.kinematics, self.rate = kinematics, rate
         self.scalars: list[Scalar] = []
         self._dcms: list[tuple[int, slice, slice]] = []
+        self._unoriented: list[int] = []
 
     def place(self, scalars: Sequence[Scalar]) -> slice:
         """Where the values of scalars will stand."""
@@ -158,21 +174,29 @@ class _Numbers:
             if number != INERTIAL and frame.dcm is not None:
                 entries = [entry for row in self.kinematics.dcm(number) for entry in row]
                 self._dcms.append((number, self.place(entries), self.place([self.rate(entry) for entry in entries])))
+            elif number != INERTIAL:
+                self._unoriented.append(number)
 
     def orientations(self, values: Floats) -> tuple[dict[int, Floats], dict[int, Floats]]:
-        """The frames' axes, in rows, and their angular velocities: as a_i' = w x a_i, 2 w is the sum of a_i x a_i'."""
+        """The frames' axes, in rows, and their angular velocities: as a_i' = w x a_i, 2 w is the sum of a_i x a_i'.
+
+        A frame without orientation has the axes of its parent.
+        """
         axes, turning = {INERTIAL: np.eye(3)}, {INERTIAL: np.zeros(3)}
+        frames = self.kinematics.mechanism.frames
         for number, dcm, rates in self._dcms:
-            parent = self.kinematics.mechanism.frames[number].parent
+            parent = frames[number].parent
             rows, row_rates = values[dcm].reshape(3, 3), values[rates].reshape(3, 3)
             axes[number] = rows @ axes[parent]
             turning[number] = turning[parent] + np.cross(rows, row_rates).sum(axis=0) / 2.0 @ axes[parent]
+        for number in self._unoriented:
+            axes[number] = axes[frames[number].parent]
         return axes, turning
 
 
 def _of_frames(numbers: _Numbers) -> Iterator[_Claim]:
     kinematics, mechanism = numbers.kinematics, numbers.kinematics.mechanism
-    needed = [body.frame for body in mechanism.bodies if body.frame is not None]
+    needed = [frame for body in mechanism.bodies for frame in (body.frame, body.inertia_frame) if frame is not None]
     needed += [load.target for load in mechanism.loads if load.kind == "torque"]
     for number in dict.fromkeys(needed):
         frame = mechanism.frames[number]
@@ -189,47 +213,103 @@ def _of_points(numbers: _Numbers) -> Iterator[_Claim]:
     kinematics, mechanism = numbers.kinematics, numbers.kinematics.mechanism
     centres = [body.point for body in mechanism.bodies]
     forced = [load.target for load in mechanism.loads if load.kind == "force"]
-    for point in dict.fromkeys((*centres, *forced)):
-        velocity, offsets = kinematics.velocity(point), _offsets(kinematics, point)
-        if not velocity or offsets is None or kinematics.moves_as_placed(point):
+    asked = [*dict.fromkeys((*centres, *forced))]
+    for point in asked:  # to which those are added that others are compared with
+        if kinematics.moves_as_placed(point):
             continue
-        # Where a wheel touches the ground, a force acts on a point of the wheel that is there for a moment alone.
-        bodies = () if point in centres else tuple(_of_bodies(numbers, offsets))
-        yield _Claim(
-            f"The velocity of point {mechanism.points[point].name}, which was set, is another one than follows from "
-            "its position, in m/s; equations take the one that was set.",
-            numbers.vector(velocity),
-            (numbers.rate_of_vector(offsets), *bodies),
-        )
+        velocity, is_centre = kinematics.velocity(point), point in centres
+        offsets = _offsets(kinematics, point, mechanism.fixed_point)
+        if offsets is not None:
+            base = None
+            follows: tuple[_Evaluated, ...] = (numbers.rate_of_vector(offsets),)
+        else:
+            base = _before(kinematics, point)
+            offsets = None if base is None else _offsets(kinematics, point, base)
+            if base is None or offsets is None:
+                continue
+            asked += [base] if base not in asked else []
+            before, change = numbers.vector(kinematics.velocity(base)), numbers.rate_of_vector(offsets)
+            follows = (_sum(before, change), *_of_turning(numbers, before, offsets, change))
+        if not is_centre:
+            # Where a wheel touches the ground, a force acts on a point of the wheel that is there for a moment alone.
+            follows += tuple(_of_bodies(numbers, point))
+        if velocity or is_centre:
+            name = mechanism.points[point].name
+            yield _Claim(
+                f"The velocity of point {name}, which was set, is another one than follows from its position"
+                f"{f' from point {mechanism.points[base].name}' if base is not None else ''}, in m/s; equations take "
+                "the one that was set.",
+                numbers.vector(velocity),
+                follows,
+            )
 
 
-def _offsets(kinematics: Kinematics, point: int) -> Vector | None:
-    """The position of a point from the fixed one, if it is given from there."""
+def _before(kinematics: Kinematics, point: int) -> int | None:
+    """The next point on the way to the root of a point's position of which the velocity is known."""
+    points, moving = kinematics.mechanism.points, kinematics.moving
+    parent = points[point].parent
+    while parent is not None and parent not in moving:
+        parent = points[parent].parent
+    return parent
+
+
+def _offsets(kinematics: Kinematics, point: int, origin: int | None) -> Vector | None:
+    """The position of a point from another one, if it is given from there."""
     points, path = kinematics.mechanism.points, [point]
-    while (parent := points[path[-1]].parent) is not None:
+    while path[-1] != origin:
+        parent = points[path[-1]].parent
+        if parent is None:
+            return None
         path.append(parent)
     try:
-        parts = [part for member in path for part in kinematics.vector(points[member].offset)]
+        return tuple(part for member in path[:-1] for part in kinematics.vector(points[member].offset))
     except ModelError:  # symbols that the equations do not know
         return None
-    return tuple(parts) if path[-1] == kinematics.mechanism.fixed_point else None
 
 
-def _of_bodies(numbers: _Numbers, offsets: Vector) -> Iterator[_Evaluated]:
-    """The velocities that points of the bodies have at a place: v + w x r from each mass centre."""
-    kinematics = numbers.kinematics
-    place = numbers.vector(offsets)
+def _of_bodies(numbers: _Numbers, point: int) -> Iterator[_Evaluated]:
+    """The velocities that points of the bodies have at the place of a point: v + w x r from each mass centre."""
+    kinematics, root = numbers.kinematics, point
+    while (parent := kinematics.mechanism.points[root].parent) is not None:
+        root = parent
+    offsets = _offsets(kinematics, point, root)
     for body in kinematics.mechanism.bodies:
-        from_fixed = _offsets(kinematics, body.point)
-        if body.frame is None or from_fixed is None or kinematics.mechanism.frames[body.frame].dcm is None:
-            continue
-        centre, velocity = numbers.vector(from_fixed), numbers.vector(kinematics.velocity(body.point))
-        turning = numbers.vector(((body.frame, kinematics.angular_velocity(body.frame)),))
-        yield _rigid(place, centre, velocity, turning)
+        from_root = _offsets(kinematics, body.point, root)
+        if body.frame is not None and offsets is not None and from_root is not None:
+            place, centre = numbers.vector(offsets), numbers.vector(from_root)
+            yield _rigid(place, centre, numbers.vector(kinematics.velocity(body.point)), _turning(numbers, body.frame))
+
+
+def _of_turning(numbers: _Numbers, velocity: _Evaluated, offsets: Vector, change: _Evaluated) -> Iterator[_Evaluated]:
+    """The velocities of a point at an offset from another one in each of the bodies, if that is of one length."""
+    place, origin = numbers.vector(offsets), numbers.vector(())
+    for body in numbers.kinematics.mechanism.bodies:
+        if body.frame is not None:
+            yield _where_constant(_rigid(place, origin, velocity, _turning(numbers, body.frame)), place, change)
+
+
+def _turning(numbers: _Numbers, frame: int) -> _Evaluated:
+    """The angular velocity that was set."""
+    return numbers.vector(((frame, numbers.kinematics.angular_velocity(frame)),))
 
 
 def _rigid(place: _Evaluated, centre: _Evaluated, velocity: _Evaluated, turning: _Evaluated) -> _Evaluated:
     return lambda *at: velocity(*at) + np.cross(turning(*at), place(*at) - centre(*at))
+
+
+def _sum(a: _Evaluated, b: _Evaluated) -> _Evaluated:
+    return lambda *at: a(*at) + b(*at)
+
+
+def _where_constant(vector: _Evaluated, offset: _Evaluated, change: _Evaluated) -> _Evaluated:
+    """A vector where the length of an offset does not change; not a number elsewhere."""
+
+    def evaluated(*at: Any) -> Floats:
+        r, rate = offset(*at), change(*at)
+        is_constant = abs(r @ rate) <= ALIKE * np.linalg.norm(r) * max(float(np.linalg.norm(rate)), SMALL)
+        return vector(*at) if is_constant else np.full(3, np.nan)
+
+    return evaluated
 
 
 def _of_accelerations(numbers: _Numbers, total_rate: Jvp, convert: Conversion) -> Iterator[_Claim]:
@@ -272,4 +352,20 @@ def _of_acceleration(
             f"{what} is another one than follows from its {whose}; equations take the latter, SymPy's the former.",
             first,
             (second,),
+        )
+
+
+def _of_acceleration_constraints(numbers: _Numbers, convert: Conversion) -> Iterator[_Claim]:
+    given = numbers.kinematics.mechanism.acceleration_constraints
+    if given:
+        try:
+            left = numbers.place([convert(expr) for expr in given])
+        except ModelError:  # symbols that the equations do not know
+            return
+        yield _Claim(
+            "The acceleration constraints that were given are not the rates of the velocity constraints; equations "
+            "take the latter, SymPy's the former. With accelerations that keep the velocity constraints, they are off "
+            "by these numbers instead of zeros.",
+            lambda values, *_: values[left],
+            (lambda *_: np.zeros(len(given)),),
         )

@@ -202,6 +202,13 @@ def _kept(states: RandomStates, n_rows: int, positions: Mapping[int, sm.Expr]) -
             f"Whether the velocity constraints keep {' '.join(labels)} is not known: neither at random states nor near "
             "the given values do they all have a value."
         )
+    if tried != where:
+        raise ModelError(
+            f"Whether the velocity constraints keep {labels[int(np.argmax(left))]} at zero is not known: {tried}, its "
+            "rate is no combination of them, and none was found that satisfies the positions. Give a Model initial= "
+            "values that do; or let a System derive the rates of its holonomic constraints, as it does where "
+            "velocity_constraints is not set."
+        )
     raise ModelError(
         f"The velocity constraints do not keep {labels[int(np.argmax(left))]} at zero: {tried}, its rate is no "
         "combination of them, so that the motion would leave it. Add its rate, Phi.diff(t), to the velocity "

@@ -14,12 +14,15 @@ constraints J u + b = 0 enter as rows J u' + gamma = 0; they are solved numerica
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain
+from functools import partial
+from itertools import chain, islice
 from typing import Any
 
+import numpy as np
 import sympy as sm
+from numpy.typing import NDArray
 
 from fourbar_codegen.dynamics.constraints import Constraints, form_constraints, position_jacobian
 from fourbar_codegen.dynamics.contradictions import find_contradictions
@@ -28,6 +31,7 @@ from fourbar_codegen.dynamics.drawn_points import applied_forces, drawn_points
 from fourbar_codegen.dynamics.kane import Kane
 from fourbar_codegen.dynamics.kinematic_equations import solve_kinematics
 from fourbar_codegen.dynamics.kinematics import Kinematics
+from fourbar_codegen.dynamics.random_states import RandomStates
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.expressions.breakpoints import breakpoints
 from fourbar_codegen.expressions.convert import Conversion, substitute
@@ -40,6 +44,10 @@ from fourbar_codegen.modeling.model import InputEntry, Model, multiplier
 from fourbar_codegen.modeling.system_reader import DrawnPoint
 
 __all__ = ["Equations", "form_equations", "matrix"]
+
+MOTIONS = 5
+ROUNDED = 1e-9
+"""What terms that cancel may leave of their size: states satisfy the constraints to some 1e-12."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +105,7 @@ class Equations:
         K du, (n_q,), the change of the coordinates that goes with a change of the speeds' integrals, which stands in
         `accelerations`.
     energies : Result
-        Kinetic and potential energy, (2,); the latter NaN if a position that it needs is not defined.
+        Kinetic and potential energy, (2,); the latter NaN if it is not known.
     power : Result
         What all loads do, (1,); NaN if that is not what changes the kinetic energy. It is made into nothing but a test
         of the other results.
@@ -237,13 +245,18 @@ def form_equations(model: Model) -> Equations:
     leaves.update({multiplier(number): symbol for number, symbol in enumerate(lam, start=1)})
     convert = Conversion(tape, leaves)
     changing = (v.time, *v.q, *v.u, *v.r, *v.a, *lam, *v.unknown)
-    energies = [kane.kinetic_energy(), kane.potential_energy(model.potential_energy, changing)]
-
     values = _values(model, v)
+    states = partial(RandomStates, tape, constraints, values, more=not_orthonormal)
+    if model.potential_energy is not None:
+        potential = convert(model.potential_energy)
+    else:
+        potential = _first_true(tape, kane.potential_energies(changing), lambda terms: states(terms).moving(v.u, v.a))
+    energies = [kane.kinetic_energy(), potential]
     rounding = Rounding(tape)
     corrections = form_corrections(tape, constraints, v.q, v.u, rounding, values, mechanism.holonomic_constraints)
     with_rates = convert
-    if any((body.acceleration, body.angular_acceleration) != (None, None) for body in mechanism.bodies):
+    was_set = any((body.acceleration, body.angular_acceleration) != (None, None) for body in mechanism.bodies)
+    if was_set or mechanism.acceleration_constraints:
         second = zip(
             (q.diff((mechanism.time, 2)) for q in mechanism.coordinates), map(total_rate, q_rates), strict=True
         )
@@ -405,6 +418,21 @@ def _inputs(
                 f"{model.input_expressions[entry.function.expr]} does not have them everywhere."
             )
     return needed
+
+
+def _first_true(
+    tape: Tape,
+    candidates: Iterable[tuple[Scalar, list[Scalar]]],
+    motions: Callable[[Sequence[Scalar]], Iterator[NDArray[np.float64]]],
+) -> Scalar:
+    """The first of which the terms add up to zero, identically or in random motions; NaN if there is none."""
+    for candidate, terms in candidates:
+        if all(is_zero(tape, [tape.sum(terms)])):
+            return candidate
+        values = [*islice(motions(terms), MOTIONS)]
+        if values and all(abs(v.sum()) <= ROUNDED * np.abs(v).sum() for v in values):
+            return candidate
+    return tape.number(float("nan"))
 
 
 def _columns(tape: Tape, rows: Sequence[Scalar], unknown: Sequence[Scalar]) -> list[list[Scalar]]:

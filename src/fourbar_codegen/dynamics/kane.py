@@ -9,8 +9,6 @@ import functools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-import sympy as sm
-
 from fourbar_codegen.dynamics.composite_bodies import CompositeBodies
 from fourbar_codegen.dynamics.kinematics import (
     INERTIAL,
@@ -243,34 +241,43 @@ class Kane:
                 terms.append(dot(inertia.momentum, inertia.angular_velocity))
         return self.tape.sum(terms) / 2
 
-    def potential_energy(self, given: sm.Expr | None, variables: Sequence[Scalar]) -> Scalar:
-        """The given expression, or what the bodies carry, or -F.r of every constant force; NaN if not known.
+    def potential_energies(self, variables: Sequence[Scalar]) -> list[tuple[Scalar, list[Scalar]]]:
+        """What the potential energy may be, and terms whose sum is then zero in every motion; without terms, it is.
 
         A force that is constant in the inertial frame has the potential -F.r, r the position of its point. It loses as
-        much as the force does work: d(-F.r)/dt = -F.v.
-        `variables` are the leaves that may change during a motion.
+        much as the force does work, d(-F.r)/dt = -F.v, where the velocity is the rate of the position: that of the
+        contact of a wheel is not. The bodies' own potentials may include those of these forces, or not: the one is
+        right that loses as much as all loads do work.
+
+        Parameters
+        ----------
+        variables : sequence of Scalar
+            The leaves that may change during a motion.
         """
-        kinematics = self.kinematics
-        if given is not None:
-            return kinematics.convert(given)
-        if not all(body.potential_energy.is_zero for body in self.mechanism.bodies):
-            return self.tape.sum([kinematics.convert(body.potential_energy) for body in self.mechanism.bodies])
+        kinematics, tape = self.kinematics, self.tape
+        own = tape.sum([kinematics.convert(body.potential_energy) for body in self.mechanism.bodies])
+        has_own = not all(body.potential_energy.is_zero for body in self.mechanism.bodies)
         terms, power = [], []
         for load in self.mechanism.loads:
             if load.kind == "torque" or not kinematics.velocity(load.target):
                 continue
             force = kinematics.express(kinematics.vector(load.vector), INERTIAL)
-            if self.tape.depends(force, variables):
+            if tape.depends(force, variables) or not any(force):
                 continue
-            if load.position is None:
-                return self.tape.number(float("nan"))
-            terms.append(-dot(force, kinematics.express(kinematics.vector(load.position), INERTIAL)))
             power.append(kinematics.dot(((INERTIAL, force),), kinematics.velocity(load.target)))
-        potential = self.tape.sum(terms)
-        # A position that is not given from a fixed point has to have the velocity for its rate.
-        loss = self.tape.sum([self.rate(potential), *power])
-        is_known = self.mechanism.fixed_point is not None or all(is_zero(self.tape, [loss]))
-        return potential if is_known else self.tape.number(float("nan"))
+            if load.position is not None:
+                terms.append(-dot(force, kinematics.express(kinematics.vector(load.position), INERTIAL)))
+        if has_own and not power:
+            return [(own, [])]
+        of_forces = tape.sum(terms)
+        losses = [self.rate(of_forces), *power]
+        if not has_own:
+            return [(of_forces, losses)] if len(terms) == len(power) else []
+        total = self.power()
+        candidates = [(own, [self.rate(own), total])]
+        if len(terms) == len(power):
+            candidates.append((own + of_forces, [self.rate(own), self.rate(of_forces), total]))
+        return [] if total.is_nan else candidates
 
     def _inertia(self, body: Body) -> _Inertia | None:
         if body.inertia is None:

@@ -22,7 +22,9 @@ ATTEMPTS = 60
 """States that are drawn: expressions have no value everywhere, and loops do not close from everywhere."""
 CLOSED = 1e-12
 MAX_CORRECTIONS = 40
-"""Of Newton's method, on the way to a closed state; each is no longer than 1."""
+"""Of Newton's method, on the way to a closed state."""
+SHORTEST = 1e-5
+"""The share of its steps that is tried at last where the violation does not become smaller."""
 
 
 class RandomStates:
@@ -127,18 +129,37 @@ def close(tape: Tape, closing: Sequence[Scalar], moved: Sequence[Scalar], point:
 def _newton(
     tape: Tape, closing: Sequence[Scalar], slopes: Sequence[Scalar], moved: Sequence[Scalar], point: Point
 ) -> bool:
+    found = _violation(tape, closing, slopes, point)
     for _ in range(MAX_CORRECTIONS):
-        numbers = _numbers(tape, [*closing, *slopes], point)
-        if numbers is None:
+        if found is None:
             return False
-        violation, matrix = numbers[: len(closing)], numbers[len(closing) :].reshape(len(closing), -1)
-        if (np.abs(violation) <= CLOSED * (1.0 + np.abs(matrix).sum(axis=1))).all():
+        violation, matrix, sizes = found
+        if (np.abs(violation) <= CLOSED * sizes).all():
             return True
         step = -np.linalg.lstsq(matrix, violation, rcond=CLOSED)[0]
-        step /= max(1.0, float(np.linalg.norm(step)))
-        for leaf, change in zip(moved, step, strict=True):
-            point[leaf] += float(change)
+        share, found = 1.0, None
+        while found is None and share > SHORTEST:
+            there = {leaf: point[leaf] + share * float(change) for leaf, change in zip(moved, step, strict=True)}
+            found = _violation(tape, closing, slopes, {**point, **there})
+            # In units of the sizes before, in which the step would make it zero.
+            if found is not None and np.linalg.norm(found[0] / sizes) > (1.0 - 0.1 * share) * np.linalg.norm(
+                violation / sizes
+            ):
+                found = None
+            share *= 0.5
+        point.update(there)
     return False
+
+
+def _violation(
+    tape: Tape, closing: Sequence[Scalar], slopes: Sequence[Scalar], point: Point
+) -> tuple[Floats, Floats, Floats] | None:
+    """What is to be zero, its derivatives, and what it is measured by."""
+    numbers = _numbers(tape, [*closing, *slopes], point)
+    if numbers is None:
+        return None
+    violation, matrix = numbers[: len(closing)], numbers[len(closing) :].reshape(len(closing), -1)
+    return violation, matrix, 1.0 + np.abs(matrix).sum(axis=1)
 
 
 def _numbers(tape: Tape, scalars: Sequence[Scalar], point: Point) -> Floats | None:

@@ -450,8 +450,8 @@ class Kernel(Evaluator):
         Raises
         ------
         ModelError
-            If the System does not define the position of a point that a constant force acts on; or the energy
-            depends on an input that has no expression and is not given.
+            If it is not known, as the Model's `potential_energy` says; or it depends on an input that has no
+            expression and is not given.
 
         Examples
         --------
@@ -461,8 +461,9 @@ class Kernel(Evaluator):
         """
         if not self.manifest["has_potential_energy"]:
             raise ModelError(
-                f"The potential energy of {self.name} is not known: a constant force acts on a point whose position "
-                "from a fixed point is not defined. Give potential_energy= to the Model."
+                f"The potential energy of {self.name} is not known: a constant force acts at a point whose position "
+                "from a fixed point is not defined, or has another velocity than the rate of that position; or bodies' "
+                "potentials lose another energy than all loads do work. Give potential_energy= to the Model."
             )
         energy = float(self.energy(t, x, p, r)[1])
         if r is None and math.isnan(energy) and any(e["expression"] is None for e in self.manifest["inputs"]):

@@ -193,8 +193,9 @@ class Model:
         Default initial values of the independent coordinates and speeds, and guesses of the dependent
         coordinates. Dependent speeds follow from these.
     potential_energy : Expr, optional
-        In terms of coordinates, parameters and time. By default the sum of the bodies' ``potential_energy``
-        and the potentials of all forces that are constant in the System's frame, such as gravity.
+        In terms of coordinates, parameters and time. By default the bodies' ``potential_energy``, and the potentials of
+        all forces that are constant in the System's frame, such as gravity, if the former do not include them. It is
+        not known where these lose another energy than the forces do work.
     outputs : mapping of str to Expr, optional
         What else is of interest, by name: expressions of time, coordinates, speeds, both differentiated once,
         inputs, parameters, and multipliers (see `multiplier`, `joint_force`). With auxiliary speeds, outputs
@@ -260,7 +261,9 @@ class Model:
             self.input_expressions = {
                 f: None if value is None else _expression(value, f"the input {f}") for f, value in given.items()
             }
-            parameters = {key: value for key, value in parameters.items() if key not in undeclared}
+            functions = {_name(f): f for f in parameters if isinstance(f, AppliedUndef)}
+            _check_unknown(functions, {_name(f): f for f in undeclared}, "parameters", extra)
+            parameters = {key: value for key, value in parameters.items() if not isinstance(key, AppliedUndef)}
         elif undeclared:
             raise ModelError(self._neither(undeclared))
         self.input_entries = self._list_inputs()
@@ -374,7 +377,18 @@ class Model:
         mechanism = self.mechanism
         known = {*mechanism.coordinates, *mechanism.speeds, *mechanism.auxiliary_speeds}
         known |= {*self.input_expressions, *self.noncontributing}
-        return {function: label for function, label in self._functions().items() if function not in known}
+        found = {function: label for function, label in self._functions().items() if function not in known}
+        for function, label in found.items():
+            self._check_assumptions(function, label)
+        return found
+
+    def _check_assumptions(self, function: sm.Expr, label: str) -> None:
+        """Raise for a function of the name of a state."""
+        if _name(function) in (*self.coordinates, *self.speeds):
+            raise ModelError(
+                f"{function} in {label} has other assumptions than the state of that name: to SymPy these are two "
+                "functions. Take the System's."
+            )
 
     def _neither(self, functions: Mapping[sm.Expr, str]) -> str:
         """What is to be done about functions that are unknown, given with where they stand."""
@@ -505,6 +519,8 @@ class Model:
         initial = {}
         for function, value in given.items():
             if function not in states:
+                if isinstance(function, AppliedUndef):
+                    self._check_assumptions(function, "initial=")
                 raise ModelError(f"{function} in initial= is none of the states {(*self.coordinates, *self.speeds)}.")
             if function in dependent:
                 raise ModelError(

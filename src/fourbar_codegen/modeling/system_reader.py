@@ -184,6 +184,8 @@ class Mechanism:
     fixed_point : int or None
         Number of the System's fixed point, which loads' positions are given from; a KanesMethod has none. A point whose
         velocity is set to zero need not be fixed: the contact of a wheel is not.
+    acceleration_constraints : tuple of Expr
+        Those that a KanesMethod was given, each to be zero. Equations do not depend on them.
     drawn : tuple of DrawnPoint
         The points whose positions follow from the System's fixed point, or else from a point at rest. Nothing but
         pictures depends on them.
@@ -204,6 +206,7 @@ class Mechanism:
     velocity_constraints: tuple[sm.Expr, ...]
     velocity_constraints_derived: bool
     fixed_point: int | None
+    acceleration_constraints: tuple[sm.Expr, ...]
     drawn: tuple[DrawnPoint, ...]
 
     def labelled_loads(self) -> Iterator[tuple[str, Iterable[sm.Expr]]]:
@@ -313,6 +316,7 @@ def read_mechanism(system: System | me.KanesMethod) -> Mechanism:
         velocity_constraints=tuple(description.velocity_constraints),
         velocity_constraints_derived=description.derived,
         fixed_point=None if description.fixed_point is None else reader.point_numbers.get(description.fixed_point),
+        acceleration_constraints=tuple(description.acceleration_constraints),
         drawn=drawn,
     )
 
@@ -333,6 +337,7 @@ class _Description:
     kdes: Sequence[sm.Expr]
     holonomic_constraints: Sequence[sm.Expr]
     velocity_constraints: Sequence[sm.Expr]
+    acceleration_constraints: Sequence[sm.Expr]
     derived: bool  # whether the rates of the holonomic constraints are to stand before the velocity constraints
 
 
@@ -351,6 +356,7 @@ def _of_system(system: System) -> _Description:
         kdes=system.kdes[:],
         holonomic_constraints=system.holonomic_constraints[:],
         velocity_constraints=(system.nonholonomic_constraints if derived else system.velocity_constraints)[:],
+        acceleration_constraints=(),
         derived=derived,
     )
 
@@ -383,6 +389,10 @@ def _of_kanes_method(kane: me.KanesMethod) -> _Description:
         kdes=kdes[:],
         holonomic_constraints=kane._f_h[:],
         velocity_constraints=(kane._k_nh * u + kane._f_nh)[:] if kane._udep else (),
+        # Those that KanesMethod derives itself have the velocity constraints' matrix.
+        acceleration_constraints=(
+            (kane._k_dnh * u.diff(t) + kane._f_dnh)[:] if kane._udep and kane._k_dnh is not kane._k_nh else ()
+        ),
         derived=False,
     )
 

@@ -18,7 +18,7 @@ MACROS = [("NPY_NO_DEPRECATED_API", "NPY_1_7_API_VERSION")]
 # For compilers that take gcc's options. Behind the user's flags, as in toolchain.py: what is not a number has to be
 # noticed, and roundings are part of the method.
 STRICT = ["-fno-fast-math", "-fno-finite-math-only", "-fno-unsafe-math-optimizations"]
-LINK = ["-O2", *STRICT]
+LINK = ["-O2", *STRICT, *(["-Wl,-Bsymbolic"] if sys.platform.startswith(("linux", "freebsd")) else [])]
 WRAPPED = ["-O3", "-g0", *STRICT]
 # The flags of toolchain.py.
 KERNEL = ["-O2", "-fpeel-loops", "-fno-tree-vectorize", "-g0", *STRICT]

@@ -882,3 +882,130 @@ def test_file_systems_that_run_nothing(four_bar, tmp_path):
         shutil.copy(four_bar.path, tmp_path)
         with pytest.raises(fb.ModelError, match="mounted with noexec"):
             fb.load(tmp_path / four_bar.path.name)
+
+
+def other_weight():
+    """A model of the slider's name with another equation."""
+    return slider("mass")
+
+
+def test_a_module_whose_folder_was_built_anew_is_not_sent_with_the_new_sources(monkeypatch, tmp_path):
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path / "cache"))
+    loaded = fb.load(fb.build_model(slider(), tmp_path))
+    expected = loaded.rhs(0.0, [0.5, 0.1, 0.2, 0.3])
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(loaded)).rhs(0.0, [0.5, 0.1, 0.2, 0.3]), expected)
+    fb.build_model(other_weight(), tmp_path)
+    with pytest.raises(fb.ModelError, match="those of a later build"):
+        pickle.loads(pickle.dumps(loaded))
+
+
+def test_a_build_that_is_interrupted_leaves_the_folder_as_it_was(monkeypatch, tmp_path):
+    module = fb.build_model(slider(), tmp_path)
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+
+    def full(self, content):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    original = toolchain.replacing
+
+    @contextlib.contextmanager
+    def replacing(path):
+        with original(path) as file:
+            # The disk is full when it comes to the module, which is written last.
+            yield file if path.name != module.name else type("File", (), {"write": full})()
+
+    with monkeypatch.context() as patch:
+        patch.setattr(
+            toolchain, "replacing", lambda path: replacing(path) if path.parent == tmp_path else original(path)
+        )
+        with pytest.raises(fb.BuildError, match="No space left"):
+            fb.build_model(other_weight(), tmp_path)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_models_of_one_name_where_libraries_share_their_symbols(monkeypatch, tmp_path):
+    """With RTLD_GLOBAL, the loader gives what was loaded first to all that ask for a name."""
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path / "cache"))
+    module = fb.build_model(other_weight(), tmp_path / "built")
+    fb.compile_model(slider())
+    code = f"""
+import os, sys
+sys.path.insert(0, {str(Path(__file__).parent)!r})
+sys.setdlopenflags(os.RTLD_NOW | os.RTLD_GLOBAL)
+import ctypes, fourbar_codegen as fb
+from systems import slider
+ctypes.CDLL({str(module)!r}, mode=ctypes.RTLD_GLOBAL)
+for model in (fb.load({str(module)!r}), fb.compile_model(slider())):
+    print(model.rhs(0.0, [0.5, 0.1, 0.2, 0.3]).tolist(), model.jacobian(0.0, [0.5, 0.1, 0.2, 0.3]).tolist())
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    rates = [json.loads(line.partition("] [")[0] + "]") for line in done.stdout.splitlines()]
+    x = [0.5, 0.1, 0.2, 0.3]
+    np.testing.assert_allclose(rates[0], fb.compile_model(other_weight()).rhs(0.0, x), rtol=1e-13)
+    np.testing.assert_allclose(rates[1], fb.compile_model(slider()).rhs(0.0, x), rtol=1e-13)
+    assert rates[0] != rates[1]
+
+
+@pytest.mark.parametrize("damage", ["numbers", "library"])
+def test_a_library_that_was_damaged_is_not_loaded_by_its_path(monkeypatch, tmp_path, damage):
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
+    path = fb.compile_model(slider("parameter as an expression")).path
+    damaged = path if damage == "library" else path.with_name("slider_numbers.json")
+    content = damaged.read_bytes()
+    damaged.write_bytes(content[: len(content) // 2] if damage == "library" else content.replace(b"1", b"2", 1))
+    with pytest.raises(fb.ModelError, match="is damaged"):
+        fb.load(path)
+
+
+@pytest.mark.parametrize("share", [0.05, 0.3, 0.95])
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="ELF")
+def test_half_of_a_module_is_refused(tmp_path, share):
+    """The loader of the system takes it, and ends the process."""
+    module = fb.build_model(slider(), tmp_path)
+    half = tmp_path / "half" / module.name
+    half.parent.mkdir()
+    half.write_bytes(module.read_bytes()[: int(share * module.stat().st_size)])
+    with pytest.raises(fb.ModelError, match="is damaged"):
+        fb.load(half)
+
+
+def test_a_cache_that_is_cleared_all_the_time(monkeypatch, tmp_path):
+    """Between any two steps another process may remove a folder; whoever looks for it builds it again."""
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
+    from fourbar_codegen.kernel import loading
+
+    original, removed = loading.load_file, []
+
+    def load_file(path):
+        if len(removed) < 2:
+            removed.append(path)
+            shutil.rmtree(path.parent)
+        return original(path)
+
+    monkeypatch.setattr(loading, "load_file", load_file)
+    assert np.isfinite(fb.compile_model(slider()).rhs(0.0, [0.5, 0.1, 0.2, 0.3])).all()
+    assert len(removed) == 2
+    with monkeypatch.context() as patch:
+        patch.setattr(loading, "load_file", lambda path: shutil.rmtree(path.parent) or original(path))
+        with pytest.raises(fb.CacheError, match="was removed 5 times"):
+            fb.compile_model(slider())
+
+
+def test_what_a_killed_process_was_removing(monkeypatch, tmp_path):
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
+    for name in (f"big-{32 * '0'}.0.26907.removed", f"bare-{32 * '1'}"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "file").write_bytes(bytes(1000))
+    assert {(entry.name, entry.size) for entry in cache.entries()} == {("big", 1000), ("bare", 1000)}
+    cache.clear()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_cache_that_is_a_file(monkeypatch, tmp_path):
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path / "file"))
+    with pytest.raises(fb.CacheError, match="cannot be read: Not a directory"):
+        cache.entries()
+    with pytest.raises(fb.CacheError) as caught:
+        fb.compile_model(slider())
+    assert str(caught.value).count("cannot be used") == 1

@@ -1,5 +1,6 @@
 """How files are written: whole or not at all, and as an editor would."""
 
+import contextlib
 import errno
 import os
 import stat
@@ -129,13 +130,23 @@ def test_a_module_that_cannot_be_written_leaves_the_old_one(tmp_path, monkeypatc
     made().write_bytes(b"old module")
     opened = (folder / "module.so").open("rb")  # as a process that has loaded it
 
-    def full(source, file):
-        file.write(source.read(3))
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    class Full:
+        def __init__(self, file):
+            self.file = file
 
+        def write(self, content):
+            self.file.write(content[:3])
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    @contextlib.contextmanager
+    def replacing(path):
+        with original(path) as file:
+            yield Full(file) if path.name == "module.so" else file
+
+    original = toolchain.replacing
     with monkeypatch.context() as patch:
-        patch.setattr(toolchain.shutil, "copyfileobj", full)
-        with pytest.raises(fb.BuildError, match=r"module.so cannot be written: No space"):
+        patch.setattr(toolchain, "replacing", replacing)
+        with pytest.raises(fb.BuildError, match=r"folder cannot be written: No space"):
             made()
     assert sorted(path.name for path in folder.iterdir()) == ["module.pyx", "module.so"]
     assert (folder / "module.so").read_bytes() == b"old module"

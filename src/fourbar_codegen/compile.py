@@ -20,7 +20,7 @@ from fourbar_codegen.compiled import CompiledModel
 from fourbar_codegen.errors import ModelError, ModelWarning
 from fourbar_codegen.expressions.fingerprint import fingerprint
 from fourbar_codegen.files import path_of
-from fourbar_codegen.kernel.loading import cache_key, load_file
+from fourbar_codegen.kernel.loading import cache_key, load_cached, load_file
 from fourbar_codegen.modeling.model import Model
 from fourbar_codegen.progress import Progress
 from fourbar_codegen.runtime.evaluator import versions
@@ -373,6 +373,6 @@ def compile_model(model: Model, *, check: bool = True) -> CompiledModel:
     key = key_of(model)
     if not check and find_cached(model.name, key) is None:
         key = key_of(model, checked=False)
-    compiled = CompiledModel.from_file(cached(model.name, key, build))
+    compiled = CompiledModel.from_loaded(load_cached(lambda: cached(model.name, key, build)))
     _warn(compiled.manifest["warnings"], 3)
     return compiled

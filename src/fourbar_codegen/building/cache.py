@@ -7,6 +7,7 @@ the cache belongs to the user or to root, and others have no right to write to i
 from __future__ import annotations
 
 import atexit
+import errno
 import hashlib
 import math
 import os
@@ -48,8 +49,8 @@ SIZE_LIMIT = "FOURBAR_CODEGEN_CACHE_SIZE"
 default."""
 
 CHECKSUM = "checksum"
-ENTRY = re.compile(r"(?P<name>\w+)-[0-9a-f]{32}")
-"""What the folders in the cache are called."""
+ENTRY = re.compile(r"(?P<name>\w+)-[0-9a-f]{32}(\.\d+\.\d+\.removed)?")
+"""What the folders in the cache are called, and those that a process was removing when it ended."""
 
 
 @dataclass(frozen=True)
@@ -136,6 +137,8 @@ def cached(name: str, key: str, build: Callable[[Path], Path]) -> Path:
         found = _cached(place, build, limit)
         _note_use(place)
         return found
+    except CacheError:  # of what is built of others
+        raise
     except OSError as error:
         raise _unusable(root, error) from error
 
@@ -261,6 +264,8 @@ def entries() -> list[Entry]:
     """
     root = cache_folder()
     try:
+        if root.exists() and not root.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
         return _entries(root)
     except OSError as error:
         raise CacheError(f"The cache folder {root} cannot be read: {error.strerror or error}.") from error
@@ -273,8 +278,9 @@ def _entries(root: Path) -> list[Entry]:
         if known is None or folder.is_symlink() or not folder.is_dir():
             continue
         with suppress(FileNotFoundError):  # removed just now
-            size = sum(path.lstat().st_size for path in folder.rglob("*"))
-            found.append(Entry(folder, known["name"], size, (folder / CHECKSUM).stat().st_mtime))
+            size, checksum = sum(path.lstat().st_size for path in folder.rglob("*")), folder / CHECKSUM
+            used = (checksum if checksum.exists() else folder).stat().st_mtime
+            found.append(Entry(folder, known["name"], size, used))
     return sorted(found, key=lambda entry: entry.used, reverse=True)
 
 
@@ -300,7 +306,8 @@ def clear(older_than: float = 0.0) -> list[Entry]:
     removed = [entry for entry in entries() if entry.used <= last]
     for entry in removed:
         try:
-            _discard(entry.folder)
+            with suppress(FileNotFoundError):  # another process removes it
+                _discard(entry.folder)
         except OSError as error:
             raise CacheError(f"{entry.folder} cannot be removed: {error.strerror or error}.") from error
     return removed
@@ -321,8 +328,10 @@ def _keep_within(root: Path, limit: float, newest: Path) -> None:
 
 def _discard(folder: Path) -> None:
     """Remove a folder of the cache: from one moment to the next for those who look for it."""
-    aside = folder.with_name(f"{folder.name}.{_user()}.{os.getpid()}.removed")
-    folder.replace(aside)
+    aside = folder
+    if not folder.name.endswith(".removed"):
+        aside = folder.with_name(f"{folder.name}.{_user()}.{os.getpid()}.removed")
+        folder.replace(aside)
     shutil.rmtree(aside)
 
 
@@ -400,12 +409,17 @@ def _module_in(place: Path) -> Path | None:
     return place / next(iter(checksums)) if checksums and _agree(place, checksums) else None
 
 
-def is_whole(folder: Path) -> bool:
+def is_whole(folder: Path, *names: str) -> bool:
     """Whether the files of a folder are those that were built; those of one that has no checksums are taken as such.
+
+    All of them, or those of some names, as far as the folder knows them.
 
     The sources, too: they are compiled for many states at once, and travel with a model.
     """
     checksums = _checksums(folder)
+    if checksums is not None and names:
+        checksums = {name: digest for name, digest in checksums.items() if name in names}
+        return all(_digest(folder / name) == digest for name, digest in checksums.items())
     return checksums is None or _agree(folder, checksums)
 
 

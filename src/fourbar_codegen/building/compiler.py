@@ -23,6 +23,11 @@ INSTALL = (
 )
 
 
+OWN_SYMBOLS = ("-Wl,-Bsymbolic",) if sys.platform.startswith(("linux", "freebsd")) else ()
+"""Two models of one name have the same symbols; where a process loads libraries with RTLD_GLOBAL, the loader would give
+the first one's to both."""
+
+
 @dataclass(frozen=True)
 class Compiler:
     """A C compiler that takes the options of gcc.
@@ -126,7 +131,7 @@ def _gnu(command: list[str], origin: str, link_flags: list[str]) -> Compiler:
         machine_flags=() if zig else native,
         portable_flags=("-mcpu=baseline",) if zig else (),
         # There, too: what it links to every library is compiled for a processor.
-        link_flags=(*_own_link_flags(), "-mcpu=baseline") if zig else tuple(link_flags),
+        link_flags=(*_own_link_flags(), "-mcpu=baseline", *OWN_SYMBOLS) if zig else (*link_flags, *OWN_SYMBOLS),
         is_zig=zig,
     )
 

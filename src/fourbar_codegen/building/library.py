@@ -16,7 +16,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from fourbar_codegen.building.cache import cached
+from fourbar_codegen.building.cache import SIZE_LIMIT, cached
 from fourbar_codegen.building.toolchain import (
     COMMON_FLAGS,
     DERIVATIVES_FLAGS,
@@ -27,7 +27,7 @@ from fourbar_codegen.building.toolchain import (
 )
 from fourbar_codegen.errors import CacheError
 
-__all__ = ["PARTS", "SUFFIXES", "build_part", "install", "manifest_of", "numbers_path"]
+__all__ = ["PARTS", "SUFFIXES", "build_part", "install", "manifest_of", "numbers_path", "removed"]
 
 PARTS = {
     "kernel": (("_kernel.c", "_kernel.h"), KERNEL_FLAGS),
@@ -43,7 +43,7 @@ INLINED = "#define FB_SHORT\n"
 """What stands in short kernels: all that the right-hand side calls is compiled once more as a part of it."""
 
 ATTEMPTS = 5
-"""To put a library into a model's folder."""
+"""To take what is in the cache, where others remove it."""
 
 NUMBERS = ("fingerprint", "initial", "operations", "operations_before_sharing")
 """What of a manifest is not structure; ..."""
@@ -167,7 +167,15 @@ def install(
                 with tempfile.TemporaryDirectory() as temporary:
                     complete(Path(shutil.copy(library, temporary)))
             return Path(shutil.copy(library, folder))
-    raise CacheError(f"{library} was removed {ATTEMPTS} times as soon as it was there: let the cache be larger.")
+    raise removed(library)
+
+
+def removed(path: Path) -> CacheError:
+    """What is to be said where nothing stays in the cache."""
+    return CacheError(
+        f"{path} was removed {ATTEMPTS} times as soon as it was there: let the cache be larger, by the environment "
+        f"variable {SIZE_LIMIT}, and clear it when nothing is compiled."
+    )
 
 
 def numbers_path(library: Path) -> Path:

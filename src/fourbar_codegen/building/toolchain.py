@@ -13,7 +13,7 @@ import sys
 import sysconfig
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from functools import cache, partial
 from pathlib import Path
 
@@ -235,8 +235,8 @@ def build_extension(
         module = _build(name, sources, Path(temporary))
         if check is not None:
             check(module)
-        write_sources(name, sources, folder)
-        return copied(module, folder)
+        write_sources(name, sources, folder, module)
+        return folder / module.name
 
 
 def compile_library(library: Path, sources: Mapping[str, str], units: Mapping[str, Sequence[str]]) -> Path:
@@ -279,8 +279,10 @@ def copied(built: Path, folder: Path) -> Path:
     return target
 
 
-def write_sources(name: str, sources: Mapping[str, str], folder: Path) -> None:
+def write_sources(name: str, sources: Mapping[str, str], folder: Path, module: Path | None = None) -> None:
     """Write a model's sources in the place of those that another one of its name may have left.
+
+    None of them takes its place before all have been written.
 
     Parameters
     ----------
@@ -290,16 +292,23 @@ def write_sources(name: str, sources: Mapping[str, str], folder: Path) -> None:
         Text by file name.
     folder : Path
         Created if it does not exist.
+    module : Path, optional
+        What was built of them, to stand beside them.
 
     Raises
     ------
     BuildError
         If the folder cannot be written.
     """
+    contents = {filename: text.encode("utf-8") for filename, text in sources.items()}
+    if module is not None:
+        contents[module.name] = module.read_bytes()
     try:
-        for filename, text in sources.items():
-            with replacing(folder / filename) as file:
-                file.write(text.encode("utf-8"))
+        with ExitStack() as stack:
+            for filename, content in contents.items():
+                file = stack.enter_context(replacing(folder / filename))
+                file.write(content)
+                file.flush()
         for suffix in UNITS:
             if f"{name}{suffix}" not in sources:  # not every model has all
                 (folder / f"{name}{suffix}").unlink(missing_ok=True)
@@ -356,6 +365,8 @@ def _cythonize(source: Path) -> Path:
         cythonize([module], include_path=[get_include()], language_level=3, force=True, quiet=True)
     except CompileError as error:
         raise BuildError(f"Cython refused {source}; its messages are above.") from error
+    except OSError as error:
+        raise BuildError(f"Cython could not translate {source}: {error}.") from error
     return source.with_suffix(".c")
 
 

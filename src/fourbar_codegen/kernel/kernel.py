@@ -17,7 +17,15 @@ from fourbar_codegen.building.library import PARTS
 from fourbar_codegen.errors import ModelError, SimulationError
 from fourbar_codegen.kernel.comparison import compare_batch_functions, compare_derivatives
 from fourbar_codegen.kernel.dependent import eliminate
-from fourbar_codegen.kernel.loading import Loaded, load_file, load_from_sources, load_known, load_part, sources_beside
+from fourbar_codegen.kernel.loading import (
+    Loaded,
+    load_file,
+    load_from_sources,
+    load_known,
+    load_part,
+    manifest_beside,
+    sources_beside,
+)
 from fourbar_codegen.progress import Progress
 from fourbar_codegen.runtime.evaluator import NOT_FINITE, Evaluator, is_finite, versions
 
@@ -82,8 +90,13 @@ class Kernel(Evaluator):
         return _restore, (type(self), self.name, path, self.manifest, self._sources())
 
     def _sources(self) -> dict[str, str] | None:
-        """The sources: as they were beside a library when it was loaded, or as they are beside a module."""
-        return sources_beside(self.path, self.name) if self.is_portable else self._sources_when_loaded
+        """The sources: as they were beside a library when it was loaded, or as they are beside a module.
+
+        A module's folder may have been built anew, or half of it: then those there are another model's.
+        """
+        if not self.is_portable:
+            return self._sources_when_loaded
+        return sources_beside(self.path, self.name) if manifest_beside(self.path) == self.manifest else None
 
     def require_batch_functions(self) -> None:
         """Build and load the functions for several states side by side, where the model was built without them.
@@ -492,6 +505,7 @@ def _restore(
     if sources is None:
         raise ModelError(
             f"The model {name} that was sent is not found here, or only another one of its name, and its sources were "
-            "not beside it: install its wheel, or send what build_model made, from the folder that has its sources."
+            "not beside it, or are those of a later build: install its wheel, or send what build_model made, from the "
+            "folder that has its sources."
         )
     return kind.from_loaded(load_from_sources(name, sources, manifest))

@@ -13,10 +13,18 @@ from dataclasses import dataclass
 from importlib import import_module, machinery, util
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, Literal, TypeVar
 
 from fourbar_codegen.building.cache import cached, find_cached, is_whole
-from fourbar_codegen.building.library import SUFFIXES, build_part, install, manifest_of, numbers_path
+from fourbar_codegen.building.library import (
+    ATTEMPTS,
+    SUFFIXES,
+    build_part,
+    install,
+    manifest_of,
+    numbers_path,
+    removed,
+)
 from fourbar_codegen.building.toolchain import digest_of, generator, library_toolchain
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.files import path_of
@@ -25,13 +33,17 @@ from fourbar_codegen.runtime.evaluator import kernel_at
 __all__ = [
     "Loaded",
     "cache_key",
+    "load_cached",
     "load_file",
     "load_from_sources",
     "load_known",
     "load_named",
     "load_part",
+    "manifest_beside",
     "sources_beside",
 ]
+
+_Found = TypeVar("_Found")
 
 # What this process loaded from files: the system goes on giving out the first library of a path.
 _LOADED: dict[str, tuple[int, int, int]] = {}
@@ -78,6 +90,12 @@ def load_named(name: str | Path) -> Loaded:
     except OSError as error:
         raise ModelError(f"{path} cannot be loaded as a compiled model: {error.strerror}.") from error
     if is_file:
+        numbers = numbers_path(path)
+        if _is_truncated(path) or not is_whole(path.parent, path.name, numbers.name):
+            raise ModelError(
+                f"{path}, or {numbers.name} beside it, is damaged, and to load it might end Python: build it again, or "
+                "copy it again."
+            )
         return load_file(path)
     if str(name) in _prebuilt():
         return _of_module(import_module(f"fourbar_codegen.prebuilt.{name}"))
@@ -138,26 +156,80 @@ def load_file(path: Path) -> Loaded:
     ModelError
         If it cannot be loaded, is none, or this process has loaded what was there before.
     """
-    status = path.stat()
-    identity = (status.st_ino, status.st_size, status.st_mtime_ns)
     place = str(path.resolve())
-    if _LOADED.setdefault(place, identity) != identity:
-        if numbers_path(path).is_file():  # a library, of which another one can be loaded from another place
-            with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as temporary:
-                return _of_library(ctypes.CDLL(shutil.copy(path, temporary)), path)
-        raise ModelError(
-            f"{path} was built again after this process loaded it, and a module cannot be loaded anew: restart "
-            "Python, or build into another folder."
-        )
     try:
+        status = path.stat()
+        identity = (status.st_ino, status.st_size, status.st_mtime_ns)
+        if _LOADED.setdefault(place, identity) != identity:
+            if numbers_path(path).is_file():  # a library, of which another one can be loaded from another place
+                with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as temporary:
+                    return _of_library(ctypes.CDLL(shutil.copy(path, temporary)), path)
+            raise ModelError(
+                f"{path} was built again after this process loaded it, and a module cannot be loaded anew: restart "
+                "Python, or build into another folder."
+            )
         library = ctypes.CDLL(str(path))  # which stays loaded as long as the process runs
         if hasattr(library, "fourbar_library"):
             return _of_library(library, path)
         return _of_module(_import(path))
     except (ImportError, OSError) as error:
         if not _is_held(path):
-            del _LOADED[place]
+            _LOADED.pop(place, None)
         raise ModelError(f"{path} cannot be loaded as a compiled model: {error}.{_noexec(error)}") from error
+
+
+def load_cached(find: Callable[[], Path]) -> Loaded:
+    """Load what is in the cache or is built there, again and again where another process removes it in between.
+
+    Parameters
+    ----------
+    find : callable
+        Gives the model's path, and builds it if it is not there.
+
+    Raises
+    ------
+    ModelError
+        If it cannot be loaded.
+    CacheError
+        If it does not stay.
+    """
+
+    def load(path: Path) -> Loaded:
+        loaded = load_file(path)
+        if loaded.sources is None and not path.exists():
+            raise FileNotFoundError(path)
+        return loaded
+
+    return _where_it_stays(find, load)
+
+
+def _where_it_stays(find: Callable[[], Path], load: Callable[[Path], _Found]) -> _Found:
+    for _ in range(ATTEMPTS):
+        path = find()
+        try:
+            return load(path)
+        except (ModelError, OSError):
+            if path.exists():
+                raise
+    raise removed(path)
+
+
+def _is_truncated(path: Path) -> bool:
+    """Whether an ELF file ends before the table of sections that its header tells of, which stands at the end.
+
+    Source: System V Application Binary Interface, chapter 4 (the header of 64 bits).
+    """
+    try:
+        with path.open("rb") as file:
+            header = file.read(64)
+            size = file.seek(0, os.SEEK_END)
+    except OSError:  # of which the loader says more
+        return False
+    if not header.startswith(b"\x7fELF\x02"):
+        return False
+    order: Literal["little", "big"] = "big" if header[5:6] == b"\x02" else "little"
+    begin, entry, count = (int.from_bytes(header[a:b], order) for a, b in ((40, 48), (58, 60), (60, 62)))
+    return len(header) < 64 or size < begin + entry * count
 
 
 def _import(path: Path) -> ModuleType:
@@ -205,6 +277,14 @@ def _of_library(library: ctypes.CDLL, path: Path) -> Loaded:
     return Loaded(kernel_at(table.kernel), manifest, path, sources_beside(path, manifest["name"]))
 
 
+def manifest_beside(path: Path) -> Any:
+    """The manifest beside a module, or None where there is none."""
+    try:
+        return json.loads(path.with_name("manifest.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+
+
 def sources_beside(path: Path, name: str) -> dict[str, str] | None:
     """The sources beside a compiled model of a name, or None where they are missing or damaged."""
     if not is_whole(path.parent):
@@ -216,7 +296,11 @@ def sources_beside(path: Path, name: str) -> dict[str, str] | None:
 def load_from_sources(name: str, sources: Mapping[str, str], manifest: Mapping[str, Any]) -> Loaded:
     """Load the model of generated sources and a manifest, built for this machine, in the cache."""
     key = cache_key([sources, manifest])
-    return load_file(cached(name, key, lambda folder: install(name, sources, manifest, folder, rest=lambda: ({}, {}))))
+
+    def build(folder: Path) -> Path:
+        return install(name, sources, manifest, folder, rest=lambda: ({}, {}))
+
+    return load_cached(lambda: cached(name, key, build))
 
 
 def load_part(name: str, part: str, sources: Mapping[str, str], check: Callable[[int], None]) -> int:
@@ -224,8 +308,11 @@ def load_part(name: str, part: str, sources: Mapping[str, str], check: Callable[
 
     What is built is checked first.
     """
-    path = build_part(name, part, sources, check=lambda built: check(_address(built, f"{name}_{part}")))
-    return _address(path, f"{name}_{part}")
+
+    def address(path: Path) -> int:
+        return _address(path, f"{name}_{part}")
+
+    return _where_it_stays(lambda: build_part(name, part, sources, check=lambda built: check(address(built))), address)
 
 
 def _address(path: Path, symbol: str) -> int:

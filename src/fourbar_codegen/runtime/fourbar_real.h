@@ -16,6 +16,9 @@
 #pragma float_control(precise, on)
 #endif
 
+/* With -fsingle-precision-constant they would not be, and this has no size. */
+typedef char fb_constants_are_of_type_double[sizeof(1.0) == sizeof(double) ? 1 : -1];
+
 #if defined(__GNUC__)
 #define FB_INLINE inline __attribute__((always_inline))
 #else

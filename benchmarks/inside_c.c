@@ -21,7 +21,7 @@ static double *doubles(int n)
 int main(int argc, char **argv)
 {
     const fb_kernel *k = &KERNEL;
-    const int n_x = k->n_q + k->n_u;
+    const int n_x = k->n_x;
     if (argc != 4 + n_x + k->n_p)
         return 2;
     const int forming = strcmp(argv[1], "dynamics") == 0, n = atoi(argv[2]);

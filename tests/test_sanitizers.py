@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from programs import compile_c
+from test_state_equations import cartesian, motor
 
 import fourbar_codegen as fb
 
@@ -35,13 +36,14 @@ static double *doubles(const int n)
 
 static double evaluate(const fb_kernel *k, const double *p)
 {
-    const int n_x = k->n_q + k->n_u, n_y = k->n_u + k->n_c;
+    const int n_x = k->n_x, n_y = k->n_u + k->n_c + k->n_z;
     double *x = doubles(n_x), *c = doubles(k->n_constants), *r = doubles(k->n_r), *a = doubles(k->n_u);
     double *l = doubles(k->n_c), *rates = doubles(n_x), *qs = doubles(k->n_q), *m = doubles(k->n_u * k->n_u);
     double *f = doubles(k->n_u), *j = doubles(k->n_c * k->n_u), *g = doubles(k->n_c), *phi = doubles(k->n_h);
     double *pq = doubles(k->n_h * k->n_q), *vq = doubles(k->n_c * k->n_q), *pr = doubles(k->n_h * k->n_r);
     double *vr = doubles(k->n_c * k->n_r), *e = doubles(2), *o = doubles(k->n_o);
-    double *rp = doubles(k->n_r * k->n_p);
+    double *rp = doubles(k->n_r * k->n_p), *z = doubles(k->n_z), *za = doubles(k->n_z * k->n_u);
+    double *zl = doubles(k->n_z * k->n_c);
     const int n[3] = {n_x, k->n_p, k->n_r};
     const fb_derivatives *const d = k->derivatives;
     fb_sensitivity *const of[3] = {d->sensitivity, d->parameter_sensitivity, d->input_sensitivity};
@@ -63,14 +65,18 @@ static double evaluate(const fb_kernel *k, const double *p)
     for (int i = 0; i < 3; ++i) {
         double *q = doubles(k->n_q * n[i]), *y = doubles(n_y * n[i]), *all = doubles(n_x * n[i]);
         of[i](0.5, x, c, r, a, l, q, y);
-        k->differentiate(of[i], n[i], 0.5, x, c, r, all, work);
+        k->differentiate(d, of[i], n[i], 0.5, x, c, r, all, work);
         sum += n[i] ? all[0] : 0.0;
         free(q), free(y), free(all);
+    }
+    if (k->n_z > 0) {
+        k->state_rates(0.5, x, c, r, a, l, z);
+        d->state_rate_sensitivity(0.5, x, c, r, a, l, za, zl);
     }
     k->orientation_changed(work);
     k->project(0.5, x, c, r, 0, work);
     sum += rates[0] + e[0];
-    double *const all[] = {x, c, r, a, l, rates, qs, m, f, j, g, phi, pq, vq, pr, vr, e, o, rp};
+    double *const all[] = {x, c, r, a, l, rates, qs, m, f, j, g, phi, pq, vq, pr, vr, e, o, rp, z, za, zl};
     for (size_t i = 0; i < sizeof all / sizeof *all; ++i)
         free(all[i]);
     free(work);
@@ -79,7 +85,7 @@ static double evaluate(const fb_kernel *k, const double *p)
 
 static double run(const fb_kernel *k, const double *p, const double *x0, const fb_tableau *method, const int by_table)
 {
-    const int n = k->n_q + k->n_u, padded = (n + FB_BLOCK - 1) / FB_BLOCK * FB_BLOCK;
+    const int n = k->n_x, padded = (n + FB_BLOCK - 1) / FB_BLOCK * FB_BLOCK;
     fb_source source = {.table = &table};
     fb_problem problem = {.kernel = k, .clock = fb_all_time, .constants = doubles(k->n_constants),
                           .inputs = doubles(k->n_r),
@@ -141,9 +147,9 @@ static double implicit(const fb_kernel *k, const double *p, const double *x0)
         double *const memory = doubles((int)fb_place_implicit(&problem, formulation, &s, NULL));
         k->prepare(p, problem.constants);
         fb_place_implicit(&problem, formulation, &s, memory);
-        double *const z = doubles(s.n_z), *const rate = doubles(s.n_z), *const f = doubles(s.n_z);
-        double *const matrix = doubles(s.n_z * s.n_z);
-        memcpy(z, x0, (size_t)(k->n_q + k->n_u) * sizeof *x0);
+        double *const z = doubles(s.n_y), *const rate = doubles(s.n_y), *const f = doubles(s.n_y);
+        double *const matrix = doubles(s.n_y * s.n_y);
+        memcpy(z, x0, (size_t)k->n_x * sizeof *x0);
         fb_implicit_scale(&s, 0.1, 10.0, z, rate, x0, x0, matrix);
         fb_implicit_residual(&s, 0.1, z, rate, f);
         fb_implicit_jacobian(&s, 0.1, 10.0, z, rate, matrix);
@@ -187,7 +193,7 @@ static void on_threads(const fb_kernel *k, const fb_batch *batch, const fb_ensem
 static double together(const fb_kernel *k, const double *p, const double *x0, const fb_tableau *method)
 {
     enum { N = 19 };
-    const int n_x = k->n_q + k->n_u;
+    const int n_x = k->n_x;
     double *const x = doubles(N * n_x), *const ps = doubles(N * k->n_p), *const rates = doubles(N * n_x), t[N];
     double *const samples = doubles(N * n_x * 3), *const values = doubles(N * 2), *const tolerance = doubles(n_x);
     const double times[3] = {0.0, 0.123, 0.5};
@@ -238,12 +244,12 @@ static double together(const fb_kernel *k, const double *p, const double *x0, co
 int main(int argc, char **argv)
 {
     const fb_kernel *const k = &KERNEL;
-    double *const p = doubles(k->n_p), *const x0 = doubles(k->n_q + k->n_u);
-    if (argc != 1 + k->n_p + k->n_q + k->n_u)
+    double *const p = doubles(k->n_p), *const x0 = doubles(k->n_x);
+    if (argc != 1 + k->n_p + k->n_x)
         return 2;
     for (int i = 0; i < k->n_p; ++i)
         p[i] = atof(argv[1 + i]);
-    for (int i = 0; i < k->n_q + k->n_u; ++i)
+    for (int i = 0; i < k->n_x; ++i)
         x0[i] = atof(argv[1 + k->n_p + i]);
     printf("%.17g", evaluate(k, p));
     printf(" %.17g %.17g %.17g", run(k, p, x0, &fb_rk4, 0), run(k, p, x0, &fb_rk45, 0), run(k, p, x0, &fb_dop853, 0));
@@ -263,6 +269,8 @@ MODELS = {
     "n_four_bar": (lambda: fb.models.n_four_bar(4), {"p0": 0.1}),
     "whipple_bicycle": (fb.models.whipple_bicycle, None),
     "cartesian_pendulum": (fb.models.cartesian_pendulum, {"y": 0.0}),
+    "motor": (motor, None),
+    "multipliers in state equations": (cartesian, None),
 }
 
 

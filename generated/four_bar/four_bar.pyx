@@ -13,7 +13,7 @@ cdef extern from "four_bar_kernel.h":
     int FB_OK
     ctypedef struct fb_kernel:
         size_t work_size
-        int n_q, n_u, n_p, n_r, n_constants
+        int n_x, n_p, n_r, n_constants
         void (*prepare)(const double *, double *)
         int (*rhs)(double, const double *, const double *, const double *, double *, void *)
     const fb_kernel *fb_fastest(const fb_kernel *)
@@ -24,9 +24,9 @@ kernel = PyCapsule_New(<void *>&four_bar_kernel, FB_CAPSULE_NAME, NULL)
 
 manifest = (
     '{\n'
-    '  "format": 7,\n'
+    '  "format": 8,\n'
     '  "name": "four_bar",\n'
-    '  "fingerprint": "892e1a0819647f648762920c8a2bfe7f22207842ef060257f1858aa270545704",\n'
+    '  "fingerprint": "5c77ea422545858597d320b1e17e75fbf4c85a025f735ba0138c899f4bb1cddc",\n'
     '  "coordinates": [\n'
     '    "q1",\n'
     '    "q2",\n'
@@ -37,6 +37,7 @@ manifest = (
     '    "u2",\n'
     '    "u3"\n'
     '  ],\n'
+    '  "auxiliary_states": [],\n'
     '  "n_dependent_coordinates": 2,\n'
     '  "n_dependent_speeds": 2,\n'
     '  "parameters": [\n'
@@ -520,7 +521,7 @@ cdef cnp.ndarray _vector(values, int size, name):
 def rhs(double t, x, p, r):
     """Rates x' of the state x at time t, for parameters p and inputs r; all in the manifest's order."""
     cdef const fb_kernel *k = fastest
-    cdef cnp.npy_intp n_x = k.n_q + k.n_u
+    cdef cnp.npy_intp n_x = k.n_x
     cdef cnp.ndarray state = _vector(x, n_x, "x")
     cdef cnp.ndarray parameters = _vector(p, k.n_p, "p")
     cdef cnp.ndarray inputs = _vector(r, k.n_r, "r")

@@ -222,16 +222,23 @@ def _initial_state(compiled: CompiledModel, initial: dict[str, float], t: float,
     """Values by name, handed to the argument that takes them."""
     n_qi = compiled.n_q - compiled.manifest["n_dependent_coordinates"]
     n_ui = compiled.n_u - compiled.manifest["n_dependent_speeds"]
-    groups = (compiled.coordinates[:n_qi], compiled.speeds[:n_ui], compiled.coordinates[n_qi:])
+    groups = (
+        compiled.coordinates[:n_qi],
+        compiled.speeds[:n_ui],
+        compiled.coordinates[n_qi:],
+        compiled.auxiliary_states,
+    )
     unknown = sorted(set(initial) - {name for group in groups for name in group})
     if unknown:
         raise fb.ModelError(
             f"No initial value can be given for {', '.join(unknown)}: give independent coordinates "
-            f"({', '.join(groups[0])}), independent speeds ({', '.join(groups[1])}) or guesses of dependent "
-            f"coordinates ({', '.join(groups[2]) or 'none'})."
+            f"({', '.join(groups[0])}), independent speeds ({', '.join(groups[1])}), guesses of dependent "
+            f"coordinates ({', '.join(groups[2]) or 'none'}) or auxiliary states ({', '.join(groups[3]) or 'none'})."
         )
-    coordinates, speeds, guess = ({name: initial[name] for name in group if name in initial} for group in groups)
-    return compiled.initial_state(coordinates, speeds, t=t, guess=guess, parameters=parameters)
+    coordinates, speeds, guess, z = ({name: initial[name] for name in group if name in initial} for group in groups)
+    return compiled.initial_state(
+        coordinates, speeds, t=t, guess=guess, parameters=parameters, auxiliary_states=z or None
+    )
 
 
 def _report(trajectory: Trajectory, method: str, seconds: float) -> None:
@@ -315,6 +322,8 @@ def info(model: str) -> None:
     ):
         split = len(names) - dependent
         click.echo(f"{kind}: {', '.join(names[:split])} independent; {', '.join(names[split:]) or 'none'} dependent")
+    if compiled.auxiliary_states:
+        click.echo(f"auxiliary states: {', '.join(compiled.auxiliary_states)}")
     click.echo(f"constraints: {compiled.n_h} on positions, {compiled.n_c} on velocities")
     click.echo("parameters:")
     for entry in manifest["parameters"]:

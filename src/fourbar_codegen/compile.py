@@ -94,6 +94,7 @@ def _generate_kernel(model: Model, progress: Progress) -> _Generated:
     names = {
         "coordinates": model.coordinates,
         "speeds": model.speeds,
+        "auxiliary_states": model.auxiliary_states,
         "parameters": tuple(leaf.name for leaf in program.parameters),
         "inputs": tuple(leaf.name for leaf in program.inputs),
         "outputs": model.outputs,
@@ -168,6 +169,7 @@ def _described(model: Model) -> tuple[object, ...]:
         model.initial,
         model.potential_energy,
         model.output_expressions,
+        model.state_equations,
     )
 
 

@@ -105,7 +105,7 @@ def load_trajectory(path: str | Path, model: CompiledModel | None = None) -> Tra
 class CompiledModel(Kernel):
     """A mechanism's equations of motion, compiled.
 
-    Made by `compile_model` and `load`. Arguments stand in the order (t, x, p, r): time, state x = [q; u],
+    Made by `compile_model` and `load`. Arguments stand in the order (t, x, p, r): time, state x = [q; u; z],
     parameters, inputs. Parameters and inputs are arrays in order, or mappings from names or SymPy symbols
     that may leave out what has a default. Several threads may use one model at the same time.
 
@@ -114,8 +114,10 @@ class CompiledModel(Kernel):
     name : str
     coordinates, speeds : tuple of str
         Generalized coordinates and speeds, the independent ones first.
+    auxiliary_states : tuple of str
+        The states that have equations of their own.
     states : tuple of str
-        Both.
+        All of these.
     parameters, inputs, outputs : tuple of str
     points : tuple of str
         The points that are drawn: those whose positions the System gives, as its own points are called.
@@ -129,8 +131,8 @@ class CompiledModel(Kernel):
         The extension module, or the library that `compile_model` made; `load` takes it.
     manifest : dict
         All that is known of the model, as in the manifest.json beside the generated sources.
-    n_q, n_u, n_x, n_p, n_r : int
-        Numbers of coordinates, speeds, states, parameters and inputs.
+    n_q, n_u, n_z, n_x, n_p, n_r : int
+        Numbers of coordinates, speeds, auxiliary states, states, parameters and inputs.
     n_h, n_c, n_o : int
         Numbers of position constraints, of velocity constraints, and of outputs.
 
@@ -151,6 +153,7 @@ class CompiledModel(Kernel):
             [
                 ("coordinate", self.coordinates, self.manifest["n_dependent_coordinates"]),
                 ("speed", self.speeds, self.manifest["n_dependent_speeds"]),
+                ("auxiliary state", self.auxiliary_states, 0),
             ],
             {name: (value, self.units[name], self.descriptions[name]) for name, value in self.defaults.items()},
             {entry["name"]: entry["expression"] for entry in self.manifest["inputs"]},
@@ -255,6 +258,7 @@ class CompiledModel(Kernel):
         bounds: Mapping[Any, tuple[float, float]] | None = None,
         parameters: Values | None = None,
         inputs: Mapping[Any, InputSource] | None = None,
+        auxiliary_states: Values | None = None,
     ) -> Floats:
         """A state that satisfies all constraints, from the independent coordinates and speeds.
 
@@ -278,6 +282,8 @@ class CompiledModel(Kernel):
             The defaults otherwise.
         inputs : mapping, optional
             As for `simulate`; those count that prescribe a motion.
+        auxiliary_states : array_like or mapping, optional
+            Their values; the model's initial values where left out.
 
         Returns
         -------
@@ -300,7 +306,15 @@ class CompiledModel(Kernel):
         from fourbar_codegen.analysis.initial_state import initial_state
 
         return initial_state(
-            self, coordinates, speeds, t=t, guess=guess, bounds=bounds, parameters=parameters, inputs=inputs
+            self,
+            coordinates,
+            speeds,
+            t=t,
+            guess=guess,
+            bounds=bounds,
+            parameters=parameters,
+            inputs=inputs,
+            auxiliary_states=auxiliary_states,
         )
 
     def initial_states(
@@ -311,6 +325,7 @@ class CompiledModel(Kernel):
         t: float = 0.0,
         parameters: Values | None = None,
         inputs: Mapping[Any, InputSource] | None = None,
+        auxiliary_states: Values | None = None,
     ) -> AssemblyModes:
         """The assembly modes: all states that satisfy the constraints with these independent coordinates and speeds.
 
@@ -321,7 +336,7 @@ class CompiledModel(Kernel):
 
         Parameters
         ----------
-        coordinates, speeds, t, parameters, inputs
+        coordinates, speeds, t, parameters, inputs, auxiliary_states
             As for `initial_state`.
 
         Returns
@@ -343,7 +358,15 @@ class CompiledModel(Kernel):
         """
         from fourbar_codegen.analysis.initial_state import initial_states
 
-        return initial_states(self, coordinates, speeds, t=t, parameters=parameters, inputs=inputs)
+        return initial_states(
+            self,
+            coordinates,
+            speeds,
+            t=t,
+            parameters=parameters,
+            inputs=inputs,
+            auxiliary_states=auxiliary_states,
+        )
 
     def ode(self, parameters: Values | None = None, inputs: Mapping[Any, InputSource] | None = None) -> Ode:
         """The right-hand side as a callable f(t, x), for `scipy.integrate.solve_ivp` and its like.

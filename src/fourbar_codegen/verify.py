@@ -91,11 +91,15 @@ def verify(compiled: Kernel, equations: Equations, derivatives: Derivatives | No
 def _random_values(e: Equations, compiled: Kernel, generator: random.Random) -> dict[Scalar, float]:
     values = {
         leaf: generator.uniform(-1.0, 1.0)
-        for leaf in (e.time, *e.coordinates, *e.speeds, *e.inputs, *e.accelerations, *e.multipliers)
+        for leaf in (e.time, *_states(e), *e.inputs, *e.accelerations, *e.multipliers)
     }
     for leaf, default in zip(e.parameters, compiled.defaults.values(), strict=True):
         values[leaf] = generator.uniform(0.5, 1.5) if default is None else default
     return values
+
+
+def _states(e: Equations) -> tuple[Scalar, ...]:
+    return (*e.coordinates, *e.speeds, *e.auxiliary_states)
 
 
 def _evaluate(e: Equations, d: Derivatives | None, values: Mapping[Scalar, float]) -> dict[str, Floats]:
@@ -106,7 +110,7 @@ def _evaluate(e: Equations, d: Derivatives | None, values: Mapping[Scalar, float
 
 
 def _arrays(e: Equations, values: Mapping[Scalar, float]) -> list[Floats]:
-    groups = ((*e.coordinates, *e.speeds), e.parameters, e.inputs, e.accelerations, e.multipliers)
+    groups = (_states(e), e.parameters, e.inputs, e.accelerations, e.multipliers)
     return [np.array([values[leaf] for leaf in group]) for group in groups]
 
 
@@ -141,6 +145,7 @@ def _compiled_results(
         ),
         "energy": ([e.energies], [compiled.energy(t, x, p, r)]),
         "output": ([e.outputs], [outputs]),
+        "state_rates": ([e.state_rates], [compiled.state_rates_for(t, x, accelerations, multipliers, p, r)]),
     }
     if d is not None:
         sensitivities = compiled.sensitivities(t, x, accelerations, multipliers, p, r)
@@ -149,6 +154,10 @@ def _compiled_results(
             "constraint_sensitivity": (
                 [d.velocity_jacobian, d.position_input_jacobian, d.velocity_input_jacobian],
                 compiled.constraint_sensitivity(t, x, p, r),
+            ),
+            "state_rate_sensitivity": (
+                [d.state_rate_acceleration_jacobian, d.state_rate_multiplier_jacobian],
+                compiled.state_rate_sensitivity(t, x, accelerations, multipliers, p, r),
             ),
             "drawing": ([e.points, e.forces], compiled.drawing(t, x, p, r)),
             "sensitivity": ([d.coordinate_rate_jacobian, d.residual_jacobian], sensitivities[0:2]),
@@ -194,12 +203,13 @@ def _check_identities(
     x, p, r, accelerations, _ = _arrays(e, values)
     q_rates, mass_matrix, forcing = (expected[name] for name in ("coordinate_rates", "mass_matrix", "forcing"))
     jacobian, bias = expected["constraint_jacobian"], expected["velocity_bias"]
-    n_q, u = compiled.n_q, x[compiled.n_q :]
+    n_q, n_u = compiled.n_q, compiled.n_u
+    u, z = x[n_q : n_q + n_u], x[n_q + n_u :]
     by_name = dict(zip(compiled.inputs, r, strict=True))
     r_rates = np.array([by_name.get(f"{name}'", 0.0) for name in compiled.inputs])
 
     def energy(speeds: Floats) -> float:
-        return float(compiled.energy(t, np.concatenate((x[:n_q], speeds)), p, r)[0])
+        return float(compiled.energy(t, np.concatenate((x[:n_q], speeds, z)), p, r)[0])
 
     rest = energy(0.0 * u)
     for direction in (u, accelerations):
@@ -207,7 +217,7 @@ def _check_identities(
         _expect(compiled.name, "w^T M w = 2 T(w)", np.array(direction @ mass_matrix @ direction), double)
 
     def at(step: float, function: Callable[[float, Floats, Floats, Floats], Floats]) -> Floats:
-        moved = x + step * np.concatenate((q_rates, accelerations))
+        moved = x + step * np.concatenate((q_rates, accelerations, 0.0 * z))
         return np.asarray(function(t + step, moved, p, r + step * r_rates))
 
     def changes(function: Callable[[float, Floats, Floats, Floats], Floats]) -> Floats | None:
@@ -254,7 +264,7 @@ def _check_rank(e: Equations, compiled: Kernel, generator: random.Random) -> Non
         closed = nearest_closed(compiled, t, begin, p, r)
         if closed is None:
             continue
-        jacobian, _ = compiled.velocity(t, np.concatenate((closed, np.zeros(compiled.n_u))), p, r)
+        jacobian, _ = compiled.velocity(t, np.concatenate((closed, np.zeros(compiled.n_x - compiled.n_q))), p, r)
         if np.isfinite(jacobian).all():
             ranks.append(int(np.linalg.matrix_rank(jacobian / row_sizes(jacobian), rtol=INDEPENDENT)))
     if min(ranks, default=0) > compiled.manifest["n_dependent_speeds"]:
@@ -263,7 +273,7 @@ def _check_rank(e: Equations, compiled: Kernel, generator: random.Random) -> Non
 
 def _velocities(compiled: Kernel, t: float, x: Floats, p: Floats, r: Floats) -> Floats:
     jacobian, bias = compiled.velocity(t, x, p, r)
-    return jacobian @ x[compiled.n_q :] + bias
+    return jacobian @ x[compiled.n_q : compiled.n_q + compiled.n_u] + bias
 
 
 def _expect(model: str, identity: str, left: Floats, right: Floats) -> None:

@@ -212,7 +212,7 @@ def calls_of(name: str) -> dict[str, Call]:
     change = x0[model.n_q :]
     calls.add("coordinate_change", model.coordinate_change, **state, change=change, **values, may_be_nan=True)
     held = {"accelerations": acceleration, "multipliers": multipliers}
-    for function in ("outputs_for", "sensitivities"):
+    for function in ("outputs_for", "sensitivities", "state_rates_for", "state_rate_sensitivity"):
         calls.add(function, getattr(model, function), **state, **held, **values, may_be_nan=True)
     calls.add("default_inputs", model.default_inputs, t=0.3, p=p, may_be_nan=True)
     calls.add("parameter_vector", model.parameter_vector, p=p)

@@ -23,7 +23,8 @@ class Drawn:
     """A System of 1 to 3 bodies, the numbers of its symbols, and the sources of its inputs.
 
     Bodies hang on each other by pins, sliders and ball joints, with springs, dampers and forces of time. Constraints
-    hold a point on a surface or a velocity to zero, or prescribe the motion of a coordinate.
+    hold a point on a surface or a velocity to zero, or prescribe the motion of a coordinate. States with equations of
+    their own drive forces.
     """
 
     def __init__(self, generator: np.random.Generator) -> None:
@@ -41,6 +42,9 @@ class Drawn:
         for number in range(generator.integers(0, 3)):
             self.load(number)
         self.constrain([self.constraint(number) for number in range(generator.integers(0, 4))])
+        self.state_equations = self.states(generator.integers(1, 4)) if generator.random() < 0.5 else {}
+        self.variables = [*self.system.q, *self.system.u, *self.state_equations]
+        self.state = np.append(self.state, generator.normal(size=len(self.state_equations)))
 
     def symbol(self, name: str) -> sm.Symbol:
         """A parameter, with a number around 1."""
@@ -115,6 +119,21 @@ class Drawn:
         coordinate = self.system.q[self.generator.integers(len(self.system.q))]
         return "prescribed", coordinate - motion
 
+    def states(self, count: int) -> dict[sm.Expr, sm.Expr]:
+        """As many that drive forces, with rates of all that may stand there."""
+        found = [sm.Function(f"e{number}")(t) for number in range(count)]
+        equations = {}
+        for number, state in enumerate(found):
+            body = self.bodies[self.generator.integers(1, len(self.bodies))]
+            self.system.add_loads(me.Force(body.masscenter, state * self.vector(body.frame, f"g{number}")))
+            coordinate, speed = (self.generator.choice(list(group)) for group in (self.system.q, self.system.u))
+            rate = sm.sin(coordinate) * found[0] - self.symbol(f"h{number}") * state + sm.cos(t) * speed
+            if self.generator.random() < 0.5:
+                rate += self.symbol(f"a{number}_") * self.generator.choice(list(self.system.u)).diff(t)
+            equations[state] = rate
+        self.told.append(f"{count} states")
+        return equations
+
     def numbers(self, state: np.ndarray, time: float) -> dict[Any, float]:
         """All symbols' numbers at a state: rates first, so that they are found before what they are rates of."""
         numbers: dict[Any, float] = {}
@@ -122,12 +141,13 @@ class Drawn:
             for order in (2, 1, 0):
                 rate = expression.diff(t, order).subs(self.values).subs(t, time)
                 numbers[motion.diff(t, order) if order else motion] = float(rate)
-        return {**numbers, **dict(zip([*self.system.q, *self.system.u], state, strict=True)), **self.values, t: time}
+        return {**numbers, **dict(zip(self.variables, state, strict=True)), **self.values, t: time}
 
     def constrain(self, constraints: list[tuple[str, sm.Expr]]) -> None:
         """Adds those that are independent, and chooses well-conditioned dependent variables, at a state of its own."""
         system, generator = self.system, self.generator
         q, u = list(system.q), list(system.u)
+        self.variables = [*q, *u]
         self.state = generator.normal(size=len(q) + len(u))
         self.time = float(generator.uniform(0.0, 2.0))
         numbers = self.numbers(self.state, self.time)
@@ -191,13 +211,21 @@ class Reference:
         self.drawn, system = drawn, drawn.system
         system.form_eoms(constraint_solver="CRAMER")
         self.names = list(drawn.numbers(drawn.state, drawn.time))
-        matrices = [system.mass_matrix_full, system.forcing_full]
+        # z' = g + G u', below the matrices of q' and u'.
+        rates = sm.Matrix(list(drawn.state_equations.values()))
+        accelerations = sm.Matrix([speed.diff(t) for speed in system.u])
+        slopes = rates.jacobian(accelerations) if len(rates) else sm.zeros(0, len(accelerations))
+        n_q, n_z = len(system.q), len(rates)
+        lower = sm.zeros(n_z, n_q).row_join(-slopes).row_join(sm.eye(n_z))
+        mass_matrix = system.mass_matrix_full.row_join(sm.zeros(system.mass_matrix_full.rows, n_z)).col_join(lower)
+        rest = rates.xreplace(dict.fromkeys(accelerations, sm.S.Zero)) if n_z else sm.zeros(0, 1)
+        matrices = [mass_matrix, system.forcing_full.col_join(rest)]
         self.matrices = sm.lambdify([self.names], matrices, modules="mpmath", cse=True)
         self.in_double = sm.lambdify([self.names], matrices, modules="numpy", cse=True)
 
     def _numbers(self, state: Any, time: float) -> list[Any]:
         numbers = self.drawn.numbers(np.zeros(len(state)), time)
-        numbers.update(zip([*self.drawn.system.q, *self.drawn.system.u], state, strict=True))
+        numbers.update(zip(self.drawn.variables, state, strict=True))
         return [numbers[name] for name in self.names]
 
     def rounding(self, state: np.ndarray, time: float, generator: np.random.Generator) -> float:
@@ -227,7 +255,8 @@ def case(generator: np.random.Generator, say: Callable[[str], None]) -> None:
     drawn = Drawn(generator)
     say(", ".join(drawn.told))
     reference = Reference(drawn)
-    compiled = fb.compile_model(fb.Model(drawn.system, name="drawn", inputs=drawn.inputs))
+    model = fb.Model(drawn.system, name="drawn", inputs=drawn.inputs, state_equations=drawn.state_equations)
+    compiled = fb.compile_model(model)
     named = {symbol.name: number for symbol, number in drawn.values.items()}
     p = [named.get(name, 1.0) for name in compiled.parameters]  # the ground's mass is anything
     for number in range(3):

@@ -48,53 +48,61 @@ def equilibrium(
         raise ModelError(
             "An equilibrium is searched with inputs that are numbers, tables or expressions, not callables."
         )
-    defaults = {**dict.fromkeys(model.coordinates, 0.0), **model.manifest["initial"]}
-    start = named_array(guess, model.coordinates, {n: defaults[n] for n in model.coordinates}, "coordinate")
+    names, n_q, last = (*model.coordinates, *model.auxiliary_states), model.n_q, model.n_q + model.n_u
+    defaults = {**dict.fromkeys(names, 0.0), **model.manifest["initial"]}
+    start = named_array(guess, names, {n: defaults[n] for n in names}, "coordinate or auxiliary state")
     p = model.parameter_vector(parameters)
     r = bind(model, p, inputs).input_values(t, np.zeros(model.n_x))
 
-    def at_rest(q: Floats) -> Floats:
-        return np.concatenate((q, np.zeros(model.n_u)))
+    def at_rest(unknown: Floats) -> Floats:
+        return np.concatenate((unknown[:n_q], np.zeros(model.n_u), unknown[n_q:]))
 
-    def evaluated(q: Floats) -> Floats:
-        x = at_rest(q)
-        rates, accelerations = np.split(model.rhs(t, x, p, r), [model.n_q])
-        loops, velocities = model.position_constraints(t, q, p, r) / size, model.velocity_constraints(t, x, p, r)
-        return np.concatenate((loops, velocities, rates, weights @ accelerations))
+    def evaluated(unknown: Floats) -> Floats:
+        x = at_rest(unknown)
+        rates, accelerations, state_rates = np.split(model.rhs(t, x, p, r), [n_q, last])
+        loops, velocities = model.position_constraints(t, x[:n_q], p, r) / size, model.velocity_constraints(t, x, p, r)
+        return np.concatenate((loops, velocities, rates, weights @ accelerations, state_rates))
 
-    def residual(q: Floats) -> Floats:
+    def residual(unknown: Floats) -> Floats:
         try:
-            return evaluated(q)
+            return evaluated(unknown)
         except SimulationError:  # the search takes a shorter step
             return np.full(model.n_h + model.n_c + model.n_x, np.inf)
 
-    def slopes(q: Floats) -> Floats:
-        x = at_rest(q)
-        rates, accelerations = np.split(model.jacobian(t, x, p, r)[:, : model.n_q], [model.n_q])
-        loops = model.position(t, q, p, r)[1] / size[:, np.newaxis]
-        return np.vstack((loops, model.constraint_sensitivity(t, x, p, r)[0], rates, weights @ accelerations))
+    def slopes(unknown: Floats) -> Floats:
+        x = at_rest(unknown)
+        by_state = np.delete(model.jacobian(t, x, p, r), slice(n_q, last), axis=1)
+        rates, accelerations, state_rates = np.split(by_state, [n_q, last])
+        constraints = np.vstack(
+            (
+                model.position(t, x[:n_q], p, r)[1] / size[:, np.newaxis],
+                model.constraint_sensitivity(t, x, p, r)[0],
+            )
+        )
+        constraints = np.hstack((constraints, np.zeros((len(constraints), model.n_z))))
+        return np.vstack((constraints, rates, weights @ accelerations, state_rates))
 
     begin = start
     if model.n_h and model.manifest["n_dependent_speeds"] < model.n_c:
         # Away from closed loops, redundant constraints are independent, and the equations have no solution.
         n_qi = model.n_q - model.manifest["n_dependent_coordinates"]
         loops = Loops(model, t, start[:n_qi], p, r)
-        dependent = loops.search(start[n_qi:])
-        begin = start if dependent is None else loops.coordinates(dependent)
+        dependent = loops.search(start[n_qi:n_q])
+        begin = start if dependent is None else np.concatenate((loops.coordinates(dependent), start[n_q:]))
     # In units that a change of those of length, mass and time leaves alone: loops by their terms, accelerations in the
     # metric of the mass matrix, by what they are where the search begins.
     size, *_ = model.constraint_scale(t, at_rest(begin), p, r)
     size[~(size > 0.0)] = 1.0
     masses, axes = np.linalg.eigh(model.tree_mass_matrix(t, at_rest(begin), p))
     weights = np.sqrt(np.maximum(masses, LIGHT * masses.max(initial=0.0)))[:, np.newaxis] * axes.T
-    weights /= np.linalg.norm(weights @ model.rhs(t, at_rest(begin), p, r)[model.n_q :]) or 1.0
+    weights /= np.linalg.norm(weights @ model.rhs(t, at_rest(begin), p, r)[n_q:last]) or 1.0
     found = least_squares(residual, begin, jac=slopes, x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15).x
     errors, scales = np.abs(residual(found)), np.abs(slopes(found)) @ np.abs(found)
     if not (errors <= COORDINATE_TOLERANCE * np.maximum(scales, 1.0)).all():
-        names = ", ".join(f"{name} = {value:.6g}" for name, value in zip(model.coordinates, found, strict=True))
+        ended = ", ".join(f"{name} = {value:.6g}" for name, value in zip(names, found, strict=True))
         raise SimulationError(
-            f"No equilibrium was found from the guess {start.tolist()}: the search ended at {names}, where up to "
-            f"{errors.max():.3g} is left of what constraints and accelerations are measured by. Give another guess, or "
+            f"No equilibrium was found from the guess {start.tolist()}: the search ended at {ended}, where up to "
+            f"{errors.max():.3g} is left of what constraints and rates are measured by. Give another guess, or "
             "inputs that hold the mechanism."
         )
     return at_rest(found)

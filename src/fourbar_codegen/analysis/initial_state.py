@@ -51,12 +51,13 @@ def initial_state(
     bounds: Mapping[Any, tuple[float, float]] | None = None,
     parameters: Values | None,
     inputs: Mapping[Any, InputSource] | None,
+    auxiliary_states: Values | None = None,
 ) -> Floats:
     """A state that satisfies all constraints; see `CompiledModel.initial_state`."""
     loops, u_i, start = _given(model, coordinates, speeds, t, guess, parameters, inputs)
     limits = _limits(bounds, model.coordinates[len(loops.q_i) :])
     q = loops.coordinates(_close(loops, start, guess is not None, limits) if model.n_h else start)
-    return np.concatenate((q, _dependent_speeds(loops, q, u_i)))
+    return np.concatenate((q, _dependent_speeds(loops, q, u_i), auxiliary_values(model, auxiliary_states)))
 
 
 def initial_states(
@@ -67,6 +68,7 @@ def initial_states(
     t: float,
     parameters: Values | None,
     inputs: Mapping[Any, InputSource] | None,
+    auxiliary_states: Values | None = None,
 ) -> AssemblyModes:
     """All states with these independent values; see `CompiledModel.initial_states`."""
     from fourbar_codegen.analysis.assembly_modes import AssemblyModes, closed_coordinates
@@ -74,6 +76,7 @@ def initial_states(
     loops, u_i, start = _given(model, coordinates, speeds, t, None, parameters, inputs)
     with Progress(f"{model.name}: ways to close the loops") as progress:
         found, is_complete = closed_coordinates(loops, start, progress) if model.n_h else ([start], True)
+    z = auxiliary_values(model, auxiliary_states)
     states = []
     for dependent in found:
         q = loops.coordinates(dependent)
@@ -81,8 +84,13 @@ def initial_states(
             u = _dependent_speeds(loops, q, u_i)
         except UndeterminedSpeedsError:
             u = np.concatenate((u_i, np.full(model.n_u - len(u_i), np.nan)))
-        states.append(np.concatenate((q, u)))
+        states.append(np.concatenate((q, u, z)))
     return AssemblyModes(model, loops.t, np.reshape(states, (len(states), model.n_x)), is_complete, loops.p, loops.r)
+
+
+def auxiliary_values(model: Kernel, given: Values | None) -> Floats:
+    """Values of the auxiliary states: as given, or the model's initial ones."""
+    return named_array(given, model.auxiliary_states, model.manifest["initial"], "auxiliary state")
 
 
 def _given(
@@ -201,7 +209,7 @@ def _undetermined(loops: Loops, q: Floats, u_i: Floats) -> UndeterminedSpeedsErr
 def _speeds_at(loops: Loops, q: Floats, u_i: Floats) -> tuple[Floats, float]:
     """All speeds at a position, and the size of the smallest column of J_d, with rows in units of their largest."""
     model, n_i = loops.model, len(u_i)
-    jacobian, bias = model.velocity(loops.t, np.concatenate((q, np.zeros(model.n_u))), loops.p, loops.r)
+    jacobian, bias = model.velocity(loops.t, np.concatenate((q, np.zeros(model.n_x - model.n_q))), loops.p, loops.r)
     if not model.n_c:
         return u_i, 1.0
     size = row_sizes(jacobian)

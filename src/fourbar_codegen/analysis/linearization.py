@@ -23,22 +23,23 @@ def linearize(model: Kernel, t: float, x: ArrayLike, p: Values | None, r: Values
     t, state = finite_number(t, "t"), named_array(x, model.states, {}, "state")
     n_q, n_r = model.n_q, model.n_r
     n_qi = n_q - model.manifest["n_dependent_coordinates"]
-    n_ui = model.n_u - model.manifest["n_dependent_speeds"]
+    n_ui, n_z = model.n_u - model.manifest["n_dependent_speeds"], model.n_z
     _check_constraints(model, t, state, p, r)
     # Phi_q dq + Phi_r dr = 0 and J du + d(J u + b)/dq dq + d(J u + b)/dr dr = 0 give all coordinates and speeds in
-    # terms of the independent ones and the inputs. Each array has a column for every entry of dq_i, du_i and dr.
+    # terms of the independent ones and the inputs. Each array has a column for every entry of dq_i, du_i, dz and dr.
     velocity_by_q, position_by_r, velocity_by_r = model.constraint_sensitivity(t, state, p, r)
     position_by_q = model.position(t, state[:n_q], p, r)[1]
-    free = np.eye(n_qi + n_ui + n_r)
-    dq_i, du_i, dr = np.split(free, [n_qi, n_qi + n_ui])
+    n_i = n_qi + n_ui + n_z
+    free = np.eye(n_i + n_r)
+    dq_i, du_i, dz, dr = np.split(free, [n_qi, n_qi + n_ui, n_i])
     known = position_by_q[:, :n_qi] @ dq_i + position_by_r @ dr
     dq = np.vstack((dq_i, eliminate(np.hstack((known, position_by_q[:, n_qi:])), len(free), model.coordinates[n_qi:])))
     constraints, _ = model.velocity(t, state, p, r)
     known = constraints[:, :n_ui] @ du_i + velocity_by_q @ dq + velocity_by_r @ dr
     du = np.vstack((du_i, eliminate(np.hstack((known, constraints[:, n_ui:])), len(free), model.speeds[n_ui:])))
-    rates = model.jacobian(t, state, p, r) @ np.vstack((dq, du)) + model.input_jacobian(t, state, p, r) @ dr
-    independent = rates[[*range(n_qi), *range(n_q, n_q + n_ui)]]
-    return independent[:, : n_qi + n_ui], independent[:, n_qi + n_ui :]
+    rates = model.jacobian(t, state, p, r) @ np.vstack((dq, du, dz)) + model.input_jacobian(t, state, p, r) @ dr
+    independent = rates[[*range(n_qi), *range(n_q, n_q + n_ui), *range(n_q + model.n_u, model.n_x)]]
+    return independent[:, :n_i], independent[:, n_i:]
 
 
 def _check_constraints(model: Kernel, t: float, x: Floats, p: Values | None, r: Values | None) -> None:

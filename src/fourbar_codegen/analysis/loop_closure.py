@@ -90,7 +90,7 @@ class Loops:
 
     def scale(self, q: Floats) -> Floats:
         """What each constraint's terms amount to, by which violations are measured, shape (n_h,)."""
-        at_rest = np.zeros(self.model.n_u)
+        at_rest = np.zeros(self.model.n_x - self.model.n_q)
         scale: Floats = self.model.constraint_scale(self.t, np.concatenate((q, at_rest)), self.p, self.r)[0]
         return scale
 

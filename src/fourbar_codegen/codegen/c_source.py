@@ -43,7 +43,7 @@ def kernel_text(scheduled: Schedule, names: Mapping[str, Sequence[str]]) -> str:
     ----------
     scheduled : Schedule
     names : mapping of str to sequence of str
-        What the model calls its `coordinates`, `speeds`, `parameters`, `inputs` and `outputs`.
+        What the model calls its `coordinates`, `speeds`, `auxiliary_states`, `parameters`, `inputs` and `outputs`.
 
     Returns
     -------
@@ -64,7 +64,13 @@ def kernel_text(scheduled: Schedule, names: Mapping[str, Sequence[str]]) -> str:
         for both in (True, False)
     )
     others += '\n\n#include "fourbar_model.h"'
-    short = "#define FB_SHORT\n" if scheduled.is_short else ""
+    macros = "#define FB_SHORT\n" if scheduled.is_short else ""
+    if sizes.n_z:
+        macros += f"#define N_Z {sizes.n_z}\n"
+    if program.states_need_solution:
+        macros += "#define FB_STATES_NEED_SOLUTION\n"
+    if program.states_need_multipliers:
+        macros += "#define FB_STATES_NEED_MULTIPLIERS\n"
     tables = _position_rows_text(program.position_rows)
     tables += _structure_text(program.structure) or _pivot_order_text(program.pivot_order)
     note, batch_functions = "", f"\n#define FB_TABLE(name) {program.name}_##name"
@@ -86,7 +92,7 @@ def kernel_text(scheduled: Schedule, names: Mapping[str, Sequence[str]]) -> str:
  * The functions below evaluate straight-line code; fourbar_model.h, included at the end, solves the
  * equations that they set up. Matrices are stored row by row.{note}
  */
-{short}#include "{program.name}_kernel.h"
+{macros}#include "{program.name}_kernel.h"
 #include "fourbar_angle.h"
 
 #include <math.h>
@@ -276,7 +282,7 @@ extern const fb_derivatives {program.name}_derivatives;{more}
 
 def _layout_comment(names: Mapping[str, Sequence[str]]) -> str:
     rows = (
-        ("x", "state", (*names["coordinates"], *names["speeds"])),
+        ("x", "state", (*names["coordinates"], *names["speeds"], *names["auxiliary_states"])),
         ("p", "parameters", names["parameters"]),
         ("r", "inputs", names["inputs"]),
         ("outputs", "", names["outputs"]),

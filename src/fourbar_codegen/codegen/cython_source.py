@@ -36,7 +36,7 @@ cdef extern from "{name}_kernel.h":
     int FB_OK
     ctypedef struct fb_kernel:
         size_t work_size
-        int n_q, n_u, n_p, n_r, n_constants
+        int n_x, n_p, n_r, n_constants
         void (*prepare)(const double *, double *)
         int (*rhs)(double, const double *, const double *, const double *, double *, void *)
     const fb_kernel *fb_fastest(const fb_kernel *)
@@ -60,7 +60,7 @@ cdef cnp.ndarray _vector(values, int size, name):
 def rhs(double t, x, p, r):
     """Rates x' of the state x at time t, for parameters p and inputs r; all in the manifest's order."""
     cdef const fb_kernel *k = fastest
-    cdef cnp.npy_intp n_x = k.n_q + k.n_u
+    cdef cnp.npy_intp n_x = k.n_x
     cdef cnp.ndarray state = _vector(x, n_x, "x")
     cdef cnp.ndarray parameters = _vector(p, k.n_p, "p")
     cdef cnp.ndarray inputs = _vector(r, k.n_r, "r")

@@ -12,7 +12,7 @@ from fourbar_codegen.modeling.model import Model
 
 __all__ = ["manifest_of", "manifest_text", "operations_of"]
 
-MANIFEST_FORMAT = 7
+MANIFEST_FORMAT = 8
 
 
 def manifest_of(
@@ -26,7 +26,7 @@ def manifest_of(
     equations : Equations
     program : Program
     names : mapping of str to sequence of str
-        The model's `coordinates`, `speeds`, `parameters`, `inputs` and `outputs`, as compiled.
+        The model's `coordinates`, `speeds`, `auxiliary_states`, `parameters`, `inputs` and `outputs`, as compiled.
     fingerprint : str
         Of all that the model's equations depend on.
 
@@ -45,6 +45,7 @@ def manifest_of(
         "fingerprint": fingerprint,
         "coordinates": list(names["coordinates"]),
         "speeds": list(names["speeds"]),
+        "auxiliary_states": list(names["auxiliary_states"]),
         "n_dependent_coordinates": model.mechanism.n_dependent_coordinates,
         "n_dependent_speeds": model.mechanism.n_dependent_speeds,
         "parameters": [

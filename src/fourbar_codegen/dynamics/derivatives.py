@@ -24,8 +24,10 @@ class Derivatives:
     coordinate_rate_jacobian, coordinate_rate_parameter_jacobian, coordinate_rate_input_jacobian : Result
         Derivatives of q' with respect to x, p and r, (n_q, n_x), (n_q, n_p) and (n_q, n_r).
     residual_jacobian, residual_parameter_jacobian, residual_input_jacobian : Result
-        Derivatives of (f - M u' + J^T lambda, -(J u' + gamma)) at fixed u' and lambda, (n_u + n_c, n_x),
-        (n_u + n_c, n_p) and (n_u + n_c, n_r).
+        Derivatives of (f - M u' + J^T lambda, -(J u' + gamma), z') at fixed u' and lambda, (n_u + n_c + n_z, n_x),
+        (n_u + n_c + n_z, n_p) and (n_u + n_c + n_z, n_r).
+    state_rate_acceleration_jacobian, state_rate_multiplier_jacobian : Result
+        Derivatives of z' with respect to u' and lambda, (n_z, n_u) and (n_z, n_c).
     default_input_jacobian : Result
         Derivatives of the inputs' expressions with respect to p, (n_r, n_p); zero where there is none.
     velocity_jacobian, velocity_input_jacobian : Result
@@ -40,6 +42,8 @@ class Derivatives:
     residual_jacobian: Result
     residual_parameter_jacobian: Result
     residual_input_jacobian: Result
+    state_rate_acceleration_jacobian: Result
+    state_rate_multiplier_jacobian: Result
     default_input_jacobian: Result
     velocity_jacobian: Result
     velocity_input_jacobian: Result
@@ -65,7 +69,7 @@ def form_derivatives(equations: Equations) -> Derivatives:
     (5, 6)
     """
     e = equations
-    state = (*e.coordinates, *e.speeds)
+    state = (*e.coordinates, *e.speeds, *e.auxiliary_states)
 
     def backwards(name: str, of: Result, variables: Sequence[Scalar]) -> Result:
         return matrix(name, jacobian(e.tape, of.entries, variables), len(variables))
@@ -78,6 +82,8 @@ def form_derivatives(equations: Equations) -> Derivatives:
             key = f"{name}{kind}_jacobian"
             formed[key] = matrix(key, [[d(row) for d in directions] for row in of.entries], len(variables))
     return Derivatives(
+        state_rate_acceleration_jacobian=backwards("state_rate_acceleration_jacobian", e.state_rates, e.accelerations),
+        state_rate_multiplier_jacobian=backwards("state_rate_multiplier_jacobian", e.state_rates, e.multipliers),
         default_input_jacobian=backwards("default_input_jacobian", e.default_inputs, e.parameters),
         velocity_jacobian=backwards("velocity_jacobian", e.velocity_violation, e.coordinates),
         velocity_input_jacobian=backwards("velocity_input_jacobian", e.velocity_violation, e.inputs),

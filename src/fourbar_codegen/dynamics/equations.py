@@ -58,13 +58,13 @@ class Equations:
     ----------
     tape : Tape
     time : Scalar
-    coordinates, speeds, parameters, inputs : tuple of Scalar
+    coordinates, speeds, auxiliary_states, parameters, inputs : tuple of Scalar
         The leaves, in the order of the state and argument arrays. Of the parameters, those that the model
         names or the equations need; of the inputs' rates, those of inputs that prescribe a motion.
     moving : tuple of int
         The inputs that positions, velocities or constraints depend on.
     accelerations : tuple of Scalar
-        Leaves that stand for u' in `residual`.
+        Leaves that stand for u' in `residual`, `state_rates` and `outputs`.
     multipliers : tuple of Scalar
         Leaves that stand for the constraints' multipliers there.
     n_dependent_speeds : int
@@ -83,6 +83,8 @@ class Equations:
         How many of these, which come first, are of positions or velocities.
     outputs : Result
         The outputs, (n_o,), for u' and multipliers in `accelerations` and `multipliers`.
+    state_rates : Result
+        z', (n_z,), likewise.
     coordinate_rates : Result
         q', (n_q,).
     mass_matrix, forcing : Result
@@ -121,14 +123,15 @@ class Equations:
     warnings : tuple of str
         Where kinematics contradict themselves.
     residual : Result
-        (f - M u' + J^T lambda, -(J u' + gamma)) for u' and multipliers in `accelerations` and `multipliers`,
-        (n_u + n_c,), to be differentiated.
+        (f - M u' + J^T lambda, -(J u' + gamma), z') for u' and multipliers in `accelerations` and `multipliers`,
+        (n_u + n_c + n_z,), to be differentiated.
     """
 
     tape: Tape
     time: Scalar
     coordinates: tuple[Scalar, ...]
     speeds: tuple[Scalar, ...]
+    auxiliary_states: tuple[Scalar, ...]
     parameters: tuple[Scalar, ...]
     inputs: tuple[Scalar, ...]
     moving: tuple[int, ...]
@@ -142,6 +145,7 @@ class Equations:
     breakpoints: Result
     n_jumps: int
     outputs: Result
+    state_rates: Result
     coordinate_rates: Result
     mass_matrix: Result
     forcing: Result
@@ -244,7 +248,10 @@ def form_equations(model: Model) -> Equations:
     leaves.update(zip((speed.diff(mechanism.time) for speed in mechanism.speeds), v.a, strict=True))
     leaves.update({multiplier(number): symbol for number, symbol in enumerate(lam, start=1)})
     convert = Conversion(tape, leaves)
-    changing = (v.time, *v.q, *v.u, *v.r, *v.a, *lam, *v.unknown)
+    state_rates = [convert(expr) for expr in model.state_equations.values()]
+    leaves.update(zip((z.diff(mechanism.time) for z in model.state_equations), state_rates, strict=True))
+    convert = Conversion(tape, leaves)
+    changing = (v.time, *v.q, *v.u, *v.z, *v.r, *v.a, *lam, *v.unknown)
     values = _values(model, v)
     states = partial(RandomStates, tape, constraints, values, more=not_orthonormal)
     if model.potential_energy is not None:
@@ -270,6 +277,7 @@ def form_equations(model: Model) -> Equations:
     applied = applied_forces(tape, mechanism, kinematics, numbers, v.r, (*v.aux, *v.unknown))
     results = [
         _vector("outputs", [*forces, *(convert(expr) for expr in model.output_expressions.values())]),
+        _vector("state_rates", state_rates),
         _vector("coordinate_rates", q_rates),
         matrix("mass_matrix", mass_matrix, n_u),
         _vector("forcing", forcing),
@@ -289,7 +297,7 @@ def form_equations(model: Model) -> Equations:
         _vector("power", substitute(tape, [kane.power()], no_unknown)),
         matrix("points", points, 3),
         matrix("forces", list(applied.values()), 3),
-        _vector("residual", (*dynamic[:n_u], *kinematic)),
+        _vector("residual", (*dynamic[:n_u], *kinematic, *state_rates)),
     ]
     entries = [*chain.from_iterable(result.entries for result in results)]
     closing = (*constraints.positions, *constraints.velocities)
@@ -310,7 +318,7 @@ def form_equations(model: Model) -> Equations:
             "at times that cannot be read off, and its rate may jump there: its conditions may be linear or quadratic "
             f"in {mechanism.time}, with coefficients of parameters, or a table may be given for it."
         )
-    others, _ = breakpoints(tape, v.time, [*dynamic[:n_u], *kinematic, *q_rates, *defaults])
+    others, _ = breakpoints(tape, v.time, [*dynamic[:n_u], *kinematic, *state_rates, *q_rates, *defaults])
     times = dict.fromkeys([*jumps, *others])
     reached = set(tape.reach(entries))
     needed = tuple(
@@ -323,6 +331,7 @@ def form_equations(model: Model) -> Equations:
         time=v.time,
         coordinates=v.q,
         speeds=v.u,
+        auxiliary_states=v.z,
         parameters=needed,
         inputs=tuple(inputs),
         moving=tuple(place for place, leaf in enumerate(inputs) if leaf.node in moved),
@@ -346,11 +355,12 @@ def form_equations(model: Model) -> Equations:
 
 @dataclass(frozen=True)
 class _Variables:
-    """The leaves of the tape: time, coordinates, speeds, parameters, inputs, u', auxiliary speeds, unknown forces."""
+    """The leaves of the tape: time, q, u, z, parameters, inputs, u', auxiliary speeds, unknown forces."""
 
     time: Scalar
     q: tuple[Scalar, ...]
     u: tuple[Scalar, ...]
+    z: tuple[Scalar, ...]
     p: tuple[Scalar, ...]
     r: tuple[Scalar, ...]
     a: tuple[Scalar, ...]
@@ -363,6 +373,7 @@ def _variables(tape: Tape, model: Model) -> _Variables:
         time=tape.leaf("t", ""),
         q=tuple(tape.leaf("q", name) for name in model.coordinates),
         u=tuple(tape.leaf("u", name) for name in model.speeds),
+        z=tuple(tape.leaf("z", name) for name in model.auxiliary_states),
         p=tuple(tape.leaf("p", name) for name in model.parameters),
         r=tuple(tape.leaf("r", name) for name in model.inputs),
         a=tuple(tape.leaf("a", name) for name in model.speeds),
@@ -377,6 +388,7 @@ def _leaves(tape: Tape, model: Model, v: _Variables) -> dict[sm.Basic, Scalar]:
     leaves: dict[sm.Basic, Scalar] = {mechanism.time: v.time}
     leaves.update(zip(mechanism.coordinates, v.q, strict=True))
     leaves.update(zip(mechanism.speeds, v.u, strict=True))
+    leaves.update(zip(model.state_equations, v.z, strict=True))
     leaves.update(dict.fromkeys(mechanism.auxiliary_speeds, tape.zero))
     leaves.update(zip(model.parameter_symbols, v.p, strict=True))
     for symbol, expr in model.derived_parameters.items():

@@ -69,11 +69,11 @@ def compare_derivatives(model: Evaluator) -> None:
 
 
 def _compare_at(model: Evaluator, t: float, x: Floats, p: Floats, r: Floats) -> bool:
-    n_q = model.n_q
+    n_q, n_u = model.n_q, model.n_u
 
     def velocities(x: Floats, r: Floats) -> Floats:
         jacobian, bias = model.velocity(t, x, p, r)
-        return jacobian @ x[n_q:] + bias
+        return jacobian @ x[n_q : n_q + n_u] + bias
 
     def at(q: Floats) -> Floats:
         return np.concatenate((q, x[n_q:]))

@@ -66,7 +66,7 @@ def consistent(ode: Ode, t: float, x0: Floats) -> Floats:
     status, x = ode.closest(t, x0)
     if status == OK and largest_difference(x, x0) <= FLOOR:
         return x
-    if status == NOT_CLOSED or not is_rounded(ode.n_q, x0, x):
+    if status == NOT_CLOSED or not is_rounded(ode.n_q, ode.n_u, x0, x):
         raise ModelError(
             f"The state x0 = {np.array2string(x0, precision=6, separator=', ')} violates the constraints: "
             + (f"the nearest one that does not differs by {np.abs(x - x0).max():.2g}. " if status == OK else "")
@@ -78,14 +78,14 @@ def consistent(ode: Ode, t: float, x0: Floats) -> Floats:
     return x
 
 
-def is_rounded(n_q: int, x0: Floats, x: Floats) -> Any:
+def is_rounded(n_q: int, n_u: int, x0: Floats, x: Floats) -> Any:
     """Whether states, or each of those in rows, differ from consistent ones by no more than rounding to four digits."""
     moved = np.abs(x - x0)
     if (moved <= FLOOR).all():
         return np.ones(x0.shape[:-1], dtype=bool)[()]
     # Of angles, whole turns say nothing; of what is small as a whole, small changes are large.
     size = np.empty_like(x0)
-    for part in (slice(None, n_q), slice(n_q, None)):
+    for part in (slice(None, n_q), slice(n_q, n_q + n_u), slice(n_q + n_u, None)):
         size[..., part] = np.minimum(1.0, np.abs(x0[..., part]).max(axis=-1, keepdims=True, initial=0.0))
     size[..., n_q:] = np.maximum(size[..., n_q:], np.abs(x0[..., n_q:]))
     return (moved <= CONSISTENT * size + FLOOR).all(axis=-1)

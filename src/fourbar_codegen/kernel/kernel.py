@@ -37,7 +37,7 @@ Floats = NDArray[np.float64]
 class Kernel(Evaluator):
     """A mechanism's equations of motion, compiled, and what they are evaluated with.
 
-    Arguments stand in the order (t, x, p, r): time, state x = [q; u], parameters, inputs. Parameters and inputs are
+    Arguments stand in the order (t, x, p, r): time, state x = [q; u; z], parameters, inputs. Parameters and inputs are
     arrays in order, or mappings from names or SymPy symbols that may leave out what has a default.
 
     Its attributes are those of `fourbar_codegen.CompiledModel`.
@@ -49,7 +49,8 @@ class Kernel(Evaluator):
         self.name: str = manifest["name"]
         self.coordinates: tuple[str, ...] = tuple(manifest["coordinates"])
         self.speeds: tuple[str, ...] = tuple(manifest["speeds"])
-        self.states = (*self.coordinates, *self.speeds)
+        self.auxiliary_states: tuple[str, ...] = tuple(manifest["auxiliary_states"])
+        self.states = (*self.coordinates, *self.speeds, *self.auxiliary_states)
         self.parameters: tuple[str, ...] = tuple(entry["name"] for entry in manifest["parameters"])
         self.inputs: tuple[str, ...] = tuple(entry["name"] for entry in manifest["inputs"])
         self.outputs: tuple[str, ...] = tuple(manifest["outputs"])
@@ -165,9 +166,11 @@ class Kernel(Evaluator):
             attach(self, load_part(self.name, part, sources, check))
 
     def __repr__(self) -> str:
+        auxiliary = ", ".join(self.auxiliary_states)
         return (
             f"<{type(self).__name__} {self.name}: coordinates {', '.join(self.coordinates)}; "
             f"speeds {', '.join(self.speeds)}; "
+            f"{f'auxiliary states {auxiliary}; ' if auxiliary else ''}"
             f"parameters {', '.join(self.parameters) or 'none'}; inputs {', '.join(self.inputs) or 'none'}>"
         )
 
@@ -348,7 +351,7 @@ class Kernel(Evaluator):
         [-0.084, -0.625, 0.0]
         """
         coordinates = named_array(q, self.coordinates, {}, "coordinate")
-        positions, _ = self.drawing(t, np.concatenate((coordinates, np.zeros(self.n_u))), p, r)
+        positions, _ = self.drawing(t, np.concatenate((coordinates, np.zeros(self.n_x - self.n_q))), p, r)
         return dict(zip(self.points, positions, strict=True))
 
     def velocity_constraints(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
@@ -367,7 +370,7 @@ class Kernel(Evaluator):
         True
         """
         jacobian, bias = self.velocity(t, x, p, r)
-        residual: Floats = jacobian @ np.asarray(x, dtype=float)[self.n_q :] + bias
+        residual: Floats = jacobian @ np.asarray(x, dtype=float)[self.n_q : self.n_q + self.n_u] + bias
         return self._finite(residual, t, x)
 
     def constraint_jacobian(self, t: float, q: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
@@ -387,7 +390,9 @@ class Kernel(Evaluator):
         [[0.0, 0.0, 0.0], [2.2, 1.7, 0.7]]
         """
         coordinates = named_array(q, self.coordinates, {}, "coordinate")
-        return self._finite(self.velocity(t, np.concatenate((coordinates, np.zeros(self.n_u))), p, r)[0], t, q)
+        return self._finite(
+            self.velocity(t, np.concatenate((coordinates, np.zeros(self.n_x - self.n_q))), p, r)[0], t, q
+        )
 
     def multipliers(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
         """Multipliers lambda of M u' = f + J^T lambda, shape (n_c,).

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 
 from fourbar_codegen.dynamics.derivatives import Derivatives
 from fourbar_codegen.dynamics.equations import Equations
+from fourbar_codegen.errors import ModelError
 from fourbar_codegen.expressions.identities import rank as find_rank
 from fourbar_codegen.expressions.tape import ONE, Leaf, Result, Scalar, Tape, operands, operations_of
 from fourbar_codegen.lowering.angles import add_angles
@@ -42,6 +43,11 @@ def lower(name: str, equations: Equations) -> Program:
     Program
         With functions `prepare`, `default_inputs`, `dynamics`, and the others below.
 
+    Raises
+    ------
+    ModelError
+        If state equations contain multipliers that redundant constraints leave open.
+
     Examples
     --------
     >>> from fourbar_codegen.dynamics.equations import form_equations
@@ -51,11 +57,16 @@ def lower(name: str, equations: Equations) -> Program:
     """
     e = equations
     time = _array("t", (e.time,))
-    state = _array("x", (*e.coordinates, *e.speeds))
+    state = _array("x", (*e.coordinates, *e.speeds, *e.auxiliary_states))
     coordinates = _array("q", e.coordinates)
     inputs = _array("r", e.inputs)
     held = _held(e)
     rank = _rank(e)
+    states_need_multipliers = e.tape.depends(e.state_rates.entries, e.multipliers)
+    if states_need_multipliers and rank < len(e.velocity_bias.entries):
+        raise ModelError(
+            "State equations contain multipliers, which redundant constraints leave open: leave the redundant ones out."
+        )
     structure = _structure(e, rank)
     mass_matrix, constraint_jacobian = _entries(e, structure)
     specifications: list[_Specification] = [
@@ -113,12 +124,15 @@ def lower(name: str, equations: Equations) -> Program:
         ("energy", "Kinetic and potential energy.", [time, state], [inputs], [e.energies]),
         ("output", "The outputs, with u' and lambda given.", [time, state], [*held], [e.outputs]),
     ]
+    if e.auxiliary_states:
+        specifications.append(("state_rates", "z', with u' and lambda given.", [time, state], [*held], [e.state_rates]))
     pool = _Constants(e.tape, e.parameters)
     lowered = _lowered(e.tape, specifications, pool.is_constant)
     constants, prepare = pool.finish(lowered)
     sizes = Sizes(
         n_q=len(e.coordinates),
         n_u=len(e.speeds),
+        n_z=len(e.auxiliary_states),
         n_p=len(e.parameters),
         n_r=len(e.inputs),
         n_h=len(e.position_constraints.entries),
@@ -139,6 +153,8 @@ def lower(name: str, equations: Equations) -> Program:
         position_rows=e.position_rows,
         pivot_order=_pivot_order(e, rank, structure),
         structure=structure,
+        states_need_solution=e.tape.depends(e.state_rates.entries, (*e.accelerations, *e.multipliers)),
+        states_need_multipliers=states_need_multipliers,
     )
 
 
@@ -169,7 +185,13 @@ def lower_derivatives(program: Program, equations: Equations, derivatives: Deriv
     ['drawing', 'sensitivity']
     """
     e, d = equations, derivatives
-    time, state, inputs = _array("t", (e.time,)), _array("x", (*e.coordinates, *e.speeds)), _array("r", e.inputs)
+    time, inputs = _array("t", (e.time,)), _array("r", e.inputs)
+    state = _array("x", (*e.coordinates, *e.speeds, *e.auxiliary_states))
+    residual = (
+        "f - M u' + J^T lambda and -(J u' + gamma)"
+        if not e.auxiliary_states
+        else ("f - M u' + J^T lambda, -(J u' + gamma) and z'")
+    )
     held = _held(e)
     specifications: list[_Specification] = [
         (
@@ -181,7 +203,7 @@ def lower_derivatives(program: Program, equations: Equations, derivatives: Deriv
         ),
         (
             "sensitivity",
-            "d/dx of q', and of f - M u' + J^T lambda and -(J u' + gamma) with u' and lambda held.",
+            f"d/dx of q', and of {residual} with u' and lambda held.",
             [time, state],
             held,
             [d.coordinate_rate_jacobian, d.residual_jacobian],
@@ -215,6 +237,16 @@ def lower_derivatives(program: Program, equations: Equations, derivatives: Deriv
             [d.velocity_jacobian, d.position_input_jacobian, d.velocity_input_jacobian],
         ),
     ]
+    if e.auxiliary_states:
+        specifications.append(
+            (
+                "state_rate_sensitivity",
+                "d/du' and d/dlambda of z'.",
+                [time, state],
+                [*held],
+                [d.state_rate_acceleration_jacobian, d.state_rate_multiplier_jacobian],
+            )
+        )
     known = {ONE, *program.constants.nodes}
     lowered = _lowered(e.tape, specifications, known.__contains__)
     return _functions(e.tape, specifications, lowered, program.constants)

@@ -172,8 +172,8 @@ class Sizes:
 
     Attributes
     ----------
-    n_q, n_u, n_p, n_r : int
-        Coordinates, speeds, parameters, inputs.
+    n_q, n_u, n_z, n_p, n_r : int
+        Coordinates, speeds, auxiliary states, parameters, inputs.
     n_h, n_c, n_i, n_o : int
         Position constraints; velocity constraints; position constraints that no speed changes; outputs.
     n_points, n_forces : int
@@ -188,6 +188,7 @@ class Sizes:
 
     n_q: int
     n_u: int
+    n_z: int
     n_p: int
     n_r: int
     n_h: int
@@ -220,6 +221,8 @@ class Program:
     structure : Structure or None
         How the equations of `dynamics` are solved, if not as full ones. Then that function gives the entries of M and J
         that are not zero, one after another.
+    states_need_solution, states_need_multipliers : bool
+        Whether u' or multipliers stand in state equations; whether multipliers do.
     """
 
     name: str
@@ -229,6 +232,8 @@ class Program:
     position_rows: tuple[int | None, ...]
     pivot_order: PivotOrder
     structure: Structure | None
+    states_need_solution: bool
+    states_need_multipliers: bool
 
     @property
     def parameters(self) -> tuple[Leaf, ...]:

@@ -56,6 +56,7 @@ SIDE_BY_SIDE = (
     "constraint_scale",
     "coordinate_change",
     "invariant_correction",
+    "state_rates",
 )
 """The functions that are compiled for several states side by side as well; fourbar_side_by_side.h says what for."""
 
@@ -179,7 +180,7 @@ class Schedule:
     functions : tuple of ScheduledFunction
     has_batches : bool
         Whether there are functions for several states side by side: the equations are solved without pivoting as a
-        rule, and none calls a function of many arguments.
+        rule, x' needs no multipliers, and none calls a function of many arguments.
     is_short : bool
         Whether the equations are compiled into what calls them; fourbar_real.h says how.
     """
@@ -205,10 +206,11 @@ def schedule(program: Program) -> Schedule:
     sizes, functions = program.sizes, program.functions
     calls = (o for f in functions if f.name in SIDE_BY_SIDE for _, o in f.statements if isinstance(o, Call))
     few_arguments = all(len(call.arguments) <= MAX_ARGUMENTS for call in calls)
+    can_solve = program.structure is None and sizes.rank == sizes.n_c <= MAX_CONSTRAINTS
     return Schedule(
         program=program,
         functions=tuple(schedule_function(f, inline_angles=True) for f in functions),
-        has_batches=few_arguments and program.structure is None and sizes.rank == sizes.n_c <= MAX_CONSTRAINTS,
+        has_batches=few_arguments and can_solve and not program.states_need_multipliers,
         is_short=next(f for f in functions if f.name == "dynamics").operations <= SHORT,
     )
 

@@ -189,9 +189,9 @@ class Model:
         derivatives of the expression as defaults. One in a kinematic differential equation alone does so only
         where velocities or constraints take it up. "auto" stands for all of them: they are 0 by default, or what
         ``parameters`` has for them.
-    initial : mapping of coordinate or speed to float, optional
-        Default initial values of the independent coordinates and speeds, and guesses of the dependent
-        coordinates. Dependent speeds follow from these.
+    initial : mapping of coordinate, speed or auxiliary state to float, optional
+        Default initial values of the independent coordinates and speeds and of auxiliary states, and guesses of the
+        dependent coordinates. Dependent speeds follow from these.
     potential_energy : Expr, optional
         In terms of coordinates, parameters and time. By default the bodies' ``potential_energy``, and the potentials of
         all forces that are constant in the System's frame, such as gravity, if the former do not include them. It is
@@ -202,6 +202,11 @@ class Model:
         come first that say what keeps them zero: the functions of time in the loads that are not named
         otherwise, as many as there are auxiliary speeds; or the generalized noncontributing forces, under the
         names of the auxiliary speeds, where the loads have none.
+    state_equations : mapping of function of time to Expr, optional
+        States z beside coordinates and speeds, with their rates z': activations of muscles, currents, filters,
+        relaxation of tyres. Expressions are of time, coordinates, speeds, both differentiated once, these states,
+        inputs, parameters and multipliers. Loads and outputs may contain the states; velocities, constraints and the
+        potential energy may not.
     extra : {"raise", "ignore"}, optional
         What to do with parameters and inputs that the System does not have. A symbol or function of the same name
         with other assumptions, such as ``positive=True``, is an error in any case.
@@ -235,6 +240,7 @@ class Model:
         initial: Mapping[sm.Expr, float] | None = None,
         potential_energy: sm.Expr | None = None,
         outputs: Mapping[str, sm.Expr] | None = None,
+        state_equations: Mapping[sm.Expr, sm.Expr] | None = None,
         extra: Literal["raise", "ignore"] = "raise",
     ) -> None:
         if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
@@ -246,6 +252,7 @@ class Model:
         self.mechanism: Mechanism = read_mechanism(system)
         for label, expressions in (*self.mechanism.labelled_loads(), *self.mechanism.labelled_structure()):
             _check_expressions(expressions, label)
+        self.state_equations = self._read_state_equations(_mapping(state_equations, "state_equations"))
         parameters, is_automatic = _mapping(parameters, "parameters"), isinstance(inputs, str) and inputs == "auto"
         self.input_expressions = self._read_inputs({} if is_automatic else _mapping(inputs, "inputs"))
         self.potential_energy = None if potential_energy is None else _expression(potential_energy, "potential_energy")
@@ -272,6 +279,7 @@ class Model:
         self._check_names()
         self._check_inputs()
         self._check_holonomic_constraints()
+        self._check_auxiliary_states()
         self.initial = self._check_initial(_mapping(initial, "initial"))
 
     @property
@@ -283,6 +291,11 @@ class Model:
     def speeds(self) -> tuple[str, ...]:
         """Names of the generalized speeds, the independent ones first."""
         return tuple(_name(u) for u in self.mechanism.speeds)
+
+    @property
+    def auxiliary_states(self) -> tuple[str, ...]:
+        """Names of the states that have equations of their own."""
+        return tuple(map(_name, self.state_equations))
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -302,6 +315,7 @@ class Model:
     def __repr__(self) -> str:
         return (
             f"<Model {self.name}: {len(self.coordinates)} coordinates, {len(self.speeds)} speeds, "
+            f"{f'{len(self.state_equations)} auxiliary states, ' * bool(self.state_equations)}"
             f"{len(self.parameter_symbols)} parameters, {len(self.inputs)} inputs>"
         )
 
@@ -313,11 +327,22 @@ class Model:
             [
                 ("coordinate", self.coordinates, self.mechanism.n_dependent_coordinates),
                 ("speed", self.speeds, self.mechanism.n_dependent_speeds),
+                ("auxiliary state", self.auxiliary_states, 0),
             ],
             {name: (p.value, p.unit, p.description) for name, p in self.parameters.items()},
             {e.name: None if e.expression is None else str(e.expression) for e in self.input_entries},
             self.outputs,
         )
+
+    def _read_state_equations(self, equations: Mapping[sm.Expr, sm.Expr]) -> dict[sm.Expr, sm.Expr]:
+        states = {*self.mechanism.coordinates, *self.mechanism.speeds, *self.mechanism.auxiliary_speeds}
+        for function in equations:
+            if not isinstance(function, AppliedUndef) or function.args != (self.mechanism.time,) or function in states:
+                raise ModelError(
+                    f"state_equations= has functions of {self.mechanism.time} as keys that are neither coordinates nor "
+                    f"speeds, not {function!r}."
+                )
+        return {f: _expression(e, f"the state equation of {_name(f)}") for f, e in equations.items()}
 
     def _read_inputs(self, inputs: Mapping[sm.Expr, sm.Expr | float | None]) -> dict[sm.Expr, sm.Expr | None]:
         for function in inputs:
@@ -328,11 +353,14 @@ class Model:
     def _check_appearance(self, extra: str) -> None:
         """Raise where inputs are given that the model does not have, if they are not to be ignored."""
         functions = self._functions()
-        states = {*self.mechanism.coordinates, *self.mechanism.speeds}  # of which names that stand twice are told
+        states = {*self._states()}  # of which names that stand twice are told
         given = {_name(f): f for f in self.input_expressions if f not in states}
         known = {_name(f): f for f in functions if f not in states}
         _check_unknown(given, known, "inputs", extra)
         self.input_expressions = {f: e for f, e in self.input_expressions.items() if f in functions}
+
+    def _states(self) -> tuple[sm.Expr, ...]:
+        return (*self.mechanism.coordinates, *self.mechanism.speeds, *self.state_equations)
 
     def _labelled(self) -> Iterator[tuple[str, Iterable[sm.Expr]]]:
         """All expressions of the model, with words that say where they stand."""
@@ -343,6 +371,8 @@ class Model:
         for function, expression in self.input_expressions.items():
             if expression is not None:
                 yield f"the expression of input {_name(function)}", (expression,)
+        for function, expression in self.state_equations.items():
+            yield f"the state equation of {_name(function)}", (expression,)
         for name, expression in self.output_expressions.items():
             yield f"output {name}", (expression,)
 
@@ -351,7 +381,7 @@ class Model:
         mechanism = self.mechanism
         if not mechanism.auxiliary_speeds:
             return ()
-        known = {*mechanism.coordinates, *mechanism.speeds, *mechanism.auxiliary_speeds, *self.input_expressions}
+        known = {*self._states(), *mechanism.auxiliary_speeds, *self.input_expressions}
         loads = chain.from_iterable(expressions for _, expressions in mechanism.labelled_loads())
         found = [node for node in walk(loads) if isinstance(node, AppliedUndef) and node not in known]
         if found and len(found) != len(mechanism.auxiliary_speeds):
@@ -375,7 +405,7 @@ class Model:
     def _find_undeclared(self) -> dict[sm.Expr, str]:
         """Those that nobody named."""
         mechanism = self.mechanism
-        known = {*mechanism.coordinates, *mechanism.speeds, *mechanism.auxiliary_speeds}
+        known = {*self._states(), *mechanism.auxiliary_speeds}
         known |= {*self.input_expressions, *self.noncontributing}
         found = {function: label for function, label in self._functions().items() if function not in known}
         for function, label in found.items():
@@ -384,7 +414,7 @@ class Model:
 
     def _check_assumptions(self, function: sm.Expr, label: str) -> None:
         """Raise for a function of the name of a state."""
-        if _name(function) in (*self.coordinates, *self.speeds):
+        if _name(function) in map(_name, self._states()):
             raise ModelError(
                 f"{function} in {label} has other assumptions than the state of that name: to SymPy these are two "
                 "functions. Take the System's."
@@ -420,23 +450,19 @@ class Model:
         """The given symbols in their order, then the others by name; and those that are expressions of others."""
         mechanism, t = self.mechanism, self.mechanism.time
         entries = {entry.function for entry in self.input_entries}
-        known = {
-            *mechanism.coordinates,
-            *mechanism.speeds,
-            *mechanism.auxiliary_speeds,
-            *entries,
-            *self.noncontributing,
-        }
+        known = {*self._states(), *mechanism.auxiliary_speeds, *entries, *self.noncontributing}
         rates = {q.diff(t) for q in mechanism.coordinates} | entries
         n_c = len(mechanism.velocity_constraints)
         n_c += len(mechanism.holonomic_constraints) if mechanism.velocity_constraints_derived else 0
-        of_outputs = {multiplier(number) for number in range(1, n_c + 1)} | {u.diff(t) for u in mechanism.speeds}
+        of_solution = {multiplier(number) for number in range(1, n_c + 1)} | {u.diff(t) for u in mechanism.speeds}
+        of_outputs = of_solution | {z.diff(t) for z in self.state_equations}
         values = {s: v.value if isinstance(v, Parameter) else v for s, v in given.items()}
         derived = {s: _of_parameters(s, v, t) for s, v in values.items() if getattr(v, "free_symbols", None)}
         found: set[sm.Symbol] = set()
         labelled = [*self._labelled(), *((f"the expression of parameter {s}", (e,)) for s, e in derived.items())]
         for label, expressions in labelled:
-            in_outputs = of_outputs if label.startswith("output ") else set()
+            is_rate = label.startswith("the state equation ")
+            in_outputs = of_outputs if label.startswith("output ") else of_solution if is_rate else set()
             for node in walk(expressions):
                 if isinstance(node, sm.Symbol):
                     found.add(node)
@@ -448,8 +474,8 @@ class Model:
                 elif isinstance(node, sm.Derivative) and node not in rates | in_outputs:
                     raise ModelError(
                         f"{node} in {label} cannot be compiled: of all derivatives, only the first ones of the "
-                        f"coordinates {self.coordinates}, the first and second ones of inputs, and in outputs the "
-                        "first ones of the speeds may appear."
+                        f"coordinates {self.coordinates}, the first and second ones of inputs, and in outputs and "
+                        "state equations the first ones of the speeds may appear."
                     )
         found.discard(t)
         symbols = [s for s in given if not (isinstance(s, AppliedUndef) and extra == "ignore")]
@@ -468,13 +494,13 @@ class Model:
         return parameters, _in_order(derived)
 
     def _check_names(self) -> None:
-        names = [*self.coordinates, *self.speeds, *self.inputs, *self.outputs]
+        names = [*map(_name, self._states()), *self.inputs, *self.outputs]
         names += [symbol.name for symbol in (*self.parameter_symbols, *self.derived_parameters)]
         repeated = sorted({name for name in names if names.count(name) > 1})
         if repeated:
             raise ModelError(
-                f"These names stand for more than one symbol: {', '.join(repeated)}. Coordinates, speeds, inputs, "
-                "outputs and parameters are found by name, so each needs its own."
+                f"These names stand for more than one symbol: {', '.join(repeated)}. Coordinates, speeds, auxiliary "
+                "states, inputs, outputs and parameters are found by name, so each needs its own."
             )
         columns = sorted(name for name in names if COLUMNS.fullmatch(name))
         if columns:
@@ -513,15 +539,28 @@ class Model:
                         "constraint on speeds goes to add_nonholonomic_constraints."
                     )
 
+    def _check_auxiliary_states(self) -> None:
+        """They stand in loads, state equations and outputs alone."""
+        structure = [*self.mechanism.labelled_structure()]
+        if self.potential_energy is not None:
+            structure.append(("the potential energy", (self.potential_energy,)))
+        for label, expressions in structure:
+            for node in walk(expressions):
+                if node in self.state_equations:
+                    raise ModelError(
+                        f"{node} in {label} cannot be compiled: states with equations of their own may stand in loads, "
+                        "in state equations and in outputs."
+                    )
+
     def _check_initial(self, given: Mapping[sm.Expr, float]) -> dict[str, float]:
-        states = {*self.mechanism.coordinates, *self.mechanism.speeds}
+        states = {*self._states()}
         dependent = self.mechanism.speeds[len(self.speeds) - self.mechanism.n_dependent_speeds :]
         initial = {}
         for function, value in given.items():
             if function not in states:
                 if isinstance(function, AppliedUndef):
                     self._check_assumptions(function, "initial=")
-                raise ModelError(f"{function} in initial= is none of the states {(*self.coordinates, *self.speeds)}.")
+                raise ModelError(f"{function} in initial= is none of the states {(*map(_name, self._states()),)}.")
             if function in dependent:
                 raise ModelError(
                     f"{function} in initial= is a dependent speed: it follows from the others, leave it out."

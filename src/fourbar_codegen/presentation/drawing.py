@@ -129,7 +129,7 @@ class Panel:
 
 
 def panels(trajectory: Trajectory) -> list[Panel]:
-    """All curves of a trajectory over time: coordinates, speeds, inputs, outputs, multipliers, residual, energy."""
+    """All curves of a trajectory over time: states, inputs, outputs, multipliers, residual, energy."""
     model = trajectory.model
     energies = {
         "kinetic": trajectory.kinetic_energy,
@@ -139,6 +139,7 @@ def panels(trajectory: Trajectory) -> list[Panel]:
     found = [
         Panel("Coordinates (rad or m)", dict(zip(model.coordinates, trajectory.q, strict=True))),
         Panel("Speeds (rad/s or m/s)", dict(zip(model.speeds, trajectory.u, strict=True))),
+        Panel("Auxiliary states", dict(zip(model.auxiliary_states, trajectory.z, strict=True))),
         Panel("Inputs", dict(zip(model.inputs, trajectory.r, strict=True))),
         Panel("Outputs", dict(zip(model.outputs, trajectory.outputs, strict=True))),
         Panel(

@@ -76,6 +76,7 @@ def to_dataset(trajectory: Trajectory) -> xarray.Dataset:
     described = (
         (model.coordinates, trajectory.q, "coordinate"),
         (model.speeds, trajectory.u, "speed"),
+        (model.auxiliary_states, trajectory.z, "auxiliary state"),
         (model.inputs, trajectory.r, "input"),
         (model.outputs, trajectory.outputs, "output"),
     )

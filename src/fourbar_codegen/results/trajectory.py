@@ -38,7 +38,7 @@ class Trajectory:
     t : ndarray, shape (n_t,)
         Times, s.
     y : ndarray, shape (n_x, n_t)
-        States in columns: coordinates, then speeds.
+        States in columns: coordinates, speeds, then auxiliary states.
     r : ndarray, shape (n_r, n_t)
         Inputs in columns.
     sol : callable or None
@@ -93,10 +93,15 @@ class Trajectory:
     @property
     def u(self) -> Floats:
         """Generalized speeds, shape (n_u, n_t)."""
-        return self.y[self.model.n_q :]
+        return self.y[self.model.n_q : self.model.n_q + self.model.n_u]
+
+    @property
+    def z(self) -> Floats:
+        """Auxiliary states, shape (n_z, n_t)."""
+        return self.y[self.model.n_q + self.model.n_u :]
 
     def __getitem__(self, name: Any) -> Floats:
-        """A coordinate, speed, input or output over time, by name or SymPy symbol, shape (n_t,)."""
+        """A state, input or output over time, by name or SymPy symbol, shape (n_t,)."""
         model = self.model
         for names, rows in ((model.states, "y"), (model.inputs, "r"), (model.outputs, "outputs")):
             if name_of(name) in names:
@@ -327,7 +332,7 @@ class Trajectory:
         return animate(self, fps=fps, speed=speed, traces=traces or ())
 
     def plot(self) -> Figure:
-        """Coordinates, speeds, inputs, outputs (joint forces among them), multipliers, loop residual and energy.
+        """States, inputs, outputs (joint forces among them), multipliers, loop residual and energy.
 
         Over time, one above the other; needs the extra ``visual``.
 

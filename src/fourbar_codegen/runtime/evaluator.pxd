@@ -25,12 +25,15 @@ cdef extern from "fourbar_kernel.h":
         void (*default_input_sensitivity)(double, const double *, double *) noexcept nogil
         void (*constraint_sensitivity)(double, const double *, const double *, const double *, double *, double *,
                                        double *) noexcept nogil
+        void (*state_rate_sensitivity)(double, const double *, const double *, const double *, const double *,
+                                       const double *, double *, double *) noexcept nogil
         void (*drawing)(double, const double *, const double *, const double *, double *, double *) noexcept nogil
     ctypedef struct fb_kernel:
         int abi_version
         size_t struct_size
         size_t work_size
-        int n_q, n_u, n_p, n_r, n_h, n_c, n_i, n_o, n_breakpoints, n_points, n_forces, n_constants
+        int n_q, n_u, n_z, n_x, n_p, n_r, n_h, n_c, n_i, n_o, n_breakpoints, n_points, n_forces, n_constants
+        int states_need_solution
         const int *position_row
         void (*prepare)(const double *, double *) noexcept nogil
         void (*default_inputs)(double, const double *, double *) noexcept nogil
@@ -38,10 +41,12 @@ cdef extern from "fourbar_kernel.h":
         fb_evaluation *rhs
         int (*stabilized)(double, const double *, const double *, const double *, double, double *,
                           void *) noexcept nogil
-        int (*differentiate)(fb_sensitivity *, int, double, const double *, const double *, const double *, double *,
-                             void *) noexcept nogil
+        int (*differentiate)(const fb_derivatives *, fb_sensitivity *, int, double, const double *, const double *,
+                             const double *, double *, void *) noexcept nogil
         int (*accelerations)(double, const double *, const double *, const double *, double *, double *,
                              void *) noexcept nogil
+        void (*state_rates)(double, const double *, const double *, const double *, const double *, const double *,
+                            double *) noexcept nogil
         void (*dynamics)(double, const double *, const double *, const double *, double *, double *, double *,
                          double *, double *) noexcept nogil
         void (*position)(double, const double *, const double *, const double *, double *, double *) noexcept nogil
@@ -122,13 +127,14 @@ cdef class Evaluator:
     cdef fb_kernel own
     cdef readonly object capsule
     cdef readonly dict manifest
-    cdef readonly int n_q, n_u, n_x, n_p, n_r, n_h, n_c, n_i, n_o
+    cdef readonly int n_q, n_u, n_z, n_x, n_p, n_r, n_h, n_c, n_i, n_o
     cdef double *default_constants
     cdef double *constants
     cdef double *inputs
     cdef void *work
     cdef bint has_defaults
     cdef readonly bint has_inputs
+    cdef readonly bint states_need_solution
     cdef bint has_motions
     cdef cnp.ndarray _parameters(self, object p)
     cdef cnp.ndarray _inputs(self, double t, cnp.ndarray parameters, object r, bint known)

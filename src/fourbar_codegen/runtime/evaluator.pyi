@@ -24,6 +24,7 @@ def largest_difference(a: Floats, b: Floats) -> float: ...
 class Evaluator:
     n_q: int
     n_u: int
+    n_z: int
     n_x: int
     n_p: int
     n_r: int
@@ -37,6 +38,8 @@ class Evaluator:
     def capsule(self) -> object: ...
     @property
     def has_inputs(self) -> bool: ...
+    @property
+    def states_need_solution(self) -> bool: ...
     @property
     def lacks_batch_functions(self) -> bool: ...
     @property
@@ -105,6 +108,24 @@ class Evaluator:
         p: Values | None = None,
         r: Values | None = None,
     ) -> Floats: ...
+    def state_rates_for(
+        self,
+        t: float,
+        x: ArrayLike,
+        accelerations: ArrayLike,
+        multipliers: ArrayLike,
+        p: Values | None = None,
+        r: Values | None = None,
+    ) -> Floats: ...
+    def state_rate_sensitivity(
+        self,
+        t: float,
+        x: ArrayLike,
+        accelerations: ArrayLike,
+        multipliers: ArrayLike,
+        p: Values | None = None,
+        r: Values | None = None,
+    ) -> tuple[Floats, Floats]: ...
     def sensitivities(
         self,
         t: float,

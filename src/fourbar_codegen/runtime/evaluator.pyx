@@ -227,7 +227,7 @@ cdef class Evaluator:
         self.capsule, self.manifest = capsule, manifest
         self.n_q, self.n_u, self.n_p, self.n_r = kernel.n_q, kernel.n_u, kernel.n_p, kernel.n_r
         self.n_h, self.n_c, self.n_i, self.n_o = kernel.n_h, kernel.n_c, kernel.n_i, kernel.n_o
-        self.n_x = kernel.n_q + kernel.n_u
+        self.n_z, self.n_x, self.states_need_solution = kernel.n_z, kernel.n_x, kernel.states_need_solution
         self.default_constants = <double *>PyMem_Calloc(kernel.n_constants + 1, sizeof(double))
         self.constants = <double *>PyMem_Calloc(kernel.n_constants + 1, sizeof(double))
         self.inputs = <double *>PyMem_Calloc(self.n_r + 1, sizeof(double))
@@ -569,7 +569,8 @@ cdef class Evaluator:
         cdef cnp.ndarray result = new_array(self.n_x, columns)
         cdef const double *constants = self._prepare(parameters)
         cdef int status = self.kernel.differentiate(
-            function, columns, t, data(state), constants, self._fill(t, constants, inputs), data(result), self.work)
+            self.kernel.derivatives, function, columns, t, data(state), constants, self._fill(t, constants, inputs),
+            data(result), self.work)
         if status != FB_OK:
             raise SimulationError(self.failure(status, t, x))
         return result
@@ -771,10 +772,42 @@ cdef class Evaluator:
                            data(outputs))
         return outputs
 
+    def state_rates_for(self, t, x, accelerations, multipliers, p=None, r=None):
+        """z', shape (n_z,), for given u' and lambda."""
+        t = time_of(t)
+        cdef cnp.ndarray parameters = self._parameters(p)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
+        cdef cnp.ndarray state = self._state(t, x, self.n_x)
+        cdef cnp.ndarray a = vector(accelerations, self.n_u, "The accelerations")
+        cdef cnp.ndarray lam = vector(multipliers, self.n_c, "The multipliers")
+        cdef cnp.ndarray rates = new_array(self.n_z)
+        cdef const double *constants = self._prepare(parameters)
+        if self.n_z:
+            self.kernel.state_rates(t, data(state), constants, self._fill(t, constants, inputs), data(a), data(lam),
+                                    data(rates))
+        return rates
+
+    def state_rate_sensitivity(self, t, x, accelerations, multipliers, p=None, r=None):
+        """Dz'/du', shape (n_z, n_u), and dz'/dlambda, shape (n_z, n_c), for given u' and lambda."""
+        t = time_of(t)
+        cdef cnp.ndarray parameters = self._parameters(p)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
+        cdef cnp.ndarray state = self._state(t, x, self.n_x)
+        cdef cnp.ndarray a = vector(accelerations, self.n_u, "The accelerations")
+        cdef cnp.ndarray lam = vector(multipliers, self.n_c, "The multipliers")
+        cdef cnp.ndarray by_accelerations = new_array(self.n_z, self.n_u)
+        cdef cnp.ndarray by_multipliers = new_array(self.n_z, self.n_c)
+        cdef const fb_derivatives *derivatives = self.derivatives()
+        cdef const double *constants = self._prepare(parameters)
+        if self.n_z:
+            derivatives.state_rate_sensitivity(t, data(state), constants, self._fill(t, constants, inputs), data(a),
+                                               data(lam), data(by_accelerations), data(by_multipliers))
+        return by_accelerations, by_multipliers
+
     def sensitivities(self, t, x, accelerations, multipliers, p=None, r=None):
         """The sensitivities by x, p and r for given u' and lambda, six arrays.
 
-        They are dq', shape (n_q, n), and d(f - M u' + J^T lambda, -(J u' + gamma)), shape (n_u + n_c, n).
+        They are dq', shape (n_q, n), and d(f - M u' + J^T lambda, -(J u' + gamma), z'), shape (n_u + n_c + n_z, n).
         """
         t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
@@ -794,7 +827,8 @@ cdef class Evaluator:
         functions[1], columns[1] = derivatives.parameter_sensitivity, self.n_p
         functions[2], columns[2] = derivatives.input_sensitivity, self.n_r
         for i in range(3):
-            rates, residuals = new_array(self.n_q, columns[i]), new_array(self.n_u + self.n_c, columns[i])
+            rates = new_array(self.n_q, columns[i])
+            residuals = new_array(self.n_u + self.n_c + self.n_z, columns[i])
             functions[i](t, data(state), constants, filled, data(a), data(lam), data(rates), data(residuals))
             results += [rates, residuals]
         return results

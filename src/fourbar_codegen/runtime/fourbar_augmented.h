@@ -9,6 +9,9 @@
  * are moved onto their constraints by the change that is least in the metric of M. lambda* begins as the shortest of
  * all multipliers that have the same effect: what J^T does not see would grow without bound at a singular position.
  *
+ * Auxiliary states follow the trapezoidal rule too, and are unknowns of Newton's method beside the speeds.
+ * Accelerations and multipliers in their equations are those that belong to the state, not those of the rule.
+ *
  * The mass matrix has to be positive definite without the constraints.
  *
  * Source: E. Bayo, R. Ledesma, "Augmented Lagrangian and mass-orthogonal projection methods for constrained multibody
@@ -46,17 +49,19 @@ typedef struct fb_augmented {
     double *scales;                            /* what positions, (n_c + n_i,), and others are measured by */
     double *multipliers, *multipliers_old;     /* lambda*, and that of the step's beginning, (n_c,) */
     double *penalized;                         /* lambda* - alpha g, (n_c,) */
-    double *matrix, *normal;                   /* (n_u, n_u), (n_c, n_c) */
-    double *change, *unit;                     /* (n_u,) */
+    double *matrix, *normal;                   /* (n_u + n_z, n_u + n_z), (n_c, n_c) */
+    double *change, *unit;                     /* (n_u + n_z,), (n_u,) */
     double *coordinate_change, *correction;    /* (n_q,) */
-    double *rate_jacobian, *residual_jacobian; /* (n_q, n_x), (n_u + n_c, n_x) */
+    double *rate_jacobian, *residual_jacobian; /* (n_q, n_x), (n_u + n_c + n_z, n_x) */
+    double *kept;                              /* multipliers, (n_c,) */
+    double *accelerations;                     /* those that belong to a state, (n_u,) */
     long n_jacobians, n_factorizations;
 } fb_augmented;
 
 /* Places the arrays in memory, if there is any yet; returns how many doubles they are. */
 static inline size_t fb_place_augmented(const fb_kernel *k, fb_augmented *a, double *memory)
 {
-    const int q = k->n_q, u = k->n_u, c = k->n_c, i = k->n_i, x = q + u;
+    const int q = k->n_q, u = k->n_u, z = k->n_z, c = k->n_c, i = k->n_i, x = k->n_x;
     const fb_place places[] = {
         {&a->mass_matrix, u * u},
         {&a->forcing, u},
@@ -67,14 +72,16 @@ static inline size_t fb_place_augmented(const fb_kernel *k, fb_augmented *a, dou
         {&a->multipliers, c},
         {&a->multipliers_old, c},
         {&a->penalized, c},
-        {&a->matrix, u * u},
+        {&a->matrix, (u + z) * (u + z)},
         {&a->normal, c * c},
-        {&a->change, u},
+        {&a->change, u + z},
         {&a->unit, u},
         {&a->coordinate_change, q},
         {&a->correction, q},
         {&a->rate_jacobian, q * x},
-        {&a->residual_jacobian, (u + c) * x},
+        {&a->residual_jacobian, (u + c + z) * x},
+        {&a->kept, c},
+        {&a->accelerations, u},
         {&a->scales, c + i + c + k->n_h},
     };
     return fb_place_all(places, sizeof places / sizeof *places, memory);
@@ -123,36 +130,44 @@ static inline double fb_penalty(const fb_kernel *k, const fb_augmented *a, const
     return jacobian > 0.0 ? weight * mass / jacobian : 0.0;
 }
 
-/* Adds penalty J^T J to the matrix. */
-static inline void fb_penalize(const fb_kernel *k, const fb_augmented *a, const double penalty, double *restrict matrix)
+/* M at the beginning of a matrix of n columns. */
+static inline void fb_take_mass(const fb_kernel *k, const fb_augmented *a, const int n, double *restrict matrix)
+{
+    for (int i = 0; i < k->n_u; ++i)
+        memcpy(matrix + i * n, a->mass_matrix + i * k->n_u, (size_t)k->n_u * sizeof(double));
+}
+
+/* Adds penalty J^T J there. */
+static inline void fb_penalize(const fb_kernel *k, const fb_augmented *a, const double penalty, const int n,
+                               double *restrict matrix)
 {
     for (int row = 0; row < k->n_c; ++row) {
         const double *const j = a->jacobian + row * k->n_u;
         for (int i = 0; i < k->n_u; ++i)
             for (int l = 0; l < k->n_u; ++l)
-                matrix[i * k->n_u + l] += penalty * j[i] * j[l];
+                matrix[i * n + l] += penalty * j[i] * j[l];
     }
 }
 
-/* Solves matrix x = b for the speeds; 0 where the matrix is singular. */
-static inline int fb_solve_matrix(const fb_kernel *k, fb_augmented *a, double *b)
+/* Solves matrix x = b for n unknowns; 0 where the matrix is singular. */
+static inline int fb_solve_matrix(fb_augmented *a, const int n, double *b)
 {
     a->n_factorizations += 1;
-    return fb_eliminate_full(k->n_u, a->matrix, b);
+    return fb_eliminate_full(n, a->matrix, b);
 }
 
 /* `change` is the least one in the metric of M with J change = -violation, as far as J can. */
 static inline int fb_least_change(const fb_kernel *k, fb_augmented *a, const double *restrict violation)
 {
     const double penalty = fb_penalty(k, a, FB_PROJECTION_PENALTY);
-    memcpy(a->matrix, a->mass_matrix, (size_t)(k->n_u * k->n_u) * sizeof(double));
-    fb_penalize(k, a, penalty, a->matrix);
+    fb_take_mass(k, a, k->n_u, a->matrix);
+    fb_penalize(k, a, penalty, k->n_u, a->matrix);
     for (int i = 0; i < k->n_u; ++i) {
         a->change[i] = 0.0;
         for (int row = 0; row < k->n_c; ++row)
             a->change[i] -= penalty * a->jacobian[row * k->n_u + i] * violation[row];
     }
-    return fb_solve_matrix(k, a, a->change);
+    return fb_solve_matrix(a, k->n_u, a->change);
 }
 
 /* M, f, J, gamma and violations at the state x; negative from the caller of inputs. */
@@ -224,56 +239,82 @@ static inline int fb_project_accelerations(fb_run *s, double *restrict accelerat
     return FB_RUN_PAUSED;
 }
 
-/* x' at the beginning of a run, or where it goes on after a breakpoint. */
-static inline int fb_augmented_begin(fb_run *s)
+/* u' and lambda* that belong to a state whose equations are known, moved onto the constraints from
+ * M u' = f - alpha J^T (J u' + gamma). */
+static inline int fb_augmented_solution(fb_run *s, double *restrict accelerations)
 {
     const fb_kernel *const k = s->problem->kernel;
     fb_augmented *const a = s->augmented;
-    double *const accelerations = s->stages + k->n_q;
-    s->h_abs = s->max_step;
-    s->fsal = 0;
-    const int called = fb_augmented_equations(s, fb_time(&s->problem->clock, s->t), s->x, s->stages);
-    if (called < 0)
-        return called;
-    /* M u' = f - alpha J^T (J u' + gamma), which is then moved onto the constraints. */
     const double penalty = fb_penalty(k, a, FB_PENALTY);
-    memcpy(a->matrix, a->mass_matrix, (size_t)(k->n_u * k->n_u) * sizeof(double));
-    fb_penalize(k, a, penalty, a->matrix);
+    fb_take_mass(k, a, k->n_u, a->matrix);
+    fb_penalize(k, a, penalty, k->n_u, a->matrix);
     for (int i = 0; i < k->n_u; ++i) {
         accelerations[i] = a->forcing[i];
         for (int row = 0; row < k->n_c; ++row)
             accelerations[i] -= penalty * a->jacobian[row * k->n_u + i] * a->bias[row];
     }
-    if (!fb_solve_matrix(k, a, accelerations) || fb_project_accelerations(s, accelerations) != FB_RUN_PAUSED)
+    return fb_solve_matrix(a, k->n_u, accelerations) ? fb_project_accelerations(s, accelerations) : FB_RUN_DIVERGED;
+}
+
+/* z' for accelerations and the multipliers lambda*. */
+static inline void fb_augmented_state_rates(fb_run *s, const double t, const double *x, const double *accelerations,
+                                            double *restrict rates)
+{
+    const fb_problem *const p = s->problem;
+    const fb_kernel *const k = p->kernel;
+    if (k->n_z > 0)
+        k->state_rates(t, x, p->constants, p->inputs, accelerations, s->augmented->multipliers,
+                       rates + k->n_q + k->n_u);
+}
+
+/* x' at the beginning of a run, or where it goes on after a breakpoint. */
+static inline int fb_augmented_begin(fb_run *s)
+{
+    const fb_kernel *const k = s->problem->kernel;
+    double *const accelerations = s->stages + k->n_q;
+    s->h_abs = s->max_step;
+    s->fsal = 0;
+    const double t = fb_time(&s->problem->clock, s->t);
+    const int called = fb_augmented_equations(s, t, s->x, s->stages);
+    if (called < 0)
+        return called;
+    if (fb_augmented_solution(s, accelerations) != FB_RUN_PAUSED)
         memset(accelerations, 0, (size_t)k->n_u * sizeof(double));
+    fb_augmented_state_rates(s, t, s->x, accelerations, s->stages);
     return 0;
 }
 
-/* The matrix of Newton's method: half a step times the derivative, by the speeds, of M u' - f - J^T lambda. */
+/* The matrix of Newton's method: half a step times the derivative of M u' - f - J^T lambda by the speeds, and by the
+ * auxiliary states; and that of what these are short of by the rule, with u' and lambda held. */
 static inline void fb_newton_matrix(fb_run *s, const double t, const double h, const double penalty, const double *x,
                                     const double *accelerations)
 {
     fb_problem *const p = s->problem;
     const fb_kernel *const k = p->kernel;
     fb_augmented *const a = s->augmented;
-    const int n_q = k->n_q, n_u = k->n_u, n_x = n_q + n_u;
+    const int n_q = k->n_q, n_u = k->n_u, n_z = k->n_z, n_x = k->n_x, n = n_u + n_z;
     a->n_jacobians += 1;
-    memcpy(a->matrix, a->mass_matrix, (size_t)(n_u * n_u) * sizeof(double));
+    fb_take_mass(k, a, n, a->matrix);
     k->derivatives->sensitivity(t, x, p->constants, p->inputs, accelerations, a->penalized, a->rate_jacobian,
                                 a->residual_jacobian);
     for (int j = 0; j < n_u; ++j) {
         memset(a->unit, 0, (size_t)n_u * sizeof(double));
         a->unit[j] = 1.0;
         k->coordinate_change(t, x, p->constants, p->inputs, a->unit, a->coordinate_change);
-        for (int i = 0; i < n_u; ++i) {
-            const double *const row = a->residual_jacobian + i * n_x;
+        for (int i = 0; i < n; ++i) {
+            const double *const row = a->residual_jacobian + (i < n_u ? i : k->n_c + i) * n_x;
             double by_positions = 0.0;
             for (int l = 0; l < n_q; ++l)
                 by_positions += row[l] * a->coordinate_change[l];
-            a->matrix[i * n_u + j] -= 0.5 * h * (row[n_q + j] + 0.5 * h * by_positions);
+            const double change = 0.5 * h * (row[n_q + j] + 0.5 * h * by_positions);
+            a->matrix[i * n + j] = (i < n_u ? a->matrix[i * n + j] : 0.0) - change;
         }
     }
-    fb_penalize(k, a, penalty, a->matrix);
+    for (int j = n_u; j < n; ++j)
+        for (int i = 0; i < n; ++i)
+            a->matrix[i * n + j] =
+                (i == j) - 0.5 * h * a->residual_jacobian[(i < n_u ? i : k->n_c + i) * n_x + n_q + j];
+    fb_penalize(k, a, penalty, n, a->matrix);
 }
 
 /* Whether a row of J is the rate of a position constraint. */
@@ -285,20 +326,23 @@ static inline int fb_is_rate(const fb_kernel *k, const int row)
     return 0;
 }
 
-/* Newton's method for the speeds at the step's end, in x with the positions, and the accelerations in x'. */
+/* Newton's method for speeds and auxiliary states at the step's end, in x with the positions, and accelerations in x'.
+ */
 static inline int fb_augmented_newton(fb_run *s, const double t, const double h, double *restrict x,
                                       double *restrict rates)
 {
     const fb_kernel *const k = s->problem->kernel;
     fb_augmented *const a = s->augmented;
-    const int n_q = k->n_q, n_u = k->n_u;
+    const int n_q = k->n_q, n_u = k->n_u, n_x = k->n_x;
     const double *const x_old = s->x, *const f_old = s->stages;
     double penalty = 0.0, size = 0.0, changed = INFINITY, rounding = 0.0;
+    double share = 0.0; /* by which auxiliary states have changed */
     for (int i = 0; i < n_q; ++i)
         rounding = fb_max(rounding, FB_ROUNDING * fabs(x_old[i] / h));
-    for (int i = 0; i < n_q + n_u; ++i)
+    for (int i = 0; i < n_x; ++i)
         x[i] = x_old[i] + h * f_old[i];
-    for (int iteration = 0; iteration < FB_MAX_ITERATIONS && !(changed <= FB_CONVERGED * size + rounding);
+    for (int iteration = 0;
+         iteration < FB_MAX_ITERATIONS && !(changed <= FB_CONVERGED * size + rounding && share <= FB_CONVERGED);
          ++iteration) {
         const int called = fb_augmented_equations(s, t, x, rates);
         if (called < 0)
@@ -318,6 +362,14 @@ static inline int fb_augmented_newton(fb_run *s, const double t, const double h,
             a->multipliers[row] -= iteration > 0 ? force : 0.0;
             a->penalized[row] = a->multipliers[row] - force;
         }
+        if (k->states_need_solution) {
+            memcpy(a->kept, a->multipliers, (size_t)k->n_c * sizeof(double));
+            if (fb_augmented_solution(s, a->accelerations) != FB_RUN_PAUSED)
+                return FB_RUN_DIVERGED;
+        }
+        fb_augmented_state_rates(s, t, x, a->accelerations, rates);
+        if (k->states_need_solution)
+            memcpy(a->multipliers, a->kept, (size_t)k->n_c * sizeof(double));
         fb_newton_matrix(s, t, h, penalty, x, rates + n_q);
         for (int i = 0; i < n_u; ++i) {
             double residual = a->forcing[i];
@@ -327,13 +379,21 @@ static inline int fb_augmented_newton(fb_run *s, const double t, const double h,
                 residual += a->jacobian[row * n_u + i] * a->penalized[row];
             a->change[i] = 0.5 * h * residual;
         }
-        if (!fb_solve_matrix(k, a, a->change))
+        for (int i = n_q + n_u; i < n_x; ++i)
+            a->change[i - n_q] = x_old[i] - x[i] + 0.5 * h * (f_old[i] + rates[i]);
+        if (!fb_solve_matrix(a, n_x - n_q, a->change))
             return FB_RUN_DIVERGED;
         k->coordinate_change(t, x, s->problem->constants, s->problem->inputs, a->change, a->coordinate_change);
         changed = 0.0;
         for (int i = 0; i < n_u; ++i) {
             x[n_q + i] += a->change[i];
             changed = fb_max(changed, fabs(a->change[i]));
+        }
+        share = 0.0;
+        for (int i = n_q + n_u; i < n_x; ++i) {
+            const double change = fabs(a->change[i - n_q]);
+            x[i] += a->change[i - n_q];
+            share = change > 0.0 ? fb_max(share, change / fb_max(fabs(x[i]), fabs(h * rates[i]))) : share;
         }
         /* As the rule has it for the speeds before, and what their change adds. */
         for (int i = 0; i < n_q; ++i) {
@@ -344,7 +404,7 @@ static inline int fb_augmented_newton(fb_run *s, const double t, const double h,
     }
     for (int i = 0; i < n_u; ++i)
         rates[n_q + i] = 2.0 / h * (x[n_q + i] - x_old[n_q + i]) - f_old[n_q + i];
-    return changed <= FB_DIVERGED * size + 1000.0 * rounding ? FB_RUN_PAUSED : FB_RUN_DIVERGED;
+    return changed <= FB_DIVERGED * size + 1000.0 * rounding && share <= FB_DIVERGED ? FB_RUN_PAUSED : FB_RUN_DIVERGED;
 }
 
 /* Moves the state onto the constraints, positions first. */
@@ -389,8 +449,9 @@ static inline int fb_augmented_project(fb_run *s, const double t, double *restri
 static inline int fb_is_correction(const fb_run *s, const double *before, const double h)
 {
     double changed = 0.0, corrected = 0.0;
-    for (int i = 0; i < s->n; ++i) {
-        const double scale = i < s->problem->kernel->n_q ? 1.0 : fabs(h);
+    const fb_kernel *const k = s->problem->kernel;
+    for (int i = 0; i < k->n_q + k->n_u; ++i) {
+        const double scale = i < k->n_q ? 1.0 : fabs(h);
         changed = fb_max(changed, scale * fabs(s->scratch[i] - s->x[i]));
         corrected = fb_max(corrected, scale * fabs(s->scratch[i] - before[i]));
     }
@@ -410,6 +471,8 @@ static inline int fb_augmented_try(fb_run *s, const double t_new)
         status = FB_RUN_DIVERGED;
     if (status == FB_RUN_PAUSED)
         status = fb_project_accelerations(s, end + s->problem->kernel->n_q);
+    if (status == FB_RUN_PAUSED)
+        fb_augmented_state_rates(s, t, s->scratch, end + s->problem->kernel->n_q, end);
     return status == FB_RUN_PAUSED && !(fb_finite(s->scratch, s->n) && fb_finite(end, s->n)) ? FB_RUN_DIVERGED : status;
 }
 

@@ -105,7 +105,7 @@ static inline int fb_batch_functions_agree(const fb_batch_functions *functions)
 static inline int fb_batch_one_by_one(const fb_batch *b, const long begin, const long end)
 {
     const fb_kernel *const k = b->kernel;
-    const int n_x = k->n_q + k->n_u;
+    const int n_x = k->n_x;
     double *const memory = malloc((size_t)(2 * n_x + k->n_p + k->n_r + k->n_constants) * sizeof(double) + k->work_size);
     if (memory == NULL)
         return -1;

@@ -1,6 +1,6 @@
-/* The equations of motion as a differential-algebraic system F(t, z, z') = 0, and its Jacobian, for implicit solvers.
+/* The equations of motion as a differential-algebraic system F(t, y, y') = 0, and its Jacobian, for implicit solvers.
  *
- * z = [q; u; lambda; mu]. In each formulation M u' = f + J^T lambda; and
+ * y = [x; lambda; mu]. In each formulation M u' = f + J^T lambda, z' is as given by that; and
  *
  *   index 1                        q' = K u + k                J u' + gamma = 0
  *   index 2, Gear-Gupta-Leimkuhler q' = K (u + D J^T mu) + k   J u + b = 0, Phi = 0
@@ -24,11 +24,12 @@ enum FB_FORMULATION { FB_INDEX_1 = 1, FB_INDEX_2 = 2, FB_INDEX_3 = 3 };
 typedef struct fb_implicit {
     fb_problem *problem;
     int formulation; /* an FB_FORMULATION */
-    int n_z;
+    int n_y;
     double *coordinate_rates, *mass_matrix, *forcing, *jacobian, *bias; /* q', M, f, J, gamma */
     double *positions, *position_jacobian;                              /* Phi, dPhi/dq */
     double *velocities, *velocity_jacobian;                             /* J u + b, its derivative by q */
     double *rate_jacobian, *residual_jacobian;                          /* as fb_sensitivity has them */
+    double *state_rates, *by_accelerations, *by_multipliers;            /* z', dz'/du', dz'/dlambda */
     double *change, *coordinate_change, *unused;
     double *row;    /* what each equation is multiplied by */
     double *metric; /* the diagonal of D */
@@ -38,7 +39,7 @@ typedef struct fb_implicit {
 static inline size_t fb_place_implicit(fb_problem *problem, const int formulation, fb_implicit *s, double *memory)
 {
     const fb_kernel *const k = problem->kernel;
-    const int q = k->n_q, u = k->n_u, c = k->n_c, h = k->n_h, x = q + u;
+    const int q = k->n_q, u = k->n_u, z = k->n_z, c = k->n_c, h = k->n_h, x = k->n_x;
     const fb_place places[] = {
         {&s->coordinate_rates, q},
         {&s->mass_matrix, u * u},
@@ -50,7 +51,10 @@ static inline size_t fb_place_implicit(fb_problem *problem, const int formulatio
         {&s->velocities, c},
         {&s->velocity_jacobian, c * q},
         {&s->rate_jacobian, q * x},
-        {&s->residual_jacobian, (u + c) * x},
+        {&s->residual_jacobian, (u + c + z) * x},
+        {&s->state_rates, z},
+        {&s->by_accelerations, z * u},
+        {&s->by_multipliers, z * c},
         {&s->change, u},
         {&s->coordinate_change, q},
         {&s->unused, (h + c) * k->n_r},
@@ -59,20 +63,20 @@ static inline size_t fb_place_implicit(fb_problem *problem, const int formulatio
     };
     s->problem = problem;
     s->formulation = formulation;
-    s->n_z = x + c + (formulation == FB_INDEX_2 ? h : 0);
+    s->n_y = x + c + (formulation == FB_INDEX_2 ? h : 0);
     return fb_place_all(places, sizeof places / sizeof *places, memory);
 }
 
-static inline int fb_implicit_equations(fb_implicit *s, const double t, const double *z)
+static inline int fb_implicit_equations(fb_implicit *s, const double t, const double *y)
 {
     fb_problem *const p = s->problem;
     const fb_kernel *const k = p->kernel;
-    const int called = fb_fill_inputs(p, t, z);
+    const int called = fb_fill_inputs(p, t, y);
     if (called < 0)
         return called;
-    k->dynamics(t, z, p->constants, p->inputs, s->coordinate_rates, s->mass_matrix, s->forcing, s->jacobian, s->bias);
+    k->dynamics(t, y, p->constants, p->inputs, s->coordinate_rates, s->mass_matrix, s->forcing, s->jacobian, s->bias);
     if (s->formulation != FB_INDEX_1)
-        k->position(t, z, p->constants, p->inputs, s->positions, s->position_jacobian);
+        k->position(t, y, p->constants, p->inputs, s->positions, s->position_jacobian);
     return 0;
 }
 
@@ -86,24 +90,24 @@ static inline double fb_row_times(const fb_implicit *s, const int row, const dou
     return sum;
 }
 
-static inline int fb_implicit_form(fb_implicit *s, const double t, const double *restrict z,
-                                   const double *restrict z_rate, double *restrict residual)
+static inline int fb_implicit_form(fb_implicit *s, const double t, const double *restrict y,
+                                   const double *restrict y_rate, double *restrict residual)
 {
     fb_problem *const p = s->problem;
     const fb_kernel *const k = p->kernel;
-    const int n_q = k->n_q, n_u = k->n_u, n_x = n_q + n_u, n_c = k->n_c, n_h = k->n_h;
-    const double *const lambda = z + n_x, *const mu = lambda + n_c;
-    const int called = fb_implicit_equations(s, t, z);
+    const int n_q = k->n_q, n_u = k->n_u, n_z = k->n_z, n_x = k->n_x, n_c = k->n_c, n_h = k->n_h;
+    const double *const lambda = y + n_x, *const mu = lambda + n_c;
+    const int called = fb_implicit_equations(s, t, y);
     if (called < 0)
         return called;
     for (int i = 0; i < n_q; ++i)
-        residual[i] = z_rate[i] - s->coordinate_rates[i];
+        residual[i] = y_rate[i] - s->coordinate_rates[i];
     if (s->formulation == FB_INDEX_2) {
         memset(s->change, 0, (size_t)n_u * sizeof(double));
         for (int i = 0; i < n_h; ++i)
             for (int j = 0; j < n_u && k->position_row[i] >= 0; ++j)
                 s->change[j] += s->metric[j] * s->jacobian[k->position_row[i] * n_u + j] * mu[i];
-        k->coordinate_change(t, z, p->constants, p->inputs, s->change, s->coordinate_change);
+        k->coordinate_change(t, y, p->constants, p->inputs, s->change, s->coordinate_change);
         for (int i = 0; i < n_h; ++i)
             for (int j = 0; j < n_q && k->position_row[i] < 0; ++j)
                 s->coordinate_change[j] += s->position_jacobian[i * n_q + j] * mu[i];
@@ -113,19 +117,23 @@ static inline int fb_implicit_form(fb_implicit *s, const double t, const double 
     for (int i = 0; i < n_u; ++i) {
         double sum = -s->forcing[i];
         for (int j = 0; j < n_u; ++j)
-            sum += s->mass_matrix[i * n_u + j] * z_rate[n_q + j];
+            sum += s->mass_matrix[i * n_u + j] * y_rate[n_q + j];
         for (int row = 0; row < n_c; ++row)
             sum -= s->jacobian[row * n_u + i] * lambda[row];
         residual[n_q + i] = sum;
     }
+    if (n_z > 0)
+        k->state_rates(t, y, p->constants, p->inputs, y_rate + n_q, lambda, s->state_rates);
+    for (int i = n_x - n_z; i < n_x; ++i)
+        residual[i] = y_rate[i] - s->state_rates[i - (n_x - n_z)];
     if (s->formulation == FB_INDEX_1) {
         for (int row = 0; row < n_c; ++row)
-            residual[n_x + row] = s->bias[row] + fb_row_times(s, row, z_rate + n_q);
+            residual[n_x + row] = s->bias[row] + fb_row_times(s, row, y_rate + n_q);
         return 0;
     }
-    k->velocity(t, z, p->constants, p->inputs, s->jacobian, s->velocities); /* J again, and b */
+    k->velocity(t, y, p->constants, p->inputs, s->jacobian, s->velocities); /* J again, and b */
     for (int row = 0; row < n_c; ++row)
-        residual[n_x + row] = s->velocities[row] + fb_row_times(s, row, z + n_q);
+        residual[n_x + row] = s->velocities[row] + fb_row_times(s, row, y + n_q);
     for (int i = 0; i < n_h; ++i)
         if (s->formulation == FB_INDEX_2)
             residual[n_x + n_c + i] = s->positions[i];
@@ -134,30 +142,30 @@ static inline int fb_implicit_form(fb_implicit *s, const double t, const double 
     return 0;
 }
 
-/* F(t, z, z'); negative from the caller of inputs. */
-static inline int fb_implicit_residual(fb_implicit *s, const double since, const double *restrict z,
-                                       const double *restrict z_rate, double *restrict residual)
+/* F(t, y, y'); negative from the caller of inputs. */
+static inline int fb_implicit_residual(fb_implicit *s, const double since, const double *restrict y,
+                                       const double *restrict y_rate, double *restrict residual)
 {
     const double t = fb_time(&s->problem->clock, since);
-    const int called = fb_implicit_form(s, t, z, z_rate, residual);
-    for (int i = 0; i < s->n_z && called == 0; ++i)
+    const int called = fb_implicit_form(s, t, y, y_rate, residual);
+    for (int i = 0; i < s->n_y && called == 0; ++i)
         residual[i] *= s->row[i];
     if (called == 0)
-        fb_note_failure(s->problem, all_finite(residual, s->n_z), t, z);
+        fb_note_failure(s->problem, all_finite(residual, s->n_y), t, y);
     return called;
 }
 
-/* dF/dz + c dF/dz', row by row, (n_z, n_z). What J^T mu changes with q is left out, since mu vanishes. */
-static inline int fb_implicit_derivative(fb_implicit *s, const double t, const double c, const double *restrict z,
-                                         const double *restrict z_rate, double *restrict matrix)
+/* dF/dy + c dF/dy', row by row, (n_y, n_y). What J^T mu changes with q is left out, since mu vanishes. */
+static inline int fb_implicit_derivative(fb_implicit *s, const double t, const double c, const double *restrict y,
+                                         const double *restrict y_rate, double *restrict matrix)
 {
     fb_problem *const p = s->problem;
     const fb_kernel *const k = p->kernel;
-    const int n_q = k->n_q, n_u = k->n_u, n_x = n_q + n_u, n_c = k->n_c, n_h = k->n_h, n = s->n_z;
-    const int called = fb_implicit_equations(s, t, z);
+    const int n_q = k->n_q, n_u = k->n_u, n_z = k->n_z, n_x = k->n_x, n_c = k->n_c, n_h = k->n_h, n = s->n_y;
+    const int called = fb_implicit_equations(s, t, y);
     if (called < 0)
         return called;
-    k->derivatives->sensitivity(t, z, p->constants, p->inputs, z_rate + n_q, z + n_x, s->rate_jacobian,
+    k->derivatives->sensitivity(t, y, p->constants, p->inputs, y_rate + n_q, y + n_x, s->rate_jacobian,
                                 s->residual_jacobian);
     memset(matrix, 0, (size_t)(n * n) * sizeof *matrix);
     for (int i = 0; i < n_q; ++i) {
@@ -174,6 +182,19 @@ static inline int fb_implicit_derivative(fb_implicit *s, const double t, const d
         for (int j = 0; j < n_c; ++j)
             row[n_x + j] = -s->jacobian[j * n_u + i];
     }
+    if (n_z > 0)
+        k->derivatives->state_rate_sensitivity(t, y, p->constants, p->inputs, y_rate + n_q, y + n_x,
+                                               s->by_accelerations, s->by_multipliers);
+    for (int i = 0; i < n_z; ++i) {
+        double *const row = matrix + (n_x - n_z + i) * n;
+        for (int j = 0; j < n_x; ++j)
+            row[j] = -s->residual_jacobian[(n_u + n_c + i) * n_x + j];
+        row[n_x - n_z + i] += c;
+        for (int j = 0; j < n_u; ++j)
+            row[n_q + j] -= c * s->by_accelerations[i * n_u + j];
+        for (int j = 0; j < n_c; ++j)
+            row[n_x + j] = -s->by_multipliers[i * n_c + j];
+    }
     if (s->formulation == FB_INDEX_1) {
         for (int i = 0; i < n_c; ++i) {
             double *const row = matrix + (n_x + i) * n;
@@ -184,7 +205,7 @@ static inline int fb_implicit_derivative(fb_implicit *s, const double t, const d
         }
         return 0;
     }
-    k->derivatives->constraint_sensitivity(t, z, p->constants, p->inputs, s->velocity_jacobian, s->unused,
+    k->derivatives->constraint_sensitivity(t, y, p->constants, p->inputs, s->velocity_jacobian, s->unused,
                                            s->unused + n_h * k->n_r);
     for (int i = 0; i < n_c; ++i) {
         double *const row = matrix + (n_x + i) * n;
@@ -198,7 +219,7 @@ static inline int fb_implicit_derivative(fb_implicit *s, const double t, const d
             memcpy(matrix + (n_x + n_c + i) * n, slopes, (size_t)n_q * sizeof *matrix);
             for (int j = 0; j < n_u && kept_by >= 0; ++j)
                 s->change[j] = s->metric[j] * s->jacobian[kept_by * n_u + j];
-            k->coordinate_change(t, z, p->constants, p->inputs, s->change, s->coordinate_change);
+            k->coordinate_change(t, y, p->constants, p->inputs, s->change, s->coordinate_change);
             for (int j = 0; j < n_q; ++j)
                 matrix[j * n + n_x + n_c + i] = kept_by >= 0 ? -s->coordinate_change[j] : -slopes[j];
         } else if (kept_by >= 0) {
@@ -210,32 +231,32 @@ static inline int fb_implicit_derivative(fb_implicit *s, const double t, const d
     return 0;
 }
 
-static inline int fb_implicit_jacobian(fb_implicit *s, const double since, const double c, const double *restrict z,
-                                       const double *restrict z_rate, double *restrict matrix)
+static inline int fb_implicit_jacobian(fb_implicit *s, const double since, const double c, const double *restrict y,
+                                       const double *restrict y_rate, double *restrict matrix)
 {
-    const int called = fb_implicit_derivative(s, fb_time(&s->problem->clock, since), c, z, z_rate, matrix);
-    for (int i = 0; i < s->n_z && called == 0; ++i)
-        for (int j = 0; j < s->n_z; ++j)
-            matrix[i * s->n_z + j] *= s->row[i];
+    const int called = fb_implicit_derivative(s, fb_time(&s->problem->clock, since), c, y, y_rate, matrix);
+    for (int i = 0; i < s->n_y && called == 0; ++i)
+        for (int j = 0; j < s->n_y; ++j)
+            matrix[i * s->n_y + j] *= s->row[i];
     return called;
 }
 
 /* Takes the diagonal of D, and gives each equation the unit that makes its largest derivative by the state 1, for
  * states in units of their weights: pivots of the matrix are then chosen alike for mechanisms of micrometres and of
  * kilometres. */
-static inline int fb_implicit_scale(fb_implicit *s, const double since, const double c, const double *restrict z,
-                                    const double *restrict z_rate, const double *restrict weights,
+static inline int fb_implicit_scale(fb_implicit *s, const double since, const double c, const double *restrict y,
+                                    const double *restrict y_rate, const double *restrict weights,
                                     const double *restrict metric, double *restrict matrix)
 {
-    const int n_u = s->problem->kernel->n_u, n_x = s->problem->kernel->n_q + n_u;
+    const int n_u = s->problem->kernel->n_u, n_x = s->problem->kernel->n_x;
     const double t = fb_time(&s->problem->clock, since);
     for (int j = 0; j < n_u; ++j)
         s->metric[j] = metric[j];
-    const int called = fb_implicit_derivative(s, t, c, z, z_rate, matrix);
-    for (int i = 0; i < s->n_z; ++i) {
+    const int called = fb_implicit_derivative(s, t, c, y, y_rate, matrix);
+    for (int i = 0; i < s->n_y; ++i) {
         double size = 0.0;
         for (int j = 0; j < n_x && called == 0; ++j)
-            size = fmax(size, fabs(matrix[i * s->n_z + j]) * weights[j]);
+            size = fmax(size, fabs(matrix[i * s->n_y + j]) * weights[j]);
         s->row[i] = size > 0.0 && isfinite(size) ? 1.0 / size : 1.0;
     }
     return called;

@@ -393,7 +393,7 @@ static inline int fb_project_sample(fb_problem *p, const double t, double *x)
 {
     const int closed = fb_problem_project(p, t, x, 0);
     if (closed == FB_NOT_FINITE)
-        for (int i = 0; i < p->kernel->n_q + p->kernel->n_u; ++i)
+        for (int i = 0; i < p->kernel->n_x; ++i)
             x[i] = NAN;
     return closed < 0 ? closed : 0;
 }

@@ -2,7 +2,7 @@
  *
  * Arguments stand in the order (t, x, constants, r):
  *   t          time
- *   x          state, coordinates q then speeds u, n_q + n_u values
+ *   x          state, coordinates q, speeds u, then auxiliary states z, n_x values
  *   constants  n_constants values that `prepare` derives from the n_p parameters p
  *   r          inputs, n_r values
  *   work       work_size bytes, aligned for double, that one call at a time may use
@@ -13,7 +13,7 @@
 
 #include <stddef.h>
 
-#define FB_ABI_VERSION 12
+#define FB_ABI_VERSION 13
 #define FB_CAPSULE_NAME "fourbar_codegen.kernel"
 
 /* Long functions are printed in parts, which the compiler must not put together again. */
@@ -38,7 +38,7 @@ enum FB_STATUS {
 /* Something with x' in it, which needs the equations solved. */
 typedef int fb_evaluation(double t, const double *x, const double *constants, const double *r, double *result,
                           void *work);
-/* Derivatives of q' and of (f - M u' + J^T lambda, -(J u' + gamma)), with u' and lambda held. */
+/* Derivatives of q' and of (f - M u' + J^T lambda, -(J u' + gamma), z'), with u' and lambda held. */
 typedef void fb_sensitivity(double t, const double *x, const double *constants, const double *r,
                             const double *accelerations, const double *multipliers, double *coordinate_rate_jacobian,
                             double *residual_jacobian);
@@ -54,6 +54,10 @@ typedef struct fb_derivatives {
     void (*constraint_sensitivity)(double t, const double *x, const double *constants, const double *r,
                                    double *velocity_jacobian, double *position_input_jacobian,
                                    double *velocity_input_jacobian);
+    /* dz'/du' and dz'/dlambda; NULL without auxiliary states */
+    void (*state_rate_sensitivity)(double t, const double *x, const double *constants, const double *r,
+                                   const double *accelerations, const double *multipliers,
+                                   double *state_rate_acceleration_jacobian, double *state_rate_multiplier_jacobian);
     /* positions (n_points, 3) and forces (n_forces, 3) in the inertial frame */
     void (*drawing)(double t, const double *x, const double *constants, const double *r, double *points,
                     double *forces);
@@ -65,9 +69,12 @@ typedef struct fb_kernel {
     int abi_version;
     size_t struct_size;
     size_t work_size;
-    int n_q, n_u, n_p, n_r;
-    int n_h;           /* position constraints */
-    int n_c;           /* velocity constraints */
+    int n_q, n_u, n_z; /* coordinates, speeds, auxiliary states */
+    int n_x;           /* all of these */
+    int n_p, n_r;
+    int states_need_solution; /* whether u' or lambda stand in z' */
+    int n_h;                  /* position constraints */
+    int n_c;                  /* velocity constraints */
     int n_i;           /* of the position constraints those that no speed changes, such as norms of quaternions */
     int n_o;           /* outputs */
     int n_breakpoints; /* times at which expressions have a jump or a kink */
@@ -86,11 +93,14 @@ typedef struct fb_kernel {
     int (*stabilized)(double t, const double *x, const double *constants, const double *r, double a, double *rates,
                       void *work);
     /* dx'/dx, dx'/dp or dx'/dr, each n_x by n, of the sensitivity with respect to n quantities */
-    int (*differentiate)(fb_sensitivity *sensitivity, int n, double t, const double *x, const double *constants,
-                         const double *r, double *matrix, void *work);
+    int (*differentiate)(const fb_derivatives *derivatives, fb_sensitivity *sensitivity, int n, double t,
+                         const double *x, const double *constants, const double *r, double *matrix, void *work);
     /* u' and the multipliers lambda of M u' = f + J^T lambda */
     int (*accelerations)(double t, const double *x, const double *constants, const double *r, double *accelerations,
                          double *multipliers, void *work);
+    /* z', for u' and lambda as given; NULL without auxiliary states */
+    void (*state_rates)(double t, const double *x, const double *constants, const double *r,
+                        const double *accelerations, const double *multipliers, double *state_rates);
     /* q', M, f, J, gamma of M u' = f + J^T lambda, J u' + gamma = 0 */
     void (*dynamics)(double t, const double *x, const double *constants, const double *r, double *coordinate_rates,
                      double *mass_matrix, double *forcing, double *constraint_jacobian, double *acceleration_bias);
@@ -173,19 +183,21 @@ typedef struct fb_library {
 static inline int fb_jacobian(const fb_kernel *k, double t, const double *x, const double *constants, const double *r,
                               double *matrix, void *work)
 {
-    return k->differentiate(k->derivatives->sensitivity, k->n_q + k->n_u, t, x, constants, r, matrix, work);
+    return k->differentiate(k->derivatives, k->derivatives->sensitivity, k->n_x, t, x, constants, r, matrix, work);
 }
 
 static inline int fb_parameter_jacobian(const fb_kernel *k, double t, const double *x, const double *constants,
                                         const double *r, double *matrix, void *work)
 {
-    return k->differentiate(k->derivatives->parameter_sensitivity, k->n_p, t, x, constants, r, matrix, work);
+    return k->differentiate(k->derivatives, k->derivatives->parameter_sensitivity, k->n_p, t, x, constants, r, matrix,
+                            work);
 }
 
 static inline int fb_input_jacobian(const fb_kernel *k, double t, const double *x, const double *constants,
                                     const double *r, double *matrix, void *work)
 {
-    return k->differentiate(k->derivatives->input_sensitivity, k->n_r, t, x, constants, r, matrix, work);
+    return k->differentiate(k->derivatives, k->derivatives->input_sensitivity, k->n_r, t, x, constants, r, matrix,
+                            work);
 }
 
 #endif

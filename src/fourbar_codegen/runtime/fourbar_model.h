@@ -14,7 +14,10 @@
 #include "fourbar_solve.h"
 #endif
 
-enum { N_X = N_Q + N_U, N_COLUMNS = N_X > N_P ? (N_X > N_R ? N_X : N_R) : (N_P > N_R ? N_P : N_R) };
+#ifndef N_Z
+#define N_Z 0
+#endif
+enum { N_X = N_Q + N_U + N_Z, N_COLUMNS = N_X > N_P ? (N_X > N_R ? N_X : N_R) : (N_P > N_R ? N_P : N_R) };
 
 typedef struct fb_work {
     double coordinate_rates[FB_AT_LEAST_1(N_Q)];
@@ -25,7 +28,10 @@ typedef struct fb_work {
     fb_factors factors;
     double accelerations[N_U];
     double multipliers[FB_AT_LEAST_1(N_C)];
-    double residual_jacobian[(N_U + N_C) * N_COLUMNS];
+    double residual_jacobian[(N_U + N_C + N_Z) * N_COLUMNS];
+#if N_Z > 0
+    double state_rate_acceleration_jacobian[N_Z * N_U], state_rate_multiplier_jacobian[FB_AT_LEAST_1(N_Z * N_C)];
+#endif
     double jacobian_before[FB_AT_LEAST_1(N_JACOBIAN)]; /* J when `orientation_changed` was last called */
 #ifndef FB_SPARSE
     fb_units units; /* of J as `orientation_changed` has met it */
@@ -90,6 +96,20 @@ static inline int solve_accelerations(double t, const double *restrict x, const 
     return fb_solve(w->forcing, w->acceleration_bias, &w->factors, rates);
 }
 
+/* z', behind a solution u'. */
+static inline void fill_state_rates(double t, const double *restrict x, const double *restrict constants,
+                                    const double *restrict r, double *restrict rates, fb_work *restrict w)
+{
+#ifdef FB_STATES_NEED_MULTIPLIERS
+    fb_multipliers(w->mass_matrix, w->forcing, rates + N_Q, &w->factors, w->multipliers);
+#endif
+#if N_Z > 0
+    state_rates(t, x, constants, r, rates + N_Q, w->multipliers, rates + N_Q + N_U);
+#else
+    (void)t, (void)x, (void)constants, (void)r, (void)rates, (void)w;
+#endif
+}
+
 #if defined(FB_RHS_ONLY) || defined(FB_WITHOUT_RHS)
 #define FB_RHS FB_TABLE(rhs)
 fb_evaluation FB_RHS;
@@ -106,6 +126,7 @@ FB_FLATTEN int FB_RHS(double t, const double *x, const double *constants, const 
     const int status = solve_accelerations(t, x, constants, r, coordinate_rates, rates + N_Q, w);
     if (status != FB_OK)
         return status;
+    fill_state_rates(t, x, constants, r, rates, w);
     return all_finite(rates, N_X);
 }
 #endif
@@ -126,6 +147,8 @@ static int stabilized(double t, const double *x, const double *constants, const 
         status = fb_solve(w->forcing, w->acceleration_bias, &w->factors, rates + N_Q);
     for (int i = 0; i < N_Q; ++i)
         rates[i] = w->coordinate_rates[i];
+    if (status == FB_OK)
+        fill_state_rates(t, x, constants, r, rates, w);
     return status == FB_OK ? all_finite(rates, N_X) : status;
 }
 
@@ -232,16 +255,24 @@ static int orientation_changed(void *work)
     return result;
 }
 
-/* Differentiating M u' = f + J^T lambda and J u' + gamma = 0 in some direction gives equations for the change of
- * u' with the same matrices; the right-hand sides are the n columns of residual_jacobian. */
-static int differentiate(fb_sensitivity *function, int n, double t, const double *x, const double *constants,
-                         const double *r, double *matrix, void *work)
+/* Differentiating M u' = f + J^T lambda and J u' + gamma = 0 in some direction gives equations for the changes of u'
+ * and lambda with the same matrices; the right-hand sides are the n columns of residual_jacobian. With these changes,
+ * z' changes by what stands in its rows there. */
+static int differentiate(const fb_derivatives *derivatives, fb_sensitivity *function, int n, double t, const double *x,
+                         const double *constants, const double *r, double *matrix, void *work)
 {
     fb_work *const w = work;
     const int status = accelerations(t, x, constants, r, w->accelerations, w->multipliers, work);
     if (status != FB_OK)
         return status;
     function(t, x, constants, r, w->accelerations, w->multipliers, matrix, w->residual_jacobian);
+#if N_Z > 0
+    double multipliers[FB_AT_LEAST_1(N_C)];
+    derivatives->state_rate_sensitivity(t, x, constants, r, w->accelerations, w->multipliers,
+                                        w->state_rate_acceleration_jacobian, w->state_rate_multiplier_jacobian);
+#else
+    (void)derivatives;
+#endif
     for (int j = 0; j < n; ++j) {
         double solution[N_U];
         for (int i = 0; i < N_U; ++i)
@@ -252,6 +283,17 @@ static int differentiate(fb_sensitivity *function, int n, double t, const double
         fb_solve(w->forcing, w->acceleration_bias, &w->factors, solution);
         for (int i = 0; i < N_U; ++i)
             matrix[(N_Q + i) * n + j] = solution[i];
+#if N_Z > 0
+        fb_multipliers(w->mass_matrix, w->forcing, solution, &w->factors, multipliers);
+        for (int i = 0; i < N_Z; ++i) {
+            double sum = w->residual_jacobian[(N_U + N_C + i) * n + j];
+            for (int k = 0; k < N_U; ++k)
+                sum += w->state_rate_acceleration_jacobian[i * N_U + k] * solution[k];
+            for (int k = 0; k < N_C; ++k)
+                sum += w->state_rate_multiplier_jacobian[i * N_C + k] * multipliers[k];
+            matrix[(N_Q + N_U + i) * n + j] = sum;
+        }
+#endif
     }
     return all_finite(matrix, N_X * n);
 }
@@ -262,6 +304,8 @@ const fb_kernel FB_TABLE(kernel) = {
     .work_size = sizeof(fb_work),
     .n_q = N_Q,
     .n_u = N_U,
+    .n_z = N_Z,
+    .n_x = N_X,
     .n_p = N_P,
     .n_r = N_R,
     .n_h = N_H,
@@ -280,6 +324,12 @@ const fb_kernel FB_TABLE(kernel) = {
     .stabilized = stabilized,
     .differentiate = differentiate,
     .accelerations = accelerations,
+#if N_Z > 0
+    .state_rates = state_rates,
+#ifdef FB_STATES_NEED_SOLUTION
+    .states_need_solution = 1,
+#endif
+#endif
     .dynamics = full_dynamics,
     .position = position,
     .velocity = velocity,

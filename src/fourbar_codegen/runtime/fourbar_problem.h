@@ -109,7 +109,7 @@ static inline int fb_finite(const double *values, const int n)
 /* Integrators go on from NaN with states of NaN; what is to be reported is how it began. */
 static inline void fb_note_failure(fb_problem *s, const int status, const double t, const double *x)
 {
-    const int n = s->kernel->n_q + s->kernel->n_u;
+    const int n = s->kernel->n_x;
     if (status != FB_OK && (s->status == FB_OK || fb_finite(x, n))) {
         s->failed_t = t;
         memcpy(s->failed_x, x, (size_t)n * sizeof *x);
@@ -132,7 +132,7 @@ static inline int fb_problem_rates(void *problem, const double since, const doub
     if (status != FB_OK || s->status != FB_OK)
         fb_note_failure(s, status, t, x);
     if (status != FB_OK)
-        for (int i = 0; i < s->kernel->n_q + s->kernel->n_u; ++i)
+        for (int i = 0; i < s->kernel->n_x; ++i)
             rates[i] = NAN;
     return 0;
 }
@@ -142,7 +142,7 @@ static inline int fb_problem_rates(void *problem, const double since, const doub
 static inline int fb_problem_jacobian(fb_problem *s, const double since, const double *x, double *matrix)
 {
     const double t = fb_time(&s->clock, since);
-    const int n = s->kernel->n_q + s->kernel->n_u;
+    const int n = s->kernel->n_x;
     const int called = fb_fill_inputs(s, t, x);
     if (called < 0)
         return called;
@@ -159,7 +159,7 @@ static inline int fb_problem_jacobian(fb_problem *s, const double since, const d
 static inline int fb_problem_project(fb_problem *s, const double since, double *x, const int factors_valid)
 {
     const double t = fb_time(&s->clock, since);
-    const size_t size = (size_t)(s->kernel->n_q + s->kernel->n_u) * sizeof *x;
+    const size_t size = (size_t)(s->kernel->n_x) * sizeof *x;
     const int called = fb_fill_inputs(s, t, x);
     if (called < 0)
         return called;

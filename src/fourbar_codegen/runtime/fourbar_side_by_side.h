@@ -13,7 +13,10 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { N_X = N_Q + N_U };
+#ifndef N_Z
+#define N_Z 0
+#endif
+enum { N_X = N_Q + N_U + N_Z };
 
 /* The order is taken where its pivots are no less than this share of the sum of their row, which takes less time than
  * the largest entry. That is less than fourbar_solve.h asks for, at the cost of a digit or two, since pivoting in one
@@ -71,6 +74,20 @@ static FB_INLINE void fb_solve_side_by_side(const fb_real *restrict forcing, con
     fb_back_side_by_side(forcing, w, s, accelerations, static_pivot_speed);
 }
 
+/* z', behind a solution u'; it needs no multipliers. */
+static FB_INLINE void fb_fill_state_rates(const fb_real t, const fb_real *restrict x, const fb_real *restrict constants,
+                                          const fb_real *restrict r, fb_real *restrict rates)
+{
+#if N_Z > 0
+    fb_real multipliers[FB_AT_LEAST_1(N_C)];
+    for (int i = 0; i < N_C; ++i)
+        multipliers[i] = fb_number(0.0);
+    state_rates(t, x, constants, r, rates + N_Q, multipliers, rates + N_Q + N_U);
+#else
+    (void)t, (void)x, (void)constants, (void)r, (void)rates;
+#endif
+}
+
 /* States side by side: their equations, and the kernel for one state with its memory. */
 typedef struct fb_side {
     const fb_kernel *kernel; /* for one state */
@@ -124,6 +141,7 @@ static inline void fb_side_rates(fb_side *restrict s, const fb_real t, const fb_
 {
     fb_side_equations(s, t, x, rates);
     fb_solve_side_by_side(s->forcing, s->acceleration_bias, &s->factors, rates + N_Q);
+    fb_fill_state_rates(t, x, s->constants, s->inputs, rates);
     if (fb_any(asked & ~s->factors.good))
         for (int lane = 0; lane < FB_WIDTH; ++lane)
             if (asked[lane] & ~s->factors.good[lane])
@@ -235,6 +253,7 @@ static FB_INLINE void fb_batch_of(const fb_batch *b, const long begin, const lon
         dynamics(t, x, constants, r, rates, mass_matrix, forcing, constraint_jacobian, acceleration_bias);
         fb_factor_side_by_side(mass_matrix, constraint_jacobian, &factors);
         fb_solve_side_by_side(forcing, acceleration_bias, &factors, rates + N_Q);
+        fb_fill_state_rates(t, x, constants, r, rates);
         fb_real sum = t;
         for (int j = 0; j < N_X; ++j)
             sum += rates[j];

@@ -17,7 +17,7 @@ cdef extern from "fourbar_implicit.h":
     int FB_INDEX_2
     int FB_INDEX_3
     ctypedef struct fb_implicit:
-        int n_z
+        int n_y
     size_t fb_place_implicit(fb_problem *, int, fb_implicit *, double *) noexcept nogil
     int fb_implicit_residual(fb_implicit *, double, const double *, const double *, double *) noexcept nogil
     int fb_implicit_scale(fb_implicit *, double, double, const double *, const double *, const double *,
@@ -58,7 +58,7 @@ cdef class Rates:
 
 @cython.final
 cdef class Residual:
-    """F of the differential-algebraic equations F(t, z, z') = 0.
+    """F of the differential-algebraic equations F(t, y, y') = 0.
 
     Parameters
     ----------
@@ -67,8 +67,8 @@ cdef class Residual:
 
     Attributes
     ----------
-    n_z : int
-        Length of z: the state, and behind it the multipliers.
+    n_y : int
+        Length of y: the state, and behind it the multipliers.
     """
 
     cdef Ode ode
@@ -82,20 +82,20 @@ cdef class Residual:
         self.memory = np.zeros(fb_place_implicit(&ode.problem, chosen, &self.implicit, NULL))
         fb_place_implicit(&ode.problem, chosen, &self.implicit, _at(self.memory))
 
-    def scale(self, double t, double c, cnp.ndarray z, cnp.ndarray z_rate, cnp.ndarray weights, cnp.ndarray metric):
-        """Give each equation a unit, for z' = c z and weights of the states as at the beginning, and D its diagonal."""
-        matrix = np.empty((self.implicit.n_z, self.implicit.n_z))
-        self.ode.check(fb_implicit_scale(&self.implicit, t, c, _at(z), _at(z_rate), _at(weights), _at(metric),
+    def scale(self, double t, double c, cnp.ndarray y, cnp.ndarray y_rate, cnp.ndarray weights, cnp.ndarray metric):
+        """Give each equation a unit, for y' = c y and weights of the states as at the beginning, and D its diagonal."""
+        matrix = np.empty((self.implicit.n_y, self.implicit.n_y))
+        self.ode.check(fb_implicit_scale(&self.implicit, t, c, _at(y), _at(y_rate), _at(weights), _at(metric),
                                          _at(matrix)))
 
     @property
-    def n_z(self):
-        return self.implicit.n_z
+    def n_y(self):
+        return self.implicit.n_y
 
-    def evaluate(self, double t, cnp.ndarray z, cnp.ndarray z_rate, cnp.ndarray residual):
-        """F(t, z, z')."""
-        self.ode.check(fb_implicit_residual(&self.implicit, t, _at(z), _at(z_rate), _at(residual)))
+    def evaluate(self, double t, cnp.ndarray y, cnp.ndarray y_rate, cnp.ndarray residual):
+        """F(t, y, y')."""
+        self.ode.check(fb_implicit_residual(&self.implicit, t, _at(y), _at(y_rate), _at(residual)))
 
-    def jacobian(self, double t, cnp.ndarray z, cnp.ndarray z_rate, residual, double c, cnp.ndarray matrix):
-        """dF/dz + c dF/dz', (n_z, n_z)."""
-        self.ode.check(fb_implicit_jacobian(&self.implicit, t, c, _at(z), _at(z_rate), _at(matrix)))
+    def jacobian(self, double t, cnp.ndarray y, cnp.ndarray y_rate, residual, double c, cnp.ndarray matrix):
+        """dF/dy + c dF/dy', (n_y, n_y)."""
+        self.ode.check(fb_implicit_jacobian(&self.implicit, t, c, _at(y), _at(y_rate), _at(matrix)))

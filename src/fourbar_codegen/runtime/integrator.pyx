@@ -281,8 +281,13 @@ cdef class Ode:
         return self.evaluator.n_q
 
     @property
+    def n_u(self):
+        """The number of speeds."""
+        return self.evaluator.n_u
+
+    @property
     def n_x(self):
-        """The number of coordinates and speeds."""
+        """The number of coordinates, speeds and auxiliary states."""
         return self.evaluator.n_x
 
     @property

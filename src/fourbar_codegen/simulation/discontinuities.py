@@ -191,7 +191,7 @@ def speeds_after(ode: Ode, at: Boundary, x: Floats) -> Floats | None:
             f"The rates of prescribed motions jump at t = {at.first:.9g}, and no speeds satisfy the velocity "
             "constraints after it: the motions contradict each other."
         )
-    found: Floats = x[ode.n_q :] + speed * change
+    found: Floats = x[ode.n_q : ode.n_q + ode.n_u] + speed * change
     return found
 
 
@@ -328,7 +328,7 @@ class Pieces:
         if at.moves:
             speeds = speeds_after(self._ode, here, x)
             if speeds is not None:
-                x[self._ode.n_q :] = speeds
+                x[self._ode.n_q : self._ode.n_q + self._ode.n_u] = speeds
                 if not jumps:  # only here, not where the piece began
                     t, jumps = here.first, True
         return self._enter(run, t, here.first, x, jumps=jumps)

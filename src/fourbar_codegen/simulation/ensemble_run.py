@@ -215,7 +215,7 @@ def _on_threads(runs: _Runs, workers: int, bar: Any) -> Results:
                 tasks = [pool.submit(members.run) for _ in range(min(workers, n))]
                 for _ in _finished(tasks):
                     bar.update(members.n_ended - bar.n)
-                success = (members.status == DONE) & is_rounded(model.n_q, states, moved)
+                success = (members.status == DONE) & is_rounded(model.n_q, model.n_u, states, moved)
                 y, nfev = members.samples, members.n_evaluations
                 waiting = np.flatnonzero(~success)
                 y[waiting], nfev[waiting] = np.nan, 0

@@ -329,6 +329,11 @@ class IDA(_Sundials):
         super().__init__(fun, t0, y0, t_bound, **options)
         ode, manifest = self.ode, self.ode.manifest
         one_of(formulation, FORMULATIONS, "formulation")
+        if formulation == "index-3" and ode.evaluator.states_need_solution:
+            raise ModelError(
+                "In formulation='index-3' accelerations and multipliers are known too roughly for the state equations "
+                "that contain them; the other formulations take them."
+            )
         if formulation != "index-1":
             self.y = consistent(ode, t0, self.y)
         rates, multipliers = ode.multipliers(t0, self.y)
@@ -339,24 +344,26 @@ class IDA(_Sundials):
             )
         ida = _sundae("ida")
         residual = Residual(ode, formulation)
-        z, z_rate = np.zeros(residual.n_z), np.zeros(residual.n_z)
-        z[: self.n], z[self.n : self.n + len(multipliers)], z_rate[: self.n] = self.y, multipliers, rates
+        y, y_rate = np.zeros(residual.n_y), np.zeros(residual.n_y)
+        y[: self.n], y[self.n : self.n + len(multipliers)], y_rate[: self.n] = self.y, multipliers, rates
         weights = self._atol + self._options["rtol"] * np.abs(self.y)
         weights = np.where(weights > 0.0, weights, 1.0)
-        tolerances = self._atol[ode.n_q :]
+        speeds = slice(ode.n_q, ode.n_q + ode.n_u)
+        tolerances = self._atol[speeds]
         metric = np.square(tolerances / tolerances.max()) if tolerances.all() else np.ones(len(tolerances))
-        residual.scale(t0, LOOKED / (abs(t_bound - t0) or 1.0), z, z_rate, weights, metric)
-        atol = np.full(residual.n_z, NOT_CONTROLLED)
-        controlled = ode.n_q if formulation == "index-3" else self.n
-        atol[:controlled] = self._atol[:controlled]
+        residual.scale(t0, LOOKED / (abs(t_bound - t0) or 1.0), y, y_rate, weights, metric)
+        atol = np.full(residual.n_y, NOT_CONTROLLED)
+        atol[: self.n] = self._atol
+        if formulation == "index-3":
+            atol[speeds] = NOT_CONTROLLED
         self._solver = ida.IDA(
             residual.evaluate,
             atol=atol,
-            algebraic_idx=np.arange(self.n, residual.n_z),
+            algebraic_idx=np.arange(self.n, residual.n_y),
             jacfn=residual.jacobian,
             **self._options,
         )
-        self._solver.init_step(t0, z, z_rate)
+        self._solver.init_step(t0, y, y_rate)
 
 
 def _sundae(name: str) -> Any:

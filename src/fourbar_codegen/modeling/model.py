@@ -206,7 +206,8 @@ class Model:
         States z beside coordinates and speeds, with their rates z': activations of muscles, currents, filters,
         relaxation of tyres. Expressions are of time, coordinates, speeds, both differentiated once, these states,
         inputs, parameters and multipliers. Loads and outputs may contain the states; velocities, constraints and the
-        potential energy may not.
+        potential energy may not. Actuators of ``sympy.physics.biomechanics`` bring their own; their excitations are
+        inputs, 0 by default.
     extra : {"raise", "ignore"}, optional
         What to do with parameters and inputs that the System does not have. A symbol or function of the same name
         with other assumptions, such as ``positive=True``, is an error in any case.
@@ -259,6 +260,10 @@ class Model:
         self.output_expressions = {
             name_of(key): _expression(e, f"output {name_of(key)}") for key, e in _mapping(outputs, "outputs").items()
         }
+        if not is_automatic:
+            known, appearing = {*self._states(), *self.input_expressions}, self._functions()
+            driving = [f for f in self.mechanism.excitations if f in appearing and f not in known]
+            self.input_expressions.update(dict.fromkeys(driving, sm.S.Zero))
         self.noncontributing: tuple[sm.Expr, ...] = self._find_noncontributing()
         self._check_appearance(extra)
         undeclared = self._find_undeclared()
@@ -342,7 +347,11 @@ class Model:
                     f"state_equations= has functions of {self.mechanism.time} as keys that are neither coordinates nor "
                     f"speeds, not {function!r}."
                 )
-        return {f: _expression(e, f"the state equation of {_name(f)}") for f, e in equations.items()}
+        given = {f: _expression(e, f"the state equation of {_name(f)}") for f, e in equations.items()}
+        own = {f: e for f, e in self.mechanism.state_equations if f not in given}
+        for function, expression in own.items():
+            _check_expressions([expression], f"the state equation of {_name(function)}")
+        return {**own, **given}
 
     def _read_inputs(self, inputs: Mapping[sm.Expr, sm.Expr | float | None]) -> dict[sm.Expr, sm.Expr | None]:
         for function in inputs:

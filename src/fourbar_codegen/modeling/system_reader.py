@@ -184,6 +184,10 @@ class Mechanism:
     fixed_point : int or None
         Number of the System's fixed point, which loads' positions are given from; a KanesMethod has none. A point whose
         velocity is set to zero need not be fixed: the contact of a wheel is not.
+    state_equations : tuple of (Expr, Expr)
+        States that actuators have beside coordinates and speeds, and their rates: activations and fibres of muscles.
+    excitations : tuple of Expr
+        The functions of time that drive these.
     acceleration_constraints : tuple of Expr
         Those that a KanesMethod was given, each to be zero. Equations do not depend on them.
     drawn : tuple of DrawnPoint
@@ -206,6 +210,8 @@ class Mechanism:
     velocity_constraints: tuple[sm.Expr, ...]
     velocity_constraints_derived: bool
     fixed_point: int | None
+    state_equations: tuple[tuple[sm.Expr, sm.Expr], ...]
+    excitations: tuple[sm.Expr, ...]
     acceleration_constraints: tuple[sm.Expr, ...]
     drawn: tuple[DrawnPoint, ...]
 
@@ -316,6 +322,7 @@ def read_mechanism(system: System | me.KanesMethod) -> Mechanism:
         velocity_constraints=tuple(description.velocity_constraints),
         velocity_constraints_derived=description.derived,
         fixed_point=None if description.fixed_point is None else reader.point_numbers.get(description.fixed_point),
+        **_actuators(description),
         acceleration_constraints=tuple(description.acceleration_constraints),
         drawn=drawn,
     )
@@ -337,6 +344,7 @@ class _Description:
     kdes: Sequence[sm.Expr]
     holonomic_constraints: Sequence[sm.Expr]
     velocity_constraints: Sequence[sm.Expr]
+    actuators: Sequence[Any]
     acceleration_constraints: Sequence[sm.Expr]
     derived: bool  # whether the rates of the holonomic constraints are to stand before the velocity constraints
 
@@ -356,6 +364,7 @@ def _of_system(system: System) -> _Description:
         kdes=system.kdes[:],
         holonomic_constraints=system.holonomic_constraints[:],
         velocity_constraints=(system.nonholonomic_constraints if derived else system.velocity_constraints)[:],
+        actuators=system.actuators,
         acceleration_constraints=(),
         derived=derived,
     )
@@ -364,6 +373,22 @@ def _of_system(system: System) -> _Description:
 def _loads(items: Iterable[Any]) -> list[Any]:
     """Loads as they are, and those that actuators stand for."""
     return [load for item in items for load in (item.to_loads() if isinstance(item, me.ActuatorBase) else [item])]
+
+
+def _actuators(system: _Description) -> dict[str, Any]:
+    """The equations of actuators with states of their own, as sympy.physics.biomechanics has them.
+
+    Who has made a state a coordinate, with its equation among the kinematic ones, has said the same.
+    """
+    known = {*system.q_ind, *system.q_dep, *system.u_ind, *system.u_dep}
+    equations: dict[sm.Expr, sm.Expr] = {}
+    excitations: dict[sm.Expr, None] = {}
+    for actuator in system.actuators:
+        if hasattr(actuator, "rhs"):
+            rates = zip(actuator.x, actuator.rhs(), strict=True)
+            equations.update((state, rate) for state, rate in rates if state not in known)
+            excitations.update(dict.fromkeys(actuator.r))
+    return {"state_equations": tuple(equations.items()), "excitations": tuple(excitations)}
 
 
 def _of_kanes_method(kane: me.KanesMethod) -> _Description:
@@ -389,6 +414,7 @@ def _of_kanes_method(kane: me.KanesMethod) -> _Description:
         kdes=kdes[:],
         holonomic_constraints=kane._f_h[:],
         velocity_constraints=(kane._k_nh * u + kane._f_nh)[:] if kane._udep else (),
+        actuators=[item for item in kane.forcelist or () if isinstance(item, me.ActuatorBase)],
         # Those that KanesMethod derives itself have the velocity constraints' matrix.
         acceleration_constraints=(
             (kane._k_dnh * u.diff(t) + kane._f_dnh)[:] if kane._udep and kane._k_dnh is not kane._k_nh else ()

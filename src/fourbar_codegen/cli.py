@@ -89,7 +89,8 @@ _RUN_OPTIONS = [
     ),
     click.option(
         "-i", "--initial", multiple=True, callback=_pairs, metavar="NAME=VALUE",
-        help="Initial value of an independent coordinate or speed, or guess of a dependent coordinate; repeatable.",
+        help="Initial value of an independent coordinate or speed or an auxiliary state, or guess of a dependent "
+        "coordinate; repeatable.",
     ),
     click.option(
         "-r", "--input", "inputs", multiple=True, callback=_pairs, metavar="NAME=VALUE",

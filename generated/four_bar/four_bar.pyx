@@ -26,7 +26,7 @@ manifest = (
     '{\n'
     '  "format": 8,\n'
     '  "name": "four_bar",\n'
-    '  "fingerprint": "5c77ea422545858597d320b1e17e75fbf4c85a025f735ba0138c899f4bb1cddc",\n'
+    '  "fingerprint": "f2bd98911a06d496a5b6d683904e841d07454621e35f1d11642ebf4d919f1d47",\n'
     '  "coordinates": [\n'
     '    "q1",\n'
     '    "q2",\n'

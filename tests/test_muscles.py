@@ -134,7 +134,7 @@ def test_who_has_made_the_activation_a_coordinate_has_said_the_same():
     dummy = me.dynamicsymbols("v")
     system.add_coordinates(muscle.a)
     system.add_speeds(dummy)
-    system.add_kdes(muscle.a.diff() - muscle.rhs()[0] - dummy * 0)
+    system.add_kdes(muscle.a.diff() - muscle.rhs()[0])
     idle = me.Particle("idle", me.Point("I"), 1)
     idle.masscenter.set_vel(system.frame, dummy * system.frame.x)
     system.add_bodies(idle)

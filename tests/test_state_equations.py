@@ -216,34 +216,27 @@ def test_relaxation_of_a_tyre():
 
 
 def cartesian():
-    x, y, vx, vy, z, w = me.dynamicsymbols("x y v_x v_y z w")
-    m, length, g, tau = sm.symbols("m l g tau")
-    ground, origin, point = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
-    origin.set_vel(ground, 0)
-    point.set_pos(origin, x * ground.x + y * ground.y)
-    point.set_vel(ground, vx * ground.x + vy * ground.y)
-    system = System(ground, origin)
-    system.add_bodies(me.Particle("bob", point, m))
-    system.apply_uniform_gravity(-g * ground.y)
-    system.add_loads(me.Force(point, z * ground.x))
-    system.q_ind, system.q_dep, system.u_ind, system.u_dep = [x], [y], [vx], [vy]
-    system.add_kdes(vx - x.diff(), vy - y.diff())
-    system.add_holonomic_constraints(x**2 + y**2 - length**2)
+    model = fb.models.cartesian_pendulum()
+    system, (y, x), (vy, _) = model.system, model.mechanism.coordinates, model.mechanism.speeds
+    m, length, g = model.parameter_symbols
+    tau, (z, w) = sm.Symbol("tau"), me.dynamicsymbols("z w")
+    [bob] = system.bodies
+    system.add_loads(me.Force(bob.masscenter, z * system.frame.x))
     return fb.Model(
         system,
         name="measured",
         parameters={m: 1.3, length: 1.0, g: 9.81, tau: 0.2},
         state_equations={z: (vy.diff(T) / 10 - z) / tau, w: fb.multiplier(1) * x - w * (1 + z)},
-        initial={x: 0.6, y: -0.8, vx: 0.4, z: 0.1, w: 0.2},
+        initial={x: 0.6, y: -0.8, vy: 0.3, z: 0.1, w: 0.2},
     )
 
 
 def cartesian_rates(state, m=1.3, g=9.81, tau=0.2):
     """By hand: m x'' = z + 2 lambda x, m y'' = -m g + 2 lambda y, x x'' + y y'' + v^2 = 0."""
-    x, y, vx, vy, z, w = state
+    y, x, vy, vx, z, w = state
     multiplier = (m * (g * y - vx**2 - vy**2) - x * z) / (2 * (x**2 + y**2))
     ax, ay = (z + 2 * multiplier * x) / m, -g + 2 * multiplier * y / m
-    return np.array([vx, vy, ax, ay, (ay / 10 - z) / tau, multiplier * x - w * (1 + z)])
+    return np.array([vy, vx, ay, ax, (ay / 10 - z) / tau, multiplier * x - w * (1 + z)])
 
 
 def test_accelerations_and_multipliers_in_state_equations():
@@ -345,17 +338,10 @@ def test_a_state_without_a_value():
 
 
 def test_multipliers_of_redundant_constraints_are_open():
-    x, y, vx, vy, z = me.dynamicsymbols("x y v_x v_y z")
-    m = sm.Symbol("m")
-    ground, origin, point = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
-    origin.set_vel(ground, 0)
-    point.set_pos(origin, x * ground.x + y * ground.y)
-    point.set_vel(ground, vx * ground.x + vy * ground.y)
-    system = System(ground, origin)
-    system.add_bodies(me.Particle("bob", point, m))
-    system.q_ind, system.q_dep, system.u_ind, system.u_dep = [x], [y], [vx], [vy]
-    system.add_kdes(vx - x.diff(), vy - y.diff())
-    system.add_holonomic_constraints(x**2 + y**2 - 1, 2 * x**2 + 2 * y**2 - 2)
-    model = fb.Model(system, parameters={m: 1.0}, state_equations={z: fb.multiplier(1)})
+    pendulum = fb.models.cartesian_pendulum()
+    [circle] = pendulum.system.holonomic_constraints
+    pendulum.system.add_holonomic_constraints(2 * circle)
+    z, values = me.dynamicsymbols("z"), pendulum.parameter_symbols
+    model = fb.Model(pendulum.system, parameters=values, state_equations={z: fb.multiplier(1)})
     with pytest.raises(fb.ModelError, match="multipliers, which redundant constraints leave open"):
         fb.compile_model(model)

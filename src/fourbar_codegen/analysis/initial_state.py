@@ -57,7 +57,7 @@ def initial_state(
     loops, u_i, start = _given(model, coordinates, speeds, t, guess, parameters, inputs)
     limits = _limits(bounds, model.coordinates[len(loops.q_i) :])
     q = loops.coordinates(_close(loops, start, guess is not None, limits) if model.n_h else start)
-    return np.concatenate((q, _dependent_speeds(loops, q, u_i), auxiliary_values(model, auxiliary_states)))
+    return np.concatenate((q, _dependent_speeds(loops, q, u_i), _auxiliary_values(model, auxiliary_states)))
 
 
 def initial_states(
@@ -76,7 +76,7 @@ def initial_states(
     loops, u_i, start = _given(model, coordinates, speeds, t, None, parameters, inputs)
     with Progress(f"{model.name}: ways to close the loops") as progress:
         found, is_complete = closed_coordinates(loops, start, progress) if model.n_h else ([start], True)
-    z = auxiliary_values(model, auxiliary_states)
+    z = _auxiliary_values(model, auxiliary_states)
     states = []
     for dependent in found:
         q = loops.coordinates(dependent)
@@ -88,7 +88,7 @@ def initial_states(
     return AssemblyModes(model, loops.t, np.reshape(states, (len(states), model.n_x)), is_complete, loops.p, loops.r)
 
 
-def auxiliary_values(model: Kernel, given: Values | None) -> Floats:
+def _auxiliary_values(model: Kernel, given: Values | None) -> Floats:
     """Values of the auxiliary states: as given, or the model's initial ones."""
     return named_array(given, model.auxiliary_states, model.manifest["initial"], "auxiliary state")
 

@@ -8,6 +8,7 @@ import tempfile
 import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -357,18 +358,15 @@ def compile_model(model: Model, *, check: bool = True) -> CompiledModel:
     check = flag(check, "check")
 
     def build(folder: Path) -> Path:
-        from concurrent.futures import ThreadPoolExecutor
-
-        with Progress(f"fourbar_codegen: {model.name}") as progress, ThreadPoolExecutor(1) as pool:
+        with Progress(f"fourbar_codegen: {model.name}") as progress:
             generated = _generate_kernel(model, progress)
             progress.stage("compiling")
-            rest = pool.submit(_generate_rest, generated)  # while the compiler works on the kernel
             return install(
                 model.name,
                 generated.sources,
                 generated.manifest,
                 folder,
-                rest=lambda: rest.result()[1:],
+                rest=cache(lambda: _generate_rest(generated)[1:]),
                 check=_comparison(progress, generated.equations) if check else None,
             )
 

@@ -58,6 +58,7 @@ def build_part(
     sources: Mapping[str, str],
     structure: Mapping[str, Any] | None = None,
     *,
+    meanwhile: Callable[[], object] | None = None,
     check: Callable[[Path], object] | None = None,
 ) -> Path:
     """The shared library of a part, from the cache if it was built there before.
@@ -73,6 +74,8 @@ def build_part(
         Text by file name.
     structure : mapping, optional
         What the kernel's library is to say of itself.
+    meanwhile : callable, optional
+        Called while the compiler works, where it has to.
     check : callable, optional
         Called with a library that was built, before it comes to the cache, where it does not come if this raises.
 
@@ -102,7 +105,7 @@ def build_part(
     def build(folder: Path) -> Path:
         with tempfile.TemporaryDirectory() as temporary:
             # By a path of its own: the system goes on giving out the first library that was loaded from one.
-            library = compile_library(Path(temporary) / f"{name}_{part}.so", texts, units)
+            library = compile_library(Path(temporary) / f"{name}_{part}.so", texts, units, meanwhile)
             if check is not None:
                 check(library)
             return Path(shutil.copy(library, folder))
@@ -131,7 +134,8 @@ def install(
     folder : Path
         There already.
     rest : callable
-        Called when the kernel has been compiled, for the other sources, and the rest of the manifest.
+        Called while the kernel is compiled, for the other sources, and the rest of the manifest; and again when it has
+        been.
     check : callable, optional
         Called with the library before it comes to the folder, where it does not come if this raises.
 
@@ -161,7 +165,7 @@ def install(
         checked = True
 
     for _ in range(ATTEMPTS):
-        library = build_part(name, "kernel", sources, _structure(manifest), check=complete)
+        library = build_part(name, "kernel", sources, _structure(manifest), meanwhile=rest, check=complete)
         with suppress(FileNotFoundError):  # where another process has removed it in between, to keep the cache small
             if not checked:  # it was there, for a model with other numbers, or of which nothing was checked
                 with tempfile.TemporaryDirectory() as temporary:

@@ -239,7 +239,12 @@ def build_extension(
         return folder / module.name
 
 
-def compile_library(library: Path, sources: Mapping[str, str], units: Mapping[str, Sequence[str]]) -> Path:
+def compile_library(
+    library: Path,
+    sources: Mapping[str, str],
+    units: Mapping[str, Sequence[str]],
+    meanwhile: Callable[[], object] | None = None,
+) -> Path:
     """Compile C sources to a shared library, for this machine alone.
 
     Parameters
@@ -249,6 +254,8 @@ def compile_library(library: Path, sources: Mapping[str, str], units: Mapping[st
         Text by file name.
     units : mapping of str to sequence of str
         The flags of each of them that is to be compiled.
+    meanwhile : callable, optional
+        Called while the compiler works.
 
     Returns
     -------
@@ -265,7 +272,7 @@ def compile_library(library: Path, sources: Mapping[str, str], units: Mapping[st
             (Path(temporary) / filename).write_text(text, encoding="utf-8")
         more = ("-DFB_ONE_MACHINE", *find_compiler().machine_flags)
         flags = {Path(temporary) / filename: (*own, *more) for filename, own in units.items()}
-        return _link(_side_by_side([partial(_compile, *unit) for unit in flags.items()]), library)
+        return _link(_side_by_side([partial(_compile, *unit) for unit in flags.items()], meanwhile), library)
 
 
 def copied(built: Path, folder: Path) -> Path:
@@ -328,9 +335,15 @@ def _build(name: str, sources: Mapping[str, str], folder: Path) -> Path:
     return _link(objects, folder / f"{name}{sysconfig.get_config_var('EXT_SUFFIX')}")
 
 
-def _side_by_side(jobs: Sequence[Callable[[_Running], Path]]) -> list[Path]:
-    """What jobs make, two at a time; where one fails, what the others run is stopped."""
-    from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
+def _side_by_side(
+    jobs: Sequence[Callable[[_Running], Path]], meanwhile: Callable[[], object] | None = None
+) -> list[Path]:
+    """What jobs make, two at a time; where one fails, what the others run is stopped.
+
+    What is to be called meanwhile is, when the first of them is done: then a core is free. (Before the tools run, it
+    would keep Python from starting them.)
+    """
+    from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 
     running = _Running()
     with ThreadPoolExecutor(2) as pool:
@@ -338,9 +351,12 @@ def _side_by_side(jobs: Sequence[Callable[[_Running], Path]]) -> list[Path]:
             submitted = [pool.submit(job, running) for job in jobs]
             pending = set(submitted)
             while pending:  # in turns: what interrupts Python just before it waits is noticed when it goes on
-                done, pending = wait(pending, PAUSE, FIRST_EXCEPTION)
+                done, pending = wait(pending, PAUSE, FIRST_COMPLETED)
                 for job in done:
                     job.result()
+                if done and meanwhile is not None:
+                    meanwhile()
+                    meanwhile = None
             return [job.result() for job in submitted]
         except BaseException:  # as from the keyboard
             pool.shutdown(wait=False, cancel_futures=True)

@@ -54,8 +54,10 @@ DOORS = {
     ("results.trajectory", "presentation.figures"),
     ("results.trajectory", "presentation.report"),
     ("analysis.assembly_modes", "presentation.figures"),
+    ("modeling.model", "dynamics.equations"),
 }
-"""What a result does with itself on request, imported in the function: `Trajectory.save`, `.plot`, and the like."""
+"""What a result does with itself on request, imported in the function: `Trajectory.save`, `.plot`, and the like; and
+that a Model is refused whose velocity constraints do not keep the positions, which takes mechanics to tell."""
 
 
 def layer(name):

@@ -43,7 +43,7 @@ from fourbar_codegen.expressions.tape import Result, Scalar, Tape
 from fourbar_codegen.modeling.model import InputEntry, Model, multiplier
 from fourbar_codegen.modeling.system_reader import DrawnPoint
 
-__all__ = ["Equations", "form_equations", "matrix"]
+__all__ = ["Equations", "check_velocity_constraints", "form_equations", "matrix"]
 
 MOTIONS = 5
 ROUNDED = 1e-9
@@ -200,16 +200,9 @@ def form_equations(model: Model) -> Equations:
     mechanism = model.mechanism
     tape = Tape()
     v = _variables(tape, model)
-    leaves = _leaves(tape, model, v)
-    q_rates = tuple(deduplicate(tape, solve_kinematics(tape, mechanism, leaves, v.u)))
-    leaves.update(zip((c.diff(mechanism.time) for c in mechanism.coordinates), q_rates, strict=True))
+    leaves, q_rates, rate, total_rate = _rates(tape, model, v)
     leaves.update(zip(model.noncontributing, v.unknown, strict=True))
     convert = convert_virtual = Conversion(tape, leaves)
-
-    # The rate of a function of (q, u, r, t) with u held, or with u' given: of the inputs, those whose rates are inputs.
-    held = {v.time: tape.one, **dict(zip(v.q, q_rates, strict=True)), **_input_rates(model, v)}
-    rate = Jvp(tape, held)
-    total_rate = Jvp(tape, {**held, **dict(zip(v.u, v.a, strict=True))})
 
     kinematics = virtual = Kinematics(tape, mechanism, convert, rate)
     if v.aux:
@@ -353,6 +346,33 @@ def form_equations(model: Model) -> Equations:
     )
 
 
+def check_velocity_constraints(model: Model) -> None:
+    """Raise where the velocity constraints of a model do not keep its position constraints.
+
+    Parameters
+    ----------
+    model : Model
+
+    Raises
+    ------
+    ModelError
+        Likewise if the kinematic equations do not determine q', or a velocity constraint is not linear in u.
+
+    Examples
+    --------
+    >>> from fourbar_codegen.models import four_bar
+    >>> check_velocity_constraints(four_bar())
+    """
+    mechanism = model.mechanism
+    tape = Tape()
+    v = _variables(tape, model)
+    leaves, _, rate, _ = _rates(tape, model, v)
+    convert = Conversion(tape, leaves)
+    constraints = form_constraints(tape, mechanism, convert, convert, v.q, v.u, (), rate, ())
+    values, expressions = _values(model, v), mechanism.holonomic_constraints
+    form_corrections(tape, constraints, v.q, v.u, Rounding(tape), values, expressions)
+
+
 @dataclass(frozen=True)
 class _Variables:
     """The leaves of the tape: time, q, u, z, parameters, inputs, u', auxiliary speeds, unknown forces."""
@@ -395,6 +415,19 @@ def _leaves(tape: Tape, model: Model, v: _Variables) -> dict[sm.Basic, Scalar]:
         leaves[symbol] = Conversion(tape, leaves)(expr)
     leaves.update(zip((entry.function for entry in model.input_entries), v.r, strict=True))
     return leaves
+
+
+def _rates(tape: Tape, model: Model, v: _Variables) -> tuple[dict[sm.Basic, Scalar], tuple[Scalar, ...], Jvp, Jvp]:
+    """The leaves with the coordinates' rates, those rates, and differentiation with respect to time.
+
+    That of a function of (q, u, r, t) with u held, or with u' given: of the inputs, those whose rates are inputs.
+    """
+    mechanism = model.mechanism
+    leaves = _leaves(tape, model, v)
+    q_rates = tuple(deduplicate(tape, solve_kinematics(tape, mechanism, leaves, v.u)))
+    leaves.update(zip((c.diff(mechanism.time) for c in mechanism.coordinates), q_rates, strict=True))
+    held = {v.time: tape.one, **dict(zip(v.q, q_rates, strict=True)), **_input_rates(model, v)}
+    return leaves, q_rates, Jvp(tape, held), Jvp(tape, {**held, **dict(zip(v.u, v.a, strict=True))})
 
 
 def _values(model: Model, v: _Variables) -> dict[Scalar, float]:

@@ -215,7 +215,8 @@ class Model:
     Raises
     ------
     ModelError
-        If the System's parts do not fit together, or a symbol is missing, unknown, or named twice.
+        If the System's parts do not fit together, or a symbol is missing, unknown, or named twice; or if velocity
+        constraints that it states do not keep its position constraints.
 
     Examples
     --------
@@ -286,6 +287,10 @@ class Model:
         self._check_holonomic_constraints()
         self._check_auxiliary_states()
         self.initial = self._check_initial(_mapping(initial, "initial"))
+        if self.mechanism.holonomic_constraints and not self.mechanism.velocity_constraints_derived:
+            from fourbar_codegen.dynamics.equations import check_velocity_constraints
+
+            check_velocity_constraints(self)
 
     @property
     def coordinates(self) -> tuple[str, ...]:

@@ -55,9 +55,11 @@ DOORS = {
     ("results.trajectory", "presentation.report"),
     ("analysis.assembly_modes", "presentation.figures"),
     ("modeling.model", "dynamics.equations"),
+    ("modeling.model", "dynamics.unknown_forces"),
 }
 """What a result does with itself on request, imported in the function: `Trajectory.save`, `.plot`, and the like; and
-that a Model is refused whose velocity constraints do not keep the positions, which takes mechanics to tell."""
+what a Model is asked that takes mechanics to tell: whether its velocity constraints keep the positions, and which of
+its loads auxiliary speeds bring out."""
 
 
 def layer(name):

@@ -144,6 +144,17 @@ def _compiled_results(
             [compiled.invariant_correction(t, x[: compiled.n_q], p, r)],
         ),
         "energy": ([e.energies], [compiled.energy(t, x, p, r)]),
+        "unknown_forces": (
+            [
+                e.force_effect,
+                e.force_effect_jacobian,
+                e.auxiliary_forcing,
+                e.auxiliary_forcing_jacobian,
+                e.auxiliary_mass,
+                e.auxiliary_constraint_jacobian,
+            ],
+            compiled.unknown_forces(t, x, multipliers[compiled.n_c :], p, r),
+        ),
         "output": ([e.outputs], [outputs]),
         "state_rates": ([e.state_rates], [compiled.state_rates_for(t, x, accelerations, multipliers, p, r)]),
     }
@@ -185,13 +196,16 @@ def _compare_solution(
     """M u' = f + J^T lambda and J u' + gamma = 0 for what the compiled solve gives."""
     x, p, r, *_ = _arrays(e, values)
     try:
-        accelerations, multipliers = compiled.accelerations(values[e.time], x, p, r)
+        accelerations, unknowns = compiled.accelerations(values[e.time], x, p, r)
     except SimulationError:
         return  # a singular state
     jacobian = expected["constraint_jacobian"]
+    multipliers, forces = np.split(unknowns, [compiled.n_c])
+    effect, _, rest, _, mass, reaction = compiled.unknown_forces(values[e.time], x, forces, p, r)
     reactions = jacobian.T @ multipliers
     inertia = expected["mass_matrix"] @ accelerations
-    _compare_sum(compiled.name, "M u' = f + J^T lambda", inertia, expected["forcing"] + reactions)
+    _compare_sum(compiled.name, "M u' = f + J^T lambda", inertia, expected["forcing"] + effect + reactions)
+    _compare_sum(compiled.name, "Q - M_a u' + J_a^T lambda = 0", mass @ accelerations, rest + reaction @ multipliers)
     _compare_sum(compiled.name, "J u' + gamma = 0", jacobian @ accelerations, -expected["acceleration_bias"])
 
 

@@ -67,6 +67,9 @@ def kernel_text(scheduled: Schedule, names: Mapping[str, Sequence[str]]) -> str:
     macros = "#define FB_SHORT\n" if scheduled.is_short else ""
     if sizes.n_z:
         macros += f"#define N_Z {sizes.n_z}\n"
+    if sizes.n_n:
+        macros += f"#define N_N {sizes.n_n}\n"
+        macros += "#define FB_FORCES_LINEAR\n" if program.forces_are_linear else ""
     if program.states_need_solution:
         macros += "#define FB_STATES_NEED_SOLUTION\n"
     if program.states_need_multipliers:

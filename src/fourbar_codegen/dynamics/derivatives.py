@@ -24,10 +24,9 @@ class Derivatives:
     coordinate_rate_jacobian, coordinate_rate_parameter_jacobian, coordinate_rate_input_jacobian : Result
         Derivatives of q' with respect to x, p and r, (n_q, n_x), (n_q, n_p) and (n_q, n_r).
     residual_jacobian, residual_parameter_jacobian, residual_input_jacobian : Result
-        Derivatives of (f - M u' + J^T lambda, -(J u' + gamma), z') at fixed u' and lambda, (n_u + n_c + n_z, n_x),
-        (n_u + n_c + n_z, n_p) and (n_u + n_c + n_z, n_r).
+        Derivatives of `Equations.residual` at fixed u' and multipliers with respect to x, p and r.
     state_rate_acceleration_jacobian, state_rate_multiplier_jacobian : Result
-        Derivatives of z' with respect to u' and lambda, (n_z, n_u) and (n_z, n_c).
+        Derivatives of z' with respect to u' and multipliers, (n_z, n_u) and (n_z, n_c + n_n).
     default_input_jacobian : Result
         Derivatives of the inputs' expressions with respect to p, (n_r, n_p); zero where there is none.
     velocity_jacobian, velocity_input_jacobian : Result

@@ -24,7 +24,7 @@ import numpy as np
 import sympy as sm
 from numpy.typing import NDArray
 
-from fourbar_codegen.dynamics.constraints import Constraints, form_constraints, position_jacobian
+from fourbar_codegen.dynamics.constraints import form_constraints, position_jacobian
 from fourbar_codegen.dynamics.contradictions import find_contradictions
 from fourbar_codegen.dynamics.corrections import form_corrections
 from fourbar_codegen.dynamics.drawn_points import applied_forces, drawn_points
@@ -32,13 +32,18 @@ from fourbar_codegen.dynamics.kane import Kane
 from fourbar_codegen.dynamics.kinematic_equations import solve_kinematics
 from fourbar_codegen.dynamics.kinematics import Kinematics
 from fourbar_codegen.dynamics.random_states import RandomStates
+from fourbar_codegen.dynamics.unknown_forces import (
+    auxiliary_rows,
+    derivatives_by_forces,
+    driving_effect,
+    unknown_forces,
+)
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.expressions.breakpoints import breakpoints
 from fourbar_codegen.expressions.convert import Conversion, substitute
 from fourbar_codegen.expressions.derivatives import Jvp, Rounding, jacobian, vjp
 from fourbar_codegen.expressions.formulas import formulas
 from fourbar_codegen.expressions.identities import deduplicate, is_zero
-from fourbar_codegen.expressions.linear import TooManyCoupledError, UndeterminedError, solve_linear
 from fourbar_codegen.expressions.tape import Result, Scalar, Tape
 from fourbar_codegen.modeling.model import InputEntry, Model, multiplier
 from fourbar_codegen.modeling.system_reader import DrawnPoint
@@ -66,7 +71,8 @@ class Equations:
     accelerations : tuple of Scalar
         Leaves that stand for u' in `residual`, `state_rates` and `outputs`.
     multipliers : tuple of Scalar
-        Leaves that stand for the constraints' multipliers there.
+        Leaves that stand for the constraints' multipliers there, and behind them for unknown forces n that drive the
+        motion, (n_c + n_n,).
     n_dependent_speeds : int
     velocity_constraints_derived : bool
         Whether the velocity constraints begin with the rates of the position constraints but the invariants.
@@ -88,7 +94,12 @@ class Equations:
     coordinate_rates : Result
         q', (n_q,).
     mass_matrix, forcing : Result
-        M, (n_u, n_u), and f, (n_u,).
+        M, (n_u, n_u), and f, (n_u,), without unknown forces.
+    force_effect, force_effect_jacobian : Result
+        F(n), (n_u,), what unknown forces that drive the motion add to f, and dF/dn, (n_u, n_n).
+    auxiliary_forcing, auxiliary_forcing_jacobian, auxiliary_mass, auxiliary_constraint_jacobian : Result
+        Q(n), (n_n,), dQ/dn, (n_n, n_n), M_a, (n_n, n_u), and J_a^T, (n_n, n_c), of the auxiliary speeds' rows
+        Q - M_a u' + J_a^T lambda = 0; none where no unknown force drives the motion.
     position_constraints, position_jacobian : Result
         Phi, (n_h,), and dPhi/dq, (n_h, n_q).
     position_formulas : dict
@@ -123,8 +134,8 @@ class Equations:
     warnings : tuple of str
         Where kinematics contradict themselves.
     residual : Result
-        (f - M u' + J^T lambda, -(J u' + gamma), z') for u' and multipliers in `accelerations` and `multipliers`,
-        (n_u + n_c + n_z,), to be differentiated.
+        (f + F - M u' + J^T lambda, -(J u' + gamma), Q - M_a u' + J_a^T lambda, z') for u' and multipliers in
+        `accelerations` and `multipliers`, (n_u + n_c + n_n + n_z,), to be differentiated.
     """
 
     tape: Tape
@@ -149,6 +160,12 @@ class Equations:
     coordinate_rates: Result
     mass_matrix: Result
     forcing: Result
+    force_effect: Result
+    force_effect_jacobian: Result
+    auxiliary_forcing: Result
+    auxiliary_forcing_jacobian: Result
+    auxiliary_mass: Result
+    auxiliary_constraint_jacobian: Result
     position_constraints: Result
     position_jacobian: Result
     position_formulas: dict[str, Any]
@@ -213,7 +230,8 @@ def form_equations(model: Model) -> Equations:
     mass_matrix = kane.mass_matrix()
     # f, and f - M u' with the rows of the auxiliary speeds last; the unknown forces, which those bring out, apart.
     no_unknown = dict.fromkeys(v.unknown, tape.zero)
-    forcing = substitute(tape, kane.generalized_forces(rate)[: len(v.u)], no_unknown)
+    at_rest = kane.generalized_forces(rate)
+    forcing = substitute(tape, at_rest[: len(v.u)], no_unknown)
     with_unknown = kane.generalized_forces(total_rate)
     balance = substitute(tape, with_unknown, no_unknown)
     not_orthonormal = kinematics.not_orthonormal()
@@ -223,9 +241,9 @@ def form_equations(model: Model) -> Equations:
             tape.sum([force, *(-(entry * a) for entry, a in zip(row, v.a, strict=True))])
             for force, row in zip(forcing, mass_matrix, strict=True)
         ]
-    columns = _columns(tape, with_unknown, v.unknown)
-    if tape.depends([*chain(*mass_matrix, *columns), *balance], {*v.aux, *v.unknown}):
-        raise ModelError("Velocities must be linear in the auxiliary speeds, and loads in the unknown forces.")
+    columns = derivatives_by_forces(tape, with_unknown, v.unknown)
+    if tape.depends([*chain(*mass_matrix, *columns), *balance], v.aux):
+        raise ModelError("Velocities must be linear in the auxiliary speeds.")
 
     formed = tape.reach([*q_rates, *chain(*mass_matrix), *forcing])
     constraints = form_constraints(tape, mechanism, convert, convert_virtual, v.q, v.u, v.aux, rate, formed)
@@ -235,9 +253,18 @@ def form_equations(model: Model) -> Equations:
     dynamic = [row + reaction for row, reaction in zip(balance, reactions, strict=True)]
     kinematic = [-total_rate(expr) for expr in constraints.velocities]
 
-    forces = _forces(tape, model, columns, constraints, dynamic[len(v.u) :])
-    # From here on the unknown forces stand for themselves no more.
+    forces, driving = unknown_forces(tape, model, v.unknown, columns, constraints, dynamic[len(v.u) :])
+    # From here on the unknown forces stand for themselves no more, but for those that drive the motion.
     leaves.update(zip(model.noncontributing, forces, strict=False))
+    effect = driving_effect(tape, columns, at_rest[: len(v.u)], forcing, driving)
+    dynamic = [row + force for row, force in zip(dynamic, effect, strict=False)]
+    auxiliary_forcing, auxiliary_balance, balanced = [], [], []
+    if driving:
+        auxiliary_forcing, auxiliary_balance = at_rest[len(v.u) :], balance[len(v.u) :]
+        balanced = [row + reaction for row, reaction in zip(with_unknown, reactions, strict=True)][len(v.u) :]
+    by_forces, auxiliary_mass, auxiliary_jacobian = auxiliary_rows(
+        tape, auxiliary_forcing, auxiliary_balance, constraints, v.a, driving
+    )
     leaves.update(zip((speed.diff(mechanism.time) for speed in mechanism.speeds), v.a, strict=True))
     leaves.update({multiplier(number): symbol for number, symbol in enumerate(lam, start=1)})
     convert = Conversion(tape, leaves)
@@ -274,6 +301,12 @@ def form_equations(model: Model) -> Equations:
         _vector("coordinate_rates", q_rates),
         matrix("mass_matrix", mass_matrix, n_u),
         _vector("forcing", forcing),
+        _vector("force_effect", effect),
+        matrix("force_effect_jacobian", jacobian(tape, effect, driving), len(driving)),
+        _vector("auxiliary_forcing", auxiliary_forcing),
+        matrix("auxiliary_forcing_jacobian", by_forces, len(driving)),
+        matrix("auxiliary_mass", auxiliary_mass, n_u),
+        matrix("auxiliary_constraint_jacobian", auxiliary_jacobian, len(lam)),
         _vector("position_constraints", constraints.positions),
         matrix("position_jacobian", position_jacobian(tape, constraints, v.q, q_rates, v.u), n_q),
         matrix("constraint_jacobian", constraints.jacobian, n_u),
@@ -290,7 +323,7 @@ def form_equations(model: Model) -> Equations:
         _vector("power", substitute(tape, [kane.power()], no_unknown)),
         matrix("points", points, 3),
         matrix("forces", list(applied.values()), 3),
-        _vector("residual", (*dynamic[:n_u], *kinematic, *state_rates)),
+        _vector("residual", (*dynamic, *kinematic, *balanced, *state_rates)),
     ]
     entries = [*chain.from_iterable(result.entries for result in results)]
     closing = (*constraints.positions, *constraints.velocities)
@@ -311,7 +344,7 @@ def form_equations(model: Model) -> Equations:
             "at times that cannot be read off, and its rate may jump there: its conditions may be linear or quadratic "
             f"in {mechanism.time}, with coefficients of parameters, or a table may be given for it."
         )
-    others, _ = breakpoints(tape, v.time, [*dynamic[:n_u], *kinematic, *state_rates, *q_rates, *defaults])
+    others, _ = breakpoints(tape, v.time, [*dynamic, *kinematic, *balanced, *state_rates, *q_rates, *defaults])
     times = dict.fromkeys([*jumps, *others])
     reached = set(tape.reach(entries))
     needed = tuple(
@@ -329,7 +362,7 @@ def form_equations(model: Model) -> Equations:
         inputs=tuple(inputs),
         moving=tuple(place for place, leaf in enumerate(inputs) if leaf.node in moved),
         accelerations=v.a,
-        multipliers=lam,
+        multipliers=(*lam, *driving),
         n_dependent_speeds=mechanism.n_dependent_speeds,
         velocity_constraints_derived=mechanism.velocity_constraints_derived,
         position_rows=corrections.rows,
@@ -398,7 +431,7 @@ def _variables(tape: Tape, model: Model) -> _Variables:
         r=tuple(tape.leaf("r", name) for name in model.inputs),
         a=tuple(tape.leaf("a", name) for name in model.speeds),
         aux=tuple(tape.leaf("w", number) for number in range(len(model.mechanism.auxiliary_speeds))),
-        unknown=tuple(tape.leaf("n", number) for number in range(len(model.noncontributing))),
+        unknown=tuple(tape.leaf("n", str(force.func)) for force in model.noncontributing),
     )
 
 
@@ -478,68 +511,6 @@ def _first_true(
         if values and all(abs(v.sum()) <= ROUNDED * np.abs(v).sum() for v in values):
             return candidate
     return tape.number(float("nan"))
-
-
-def _columns(tape: Tape, rows: Sequence[Scalar], unknown: Sequence[Scalar]) -> list[list[Scalar]]:
-    """The derivatives of the rows with respect to each of the unknown forces."""
-    gradients = jacobian(tape, rows, unknown)
-    return [[gradient[i] for gradient in gradients] for i in range(len(unknown))]
-
-
-def _forces(
-    tape: Tape, model: Model, columns: Sequence[Sequence[Scalar]], constraints: Constraints, rest: Sequence[Scalar]
-) -> tuple[Scalar, ...]:
-    """What keeps the auxiliary speeds zero: Q = M u' - f - J^T lambda in their rows, or the forces that give it."""
-    if not model.noncontributing:
-        return tuple(-row for row in rest)
-    mechanism = model.mechanism
-    n_i = len(mechanism.speeds) - mechanism.n_dependent_speeds
-    forces = _noncontributing(tape, columns, constraints, rest, n_i)
-    if forces is None:
-        names = ", ".join(str(f.func) for f in model.noncontributing)
-        raise ModelError(
-            f"The unknown forces {names} do not follow from the auxiliary speeds "
-            f"{', '.join(str(w.func) for w in mechanism.auxiliary_speeds)}: they do work in the motion itself, "
-            "or at no auxiliary speed. Forces that are known are named in inputs=."
-        )
-    return forces
-
-
-def _noncontributing(
-    tape: Tape,
-    columns: Sequence[Sequence[Scalar]],
-    constraints: Constraints,
-    rest: Sequence[Scalar],
-    n_i: int,
-) -> tuple[Scalar, ...] | None:
-    """The unknown forces F that keep the auxiliary speeds zero; None if they are not determined.
-
-    They act as B F on the speeds and as B_a F on the auxiliary ones. Forces that do no work in the motion are
-    reactions, B = J^T C, so that lambda, found without them, includes C F. What is left in the rows of the
-    auxiliary speeds is (B_a - J_a^T C) F + rest = 0, with rest = f_a - M_a u' + J_a^T lambda.
-
-    Source: Kane and Levinson 1985, section 4.9, with constraints as multipliers.
-    """
-    rows, n_c = constraints.rows(), len(constraints.jacobian)
-    n_u = len(columns[0]) - len(rest)
-    work: list[Scalar] = []
-    matrix: list[list[Scalar]] = [[] for _ in rest]
-    try:
-        for column in columns:
-            reaction: tuple[Scalar, ...] = (tape.zero,) * n_c
-            if any(column[:n_u]):
-                of_dependent = [[row[i] for row in rows] for i in range(n_i, n_u)]
-                reaction = solve_linear(tape, of_dependent, [-entry for entry in column[n_i:n_u]])
-            for i, entry in enumerate(column):
-                terms = [row[i] * c for row, c in zip(rows, reaction, strict=True)]
-                difference = tape.sum([entry, *(-term for term in terms)])
-                if i < n_i:
-                    work.append(difference)
-                elif i >= n_u:
-                    matrix[i - n_u].append(difference)
-        return solve_linear(tape, matrix, rest) if all(is_zero(tape, work)) else None
-    except (UndeterminedError, TooManyCoupledError):
-        return None
 
 
 def _vector(name: str, entries: Iterable[Scalar]) -> Result:

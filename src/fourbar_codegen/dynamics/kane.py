@@ -30,7 +30,7 @@ from fourbar_codegen.expressions.identities import is_zero
 from fourbar_codegen.expressions.tape import Scalar, Tape
 from fourbar_codegen.modeling.system_reader import Body, Mechanism
 
-__all__ = ["Kane"]
+__all__ = ["Kane", "loads_power"]
 
 MIN_COMPOSITE = 8
 """Bodies that some speed moves alike, from which on composites are sure to take fewer operations than the bodies one by
@@ -221,15 +221,7 @@ class Kane:
         is_consistent = len(kinematics.turning_as_oriented) == len(self.mechanism.frames)
         if not (within and is_consistent) or any(map(self.rate, self._masses)):
             return self.tape.number(float("nan"))
-        terms = []
-        for load in self.mechanism.loads:
-            vector = kinematics.vector(load.vector)
-            if load.kind == "force":
-                terms.append(kinematics.dot(vector, kinematics.velocity(load.target)))
-            else:
-                torque = ((load.target, kinematics.express(vector, load.target)),)
-                terms.append(kinematics.dot(torque, ((load.target, kinematics.angular_velocity(load.target)),)))
-        return self.tape.sum(terms)
+        return loads_power(kinematics)
 
     def kinetic_energy(self) -> Scalar:
         """The sum of m v.v / 2 + w.I.w / 2 over the bodies."""
@@ -287,6 +279,19 @@ class Kane:
         matrix = self.kinematics.matrix(body.inertia)
         angular_velocity = self.kinematics.angular_velocity_in(body.frame, body.inertia_frame)
         return _Inertia(body.inertia_frame, matrix, angular_velocity, multiply(matrix, angular_velocity))
+
+
+def loads_power(kinematics: Kinematics) -> Scalar:
+    """The sum of F . v + T . w over the loads of a mechanism."""
+    terms = []
+    for load in kinematics.mechanism.loads:
+        vector = kinematics.vector(load.vector)
+        if load.kind == "force":
+            terms.append(kinematics.dot(vector, kinematics.velocity(load.target)))
+        else:
+            torque = ((load.target, kinematics.express(vector, load.target)),)
+            terms.append(kinematics.dot(torque, ((load.target, kinematics.angular_velocity(load.target)),)))
+    return kinematics.tape.sum(terms)
 
 
 def _scaled(factor: Scalar, vector: Vector) -> Vector:

@@ -248,7 +248,14 @@ class Kernel(Evaluator):
         >>> fb.load("four_bar").tree_forcing(0.0, [0.0] * 6).round(1).tolist()
         [-2374.0, -1417.5, -240.3]
         """
-        return self._finite(self.dynamics(t, x, p, r)[2], t, x)
+        return self._finite(self.dynamics(t, x, p, r)[2] + self._force_effect(t, x, p, r), t, x)
+
+    def _force_effect(self, t: float, x: ArrayLike, p: Values | None, r: Values | None) -> Floats | float:
+        """What unknown forces that drive the motion add to f, shape (n_u,)."""
+        if self.n_l == self.n_c:
+            return 0.0
+        effect: Floats = self.unknown_forces(t, x, self.accelerations(t, x, p, r)[1][self.n_c :], p, r)[0]
+        return effect
 
     def mass_matrix(self, t: float, x: ArrayLike, p: Values | None = None) -> Floats:
         """SymPy's ``System.mass_matrix``, shape (n_u, n_u).
@@ -301,6 +308,7 @@ class Kernel(Evaluator):
         """
         _, _, forcing, jacobian, bias = self.dynamics(t, x, p, r)
         self._finite(jacobian, t, x)
+        forcing = forcing + self._force_effect(t, x, p, r)
         return self._finite(np.concatenate((self._projection(jacobian).T @ forcing, -bias)), t, x)
 
     def _finite(self, values: Floats, t: float, x: ArrayLike) -> Floats:
@@ -417,7 +425,7 @@ class Kernel(Evaluator):
         >>> four_bar.multipliers(0.0, four_bar.initial_state()).shape
         (2,)
         """
-        return self.accelerations(t, x, p, r)[1]
+        return self.accelerations(t, x, p, r)[1][: self.n_c]
 
     def output(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
         """The outputs, shape (n_o,), in the order of ``outputs``.

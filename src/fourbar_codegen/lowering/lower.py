@@ -63,9 +63,15 @@ def lower(name: str, equations: Equations) -> Program:
     held = _held(e)
     rank = _rank(e)
     states_need_multipliers = e.tape.depends(e.state_rates.entries, e.multipliers)
-    if states_need_multipliers and rank < len(e.velocity_bias.entries):
+    is_redundant = rank < len(e.velocity_bias.entries)
+    if is_redundant and e.tape.depends(e.state_rates.entries, e.multipliers):
         raise ModelError(
             "State equations contain multipliers, which redundant constraints leave open: leave the redundant ones out."
+        )
+    if is_redundant and any(e.auxiliary_constraint_jacobian.entries):
+        raise ModelError(
+            "Unknown forces that drive the motion depend on multipliers, which redundant constraints leave open: leave "
+            "the redundant ones out."
         )
     structure = _structure(e, rank)
     mass_matrix, constraint_jacobian = _entries(e, structure)
@@ -126,6 +132,25 @@ def lower(name: str, equations: Equations) -> Program:
     ]
     if e.auxiliary_states:
         specifications.append(("state_rates", "z', with u' and lambda given.", [time, state], [*held], [e.state_rates]))
+    n_n = len(e.auxiliary_forcing.entries)
+    unknown = e.multipliers[len(e.multipliers) - n_n :]
+    if n_n:
+        specifications.append(
+            (
+                "unknown_forces",
+                "What unknown forces n do: F(n) beside f; Q(n) - M_a u' + J_a^T lambda = 0 of the auxiliary speeds.",
+                [time, state],
+                [inputs, _array("forces", unknown)],
+                [
+                    e.force_effect,
+                    e.force_effect_jacobian,
+                    e.auxiliary_forcing,
+                    e.auxiliary_forcing_jacobian,
+                    e.auxiliary_mass,
+                    e.auxiliary_constraint_jacobian,
+                ],
+            )
+        )
     pool = _Constants(e.tape, e.parameters)
     lowered = _lowered(e.tape, specifications, pool.is_constant)
     constants, prepare = pool.finish(lowered)
@@ -137,6 +162,7 @@ def lower(name: str, equations: Equations) -> Program:
         n_r=len(e.inputs),
         n_h=len(e.position_constraints.entries),
         n_c=len(e.velocity_bias.entries),
+        n_n=n_n,
         n_i=len(e.invariants),
         n_o=len(e.outputs.entries),
         n_points=len(e.drawn_points),
@@ -155,6 +181,9 @@ def lower(name: str, equations: Equations) -> Program:
         structure=structure,
         states_need_solution=e.tape.depends(e.state_rates.entries, (*e.accelerations, *e.multipliers)),
         states_need_multipliers=states_need_multipliers,
+        forces_are_linear=not e.tape.depends(
+            [*e.force_effect_jacobian.entries, *e.auxiliary_forcing_jacobian.entries], unknown
+        ),
     )
 
 
@@ -187,11 +216,12 @@ def lower_derivatives(program: Program, equations: Equations, derivatives: Deriv
     e, d = equations, derivatives
     time, inputs = _array("t", (e.time,)), _array("r", e.inputs)
     state = _array("x", (*e.coordinates, *e.speeds, *e.auxiliary_states))
-    residual = (
-        "f - M u' + J^T lambda and -(J u' + gamma)"
-        if not e.auxiliary_states
-        else ("f - M u' + J^T lambda, -(J u' + gamma) and z'")
-    )
+    rows = ["f - M u' + J^T lambda", "-(J u' + gamma)"]
+    if e.auxiliary_forcing.entries:
+        rows = ["f + F - M u' + J^T lambda", "-(J u' + gamma)", "Q - M_a u' + J_a^T lambda"]
+    if e.auxiliary_states:
+        rows.append("z'")
+    residual = f"{', '.join(rows[:-1])} and {rows[-1]}"
     held = _held(e)
     specifications: list[_Specification] = [
         (

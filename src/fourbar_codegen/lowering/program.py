@@ -174,8 +174,9 @@ class Sizes:
     ----------
     n_q, n_u, n_z, n_p, n_r : int
         Coordinates, speeds, auxiliary states, parameters, inputs.
-    n_h, n_c, n_i, n_o : int
-        Position constraints; velocity constraints; position constraints that no speed changes; outputs.
+    n_h, n_c, n_n, n_i, n_o : int
+        Position constraints; velocity constraints; unknown forces that drive the motion; position constraints that no
+        speed changes; outputs.
     n_points, n_forces : int
         Points that are drawn, and those with forces of inputs.
     n_breakpoints : int
@@ -193,6 +194,7 @@ class Sizes:
     n_r: int
     n_h: int
     n_c: int
+    n_n: int
     n_i: int
     n_o: int
     n_points: int
@@ -223,6 +225,8 @@ class Program:
         that are not zero, one after another.
     states_need_solution, states_need_multipliers : bool
         Whether u' or multipliers stand in state equations; whether multipliers do.
+    forces_are_linear : bool
+        Whether the equations are linear in the unknown forces that drive the motion.
     """
 
     name: str
@@ -234,6 +238,7 @@ class Program:
     structure: Structure | None
     states_need_solution: bool
     states_need_multipliers: bool
+    forces_are_linear: bool
 
     @property
     def parameters(self) -> tuple[Leaf, ...]:

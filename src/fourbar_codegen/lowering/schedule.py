@@ -180,7 +180,7 @@ class Schedule:
     functions : tuple of ScheduledFunction
     has_batches : bool
         Whether there are functions for several states side by side: the equations are solved without pivoting as a
-        rule, x' needs no multipliers, and none calls a function of many arguments.
+        rule, x' needs no multipliers or unknown forces, and none calls a function of many arguments.
     is_short : bool
         Whether the equations are compiled into what calls them; fourbar_real.h says how.
     """
@@ -210,7 +210,7 @@ def schedule(program: Program) -> Schedule:
     return Schedule(
         program=program,
         functions=tuple(schedule_function(f, inline_angles=True) for f in functions),
-        has_batches=few_arguments and can_solve and not program.states_need_multipliers,
+        has_batches=few_arguments and can_solve and not (program.states_need_multipliers or sizes.n_n),
         is_short=next(f for f in functions if f.name == "dynamics").operations <= SHORT,
     )
 

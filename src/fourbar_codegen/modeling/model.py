@@ -398,11 +398,17 @@ class Model:
         known = {*self._states(), *mechanism.auxiliary_speeds, *self.input_expressions}
         loads = chain.from_iterable(expressions for _, expressions in mechanism.labelled_loads())
         found = [node for node in walk(loads) if isinstance(node, AppliedUndef) and node not in known]
+        if len(found) > len(mechanism.auxiliary_speeds):
+            from fourbar_codegen.dynamics.unknown_forces import forces_along_auxiliary_speeds
+
+            along = forces_along_auxiliary_speeds(mechanism, found)
+            found = [*along] if len(along) == len(mechanism.auxiliary_speeds) else found
         if found and len(found) != len(mechanism.auxiliary_speeds):
             raise ModelError(
                 f"The loads have {len(found)} functions of time that are neither coordinates nor speeds nor named in "
                 f"inputs= ({', '.join(sorted(map(_name, found)))}), for {len(mechanism.auxiliary_speeds)} auxiliary "
-                "speeds: there must be as many unknown forces, or none. Name those that are known in inputs=."
+                "speeds: there must be as many unknown forces, or none, or as many must act along these. Name those "
+                "that are known in inputs=."
             )
         return tuple(sorted(found, key=_name))
 

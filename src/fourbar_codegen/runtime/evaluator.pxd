@@ -12,6 +12,8 @@ cdef extern from "fourbar_kernel.h":
     int FB_NOT_FINITE
     int FB_NOT_CLOSED
     int FB_CONSTRAINTS_INDEPENDENT
+    int FB_FORCES_UNDETERMINED
+    int FB_FORCES_NOT_FOUND
     ctypedef struct fb_batch_functions
     ctypedef int fb_evaluation(double, const double *, const double *, const double *, double *, void *) noexcept nogil
     ctypedef void fb_sensitivity(double, const double *, const double *, const double *, const double *,
@@ -32,7 +34,7 @@ cdef extern from "fourbar_kernel.h":
         int abi_version
         size_t struct_size
         size_t work_size
-        int n_q, n_u, n_z, n_x, n_p, n_r, n_h, n_c, n_i, n_o, n_breakpoints, n_points, n_forces, n_constants
+        int n_q, n_u, n_z, n_x, n_p, n_r, n_h, n_c, n_l, n_i, n_o, n_breakpoints, n_points, n_forces, n_constants
         int states_need_solution
         const int *position_row
         void (*prepare)(const double *, double *) noexcept nogil
@@ -49,6 +51,8 @@ cdef extern from "fourbar_kernel.h":
                             double *) noexcept nogil
         void (*dynamics)(double, const double *, const double *, const double *, double *, double *, double *,
                          double *, double *) noexcept nogil
+        void (*unknown_forces)(double, const double *, const double *, const double *, const double *, double *,
+                               double *, double *, double *, double *, double *) noexcept nogil
         void (*position)(double, const double *, const double *, const double *, double *, double *) noexcept nogil
         void (*velocity)(double, const double *, const double *, const double *, double *, double *) noexcept nogil
         void (*constraint_violation)(double, const double *, const double *, const double *, double *,
@@ -127,7 +131,7 @@ cdef class Evaluator:
     cdef fb_kernel own
     cdef readonly object capsule
     cdef readonly dict manifest
-    cdef readonly int n_q, n_u, n_z, n_x, n_p, n_r, n_h, n_c, n_i, n_o
+    cdef readonly int n_q, n_u, n_z, n_x, n_p, n_r, n_h, n_c, n_l, n_i, n_o
     cdef double *default_constants
     cdef double *constants
     cdef double *inputs

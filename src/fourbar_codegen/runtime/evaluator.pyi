@@ -30,6 +30,7 @@ class Evaluator:
     n_r: int
     n_h: int
     n_c: int
+    n_l: int
     n_i: int
     n_o: int
     manifest: dict[str, Any]
@@ -68,6 +69,9 @@ class Evaluator:
     def accelerations(
         self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None
     ) -> tuple[Floats, Floats]: ...
+    def unknown_forces(
+        self, t: float, x: ArrayLike, forces: ArrayLike, p: Values | None = None, r: Values | None = None
+    ) -> tuple[Floats, Floats, Floats, Floats, Floats, Floats]: ...
     def dynamics(
         self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None
     ) -> tuple[Floats, Floats, Floats, Floats, Floats]: ...

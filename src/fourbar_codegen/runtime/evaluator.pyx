@@ -226,7 +226,7 @@ cdef class Evaluator:
         self.kernel = &self.own
         self.capsule, self.manifest = capsule, manifest
         self.n_q, self.n_u, self.n_p, self.n_r = kernel.n_q, kernel.n_u, kernel.n_p, kernel.n_r
-        self.n_h, self.n_c, self.n_i, self.n_o = kernel.n_h, kernel.n_c, kernel.n_i, kernel.n_o
+        self.n_h, self.n_c, self.n_l, self.n_i, self.n_o = kernel.n_h, kernel.n_c, kernel.n_l, kernel.n_i, kernel.n_o
         self.n_z, self.n_x, self.states_need_solution = kernel.n_z, kernel.n_x, kernel.states_need_solution
         self.default_constants = <double *>PyMem_Calloc(kernel.n_constants + 1, sizeof(double))
         self.constants = <double *>PyMem_Calloc(kernel.n_constants + 1, sizeof(double))
@@ -330,6 +330,17 @@ cdef class Evaluator:
             return (
                 f"The mass matrix is not positive definite {where}: some motion that the constraints allow moves no "
                 "mass, or a mass or inertia is negative."
+            )
+        if status == FB_FORCES_UNDETERMINED:
+            return (
+                f"The unknown forces are not determined {where}: none, or more than one set of them, keeps the "
+                "auxiliary speeds zero, as in Painleve's paradox."
+            )
+        if status == FB_FORCES_NOT_FOUND:
+            return (
+                f"No unknown forces were found {where} that keep the auxiliary speeds zero: Newton's method, from 0, "
+                "has not converged. There may be none, as in Painleve's paradox, or the loads change too abruptly with "
+                "them."
             )
         if status == FB_NOT_CLOSED:
             return f"The loops cannot be closed {where}: no state close by satisfies the constraints."
@@ -576,13 +587,13 @@ cdef class Evaluator:
         return result
 
     def accelerations(self, t, x, p=None, r=None):
-        """u', shape (n_u,), and the constraints' multipliers lambda, shape (n_c,)."""
+        """u', shape (n_u,), and the multipliers lambda with unknown forces that drive the motion, shape (n_l,)."""
         t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray accelerations = new_array(self.n_u)
-        cdef cnp.ndarray multipliers = new_array(self.n_c)
+        cdef cnp.ndarray multipliers = new_array(self.n_l)
         cdef const double *constants = self._prepare(parameters)
         cdef int status = self.kernel.accelerations(
             t, data(state), constants, self._fill(t, constants, inputs), data(accelerations), data(multipliers),
@@ -590,6 +601,32 @@ cdef class Evaluator:
         if status != FB_OK:
             raise SimulationError(self.failure(status, t, x))
         return accelerations, multipliers
+
+    def unknown_forces(self, t, x, forces, p=None, r=None):
+        """What unknown forces n do: F, (n_u,), dF/dn, Q, (n_n,), dQ/dn, M_a, (n_n, n_u), and J_a^T, (n_n, n_c).
+
+        See ``fourbar_forces.h``.
+        """
+        t = time_of(t)
+        cdef int n = self.n_l - self.n_c
+        cdef cnp.ndarray parameters = self._parameters(p)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
+        cdef cnp.ndarray state = self._state(t, x, self.n_x)
+        cdef cnp.ndarray given = vector(forces, n, "The unknown forces")
+        cdef cnp.ndarray effect = new_array(self.n_u)
+        cdef cnp.ndarray by_forces = new_array(self.n_u, n)
+        cdef cnp.ndarray rest = new_array(n)
+        cdef cnp.ndarray rest_by_forces = new_array(n, n)
+        cdef cnp.ndarray mass = new_array(n, self.n_u)
+        cdef cnp.ndarray jacobian = new_array(n, self.n_c)
+        cdef const double *constants = self._prepare(parameters)
+        if n:
+            self.kernel.unknown_forces(
+                t, data(state), constants, self._fill(t, constants, inputs), data(given), data(effect), data(by_forces),
+                data(rest), data(rest_by_forces), data(mass), data(jacobian))
+        else:
+            effect[:] = 0.0
+        return effect, by_forces, rest, rest_by_forces, mass, jacobian
 
     def dynamics(self, t, x, p=None, r=None):
         """q', M, f, J and gamma of M u' = f + J^T lambda, J u' + gamma = 0."""
@@ -765,7 +802,7 @@ cdef class Evaluator:
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray a = vector(accelerations, self.n_u, "The accelerations")
-        cdef cnp.ndarray lam = vector(multipliers, self.n_c, "The multipliers")
+        cdef cnp.ndarray lam = vector(multipliers, self.n_l, "The multipliers")
         cdef cnp.ndarray outputs = new_array(self.n_o)
         cdef const double *constants = self._prepare(parameters)
         self.kernel.output(t, data(state), constants, self._fill(t, constants, inputs), data(a), data(lam),
@@ -779,7 +816,7 @@ cdef class Evaluator:
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray a = vector(accelerations, self.n_u, "The accelerations")
-        cdef cnp.ndarray lam = vector(multipliers, self.n_c, "The multipliers")
+        cdef cnp.ndarray lam = vector(multipliers, self.n_l, "The multipliers")
         cdef cnp.ndarray rates = new_array(self.n_z)
         cdef const double *constants = self._prepare(parameters)
         if self.n_z:
@@ -788,15 +825,15 @@ cdef class Evaluator:
         return rates
 
     def state_rate_sensitivity(self, t, x, accelerations, multipliers, p=None, r=None):
-        """Dz'/du', shape (n_z, n_u), and dz'/dlambda, shape (n_z, n_c), for given u' and lambda."""
+        """Dz'/du', shape (n_z, n_u), and dz'/dlambda, shape (n_z, n_l), for given u' and lambda."""
         t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray a = vector(accelerations, self.n_u, "The accelerations")
-        cdef cnp.ndarray lam = vector(multipliers, self.n_c, "The multipliers")
+        cdef cnp.ndarray lam = vector(multipliers, self.n_l, "The multipliers")
         cdef cnp.ndarray by_accelerations = new_array(self.n_z, self.n_u)
-        cdef cnp.ndarray by_multipliers = new_array(self.n_z, self.n_c)
+        cdef cnp.ndarray by_multipliers = new_array(self.n_z, self.n_l)
         cdef const fb_derivatives *derivatives = self.derivatives()
         cdef const double *constants = self._prepare(parameters)
         if self.n_z:
@@ -807,14 +844,14 @@ cdef class Evaluator:
     def sensitivities(self, t, x, accelerations, multipliers, p=None, r=None):
         """The sensitivities by x, p and r for given u' and lambda, six arrays.
 
-        They are dq', shape (n_q, n), and d(f - M u' + J^T lambda, -(J u' + gamma), z'), shape (n_u + n_c + n_z, n).
+        They are dq', shape (n_q, n), and d(f - M u' + J^T lambda, -(J u' + gamma), z'), shape (n_u + n_l + n_z, n).
         """
         t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray a = vector(accelerations, self.n_u, "The accelerations")
-        cdef cnp.ndarray lam = vector(multipliers, self.n_c, "The multipliers")
+        cdef cnp.ndarray lam = vector(multipliers, self.n_l, "The multipliers")
         cdef cnp.ndarray rates, residuals
         cdef list results = []
         cdef const fb_derivatives *derivatives = self.derivatives()
@@ -828,7 +865,7 @@ cdef class Evaluator:
         functions[2], columns[2] = derivatives.input_sensitivity, self.n_r
         for i in range(3):
             rates = new_array(self.n_q, columns[i])
-            residuals = new_array(self.n_u + self.n_c + self.n_z, columns[i])
+            residuals = new_array(self.n_u + self.n_l + self.n_z, columns[i])
             functions[i](t, data(state), constants, filled, data(a), data(lam), data(rates), data(residuals))
             results += [rates, residuals]
         return results
@@ -879,7 +916,7 @@ cdef class Evaluator:
         cdef cnp.ndarray velocities = new_array(n_t, self.n_c)
         cdef cnp.ndarray positions = new_array(self.n_c + self.n_i)
         cdef cnp.ndarray energies = new_array(n_t, 2)
-        cdef cnp.ndarray multipliers = np.full((n_t, self.n_c), NAN)
+        cdef cnp.ndarray multipliers = np.full((n_t, self.n_l), NAN)
         cdef cnp.ndarray outputs = np.full((n_t, self.n_o), NAN)
         cdef cnp.ndarray jacobian = new_array(self.n_h, self.n_q)
         cdef cnp.ndarray accelerations = new_array(self.n_u)
@@ -891,11 +928,11 @@ cdef class Evaluator:
         cdef int i
         for i in range(n_t):
             t_i, x_i, r_i = data(t)[i], data(x) + i * self.n_x, data(r) + i * self.n_r
-            lambda_i = data(multipliers) + i * self.n_c
+            lambda_i = data(multipliers) + i * self.n_l
             self.kernel.position(t_i, x_i, constants, r_i, data(constraints) + i * self.n_h, data(jacobian))
             self.kernel.constraint_violation(t_i, x_i, constants, r_i, data(positions), data(velocities) + i * self.n_c)
             self.kernel.energy(t_i, x_i, constants, r_i, data(energies) + 2 * i)
             if self.kernel.accelerations(t_i, x_i, constants, r_i, data(accelerations), lambda_i, self.work) == FB_OK:
                 self.kernel.output(t_i, x_i, constants, r_i, data(accelerations), lambda_i,
                                    data(outputs) + i * self.n_o)
-        return constraints.T, velocities.T, energies.T, multipliers.T, outputs.T
+        return constraints.T, velocities.T, energies.T, multipliers[:, :self.n_c].T, outputs.T

@@ -47,6 +47,39 @@ static inline double fb_violation(const double *restrict violations, const doubl
     return largest;
 }
 
+/* Solves A x = b, both of which are overwritten, by Gaussian elimination with pivoting; 0 where A is singular,
+ * its pivots no larger than `least`. */
+static inline int fb_eliminate_full(const int n, double *restrict a, double *restrict b, const double least)
+{
+    for (int k = 0; k < n; ++k) {
+        int pivot = k;
+        for (int i = k + 1; i < n; ++i)
+            pivot = fabs(a[i * n + k]) > fabs(a[pivot * n + k]) ? i : pivot;
+        if (!(fabs(a[pivot * n + k]) > least))
+            return 0;
+        for (int j = k; j < n && pivot != k; ++j) {
+            const double other = a[k * n + j];
+            a[k * n + j] = a[pivot * n + j];
+            a[pivot * n + j] = other;
+        }
+        const double other = b[pivot];
+        b[pivot] = b[k];
+        b[k] = other;
+        for (int i = k + 1; i < n; ++i) {
+            const double factor = a[i * n + k] / a[k * n + k];
+            for (int j = k + 1; j < n; ++j)
+                a[i * n + j] -= factor * a[k * n + j];
+            b[i] -= factor * b[k];
+        }
+    }
+    for (int k = n - 1; k >= 0; --k) {
+        for (int j = k + 1; j < n; ++j)
+            b[k] -= a[k * n + j] * b[j];
+        b[k] /= a[k * n + k];
+    }
+    return 1;
+}
+
 /* An array and its length. */
 typedef struct fb_place {
     double **array;

@@ -52,7 +52,7 @@ typedef struct fb_augmented {
     double *matrix, *normal;                   /* (n_u + n_z, n_u + n_z), (n_c, n_c) */
     double *change, *unit;                     /* (n_u + n_z,), (n_u,) */
     double *coordinate_change, *correction;    /* (n_q,) */
-    double *rate_jacobian, *residual_jacobian; /* (n_q, n_x), (n_u + n_c + n_z, n_x) */
+    double *rate_jacobian, *residual_jacobian; /* (n_q, n_x), (n_u + n_l + n_z, n_x) */
     double *kept;                              /* multipliers, (n_c,) */
     double *accelerations;                     /* those that belong to a state, (n_u,) */
     long n_jacobians, n_factorizations;
@@ -79,44 +79,12 @@ static inline size_t fb_place_augmented(const fb_kernel *k, fb_augmented *a, dou
         {&a->coordinate_change, q},
         {&a->correction, q},
         {&a->rate_jacobian, q * x},
-        {&a->residual_jacobian, (u + c + z) * x},
+        {&a->residual_jacobian, (u + k->n_l + z) * x},
         {&a->kept, c},
         {&a->accelerations, u},
         {&a->scales, c + i + c + k->n_h},
     };
     return fb_place_all(places, sizeof places / sizeof *places, memory);
-}
-
-/* Solves A x = b, both of which are overwritten, by Gaussian elimination with pivoting; 0 where A is singular. */
-static inline int fb_eliminate_full(const int n, double *restrict a, double *restrict b)
-{
-    for (int k = 0; k < n; ++k) {
-        int pivot = k;
-        for (int i = k + 1; i < n; ++i)
-            pivot = fabs(a[i * n + k]) > fabs(a[pivot * n + k]) ? i : pivot;
-        if (!(fabs(a[pivot * n + k]) > 0.0))
-            return 0;
-        for (int j = k; j < n && pivot != k; ++j) {
-            const double other = a[k * n + j];
-            a[k * n + j] = a[pivot * n + j];
-            a[pivot * n + j] = other;
-        }
-        const double other = b[pivot];
-        b[pivot] = b[k];
-        b[k] = other;
-        for (int i = k + 1; i < n; ++i) {
-            const double factor = a[i * n + k] / a[k * n + k];
-            for (int j = k + 1; j < n; ++j)
-                a[i * n + j] -= factor * a[k * n + j];
-            b[i] -= factor * b[k];
-        }
-    }
-    for (int k = n - 1; k >= 0; --k) {
-        for (int j = k + 1; j < n; ++j)
-            b[k] -= a[k * n + j] * b[j];
-        b[k] /= a[k * n + k];
-    }
-    return 1;
 }
 
 /* The penalty by which J^T J weighs as much as `weight` times M. */
@@ -153,7 +121,7 @@ static inline void fb_penalize(const fb_kernel *k, const fb_augmented *a, const 
 static inline int fb_solve_matrix(fb_augmented *a, const int n, double *b)
 {
     a->n_factorizations += 1;
-    return fb_eliminate_full(n, a->matrix, b);
+    return fb_eliminate_full(n, a->matrix, b, 0.0);
 }
 
 /* `change` is the least one in the metric of M with J change = -violation, as far as J can. */
@@ -219,7 +187,7 @@ static inline void fb_shortest_multipliers(const fb_kernel *k, fb_augmented *a, 
     }
     for (int row = 0; row < n_c; ++row)
         a->normal[row * n_c + row] += FB_SHORTEST * trace;
-    if (!fb_eliminate_full(n_c, a->normal, a->multipliers))
+    if (!fb_eliminate_full(n_c, a->normal, a->multipliers, 0.0))
         memset(a->multipliers, 0, (size_t)n_c * sizeof(double));
 }
 
@@ -302,7 +270,7 @@ static inline void fb_newton_matrix(fb_run *s, const double t, const double h, c
         a->unit[j] = 1.0;
         k->coordinate_change(t, x, p->constants, p->inputs, a->unit, a->coordinate_change);
         for (int i = 0; i < n; ++i) {
-            const double *const row = a->residual_jacobian + (i < n_u ? i : k->n_c + i) * n_x;
+            const double *const row = a->residual_jacobian + (i < n_u ? i : k->n_l + i) * n_x;
             double by_positions = 0.0;
             for (int l = 0; l < n_q; ++l)
                 by_positions += row[l] * a->coordinate_change[l];
@@ -313,7 +281,7 @@ static inline void fb_newton_matrix(fb_run *s, const double t, const double h, c
     for (int j = n_u; j < n; ++j)
         for (int i = 0; i < n; ++i)
             a->matrix[i * n + j] =
-                (i == j) - 0.5 * h * a->residual_jacobian[(i < n_u ? i : k->n_c + i) * n_x + n_q + j];
+                (i == j) - 0.5 * h * a->residual_jacobian[(i < n_u ? i : k->n_l + i) * n_x + n_q + j];
     fb_penalize(k, a, penalty, n, a->matrix);
 }
 

@@ -11,6 +11,9 @@
  * the largest one: with equal ones it is the identity, and with others they share in that by them. Positions that no
  * speed changes, such as norms of quaternions, add Phi_q^T mu to q' in index 2, and are left alone in index 3.
  *
+ * Unknown forces n that drive the motion stand behind lambda, with the rows of the auxiliary speeds; see
+ * fourbar_forces.h.
+ *
  * Source: C. W. Gear, B. Leimkuhler, G. K. Gupta, "Automatic integration of Euler-Lagrange equations with constraints",
  * Journal of Computational and Applied Mathematics 12-13 (1985).
  */
@@ -30,6 +33,9 @@ typedef struct fb_implicit {
     double *velocities, *velocity_jacobian;                             /* J u + b, its derivative by q */
     double *rate_jacobian, *residual_jacobian;                          /* as fb_sensitivity has them */
     double *state_rates, *by_accelerations, *by_multipliers;            /* z', dz'/du', dz'/dlambda */
+    double *effect, *effect_jacobian;                                   /* F, dF/dn */
+    double *auxiliary_forcing, *auxiliary_forcing_jacobian;             /* Q, dQ/dn */
+    double *auxiliary_mass, *auxiliary_constraint_jacobian;             /* M_a, J_a^T */
     double *change, *coordinate_change, *unused;
     double *row;    /* what each equation is multiplied by */
     double *metric; /* the diagonal of D */
@@ -39,7 +45,8 @@ typedef struct fb_implicit {
 static inline size_t fb_place_implicit(fb_problem *problem, const int formulation, fb_implicit *s, double *memory)
 {
     const fb_kernel *const k = problem->kernel;
-    const int q = k->n_q, u = k->n_u, z = k->n_z, c = k->n_c, h = k->n_h, x = k->n_x;
+    const int q = k->n_q, u = k->n_u, z = k->n_z, c = k->n_c, l = k->n_l, h = k->n_h, x = k->n_x;
+    const int n = l - c;
     const fb_place places[] = {
         {&s->coordinate_rates, q},
         {&s->mass_matrix, u * u},
@@ -51,19 +58,25 @@ static inline size_t fb_place_implicit(fb_problem *problem, const int formulatio
         {&s->velocities, c},
         {&s->velocity_jacobian, c * q},
         {&s->rate_jacobian, q * x},
-        {&s->residual_jacobian, (u + c + z) * x},
+        {&s->residual_jacobian, (u + l + z) * x},
         {&s->state_rates, z},
         {&s->by_accelerations, z * u},
-        {&s->by_multipliers, z * c},
+        {&s->by_multipliers, z * l},
+        {&s->effect, u},
+        {&s->effect_jacobian, u * n},
+        {&s->auxiliary_forcing, n},
+        {&s->auxiliary_forcing_jacobian, n * n},
+        {&s->auxiliary_mass, n * u},
+        {&s->auxiliary_constraint_jacobian, n * c},
         {&s->change, u},
         {&s->coordinate_change, q},
         {&s->unused, (h + c) * k->n_r},
-        {&s->row, x + c + h},
+        {&s->row, x + l + h},
         {&s->metric, u},
     };
     s->problem = problem;
     s->formulation = formulation;
-    s->n_y = x + c + (formulation == FB_INDEX_2 ? h : 0);
+    s->n_y = x + l + (formulation == FB_INDEX_2 ? h : 0);
     return fb_place_all(places, sizeof places / sizeof *places, memory);
 }
 
@@ -75,6 +88,10 @@ static inline int fb_implicit_equations(fb_implicit *s, const double t, const do
     if (called < 0)
         return called;
     k->dynamics(t, y, p->constants, p->inputs, s->coordinate_rates, s->mass_matrix, s->forcing, s->jacobian, s->bias);
+    if (k->unknown_forces)
+        k->unknown_forces(t, y, p->constants, p->inputs, y + k->n_x + k->n_c, s->effect, s->effect_jacobian,
+                          s->auxiliary_forcing, s->auxiliary_forcing_jacobian, s->auxiliary_mass,
+                          s->auxiliary_constraint_jacobian);
     if (s->formulation != FB_INDEX_1)
         k->position(t, y, p->constants, p->inputs, s->positions, s->position_jacobian);
     return 0;
@@ -95,8 +112,8 @@ static inline int fb_implicit_form(fb_implicit *s, const double t, const double 
 {
     fb_problem *const p = s->problem;
     const fb_kernel *const k = p->kernel;
-    const int n_q = k->n_q, n_u = k->n_u, n_z = k->n_z, n_x = k->n_x, n_c = k->n_c, n_h = k->n_h;
-    const double *const lambda = y + n_x, *const mu = lambda + n_c;
+    const int n_q = k->n_q, n_u = k->n_u, n_z = k->n_z, n_x = k->n_x, n_c = k->n_c, n_l = k->n_l, n_h = k->n_h;
+    const double *const lambda = y + n_x, *const mu = lambda + n_l;
     const int called = fb_implicit_equations(s, t, y);
     if (called < 0)
         return called;
@@ -115,7 +132,7 @@ static inline int fb_implicit_form(fb_implicit *s, const double t, const double 
             residual[i] -= s->coordinate_change[i];
     }
     for (int i = 0; i < n_u; ++i) {
-        double sum = -s->forcing[i];
+        double sum = -(s->forcing[i] + (n_l > n_c ? s->effect[i] : 0.0));
         for (int j = 0; j < n_u; ++j)
             sum += s->mass_matrix[i * n_u + j] * y_rate[n_q + j];
         for (int row = 0; row < n_c; ++row)
@@ -126,6 +143,14 @@ static inline int fb_implicit_form(fb_implicit *s, const double t, const double 
         k->state_rates(t, y, p->constants, p->inputs, y_rate + n_q, lambda, s->state_rates);
     for (int i = n_x - n_z; i < n_x; ++i)
         residual[i] = y_rate[i] - s->state_rates[i - (n_x - n_z)];
+    for (int row = 0; row < n_l - n_c; ++row) {
+        double sum = s->auxiliary_forcing[row];
+        for (int j = 0; j < n_u; ++j)
+            sum -= s->auxiliary_mass[row * n_u + j] * y_rate[n_q + j];
+        for (int j = 0; j < n_c; ++j)
+            sum += s->auxiliary_constraint_jacobian[row * n_c + j] * lambda[j];
+        residual[n_x + n_c + row] = sum;
+    }
     if (s->formulation == FB_INDEX_1) {
         for (int row = 0; row < n_c; ++row)
             residual[n_x + row] = s->bias[row] + fb_row_times(s, row, y_rate + n_q);
@@ -136,7 +161,7 @@ static inline int fb_implicit_form(fb_implicit *s, const double t, const double 
         residual[n_x + row] = s->velocities[row] + fb_row_times(s, row, y + n_q);
     for (int i = 0; i < n_h; ++i)
         if (s->formulation == FB_INDEX_2)
-            residual[n_x + n_c + i] = s->positions[i];
+            residual[n_x + n_l + i] = s->positions[i];
         else if (k->position_row[i] >= 0)
             residual[n_x + k->position_row[i]] = s->positions[i];
     return 0;
@@ -161,7 +186,8 @@ static inline int fb_implicit_derivative(fb_implicit *s, const double t, const d
 {
     fb_problem *const p = s->problem;
     const fb_kernel *const k = p->kernel;
-    const int n_q = k->n_q, n_u = k->n_u, n_z = k->n_z, n_x = k->n_x, n_c = k->n_c, n_h = k->n_h, n = s->n_y;
+    const int n_q = k->n_q, n_u = k->n_u, n_z = k->n_z, n_x = k->n_x, n_c = k->n_c, n_l = k->n_l, n_h = k->n_h;
+    const int n_n = n_l - n_c, n = s->n_y;
     const int called = fb_implicit_equations(s, t, y);
     if (called < 0)
         return called;
@@ -181,6 +207,16 @@ static inline int fb_implicit_derivative(fb_implicit *s, const double t, const d
             row[n_q + j] += c * s->mass_matrix[i * n_u + j];
         for (int j = 0; j < n_c; ++j)
             row[n_x + j] = -s->jacobian[j * n_u + i];
+        for (int j = 0; j < n_n; ++j)
+            row[n_x + n_c + j] = -s->effect_jacobian[i * n_n + j];
+    }
+    for (int i = 0; i < n_n; ++i) {
+        double *const row = matrix + (n_x + n_c + i) * n;
+        memcpy(row, s->residual_jacobian + (n_u + n_c + i) * n_x, (size_t)n_x * sizeof *row);
+        for (int j = 0; j < n_u; ++j)
+            row[n_q + j] -= c * s->auxiliary_mass[i * n_u + j];
+        memcpy(row + n_x, s->auxiliary_constraint_jacobian + i * n_c, (size_t)n_c * sizeof *row);
+        memcpy(row + n_x + n_c, s->auxiliary_forcing_jacobian + i * n_n, (size_t)n_n * sizeof *row);
     }
     if (n_z > 0)
         k->derivatives->state_rate_sensitivity(t, y, p->constants, p->inputs, y_rate + n_q, y + n_x,
@@ -188,12 +224,12 @@ static inline int fb_implicit_derivative(fb_implicit *s, const double t, const d
     for (int i = 0; i < n_z; ++i) {
         double *const row = matrix + (n_x - n_z + i) * n;
         for (int j = 0; j < n_x; ++j)
-            row[j] = -s->residual_jacobian[(n_u + n_c + i) * n_x + j];
+            row[j] = -s->residual_jacobian[(n_u + n_l + i) * n_x + j];
         row[n_x - n_z + i] += c;
         for (int j = 0; j < n_u; ++j)
             row[n_q + j] -= c * s->by_accelerations[i * n_u + j];
-        for (int j = 0; j < n_c; ++j)
-            row[n_x + j] = -s->by_multipliers[i * n_c + j];
+        for (int j = 0; j < n_l; ++j)
+            row[n_x + j] = -s->by_multipliers[i * n_l + j];
     }
     if (s->formulation == FB_INDEX_1) {
         for (int i = 0; i < n_c; ++i) {
@@ -216,12 +252,12 @@ static inline int fb_implicit_derivative(fb_implicit *s, const double t, const d
         const int kept_by = k->position_row[i];
         const double *const slopes = s->position_jacobian + i * n_q;
         if (s->formulation == FB_INDEX_2) {
-            memcpy(matrix + (n_x + n_c + i) * n, slopes, (size_t)n_q * sizeof *matrix);
+            memcpy(matrix + (n_x + n_l + i) * n, slopes, (size_t)n_q * sizeof *matrix);
             for (int j = 0; j < n_u && kept_by >= 0; ++j)
                 s->change[j] = s->metric[j] * s->jacobian[kept_by * n_u + j];
             k->coordinate_change(t, y, p->constants, p->inputs, s->change, s->coordinate_change);
             for (int j = 0; j < n_q; ++j)
-                matrix[j * n + n_x + n_c + i] = kept_by >= 0 ? -s->coordinate_change[j] : -slopes[j];
+                matrix[j * n + n_x + n_l + i] = kept_by >= 0 ? -s->coordinate_change[j] : -slopes[j];
         } else if (kept_by >= 0) {
             double *const row = matrix + (n_x + kept_by) * n;
             memset(row, 0, (size_t)n_x * sizeof *row);

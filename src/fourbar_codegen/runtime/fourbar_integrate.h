@@ -84,7 +84,7 @@ struct fb_run {
     int n_events;
     const int *event_output, *event_direction;
     double *event_value, *event_old; /* (n_events,) */
-    double *outputs;                 /* (n_u + n_c + n_o,), scratch */
+    double *outputs;                 /* (n_u + n_l + n_o,), scratch */
 };
 
 static inline void fb_weights_of(const double *dense, const int n, fb_weights *weights)
@@ -447,7 +447,7 @@ static inline int fb_event_values(fb_run *s, const double since, const double *x
     fb_problem *const p = s->problem;
     const fb_kernel *const k = p->kernel;
     double *const accelerations = s->outputs, *const multipliers = accelerations + k->n_u;
-    double *const outputs = multipliers + k->n_c;
+    double *const outputs = multipliers + k->n_l;
     const double t = fb_time(&p->clock, since);
     const int called = fb_fill_inputs(p, t, x);
     if (called < 0)

@@ -13,7 +13,7 @@
 
 #include <stddef.h>
 
-#define FB_ABI_VERSION 13
+#define FB_ABI_VERSION 14
 #define FB_CAPSULE_NAME "fourbar_codegen.kernel"
 
 /* Long functions are printed in parts, which the compiler must not put together again. */
@@ -28,17 +28,21 @@ enum FB_INSTRUCTION_SET { FB_BASELINE = 0, FB_AVX2 = 1, FB_AVX512 = 2 };
 
 enum FB_STATUS {
     FB_OK = 0,
-    FB_CONSTRAINTS_DEPENDENT = 1,  /* J has lost rank, or J u' + gamma = 0 has no solution */
-    FB_MASS_SINGULAR = 2,          /* T^T M T is not positive definite */
-    FB_NOT_FINITE = 3,             /* a result is infinite or not a number */
-    FB_NOT_CLOSED = 4,             /* no state close by satisfies the constraints */
-    FB_CONSTRAINTS_INDEPENDENT = 5 /* J has a larger rank than the model has dependent speeds */
+    FB_CONSTRAINTS_DEPENDENT = 1,   /* J has lost rank, or J u' + gamma = 0 has no solution */
+    FB_MASS_SINGULAR = 2,           /* T^T M T is not positive definite */
+    FB_NOT_FINITE = 3,              /* a result is infinite or not a number */
+    FB_NOT_CLOSED = 4,              /* no state close by satisfies the constraints */
+    FB_CONSTRAINTS_INDEPENDENT = 5, /* J has a larger rank than the model has dependent speeds */
+    FB_FORCES_UNDETERMINED = 6,     /* no unknown forces keep the auxiliary speeds zero, or many do */
+    FB_FORCES_NOT_FOUND = 7         /* Newton's method does not find unknown forces that do */
 };
 
 /* Something with x' in it, which needs the equations solved. */
 typedef int fb_evaluation(double t, const double *x, const double *constants, const double *r, double *result,
                           void *work);
-/* Derivatives of q' and of (f - M u' + J^T lambda, -(J u' + gamma), z'), with u' and lambda held. */
+/* Derivatives of q' and of (f - M u' + J^T lambda, -(J u' + gamma), z'), with u' and lambda held. Where unknown forces
+ * n drive the motion (fourbar_forces.h), they stand behind lambda, here and wherever multipliers do, their effect
+ * beside f, and the rows of the auxiliary speeds behind those of J. */
 typedef void fb_sensitivity(double t, const double *x, const double *constants, const double *r,
                             const double *accelerations, const double *multipliers, double *coordinate_rate_jacobian,
                             double *residual_jacobian);
@@ -75,6 +79,7 @@ typedef struct fb_kernel {
     int states_need_solution; /* whether u' or lambda stand in z' */
     int n_h;                  /* position constraints */
     int n_c;                  /* velocity constraints */
+    int n_l;                  /* multipliers: n_c, and behind them unknown forces that drive the motion */
     int n_i;           /* of the position constraints those that no speed changes, such as norms of quaternions */
     int n_o;           /* outputs */
     int n_breakpoints; /* times at which expressions have a jump or a kink */
@@ -104,6 +109,12 @@ typedef struct fb_kernel {
     /* q', M, f, J, gamma of M u' = f + J^T lambda, J u' + gamma = 0 */
     void (*dynamics)(double t, const double *x, const double *constants, const double *r, double *coordinate_rates,
                      double *mass_matrix, double *forcing, double *constraint_jacobian, double *acceleration_bias);
+    /* What unknown forces n do: F(n) of M u' = f + F + J^T lambda, its derivative, and Q(n), its derivative, M_a and
+     * J_a^T of the auxiliary speeds' rows Q - M_a u' + J_a^T lambda = 0; NULL without such forces */
+    void (*unknown_forces)(double t, const double *x, const double *constants, const double *r, const double *forces,
+                           double *effect, double *effect_jacobian, double *auxiliary_forcing,
+                           double *auxiliary_forcing_jacobian, double *auxiliary_mass,
+                           double *auxiliary_constraint_jacobian);
     /* Phi(q, t) and dPhi/dq */
     void (*position)(double t, const double *q, const double *constants, const double *r, double *position_constraints,
                      double *position_jacobian);

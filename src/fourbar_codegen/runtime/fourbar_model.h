@@ -17,7 +17,18 @@
 #ifndef N_Z
 #define N_Z 0
 #endif
-enum { N_X = N_Q + N_U + N_Z, N_COLUMNS = N_X > N_P ? (N_X > N_R ? N_X : N_R) : (N_P > N_R ? N_P : N_R) };
+#ifndef N_N /* unknown forces that drive the motion */
+#define N_N 0
+#endif
+enum {
+    N_L = N_C + N_N,
+    N_X = N_Q + N_U + N_Z,
+    N_COLUMNS = N_X > N_P ? (N_X > N_R ? N_X : N_R) : (N_P > N_R ? N_P : N_R)
+};
+
+#if N_N > 0
+#include "fourbar_forces.h"
+#endif
 
 typedef struct fb_work {
     double coordinate_rates[FB_AT_LEAST_1(N_Q)];
@@ -27,10 +38,13 @@ typedef struct fb_work {
     double acceleration_bias[FB_AT_LEAST_1(N_C)];
     fb_factors factors;
     double accelerations[N_U];
-    double multipliers[FB_AT_LEAST_1(N_C)];
-    double residual_jacobian[(N_U + N_C + N_Z) * N_COLUMNS];
+    double multipliers[FB_AT_LEAST_1(N_L)];
+    double residual_jacobian[(N_U + N_L + N_Z) * N_COLUMNS];
 #if N_Z > 0
-    double state_rate_acceleration_jacobian[N_Z * N_U], state_rate_multiplier_jacobian[FB_AT_LEAST_1(N_Z * N_C)];
+    double state_rate_acceleration_jacobian[N_Z * N_U], state_rate_multiplier_jacobian[FB_AT_LEAST_1(N_Z * N_L)];
+#endif
+#if N_N > 0
+    fb_response response;
 #endif
     double jacobian_before[FB_AT_LEAST_1(N_JACOBIAN)]; /* J when `orientation_changed` was last called */
 #ifndef FB_SPARSE
@@ -84,6 +98,19 @@ static inline int factor_at(double t, const double *x, const double *constants, 
     return status;
 }
 
+/* u' at a state whose equations are set up and factored; with unknown forces, lambda and these as well. */
+static inline int solve_factored(double t, const double *restrict x, const double *restrict constants,
+                                 const double *restrict r, double *restrict rates, fb_work *restrict w)
+{
+#if N_N > 0
+    return fb_solve_with_forces(t, x, constants, r, w->mass_matrix, w->forcing, w->acceleration_bias, &w->factors,
+                                &w->response, rates, w->multipliers);
+#else
+    (void)t, (void)x, (void)constants, (void)r;
+    return fb_solve(w->forcing, w->acceleration_bias, &w->factors, rates);
+#endif
+}
+
 static inline int solve_accelerations(double t, const double *restrict x, const double *restrict constants,
                                       const double *restrict r, double *restrict coordinate_rates,
                                       double *restrict rates, fb_work *restrict w)
@@ -93,14 +120,14 @@ static inline int solve_accelerations(double t, const double *restrict x, const 
     const int status = factor_at(t, x, constants, r, w);
     if (status != FB_OK)
         return status;
-    return fb_solve(w->forcing, w->acceleration_bias, &w->factors, rates);
+    return solve_factored(t, x, constants, r, rates, w);
 }
 
 /* z', behind a solution u'. */
 static inline void fill_state_rates(double t, const double *restrict x, const double *restrict constants,
                                     const double *restrict r, double *restrict rates, fb_work *restrict w)
 {
-#ifdef FB_STATES_NEED_MULTIPLIERS
+#if defined(FB_STATES_NEED_MULTIPLIERS) && N_N == 0
     fb_multipliers(w->mass_matrix, w->forcing, rates + N_Q, &w->factors, w->multipliers);
 #endif
 #if N_Z > 0
@@ -144,7 +171,7 @@ static int stabilized(double t, const double *x, const double *constants, const 
         w->acceleration_bias[i] += 2.0 * a * velocities[i] + a * a * positions[i];
     int status = factor_at(t, x, constants, r, w);
     if (status == FB_OK)
-        status = fb_solve(w->forcing, w->acceleration_bias, &w->factors, rates + N_Q);
+        status = solve_factored(t, x, constants, r, rates + N_Q, w);
     for (int i = 0; i < N_Q; ++i)
         rates[i] = w->coordinate_rates[i];
     if (status == FB_OK)
@@ -159,8 +186,13 @@ static int accelerations(double t, const double *x, const double *constants, con
     const int status = solve_accelerations(t, x, constants, r, w->coordinate_rates, rates, w);
     if (status != FB_OK)
         return status;
+#if N_N > 0
+    for (int i = 0; i < N_L; ++i)
+        multipliers[i] = w->multipliers[i];
+#else
     fb_multipliers(w->mass_matrix, w->forcing, rates, &w->factors, multipliers);
-    return all_finite(rates, N_U) == FB_OK ? all_finite(multipliers, N_C) : FB_NOT_FINITE;
+#endif
+    return all_finite(rates, N_U) == FB_OK ? all_finite(multipliers, N_L) : FB_NOT_FINITE;
 }
 
 /* Newton's method with the factors of a state close by. A change v with J v = -Phi that is the least in the metric of M
@@ -266,8 +298,16 @@ static int differentiate(const fb_derivatives *derivatives, fb_sensitivity *func
     if (status != FB_OK)
         return status;
     function(t, x, constants, r, w->accelerations, w->multipliers, matrix, w->residual_jacobian);
+#if N_N > 0
+    fb_response *const s = &w->response;
+    unknown_forces(t, x, constants, r, w->multipliers + N_C, s->effect, s->effect_jacobian, s->auxiliary_forcing,
+                   s->auxiliary_forcing_jacobian, s->auxiliary_mass, s->auxiliary_constraint_jacobian);
+    fb_form_response(w->mass_matrix, &w->factors, s);
+#endif
+#if N_Z + N_N > 0
+    double multipliers[FB_AT_LEAST_1(N_L)];
+#endif
 #if N_Z > 0
-    double multipliers[FB_AT_LEAST_1(N_C)];
     derivatives->state_rate_sensitivity(t, x, constants, r, w->accelerations, w->multipliers,
                                         w->state_rate_acceleration_jacobian, w->state_rate_multiplier_jacobian);
 #else
@@ -281,16 +321,27 @@ static int differentiate(const fb_derivatives *derivatives, fb_sensitivity *func
             w->acceleration_bias[i] = -w->residual_jacobian[(N_U + i) * n + j];
         /* Redundant rows hold in every direction in which the state can move; others are not asked about. */
         fb_solve(w->forcing, w->acceleration_bias, &w->factors, solution);
+#if N_Z + N_N > 0
+        fb_multipliers(w->mass_matrix, w->forcing, solution, &w->factors, multipliers);
+#endif
+#if N_N > 0
+        double unused = 0.0, *const forces = multipliers + N_C;
+        for (int i = 0; i < N_N; ++i)
+            forces[i] =
+                fb_auxiliary_row(s, i, w->residual_jacobian[(N_U + N_C + i) * n + j], solution, multipliers, &unused);
+        const int found = fb_respond(s, forces, solution, multipliers);
+        if (found != FB_OK)
+            return found;
+#endif
         for (int i = 0; i < N_U; ++i)
             matrix[(N_Q + i) * n + j] = solution[i];
 #if N_Z > 0
-        fb_multipliers(w->mass_matrix, w->forcing, solution, &w->factors, multipliers);
         for (int i = 0; i < N_Z; ++i) {
-            double sum = w->residual_jacobian[(N_U + N_C + i) * n + j];
+            double sum = w->residual_jacobian[(N_U + N_L + i) * n + j];
             for (int k = 0; k < N_U; ++k)
                 sum += w->state_rate_acceleration_jacobian[i * N_U + k] * solution[k];
-            for (int k = 0; k < N_C; ++k)
-                sum += w->state_rate_multiplier_jacobian[i * N_C + k] * multipliers[k];
+            for (int k = 0; k < N_L; ++k)
+                sum += w->state_rate_multiplier_jacobian[i * N_L + k] * multipliers[k];
             matrix[(N_Q + N_U + i) * n + j] = sum;
         }
 #endif
@@ -310,6 +361,7 @@ const fb_kernel FB_TABLE(kernel) = {
     .n_r = N_R,
     .n_h = N_H,
     .n_c = N_C,
+    .n_l = N_L,
     .n_i = N_I,
     .n_o = N_O,
     .n_breakpoints = N_BREAKPOINTS,
@@ -331,6 +383,9 @@ const fb_kernel FB_TABLE(kernel) = {
 #endif
 #endif
     .dynamics = full_dynamics,
+#if N_N > 0
+    .unknown_forces = unknown_forces,
+#endif
     .position = position,
     .velocity = velocity,
     .constraint_violation = constraint_violation,

@@ -368,10 +368,10 @@ cdef class Ode:
         return result
 
     def multipliers(self, t, x):
-        """x', shape (n_x,), and the multipliers of the constraints, shape (n_c,)."""
+        """x', shape (n_x,), and the multipliers with unknown forces behind them, shape (n_l,)."""
         t = time_of(t)
         cdef cnp.ndarray state = vector(x, self.evaluator.n_x, "The state x")
-        cdef cnp.ndarray accelerations = new_array(self.evaluator.n_u), result = new_array(self.evaluator.n_c)
+        cdef cnp.ndarray accelerations = new_array(self.evaluator.n_u), result = new_array(self.evaluator.n_l)
         cdef cnp.ndarray rates = self(t, state)
         cdef int status = self.problem.kernel.accelerations(
             fb_time(&self.problem.clock, t), data(state), self.problem.constants, self.problem.inputs,
@@ -637,7 +637,7 @@ cdef class Run:
             run.event_direction = <const int *>self._keep(np.array([event[1] for event in events], dtype=np.intc))
             run.event_value = <double *>self._keep(np.zeros(run.n_events))
             run.event_old = <double *>self._keep(np.zeros(run.n_events))
-            run.outputs = <double *>self._keep(np.zeros(ode.evaluator.n_u + ode.evaluator.n_c + ode.evaluator.n_o))
+            run.outputs = <double *>self._keep(np.zeros(ode.evaluator.n_u + ode.evaluator.n_l + ode.evaluator.n_o))
         if method == "ALI3P":
             ode.evaluator.derivatives()
             run.step, run.augmented = fb_augmented_step_on, &self.augmented

@@ -29,6 +29,9 @@ Floats = NDArray[np.float64]
 
 def simulate(model: Kernel, options: RunOptions) -> Trajectory:
     """Integrate the equations of motion; see `CompiledModel.simulate`."""
+    if options.method == FIXED_STEP and model.n_l > model.n_c:
+        names = ", ".join(model.outputs[: model.n_l - model.n_c])
+        raise ModelError(f"{FIXED_STEP} takes no unknown forces that drive the motion ({names}): all other methods do.")
     (start, end), p, inputs, report = options.t_span, options.parameters, options.inputs, options.progress
     state = initial_state(model, t=start, parameters=p, inputs=inputs) if options.x0 is None else options.x0
     ode = bind(model, p, inputs)

@@ -338,7 +338,7 @@ class IDA(_Sundials):
             self.y = consistent(ode, t0, self.y)
         rates, multipliers = ode.multipliers(t0, self.y)
         without_row = manifest["position_rows"].count(None) - len(manifest["invariants"])
-        if without_row or manifest["n_dependent_speeds"] < len(multipliers):
+        if without_row or manifest["n_dependent_speeds"] < ode.evaluator.n_c:
             raise ModelError(
                 "IDA solves for all multipliers, which redundant constraints leave open: all other methods take them."
             )

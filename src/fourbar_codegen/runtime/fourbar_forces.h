@@ -1,0 +1,160 @@
+/* Unknown forces n that drive the motion, such as the normal force of a contact with friction: what keeps auxiliary
+ * speeds zero, and acts on the motion as well.
+ *
+ *   M u' = f + F(n) + J^T lambda,    J u' + gamma = 0,    Q(n) - M_a u' + J_a^T lambda = 0
+ *
+ * With the factors of M and J, u' = a + A dn and lambda = l + L dn for a change dn of the forces: a column of A and L
+ * is the solution for one of F_n. What is left of the auxiliary speeds' rows changes by G dn, G = Q_n - M_a A + J_a^T
+ * L, which is as small as there are forces, and not symmetric. Where F and Q are linear, a step of Newton's method from
+ * n = 0 is the solution; otherwise it is found by more of them, from there and nowhere else, so that x' is a function
+ * of the state alone.
+ *
+ * Included by fourbar_model.h, where the model has such forces.
+ *
+ * Source: T. R. Kane and D. A. Levinson, *Dynamics: Theory and Applications*, 1985, sections 4.9 and 5.9
+ * (noncontributing forces brought into evidence by auxiliary speeds).
+ */
+#ifndef FOURBAR_FORCES_H
+#define FOURBAR_FORCES_H
+
+/* Newton's method ends where the rows are balanced to this share of their terms, ... */
+#define FB_BALANCED 1e-13
+/* ... or where rounding errors allow no better, to this one. */
+#define FB_NEARLY_BALANCED 1e-9
+/* Forces are not determined where a pivot of G, its rows in units of their terms, is smaller. */
+#define FB_UNDETERMINED 1e-12
+/* Iterations, and those that may be steps away from the balance: over the kink of an absolute value, as a rule. */
+enum { FB_MAX_STEPS = 60, FB_FREE_STEPS = 8 };
+
+typedef struct fb_response {
+    double effect[N_U], effect_jacobian[N_U * N_N];                               /* F, dF/dn */
+    double auxiliary_forcing[N_N], auxiliary_forcing_jacobian[N_N * N_N];         /* Q, dQ/dn */
+    double auxiliary_mass[N_N * N_U];                                             /* M_a */
+    double auxiliary_constraint_jacobian[FB_AT_LEAST_1(N_N * N_C)];               /* J_a^T */
+    double by_accelerations[N_N * N_U], by_multipliers[N_N * FB_AT_LEAST_1(N_C)]; /* A, L, column by column */
+    double matrix[N_N * N_N]; /* G, its rows in units of their terms */
+    double unit[N_N];
+} fb_response;
+
+/* What is left in an auxiliary speed's row beside `forcing`; `size` is the sum of the terms' sizes. */
+static inline double fb_auxiliary_row(const fb_response *s, const int row, const double forcing,
+                                      const double *accelerations, const double *multipliers, double *size)
+{
+    double sum = forcing;
+    for (int i = 0; i < N_U; ++i) {
+        const double term = s->auxiliary_mass[row * N_U + i] * accelerations[i];
+        sum -= term;
+        *size += fabs(term);
+    }
+    for (int i = 0; i < N_C; ++i) {
+        const double term = s->auxiliary_constraint_jacobian[row * N_C + i] * multipliers[i];
+        sum += term;
+        *size += fabs(term);
+    }
+    return sum;
+}
+
+/* A, L and G at forces at which F, Q and their derivatives were evaluated. */
+static inline void fb_form_response(const double *mass_matrix, const fb_factors *factors, fb_response *restrict s)
+{
+    static const double at_rest[FB_AT_LEAST_1(N_C)] = {0.0};
+    for (int j = 0; j < N_N; ++j) {
+        double column[N_U];
+        for (int i = 0; i < N_U; ++i)
+            column[i] = s->effect_jacobian[i * N_N + j];
+        fb_solve(column, at_rest, factors, s->by_accelerations + j * N_U);
+        fb_multipliers(mass_matrix, column, s->by_accelerations + j * N_U, factors, s->by_multipliers + j * N_C);
+    }
+    for (int row = 0; row < N_N; ++row) {
+        double unit = 0.0;
+        for (int j = 0; j < N_N; ++j) {
+            const double forcing = s->auxiliary_forcing_jacobian[row * N_N + j];
+            double size = fabs(forcing);
+            s->matrix[row * N_N + j] =
+                fb_auxiliary_row(s, row, forcing, s->by_accelerations + j * N_U, s->by_multipliers + j * N_C, &size);
+            unit = fb_max(unit, size);
+        }
+        s->unit[row] = unit > 0.0 ? 1.0 / unit : 1.0;
+        for (int j = 0; j < N_N; ++j)
+            s->matrix[row * N_N + j] *= s->unit[row];
+    }
+}
+
+/* The change dn that G takes to -`rest`, which is overwritten; u' and lambda follow. */
+static inline int fb_respond(const fb_response *s, double *restrict rest, double *restrict accelerations,
+                             double *restrict multipliers)
+{
+    double matrix[N_N * N_N];
+    for (int i = 0; i < N_N * N_N; ++i)
+        matrix[i] = s->matrix[i];
+    for (int i = 0; i < N_N; ++i)
+        rest[i] *= -s->unit[i];
+    if (!fb_eliminate_full(N_N, matrix, rest, FB_UNDETERMINED))
+        return all_finite(rest, N_N) == FB_OK ? FB_FORCES_UNDETERMINED : FB_NOT_FINITE;
+    for (int j = 0; j < N_N; ++j) {
+        for (int i = 0; i < N_U; ++i)
+            accelerations[i] += s->by_accelerations[j * N_U + i] * rest[j];
+        for (int i = 0; i < N_C; ++i)
+            multipliers[i] += s->by_multipliers[j * N_C + i] * rest[j];
+    }
+    return FB_OK;
+}
+
+/* u', and lambda with n behind it, for factors of M and J, f and gamma that are known. */
+static inline int fb_solve_with_forces(double t, const double *x, const double *constants, const double *r,
+                                       const double *mass_matrix, const double *forcing,
+                                       const double *acceleration_bias, const fb_factors *factors,
+                                       fb_response *restrict s, double *restrict accelerations,
+                                       double *restrict multipliers)
+{
+    double *const forces = multipliers + N_C;
+    double before[N_N] = {0.0}, change[N_N] = {0.0}, at_zero[N_N], total[N_U];
+    double last = INFINITY, share = 1.0;
+    for (int j = 0; j < N_N; ++j)
+        forces[j] = 0.0;
+    for (int step = 0; step < FB_MAX_STEPS; ++step) {
+        double rest[N_N], size = 0.0;
+        unknown_forces(t, x, constants, r, forces, s->effect, s->effect_jacobian, s->auxiliary_forcing,
+                       s->auxiliary_forcing_jacobian, s->auxiliary_mass, s->auxiliary_constraint_jacobian);
+        for (int i = 0; i < N_U; ++i)
+            total[i] = forcing[i] + s->effect[i];
+        const int status = fb_solve(total, acceleration_bias, factors, accelerations);
+        if (status != FB_OK)
+            return status;
+        fb_multipliers(mass_matrix, total, accelerations, factors, multipliers);
+        for (int row = 0; row < N_N; ++row) {
+            if (step == 0)
+                at_zero[row] = s->auxiliary_forcing[row];
+            double terms = fabs(at_zero[row]) + fabs(s->auxiliary_forcing[row] - at_zero[row]);
+            rest[row] = fb_auxiliary_row(s, row, s->auxiliary_forcing[row], accelerations, multipliers, &terms);
+            if (!isfinite(rest[row]))
+                return FB_NOT_FINITE;
+            size = fb_max(size, rest[row] == 0.0 ? 0.0 : fabs(rest[row]) / terms);
+        }
+        if (size <= FB_BALANCED || (size <= FB_NEARLY_BALANCED && !(size < 0.5 * last)))
+            return FB_OK;
+        if (step >= FB_FREE_STEPS && !(size < last)) {
+            share *= 0.5;
+            for (int j = 0; j < N_N; ++j)
+                forces[j] = before[j] + share * change[j];
+            continue;
+        }
+        fb_form_response(mass_matrix, factors, s);
+        const int found = fb_respond(s, rest, accelerations, multipliers);
+        if (found != FB_OK)
+            return found;
+        last = size;
+        share = 1.0;
+        for (int j = 0; j < N_N; ++j) {
+            before[j] = forces[j];
+            change[j] = rest[j];
+            forces[j] += change[j];
+        }
+#ifdef FB_FORCES_LINEAR
+        return FB_OK;
+#endif
+    }
+    return FB_FORCES_NOT_FOUND;
+}
+
+#endif

@@ -1,0 +1,315 @@
+"""Unknown forces that drive the motion: friction and tyres by normal forces, against closed forms, SymPy and SciPy."""
+
+import numpy as np
+import pytest
+import sympy as sm
+import sympy.physics.mechanics as me
+from scipy.optimize import brentq
+from sympy.physics.mechanics.system import System
+
+import fourbar_codegen as fb
+
+T = me.dynamicsymbols._t
+G, M, MU, L, J = sm.symbols("g m mu l J")
+# Of local errors, at rtol = 1e-9, over some hundred steps.
+METHODS = {"RK45": 1e-8, "DOP853": 1e-8, "Radau": 1e-7, "BDF": 1e-6, "LSODA": 1e-6, "CVODE": 1e-6, "IDA": 1e-6}
+
+
+def system_of(*bodies, coordinates, speeds, auxiliary, loads, frame, origin):
+    system = System(frame, origin)
+    system.add_bodies(*bodies)
+    system.add_coordinates(*coordinates)
+    system.add_speeds(*speeds)
+    system.add_auxiliary_speeds(*auxiliary)
+    system.add_kdes(*(u - q.diff(T) for q, u in zip(coordinates, speeds, strict=True)))
+    system.apply_uniform_gravity(-G * frame.y)
+    system.add_loads(*loads)
+    return system
+
+
+def box(friction, *, floor=0, push=0, name="box"):
+    """A block on a floor that moves up and down: SymPy's test_box_on_ground, with friction of its normal force."""
+    q, u, w, normal = me.dynamicsymbols("q u u_n N")
+    ground, origin, block = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
+    origin.set_vel(ground, 0)
+    block.set_pos(origin, q * ground.x + floor * ground.y)
+    block.set_vel(ground, u * ground.x + (sm.diff(floor, T) + w) * ground.y)
+    loads = [me.Force(block, normal * ground.y), me.Force(block, push + friction(normal, u) * ground.x)]
+    system = system_of(
+        me.Particle("block", block, M), coordinates=[q], speeds=[u], auxiliary=[w], loads=loads, frame=ground,
+        origin=origin,
+    )  # fmt: skip
+    return system, {G: 9.81, M: 2.0, MU: 0.3}, {q: 0.0, u: 4.0}, name
+
+
+def compiled(made, **more):
+    system, values, initial, name = made
+    return fb.compile_model(fb.Model(system, name=name, parameters=values, initial=initial, **more))
+
+
+def test_friction_of_a_block_on_an_accelerated_belt():
+    # u' = -mu (g + y''), so that u = u_0 - mu (g t + y' - y'(0)): closed form.
+    height = sm.sin(5 * T) / 10
+    model = compiled(box(lambda n, u: -MU * n, floor=height, name="belt"))
+    assert model.outputs == ("N",)
+    run = model.simulate((0.0, 1.0), rtol=1e-11, atol=1e-11, t_eval=np.linspace(0.0, 1.0, 21))
+    rise = 0.5 * np.cos(5 * run.t)
+    np.testing.assert_allclose(run["u"], 4.0 - 0.3 * (9.81 * run.t + rise - 0.5), rtol=1e-10)
+    np.testing.assert_allclose(run["N"], 2.0 * (9.81 - 2.5 * np.sin(5 * run.t)), rtol=1e-13)
+    np.testing.assert_allclose(model.forcing(0.3, [0.0, 4.0]), [-0.3 * model.output(0.3, [0.0, 4.0])[0]])
+    np.testing.assert_allclose(model.tree_forcing(0.3, [0.0, 4.0]), model.forcing(0.3, [0.0, 4.0]))
+    assert model.multipliers(0.0, [0.0, 4.0]).shape == (0,)
+
+
+@pytest.mark.parametrize("force", [-50.0, 0.0, 19.6, 19.62, 30.0, 100.0])
+def test_friction_of_the_absolute_normal_force(force):
+    # A block in a slot, pulled upwards: N = m g - P has either sign, and friction goes with |N|.
+    pull = me.dynamicsymbols("P")
+
+    def made():
+        system, *rest, _ = box(lambda n, u: -MU * sm.Abs(n), name="slot")
+        system.add_loads(me.Force(system.bodies[0].masscenter, pull * system.frame.y))
+        return system, *rest, "slot"
+
+    model = compiled(made(), inputs={pull: 0.0})
+    rates, outputs = (f(0.0, [0.0, 4.0], r={"P": force}) for f in (model.rhs, model.output))
+    assert outputs[0] == pytest.approx(2.0 * 9.81 - force, abs=1e-12)
+    assert rates[1] == pytest.approx(-0.3 * abs(2.0 * 9.81 - force) / 2.0, abs=1e-12)
+
+
+def test_a_contact_that_opens_is_an_event():
+    pull = me.dynamicsymbols("P")
+    system, values, initial, _ = box(lambda n, u: -MU * n)
+    system.add_loads(me.Force(system.bodies[0].masscenter, pull * system.frame.y))
+    model = compiled((system, values, initial, "lifted"), inputs={pull: 10 * T})
+    run = model.simulate((0.0, 4.0), events=[fb.Event("N", terminal=True)], rtol=1e-9, atol=1e-9)
+    assert run.status == 1
+    assert run.t_events[0][0] == pytest.approx(2.0 * 9.81 / 10.0, rel=1e-12)
+
+
+def test_a_force_that_is_not_linear_in_the_normal_force():
+    """Friction that falls as the contact is pressed harder, and lift that grows with it: one equation by brentq."""
+    k = sm.Symbol("k")
+
+    def made():
+        system, values, initial, _ = box(lambda n, u: -MU * n / (1 + k * n**2))
+        [block], frame = system.bodies, system.frame
+        normal = me.dynamicsymbols("N")
+        # A vertical force that is a function of N: the row of the auxiliary speed is not linear either.
+        system.add_loads(me.Force(block.masscenter, 3 * sm.tanh(normal / 20) * frame.y))
+        return system, values | {k: 0.01}, initial, "pressed"
+
+    model = compiled(made())
+    n = brentq(lambda n: n + 3 * np.tanh(n / 20) - 2.0 * 9.81, 0.0, 40.0, xtol=1e-14)
+    assert model.output(0.0, [0.0, 4.0])[0] == pytest.approx(n, rel=1e-13)
+    assert model.rhs(0.0, [0.0, 4.0])[1] == pytest.approx(-0.3 * n / (1 + 0.01 * n**2) / 2.0, rel=1e-13)
+    # dn/dm from the equation for n, dx'/dm from the chain rule, both by hand.
+    slope = 9.81 / (1 + 3 / 20 / np.cosh(n / 20) ** 2)
+    friction = 0.3 * (1 - 0.01 * n**2) / (1 + 0.01 * n**2) ** 2
+    expected = -friction * slope / 2.0 + 0.3 * n / (1 + 0.01 * n**2) / 4.0
+    derivative = model.parameter_jacobian(0.0, [0.0, 4.0])[1, model.parameters.index("m")]
+    assert derivative == pytest.approx(expected, rel=1e-12)
+
+
+def rod(friction, name):
+    """Painleve's rod: its lower end slides on a floor, at the angle theta; friction pushes it along."""
+    x, theta, u, omega, w, normal = me.dynamicsymbols("x theta u omega u_n N")
+    ground, body = me.ReferenceFrame("N"), me.ReferenceFrame("B")
+    origin, end, centre = me.Point("O"), me.Point("P"), me.Point("C")
+    body.orient_axis(ground, ground.z, theta)
+    body.set_ang_vel(ground, omega * ground.z)
+    origin.set_vel(ground, 0)
+    end.set_pos(origin, x * ground.x)
+    end.set_vel(ground, u * ground.x + w * ground.y)
+    centre.set_pos(end, L * body.x)
+    centre.v2pt_theory(end, ground, body)
+    loads = [me.Force(end, normal * ground.y + friction(normal) * ground.x)]
+    link = me.RigidBody("rod", centre, body, M, (me.inertia(body, 0, 0, J), centre))
+    system = system_of(
+        link, coordinates=[x, theta], speeds=[u, omega], auxiliary=[w], loads=loads, frame=ground, origin=origin
+    )
+    return (
+        system,
+        {G: 9.81, M: 2.0, L: 0.5, J: 2.0 * 0.25 / 3, MU: 0.5},
+        {x: 0.0, theta: 1.0, u: -1.0, omega: 0.3},
+        name,
+    )
+
+
+def rods_rates(state, p):
+    """x' and N by hand: m x_C'' = mu N, m y_C'' = N - m g, J theta'' = -l N (cos - mu sin), y_P = 0."""
+    g, m, length, inertia, mu = p
+    _, theta, u, omega = state
+    s, c = np.sin(theta), np.cos(theta)
+    normal = (g - length * s * omega**2) / (1 / m + length**2 * c * (c - mu * s) / inertia)
+    turn = -length * normal * (c - mu * s) / inertia
+    return np.array([u, omega, mu * normal / m + length * (s * turn + c * omega**2), turn]), normal
+
+
+def complex_steps(function, point):
+    """Derivatives that no difference rounds (W. Squire, G. Trapp, SIAM Review 40, 1998)."""
+    columns = []
+    for i in range(len(point)):
+        moved = np.array(point, dtype=complex)
+        moved[i] += 1e-30j
+        columns.append(function(moved).imag / 1e-30)
+    return np.array(columns).T
+
+
+def test_a_rod_that_slides_on_its_end():
+    model = compiled(rod(lambda n: MU * n, "sliding_rod"))
+    p = [model.defaults[name] for name in ("g", "m", "l", "J", "mu")]
+    for state in ([0.0, 1.0, -1.0, 0.3], [0.2, 0.4, 2.0, -3.0], [1.0, 2.5, 0.1, 1.0]):
+        rates, normal = rods_rates(state, p)
+        np.testing.assert_allclose(model.rhs(0.0, state), rates, rtol=1e-13, atol=1e-13)
+        assert model.output(0.0, state)[0] == pytest.approx(normal, rel=1e-13)
+        by_state = complex_steps(lambda x: rods_rates(x, p)[0], state)
+        np.testing.assert_allclose(model.jacobian(0.0, state), by_state, rtol=1e-12, atol=1e-11)
+        by_parameters = complex_steps(lambda p, x=state: rods_rates(x, p)[0], p)
+        places = [model.parameters.index(name) for name in ("g", "m", "l", "J", "mu")]
+        found = model.parameter_jacobian(0.0, state)[:, places]
+        np.testing.assert_allclose(found, by_parameters, rtol=1e-12, atol=1e-11)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_all_methods_take_unknown_forces(method):
+    model = compiled(rod(lambda n: MU * n, "sliding_rod"))
+    reference = model.simulate((0.0, 0.4), method="DOP853", rtol=1e-12, atol=1e-12)
+    run = model.simulate((0.0, 0.4), method=method, rtol=1e-9, atol=1e-11)
+    assert run.success, run.message
+    np.testing.assert_allclose(run.y[:, -1], reference.y[:, -1], rtol=0.0, atol=METHODS[method])
+
+
+def test_painleves_paradox_has_a_status():
+    theta = 1.0
+    s, c = np.sin(theta), np.cos(theta)
+    critical = (c + 1 / (3 * c)) / s  # for J = m l^2 / 3, where the equation for N has no N in it
+    linear = compiled(rod(lambda n: MU * n, "sliding_rod"))
+    with pytest.raises(fb.SimulationError, match=r"unknown forces are not determined .* Painleve"):
+        linear.rhs(0.0, [0.0, theta, -1.0, 0.0], {"mu": critical})
+    run = linear.simulate((0.0, 1.0), [0.0, theta, -1.0, 0.0], parameters={"mu": 0.99 * critical})
+    assert not run.success or np.isfinite(run.y).all()
+    # With friction of |N|, N > 0 and N < 0 both contradict the equation beyond it.
+    absolute = compiled(rod(lambda n: MU * sm.Abs(n), "pushed_rod"))
+    state = [0.0, theta, -1.0, 0.0]
+    below, _ = rods_rates(state, [9.81, 2.0, 0.5, 2.0 * 0.25 / 3, 0.9 * critical])
+    np.testing.assert_allclose(absolute.rhs(0.0, state, {"mu": 0.9 * critical}), below, rtol=1e-11)
+    with pytest.raises(fb.SimulationError, match=r"No unknown forces were found .* Painleve"):
+        absolute.rhs(0.0, state, {"mu": 1.1 * critical})
+    stopped = absolute.simulate((0.0, 1.0), state, parameters={"mu": 0.9 * critical})
+    assert stopped.success or "unknown forces" in stopped.message
+
+
+def cart(*, is_redundant):
+    """A bob on a rod on a sledge with friction mu N, N carrying both; in least coordinates, or the bob's own."""
+    q, u, w, normal = me.dynamicsymbols("q u u_n N")
+    bob_mass = sm.Symbol("m_b")
+    ground, arm = me.ReferenceFrame("N"), me.ReferenceFrame("B")
+    origin, sledge, bob = me.Point("O"), me.Point("P"), me.Point("Q")
+    origin.set_vel(ground, 0)
+    sledge.set_pos(origin, q * ground.x)
+    sledge.set_vel(ground, u * ground.x + w * ground.y)
+    bodies = [me.Particle("sledge", sledge, M), me.Particle("bob", bob, bob_mass)]
+    loads = [me.Force(sledge, normal * ground.y - MU * normal * ground.x)]
+    values = {G: 9.81, M: 2.0, bob_mass: 1.5, L: 0.5, MU: 0.3}
+    if not is_redundant:
+        angle, rate = me.dynamicsymbols("phi omega")
+        arm.orient_axis(ground, ground.z, angle)
+        arm.set_ang_vel(ground, rate * ground.z)
+        bob.set_pos(sledge, -L * arm.y)
+        bob.v2pt_theory(sledge, ground, arm)
+        system = system_of(
+            *bodies, coordinates=[q, angle], speeds=[u, rate], auxiliary=[w], loads=loads, frame=ground, origin=origin
+        )
+        return system, values, {}, "sledge"
+    x, y, vx, vy = me.dynamicsymbols("x y v_x v_y")
+    bob.set_pos(origin, x * ground.x + y * ground.y)
+    bob.set_vel(ground, vx * ground.x + vy * ground.y)
+    system = system_of(
+        *bodies, coordinates=[x, q, y], speeds=[vx, u, vy], auxiliary=[w], loads=loads, frame=ground, origin=origin
+    )
+    system.q_ind, system.q_dep, system.u_ind, system.u_dep = [x, q], [y], [vx, u], [vy]
+    system.add_holonomic_constraints((x - q) ** 2 + y**2 - L**2)
+    # Its rate where the auxiliary speed is not zero: the rod carries the bob's weight to the sledge.
+    system.velocity_constraints = [2 * (x - q) * (vx - u) + 2 * y * (vy - w)]
+    return system, values, {}, "sledge_in_cartesian_coordinates"
+
+
+def test_multipliers_stand_in_the_auxiliary_speeds_rows():
+    least, redundant = (compiled(cart(is_redundant=is_redundant)) for is_redundant in (False, True))
+    for phi, u, omega in ((0.3, 1.0, -2.0), (-1.2, 0.5, 4.0), (2.0, -1.0, 0.5)):
+        s, c = np.sin(phi), np.cos(phi)
+        state = [0.5 * s, 0.0, -0.5 * c, u + 0.5 * c * omega, u, 0.5 * s * omega]
+        expected, found = least.rhs(0.0, [0.0, phi, u, omega]), redundant.rhs(0.0, state)
+        assert found[4] == pytest.approx(expected[2], rel=1e-12)
+        bob = expected[2] + 0.5 * (c * expected[3] - s * omega**2)
+        assert found[3] == pytest.approx(bob, rel=1e-12)
+        normal = redundant.output(0.0, state)[0]
+        assert normal == pytest.approx(least.output(0.0, [0.0, phi, u, omega])[0], rel=1e-12)
+    runs = []
+    for method in ("DOP853", "IDA"):
+        run = redundant.simulate((0.0, 1.0), [0.0, 0.0, -0.5, 2.0, 1.0, 0.0], method=method, rtol=1e-10, atol=1e-10)
+        assert run.success, run.message
+        assert abs(run.constraint_residual).max() < 1e-10
+        runs.append(run)
+    np.testing.assert_allclose(runs[0].y[:, -1], runs[1].y[:, -1], atol=1e-7)
+    lone = least.simulate((0.0, 1.0), [0.0, 0.0, 1.0, 2.0], rtol=1e-10, atol=1e-10)
+    np.testing.assert_allclose(runs[0]["q"][-1], lone["q"][-1], atol=1e-8)
+    assert redundant.jacobian(0.0, runs[0].y[:, -1]).shape == (6, 6)  # compared with differences when it was built
+
+
+def test_against_sympys_own_equations():
+    """KanesMethod's mass matrix, forcing and auxiliary equations, linear in u' and N, solved as one system."""
+    system, values, *_ = rod(lambda n: MU * n, "sliding_rod")
+    system.form_eoms()
+    rates, normal = [u.diff(T) for u in system.u], me.dynamicsymbols("N")
+    unknowns = sm.symbols("a:2 n")
+    equations = [*(system.mass_matrix * sm.Matrix(rates) - system.forcing), *system.eom_method.auxiliary_eqs]
+    equations = [e.subs(dict(zip([*rates, normal], unknowns, strict=True))) for e in equations]
+    matrix, rest = sm.linear_eq_to_matrix(equations, unknowns)
+    evaluate = sm.lambdify([[*system.q, *system.u], [*values]], [matrix, rest])
+    model = compiled(rod(lambda n: MU * n, "sliding_rod"))
+    for state in np.random.default_rng(0).uniform(-1.0, 1.0, (20, 4)):
+        a, b = evaluate(state, [*values.values()])
+        solution = np.linalg.solve(a, b).ravel()
+        np.testing.assert_allclose(model.rhs(0.0, state)[2:], solution[:2], rtol=1e-12, atol=1e-12)
+        assert model.output(0.0, state)[0] == pytest.approx(solution[2], rel=1e-12)
+
+
+def test_unknown_forces_in_state_equations():
+    """A relaxed normal force, such as that of a tyre: tau z' = N - z, with friction of z and of N."""
+    z, tau = me.dynamicsymbols("z"), sm.Symbol("tau")
+    normal = me.dynamicsymbols("N")
+    system, values, initial, _ = box(lambda n, u: -MU * n - MU * me.dynamicsymbols("z"))
+    made = system, values | {tau: 0.1}, initial | {z: 0.0}, "relaxed"
+    model = compiled(made, state_equations={z: (normal - z) / tau})
+    weight = 2.0 * 9.81
+    for method in ("DOP853", "Radau", "IDA"):
+        run = model.simulate((0.0, 0.5), method=method, rtol=1e-9, atol=1e-10)
+        relaxed = weight * (1 - np.exp(-run.t / 0.1))
+        np.testing.assert_allclose(run["z"], relaxed, atol=1e-6)
+        gone = 0.3 / 2.0 * (2 * weight * run.t - weight * 0.1 * (1 - np.exp(-run.t / 0.1)))
+        np.testing.assert_allclose(run["u"], 4.0 - gone, atol=1e-6)
+    expected = [[0, 1, 0], [0, 0, -0.15], [0, 0, -10]]
+    np.testing.assert_allclose(model.jacobian(0.0, [0.0, 4.0, 1.0]), expected, atol=1e-12)
+    by_mass = model.parameter_jacobian(0.0, [0.0, 4.0, 1.0])[:, model.parameters.index("m")]
+    np.testing.assert_allclose(by_mass, [0.0, 0.3 / 4.0, 98.1], rtol=1e-12)
+
+
+def test_ensembles_and_batches_go_one_by_one():
+    model = compiled(box(lambda n, u: -MU * n))
+    ensemble = model.ensemble((0.0, 1.0), parameters={"mu": [0.1, 0.2]}, t_eval=[1.0], rtol=1e-9)
+    np.testing.assert_allclose(ensemble["u"].ravel(), 4.0 - 9.81 * np.array([0.1, 0.2]), rtol=1e-9)
+    np.testing.assert_allclose(model.rhs_batch(0.0, np.array([[0.0, 1.0], [4.0, 3.0]]))[1], -0.3 * 9.81)
+
+
+def test_forces_that_act_along_no_auxiliary_speed_are_no_unknown_ones():
+    push = me.dynamicsymbols("F")
+    system, values, *_ = box(lambda n, u: -MU * n + push)
+    model = fb.Model(system, parameters=values, inputs="auto")
+    assert (model.outputs, model.inputs) == (("N",), ("F",))
+    assert fb.Model(system, parameters=values, inputs={push: 1}).outputs == ("N",)
+    with pytest.raises(fb.ModelError, match=r"F\(t\) in the force at point P: not among"):
+        fb.Model(system, parameters=values)
+    with pytest.raises(fb.ModelError, match=r"ALI3P takes no unknown forces that drive the motion \(N\)"):
+        compiled(box(lambda n, u: -MU * n)).simulate((0.0, 1.0), method="ALI3P", max_step=1e-2)

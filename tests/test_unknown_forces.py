@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
+from ecosystem.cases import LONG
+from ecosystem.conformance import run
 from scipy.optimize import brentq
 from sympy.physics.mechanics.system import System
 
@@ -313,3 +315,46 @@ def test_forces_that_act_along_no_auxiliary_speed_are_no_unknown_ones():
         fb.Model(system, parameters=values)
     with pytest.raises(fb.ModelError, match=r"ALI3P takes no unknown forces that drive the motion \(N\)"):
         compiled(box(lambda n, u: -MU * n)).simulate((0.0, 1.0), method="ALI3P", max_step=1e-2)
+
+
+def test_a_ball_that_slides_on_a_spinning_disc():
+    """Coulomb friction mu N against the slip relative to the disc: x'' and w' by hand, for a solid ball."""
+    x, y, vx, vy, w, normal = me.dynamicsymbols("x y v_x v_y u_n N")
+    spins = me.dynamicsymbols("w_x w_y w_z")
+    radius, omega = sm.symbols("r Omega")
+    ground, frame = me.ReferenceFrame("N"), me.ReferenceFrame("B")
+    origin, centre, contact = me.Point("O"), me.Point("C"), me.Point("P")
+    origin.set_vel(ground, 0)
+    frame.set_ang_vel(ground, sum((s * e for s, e in zip(spins, ground, strict=True)), 0 * ground.x))
+    centre.set_pos(origin, x * ground.x + y * ground.y)
+    centre.set_vel(ground, vx * ground.x + vy * ground.y + w * ground.z)
+    contact.set_pos(centre, -radius * ground.z)
+    contact.set_vel(ground, centre.vel(ground) + frame.ang_vel_in(ground).cross(-radius * ground.z))
+    slip = contact.vel(ground).subs({w: 0}) - omega * ground.z.cross(x * ground.x + y * ground.y)
+    friction = -MU * normal * slip / sm.sqrt(slip.dot(slip))
+    inertia = me.inertia(ground, *[2 * M * radius**2 / 5] * 3)  # the same along all axes
+    ball = me.RigidBody("ball", centre, frame, M, (inertia, centre))
+    system = System(ground, origin)
+    system.add_bodies(ball)
+    system.q_ind, system.u_ind, system.u_aux = [x, y], [vx, vy, *spins], [w]
+    system.kdes = [x.diff(T) - vx, y.diff(T) - vy]
+    system.apply_uniform_gravity(-G * ground.z)
+    system.add_loads(me.Force(contact, normal * ground.z + friction))
+    values = {G: 9.81, M: 2.0, MU: 0.3, radius: 0.1, omega: 5.0}
+    model = fb.compile_model(fb.Model(system, name="ball_on_disc", parameters=values))
+    state = np.array([0.4, -0.2, 1.0, 0.3, -2.0, 4.0, 1.5])
+    px, py, ux, uy, wx, wy, _ = state
+    relative = np.array([ux - 0.1 * wy + 5.0 * py, uy + 0.1 * wx - 5.0 * px])
+    force = -0.3 * 9.81 * relative / np.linalg.norm(relative)  # per mass
+    turn = np.array([force[1], -force[0], 0.0]) * 2.5 / 0.1  # -r e_z x F / (2/5 m r^2)
+    np.testing.assert_allclose(model.rhs(0.0, state), [ux, uy, *force, *turn], rtol=1e-13, atol=1e-13)
+    # On a disc at rest the slip keeps its direction and falls by 7/2 mu g, from 1 m/s.
+    run = model.simulate((0.0, 0.09), [0.0, 0.0, 0.6, 0.8, 0.0, 0.0, 0.0], parameters={"Omega": 0.0}, rtol=1e-10)
+    slipping = np.hypot(run["v_x"] - 0.1 * run["w_y"], run["v_y"] + 0.1 * run["w_x"])
+    np.testing.assert_allclose(slipping, 1.0 - 3.5 * 0.3 * 9.81 * run.t, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["disc that slides, normal force", "disc on a linear tyre"])
+def test_symbrims_tyres_with_normal_forces(name):
+    case = next(case for case in LONG if case.name == name)
+    assert run(case).disagreement(case) == ""

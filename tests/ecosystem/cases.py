@@ -12,6 +12,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
+from unittest import mock
 
 import sympy as sm
 import sympy.physics.mechanics as me
@@ -101,6 +102,32 @@ def rolling_disc(
         return Built(system, {**sizes, g: 9.81}, {disc.u[4]: 5.0})
 
     return build
+
+
+def disc_on_a_linear_tyre() -> Built:
+    """SymBRiM's rolling disc on a tyre of one's own: a side force and moment by slip, camber and normal force."""
+    import symbrim as sb
+
+    class LinearTire(sb.InContactTire):
+        def __init__(self, name: str) -> None:
+            super().__init__(name)
+            self.substitute_loads = self.no_longitudinal_slip = True
+
+        @property
+        def load_equations(self) -> dict[sm.Expr, sm.Expr]:
+            slip = self.contact_point.vel(self.ground.frame).dot(self.lateral_axis)
+            normal, c = self.symbols["Fz"], sm.Symbol("c")
+            return {
+                self.symbols["Fy"]: normal * (self.camber_angle / 10 - c * slip),
+                self.symbols["Mz"]: normal * slip / 20,
+                self.symbols["Mx"]: 0,
+            }
+
+    with mock.patch.object(sb, "LinearTire", LinearTire, create=True):
+        built = rolling_disc(tire="LinearTire", force=True)()
+    system = built.system
+    system.u_ind, system.u_dep = system.u[1:], system.u[:1]
+    return Built(system, {**built.values, sm.Symbol("c"): 4.0}, built.begin)
 
 
 def stationary_bicycle() -> Built:
@@ -367,8 +394,8 @@ LONG = (
         "disc that slides, normal force",
         "SymBRiM, InContactTire",
         rolling_disc(tire="InContactTire", force=True),
-        refused="there must be as many unknown forces",
     ),
+    Case("disc on a linear tyre", "SymBRiM, InContactTire with load_equations", disc_on_a_linear_tyre),
     Case("stationary bicycle", "SymBRiM, StationaryBicycle", stationary_bicycle),
     Case("pendulum of five links on a cart", "SymPy, models", lambda: Built(n_link_pendulum_on_cart(5))),
     Case("eight masses, springs, dampers", "SymPy, models", lambda: Built(multi_mass_spring_damper(8, True, True))),

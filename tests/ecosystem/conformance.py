@@ -115,8 +115,14 @@ def reference(system: System | me.KanesMethod, model: fb.CompiledModel) -> Calla
         kane.kanes_equations(kane.bodies, kane.forcelist)
     states = [*kane.q, *kane.u]
     matrix, forcing = kane.mass_matrix_full, kane.forcing_full
-    functions = me.find_dynamicsymbols(forcing) - {*states} - {s.diff(me.dynamicsymbols._t) for s in states}
-    zero = dict.fromkeys((f for f in functions), 0)
+    rates_of_states = [s.diff(me.dynamicsymbols._t) for s in states]
+    functions = me.find_dynamicsymbols(forcing) - {*states, *rates_of_states}
+    unknown = sorted((f for f in functions if str(f.func) in model.outputs), key=str)
+    if unknown:  # forces that drive the motion: with their own equations, linear in x' and in them
+        equations = [*(matrix * sm.Matrix(rates_of_states) - forcing), *kane.auxiliary_eqs]
+        matrix = sm.Matrix(equations).jacobian([*rates_of_states, *unknown])
+        forcing = -me.msubs(sm.Matrix(equations), dict.fromkeys([*rates_of_states, *unknown], 0))
+    zero = dict.fromkeys((f for f in functions if f not in unknown), 0)
     matrix, forcing = me.msubs(matrix, zero), me.msubs(forcing, zero)
     values = {entry["name"]: entry["default"] for entry in model.manifest["parameters"]}
     symbols = [s for s in (matrix.free_symbols | forcing.free_symbols) if s.name in values]
@@ -130,7 +136,8 @@ def reference(system: System | me.KanesMethod, model: fb.CompiledModel) -> Calla
     def rates(x: Floats) -> Floats:
         a, b = function(x[order], p)
         result = np.empty(len(order))
-        result[order] = np.linalg.solve(np.asarray(a, dtype=float), np.asarray(b, dtype=float).ravel())
+        solution = np.linalg.solve(np.asarray(a, dtype=float), np.asarray(b, dtype=float).ravel())
+        result[order] = solution[: len(order)]
         return result
 
     return rates

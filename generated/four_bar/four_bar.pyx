@@ -24,7 +24,7 @@ kernel = PyCapsule_New(<void *>&four_bar_kernel, FB_CAPSULE_NAME, NULL)
 
 manifest = (
     '{\n'
-    '  "format": 8,\n'
+    '  "format": 9,\n'
     '  "name": "four_bar",\n'
     '  "fingerprint": "f2bd98911a06d496a5b6d683904e841d07454621e35f1d11642ebf4d919f1d47",\n'
     '  "coordinates": [\n'
@@ -103,6 +103,7 @@ manifest = (
     '  "n_breakpoints": 0,\n'
     '  "n_jumps": 0,\n'
     '  "outputs": [],\n'
+    '  "open_outputs": [],\n'
     '  "position_constraints": {\n'
     '    "operations": [\n'
     '      [\n'

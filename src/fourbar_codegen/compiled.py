@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -160,28 +160,52 @@ class CompiledModel(Kernel):
             self.outputs,
         )
 
+    @overload
     def linearize(
-        self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None
-    ) -> tuple[Floats, Floats]:
-        """A and B of d(q_i, u_i)/dt = A d(q_i, u_i) + B dr near a state that satisfies the constraints.
+        self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None, *, outputs: None = None
+    ) -> tuple[Floats, Floats]: ...
+
+    @overload
+    def linearize(
+        self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None, *, outputs: Sequence[Any]
+    ) -> tuple[Floats, Floats, Floats, Floats]: ...
+
+    def linearize(
+        self,
+        t: float,
+        x: ArrayLike,
+        p: Values | None = None,
+        r: Values | None = None,
+        *,
+        outputs: Sequence[Any] | None = None,
+    ) -> tuple[Floats, ...]:
+        """A and B of d(q_i, u_i, z)/dt = A d(q_i, u_i, z) + B dr near a state that satisfies the constraints.
 
         In the independent coordinates q_i and speeds u_i, as ``KanesMethod.linearize(A_and_B=True)``: the
-        dependent ones follow the constraints to first order, also where inputs stand in these.
+        dependent ones follow the constraints to first order, also where inputs stand in these. And C and D of
+        dy = C d(q_i, u_i, z) + D dr, if outputs y are given.
 
         Parameters
         ----------
         t, x, p, r
             As for `rhs`.
+        outputs : sequence of str, optional
+            Names of outputs; ``model.outputs`` for all.
 
         Returns
         -------
-        A : ndarray, shape (n_qi + n_ui, n_qi + n_ui)
-        B : ndarray, shape (n_qi + n_ui, n_r)
+        A : ndarray, shape (n_i, n_i)
+            n_i is the number of independent coordinates, independent speeds and auxiliary states.
+        B : ndarray, shape (n_i, n_r)
+        C : ndarray, shape (len(outputs), n_i)
+            C and D are there where outputs are given.
+        D : ndarray, shape (len(outputs), n_r)
 
         Raises
         ------
         ModelError
-            If an argument has a wrong shape or name, or is not finite, or the state violates the constraints.
+            If an argument has a wrong shape or name, or is not finite, or the state violates the constraints; or
+            redundant constraints leave the derivatives of outputs open.
         SimulationError
             If the dependent coordinates or speeds do not follow from the independent ones at this state.
 
@@ -198,7 +222,7 @@ class CompiledModel(Kernel):
         """
         from fourbar_codegen.analysis.linearization import linearize
 
-        return linearize(self, t, x, p, r)
+        return linearize(self, t, x, p, r, outputs)
 
     def equilibrium(
         self,

@@ -170,6 +170,14 @@ def _compiled_results(
                 [d.state_rate_acceleration_jacobian, d.state_rate_multiplier_jacobian],
                 compiled.state_rate_sensitivity(t, x, accelerations, multipliers, p, r),
             ),
+            "output_sensitivity": (
+                [d.output_jacobian, d.output_parameter_jacobian, d.output_input_jacobian],
+                compiled.output_sensitivities(t, x, accelerations, multipliers, p, r)[:3],
+            ),
+            "output_solution_sensitivity": (
+                [d.output_acceleration_jacobian, d.output_multiplier_jacobian],
+                compiled.output_sensitivities(t, x, accelerations, multipliers, p, r)[3:],
+            ),
             "drawing": ([e.points, e.forces], compiled.drawing(t, x, p, r)),
             "sensitivity": ([d.coordinate_rate_jacobian, d.residual_jacobian], sensitivities[0:2]),
             "parameter_sensitivity": (

@@ -117,8 +117,9 @@ def reference(system: System | me.KanesMethod, model: fb.CompiledModel) -> Calla
     matrix, forcing = kane.mass_matrix_full, kane.forcing_full
     rates_of_states = [s.diff(me.dynamicsymbols._t) for s in states]
     functions = me.find_dynamicsymbols(forcing) - {*states, *rates_of_states}
-    unknown = sorted((f for f in functions if str(f.func) in model.outputs), key=str)
-    if unknown:  # forces that drive the motion: with their own equations, linear in x' and in them
+    driving = model.outputs[: model.n_l - model.n_c]
+    unknown = sorted((f for f in functions if str(f.func) in driving), key=str)
+    if unknown:  # with their own equations, linear in x' and in them
         equations = [*(matrix * sm.Matrix(rates_of_states) - forcing), *kane.auxiliary_eqs]
         matrix = sm.Matrix(equations).jacobian([*rates_of_states, *unknown])
         forcing = -me.msubs(sm.Matrix(equations), dict.fromkeys([*rates_of_states, *unknown], 0))

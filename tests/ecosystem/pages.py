@@ -50,7 +50,8 @@ REFUSED = {
     "test_kane2.test_sub_qdot2": "it has no bodies",
     "test_kane2.test_sub_qdot2 (2)": "it has no bodies",
     "test_system_class.TestSystemExamples.test_cart_pendulum_lagrange": "as for LagrangesMethod",
-    "plot_ball_rolling_on_spinning_disc": "do not keep holonomic constraint",  # q2' is not u2, which is fixed in the ball
+    # Of positions x = r q2 and velocities x' = r u2, where u2 is a rate about an axis of the ball, and not q2'.
+    "plot_ball_rolling_on_spinning_disc": "do not keep holonomic constraint",
     "plot_one_legged_time_trial": "Derivative(u1(t), t) in the torque on frame A cannot be compiled",
 }
 """What a page's model is refused with: a part of the sentence."""

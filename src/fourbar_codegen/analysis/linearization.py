@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.arguments import Values, finite_number, named_array
-from fourbar_codegen.errors import ModelError
+from fourbar_codegen.arguments import Values, finite_number, name_of, named_array
+from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.kernel.dependent import eliminate
 from fourbar_codegen.kernel.kernel import Kernel
 
@@ -18,9 +21,12 @@ Floats = NDArray[np.float64]
 CLOSED = 1e-6
 
 
-def linearize(model: Kernel, t: float, x: ArrayLike, p: Values | None, r: Values | None) -> tuple[Floats, Floats]:
-    """A and B of the motion near a state; see `CompiledModel.linearize`."""
+def linearize(
+    model: Kernel, t: float, x: ArrayLike, p: Values | None, r: Values | None, outputs: Sequence[Any] | None
+) -> tuple[Floats, ...]:
+    """A and B of the motion near a state, C and D of outputs; see `CompiledModel.linearize`."""
     t, state = finite_number(t, "t"), named_array(x, model.states, {}, "state")
+    rows = None if outputs is None else _rows(model, outputs)
     n_q, n_r = model.n_q, model.n_r
     n_qi = n_q - model.manifest["n_dependent_coordinates"]
     n_ui, n_z = model.n_u - model.manifest["n_dependent_speeds"], model.n_z
@@ -37,9 +43,24 @@ def linearize(model: Kernel, t: float, x: ArrayLike, p: Values | None, r: Values
     constraints, _ = model.velocity(t, state, p, r)
     known = constraints[:, :n_ui] @ du_i + velocity_by_q @ dq + velocity_by_r @ dr
     du = np.vstack((du_i, eliminate(np.hstack((known, constraints[:, n_ui:])), len(free), model.speeds[n_ui:])))
-    rates = model.jacobian(t, state, p, r) @ np.vstack((dq, du, dz)) + model.input_jacobian(t, state, p, r) @ dr
+    dx = np.vstack((dq, du, dz))
+    rates = model.jacobian(t, state, p, r) @ dx + model.input_jacobian(t, state, p, r) @ dr
     independent = rates[[*range(n_qi), *range(n_q, n_q + n_ui), *range(n_q + model.n_u, model.n_x)]]
-    return independent[:, :n_i], independent[:, n_i:]
+    if rows is None:
+        return independent[:, :n_i], independent[:, n_i:]
+    dy = (model.output_jacobian(t, state, p, r) @ dx + model.output_input_jacobian(t, state, p, r) @ dr)[rows]
+    return independent[:, :n_i], independent[:, n_i:], dy[:, :n_i], dy[:, n_i:]
+
+
+def _rows(model: Kernel, outputs: Sequence[Any]) -> list[int]:
+    """The places of outputs, given by name or as SymPy's functions of time."""
+    if isinstance(outputs, str):
+        raise ModelError(f"outputs must be a sequence of names, not {shown(outputs)}.")
+    names = [name_of(output) for output in outputs]
+    for name in names:
+        if name not in model.outputs:
+            raise ModelError(f"There is no output {name!r}; there are {', '.join(model.outputs) or 'none'}.")
+    return [model.outputs.index(name) for name in names]
 
 
 def _check_constraints(model: Kernel, t: float, x: Floats, p: Values | None, r: Values | None) -> None:

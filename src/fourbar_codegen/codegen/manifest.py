@@ -12,7 +12,7 @@ from fourbar_codegen.modeling.model import Model
 
 __all__ = ["manifest_of", "manifest_text", "operations_of"]
 
-MANIFEST_FORMAT = 8
+MANIFEST_FORMAT = 9
 
 
 def manifest_of(
@@ -67,6 +67,7 @@ def manifest_of(
         "n_breakpoints": program.sizes.n_breakpoints,
         "n_jumps": equations.n_jumps,
         "outputs": list(names["outputs"]),
+        "open_outputs": _open_outputs(equations, program, names["outputs"]),
         "position_constraints": equations.position_formulas,
         "points": [
             {"name": name, "parent": point.parent, "body": point.body}
@@ -80,6 +81,14 @@ def manifest_of(
         "warnings": list(equations.warnings),
         "has_potential_energy": not energies[1].is_nan,
     }
+
+
+def _open_outputs(equations: Equations, program: Program, names: Sequence[str]) -> list[str]:
+    """The outputs with multipliers that redundant constraints leave open."""
+    if program.sizes.rank == program.sizes.n_c:
+        return []
+    pairs = zip(names, equations.outputs.entries, strict=True)
+    return [name for name, entry in pairs if equations.tape.depends([entry], equations.multipliers)]
 
 
 def operations_of(functions: Sequence[Function]) -> dict[str, Any]:

@@ -27,6 +27,10 @@ class Derivatives:
         Derivatives of `Equations.residual` at fixed u' and multipliers with respect to x, p and r.
     state_rate_acceleration_jacobian, state_rate_multiplier_jacobian : Result
         Derivatives of z' with respect to u' and multipliers, (n_z, n_u) and (n_z, n_c + n_n).
+    output_jacobian, output_parameter_jacobian, output_input_jacobian : Result
+        Derivatives of the outputs at fixed u' and multipliers with respect to x, p and r.
+    output_acceleration_jacobian, output_multiplier_jacobian : Result
+        Derivatives of the outputs with respect to u' and multipliers, (n_o, n_u) and (n_o, n_c + n_n).
     default_input_jacobian : Result
         Derivatives of the inputs' expressions with respect to p, (n_r, n_p); zero where there is none.
     velocity_jacobian, velocity_input_jacobian : Result
@@ -43,6 +47,11 @@ class Derivatives:
     residual_input_jacobian: Result
     state_rate_acceleration_jacobian: Result
     state_rate_multiplier_jacobian: Result
+    output_jacobian: Result
+    output_parameter_jacobian: Result
+    output_input_jacobian: Result
+    output_acceleration_jacobian: Result
+    output_multiplier_jacobian: Result
     default_input_jacobian: Result
     velocity_jacobian: Result
     velocity_input_jacobian: Result
@@ -81,6 +90,11 @@ def form_derivatives(equations: Equations) -> Derivatives:
             key = f"{name}{kind}_jacobian"
             formed[key] = matrix(key, [[d(row) for d in directions] for row in of.entries], len(variables))
     return Derivatives(
+        output_jacobian=backwards("output_jacobian", e.outputs, state),
+        output_parameter_jacobian=backwards("output_parameter_jacobian", e.outputs, e.parameters),
+        output_input_jacobian=backwards("output_input_jacobian", e.outputs, e.inputs),
+        output_acceleration_jacobian=backwards("output_acceleration_jacobian", e.outputs, e.accelerations),
+        output_multiplier_jacobian=backwards("output_multiplier_jacobian", e.outputs, e.multipliers),
         state_rate_acceleration_jacobian=backwards("state_rate_acceleration_jacobian", e.state_rates, e.accelerations),
         state_rate_multiplier_jacobian=backwards("state_rate_multiplier_jacobian", e.state_rates, e.multipliers),
         default_input_jacobian=backwards("default_input_jacobian", e.default_inputs, e.parameters),

@@ -75,6 +75,9 @@ def _compare_at(model: Evaluator, t: float, x: Floats, p: Floats, r: Floats) -> 
         jacobian, bias = model.velocity(t, x, p, r)
         return jacobian @ x[n_q : n_q + n_u] + bias
 
+    def outputs(x: Floats, p: Floats, r: Floats) -> Floats:
+        return model.outputs_for(t, x, *model.accelerations(t, x, p, r), p, r)
+
     def at(q: Floats) -> Floats:
         return np.concatenate((q, x[n_q:]))
 
@@ -88,6 +91,12 @@ def _compare_at(model: Evaluator, t: float, x: Floats, p: Floats, r: Floats) -> 
         ("dPhi/dr", positions_by_inputs, lambda r: model.position(t, x[:n_q], p, r)[0], r),
         ("dr/dp", model.default_input_sensitivity(t, p), lambda p: model.default_inputs(t, p), p),
     ]
+    if model.n_o and not model.manifest["open_outputs"]:
+        pairs += [
+            ("dy/dx", model.output_jacobian(t, x, p, r), lambda x: outputs(x, p, r), x),
+            ("dy/dp", model.output_parameter_jacobian(t, x, p, r), lambda p: outputs(x, p, r), p),
+            ("dy/dr", model.output_input_jacobian(t, x, p, r), lambda r: outputs(x, p, r), r),
+        ]
     for what, got, function, point in pairs:
         expected, sure = _differences(function, point)
         largest = np.abs(expected[np.isfinite(expected)]).max(initial=0.0)

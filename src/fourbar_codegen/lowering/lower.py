@@ -277,6 +277,17 @@ def lower_derivatives(program: Program, equations: Equations, derivatives: Deriv
                 [d.state_rate_acceleration_jacobian, d.state_rate_multiplier_jacobian],
             )
         )
+    if e.outputs.entries:
+        partials = (
+            ("output_sensitivity", "d/dx of the outputs with u' and lambda held.", d.output_jacobian),
+            ("output_parameter_sensitivity", "d/dp of the same.", d.output_parameter_jacobian),
+            ("output_input_sensitivity", "d/dr of the same.", d.output_input_jacobian),
+        )
+        specifications += [(name, summary, [time, state], [*held], [result]) for name, summary, result in partials]
+        by_solution = [d.output_acceleration_jacobian, d.output_multiplier_jacobian]
+        specifications.append(
+            ("output_solution_sensitivity", "d/du' and d/dlambda of the outputs.", [time, state], [*held], by_solution)
+        )
     known = {ONE, *program.constants.nodes}
     lowered = _lowered(e.tape, specifications, known.__contains__)
     return _functions(e.tape, specifications, lowered, program.constants)

@@ -18,6 +18,8 @@ cdef extern from "fourbar_kernel.h":
     ctypedef int fb_evaluation(double, const double *, const double *, const double *, double *, void *) noexcept nogil
     ctypedef void fb_sensitivity(double, const double *, const double *, const double *, const double *,
                                  const double *, double *, double *) noexcept nogil
+    ctypedef void fb_output_sensitivity(double, const double *, const double *, const double *, const double *,
+                                        const double *, double *) noexcept nogil
     ctypedef struct fb_derivatives:
         int abi_version
         size_t struct_size
@@ -29,6 +31,11 @@ cdef extern from "fourbar_kernel.h":
                                        double *) noexcept nogil
         void (*state_rate_sensitivity)(double, const double *, const double *, const double *, const double *,
                                        const double *, double *, double *) noexcept nogil
+        fb_output_sensitivity *output_sensitivity
+        fb_output_sensitivity *output_parameter_sensitivity
+        fb_output_sensitivity *output_input_sensitivity
+        void (*output_solution_sensitivity)(double, const double *, const double *, const double *, const double *,
+                                            const double *, double *, double *) noexcept nogil
         void (*drawing)(double, const double *, const double *, const double *, double *, double *) noexcept nogil
     ctypedef struct fb_kernel:
         int abi_version
@@ -44,7 +51,7 @@ cdef extern from "fourbar_kernel.h":
         int (*stabilized)(double, const double *, const double *, const double *, double, double *,
                           void *) noexcept nogil
         int (*differentiate)(const fb_derivatives *, fb_sensitivity *, int, double, const double *, const double *,
-                             const double *, double *, void *) noexcept nogil
+                             const double *, double *, double *, void *) noexcept nogil
         int (*accelerations)(double, const double *, const double *, const double *, double *, double *,
                              void *) noexcept nogil
         void (*state_rates)(double, const double *, const double *, const double *, const double *, const double *,
@@ -149,3 +156,6 @@ cdef class Evaluator:
     cdef cnp.ndarray _output(self, object out, cnp.ndarray state, cnp.ndarray parameters, cnp.ndarray inputs)
     cdef const fb_derivatives *derivatives(self) except NULL
     cdef cnp.ndarray _differentiate(self, fb_sensitivity *function, int columns, double t, x, p, r)
+    cdef cnp.ndarray _differentiate_outputs(
+        self, fb_sensitivity *function, fb_output_sensitivity *outputs, int columns, double t, x, p, r)
+    cdef cnp.ndarray _through_inputs(self, cnp.ndarray by_inputs, cnp.ndarray by_parameters, list changing)

@@ -530,21 +530,159 @@ cdef class Evaluator:
         cdef cnp.ndarray result = self._differentiate(self.derivatives().parameter_sensitivity, self.n_p, t, x, p, r)
         cdef cnp.ndarray by_inputs
         cdef cnp.ndarray by_parameters = self.default_input_sensitivity(t, p)
-        cdef list in_force = self.defaults_in_force(r)
-        cdef int i, j, k
-        # Others are not asked about: dx'/dr may be infinite.
-        cdef list changing = [j for j in range(self.n_r) if in_force[j] and by_parameters[j].any()]
+        cdef list changing = self._changing(by_parameters, r)
         if not changing:
             return result
         by_inputs = self._differentiate(self.derivatives().input_sensitivity, self.n_r, t, x, p, r)
-        for j in changing:
-            for i in range(self.n_x):
-                for k in range(self.n_p):
-                    data(result)[i * self.n_p + k] += (
-                        data(by_inputs)[i * self.n_r + j] * data(by_parameters)[j * self.n_p + k])
-        if not fb_finite(data(result), self.n_x * self.n_p):
+        return self._finite_or_raise(result + self._through_inputs(by_inputs, by_parameters, changing), t, x)
+
+    def _changing(self, by_parameters, r):
+        """The inputs whose expressions change with the parameters; others are not asked about: dx'/dr may be infinite.
+        """
+        in_force = self.defaults_in_force(r)
+        return [j for j in range(self.n_r) if in_force[j] and by_parameters[j].any()]
+
+    cdef cnp.ndarray _through_inputs(self, cnp.ndarray by_inputs, cnp.ndarray by_parameters, list changing):
+        """The derivatives by the parameters that go through inputs' expressions."""
+        return np.matmul(by_inputs[:, changing], by_parameters[changing])
+
+    def _finite_or_raise(self, cnp.ndarray result, double t, x):
+        if not np.isfinite(result).all():
             raise SimulationError(self.failure(FB_NOT_FINITE, t, x))
         return result
+
+    def output_jacobian(self, t, x, p=None, r=None):
+        """The derivatives of the outputs with respect to the state.
+
+        Accelerations and multipliers in the outputs change as the equations of motion have it.
+
+        Parameters
+        ----------
+        t, x, p, r
+            As for `rhs`.
+
+        Returns
+        -------
+        ndarray, shape (n_o, n_x)
+
+        Raises
+        ------
+        ModelError, SimulationError
+            As for `rhs`; or if an output contains multipliers that redundant constraints leave open.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> four_bar = fb.load("four_bar")
+        >>> four_bar.output_jacobian(0.0, four_bar.initial_state()).shape
+        (0, 6)
+        """
+        t = time_of(t)
+        cdef const fb_derivatives *derivatives = self.derivatives()
+        return self._differentiate_outputs(
+            derivatives.sensitivity, derivatives.output_sensitivity, self.n_x, t, x, p, r)
+
+    def output_parameter_jacobian(self, t, x, p=None, r=None):
+        """The derivatives of the outputs with respect to the parameters.
+
+        They count all of a parameter's ways, as those of `parameter_jacobian` do.
+
+        Parameters
+        ----------
+        t, x, p, r
+            As for `rhs`.
+
+        Returns
+        -------
+        ndarray, shape (n_o, n_p)
+
+        Raises
+        ------
+        ModelError, SimulationError
+            As for `output_jacobian`.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> four_bar = fb.load("four_bar")
+        >>> four_bar.output_parameter_jacobian(0.0, four_bar.initial_state()).shape
+        (0, 8)
+        """
+        t = time_of(t)
+        cdef const fb_derivatives *derivatives = self.derivatives()
+        cdef cnp.ndarray result = self._differentiate_outputs(
+            derivatives.parameter_sensitivity, derivatives.output_parameter_sensitivity, self.n_p, t, x, p, r)
+        cdef cnp.ndarray by_parameters = self.default_input_sensitivity(t, p)
+        cdef list changing = self._changing(by_parameters, r)
+        if not changing:
+            return result
+        by_inputs = self.output_input_jacobian(t, x, p, r)
+        return self._finite_or_raise(result + self._through_inputs(by_inputs, by_parameters, changing), t, x)
+
+    def output_input_jacobian(self, t, x, p=None, r=None):
+        """The derivatives of the outputs with respect to the inputs.
+
+        Parameters
+        ----------
+        t, x, p, r
+            As for `rhs`.
+
+        Returns
+        -------
+        ndarray, shape (n_o, n_r)
+
+        Raises
+        ------
+        ModelError, SimulationError
+            As for `output_jacobian`.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> four_bar = fb.load("four_bar")
+        >>> four_bar.output_input_jacobian(0.0, four_bar.initial_state()).shape
+        (0, 1)
+        """
+        t = time_of(t)
+        cdef const fb_derivatives *derivatives = self.derivatives()
+        return self._differentiate_outputs(
+            derivatives.input_sensitivity, derivatives.output_input_sensitivity, self.n_r, t, x, p, r)
+
+    cdef cnp.ndarray _differentiate_outputs(
+            self, fb_sensitivity *function, fb_output_sensitivity *outputs, int columns, double t, x, p, r):
+        """dy = y_x dx + y_u' du' + y_lambda dlambda; the equations have du' and dlambda."""
+        if self.manifest["open_outputs"]:
+            raise ModelError(
+                f"The outputs {', '.join(self.manifest['open_outputs'])} contain multipliers, which redundant "
+                "constraints leave open, and with them their derivatives: leave the redundant ones out.")
+        cdef cnp.ndarray parameters = self._parameters(p)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
+        cdef cnp.ndarray state = self._state(t, x, self.n_x)
+        cdef cnp.ndarray rates = new_array(self.n_x, columns), multiplier_rates = new_array(self.n_l, columns)
+        cdef cnp.ndarray accelerations = new_array(self.n_u), multipliers = new_array(self.n_l)
+        cdef cnp.ndarray result = new_array(self.n_o, columns)
+        cdef cnp.ndarray by_accelerations = new_array(self.n_o, self.n_u)
+        cdef cnp.ndarray by_multipliers = new_array(self.n_o, self.n_l)
+        cdef const fb_derivatives *derivatives = self.derivatives()
+        if self.n_o == 0:
+            return result
+        cdef const double *constants = self._prepare(parameters)
+        cdef const double *filled = self._fill(t, constants, inputs)
+        cdef int status = self.kernel.differentiate(
+            derivatives, function, columns, t, data(state), constants, filled, data(rates), data(multiplier_rates),
+            self.work)
+        if status == FB_OK:
+            status = self.kernel.accelerations(
+                t, data(state), constants, filled, data(accelerations), data(multipliers), self.work)
+        if status != FB_OK:
+            raise SimulationError(self.failure(status, t, x))
+        outputs(t, data(state), constants, filled, data(accelerations), data(multipliers), data(result))
+        derivatives.output_solution_sensitivity(
+            t, data(state), constants, filled, data(accelerations), data(multipliers), data(by_accelerations),
+            data(by_multipliers))
+        result += np.matmul(by_accelerations, rates[self.n_q:self.n_q + self.n_u])
+        result += np.matmul(by_multipliers, multiplier_rates)
+        return self._finite_or_raise(result, t, x)
 
     def input_jacobian(self, t, x, p=None, r=None):
         """The derivatives of the right-hand side with respect to the inputs.
@@ -581,7 +719,7 @@ cdef class Evaluator:
         cdef const double *constants = self._prepare(parameters)
         cdef int status = self.kernel.differentiate(
             self.kernel.derivatives, function, columns, t, data(state), constants, self._fill(t, constants, inputs),
-            data(result), self.work)
+            data(result), NULL, self.work)
         if status != FB_OK:
             raise SimulationError(self.failure(status, t, x))
         return result
@@ -869,6 +1007,31 @@ cdef class Evaluator:
             functions[i](t, data(state), constants, filled, data(a), data(lam), data(rates), data(residuals))
             results += [rates, residuals]
         return results
+
+    def output_sensitivities(self, t, x, accelerations, multipliers, p=None, r=None):
+        """The outputs' derivatives by x, p and r for given u' and lambda, and by these, five arrays."""
+        t = time_of(t)
+        cdef cnp.ndarray parameters = self._parameters(p)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
+        cdef cnp.ndarray state = self._state(t, x, self.n_x)
+        cdef cnp.ndarray a = vector(accelerations, self.n_u, "The accelerations")
+        cdef cnp.ndarray lam = vector(multipliers, self.n_l, "The multipliers")
+        cdef cnp.ndarray by_state = new_array(self.n_o, self.n_x)
+        cdef cnp.ndarray by_parameters = new_array(self.n_o, self.n_p)
+        cdef cnp.ndarray by_inputs = new_array(self.n_o, self.n_r)
+        cdef cnp.ndarray by_accelerations = new_array(self.n_o, self.n_u)
+        cdef cnp.ndarray by_multipliers = new_array(self.n_o, self.n_l)
+        cdef const fb_derivatives *derivatives = self.derivatives()
+        cdef const double *constants = self._prepare(parameters)
+        cdef const double *filled = self._fill(t, constants, inputs)
+        if self.n_o:
+            derivatives.output_sensitivity(t, data(state), constants, filled, data(a), data(lam), data(by_state))
+            derivatives.output_parameter_sensitivity(
+                t, data(state), constants, filled, data(a), data(lam), data(by_parameters))
+            derivatives.output_input_sensitivity(t, data(state), constants, filled, data(a), data(lam), data(by_inputs))
+            derivatives.output_solution_sensitivity(
+                t, data(state), constants, filled, data(a), data(lam), data(by_accelerations), data(by_multipliers))
+        return by_state, by_parameters, by_inputs, by_accelerations, by_multipliers
 
     def parameter_vector(self, p):
         """The parameters as `rhs` takes them, checked, as an array of their own; None for the defaults."""

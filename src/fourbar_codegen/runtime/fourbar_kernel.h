@@ -47,6 +47,10 @@ typedef void fb_sensitivity(double t, const double *x, const double *constants, 
                             const double *accelerations, const double *multipliers, double *coordinate_rate_jacobian,
                             double *residual_jacobian);
 
+/* Derivatives of the outputs, with u' and lambda held. */
+typedef void fb_output_sensitivity(double t, const double *x, const double *constants, const double *r,
+                                   const double *accelerations, const double *multipliers, double *output_jacobian);
+
 /* Derivatives, and what is drawn: what a simulation by an explicit method does without. */
 typedef struct fb_derivatives {
     int abi_version;
@@ -62,6 +66,11 @@ typedef struct fb_derivatives {
     void (*state_rate_sensitivity)(double t, const double *x, const double *constants, const double *r,
                                    const double *accelerations, const double *multipliers,
                                    double *state_rate_acceleration_jacobian, double *state_rate_multiplier_jacobian);
+    /* of the outputs, with respect to x, p and r, and to u' and lambda; NULL without outputs */
+    fb_output_sensitivity *output_sensitivity, *output_parameter_sensitivity, *output_input_sensitivity;
+    void (*output_solution_sensitivity)(double t, const double *x, const double *constants, const double *r,
+                                        const double *accelerations, const double *multipliers,
+                                        double *output_acceleration_jacobian, double *output_multiplier_jacobian);
     /* positions (n_points, 3) and forces (n_forces, 3) in the inertial frame */
     void (*drawing)(double t, const double *x, const double *constants, const double *r, double *points,
                     double *forces);
@@ -97,9 +106,11 @@ typedef struct fb_kernel {
      * systems", Computer Methods in Applied Mechanics and Engineering 1, 1972) */
     int (*stabilized)(double t, const double *x, const double *constants, const double *r, double a, double *rates,
                       void *work);
-    /* dx'/dx, dx'/dp or dx'/dr, each n_x by n, of the sensitivity with respect to n quantities */
+    /* dx'/dx, dx'/dp or dx'/dr, each n_x by n, of the sensitivity with respect to n quantities; and the multipliers'
+     * derivatives, n_l by n, if there is room for them */
     int (*differentiate)(const fb_derivatives *derivatives, fb_sensitivity *sensitivity, int n, double t,
-                         const double *x, const double *constants, const double *r, double *matrix, void *work);
+                         const double *x, const double *constants, const double *r, double *matrix,
+                         double *multiplier_jacobian, void *work);
     /* u' and the multipliers lambda of M u' = f + J^T lambda */
     int (*accelerations)(double t, const double *x, const double *constants, const double *r, double *accelerations,
                          double *multipliers, void *work);
@@ -194,20 +205,21 @@ typedef struct fb_library {
 static inline int fb_jacobian(const fb_kernel *k, double t, const double *x, const double *constants, const double *r,
                               double *matrix, void *work)
 {
-    return k->differentiate(k->derivatives, k->derivatives->sensitivity, k->n_x, t, x, constants, r, matrix, work);
+    return k->differentiate(k->derivatives, k->derivatives->sensitivity, k->n_x, t, x, constants, r, matrix, NULL,
+                            work);
 }
 
 static inline int fb_parameter_jacobian(const fb_kernel *k, double t, const double *x, const double *constants,
                                         const double *r, double *matrix, void *work)
 {
     return k->differentiate(k->derivatives, k->derivatives->parameter_sensitivity, k->n_p, t, x, constants, r, matrix,
-                            work);
+                            NULL, work);
 }
 
 static inline int fb_input_jacobian(const fb_kernel *k, double t, const double *x, const double *constants,
                                     const double *r, double *matrix, void *work)
 {
-    return k->differentiate(k->derivatives, k->derivatives->input_sensitivity, k->n_r, t, x, constants, r, matrix,
+    return k->differentiate(k->derivatives, k->derivatives->input_sensitivity, k->n_r, t, x, constants, r, matrix, NULL,
                             work);
 }
 

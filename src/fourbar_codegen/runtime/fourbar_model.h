@@ -291,9 +291,11 @@ static int orientation_changed(void *work)
  * and lambda with the same matrices; the right-hand sides are the n columns of residual_jacobian. With these changes,
  * z' changes by what stands in its rows there. */
 static int differentiate(const fb_derivatives *derivatives, fb_sensitivity *function, int n, double t, const double *x,
-                         const double *constants, const double *r, double *matrix, void *work)
+                         const double *constants, const double *r, double *matrix, double *multiplier_jacobian,
+                         void *work)
 {
     fb_work *const w = work;
+    double multipliers[FB_AT_LEAST_1(N_L)];
     const int status = accelerations(t, x, constants, r, w->accelerations, w->multipliers, work);
     if (status != FB_OK)
         return status;
@@ -303,9 +305,6 @@ static int differentiate(const fb_derivatives *derivatives, fb_sensitivity *func
     unknown_forces(t, x, constants, r, w->multipliers + N_C, s->effect, s->effect_jacobian, s->auxiliary_forcing,
                    s->auxiliary_forcing_jacobian, s->auxiliary_mass, s->auxiliary_constraint_jacobian);
     fb_form_response(w->mass_matrix, &w->factors, s);
-#endif
-#if N_Z + N_N > 0
-    double multipliers[FB_AT_LEAST_1(N_L)];
 #endif
 #if N_Z > 0
     derivatives->state_rate_sensitivity(t, x, constants, r, w->accelerations, w->multipliers,
@@ -321,9 +320,8 @@ static int differentiate(const fb_derivatives *derivatives, fb_sensitivity *func
             w->acceleration_bias[i] = -w->residual_jacobian[(N_U + i) * n + j];
         /* Redundant rows hold in every direction in which the state can move; others are not asked about. */
         fb_solve(w->forcing, w->acceleration_bias, &w->factors, solution);
-#if N_Z + N_N > 0
-        fb_multipliers(w->mass_matrix, w->forcing, solution, &w->factors, multipliers);
-#endif
+        if (N_Z + N_N > 0 || multiplier_jacobian)
+            fb_multipliers(w->mass_matrix, w->forcing, solution, &w->factors, multipliers);
 #if N_N > 0
         double unused = 0.0, *const forces = multipliers + N_C;
         for (int i = 0; i < N_N; ++i)
@@ -333,6 +331,8 @@ static int differentiate(const fb_derivatives *derivatives, fb_sensitivity *func
         if (found != FB_OK)
             return found;
 #endif
+        for (int i = 0; i < N_L && multiplier_jacobian; ++i)
+            multiplier_jacobian[i * n + j] = multipliers[i];
         for (int i = 0; i < N_U; ++i)
             matrix[(N_Q + i) * n + j] = solution[i];
 #if N_Z > 0

@@ -39,6 +39,14 @@ def test_all_examples_are_tested():
         assert f'said("{path.stem}")' in tested
 
 
+def test_the_arm(said):
+    """The tutorial's initial angles and forcing, to the digits that are printed there; its runs are in test_muscles."""
+    text = said("10_muscles_of_an_arm")
+    assert "angles, degrees: 5.0 -0.60986636 9.44918589 88.68812842" in text
+    assert numbers(text, r"forcing: (\S+)") == [-0.9121071]
+    assert all(gap < 1e-13 for gap in numbers(text, r"open by (\S+) m"))
+
+
 def test_the_four_bar(said):
     [gap] = numbers(said("01_four_bar"), r"open by (\S+) m")
     assert gap < 1e-12

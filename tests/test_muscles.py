@@ -1,5 +1,8 @@
 """Muscles of sympy.physics.biomechanics, against SciPy on functions of lambdify."""
 
+import importlib
+import itertools
+
 import numpy as np
 import pytest
 import sympy as sm
@@ -143,3 +146,55 @@ def test_who_has_made_the_activation_a_coordinate_has_said_the_same():
     q, u, a = lift.start()
     rates = model.rhs(0.0, [q, a, u, 0.0], r=[0.7])
     np.testing.assert_allclose(rates[[0, 2, 1]], lift.rates([q, u, a], 0.7), rtol=1e-12)
+
+
+def test_the_arm_of_sympys_tutorial():
+    """Its two runs, at its 301 times, by SciPy on SymPy's own KanesMethod and lambdify, as the page has it.
+
+    The page prints the initial state, mass matrix and forcing, which the compiled model has to their digits; the curves
+    are pictures there. The excitation of the second run jumps at 0.5 and 1.5 s, where SciPy begins anew.
+    """
+    model = importlib.import_module("10_muscles_of_an_arm").arm()
+    compiled = fb.compile_model(model)
+    x0 = compiled.initial_state()
+    np.testing.assert_allclose(np.rad2deg(x0[:4]), [5.0, -0.60986636, 9.44918589, 88.68812842], rtol=0, atol=5e-9)
+    assert compiled.forcing(0.0, x0)[0] == pytest.approx(-0.9121071, abs=5e-8)
+    published = [[0.00333333, -0.15174161, -0.00109772, -0.00152436], [0.19923894, 0.31, -0.04923615, 0.00996712],
+                 [0.01743115, 0.0, 0.29585191, 0.0011276], [0.0, -0.29256885, -0.0005241, -0.29983226]]  # fmt: skip
+    np.testing.assert_allclose(compiled.mass_matrix(0.0, x0), published, rtol=0, atol=5e-9)
+
+    system = model.system
+    loads = [*system.loads, *(load for actuator in system.actuators for load in actuator.to_loads())]
+    kane = me.KanesMethod(
+        system.frame, system.q_ind, system.u_ind, kd_eqs=system.kdes, q_dependent=system.q_dep,
+        u_dependent=system.u_dep, configuration_constraints=system.holonomic_constraints,
+        velocity_constraints=system.holonomic_constraints.diff(me.dynamicsymbols._t),
+    )  # fmt: skip
+    kane.kanes_equations(system.bodies, loads)
+    activations = sm.Matrix([actuator.x[0] for actuator in system.actuators])
+    rates = sm.Matrix([actuator.rhs()[0] for actuator in system.actuators])
+    excitations = [actuator.e for actuator in system.actuators]
+    values = {symbol: parameter.value for symbol, parameter in model.parameter_symbols.items()}
+    matrices = [matrix.xreplace(values) for matrix in (kane.mass_matrix, kane.forcing, rates)]
+    evaluate = sm.lambdify((kane.q, kane.u, activations, excitations), matrices, cse=True)
+
+    def equations(t, x, e):
+        m, f, rate = evaluate(x[:4], x[4:8], x[8:], e)
+        return np.concatenate((x[4:8], np.linalg.solve(m, f).ravel(), rate.ravel()))
+
+    for pull in (0.0, 0.8):
+        ends, x, states = (0.0, 0.5, 1.5, 3.0), x0, [x0[:, np.newaxis]]
+        for begin, end in itertools.pairwise(ends):
+            times = np.arange(round(100 * begin), round(100 * end) + 1) / 100
+            e = [pull if begin == 0.5 else 0.0, 0.0]
+            run = solve_ivp(
+                equations, (begin, end), x, args=(e,), method="DOP853", t_eval=times, rtol=1e-10, atol=1e-12
+            )
+            x = run.y[:, -1]
+            states.append(run.y[:, 1:])
+        table = ([0.5 - 1e-12, 0.5, 1.5 - 1e-12, 1.5], [0.0, pull, pull, 0.0])
+        ours = compiled.simulate(
+            (0.0, 3.0), x0, inputs={"e_biceps": table}, t_eval=np.arange(301) / 100, rtol=1e-10, atol=1e-12
+        )
+        # SciPy's run drifts from the constraints by its tolerance, and the two from each other by some more.
+        np.testing.assert_allclose(ours.y, np.hstack(states), rtol=0, atol=1e-8)

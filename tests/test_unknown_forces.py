@@ -63,6 +63,29 @@ def test_friction_of_a_block_on_an_accelerated_belt():
     assert model.multipliers(0.0, [0.0, 4.0]).shape == (0,)
 
 
+def test_friction_on_an_incline():
+    """u' = g (sin a - mu cos a), for a block that slides down: closed form."""
+    q, u, w, normal = me.dynamicsymbols("q u u_n N")
+    slope = sm.Symbol("alpha")
+    ground, plane, origin, block = me.ReferenceFrame("N"), me.ReferenceFrame("B"), me.Point("O"), me.Point("P")
+    plane.orient_axis(ground, ground.z, -slope)
+    origin.set_vel(ground, 0)
+    block.set_pos(origin, q * plane.x)
+    block.set_vel(ground, u * plane.x + w * plane.y)
+    loads = [me.Force(block, normal * plane.y - MU * normal * plane.x)]
+    system = system_of(
+        me.Particle("block", block, M), coordinates=[q], speeds=[u], auxiliary=[w], loads=loads, frame=ground,
+        origin=origin,
+    )  # fmt: skip
+    model = compiled((system, {G: 9.81, M: 2.0, MU: 0.3, slope: 0.5}, {q: 0.0, u: 1.0}, "incline"))
+    run = model.simulate((0.0, 2.0), rtol=1e-10)
+    slide = 9.81 * (np.sin(0.5) - 0.3 * np.cos(0.5))
+    np.testing.assert_allclose(run["q"], run.t + slide * run.t**2 / 2, atol=1e-12)
+    np.testing.assert_allclose(run["N"], 2.0 * 9.81 * np.cos(0.5), rtol=1e-13)
+    by_slope = model.parameter_jacobian(0.0, [0.0, 1.0])[1, model.parameters.index("alpha")]
+    assert by_slope == pytest.approx(9.81 * (np.cos(0.5) + 0.3 * np.sin(0.5)), rel=1e-13)
+
+
 @pytest.mark.parametrize("force", [-50.0, 0.0, 19.6, 19.62, 30.0, 100.0])
 def test_friction_of_the_absolute_normal_force(force):
     # A block in a slot, pulled upwards: N = m g - P has either sign, and friction goes with |N|.

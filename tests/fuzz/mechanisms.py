@@ -24,7 +24,7 @@ class Drawn:
 
     Bodies hang on each other by pins, sliders and ball joints, with springs, dampers and forces of time. Constraints
     hold a point on a surface or a velocity to zero, or prescribe the motion of a coordinate. States with equations of
-    their own drive forces.
+    their own drive forces, and so does an unknown force, by friction.
     """
 
     def __init__(self, generator: np.random.Generator) -> None:
@@ -43,6 +43,7 @@ class Drawn:
             self.load(number)
         self.constrain([self.constraint(number) for number in range(generator.integers(0, 4))])
         self.state_equations = self.states(generator.integers(1, 4)) if generator.random() < 0.5 else {}
+        self.unknown = [self.friction()] if generator.random() < 0.5 else []
         self.variables = [*self.system.q, *self.system.u, *self.state_equations]
         self.state = np.append(self.state, generator.normal(size=len(self.state_equations)))
 
@@ -134,6 +135,18 @@ class Drawn:
         self.told.append(f"{count} states")
         return equations
 
+    def friction(self) -> sm.Expr:
+        """A force that keeps the last body from leaving in some direction, and drives it in others."""
+        point, frame = self.bodies[-1].masscenter, self.bodies[0].frame
+        speed, force = me.dynamicsymbols("w_aux N")
+        along = self.vector(frame)
+        # SymPy leaves auxiliary speeds out of velocity constraints: those were drawn before.
+        point.set_vel(frame, point.vel(frame) + speed * along)
+        self.system.add_auxiliary_speeds(speed)
+        self.system.add_loads(me.Force(point, force * (along + self.vector(frame, "mu") / 3)))
+        self.told.append("friction")
+        return force
+
     def numbers(self, state: np.ndarray, time: float) -> dict[Any, float]:
         """All symbols' numbers at a state: rates first, so that they are found before what they are rates of."""
         numbers: dict[Any, float] = {}
@@ -219,7 +232,15 @@ class Reference:
         lower = sm.zeros(n_z, n_q).row_join(-slopes).row_join(sm.eye(n_z))
         mass_matrix = system.mass_matrix_full.row_join(sm.zeros(system.mass_matrix_full.rows, n_z)).col_join(lower)
         rest = rates.xreplace(dict.fromkeys(accelerations, sm.S.Zero)) if n_z else sm.zeros(0, 1)
-        matrices = [mass_matrix, system.forcing_full.col_join(rest)]
+        forcing = system.forcing_full.col_join(rest)
+        if drawn.unknown:  # with the auxiliary speeds' equations, linear in x' and in the forces
+            derivatives = [variable.diff(t) for variable in drawn.variables]
+            auxiliary = sm.Matrix(system.eom_method.auxiliary_eqs)
+            none = dict.fromkeys([*derivatives, *drawn.unknown], sm.S.Zero)
+            below = auxiliary.jacobian(derivatives).row_join(auxiliary.jacobian(drawn.unknown))
+            mass_matrix = mass_matrix.row_join(-forcing.jacobian(drawn.unknown)).col_join(below)
+            forcing = me.msubs(forcing.col_join(-auxiliary), none)
+        matrices = [mass_matrix, forcing]
         self.matrices = sm.lambdify([self.names], matrices, modules="mpmath", cse=True)
         self.in_double = sm.lambdify([self.names], matrices, modules="numpy", cse=True)
 
@@ -245,7 +266,7 @@ class Reference:
         return mpmath.matrix(mass_matrix.tolist()), mpmath.matrix(forcing.tolist())
 
     def solved(self, state: Any, time: float) -> tuple[Any, Any]:
-        """The full mass matrix and x'."""
+        """The full mass matrix and x', with unknown forces behind it."""
         mass_matrix, forcing = self.equations(state, time)
         return mass_matrix, mpmath.lu_solve(mass_matrix, forcing)
 
@@ -274,9 +295,10 @@ def case(generator: np.random.Generator, say: Callable[[str], None]) -> None:
             of_matrix, of_forcing = ((a - b) / (2 * h) for a, b in zip(ahead, behind, strict=True))
             terms = [mpmath.lu_solve(mass_matrix, term) for term in (of_forcing, of_matrix * exact)]
         expected, of_forcing, of_matrix = (np.array(part, dtype=float).ravel() for part in (exact, *terms))
-        rates = compiled.rhs(drawn.time, state, p)
+        rates = np.append(compiled.rhs(drawn.time, state, p), compiled.output(drawn.time, state, p))
         error = np.abs(rates - expected).max() / np.abs(expected).max()
-        turned = compiled.jacobian(drawn.time, state, p) @ direction
+        slopes = compiled.jacobian(drawn.time, state, p), compiled.output_jacobian(drawn.time, state, p)
+        turned = np.vstack(slopes) @ direction
         # What is left of the two terms is known as well as these.
         size = sum(np.abs(term).max() for term in (expected, of_forcing, of_matrix))
         slope = np.abs(turned - (of_forcing - of_matrix)).max() / size

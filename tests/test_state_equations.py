@@ -1,16 +1,20 @@
 """States with equations of their own: motors, filters, tyres, against closed forms and SciPy."""
 
+import csv
 import pickle
+import re
 
 import numpy as np
 import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
+from click.testing import CliRunner
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from sympy.physics.mechanics.system import System
 
 import fourbar_codegen as fb
+from fourbar_codegen.cli import main
 
 T = me.dynamicsymbols._t
 # Of local errors, at rtol = 1e-9, over some hundred steps; ALI3P is of order 2, and takes steps of 1e-3 s.
@@ -345,3 +349,22 @@ def test_multipliers_of_redundant_constraints_are_open():
     model = fb.Model(pendulum.system, parameters=values, state_equations={z: fb.multiplier(1)})
     with pytest.raises(fb.ModelError, match="multipliers, which redundant constraints leave open"):
         fb.compile_model(model)
+
+
+def test_the_command_line_has_auxiliary_states(tmp_path):
+    """The motor by `fourbar simulate`, its current's initial value given, against the matrix exponential."""
+    source = tmp_path / "motors.py"
+    source.write_text("from test_state_equations import motor\n")
+    path = tmp_path / "run.csv"
+    arguments = ["-i", "i=0.7", "-t", "0", "0.5", "--rtol", "1e-10", "--atol", "1e-12", "-o", str(path)]
+    result = CliRunner().invoke(main, ["simulate", f"{source}:motor", *arguments])
+    assert result.exit_code == 0, result.output
+    with path.open() as file:
+        *_, last = csv.DictReader(file)
+    # x' = A x + B V with V = 1, as a linear system of x and 1.
+    whole = expm(np.block([[MOTOR, VOLTAGE], [np.zeros((1, 4))]]) * 0.5) @ [0.3, 0.5, 0.7, 1.0]
+    np.testing.assert_allclose([float(last[name]) for name in ("theta", "omega", "i")], whole[:3], atol=1e-9)
+    assert re.search(r"  i +0\.7000000000 ", result.output)
+    described = CliRunner().invoke(main, ["info", f"{source}:motor"])
+    assert described.exit_code == 0
+    assert re.search(r"auxiliary", described.output, re.IGNORECASE)

@@ -32,12 +32,7 @@ from fourbar_codegen.dynamics.kane import Kane
 from fourbar_codegen.dynamics.kinematic_equations import solve_kinematics
 from fourbar_codegen.dynamics.kinematics import Kinematics
 from fourbar_codegen.dynamics.random_states import RandomStates
-from fourbar_codegen.dynamics.unknown_forces import (
-    auxiliary_rows,
-    derivatives_by_forces,
-    driving_effect,
-    unknown_forces,
-)
+from fourbar_codegen.dynamics.unknown_forces import form_unknown_forces
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.expressions.breakpoints import breakpoints
 from fourbar_codegen.expressions.convert import Conversion, substitute
@@ -241,8 +236,7 @@ def form_equations(model: Model) -> Equations:
             tape.sum([force, *(-(entry * a) for entry, a in zip(row, v.a, strict=True))])
             for force, row in zip(forcing, mass_matrix, strict=True)
         ]
-    columns = derivatives_by_forces(tape, with_unknown, v.unknown)
-    if tape.depends([*chain(*mass_matrix, *columns), *balance], v.aux):
+    if tape.depends([*chain(*mass_matrix), *with_unknown], v.aux):
         raise ModelError("Velocities must be linear in the auxiliary speeds.")
 
     formed = tape.reach([*q_rates, *chain(*mass_matrix), *forcing])
@@ -250,21 +244,13 @@ def form_equations(model: Model) -> Equations:
     lam = tuple(tape.leaf("l", number) for number in range(len(constraints.velocities)))
     # f - M u' + J^T lambda; and -(J u' + gamma), the rate of the constraints for given u'.
     reactions = vjp(tape, list(zip(constraints.virtual_velocities, lam, strict=True)), (*v.u, *v.aux))
-    dynamic = [row + reaction for row, reaction in zip(balance, reactions, strict=True)]
+    dynamic = [row + reaction for row, reaction in zip(balance[: len(v.u)], reactions, strict=False)]
     kinematic = [-total_rate(expr) for expr in constraints.velocities]
 
-    forces, driving = unknown_forces(tape, model, v.unknown, columns, constraints, dynamic[len(v.u) :])
+    forces = form_unknown_forces(tape, model, v.unknown, v.a, constraints, at_rest, with_unknown, balance, reactions)
     # From here on the unknown forces stand for themselves no more, but for those that drive the motion.
-    leaves.update(zip(model.noncontributing, forces, strict=False))
-    effect = driving_effect(tape, columns, at_rest[: len(v.u)], forcing, driving)
-    dynamic = [row + force for row, force in zip(dynamic, effect, strict=False)]
-    auxiliary_forcing, auxiliary_balance, balanced = [], [], []
-    if driving:
-        auxiliary_forcing, auxiliary_balance = at_rest[len(v.u) :], balance[len(v.u) :]
-        balanced = [row + reaction for row, reaction in zip(with_unknown, reactions, strict=True)][len(v.u) :]
-    by_forces, auxiliary_mass, auxiliary_jacobian = auxiliary_rows(
-        tape, auxiliary_forcing, auxiliary_balance, constraints, v.a, driving
-    )
+    leaves.update(zip(model.noncontributing, forces.values, strict=False))
+    dynamic = [row + force for row, force in zip(dynamic, forces.effect, strict=True)]
     leaves.update(zip((speed.diff(mechanism.time) for speed in mechanism.speeds), v.a, strict=True))
     leaves.update({multiplier(number): symbol for number, symbol in enumerate(lam, start=1)})
     convert = Conversion(tape, leaves)
@@ -292,21 +278,21 @@ def form_equations(model: Model) -> Equations:
     warnings = find_contradictions(
         kinematics, constraints, rate, total_rate, with_rates, v.u, v.a, values, not_orthonormal
     )
-    n_q, n_u = len(v.q), len(v.u)
+    n_q, n_u, n_n = len(v.q), len(v.u), len(forces.driving)
     drawn, points, numbers = drawn_points(mechanism, kinematics)
     applied = applied_forces(tape, mechanism, kinematics, numbers, v.r, (*v.aux, *v.unknown))
     results = [
-        _vector("outputs", [*forces, *(convert(expr) for expr in model.output_expressions.values())]),
+        _vector("outputs", [*forces.values, *(convert(expr) for expr in model.output_expressions.values())]),
         _vector("state_rates", state_rates),
         _vector("coordinate_rates", q_rates),
         matrix("mass_matrix", mass_matrix, n_u),
         _vector("forcing", forcing),
-        _vector("force_effect", effect),
-        matrix("force_effect_jacobian", jacobian(tape, effect, driving), len(driving)),
-        _vector("auxiliary_forcing", auxiliary_forcing),
-        matrix("auxiliary_forcing_jacobian", by_forces, len(driving)),
-        matrix("auxiliary_mass", auxiliary_mass, n_u),
-        matrix("auxiliary_constraint_jacobian", auxiliary_jacobian, len(lam)),
+        _vector("force_effect", forces.effect),
+        matrix("force_effect_jacobian", jacobian(tape, forces.effect, forces.driving), n_n),
+        _vector("auxiliary_forcing", forces.forcing),
+        matrix("auxiliary_forcing_jacobian", jacobian(tape, forces.forcing, forces.driving), n_n),
+        matrix("auxiliary_mass", forces.mass, n_u),
+        matrix("auxiliary_constraint_jacobian", forces.constraint_jacobian, len(lam)),
         _vector("position_constraints", constraints.positions),
         matrix("position_jacobian", position_jacobian(tape, constraints, v.q, q_rates, v.u), n_q),
         matrix("constraint_jacobian", constraints.jacobian, n_u),
@@ -323,7 +309,7 @@ def form_equations(model: Model) -> Equations:
         _vector("power", substitute(tape, [kane.power()], no_unknown)),
         matrix("points", points, 3),
         matrix("forces", list(applied.values()), 3),
-        _vector("residual", (*dynamic, *kinematic, *balanced, *state_rates)),
+        _vector("residual", (*dynamic, *kinematic, *forces.rows, *state_rates)),
     ]
     entries = [*chain.from_iterable(result.entries for result in results)]
     closing = (*constraints.positions, *constraints.velocities)
@@ -344,7 +330,7 @@ def form_equations(model: Model) -> Equations:
             "at times that cannot be read off, and its rate may jump there: its conditions may be linear or quadratic "
             f"in {mechanism.time}, with coefficients of parameters, or a table may be given for it."
         )
-    others, _ = breakpoints(tape, v.time, [*dynamic, *kinematic, *balanced, *state_rates, *q_rates, *defaults])
+    others, _ = breakpoints(tape, v.time, [*dynamic, *kinematic, *forces.rows, *state_rates, *q_rates, *defaults])
     times = dict.fromkeys([*jumps, *others])
     reached = set(tape.reach(entries))
     needed = tuple(
@@ -362,7 +348,7 @@ def form_equations(model: Model) -> Equations:
         inputs=tuple(inputs),
         moving=tuple(place for place, leaf in enumerate(inputs) if leaf.node in moved),
         accelerations=v.a,
-        multipliers=(*lam, *driving),
+        multipliers=(*lam, *forces.driving),
         n_dependent_speeds=mechanism.n_dependent_speeds,
         velocity_constraints_derived=mechanism.velocity_constraints_derived,
         position_rows=corrections.rows,

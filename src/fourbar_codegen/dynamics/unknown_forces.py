@@ -11,6 +11,7 @@ Source: T. R. Kane and D. A. Levinson, *Dynamics: Theory and Applications*, 1985
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import chain
 
 import sympy as sm
@@ -20,7 +21,7 @@ from fourbar_codegen.dynamics.constraints import Constraints
 from fourbar_codegen.dynamics.kane import loads_power
 from fourbar_codegen.dynamics.kinematics import Kinematics
 from fourbar_codegen.errors import ModelError
-from fourbar_codegen.expressions.convert import Conversion
+from fourbar_codegen.expressions.convert import Conversion, substitute
 from fourbar_codegen.expressions.derivatives import Jvp, jacobian
 from fourbar_codegen.expressions.identities import is_zero
 from fourbar_codegen.expressions.linear import TooManyCoupledError, UndeterminedError, solve_linear
@@ -28,13 +29,36 @@ from fourbar_codegen.expressions.tape import Scalar, Tape
 from fourbar_codegen.modeling.model import Model
 from fourbar_codegen.modeling.system_reader import Mechanism, walk
 
-__all__ = [
-    "auxiliary_rows",
-    "derivatives_by_forces",
-    "driving_effect",
-    "forces_along_auxiliary_speeds",
-    "unknown_forces",
-]
+__all__ = ["UnknownForces", "forces_along_auxiliary_speeds", "form_unknown_forces"]
+
+
+@dataclass(frozen=True)
+class UnknownForces:
+    """What keeps the auxiliary speeds zero.
+
+    Attributes
+    ----------
+    values : tuple of Scalar
+        The forces, or the generalized ones Q = M u' - f - J^T lambda where the loads have none.
+    driving : tuple of Scalar
+        The leaves of those that drive the motion: all of them, or none.
+    effect : tuple of Scalar
+        F(n), what these add to f, (n_u,).
+    forcing : tuple of Scalar
+        Q(n) of their rows Q - M_a u' + J_a^T lambda = 0, (n_n,).
+    mass, constraint_jacobian : tuple of tuple of Scalar
+        M_a, (n_n, n_u), and J_a^T, (n_n, n_c).
+    rows : tuple of Scalar
+        What is zero, for given u' and lambda, (n_n,).
+    """
+
+    values: tuple[Scalar, ...]
+    driving: tuple[Scalar, ...]
+    effect: tuple[Scalar, ...]
+    forcing: tuple[Scalar, ...]
+    mass: tuple[tuple[Scalar, ...], ...]
+    constraint_jacobian: tuple[tuple[Scalar, ...], ...]
+    rows: tuple[Scalar, ...]
 
 
 def forces_along_auxiliary_speeds(mechanism: Mechanism, candidates: Sequence[sm.Expr]) -> tuple[sm.Expr, ...]:
@@ -63,32 +87,49 @@ def forces_along_auxiliary_speeds(mechanism: Mechanism, candidates: Sequence[sm.
     return tuple(f for f in candidates if tape.depends(gradient, [leaves[f]]))
 
 
-def derivatives_by_forces(tape: Tape, rows: Sequence[Scalar], unknown: Sequence[Scalar]) -> list[list[Scalar]]:
-    """The derivatives of the rows with respect to each of the unknown forces."""
-    gradients = jacobian(tape, rows, unknown)
-    return [[gradient[i] for gradient in gradients] for i in range(len(unknown))]
-
-
-def unknown_forces(
+def form_unknown_forces(
     tape: Tape,
     model: Model,
     unknown: tuple[Scalar, ...],
-    columns: Sequence[Sequence[Scalar]],
+    accelerations: Sequence[Scalar],
     constraints: Constraints,
-    rest: Sequence[Scalar],
-) -> tuple[tuple[Scalar, ...], tuple[Scalar, ...]]:
-    """What keeps the auxiliary speeds zero: Q = M u' - f - J^T lambda in their rows, or the forces that give it.
+    at_rest: Sequence[Scalar],
+    moving: Sequence[Scalar],
+    balance: Sequence[Scalar],
+    reactions: Sequence[Scalar],
+) -> UnknownForces:
+    """What auxiliary speeds bring out, by the rows of Kane's equations: the speeds', then the auxiliary ones'.
 
-    And the unknown forces that drive the motion: all of them, or none.
+    Parameters
+    ----------
+    tape : Tape
+    model : Model
+    unknown, accelerations : sequence of Scalar
+        The leaves of the unknown forces and of u'.
+    constraints : Constraints
+    at_rest, moving : sequence of Scalar
+        f, and f - M u', with the unknown forces.
+    balance : sequence of Scalar
+        f - M u' without them.
+    reactions : sequence of Scalar
+        J^T lambda.
+
+    Raises
+    ------
+    ModelError
+        If an unknown force does no work at any auxiliary speed.
     """
-    if not model.noncontributing:
-        return tuple(-row for row in rest), ()
-    mechanism = model.mechanism
-    n_i, n_u = len(mechanism.speeds) - mechanism.n_dependent_speeds, len(mechanism.speeds)
-    if not tape.depends([*chain(*columns)], unknown):
-        forces = _noncontributing(tape, columns, constraints, rest, n_i)
-        if forces is not None:
-            return forces, ()
+    mechanism, n_u = model.mechanism, len(accelerations)
+    gradients = jacobian(tape, moving, unknown)
+    columns = [[gradient[i] for gradient in gradients] for i in range(len(unknown))]
+    is_linear = not tape.depends([*chain(*columns)], unknown)
+    rest = [row + reaction for row, reaction in zip(balance[n_u:], reactions[n_u:], strict=True)]
+    if not unknown:
+        return _reactions(tape, [-row for row in rest], n_u)
+    if is_linear:
+        found = _noncontributing(tape, columns, constraints, rest, n_u - mechanism.n_dependent_speeds)
+        if found is not None:
+            return _reactions(tape, found, n_u)
     idle = [str(f.func) for f, column in zip(model.noncontributing, columns, strict=True) if not any(column[n_u:])]
     if idle:
         raise ModelError(
@@ -96,37 +137,26 @@ def unknown_forces(
             f"{', '.join(str(w.func) for w in mechanism.auxiliary_speeds)}: at none of these do they do work. Forces "
             "that are known are named in inputs=."
         )
-    return unknown, unknown
+    if is_linear:
+        pairs = [*zip(unknown, columns, strict=True)]
+        effect = [tape.sum([force * column[i] for force, column in pairs]) for i in range(n_u)]
+    else:
+        without = substitute(tape, at_rest[:n_u], dict.fromkeys(unknown, tape.zero))
+        effect = [tape.sum([a, -b]) for a, b in zip(at_rest[:n_u], without, strict=True)]
+    return UnknownForces(
+        unknown,
+        unknown,
+        tuple(effect),
+        tuple(at_rest[n_u:]),
+        tuple(tuple(-entry for entry in row) for row in jacobian(tape, balance[n_u:], accelerations)),
+        tuple(zip(*constraints.auxiliary_jacobian, strict=True)) or ((),) * len(unknown),
+        tuple(row + reaction for row, reaction in zip(moving[n_u:], reactions[n_u:], strict=True)),
+    )
 
 
-def driving_effect(
-    tape: Tape,
-    columns: Sequence[Sequence[Scalar]],
-    with_unknown: Sequence[Scalar],
-    without: Sequence[Scalar],
-    driving: Sequence[Scalar],
-) -> list[Scalar]:
-    """What unknown forces that drive the motion add to f; nothing where there are none."""
-    if not driving:
-        return [tape.zero for _ in without]
-    if tape.depends([*chain(*columns)], driving):
-        return [tape.sum([a, -b]) for a, b in zip(with_unknown, without, strict=True)]
-    pairs = [*zip(driving, columns, strict=True)]
-    return [tape.sum([force * column[i] for force, column in pairs]) for i in range(len(without))]
-
-
-def auxiliary_rows(
-    tape: Tape,
-    forcing: Sequence[Scalar],
-    balance: Sequence[Scalar],
-    constraints: Constraints,
-    accelerations: Sequence[Scalar],
-    driving: Sequence[Scalar],
-) -> tuple[list[list[Scalar]], list[list[Scalar]], list[list[Scalar]]]:
-    """dQ/dn, M_a and J_a^T of the auxiliary speeds' rows Q - M_a u' + J_a^T lambda, for Q and its sum with -M_a u'."""
-    mass = [[-entry for entry in gradient] for gradient in jacobian(tape, balance, accelerations)]
-    transposed = [[row[i] for row in constraints.auxiliary_jacobian] for i in range(len(forcing))]
-    return jacobian(tape, forcing, driving), mass, transposed
+def _reactions(tape: Tape, forces: Sequence[Scalar], n_u: int) -> UnknownForces:
+    """Those that do not drive the motion."""
+    return UnknownForces(tuple(forces), (), (tape.zero,) * n_u, (), (), (), ())
 
 
 def _noncontributing(

@@ -63,7 +63,7 @@ def slider(change=""):
     system.add_kdes(*(factor * u - q.diff(t) for q, u in ((q1, u1), (q2, u2))))
     system.add_holonomic_constraints(q1 - length * sm.cos(q2) - (1 if change == "holonomic constraint" else 0))
     if change == "velocity constraint":
-        system.velocity_constraints = [u1 + length * u2]
+        system.velocity_constraints = [2 * (u1 + length * sm.sin(q2) * u2)]
     parameters = {m: 1.0, length: 0.5, k: 2.0, c: 0.1, g: 9.81}
     if change == "default":
         parameters[m] = 1.5

@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import sympy as sm
 from programs import compile_c
 from test_state_equations import cartesian, motor
+from test_unknown_forces import MU, model_of, rod
 
 import fourbar_codegen as fb
 
@@ -36,17 +38,21 @@ static double *doubles(const int n)
 
 static double evaluate(const fb_kernel *k, const double *p)
 {
-    const int n_x = k->n_x, n_y = k->n_u + k->n_c + k->n_z;
+    const int n_x = k->n_x, n_y = k->n_u + k->n_l + k->n_z, n_n = k->n_l - k->n_c;
     double *x = doubles(n_x), *c = doubles(k->n_constants), *r = doubles(k->n_r), *a = doubles(k->n_u);
-    double *l = doubles(k->n_c), *rates = doubles(n_x), *qs = doubles(k->n_q), *m = doubles(k->n_u * k->n_u);
+    double *l = doubles(k->n_l + k->n_i), *rates = doubles(n_x), *qs = doubles(k->n_q), *m = doubles(k->n_u * k->n_u);
     double *f = doubles(k->n_u), *j = doubles(k->n_c * k->n_u), *g = doubles(k->n_c), *phi = doubles(k->n_h);
     double *pq = doubles(k->n_h * k->n_q), *vq = doubles(k->n_c * k->n_q), *pr = doubles(k->n_h * k->n_r);
     double *vr = doubles(k->n_c * k->n_r), *e = doubles(2), *o = doubles(k->n_o);
     double *rp = doubles(k->n_r * k->n_p), *z = doubles(k->n_z), *za = doubles(k->n_z * k->n_u);
-    double *zl = doubles(k->n_z * k->n_c);
+    double *zl = doubles(k->n_z * k->n_l), *ya = doubles(k->n_o * k->n_u), *yl = doubles(k->n_o * k->n_l);
+    double *force = doubles(k->n_u), *by_n = doubles(k->n_u * n_n), *row = doubles(n_n), *row_by_n = doubles(n_n * n_n);
+    double *row_m = doubles(n_n * k->n_u), *row_j = doubles(n_n * k->n_c);
     const int n[3] = {n_x, k->n_p, k->n_r};
     const fb_derivatives *const d = k->derivatives;
     fb_sensitivity *const of[3] = {d->sensitivity, d->parameter_sensitivity, d->input_sensitivity};
+    fb_output_sensitivity *const of_outputs[3] = {d->output_sensitivity, d->output_parameter_sensitivity,
+                                                  d->output_input_sensitivity};
     void *work = calloc(1, k->work_size);
     double sum = 0.0;
     k->prepare(p, c);
@@ -64,19 +70,28 @@ static double evaluate(const fb_kernel *k, const double *p)
     k->output(0.5, x, c, r, a, l, o);
     for (int i = 0; i < 3; ++i) {
         double *q = doubles(k->n_q * n[i]), *y = doubles(n_y * n[i]), *all = doubles(n_x * n[i]);
+        double *of_l = doubles(k->n_l * n[i]), *of_y = doubles(k->n_o * n[i]);
         of[i](0.5, x, c, r, a, l, q, y);
-        k->differentiate(d, of[i], n[i], 0.5, x, c, r, all, work);
+        k->differentiate(d, of[i], n[i], 0.5, x, c, r, all, NULL, work);
+        k->differentiate(d, of[i], n[i], 0.5, x, c, r, all, of_l, work);
+        if (k->n_o > 0)
+            of_outputs[i](0.5, x, c, r, a, l, of_y);
         sum += n[i] ? all[0] : 0.0;
-        free(q), free(y), free(all);
+        free(q), free(y), free(all), free(of_l), free(of_y);
     }
     if (k->n_z > 0) {
         k->state_rates(0.5, x, c, r, a, l, z);
         d->state_rate_sensitivity(0.5, x, c, r, a, l, za, zl);
     }
+    if (k->n_o > 0)
+        d->output_solution_sensitivity(0.5, x, c, r, a, l, ya, yl);
+    if (n_n > 0)
+        k->unknown_forces(0.5, x, c, r, l + k->n_c, force, by_n, row, row_by_n, row_m, row_j);
     k->orientation_changed(work);
     k->project(0.5, x, c, r, 0, work);
     sum += rates[0] + e[0];
-    double *const all[] = {x, c, r, a, l, rates, qs, m, f, j, g, phi, pq, vq, pr, vr, e, o, rp, z, za, zl};
+    double *const all[] = {x, c, r, a, l, rates, qs, m, f, j, g, phi, pq, vq, pr, vr, e, o, rp, z, za, zl,
+                           ya, yl, force, by_n, row, row_by_n, row_m, row_j};
     for (size_t i = 0; i < sizeof all / sizeof *all; ++i)
         free(all[i]);
     free(work);
@@ -261,6 +276,15 @@ int main(int argc, char **argv)
 }
 """
 
+
+def sliding_rod():
+    return model_of(rod(lambda n: MU * n, "sliding_rod"))
+
+
+def pressed_rod():
+    return model_of(rod(lambda n: MU * sm.tanh(n), "pressed_rod"))
+
+
 MODELS = {
     "four_bar": (fb.models.four_bar, None),
     "slider_crank": (fb.models.slider_crank, None),
@@ -271,6 +295,8 @@ MODELS = {
     "cartesian_pendulum": (fb.models.cartesian_pendulum, {"y": 0.0}),
     "motor": (motor, None),
     "multipliers in state equations": (cartesian, None),
+    "unknown forces": (sliding_rod, None),
+    "unknown forces that are not linear": (pressed_rod, None),
 }
 
 
@@ -328,6 +354,8 @@ def test_kernel_and_runs_under_sanitizers(tmp_path, name):
     for method, end, inputs in zip(
         ("RK45", "DOP853", "ALI3P", "RK45"), (*ends, by_table), (*3 * [None], table), strict=True
     ):
+        if method == "ALI3P" and compiled.n_l > compiled.n_c:
+            continue
         how = {"method": method, "rtol": 1e-6, "atol": 1e-6, "max_step": 0.01 if method == "ALI3P" else np.inf}
         run = compiled.simulate((0.0, 0.5), x0, inputs=inputs, **how)
         assert end == pytest.approx(run.y[0, -1], rel=1e-6, abs=1e-8)

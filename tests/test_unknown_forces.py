@@ -44,9 +44,13 @@ def box(friction, *, floor=0, push=0, name="box"):
     return system, {G: 9.81, M: 2.0, MU: 0.3}, {q: 0.0, u: 4.0}, name
 
 
-def compiled(made, **more):
+def model_of(made, **more):
     system, values, initial, name = made
-    return fb.compile_model(fb.Model(system, name=name, parameters=values, initial=initial, **more))
+    return fb.Model(system, name=name, parameters=values, initial=initial, **more)
+
+
+def compiled(made, **more):
+    return fb.compile_model(model_of(made, **more))
 
 
 def test_friction_of_a_block_on_an_accelerated_belt():

@@ -193,7 +193,8 @@ def calls_of(name: str) -> dict[str, Call]:
     values = {"p": p, "r": r}
     for function in (
         "rhs", "jacobian", "parameter_jacobian", "input_jacobian", "accelerations", "forcing", "tree_forcing",
-        "velocity_constraints", "multipliers", "output", "kinetic_energy", "potential_energy", "linearize",
+        "velocity_constraints", "multipliers", "output", "output_jacobian", "output_parameter_jacobian",
+        "output_input_jacobian", "kinetic_energy", "potential_energy", "linearize",
     ):  # fmt: skip
         calls.add(function, getattr(model, function), **state, **values)
     # What these are made of, as it comes.
@@ -212,8 +213,16 @@ def calls_of(name: str) -> dict[str, Call]:
     change = x0[model.n_q :]
     calls.add("coordinate_change", model.coordinate_change, **state, change=change, **values, may_be_nan=True)
     held = {"accelerations": acceleration, "multipliers": multipliers}
-    for function in ("outputs_for", "sensitivities", "state_rates_for", "state_rate_sensitivity"):
+    for function in (
+        "outputs_for",
+        "output_sensitivities",
+        "sensitivities",
+        "state_rates_for",
+        "state_rate_sensitivity",
+    ):
         calls.add(function, getattr(model, function), **state, **held, **values, may_be_nan=True)
+    forces = multipliers[model.n_c :]
+    calls.add("unknown_forces", model.unknown_forces, **state, forces=forces, **values, may_be_nan=True)
     calls.add("default_inputs", model.default_inputs, t=0.3, p=p, may_be_nan=True)
     calls.add("parameter_vector", model.parameter_vector, p=p)
     states, inputs = np.tile(x0[:, np.newaxis], 3), np.tile(r[:, np.newaxis], 3)

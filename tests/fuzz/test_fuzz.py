@@ -76,7 +76,7 @@ def test_wrong_equations_are_found(monkeypatch):
 
         class Wrong:
             parameters = compiled.parameters
-            jacobian = compiled.jacobian
+            jacobian, output, output_jacobian = compiled.jacobian, compiled.output, compiled.output_jacobian
 
             def rhs(self, *arguments):
                 return compiled.rhs(*arguments) * (1 + 1e-9)

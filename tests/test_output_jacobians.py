@@ -139,8 +139,9 @@ def test_linear_form_with_outputs():
         np.testing.assert_array_equal(one, other)
     with pytest.raises(fb.ModelError, match="no output 'pressure'; there are tension, acceleration, height"):
         model.linearize(0.0, state, outputs=["pressure"])
-    with pytest.raises(fb.ModelError, match="sequence of names"):
-        model.linearize(0.0, state, outputs="tension")
+    for wrong in ("tension", 5):
+        with pytest.raises(fb.ModelError, match="sequence of names"):
+            model.linearize(0.0, state, outputs=wrong)
 
 
 def test_modules_that_are_shipped_have_them(tmp_path):
@@ -161,3 +162,9 @@ def test_multipliers_of_redundant_constraints_have_none():
     with pytest.raises(fb.ModelError, match="outputs tension contain multipliers, which redundant constraints leave"):
         model.output_jacobian(0.0, [0.3, -0.4, 0.8, 0.6])
     model.jacobian(0.0, [0.3, -0.4, 0.8, 0.6])
+    # Of outputs without multipliers there is a linear form: y = -sqrt(l^2 - x^2).
+    *_, C, D = model.linearize(0.0, [0.3, -0.4, 0.8, 0.6], outputs=["height"])
+    np.testing.assert_allclose(C, [[0.3 / 0.4, 0.0]], atol=1e-12)
+    assert not D.any()
+    with pytest.raises(fb.ModelError, match="outputs tension contain"):
+        model.linearize(0.0, [0.3, -0.4, 0.8, 0.6], outputs=["height", "tension"])

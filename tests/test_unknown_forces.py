@@ -46,7 +46,7 @@ def box(friction, *, floor=0, push=0, name="box"):
 
 def model_of(made, **more):
     system, values, initial, name = made
-    return fb.Model(system, name=name, parameters=values, initial=initial, **more)
+    return fb.Model(system, name=name, parameters=values, initial=initial, extra="ignore", **more)
 
 
 def compiled(made, **more):
@@ -138,6 +138,126 @@ def test_a_force_that_is_not_linear_in_the_normal_force():
     expected = -friction * slope / 2.0 + 0.3 * n / (1 + 0.01 * n**2) / 4.0
     derivative = model.parameter_jacobian(0.0, [0.0, 4.0])[1, model.parameters.index("m")]
     assert derivative == pytest.approx(expected, rel=1e-12)
+
+
+N_OF = 2.0 * 9.81  # of the block, where nothing else acts upwards
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        # Jumps and steps, of which derivatives know nothing.
+        lambda n: MU * n + 5 * sm.Heaviside(n - 15),
+        lambda n: 3 * sm.sign(n),
+        lambda n: MU * n + sm.floor(n / 5),
+        lambda n: sm.Piecewise((MU * n, n < 15), (MU * n + 5, True)),
+        lambda n: sm.Piecewise((0, n <= 0), (3, True)),
+        # No slope, or no value, at 0.
+        lambda n: MU * n ** sm.Rational(9, 10),
+        lambda n: sm.sqrt(n),
+        lambda n: sm.log(n),
+        lambda n: sm.sqrt((MU * n) ** 2 - 1),
+        lambda n: MU * n * sm.sin(1.3 * sm.atan(50 / (0.39 * n))),  # H. B. Pacejka's formula, B = C_a / (C mu n)
+    ],
+)
+def test_laws_of_all_kinds(law):
+    """Of a known normal force: the law itself, evaluated by SymPy."""
+    model = compiled(box(lambda n, u: -law(n), name="lawful"))
+    n = sm.Symbol("n")
+    expected = -float(law(n).subs({n: N_OF, MU: 0.3})) / 2.0
+    assert model.rhs(0.0, [0.0, 4.0])[1] == pytest.approx(expected, rel=1e-13)
+    assert model.output(0.0, [0.0, 4.0])[0] == pytest.approx(N_OF, rel=1e-13)
+    run = model.simulate((0.0, 0.1), rtol=1e-9)
+    assert run["u"][-1] == pytest.approx(4.0 + 0.1 * expected, rel=1e-12)
+
+
+def test_jumps_in_reactions():
+    """A force that does no work in the motion, and stands in the loads with a step of itself."""
+    system, values, initial, _ = box(lambda n, u: 0 * n)
+    block, normal = system.bodies[0].masscenter, me.dynamicsymbols("N")
+    system.add_loads(me.Force(block, -5 * sm.Heaviside(normal - 15) * system.frame.y))
+    assert compiled((system, values, initial, "stepped")).output(0.0, [0.0, 4.0])[0] == pytest.approx(N_OF + 5.0)
+
+
+def table(friction, name):
+    """A block on two legs that slides, with friction at both: heave and pitch are auxiliary speeds."""
+    q, u, w, turn, front, rear = me.dynamicsymbols("q u w omega N_1 N_2")
+    a, b, h = sm.symbols("a b h")
+    ground, body = me.ReferenceFrame("N"), me.ReferenceFrame("B")
+    origin, centre = me.Point("O"), me.Point("C")
+    origin.set_vel(ground, 0)
+    body.orient_axis(ground, ground.z, 0)
+    body.set_ang_vel(ground, turn * ground.z)
+    centre.set_pos(origin, q * ground.x + h * ground.y)
+    centre.set_vel(ground, u * ground.x + w * ground.y)
+    loads = []
+    for leg, place, force in (("F", a, front), ("R", -b, rear)):
+        foot = centre.locatenew(leg, place * ground.x - h * ground.y)
+        foot.v2pt_theory(centre, ground, body)
+        loads.append(me.Force(foot, force * ground.y - friction(force) * ground.x))
+    block = me.RigidBody("block", centre, body, M, (me.inertia(body, 0, 0, J), centre))
+    system = system_of(
+        block, coordinates=[q], speeds=[u], auxiliary=[w, turn], loads=loads, frame=ground, origin=origin
+    )
+    return system, {G: 9.81, M: 2.0, MU: 0.3, J: 0.1, a: 0.4, b: 0.7, h: 0.25}, {q: 0.0, u: 1.0}, name
+
+
+def test_several_contacts_with_friction_of_absolute_normal_forces():
+    """Against all ways to give the two forces signs: N_1 + N_2 = m g, and moments about the mass centre."""
+    model = compiled(table(lambda n: MU * sm.Abs(n), "table"))
+    generator, found = np.random.default_rng(0), {0: 0, 1: 0, 2: 0}
+    for a, b, h in generator.uniform(0.1, 1.0, (300, 3)):
+        solutions = []
+        for signs in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+            moments = [a - 0.3 * h * signs[0], -b - 0.3 * h * signs[1]]
+            n = np.linalg.solve([[1.0, 1.0], moments], [N_OF, 0.0])
+            if (n * signs >= 0.0).all():
+                solutions.append(n)
+        found[len(solutions)] += 1
+        arguments = (0.0, [0.0, 1.0], {"a": a, "b": b, "h": h})
+        if solutions:
+            n = model.output(*arguments)
+            assert any(np.allclose(n, solution, rtol=1e-11, atol=1e-11) for solution in solutions)
+            assert model.rhs(*arguments)[1] == pytest.approx(-0.3 * np.abs(n).sum() / 2.0, rel=1e-12)
+        else:
+            with pytest.raises(fb.SimulationError, match="No unknown forces were found"):
+                model.rhs(*arguments)
+    assert found[1] > 280
+    assert found[0] > 0
+
+
+@pytest.mark.parametrize("law", [lambda n: 30 * sm.tanh(n / 100), lambda n: MU * n * (1 - n / 100)])
+def test_several_contacts_with_smooth_laws(law):
+    model = compiled(table(law, "smooth_table"))
+    n = np.array(model.output(0.0, [0.0, 1.0]))
+    friction = sm.lambdify([sm.Symbol("n"), MU], law(sm.Symbol("n")))(n, 0.3)
+    assert n.sum() == pytest.approx(N_OF, rel=1e-12)
+    assert 0.4 * n[0] - 0.7 * n[1] - 0.25 * friction.sum() == pytest.approx(0.0, abs=1e-11)
+
+
+def test_unknown_forces_of_very_different_units():
+    """One in units of 1e-15: pivots are judged by the terms of their rows and columns."""
+    system, values, initial, _ = table(lambda n: MU * n, "units")
+    expected = compiled((system, values, initial, "units")).rhs(0.0, [0.0, 1.0])
+    system, *_ = table(lambda n: MU * n, "units")
+    rear = me.dynamicsymbols("N_2")
+    scaled = [me.Force(load.point, load.force.subs(rear, 1e15 * rear)) for load in system.loads]
+    system.loads = scaled
+    found = compiled((system, values, initial, "other_units")).rhs(0.0, [0.0, 1.0])
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+def test_unknown_forces_where_they_cannot_stand():
+    normal = me.dynamicsymbols("N")
+    system, values, initial, _ = box(lambda n, u: -MU * n)
+    with pytest.raises(
+        fb.ModelError, match="unknown forces N stand in what makes the energies: they may stand in loads"
+    ):
+        fb.generate_sources(fb.Model(system, parameters=values, initial=initial, potential_energy=normal * 2))
+    point = system.bodies[0].masscenter
+    point.set_vel(system.frame, point.vel(system.frame) * (1 + normal))
+    with pytest.raises(fb.ModelError, match="unknown forces N stand in what makes the"):
+        fb.generate_sources(fb.Model(system, parameters=values, initial=initial))
 
 
 def rod(friction, name):

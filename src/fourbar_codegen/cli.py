@@ -333,6 +333,11 @@ def info(model: str) -> None:
     click.echo("inputs:")
     for entry in manifest["inputs"]:
         click.echo(f"  {entry['name']:<8} {entry['expression'] or 'no expression'}")
+    driving = compiled.outputs[: compiled.n_l - compiled.n_c]
+    if driving:
+        click.echo(f"unknown forces that drive the motion: {', '.join(driving)}")
+    if compiled.outputs:
+        click.echo(f"outputs: {', '.join(compiled.outputs)}")
     click.echo("operations (written out in full):")
     for function, count in manifest["operations"].items():
         click.echo(f"  {function:<22} {count:>7} ({manifest['operations_before_sharing'][function]:.4g})")

@@ -177,7 +177,8 @@ class Calls:
 NOT_FOR_USERS = {
     "breakpoints", "capsule", "default_input_sensitivity", "defaults_in_force", "failure", "find", "from_file",
     "from_loaded", "has_inputs", "input_values", "lacks_batch_functions", "lacks_derivatives", "missing",
-    "parameter_values", "rates_at_rest", "require_batch_functions", "require_derivatives", "too_few_dependent",
+    "parameter_values", "rates_at_rest", "require_batch_functions", "require_derivatives",
+    "require_output_derivatives", "too_few_dependent",
 }  # fmt: skip
 """Names of `CompiledModel` by which parts of the package speak to each other."""
 
@@ -194,7 +195,7 @@ def calls_of(name: str) -> dict[str, Call]:
     for function in (
         "rhs", "jacobian", "parameter_jacobian", "input_jacobian", "accelerations", "forcing", "tree_forcing",
         "velocity_constraints", "multipliers", "output", "output_jacobian", "output_parameter_jacobian",
-        "output_input_jacobian", "kinetic_energy", "potential_energy", "linearize",
+        "output_input_jacobian", "output_derivatives", "kinetic_energy", "potential_energy", "linearize",
     ):  # fmt: skip
         calls.add(function, getattr(model, function), **state, **values)
     # What these are made of, as it comes.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -48,18 +48,20 @@ def linearize(
     independent = rates[[*range(n_qi), *range(n_q, n_q + n_ui), *range(n_q + model.n_u, model.n_x)]]
     if rows is None:
         return independent[:, :n_i], independent[:, n_i:]
-    dy = (model.output_jacobian(t, state, p, r) @ dx + model.output_input_jacobian(t, state, p, r) @ dr)[rows]
+    by_state, by_inputs = model.output_derivatives(t, state, p, r)
+    dy = (by_state @ dx + by_inputs @ dr)[rows]
     return independent[:, :n_i], independent[:, n_i:], dy[:, :n_i], dy[:, n_i:]
 
 
 def _rows(model: Kernel, outputs: Sequence[Any]) -> list[int]:
     """The places of outputs, given by name or as SymPy's functions of time."""
-    if isinstance(outputs, str):
+    if isinstance(outputs, str) or not isinstance(outputs, Iterable):
         raise ModelError(f"outputs must be a sequence of names, not {shown(outputs)}.")
     names = [name_of(output) for output in outputs]
     for name in names:
         if name not in model.outputs:
             raise ModelError(f"There is no output {name!r}; there are {', '.join(model.outputs) or 'none'}.")
+    model.require_output_derivatives(names)
     return [model.outputs.index(name) for name in names]
 
 

@@ -32,7 +32,7 @@ from fourbar_codegen.dynamics.kane import Kane
 from fourbar_codegen.dynamics.kinematic_equations import solve_kinematics
 from fourbar_codegen.dynamics.kinematics import Kinematics
 from fourbar_codegen.dynamics.random_states import RandomStates
-from fourbar_codegen.dynamics.unknown_forces import form_unknown_forces
+from fourbar_codegen.dynamics.unknown_forces import form_generalized_forces, form_unknown_forces
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.expressions.breakpoints import breakpoints
 from fourbar_codegen.expressions.convert import Conversion, substitute
@@ -48,6 +48,13 @@ __all__ = ["Equations", "check_velocity_constraints", "form_equations", "matrix"
 MOTIONS = 5
 ROUNDED = 1e-9
 """What terms that cancel may leave of their size: states satisfy the constraints to some 1e-12."""
+
+
+WITH_FORCES = frozenset(
+    {"outputs", "state_rates", "residual", "force_effect", "force_effect_jacobian", "auxiliary_forcing"}
+    | {"auxiliary_forcing_jacobian"}
+)
+"""The results that unknown forces which drive the motion may stand in."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +102,8 @@ class Equations:
     auxiliary_forcing, auxiliary_forcing_jacobian, auxiliary_mass, auxiliary_constraint_jacobian : Result
         Q(n), (n_n,), dQ/dn, (n_n, n_n), M_a, (n_n, n_u), and J_a^T, (n_n, n_c), of the auxiliary speeds' rows
         Q - M_a u' + J_a^T lambda = 0; none where no unknown force drives the motion.
+    forces_are_linear : bool
+        Whether these forces stand linearly in F and Q.
     position_constraints, position_jacobian : Result
         Phi, (n_h,), and dPhi/dq, (n_h, n_q).
     position_formulas : dict
@@ -161,6 +170,7 @@ class Equations:
     auxiliary_forcing_jacobian: Result
     auxiliary_mass: Result
     auxiliary_constraint_jacobian: Result
+    forces_are_linear: bool
     position_constraints: Result
     position_jacobian: Result
     position_formulas: dict[str, Any]
@@ -223,12 +233,9 @@ def form_equations(model: Model) -> Equations:
     kane = Kane(tape, kinematics, virtual, v.u, v.aux, rate)
     kane.use_poisson_rates([rate, total_rate])
     mass_matrix = kane.mass_matrix()
-    # f, and f - M u' with the rows of the auxiliary speeds last; the unknown forces, which those bring out, apart.
-    no_unknown = dict.fromkeys(v.unknown, tape.zero)
-    at_rest = kane.generalized_forces(rate)
-    forcing = substitute(tape, at_rest[: len(v.u)], no_unknown)
-    with_unknown = kane.generalized_forces(total_rate)
-    balance = substitute(tape, with_unknown, no_unknown)
+    # f, and f - M u' with the rows of the auxiliary speeds last.
+    generalized = form_generalized_forces(kane, rate, total_rate, v.unknown)
+    forcing, balance = generalized.known[: len(v.u)], [*generalized.balance]
     not_orthonormal = kinematics.not_orthonormal()
     if not_orthonormal:
         # Off the norm of a quaternion, sums that go by other frames are others: derivatives are to be those of M and f.
@@ -236,7 +243,7 @@ def form_equations(model: Model) -> Equations:
             tape.sum([force, *(-(entry * a) for entry, a in zip(row, v.a, strict=True))])
             for force, row in zip(forcing, mass_matrix, strict=True)
         ]
-    if tape.depends([*chain(*mass_matrix), *with_unknown], v.aux):
+    if tape.depends([*chain(*mass_matrix), *balance, *generalized.acting], v.aux):
         raise ModelError("Velocities must be linear in the auxiliary speeds.")
 
     formed = tape.reach([*q_rates, *chain(*mass_matrix), *forcing])
@@ -247,7 +254,7 @@ def form_equations(model: Model) -> Equations:
     dynamic = [row + reaction for row, reaction in zip(balance[: len(v.u)], reactions, strict=False)]
     kinematic = [-total_rate(expr) for expr in constraints.velocities]
 
-    forces = form_unknown_forces(tape, model, v.unknown, v.a, constraints, at_rest, with_unknown, balance, reactions)
+    forces = form_unknown_forces(tape, model, v.unknown, v.a, constraints, generalized, reactions)
     # From here on the unknown forces stand for themselves no more, but for those that drive the motion.
     leaves.update(zip(model.noncontributing, forces.values, strict=False))
     dynamic = [row + force for row, force in zip(dynamic, forces.effect, strict=True)]
@@ -306,11 +313,12 @@ def form_equations(model: Model) -> Equations:
         _vector("invariant_correction", corrections.coordinate_change),
         _vector("coordinate_change", map(Jvp(tape, dict(zip(v.u, v.a, strict=True))), q_rates)),
         _vector("energies", energies),
-        _vector("power", substitute(tape, [kane.power()], no_unknown)),
+        _vector("power", [generalized.power]),
         matrix("points", points, 3),
         matrix("forces", list(applied.values()), 3),
         _vector("residual", (*dynamic, *kinematic, *forces.rows, *state_rates)),
     ]
+    _check_places(tape, model, v.unknown, results)
     entries = [*chain.from_iterable(result.entries for result in results)]
     closing = (*constraints.positions, *constraints.velocities)
     inputs = _inputs(tape, model, v, entries, closing)
@@ -349,6 +357,7 @@ def form_equations(model: Model) -> Equations:
         moving=tuple(place for place, leaf in enumerate(inputs) if leaf.node in moved),
         accelerations=v.a,
         multipliers=(*lam, *forces.driving),
+        forces_are_linear=generalized.are_linear,
         n_dependent_speeds=mechanism.n_dependent_speeds,
         velocity_constraints_derived=mechanism.velocity_constraints_derived,
         position_rows=corrections.rows,
@@ -454,6 +463,16 @@ def _values(model: Model, v: _Variables) -> dict[Scalar, float]:
     values = {leaf: model.parameters[name].value for leaf, name in zip(v.p, model.parameters, strict=True)}
     values.update((leaf, model.initial.get(name)) for leaf, name in zip(v.q, model.coordinates, strict=True))
     return {leaf: float(value) for leaf, value in values.items() if value is not None}
+
+
+def _check_places(tape: Tape, model: Model, unknown: Sequence[Scalar], results: Sequence[Result]) -> None:
+    """Raise where unknown forces stand in what is evaluated before they are known."""
+    for result in results:
+        if result.name not in WITH_FORCES and tape.depends(result.entries, unknown):
+            raise ModelError(
+                f"The unknown forces {', '.join(str(f.func) for f in model.noncontributing)} stand in what makes the "
+                f"{result.name.replace('_', ' ')}: they may stand in loads, state equations and outputs."
+            )
 
 
 def _input_rates(model: Model, v: _Variables) -> dict[Scalar, Scalar]:

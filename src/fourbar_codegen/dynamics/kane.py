@@ -28,7 +28,7 @@ from fourbar_codegen.dynamics.kinematics import (
 from fourbar_codegen.expressions.derivatives import Jvp, vjp
 from fourbar_codegen.expressions.identities import is_zero
 from fourbar_codegen.expressions.tape import Scalar, Tape
-from fourbar_codegen.modeling.system_reader import Body, Mechanism
+from fourbar_codegen.modeling.system_reader import Body, Load, Mechanism
 
 __all__ = ["Kane", "loads_power"]
 
@@ -160,7 +160,9 @@ class Kane:
                         terms[r, s].append(dot(momenta[s], turns[r]))
         return {pair: known.get(pair) or self.tape.sum(entry) for pair, entry in terms.items()}
 
-    def generalized_forces(self, rate: Jvp) -> list[Scalar]:
+    def generalized_forces(
+        self, rate: Jvp, loads: Sequence[Load] | None = None, *, inertia: bool = True
+    ) -> list[Scalar]:
         """The forces of loads and of inertia, shape (n_u + n_aux,): f, or f - M u' for given u'.
 
         The sum of (F - P*) . v_r + (T - H*) . w_r over the bodies, P* and H* the rates of momentum. The rows of the
@@ -170,6 +172,10 @@ class Kane:
         ----------
         rate : Jvp
             Differentiation with respect to time: with u' = 0, or given u'.
+        loads : sequence of Load, optional
+            Some of the mechanism's; all of them otherwise.
+        inertia : bool, optional
+            Whether the forces of inertia count, or the loads alone.
 
         Source: Kane and Levinson 1985, sections 4.4 (active forces), 4.9 (noncontributing ones) and 4.11 (inertia
         forces). What is common to the bodies beyond a point is added up before it is projected, from the ends
@@ -179,7 +185,7 @@ class Kane:
         kinematics, virtual = self.kinematics, self.virtual
         forces: list[list[tuple[int, Components]]] = [[] for _ in self.mechanism.points]
         projections: list[tuple[Scalar, Scalar]] = []  # velocities, and what acts along them
-        for load in self.mechanism.loads:
+        for load in self.mechanism.loads if loads is None else loads:
             vector = kinematics.vector(load.vector)
             if load.kind == "force":
                 forces[load.target] += vector
@@ -188,15 +194,16 @@ class Kane:
                 projections += zip(virtual.angular_velocity(load.target), torque, strict=True)
 
         accelerations = Accumulated(kinematics, functools.partial(kinematics.derivative, rate))
-        for body, mass, inertia in zip(self.mechanism.bodies, self._masses, self._inertias, strict=True):
+        bodies = zip(self.mechanism.bodies, self._masses, self._inertias, strict=True)
+        for body, mass, central in bodies if inertia else ():
             forces[body.point] += _scaled(-mass, accelerations(body.point))
             mass_rate = rate(mass)
             if mass_rate:
                 forces[body.point] += _scaled(-mass_rate, kinematics.velocity(body.point))
-            if inertia is not None:
+            if central is not None:
                 assert body.frame is not None
-                torque = kinematics.derivative(rate, inertia.frame, inertia.momentum)
-                virtual_velocity = virtual.angular_velocity_in(body.frame, inertia.frame)
+                torque = kinematics.derivative(rate, central.frame, central.momentum)
+                virtual_velocity = virtual.angular_velocity_in(body.frame, central.frame)
                 projections += zip(virtual_velocity, negative(torque), strict=True)
         for point in reversed(range(len(forces))):
             total = merged(forces[point])
@@ -210,8 +217,8 @@ class Kane:
                 projections += zip(components, kinematics.express(total, frame), strict=True)
         return vjp(self.tape, projections, (*self.speeds, *self.auxiliary))
 
-    def power(self) -> Scalar:
-        """The sum of F . v + T . w over the loads; NaN where it is not what changes the kinetic energy.
+    def power(self, loads: Sequence[Load] | None = None) -> Scalar:
+        """The sum of F . v + T . w over all loads, or some; NaN where it is not what changes the kinetic energy.
 
         That is where a mass varies, a frame does not turn as its angular velocity says, or a body's inertia is given in
         a frame that may turn within the body.
@@ -221,7 +228,7 @@ class Kane:
         is_consistent = len(kinematics.turning_as_oriented) == len(self.mechanism.frames)
         if not (within and is_consistent) or any(map(self.rate, self._masses)):
             return self.tape.number(float("nan"))
-        return loads_power(kinematics)
+        return loads_power(kinematics, self.mechanism.loads if loads is None else loads)
 
     def kinetic_energy(self) -> Scalar:
         """The sum of m v.v / 2 + w.I.w / 2 over the bodies."""
@@ -281,10 +288,10 @@ class Kane:
         return _Inertia(body.inertia_frame, matrix, angular_velocity, multiply(matrix, angular_velocity))
 
 
-def loads_power(kinematics: Kinematics) -> Scalar:
-    """The sum of F . v + T . w over the loads of a mechanism."""
+def loads_power(kinematics: Kinematics, loads: Sequence[Load]) -> Scalar:
+    """The sum of F . v + T . w over loads."""
     terms = []
-    for load in kinematics.mechanism.loads:
+    for load in loads:
         vector = kinematics.vector(load.vector)
         if load.kind == "force":
             terms.append(kinematics.dot(vector, kinematics.velocity(load.target)))

@@ -18,7 +18,7 @@ import sympy as sm
 from sympy.core.function import AppliedUndef
 
 from fourbar_codegen.dynamics.constraints import Constraints
-from fourbar_codegen.dynamics.kane import loads_power
+from fourbar_codegen.dynamics.kane import Kane, loads_power
 from fourbar_codegen.dynamics.kinematics import Kinematics
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.expressions.convert import Conversion, substitute
@@ -29,7 +29,13 @@ from fourbar_codegen.expressions.tape import Scalar, Tape
 from fourbar_codegen.modeling.model import Model
 from fourbar_codegen.modeling.system_reader import Mechanism, walk
 
-__all__ = ["UnknownForces", "forces_along_auxiliary_speeds", "form_unknown_forces"]
+__all__ = [
+    "GeneralizedForces",
+    "UnknownForces",
+    "forces_along_auxiliary_speeds",
+    "form_generalized_forces",
+    "form_unknown_forces",
+]
 
 
 @dataclass(frozen=True)
@@ -83,8 +89,93 @@ def forces_along_auxiliary_speeds(mechanism: Mechanism, candidates: Sequence[sm.
     rates = {leaves[q]: leaves[q.diff(t)] for q in mechanism.coordinates}
     kinematics = Kinematics(tape, mechanism, Conversion(tape, leaves), Jvp(tape, {leaves[t]: tape.one, **rates}))
     auxiliary = [leaves[w] for w in mechanism.auxiliary_speeds if w in leaves]
-    [gradient] = jacobian(tape, [loads_power(kinematics)], auxiliary)
+    [gradient] = jacobian(tape, [loads_power(kinematics, mechanism.loads)], auxiliary)
     return tuple(f for f in candidates if tape.depends(gradient, [leaves[f]]))
+
+
+@dataclass(frozen=True)
+class GeneralizedForces:
+    """Kane's rows, those of the speeds and then of the auxiliary ones, with what unknown forces add to them apart.
+
+    Attributes
+    ----------
+    known : tuple of Scalar
+        f without the unknown forces.
+    balance : tuple of Scalar
+        f - M u' without them.
+    acting : tuple of Scalar
+        What they add.
+    power : Scalar
+        Of the loads without them; see `Kane.power`.
+    are_linear : bool
+        Whether they act linearly.
+    """
+
+    known: tuple[Scalar, ...]
+    balance: tuple[Scalar, ...]
+    acting: tuple[Scalar, ...]
+    power: Scalar
+    are_linear: bool
+
+
+def form_generalized_forces(kane: Kane, rate: Jvp, total_rate: Jvp, unknown: Sequence[Scalar]) -> GeneralizedForces:
+    """The generalized forces of loads and of inertia.
+
+    Loads that unknown forces do not stand in linearly may have no value where these are zero: all of such a load is
+    what the unknown forces add.
+
+    Parameters
+    ----------
+    kane : Kane
+    rate, total_rate : Jvp
+        Differentiation with respect to time, with u' = 0 and with u' given.
+    unknown : sequence of Scalar
+        The leaves of the unknown forces.
+    """
+    tape, kinematics = kane.tape, kane.kinematics
+    rows, moving = kane.generalized_forces(rate), kane.generalized_forces(total_rate)
+    if not unknown:
+        return GeneralizedForces(tuple(rows), tuple(moving), (tape.zero,) * len(rows), kane.power(), True)
+    gradients = jacobian(tape, rows, unknown)
+    if _are_linear(tape, rows, gradients, unknown):
+        none = dict.fromkeys(unknown, tape.zero)
+        acting = [
+            tape.sum([slope * force for slope, force in zip(gradient, unknown, strict=True)]) for gradient in gradients
+        ]
+        known, balance = substitute(tape, rows, none), substitute(tape, moving, none)
+        [power] = substitute(tape, [kane.power()], none)
+        return GeneralizedForces(tuple(known), tuple(balance), tuple(acting), power, True)
+    loads = kane.mechanism.loads
+    of_unknown = [
+        tape.depends([e for _, components in kinematics.vector(load.vector) for e in components], unknown)
+        for load in loads
+    ]
+    others = [load for load, depends in zip(loads, of_unknown, strict=True) if not depends]
+    those = [load for load, depends in zip(loads, of_unknown, strict=True) if depends]
+    return GeneralizedForces(
+        tuple(kane.generalized_forces(rate, others)),
+        tuple(kane.generalized_forces(total_rate, others)),
+        tuple(kane.generalized_forces(rate, those, inertia=False)),
+        kane.power(others),
+        False,
+    )
+
+
+def _are_linear(
+    tape: Tape, rows: Sequence[Scalar], gradients: Sequence[Sequence[Scalar]], unknown: Sequence[Scalar]
+) -> bool:
+    """Whether rows are linear in the unknown forces: by their derivatives, which know of no jumps, and their values."""
+    if tape.depends([*chain(*gradients)], unknown):
+        return False
+    try:
+        at_zero = substitute(tape, rows, dict.fromkeys(unknown, tape.zero))
+    except (ArithmeticError, ModelError):  # they have no value there
+        return False
+    left = [
+        tape.sum([row, -rest, *(-slope * force for slope, force in zip(gradient, unknown, strict=True))])
+        for row, rest, gradient in zip(rows, at_zero, gradients, strict=True)
+    ]
+    return all(is_zero(tape, left))
 
 
 def form_unknown_forces(
@@ -93,9 +184,7 @@ def form_unknown_forces(
     unknown: tuple[Scalar, ...],
     accelerations: Sequence[Scalar],
     constraints: Constraints,
-    at_rest: Sequence[Scalar],
-    moving: Sequence[Scalar],
-    balance: Sequence[Scalar],
+    generalized: GeneralizedForces,
     reactions: Sequence[Scalar],
 ) -> UnknownForces:
     """What auxiliary speeds bring out, by the rows of Kane's equations: the speeds', then the auxiliary ones'.
@@ -107,10 +196,7 @@ def form_unknown_forces(
     unknown, accelerations : sequence of Scalar
         The leaves of the unknown forces and of u'.
     constraints : Constraints
-    at_rest, moving : sequence of Scalar
-        f, and f - M u', with the unknown forces.
-    balance : sequence of Scalar
-        f - M u' without them.
+    generalized : GeneralizedForces
     reactions : sequence of Scalar
         J^T lambda.
 
@@ -120,37 +206,35 @@ def form_unknown_forces(
         If an unknown force does no work at any auxiliary speed.
     """
     mechanism, n_u = model.mechanism, len(accelerations)
-    gradients = jacobian(tape, moving, unknown)
-    columns = [[gradient[i] for gradient in gradients] for i in range(len(unknown))]
-    is_linear = not tape.depends([*chain(*columns)], unknown)
+    balance, acting = generalized.balance, generalized.acting
     rest = [row + reaction for row, reaction in zip(balance[n_u:], reactions[n_u:], strict=True)]
     if not unknown:
         return _reactions(tape, [-row for row in rest], n_u)
-    if is_linear:
+    gradients = jacobian(tape, acting, unknown)
+    columns = [[gradient[i] for gradient in gradients] for i in range(len(unknown))]
+    if generalized.are_linear:
         found = _noncontributing(tape, columns, constraints, rest, n_u - mechanism.n_dependent_speeds)
         if found is not None:
             return _reactions(tape, found, n_u)
-    idle = [str(f.func) for f, column in zip(model.noncontributing, columns, strict=True) if not any(column[n_u:])]
+    idle = [
+        str(f.func)
+        for f, leaf in zip(model.noncontributing, unknown, strict=True)
+        if not tape.depends(acting[n_u:], [leaf])
+    ]
     if idle:
         raise ModelError(
             f"The unknown forces {', '.join(idle)} do not follow from the auxiliary speeds "
             f"{', '.join(str(w.func) for w in mechanism.auxiliary_speeds)}: at none of these do they do work. Forces "
             "that are known are named in inputs=."
         )
-    if is_linear:
-        pairs = [*zip(unknown, columns, strict=True)]
-        effect = [tape.sum([force * column[i] for force, column in pairs]) for i in range(n_u)]
-    else:
-        without = substitute(tape, at_rest[:n_u], dict.fromkeys(unknown, tape.zero))
-        effect = [tape.sum([a, -b]) for a, b in zip(at_rest[:n_u], without, strict=True)]
     return UnknownForces(
         unknown,
         unknown,
-        tuple(effect),
-        tuple(at_rest[n_u:]),
+        tuple(acting[:n_u]),
+        tuple(row + force for row, force in zip(generalized.known[n_u:], acting[n_u:], strict=True)),
         tuple(tuple(-entry for entry in row) for row in jacobian(tape, balance[n_u:], accelerations)),
         tuple(zip(*constraints.auxiliary_jacobian, strict=True)) or ((),) * len(unknown),
-        tuple(row + reaction for row, reaction in zip(moving[n_u:], reactions[n_u:], strict=True)),
+        tuple(row + force for row, force in zip(rest, acting[n_u:], strict=True)),
     )
 
 

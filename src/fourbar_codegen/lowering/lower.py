@@ -181,9 +181,7 @@ def lower(name: str, equations: Equations) -> Program:
         structure=structure,
         states_need_solution=e.tape.depends(e.state_rates.entries, (*e.accelerations, *e.multipliers)),
         states_need_multipliers=states_need_multipliers,
-        forces_are_linear=not e.tape.depends(
-            [*e.force_effect_jacobian.entries, *e.auxiliary_forcing_jacobian.entries], unknown
-        ),
+        forces_are_linear=e.forces_are_linear,
     )
 
 

@@ -146,6 +146,10 @@ class Evaluator:
         p: Values | None = None,
         r: Values | None = None,
     ) -> list[Floats]: ...
+    def require_output_derivatives(self, names: Sequence[str]) -> None: ...
+    def output_derivatives(
+        self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None
+    ) -> tuple[Floats, Floats]: ...
     def output_sensitivities(
         self,
         t: float,

@@ -577,6 +577,7 @@ cdef class Evaluator:
         >>> four_bar.output_jacobian(0.0, four_bar.initial_state()).shape
         (0, 6)
         """
+        self.require_output_derivatives(self.manifest["outputs"])
         t = time_of(t)
         cdef const fb_derivatives *derivatives = self.derivatives()
         return self._differentiate_outputs(
@@ -608,6 +609,7 @@ cdef class Evaluator:
         >>> four_bar.output_parameter_jacobian(0.0, four_bar.initial_state()).shape
         (0, 8)
         """
+        self.require_output_derivatives(self.manifest["outputs"])
         t = time_of(t)
         cdef const fb_derivatives *derivatives = self.derivatives()
         cdef cnp.ndarray result = self._differentiate_outputs(
@@ -643,18 +645,32 @@ cdef class Evaluator:
         >>> four_bar.output_input_jacobian(0.0, four_bar.initial_state()).shape
         (0, 1)
         """
+        self.require_output_derivatives(self.manifest["outputs"])
         t = time_of(t)
         cdef const fb_derivatives *derivatives = self.derivatives()
         return self._differentiate_outputs(
             derivatives.input_sensitivity, derivatives.output_input_sensitivity, self.n_r, t, x, p, r)
 
+    def require_output_derivatives(self, names):
+        """Raise a ModelError where redundant constraints leave the derivatives of some of these outputs open."""
+        left_open = [name for name in names if name in self.manifest["open_outputs"]]
+        if left_open:
+            raise ModelError(
+                f"The outputs {', '.join(left_open)} contain multipliers, which redundant constraints leave open, and "
+                "with them their derivatives: leave the redundant ones out.")
+
+    def output_derivatives(self, t, x, p=None, r=None):
+        """The derivatives of all outputs by state and by inputs, two arrays; see `require_output_derivatives`."""
+        t = time_of(t)
+        cdef const fb_derivatives *derivatives = self.derivatives()
+        by_state = self._differentiate_outputs(
+            derivatives.sensitivity, derivatives.output_sensitivity, self.n_x, t, x, p, r)
+        return by_state, self._differentiate_outputs(
+            derivatives.input_sensitivity, derivatives.output_input_sensitivity, self.n_r, t, x, p, r)
+
     cdef cnp.ndarray _differentiate_outputs(
             self, fb_sensitivity *function, fb_output_sensitivity *outputs, int columns, double t, x, p, r):
         """dy = y_x dx + y_u' du' + y_lambda dlambda; the equations have du' and dlambda."""
-        if self.manifest["open_outputs"]:
-            raise ModelError(
-                f"The outputs {', '.join(self.manifest['open_outputs'])} contain multipliers, which redundant "
-                "constraints leave open, and with them their derivatives: leave the redundant ones out.")
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)

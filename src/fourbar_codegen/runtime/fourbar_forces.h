@@ -6,8 +6,8 @@
  * With the factors of M and J, u' = a + A dn and lambda = l + L dn for a change dn of the forces: a column of A and L
  * is the solution for one of F_n. What is left of the auxiliary speeds' rows changes by G dn, G = Q_n - M_a A + J_a^T
  * L, which is as small as there are forces, and not symmetric. Where F and Q are linear, a step of Newton's method from
- * n = 0 is the solution; otherwise it is found by more of them, from there and nowhere else, so that x' is a function
- * of the state alone.
+ * n = 0 is the solution; otherwise it is found by more of them, from there or other forces that are always the same, so
+ * that x' is a function of the state alone.
  *
  * Included by fourbar_model.h, where the model has such forces.
  *
@@ -21,10 +21,10 @@
 #define FB_BALANCED 1e-13
 /* ... or where rounding errors allow no better, to this one. */
 #define FB_NEARLY_BALANCED 1e-9
-/* Forces are not determined where a pivot of G, its rows in units of their terms, is smaller. */
+/* Forces are not determined where a pivot of G, its rows and columns in units of their terms, is smaller. */
 #define FB_UNDETERMINED 1e-12
 /* Iterations, and those that may be steps away from the balance: over the kink of an absolute value, as a rule. */
-enum { FB_MAX_STEPS = 60, FB_FREE_STEPS = 8 };
+enum { FB_MAX_STEPS = 40, FB_FREE_STEPS = 8 };
 
 typedef struct fb_response {
     double effect[N_U], effect_jacobian[N_U * N_N];                               /* F, dF/dn */
@@ -32,8 +32,7 @@ typedef struct fb_response {
     double auxiliary_mass[N_N * N_U];                                             /* M_a */
     double auxiliary_constraint_jacobian[FB_AT_LEAST_1(N_N * N_C)];               /* J_a^T */
     double by_accelerations[N_N * N_U], by_multipliers[N_N * FB_AT_LEAST_1(N_C)]; /* A, L, column by column */
-    double matrix[N_N * N_N]; /* G, its rows in units of their terms */
-    double unit[N_N];
+    double matrix[N_N * N_N], row_unit[N_N], column_unit[N_N]; /* G, in units of the terms in its rows and columns */
 } fb_response;
 
 /* What is left in an auxiliary speed's row beside `forcing`; `size` is the sum of the terms' sizes. */
@@ -65,18 +64,25 @@ static inline void fb_form_response(const double *mass_matrix, const fb_factors 
         fb_solve(column, at_rest, factors, s->by_accelerations + j * N_U);
         fb_multipliers(mass_matrix, column, s->by_accelerations + j * N_U, factors, s->by_multipliers + j * N_C);
     }
+    double sizes[N_N * N_N];
     for (int row = 0; row < N_N; ++row) {
-        double unit = 0.0;
+        double largest = 0.0;
         for (int j = 0; j < N_N; ++j) {
             const double forcing = s->auxiliary_forcing_jacobian[row * N_N + j];
-            double size = fabs(forcing);
-            s->matrix[row * N_N + j] =
-                fb_auxiliary_row(s, row, forcing, s->by_accelerations + j * N_U, s->by_multipliers + j * N_C, &size);
-            unit = fb_max(unit, size);
+            sizes[row * N_N + j] = fabs(forcing);
+            s->matrix[row * N_N + j] = fb_auxiliary_row(s, row, forcing, s->by_accelerations + j * N_U,
+                                                        s->by_multipliers + j * N_C, &sizes[row * N_N + j]);
+            largest = fb_max(largest, sizes[row * N_N + j]);
         }
-        s->unit[row] = unit > 0.0 ? 1.0 / unit : 1.0;
-        for (int j = 0; j < N_N; ++j)
-            s->matrix[row * N_N + j] *= s->unit[row];
+        s->row_unit[row] = largest > 0.0 ? 1.0 / largest : 1.0;
+    }
+    for (int j = 0; j < N_N; ++j) {
+        double largest = 0.0;
+        for (int row = 0; row < N_N; ++row)
+            largest = fb_max(largest, s->row_unit[row] * sizes[row * N_N + j]);
+        s->column_unit[j] = largest > 0.0 ? 1.0 / largest : 1.0;
+        for (int row = 0; row < N_N; ++row)
+            s->matrix[row * N_N + j] *= s->row_unit[row] * s->column_unit[j];
     }
 }
 
@@ -87,11 +93,12 @@ static inline int fb_respond(const fb_response *s, double *restrict rest, double
     double matrix[N_N * N_N];
     for (int i = 0; i < N_N * N_N; ++i)
         matrix[i] = s->matrix[i];
-    for (int i = 0; i < N_N; ++i)
-        rest[i] *= -s->unit[i];
+    for (int j = 0; j < N_N; ++j)
+        rest[j] *= -s->row_unit[j];
     if (!fb_eliminate_full(N_N, matrix, rest, FB_UNDETERMINED))
-        return all_finite(rest, N_N) == FB_OK ? FB_FORCES_UNDETERMINED : FB_NOT_FINITE;
+        return all_finite(matrix, N_N * N_N) == FB_OK ? FB_FORCES_UNDETERMINED : FB_NOT_FINITE;
     for (int j = 0; j < N_N; ++j) {
+        rest[j] *= s->column_unit[j];
         for (int i = 0; i < N_U; ++i)
             accelerations[i] += s->by_accelerations[j * N_U + i] * rest[j];
         for (int i = 0; i < N_C; ++i)
@@ -100,61 +107,123 @@ static inline int fb_respond(const fb_response *s, double *restrict rest, double
     return FB_OK;
 }
 
-/* u', and lambda with n behind it, for factors of M and J, f and gamma that are known. */
+/* F, Q and their derivatives at forces n; whether they are finite. */
+static inline int fb_evaluate_forces(double t, const double *x, const double *constants, const double *r,
+                                     const double *forces, fb_response *restrict s)
+{
+    unknown_forces(t, x, constants, r, forces, s->effect, s->effect_jacobian, s->auxiliary_forcing,
+                   s->auxiliary_forcing_jacobian, s->auxiliary_mass, s->auxiliary_constraint_jacobian);
+    return all_finite(s->effect, N_U) == FB_OK && all_finite(s->effect_jacobian, N_U * N_N) == FB_OK &&
+           all_finite(s->auxiliary_forcing, N_N) == FB_OK &&
+           all_finite(s->auxiliary_forcing_jacobian, N_N * N_N) == FB_OK;
+}
+
+/* u' and lambda for forces that were evaluated, and what is left of the auxiliary speeds' rows; its largest share of
+ * the rows' terms, of which Q has those that are linear at n, and the rest. */
+static inline int fb_balance_forces(const double *mass_matrix, const double *forcing, const double *acceleration_bias,
+                                    const fb_factors *factors, const fb_response *restrict s,
+                                    double *restrict accelerations, double *restrict multipliers, double *restrict rest,
+                                    double *restrict size)
+{
+    const double *const forces = multipliers + N_C;
+    double total[N_U];
+    for (int i = 0; i < N_U; ++i)
+        total[i] = forcing[i] + s->effect[i];
+    const int status = fb_solve(total, acceleration_bias, factors, accelerations);
+    if (status != FB_OK)
+        return status;
+    fb_multipliers(mass_matrix, total, accelerations, factors, multipliers);
+    *size = 0.0;
+    for (int row = 0; row < N_N; ++row) {
+        double terms = 0.0, others = s->auxiliary_forcing[row];
+        for (int j = 0; j < N_N; ++j) {
+            const double term = s->auxiliary_forcing_jacobian[row * N_N + j] * forces[j];
+            terms += fabs(term);
+            others -= term;
+        }
+        terms += fabs(others);
+        rest[row] = fb_auxiliary_row(s, row, s->auxiliary_forcing[row], accelerations, multipliers, &terms);
+        *size = fb_max(*size, rest[row] == 0.0 ? 0.0 : fabs(rest[row]) / terms);
+    }
+    return all_finite(rest, N_N);
+}
+
+/* u', and lambda with n behind it, by Newton's method from forces that are all the same. */
+static inline int fb_newton_for_forces(double t, const double *x, const double *constants, const double *r,
+                                       const double *mass_matrix, const double *forcing,
+                                       const double *acceleration_bias, const fb_factors *factors, const double start,
+                                       fb_response *restrict s, double *restrict accelerations,
+                                       double *restrict multipliers)
+{
+    double *const forces = multipliers + N_C;
+    double before[N_N], change[N_N], rest[N_N];
+    double last = INFINITY, share = 1.0, size;
+    for (int j = 0; j < N_N; ++j) {
+        before[j] = start;
+        change[j] = 0.0;
+    }
+    for (int step = 0; step < FB_MAX_STEPS; ++step) {
+        for (int j = 0; j < N_N; ++j)
+            forces[j] = before[j] + share * change[j];
+        const int is_finite = fb_evaluate_forces(t, x, constants, r, forces, s);
+        if (!is_finite && step == 0)
+            return FB_NOT_FINITE;
+        if (is_finite) {
+            const int status = fb_balance_forces(mass_matrix, forcing, acceleration_bias, factors, s, accelerations,
+                                                 multipliers, rest, &size);
+            if (status != FB_OK)
+                return status;
+            if (size <= FB_BALANCED || (size <= FB_NEARLY_BALANCED && !(size < 0.5 * last)))
+                return FB_OK;
+        }
+        if (!is_finite || (step >= FB_FREE_STEPS && !(size < last))) {
+            share *= 0.5;
+            continue;
+        }
+        fb_form_response(mass_matrix, factors, s);
+        const int status = fb_respond(s, rest, accelerations, multipliers);
+        if (status != FB_OK)
+            return status;
+        last = size;
+        share = 1.0;
+        for (int j = 0; j < N_N; ++j) {
+            before[j] = forces[j];
+            change[j] = rest[j];
+        }
+#ifdef FB_FORCES_LINEAR
+        for (int j = 0; j < N_N; ++j)
+            forces[j] += change[j];
+        return FB_OK;
+#endif
+    }
+    return FB_FORCES_NOT_FOUND;
+}
+
+/* The same, for factors of M and J, f and gamma that are known. */
 static inline int fb_solve_with_forces(double t, const double *x, const double *constants, const double *r,
                                        const double *mass_matrix, const double *forcing,
                                        const double *acceleration_bias, const fb_factors *factors,
                                        fb_response *restrict s, double *restrict accelerations,
                                        double *restrict multipliers)
 {
-    double *const forces = multipliers + N_C;
-    double before[N_N] = {0.0}, change[N_N] = {0.0}, at_zero[N_N], total[N_U];
-    double last = INFINITY, share = 1.0;
-    for (int j = 0; j < N_N; ++j)
-        forces[j] = 0.0;
-    for (int step = 0; step < FB_MAX_STEPS; ++step) {
-        double rest[N_N], size = 0.0;
-        unknown_forces(t, x, constants, r, forces, s->effect, s->effect_jacobian, s->auxiliary_forcing,
-                       s->auxiliary_forcing_jacobian, s->auxiliary_mass, s->auxiliary_constraint_jacobian);
-        for (int i = 0; i < N_U; ++i)
-            total[i] = forcing[i] + s->effect[i];
-        const int status = fb_solve(total, acceleration_bias, factors, accelerations);
-        if (status != FB_OK)
-            return status;
-        fb_multipliers(mass_matrix, total, accelerations, factors, multipliers);
-        for (int row = 0; row < N_N; ++row) {
-            if (step == 0)
-                at_zero[row] = s->auxiliary_forcing[row];
-            double terms = fabs(at_zero[row]) + fabs(s->auxiliary_forcing[row] - at_zero[row]);
-            rest[row] = fb_auxiliary_row(s, row, s->auxiliary_forcing[row], accelerations, multipliers, &terms);
-            if (!isfinite(rest[row]))
-                return FB_NOT_FINITE;
-            size = fb_max(size, rest[row] == 0.0 ? 0.0 : fabs(rest[row]) / terms);
-        }
-        if (size <= FB_BALANCED || (size <= FB_NEARLY_BALANCED && !(size < 0.5 * last)))
-            return FB_OK;
-        if (step >= FB_FREE_STEPS && !(size < last)) {
-            share *= 0.5;
-            for (int j = 0; j < N_N; ++j)
-                forces[j] = before[j] + share * change[j];
-            continue;
-        }
-        fb_form_response(mass_matrix, factors, s);
-        const int found = fb_respond(s, rest, accelerations, multipliers);
-        if (found != FB_OK)
-            return found;
-        last = size;
-        share = 1.0;
-        for (int j = 0; j < N_N; ++j) {
-            before[j] = forces[j];
-            change[j] = rest[j];
-            forces[j] += change[j];
-        }
 #ifdef FB_FORCES_LINEAR
-        return FB_OK;
+    enum { N_STARTS = 1 };
+#else
+    enum { N_STARTS = 5 };
 #endif
+    /* In N or N m. Laws with a root or a quotient of the forces have no value or no slope at 0; and from 0, Newton's
+     * method may not find its way over kinks. */
+    static const double starts[] = {0.0, 1e-8, -1e-8, 1.0, 1e3};
+    int first = FB_NOT_FINITE;
+    for (int i = 0; i < N_STARTS; ++i) {
+        const int status = fb_newton_for_forces(t, x, constants, r, mass_matrix, forcing, acceleration_bias, factors,
+                                                starts[i], s, accelerations, multipliers);
+        if (status == FB_OK)
+            return FB_OK;
+        if (first == FB_NOT_FINITE)
+            first = status;
     }
-    return FB_FORCES_NOT_FOUND;
+    return first;
 }
 
 #endif

@@ -198,3 +198,21 @@ def test_the_arm_of_sympys_tutorial():
         )
         # SciPy's run drifts from the constraints by its tolerance, and the two from each other by some more.
         np.testing.assert_allclose(ours.y, np.hstack(states), rtol=0, atol=1e-8)
+
+
+def test_a_muscles_own_rates_may_be_given():
+    """Of the tendon's force, for which SymPy holds the inverse of the tendon's curve to be no real number."""
+    lift = Lift(MusculotendonFormulation.TENDON_FORCE_EXPLICIT)
+    rates = dict(zip(lift.muscle.x, lift.muscle.rhs(), strict=True))
+    given = fb.Model(lift.system, name="given", parameters=lift.parameters, state_equations=rates)
+    x = lift.start() * 1.01
+    np.testing.assert_allclose(fb.compile_model(given).rhs(0.0, x, r=[0.7]), lift.rates(x, 0.7), rtol=1e-10)
+
+
+def test_two_muscles_of_one_name_with_other_activations_are_refused():
+    lift = Lift(MusculotendonFormulation.RIGID_TENDON)
+    slow = FirstOrderActivationDeGroote2016("biceps", activation_time_constant=0.5)
+    other = MusculotendonDeGroote2016.with_defaults("biceps", lift.muscle.pathway, slow)
+    lift.system.add_actuators(other)
+    with pytest.raises(fb.ModelError, match=r"Two actuators have other equations for the state a_biceps\(t\)"):
+        fb.Model(lift.system, parameters=lift.parameters)

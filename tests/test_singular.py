@@ -262,3 +262,30 @@ def test_rounding_errors_determine_no_dependent_speed():
             evaluate(0.0, x)
     # The motion itself needs no such choice: a blade at speed v turning at w is pushed sideways, v w to its left.
     np.testing.assert_allclose(blade.rhs(0.0, x), [0.0, 1.0, 0.5, -0.5, 0.0, 0.0], atol=1e-15)
+
+
+@pytest.mark.parametrize("factor", [1e-6, 1e6])
+def test_rows_of_very_different_size_are_kept_alike(factor):
+    """A bead on a great circle, by a sphere times a factor and a plane: a pendulum, whose second order is kept."""
+    names = "x y z"
+    q, u = me.dynamicsymbols(names), me.dynamicsymbols("u v w")
+    frame, origin, point = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
+    origin.set_vel(frame, 0)
+    point.set_pos(origin, sum((a * e for a, e in zip(q, frame, strict=True)), 0 * frame.x))
+    point.set_vel(frame, sum((a * e for a, e in zip(u, frame, strict=True)), 0 * frame.x))
+    system = System(frame, origin)
+    system.add_bodies(me.Particle("bead", point, sm.Symbol("m")))
+    system.q_ind, system.q_dep, system.u_ind, system.u_dep = q[:1], q[1:], u[:1], u[1:]
+    system.add_kdes(*(b - a.diff() for a, b in zip(q, u, strict=True)))
+    system.add_holonomic_constraints(factor * (sum(a**2 for a in q) - 1), q[0] - q[1])
+    system.apply_uniform_gravity(-sm.Symbol("g") * frame.z)
+    values = {sm.Symbol("m"): 1.0, sm.Symbol("g"): 9.81}
+    start = {q[0]: 0.5, u[0]: 0.0, q[1]: 0.5, q[2]: -0.7}
+    model = fb.compile_model(fb.Model(system, name="bead", parameters=values, initial=start))
+    exact = model.simulate((0.0, 1.0), rtol=1e-11, atol=1e-11)
+    errors = [
+        np.abs(model.simulate((0.0, 1.0), method="ALI3P", max_step=h).y[:, -1] - exact.y[:, -1]).max()
+        for h in (4e-3, 1e-3)
+    ]
+    assert errors[1] < 1e-4
+    assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.2)

@@ -341,3 +341,30 @@ def test_rows_that_hold_on_one_side_alone():
     stepping = fb.compile_model(pendulum(lambda phi, rate, x, y, u, v: [(2 + sm.sign(x)) * rate]))
     run = stepping.simulate((0.0, 1.0), rtol=1e-11, atol=1e-11)
     assert np.abs(run.constraint_residual).max() < 1e-12
+
+
+def bump(velocity):
+    """A bead on a road with a bump at x = 8 m, which no random state of some metres comes close to."""
+    x, z, u, w = me.dynamicsymbols("x z u w")
+    ground, origin, bob = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
+    origin.set_vel(ground, 0)
+    bob.set_pos(origin, x * ground.x + z * ground.z)
+    bob.set_vel(ground, u * ground.x + w * ground.z)
+    road = z - sm.Rational(3, 10) * sm.exp(-((x - 8) ** 2))
+    kane = me.KanesMethod(
+        ground, [x], [u], kd_eqs=[u - x.diff(T), w - z.diff(T)], q_dependent=[z], u_dependent=[w],
+        configuration_constraints=[road], velocity_constraints=[velocity(road, w)],
+        bodies=[me.Particle("bob", bob, sm.Symbol("m"))], forcelist=[(bob, -9.81 * sm.Symbol("m") * ground.z)],
+    )  # fmt: skip
+    return fb.compile_model(fb.Model(kane, name="bump", parameters={sm.Symbol("m"): 1.0}, initial={x: 0.0, u: 4.0}))
+
+
+def test_what_the_motion_does_not_keep_where_it_goes():
+    """The rate is that of a flat road: at random states it is right, and the run says where it is not."""
+    flat = bump(lambda road, w: w).simulate((0.0, 4.0), rtol=1e-8, atol=1e-8, t_eval=np.linspace(0.0, 4.0, 201))
+    assert not flat.success
+    assert "do not keep holonomic constraint 1 at zero: at t = " in flat.message
+    right = bump(lambda road, w: road.diff(T)).simulate((0.0, 4.0), rtol=1e-8, atol=1e-8)
+    assert right.success
+    # Energy: as fast behind the bump as before it.
+    assert right["u"][-1] == pytest.approx(4.0, abs=1e-6)

@@ -3,9 +3,11 @@
 import dataclasses
 import re
 
+import numpy as np
 import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
+from sympy.physics.mechanics.system import System
 from systems import slider
 
 import fourbar_codegen as fb
@@ -101,3 +103,15 @@ def test_states_for_which_a_force_has_no_value_are_passed_over(force):
     assert model.rhs(0.0, [0.5, 0.0]).tolist() == [0.0, -0.25]
     with pytest.raises(fb.SimulationError):
         model.rhs(0.0, [-0.5, 0.0])
+
+
+@pytest.mark.parametrize("force", [lambda q, F: F - sm.exp(-100 * q), lambda q, F: F - 1e15 * q**3])
+def test_forces_that_are_huge_at_random_states_are_no_defect(force):
+    """Where a difference knows nothing, and energy and power are what rounding leaves of them: dx'/dF is 1/m."""
+    q, u, push = me.dynamicsymbols("q u F")
+    wall, block = me.RigidBody("wall"), me.RigidBody("block", mass=sm.Symbol("m"))
+    system = System.from_newtonian(wall)
+    system.add_joints(me.PrismaticJoint("slide", wall, block, q, u))
+    system.add_loads(me.Force(block.masscenter, force(q, push) * wall.x))
+    model = fb.compile_model(fb.Model(system, name="steep", parameters={sm.Symbol("m"): 5.0}, inputs={push: 0}))
+    np.testing.assert_allclose(model.input_jacobian(0.0, [0.0, 0.0]), [[0.0], [0.2]], rtol=1e-14)

@@ -465,6 +465,7 @@ manifest = (
     '    0,\n'
     '    1\n'
     '  ],\n'
+    '  "states_velocity_constraints": false,\n'
     '  "velocity_rows": [],\n'
     '  "warnings": [],\n'
     '  "has_potential_energy": true,\n'

@@ -77,6 +77,7 @@ def manifest_of(
         "initial": model.initial,
         "invariants": list(equations.invariants),
         "position_rows": list(program.position_rows),
+        "states_velocity_constraints": model.mechanism.states_velocity_constraints,
         "velocity_rows": [row for row, entry in enumerate(violation) if not entry],
         "warnings": list(equations.warnings),
         "has_potential_energy": not energies[1].is_nan,

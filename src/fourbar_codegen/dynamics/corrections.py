@@ -214,7 +214,7 @@ def _kept(states: RandomStates, n_rows: int, positions: Mapping[int, sm.Expr]) -
         "combination of them, so that the motion would leave it. Add its rate, Phi.diff(t), to the velocity "
         "constraints; or let a System derive the rates of its holonomic constraints, as it does where "
         "velocity_constraints is not set; or leave the holonomic constraint out, if it only serves to find an initial "
-        "state."
+        "state. (Rows that are right in one of several ways to close alone are refused as well.)"
     )
 
 

@@ -30,6 +30,10 @@ the fifth derivative, and that of rounding some 1e-12."""
 TOLERANCE = 1e-6
 """The share of the largest entry of a matrix by which a derivative may miss a difference that is sure of itself."""
 
+ROUNDED = 4 * np.finfo(float).eps
+"""The share of a function's value that rounding errors make of it at least: of forces of 1e20 N, no difference knows
+how they change with others."""
+
 ALONE = 1e-8
 """And rates of states side by side those of one: sines differ in the last bit, and what is solved may be
 ill-conditioned."""
@@ -116,17 +120,19 @@ def _differences(function: Callable[[Floats], Floats], point: Floats) -> tuple[F
     for i in range(len(point)):
         step = STEP * max(abs(point[i]), 1.0)
 
-        def slope(h: float, i: int = i) -> Floats:
+        def slope(h: float, i: int = i) -> tuple[Floats, Floats]:
+            """And what rounding errors of the function make of it."""
             moved = [point.copy(), point.copy()]
             moved[0][i] += h
             moved[1][i] -= h
-            change: Floats = function(moved[0]) - function(moved[1])
-            return change / float(moved[0][i] - moved[1][i])
+            ahead, behind = map(function, moved)
+            width = float(moved[0][i] - moved[1][i])
+            return (ahead - behind) / width, ROUNDED * np.maximum(np.abs(ahead), np.abs(behind)) / width
 
-        coarse, fine, finest = slope(2.0 * step), slope(step), slope(0.5 * step)
+        (coarse, _), (fine, _), (finest, rounded) = slope(2.0 * step), slope(step), slope(0.5 * step)
         before, after = fine + (fine - coarse) / 3.0, finest + (finest - fine) / 3.0
         columns.append(after)
-        sure.append(np.abs(after - before) <= 0.1 * TOLERANCE * (1.0 + np.abs(after).max(initial=0.0)))
+        sure.append(np.abs(after - before) + rounded <= 0.1 * TOLERANCE * (1.0 + np.abs(after).max(initial=0.0)))
     if not columns:
         return np.zeros((*size, 0)), np.zeros((*size, 0), dtype=bool)
     return np.stack(columns, axis=-1), np.stack(sure, axis=-1)

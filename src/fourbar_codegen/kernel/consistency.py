@@ -12,12 +12,21 @@ from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.runtime.evaluator import NOT_CLOSED, OK, is_finite, largest_difference
 from fourbar_codegen.runtime.integrator import Ode
 
-__all__ = ["FLOOR", "check_start", "consistent", "is_rounded", "projects"]
+__all__ = ["FLOOR", "check_start", "consistent", "is_rounded", "left", "projects"]
 
 Floats = NDArray[np.float64]
 
 CONSISTENT = 1e-3
 """By what share of the coordinates or speeds projection may move the state that a run begins from."""
+
+LOOKED = 16
+"""At how many states of a run it is asked whether its motion keeps the positions, ..."""
+
+DIFFERENCE = 1e-6
+"""... with what share of the time, or of a second, as the step of a difference, ..."""
+
+LEFT = 1e-5
+"""... and by what share of its terms, or of the positions in a second, a rate may not be zero."""
 
 FLOOR = 1e-12
 """And by how much in any case: rounding errors."""
@@ -76,6 +85,32 @@ def consistent(ode: Ode, t: float, x0: Floats) -> Floats:
     if status != OK:
         raise SimulationError(ode.explain(status, t, x0))
     return x
+
+
+def left(model: Kernel, ode: Ode, times: Floats, states: Floats, p: Floats | None) -> str:
+    """A sentence where the motion does not keep a position constraint, whose states projection has moved back to it.
+
+    A Model looks at random states for that; here it is asked of a few of a run, in columns. Phi_q q' + Phi_t is not
+    zero there, by more than differences err for Phi_t.
+    """
+    n_q = model.n_q
+    for t, x in zip(times[:: len(times) // LOOKED + 1], states.T[:: len(times) // LOOKED + 1], strict=True):
+        r, step = ode.input_values(t, x), DIFFERENCE * max(abs(t), 1.0)
+        rates, slopes = ode(t, x)[:n_q], model.position(t, x[:n_q], p, r)[1]
+        ahead, behind = (
+            model.position(time, x[:n_q], p, ode.input_values(time, x))[0] for time in (t + step, t - step)
+        )
+        of_time = (ahead - behind) / (2.0 * step)
+        scale, *_ = model.constraint_scale(t, x, p, r)
+        excess = np.abs(slopes @ rates + of_time) - LEFT * (np.abs(slopes) @ np.abs(rates) + np.abs(of_time) + scale)
+        if (excess > 0.0).any():
+            return (
+                f"The velocity constraints do not keep holonomic constraint {int(np.argmax(excess)) + 1} at zero: at "
+                f"t = {t:.6g} s, its rate is {(slopes @ rates + of_time)[np.argmax(excess)]:.3g}. Add its rate, "
+                "Phi.diff(t), to them; or let a System derive the rates of its holonomic constraints, as it does where "
+                "velocity_constraints is not set."
+            )
+    return ""
 
 
 def is_rounded(n_q: int, n_u: int, x0: Floats, x: Floats) -> Any:

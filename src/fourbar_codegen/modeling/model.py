@@ -287,7 +287,7 @@ class Model:
         self._check_holonomic_constraints()
         self._check_auxiliary_states()
         self.initial = self._check_initial(_mapping(initial, "initial"))
-        if self.mechanism.holonomic_constraints and not self.mechanism.velocity_constraints_derived:
+        if self.mechanism.states_velocity_constraints:
             from fourbar_codegen.dynamics.equations import check_velocity_constraints
 
             check_velocity_constraints(self)
@@ -656,7 +656,10 @@ def _expression(given: Any, what: str) -> sm.Expr:
     except (sm.SympifyError, TypeError) as error:  # the latter is SymPy's for some of what is in containers
         raise ModelError(f"{what} must be an expression or a number, not {shown(given)}.") from error
     _check_expressions([expression], what)
-    if expression.is_extended_real is False or expression.is_finite is False:
+    # Of larger expressions SymPy's answer may be false: of the inverse of De Groote's tendon curve, for one.
+    atoms = (node for node in walk([expression]) if isinstance(node, sm.Symbol | AppliedUndef))
+    parts = [*atoms] or [expression]
+    if any(part.is_extended_real is False or part.is_finite is False for part in parts):
         raise ModelError(f"{what} must be a real and finite expression, not {shown(given)}.")
     return expression
 

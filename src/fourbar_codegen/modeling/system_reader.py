@@ -215,6 +215,11 @@ class Mechanism:
     acceleration_constraints: tuple[sm.Expr, ...]
     drawn: tuple[DrawnPoint, ...]
 
+    @property
+    def states_velocity_constraints(self) -> bool:
+        """Whether the rates of the positions are not derived, but what the velocity constraints are said to keep."""
+        return bool(self.holonomic_constraints) and not self.velocity_constraints_derived
+
     def labelled_loads(self) -> Iterator[tuple[str, Iterable[sm.Expr]]]:
         """The loads' vectors, with words that say where they stand in the System."""
         for load in self.loads:
@@ -385,8 +390,13 @@ def _actuators(system: _Description) -> dict[str, Any]:
     excitations: dict[sm.Expr, None] = {}
     for actuator in system.actuators:
         if hasattr(actuator, "rhs"):
-            rates = zip(actuator.x, actuator.rhs(), strict=True)
-            equations.update((state, rate) for state, rate in rates if state not in known)
+            for state, rate in zip(actuator.x, actuator.rhs(), strict=True):
+                if equations.get(state, rate) != rate:
+                    raise ModelError(
+                        f"Two actuators have other equations for the state {state}: give one of them another name."
+                    )
+                if state not in known:
+                    equations[state] = rate
             excitations.update(dict.fromkeys(actuator.r))
     return {"state_equations": tuple(equations.items()), "excitations": tuple(excitations)}
 

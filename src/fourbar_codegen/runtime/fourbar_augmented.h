@@ -12,6 +12,10 @@
  * Auxiliary states follow the trapezoidal rule too, and are unknowns of Newton's method beside the speeds.
  * Accelerations and multipliers in their equations are those that belong to the state, not those of the rule.
  *
+ * Rows of J that keep positions are multiplied by numbers that make them alike in size where they are far from it: one
+ * penalty for all of them would be next to nothing for the small ones, or too much for the large ones. Multipliers are
+ * those of these rows.
+ *
  * The mass matrix has to be positive definite without the constraints.
  *
  * Source: E. Bayo, R. Ledesma, "Augmented Lagrangian and mass-orthogonal projection methods for constrained multibody
@@ -41,6 +45,9 @@
 /* Of the trace of J J^T: multipliers of singular values below its root are left out. */
 #define FB_SHORTEST 1e-10
 
+/* How many times a row is smaller than the largest before it is multiplied. */
+#define FB_UNLIKE 100.0
+
 enum { FB_MAX_ITERATIONS = 12, FB_MAX_PROJECTIONS = 20, FB_REFINEMENTS = 3 };
 
 typedef struct fb_augmented {
@@ -55,6 +62,7 @@ typedef struct fb_augmented {
     double *rate_jacobian, *residual_jacobian; /* (n_q, n_x), (n_u + n_l + n_z, n_x) */
     double *kept;                              /* multipliers, (n_c,) */
     double *accelerations;                     /* those that belong to a state, (n_u,) */
+    double *row_unit, *lambda;                 /* what rows are multiplied by, and the kernel's multipliers, (n_c,) */
     long n_jacobians, n_factorizations;
 } fb_augmented;
 
@@ -82,6 +90,8 @@ static inline size_t fb_place_augmented(const fb_kernel *k, fb_augmented *a, dou
         {&a->residual_jacobian, (u + k->n_l + z) * x},
         {&a->kept, c},
         {&a->accelerations, u},
+        {&a->row_unit, c},
+        {&a->lambda, c},
         {&a->scales, c + i + c + k->n_h},
     };
     return fb_place_all(places, sizeof places / sizeof *places, memory);
@@ -149,9 +159,24 @@ static inline int fb_augmented_equations(fb_run *s, const double t, const double
     p->kernel->dynamics(t, x, p->constants, p->inputs, coordinate_rates, a->mass_matrix, a->forcing, a->jacobian,
                         a->bias);
     p->kernel->constraint_violation(t, x, p->constants, p->inputs, a->positions, a->velocities);
+    for (int row = 0; row < p->kernel->n_c; ++row) {
+        for (int i = 0; i < p->kernel->n_u; ++i)
+            a->jacobian[row * p->kernel->n_u + i] *= a->row_unit[row];
+        a->bias[row] *= a->row_unit[row];
+        a->positions[row] *= a->row_unit[row];
+        a->velocities[row] *= a->row_unit[row];
+    }
     s->n_evaluations += 1;
     fb_note_failure(p, fb_finite(a->forcing, p->kernel->n_u) ? FB_OK : FB_NOT_FINITE, t, x);
     return 0;
+}
+
+/* The multipliers of the kernel's own rows. */
+static inline const double *fb_kernels_multipliers(const fb_kernel *k, fb_augmented *a, const double *multipliers)
+{
+    for (int row = 0; row < k->n_c; ++row)
+        a->lambda[row] = a->row_unit[row] * multipliers[row];
+    return a->lambda;
 }
 
 /* How far accelerations are from J u' + gamma = 0, in the place of `positions`. */
@@ -231,8 +256,26 @@ static inline void fb_augmented_state_rates(fb_run *s, const double t, const dou
     const fb_problem *const p = s->problem;
     const fb_kernel *const k = p->kernel;
     if (k->n_z > 0)
-        k->state_rates(t, x, p->constants, p->inputs, accelerations, s->augmented->multipliers,
-                       rates + k->n_q + k->n_u);
+        k->state_rates(t, x, p->constants, p->inputs, accelerations,
+                       fb_kernels_multipliers(k, s->augmented, s->augmented->multipliers), rates + k->n_q + k->n_u);
+}
+
+/* Rows that keep positions come close to the largest of them, by what these are measured by; others are left alone. A
+ * power of two rounds nothing. */
+static inline void fb_choose_row_units(fb_run *s, const double t, const double *x)
+{
+    const fb_problem *const p = s->problem;
+    const fb_kernel *const k = p->kernel;
+    fb_augmented *const a = s->augmented;
+    const int n = k->n_c + k->n_i;
+    double largest = 0.0;
+    k->constraint_scale(t, x, p->constants, p->inputs, a->scales + n + k->n_c, a->scales, a->scales + n);
+    for (int row = 0; row < k->n_c; ++row)
+        largest = fb_max(largest, a->scales[row]);
+    for (int row = 0; row < k->n_c; ++row) {
+        const double share = largest / a->scales[row];
+        a->row_unit[row] = isfinite(share) && share > FB_UNLIKE ? exp2(round(log2(share))) : 1.0;
+    }
 }
 
 /* x' at the beginning of a run, or where it goes on after a breakpoint. */
@@ -243,7 +286,11 @@ static inline int fb_augmented_begin(fb_run *s)
     s->h_abs = s->max_step;
     s->fsal = 0;
     const double t = fb_time(&s->problem->clock, s->t);
-    const int called = fb_augmented_equations(s, t, s->x, s->stages);
+    int called = fb_fill_inputs(s->problem, t, s->x);
+    if (called == 0) {
+        fb_choose_row_units(s, t, s->x);
+        called = fb_augmented_equations(s, t, s->x, s->stages);
+    }
     if (called < 0)
         return called;
     if (fb_augmented_solution(s, accelerations) != FB_RUN_PAUSED)
@@ -263,8 +310,8 @@ static inline void fb_newton_matrix(fb_run *s, const double t, const double h, c
     const int n_q = k->n_q, n_u = k->n_u, n_z = k->n_z, n_x = k->n_x, n = n_u + n_z;
     a->n_jacobians += 1;
     fb_take_mass(k, a, n, a->matrix);
-    k->derivatives->sensitivity(t, x, p->constants, p->inputs, accelerations, a->penalized, a->rate_jacobian,
-                                a->residual_jacobian);
+    k->derivatives->sensitivity(t, x, p->constants, p->inputs, accelerations,
+                                fb_kernels_multipliers(k, a, a->penalized), a->rate_jacobian, a->residual_jacobian);
     for (int j = 0; j < n_u; ++j) {
         memset(a->unit, 0, (size_t)n_u * sizeof(double));
         a->unit[j] = 1.0;
@@ -387,6 +434,8 @@ static inline int fb_augmented_project(fb_run *s, const double t, double *restri
             return called;
         const int n = k->n_c + k->n_i;
         k->constraint_scale(t, x, p->constants, p->inputs, a->scales + n + k->n_c, a->scales, a->scales + n);
+        for (int row = 0; row < k->n_c; ++row)
+            a->scales[row] *= a->row_unit[row];
         const double violation = fb_violation(a->positions, a->scales, n);
         if (violation != violation)
             return FB_RUN_DIVERGED;

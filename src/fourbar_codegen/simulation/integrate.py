@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourbar_codegen.errors import SimulationError
-from fourbar_codegen.kernel.consistency import consistent
+from fourbar_codegen.kernel.consistency import consistent, left
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.results.trajectory import Trajectory, make_trajectory
 from fourbar_codegen.runtime.integrator import Ode, Run
@@ -153,6 +153,9 @@ def integrate(
     y = y.T
     if dense is not None and t_eval is None and t.size > 1 and t[-1] == t[-2]:
         t, y = t[:-1], y[:, :-1]  # an event where a step begins; SciPy leaves that time away as well, beside `sol`
+    if options.project and model.manifest["states_velocity_constraints"] and status >= 0:
+        sentence = left(model, ode, t, y, options.parameters)
+        status, message = (-1, sentence) if sentence else (status, message)
     message += _growth(ode, t, y, run, by_steps=t_eval is None)
     return make_trajectory(
         model=model,

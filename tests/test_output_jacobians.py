@@ -5,22 +5,13 @@ import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
 from sympy.physics.mechanics.system import System
+from test_unknown_forces import MU, compiled, complex_steps, rod, rods_rates
 
 import fourbar_codegen as fb
 
 T = me.dynamicsymbols._t
 G, M, L = sm.symbols("g m l")
 DERIVATIVES = ("output_jacobian", "output_parameter_jacobian", "output_input_jacobian")
-
-
-def complex_steps(function, point):
-    """Derivatives that no difference rounds (W. Squire, G. Trapp, SIAM Review 40, 1998)."""
-    columns = []
-    for i in range(len(point)):
-        moved = np.array(point, dtype=complex)
-        moved[i] += 1e-30j
-        columns.append(np.asarray(function(moved)).imag / 1e-30)
-    return np.array(columns).T
 
 
 def hold(model, closed_form, t, x, p, r):
@@ -110,8 +101,6 @@ def test_states_with_equations_of_their_own_in_outputs():
 
 
 def test_unknown_forces_in_outputs():
-    from test_unknown_forces import MU, compiled, rod, rods_rates
-
     model = compiled(rod(lambda n: MU * n, "sliding_rod"))
     order = [model.parameters.index(name) for name in ("g", "m", "l", "J", "mu")]
     p = np.array([model.defaults[name] for name in model.parameters])

@@ -301,7 +301,7 @@ def complex_steps(function, point):
     for i in range(len(point)):
         moved = np.array(point, dtype=complex)
         moved[i] += 1e-30j
-        columns.append(function(moved).imag / 1e-30)
+        columns.append(np.asarray(function(moved)).imag / 1e-30)
     return np.array(columns).T
 
 

@@ -147,14 +147,7 @@ def _compiled_results(
         ),
         "energy": ([e.energies], [compiled.energy(t, x, p, r)]),
         "unknown_forces": (
-            [
-                e.force_effect,
-                e.force_effect_jacobian,
-                e.auxiliary_forcing,
-                e.auxiliary_forcing_jacobian,
-                e.auxiliary_mass,
-                e.auxiliary_constraint_jacobian,
-            ],
+            [*e.of_unknown_forces],
             compiled.unknown_forces(t, x, multipliers[compiled.n_c :], p, r),
         ),
         "output": ([e.outputs], [outputs]),

@@ -194,6 +194,18 @@ class Equations:
     not_orthonormal: tuple[Scalar, ...]
     warnings: tuple[str, ...]
 
+    @property
+    def of_unknown_forces(self) -> tuple[Result, ...]:
+        """What unknown forces that drive the motion make, all of it empty without them but F, which is zero then."""
+        return (
+            self.force_effect,
+            self.force_effect_jacobian,
+            self.auxiliary_forcing,
+            self.auxiliary_forcing_jacobian,
+            self.auxiliary_mass,
+            self.auxiliary_constraint_jacobian,
+        )
+
 
 def form_equations(model: Model) -> Equations:
     """Form the equations of motion of a model.

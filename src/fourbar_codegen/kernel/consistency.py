@@ -93,12 +93,13 @@ def left(model: Kernel, ode: Ode, times: Floats, states: Floats, p: Floats | Non
     A Model looks at random states for that; here it is asked of a few of a run, in columns. Phi_q q' + Phi_t is not
     zero there, by more than differences err for Phi_t.
     """
-    n_q = model.n_q
-    for t, x in zip(times[:: len(times) // LOOKED + 1], states.T[:: len(times) // LOOKED + 1], strict=True):
+    n_q, prescribed, every = model.n_q, bool(model.manifest["moving_inputs"]), len(times) // LOOKED + 1
+    for t, x in zip(times[::every], states.T[::every], strict=True):
         r, step = ode.input_values(t, x), DIFFERENCE * max(abs(t), 1.0)
         rates, slopes = ode(t, x)[:n_q], model.position(t, x[:n_q], p, r)[1]
         ahead, behind = (
-            model.position(time, x[:n_q], p, ode.input_values(time, x))[0] for time in (t + step, t - step)
+            model.position(time, x[:n_q], p, ode.input_values(time, x) if prescribed else r)[0]
+            for time in (t + step, t - step)
         )
         of_time = (ahead - behind) / (2.0 * step)
         scale, *_ = model.constraint_scale(t, x, p, r)

@@ -141,14 +141,7 @@ def lower(name: str, equations: Equations) -> Program:
                 "What unknown forces n do: F(n) beside f; Q(n) - M_a u' + J_a^T lambda = 0 of the auxiliary speeds.",
                 [time, state],
                 [inputs, _array("forces", unknown)],
-                [
-                    e.force_effect,
-                    e.force_effect_jacobian,
-                    e.auxiliary_forcing,
-                    e.auxiliary_forcing_jacobian,
-                    e.auxiliary_mass,
-                    e.auxiliary_constraint_jacobian,
-                ],
+                [*e.of_unknown_forces],
             )
         )
     pool = _Constants(e.tape, e.parameters)

@@ -260,20 +260,34 @@ static inline void fb_augmented_state_rates(fb_run *s, const double t, const dou
                        fb_kernels_multipliers(k, s->augmented, s->augmented->multipliers), rates + k->n_q + k->n_u);
 }
 
-/* Rows that keep positions come close to the largest of them, by what these are measured by; others are left alone. A
- * power of two rounds nothing. */
+/* The size of a row of J, by its largest entry. */
+static inline double fb_row_size(const fb_kernel *k, const fb_augmented *a, const int row)
+{
+    double size = 0.0;
+    for (int i = 0; i < k->n_u; ++i)
+        size = fb_max(size, fabs(a->jacobian[row * k->n_u + i]));
+    return size;
+}
+
+/* Rows that keep positions come close to the largest of them, where both J and what violations are measured by are
+ * smaller: entries may vanish in a singular position, and terms in a plane of symmetry. Others are left alone. A power
+ * of two rounds nothing. */
 static inline void fb_choose_row_units(fb_run *s, const double t, const double *x)
 {
     const fb_problem *const p = s->problem;
     const fb_kernel *const k = p->kernel;
     fb_augmented *const a = s->augmented;
     const int n = k->n_c + k->n_i;
-    double largest = 0.0;
+    double scale = 0.0, size = 0.0;
     k->constraint_scale(t, x, p->constants, p->inputs, a->scales + n + k->n_c, a->scales, a->scales + n);
     for (int row = 0; row < k->n_c; ++row)
-        largest = fb_max(largest, a->scales[row]);
+        if (a->scales[row] > 0.0) {
+            scale = fb_max(scale, a->scales[row]);
+            size = fb_max(size, fb_row_size(k, a, row));
+        }
     for (int row = 0; row < k->n_c; ++row) {
-        const double share = largest / a->scales[row];
+        const double by_size = size / fb_row_size(k, a, row), by_scale = scale / a->scales[row];
+        const double share = by_size < by_scale ? by_size : by_scale;
         a->row_unit[row] = isfinite(share) && share > FB_UNLIKE ? exp2(round(log2(share))) : 1.0;
     }
 }
@@ -286,11 +300,13 @@ static inline int fb_augmented_begin(fb_run *s)
     s->h_abs = s->max_step;
     s->fsal = 0;
     const double t = fb_time(&s->problem->clock, s->t);
-    int called = fb_fill_inputs(s->problem, t, s->x);
-    if (called == 0) {
-        fb_choose_row_units(s, t, s->x);
-        called = fb_augmented_equations(s, t, s->x, s->stages);
-    }
+    for (int row = 0; row < k->n_c; ++row)
+        s->augmented->row_unit[row] = 1.0;
+    int called = fb_augmented_equations(s, t, s->x, s->stages);
+    if (called < 0)
+        return called;
+    fb_choose_row_units(s, t, s->x);
+    called = fb_augmented_equations(s, t, s->x, s->stages);
     if (called < 0)
         return called;
     if (fb_augmented_solution(s, accelerations) != FB_RUN_PAUSED)

@@ -287,6 +287,17 @@ static int orientation_changed(void *work)
     return result;
 }
 
+#if N_Z + N_N == 0
+/* A column of the multipliers' derivatives, for one of the accelerations'. Out of the way of who asks for no others. */
+FB_PART static void store_multipliers(const fb_work *w, const double *accelerations, const int n, double *column)
+{
+    double multipliers[FB_AT_LEAST_1(N_C)];
+    fb_multipliers(w->mass_matrix, w->forcing, accelerations, &w->factors, multipliers);
+    for (int i = 0; i < N_C; ++i)
+        column[i * n] = multipliers[i];
+}
+#endif
+
 /* Differentiating M u' = f + J^T lambda and J u' + gamma = 0 in some direction gives equations for the changes of u'
  * and lambda with the same matrices; the right-hand sides are the n columns of residual_jacobian. With these changes,
  * z' changes by what stands in its rows there. */
@@ -295,7 +306,6 @@ static int differentiate(const fb_derivatives *derivatives, fb_sensitivity *func
                          void *work)
 {
     fb_work *const w = work;
-    double multipliers[FB_AT_LEAST_1(N_L)];
     const int status = accelerations(t, x, constants, r, w->accelerations, w->multipliers, work);
     if (status != FB_OK)
         return status;
@@ -305,6 +315,9 @@ static int differentiate(const fb_derivatives *derivatives, fb_sensitivity *func
     unknown_forces(t, x, constants, r, w->multipliers + N_C, s->effect, s->effect_jacobian, s->auxiliary_forcing,
                    s->auxiliary_forcing_jacobian, s->auxiliary_mass, s->auxiliary_constraint_jacobian);
     fb_form_response(w->mass_matrix, &w->factors, s);
+#endif
+#if N_Z + N_N > 0
+    double multipliers[FB_AT_LEAST_1(N_L)];
 #endif
 #if N_Z > 0
     derivatives->state_rate_sensitivity(t, x, constants, r, w->accelerations, w->multipliers,
@@ -320,8 +333,9 @@ static int differentiate(const fb_derivatives *derivatives, fb_sensitivity *func
             w->acceleration_bias[i] = -w->residual_jacobian[(N_U + i) * n + j];
         /* Redundant rows hold in every direction in which the state can move; others are not asked about. */
         fb_solve(w->forcing, w->acceleration_bias, &w->factors, solution);
-        if (N_Z + N_N > 0 || multiplier_jacobian)
-            fb_multipliers(w->mass_matrix, w->forcing, solution, &w->factors, multipliers);
+#if N_Z + N_N > 0
+        fb_multipliers(w->mass_matrix, w->forcing, solution, &w->factors, multipliers);
+#endif
 #if N_N > 0
         double unused = 0.0, *const forces = multipliers + N_C;
         for (int i = 0; i < N_N; ++i)
@@ -331,8 +345,13 @@ static int differentiate(const fb_derivatives *derivatives, fb_sensitivity *func
         if (found != FB_OK)
             return found;
 #endif
+#if N_Z + N_N > 0
         for (int i = 0; i < N_L && multiplier_jacobian; ++i)
             multiplier_jacobian[i * n + j] = multipliers[i];
+#else
+        if (multiplier_jacobian)
+            store_multipliers(w, solution, n, multiplier_jacobian + j);
+#endif
         for (int i = 0; i < N_U; ++i)
             matrix[(N_Q + i) * n + j] = solution[i];
 #if N_Z > 0

@@ -312,8 +312,8 @@ static int differentiate(const fb_derivatives *derivatives, fb_sensitivity *func
     function(t, x, constants, r, w->accelerations, w->multipliers, matrix, w->residual_jacobian);
 #if N_N > 0
     fb_response *const s = &w->response;
-    unknown_forces(t, x, constants, r, w->multipliers + N_C, s->effect, s->effect_jacobian, s->auxiliary_forcing,
-                   s->auxiliary_forcing_jacobian, s->auxiliary_mass, s->auxiliary_constraint_jacobian);
+    if (!fb_evaluate_forces(t, x, constants, r, w->multipliers + N_C, s))
+        return FB_NOT_FINITE;
     fb_form_response(w->mass_matrix, &w->factors, s);
 #endif
 #if N_Z + N_N > 0

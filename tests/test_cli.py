@@ -54,6 +54,18 @@ def test_simulate_takes_initial_values_guesses_and_inputs(four_bar):
         (["simulate", "-p", "l9=1"], "'l9'"),
         (["simulate", "-p", "l2"], "NAME=VALUE"),
         (["simulate", "-p", "l2=long"], "NAME=VALUE"),
+        (["simulate", "-p", "l2=0.4:0.5:3"], "fourbar sweep"),
+        (["simulate", "-t", "4"], "-t 0 4"),
+        (["simulate", "-t", "0", "four"], "-t 0 4"),
+        (["simulate", "-r", "F=50*sin(q1)"], "there is no q1"),
+        (["simulate", "fourbar"], "Did you mean four_bar?"),
+        (["sweep"], "nothing to sweep"),
+        (["sweep", "-p", "k=1:2"], "FIRST:LAST:N"),
+        (["sweep", "-p", "k=1:2:0"], "FIRST:LAST:N"),
+        (["sweep", "-p", "k=1:2:2000", "-p", "l2=0.4:0.5:2000"], "at most 1000000 runs"),
+        (["sweep", "-p", "k=1:2:3", "-r", "F=k*t"], "contains k, which the sweep changes"),
+        (["sweep", "-p", "l2=0.5,5"], "cannot be closed"),
+        (["sweep", "-p", "k=1,2", "-o", "run.gif"], "run.gif"),
         (["simulate", "-p", "l2=5"], "cannot be closed"),
         (["simulate", "-p", "l2=nan"], "finite"),
         (["simulate", "-i", "u2=1"], "u2"),
@@ -122,6 +134,109 @@ def test_a_run_that_explodes_ends_and_says_how_far_it_is(monkeypatch):
     assert "max_steps must be" in run("simulate", "--max-steps", "many").output
 
 
+def test_a_sweep_runs_all_combinations(four_bar, tmp_path):
+    ranges = ["-p", "k=50:150:3", "-p", "c=0,5", "-p", "l2=0.45"]
+    done = run("sweep", *ranges, "-t", 0, 2, "-i", "q1=-0.6", "-o", tmp_path / "s.npz")
+    assert done.exit_code == 0, done.output
+    assert "k = 50 ... 150 N m/rad, 3 values" in done.output
+    arrays = np.load(tmp_path / "s.npz")
+    assert list(zip(arrays["k"], arrays["c"], strict=True)) == [(k, c) for k in (50, 100, 150) for c in (0, 5)]
+    of_last = {"k": 150.0, "c": 5.0, "l2": 0.45}
+    x0 = four_bar.initial_state({"q1": -0.6}, parameters=of_last)
+    times = np.linspace(0.0, 2.0, 201)
+    alone = four_bar.simulate((0.0, 2.0), x0, parameters=of_last, t_eval=times)
+    # The default tolerance 1e-6, in each of some dozen steps on either side.
+    np.testing.assert_allclose(arrays["q2"][-1], alone["q2"], rtol=0, atol=1e-4)
+    # Stiffer springs reach the linkage's singular position; those runs are kept, and the command fails.
+    failed = run("sweep", "-p", "k=100,200", "-o", tmp_path / "f.csv")
+    assert failed.exit_code == 1
+    assert "1 of 2 members failed, the first of them at k = 200: The integration stopped" in failed.output
+    assert (tmp_path / "f.csv").exists()
+
+
+PENDULUM = """
+from fourbar_codegen import models
+import lengths
+import json
+def make():
+    return models.cartesian_pendulum() if json.loads("1") == 1 and lengths.L == 1.0 else None
+"""
+
+
+@pytest.mark.parametrize("model", ["json.py:make", "folder/json.py:make", "own:make"])
+def test_files_of_users_do_not_replace_pythons(tmp_path, model):
+    """Neither a model in a file json.py, nor one beside it; and the neighbours of a file can be imported."""
+    for place in (tmp_path, tmp_path / "folder"):
+        place.mkdir(exist_ok=True)
+        (place / "json.py").write_text(PENDULUM)
+        (place / "own.py").write_text(PENDULUM)
+        (place / "lengths.py").write_text("L = 1.0")
+    code = "import sys; sys.argv[0] = 'fourbar'; from fourbar_codegen.__main__ import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", code, "info", model], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("Model cartesian_pendulum")
+
+
+def test_errors_of_a_users_file_name_its_line(tmp_path):
+    (tmp_path / "own.py").write_text("def make():\n    x = 1\n    return y\n")
+    done = run("info", f"{tmp_path / 'own.py'}:make")
+    assert done.exit_code == 1
+    assert "own.py, line 3: NameError: name 'y' is not defined" in done.output
+
+
+COMMAND = [sys.executable, "-m", "fourbar_codegen"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")
+def test_a_full_device_is_an_error():
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run([*COMMAND, "simulate"], stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr == "Error: the output cannot be written: No space left on device.\n"
+
+
+def test_a_broken_pipe_is_silent():
+    with subprocess.Popen([*COMMAND, "simulate"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout
+        process.stdout.close()  # as `| head -0`
+        assert process.stderr
+        said = process.stderr.read()
+    assert process.returncode == 1
+    assert said == ""
+
+
+@pytest.mark.parametrize("where", ["fourbar_codegen.cli.commands", "click", "numpy"])
+def test_an_interrupt_while_modules_are_imported_is_one_line(where):
+    code = f"""
+import sys, signal
+class Finder:
+    def find_spec(self, name, *_):
+        if name == {where!r}:
+            signal.raise_signal(signal.SIGINT)
+sys.meta_path.insert(0, Finder())
+sys.argv = ["fourbar", "simulate"]
+from fourbar_codegen.__main__ import main
+main()
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (130, "Interrupted.\n")
+
+
+def test_an_interrupt_later_is_one_line():
+    code = """
+import os, signal, sys, threading
+threading.Timer(1.5, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
+sys.argv = ["fourbar", "simulate", "-t", "0", "1e9", "--max-steps", "none", "-p", "c=0"]
+from fourbar_codegen.__main__ import main
+main()
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 130
+    assert done.stderr.splitlines()[-1] == "Interrupted."
+
+
 def test_generate_and_build_and_load(tmp_path, four_bar):
     assert run("generate", "-o", tmp_path / "sources").exit_code == 0
     assert json.loads((tmp_path / "sources" / "four_bar" / "manifest.json").read_text())["name"] == "four_bar"
@@ -162,10 +277,11 @@ def test_cache_is_listed_and_cleared(tmp_path, monkeypatch):
 
 
 def test_help_and_version():
-    for command in ("simulate", "generate", "build", "info"):
+    for command in ("simulate", "sweep", "report", "animate", "generate", "build", "info"):
         result = run(command, "--help")
         assert result.exit_code == 0
-        assert "MODEL" in result.output
+        assert f"  fourbar {command} " in result.output  # an example
+        assert set(fb.models.__all__) <= set(re.findall(r"\w+", result.output))
     version = importlib.metadata.version("fourbar_codegen")
     assert version in run("--version").output
     done = subprocess.run(
@@ -176,10 +292,11 @@ def test_help_and_version():
 
 def test_all_methods_can_be_chosen():
     """The command line names them without importing what runs them."""
-    from fourbar_codegen import cli
+    from fourbar_codegen.cli.options import METHODS, SWEEP_METHODS
     from fourbar_codegen.simulation import options
 
-    assert set(cli.METHODS) == {*options.METHODS, options.FIXED_STEP, *options.SOLVERS}
+    assert set(METHODS) == {*options.METHODS, options.FIXED_STEP, *options.SOLVERS}
+    assert options.METHODS == SWEEP_METHODS
 
 
 def test_models_that_are_not_compiled_yet_are_known_by_name():

@@ -357,7 +357,7 @@ def test_names_and_shapes(four_bar):
     np.testing.assert_array_equal(ensemble[-1].y, ensemble.y[2])
     with pytest.raises(IndexError):
         ensemble[3]
-    with pytest.raises(fb.ModelError, match="There is no state"):
+    with pytest.raises(fb.ModelError, match="no quantity 'q9'; there are t, q1"):
         ensemble["q9"]
 
 

@@ -16,7 +16,7 @@ DRAWING = Path(__file__).parents[1] / "docs" / "folders.svg"
 ROOT = {
     "errors": "errors", "arguments": "ground", "files": "ground", "progress": "ground", "tables": "ground",
     "compiled": "compiled", "solvers": "compiled", "compile": "compile", "verify": "compile",
-    "__init__": "cli", "__main__": "cli", "cli": "cli",
+    "__init__": "cli", "__main__": "cli",
 }  # fmt: skip
 """The layers of the files that are in no folder; that of the others is their folder."""
 
@@ -53,6 +53,8 @@ DOORS = {
     ("results.trajectory", "presentation.storage"),
     ("results.trajectory", "presentation.figures"),
     ("results.trajectory", "presentation.report"),
+    ("results.ensemble", "presentation.storage"),
+    ("results.ensemble", "presentation.figures"),
     ("analysis.assembly_modes", "presentation.figures"),
     ("modeling.model", "dynamics.equations"),
     ("modeling.model", "dynamics.unknown_forces"),
@@ -131,7 +133,7 @@ def test_halves_import_their_own_libraries(name):
     modules = {module.split(".")[0] for module, _ in imports(FILES[name])}
     if layer(name) in GENERATION:
         assert "scipy" not in modules
-    elif layer(name) not in BOTH and name != "presentation.figures":  # SymMePlot animates vectors of SymPy
+    elif layer(name) not in BOTH:
         assert "sympy" not in modules
     assert "subprocess" not in modules or name == "building.toolchain"
 
@@ -155,7 +157,9 @@ def drawing():
         ready = [name for name in placed if not on[name] & placed]
         rows.append(sorted(ready, key=lambda name: (name not in GENERATION, name)))
     labels = {name: f"{name}/" for name in ON}
-    labels |= {kind: ", ".join(f"{file}.py" for file in ROOT if ROOT[file] == kind) for kind in set(ROOT.values())}
+    for kind in set(ROOT.values()):
+        folder = [f"{kind}/"] if (PACKAGE / kind).is_dir() else []
+        labels[kind] = ", ".join([*folder, *(f"{file}.py" for file in ROOT if ROOT[file] == kind)])
     lines, boxes, center, top = [], [], {}, 64 * len(rows)
     for level, row in enumerate(rows):
         widths = [8 * len(labels[name]) + 24 for name in row]

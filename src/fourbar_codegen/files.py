@@ -6,14 +6,17 @@ import errno
 import os
 import secrets
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
+from typing import IO, TypeVar
 
 from fourbar_codegen.errors import ModelError
 
-__all__ = ["path_of", "replacing"]
+__all__ = ["path_of", "replacing", "save", "writer_of"]
+
+T = TypeVar("T")
+Writer = Callable[[T, IO[bytes]], None]
 
 
 def path_of(given: object) -> Path:
@@ -84,3 +87,35 @@ def _mode(target: Path) -> int | None:
     if not os.access(target, os.W_OK):
         raise PermissionError(errno.EACCES, "it is write-protected")
     return stat.S_IMODE(mode)
+
+
+def writer_of(path: Path, writers: Mapping[str, Writer[T]], what: str) -> Writer[T]:
+    """The writer for a path's suffix.
+
+    Raises
+    ------
+    ModelError
+        If there is none for it.
+    """
+    writer = writers.get(path.suffix.lower())
+    if writer is None:
+        raise ModelError(f"{what} is saved as {', '.join(writers)}; {path.name!r} ends otherwise.")
+    return writer
+
+
+def save(given: str | Path, result: T, writers: Mapping[str, Writer[T]], what: str) -> Path:
+    """Write a result to a file by the writer for its suffix; whatever goes wrong, a file that was there stays.
+
+    Raises
+    ------
+    ModelError
+        If it is no path, there is no writer for its suffix, or the file cannot be written.
+    """
+    path = path_of(given)
+    writer = writer_of(path, writers, what)
+    try:
+        with replacing(path) as file:
+            writer(result, file)
+    except OSError as error:
+        raise ModelError(f"{path} cannot be written: {error.strerror or error}.") from error
+    return path

@@ -1,11 +1,39 @@
-"""Tables in HTML, as notebooks show objects."""
+"""HTML by which notebooks show objects: tables, and whole pages in a frame."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from html import escape
 
-__all__ = ["names_table", "table"]
+__all__ = ["Page", "names_table", "table"]
+
+
+@dataclass(frozen=True, repr=False)
+class Page:
+    """A page of HTML that a notebook shows in a frame.
+
+    Attributes
+    ----------
+    title : str
+    text : str
+        The whole page, with all that it needs.
+    height : int
+        Of the frame, pixels.
+    """
+
+    title: str
+    text: str
+    height: int
+
+    def __repr__(self) -> str:
+        return f"<{self.title}, {self.height} pixels high>"
+
+    def _repr_html_(self) -> str:
+        return (
+            f'<iframe srcdoc="{escape(self.text)}" title="{escape(self.title)}" '
+            f'style="width: 100%; height: {self.height}px; border: 0"></iframe>'
+        )
 
 
 def table(caption: str, header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

@@ -1,19 +1,19 @@
-"""Pictures of trajectories: plots with Matplotlib, animations with SymMePlot."""
+"""Pictures of trajectories and ensembles: plots and animations with Matplotlib."""
 
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fourbar_codegen.arguments import positive
+from fourbar_codegen.arguments import name_of, positive
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.kernel.kernel import Kernel
-from fourbar_codegen.presentation.drawing import drawing, equal_times, extent, panels
+from fourbar_codegen.presentation.drawing import Drawing, drawing, equal_times, extent, panels
 from fourbar_codegen.progress import PATIENCE
 
 if TYPE_CHECKING:
@@ -21,9 +21,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from fourbar_codegen.analysis.assembly_modes import AssemblyModes
+    from fourbar_codegen.results.ensemble import Ensemble
     from fourbar_codegen.results.trajectory import Trajectory
 
-__all__ = ["animate", "plot_modes", "plot_paths", "plot_trajectory", "write_animation"]
+__all__ = ["animate", "plot_ensemble", "plot_modes", "plot_paths", "plot_trajectory", "write_animation"]
 
 Floats = NDArray[np.float64]
 
@@ -33,8 +34,14 @@ FPS = 30.0
 MAX_FRAMES = 10_000
 """An animation takes no more: each is some hundredths of a second to draw."""
 
+EDGE = 0.08
+"""Free space around an animation, as a share of the mechanism's size."""
+
 MAX_PANELS = 24
 """No more assembly modes are drawn."""
+
+CURVES = 30
+"""Members of an ensemble that are drawn as curves."""
 
 SMOOTH = 401
 """States that a curve looks smooth with."""
@@ -96,6 +103,42 @@ def plot_paths(trajectory: Trajectory, points: Sequence[str]) -> Figure:
     if traced:
         axes.legend()
     axes.set_title(trajectory.model.name)
+    return figure
+
+
+def plot_ensemble(ensemble: Ensemble, names: Sequence[Any]) -> Figure:
+    """Median, bands and curves of an ensemble; see `Ensemble.plot`."""
+    figure_class = _imported("matplotlib.figure", "Plots").Figure
+    if isinstance(names, str) or not isinstance(names, list | tuple):
+        raise ModelError(f"names must be a sequence of names, not {shown(names)}.")
+    if not len(ensemble):
+        raise ModelError("There is nothing to plot: the ensemble has no members.")
+    shown_names = list(map(name_of, names)) or list(ensemble.model.coordinates)
+    curves = np.unique(np.linspace(0, len(ensemble) - 1, CURVES).round().astype(int))
+    figure: Figure = figure_class(figsize=(7.0, 2.6 * len(shown_names)), layout="constrained")
+    for axes, name in zip(
+        figure.subplots(len(shown_names), 1, sharex=True, squeeze=False).flat, shown_names, strict=True
+    ):
+        values = ensemble[name]
+        if values.ndim != 2:
+            raise ModelError(f"{name} is no scalar quantity over time: it has shape {values.shape}.")
+        reached = np.isfinite(values).any(axis=0)
+        times = ensemble.t[reached]
+        low, quarter, median, other, high = np.nanpercentile(values[:, reached], [5, 25, 50, 75, 95], axis=0)
+        lines = axes.plot(ensemble.t, values[curves].T, color="0.6", linewidth=0.5, zorder=1)
+        lines[0].set_label("members")
+        axes.fill_between(times, low, high, color="tab:blue", alpha=0.2, linewidth=0.0, label="90 %")
+        axes.fill_between(times, quarter, other, color="tab:blue", alpha=0.35, linewidth=0.0, label="50 %")
+        axes.plot(times, median, color="tab:blue", label="median")
+        axes.set_title(_label(name), loc="left", fontsize="medium")
+        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+        axes.grid(alpha=0.3)
+    axes.set_xlabel("time (s)")
+    failed = len(ensemble) - int(ensemble.success.sum())
+    figure.suptitle(
+        f"{ensemble.model.name}: {len(ensemble)} members"
+        + (f", {failed} of which failed: later, percentiles are of the others" if failed else "")
+    )
     return figure
 
 
@@ -176,13 +219,9 @@ def _checked(model: Kernel, points: Iterable[str]) -> list[str]:
 
 
 def animate(trajectory: Trajectory, *, fps: float, speed: float, traces: Sequence[str]) -> FuncAnimation:
-    """Animate a trajectory; see `Trajectory.animate`.
-
-    SymMePlot draws vectors whose components are symbols; the compiled positions take the place of these.
-    """
-    scenes = _imported("symmeplot.matplotlib", "Animations")
+    """Animate a trajectory; see `Trajectory.animate`."""
+    animations = _imported("matplotlib.animation", "Animations")
     figures = _imported("matplotlib.figure", "Animations")
-    me = _imported("sympy.physics.mechanics", "Animations")
     model = trajectory.model
     positive(fps, "fps")
     positive(speed, "speed")
@@ -191,45 +230,55 @@ def animate(trajectory: Trajectory, *, fps: float, speed: float, traces: Sequenc
     if n > MAX_FRAMES:
         raise ModelError(f"The animation would have {n:.0f} frames, more than {MAX_FRAMES}: take a greater speed.")
     drawn = drawing(trajectory, lambda start, end: equal_times(start, end, fps / speed))
-    size = drawn.size
-    positions = np.array([*drawn.positions, *drawn.arrows.values()])
-    symbols = importlib.import_module("sympy").symbols(f"x:{3 * len(positions)}")
-    frame, origin = me.ReferenceFrame(""), me.Point("")
-    vectors = [
-        sum((s * axis for s, axis in zip(xyz, frame, strict=True)), me.Vector(0))
-        for xyz in zip(*[iter(symbols)] * 3, strict=True)
-    ]
-    # Strict only in one direction: behind the points stand the tips of the arrows.
-    points = [origin.locatenew(name, vector) for name, vector in zip(model.points, vectors, strict=False)]
-    figure = figures.Figure(figsize=(6.0, 6.0))
-    axes = figure.add_subplot(projection="3d")
-    scene = scenes.Scene3D(frame, origin, ax=axes, scale=0.1 * size)
-    for number, name, parent, body in drawn.points():
-        if parent is not None:
-            scene.add_line([points[parent], points[number]], color="black", linewidth=2.5)
-        if body is not None:
-            scene.add_point(points[number], color="tab:blue", markersize=6)
-        if name in traces:
-            scene.add_point_trace(points[number], color="tab:red", s=2)
-    for number, tip in zip(drawn.arrows, vectors[len(points) :], strict=True):
-        scene.add_vector(tip - vectors[number], points[number], color="tab:orange", mutation_scale=15)
-    scene.lambdify_system(symbols)
-    scene.evaluate_system(*positions[:, :, 0].ravel())
-    scene.plot(prettify=False)
-    low, high = positions.min(axis=(0, 2)), positions.max(axis=(0, 2))
-    middle = (low + high) / 2
-    for i, name in enumerate("xyz"):
-        getattr(axes, f"set_{name}lim")(middle[i] - 0.55 * size, middle[i] + 0.55 * size)
+    dimensions = 2 if drawn.is_planar else 3
+    every = np.array([*drawn.positions, *drawn.arrows.values()])[:, :dimensions]
+    low, high = every.min(axis=(0, 2)), every.max(axis=(0, 2))
+    middle, half = (low + high) / 2, (high - low) / 2 + EDGE * drawn.size
+    if drawn.is_planar:  # as high as the motion needs
+        figure = figures.Figure(figsize=(6.0, 6.0 * np.clip(half[1] / half[0], 0.4, 1.5)))
+        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    else:
+        half[:] = half.max()
+        figure = figures.Figure(figsize=(6.0, 6.0))
+        axes = figure.add_subplot(projection="3d")
+        axes.set_proj_type("ortho")
+        axes.set_box_aspect((1.0, 1.0, 1.0), zoom=1.6)
+    for name, begin, end in zip("xyz"[:dimensions], middle - half, middle + half, strict=True):
+        getattr(axes, f"set_{name}lim")(begin, end)
     axes.set_aspect("equal")
-    axes.set_proj_type("ortho")
-    axes.set_box_aspect((1.0, 1.0, 1.0), zoom=1.6)
     axes.set_axis_off()
-    if drawn.is_planar:
-        axes.view_init(elev=90.0, azim=-90.0)
-    animation: FuncAnimation = scene.animate(
-        lambda i: tuple(positions[:, :, i].ravel()), positions.shape[2], interval=1000.0 / fps, blit=False
+    for number, name, _, _ in drawn.points():
+        if name in traces:
+            axes.plot(*every[number], color="tab:red", linewidth=1.0)
+    # Lines that are moved: rows of `every` that each of them joins.
+    moved = [(rows, axes.plot(*every[rows, :, 0].T, **style)[0]) for rows, style in _moving_lines(drawn)]
+    time = axes.annotate("", (0.02, 0.02), xycoords="axes fraction", fontsize="small", color="0.3")
+
+    def show(frame: int) -> None:
+        for rows, line in moved:
+            (line.set_data if dimensions == 2 else line.set_data_3d)(*every[rows, :, frame].T)
+        time.set_text(f"t = {drawn.shown.t[frame]:.2f} s")
+
+    animation: FuncAnimation = animations.FuncAnimation(
+        figure, show, frames=every.shape[2], interval=1000.0 / fps, blit=False
     )
     return animation
+
+
+def _moving_lines(drawn: Drawing) -> Iterator[tuple[list[int], dict[str, Any]]]:
+    """The points that a line joins, and how it is drawn: links, mass centres, and forces with a dot at their tips."""
+    masses = []
+    for number, _, parent, body in drawn.points():
+        if parent is not None:
+            yield [parent, number], {"color": "0.2", "linewidth": 3.0, "solid_capstyle": "round"}
+        if body is not None:
+            masses.append(number)
+    yield masses, {"color": "tab:blue", "marker": "o", "markersize": 6.0, "linestyle": "none"}
+    for tip, number in enumerate(drawn.arrows, start=len(drawn.positions)):
+        yield (
+            [number, tip],
+            {"color": "tab:orange", "linewidth": 2.0, "marker": "o", "markersize": 5.0, "markevery": [1]},
+        )
 
 
 def write_animation(trajectory: Trajectory, path: Path, kind: str) -> None:

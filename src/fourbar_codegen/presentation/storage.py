@@ -7,8 +7,9 @@ import json
 import re
 import struct
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from hashlib import sha256
+from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
@@ -21,12 +22,25 @@ from numpy.typing import NDArray
 from fourbar_codegen.errors import FourbarError, ModelError
 from fourbar_codegen.files import path_of
 from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.results.ensemble import Ensemble
 from fourbar_codegen.results.trajectory import Trajectory
 
 if TYPE_CHECKING:
+    import pandas
     import xarray
 
-__all__ = ["attributes", "read_trajectory", "to_dataset", "versions", "write_netcdf", "write_npz"]
+__all__ = [
+    "attributes",
+    "ensemble_dataset",
+    "read_trajectory",
+    "to_dataframe",
+    "to_dataset",
+    "versions",
+    "write_dataset",
+    "write_ensemble_npz",
+    "write_netcdf",
+    "write_npz",
+]
 
 Floats = NDArray[np.float64]
 
@@ -52,26 +66,43 @@ def versions() -> dict[str, str]:
     return found
 
 
+def _origin(model: Kernel, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """The model, and how it was run."""
+    return {
+        "model": model.name,
+        "fingerprint": model.manifest["fingerprint"],
+        "settings": dict(settings),
+        "versions": versions(),
+    }
+
+
 def attributes(trajectory: Trajectory) -> dict[str, Any]:
     """What it takes to make a run again, and how it ended."""
     model = trajectory.model
     values = list(model.defaults.values()) if trajectory.parameters is None else trajectory.parameters.tolist()
     return {
-        "model": model.name,
-        "fingerprint": model.manifest["fingerprint"],
+        **_origin(model, trajectory.settings),
         "parameters": dict(zip(model.parameters, values, strict=True)),
-        "settings": dict(trajectory.settings),
-        "versions": versions(),
         **{name: getattr(trajectory, name) for name in ("nfev", "njev", "nlu", "status", "success", "message")},
     }
 
 
+def to_dataframe(trajectory: Trajectory) -> pandas.DataFrame:
+    """A trajectory as a table; see `Trajectory.to_dataframe`."""
+    columns = trajectory.columns()
+    return _imported("pandas", "Tables").DataFrame(columns).set_index("t")
+
+
+def _imported(name: str, what: str) -> Any:
+    try:
+        return import_module(name)
+    except ImportError as error:
+        raise ModelError(f"{what} need {name}: pip install 'fourbar_codegen[data]'.") from error
+
+
 def to_dataset(trajectory: Trajectory) -> xarray.Dataset:
     """A trajectory as a dataset; see `Trajectory.to_xarray`."""
-    try:
-        import xarray
-    except ImportError as error:
-        raise ModelError("Datasets need xarray: pip install 'fourbar_codegen[data]'.") from error
+    xarray = _imported("xarray", "Datasets")
     model = trajectory.model
     described = (
         (model.coordinates, trajectory.q, "coordinate"),
@@ -85,11 +116,7 @@ def to_dataset(trajectory: Trajectory) -> xarray.Dataset:
         for names, rows, kind in described
         for name, values in zip(names, rows, strict=True)
     }
-    taken = {"time", "constraint", "row", "point", "forced_point", "axis"} & set(variables)
-    if taken:
-        raise ModelError(
-            f"A dataset has a place of its own for {', '.join(taken)}: name the state or output otherwise."
-        )
+    _check_free(variables, {"time", "constraint", "row", "point", "forced_point", "axis"})
     more = {
         "constraint_residual": (("constraint", "time"), trajectory.constraint_residual, {}),
         "velocity_residual": (("row", "time"), trajectory.velocity_residual, {}),
@@ -107,10 +134,6 @@ def to_dataset(trajectory: Trajectory) -> xarray.Dataset:
             {"units": "N"},
         ),
     }
-    described_by = {
-        name: json.dumps(value) if isinstance(value, Mapping) else int(value) if isinstance(value, bool) else value
-        for name, value in attributes(trajectory).items()
-    }
     return xarray.Dataset(
         {**variables, **{name: value for name, value in more.items() if name not in variables}},
         coords={
@@ -119,8 +142,57 @@ def to_dataset(trajectory: Trajectory) -> xarray.Dataset:
             "forced_point": list(model.forced_points),
             "axis": ["x", "y", "z"],
         },
-        attrs=described_by,
+        attrs=_texts(attributes(trajectory)),
     )
+
+
+def _check_free(variables: Iterable[str], reserved: set[str]) -> None:
+    taken = reserved & set(variables)
+    if taken:
+        raise ModelError(f"In a dataset the names {', '.join(taken)} are reserved: rename the state or output.")
+
+
+def _texts(attributes: Mapping[str, Any]) -> dict[str, Any]:
+    """Attributes as NetCDF takes them: mappings as JSON."""
+    return {
+        name: json.dumps(value) if isinstance(value, Mapping) else int(value) if isinstance(value, bool) else value
+        for name, value in attributes.items()
+    }
+
+
+def ensemble_dataset(ensemble: Ensemble) -> xarray.Dataset:
+    """An ensemble as a dataset; see `Ensemble.to_xarray`."""
+    xarray = _imported("xarray", "Datasets")
+    series = _series(ensemble)
+    of_members = dict(zip(ensemble.model.parameters, ensemble.parameters.T, strict=True))
+    of_members.update(success=ensemble.success, message=np.array(ensemble.messages, dtype=object), nfev=ensemble.nfev)
+    _check_free(series, {"time", "member"})
+    return xarray.Dataset(
+        {name: ("member", values) for name, values in of_members.items()}
+        | {name: (("member", "time"), values) for name, values in series.items()},
+        coords={"time": ("time", ensemble.t, {"units": "s"}), "member": np.arange(len(ensemble))},
+        attrs=_texts(_origin(ensemble.model, ensemble.settings)),
+    )
+
+
+def write_ensemble_npz(ensemble: Ensemble, file: IO[bytes]) -> None:
+    """An ensemble as NumPy's arrays by name; see `Ensemble.save`."""
+    arrays: dict[str, Any] = dict(zip(ensemble.model.parameters, ensemble.parameters.T, strict=True))
+    arrays.update(success=ensemble.success, messages=np.array(ensemble.messages, dtype=str), nfev=ensemble.nfev)
+    arrays[ATTRIBUTES] = np.array(json.dumps(_origin(ensemble.model, ensemble.settings)))
+    np.savez(file, **{**arrays, **_series(ensemble), "t": ensemble.t})
+
+
+def _series(ensemble: Ensemble) -> dict[str, Floats]:
+    """States and outputs of all members by name, each of shape (n, n_t)."""
+    model = ensemble.model
+    outputs = np.full((len(ensemble), len(model.outputs), len(ensemble.t)), np.nan)
+    for row, member in zip(outputs, ensemble if model.outputs else (), strict=False):
+        row[:, : len(member.t)] = member.outputs
+    return {
+        **{name: ensemble.y[:, i] for i, name in enumerate(model.states)},
+        **{name: outputs[:, i] for i, name in enumerate(model.outputs)},
+    }
 
 
 def _require_h5netcdf() -> None:
@@ -130,8 +202,12 @@ def _require_h5netcdf() -> None:
 
 
 def write_netcdf(trajectory: Trajectory, file: IO[bytes]) -> None:
-    """A trajectory as NetCDF 4, by h5netcdf."""
-    dataset = to_dataset(trajectory)
+    """A trajectory as NetCDF 4."""
+    write_dataset(to_dataset(trajectory), file)
+
+
+def write_dataset(dataset: xarray.Dataset, file: IO[bytes]) -> None:
+    """A dataset as NetCDF 4, by h5netcdf."""
     _require_h5netcdf()
     import h5netcdf
     from xarray.backends import H5NetCDFStore
@@ -145,7 +221,7 @@ def write_netcdf(trajectory: Trajectory, file: IO[bytes]) -> None:
         with h5netcdf.File(memory, "w") as held:
             dataset.dump_to_store(H5NetCDFStore(held), encoding=summed)
     except ValueError as error:  # names of outputs may be anything
-        raise ModelError(f"NetCDF cannot hold this trajectory: {error}.") from error
+        raise ModelError(f"NetCDF cannot hold this result: {error}.") from error
     content = memory.getbuffer()
     file.write(content)
     file.write(SEAL + sha256(content).digest())

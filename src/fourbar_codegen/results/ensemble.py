@@ -2,25 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import Any
+import csv
+import io
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fourbar_codegen.arguments import is_integer, name_of
 from fourbar_codegen.errors import ModelError
+from fourbar_codegen.files import save
 from fourbar_codegen.kernel.inputs import bind, inputs_of
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.results.trajectory import Trajectory
 
-__all__ = ["Ensemble"]
+if TYPE_CHECKING:
+    import xarray
+    from matplotlib.figure import Figure
+
+__all__ = ["WRITERS", "Ensemble"]
 
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Ensemble:
     """Runs of one mechanism over the same time, members in rows.
 
@@ -53,30 +61,46 @@ class Ensemble:
     """
 
     model: Kernel
-    t: Floats = field(repr=False)
-    y: Floats = field(repr=False)
+    t: Floats
+    y: Floats
     success: NDArray[np.bool_]
-    messages: tuple[str, ...] = field(repr=False)
-    nfev: NDArray[np.int_] = field(repr=False)
-    parameters: Floats = field(repr=False)
-    inputs: Mapping[Any, Any] = field(repr=False)
-    settings: Mapping[str, Any] = field(repr=False)
+    messages: tuple[str, ...]
+    nfev: NDArray[np.int_]
+    parameters: Floats
+    inputs: Mapping[Any, Any]
+    settings: Mapping[str, Any]
 
     def __len__(self) -> int:
         return len(self.y)
 
     def __getitem__(self, key: Any) -> Any:
-        """A member as a `Trajectory`, by its number; or a coordinate or speed of all, shape (n, n_t), by its name."""
-        if not is_integer(key):
-            if isinstance(key, slice):
-                raise ModelError("Members are had one by one: slice ensemble.y, or index with a number.")
-            if name_of(key) in self.model.states:
-                return self.y[:, self.model.states.index(name_of(key))]
-            raise ModelError(f"There is no state {name_of(key)!r}; there are {', '.join(self.model.states)}.")
+        """A member as a `Trajectory`, by its number; or a quantity of all members, by its name.
+
+        A name is any that a `Trajectory` takes: a state, input, output, ``"energy"``, ... The shape is (n, n_t), of a
+        point (n, 3, n_t); NaN from where a member failed on. ``"t"`` are the times, shape (n_t,).
+        """
+        if is_integer(key):
+            return self._member(int(key))
+        if isinstance(key, slice):
+            raise ModelError("Members are had one by one: slice ensemble.y, or index with a number.")
+        name = name_of(key)
+        if name in self.model.states:
+            return self.y[:, self.model.states.index(name)]
+        if name == "t":
+            return self.t
+        rows = [member[name] for member in self]
+        if not rows:
+            raise ModelError(f"The ensemble has no members, and {name!r} has no values.")
+        values = np.full((len(rows), *rows[0].shape[:-1], len(self.t)), np.nan)
+        for place, row in zip(values, rows, strict=True):
+            place[..., : row.shape[-1]] = row
+        return values
+
+    def _member(self, key: int) -> Trajectory:
         n = len(self)
         if not -n <= key < n:
             raise IndexError(f"member {key} of {n}")
-        member = int(key) % n
+        member = key % n
         reached = np.isfinite(self.y[member]).all(axis=0)
         t, y = self.t[reached], self.y[member][:, reached]
         parameters, inputs = self.parameters[member].copy(), inputs_of(self.inputs, member)
@@ -88,5 +112,137 @@ class Ensemble:
             message=self.messages[member], settings=dict(self.settings), inputs=inputs,
         )  # fmt: skip
 
+    @property
+    def varied(self) -> dict[str, Floats]:
+        """The parameters that differ between members, by name, each of shape (n,)."""
+        return {
+            name: values
+            for name, values in zip(self.model.parameters, self.parameters.T, strict=True)
+            if len(values) and (values != values[0]).any()
+        }
+
+    def to_xarray(self) -> xarray.Dataset:
+        """The ensemble as a dataset of xarray, which needs the extra ``data``.
+
+        Returns
+        -------
+        xarray.Dataset
+            Over ``member`` and ``time`` (s) a variable for each coordinate, speed, auxiliary state and output; over
+            ``member`` each parameter, ``success``, ``message`` and ``nfev``. Attributes as of `Trajectory.to_xarray`.
+
+        Raises
+        ------
+        ModelError
+            If xarray is not installed.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> ensemble = fb.load("four_bar").ensemble((0.0, 1.0), parameters={"k": [2.0, 3.0]}, t_eval=[0.0, 0.5, 1.0])
+        >>> ensemble.to_xarray()["q1"].dims
+        ('member', 'time')
+        """
+        from fourbar_codegen.presentation.storage import ensemble_dataset
+
+        return ensemble_dataset(self)
+
+    def plot(self, names: Sequence[Any] = ()) -> Figure:
+        """Median, bands of 50 and 90 % of the members, and curves of some members; needs the extra ``visual``.
+
+        Parameters
+        ----------
+        names : sequence of str, optional
+            Scalar quantities as `Trajectory` names them, a panel for each; the coordinates otherwise.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+
+        Raises
+        ------
+        ModelError
+            If there is no such quantity, or Matplotlib is not installed.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import fourbar_codegen as fb
+        >>> times = np.linspace(0.0, 1.0, 101)
+        >>> ensemble = fb.load("four_bar").ensemble((0.0, 1.0), parameters={"k": np.linspace(1, 5, 50)}, t_eval=times)
+        >>> figure = ensemble.plot(["q1", "energy"])  # doctest: +SKIP
+        """
+        from fourbar_codegen.presentation.figures import plot_ensemble
+
+        return plot_ensemble(self, names)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the ensemble to a file.
+
+        Parameters
+        ----------
+        path : str or Path
+            Its suffix gives the kind: ``.csv`` (a row for each member and time: the parameters that differ, states and
+            outputs), ``.npz`` (NumPy: ``t``; each state and output, shape (n, n_t); each parameter, ``success``,
+            ``messages`` and ``nfev``, shape (n,)), ``.nc`` (NetCDF, as `to_xarray` has it; needs the extra ``data``),
+            ``.png`` (`plot`; needs the extra ``visual``). Missing folders are made. Whatever goes wrong, a file that
+            was there stays as it was.
+
+        Returns
+        -------
+        Path
+
+        Raises
+        ------
+        ModelError
+            If it is no path, the suffix is another one, the file cannot be written, or what it takes is missing.
+        """
+        return save(path, self, WRITERS, "An ensemble")
+
     def __iter__(self) -> Iterator[Trajectory]:
         return (self[member] for member in range(len(self)))
+
+    def __repr__(self) -> str:
+        n, name = len(self), self.model.name
+        span = f"{self.t[0]:g} s to {self.t[-1]:g} s, {len(self.t)} times" if len(self.t) else "no times"
+        failed = n - int(self.success.sum())
+        varied = ", ".join(self.varied)
+        return (
+            f"<Ensemble of {name}: {n} members{f', {failed} failed' if failed else ''}, {span}"
+            f"{f', different in {varied}' if varied else ''}>"
+        )
+
+
+def _write_csv(ensemble: Ensemble, file: IO[bytes]) -> None:
+    model, varied = ensemble.model, ensemble.varied
+    text = io.TextIOWrapper(file, encoding="utf-8", newline="")
+    writer = csv.writer(text)
+    writer.writerow(("member", *varied, "t", *model.states, *model.outputs))
+    for number, member in enumerate(ensemble):
+        of_member = [float(values[number]) for values in varied.values()]
+        rows = np.vstack((member.t, member.y, member.outputs)).T.tolist()
+        writer.writerows((number, *of_member, *row) for row in rows)
+    text.detach()  # the file stays open
+
+
+def _write_npz(ensemble: Ensemble, file: IO[bytes]) -> None:
+    from fourbar_codegen.presentation.storage import write_ensemble_npz
+
+    write_ensemble_npz(ensemble, file)
+
+
+def _write_netcdf(ensemble: Ensemble, file: IO[bytes]) -> None:
+    from fourbar_codegen.presentation.storage import ensemble_dataset, write_dataset
+
+    write_dataset(ensemble_dataset(ensemble), file)
+
+
+def _write_png(ensemble: Ensemble, file: IO[bytes]) -> None:
+    ensemble.plot().savefig(file, dpi=120, format="png")
+
+
+WRITERS: dict[str, Callable[[Ensemble, IO[bytes]], None]] = {
+    ".csv": _write_csv,
+    ".npz": _write_npz,
+    ".nc": _write_netcdf,
+    ".png": _write_png,
+}

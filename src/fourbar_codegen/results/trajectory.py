@@ -13,18 +13,19 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.arguments import name_of, sample_times
-from fourbar_codegen.errors import ModelError
-from fourbar_codegen.files import path_of, replacing
+from fourbar_codegen.arguments import is_integer, name_of, sample_times
+from fourbar_codegen.errors import ModelError, shown
+from fourbar_codegen.files import save
 from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.tables import Page, table
 
 if TYPE_CHECKING:
+    import pandas
     import xarray
     from matplotlib.animation import FuncAnimation
     from matplotlib.figure import Figure
 
-
-__all__ = ["Trajectory", "check_suffix", "make_trajectory"]
+__all__ = ["WRITERS", "Trajectory", "make_trajectory"]
 
 Floats = NDArray[np.float64]
 
@@ -101,14 +102,30 @@ class Trajectory:
         return self.y[self.model.n_q + self.model.n_u :]
 
     def __getitem__(self, name: Any) -> Floats:
-        """A state, input or output over time, by name or SymPy symbol, shape (n_t,)."""
-        model = self.model
+        """A quantity over time by its name, or by SymPy's symbol of it.
+
+        States, inputs and outputs; else what `columns` has: ``"t"``, ``"energy"``, ``"lambda1"``, ...; each of shape
+        (n_t,). Else the position of a point, shape (3, n_t), m.
+
+        Raises
+        ------
+        ModelError
+            If nothing has this name. The message lists the names.
+        """
+        model, key = self.model, name_of(name)
         for names, rows in ((model.states, "y"), (model.inputs, "r"), (model.outputs, "outputs")):
-            if name_of(name) in names:
-                values: Floats = getattr(self, rows)[names.index(name_of(name))]
+            if key in names:
+                values: Floats = getattr(self, rows)[names.index(key)]
                 return values
-        names = (*model.states, *model.inputs, *model.outputs)
-        raise ModelError(f"There is no state, input or output {name_of(name)!r}; there are {', '.join(names)}.")
+        columns = self.columns()
+        if key in columns:
+            return columns[key]
+        if key in model.points:
+            return self.points[key]
+        raise ModelError(f"There is no quantity {key!r}; there are {', '.join(self._ipython_key_completions_())}.")
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(dict.fromkeys((*self.columns(), *self.model.points)))
 
     @cached_property
     def _derived(self) -> tuple[Floats, Floats, Floats, Floats, Floats]:
@@ -210,8 +227,6 @@ class Trajectory:
         >>> coarse.resample([0.0, 0.25, 0.5]).y.shape
         (6, 3)
         """
-        from scipy.interpolate import CubicHermiteSpline
-
         from fourbar_codegen.kernel.inputs import along
 
         if not len(self.t):
@@ -227,20 +242,52 @@ class Trajectory:
             raise ModelError("Some of the states are not numbers: there is nothing to interpolate between.")
         else:
             rates = [ode(t, x) for t, x in zip(stored, self.y.T[places], strict=True)]
-            states = CubicHermiteSpline(stored, self.y.T[places], np.reshape(rates, (len(stored), -1)))(times).T
+            states = _hermite(stored, self.y[:, places], np.reshape(rates, (len(stored), -1)).T, times)
         if self.settings["constraints"] == "project" and not prescribed:
             states = np.reshape([ode.project(t, x) for t, x in zip(times, states.T, strict=True)], states.T.shape).T
         return replace(self, t=times, y=states, r=ode.inputs_along(times, states))
 
     def columns(self) -> dict[str, Floats]:
-        """Everything over time by name, each of shape (n_t,): t, states, inputs, outputs, residuals, energies."""
-        columns = {"t": self.t, **dict(zip(self.model.states, self.y, strict=True))}
-        columns.update(zip(self.model.inputs, self.r, strict=True))
-        columns.update(zip(self.model.outputs, self.outputs, strict=True))
-        columns.update({f"constraint_residual_{i}": row for i, row in enumerate(self.constraint_residual, start=1)})
-        columns["kinetic_energy"] = self.kinetic_energy
-        columns["potential_energy"] = self.potential_energy
-        return columns
+        """All scalar quantities over time by name, each of shape (n_t,).
+
+        ``t`` (s), states, inputs, outputs; multipliers ``lambda1``, ``lambda2``, ... in the order of the constraints;
+        ``constraint_residual_1``, ...; ``kinetic_energy``, ``potential_energy`` and ``energy`` (J). Where a state,
+        input or output has one of these names, the name is that of the state, input or output.
+        """
+        model = self.model
+        columns = {"t": self.t, **dict(zip(model.states, self.y, strict=True))}
+        columns.update(zip(model.inputs, self.r, strict=True))
+        columns.update(zip(model.outputs, self.outputs, strict=True))
+        derived = {f"lambda{i}": row for i, row in enumerate(self.multipliers, start=1)}
+        derived.update({f"constraint_residual_{i}": row for i, row in enumerate(self.constraint_residual, start=1)})
+        derived["kinetic_energy"] = self.kinetic_energy
+        derived["potential_energy"] = self.potential_energy
+        derived["energy"] = self.energy
+        return {**columns, **{name: row for name, row in derived.items() if name not in columns}}
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """The trajectory as a table of pandas, which the extra ``data`` installs.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row for each time, which is the index ``t`` (s), and a column for each other entry of `columns`.
+
+        Raises
+        ------
+        ModelError
+            If pandas is not installed.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> frame = fb.load("four_bar").simulate((0.0, 1.0), t_eval=[0.0, 0.5, 1.0]).to_dataframe()
+        >>> frame["q1"].loc[0.5].round(4), frame.index.name
+        (np.float64(-1.3096), 't')
+        """
+        from fourbar_codegen.presentation.storage import to_dataframe
+
+        return to_dataframe(self)
 
     def to_xarray(self) -> xarray.Dataset:
         """The trajectory as a dataset of xarray, which needs the extra ``data``.
@@ -290,17 +337,10 @@ class Trajectory:
         ModelError
             If it is no path, the suffix is another one, the file cannot be written, or what it takes is missing.
         """
-        path = path_of(path)
-        writer = check_suffix(path)
-        try:
-            with replacing(path) as file:
-                writer(self, file)
-        except OSError as error:
-            raise ModelError(f"{path} cannot be written: {error.strerror or error}.") from error
-        return path
+        return save(path, self, WRITERS, "A trajectory")
 
     def animate(self, *, fps: float = 30.0, speed: float = 1.0, traces: Sequence[str] | None = None) -> FuncAnimation:
-        """Move the mechanism's points and the lines between them, by SymMePlot; needs the extra ``visual``.
+        """Move the mechanism's points and the lines between them; needs the extra ``visual``.
 
         Parameters
         ----------
@@ -314,7 +354,8 @@ class Trajectory:
         Returns
         -------
         matplotlib.animation.FuncAnimation
-            To be shown in a notebook by its ``to_jshtml()``, or to be saved; `save` does that for GIF and MP4.
+            To be saved, which `save` does for GIF and MP4. In a notebook, `report` needs no network, which the buttons
+            of Matplotlib's ``to_jshtml()`` do.
 
         Raises
         ------
@@ -330,6 +371,39 @@ class Trajectory:
         from fourbar_codegen.presentation.figures import animate
 
         return animate(self, fps=fps, speed=speed, traces=traces or ())
+
+    def report(self, *, height: int = 900) -> Page:
+        """The interactive report for a notebook: the moving mechanism, traces, plots and a table of the run.
+
+        The same page as ``save("run.html")``; it needs no network, no extra and no running kernel.
+
+        Parameters
+        ----------
+        height : int, optional
+            Height in the notebook, pixels.
+
+        Returns
+        -------
+        Page
+            The last expression of a cell shows it.
+
+        Raises
+        ------
+        ModelError
+            If height is no positive integer, or there is nothing to show: no points whose positions are known, or no
+            states.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> fb.load("four_bar").simulate((0.0, 1.0)).report()
+        <Report of four_bar, 900 pixels high>
+        """
+        from fourbar_codegen.presentation.report import report_text
+
+        if not is_integer(height) or height < 1:
+            raise ModelError(f"height must be a positive number of pixels, not {shown(height)}.")
+        return Page(f"Report of {self.model.name}", report_text(self), int(height))
 
     def plot(self) -> Figure:
         """States, inputs, outputs (joint forces among them), multipliers, loop residual and energy.
@@ -383,9 +457,21 @@ class Trajectory:
 
     def _repr_html_(self) -> str:
         from fourbar_codegen.presentation.report import run_rows
-        from fourbar_codegen.tables import table
 
         return table("Trajectory", (), run_rows(self))
+
+
+def _hermite(t: Floats, y: Floats, rates: Floats, times: Floats) -> Floats:
+    """Cubic Hermite polynomials through states in columns: SciPy's class takes half a second to import."""
+    i = np.clip(np.searchsorted(t, times, side="right") - 1, 0, len(t) - 2)
+    step = t[i + 1] - t[i]
+    s = (times - t[i]) / step
+    values: Floats = (
+        (1.0 + 2.0 * s) * (1.0 - s) ** 2 * y[:, i]
+        + s**2 * (3.0 - 2.0 * s) * y[:, i + 1]
+        + step * s * (1.0 - s) * ((1.0 - s) * rates[:, i] - s * rates[:, i + 1])
+    )
+    return values
 
 
 def make_trajectory(**attributes: Any) -> Trajectory:
@@ -432,7 +518,7 @@ def _write_animation(trajectory: Trajectory, file: IO[bytes], kind: str) -> None
     write_animation(trajectory, Path(file.name), kind)
 
 
-_WRITERS: dict[str, Callable[[Trajectory, IO[bytes]], None]] = {
+WRITERS: dict[str, Callable[[Trajectory, IO[bytes]], None]] = {
     ".csv": _write_csv,
     ".npz": _write_npz,
     ".nc": _write_netcdf,
@@ -441,11 +527,3 @@ _WRITERS: dict[str, Callable[[Trajectory, IO[bytes]], None]] = {
     ".gif": partial(_write_animation, kind="gif"),
     ".mp4": partial(_write_animation, kind="mp4"),
 }
-
-
-def check_suffix(path: Path) -> Callable[[Trajectory, IO[bytes]], None]:
-    """What writes a file with the suffix of the path, or a ModelError."""
-    writer = _WRITERS.get(path.suffix.lower())
-    if writer is None:
-        raise ModelError(f"A trajectory is saved as {', '.join(_WRITERS)}; {path.name!r} ends otherwise.")
-    return writer

@@ -1,0 +1,395 @@
+"""The commands of ``fourbar``."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import numpy as np
+
+import fourbar_codegen as fb
+from fourbar_codegen.cli.models import MODEL, MODEL_HELP, compiled_model, source_model
+from fourbar_codegen.cli.options import (
+    MOST_MEMBERS,
+    RUN_OPTIONS,
+    SWEEP_OPTIONS,
+    initial_state,
+    input_sources,
+    number,
+    with_options,
+)
+
+if TYPE_CHECKING:
+    from fourbar_codegen import CompiledModel, Ensemble, Trajectory
+
+__all__ = ["main"]
+
+
+class _Command(click.Command):
+    """Says what -t takes, where it is given one number."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        try:
+            return super().parse_args(ctx, args)
+        except click.BadOptionUsage as error:
+            if error.option_name not in {"-t", "--time"}:
+                raise
+            message = f"{error.message} It takes the first and the last time in s: -t 0 4."
+            raise click.BadOptionUsage(error.option_name, message, ctx) from error
+
+
+class _Commands(click.Group):
+    """Prints the package's errors in a line instead of a traceback."""
+
+    command_class = _Command
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except fb.FourbarError as error:
+            raise click.ClickException(str(error)) from error
+
+
+@click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="fourbar_codegen", prog_name="fourbar")
+def main() -> None:
+    """Compile SymPy mechanisms to C and simulate them with their loops closed."""
+
+
+def _help(what: str, *examples: str) -> str:
+    """What a command does, how it is called, and which models there are."""
+    return "\n\n".join([what, "\b\nExamples:\n" + "\n".join(f"  fourbar {e}" for e in examples), MODEL_HELP])
+
+
+def _model_and_inputs(
+    model: str,
+    initial: dict[str, str],
+    inputs: dict[str, str],
+    parameters: Mapping[str, Any],
+    t_span: tuple[float, float],
+) -> tuple[CompiledModel, dict[str, float], dict[str, Any]]:
+    """The compiled model, initial values and sources of inputs; what --initial has of inputs belongs to these."""
+    if not all(map(math.isfinite, t_span)):
+        raise fb.ModelError(f"The first and last time must be finite, not {t_span}.")
+    compiled = compiled_model(model)
+    given = inputs | {name: text for name, text in initial.items() if name in compiled.inputs}
+    values = {name: number(name, text) for name, text in initial.items() if name not in given}
+    return compiled, values, input_sources(compiled, given, parameters)
+
+
+def _simulated(
+    times: Callable[[float, float], Any],
+    *,
+    model: str,
+    parameters: dict[str, float],
+    initial: dict[str, str],
+    inputs: dict[str, str],
+    t_span: tuple[float, float],
+    **how: Any,
+) -> tuple[Trajectory, float]:
+    """A run, its states at the times that a function of its span gives, and the seconds that it took."""
+    compiled, values, sources = _model_and_inputs(model, initial, inputs, parameters, t_span)
+    x0 = initial_state(compiled, values, t_span[0], parameters, sources)
+    begin = time.perf_counter()
+    trajectory = compiled.simulate(t_span, x0, parameters=parameters, inputs=sources, t_eval=times(*t_span), **how)
+    return trajectory, time.perf_counter() - begin
+
+
+@main.command(
+    help=_help(
+        "Simulate a model and write its trajectory to files.",
+        "simulate four_bar -t 0 4 -p l2=0.45 -i q1=-0.6 -o run.csv -o run.png",
+        'simulate four_bar -r "F=50*sin(2*pi*t)" --rtol 1e-9',
+        "simulate my_model.py:make_model -o run.html",
+    )
+)
+@with_options(RUN_OPTIONS)
+@click.option(
+    "--samples",
+    type=click.IntRange(min=2, max=10_000_000),
+    default=401,
+    show_default=True,
+    help="Number of equally spaced times to store.",
+)
+@click.option(
+    "-o",
+    "--output",
+    "outputs",
+    multiple=True,
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Write the trajectory: .csv, .npz, .nc, .html for a report, .png for a plot, .gif or .mp4; may be repeated.",
+)
+def simulate(samples: int, outputs: tuple[Path, ...], **run: Any) -> None:
+    from fourbar_codegen.files import writer_of
+    from fourbar_codegen.results.trajectory import WRITERS
+
+    for path in outputs:
+        writer_of(path, WRITERS, "A trajectory")
+    trajectory, seconds = _simulated(lambda start, end: np.linspace(start, end, samples), **run)
+    _report(trajectory, run["method"], seconds)
+    for path in outputs:
+        click.echo(f"Written: {trajectory.save(path)}")
+    _check_end(trajectory)
+
+
+@main.command(
+    help=_help(
+        "Simulate a model for ranges of its parameters, on all cores, and write all runs to files.",
+        "sweep four_bar -p k=50:150:101 -o sweep.csv -o sweep.png",
+        "sweep four_bar -p l2=0.45,0.5,0.55 -p c=0:10:11 -t 0 2 -o sweep.nc",
+    )
+)
+@with_options(SWEEP_OPTIONS)
+@click.option("--samples", type=click.IntRange(min=2, max=1_000_000), default=201, show_default=True,
+              help="Number of equally spaced times to store.")  # fmt: skip
+@click.option(
+    "-o", "--output", "outputs", multiple=True, type=click.Path(dir_okay=False, path_type=Path),
+    help="Write the runs: .csv, .npz, .nc, or .png for a plot; may be repeated.",
+)  # fmt: skip
+def sweep(
+    samples: int,
+    outputs: tuple[Path, ...],
+    model: str,
+    parameters: dict[str, Any],
+    initial: dict[str, str],
+    inputs: dict[str, str],
+    t_span: tuple[float, float],
+    **how: Any,
+) -> None:
+    from fourbar_codegen.files import writer_of
+    from fourbar_codegen.results.ensemble import WRITERS
+
+    for path in outputs:
+        writer_of(path, WRITERS, "An ensemble")
+    swept = {name: values for name, values in parameters.items() if np.ndim(values)}
+    if not swept:
+        raise fb.ModelError("There is nothing to sweep: give a parameter a range, such as -p NAME=FIRST:LAST:N.")
+    n = math.prod(map(len, swept.values()))
+    if n > MOST_MEMBERS:
+        raise fb.ModelError(f"A sweep has at most {MOST_MEMBERS} runs, not {n}.")
+    compiled, values, sources = _model_and_inputs(model, initial, inputs, parameters, t_span)
+    grid = np.array(list(itertools.product(*swept.values())))
+    members = parameters | dict(zip(swept, grid.T, strict=True))
+    x0 = [
+        initial_state(compiled, values, t_span[0], parameters | dict(zip(swept, row.tolist(), strict=True)), sources)
+        for row in grid
+    ]
+    times = np.linspace(*t_span, samples)
+    begin = time.perf_counter()
+    ensemble = compiled.ensemble(t_span, x0, parameters=members, inputs=sources, t_eval=times, **how)
+    seconds = time.perf_counter() - begin
+    _report_sweep(ensemble, swept, how["method"], seconds)
+    for path in outputs:
+        click.echo(f"Written: {ensemble.save(path)}")
+    if not ensemble.success.all():
+        first = int(np.argmin(ensemble.success))
+        of_first = ", ".join(f"{name} = {value:g}" for name, value in zip(swept, grid[first], strict=True))
+        raise fb.SimulationError(
+            f"{n - ensemble.success.sum()} of {n} members failed, the first of them at {of_first}: "
+            f"{ensemble.messages[first]}"
+        )
+
+
+def _report_sweep(ensemble: Ensemble, swept: Mapping[str, Any], method: str, seconds: float) -> None:
+    model, (first, last) = ensemble.model, (ensemble.t[0], ensemble.t[-1])
+    click.echo(f"Model {model.name}, {method}, from t = {first:g} s to t = {last:g} s")
+    for name, values in swept.items():
+        click.echo(f"  {name} = {min(values):g} ... {max(values):g} {model.units[name]}, {len(values)} values")
+    done = ensemble.y[ensemble.success, :, -1]
+    if len(done):
+        click.echo(f"\nState at t = {last:g} s     least           median         greatest")
+        for name, column in zip(model.states, done.T, strict=True):
+            cells = "".join(f"{value:>17.10f}" for value in (column.min(), np.median(column), column.max()))
+            click.echo(f"  {name:<8}{cells}")
+    nfev = int(ensemble.nfev.sum())
+    click.echo(f"\n{len(ensemble)} runs, {nfev} evaluations of the right-hand side, {seconds * 1e3:.2f} ms")
+
+
+@main.command(
+    help=_help(
+        "Simulate a model and write an interactive report: the moving mechanism, plots and a table, in one HTML file "
+        "that needs no network.",
+        "report four_bar -o report.html",
+        "report my_model.py:make_model -t 0 10",
+    )
+)
+@with_options(RUN_OPTIONS)
+@click.option(
+    "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), default=Path("report.html"), show_default=True,
+    help="The file, .html.",
+)  # fmt: skip
+def report(output: Path, **run: Any) -> None:
+    _show(output, (".html",), run)
+
+
+@main.command(
+    help=_help(
+        "Simulate a model and write an animation: .gif, or .mp4 with FFmpeg.",
+        "animate four_bar -o four_bar.gif",
+        "animate whipple_bicycle -i u6=-15 -t 0 2 -o bicycle.mp4",
+    )
+)
+@with_options(RUN_OPTIONS)
+@click.option(
+    "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), default=Path("animation.gif"), show_default=True,
+    help="The file, .gif or .mp4.",
+)  # fmt: skip
+def animate(output: Path, **run: Any) -> None:
+    _show(output, (".gif", ".mp4"), run)
+
+
+def _show(output: Path, suffixes: tuple[str, ...], run: dict[str, Any]) -> None:
+    """Simulate with a state for each frame, and write these."""
+    from fourbar_codegen.presentation.report import frame_times
+
+    if output.suffix.lower() not in suffixes:
+        raise fb.ModelError(
+            f"{output} must end with {' or '.join(suffixes)}. fourbar animate writes films, report pages, simulate "
+            "data."
+        )
+    trajectory, _ = _simulated(frame_times, **run)
+    click.echo(f"Written: {trajectory.save(output)}")
+    _check_end(trajectory)
+
+
+def _check_end(trajectory: Trajectory) -> None:
+    if not trajectory.success:
+        raise fb.SimulationError(trajectory.message)
+
+
+def _report(trajectory: Trajectory, method: str, seconds: float) -> None:
+    model = trajectory.model
+    if not len(trajectory.t):
+        return
+    click.echo(f"Model {model.name}, {method}, from t = {trajectory.t[0]:g} s to t = {trajectory.t[-1]:g} s")
+    click.echo("\nState          initial              final")
+    for name, first, last in zip(model.states, trajectory.y[:, 0], trajectory.y[:, -1], strict=True):
+        click.echo(f"  {name:<8} {first:>16.10f}  {last:>16.10f}")
+    click.echo(
+        f"\n{len(trajectory.t)} stored times, {trajectory.nfev} evaluations of the right-hand side, "
+        f"{seconds * 1e3:.2f} ms"
+    )
+    residuals = abs(trajectory.constraint_residual)
+    if len(residuals):
+        residual = residuals.max(axis=0)
+        click.echo(
+            f"{trajectory.residual_label}: {residual[0]:.2e} at the start, {residual[-1]:.2e} at the end, "
+            f"{residual.max():.2e} at most"
+        )
+    if model.manifest["has_potential_energy"]:
+        click.echo(f"Energy: {trajectory.energy[0]:.6f} J at the start, {trajectory.energy[-1]:.6f} J at the end")
+
+
+@main.command(
+    help=_help("Write a model's generated C and Cython sources to OUTPUT/NAME.", "generate four_bar -o generated")
+)
+@MODEL
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=Path("generated"),
+    show_default=True,
+    help="Folder in which the model's folder is made.",
+)
+def generate(model: str, output: Path) -> None:
+    from fourbar_codegen.building.toolchain import write_sources
+
+    source = source_model(model)
+    folder = output / source.name
+    texts = fb.generate_sources(source)
+    write_sources(source.name, texts, folder)
+    for name in texts:
+        click.echo(f"Written: {folder / name}")
+
+
+@main.command(
+    help=_help(
+        "Compile a model to an extension module in OUTPUT, for fourbar_codegen.load or for use with NumPy alone.",
+        "build my_model.py:make_model -o build",
+        "build my_model.py:make_model --wheel -o dist",
+    )
+)
+@MODEL
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=Path("build"),
+    show_default=True,
+    help="Folder in which the model's folder, or the wheel, is made.",
+)
+@click.option("--wheel", is_flag=True, help="Make a wheel, to be installed without SymPy or a compiler.")
+@click.option("--version", default="0.1.0", show_default=True, help="Version of the wheel.")
+def build(model: str, output: Path, wheel: bool, version: str) -> None:
+    source = source_model(model)
+    begin = time.perf_counter()
+    made = fb.build_wheel(source, output, version=version) if wheel else fb.build_model(source, output / source.name)
+    click.echo(f"Built in {time.perf_counter() - begin:.1f} s: {made}")
+
+
+@main.command(
+    help=_help("Show a model's names, defaults, sizes and operation counts.", "info four_bar", "info slider_crank")
+)
+@MODEL
+def info(model: str) -> None:
+    from fourbar_codegen.building.cache import cache_folder
+    from fourbar_codegen.building.compiler import INSTALL, find_compiler
+
+    compiled = compiled_model(model)
+    manifest = compiled.manifest
+    click.echo(f"Model {compiled.name}")
+    for kind, names, dependent in (
+        ("coordinates", compiled.coordinates, manifest["n_dependent_coordinates"]),
+        ("speeds", compiled.speeds, manifest["n_dependent_speeds"]),
+    ):
+        split = len(names) - dependent
+        click.echo(f"{kind}: {', '.join(names[:split])} independent; {', '.join(names[split:]) or 'none'} dependent")
+    if compiled.auxiliary_states:
+        click.echo(f"auxiliary states: {', '.join(compiled.auxiliary_states)}")
+    click.echo(f"constraints: {compiled.n_h} on positions, {compiled.n_c} on velocities")
+    click.echo("parameters:")
+    for entry in manifest["parameters"]:
+        value = "no default" if entry["default"] is None else f"{entry['default']:g}"
+        click.echo(f"  {entry['name']:<8} {value:>10} {entry['unit']:<10} {entry['description']}".rstrip())
+    click.echo("inputs:")
+    for entry in manifest["inputs"]:
+        click.echo(f"  {entry['name']:<8} {entry['expression'] or 'no expression'}")
+    driving = compiled.outputs[: compiled.n_l - compiled.n_c]
+    if driving:
+        click.echo(f"unknown forces that drive the motion: {', '.join(driving)}")
+    if compiled.outputs:
+        click.echo(f"outputs: {', '.join(compiled.outputs)}")
+    click.echo("operations (written out in full):")
+    for function, count in manifest["operations"].items():
+        click.echo(f"  {function:<22} {count:>7} ({manifest['operations_before_sharing'][function]:.4g})")
+    click.echo(f"instructions: {compiled.instructions}")
+    compiler = find_compiler()
+    click.echo(f"C compiler: {compiler}{'' if compiler.origin else f'. {INSTALL}'}")
+    click.echo(f"cache of compiled models: {cache_folder()}")
+
+
+@main.command()
+@click.option("--clear", is_flag=True, help="Remove what is there. Loaded models go on working.")
+@click.option(
+    "--older-than", type=click.FloatRange(min=0.0), metavar="DAYS", help="Only what was not used for so many days."
+)
+def cache(clear: bool, older_than: float | None) -> None:
+    """List the compiled models in the cache, with their sizes, or remove them."""
+    from fourbar_codegen.building import cache as folder
+
+    older = 86400.0 * (older_than or 0.0)
+    now = time.time()
+    found = folder.clear(older) if clear else [e for e in folder.entries() if now - e.used >= older]
+    for entry in found:
+        click.echo(f"  {entry.name:<40} {entry.size / 1e6:9.2f} MB, used {(now - entry.used) / 86400.0:.1f} days ago")
+    total = sum(entry.size for entry in found) / 1e6
+    removed = " removed" if clear else ""
+    click.echo(f"{len(found)} libraries and models{removed}, {total:.2f} MB, in {folder.cache_folder()}")
+    if not clear:
+        click.echo(f"at most {folder.size_limit() / 1e6:g} MB, or what {folder.SIZE_LIMIT} says")

@@ -1,0 +1,114 @@
+"""The models that the command line names: those of the package, and functions in the user's files."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import importlib.util
+import sys
+import traceback
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+from click.shell_completion import CompletionItem
+
+import fourbar_codegen as fb
+
+if TYPE_CHECKING:
+    from fourbar_codegen import CompiledModel, Model
+
+__all__ = ["MODEL", "MODEL_HELP", "compiled_model", "source_model"]
+
+# Read from the folder: the modules import SymPy.
+NAMES = sorted(file.stem for file in (Path(fb.__file__).parent / "models").glob("[a-z]*.py"))
+
+MODEL_HELP = (
+    f"MODEL is one of {', '.join(NAMES)} (four_bar, the default, is compiled already), or FILE.py:FUNCTION or "
+    "MODULE:FUNCTION, a function without arguments that returns a Model."
+)
+
+
+class _ModelName(click.ParamType):  # type: ignore[type-arg]  # generic in newer versions alone
+    """A model's name, or a file with a function that makes one."""
+
+    name = "model"
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:  # noqa: ARG002  # click's
+        """The names of the package's models, and files."""
+        names = [name for name in NAMES if name.startswith(incomplete)]
+        return [*map(CompletionItem, names)] or [CompletionItem(incomplete, type="file")]
+
+
+MODEL = click.argument("model", default="four_bar", type=_ModelName())
+
+
+def compiled_model(text: str) -> CompiledModel:
+    """The model that MODEL names: one that comes compiled, or compiled now."""
+    if ":" not in text and text not in NAMES:
+        _check_name(text)
+        try:
+            return fb.load(text)  # one that is installed from a wheel
+        except fb.ModelError as error:
+            raise _unknown(text) from error
+    return fb.load(text) if text == "four_bar" else fb.compile_model(source_model(text))
+
+
+def source_model(text: str) -> Model:
+    """The Model that MODEL names."""
+    place, colon, function = text.rpartition(":")
+    if not colon:
+        _check_name(text)
+        if text not in NAMES:
+            raise _unknown(text)
+        return getattr(fb.models, text)()  # type: ignore[no-any-return]
+    try:
+        model = getattr(_module(place), function)()
+    except fb.FourbarError:
+        raise
+    except Exception as error:  # it is the user's code that runs here
+        raise fb.ModelError(f"{text} could not be called: {_said(error, place)}") from error
+    if not isinstance(model, fb.Model):
+        raise fb.ModelError(f"{text}() returned a {type(model).__name__}, not a fourbar_codegen.Model.")
+    return model
+
+
+def _check_name(text: str) -> None:
+    if text.endswith(".py"):
+        raise fb.ModelError(f"Name the function in {text} that returns the Model: {text}:FUNCTION.")
+
+
+def _unknown(text: str) -> fb.ModelError:
+    close = difflib.get_close_matches(text, NAMES, 1)
+    return fb.ModelError(
+        f"There is no model {text!r}.{f' Did you mean {close[0]}?' if close else ''} There are {', '.join(NAMES)}; "
+        "FILE.py:FUNCTION or MODULE:FUNCTION name one of your own."
+    )
+
+
+def _said(error: Exception, place: str) -> str:
+    """An error of the user's code, with the last of their lines in which it arose."""
+    name = Path(place).name
+    lines = [frame for frame in traceback.extract_tb(error.__traceback__) if Path(frame.filename).name == name]
+    where = f"{name}, line {lines[-1].lineno}: " if lines else ""
+    return f"{where}{type(error).__name__}: {error}"
+
+
+def _module(place: str) -> Any:
+    """A module by its name, from the current folder as well, or by its file.
+
+    Folders of the user come last on the path: a json.py there is not taken for the standard library's. For the same
+    reason a file is known under a name of its own.
+    """
+    if not place.endswith(".py"):
+        sys.path.append("")
+        return importlib.import_module(place)
+    path = Path(place)
+    sys.path.append(str(path.absolute().parent))  # what stands beside the file can be imported, as by `python FILE.py`
+    spec = importlib.util.spec_from_file_location(f"fourbar_model_{path.stem}", path)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"{place} is not a Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module

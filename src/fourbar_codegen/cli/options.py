@@ -1,0 +1,249 @@
+"""Options of runs: names with numbers, expressions and ranges, and how they become arguments of `CompiledModel`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import click
+import numpy as np
+
+import fourbar_codegen as fb
+from fourbar_codegen.cli.arithmetic import Arithmetic, parse
+from fourbar_codegen.cli.models import MODEL
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from fourbar_codegen import CompiledModel
+
+__all__ = [
+    "METHODS",
+    "MOST_MEMBERS",
+    "RUN_OPTIONS",
+    "SWEEP_OPTIONS",
+    "initial_state",
+    "input_sources",
+    "number",
+    "with_options",
+]
+
+METHODS = ("DOP853", "RK45", "ALI3P", "RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA")
+SWEEP_METHODS = METHODS[:2]
+
+MOST_MEMBERS = 1_000_000
+"""Members of a sweep."""
+
+Texts = dict[str, str]
+
+
+def _pairs(_: click.Context, __: click.Parameter, texts: tuple[str, ...]) -> Texts:
+    """NAME=TEXT options as a dictionary."""
+    pairs = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals or not name.strip() or not value.strip():
+            raise click.BadParameter(f"{text!r} is not NAME=VALUE, such as NAME=0.45.")
+        pairs[name.strip()] = value.strip()
+    return pairs
+
+
+def number(name: str, text: str) -> float:
+    """The value of a constant expression."""
+    try:
+        return float(text)
+    except ValueError:
+        pass
+    if ":" in text or "," in text:
+        raise click.BadParameter(f"{name}={text} is a range, which fourbar sweep takes of parameters; give a number.")
+    try:
+        return parse(text, ())({})
+    except fb.ModelError as error:
+        raise click.BadParameter(
+            f"{name}={text} is not NAME=VALUE with a number, such as {name}=0.45: {error}"
+        ) from error
+
+
+def _numbers(context: click.Context, option: click.Parameter, texts: tuple[str, ...]) -> dict[str, float]:
+    """NAME=VALUE options, numbers or constant expressions."""
+    return {name: number(name, text) for name, text in _pairs(context, option, texts).items()}
+
+
+def _ranges(
+    context: click.Context, option: click.Parameter, texts: tuple[str, ...]
+) -> dict[str, float | NDArray[np.float64]]:
+    """NAME=VALUE, NAME=FIRST:LAST:N or NAME=VALUE,VALUE,... options."""
+    found: dict[str, Any] = {}
+    for name, text in _pairs(context, option, texts).items():
+        if ":" in text:
+            parts = text.split(":")
+            if len(parts) != 3 or not parts[2].strip().isdecimal() or not 1 <= int(parts[2]) <= MOST_MEMBERS:
+                raise click.BadParameter(f"{name}={text} is not FIRST:LAST:N, such as {name}=0.4:0.5:11.")
+            found[name] = np.linspace(number(name, parts[0]), number(name, parts[1]), int(parts[2]))
+        elif "," in text:
+            found[name] = np.array([number(name, part) for part in text.split(",")])
+        else:
+            found[name] = number(name, text)
+    return found
+
+
+def _steps(_: click.Context, __: click.Parameter, text: str) -> int | str | None:
+    """A number of steps, the method's own, or no limit."""
+    if text == "none":
+        return None
+    return int(text) if text.isdecimal() else text
+
+
+class _Time(click.ParamType):  # type: ignore[type-arg]  # generic in newer versions alone
+    """One of the two times of a run."""
+
+    name = "time"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """A number, or an error that shows what the option looks like."""
+        try:
+            return float(value)
+        except ValueError:
+            self.fail(f"{value!r} is not a number. It takes two, the first and the last time in s: -t 0 4.", param, ctx)
+
+
+def _common(methods: tuple[str, ...]) -> list[Callable[..., Any]]:
+    """What runs and sweeps have in common."""
+    return [
+        click.option(
+            "-i", "--initial", multiple=True, callback=_pairs, metavar="NAME=VALUE",
+            help="Initial value of an independent coordinate or speed or an auxiliary state, or guess of a dependent "
+            "coordinate; repeatable. With the name of an input as -r.",
+        ),
+        click.option(
+            "-r", "--input", "inputs", multiple=True, callback=_pairs, metavar="NAME=EXPRESSION",
+            help='An input: a number, or an expression in t and parameters such as -r "F=50*sin(2*pi*t)"; repeatable.',
+        ),
+        click.option(
+            "-t", "--time", "t_span", nargs=2, type=_Time(), default=(0.0, 4.0), show_default="0 4",
+            metavar="FIRST LAST", help="First and last time, s.",
+        ),
+        click.option("--method", type=click.Choice(methods), default="DOP853", show_default=True),
+    ]  # fmt: skip
+
+
+def _accuracy(constraints: tuple[str, ...]) -> list[Callable[..., Any]]:
+    return [
+        click.option(
+            "--constraints", type=click.Choice(constraints), default="project", show_default=True,
+            help="How to keep loops closed: project moves each state onto the constraints.",
+        ),
+        click.option("--rtol", default=1e-6, show_default=True, help="Relative tolerance."),
+        click.option("--atol", default=1e-9, show_default=True, help="Absolute tolerance."),
+        click.option("--max-step", default=math.inf, help="Longest step, s; ALI3P needs it."),
+        click.option(
+            "--max-steps", default="auto", show_default=True, metavar="N|auto|none", callback=_steps,
+            help="Most steps: by default 1,000,000 of methods in C, 100,000 of others, ten times what --max-step asks "
+            "for.",
+        ),
+    ]  # fmt: skip
+
+
+RUN_OPTIONS = [
+    MODEL,
+    click.option(
+        "-p", "--parameter", "parameters", multiple=True, callback=_numbers, metavar="NAME=VALUE",
+        help="Override a parameter, such as -p l2=0.45; repeatable.",
+    ),
+    *_common(METHODS),
+    click.option(
+        "--formulation", type=click.Choice(["gear-gupta-leimkuhler", "index-1", "index-3"]),
+        help="Of IDA; its default is the first.",
+    ),
+    *_accuracy(("project", "baumgarte", "none")),
+]  # fmt: skip
+
+SWEEP_OPTIONS = [
+    MODEL,
+    click.option(
+        "-p", "--parameter", "parameters", multiple=True, callback=_ranges, metavar="NAME=RANGE",
+        help="A parameter as FIRST:LAST:N (N equally spaced values), as VALUE,VALUE,... or as a number; repeatable: of "
+        "several ranges, all combinations are run.",
+    ),
+    *_common(SWEEP_METHODS),
+    *_accuracy(("project", "none")),
+]  # fmt: skip
+
+
+def with_options(options: list[Callable[..., Any]]) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """A decorator that gives a command all of these options."""
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return decorate
+
+
+@dataclass(frozen=True)
+class InputExpression:
+    """An input that follows an expression of time; the parameters in it have values."""
+
+    expression: Arithmetic
+    parameters: Mapping[str, float]
+
+    def __call__(self, t: float, _: object) -> float:
+        """The input at a time."""
+        return self.expression({**self.parameters, "t": t})
+
+
+def input_sources(
+    compiled: CompiledModel, inputs: Texts, parameters: Mapping[str, Any]
+) -> dict[str, float | InputExpression]:
+    """Inputs as `CompiledModel.simulate` takes them: numbers, or functions of time.
+
+    Raises
+    ------
+    ModelError
+        If an expression has a name that is neither t nor a parameter, or that of a parameter that is swept.
+    """
+    values = {**compiled.defaults, **parameters}
+    sources: dict[str, float | InputExpression] = {}
+    for name, text in inputs.items():
+        expression = parse(text, ("t", *compiled.parameters))
+        used = {parameter: values[parameter] for parameter in expression.names - {"t"}}
+        swept = sorted(parameter for parameter, value in used.items() if np.ndim(value))
+        if swept:
+            raise fb.ModelError(
+                f"{name}={text} contains {', '.join(swept)}, which the sweep changes: give it a number."
+            )
+        missing = sorted(parameter for parameter, value in used.items() if value is None)
+        if missing:
+            raise fb.ModelError(f"{name}={text} contains {', '.join(missing)}, which has no value: give it with -p.")
+        source = InputExpression(expression, used)
+        source(0.0, None)  # raises where it has no value
+        sources[name] = source if "t" in expression.names else source(0.0, None)
+    return sources
+
+
+def initial_state(
+    compiled: CompiledModel, initial: Mapping[str, float], t: float, parameters: Mapping[str, float], inputs: Any
+) -> Any:
+    """Values by name, handed to the argument of `CompiledModel.initial_state` that takes them."""
+    n_qi = compiled.n_q - compiled.manifest["n_dependent_coordinates"]
+    n_ui = compiled.n_u - compiled.manifest["n_dependent_speeds"]
+    groups = (
+        compiled.coordinates[:n_qi],
+        compiled.speeds[:n_ui],
+        compiled.coordinates[n_qi:],
+        compiled.auxiliary_states,
+    )
+    unknown = sorted(set(initial) - {name for group in groups for name in group})
+    if unknown:
+        raise fb.ModelError(
+            f"No initial value can be given for {', '.join(unknown)}: give independent coordinates "
+            f"({', '.join(groups[0])}), independent speeds ({', '.join(groups[1])}), guesses of dependent "
+            f"coordinates ({', '.join(groups[2]) or 'none'}) or auxiliary states ({', '.join(groups[3]) or 'none'})."
+        )
+    coordinates, speeds, guess, z = ({name: initial[name] for name in group if name in initial} for group in groups)
+    return compiled.initial_state(
+        coordinates, speeds, t=t, guess=guess, parameters=parameters, auxiliary_states=z or None, inputs=inputs
+    )

@@ -24,10 +24,15 @@ kernel = PyCapsule_New(<void *>&four_bar_kernel, FB_CAPSULE_NAME, NULL)
 
 manifest = (
     '{\n'
-    '  "format": 9,\n'
+    '  "format": 10,\n'
     '  "name": "four_bar",\n'
     '  "fingerprint": "f2bd98911a06d496a5b6d683904e841d07454621e35f1d11642ebf4d919f1d47",\n'
     '  "coordinates": [\n'
+    '    "q1",\n'
+    '    "q2",\n'
+    '    "q3"\n'
+    '  ],\n'
+    '  "angles": [\n'
     '    "q1",\n'
     '    "q2",\n'
     '    "q3"\n'

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, TypeGuard
 
 import numpy as np
@@ -26,6 +26,7 @@ __all__ = [
     "named_values",
     "number",
     "numbers",
+    "of_time_and_state",
     "one_of",
     "positive",
     "sample_times",
@@ -212,6 +213,22 @@ def tolerance(value: ArrayLike, name: str, size: int = 0) -> float | NDArray[np.
         words = "a positive number" + (f" or an array of shape ({size},)" if size else "")
         raise ModelError(f"{name} must be {words}, not {shown(value)}.")
     return known if known.ndim else float(known)
+
+
+def of_time_and_state(function: Callable[..., Any], what: str) -> None:
+    """Raise where a callable cannot be called with (t, x)."""
+    import inspect  # some milliseconds, which only those wait for who have callables
+
+    try:
+        signature = inspect.signature(function)
+    except (TypeError, ValueError):  # of some that are not in Python
+        return
+    try:
+        signature.bind(0.0, None)
+    except TypeError as error:
+        raise ModelError(
+            f"{what} is called with (t, x), which {shown(function)} does not take: its arguments are {signature}."
+        ) from error
 
 
 def is_integer(value: object) -> TypeGuard[int]:

@@ -62,12 +62,12 @@ class BuildError(FourbarError, RuntimeError):
         self.exit_code = exit_code
         self.output = output
         details = [message]
-        if self.command:
-            details.append("command: " + " ".join(self.command))
-        if exit_code is not None:
-            details.append(f"exit code: {exit_code}")
         if output.strip():
             details.append(output.strip())
+        if exit_code is not None:
+            details.append(f"exit code: {exit_code}")
+        if self.command:
+            details.append("command: " + " ".join(self.command))
         super().__init__("\n".join(details))
 
 

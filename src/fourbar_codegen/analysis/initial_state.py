@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +13,7 @@ from numpy.typing import NDArray
 from fourbar_codegen.analysis.loop_closure import DEAD, Loops, nearest_closed
 from fourbar_codegen.analysis.staged_closing import OpenLoop, close_in_stages, turned_towards
 from fourbar_codegen.arguments import Values, is_mapping, named, named_array
-from fourbar_codegen.errors import AssemblyError, ModelError, shown
+from fourbar_codegen.errors import AssemblyError, ModelError, ModelWarning, shown
 from fourbar_codegen.kernel.dependent import INDEPENDENT, row_sizes, solve_dependent
 from fourbar_codegen.kernel.inputs import InputSource, inputs_at
 from fourbar_codegen.kernel.kernel import Kernel
@@ -34,6 +36,9 @@ MANY = 8
 FLAT = 1e-4
 """Columns of J_d smaller than this, beside the others, are looked at twice."""
 
+DEGREES = 720.0
+"""Nobody means more of them."""
+
 KNOWN = 0.01
 """Speeds that rounding errors of the position change by more than this share do not follow from it."""
 
@@ -55,6 +60,8 @@ def initial_state(
 ) -> Floats:
     """A state that satisfies all constraints; see `CompiledModel.initial_state`."""
     loops, u_i, start = _given(model, coordinates, speeds, t, guess, parameters, inputs)
+    if coordinates is not None:
+        _warn_of_degrees(model, loops.q_i)
     limits = _limits(bounds, model.coordinates[len(loops.q_i) :])
     q = loops.coordinates(_close(loops, start, guess is not None, limits) if model.n_h else start)
     return np.concatenate((q, _dependent_speeds(loops, q, u_i), _auxiliary_values(model, auxiliary_states)))
@@ -86,6 +93,18 @@ def initial_states(
             u = np.concatenate((u_i, np.full(model.n_u - len(u_i), np.nan)))
         states.append(np.concatenate((q, u, z)))
     return AssemblyModes(model, loops.t, np.reshape(states, (len(states), model.n_x)), is_complete, loops.p, loops.r)
+
+
+def _warn_of_degrees(model: Kernel, q_i: Floats) -> None:
+    """Warn of angles beyond a turn that are a whole number of radians: they are rather degrees."""
+    for name, value in zip(model.coordinates, q_i, strict=False):
+        if 2.0 * math.pi < abs(value) <= DEGREES and value == round(value) and name in model.manifest["angles"]:
+            warnings.warn(
+                f"{name} = {value:g} rad is more than a turn: angles are in radians. If {value:g} degrees are meant, "
+                f"give {math.radians(value):.6g}.",
+                ModelWarning,
+                stacklevel=4,
+            )
 
 
 def _auxiliary_values(model: Kernel, given: Values | None) -> Floats:

@@ -74,7 +74,9 @@ def _check_constraints(model: Kernel, t: float, x: Floats, p: Values | None, r: 
     velocity_scale = velocity_scale + np.abs(model.velocity(t, x, p, r)[0]).sum(axis=1)
     closed = *(np.abs(positions) <= CLOSED * position_scale), *(np.abs(velocities) <= CLOSED * velocity_scale)
     if not all(closed):
+        q, u = (", ".join(f"{n} = {v:.6g}" for n, v in zip(names, x[start:], strict=False)) for names, start in
+                ((model.coordinates, 0), (model.speeds, model.n_q)))  # fmt: skip
         raise ModelError(
-            f"The state violates the constraints: positions by {positions}, velocities by {velocities}. "
-            "initial_state makes states that satisfy them."
+            f"The state x violates the constraints at t = {t:g}: Phi(q, t) = {positions} for {q}; "
+            f"J u + b = {velocities} for {u}. initial_state() makes states that satisfy them."
         )

@@ -6,13 +6,16 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import sympy as sm
+
 from fourbar_codegen.dynamics.equations import Equations
+from fourbar_codegen.expressions.tape import Call, Scalar
 from fourbar_codegen.lowering.program import Function, Program
 from fourbar_codegen.modeling.model import Model
 
 __all__ = ["manifest_of", "manifest_text", "operations_of"]
 
-MANIFEST_FORMAT = 9
+MANIFEST_FORMAT = 10
 
 
 def manifest_of(
@@ -44,6 +47,7 @@ def manifest_of(
         "name": model.name,
         "fingerprint": fingerprint,
         "coordinates": list(names["coordinates"]),
+        "angles": _angles(equations, names["coordinates"]),
         "speeds": list(names["speeds"]),
         "auxiliary_states": list(names["auxiliary_states"]),
         "n_dependent_coordinates": model.mechanism.n_dependent_coordinates,
@@ -82,6 +86,14 @@ def manifest_of(
         "warnings": list(equations.warnings),
         "has_potential_energy": not energies[1].is_nan,
     }
+
+
+def _angles(equations: Equations, names: Sequence[str]) -> list[str]:
+    """The coordinates whose sines or cosines the equations take."""
+    tape = equations.tape
+    calls = (node for node in tape.nodes if isinstance(node, Call) and node.expression.func in (sm.sin, sm.cos))
+    reached = {*tape.reach(Scalar(tape, 1, argument) for call in calls for argument in call.arguments)}
+    return [name for name, q in zip(names, equations.coordinates, strict=True) if q.node in reached]
 
 
 def _open_outputs(equations: Equations, program: Program, names: Sequence[str]) -> list[str]:

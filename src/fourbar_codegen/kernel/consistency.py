@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fourbar_codegen.errors import ModelError, SimulationError, shown
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.runtime.evaluator import NOT_CLOSED, OK, is_finite, largest_difference
-from fourbar_codegen.runtime.integrator import Ode
+from fourbar_codegen.runtime.integrator import Ode, Table
 
 __all__ = ["FLOOR", "check_start", "consistent", "is_rounded", "left", "projects"]
 
@@ -77,14 +77,39 @@ def consistent(ode: Ode, t: float, x0: Floats) -> Floats:
         return x
     if status == NOT_CLOSED or not is_rounded(ode.n_q, ode.n_u, x0, x):
         raise ModelError(
-            f"The state x0 = {np.array2string(x0, precision=6, separator=', ')} violates the constraints: "
-            + (f"the nearest one that does not differs by {np.abs(x - x0).max():.2g}. " if status == OK else "")
+            f"The state x0 = {np.array2string(x0, precision=6, separator=', ')} violates the constraints on "
+            + _violated(ode, t, x0, x, is_closed=status == OK)
             + "CompiledModel.initial_state() makes consistent states; constraints='none' takes x0 as it is, unless the "
             "method is ALI3P, or IDA in a formulation other than index-1."
         )
     if status != OK:
         raise SimulationError(ode.explain(status, t, x0))
     return x
+
+
+def _violated(ode: Ode, t: float, x0: Floats, x: Floats, *, is_closed: bool) -> str:
+    """Which constraints a state violates, by how much the nearest consistent one differs, and what prescribes it."""
+    n_q = ode.n_q
+    positions = not (is_closed and is_rounded(n_q, ode.n_u, x0, np.concatenate((x[:n_q], x0[n_q:]))))
+    what = "positions" if positions else "velocities (those on positions are satisfied)"
+    change = np.abs(x - x0)[: n_q if positions else None].max()
+    text = f"{what}: the nearest consistent state differs by {change:.2g}. " if is_closed else f"{what}. "
+    r, entries = ode.input_values(t, x0), ode.manifest["inputs"]
+    order = 0 if positions else 1
+    given = [
+        f"{entry['name']} = {r[i]:.6g}{' (the slope of its table)' if order and entry['of'] in _tables(ode) else ''}"
+        for i, entry in enumerate(entries)
+        if i in ode.manifest["moving_inputs"] and entry["order"] == order
+    ]
+    if given:
+        text += f"At t = {t:g} the prescribed motion has {', '.join(given)}, which x0 has to fit. "
+    return text
+
+
+def _tables(ode: Ode) -> set[str]:
+    """The inputs that are interpolated."""
+    pairs = zip(ode.manifest["inputs"], ode.sources, strict=True)
+    return {entry["of"] for entry, source in pairs if isinstance(source, Table)}
 
 
 def left(model: Kernel, ode: Ode, times: Floats, states: Floats, p: Floats | None) -> str:

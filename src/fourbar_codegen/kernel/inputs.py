@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.arguments import Values, finite_number, is_mapping, name_of, named, numbers
+from fourbar_codegen.arguments import Values, finite_number, is_mapping, name_of, named, numbers, of_time_and_state
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.runtime.integrator import Ode, Table
@@ -111,6 +111,7 @@ def input_sources(model: Kernel, inputs: Mapping[Any, InputSource] | None) -> li
 def own_source(name: str, source: Any) -> float | InterpolationTable | Callable[[float, Floats], float]:
     """The source of an input, checked, with nothing of the caller's in it but a callable."""
     if callable(source):
+        of_time_and_state(source, f"The callable of input {name}")
         return source  # type: ignore[no-any-return]
     if isinstance(source, tuple | list):
         return _table(name, source)

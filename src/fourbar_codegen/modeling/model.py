@@ -178,9 +178,9 @@ class Model:
     name : str, optional
         A Python identifier; names the compiled module.
     parameters : mapping of Symbol to float, Expr or Parameter, optional
-        Default values, or expressions of other parameters. Symbols of the System that are not named here
-        follow in alphabetical order, without a default, as far as the equations need them (a
-        body's automatic inertia symbols often drop out).
+        Default values, or expressions of other parameters; keys are symbols or their names, as they are of inputs and
+        initial values. Symbols of the System that are not named here follow in alphabetical order, without a default,
+        as far as the equations need them (a body's automatic inertia symbols often drop out).
     inputs : mapping of function of time to Expr, float or None, or "auto", optional
         Every function of time that is neither coordinate nor speed, with its default: an expression of time
         and parameters, a number, or None if every run has to give it. Where it prescribes a motion (its rates
@@ -255,16 +255,21 @@ class Model:
         for label, expressions in (*self.mechanism.labelled_loads(), *self.mechanism.labelled_structure()):
             _check_expressions(expressions, label)
         self.state_equations = self._read_state_equations(_mapping(state_equations, "state_equations"))
-        parameters, is_automatic = _mapping(parameters, "parameters"), isinstance(inputs, str) and inputs == "auto"
-        self.input_expressions = self._read_inputs({} if is_automatic else _mapping(inputs, "inputs"))
+        is_automatic = isinstance(inputs, str) and inputs == "auto"
+        self.input_expressions: dict[sm.Expr, sm.Expr | None] = {}
         self.potential_energy = None if potential_energy is None else _expression(potential_energy, "potential_energy")
         self.output_expressions = {
             name_of(key): _expression(e, f"output {name_of(key)}") for key, e in _mapping(outputs, "outputs").items()
         }
         if not is_automatic:
+            functions = {_name(function): function for function in self._functions()}
+            self.input_expressions = self._read_inputs(
+                _by_symbol(_mapping(inputs, "inputs"), functions, self.mechanism.time)
+            )
             known, appearing = {*self._states(), *self.input_expressions}, self._functions()
             driving = [f for f in self.mechanism.excitations if f in appearing and f not in known]
             self.input_expressions.update(dict.fromkeys(driving, sm.S.Zero))
+        parameters = _by_symbol(_mapping(parameters, "parameters"), self._symbols())
         self.noncontributing: tuple[sm.Expr, ...] = self._find_noncontributing()
         self._check_appearance(extra)
         undeclared = self._find_undeclared()
@@ -286,7 +291,8 @@ class Model:
         self._check_inputs()
         self._check_holonomic_constraints()
         self._check_auxiliary_states()
-        self.initial = self._check_initial(_mapping(initial, "initial"))
+        states = {_name(function): function for function in self._states()}
+        self.initial = self._check_initial(_by_symbol(_mapping(initial, "initial"), states))
         if self.mechanism.states_velocity_constraints:
             from fourbar_codegen.dynamics.equations import check_velocity_constraints
 
@@ -421,6 +427,12 @@ class Model:
                 if isinstance(function, AppliedUndef) and function.args == (self.mechanism.time,):
                     found.setdefault(function, label)
         return dict(sorted(found.items(), key=lambda item: _name(item[0])))
+
+    def _symbols(self) -> dict[str, sm.Expr]:
+        """Functions of time and symbols in all expressions by name; a symbol where both have one name."""
+        expressions = chain.from_iterable(expressions for _, expressions in self._labelled())
+        symbols = {node.name: node for node in walk(expressions) if isinstance(node, sm.Symbol)}
+        return {_name(function): function for function in self._functions()} | symbols
 
     def _find_undeclared(self) -> dict[sm.Expr, str]:
         """Those that nobody named."""
@@ -597,7 +609,8 @@ def _check_unknown(given: Mapping[str, sm.Expr], known: Mapping[str, sm.Expr], a
     for name, symbol in given.items():
         mine = known.get(name)
         if mine is None:
-            nearest = difflib.get_close_matches(name, known, 1, cutoff=0.0)
+            other_case = [mine for mine in known if mine.lower() == name.lower()]
+            nearest = other_case or difflib.get_close_matches(name, known, 1, cutoff=0.0)
             unknown.append(name + (f" (the nearest is {nearest[0]})" if nearest else ""))
         elif mine != symbol:
             texts = sm.srepr(mine), sm.srepr(symbol)  # which has no assumptions for functions
@@ -638,6 +651,27 @@ def _mapping(given: Any, argument: str) -> Mapping[Any, Any]:
     if not is_mapping(given):
         raise ModelError(f"{argument}= must be a mapping from symbols to values, not {given!r}.")
     return given
+
+
+def _by_symbol(given: Mapping[Any, Any], known: Mapping[str, sm.Expr], time: sm.Symbol | None = None) -> dict[Any, Any]:
+    """A mapping with symbols as keys, of one that may have their names.
+
+    A name that is not known becomes a symbol, or a function of time if this is given, which others then refuse.
+
+    Raises
+    ------
+    ModelError
+        If a symbol and its name are both keys.
+    """
+    found: dict[Any, Any] = {}
+    for key, value in given.items():
+        if isinstance(key, str):
+            unknown = sm.Symbol(key) if time is None else sm.Function(key)(time)
+        symbol = known.get(key, unknown) if isinstance(key, str) else key
+        if symbol in found:
+            raise ModelError(f"There are two values of {symbol}: give one, by its name or its symbol.")
+        found[symbol] = value
+    return found
 
 
 def _rate(expression: sm.Expr, t: sm.Symbol) -> sm.Expr:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fourbar_codegen.arguments import finite_number, name_of, number
+from fourbar_codegen.arguments import finite_number, name_of, number, of_time_and_state
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.simulation.run_protocol import Integration
@@ -66,6 +66,8 @@ def events_of(model: Kernel, events: object) -> list[Event] | None:
                     f"events must be callables of (t, x) or names of outputs ({known}), not {shown(event.function)}."
                 )
             event = replace(event, function=name)
+        else:
+            of_time_and_state(event.function, "An event")
         watched.append(event)
     return watched
 

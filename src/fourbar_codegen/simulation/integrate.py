@@ -29,9 +29,14 @@ PAUSE = 0.02
 
 REACHED_END = "The solver successfully reached the end of the integration interval."
 TERMINATED = "A termination event occurred."
-DIVERGED = "The equations of a step could not be solved: take a shorter max_step."
+DIVERGED = (
+    "The equations of a step could not be solved: take a shorter max_step, such as {:.1e}. If the motion passes no "
+    'singular position, method="DOP853" chooses its steps itself.'
+)
 FAILED = {
-    "too small": "Required step size is less than spacing between numbers.",
+    "too small": "Required step size is less than spacing between numbers. Is an input or a load discontinuous there? "
+    "Jumps of tables and of the model's expressions are found, those of callables are not: end the run there by a "
+    "terminal event and start anew, or hold the inputs over each step with CompiledModel.stepper.",
     "infinite": "The step's length is not finite: give a finite end, or max_step.",
     "open": "A step has opened the loops too far to be closed again: take smaller tolerances.",
 }
@@ -134,7 +139,7 @@ def integrate(
                 ends = watch is not None and watch.across(run)
                 outcome = (1, TERMINATED) if ends else None if closed else (-1, FAILED["open"])
         elif reason == "diverged":
-            outcome = -1, run.ode.failure or DIVERGED
+            outcome = -1, run.ode.failure or DIVERGED.format(options.max_step / 10.0)
         else:
             samples.append(run.take_samples())
             at = Singular(model, run.ode, _passed(run, samples))

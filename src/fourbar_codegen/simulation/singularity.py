@@ -31,6 +31,9 @@ JUMPED = 1e-3
 """States of a step jump if after five refinements, of 32 intervals each, the largest change between neighbours is more
 than this, relative to that of the first."""
 
+PASSING = 'method="ALI3P" with max_step=1e-3 goes through it (fourbar: --method ALI3P --max-step 1e-3).'
+"""What to do about it."""
+
 STATES = 100
 """States along the run of which the median is taken."""
 
@@ -115,8 +118,10 @@ class Singular:
         ratio = self._ratio(t, x)
         if not ratio < threshold:
             return ""
+        passes = self.model.n_l == self.model.n_c  # ALI3P takes no unknown forces that drive the motion
         where = ", ".join(f"{name} = {value:.6g}" for name, value in zip(self.model.coordinates, x, strict=False))
         return (
             f"The mechanism {verb} a singular position at t = {t:.6g}, {where}: the constraints' Jacobian loses rank "
             f"(its smallest singular value is {ratio:.1e} of its median over the run){more}."
+            + (f" {PASSING}" if passes else "")
         )

@@ -48,9 +48,18 @@ class Drawing:
         """Whether a point does not stay where it is."""
         return bool(np.ptp(self.positions[point], axis=1).max() > PLANAR * self.size)
 
-    def moving_bodies(self) -> dict[int, str]:
-        """Number and name of the mass centres that move: what leaves a trace if nobody says otherwise."""
-        return {number: name for number, name, _, body in self.points() if body is not None and self.moves(number)}
+    def traced(self) -> dict[int, str]:
+        """Number and name of the points that leave a trace if nobody says otherwise.
+
+        Joints and ends of links that move, of those at one place the first; the mass centres where there are none.
+        """
+        moving = [(number, name, body) for number, name, _, body in self.points() if self.moves(number)]
+        joints: dict[int, str] = {}
+        for number, name, body in moving:
+            path = self.positions[number]
+            if body is None and not any(np.abs(path - self.positions[k]).max() <= PLANAR * self.size for k in joints):
+                joints[number] = name
+        return joints or {number: name for number, name, _ in moving}
 
     def points(self) -> Iterator[tuple[int, str, int | None, str | None]]:
         """Number, name, number of the point from which a line leads to it, and body of each point."""
@@ -129,7 +138,7 @@ class Panel:
 
 
 def panels(trajectory: Trajectory) -> list[Panel]:
-    """All curves of a trajectory over time: states, inputs, outputs, multipliers, residual, energy."""
+    """All curves of a trajectory over time: states, inputs, outputs, energy, multipliers, residual."""
     model = trajectory.model
     energies = {
         "kinetic": trajectory.kinetic_energy,
@@ -142,14 +151,14 @@ def panels(trajectory: Trajectory) -> list[Panel]:
         Panel("Auxiliary states", dict(zip(model.auxiliary_states, trajectory.z, strict=True))),
         Panel("Inputs", dict(zip(model.inputs, trajectory.r, strict=True))),
         Panel("Outputs", dict(zip(model.outputs, trajectory.outputs, strict=True))),
+        Panel("Energy (J)", {name: row for name, row in energies.items() if np.isfinite(row).any()}),
         Panel(
             "Multipliers of the constraints",
-            {f"lambda {number}": row for number, row in enumerate(trajectory.multipliers, start=1)},
+            {f"lambda{number}": row for number, row in enumerate(trajectory.multipliers, start=1)},
         ),
-        Panel("Energy (J)", {name: row for name, row in energies.items() if np.isfinite(row).any()}),
     ]
     if len(trajectory.constraint_residual):
         # Zero has no place on a logarithmic axis; half the spacing of doubles around 1 stands for it.
         largest = np.maximum(np.abs(trajectory.constraint_residual).max(axis=0), np.finfo(float).eps / 2)
-        found.insert(-1, Panel(f"{trajectory.residual_label} (units of the constraints)", {"largest": largest}, True))
+        found.append(Panel(f"{trajectory.residual_label} (units of the constraints)", {"largest": largest}, True))
     return [panel for panel in found if panel.curves]

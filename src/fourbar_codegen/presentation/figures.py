@@ -96,7 +96,7 @@ def plot_paths(trajectory: Trajectory, points: Sequence[str]) -> Figure:
     figure, [axes] = _figure(1, drawn.is_planar)
     _draw_mechanism(axes, trajectory.model, drawn.positions[:, :, 0], drawn.is_planar)
     dimensions = 2 if drawn.is_planar else 3
-    traced = points or list(drawn.moving_bodies().values())
+    traced = points or list(drawn.traced().values())
     for name in traced:
         axes.plot(*drawn.positions[trajectory.model.points.index(name), :dimensions], label=_label(name))
     axes.set_aspect("equal")

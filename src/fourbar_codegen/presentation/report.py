@@ -46,7 +46,7 @@ def report_text(trajectory: Trajectory) -> str:
         If there is nothing to show: no points whose positions are known, or no states.
     """
     drawn = drawing(trajectory, frame_times)
-    traced = drawn.moving_bodies()
+    traced = drawn.traced()
     data = {
         "times": _packed(drawn.shown.t, "<f8"),
         # In units of the mechanism's size: single precision has a smaller range.

@@ -406,7 +406,7 @@ class Trajectory:
         return Page(f"Report of {self.model.name}", report_text(self), int(height))
 
     def plot(self) -> Figure:
-        """States, inputs, outputs (joint forces among them), multipliers, loop residual and energy.
+        """States, inputs, outputs (joint forces among them), energy, multipliers and loop residual.
 
         Over time, one above the other; needs the extra ``visual``.
 
@@ -429,7 +429,7 @@ class Trajectory:
         Parameters
         ----------
         points : sequence of str, optional
-            Names of the points; the mass centres that move otherwise.
+            Names of the points; otherwise the joints that move, or the mass centres where there are none.
 
         Returns
         -------

@@ -218,14 +218,14 @@ def _checked(model: Kernel, points: Iterable[str]) -> list[str]:
     return names
 
 
-def animate(trajectory: Trajectory, *, fps: float, speed: float, traces: Sequence[str]) -> FuncAnimation:
+def animate(trajectory: Trajectory, *, fps: float, speed: float, traces: Sequence[str] | None) -> FuncAnimation:
     """Animate a trajectory; see `Trajectory.animate`."""
     animations = _imported("matplotlib.animation", "Animations")
     figures = _imported("matplotlib.figure", "Animations")
     model = trajectory.model
     positive(fps, "fps")
     positive(speed, "speed")
-    traces = _checked(model, traces)
+    chosen = None if traces is None else _checked(model, traces)
     n = abs(np.ptp(trajectory.t)) * fps / speed if len(trajectory.t) else 0.0
     if n > MAX_FRAMES:
         raise ModelError(f"The animation would have {n:.0f} frames, more than {MAX_FRAMES}: take a greater speed.")
@@ -247,8 +247,9 @@ def animate(trajectory: Trajectory, *, fps: float, speed: float, traces: Sequenc
         getattr(axes, f"set_{name}lim")(begin, end)
     axes.set_aspect("equal")
     axes.set_axis_off()
+    traced = drawn.traced().values() if chosen is None else chosen
     for number, name, _, _ in drawn.points():
-        if name in traces:
+        if name in traced:
             axes.plot(*every[number], color="tab:red", linewidth=1.0)
     # Lines that are moved: rows of `every` that each of them joins.
     moved = [(rows, axes.plot(*every[rows, :, 0].T, **style)[0]) for rows, style in _moving_lines(drawn)]
@@ -287,7 +288,7 @@ def write_animation(trajectory: Trajectory, path: Path, kind: str) -> None:
     name = {"gif": "pillow", "mp4": "ffmpeg"}[kind]
     if not animations.writers.is_available(name):
         raise ModelError(f"{kind.upper()} needs {name}, which is not installed.")
-    animation = animate(trajectory, fps=FPS, speed=1.0, traces=())
+    animation = animate(trajectory, fps=FPS, speed=1.0, traces=None)
     from tqdm import tqdm
 
     with tqdm(desc=f"{trajectory.model.name}, {kind.upper()}", unit="frame", delay=PATIENCE, disable=None) as bar:

@@ -349,7 +349,7 @@ class Trajectory:
         speed : float, optional
             Seconds of the run that a second shows.
         traces : sequence of str, optional
-            Names of points that leave a trace.
+            Names of points that leave a trace; by default the joints that move, or else the mass centres.
 
         Returns
         -------
@@ -370,7 +370,7 @@ class Trajectory:
         """
         from fourbar_codegen.presentation.figures import animate
 
-        return animate(self, fps=fps, speed=speed, traces=traces or ())
+        return animate(self, fps=fps, speed=speed, traces=traces)
 
     def report(self, *, height: int = 900) -> Page:
         """The interactive report for a notebook: the moving mechanism, traces, plots and a table of the run.

@@ -277,7 +277,10 @@ def test_loop_that_closes_from_another_guess():
         (lambda: fb.Model(pendulum(), parameters={m: 1 + q}), ["parameter m", "parameters only"]),
         (lambda: fb.Model(pendulum(), parameters={m: sm.Symbol("a") > g}), ["parameter m"]),
         (lambda: fb.Model(pendulum(), parameters={"m": 1}), ["Symbols as keys", "'m'"]),
-        (lambda: fb.generate_sources(fb.Model(pendulum(mass=F), inputs={F: sm.floor(t)})), ["F", "derivatives", "floor"]),
+        (
+            lambda: fb.generate_sources(fb.Model(pendulum(mass=F), inputs={F: sm.floor(t)})),
+            ["F", "derivatives", "floor"],
+        ),
         (lambda: fb.build_wheel(fb.Model(pendulum(), name="json"), "."), ["'json'", "another name"]),
         (lambda: fb.build_wheel(5, "."), ["Model", "int"]),
         (lambda: fb.load(None), ["None"]),

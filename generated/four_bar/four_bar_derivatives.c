@@ -13,7 +13,7 @@
 
 #include <math.h>
 
-/* Positions of the points that are drawn, and the inputs' forces on them. */
+/* Positions of the drawn points, and the inputs' forces on them. */
 static void drawing(double t, const double *restrict x, const double *restrict constants,
     const double *restrict r, double *restrict points, double *restrict forces)
 {

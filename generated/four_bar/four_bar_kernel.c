@@ -39,10 +39,10 @@ enum {
 #define FB_FASTER &four_bar_kernel_avx2
 #endif
 
-/* The row of J that keeps each position constraint; -1 where no speed changes it, or others keep it. */
+/* The row of J that keeps each position constraint; -1 for invariants and redundant constraints. */
 static const int position_row[] = {0, 1};
 
-/* The order in which constraints are eliminated as a rule; the speeds for which they are solved, and the others. */
+/* The fixed pivot order: constraints; the speeds that they are solved for, then the others. */
 static const int static_pivot_row[] = {1, 0};
 static const int static_pivot_speed[] = {1, 2, 0};
 

@@ -543,5 +543,5 @@ def test_a_constraint_in_units_far_from_another_is_refused_and_not_dropped(loops
     x = np.linspace(0.3, 1.1, compiled.n_x)
     expected = compiled.rhs(0.0, x)
     np.testing.assert_allclose(compiled.rhs(0.0, x, {"scale": 1e-6}), expected, rtol=1e-9)
-    with pytest.raises(fb.SimulationError, match="units of like size"):
+    with pytest.raises(fb.SimulationError, match="similar units"):
         compiled.rhs(0.0, x, {"scale": unit})

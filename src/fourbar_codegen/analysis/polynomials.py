@@ -4,7 +4,7 @@ The variable of an angle q is z = exp(i q), with negative powers as well; that o
 and roots have enough digits to decide which roots are double, real, or at infinity, despite rounding errors.
 
 Source: the resultant of two polynomials is the determinant of Sylvester's matrix (D. Cox, J. Little, D. O'Shea,
-*Ideals, Varieties, and Algorithms*, chapter 3); roots by the method of Durand and Kerner, as mpmath has it.
+*Ideals, Varieties, and Algorithms*, chapter 3); roots by the method of Durand and Kerner, from mpmath.
 """
 
 from __future__ import annotations

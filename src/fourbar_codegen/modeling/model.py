@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["InputEntry", "Model", "Parameter", "joint_force", "multiplier"]
 
 IMPORTED = frozenset({"cpython", "cython", "libc", "numpy", "fb", "fourbar"})
-"""What the generated module imports and includes itself."""
+"""Names that the generated module itself imports or includes."""
 
 COLUMNS = re.compile(r"kinetic_energy|potential_energy|constraint_residual_\d+|file|allow_pickle")
 """Names of a trajectory's own columns, and of the arguments of numpy.savez, which takes columns by name."""
@@ -34,7 +34,7 @@ COLUMNS = re.compile(r"kinetic_energy|potential_energy|constraint_residual_\d+|f
 
 @dataclass(frozen=True)
 class Parameter:
-    """What is known of a parameter.
+    """A parameter's default value, unit and description.
 
     Attributes
     ----------
@@ -173,8 +173,8 @@ class Model:
     system : sympy.physics.mechanics.System or KanesMethod
         A System that is ready for its ``form_eoms``, or a KanesMethod with its bodies and loads. It is read once,
         here; later changes to it do not reach the Model. Accelerations follow from the velocities; those set
-        with ``Point.set_acc`` are not used. If constraints are redundant, name as many dependent coordinates and
-        speeds as there are independent constraints.
+        with ``Point.set_acc`` are only compared with these, for warnings. If constraints are redundant, name as
+        many dependent coordinates and speeds as there are independent constraints.
     name : str, optional
         A Python identifier; names the compiled module.
     parameters : mapping of Symbol to float, Expr or Parameter, optional

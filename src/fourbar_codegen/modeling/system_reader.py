@@ -335,7 +335,7 @@ def read_mechanism(system: System | me.KanesMethod) -> Mechanism:
 
 @dataclass(frozen=True)
 class _Description:
-    """What a System and a KanesMethod have in common; named as in a System."""
+    """The common data of a System and a KanesMethod, with the names of a System."""
 
     frame: me.ReferenceFrame
     fixed_point: me.Point | None

@@ -31,7 +31,7 @@ typedef struct fb_implicit {
     double *coordinate_rates, *mass_matrix, *forcing, *jacobian, *bias; /* q', M, f, J, gamma */
     double *positions, *position_jacobian;                              /* Phi, dPhi/dq */
     double *velocities, *velocity_jacobian;                             /* J u + b, its derivative by q */
-    double *rate_jacobian, *residual_jacobian;                          /* as fb_sensitivity has them */
+    double *rate_jacobian, *residual_jacobian;                          /* from fb_sensitivity */
     double *state_rates, *by_accelerations, *by_multipliers;            /* z', dz'/du', dz'/dlambda */
     double *effect, *effect_jacobian;                                   /* F, dF/dn */
     double *auxiliary_forcing, *auxiliary_forcing_jacobian;             /* Q, dQ/dn */

@@ -47,10 +47,10 @@ def arc(center, begin, end, radius, label):
     a, b = (place(center + radius * direction(angle)) for angle in (begin, end))
     large, sweep = int(abs(end - begin) > np.pi), int(end < begin)
     path = f"M{a[0]:.1f} {a[1]:.1f}A{SCALE * radius:.1f} {SCALE * radius:.1f} 0 {large} {sweep} {b[0]:.1f} {b[1]:.1f}"
-    middle = place(center + (radius + 0.06) * direction((begin + end) / 2)) + [0, 5]
+    x, y = place(center + (radius + 0.06) * direction((begin + end) / 2))
     return (
         f'<path d="{path}" fill="none" stroke="{ANGLE}" stroke-width="1.5" marker-end="url(#tip-{ANGLE[1:]})"/>'
-        + text(middle, label, ANGLE)
+        + text((x, y + 5), label, ANGLE)
     )
 
 
@@ -62,7 +62,7 @@ def drawing():
     start, joints = np.array([-0.4, 0.0]), [np.array([0.4, 0.0])]
     for angle, length in zip(angles, (0.5, 1.0, 0.7), strict=True):
         joints.append(joints[-1] + length * direction(angle))
-    parts = [
+    parts = [  # of text, in the order in which they are drawn
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {SIZE[0]} {SIZE[1]}" font-family="sans-serif"',
         'font-size="15" font-style="italic"><title>The four-bar linkage</title>',
         f'<rect width="{SIZE[0]}" height="{SIZE[1]}" fill="white"/>',

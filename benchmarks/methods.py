@@ -195,8 +195,7 @@ def tables(
         lines += [
             f"### {name}\n",
             f"The motion amplifies a relative error at t = {time:.4g} s by {growth:.0e}.\n",
-            "| method | time | evaluations | error at the end | energy error, J | constraint violation, m | "
-            "without projection |",
+            "| method | time | evaluations | final error | energy error, J | violation, m | without projection, m |",
             "|---|---|---|---|---|---|---|",
         ]
         for method in METHODS:

@@ -1,4 +1,4 @@
-# make run, make test, make lint, make docs, make bench, make fuzz, make ecosystem: each sets up what it needs in .venv.
+# make run, make test, make lint, make docs, make screenshots, make bench, make fuzz, make ecosystem: each sets up what it needs in .venv.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -11,7 +11,7 @@ SOURCES := pyproject.toml setup.py $(wildcard src/fourbar_codegen/runtime/*.pyx 
 # Tests and benchmarks start Python many times: without it, each of them compiles SymPy anew, which takes seconds.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run test lint docs bench fuzz ecosystem generate clean
+.PHONY: run test lint docs screenshots bench fuzz ecosystem generate clean
 
 run: $(INSTALLED_RUN)
 	$(BIN)/fourbar simulate four_bar -o results/four_bar.csv -o results/four_bar.npz -o results/four_bar.png
@@ -29,6 +29,10 @@ lint: $(INSTALLED)
 docs: $(INSTALLED_DOCS)
 	$(BIN)/python -m sphinx --fail-on-warning --quiet -b html docs docs/_build/html
 
+# The built documentation as readers see it: pictures, accessibility, links, what is clipped or loaded from elsewhere.
+screenshots: docs
+	$(BIN)/python docs/screenshots.py
+
 bench: $(INSTALLED)
 	$(BIN)/python -m pip install --quiet --editable '.[bench]'
 	$(BIN)/python benchmarks/four_bar.py --output results/benchmark.json
@@ -37,6 +41,7 @@ bench: $(INSTALLED)
 	$(BIN)/python benchmarks/drift.py --output results/drift.json
 	$(BIN)/python benchmarks/methods.py --output results/methods.json
 	$(BIN)/python benchmarks/peers.py --output results/peers.json
+	$(BIN)/python benchmarks/engines.py --output results/engines.json
 	$(BIN)/python benchmarks/scale.py --output results/scale.json
 
 # Hours: 100,000 calls, 1,000 Systems. FUZZ='--calls 1000' does fewer of these, as `python -m fuzz.runner run --help` says.

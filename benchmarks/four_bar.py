@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 from measure import (
+    DOCS,
     README,
     call,
     circumstances,
@@ -27,6 +28,7 @@ from measure import (
     evaluation,
     evaluation_inside_c,
     replace_in_page,
+    save_figure,
     timed,
 )
 from scipy.integrate import solve_ivp
@@ -88,27 +90,62 @@ def compile_in_fresh_process(cold: bool) -> Callable[[], float]:
     return measure
 
 
-def write_readme(report: dict[str, Any]) -> None:
-    """Replace the table in README.md."""
-    lines = ["| | the tutorial's code | compiled | ratio |", "|---|---|---|---|"]
-    for row in report["rows"]:
+COMMAND = "python benchmarks/four_bar.py --docs"
+
+SHORT = {
+    "evaluation from Python, CompiledModel.rhs(t, x)": "one evaluation of x' from Python",
+    f"{STATES} states at once, compiled for this machine": f"x' at {STATES:,} states",
+    "simulate, 4 s, RK45 as by default, loop kept closed": "4 s of motion, RK45, `rtol=1e-3`",
+    "simulate, 4 s, DOP853 at 1e-10, loop kept closed": "4 s of motion, DOP853, `rtol=1e-10`",
+    "fresh process, import to trajectory": "a fresh process, from import to trajectory",
+}
+"""The rows that README.md shows, and what they are called there."""
+
+
+def table(rows: list[dict[str, Any]], names: dict[str, str]) -> str:
+    lines = ["| | the tutorial's code | fourbar_codegen | ratio |", "|---|---:|---:|---:|"]
+    for row in rows:
         left = f"{row['tutorial']:.3g} {row['unit']}" if row["tutorial"] else ""
         lines.append(
-            f"| {row['name'].strip()} | {left} | {row['compiled']:.3g} {row['unit']} | "
+            f"| {names[row['name']]} | {left} | {row['compiled']:.3g} {row['unit']} | "
             + (f"{float(format(row['ratio'], '.3g')):,g} |" if row["ratio"] else "|")
         )
-    text = (
-        "Medians of measures taken in turn, against the tutorial's own code (`lambdify` with `cse=True` and\n"
-        "`numpy.linalg.solve`) and SciPy's `solve_ivp`, whose loop drifts open. Steps in C:\n"
-        "`method=fb.solvers.RK45` or `DOP853`.\n\n"
+    return "\n".join(lines)
+
+
+def plot(rows: list[dict[str, Any]], path: Path) -> None:
+    """How many times faster, on a logarithmic axis; each bar has its name and its number beside it."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(5.2, 2.4), layout="constrained")
+    axes = figure.add_subplot()
+    names = [SHORT[row["name"]].replace("`", "") for row in rows]
+    bars = axes.barh(names, [row["ratio"] for row in rows], color="#1f6fb4")
+    axes.bar_label(bars, [f"{float(format(row['ratio'], '.2g')):,g} x" for row in rows], padding=4)
+    axes.set_xscale("log")
+    axes.set_xlim(1.0, 8e3)
+    axes.set_xlabel("times faster than the tutorial's code")
+    axes.invert_yaxis()
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    save_figure(figure, path)
+
+
+def write_docs(report: dict[str, Any]) -> None:
+    """The short table in README.md, its plot, and all rows in docs/benchmarks.md."""
+    rows = report["rows"]
+    shown = [row for row in rows if row["name"] in SHORT]
+    plot(shown, DOCS / "speed.svg")
+    replace_in_page(README, "benchmark", table(shown, SHORT), COMMAND, report)
+    replace_in_page(
+        DOCS / "benchmarks.md", "four-bar", table(rows, {row["name"]: row["name"] for row in rows}), COMMAND, report
     )
-    replace_in_page(README, "benchmark", text + "\n".join(lines), "python benchmarks/four_bar.py --readme", report)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--output", type=Path, default=Path("results/benchmark.json"), help="where to write JSON")
-    parser.add_argument("--readme", action="store_true", help="write the table into README.md as well")
+    parser.add_argument("--docs", action="store_true", help="write the tables into README.md and docs/benchmarks.md")
     parser.add_argument("--rounds", type=int, default=ROUNDS, help="samples of each measure")
     options = parser.parse_args()
 
@@ -182,8 +219,8 @@ def main() -> None:
     options.output.parent.mkdir(parents=True, exist_ok=True)
     options.output.write_text(json.dumps(report, indent=2) + "\n")
     print(f"Written: {options.output}")
-    if options.readme:
-        write_readme(report)
+    if options.docs:
+        write_docs(report)
 
 
 if __name__ == "__main__":

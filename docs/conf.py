@@ -17,7 +17,13 @@ release = fourbar_codegen.__version__
 extensions = ["myst_nb", "numpydoc", "sphinx.ext.autodoc"]
 html_theme = "furo"
 html_title = f"fourbar_codegen {release}"
+html_static_path = ["_static"]
+html_css_files = ["custom.css"]
+html_js_files = ["focus.js"]
 exclude_patterns = ["_build"]
+# Both with a contrast of 4.5:1 at least.
+pygments_style = "a11y-high-contrast-light"
+pygments_dark_style = "a11y-high-contrast-dark"
 default_role = "code"
 
 # The examples that are notebooks become pages.
@@ -51,6 +57,14 @@ def displayed_formula(translator, node):
     raise nodes.SkipNode
 
 
+def level_of_captions(app, pagename, templatename, context, doctree):  # noqa: ARG001  # Sphinx's
+    """Sphinx calls the captions of the navigation headings without their level, which screen readers need."""
+    tree = context.get("furo_navigation_tree")
+    if tree:
+        context["furo_navigation_tree"] = tree.replace('role="heading"', 'role="heading" aria-level="2"')
+
+
 def setup(app):
     """Make these known to Sphinx."""
+    app.connect("html-page-context", level_of_captions, priority=900)
     app.add_html_math_renderer("mathml", (inline_formula, None), (displayed_formula, None))

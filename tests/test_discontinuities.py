@@ -379,7 +379,7 @@ def test_kinks_of_nested_conditions(name, how):
 @pytest.mark.parametrize("how", ["an input", "time itself", "a constraint"])
 def test_motions_with_kinks_at_unknown_times_are_refused(expression, how):
     refused = "Derivative.re.t.*cannot be compiled|" * (how == "time itself")  # what SymPy makes of an absolute value
-    refused += "A prescribed motion.* changes its form at times that cannot be read off"
+    refused += "A prescribed motion.* changes its form at times that cannot be derived"
     with pytest.raises(fb.ModelError, match=refused):
         moved(expression, how)
 

@@ -561,7 +561,7 @@ def test_another_model_in_the_same_place_is_not_taken(tmp_path, monkeypatch):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path / "cache"))
     other = str(fb.load("four_bar").path)
     assert _restore(kind, name, other, manifest, sources).coordinates == model.coordinates
-    with pytest.raises(fb.ModelError, match="another one"):
+    with pytest.raises(fb.ModelError, match="only a different one of its name"):
         _restore(kind, name, other, manifest, None)
 
 

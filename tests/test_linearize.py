@@ -138,7 +138,7 @@ def test_an_equilibrium_is_one_of_every_part():
     stiff = fb.compile_model(on_a_line(-1e9 * q1, sm.Float(9.81)))
     with pytest.raises(fb.SimulationError, match="No equilibrium"):
         stiff.equilibrium()
-    with pytest.warns(fb.ModelWarning, match="velocity of point"):  # that of q1 without v
+    with pytest.warns(fb.ModelWarning, match="velocity that was set for point"):  # that of q1 without v
         moving = fb.compile_model(on_a_line(-q1, kdes=[u1 + v - q1.diff(me.dynamicsymbols._t)], v=3))
     with pytest.raises(fb.SimulationError, match="No equilibrium"):
         moving.equilibrium()

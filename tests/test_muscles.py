@@ -214,5 +214,5 @@ def test_two_muscles_of_one_name_with_other_activations_are_refused():
     slow = FirstOrderActivationDeGroote2016("biceps", activation_time_constant=0.5)
     other = MusculotendonDeGroote2016.with_defaults("biceps", lift.muscle.pathway, slow)
     lift.system.add_actuators(other)
-    with pytest.raises(fb.ModelError, match=r"Two actuators have other equations for the state a_biceps\(t\)"):
+    with pytest.raises(fb.ModelError, match=r"Two actuators have different equations for the state a_biceps\(t\)"):
         fb.Model(lift.system, parameters=lift.parameters)

@@ -63,7 +63,7 @@ def test_unknown_forces_come_before_inputs():
     wind = me.dynamicsymbols("wind")
     body = model.system.bodies[0]
     model.system.add_loads(me.Force(body.masscenter, wind * model.system.frame.x))
-    with pytest.raises(fb.ModelError, match=r"3 functions of time .*F_x, F_y, wind.* 2 auxiliary.*Name those"):
+    with pytest.raises(fb.ModelError, match=r"3 functions of time .*F_x, F_y, wind.* 2 auxiliary.*Name known"):
         fb.Model(model.system, parameters=values, inputs="auto")
     assert fb.Model(model.system, parameters=values, inputs={wind: 0}).outputs == ("F_x", "F_y")
 

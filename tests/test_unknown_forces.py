@@ -250,13 +250,11 @@ def test_unknown_forces_of_very_different_units():
 def test_unknown_forces_where_they_cannot_stand():
     normal = me.dynamicsymbols("N")
     system, values, initial, _ = box(lambda n, u: -MU * n)
-    with pytest.raises(
-        fb.ModelError, match="unknown forces N stand in what makes the energies: they may stand in loads"
-    ):
+    with pytest.raises(fb.ModelError, match="unknown forces N appear in the energies: they may appear only in loads"):
         fb.generate_sources(fb.Model(system, parameters=values, initial=initial, potential_energy=normal * 2))
     point = system.bodies[0].masscenter
     point.set_vel(system.frame, point.vel(system.frame) * (1 + normal))
-    with pytest.raises(fb.ModelError, match="unknown forces N stand in what makes the"):
+    with pytest.raises(fb.ModelError, match="unknown forces N appear in the"):
         fb.generate_sources(fb.Model(system, parameters=values, initial=initial))
 
 

@@ -39,14 +39,14 @@ enum {
 #define FB_FASTER &four_bar_kernel_avx2
 #endif
 
-/* The row of J that keeps each position constraint; -1 where no speed changes it, or others keep it. */
+/* The row of J that keeps each position constraint; -1 for invariants and redundant constraints. */
 static const int position_row[] = {0, 1};
 
-/* The order in which constraints are eliminated as a rule; the speeds for which they are solved, and the others. */
+/* The fixed pivot order: constraints; the speeds that they are solved for, then the others. */
 static const int static_pivot_row[] = {1, 0};
 static const int static_pivot_speed[] = {1, 2, 0};
 
-/* The parameters, and behind them all that is derived from them alone. */
+/* The parameters, then all constants derived from them. */
 static void prepare(const fb_real *restrict p, fb_real *restrict constants)
 {
     const fb_real rho = p[0];
@@ -216,7 +216,7 @@ static void dynamics(fb_real t, const fb_real *restrict x, const fb_real *restri
     forcing[0] = -z46;
 }
 
-/* Violations of constraints: Phi in the rows of J that are its rates, then what no speed changes; J u + b. */
+/* Constraint violations: w of J v = -w, which corrects Phi, then those that no speed changes; J u + b. */
 static void constraint_violation(fb_real t, const fb_real *restrict x, const fb_real *restrict constants,
     const fb_real *restrict r, fb_real *restrict position_violation, fb_real *restrict velocity_violation)
 {
@@ -251,7 +251,7 @@ static void constraint_violation(fb_real t, const fb_real *restrict x, const fb_
     velocity_violation[1] = z8*z0 + z10*z3 + z11*z4;
 }
 
-/* What violations of the position constraints, and of the rows of `constraint_violation`, are measured by. */
+/* Scales of violations: of the position constraints, and of the rows of `constraint_violation`. */
 static void constraint_scale(fb_real t, const fb_real *restrict x, const fb_real *restrict constants,
     const fb_real *restrict r, fb_real *restrict position_scale, fb_real *restrict position_violation_scale,
     fb_real *restrict velocity_violation_scale)
@@ -357,7 +357,7 @@ static void invariant_correction(fb_real t, const fb_real *restrict q, const fb_
     invariant_correction[2] = fb_number(0.0);
 }
 
-/* K v, the change of the coordinates for a change v of what the speeds integrate to. */
+/* K v, the change of the coordinates for a change v of the speeds' integrals. */
 static void coordinate_change(fb_real t, const fb_real *restrict q, const fb_real *restrict constants,
     const fb_real *restrict r, const fb_real *restrict change, fb_real *restrict coordinate_change)
 {

@@ -67,7 +67,7 @@ def generate_sources(model: Model) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class _Generated:
-    """What a kernel is compiled from, and what the rest is generated from."""
+    """The sources of a kernel, and the data from which the rest is generated."""
 
     equations: Equations
     scheduled: Schedule
@@ -77,9 +77,9 @@ class _Generated:
 
 
 def _generate_kernel(model: Model, progress: Progress) -> _Generated:
-    """The equations, and the sources of what a simulation needs."""
+    """The equations, and the sources that a simulation needs."""
     _require_model(model)
-    # Imported here: a model that is in the cache needs none of it.
+    # Imported here, since a model in the cache does not need it.
     from fourbar_codegen.codegen.c_source import batch_text, header_text, kernel_text
     from fourbar_codegen.codegen.manifest import manifest_of
     from fourbar_codegen.dynamics.equations import form_equations
@@ -127,7 +127,7 @@ def _generate_rest(generated: _Generated) -> tuple[Derivatives, dict[str, str], 
 
 
 def _generate(model: Model, progress: Progress) -> tuple[Equations, Derivatives, dict[str, str]]:
-    """The equations, their derivatives, and all sources made of them."""
+    """The equations, their derivatives, and all sources made from them."""
     generated = _generate_kernel(model, progress)
     from fourbar_codegen.codegen.c_source import version_texts
     from fourbar_codegen.codegen.cython_source import wrapper_text
@@ -149,17 +149,17 @@ def _generate(model: Model, progress: Progress) -> tuple[Equations, Derivatives,
 
 
 def key_of(model: Model, *, checked: bool = True) -> str:
-    """The key of a model in the cache: a digest of all that its compiled module depends on, and whether it was checked.
+    """The cache key of a model: a digest of everything that its compiled module depends on, and of `checked`.
 
-    That is the whole mechanism as the equations see it, the names, defaults and inputs, of which the manifest has the
-    fingerprint; this package's own sources, SymPy, the compiler and its flags. The library has a key of its own, of its
-    sources and the compiler, so that models that lead to the same sources share it.
+    These are the model (mechanism, names, defaults and inputs, which the fingerprint in the manifest covers), this
+    package's own sources, SymPy, the compiler and its flags. The library has its own key, made from its sources and the
+    compiler, so that models with the same sources share it.
     """
     return cache_key(fingerprint(_described(model)), checked=checked)
 
 
 def _described(model: Model) -> tuple[object, ...]:
-    """All of a model that its equations and their arguments depend on."""
+    """Everything in a model that its equations and their arguments depend on."""
     return (
         model.name,
         model.mechanism,
@@ -188,7 +188,7 @@ def build_model(model: Model, folder: str | Path, *, check: bool = True) -> Path
     ----------
     model : Model
     folder : str or Path
-        Created if it does not exist; it is touched only when all has been built.
+        Created if it does not exist; it changes only after a complete build.
     check : bool, optional
         Whether to compare the compiled functions with the equations, at random states.
 
@@ -209,15 +209,15 @@ def build_model(model: Model, folder: str | Path, *, check: bool = True) -> Path
 def build_wheel(model: Model, folder: str | Path, *, version: str = "0.1.0", check: bool = True) -> Path:
     """Compile a model into a wheel, for ``pip install`` on machines without SymPy or a compiler.
 
-    The package of the model's name has ``rhs`` for use with NumPy, the only one that the wheel requires. Its extra
-    ``simulate`` brings fourbar_codegen, whose ``load`` finds the model by its name.
+    The package has the model's name. Its ``rhs`` needs only NumPy, the only requirement of the wheel. The extra
+    ``simulate`` adds fourbar_codegen, whose ``load`` finds the model by its name.
 
     Parameters
     ----------
     model : Model
         Its name becomes the wheel's.
     folder : str or Path
-        Where the wheel comes; created if it does not exist.
+        The folder for the wheel; created if it does not exist.
     version : str, optional
         Of the wheel.
     check : bool, optional
@@ -231,24 +231,28 @@ def build_wheel(model: Model, folder: str | Path, *, version: str = "0.1.0", che
     Raises
     ------
     ModelError, BuildError
-        As for `compile_model`; or if the version is not one, or the name that of another module or not in lower case.
+        As for `compile_model`; or if the version is invalid, or the name is not in lower case or belongs to another
+        module.
 
     Source: PEP 427, by setuptools.
     """
     _require_model(model)
     if _is_taken(model.name):
         raise ModelError(
-            f"A wheel cannot be named {model.name!r}: there is such a module already. Give the Model another name."
+            f"A wheel cannot be named {model.name!r}: a module of that name exists. Give the Model another name."
         )
     # https://packaging.python.org/en/latest/specifications/name-normalization
     normal = re.sub("_+", "_", model.name).lower()
     if model.name != normal:
         raise ModelError(
-            f"A wheel cannot be named {model.name!r}: for pip that is the same project as {normal!r}, and to install "
-            "one would replace the other. Give the Model a name without capitals, and without underscores side by side."
+            f"A wheel cannot be named {model.name!r}: for pip that is the same project as {normal!r}, and installing "
+            "one would replace the other. Give the Model a name without capitals or consecutive underscores."
         )
     if model.name.strip("_") != model.name:
-        raise ModelError(f"A wheel cannot be named {model.name!r}: pip refuses underscores at either end of a name.")
+        raise ModelError(
+            f"A wheel cannot be named {model.name!r}: pip refuses underscores at either end of a name. Give the Model "
+            "another name."
+        )
     pattern = r"[0-9]+(\.[0-9]+)*((a|b|rc|\.post|\.dev)[0-9]+)?"
     if not isinstance(version, str) or not re.fullmatch(pattern, version):
         raise ModelError(f"A version looks like 1.0 or 0.2.1, not {version!r}.")
@@ -266,13 +270,13 @@ def build_wheel(model: Model, folder: str | Path, *, version: str = "0.1.0", che
 
 
 def _is_taken(name: str) -> bool:
-    """Whether a wheel of this name would stand in the way of another module."""
+    """Whether a wheel of this name would hide another module."""
     if name in {"fourbar_codegen", "four_bar", "setup", "test", *sys.stdlib_module_names}:
         return True
     from importlib.metadata import metadata, packages_distributions
 
     owners = packages_distributions().get(name, [])
-    # Wheels of models, of which a new version may be made, have the name of what they hold.
+    # Wheels of models, which may be replaced by new versions, have the name of their module.
     return any(not (metadata(owner)["Summary"] or "").startswith(WHEEL_SUMMARY) for owner in owners)
 
 
@@ -289,7 +293,7 @@ def _build(model: Model, folder: Path, *, check: bool) -> Path:
 
 
 def _warn(sentences: Iterable[str], level: int) -> None:
-    """Warn where kinematics contradict themselves, on the caller's line."""
+    """Warn about inconsistent kinematics, on the caller's line."""
     for sentence in sentences:
         warnings.warn(sentence, ModelWarning, stacklevel=level)
 
@@ -297,7 +301,7 @@ def _warn(sentences: Iterable[str], level: int) -> None:
 def _comparison(
     progress: Progress, equations: Equations, derivatives: Derivatives | None = None
 ) -> Callable[[Path], None]:
-    """What compares a compiled model with its equations."""
+    """A function that compares a compiled model with its equations."""
 
     def compare(module: Path) -> None:
         from fourbar_codegen.kernel.comparison import compare_batch_functions
@@ -317,17 +321,17 @@ def _comparison(
 def compile_model(model: Model, *, check: bool = True) -> CompiledModel:
     """Compile a model, or load it from the cache if the same model was compiled before.
 
-    What a simulation by an explicit method needs is compiled at once; derivatives, what is drawn, and the functions for
-    several states side by side when they are first asked for. The cache is in the user's cache folder, or in the folder
-    that the environment variable ``FOURBAR_CODEGEN_CACHE`` names.
+    The functions that a simulation by an explicit method needs are compiled at once; derivatives, drawing data, and the
+    functions for several states side by side are compiled at their first use. The cache is in the user's cache folder,
+    or in the folder given by the environment variable ``FOURBAR_CODEGEN_CACHE``.
 
     Parameters
     ----------
     model : Model
     check : bool, optional
         Whether to compare the compiled functions with the equations, evaluated in Python at random states. A model that
-        was compiled without is compared when it is compiled with. (What is compiled later is compared then: derivatives
-        with differences, states side by side with one after the other.)
+        was compiled with ``check=False`` is compared at a later call with ``check=True``. (Functions that are compiled
+        later are compared then: derivatives with differences, states side by side with single states.)
 
     Returns
     -------
@@ -345,8 +349,8 @@ def compile_model(model: Model, *, check: bool = True) -> CompiledModel:
     Warns
     -----
     ModelWarning
-        If kinematics contradict themselves: an angular velocity or a velocity was set that is another one than follows
-        from orientations or positions, or an acceleration that is another one than follows from velocities.
+        If kinematics are inconsistent: an angular velocity or velocity that was set differs from the one that follows
+        from orientations or positions, or an acceleration from the one that follows from velocities.
 
     Examples
     --------

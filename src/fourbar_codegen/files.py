@@ -1,4 +1,4 @@
-"""Paths as users give them, and the one door through which files are written: whole, or as they were before."""
+"""Paths given by users, and atomic writing of files: complete, or unchanged."""
 
 from __future__ import annotations
 
@@ -20,46 +20,46 @@ Writer = Callable[[T, IO[bytes]], None]
 
 
 def path_of(given: object) -> Path:
-    """A path that a user has given, as text or as a Path.
+    """A path given by a user, as text or as a Path.
 
     Raises
     ------
     ModelError
-        If it is neither, or no file can have that name.
+        If it is neither, or is impossible as a file name.
     """
     if not isinstance(given, str | os.PathLike):
         raise ModelError(f"A path is text or a Path, not {given!r}.")
     try:
         path = Path(given)
         possible = b"\0" not in os.fsencode(path)
-    except (TypeError, UnicodeEncodeError):  # bytes, or half a character
+    except (TypeError, UnicodeEncodeError):  # bytes, or a lone surrogate
         possible = False
     if not possible:
-        raise ModelError(f"No file can have the path {given!r}: this system's names are other text.")
+        raise ModelError(f"No file can have the path {given!r}: this system does not allow such names.")
     return path
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[IO[bytes]]:
-    """A new file, to be written, that takes a path's place where the block ends without an error.
+    """A new file for writing that replaces a path when the block ends without an error.
 
-    It lies in the same folder until then, under a name of its own that ends like the path's, so that those who write
-    at the same time do not meet. As with an editor, a file that is there keeps its mode, one that is write-protected
-    is refused, and what a symbolic link points to is written, not the link. Missing folders are made.
+    Until then it is in the same folder, under a unique name with the same suffix, so that concurrent writers do not
+    interfere. As with an editor, an existing file keeps its mode, a write-protected one is refused, and for a symbolic
+    link, its target is written, not the link. Missing folders are made.
 
     Raises
     ------
     OSError
-        If there is something else than a file, or it cannot be written.
+        If the path is not a file, or it cannot be written.
     """
     target = Path(os.path.realpath(path))
     mode = _mode(target)
-    for folder in reversed(target.parents):  # mkdir(parents=True) is recursive, and Python's recursion limited
+    for folder in reversed(target.parents):  # mkdir(parents=True) is recursive, and Python limits recursion
         folder.mkdir(exist_ok=True)
     part = target.with_name(f".{secrets.token_hex(8)}{path.suffix}")
 
     def create(name: str, flags: int) -> int:
-        # What only some may read is not shown to others while it is written.
+        # A file with restricted access is also restricted while it is written.
         return os.open(name, flags, 0o666 if mode is None else mode)
 
     try:
@@ -75,7 +75,7 @@ def replacing(path: Path) -> Iterator[IO[bytes]]:
 
 
 def _mode(target: Path) -> int | None:
-    """The mode of the file that is there, if there is one."""
+    """The mode of an existing file, else None."""
     try:
         mode = target.stat().st_mode
     except FileNotFoundError:

@@ -1,4 +1,4 @@
-"""Progress of long work, on the terminal."""
+"""Progress of long tasks, on the terminal."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from types import TracebackType
 __all__ = ["PATIENCE", "Progress"]
 
 PATIENCE = 1.0
-"""Seconds without a word, and between two lines where these stay."""
+"""Seconds before the first output, and the shortest time between two permanent lines."""
 
 SHARE = 60.0
-"""The share of the time so far that lies between two lines that stay, once that is longer: of an hour, 300 lines."""
+"""Later, the time between two permanent lines is the elapsed time divided by this: 300 lines in the first hour."""
 
 
 class Progress:
-    """Shows the stage that a long task is in, from its second second on, until it ends.
+    """Shows the stage of a long task, from one second after its start until its end.
 
-    Where someone watches, on a terminal or in a notebook, in one line that vanishes. How long each stage has taken goes
-    to the logger ``fourbar_codegen``, at the level INFO.
+    On a terminal or in a notebook this is one line that disappears at the end. The time of each stage is logged to
+    ``fourbar_codegen``, at the level INFO.
 
     Parameters
     ----------
     task : str
     unwatched : float, optional
-        After how many seconds it is said elsewhere as well, where stderr goes to a file or to another process: in a
-        line a second, after a minute in fewer. A minute, by default.
+        Seconds before the first output if stderr is a file or another process: then a line per second, and fewer after
+        a minute. By default a minute.
 
     Examples
     --------
@@ -44,8 +44,8 @@ class Progress:
         self._begin = time.monotonic()
 
     def stage(self, name: str) -> None:
-        """What is being done from now on."""
-        if self._stage is None:  # what is over before its first stage costs nothing
+        """Begin a stage."""
+        if self._stage is None:  # a task that ends before its first stage needs no thread
             watched = sys.stderr is not None and (sys.stderr.isatty() or "ipykernel" in sys.modules)
             show = self._show if watched else self._print if sys.stderr is not None else None
             if show is not None:
@@ -56,7 +56,7 @@ class Progress:
         self._stage, self._entered = name, time.monotonic()
 
     def _log(self) -> None:
-        logging = sys.modules.get("logging")  # without which nobody listens
+        logging = sys.modules.get("logging")  # if it is not imported, nobody listens
         if logging is not None and self._stage is not None:
             took = time.monotonic() - self._entered
             logging.getLogger("fourbar_codegen").info("%s: %s took %.3f s", self._task, self._stage, took)

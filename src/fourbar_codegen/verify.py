@@ -1,10 +1,9 @@
-"""The compiled functions against the equations they were made from, and against mechanics, right after compilation.
+"""Checks of the compiled functions against their equations, and of these against mechanics, after compilation.
 
-What lies between equations and functions is common subexpression elimination, hoisting, the printer, splitting, and the
-C compiler. The equations are evaluated in Python, node by node as they were formed, at random states. What lies before
-them is checked by identities that do not come from how they were formed: the kinetic energy is w^T M w / 2 in each
-direction w of the speeds, its change is what the loads do and M u' - f, and the constraints' rates are their changes
-from state to state.
+Common subexpression elimination, hoisting, printing, splitting and the C compiler are checked by evaluating the
+equations in Python, node by node as they were formed, at random states. The equations are checked by identities that do
+not depend on how they were formed: the kinetic energy is w^T M w / 2 in each direction w of the speeds; its rate is the
+power of the loads and of M u' - f; and rates of the constraints equal their differences between states.
 """
 
 from __future__ import annotations
@@ -32,10 +31,10 @@ STATES = 2
 STEP = 1e-4
 ATTEMPTS = 8
 CLOSURES = 16
-# Both sides round differently, and terms may cancel; a wrong sign or symbol is off by far more.
+# Both sides have different rounding errors, and terms may cancel. A wrong sign or symbol gives far larger differences.
 TOLERANCE = 1e-7
 ROUNDED = 1e-13
-"""The share of a sum's terms that rounding errors may leave: each has passed through some hundred operations."""
+"""Relative rounding errors of a sum's terms, which are results of some hundred operations."""
 
 
 def verify(compiled: Kernel, equations: Equations, derivatives: Derivatives | None = None) -> None:
@@ -46,20 +45,20 @@ def verify(compiled: Kernel, equations: Equations, derivatives: Derivatives | No
     compiled : Kernel
     equations : Equations
     derivatives : Derivatives, optional
-        Those of a model that has them compiled. Of others, they are compared when they are; see `kernel.comparison`.
+        For a model whose derivatives are compiled. Otherwise they are compared when they are compiled; see
+        `kernel.comparison`.
 
     Raises
     ------
     BuildError
-        If one does not agree; it names the function and shows both values.
+        If one differs; the message names the function and shows both values.
     ModelError
-        If more velocity constraints are independent of each other than the model has dependent speeds, at a random
-        state that satisfies the position constraints.
+        If more velocity constraints are independent than the model has dependent speeds, at random states that satisfy
+        the position constraints.
 
     Notes
     -----
-    States at which the equations have no real value are passed over. Where none of them has one, nothing is
-    compared.
+    States at which the equations have no real value are skipped. If all states are skipped, nothing is compared.
 
     Examples
     --------
@@ -81,7 +80,7 @@ def verify(compiled: Kernel, equations: Equations, derivatives: Derivatives | No
             for result, got in results:
                 _compare(compiled.name, function, result, got, expected[result.name])
         _compare_solution(compiled, expected, values, equations)
-        if not np.isfinite(expected["forcing"]).all():  # outside of where an expression is defined
+        if not np.isfinite(expected["forcing"]).all():  # an expression is undefined there
             continue
         _check_identities(compiled, expected, values, equations)
         compared += 1
@@ -119,7 +118,7 @@ def _arrays(e: Equations, values: Mapping[Scalar, float]) -> list[Floats]:
 def _compiled_results(
     e: Equations, d: Derivatives | None, compiled: Kernel, values: Mapping[Scalar, float]
 ) -> dict[str, Sequence[tuple[Result, Floats]]]:
-    """What every compiled function gives, beside the results that it is to give."""
+    """The results of every compiled function, each with the result that it should have."""
     t = values[e.time]
     x, p, r, accelerations, multipliers = _arrays(e, values)
     outputs = compiled.outputs_for(t, x, accelerations, multipliers, p, r)
@@ -196,7 +195,7 @@ def _compare(model: str, function: str, result: Result, got: Floats, expected: F
 def _compare_solution(
     compiled: Kernel, expected: Mapping[str, Floats], values: Mapping[Scalar, float], e: Equations
 ) -> None:
-    """M u' = f + J^T lambda and J u' + gamma = 0 for what the compiled solve gives."""
+    """M u' = f + J^T lambda and J u' + gamma = 0 for the results of the compiled solve."""
     x, p, r, *_ = _arrays(e, values)
     try:
         accelerations, unknowns = compiled.accelerations(values[e.time], x, p, r)
@@ -215,7 +214,7 @@ def _compare_solution(
 def _check_identities(
     compiled: Kernel, expected: Mapping[str, Floats], values: Mapping[Scalar, float], e: Equations
 ) -> None:
-    """Energy and constraints, whose changes are taken as differences between neighbouring states."""
+    """Energy and constraints, whose rates are differences between neighbouring states."""
     t = values[e.time]
     x, p, r, accelerations, _ = _arrays(e, values)
     q_rates, mass_matrix, forcing = (expected[name] for name in ("coordinate_rates", "mass_matrix", "forcing"))
@@ -243,7 +242,7 @@ def _check_identities(
         agree = np.abs(coarse - fine) <= 1e-4 * (1.0 + np.abs(fine).max(initial=0.0))
         return fine if agree.all() else None
 
-    terms = 0.0  # of sums whose terms may be far larger than what is left of them
+    terms = 0.0  # of sums that may be far smaller than their terms
     checks: list[tuple[str, Callable[[float, Floats, Floats, Floats], Floats], Floats]] = []
     if e.velocity_constraints_derived:
         places = [place for place, row in enumerate(e.position_rows) if row is not None]
@@ -253,8 +252,8 @@ def _check_identities(
         rates = jacobian @ accelerations + expected["acceleration_bias"]
         checks.append(("d(J u + b)/dt = J u' + gamma", lambda t, x, p, r: _velocities(compiled, t, x, p, r), rates))
     if rest == 0.0 and not e.power.entries[0].is_nan:
-        # Nothing moves but by the speeds: what the loads do, and what the forces do that are missing for this u',
-        # goes into the kinetic energy.
+        # All motion is by the speeds: the power of the loads, and of the forces that are missing for this u', is the
+        # rate of the kinetic energy.
         gain = expected["power"] + u @ (mass_matrix @ accelerations - forcing)
         terms = float(np.abs(expected["power"]).max() + np.abs(u) @ np.abs(forcing))
         checks.append(("dT/dt = P + u^T (M u' - f)", lambda t, x, p, r: compiled.energy(t, x, p, r)[:1], gain))
@@ -267,11 +266,11 @@ def _check_identities(
 def _check_rank(e: Equations, compiled: Kernel, generator: random.Random) -> None:
     """The rank of J at random closed states, against the number of dependent speeds.
 
-    The smallest one: loops that move although they have as many constraints as coordinates may close in other ways,
-    in which they do not.
+    The smallest rank counts: a mobile loop with as many constraints as coordinates may have other assembly modes in
+    which it is rigid.
     """
-    # Only redundant constraints can be too many. Coordinates with relations of their own, such as those of a
-    # quaternion, would lose these on the way to closed loops.
+    # Only with redundant constraints can the rank be too large. Coordinates with relations of their own, such as
+    # quaternions, would lose these while loops are closed.
     if compiled.n_c == compiled.manifest["n_dependent_speeds"] or compiled.n_q != compiled.n_u:
         return
     initial = compiled.manifest["initial"]

@@ -1,13 +1,13 @@
-"""Assembly modes: all the ways in which the loops close for given independent coordinates.
+"""Assembly modes: all ways to close the loops for given independent coordinates.
 
-Where one or two constraints hold no more unknown coordinates than that, as in the loops of dyads (four-bar linkage,
-slider-crank, and all that is composed of them), and are polynomials in exp(i angle) and in displacements, all solutions
-are found: the roots of their resultant, with as many digits as tell them apart, are all there are. What is left, if
-anything, is searched from many starting points, which finds a lower bound.
+If one constraint contains one unknown coordinate, or two contain two, as in the loops of dyads (four-bar linkage,
+slider-crank, and their combinations), and they are polynomials in exp(i angle) and in displacements, all solutions are
+found: as roots of the resultant, with enough digits to separate them. Remaining coordinates, if any, need a multistart
+search, which gives a lower bound of the number of modes.
 
-Source: dyads are solved in the order in which they hang on each other as Assur groups of the second class (J. M.
-McCarthy and G. S. Soh, *Geometric Design of Linkages*, 2nd ed., 2011, chapter 2, has the four-bar's two modes); two
-polynomials by Sylvester's resultant (D. Cox, J. Little, D. O'Shea, *Ideals, Varieties, and Algorithms*, chapter 3).
+Source: dyads are solved one after another as Assur groups of the second class (J. M. McCarthy and G. S. Soh, *Geometric
+Design of Linkages*, 2nd ed., 2011, chapter 2, has the four-bar's two modes); two polynomials by Sylvester's resultant
+(D. Cox, J. Little, D. O'Shea, *Ideals, Varieties, and Algorithms*, chapter 3).
 """
 
 from __future__ import annotations
@@ -35,32 +35,32 @@ __all__ = ["AssemblyModes", "closed_coordinates"]
 Floats = NDArray[np.float64]
 
 ROUNDING = 1e-13
-"""The share of its terms to which a constraint is satisfied in a mode."""
+"""Violation of a constraint in a mode, relative to its terms."""
 
 WITNESSES = 12
-"""Starting points from which nothing may be found that is not among all solutions."""
+"""Starting points of a numerical search that must find no further solutions."""
 
 DISTINCT = 1e-5
-"""Modes that are not known to this share are told apart if they differ by more. Where two meet, constraints are
-satisfied to ROUNDING within its root, 3e-7."""
+"""Modes that differ by more are always distinct, even if they are not known that well. Where two meet, constraints are
+satisfied to ROUNDING within sqrt(ROUNDING) = 3e-7."""
 
 EPS = float(np.finfo(float).eps)
 
 MAX_MODES = 1024
-"""No more modes than these are made: they multiply with the number of loops."""
+"""Largest number of modes, which grows exponentially with the number of loops."""
 
 WITHOUT_NEWS = 100
-"""So many starting points in a row that lead to nothing new end a search."""
+"""A search ends after this number of consecutive starting points without a new solution."""
 
 MAX_STARTING_POINTS = 3000
 
 
 @dataclass(frozen=True, eq=False)
 class AssemblyModes:
-    """The ways in which the loops close for the same independent coordinates and speeds.
+    """All states for the same independent coordinates and speeds.
 
-    Made by `CompiledModel.initial_states`: it has a length, and states by number, ordered by their dependent
-    coordinates, angles between -pi and pi.
+    Returned by `CompiledModel.initial_states`. A sequence of states, sorted by their dependent coordinates, with angles
+    between -pi and pi.
 
     Attributes
     ----------
@@ -68,11 +68,11 @@ class AssemblyModes:
     t : float
         Time, s.
     x : ndarray, shape (n, n_x)
-        The states. Dependent speeds are NaN in a mode in which they do not follow from the independent ones.
+        The states. Dependent speeds are NaN in a mode where they do not follow from the independent ones.
     is_complete : bool
-        Whether there are no others. Otherwise their number is a lower bound.
+        Whether there are no other modes. If False, their number is a lower bound.
     parameters, inputs : ndarray or None
-        As they were given, in order.
+        As given, in order.
 
     Examples
     --------
@@ -139,7 +139,7 @@ class AssemblyModes:
 
 
 def closed_coordinates(loops: Loops, start: Floats, progress: Progress) -> tuple[list[Floats], bool]:
-    """All values of the dependent coordinates that are found to close the loops, and whether there are no others.
+    """All values of the dependent coordinates found to close the loops, and whether there are no others.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ def closed_coordinates(loops: Loops, start: Floats, progress: Progress) -> tuple
     start : ndarray, shape (n,)
         Centre of the random starting points, for displacements.
     progress : Progress
-        Receives how many there are so far.
+        Shows the number found so far.
 
     Returns
     -------
@@ -166,11 +166,11 @@ def closed_coordinates(loops: Loops, start: Floats, progress: Progress) -> tuple
         for dependent in partial:
             progress.stage(f"{len(extended)} of {', '.join(chart.names[j] for j in group.unknowns)}")
             roots = _roots(chart, group, dependent)
-            if roots is None:  # of infinitely many ways, or at the edge of that
+            if roots is None:  # infinitely many solutions, or nearly
                 complete, rest = False, [*rest, *group.unknowns]
                 roots = [dependent]
             elif not roots and any(_is_dead(loops, before, dependent) for before in groups[:number]):
-                complete = False  # what comes before is known to half of all digits
+                complete = False  # earlier coordinates are known only to half of all digits
             extended += roots
         complete &= len(extended) <= MAX_MODES
         partial = extended[:MAX_MODES]
@@ -182,7 +182,7 @@ def closed_coordinates(loops: Loops, start: Floats, progress: Progress) -> tuple
         everything = _Group(tuple(range(loops.model.n_h)), tuple(range(len(start))))
         for begin in islice(_starting_points(chart, [start], range(len(start)), start, generator), WITNESSES):
             witness = loops.search(begin)
-            # Where two modes meet, others beside them are rounding errors; but there is one.
+            # Where two modes meet, further solutions nearby are rounding errors, unless none was found at all.
             if witness is None or not _is_exact(loops, witness) or (found and _is_dead(loops, everything, witness)):
                 continue
             complete &= not chart.add(witness, found)
@@ -191,7 +191,7 @@ def closed_coordinates(loops: Loops, start: Floats, progress: Progress) -> tuple
 
 
 def _constraints(loops: Loops) -> Constraints:
-    """Those of positions, as formulas; dependent coordinates are 1 as long as they are not known."""
+    """The position constraints as formulas, with dependent coordinates of 1 until they are known."""
     model = loops.model
     parameters, inputs = model.manifest["parameters"], model.manifest["inputs"]
     p = [entry["default"] for entry in parameters] if loops.p is None else loops.p
@@ -206,7 +206,7 @@ def _constraints(loops: Loops) -> Constraints:
 
 @dataclass(frozen=True)
 class _Chart:
-    """The loops with what is known of their dependent coordinates.
+    """The loops, with properties of their dependent coordinates.
 
     Attributes
     ----------
@@ -214,12 +214,12 @@ class _Chart:
     constraints : Constraints
         As polynomials.
     held : ndarray of bool, shape (n_h, n)
-        Which constraint holds which coordinate.
+        Which constraint contains which coordinate.
     is_angle : ndarray of bool, shape (n,)
-        Whether nothing changes with it by 2 pi.
+        Whether the constraints are periodic in it by 2 pi.
     scales : ndarray, shape (n,)
-        Typical values: 1 for angles; for displacements about what it takes to close a loop, the median of residuals
-        over their derivatives.
+        Typical values: 1 for angles; for displacements the median of residuals over derivatives, about the displacement
+        that closes a loop.
     """
 
     loops: Loops
@@ -230,15 +230,15 @@ class _Chart:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What the dependent coordinates are called."""
+        """Names of the dependent coordinates."""
         return self.loops.model.coordinates[-self.loops.n_dependent :]
 
     @classmethod
     def of(cls, loops: Loops, start: Floats, generator: np.random.Generator) -> _Chart:
-        """From what the equations hold, and the constraints at random coordinates."""
+        """A chart from the structure of the constraints, and their values at random coordinates."""
         constraints, rows = _constraints(loops), range(loops.model.n_h)
         given, names = np.split(np.array(loops.model.coordinates, dtype=object), [len(loops.q_i)])
-        # Independent angles between -pi and pi: sines of large ones are known to fewer digits in double precision.
+        # Independent angles between -pi and pi, since sines of large ones have fewer digits in double precision.
         turns = [all(constraints.is_periodic(row, name) for row in rows) for name in given]
         loops = replace(loops, q_i=np.where(turns, np.remainder(loops.q_i + np.pi, 2 * np.pi) - np.pi, loops.q_i))
         constraints = constraints.with_values({("q", name): q for name, q in zip(given, loops.q_i, strict=True)})
@@ -254,12 +254,12 @@ class _Chart:
         return cls(loops, constraints, held, is_angle, scales)
 
     def wrapped(self, dependent: Floats) -> Floats:
-        """With angles between -pi and pi, where -pi is pi."""
+        """The coordinates with angles between -pi and pi, and pi for -pi."""
         turns = np.ceil((dependent - np.pi) / (2 * np.pi) - DISTINCT)
         return np.where(self.is_angle, dependent - 2 * np.pi * turns, dependent)
 
     def add(self, dependent: Floats, found: list[Floats], solved: _Solved | None = None) -> bool:
-        """Append it unless it is there already."""
+        """Append a solution unless it was found already."""
         if found:
             reach = self._uncertainty(dependent, solved or _Solved.all_of(self, dependent))
             for other in found:
@@ -289,7 +289,7 @@ class _Chart:
 
 @dataclass(frozen=True)
 class _Group:
-    """One or two constraints and as many coordinates that they determine once those of earlier groups are known."""
+    """One or two constraints, and as many coordinates, determined by these if those of earlier groups are known."""
 
     rows: tuple[int, ...]
     unknowns: tuple[int, ...]
@@ -297,7 +297,7 @@ class _Group:
 
 @dataclass(frozen=True)
 class _Solved:
-    """Constraints and the coordinates that were solved for; what the constraints' terms amount to there."""
+    """Constraints, the coordinates that they were solved for, and the size of the constraints' terms there."""
 
     rows: Sequence[int]
     unknowns: Sequence[int]
@@ -305,7 +305,7 @@ class _Solved:
 
     @classmethod
     def all_of(cls, chart: _Chart, dependent: Floats) -> _Solved:
-        """All constraints by all dependent coordinates."""
+        """All constraints, solved for all dependent coordinates."""
         terms = chart.loops.scale(chart.loops.coordinates(dependent))
         return cls(range(len(terms)), range(len(dependent)), terms)
 
@@ -323,7 +323,7 @@ def _groups(chart: _Chart, generator: np.random.Generator) -> tuple[list[_Group]
                 if len(held) == size:
                     group = _Group(chosen, tuple(held))
                     anywhere = generator.uniform(-np.pi, np.pi, chart.loops.n_dependent) * chart.scales
-                    # Redundant constraints have infinitely many common roots wherever they are looked at.
+                    # Redundant constraints have infinitely many common roots everywhere.
                     if _candidates(chart, group, _polynomials(chart, group, anywhere)) is not None:
                         return group
         return None
@@ -336,7 +336,7 @@ def _groups(chart: _Chart, generator: np.random.Generator) -> tuple[list[_Group]
 
 
 def _polynomials(chart: _Chart, group: _Group, dependent: Floats) -> list[Polynomial] | None:
-    """The group's constraints as polynomials in its unknowns, or None if they are of another form."""
+    """The group's constraints as polynomials in its unknowns; None if they are no polynomials."""
     names = chart.names
     known = {("q", names[j]): float(dependent[j]) for j in range(len(names)) if j not in group.unknowns}
     unknowns = [(names[j], bool(chart.is_angle[j])) for j in group.unknowns]
@@ -350,7 +350,7 @@ def _candidates(chart: _Chart, group: _Group, polynomials: list[Polynomial] | No
 
 
 def _roots(chart: _Chart, group: _Group, dependent: Floats) -> list[Floats] | None:
-    """The dependent coordinates with each of the solutions for a group's unknowns; None if they are not isolated."""
+    """The dependent coordinates with each solution for a group's unknowns; None if solutions are not isolated."""
     loops, rows, columns = chart.loops, list(group.rows), list(group.unknowns)
     polynomials = _polynomials(chart, group, dependent)
     candidates = _candidates(chart, group, polynomials)
@@ -360,8 +360,8 @@ def _roots(chart: _Chart, group: _Group, dependent: Floats) -> list[Floats] | No
     for candidate in candidates:
         point = dependent.copy()
         point[columns] = candidate
-        # Terms are those of the polynomial, and those that its coefficients consist of. Where a root is zero they may
-        # have cancelled, and what is left is the rounding of the constraints.
+        # Terms of the polynomial, and those in its coefficients. Where a root is zero these may have cancelled, and
+        # only rounding errors of the constraints are left.
         q = loops.coordinates(point)
         error, slopes = loops.model.position(loops.t, q, loops.p, loops.r)
         at = [1.0 if chart.is_angle[j] else abs(value) for j, value in zip(columns, candidate, strict=True)]
@@ -372,12 +372,12 @@ def _roots(chart: _Chart, group: _Group, dependent: Floats) -> list[Floats] | No
 
 
 def _is_exact(loops: Loops, dependent: Floats) -> bool:
-    """Whether it satisfies the constraints as a mode does."""
+    """Whether it satisfies the constraints as well as a mode does."""
     return bool((np.abs(loops.residual(dependent)) <= ROUNDING * loops.scale(loops.coordinates(dependent))).all())
 
 
 def _is_dead(loops: Loops, group: _Group, dependent: Floats) -> bool:
-    """Whether two solutions of a group meet there, or nearly."""
+    """Whether the configuration is singular or nearly so for a group: two of its solutions meet."""
     slopes = loops.jacobian(dependent)[np.ix_(group.rows, group.unknowns)]
     sizes = np.linalg.svd(slopes, compute_uv=False)
     return bool(sizes[-1] <= DEAD * sizes[0])
@@ -386,7 +386,7 @@ def _is_dead(loops: Loops, group: _Group, dependent: Floats) -> bool:
 def _starting_points(
     chart: _Chart, partial: list[Floats], rest: Sequence[int], start: Floats, generator: np.random.Generator
 ) -> Iterator[Floats]:
-    """What is known of the coordinates, and others at random."""
+    """The known coordinates, and random values of the others."""
     others = list(rest)
     yield start
     for number in range(MAX_STARTING_POINTS):
@@ -405,7 +405,7 @@ def _search(
     generator: np.random.Generator,
     progress: Progress,
 ) -> list[Floats]:
-    """Solutions from many starting points."""
+    """Solutions by a multistart search."""
     found: list[Floats] = []
     in_vain = 0
     for begin in _starting_points(chart, partial, rest, start, generator):

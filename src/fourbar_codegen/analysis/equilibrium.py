@@ -1,4 +1,4 @@
-"""States of equilibrium: at rest, and staying there."""
+"""States of static equilibrium."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ __all__ = ["equilibrium"]
 
 Floats = NDArray[np.float64]
 
-# An equilibrium counts as found if the loops are closed to this share of their scales, and the accelerations are this
-# share of what they were where the search began, or of what changes of the coordinates by themselves would make.
+# Tolerance of an equilibrium: for the loops relative to their scales; for accelerations relative to those at the start
+# of the search, or to the changes that the coordinates' own magnitudes would cause.
 COORDINATE_TOLERANCE = 1e-9
-# The smallest mass that counts beside the largest.
+# Smallest eigenvalue of the mass matrix, relative to the largest.
 LIGHT = 1e-12
 
 
@@ -33,20 +33,20 @@ def equilibrium(
     parameters: Values | None,
     inputs: Mapping[Any, InputSource] | None,
 ) -> Floats:
-    """A state of rest that lasts; see `CompiledModel.equilibrium`."""
+    """A state of static equilibrium; see `CompiledModel.equilibrium`."""
     from scipy.optimize import least_squares
 
     if not model.n_q:
-        raise ModelError(f"The model {model.name} has no coordinates, whose values an equilibrium is.")
+        raise ModelError(f"The model {model.name} has no coordinates, so it has no equilibrium to search for.")
     if model.n_q - model.manifest["n_dependent_coordinates"] > model.n_u:
         raise ModelError(
-            f"The model {model.name} has more independent coordinates than speeds: what they are cannot be searched. "
-            "Make the relation between them (such as the norm of a quaternion) a holonomic constraint."
+            f"The model {model.name} has more independent coordinates than speeds, so an equilibrium does not "
+            "determine them. Make the relation between them (such as the norm of a quaternion) a holonomic constraint."
         )
     t = finite_number(t, "t")
     if any(map(callable, input_sources(model, inputs))):
         raise ModelError(
-            "An equilibrium is searched with inputs that are numbers, tables or expressions, not callables."
+            "An equilibrium can be searched with inputs that are numbers, tables or expressions, not callables."
         )
     names, n_q, last = (*model.coordinates, *model.auxiliary_states), model.n_q, model.n_q + model.n_u
     defaults = {**dict.fromkeys(names, 0.0), **model.manifest["initial"]}
@@ -84,13 +84,13 @@ def equilibrium(
 
     begin = start
     if model.n_h and model.manifest["n_dependent_speeds"] < model.n_c:
-        # Away from closed loops, redundant constraints are independent, and the equations have no solution.
+        # Where loops are open, redundant constraints are independent, and the equations have no solution.
         n_qi = model.n_q - model.manifest["n_dependent_coordinates"]
         loops = Loops(model, t, start[:n_qi], p, r)
         dependent = loops.search(start[n_qi:n_q])
         begin = start if dependent is None else np.concatenate((loops.coordinates(dependent), start[n_q:]))
-    # In units that a change of those of length, mass and time leaves alone: loops by their terms, accelerations in the
-    # metric of the mass matrix, by what they are where the search begins.
+    # Scales that do not depend on the units of length, mass and time: loops relative to their terms, accelerations in
+    # the metric of the mass matrix, relative to their norm at the start of the search.
     size, *_ = model.constraint_scale(t, at_rest(begin), p, r)
     size[~(size > 0.0)] = 1.0
     masses, axes = np.linalg.eigh(model.tree_mass_matrix(t, at_rest(begin), p))
@@ -102,7 +102,7 @@ def equilibrium(
         ended = ", ".join(f"{name} = {value:.6g}" for name, value in zip(names, found, strict=True))
         raise SimulationError(
             f"No equilibrium was found from the guess {start.tolist()}: the search ended at {ended}, where up to "
-            f"{errors.max():.3g} is left of what constraints and rates are measured by. Give another guess, or "
+            f"{errors.max():.3g} is left of the scales of constraints and rates. Give another guess, or "
             "inputs that hold the mechanism."
         )
     return at_rest(found)

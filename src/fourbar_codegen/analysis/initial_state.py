@@ -1,4 +1,4 @@
-"""Consistent initial states: independent values in, states with the loops closed out."""
+"""Consistent initial states from independent coordinates and speeds."""
 
 from __future__ import annotations
 
@@ -28,22 +28,22 @@ __all__ = ["initial_state", "initial_states"]
 Floats = NDArray[np.float64]
 
 FURTHER_GUESSES = 40
-"""Guesses tried before a loop is said not to close, beside the one that was given."""
+"""Further guesses that are tried before a loop counts as open."""
 
 MANY = 8
-"""Coordinates that messages name one by one, also those that are zero."""
+"""Up to this number, messages name all coordinates, also those that are zero."""
 
 FLAT = 1e-4
-"""Columns of J_d smaller than this, beside the others, are looked at twice."""
+"""If all entries of a column of J_d are below this, in scaled rows, speeds are tested at a neighbouring position."""
 
 DEGREES = 720.0
 """Nobody means more of them."""
 
 KNOWN = 0.01
-"""Speeds that rounding errors of the position change by more than this share do not follow from it."""
+"""If rounding errors of the position change speeds by more than this fraction, they are undetermined."""
 
 CONSISTENT = 1e-10
-"""Velocity constraints count as satisfied to this share of their terms."""
+"""Tolerance of velocity constraints, relative to their terms."""
 
 
 def initial_state(
@@ -134,7 +134,7 @@ def _given(
 
 
 def _limits(bounds: Mapping[Any, tuple[float, float]] | None, names: Sequence[str]) -> tuple[Floats, Floats] | None:
-    """The least and largest values of the dependent coordinates."""
+    """The smallest and largest values of the dependent coordinates."""
     if bounds is None:
         return None
     if not is_mapping(bounds):
@@ -151,7 +151,7 @@ def _limits(bounds: Mapping[Any, tuple[float, float]] | None, names: Sequence[st
 def _close(loops: Loops, start: Floats, is_given: bool, limits: tuple[Floats, Floats] | None) -> Floats:
     """Dependent coordinates that satisfy the position constraints, from a guess of them.
 
-    A guess that was given decides in which way the loops are closed; another one is not looked for.
+    A guess of the user selects the assembly mode; solutions from other guesses are not returned.
     """
     dependent = loops.search(start)
     if dependent is not None:
@@ -170,7 +170,7 @@ def _close(loops: Loops, start: Floats, is_given: bool, limits: tuple[Floats, Fl
     if not still_open and loops.are_closed(other):
         raise AssemblyError(
             f"{message}: {_open(loops, open_loops)}. They close from other guesses, for instance "
-            f"guess={other.round(3).tolist()}, or without one; initial_states lists the ways in which they close.",
+            f"guess={other.round(3).tolist()}, or without one; initial_states lists all assembly modes.",
             loops.residual(found),
         )
     message += (
@@ -185,7 +185,7 @@ def _close(loops: Loops, start: Floats, is_given: bool, limits: tuple[Floats, Fl
 
 
 def _open(loops: Loops, open_loops: Sequence[OpenLoop]) -> str:
-    """Which loops stay open, and by how much."""
+    """Which loops remain open, and by how much."""
     model, n_i = loops.model, len(loops.q_i)
     return "; ".join(
         f"constraints {', '.join(str(row + 1) for row in loop.rows)}, to be closed by "
@@ -202,10 +202,10 @@ class UndeterminedSpeedsError(AssemblyError):
 
 
 def _dependent_speeds(loops: Loops, q: Floats, u_i: Floats) -> Floats:
-    """All speeds: the dependent ones solve J_d u_d = -(J_i u_i + b), and are determined by that.
+    """All speeds: the dependent ones solve J_d u_d = -(J_i u_i + b), which must determine them.
 
-    Where J_d is small, in a dead point of a single coordinate, they have to be those of the positions beside, which
-    rounding errors do not tell from this one.
+    Where a column of J_d is small, as in a toggle position, the speeds must be the same at a neighbouring position
+    within rounding errors.
     """
     speeds, size = _speeds_at(loops, q, u_i)
     if size < FLAT and loops.n_dependent:
@@ -226,7 +226,7 @@ def _undetermined(loops: Loops, q: Floats, u_i: Floats) -> UndeterminedSpeedsErr
 
 
 def _speeds_at(loops: Loops, q: Floats, u_i: Floats) -> tuple[Floats, float]:
-    """All speeds at a position, and the size of the smallest column of J_d, with rows in units of their largest."""
+    """All speeds at a position, and the size of the smallest column of J_d, with rows scaled by their largest entry."""
     model, n_i = loops.model, len(u_i)
     jacobian, bias = model.velocity(loops.t, np.concatenate((q, np.zeros(model.n_x - model.n_q))), loops.p, loops.r)
     if not model.n_c:

@@ -17,14 +17,14 @@ __all__ = ["linearize"]
 
 Floats = NDArray[np.float64]
 
-# A state counts as one of the mechanism if the constraints are violated by no more than this share of their scales.
+# A state is accepted if constraint violations are at most this fraction of their scales.
 CLOSED = 1e-6
 
 
 def linearize(
     model: Kernel, t: float, x: ArrayLike, p: Values | None, r: Values | None, outputs: Sequence[Any] | None
 ) -> tuple[Floats, ...]:
-    """A and B of the motion near a state, C and D of outputs; see `CompiledModel.linearize`."""
+    """A and B of the linearized motion about a state, C and D of outputs; see `CompiledModel.linearize`."""
     t, state = finite_number(t, "t"), named_array(x, model.states, {}, "state")
     rows = None if outputs is None else _rows(model, outputs)
     n_q, n_r = model.n_q, model.n_r
@@ -32,7 +32,7 @@ def linearize(
     n_ui, n_z = model.n_u - model.manifest["n_dependent_speeds"], model.n_z
     _check_constraints(model, t, state, p, r)
     # Phi_q dq + Phi_r dr = 0 and J du + d(J u + b)/dq dq + d(J u + b)/dr dr = 0 give all coordinates and speeds in
-    # terms of the independent ones and the inputs. Each array has a column for every entry of dq_i, du_i, dz and dr.
+    # terms of the independent ones and the inputs. Each array has a column for each entry of dq_i, du_i, dz and dr.
     velocity_by_q, position_by_r, velocity_by_r = model.constraint_sensitivity(t, state, p, r)
     position_by_q = model.position(t, state[:n_q], p, r)[1]
     n_i = n_qi + n_ui + n_z
@@ -54,7 +54,7 @@ def linearize(
 
 
 def _rows(model: Kernel, outputs: Sequence[Any]) -> list[int]:
-    """The places of outputs, given by name or as SymPy's functions of time."""
+    """The numbers of outputs that are given by name or as SymPy's functions of time."""
     if isinstance(outputs, str) or not isinstance(outputs, Iterable):
         raise ModelError(f"outputs must be a sequence of names, not {shown(outputs)}.")
     names = [name_of(output) for output in outputs]
@@ -66,11 +66,11 @@ def _rows(model: Kernel, outputs: Sequence[Any]) -> list[int]:
 
 
 def _check_constraints(model: Kernel, t: float, x: Floats, p: Values | None, r: Values | None) -> None:
-    """Raise where the state is not one of the mechanism: what would be linearized is not its motion."""
+    """Raise if the state violates the constraints, since the mechanism cannot move there."""
     positions = model.position_constraints(t, x[: model.n_q], p, r)
     velocities = model.velocity_constraints(t, x, p, r)
     position_scale, _, velocity_scale = model.constraint_scale(t, x, p, r)
-    # At rest, speeds are what rounding has left of them: here they count as one at least.
+    # At rest, speeds are only rounding errors: the scale takes them as 1 at least.
     velocity_scale = velocity_scale + np.abs(model.velocity(t, x, p, r)[0]).sum(axis=1)
     closed = *(np.abs(positions) <= CLOSED * position_scale), *(np.abs(velocities) <= CLOSED * velocity_scale)
     if not all(closed):

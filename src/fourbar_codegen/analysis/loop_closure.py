@@ -1,4 +1,4 @@
-"""The position constraints as functions of the dependent coordinates, and how these are found."""
+"""The position constraints as functions of the dependent coordinates, and their numerical solution."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ __all__ = ["Loops", "nearest_closed"]
 Floats = NDArray[np.float64]
 
 CLOSED = 1e-10
-"""Configurations count as closed if the constraints are violated by no more than this share of their scales."""
+"""Tolerance of closed loops: constraint violations relative to their scales."""
 
 ROUNDING = 4.0 * np.finfo(float).eps
-"""By what share of their scales rounding errors violate them in any case."""
+"""Constraint violations by rounding errors, relative to their scales."""
 
 TURN = 2.0 * np.pi
 
 SAME = 1e-9
-"""Positions and slopes that a whole turn changes by no more are those of an angle."""
+"""A coordinate is an angle if a whole turn changes residuals and their derivatives by no more than this."""
 
 DEAD = 1e-5
-"""Where singular values of slopes have this ratio, two ways to close the loops meet: positions are known to half of all
-digits, and speeds to none."""
+"""If singular values of the Jacobian have this ratio, the configuration is singular, since two assembly modes meet:
+positions are known only to half of all digits, and speeds are undetermined."""
 
 MAX_CORRECTIONS = 30
 
@@ -64,7 +64,7 @@ class Loops:
 
     def position(self, dependent: Floats) -> tuple[Floats, Floats]:
         """The residual and its derivatives with respect to the dependent coordinates."""
-        if not np.isfinite(dependent).all():  # a step of a solver that has lost its way
+        if not np.isfinite(dependent).all():  # a diverging step of a solver
             return np.full(self.model.n_h, np.inf), np.full((self.model.n_h, len(dependent)), np.inf)
         error, slopes = self.model.position(self.t, self.coordinates(dependent), self.p, self.r)
         return error, slopes[:, len(self.q_i) :]
@@ -79,7 +79,7 @@ class Loops:
 
     @cached_property
     def angles(self) -> NDArray[np.bool_]:
-        """Which coordinates the constraints have as angles: whole turns of them change nothing; shape (n_q,)."""
+        """Which coordinates are angles, of which whole turns do not change the constraints, shape (n_q,)."""
         q = np.random.default_rng(0).uniform(-np.pi, np.pi, self.model.n_q)
         known = np.column_stack(self.model.position(self.t, q, self.p, self.r))
         turned = [
@@ -89,17 +89,17 @@ class Loops:
         return np.array([np.allclose(there, known, rtol=SAME, atol=SAME) for there in turned], dtype=bool)
 
     def scale(self, q: Floats) -> Floats:
-        """What each constraint's terms amount to, by which violations are measured, shape (n_h,)."""
+        """The scale of each constraint, by which violations are measured, shape (n_h,)."""
         at_rest = np.zeros(self.model.n_x - self.model.n_q)
         scale: Floats = self.model.constraint_scale(self.t, np.concatenate((q, at_rest)), self.p, self.r)[0]
         return scale
 
     def hold(self, dependent: Floats) -> NDArray[np.bool_]:
-        """Which constraints hold, each by its own scale, shape (n_h,).
+        """Which constraints are satisfied, each relative to its own scale, shape (n_h,).
 
-        The scales are those of rounding errors, which grow with an angle beyond all bounds. What counts is that of
-        angles within a turn: a solver that has lost its way may end at one of 1e16, where nothing means anything.
-        Rounding errors count for what they are where the independent angles are large.
+        The scales are rounding errors, which grow without bound with angles. So the scale is that of angles within a
+        turn, since a diverging solver may end at an angle of 1e16, where residuals have no meaning. Rounding errors of
+        large independent angles are added.
         """
         if not np.isfinite(dependent).all():
             return np.zeros(self.model.n_h, dtype=bool)
@@ -113,17 +113,17 @@ class Loops:
         return np.asarray((np.abs(self.residual(dependent)) <= allowed) & np.isfinite(allowed))
 
     def uncertainty(self, dependent: Floats) -> Floats:
-        """How far rounding errors of the constraints move a solution, shape (n,)."""
+        """The change of a solution by rounding errors of the constraints, shape (n,)."""
         slopes = np.abs(np.linalg.pinv(self.jacobian(dependent)))
         moved: Floats = slopes @ (ROUNDING * self.scale(self.coordinates(dependent)))
         return moved
 
     def are_closed(self, dependent: Floats) -> bool:
-        """Whether all constraints hold."""
+        """Whether all constraints are satisfied."""
         return bool(self.hold(dependent).all())
 
     def newton(self, dependent: Floats) -> Floats | None:
-        """A solution where each step halves the residual at least, until rounding errors are left; None elsewhere."""
+        """A solution by Newton's method; None unless each step halves the residual, down to rounding errors."""
         error, slopes = self.position(dependent)
         while len(dependent) == self.model.n_h:
             size = np.abs(error).max()
@@ -138,11 +138,11 @@ class Loops:
         return None
 
     def closest(self, begin: Floats) -> Floats:
-        """Where SciPy's solvers end that begin there; the loops may be open."""
+        """The last iterate of SciPy's solvers; the loops may be open."""
         from scipy.optimize import fsolve, leastsq
 
-        # The solvers' own verdict compares steps; what counts here is the residual.
-        # fsolve needs as many constraints as unknowns, and these independent: redundant ones are for leastsq.
+        # The solvers' own convergence test compares steps; here the residual decides.
+        # fsolve needs as many independent constraints as unknowns; leastsq solves redundant ones.
         for solve in (fsolve, leastsq) if len(begin) == self.model.n_h else (leastsq,):
             derivative = {"fprime" if solve is fsolve else "Dfun": self.jacobian}
             found: Floats = solve(self.residual, begin, xtol=1e-13, full_output=True, **derivative)[0]
@@ -151,7 +151,7 @@ class Loops:
         return found
 
     def search(self, begin: Floats) -> Floats | None:
-        """A solution, by Newton's method close to the beginning, else by SciPy's solvers; None if they find none."""
+        """A solution by Newton's method, else by SciPy's solvers; None if they find none."""
         near = self.newton(begin)
         if near is not None:
             return near
@@ -160,10 +160,9 @@ class Loops:
 
 
 def nearest_closed(model: Kernel, t: float, q: Floats, p: Floats | None, r: Floats | None) -> Floats | None:
-    """Coordinates that satisfy the position constraints, by the Gauss-Newton method from some that need not.
+    """Coordinates that satisfy the position constraints, by the Gauss-Newton method from given ones.
 
-    All of them move, by the shortest change, so that redundant constraints are as good as others. None where it does
-    not come to an end.
+    All coordinates change, with minimum-norm steps, so constraints may be redundant. None if it does not converge.
     """
     loops = Loops(model, t, np.empty(0), p, r)
     for _ in range(MAX_CORRECTIONS):

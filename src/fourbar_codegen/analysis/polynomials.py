@@ -1,10 +1,10 @@
-"""Constraints as polynomials in some of the coordinates, and their common roots, with as many digits as that takes.
+"""Constraints as polynomials in some of the coordinates, and their common roots, in extended precision.
 
-An angle q takes part as z = exp(i q), with negative powers as well, a displacement as itself. Coefficients and roots
-have so many digits that rounding errors decide nothing: what is double, real, or at infinity shows.
+The variable of an angle q is z = exp(i q), with negative powers as well; that of a displacement is itself. Coefficients
+and roots have enough digits to decide which roots are double, real, or at infinity, despite rounding errors.
 
 Source: the resultant of two polynomials is the determinant of Sylvester's matrix (D. Cox, J. Little, D. O'Shea,
-*Ideals, Varieties, and Algorithms*, chapter 3); roots by the method of Durand and Kerner, as mpmath has it.
+*Ideals, Varieties, and Algorithms*, chapter 3); roots by the method of Durand and Kerner, from mpmath.
 """
 
 from __future__ import annotations
@@ -20,35 +20,35 @@ from typing import Any
 __all__ = ["Constraints", "Polynomial", "real_roots", "terms_of"]
 
 DIGITS = 25
-"""Of a root; a root of multiplicity m is found with a coefficient's digits divided by m."""
+"""Digits of a root; a root of multiplicity m has only 1/m of the coefficients' digits."""
 
 COEFFICIENT_DIGITS = 100
 
 ROUNDING = 1e-80
-"""A coefficient is nothing below this share of what it could be."""
+"""A coefficient is zero below this fraction of its bound."""
 
 RELATIVE_ZERO = 1e-18
-"""Coefficients on a line through a root, which has `DIGITS`, are nothing below this share of their terms."""
+"""Coefficients on a line through a root, which has `DIGITS`, are zero below this fraction of their terms."""
 
 NEAR = 1e-5
-"""A root counts as real if it is so by this share. Where two real ones meet, data known to 1e-13 leave 3e-7."""
+"""Relative tolerance for a root to be real. Where two real roots meet, data known to 1e-13 give roots to 3e-7."""
 
 MAX_DEGREE = 64
-"""Of polynomials whose roots are asked for: seconds are enough for those."""
+"""Largest degree of polynomials to be solved, which takes seconds."""
 
 Powers = tuple[int, ...]
 Polynomial = dict[Powers, Any]
 """Coefficients by the powers of each unknown."""
 
 Coefficients = dict[int, Any]
-"""Of a polynomial in one unknown, by its powers."""
+"""Coefficients of a polynomial in one unknown, by its powers."""
 
 
 _OF_THREAD = threading.local()
 
 
 def _numbers() -> Any:
-    """Mpmath's arithmetic, whose precision nothing else changes: not other threads, nor the user's own mpmath."""
+    """Mpmath's arithmetic, with a precision that other threads and the user's own mpmath do not change."""
     if not hasattr(_OF_THREAD, "numbers"):
         import mpmath
 
@@ -59,7 +59,7 @@ def _numbers() -> Any:
 
 @dataclass(frozen=True)
 class _Affine:
-    """a . q + b of the angles that are unknown; the angle's own numbers a, by place."""
+    """a . q + b, affine in the unknown angles, with the coefficients a by number of the unknown."""
 
     slopes: tuple[Any, ...]
     constant: Any
@@ -67,14 +67,14 @@ class _Affine:
 
 @dataclass(frozen=True)
 class _Value:
-    """What an operation gives: a polynomial, or affine in the angles, or both, or neither."""
+    """The value of an operation: a polynomial, or affine in the angles, or both, or neither."""
 
     polynomial: Polynomial | None
     affine: _Affine | None
 
 
 class Constraints:
-    """Expressions as `formulas` writes them, at the values of all that is known.
+    """Expressions as data from `formulas`, with values of the known leaves.
 
     Parameters
     ----------
@@ -93,13 +93,13 @@ class Constraints:
         ]
 
     def with_values(self, values: Mapping[tuple[str, str], float]) -> Constraints:
-        """With other values of some leaves."""
+        """The same expressions with other values of some leaves."""
         other = copy(self)
         other._values = {**self._values, **values}
         return other
 
     def depends(self, row: int, name: str) -> bool:
-        """Whether a coordinate stands in an expression."""
+        """Whether an expression contains a coordinate."""
         return ("q", name) in self._leaves[row]
 
     def _reach(self, node: int | None) -> list[int]:
@@ -113,7 +113,7 @@ class Constraints:
         return sorted(found)
 
     def is_periodic(self, row: int, name: str) -> bool:
-        """Whether 2 pi more of a coordinate change nothing, as far as the expression's form shows."""
+        """Whether an expression is periodic in a coordinate by 2 pi, as far as its form shows."""
         if not self.depends(row, name):
             return True
         expansion = _Expansion(self._values, [(name, True)])
@@ -122,7 +122,7 @@ class Constraints:
         for node in self._reached[row]:
             operation = self._operations[node]
             known[node] = value = expansion.evaluated(operation, known)
-            if operation[0] == "tan":  # as the sine is
+            if operation[0] == "tan":  # periodic if the sine is
                 value = expansion.evaluated(["sin", operation[1]], known)
             periodic[node] = value.polynomial is not None or (
                 operation != ["q", name] and all(periodic[operand] for operand in _operands(operation))
@@ -136,7 +136,7 @@ class Constraints:
         ----------
         rows : sequence of int
         unknowns : sequence of (str, bool)
-            The coordinates' names, and whether each is taken for an angle.
+            The coordinates' names, and whether each is an angle.
 
         Returns
         -------
@@ -184,7 +184,7 @@ def _mentioned(encoded: list[Any]) -> list[int]:
 
 
 class _Expansion:
-    """Operations on `_Value`s, at the values of all that is known."""
+    """Operations on `_Value`s, with values of the known leaves."""
 
     def __init__(self, values: Mapping[tuple[str, str], float], unknowns: Sequence[tuple[str, bool]]) -> None:
         self.numbers = _numbers()
@@ -194,15 +194,15 @@ class _Expansion:
         self.origin = (0,) * len(unknowns)
 
     def exact(self, number: Any) -> Any:
-        """A number of `formulas`, which may be a fraction."""
+        """A number from `formulas`, which may be a fraction."""
         return self.numbers.mpf(number[0]) / number[1] if isinstance(number, list) else self.numbers.mpf(number)
 
     def number(self, number: Any) -> _Value:
-        """What does not depend on the unknowns."""
+        """A number as a constant polynomial."""
         return _Value({self.origin: number}, _Affine(self.origin, number))
 
     def evaluated(self, operation: list[Any], known: Mapping[Any, _Value]) -> _Value:
-        """One operation on what is known."""
+        """The value of one operation on known values."""
         match operation:
             case ["+", terms, constant]:
                 terms = [(known[node], self.exact(factor)) for node, factor in terms]
@@ -251,14 +251,14 @@ class _Expansion:
         return _Value(_times(one.polynomial, other.polynomial), None)
 
     def _constants(self, values: Sequence[_Value]) -> list[Any] | None:
-        """Their numbers, unless one depends on the unknowns."""
+        """The values as numbers; None if one depends on the unknowns."""
         polynomials = [value.polynomial for value in values]
         if any(polynomial is None or polynomial.keys() != {self.origin} for polynomial in polynomials):
             return None
         return [polynomial[self.origin] for polynomial in polynomials if polynomial is not None]
 
     def _called(self, function: Callable[..., Any], arguments: Sequence[_Value]) -> _Value:
-        """A function of what does not depend on the unknowns."""
+        """A function of arguments that do not depend on the unknowns."""
         constants = self._constants(arguments)
         if constants is None:
             return _Value(None, None)
@@ -301,20 +301,20 @@ def _times(one: Polynomial, other: Polynomial) -> Polynomial:
 
 
 def real_roots(polynomials: Sequence[Polynomial], is_angle: Sequence[bool]) -> list[tuple[float, ...]] | None:
-    """What may be a common root of one or two polynomials in as many unknowns: all real ones are there.
+    """Candidates for common roots of one or two polynomials in as many unknowns, including all real ones.
 
     Parameters
     ----------
     polynomials : sequence of Polynomial
     is_angle : sequence of bool
-        Of each unknown; displacements have no negative powers.
+        For each unknown, whether it is an angle; displacements have no negative powers.
 
     Returns
     -------
     list of tuple of float, or None
-        Angles between -pi and pi, and displacements. Beside the roots there are real parts of those that are `NEAR`
-        real, and, of two polynomials, others on the same lines: values have to be tried. None if there are infinitely
-        many roots, or polynomials are of too high a degree.
+        Angles between -pi and pi, and displacements. They include real parts of nearly real roots (see `NEAR`) and, for
+        two polynomials, further points on the same lines, so candidates have to be tested. None if there are infinitely
+        many roots, or the degree is too high.
 
     Examples
     --------
@@ -339,7 +339,7 @@ def real_roots(polynomials: Sequence[Polynomial], is_angle: Sequence[bool]) -> l
 
 
 def terms_of(polynomial: Polynomial, sizes: Sequence[float]) -> float:
-    """The sum of the terms' absolute values, at those of the unknowns; 1 is that of exp(i q)."""
+    """The sum of the terms' absolute values, for absolute values of the unknowns (1 for exp(i q))."""
     numbers = _numbers()
     values = [numbers.mpf(size) for size in sizes]
     terms = (abs(c) * numbers.fprod(map(pow, values, powers)) for powers, c in polynomial.items())
@@ -347,7 +347,7 @@ def terms_of(polynomial: Polynomial, sizes: Sequence[float]) -> float:
 
 
 def _unit(polynomials: Sequence[Polynomial], place: int) -> Any:
-    """A usual value of a displacement: there, its lowest and highest power in a polynomial come to the same."""
+    """A typical value of a displacement, where the terms of its lowest and highest power have equal magnitude."""
     numbers = _numbers()
     for polynomial in polynomials:
         powers = {key[place] for key in polynomial}
@@ -361,8 +361,8 @@ def _unit(polynomials: Sequence[Polynomial], place: int) -> Any:
 
 
 def _real_pairs(polynomials: Sequence[Polynomial], is_angle: Sequence[bool]) -> list[tuple[float, ...]] | None:
-    """Of two polynomials, in units of the unknowns."""
-    if is_angle[1] and not is_angle[0]:  # displacements, whose roots may be far apart, are left to the lines
+    """Candidates for common roots of two polynomials, in units of the unknowns."""
+    if is_angle[1] and not is_angle[0]:  # eliminate the angle, since roots of displacements may be far apart
         swapped = _real_pairs([{(b, a): c for (a, b), c in f.items()} for f in polynomials], is_angle[::-1])
         return None if swapped is None else [(x, y) for y, x in swapped]
     by_second = _reduced([_by_second(polynomial, is_angle[1]) for polynomial in polynomials], is_angle[1])
@@ -390,7 +390,7 @@ def _real_pairs(polynomials: Sequence[Polynomial], is_angle: Sequence[bool]) -> 
 
 
 def _by_second(polynomial: Polynomial, is_angle: bool) -> dict[int, Coefficients]:
-    """The coefficients, polynomials in the first unknown, by the powers of the second, which begin at 0."""
+    """The coefficients, polynomials in the first unknown, by powers of the second, shifted to begin at 0."""
     lowest = min(power for _, power in polynomial) if is_angle else 0
     found: dict[int, Coefficients] = {}
     for (first, second), c in polynomial.items():
@@ -401,7 +401,7 @@ def _by_second(polynomial: Polynomial, is_angle: bool) -> dict[int, Coefficients
 def _reduced(polynomials: list[dict[int, Coefficients]], is_angle: bool) -> list[dict[int, Coefficients]]:
     """Two polynomials with the same common roots, of lower degree in the second unknown.
 
-    Where their highest coefficients are multiples of each other, one of the two loses its own; likewise the lowest, if
+    If their leading coefficients are multiples of each other, one of them is eliminated; likewise the lowest ones, if
     the unknown cannot be zero. The loop of a dyad, whose components are real and imaginary parts of a complex equation,
     becomes that equation and its conjugate.
     """
@@ -422,14 +422,14 @@ def _reduced(polynomials: list[dict[int, Coefficients]], is_angle: bool) -> list
 
 
 def _ratio(one: Coefficients, other: Coefficients) -> Any:
-    """The number that makes one of the other, or None."""
+    """The ratio if one is a multiple of the other, or None."""
     place = next(iter(other))
     factor = one.get(place, 0) / other[place]
     return factor if factor and not _difference(one, other, factor) else None
 
 
 def _difference(one: Coefficients, other: Coefficients, factor: Any) -> Coefficients:
-    """One - factor other, without what is rounding errors."""
+    """One - factor * other, without coefficients that are rounding errors."""
     found = {}
     for power in {*one, *other}:
         a, b = one.get(power, 0), factor * other.get(power, 0)
@@ -449,7 +449,7 @@ def _at_size(coefficients: Coefficients, x: Any) -> Any:
 def _resultant(f: dict[int, Coefficients], g: dict[int, Coefficients]) -> Coefficients | None:
     """The resultant, a polynomial in the first unknown; None if it vanishes.
 
-    Interpolated at roots of unity. Where one of the two does not hold the second unknown, it says all of the first.
+    Interpolated at roots of unity. If one of the two does not contain the second unknown, it is the resultant.
     """
     numbers = _numbers()
     m, n = max(f), max(g)
@@ -477,7 +477,7 @@ def _resultant(f: dict[int, Coefficients], g: dict[int, Coefficients]) -> Coeffi
 
 
 def _determinant(rows: list[list[Any]]) -> Any:
-    """By elimination with partial pivoting; mpmath's own ends in an error where a column has nothing but zeros."""
+    """By elimination with partial pivoting; mpmath's own raises an error if a column is zero."""
     value = _numbers().one
     for k in range(len(rows)):
         pivot = max(range(k, len(rows)), key=lambda i: abs(rows[i][k]))
@@ -493,7 +493,7 @@ def _determinant(rows: list[list[Any]]) -> Any:
 
 
 def _roots(coefficients: Coefficients, is_angle: bool) -> list[Any] | None:
-    """All roots, each as often as it is one; zero only of a displacement."""
+    """All roots, with multiplicity; zero only for displacements."""
     lowest, highest = min(coefficients), max(coefficients)
     zeros = [] if is_angle else [_numbers().zero] * lowest
     degree = highest - lowest
@@ -517,7 +517,7 @@ def _value(root: Any, is_angle: bool) -> float:
 
 
 def _near_real(roots: list[Any], is_angle: bool) -> list[Any]:
-    """Those that are real but for rounding errors in what they follow from."""
+    """The roots that are real up to rounding errors of the data."""
     if is_angle:
         return [root for root in roots if abs(abs(root) - 1) <= NEAR]
     return [root for root in roots if abs(_numbers().im(root)) <= NEAR * max(abs(root), 1)]

@@ -1,15 +1,15 @@
-"""Loops closed one after another, each by itself.
+"""Loops closed one after another, in a block triangular form.
 
-A rider on a bicycle has a loop for each arm and leg, which need the bicycle's pitch and nothing of each other: from a
-poor guess one of them closes soon, all of them together hardly ever. The constraints that hold a coordinate, and the
-coordinates in a constraint, make a graph; a maximum matching gives each coordinate its constraint, and the strongly
-connected parts that follow are the blocks of a triangular form (A. L. Dulmage, N. S. Mendelsohn, "Coverings of
-bipartite graphs", Canadian Journal of Mathematics 10, 1958). Where there is no matching, with redundant constraints for
-example, the parts that share no coordinate are solved each for itself.
+A rider on a bicycle has a loop for each arm and leg, which depend on the bicycle's pitch but not on each other. From a
+poor guess, one such loop often converges, but all together rarely do. Constraints and the coordinates in them form a
+bipartite graph. A maximum matching assigns a constraint to each coordinate; the strongly connected components of the
+matched graph are the blocks of a block triangular form (A. L. Dulmage, N. S. Mendelsohn, "Coverings of bipartite
+graphs", Canadian Journal of Mathematics 10, 1958). If there is no perfect matching, for example with redundant
+constraints, the connected components are solved separately.
 
 Each block is solved by damped least squares within the coordinates' bounds (SciPy's ``least_squares``: M. A. Branch,
-T. F. Coleman, Y. Li, SIAM Journal on Scientific Computing 21, 1999), from the guess and, if that does not do, from
-others about it; of what is found, what is nearest to the guess is taken.
+T. F. Coleman, Y. Li, SIAM Journal on Scientific Computing 21, 1999), from the guess and, if that fails, from others
+about it. The solution nearest to the guess is returned.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ __all__ = ["OpenLoop", "close_in_stages", "stages", "turned_towards"]
 Floats = NDArray[np.float64]
 
 POINTS = 4
-"""Random configurations at which slopes are looked at."""
+"""Random configurations at which the Jacobian is evaluated to find its structure."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class OpenLoop:
     rows, columns : tuple of int
         The position constraints, and the dependent coordinates that were to close them.
     residual : ndarray
-        The smallest that was found.
+        The smallest residual that was found.
     """
 
     rows: tuple[int, ...]
@@ -48,12 +48,12 @@ class OpenLoop:
 
 
 def stages(incidence: NDArray[np.bool_]) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
-    """Rows and columns of blocks, each of which needs no columns but its own and those of blocks before it.
+    """Rows and columns of blocks, each of which contains only columns of its own and of earlier blocks.
 
     Parameters
     ----------
     incidence : ndarray of bool, shape (n_h, n)
-        Which constraint holds which coordinate.
+        Which constraint contains which coordinate.
 
     Examples
     --------
@@ -71,7 +71,7 @@ def stages(incidence: NDArray[np.bool_]) -> list[tuple[tuple[int, ...], tuple[in
         count, labels = connected_components(csr_array(both), directed=False)
         parts = [(np.flatnonzero(labels[:n_h] == k), np.flatnonzero(labels[n_h:] == k)) for k in range(count)]
         return [(_numbers(rows), _numbers(columns)) for rows, columns in parts if len(rows)]
-    # Row i needs row j first where it holds the coordinate that belongs to j.
+    # Row i depends on row j if it contains the coordinate that is matched to j.
     needs = incidence[:, matched]
     count, labels = connected_components(csr_array(needs), directed=True, connection="strong")
     order = TopologicalSorter({k: set() for k in range(count)})
@@ -85,7 +85,7 @@ def stages(incidence: NDArray[np.bool_]) -> list[tuple[tuple[int, ...], tuple[in
 def close_in_stages(
     loops: Loops, start: Floats, further: int, bounds: tuple[Floats, Floats] | None = None
 ) -> tuple[Floats, list[OpenLoop]]:
-    """Dependent coordinates with each loop closed, as far as it can be.
+    """Dependent coordinates with all loops closed that can be closed.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def close_in_stages(
     further : int
         How many other guesses are tried for each block.
     bounds : (ndarray, ndarray), optional
-        The least and the largest value of each dependent coordinate.
+        The smallest and the largest value of each dependent coordinate.
 
     Returns
     -------
@@ -118,9 +118,9 @@ def close_in_stages(
 
 
 def turned_towards(loops: Loops, dependent: Floats, guess: Floats) -> Floats:
-    """The same configuration with angles near a guess, where nothing changes with whole turns, or with two of them.
+    """The same configuration, with angles turned towards a guess by multiples of one or two turns.
 
-    The latter are those of which halves stand in the constraints.
+    Two turns are the period of angles that enter the constraints as half angles.
     """
     far = np.flatnonzero(np.abs(dependent - guess) > np.pi)
     if not len(far):
@@ -139,7 +139,7 @@ def turned_towards(loops: Loops, dependent: Floats, guess: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class _Block:
-    """Constraints, and the coordinates that are to close them, with the others as they are."""
+    """Constraints, and the coordinates that they are solved for; the others are fixed."""
 
     loops: Loops
     dependent: Floats
@@ -149,7 +149,7 @@ class _Block:
     upper: Floats
 
     def solve(self, further: int, generator: np.random.Generator) -> tuple[Floats, Floats | None]:
-        """The coordinates, nearest to those that are there; what is left open, if they do not close it."""
+        """The solution nearest to the present coordinates; the residual if it is not closed, else None."""
         begin = self.dependent[self.columns]
         found = [self._end(begin)]
         if not self._is_closed(found[0]):
@@ -172,7 +172,7 @@ class _Block:
         return error[self.rows], slopes[np.ix_(self.rows, self.columns)]
 
     def _end(self, begin: Floats) -> Floats:
-        """Where the least squares end that begin there; angles turned towards the guess."""
+        """The last iterate of the least squares from a start, with angles turned towards the guess."""
         from scipy.optimize import least_squares
 
         error, slopes = self._position(begin)

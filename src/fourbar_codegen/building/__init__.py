@@ -1,1 +1,1 @@
-"""Text -> library: the one door to compilers, and the one to the cache's folder."""
+"""Text -> library: the only modules that run compilers and write to the cache's folder."""

@@ -1,7 +1,7 @@
-"""The folder of compiled models: one folder per key, made whole before it is seen.
+"""The cache of compiled models: one folder per key, created atomically.
 
-To load a module is to run it. So nothing is loaded that another user could have put there, or may change: what is in
-the cache belongs to the user or to root, and others have no right to write to it.
+Loading a module runs its code. So nothing is loaded that another user could have put there or may change: entries of
+the cache must belong to the user or to root, and others must not be able to write to them.
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ __all__ = [
 
 VARIABLE = "FOURBAR_CODEGEN_CACHE"
 SIZE_LIMIT = "FOURBAR_CODEGEN_CACHE_SIZE"
-"""The environment variable with the number of bytes beyond which what was not used for longest is removed; 2 GB, by
-default."""
+"""The environment variable with the size limit in bytes, beyond which the least recently used entries are removed; 2 GB
+by default."""
 
 CHECKSUM = "checksum"
 ENTRY = re.compile(r"(?P<name>\w+)-[0-9a-f]{32}(\.\d+\.\d+\.removed)?")
-"""What the folders in the cache are called, and those that a process was removing when it ended."""
+"""Names of the folders in the cache, also of those that a process was removing when it ended."""
 
 
 @dataclass(frozen=True)
@@ -61,9 +61,9 @@ class Entry:
     ----------
     folder : Path
     name : str
-        Of the model, or of a part of it.
+        The name of the model, or of a part of it.
     size : int
-        Bytes.
+        In bytes.
     used : float
         When it was last used, in seconds since 1970.
     """
@@ -81,7 +81,7 @@ def cache_folder() -> Path:
         try:
             return Path(chosen).expanduser().absolute()
         except (RuntimeError, OSError) as error:  # no such user, or no current folder
-            raise CacheError(f"The environment variable {VARIABLE} names no folder, {chosen!r}: {error}.") from error
+            raise CacheError(f"The environment variable {VARIABLE} is not a folder, {chosen!r}: {error}.") from error
     return _users_folder()
 
 
@@ -97,9 +97,9 @@ def cached(name: str, key: str, build: Callable[[Path], Path]) -> Path:
     Parameters
     ----------
     name : str
-        Of the module; only for the reader of the folder, the key alone decides.
+        The module's name, only for readers of the folder; the key alone decides.
     key : str
-        Hexadecimal digest of all that the module depends on.
+        Hexadecimal digest of everything that the module depends on.
     build : callable
         Builds the module in the folder that it is given, and returns the module's path there.
 
@@ -110,17 +110,17 @@ def cached(name: str, key: str, build: Callable[[Path], Path]) -> Path:
     Raises
     ------
     CacheError
-        If the folder cannot be written, or an environment variable makes no sense.
+        If the folder cannot be written, or an environment variable is invalid.
 
     Warns
     -----
     UserWarning
-        If others can write to the folder, or to what is there: the module is built in one of the user's own.
+        If others can write to the folder, or to its content. The module is then built in a folder of the user's own.
 
     Notes
     -----
-    A module is built in a temporary folder, under a lock, and moved to its place in one step: other
-    processes see it whole or not at all, and a failed build leaves nothing behind.
+    A module is built in a temporary folder, under a lock, and moved to its place atomically: other processes see
+    the complete module or none, and a failed build leaves nothing behind.
     """
     root, limit = cache_folder(), size_limit()
     try:
@@ -130,14 +130,14 @@ def cached(name: str, key: str, build: Callable[[Path], Path]) -> Path:
             root = _own_folder()
             place = _place(root, name, key)
             warnings.warn(
-                f"{reason}, and to load what is there is to run it: {name} is compiled in {root}. Let no one else "
-                f"write there, or name another folder in the environment variable {VARIABLE}.",
+                f"{reason}, and loading a model from there runs its code: {name} is compiled in {root} instead. "
+                f"Make that writable for you alone, or set the environment variable {VARIABLE} to another folder.",
                 stacklevel=2,
             )
         found = _cached(place, build, limit)
         _note_use(place)
         return found
-    except CacheError:  # of what is built of others
+    except CacheError:  # from a nested build
         raise
     except OSError as error:
         raise _unusable(root, error) from error
@@ -160,7 +160,7 @@ def _cached(place: Path, build: Callable[[Path], Path], limit: float) -> Path:
             return found
         temporary = root / f"{own}.building"
         try:
-            _remove(temporary)  # of a process that was killed
+            _remove(temporary)  # left by a process that was killed
             temporary.mkdir()
             module = build(temporary)
             files = [module, *sorted(path for path in temporary.iterdir() if path != module and path.is_file())]
@@ -168,7 +168,7 @@ def _cached(place: Path, build: Callable[[Path], Path], limit: float) -> Path:
             (temporary / CHECKSUM).write_text("".join(lines), encoding="utf-8")
             for path in (temporary, *temporary.rglob("*")):
                 _close(path)
-            _remove(place)  # damaged, or it would have been found
+            _remove(place)  # it is damaged, since it was not found
             temporary.replace(place)
         finally:
             _remove(temporary)
@@ -178,7 +178,7 @@ def _cached(place: Path, build: Callable[[Path], Path], limit: float) -> Path:
 
 @contextmanager
 def _held(lock: BaseFileLock, holder: Path, name: str) -> Iterator[None]:
-    """A lock, and beside it, for those who wait, by whom it is held."""
+    """A lock, with a file beside it that tells waiting processes which process holds it."""
     from filelock import Timeout
 
     try:
@@ -187,7 +187,7 @@ def _held(lock: BaseFileLock, holder: Path, name: str) -> Iterator[None]:
         with Progress(f"fourbar_codegen: {name}", unwatched=PATIENCE) as progress:
             try:
                 by = holder.read_text(encoding="utf-8")
-            except OSError:  # it has begun, or ended, just now
+            except OSError:  # the process has just begun or ended
                 by = "another process"
             progress.stage(f"waiting for {by}, which compiles it; {lock.lock_file} is its lock")
             lock.acquire()
@@ -200,7 +200,7 @@ def _held(lock: BaseFileLock, holder: Path, name: str) -> Iterator[None]:
 
 
 def tool_folder(name: str, key: str) -> Path:
-    """A folder in the cache in which a tool keeps files of its own, which nobody else can read.
+    """A folder in the cache for a tool's own files, which nobody else can read.
 
     Parameters
     ----------
@@ -226,23 +226,23 @@ def tool_folder(name: str, key: str) -> Path:
 
 def _unusable(root: Path, error: OSError) -> CacheError:
     return CacheError(
-        f"The cache folder {root} cannot be used: {error.strerror or error}. Name another one in the environment "
+        f"The cache folder {root} cannot be used: {error.strerror or error}. Set another one in the environment "
         f"variable {VARIABLE}."
     )
 
 
 def _note_use(place: Path) -> None:
-    with suppress(OSError):  # of another user, or where nothing can be written
+    with suppress(OSError):  # it belongs to another user, or is read-only
         os.utime(place / CHECKSUM)
 
 
 def size_limit() -> float:
-    """The number of bytes that the cache may have.
+    """The largest size of the cache in bytes.
 
     Raises
     ------
     CacheError
-        If the environment variable is no number.
+        If the environment variable is not a number.
     """
     text = os.environ.get(SIZE_LIMIT) or "2e9"
     try:
@@ -255,7 +255,7 @@ def size_limit() -> float:
 
 
 def entries() -> list[Entry]:
-    """What is in the cache, what was used last first.
+    """The entries of the cache, the most recently used first.
 
     Raises
     ------
@@ -285,28 +285,28 @@ def _entries(root: Path) -> list[Entry]:
 
 
 def clear(older_than: float = 0.0) -> list[Entry]:
-    """Remove what is in the cache. Models that are loaded go on working, but for what they have not compiled yet.
+    """Remove entries of the cache. Loaded models keep working, except for parts that are not compiled yet.
 
     Parameters
     ----------
     older_than : float, optional
-        Only what was not used for so many seconds.
+        Only remove entries that were not used for this number of seconds.
 
     Returns
     -------
     list of Entry
-        What was removed.
+        The removed entries.
 
     Raises
     ------
     CacheError
-        If something cannot be removed.
+        If an entry cannot be removed.
     """
     last = time.time() - older_than
     removed = [entry for entry in entries() if entry.used <= last]
     for entry in removed:
         try:
-            with suppress(FileNotFoundError):  # another process removes it
+            with suppress(FileNotFoundError):  # another process is removing it
                 _discard(entry.folder)
         except OSError as error:
             raise CacheError(f"{entry.folder} cannot be removed: {error.strerror or error}.") from error
@@ -314,20 +314,20 @@ def clear(older_than: float = 0.0) -> list[Entry]:
 
 
 def _keep_within(root: Path, limit: float, newest: Path) -> None:
-    """Remove what was not used for longest, but not what has just been made."""
+    """Remove the least recently used entries, but not the newest."""
     found = _entries(root)
     size = sum(entry.size for entry in found)
     for entry in reversed(found):
         if size <= limit:
             return
         if entry.folder != newest:
-            with suppress(OSError):  # another user's
+            with suppress(OSError):  # it belongs to another user
                 _discard(entry.folder)
                 size -= entry.size
 
 
 def _discard(folder: Path) -> None:
-    """Remove a folder of the cache: from one moment to the next for those who look for it."""
+    """Remove a folder of the cache; for other processes it disappears atomically."""
     aside = folder
     if not folder.name.endswith(".removed"):
         aside = folder.with_name(f"{folder.name}.{_user()}.{os.getpid()}.removed")
@@ -336,11 +336,11 @@ def _discard(folder: Path) -> None:
 
 
 def find_cached(name: str, key: str) -> Path | None:
-    """The module that was built under a key, if it is there and whole, and nobody else's."""
+    """The module that was built under a key, if it exists, is undamaged and can be trusted."""
     try:
         place = _place(cache_folder(), name, key)
         return None if _distrusted_entry(place) else _module_in(place)
-    except OSError:  # of a folder that cannot be read
+    except OSError:  # the folder cannot be read
         return None
 
 
@@ -353,7 +353,7 @@ def _user() -> int:
 
 
 def _distrusted(path: Path) -> str:
-    """Why others may have put something into a path, if they may; by what the system says of owners and rights."""
+    """The reason why others could have changed a path, by owner and permissions; empty if they could not."""
     if not hasattr(os, "geteuid"):
         return ""
     try:
@@ -362,7 +362,7 @@ def _distrusted(path: Path) -> str:
         return ""
     if status.st_uid not in {_user(), 0}:
         return f"{path} belongs to another user, {status.st_uid}"
-    # A group with the user's own number is the user's alone; of a sticky folder, others can take nothing away.
+    # A group with the user's own number is private to the user; in a sticky folder, others cannot replace anything.
     others = stat.S_IWOTH | (0 if status.st_gid == status.st_uid else stat.S_IWGRP)
     if status.st_mode & others and not (path.is_dir() and status.st_mode & stat.S_ISVTX):
         return f"Others can write to {path}"
@@ -370,13 +370,13 @@ def _distrusted(path: Path) -> str:
 
 
 def _distrusted_entry(place: Path) -> str:
-    """The same for the cache, one of its folders, and what is in that."""
+    """The same for the cache, one of its folders, and the content of that."""
     reason = _distrusted(place.parent)
     if reason or not (place.is_symlink() or place.is_dir()):
         return reason
     for path in (place, *(place.iterdir() if os.access(place, os.R_OK) else ())):
         if path.is_symlink():
-            return f"{path} leads to another place"
+            return f"{path} is a symbolic link"
         reason = _distrusted(path)
         if reason:
             return reason
@@ -384,7 +384,7 @@ def _distrusted_entry(place: Path) -> str:
 
 
 def _close(path: Path) -> None:
-    """Let nobody else write to what was made here, whatever the process allows by default."""
+    """Remove the permission of others to write to new files, whatever the process's umask is."""
     path.chmod(path.stat().st_mode & ~(stat.S_IWGRP | stat.S_IWOTH))
 
 
@@ -404,17 +404,17 @@ def _own_folder() -> Path:
 
 
 def _module_in(place: Path) -> Path | None:
-    """The module in a folder of the cache, if it is there and undamaged: loading a damaged one may end Python."""
+    """The module in a folder of the cache, if it exists and is undamaged: loading a damaged one may crash Python."""
     checksums = _checksums(place)
     return place / next(iter(checksums)) if checksums and _agree(place, checksums) else None
 
 
 def is_whole(folder: Path, *names: str) -> bool:
-    """Whether the files of a folder are those that were built; those of one that has no checksums are taken as such.
+    """Whether the files of a folder have their checksums; a folder without checksums is accepted.
 
-    All of them, or those of some names, as far as the folder knows them.
+    All files, or those of some names, as far as the folder has checksums of them.
 
-    The sources, too: they are compiled for many states at once, and travel with a model.
+    Sources are checked too, since they are compiled later for many states at once, and are sent with a model.
     """
     checksums = _checksums(folder)
     if checksums is not None and names:
@@ -428,7 +428,7 @@ def _agree(folder: Path, checksums: dict[str, str | None]) -> bool:
 
 
 def _checksums(folder: Path) -> dict[str, str | None] | None:
-    """By the files' names, the module's first; None where there are none."""
+    """Checksums by file name, the module's first; None if there are none."""
     try:
         lines = (folder / CHECKSUM).read_text(encoding="utf-8").splitlines()
     except (FileNotFoundError, NotADirectoryError, IsADirectoryError, UnicodeDecodeError):
@@ -438,7 +438,7 @@ def _checksums(folder: Path) -> dict[str, str | None] | None:
 
 
 def _digest(path: Path) -> str:
-    """Of a file's content; empty where there is none."""
+    """The digest of a file's content; empty if there is no file."""
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()
     except (FileNotFoundError, NotADirectoryError, IsADirectoryError):

@@ -1,4 +1,4 @@
-"""Which C compiler is used: the one that CC names, the system's, or clang as the package ziglang brings it."""
+"""The C compiler: the one in CC, the system's, or clang from the package ziglang."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ INSTALL = (
 
 
 OWN_SYMBOLS = ("-Wl,-Bsymbolic",) if sys.platform.startswith(("linux", "freebsd")) else ()
-"""Two models of one name have the same symbols; where a process loads libraries with RTLD_GLOBAL, the loader would give
-the first one's to both."""
+"""Models of the same name have the same symbols. If a process loads libraries with RTLD_GLOBAL, the loader would
+resolve both to the first one's."""
 
 
 @dataclass(frozen=True)
@@ -36,9 +36,9 @@ class Compiler:
     ----------
     command : tuple of str
     origin : str
-        Where it was found; empty where there is none, and the command is the one that Python was built with.
+        Where it was found; empty if none was found, and the command is the one that Python was built with.
     flags : tuple of str
-        What it always needs.
+        Flags that it always needs.
     machine_flags : tuple of str
         For code that runs on this machine alone.
     portable_flags : tuple of str
@@ -46,7 +46,7 @@ class Compiler:
     link_flags : tuple of str
         For a shared library that Python may load.
     is_zig : bool
-        Whether it keeps files of its own, in the folders that two environment variables name.
+        Whether it is zig, which keeps files of its own in folders given by two environment variables.
     """
 
     command: tuple[str, ...]
@@ -90,14 +90,14 @@ def find_compiler() -> Compiler:
 
 
 def program_of(command: str) -> str:
-    """The path of the program that a command runs; empty where there is none, which may be installed at any time."""
+    """The path of the program that a command runs; empty if there is none, which is not cached."""
     try:
         return _program(command, os.environ.get("PATH"))
     except FileNotFoundError:
         return ""
 
 
-@cache  # of what was found, not of what is raised: each folder of the path may take a millisecond
+@cache  # exceptions are not cached; each folder of PATH may take a millisecond
 def _program(command: str, path: str | None) -> str:
     program = shutil.which(command, path=path)
     if program is None:
@@ -111,7 +111,7 @@ def user_flags(variable: str) -> list[str]:
     Raises
     ------
     BuildError
-        If they cannot be told apart.
+        If it cannot be split into words.
     """
     try:
         return shlex.split(os.environ.get(variable, ""))
@@ -121,7 +121,7 @@ def user_flags(variable: str) -> list[str]:
 
 
 def _gnu(command: list[str], origin: str, link_flags: list[str]) -> Compiler:
-    # zig is clang with defaults of its own: it compiles for this machine, and checks for undefined behaviour.
+    # zig is clang with other defaults: it compiles for this machine, and checks for undefined behaviour.
     zig = Path(command[0]).stem == "zig" or "ziglang" in command
     native = ("-march=native",) if platform.machine() in {"x86_64", "AMD64"} else ()
     return Compiler(
@@ -130,14 +130,14 @@ def _gnu(command: list[str], origin: str, link_flags: list[str]) -> Compiler:
         flags=("-fno-sanitize=undefined",) if zig else (),
         machine_flags=() if zig else native,
         portable_flags=("-mcpu=baseline",) if zig else (),
-        # There, too: what it links to every library is compiled for a processor.
+        # Also for linking, since what zig links to every library is compiled for a processor.
         link_flags=(*_own_link_flags(), "-mcpu=baseline", *OWN_SYMBOLS) if zig else (*link_flags, *OWN_SYMBOLS),
         is_zig=zig,
     )
 
 
 def _pythons_link_flags() -> list[str]:
-    """What Python's own build adds to its compiler to link an extension module."""
+    """The flags that Python's own build uses to link an extension module."""
     command = shlex.split(sysconfig.get_config_var("LDSHARED") or "cc -shared")
     own = shlex.split(sysconfig.get_config_var("CC") or "cc")
     return command[len(own) :] if command[: len(own)] == own else command[1:]
@@ -148,7 +148,7 @@ def _own_link_flags() -> list[str]:
 
 
 def _ziglang() -> Path | None:
-    """The program in the package ziglang, where that is installed (https://ziglang.org, https://pypi.org)."""
+    """The program in the package ziglang, if that is installed (https://ziglang.org, https://pypi.org)."""
     spec = find_spec("ziglang")
     folders = map(Path, (spec and spec.submodule_search_locations) or ())
     programs = (folder / ("zig.exe" if os.name == "nt" else "zig") for folder in folders)

@@ -1,9 +1,9 @@
-"""Sources -> shared libraries for this machine, as `compile_model` uses them: C alone, without Python.
+"""Sources -> shared libraries for this machine, for `compile_model`: only C, without Python.
 
-A model comes in parts. The kernel is what a simulation needs; derivatives and the functions for several states side by
-side are compiled when they are first asked for. The kernel's library has the model's structure inside: names, order,
-formulas. Its numbers lie beside it (defaults, units, initial values; the fingerprint and operation counts as well), so
-that a model that differs in these alone has the same library.
+A model consists of parts. A simulation needs the kernel; derivatives and the functions for several states side by side
+are compiled at their first use. The kernel's library contains the model's structure: names, order, formulas. Its
+numbers are in a file beside it (defaults, units, initial values, also the fingerprint and operation counts), so models
+that differ only in these share a library.
 """
 
 from __future__ import annotations
@@ -34,22 +34,22 @@ PARTS = {
     "derivatives": (("_derivatives.c", "_kernel.h"), DERIVATIVES_FLAGS),
     "batch_functions": (("_batch.c", "_kernel.c", "_kernel.h"), KERNEL_FLAGS),
 }
-"""The sources of each part by their suffixes, the one that is compiled first, and the flags."""
+"""The sources of each part by their suffixes, first the one to compile, and the flags."""
 
 SUFFIXES = tuple(dict.fromkeys(suffix for suffixes, _ in PARTS.values() for suffix in suffixes))
-"""Of the sources that all parts are built from."""
+"""Suffixes of the sources of all parts."""
 
 INLINED = "#define FB_SHORT\n"
-"""What stands in short kernels: all that the right-hand side calls is compiled once more as a part of it."""
+"""A line of short kernels, in which all functions that the right-hand side calls are also inlined into it."""
 
 ATTEMPTS = 5
-"""To take what is in the cache, where others remove it."""
+"""Attempts to use an entry of the cache that other processes remove."""
 
 NUMBERS = ("fingerprint", "initial", "operations", "operations_before_sharing")
-"""What of a manifest is not structure; ..."""
+"""Keys of a manifest that are not structure; ..."""
 
 PARAMETER_NUMBERS = ("default", "unit", "description")
-"""... and what of each of its parameters."""
+"""... and those of each of its parameters."""
 
 
 def build_part(
@@ -63,7 +63,7 @@ def build_part(
 ) -> Path:
     """The shared library of a part, from the cache if it was built there before.
 
-    Its key is made of the sources' text, the headers, the flags and the compiler, and of nothing else.
+    Its key depends only on the sources' text, the headers, the flags and the compiler.
 
     Parameters
     ----------
@@ -73,17 +73,17 @@ def build_part(
     sources : mapping of str to str
         Text by file name.
     structure : mapping, optional
-        What the kernel's library is to say of itself.
+        The structure to put into the kernel's library.
     meanwhile : callable, optional
-        Called while the compiler works, where it has to.
+        Called while the compiler works, if it has to.
     check : callable, optional
-        Called with a library that was built, before it comes to the cache, where it does not come if this raises.
+        Called with a new library before it is moved to the cache; if it raises, the library is discarded.
 
     Returns
     -------
     Path
-        A shared library that has the part's table: ``{name}_kernel`` (and ``fourbar_library``, where a structure is
-        given), ``{name}_derivatives``, ``{name}_batch_functions``.
+        A shared library with the part's table: ``{name}_kernel`` (and ``fourbar_library``, if a structure is given),
+        ``{name}_derivatives``, ``{name}_batch_functions``.
 
     Raises
     ------
@@ -104,7 +104,7 @@ def build_part(
 
     def build(folder: Path) -> Path:
         with tempfile.TemporaryDirectory() as temporary:
-            # By a path of its own: the system goes on giving out the first library that was loaded from one.
+            # In a path of its own, since for a path the system always returns the library that was loaded first.
             library = compile_library(Path(temporary) / f"{name}_{part}.so", texts, units, meanwhile)
             if check is not None:
                 check(library)
@@ -132,12 +132,12 @@ def install(
     manifest : mapping
         Its structure at least.
     folder : Path
-        There already.
+        An existing folder.
     rest : callable
-        Called while the kernel is compiled, for the other sources, and the rest of the manifest; and again when it has
-        been.
+        Returns the other sources and the rest of the manifest. Called while the kernel is compiled, and again
+        afterwards.
     check : callable, optional
-        Called with the library before it comes to the folder, where it does not come if this raises.
+        Called with the library before it is moved to the folder; if it raises, the library is discarded.
 
     Returns
     -------
@@ -166,8 +166,8 @@ def install(
 
     for _ in range(ATTEMPTS):
         library = build_part(name, "kernel", sources, _structure(manifest), meanwhile=rest, check=complete)
-        with suppress(FileNotFoundError):  # where another process has removed it in between, to keep the cache small
-            if not checked:  # it was there, for a model with other numbers, or of which nothing was checked
+        with suppress(FileNotFoundError):  # if another process has removed it in between, to keep the cache small
+            if not checked:  # it existed, for a model with other numbers, or one that was not checked
                 with tempfile.TemporaryDirectory() as temporary:
                     complete(Path(shutil.copy(library, temporary)))
             return Path(shutil.copy(library, folder))
@@ -175,10 +175,10 @@ def install(
 
 
 def removed(path: Path) -> CacheError:
-    """What is to be said where nothing stays in the cache."""
+    """The error if other processes keep removing a new entry of the cache."""
     return CacheError(
-        f"{path} was removed {ATTEMPTS} times as soon as it was there: let the cache be larger, by the environment "
-        f"variable {SIZE_LIMIT}, and clear it when nothing is compiled."
+        f"{path} was removed {ATTEMPTS} times right after it was built: allow a larger cache, by the environment "
+        f"variable {SIZE_LIMIT}, and clear it only when nothing is compiled."
     )
 
 
@@ -188,13 +188,13 @@ def numbers_path(library: Path) -> Path:
 
 
 def _structure(manifest: Mapping[str, Any]) -> dict[str, Any]:
-    """What of a manifest stands in the library."""
+    """The part of a manifest that is in the library."""
     structure = {key: value for key, value in manifest.items() if key not in NUMBERS}
     return structure | {"parameters": [{"name": entry["name"]} for entry in manifest["parameters"]]}
 
 
 def _numbers(manifest: Mapping[str, Any]) -> dict[str, Any]:
-    """What lies beside it."""
+    """The part of a manifest that is in the file beside the library."""
     parameters = [{key: entry[key] for key in PARAMETER_NUMBERS} for entry in manifest["parameters"]]
     return {**{key: manifest[key] for key in NUMBERS}, "parameters": parameters}
 
@@ -216,11 +216,11 @@ def manifest_of(structure: Mapping[str, Any], numbers: Mapping[str, Any]) -> dic
 
 
 def structure_text(name: str, structure: Mapping[str, Any]) -> str:
-    """The C source that puts a structure into a library, line by line: C99 asks for no longer strings."""
+    """The C source that puts a structure into a library, line by line, since C99 limits the length of strings."""
     text = json.dumps(structure, indent=1, ensure_ascii=True, allow_nan=False)
     lines = "\n".join(f"    {json.dumps(line)}," for line in text.splitlines())
     return f"""\
-/* What the model "{name}" is made of, as JSON, generated by fourbar_codegen. Do not edit. */
+/* The structure of the model "{name}", as JSON, generated by fourbar_codegen. Do not edit. */
 #include "{name}_kernel.h"
 
 static const char *const structure[] = {{

@@ -1,4 +1,4 @@
-"""Sources -> libraries and extension modules: the only place that runs a compiler, or another tool."""
+"""Sources -> libraries and extension modules: the only module that runs a compiler or another tool."""
 
 from __future__ import annotations
 
@@ -41,54 +41,55 @@ PACKAGE = Path(__file__).parents[1]
 
 
 class _Running:
-    """The tools that run at the moment, for one task; none begins after they were stopped."""
+    """The running tools of one task; after a stop, none is started."""
 
     def __init__(self) -> None:
         self._processes: set[subprocess.Popen[str]] = set()
         self._stopped = False
 
     def add(self, process: subprocess.Popen[str]) -> None:
-        """One that has begun."""
+        """Add a process that was started."""
         self._processes.add(process)
         if self._stopped:
             _stop(process)
 
     def discard(self, process: subprocess.Popen[str]) -> None:
-        """One that has ended."""
+        """Remove a process that has ended."""
         self._processes.discard(process)
 
     def stop(self) -> None:
-        """End them; who has started them notices."""
+        """End all processes; those who started them see that they failed."""
         self._stopped = True
         for process in tuple(self._processes):
             _stop(process)
 
 
 TIME_LIMIT = "FOURBAR_CODEGEN_TIME_LIMIT"
-"""The environment variable with the seconds that a tool may take; an hour, by default."""
+"""The environment variable with the time limit of a tool in seconds; an hour by default."""
 
 LONGEST = 1e6
-"""Seconds from which on there is no limit; poll() counts milliseconds in 32 bits."""
+"""Time limits from this number of seconds on are ignored; poll() counts milliseconds in 32 bits."""
 
 PAUSE = 0.5
-"""Seconds for which tools are waited for at a time."""
+"""Seconds between checks for interrupts while waiting for tools."""
 
-# Without debugging information, which would double the file. Compilers for Windows refuse -fPIC: all code there is.
+# Without debugging information, which would double the file. On Windows, compilers refuse -fPIC, since all code is
+# position-independent.
 COMMON_FLAGS = ("-g0",) if os.name == "nt" else ("-fPIC", "-g0")
 # Scalar straight-line code stores results that vectorized loops would reload two at a time, which stalls the
-# processor: -fno-tree-vectorize takes 10 % off the four-bar's evaluation. The solve's short loops, and those over
-# states side by side, need to be unrolled, which -O2 leaves out; the rest of -O3 costs a third of the time, for
-# nothing.
+# processor: -fno-tree-vectorize saves 10 % of the four-bar's evaluation. Short loops of the solve, and those over
+# states side by side, need to be unrolled, which -O2 does not do. The rest of -O3 takes a third of the compilation
+# time, without a gain.
 KERNEL_FLAGS = (*COMMON_FLAGS, "-O2", "-fpeel-loops", "-fno-tree-vectorize")
-# What the compiler does beyond -O1 takes it half as long again, for a few per cent of long straight-line code.
+# Beyond -O1, compilation takes 50 % longer, and saves a few per cent in long straight-line code.
 DERIVATIVES_FLAGS = (*COMMON_FLAGS, "-O1")
-# Behind the user's flags: a kernel has to notice what is not a number, and so have integrators.
+# After the user's flags, since kernels and integrators have to detect NaN.
 STRICT_FLAGS = ("-fno-fast-math", "-fno-finite-math-only", "-fno-unsafe-math-optimizations")
-# With such flags, compilers also link code that takes denormal numbers for zero, in the whole process that loads it.
-# Another -O takes the place of -Ofast, which is one of them.
+# With fast-math flags, compilers also link code that flushes denormal numbers to zero in the whole process that loads
+# it. -O2 overrides -Ofast, which is one of these flags.
 STRICT_LINK_FLAGS = ("-O2", *STRICT_FLAGS)
-# Versions of a kernel, of which the fastest that the processor can run is taken when a module is loaded. What else is
-# native to a processor makes no difference that could be measured.
+# Versions of a kernel for instruction sets. When a module is loaded, the fastest that the processor can run is chosen.
+# Other processor-specific flags made no measurable difference.
 _X86 = platform.machine() in {"x86_64", "AMD64"}
 AVX2_FLAGS = (*KERNEL_FLAGS, *(("-mavx2", "-mfma") if _X86 else ()))
 AVX512_FLAGS = (*AVX2_FLAGS, *(("-mavx512f", "-mavx512dq", "-mavx512vl") if _X86 else ()))
@@ -101,8 +102,8 @@ UNITS = {
     "_batch_avx512.c": AVX512_FLAGS,
     "_derivatives.c": DERIVATIVES_FLAGS,
 }
-"""The sources of an extension module beside its wrapper, by the ends of their names, and their flags."""
-# The wrapper only passes pointers on; what counts is how long its compilation takes.
+"""The sources of an extension module besides its wrapper, by the suffixes of their names, and their flags."""
+# The wrapper only passes pointers on, so short compilation counts.
 WRAPPER_FLAGS = (*COMMON_FLAGS, "-O1", "-DNPY_NO_DEPRECATED_API=NPY_1_7_API_VERSION")
 
 
@@ -119,9 +120,9 @@ def get_include() -> str:
 
 
 def library_toolchain() -> dict[str, object]:
-    """All that changes a shared library besides the sources: the headers, the compiler, its flags and the processor.
+    """Everything that a shared library depends on besides the sources: headers, compiler, flags and processor.
 
-    No process is started: a compiler is known by its path, size and date.
+    No process is started: a compiler is identified by its path, size and date.
     """
     compiler = find_compiler()
     return {
@@ -143,17 +144,17 @@ def library_toolchain() -> dict[str, object]:
 
 
 def generator() -> dict[str, object]:
-    """All that changes a model's sources besides the model: this package and SymPy."""
+    """Everything that a model's sources depend on besides the model: this package and SymPy."""
     return {"package": _package_digest(), "sympy": _sympy_version()}
 
 
 def digest_of(data: object) -> str:
-    """The digest of plain data, as JSON has it: 64 hexadecimal digits."""
+    """The digest of plain data that JSON can hold: 64 hexadecimal digits."""
     return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
 
 
 def _sympy_version() -> str:
-    """Without importing it: what is built from sources does without."""
+    """SymPy's version without importing it, since builds from sources do not need it."""
     sympy = sys.modules.get("sympy")
     if sympy is not None:
         return str(sympy.__version__)
@@ -167,7 +168,7 @@ def _sympy_version() -> str:
 
 @cache
 def _package_digest() -> str:
-    """Digest of the package's Python files: a change to the generator reaches the models' keys."""
+    """Digest of the package's Python files, so that a change to the generator changes the models' keys."""
     return _digest(sorted(PACKAGE.rglob("*.py")))
 
 
@@ -184,7 +185,7 @@ def _digest(paths: Iterable[Path]) -> str:
 
 
 def _file_identity(path: str) -> list[object]:
-    """What tells a file from another one, and from itself after it has changed; of none, nothing."""
+    """Data that identify a version of a file; empty if there is no file."""
     if not path:
         return []
     try:
@@ -196,7 +197,7 @@ def _file_identity(path: str) -> list[object]:
 
 
 def _processor() -> str:
-    """What -march=native stands for; a cache folder may be shared between machines."""
+    """The meaning of -march=native, since a cache folder may be shared between machines."""
     try:
         with Path("/proc/cpuinfo").open(encoding="utf-8") as file:
             flags = next((line for line in file if line.startswith("flags")), "")
@@ -213,13 +214,13 @@ def build_extension(
     Parameters
     ----------
     name : str
-        The module's name; `sources` has ``{name}.pyx``, and of `UNITS` what the model has.
+        The module's name; `sources` has ``{name}.pyx`` and the model's sources among `UNITS`.
     sources : mapping of str to str
         Text by file name.
     folder : Path
-        Created if it does not exist; it is touched only when all has been built.
+        Created if it does not exist; it changes only after a complete build.
     check : callable, optional
-        Called with the module before it comes to the folder, where it does not come if this raises.
+        Called with the module before it is moved to the folder; if it raises, the module is discarded.
 
     Returns
     -------
@@ -253,7 +254,7 @@ def compile_library(
     sources : mapping of str to str
         Text by file name.
     units : mapping of str to sequence of str
-        The flags of each of them that is to be compiled.
+        The flags of each source to compile.
     meanwhile : callable, optional
         Called while the compiler works.
 
@@ -276,7 +277,7 @@ def compile_library(
 
 
 def copied(built: Path, folder: Path) -> Path:
-    """A built file in a folder of the user's; a module that a process has loaded does not change under its feet."""
+    """A copy of a built file in a folder of the user's; a module that a process has loaded is replaced, not changed."""
     target = folder / built.name
     try:
         with replacing(target) as file, built.open("rb") as source:
@@ -287,9 +288,9 @@ def copied(built: Path, folder: Path) -> Path:
 
 
 def write_sources(name: str, sources: Mapping[str, str], folder: Path, module: Path | None = None) -> None:
-    """Write a model's sources in the place of those that another one of its name may have left.
+    """Write a model's sources, replacing those of an earlier model of its name.
 
-    None of them takes its place before all have been written.
+    All are written before the first is replaced.
 
     Parameters
     ----------
@@ -300,7 +301,7 @@ def write_sources(name: str, sources: Mapping[str, str], folder: Path, module: P
     folder : Path
         Created if it does not exist.
     module : Path, optional
-        What was built of them, to stand beside them.
+        The module built from them, to put beside them.
 
     Raises
     ------
@@ -317,7 +318,7 @@ def write_sources(name: str, sources: Mapping[str, str], folder: Path, module: P
                 file.write(content)
                 file.flush()
         for suffix in UNITS:
-            if f"{name}{suffix}" not in sources:  # not every model has all
+            if f"{name}{suffix}" not in sources:  # not every model has all of them
                 (folder / f"{name}{suffix}").unlink(missing_ok=True)
     except OSError as error:
         raise BuildError(f"{folder} cannot be written: {error.strerror or error}.") from error
@@ -338,10 +339,10 @@ def _build(name: str, sources: Mapping[str, str], folder: Path) -> Path:
 def _side_by_side(
     jobs: Sequence[Callable[[_Running], Path]], meanwhile: Callable[[], object] | None = None
 ) -> list[Path]:
-    """What jobs make, two at a time; where one fails, what the others run is stopped.
+    """The results of jobs, run two at a time; if one fails, the tools of the others are stopped.
 
-    What is to be called meanwhile is, when the first of them is done: then a core is free. (Before the tools run, it
-    would keep Python from starting them.)
+    `meanwhile` is called when the first job is done, since a core is free then. (Before the tools run, it would keep
+    Python from starting them.)
     """
     from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 
@@ -350,7 +351,7 @@ def _side_by_side(
         try:
             submitted = [pool.submit(job, running) for job in jobs]
             pending = set(submitted)
-            while pending:  # in turns: what interrupts Python just before it waits is noticed when it goes on
+            while pending:  # short waits: an interrupt just before a wait is only noticed after it
                 done, pending = wait(pending, PAUSE, FIRST_COMPLETED)
                 for job in done:
                     job.result()
@@ -358,7 +359,7 @@ def _side_by_side(
                     meanwhile()
                     meanwhile = None
             return [job.result() for job in submitted]
-        except BaseException:  # as from the keyboard
+        except BaseException:  # KeyboardInterrupt, for example
             pool.shutdown(wait=False, cancel_futures=True)
             running.stop()
             raise
@@ -375,7 +376,7 @@ def _cythonize(source: Path) -> Path:
     from Cython.Compiler.Errors import CompileError
     from setuptools import Extension
 
-    # By the name of the file alone: folders above may be packages of someone else.
+    # Only the name of the file, since folders above may be other packages.
     module = Extension(source.stem, [str(source)])
     try:
         cythonize([module], include_path=[get_include()], language_level=3, force=True, quiet=True)
@@ -402,7 +403,7 @@ def _compile(source: Path, flags: Sequence[str], running: _Running, folders: Seq
 
 def _run_compiler(compiler: Compiler, arguments: Sequence[str], target: Path, running: _Running | None = None) -> Path:
     environment = None
-    if compiler.is_zig:  # what it makes once, such as the system's libraries to link against, is kept
+    if compiler.is_zig:  # its cache, such as the system's libraries to link against, is kept
         kept, once = tool_folder("ziglang", digest_of(_file_identity(program_of(compiler.command[0])))), target.parent
         environment = {**os.environ, "ZIG_GLOBAL_CACHE_DIR": str(kept), "ZIG_LOCAL_CACHE_DIR": str(once / "zig-cache")}
     tool = f"the C compiler {compiler}"
@@ -419,14 +420,14 @@ def run_tool(
     running: _Running | None = None,
     environment: Mapping[str, str] | None = None,
 ) -> None:
-    """Run a tool that is to make a file or folder; its output becomes part of the error if it fails.
+    """Run a tool that has to make a file or folder; if it fails, its output becomes part of the error.
 
-    It is among `running` as long as it runs, so that it can be stopped from another thread.
+    It is in `running` as long as it runs, so that another thread can stop it.
     """
     name, limit = tool[0].upper() + tool[1:], _time_limit()
     running = running or _Running()
     try:
-        # In a session of its own: compilers start other programs, which are stopped with them.
+        # In a session of its own, since compilers start other programs, which are stopped with them.
         process = subprocess.Popen(
             command,
             stdout=subprocess.PIPE,
@@ -439,8 +440,8 @@ def run_tool(
         )
     except OSError as error:
         raise BuildError(
-            f"{name} could not be started: {error.strerror}, {command[0]!r}. {INSTALL} Models that build_model, "
-            "fourbar build or a wheel has brought need none: fourbar_codegen.load.",
+            f"{name} could not be started: {error.strerror}, {command[0]!r}. {INSTALL} Models from build_model, "
+            "fourbar build or a wheel need none: use fourbar_codegen.load.",
             command=command,
         ) from error
     running.add(process)
@@ -481,7 +482,7 @@ def _time_limit() -> float | None:
 
 
 def _stop(process: subprocess.Popen[str]) -> None:
-    """End a tool, and what it has started."""
+    """End a tool, and the programs that it has started."""
     if hasattr(os, "killpg"):
         with suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)

@@ -19,7 +19,7 @@ from setuptools import Distribution, setup
 
 class Binary(Distribution):
     def has_ext_modules(self):
-        return True  # it is there already
+        return True  # it is built already
 
 
 setup(
@@ -44,7 +44,7 @@ __all__ = ["kernel", "manifest", "rhs"]
 
 
 BUILD_WHEEL = "from setuptools import build_meta; build_meta.build_wheel('dist')"
-"""What tools for packages ask setuptools for, by PEP 517."""
+"""The call of packaging tools to setuptools, by PEP 517."""
 
 WHEEL_SUMMARY = "Compiled equations of motion of the model"
 
@@ -52,20 +52,20 @@ WHEEL_SUMMARY = "Compiled equations of motion of the model"
 def pack_wheel(
     module: Path, folder: Path, *, version: str, requires: Sequence[str], extras: Mapping[str, Sequence[str]]
 ) -> Path:
-    """Pack an extension module, and what lies beside it, into a wheel for Pythons and machines like this one.
+    """Pack an extension module, and the files beside it, into a wheel for Pythons and machines like this one.
 
     Parameters
     ----------
     module : Path
         As `build_extension` made it, in a folder of its own.
     folder : Path
-        Where the wheel comes; created if it does not exist.
+        The folder for the wheel; created if it does not exist.
     version : str
         Of the wheel.
     requires : sequence of str
-        What it depends on.
+        Its dependencies.
     extras : mapping of str to sequence of str
-        What else, by the names of extras.
+        Further dependencies, by the names of extras.
 
     Returns
     -------

@@ -1,1 +1,1 @@
-"""Schedule -> text: C, Cython and the manifest. What is printed here was decided before."""
+"""Schedule -> text: C, Cython and the manifest. All decisions were made before."""

@@ -34,13 +34,13 @@ from fourbar_codegen.lowering.schedule import ScheduledFunction
 __all__ = ["ANGLES", "CARRIED", "Text"]
 
 CARRIED = "carried"
-"""The array through which the parts of a longer function hand on values."""
+"""The array that passes values between the parts of a long function."""
 
 EXACT = 2**53
-"""Integers below this are numbers of double."""
+"""Integers below this are exact in double."""
 
 ANGLES = "angles"
-"""What the sines and cosines that are evaluated side by side are called, with a number behind."""
+"""Name of the variables for sines and cosines that are evaluated together, followed by a number."""
 
 RESERVED = frozenset(
     # C keywords, the macros of <math.h>, and those that compilers define for their system
@@ -69,7 +69,7 @@ class Text:
     Attributes
     ----------
     names : dict of int to str
-        What the arguments and the nodes that have a line of their own are called.
+        Names of the arguments and of the nodes that have a line of their own.
     """
 
     def __init__(self, scheduled: ScheduledFunction, real: str = "double") -> None:
@@ -84,7 +84,7 @@ class Text:
         operation, text = self.operations[line], self._operation(self.operations[line])[0]
         if not isinstance(operation, Call) or self.real == "double" or _is_side_by_side(operation):
             return text
-        # What C has for doubles alone.
+        # C has these functions for double only.
         arguments = [self.names[argument] for argument in operation.arguments]
         if not arguments:
             return f"fb_number({text})"
@@ -111,7 +111,7 @@ class Text:
         return f"({text})" if is_sum else text
 
     def _node(self, node: int) -> tuple[str, bool]:
-        """The text of an operand, and whether it is a sum, which products put in parentheses."""
+        """The text of an operand, and whether it is a sum, which needs parentheses in products."""
         name = self.names.get(node)
         return (name, False) if name is not None else self._operation(self.operations[node])
 
@@ -139,7 +139,7 @@ class Text:
         raise TypeError(f"{operation} has no text")
 
     def _term(self, number: Number, node: int) -> str:
-        """A term of a sum: a sum in it stands in parentheses, whatever its sign."""
+        """A term of a sum: a nested sum gets parentheses, whatever its sign."""
         return self._within_product(node) if number == 1 else self._multiple(number, node)
 
     def _denominator(self, reciprocal: int) -> str:
@@ -152,7 +152,7 @@ class Text:
 
 
 def _is_side_by_side(call: Call) -> bool:
-    """Whether it is a sine, a cosine or an absolute value, which the runtime has for several states side by side."""
+    """Whether it is a sine, a cosine or an absolute value, which the runtime evaluates for states side by side."""
     return isinstance(call.expression, sm.sin | sm.cos | sm.Abs) and len(call.arguments) == 1
 
 
@@ -195,7 +195,7 @@ class _Printer(C99CodePrinter):
         return repr(float(expr))
 
     def _print_Integer(self, expr: sm.Integer) -> str:
-        # Beyond the range of int, a literal needs to be one of double.
+        # Beyond the range of int, the literal must be a double.
         return str(expr) if abs(int(expr)) < 2**31 else repr(float(expr))
 
     def _print_ImaginaryUnit(self, expr: sm.Expr) -> str:
@@ -217,7 +217,7 @@ class _Printer(C99CodePrinter):
 
     def _print_Pow(self, expr: sm.Pow) -> str:
         if expr.exp == sm.Rational(1, 3):
-            # Not cbrt: of a negative number, the root is not a number in SymPy.
+            # Not cbrt: the root of a negative number is not real in SymPy.
             return f"pow({self._print(expr.base)}, 1.0/3.0)"
         return super()._print_Pow(expr)  # type: ignore[no-any-return]
 
@@ -248,8 +248,8 @@ def _argument_names(function: Function) -> dict[int, str]:
                 name = f"lambda{name}"
             identifier = re.sub(r"\W", "_", name, flags=re.ASCII)
             if not re.match(r"[A-Za-z]", identifier) or re.fullmatch(rf"(z|{ANGLES})\d+|[A-Z0-9_]+|fb_\w*", identifier):
-                # Leading digits and underscores; the temporaries' names; macros, which are written in capitals; the
-                # runtime's functions.
+                # Avoids leading digits and underscores, the temporaries' names, macros (in capitals), and the runtime's
+                # functions.
                 identifier = f"{kind}_{identifier}"
             while identifier in taken:
                 identifier += "_"

@@ -1,6 +1,6 @@
 """Schedule -> C text: a kernel's header and source, the same on every machine and in every process.
 
-`c_expressions` writes the expressions, the templates here lay them out.
+`c_expressions` prints the expressions; the templates are here.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ INSTRUCTION_SETS = {
     "avx2": ("FB_AVX2", "AVX2 and FMA", ("__AVX2__", "__FMA__")),
     "avx512": ("FB_AVX512", "AVX-512", ("__AVX512F__", "__AVX512DQ__", "__AVX512VL__", "__FMA__")),
 }
-"""Each faster than the one before: what headers call it, what it is, and how a compiler says that it may use it."""
+"""In order of speed: the constant in the headers, a description, and the macros by which compilers announce it."""
 
 LINE = 110
 
@@ -43,7 +43,7 @@ def kernel_text(scheduled: Schedule, names: Mapping[str, Sequence[str]]) -> str:
     ----------
     scheduled : Schedule
     names : mapping of str to sequence of str
-        What the model calls its `coordinates`, `speeds`, `auxiliary_states`, `parameters`, `inputs` and `outputs`.
+        Names of the model's `coordinates`, `speeds`, `auxiliary_states`, `parameters`, `inputs` and `outputs`.
 
     Returns
     -------
@@ -124,7 +124,7 @@ enum {{
 
 
 def batch_text(scheduled: Schedule) -> str | None:
-    """The C source that compiles a kernel for several states side by side; None where there is no use in that."""
+    """The C source that compiles a kernel for several states side by side; None if that gains nothing."""
     if not scheduled.has_batches:
         return None
     name = scheduled.program.name
@@ -145,10 +145,10 @@ const fb_batch_functions {name}_batch_functions = {{.layout = FB_LAYOUT}};
 
 
 def version_texts(scheduled: Schedule) -> dict[str, str]:
-    """The C sources that compile a kernel for processors with more instructions, by the ends of their names.
+    """The C sources that compile a kernel for processors with more instructions, by the suffixes of their names.
 
-    They are versions of the same text. One is empty where the compiler was not told to use its instructions, by options
-    such as ``-mavx2 -mfma``, without which the other sources are compiled. A kernel without batch functions has none.
+    All include the same text. A source compiles to nothing unless the compiler is told to use the instructions, by
+    options such as ``-mavx2 -mfma``. A kernel without batch functions has no such sources.
     """
     if not scheduled.has_batches:
         return {}
@@ -173,33 +173,33 @@ def version_texts(scheduled: Schedule) -> dict[str, str]:
 
 
 def _position_rows_text(rows: Sequence[int | None]) -> str:
-    """The table of fourbar_model.h."""
+    """The table that fourbar_model.h needs."""
     numbers = ", ".join("-1" if row is None else str(row) for row in rows or (None,))
     return f"""
-/* The row of J that keeps each position constraint; -1 where no speed changes it, or others keep it. */
+/* The row of J that keeps each position constraint; -1 for invariants and redundant constraints. */
 static const int position_row[] = {{{numbers}}};
 """
 
 
 def _pivot_order_text(order: PivotOrder) -> str:
-    """The tables of fourbar_solve.h."""
+    """The tables that fourbar_solve.h needs."""
     rows, speeds = (", ".join(map(str, numbers or (0,))) for numbers in (order.rows, order.speeds))
     return f"""\
 
-/* The order in which constraints are eliminated as a rule; the speeds for which they are solved, and the others. */
+/* The fixed pivot order: constraints; the speeds that they are solved for, then the others. */
 static const int static_pivot_row[] = {{{rows}}};
 static const int static_pivot_speed[] = {{{speeds}}};
 """
 
 
 def _structure_text(structure: Structure | None) -> str:
-    """The tables of fourbar_sparse.h."""
+    """The tables that fourbar_sparse.h needs."""
     if structure is None:
         return ""
     tables = structure.tables()
     lines = [
         "",
-        "/* M and J by their entries that are not zero, and the order of elimination; see fourbar_sparse.h. */",
+        "/* The nonzero entries of M and J, and the elimination order; see fourbar_sparse.h. */",
         "#define FB_SPARSE",
         (
             f"enum {{ N_MASS = {len(structure.mass_entries)}, N_JACOBIAN = {len(structure.jacobian_entries)}, "
@@ -213,7 +213,7 @@ def _structure_text(structure: Structure | None) -> str:
 
 
 def derivatives_text(name: str, derivatives: Sequence[ScheduledFunction], names: Mapping[str, Sequence[str]]) -> str:
-    """The C source of a model's derivatives and of what is drawn.
+    """The C source of a model's derivatives and data for drawings.
 
     Parameters
     ----------
@@ -235,7 +235,7 @@ def derivatives_text(name: str, derivatives: Sequence[ScheduledFunction], names:
     functions = "\n\n".join(_function_text(f, f.function.name, "static ", "double") for f in derivatives)
     entries = "".join(f"    .{f.function.name} = {f.function.name},\n" for f in derivatives)
     return f"""\
-/* Derivatives of the equations of motion of the model "{name}", and what is drawn of it, generated by
+/* Derivatives of the equations of motion of the model "{name}", and data for drawings, generated by
  * fourbar_codegen. Do not edit.
  *
 {_layout_comment(names)}
@@ -298,7 +298,7 @@ def _layout_comment(names: Mapping[str, Sequence[str]]) -> str:
 
 
 def _comment(name: str) -> str:
-    """A user's name as it may stand in a comment: printable, and unable to end it."""
+    """A user's name in a form that is safe in a comment: printable, and unable to end it."""
     return re.sub(r"[^\w{}^'\-+ ]", "_", name, flags=re.ASCII)
 
 
@@ -349,7 +349,7 @@ def _head(function: Function, real: str, declared: str, more: Sequence[str]) -> 
     parameters = [_parameter(array, real) for array in function.arguments]
     parameters += [f"{real} *restrict {result.name}" for result in function.results]
     parameters += more
-    # No line breaks within a parameter: textwrap leaves the spaces alone that are not ASCII.
+    # No line breaks within a parameter: textwrap does not break at non-ASCII spaces.
     text = f"{declared}(".replace(" ", "\xa0") + ", ".join(p.replace(" ", "\xa0") for p in parameters)
     wrapped = textwrap.wrap(f"{text})", LINE, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False)
     return [line.replace("\xa0", " ") for line in wrapped]

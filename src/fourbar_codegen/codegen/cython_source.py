@@ -13,12 +13,12 @@ __all__ = ["wrapper_text"]
 def wrapper_text(model: Model, manifest: dict[str, Any]) -> str:
     """The Cython source of the module that holds a kernel.
 
-    The module needs NumPy alone: ``rhs(t, x, p, r)`` for use without this package, ``kernel`` and
-    ``manifest`` for use with it. It goes through NumPy's C interface, for which Cython and gcc take a
-    fraction of the time that typed memoryviews cost.
+    The module needs only NumPy. It has ``rhs(t, x, p, r)`` for use without this package, and ``kernel`` and
+    ``manifest`` for use with it. It uses NumPy's C API, since typed memoryviews take Cython and gcc several times as
+    long to compile.
     """
     name = model.name
-    # repr of ASCII text: whatever a user's name contains, it stays inside the string literal.
+    # repr of ASCII text, so that names of users stay inside the string literal.
     literal = "\n".join(f"    {line!r}" for line in manifest_text(manifest).splitlines(keepends=True))
     return f'''\
 # cython: language_level=3

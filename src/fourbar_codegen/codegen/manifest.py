@@ -21,7 +21,7 @@ MANIFEST_FORMAT = 10
 def manifest_of(
     model: Model, equations: Equations, program: Program, names: Mapping[str, Sequence[str]], fingerprint: str
 ) -> dict[str, Any]:
-    """What a compiled model knows of itself: names, order, defaults, units. `operations_of` adds operation counts.
+    """The manifest of a compiled model: names, order, defaults, units. `operations_of` adds operation counts.
 
     Parameters
     ----------
@@ -31,12 +31,12 @@ def manifest_of(
     names : mapping of str to sequence of str
         The model's `coordinates`, `speeds`, `auxiliary_states`, `parameters`, `inputs` and `outputs`, as compiled.
     fingerprint : str
-        Of all that the model's equations depend on.
+        The digest of everything that the model's equations depend on.
 
     Returns
     -------
     dict
-        Plain data, as JSON has it.
+        Plain data that JSON can hold.
     """
     functions = {function.name: function.results for function in program.functions}
     energies = functions["energy"][0].entries
@@ -97,7 +97,7 @@ def _angles(equations: Equations, names: Sequence[str]) -> list[str]:
 
 
 def _open_outputs(equations: Equations, program: Program, names: Sequence[str]) -> list[str]:
-    """The outputs with multipliers that redundant constraints leave open."""
+    """The outputs with multipliers that redundant constraints leave undetermined."""
     if program.sizes.rank == program.sizes.n_c:
         return []
     pairs = zip(names, equations.outputs.entries, strict=True)
@@ -113,7 +113,7 @@ def operations_of(functions: Sequence[Function]) -> dict[str, Any]:
 
 
 def _distinct(names: Sequence[str]) -> list[str]:
-    """The names, with a number behind those that have been used before."""
+    """The names, with a number appended to those that were used before."""
     taken: dict[str, int] = {}
     distinct = []
     for name in names:
@@ -123,5 +123,5 @@ def _distinct(names: Sequence[str]) -> list[str]:
 
 
 def manifest_text(manifest: dict[str, Any]) -> str:
-    """The manifest as it is written beside the sources."""
+    """The manifest as text, as written beside the sources."""
     return json.dumps(manifest, indent=2, ensure_ascii=True, allow_nan=False) + "\n"

@@ -1,9 +1,9 @@
-"""The mass matrix of bodies that move alike, as composite rigid bodies.
+"""The mass matrix by composite rigid bodies.
 
-Where a speed moves all that hangs on a point as one rigid body, its partial velocities are those of that composite: its
-momentum follows from 10 numbers, and what it contributes to the other speeds from the force and torque that this
-momentum amounts to, carried towards the root of the tree of points. That takes operations quadratic in the length of a
-chain, where the sum over bodies takes cubically many.
+Where a speed moves the whole subtree of a point as one rigid body, its partial velocities are those of this composite.
+The momentum of the composite follows from 10 inertial parameters. Entries of the mass matrix follow from this momentum,
+carried like a force and a torque towards the root of the tree of points. The number of operations is quadratic in the
+length of a chain; that of the sum over bodies is cubic.
 
 Source: R. Featherstone, *Rigid Body Dynamics Algorithms*, 2008, section 6.2 (composite-rigid-body algorithm); here
 along inertial axes, and about the points of the mechanism.
@@ -34,20 +34,20 @@ __all__ = ["CompositeBodies"]
 
 @dataclass(frozen=True)
 class _Field:
-    """How one speed moves bodies as one.
+    """The rigid motion of a subtree that one speed causes.
 
     Attributes
     ----------
     anchor : int
-        The point that the others are moved about.
+        The reference point of this motion.
     turn, drift : Components
         Partial angular velocity, and partial velocity of the anchor, in the inertial frame.
     branches : tuple of int
-        The points next to the anchor that are moved, and all that hangs on them.
+        The children of the anchor that are moved, each with its subtree.
     bodies : tuple of int
-        The bodies at the anchor that are moved.
+        The moved bodies at the anchor.
     n_bodies : int
-        All bodies that are moved.
+        Number of all moved bodies.
     """
 
     anchor: int
@@ -60,7 +60,7 @@ class _Field:
 
 @dataclass(frozen=True)
 class _Composite:
-    """Bodies as one, about some point, in the inertial frame.
+    """Inertial parameters of a composite body about some point, in the inertial frame.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class _Composite:
 
 
 class CompositeBodies:
-    """The bodies of a mechanism, as far as speeds move them alike.
+    """Composite rigid bodies of a mechanism, for the speeds that move a subtree as one rigid body.
 
     Parameters
     ----------
@@ -105,11 +105,11 @@ class CompositeBodies:
 
     @property
     def largest(self) -> int:
-        """The number of bodies that are moved alike by the speed that moves the most."""
+        """The number of bodies in the largest composite."""
         return max((field.n_bodies for field in self.fields if field is not None), default=0)
 
     def entries(self) -> dict[tuple[int, int], Scalar]:
-        """Entries of the mass matrix by the numbers of their speeds, greater first: for pairs that both have fields."""
+        """Entries of the mass matrix by pairs of speed numbers, the greater first, if both speeds have a field."""
         entries: dict[tuple[int, int], Scalar] = {}
         for s, field in enumerate(self.fields):
             if field is None:
@@ -130,7 +130,7 @@ class CompositeBodies:
                 arm = self._offset(point)
                 torque = add(torque, cross(arm, force))
                 point, _ = self.kinematics.step(point)
-        # Bodies that hang on each other are nested; what two speeds move apart from each other has no product.
+        # Subtrees are nested or disjoint; speeds that move disjoint ones are not coupled.
         for s, field in enumerate(self.fields):
             for r, other in enumerate(self.fields[:s]):
                 if field is not None and other is not None and not _overlap(field, other):
@@ -138,7 +138,7 @@ class CompositeBodies:
         return entries
 
     def _field(self, along: Jvp) -> _Field | None:
-        """How a speed moves the bodies that it moves; None if not alike."""
+        """The field of a speed; None if it does not move its bodies as one rigid body."""
         kinematics = self.kinematics
         frames, points = kinematics.mechanism.frames, kinematics.mechanism.points
         turn = kinematics.zero
@@ -167,7 +167,7 @@ class CompositeBodies:
                     return None
                 moved.add(point)
             elif rigid and base is not None and turned and points[point].offset:
-                # Carried along, if only about the axis that it lies on.
+                # It turns with the frames, even if it lies on the axis and has no partial velocity.
                 moved.add(point)
                 anchors[base] = kinematics.zero
                 branches.append(point)
@@ -196,7 +196,7 @@ class CompositeBodies:
         return _Field(anchor, turn, drift_of_anchor, tuple(branches), tuple(at_anchor), count)
 
     def _is_rigid(self, point: int, turned: set[int], along: Jvp) -> bool:
-        """Whether a point is fixed, as far as the speed can move it, to its base in frames that turn with the speed."""
+        """Whether the speed leaves the offset of a point from its base unchanged, in frames that turn with it."""
         for frame, components in self.kinematics.vector(self.kinematics.mechanism.points[point].offset):
             if any(components) and bool(turned) != (frame in turned):
                 return False
@@ -205,7 +205,7 @@ class CompositeBodies:
         return True
 
     def _sum(self, branches: Sequence[int], bodies: Sequence[int]) -> _Composite:
-        """Bodies at a point, and all that hangs on points next to it."""
+        """The composite of bodies at a point and of the subtrees of its children."""
         parts = [self._body(number) for number in bodies]
         parts += [self._shifted(self._hanging(branch), self._offset(branch)) for branch in branches]
         zero = self.kinematics.zero
@@ -216,7 +216,7 @@ class CompositeBodies:
         )
 
     def _hanging(self, point: int) -> _Composite:
-        """All that hangs on a point, about it."""
+        """The composite of the subtree of a point, about that point."""
         known = self._below.get(point)
         if known is None:
             known = self._below[point] = self._sum(self._children[point], self._bodies_at[point])
@@ -236,13 +236,13 @@ class CompositeBodies:
         return _Composite(self.kinematics.convert(body.mass), self.kinematics.zero, inertia)
 
     def _shifted(self, body: _Composite, arm: Components) -> _Composite:
-        """The composite about another point, from which its own is at `arm`.
+        """The composite about another point; `arm` is the vector from there to the present one.
 
         With g = m r + 2 h, the parallel axis theorem reads I + (r . g) 1 - (r g^T + g r^T) / 2.
         """
         moment = scale(body.mass, arm)
         g = add(moment, body.first_moment, body.first_moment)
-        # r . g without the i-th term stands on the diagonal
+        # Diagonal entries have r . g without the i-th term.
         products = [a * b for a, b in zip(arm, g, strict=True)]
         rows: list[list[Scalar]] = []
         for i in range(3):
@@ -257,7 +257,7 @@ class CompositeBodies:
         return _Composite(body.mass, add(body.first_moment, moment), _matrix(rows))
 
     def _offset(self, point: int) -> Components:
-        """The position of a point from its base, in the inertial frame."""
+        """The position of a point relative to its base, in the inertial frame."""
         base, _ = self.kinematics.step(point)
         if base is None:
             return self.kinematics.zero
@@ -265,12 +265,12 @@ class CompositeBodies:
 
 
 def _contains(outer: _Field, inner: _Field) -> bool:
-    """Whether one field moves all that another one about the same anchor does."""
+    """Whether a field moves everything that another one with the same anchor moves."""
     return set(inner.branches) <= set(outer.branches) and set(inner.bodies) <= set(outer.bodies)
 
 
 def _overlap(a: _Field, b: _Field) -> bool:
-    """Whether two fields about the same anchor move something in common."""
+    """Whether two fields have the same anchor and move something in common."""
     common = not set(a.branches).isdisjoint(b.branches) or not set(a.bodies).isdisjoint(b.bodies)
     return a.anchor == b.anchor and common
 

@@ -1,4 +1,4 @@
-"""Mechanism -> Constraints: positions, velocities, Jacobians, and the accelerations' bias."""
+"""Mechanism -> Constraints: on positions and velocities, with Jacobians and acceleration bias."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ __all__ = ["Constraints", "form_constraints", "position_jacobian"]
 
 @dataclass(frozen=True)
 class Constraints:
-    """Positions Phi, their rates, velocities J u + b, J by speeds and by auxiliary speeds, and gamma.
+    """Position constraints Phi, their rates, velocity constraints J u + b, their Jacobians, and gamma.
 
-    `invariants` are the positions whose rates are zero for all speeds. The velocities begin with the rates of the
-    others if they are `derived`; `virtual_velocities` are the velocities with the auxiliary speeds where they are not
-    zero.
+    `invariants` are the position constraints whose rates are zero for all speeds. If `derived`, the velocity
+    constraints begin with the rates of the others. `virtual_velocities` are the velocity constraints with nonzero
+    auxiliary speeds.
     """
 
     positions: tuple[Scalar, ...]
@@ -50,26 +50,25 @@ def form_constraints(
     rate: Jvp,
     formed: Sequence[int],
 ) -> Constraints:
-    """The constraints of a mechanism, each once.
+    """Form the constraints of a mechanism.
 
     Parameters
     ----------
     tape : Tape
     mechanism : Mechanism
     convert, convert_virtual : Conversion
-        The latter with the auxiliary speeds, where there are some.
+        `convert` takes the auxiliary speeds as zero, `convert_virtual` does not.
     q, u, aux : sequence of Scalar
         Coordinates, generalized and auxiliary speeds.
     rate : Jvp
-        The rate of what depends on coordinates, speeds and time, with the speeds held.
+        Differentiation with respect to time at constant speeds.
     formed : sequence of int
-        Nodes that stand already, for expressions that are equal to one of them.
+        Existing nodes, which are reused for equal expressions.
 
     Raises
     ------
     ModelError
-        If a velocity constraint is not linear in the speeds; or dependent speeds are missing, or are too many where
-        no speed changes some of the positions.
+        If a velocity constraint is not linear in the speeds, or the number of dependent speeds is wrong.
     """
     positions = deduplicate(tape, [convert(expr) for expr in mechanism.holonomic_constraints], formed)
     velocities = deduplicate(tape, [convert(expr) for expr in mechanism.velocity_constraints], formed)
@@ -82,7 +81,7 @@ def form_constraints(
     still = is_zero(tape, rates)
     invariants = tuple(k for k, expr in enumerate(positions) if still[k] and tape.depends([expr], q))
     if mechanism.velocity_constraints_derived:
-        # The rates of positions do not have the auxiliary speeds.
+        # The rates of position constraints do not contain auxiliary speeds.
         derived = [expr for k, expr in enumerate(rates) if k not in invariants]
         velocities, virtual = [*derived, *velocities], [*derived, *virtual]
     dependent = mechanism.speeds[len(u) - mechanism.n_dependent_speeds :]
@@ -109,7 +108,7 @@ def form_constraints(
 def position_jacobian(
     tape: Tape, constraints: Constraints, q: Sequence[Scalar], q_rates: Sequence[Scalar], u: Sequence[Scalar]
 ) -> list[list[Scalar]]:
-    """dPhi/dq; a coordinate whose rate is a speed of its own has that speed's column of J, which stands already."""
+    """dPhi/dq. Where the rate of a coordinate is one of the speeds, the speed's column of J is reused."""
     rows = jacobian(tape, constraints.positions, q)
     if constraints.derived:
         for j, rate in enumerate(q_rates):

@@ -1,17 +1,17 @@
-"""Kinematics that contradict themselves: what a user set, beside what follows from orientations and positions.
+"""Inconsistent kinematics: velocities that a user set, against those that follow from orientations and positions.
 
-Angular velocities and velocities may be set, with a constraint or a generalized speed substituted into them, and Kane's
-equations are formed with what was set. Where all constraints are satisfied, it has to be what follows. That is compared
-by numbers, for the frames of bodies and of their inertia, their mass centres and the points that forces act on. A point
-whose velocity was set to zero is the contact of a wheel, as a rule, which is at rest and moves along; it is not asked
-about, if it is no mass centre.
+Angular velocities and velocities may be set, with a constraint or a generalized speed substituted into them. Kane's
+equations are formed with what was set. Where all constraints are satisfied, it must equal what follows from orientation
+and position. This is tested numerically for the frames of bodies and inertias, for mass centres, and for points that
+forces act on. A point whose velocity was set to zero is usually the contact point of a wheel, which is at rest while
+its position moves. It is not tested, unless it is a mass centre.
 
-From such a contact, positions may be given that lead to no fixed point, as in many a KanesMethod. Then each velocity is
-compared with that of the point before it: they differ by the rate of the position between both, or by w x r where both
-are points of a body, and r is of one length.
+Positions may be given relative to such a contact point, without a connection to a fixed point, as in many uses of
+KanesMethod. Then each velocity is compared with that of the preceding point. They differ by the rate of the relative
+position, or by w x r where both are points of one body and r has constant length.
 
-Accelerations follow from velocities here, angular ones as well. SymPy takes those that are set, by
-``Point.a2pt_theory`` for example, which are others where the point that they are given from is not fixed in the body.
+Here, linear and angular accelerations follow from velocities. SymPy uses those that were set, by
+``Point.a2pt_theory`` for example. They differ if the reference point is not fixed in the body.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ Floats = NDArray[np.float64]
 
 STATES = 5
 ALIKE = 1e-6
-"""Two vectors are alike that differ by no more than this share of the larger one."""
+"""Vectors agree if they differ by at most this fraction of the larger one."""
 SMALL = 1e-3
-"""Vectors that are smaller than this, at states of the order of 1, are compared with it."""
+"""Smallest magnitude that differences are compared with; states are of the order of 1."""
 
 
 def find_contradictions(
@@ -63,7 +63,7 @@ def find_contradictions(
     values: Mapping[Scalar, float],
     not_orthonormal: Sequence[Scalar],
 ) -> tuple[str, ...]:
-    """Find where a mechanism's kinematics contradict themselves.
+    """Find inconsistent kinematics of a mechanism.
 
     Parameters
     ----------
@@ -72,18 +72,18 @@ def find_contradictions(
     rate, total_rate : Jvp
         Differentiation with respect to time with u' = 0, and with u' given.
     convert : Conversion
-        That knows u' and q''.
+        Converts u' and q'' as well.
     speeds, accelerations : sequence of Scalar
         The leaves of u and u'.
     values : mapping of Scalar to float
         Values of leaves near which the equations are defined.
     not_orthonormal : sequence of Scalar
-        What is zero where direction cosines are such.
+        Scalars that are zero where direction cosines are orthonormal.
 
     Returns
     -------
     tuple of str
-        A sentence for each contradiction.
+        A sentence for each inconsistency.
     """
     numbers = _Numbers(kinematics, rate)
     claims = [*_of_frames(numbers), *_of_points(numbers), *_of_accelerations(numbers, total_rate, convert)]
@@ -101,20 +101,20 @@ def find_contradictions(
             if all(_differ(was_set, vector) for vector in follows):
                 found.setdefault(
                     claim.sentence,
-                    f"{claim.sentence} At a random state that satisfies all constraints these are {_shown(was_set)} "
-                    f"and {_shown(follows[0])}.",
+                    f"{claim.sentence} At a random state that satisfies all constraints, the values are "
+                    f"{_shown(was_set)} and {_shown(follows[0])}.",
                 )
     if values_there is None:
         found[""] = (
-            "Velocities or angular velocities were set that are not seen to follow from positions and orientations. "
-            "They could not be compared with these, as no random state was found that satisfies all constraints; give "
-            "a Model initial= values that do."
+            "Velocities or angular velocities that were set could not be compared with those that follow from "
+            "positions and orientations: no random state was found that satisfies all constraints. Give the Model "
+            "initial= values that do."
         )
     return tuple(found.values())
 
 
 def _differ(a: Floats, b: Floats) -> bool:
-    """Whether they do, or one of them is not a number."""
+    """Whether two vectors differ, or one of them is NaN."""
     size = max(float(np.linalg.norm(a)), float(np.linalg.norm(b)), SMALL)
     return not float(np.linalg.norm(a - b)) <= ALIKE * size
 
@@ -124,16 +124,16 @@ def _shown(vector: Floats) -> str:
 
 
 _Evaluated = Callable[[Floats, Mapping[int, Floats], Mapping[int, Floats]], Floats]
-"""A vector along the axes of the inertial frame: of numbers, the frames' axes, and their angular velocities."""
+"""Takes values of scalars, and the frames' axes and angular velocities, to a vector in inertial axes."""
 
 
 @dataclass(frozen=True)
 class _Claim:
-    """Two vectors that have to be the same."""
+    """A vector that was set, and those that follow from elsewhere: it must agree with one of these."""
 
     sentence: str
     was_set: _Evaluated
-    follows: tuple[_Evaluated, ...]  # one of these
+    follows: tuple[_Evaluated, ...]
 
 
 class _Numbers:
@@ -146,17 +146,17 @@ class _Numbers:
         self._unoriented: list[int] = []
 
     def place(self, scalars: Sequence[Scalar]) -> slice:
-        """Where the values of scalars will stand."""
+        """Add scalars; where their values will be."""
         self.scalars += scalars
         return slice(len(self.scalars) - len(scalars), len(self.scalars))
 
     def vector(self, vector: Vector) -> _Evaluated:
-        """A vector by its components."""
+        """A vector, from its components."""
         parts = [(frame, self.place(components)) for frame, components in vector]
         return lambda values, axes, _: np.sum([values[part] @ axes[f] for f, part in parts] or [np.zeros(3)], axis=0)
 
     def rate_of_vector(self, vector: Vector) -> _Evaluated:
-        """Its derivative, with frames that turn as their direction cosines do."""
+        """The time derivative of a vector, with angular velocities that follow from direction cosines."""
         parts = [(f, self.place(c), self.place(differentiate(self.rate, c))) for f, c in vector]
         return lambda values, axes, turning: np.sum(
             [values[rates] @ axes[f] + np.cross(turning[f], values[part] @ axes[f]) for f, part, rates in parts]
@@ -165,11 +165,11 @@ class _Numbers:
         )
 
     def angular_velocity(self, frame: int) -> _Evaluated:
-        """That of a frame, as it follows from its orientation."""
+        """The angular velocity of a frame that follows from its orientation."""
         return lambda _, __, turning: turning[frame]
 
     def place_orientations(self) -> None:
-        """The direction cosines of all frames, and their rates."""
+        """Add the direction cosines of all frames, and their rates."""
         for number, frame in enumerate(self.kinematics.mechanism.frames):
             if number != INERTIAL and frame.dcm is not None:
                 entries = [entry for row in self.kinematics.dcm(number) for entry in row]
@@ -178,7 +178,7 @@ class _Numbers:
                 self._unoriented.append(number)
 
     def orientations(self, values: Floats) -> tuple[dict[int, Floats], dict[int, Floats]]:
-        """The frames' axes, in rows, and their angular velocities: as a_i' = w x a_i, 2 w is the sum of a_i x a_i'.
+        """The frames' axes, in rows, and angular velocities: 2 w = sum of a_i x a_i', since a_i' = w x a_i.
 
         A frame without orientation has the axes of its parent.
         """
@@ -202,8 +202,8 @@ def _of_frames(numbers: _Numbers) -> Iterator[_Claim]:
         frame = mechanism.frames[number]
         if number not in kinematics.turning_as_oriented and frame.dcm is not None:
             yield _Claim(
-                f"The angular velocity of frame {frame.name}, which was set, is another one than follows from its "
-                "orientation, in rad/s; equations take the one that was set.",
+                f"The angular velocity that was set for frame {frame.name} differs from the one that follows from its "
+                "orientation, in rad/s; the equations use the one that was set.",
                 numbers.vector(((number, kinematics.angular_velocity(number)),)),
                 (numbers.angular_velocity(number),),
             )
@@ -214,7 +214,7 @@ def _of_points(numbers: _Numbers) -> Iterator[_Claim]:
     centres = [body.point for body in mechanism.bodies]
     forced = [load.target for load in mechanism.loads if load.kind == "force"]
     asked = [*dict.fromkeys((*centres, *forced))]
-    for point in asked:  # to which those are added that others are compared with
+    for point in asked:  # it grows by the points that others are compared with
         if kinematics.moves_as_placed(point):
             continue
         velocity, is_centre = kinematics.velocity(point), point in centres
@@ -231,21 +231,21 @@ def _of_points(numbers: _Numbers) -> Iterator[_Claim]:
             before, change = numbers.vector(kinematics.velocity(base)), numbers.rate_of_vector(offsets)
             follows = (_sum(before, change), *_of_turning(numbers, before, offsets, change))
         if not is_centre:
-            # Where a wheel touches the ground, a force acts on a point of the wheel that is there for a moment alone.
+            # A contact force on a wheel acts on the material point that is in contact at this instant.
             follows += tuple(_of_bodies(numbers, point))
         if velocity or is_centre:
             name = mechanism.points[point].name
             yield _Claim(
-                f"The velocity of point {name}, which was set, is another one than follows from its position"
-                f"{f' from point {mechanism.points[base].name}' if base is not None else ''}, in m/s; equations take "
-                "the one that was set.",
+                f"The velocity that was set for point {name} differs from the one that follows from its position"
+                f"{f' relative to point {mechanism.points[base].name}' if base is not None else ''}, in m/s; the "
+                "equations use the one that was set.",
                 numbers.vector(velocity),
                 follows,
             )
 
 
 def _before(kinematics: Kinematics, point: int) -> int | None:
-    """The next point on the way to the root of a point's position of which the velocity is known."""
+    """The nearest ancestor in the tree of positions whose velocity is known."""
     points, moving = kinematics.mechanism.points, kinematics.moving
     parent = points[point].parent
     while parent is not None and parent not in moving:
@@ -254,7 +254,7 @@ def _before(kinematics: Kinematics, point: int) -> int | None:
 
 
 def _offsets(kinematics: Kinematics, point: int, origin: int | None) -> Vector | None:
-    """The position of a point from another one, if it is given from there."""
+    """The position of a point relative to an ancestor in the tree of positions; None if that is unknown."""
     points, path = kinematics.mechanism.points, [point]
     while path[-1] != origin:
         parent = points[path[-1]].parent
@@ -268,7 +268,7 @@ def _offsets(kinematics: Kinematics, point: int, origin: int | None) -> Vector |
 
 
 def _of_bodies(numbers: _Numbers, point: int) -> Iterator[_Evaluated]:
-    """The velocities that points of the bodies have at the place of a point: v + w x r from each mass centre."""
+    """The velocity of each body's material point at the position of a point: v + w x r from the mass centre."""
     kinematics, root = numbers.kinematics, point
     while (parent := kinematics.mechanism.points[root].parent) is not None:
         root = parent
@@ -281,7 +281,7 @@ def _of_bodies(numbers: _Numbers, point: int) -> Iterator[_Evaluated]:
 
 
 def _of_turning(numbers: _Numbers, velocity: _Evaluated, offsets: Vector, change: _Evaluated) -> Iterator[_Evaluated]:
-    """The velocities of a point at an offset from another one in each of the bodies, if that is of one length."""
+    """For each body, the velocity of a point fixed in it, at an offset of constant length from another point."""
     place, origin = numbers.vector(offsets), numbers.vector(())
     for body in numbers.kinematics.mechanism.bodies:
         if body.frame is not None:
@@ -302,7 +302,7 @@ def _sum(a: _Evaluated, b: _Evaluated) -> _Evaluated:
 
 
 def _where_constant(vector: _Evaluated, offset: _Evaluated, change: _Evaluated) -> _Evaluated:
-    """A vector where the length of an offset does not change; not a number elsewhere."""
+    """A vector where the length of an offset is constant; NaN elsewhere."""
 
     def evaluated(*at: Any) -> Floats:
         r, rate = offset(*at), change(*at)
@@ -321,11 +321,11 @@ def _of_accelerations(numbers: _Numbers, total_rate: Jvp, convert: Conversion) -
 
     for body in kinematics.mechanism.bodies:
         name = kinematics.mechanism.points[body.point].name
-        what = f"The acceleration of point {name}, which was set (by a2pt_theory, for example),", "velocity, in m/s^2"
+        what = f"The acceleration that was set for point {name} (by a2pt_theory, for example)", "velocity, in m/s^2"
         yield from _of_acceleration(numbers, body.acceleration, partial(of_point, body.point), *what, convert)
         if body.frame is not None:
             name = kinematics.mechanism.frames[body.frame].name
-            what = f"The angular acceleration of frame {name}, which was set,", "angular velocity, in rad/s^2"
+            what = f"The angular acceleration that was set for frame {name}", "angular velocity, in rad/s^2"
             follows = partial(of_frame, body.frame)
             yield from _of_acceleration(numbers, body.angular_acceleration, follows, *what, convert)
 
@@ -349,7 +349,8 @@ def _of_acceleration(
     if not all(is_zero(kinematics.tape, [a - b for a, b in zip(*both, strict=True)])):
         first, second = (numbers.vector(((INERTIAL, components),)) for components in both)
         yield _Claim(
-            f"{what} is another one than follows from its {whose}; equations take the latter, SymPy's the former.",
+            f"{what} differs from the one that follows from its {whose}; the equations use the latter, SymPy's use the "
+            "former.",
             first,
             (second,),
         )
@@ -363,9 +364,9 @@ def _of_acceleration_constraints(numbers: _Numbers, convert: Conversion) -> Iter
         except ModelError:  # symbols that the equations do not know
             return
         yield _Claim(
-            "The acceleration constraints that were given are not the rates of the velocity constraints; equations "
-            "take the latter, SymPy's the former. With accelerations that keep the velocity constraints, they are off "
-            "by these numbers instead of zeros.",
+            "The acceleration constraints that were given are not the rates of the velocity constraints; the equations "
+            "use the latter, SymPy's use the former. Their residuals are compared with zero, for accelerations that "
+            "keep the velocity constraints.",
             lambda values, *_: values[left],
             (lambda *_: np.zeros(len(given)),),
         )

@@ -1,18 +1,19 @@
-"""Constraints -> Corrections: which velocity constraints keep the positions, and what closes these again.
+"""Constraints -> Corrections: which velocity constraints keep the positions, and corrections of position violations.
 
 Along a motion, Phi' = D u + d with D = Phi_q K and d = Phi_q k + Phi_t, for q' = K u + k. A model may state velocity
-constraints S u + b = 0 of its own. They keep Phi where each row of [D d] is a combination of rows of [S b]: the same up
-to the form, times a factor, or several together. That is a question about mechanics and not about expressions, so it is
-answered by numbers: at random states, and where it does not hold at all of them, at random closed ones.
+constraints S u + b = 0 of its own. They keep Phi if each row of [D d] is a linear combination of rows of [S b]. This
+need not show in the expressions, so it is tested numerically: at random states and, if it does not hold at all of them,
+at random states that satisfy the position constraints.
 
-A violation Phi is corrected by a change v of what the speeds integrate to, with D v = -Phi, and nothing else changed.
-Equations of motion are solved with the rows of S; in these, S v = -w has the same solution if
+A violation Phi is corrected by a change v of the speeds' integrals with D v = -Phi and R v = 0, where rows R of S
+complete the independent rows of D to a basis. The equations of motion are solved with the rows of S. There, S v = -w
+has the same solution if
 
-    w = G Phi    with    S = G D + H R,
+    w = G Phi    with    S = G D + H R.
 
-R being rows of S that, together with D, are a basis of all of them. A position constraint whose rate is zero for all
-speeds, such as the norm of a quaternion, is an invariant of the kinematic equations. No change of the speeds corrects
-it; the shortest change of the coordinates does, dq = -Phi_q^T (Phi_q Phi_q^T)^-1 Phi.
+A position constraint whose rate is zero for all speeds, such as the norm of a quaternion, is an invariant of the
+kinematic equations. No change of the speeds corrects it. It is corrected by the shortest change of the coordinates,
+dq = -Phi_q^T (Phi_q Phi_q^T)^-1 Phi.
 
 Source: invariants and projections: E. Hairer, C. Lubich, G. Wanner, *Geometric Numerical Integration*, 2nd ed. 2006,
 sections IV.1 and IV.4.
@@ -43,30 +44,30 @@ __all__ = ["Corrections", "form_corrections"]
 Floats = NDArray[np.float64]
 
 STATES = 8
-"""At how many states rows are compared."""
+"""Number of states at which rows are compared."""
 DEPENDENT = 1e-8
-"""A row that differs from a combination of others by no more than this share of its size is one."""
+"""Relative tolerance for a row to be a linear combination of others."""
 CONSTANT = 1e-9
-"""A coefficient that is the same at all states, but for this share, is a number."""
+"""Relative tolerance for a coefficient to be the same at all states."""
 MAX_DENOMINATOR = 64
-"""And a fraction with no larger denominator, if it is as close to one."""
+"""Largest denominator of fractions that constant coefficients are rounded to, within the same tolerance."""
 
 
 @dataclass(frozen=True)
 class Corrections:
-    """What corrects violations of position constraints.
+    """Corrections of position violations.
 
     Attributes
     ----------
     violation : tuple of Scalar
-        For each row of J the w of J v = -w, or zero; behind them the invariants, (n_c + n_i,).
+        w of J v = -w, zero in rows that keep no position constraint; then the invariants, (n_c + n_i,).
     scale : tuple of Scalar
-        What these are measured by.
+        Their rounding errors, by which they are measured.
     rows : tuple of (int or None)
-        For each position constraint the row of J that keeps it: with rows of other position constraints and of those on
-        velocities alone, if w has several. None for invariants, and for what others make redundant.
+        For each position constraint the row of J that keeps it, possibly together with other rows. None for invariants
+        and redundant constraints.
     invariants : tuple of int
-        Which position constraints they are.
+        Numbers of the position constraints that are invariants.
     coordinate_change : tuple of Scalar
         The change of the coordinates that corrects the invariants, (n_q,).
     """
@@ -87,7 +88,7 @@ def form_corrections(
     values: Mapping[Scalar, float],
     expressions: Sequence[sm.Expr],
 ) -> Corrections:
-    """Form what corrects violations of position constraints.
+    """Form the corrections of position violations.
 
     Parameters
     ----------
@@ -96,9 +97,9 @@ def form_corrections(
     q, u : sequence of Scalar
         The coordinates' and the speeds' leaves.
     rounding : Rounding
-        What rounding errors make of scalars.
+        Gives the rounding errors of scalars.
     values : mapping of Scalar to float
-        Values of leaves near which the equations are defined; others are looked for where these are not.
+        Values of leaves near which the equations are defined.
     expressions : sequence of Expr
         The position constraints, for messages.
 
@@ -109,7 +110,7 @@ def form_corrections(
     Raises
     ------
     ModelError
-        If the motion does not keep a position constraint, whatever the parameters are.
+        If the velocity constraints do not keep a position constraint.
     """
     positions, invariants = constraints.positions, constraints.invariants
     kept = [k for k in range(len(positions)) if k not in invariants]
@@ -131,11 +132,11 @@ def form_corrections(
 
 
 _Combinations = dict[int, dict[int, Scalar]]
-"""G: by the number of the row in J, its factors of the position constraints by their numbers."""
+"""G: for each row number in J, the coefficients of the position constraints by their numbers."""
 
 
 def _one_by_one(tape: Tape, constraints: Constraints, kept: Sequence[int]) -> _Combinations | None:
-    """Rows that are rates, or their negatives; None if a position constraint has none."""
+    """G, if each position constraint has a row of J that is its rate or the negative rate; else None."""
     if constraints.derived:
         return {row: {k: tape.one} for row, k in enumerate(kept)}
     found: _Combinations = {}
@@ -159,7 +160,7 @@ def _combinations(
     values: Mapping[Scalar, float],
     expressions: Sequence[sm.Expr],
 ) -> _Combinations:
-    """Rows that are combinations of rates, and of rows on velocities alone."""
+    """G, with rows of J as combinations of rates and of rows that keep no position constraint."""
     rates, velocities = [constraints.rates[k] for k in kept], constraints.velocities
     rows = [*jacobian(tape, rates, u), *map(list, constraints.jacobian)]
     biases = substitute(tape, [*rates, *velocities], dict.fromkeys(u, tape.zero))
@@ -187,7 +188,7 @@ def _combinations(
 
 
 def _kept(states: RandomStates, n_rows: int, positions: Mapping[int, sm.Expr]) -> list[Floats]:
-    """Rows of rates, which come first, and of velocity constraints, at states where the former depend on the latter."""
+    """Rows of rates, then of velocity constraints, at states where the rates are combinations of the latter."""
     n_k, labels = len(positions), [f"holonomic constraint {k + 1}, {shown(e)}," for k, e in positions.items()]
     left, tried = np.full(n_k, np.inf), "at random states"
     for points, where in ((states.anywhere(), tried), (states.closed(), "at random states that satisfy the positions")):
@@ -199,27 +200,27 @@ def _kept(states: RandomStates, n_rows: int, positions: Mapping[int, sm.Expr]) -
             return matrices
     if not np.isfinite(left).all():
         raise ModelError(
-            f"Whether the velocity constraints keep {' '.join(labels)} is not known: neither at random states nor near "
-            "the given values do they all have a value."
+            f"Whether the velocity constraints keep {' '.join(labels)} is not known: the expressions have no value at "
+            "random states, nor near the given values."
         )
     if tried != where:
         raise ModelError(
             f"Whether the velocity constraints keep {labels[int(np.argmax(left))]} at zero is not known: {tried}, its "
-            "rate is no combination of them, and none was found that satisfies the positions. Give a Model initial= "
-            "values that do; or let a System derive the rates of its holonomic constraints, as it does where "
-            "velocity_constraints is not set."
+            "rate is no linear combination of them, and no state was found that satisfies the position constraints. "
+            "Give the Model initial= values that do, or let a System derive the rates of its holonomic constraints, as "
+            "it does where velocity_constraints is not set."
         )
     raise ModelError(
         f"The velocity constraints do not keep {labels[int(np.argmax(left))]} at zero: {tried}, its rate is no "
-        "combination of them, so that the motion would leave it. Add its rate, Phi.diff(t), to the velocity "
+        "linear combination of them, so the motion would violate it. Add its rate, Phi.diff(t), to the velocity "
         "constraints; or let a System derive the rates of its holonomic constraints, as it does where "
         "velocity_constraints is not set; or leave the holonomic constraint out, if it only serves to find an initial "
-        "state. (Rows that are right in one of several ways to close alone are refused as well.)"
+        "state. (Rows that are right in only one of several assembly modes are refused as well.)"
     )
 
 
 def _left(matrix: Floats, n_k: int) -> Floats:
-    """How much of each of the first rows is no combination of the others, as a share of its size."""
+    """The part of each of the first n_k rows that is no combination of the others, relative to the row's norm."""
     matrix = matrix / _units(matrix)
     rates, rows = matrix[:n_k], matrix[n_k:]
     sizes = np.linalg.norm(rates, axis=1)
@@ -231,13 +232,13 @@ def _left(matrix: Floats, n_k: int) -> Floats:
 
 
 def _units(matrix: Floats) -> Floats:
-    """The columns' largest entries: metres and radians count alike. What is left of violations stays small."""
+    """Column scales, so that metres and radians count alike: the largest entries, but not of tiny columns."""
     size = np.abs(matrix).max(axis=0)
     return np.asarray(np.where(size > DEPENDENT * size.max(initial=0.0), size, size.max(initial=0.0) or 1.0))
 
 
 def _basis(matrix: Floats, n_k: int) -> tuple[list[int], list[int]]:
-    """Of the first rows as many as are independent, and of the others those that make up a basis with them."""
+    """Independent rows among the first n_k, and those of the others that complete them to a basis."""
     left = matrix / _units(matrix)
     left = left / np.maximum(np.linalg.norm(left, axis=1, keepdims=True), np.finfo(float).tiny)
     chosen: tuple[list[int], list[int]] = [], []
@@ -254,7 +255,7 @@ def _basis(matrix: Floats, n_k: int) -> tuple[list[int], list[int]]:
 
 
 def _coefficients(basis: Floats, row: Floats) -> Floats:
-    """Those of a row that is a combination of a basis."""
+    """The coefficients of a row in a basis."""
     units = _units(np.vstack((basis, row)))
     sizes = np.linalg.norm(basis / units, axis=1)
     found = np.linalg.lstsq((basis / units).T / sizes, row / units, rcond=None)[0]
@@ -262,7 +263,7 @@ def _coefficients(basis: Floats, row: Floats) -> Floats:
 
 
 def _constant(tape: Tape, values: Floats) -> Scalar | None:
-    """A number, if it is the same at all states."""
+    """A coefficient as a number, if it is the same at all states."""
     first = float(values[0])
     if not (np.abs(values - first) <= CONSTANT * abs(first)).all():
         return None
@@ -272,7 +273,7 @@ def _constant(tape: Tape, values: Floats) -> Scalar | None:
 
 
 def _least_squares(tape: Tape, basis: Sequence[Sequence[Scalar]], row: Sequence[Scalar]) -> tuple[Scalar, ...]:
-    """The coefficients of a row that is a combination of others, from their normal equations."""
+    """The coefficients of a row that is a combination of others, by the normal equations."""
 
     def dot(a: Sequence[Scalar], b: Sequence[Scalar]) -> Scalar:
         return tape.sum([x * y for x, y in zip(a, b, strict=True)])
@@ -281,13 +282,13 @@ def _least_squares(tape: Tape, basis: Sequence[Sequence[Scalar]], row: Sequence[
         return solve_linear(tape, [[dot(a, b) for b in basis] for a in basis], [-dot(a, row) for a in basis])
     except TooManyCoupledError as coupled:
         raise ModelError(
-            f"A velocity constraint combines the rates of {coupled} constraints with factors that change with the "
-            f"state; at most {MAX_COUPLED} can be told apart. State the rates of the position constraints one by one."
+            f"A velocity constraint combines the rates of {coupled} constraints with coefficients that depend on the "
+            f"state; at most {MAX_COUPLED} can be separated. State the rates of the position constraints one by one."
         ) from None
 
 
 def _assigned(combined: _Combinations, n_positions: int) -> tuple[int | None, ...]:
-    """For each position constraint a row of its own."""
+    """A different row for each position constraint."""
     rows: list[int | None] = [None] * n_positions
     for row, terms in sorted(combined.items(), key=lambda item: len(item[1])):
         k = next((k for k in terms if rows[k] is None), None)
@@ -306,7 +307,8 @@ def _shortest_change(tape: Tape, invariants: Sequence[Scalar], q: Sequence[Scala
         multipliers = solve_linear(tape, gram, invariants)
     except (UndeterminedError, TooManyCoupledError):
         raise ModelError(
-            "Position constraints that hold for all speeds, such as norms of quaternions, depend on each other."
+            "Position constraints whose rates are zero for all speeds, such as norms of quaternions, depend on each "
+            "other. Leave redundant ones out."
         ) from None
     return tuple(
         tape.sum([slope[j] * factor for slope, factor in zip(slopes, multipliers, strict=True)]) for j in range(len(q))

@@ -1,6 +1,6 @@
-"""Equations -> Derivatives: of q', of what the equations of motion leave, and of the constraints.
+"""Equations -> Derivatives: of q', of the residual of the equations of motion, and of the constraints.
 
-A simulation by an explicit method needs none of them: they are formed while the compiler works on the rest.
+A simulation by an explicit method needs none of them. They are formed while the compiler works on the rest.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Derivatives:
     output_acceleration_jacobian, output_multiplier_jacobian : Result
         Derivatives of the outputs with respect to u' and multipliers, (n_o, n_u) and (n_o, n_c + n_n).
     default_input_jacobian : Result
-        Derivatives of the inputs' expressions with respect to p, (n_r, n_p); zero where there is none.
+        Derivatives of the inputs' expressions with respect to p, (n_r, n_p); zero for inputs without an expression.
     velocity_jacobian, velocity_input_jacobian : Result
         d(J u + b)/dq, (n_c, n_q), and d(J u + b)/dr, (n_c, n_r).
     position_input_jacobian : Result
@@ -84,7 +84,7 @@ def form_derivatives(equations: Equations) -> Derivatives:
 
     formed: dict[str, Result] = {}
     for kind, variables in (("", state), ("_parameter", e.parameters), ("_input", e.inputs)):
-        # These two have much in common, and so have their rows: forwards, a direction is followed once.
+        # Forward mode: all rows of both results share the subexpressions of each direction.
         directions = [Jvp(e.tape, {variable: e.tape.one}) for variable in variables]
         for name, of in (("coordinate_rate", e.coordinate_rates), ("residual", e.residual)):
             key = f"{name}{kind}_jacobian"

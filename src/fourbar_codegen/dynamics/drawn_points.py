@@ -1,4 +1,4 @@
-"""What is drawn of a mechanism: the positions of its points, and the inputs' forces on them."""
+"""Data for drawings of a mechanism: positions of its points, and forces of inputs on them."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ __all__ = ["applied_forces", "drawn_points"]
 def drawn_points(
     mechanism: Mechanism, kinematics: Kinematics
 ) -> tuple[tuple[DrawnPoint, ...], list[Components], dict[int, int]]:
-    """The points that are drawn and their positions, but for those with symbols that the model does not know.
+    """The drawn points, their positions, and the mechanism's point numbers mapped to theirs.
 
-    And which of them the mechanism's points are, by their numbers.
+    Points whose positions contain symbols unknown to the model are left out.
     """
     drawn: list[DrawnPoint] = []
     positions: list[Components] = []
@@ -48,7 +48,7 @@ def applied_forces(
     inputs: Sequence[Scalar],
     unknown: Sequence[Scalar],
 ) -> dict[int, Components]:
-    """The sum of the forces with inputs in them at each of the points that are drawn, by its number."""
+    """The sum of the forces that depend on inputs, for each drawn point, by its number."""
     forces: dict[int, Components] = {}
     for load in mechanism.loads:
         if load.kind == "force" and load.target in numbers:

@@ -47,14 +47,14 @@ __all__ = ["Equations", "check_velocity_constraints", "form_equations", "matrix"
 
 MOTIONS = 5
 ROUNDED = 1e-9
-"""What terms that cancel may leave of their size: states satisfy the constraints to some 1e-12."""
+"""Relative tolerance for terms to cancel; states satisfy the constraints to about 1e-12."""
 
 
 WITH_FORCES = frozenset(
     {"outputs", "state_rates", "residual", "force_effect", "force_effect_jacobian", "auxiliary_forcing"}
     | {"auxiliary_forcing_jacobian"}
 )
-"""The results that unknown forces which drive the motion may stand in."""
+"""Results that may contain unknown forces that drive the motion."""
 
 
 @dataclass(frozen=True)
@@ -66,31 +66,29 @@ class Equations:
     tape : Tape
     time : Scalar
     coordinates, speeds, auxiliary_states, parameters, inputs : tuple of Scalar
-        The leaves, in the order of the state and argument arrays. Of the parameters, those that the model
-        names or the equations need; of the inputs' rates, those of inputs that prescribe a motion.
+        The leaves, in the order of the state and argument arrays. Parameters are those that the model names or the
+        equations need. Inputs that prescribe a motion are followed by their rates.
     moving : tuple of int
         The inputs that positions, velocities or constraints depend on.
     accelerations : tuple of Scalar
-        Leaves that stand for u' in `residual`, `state_rates` and `outputs`.
+        Leaves for u' in `residual`, `state_rates` and `outputs`.
     multipliers : tuple of Scalar
-        Leaves that stand for the constraints' multipliers there, and behind them for unknown forces n that drive the
-        motion, (n_c + n_n,).
+        Leaves for the constraints' multipliers there, then for unknown forces n that drive the motion, (n_c + n_n,).
     n_dependent_speeds : int
     velocity_constraints_derived : bool
-        Whether the velocity constraints begin with the rates of the position constraints but the invariants.
+        Whether the velocity constraints begin with the rates of the position constraints, except invariants.
     position_rows : tuple of (int or None)
-        For each position constraint the row of J that keeps it; None for invariants, and for redundant ones.
+        For each position constraint the row of J that keeps it; None for invariants and redundant constraints.
     invariants : tuple of int
         The position constraints whose rates are zero for all speeds.
     default_inputs : Result
-        The inputs' expressions, (n_r,); NaN where there is none.
+        The inputs' expressions, (n_r,); NaN for inputs without one.
     breakpoints : Result
-        The times at which any of these results has a jump or a kink, as far as they follow from parameters,
-        (n_breakpoints,).
+        Times at which the results have a jump or a kink, as far as these follow from parameters, (n_breakpoints,).
     n_jumps : int
-        How many of these, which come first, are of positions or velocities.
+        The number of breakpoints of positions or velocities, which come first.
     outputs : Result
-        The outputs, (n_o,), for u' and multipliers in `accelerations` and `multipliers`.
+        The outputs, (n_o,), in terms of `accelerations` and `multipliers`.
     state_rates : Result
         z', (n_z,), likewise.
     coordinate_rates : Result
@@ -98,45 +96,44 @@ class Equations:
     mass_matrix, forcing : Result
         M, (n_u, n_u), and f, (n_u,), without unknown forces.
     force_effect, force_effect_jacobian : Result
-        F(n), (n_u,), what unknown forces that drive the motion add to f, and dF/dn, (n_u, n_n).
+        F(n), (n_u,), the contribution of unknown forces that drive the motion to f, and dF/dn, (n_u, n_n).
     auxiliary_forcing, auxiliary_forcing_jacobian, auxiliary_mass, auxiliary_constraint_jacobian : Result
         Q(n), (n_n,), dQ/dn, (n_n, n_n), M_a, (n_n, n_u), and J_a^T, (n_n, n_c), of the auxiliary speeds' rows
-        Q - M_a u' + J_a^T lambda = 0; none where no unknown force drives the motion.
+        Q - M_a u' + J_a^T lambda = 0; empty if no unknown force drives the motion.
     forces_are_linear : bool
-        Whether these forces stand linearly in F and Q.
+        Whether F and Q are linear in n.
     position_constraints, position_jacobian : Result
         Phi, (n_h,), and dPhi/dq, (n_h, n_q).
     position_formulas : dict
-        Phi as `formulas` writes it.
+        Phi as plain data, made by `formulas`.
     constraint_jacobian, velocity_bias, acceleration_bias : Result
         J, (n_c, n_u); b and gamma, (n_c,). Rows of holonomic constraints first, if they are derived.
     position_violation, velocity_violation : Result
-        By how much the constraints are violated, row by row as in J: Phi where a row is its rate, else 0, and behind
-        them the invariants, (n_c + n_i,); and J u + b, (n_c,).
+        Constraint violations: w of `Corrections` in the rows of J, then the invariants, (n_c + n_i,); and J u + b,
+        (n_c,).
     position_scale, position_violation_scale, velocity_violation_scale : Result
-        What violations of `position_constraints`, (n_h,), `position_violation` and `velocity_violation` are measured
-        by: what rounding errors make of them.
+        Scales of `position_constraints`, (n_h,), `position_violation` and `velocity_violation`: their rounding errors,
+        by which violations are measured.
     invariant_correction : Result
         The change of the coordinates that corrects violations of the invariants, (n_q,).
     coordinate_change : Result
-        K du, (n_q,), the change of the coordinates that goes with a change of the speeds' integrals, which stands in
-        `accelerations`.
+        K v, (n_q,), the change of the coordinates for a change v of the speeds' integrals; v is in `accelerations`.
     energies : Result
         Kinetic and potential energy, (2,); the latter NaN if it is not known.
     power : Result
-        What all loads do, (1,); NaN if that is not what changes the kinetic energy. It is made into nothing but a test
-        of the other results.
+        Power of the loads without unknown forces, (1,), only for tests of the other results; NaN if the kinetic energy
+        also changes otherwise.
     drawn_points : tuple of DrawnPoint
     points : Result
         Their positions in the inertial frame, (n_points, 3).
     forced : tuple of int
-        The points at which inputs' forces act.
+        Numbers of the drawn points at which forces of inputs act.
     forces : Result
         These forces in the inertial frame, (n_forces, 3).
     not_orthonormal : tuple of Scalar
-        What is zero where direction cosines are such, if that is not everywhere.
+        Scalars that are zero where direction cosines are orthonormal, but not identically.
     warnings : tuple of str
-        Where kinematics contradict themselves.
+        A sentence for each inconsistency of the kinematics.
     residual : Result
         (f + F - M u' + J^T lambda, -(J u' + gamma), Q - M_a u' + J_a^T lambda, z') for u' and multipliers in
         `accelerations` and `multipliers`, (n_u + n_c + n_n + n_z,), to be differentiated.
@@ -196,7 +193,7 @@ class Equations:
 
     @property
     def of_unknown_forces(self) -> tuple[Result, ...]:
-        """What unknown forces that drive the motion make, all of it empty without them but F, which is zero then."""
+        """Results for unknown forces that drive the motion; without such forces F is zero, and the others are empty."""
         return (
             self.force_effect,
             self.force_effect_jacobian,
@@ -221,9 +218,9 @@ def form_equations(model: Model) -> Equations:
     Raises
     ------
     ModelError
-        If the kinematic equations do not determine q', or are not linear in q' and u, or a velocity
-        constraint is not linear in u, or unknown forces do not follow from the auxiliary speeds' equations, or
-        the expression of an input that prescribes a motion does not have its rates everywhere.
+        If the kinematic equations do not determine q' or are not linear in q' and u; a velocity constraint is not
+        linear in u; unknown forces do not follow from the auxiliary speeds' equations; or the expression of an input
+        that prescribes a motion cannot be differentiated twice everywhere.
 
     Examples
     --------
@@ -250,7 +247,7 @@ def form_equations(model: Model) -> Equations:
     forcing, balance = generalized.known[: len(v.u)], [*generalized.balance]
     not_orthonormal = kinematics.not_orthonormal()
     if not_orthonormal:
-        # Off the norm of a quaternion, sums that go by other frames are others: derivatives are to be those of M and f.
+        # Where quaternions are not normalized, sums formed in other frames differ. Derivatives must be those of M, f.
         balance[: len(v.u)] = [
             tape.sum([force, *(-(entry * a) for entry, a in zip(row, v.a, strict=True))])
             for force, row in zip(forcing, mass_matrix, strict=True)
@@ -267,7 +264,7 @@ def form_equations(model: Model) -> Equations:
     kinematic = [-total_rate(expr) for expr in constraints.velocities]
 
     forces = form_unknown_forces(tape, model, v.unknown, v.a, constraints, generalized, reactions)
-    # From here on the unknown forces stand for themselves no more, but for those that drive the motion.
+    # From here on, unknown forces that do not drive the motion are replaced by their solution.
     leaves.update(zip(model.noncontributing, forces.values, strict=False))
     dynamic = [row + force for row, force in zip(dynamic, forces.effect, strict=True)]
     leaves.update(zip((speed.diff(mechanism.time) for speed in mechanism.speeds), v.a, strict=True))
@@ -347,8 +344,8 @@ def form_equations(model: Model) -> Equations:
         names = {entry.of for entry, default in pairs if not breakpoints(tape, v.time, [default])[1]}
         raise ModelError(
             f"A prescribed motion{', of input ' * bool(names)}{', '.join(sorted(names))} changes its form "
-            "at times that cannot be read off, and its rate may jump there: its conditions may be linear or quadratic "
-            f"in {mechanism.time}, with coefficients of parameters, or a table may be given for it."
+            "at times that cannot be derived, and its rate may jump there. Write its conditions linear or quadratic "
+            f"in {mechanism.time}, with coefficients of parameters, or give a table for it."
         )
     others, _ = breakpoints(tape, v.time, [*dynamic, *kinematic, *forces.rows, *state_rates, *q_rates, *defaults])
     times = dict.fromkeys([*jumps, *others])
@@ -387,7 +384,7 @@ def form_equations(model: Model) -> Equations:
 
 
 def check_velocity_constraints(model: Model) -> None:
-    """Raise where the velocity constraints of a model do not keep its position constraints.
+    """Raise if the velocity constraints of a model do not keep its position constraints.
 
     Parameters
     ----------
@@ -396,7 +393,7 @@ def check_velocity_constraints(model: Model) -> None:
     Raises
     ------
     ModelError
-        Likewise if the kinematic equations do not determine q', or a velocity constraint is not linear in u.
+        Also if the kinematic equations do not determine q', or a velocity constraint is not linear in u.
 
     Examples
     --------
@@ -443,7 +440,7 @@ def _variables(tape: Tape, model: Model) -> _Variables:
 
 
 def _leaves(tape: Tape, model: Model, v: _Variables) -> dict[sm.Basic, Scalar]:
-    """What stands on the tape for the model's symbols and functions of time; auxiliary speeds are zero."""
+    """The model's symbols and functions of time as scalars of the tape; auxiliary speeds are zero."""
     mechanism = model.mechanism
     leaves: dict[sm.Basic, Scalar] = {mechanism.time: v.time}
     leaves.update(zip(mechanism.coordinates, v.q, strict=True))
@@ -458,9 +455,10 @@ def _leaves(tape: Tape, model: Model, v: _Variables) -> dict[sm.Basic, Scalar]:
 
 
 def _rates(tape: Tape, model: Model, v: _Variables) -> tuple[dict[sm.Basic, Scalar], tuple[Scalar, ...], Jvp, Jvp]:
-    """The leaves with the coordinates' rates, those rates, and differentiation with respect to time.
+    """The leaves with the coordinates' rates, these rates, and two differentiations with respect to time.
 
-    That of a function of (q, u, r, t) with u held, or with u' given: of the inputs, those whose rates are inputs.
+    Both are for functions of (q, u, r, t): one at constant u, one for given u'. Inputs whose rates are no inputs count
+    as constant.
     """
     mechanism = model.mechanism
     leaves = _leaves(tape, model, v)
@@ -471,19 +469,19 @@ def _rates(tape: Tape, model: Model, v: _Variables) -> tuple[dict[sm.Basic, Scal
 
 
 def _values(model: Model, v: _Variables) -> dict[Scalar, float]:
-    """What the model gives values to."""
+    """The values that the model gives to leaves."""
     values = {leaf: model.parameters[name].value for leaf, name in zip(v.p, model.parameters, strict=True)}
     values.update((leaf, model.initial.get(name)) for leaf, name in zip(v.q, model.coordinates, strict=True))
     return {leaf: float(value) for leaf, value in values.items() if value is not None}
 
 
 def _check_places(tape: Tape, model: Model, unknown: Sequence[Scalar], results: Sequence[Result]) -> None:
-    """Raise where unknown forces stand in what is evaluated before they are known."""
+    """Raise if unknown forces appear in results that are evaluated before they are known."""
     for result in results:
         if result.name not in WITH_FORCES and tape.depends(result.entries, unknown):
             raise ModelError(
-                f"The unknown forces {', '.join(str(f.func) for f in model.noncontributing)} stand in what makes the "
-                f"{result.name.replace('_', ' ')}: they may stand in loads, state equations and outputs."
+                f"The unknown forces {', '.join(str(f.func) for f in model.noncontributing)} appear in the "
+                f"{result.name.replace('_', ' ')}: they may appear only in loads, state equations and outputs."
             )
 
 
@@ -497,10 +495,10 @@ def _input_rates(model: Model, v: _Variables) -> dict[Scalar, Scalar]:
 def _inputs(
     tape: Tape, model: Model, v: _Variables, entries: Sequence[Scalar], closing: Sequence[Scalar]
 ) -> dict[Scalar, InputEntry]:
-    """The inputs, and behind each that prescribes a motion its rates, by their leaves.
+    """The inputs by their leaves; those that prescribe a motion are followed by their rates.
 
-    It does where a rate of it has come into the equations, of which these are the entries. An input in the constraints
-    does in any case: where the rows of J are others than the constraints' rates, its own rates do not stand in them.
+    An input prescribes a motion if one of its rates appears in the equations (`entries`), or if it appears in the
+    constraints: where rows of J are not the constraints' rates, the rates of the input do not appear in them.
     """
     of_leaf = dict(zip(v.r, model.input_entries, strict=True))
     reached, closed = set(tape.reach(entries)), set(tape.reach(closing))
@@ -509,7 +507,7 @@ def _inputs(
     for entry in needed.values():
         if entry.order and entry.expression is not None and entry.expression.has(sm.Derivative, sm.Subs):
             raise ModelError(
-                f"Input {entry.of} prescribes a motion, so that its first two rates are needed; its expression "
+                f"Input {entry.of} prescribes a motion, so its first two derivatives are needed, but its expression "
                 f"{model.input_expressions[entry.function.expr]} does not have them everywhere."
             )
     return needed
@@ -520,7 +518,7 @@ def _first_true(
     candidates: Iterable[tuple[Scalar, list[Scalar]]],
     motions: Callable[[Sequence[Scalar]], Iterator[NDArray[np.float64]]],
 ) -> Scalar:
-    """The first of which the terms add up to zero, identically or in random motions; NaN if there is none."""
+    """The first candidate whose terms add up to zero, identically or in random motions; NaN if there is none."""
     for candidate, terms in candidates:
         if all(is_zero(tape, [tape.sum(terms)])):
             return candidate
@@ -536,5 +534,5 @@ def _vector(name: str, entries: Iterable[Scalar]) -> Result:
 
 
 def matrix(name: str, rows: Sequence[Sequence[Scalar]], columns: int) -> Result:
-    """A result of given rows; there may be none, so that the number of columns is given as well."""
+    """A result with given rows; the number of columns counts where there are none."""
     return Result(name, (len(rows), columns), tuple(entry for row in rows for entry in row))

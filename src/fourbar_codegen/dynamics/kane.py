@@ -33,8 +33,8 @@ from fourbar_codegen.modeling.system_reader import Body, Load, Mechanism
 __all__ = ["Kane", "loads_power"]
 
 MIN_COMPOSITE = 8
-"""Bodies that some speed moves alike, from which on composites are sure to take fewer operations than the bodies one by
-one; with fewer, it is counted."""
+"""If the largest composite has this many bodies, composites take fewer operations than the sum over bodies; with fewer
+bodies, the operations of both are counted."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Kane:
     ----------
     tape : Tape
     kinematics, virtual : Kinematics
-        Of the mechanism; and with the auxiliary speeds where they are not zero, for partial velocities.
+        Those of the mechanism; and with nonzero auxiliary speeds, for partial velocities.
     speeds, auxiliary : sequence of Scalar
         The leaves of the generalized speeds, and of the auxiliary ones.
     rate : Jvp
@@ -92,9 +92,9 @@ class Kane:
         """Let derivatives with respect to time take the rates of direction cosines from the angular velocities.
 
         Poisson's equations, R* = R [w x] (Kane, Likins and Levinson, *Spacecraft Dynamics*, 1983, chapter 1),
-        are far shorter than what the chain rule makes of products of direction cosines, and constraints are
-        full of those. They hold where a frame's angular velocity is the one that follows from its orientation;
-        where a user set another one (with a constraint substituted into it, say), the chain rule stays.
+        are far shorter than the chain rule applied to products of direction cosines, which constraints are full
+        of. They hold where a frame's angular velocity follows from its orientation. Where a user set another one
+        (with a constraint substituted into it, for example), the chain rule is used.
         """
         kinematics, frames = self.kinematics, self.mechanism.frames
         rates = list(rates)
@@ -139,7 +139,7 @@ class Kane:
     def _entries_by_bodies(
         self, along: Sequence[Jvp], known: Mapping[tuple[int, int], Scalar]
     ) -> dict[tuple[int, int], Scalar]:
-        """The entries M_rs, r >= s, those that are not known as sums over the bodies."""
+        """The entries M_rs, r >= s; those that are not known are sums over the bodies."""
         partials = [Accumulated(self.kinematics, functools.partial(_rates_of_part, d)) for d in along]
         terms: dict[tuple[int, int], list[Scalar]] = {(r, s): [] for r in range(len(along)) for s in range(r + 1)}
         for body, mass, inertia in zip(self.mechanism.bodies, self._masses, self._inertias, strict=True):
@@ -163,28 +163,28 @@ class Kane:
     def generalized_forces(
         self, rate: Jvp, loads: Sequence[Load] | None = None, *, inertia: bool = True
     ) -> list[Scalar]:
-        """The forces of loads and of inertia, shape (n_u + n_aux,): f, or f - M u' for given u'.
+        """Generalized active and inertia forces, shape (n_u + n_aux,): f, or f - M u' for given u'.
 
         The sum of (F - P*) . v_r + (T - H*) . w_r over the bodies, P* and H* the rates of momentum. The rows of the
-        auxiliary speeds, which are zero and stay so, stand last.
+        auxiliary speeds come last.
 
         Parameters
         ----------
         rate : Jvp
             Differentiation with respect to time: with u' = 0, or given u'.
         loads : sequence of Load, optional
-            Some of the mechanism's; all of them otherwise.
+            All of the mechanism's by default.
         inertia : bool, optional
-            Whether the forces of inertia count, or the loads alone.
+            Whether to include the inertia forces.
 
         Source: Kane and Levinson 1985, sections 4.4 (active forces), 4.9 (noncontributing ones) and 4.11 (inertia
-        forces). What is common to the bodies beyond a point is added up before it is projected, from the ends
-        of the chains inwards, as by Luh, Walker and Paul, "On-line computational scheme for mechanical
+        forces). Forces on the bodies beyond a point are added up before they are projected, from the ends of
+        the chains inwards, as by Luh, Walker and Paul, "On-line computational scheme for mechanical
         manipulators", *J. Dynamic Systems, Measurement, and Control* 102 (1980).
         """
         kinematics, virtual = self.kinematics, self.virtual
         forces: list[list[tuple[int, Components]]] = [[] for _ in self.mechanism.points]
-        projections: list[tuple[Scalar, Scalar]] = []  # velocities, and what acts along them
+        projections: list[tuple[Scalar, Scalar]] = []  # velocities, and forces along them
         for load in self.mechanism.loads if loads is None else loads:
             vector = kinematics.vector(load.vector)
             if load.kind == "force":
@@ -218,10 +218,10 @@ class Kane:
         return vjp(self.tape, projections, (*self.speeds, *self.auxiliary))
 
     def power(self, loads: Sequence[Load] | None = None) -> Scalar:
-        """The sum of F . v + T . w over all loads, or some; NaN where it is not what changes the kinetic energy.
+        """The sum of F . v + T . w over all or some loads; NaN if the kinetic energy also changes otherwise.
 
-        That is where a mass varies, a frame does not turn as its angular velocity says, or a body's inertia is given in
-        a frame that may turn within the body.
+        This is the case if a mass varies, an angular velocity does not follow from the frame's orientation, or a
+        body's inertia is given in a frame other than the body's.
         """
         kinematics = self.kinematics
         within = all(body.inertia_frame == body.frame for body in self.mechanism.bodies)
@@ -241,12 +241,12 @@ class Kane:
         return self.tape.sum(terms) / 2
 
     def potential_energies(self, variables: Sequence[Scalar]) -> list[tuple[Scalar, list[Scalar]]]:
-        """What the potential energy may be, and terms whose sum is then zero in every motion; without terms, it is.
+        """Candidates for the potential energy, each right if the sum of its terms is zero in every motion.
 
-        A force that is constant in the inertial frame has the potential -F.r, r the position of its point. It loses as
-        much as the force does work, d(-F.r)/dt = -F.v, where the velocity is the rate of the position: that of the
-        contact of a wheel is not. The bodies' own potentials may include those of these forces, or not: the one is
-        right that loses as much as all loads do work.
+        A force that is constant in the inertial frame has the potential -F.r, r the position of its point. Its rate is
+        -F.v if the velocity is the rate of the position, which is not so for the contact point of a wheel. The bodies'
+        own potentials may include those of these forces, or not: the right candidate is the one whose loss is the work
+        of the loads.
 
         Parameters
         ----------

@@ -21,14 +21,14 @@ def solve_kinematics(
 ) -> tuple[Scalar, ...]:
     """Solve the kinematic differential equations for the coordinates' rates.
 
-    See `solve_linear` for how. Where a determinant vanishes, the rates are not finite, and the evaluation says so.
+    By `solve_linear`. Where a determinant vanishes, the rates are not finite, and the evaluation reports an error.
 
     Parameters
     ----------
     tape : Tape
     mechanism : Mechanism
     leaves : mapping of Basic to Scalar
-        What stands on the tape for time, coordinates, speeds and parameters.
+        Time, coordinates, speeds and parameters as scalars of the tape.
     u : sequence of Scalar
         The speeds' leaves.
 

@@ -1,7 +1,7 @@
-"""Rotations, angular velocities and velocities on a tape, each from that of its neighbour.
+"""Rotations, angular velocities and velocities on a tape, formed along the trees of frames and points.
 
-Nothing is expanded: a vector stays a sum of components in the frames it was written in, and goes through the
-direction cosines of neighbouring frames only where a dot product needs one common frame.
+Nothing is expanded. A vector stays a sum of components in the frames it was written in. It is transformed with the
+direction cosines of neighbouring frames only where a dot product needs a common frame.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class Kinematics:
     tape : Tape
     mechanism : Mechanism
     convert : Conversion
-        What stands on the tape for the System's symbols, coordinates' rates included.
+        Takes the System's symbols to the tape, rates of coordinates included.
     rate : callable
         Differentiation with respect to time.
     """
@@ -111,11 +111,11 @@ class Kinematics:
         self._angular_velocities: dict[int, Components] = {}
         self._steps: list[Step] = []
         self._form_steps()
-        self.turning_as_oriented = frozenset({INERTIAL})  # frames whose angular velocity is that of their axes
+        self.turning_as_oriented = frozenset({INERTIAL})  # their angular velocity follows from orientation
         self.velocity = Accumulated(self, lambda _, components: components)
 
     def vector(self, vector: stored.Vector, convert: Conversion | None = None) -> Vector:
-        """A vector on the tape, by a conversion that knows more symbols if one is given."""
+        """A vector on the tape; a conversion may be given that knows more symbols."""
         convert = convert or self.convert
         return tuple((frame, _three([convert(e) for e in components])) for frame, components in vector)
 
@@ -145,7 +145,7 @@ class Kinematics:
         return known
 
     def dcm(self, frame: int) -> Rotation:
-        """The direction cosines of a frame in its parent; of one without orientation, those of the parent itself."""
+        """The direction cosines of a frame in its parent; the identity for a frame without orientation."""
         stored_dcm = self.mechanism.frames[frame].dcm
         return self.rotation(frame, frame) if stored_dcm is None else self.matrix(stored_dcm)
 
@@ -174,7 +174,7 @@ class Kinematics:
         return known
 
     def angular_velocity_in(self, frame: int, axes: int) -> Components:
-        """The angular velocity of a frame along the axes of another one, by way of those between both."""
+        """The angular velocity of a frame along the axes of another one, by the relative ones between them."""
         difference: list[Components] = []
         a, b = frame, axes
         while a != b:
@@ -210,7 +210,7 @@ class Kinematics:
         return add(relative, negative(self.angular_velocity(stored_frame.parent)))
 
     def not_orthonormal(self) -> list[Scalar]:
-        """What is zero where direction cosines are such, if not everywhere: norms of quaternions, for example."""
+        """Scalars that are zero where direction cosines are orthonormal, but not identically, as with quaternions."""
         entries: list[Scalar] = []
         for number, frame in enumerate(self.mechanism.frames):
             if number != INERTIAL and frame.dcm is not None:
@@ -221,28 +221,28 @@ class Kinematics:
 
     @property
     def moving(self) -> list[int]:
-        """The points whose velocity is known: of others nothing but the position is needed."""
+        """The points whose velocity is known; of others, only the position is needed."""
         return [point for point, step in enumerate(self._steps) if step != UNKNOWN]
 
     def step(self, point: int) -> tuple[int | None, Vector]:
-        """A point's velocity as that of another point, if not None, and what is to be added to it."""
+        """A point's velocity: a base point whose velocity it includes, or None, and the vector to add."""
         base, parts = self._steps[point]
-        assert parts is not None  # what a body or a load needs, the reader has asked for
+        assert parts is not None  # the reader has read all velocities that bodies and loads need
         return base, parts
 
     def dot(self, a: Vector, b: Vector) -> Scalar:
-        """The product a . b, in the frame that both are written in or else in the inertial one."""
+        """The dot product a . b, in the common frame of both, else in the inertial one."""
         frames = {frame for frame, _ in (*a, *b)}
         frame = frames.pop() if len(frames) == 1 else INERTIAL
         return dot(self.express(a, frame), self.express(b, frame))
 
     def moves(self, point: int) -> bool:
-        """Whether the velocity of a point may be other than zero."""
+        """Whether the velocity of a point may be nonzero."""
         base, parts = self.step(point)
         return any(any(components) for _, components in parts) or (base is not None and self.moves(base))
 
     def moves_as_placed(self, point: int) -> bool:
-        """Whether the velocity of a point is seen to be the rate of its position, from a point that is at rest."""
+        """Whether the velocity of a point is known to be the rate of its position relative to a point at rest."""
         base, parts = self._steps[point]
         if base is None:
             return self.mechanism.points[point].parent is None and not parts
@@ -253,8 +253,8 @@ class Kinematics:
         """Find the points whose velocity follows from that of their parent.
 
         Point b, at the offset r from point a, has v_b = v_a + r* + w x r in each frame that r is written in (Kane and
-        Levinson 1985, section 2.7), unless a user set another velocity, with a constraint substituted into it, say.
-        A numerical identity test decides.
+        Levinson 1985, section 2.7), unless a user set another velocity, for example with a constraint substituted into
+        it. A numerical identity test decides.
         """
         differences: list[Components] = []
         tested: list[int] = []
@@ -282,7 +282,7 @@ class Kinematics:
                 self._steps[number] = (None, self._path(number))
 
     def _path(self, point: int) -> Vector:
-        """A point's velocity as SymPy has it, or else by way of the points before it."""
+        """A point's velocity as SymPy has it, else by adding steps along the tree of points."""
         given = self.mechanism.points[point].velocity
         if given is not None:
             return self.vector(given)
@@ -294,16 +294,16 @@ class Kinematics:
 
 
 class Accumulated:
-    """A vector for each point: that of the point before it, and what the step between both adds.
+    """A vector for each point: that of the preceding point, plus the contribution of the step between both.
 
-    A vector that is written in one frame stays there; others are added up in the inertial frame, so that points with
-    a part of their path in common have that sum in common.
+    A vector in a single frame stays there. Others are added up in the inertial frame, so that points share the sum over
+    the common part of their paths.
 
     Parameters
     ----------
     kinematics : Kinematics
     added : callable
-        Takes a frame and the components of a part of a velocity in it to components in that frame.
+        Takes a frame, and components of a velocity step in it, to the components to add in that frame.
     """
 
     def __init__(self, kinematics: Kinematics, added: Callable[[int, Components], Components]) -> None:

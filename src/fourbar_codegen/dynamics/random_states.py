@@ -1,4 +1,4 @@
-"""Random states of a mechanism, such that satisfy its constraints among them, and the values of expressions there."""
+"""Random states of a mechanism, also states that satisfy its constraints, and the values of expressions there."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ Floats = NDArray[np.float64]
 Point = dict[Scalar, float]
 
 ATTEMPTS = 60
-"""States that are drawn: expressions have no value everywhere, and loops do not close from everywhere."""
+"""Number of states that are drawn; at some of them expressions have no value, or loops do not close."""
 CLOSED = 1e-12
 MAX_CORRECTIONS = 40
-"""Of Newton's method, on the way to a closed state."""
+"""Iterations of Newton's method to satisfy the constraints."""
 SHORTEST = 1e-5
-"""The share of its steps that is tried at last where the violation does not become smaller."""
+"""Smallest fraction of a Newton step that is tried."""
 
 
 class RandomStates:
-    """Random values of the leaves, parameters among them, and the scalars' values there.
+    """Random values of the leaves, including parameters, and the scalars' values there.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ class RandomStates:
         Values of leaves near which expressions are defined; the second half of the states is drawn there.
     scalars : sequence of Scalar
     more : sequence of Scalar, optional
-        What has to be zero at closed states, beside the position constraints.
+        Further scalars that are zero at closed states, like the position constraints.
     """
 
     def __init__(
@@ -62,12 +62,12 @@ class RandomStates:
             yield from self._at(point)
 
     def closed(self) -> Iterator[Floats]:
-        """At states that satisfy the position constraints, for which coordinates and parameters are moved."""
+        """At closed states: coordinates and parameters are changed until the position constraints are satisfied."""
         for point in self._closed():
             yield from self._at(point)
 
     def moving(self, speeds: Sequence[Scalar], accelerations: Sequence[Scalar]) -> Iterator[Floats]:
-        """At closed states that satisfy the velocity constraints as well, and at accelerations that keep them."""
+        """At closed states that also satisfy the velocity constraints, with accelerations that keep them."""
         constraints, n_u = self.constraints, len(speeds)
         for point in self._closed():
             point.update((leaf, point.get(leaf, self._draw("u"))) for leaf in (*speeds, *accelerations))
@@ -92,12 +92,12 @@ class RandomStates:
                 yield point
 
     def _draw(self, kind: str) -> float:
-        """Of either sign, but for parameters, which are lengths and masses as a rule."""
+        """A random value of either sign; positive for parameters, which are usually lengths and masses."""
         size = self._generator.uniform(0.2, 1.5)
         return size if kind == "p" else self._generator.choice((size, -size))
 
     def _points(self) -> Iterator[Point]:
-        """At first of all sizes alike, then near the given values; the same ones each time."""
+        """Random values of the leaves, the second half near the given values; the same in each call."""
         self._generator = random.Random(0)
         for number in range(ATTEMPTS):
             near = self.values if number >= ATTEMPTS // 2 else {}
@@ -113,15 +113,15 @@ class RandomStates:
 
 
 def close(tape: Tape, closing: Sequence[Scalar], moved: Sequence[Scalar], point: Point) -> bool:
-    """Move leaves, by Newton's method with the shortest steps, until scalars are zero; whether they are.
+    """Change leaves by Newton's method with minimum-norm steps until scalars are zero; whether that succeeds.
 
     Parameters
     ----------
     tape : Tape
     closing, moved : sequence of Scalar
-        What is to be zero, and the leaves that are moved.
+        The scalars to make zero, and the leaves to change.
     point : dict of Scalar to float
-        Values of all leaves, which are changed.
+        Values of all leaves, changed in place.
     """
     return not closing or _newton(tape, closing, [*chain.from_iterable(jacobian(tape, closing, moved))], moved, point)
 
@@ -141,7 +141,7 @@ def _newton(
         while found is None and share > SHORTEST:
             there = {leaf: point[leaf] + share * float(change) for leaf, change in zip(moved, step, strict=True)}
             found = _violation(tape, closing, slopes, {**point, **there})
-            # In units of the sizes before, in which the step would make it zero.
+            # Sufficient decrease, in the scales before the step.
             if found is not None and np.linalg.norm(found[0] / sizes) > (1.0 - 0.1 * share) * np.linalg.norm(
                 violation / sizes
             ):
@@ -154,7 +154,7 @@ def _newton(
 def _violation(
     tape: Tape, closing: Sequence[Scalar], slopes: Sequence[Scalar], point: Point
 ) -> tuple[Floats, Floats, Floats] | None:
-    """What is to be zero, its derivatives, and what it is measured by."""
+    """The violation, its derivatives, and its scales."""
     numbers = _numbers(tape, [*closing, *slopes], point)
     if numbers is None:
         return None

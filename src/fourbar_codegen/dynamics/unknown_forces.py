@@ -1,9 +1,8 @@
-"""Unknown forces that auxiliary speeds bring out: reactions, which follow from the motion, or forces that drive it.
+"""Unknown forces from auxiliary speeds: reactions, which follow from the motion, or forces that drive it.
 
-An auxiliary speed w is zero and stays so. Its row of Kane's equations, Q - M_a u' + J_a^T lambda = 0, is an equation
-for an unknown force n, such as the normal force at a contact. Where that does no work in the motion itself, it follows
-when u' and lambda are known. Where it does, as with friction mu n, u' depends on n: both are found together, in C, see
-``fourbar_forces.h``.
+An auxiliary speed w is zero at all times. Its row of Kane's equations, Q - M_a u' + J_a^T lambda = 0, is an equation
+for an unknown force n, such as the normal force at a contact. If n does no work in the motion, it follows from u' and
+lambda. If it does, as with friction mu n, u' depends on n, and both are found together, in C; see ``fourbar_forces.h``.
 
 Source: T. R. Kane and D. A. Levinson, *Dynamics: Theory and Applications*, 1985, sections 4.9 and 5.9.
 """
@@ -40,22 +39,22 @@ __all__ = [
 
 @dataclass(frozen=True)
 class UnknownForces:
-    """What keeps the auxiliary speeds zero.
+    """The forces that keep the auxiliary speeds zero.
 
     Attributes
     ----------
     values : tuple of Scalar
-        The forces, or the generalized ones Q = M u' - f - J^T lambda where the loads have none.
+        The forces; generalized ones, Q = M u' - f - J^T lambda, if the loads contain no unknown forces.
     driving : tuple of Scalar
         The leaves of those that drive the motion: all of them, or none.
     effect : tuple of Scalar
-        F(n), what these add to f, (n_u,).
+        F(n), their contribution to f, (n_u,).
     forcing : tuple of Scalar
         Q(n) of their rows Q - M_a u' + J_a^T lambda = 0, (n_n,).
     mass, constraint_jacobian : tuple of tuple of Scalar
         M_a, (n_n, n_u), and J_a^T, (n_n, n_c).
     rows : tuple of Scalar
-        What is zero, for given u' and lambda, (n_n,).
+        The residuals of these rows for given u' and lambda, (n_n,).
     """
 
     values: tuple[Scalar, ...]
@@ -68,7 +67,7 @@ class UnknownForces:
 
 
 def forces_along_auxiliary_speeds(mechanism: Mechanism, candidates: Sequence[sm.Expr]) -> tuple[sm.Expr, ...]:
-    """Those functions of time in the loads that do work where auxiliary speeds are not zero.
+    """The functions of time in the loads that do work at nonzero auxiliary speeds.
 
     Parameters
     ----------
@@ -95,7 +94,7 @@ def forces_along_auxiliary_speeds(mechanism: Mechanism, candidates: Sequence[sm.
 
 @dataclass(frozen=True)
 class GeneralizedForces:
-    """Kane's rows, those of the speeds and then of the auxiliary ones, with what unknown forces add to them apart.
+    """Rows of Kane's equations, of speeds and then of auxiliary speeds, with unknown forces kept separate.
 
     Attributes
     ----------
@@ -104,11 +103,11 @@ class GeneralizedForces:
     balance : tuple of Scalar
         f - M u' without them.
     acting : tuple of Scalar
-        What they add.
+        The contribution of the unknown forces.
     power : Scalar
-        Of the loads without them; see `Kane.power`.
+        Power of the loads without them; see `Kane.power`.
     are_linear : bool
-        Whether they act linearly.
+        Whether that contribution is linear in them.
     """
 
     known: tuple[Scalar, ...]
@@ -119,10 +118,10 @@ class GeneralizedForces:
 
 
 def form_generalized_forces(kane: Kane, rate: Jvp, total_rate: Jvp, unknown: Sequence[Scalar]) -> GeneralizedForces:
-    """The generalized forces of loads and of inertia.
+    """The generalized active and inertia forces.
 
-    Loads that unknown forces do not stand in linearly may have no value where these are zero: all of such a load is
-    what the unknown forces add.
+    Loads that are not linear in the unknown forces may have no value where these are zero. Then each load that contains
+    unknown forces counts as a whole as their contribution.
 
     Parameters
     ----------
@@ -164,7 +163,7 @@ def form_generalized_forces(kane: Kane, rate: Jvp, total_rate: Jvp, unknown: Seq
 def _are_linear(
     tape: Tape, rows: Sequence[Scalar], gradients: Sequence[Sequence[Scalar]], unknown: Sequence[Scalar]
 ) -> bool:
-    """Whether rows are linear in the unknown forces: by their derivatives, which know of no jumps, and their values."""
+    """Whether rows are linear in the unknown forces, by derivatives and by values (derivatives do not show jumps)."""
     if tape.depends([*chain(*gradients)], unknown):
         return False
     try:
@@ -187,7 +186,7 @@ def form_unknown_forces(
     generalized: GeneralizedForces,
     reactions: Sequence[Scalar],
 ) -> UnknownForces:
-    """What auxiliary speeds bring out, by the rows of Kane's equations: the speeds', then the auxiliary ones'.
+    """Form the unknown forces from the rows of Kane's equations, of speeds and then of auxiliary speeds.
 
     Parameters
     ----------
@@ -224,8 +223,8 @@ def form_unknown_forces(
     if idle:
         raise ModelError(
             f"The unknown forces {', '.join(idle)} do not follow from the auxiliary speeds "
-            f"{', '.join(str(w.func) for w in mechanism.auxiliary_speeds)}: at none of these do they do work. Forces "
-            "that are known are named in inputs=."
+            f"{', '.join(str(w.func) for w in mechanism.auxiliary_speeds)}: they do no work at any of these. Name "
+            "forces that are known in inputs=."
         )
     return UnknownForces(
         unknown,
@@ -239,7 +238,7 @@ def form_unknown_forces(
 
 
 def _reactions(tape: Tape, forces: Sequence[Scalar], n_u: int) -> UnknownForces:
-    """Those that do not drive the motion."""
+    """Unknown forces that do not drive the motion."""
     return UnknownForces(tuple(forces), (), (tape.zero,) * n_u, (), (), (), ())
 
 
@@ -252,9 +251,9 @@ def _noncontributing(
 ) -> tuple[Scalar, ...] | None:
     """The unknown forces F that keep the auxiliary speeds zero; None if they are not determined.
 
-    They act as B F on the speeds and as B_a F on the auxiliary ones. Forces that do no work in the motion are
-    reactions, B = J^T C, so that lambda, found without them, includes C F. What is left in the rows of the
-    auxiliary speeds is (B_a - J_a^T C) F + rest = 0, with rest = f_a - M_a u' + J_a^T lambda.
+    They contribute B F to the rows of the speeds and B_a F to those of the auxiliary speeds. Forces that do no work in
+    the motion are reactions, B = J^T C, so lambda, found without them, includes C F. The rows of the auxiliary speeds
+    become (B_a - J_a^T C) F + rest = 0, with rest = f_a - M_a u' + J_a^T lambda.
 
     Source: Kane and Levinson 1985, section 4.9, with constraints as multipliers.
     """

@@ -1,1 +1,1 @@
-"""Expressions as straight-line code: kept once, differentiated, compared, written as data."""
+"""Expressions as straight-line code: hash-consed, differentiated, compared, written as data."""

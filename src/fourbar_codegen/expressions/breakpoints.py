@@ -1,8 +1,8 @@
-"""Times at which expressions have a jump or a kink, as far as these can be read off.
+"""Times at which expressions have a jump or a kink, as far as these can be derived.
 
-A condition of a Piecewise, and what stands in an absolute value, a sign, a step function or a root, changes where its
-two sides are equal. Where the difference of these is a + b t + c t^2, with coefficients of parameters alone, that is at
-the roots of it. What is itself one of several expressions, such as the minimum of two, may be any of them.
+A condition of a Piecewise switches where its two sides are equal; an absolute value, a sign, a step function or a root
+has a jump or kink where its argument is zero. If the difference or argument is a + b t + c t^2, with coefficients of
+parameters alone, these times are its roots. An expression with branches, such as a minimum, may equal any of them.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from fourbar_codegen.expressions.tape import Call, Leaf, Scalar, Tape, placehold
 __all__ = ["breakpoints"]
 
 MAX_ALTERNATIVES = 64
-"""Expressions that one may be, in conditions within conditions."""
+"""Most alternatives of an expression with nested conditions."""
 
 
 def breakpoints(tape: Tape, time: Scalar, scalars: Iterable[Scalar]) -> tuple[list[Scalar], bool]:
@@ -35,9 +35,9 @@ def breakpoints(tape: Tape, time: Scalar, scalars: Iterable[Scalar]) -> tuple[li
     Returns
     -------
     list of Scalar
-        Each in terms of parameters alone, in the order of the scalars' nodes. There may be nothing at some of them.
+        Each in terms of parameters alone, in the order of the scalars' nodes. Some may turn out to be smooth.
     bool
-        Whether there are no others, but for those that depend on the state.
+        Whether there are no others, apart from those that depend on the state.
 
     Examples
     --------
@@ -62,7 +62,7 @@ def breakpoints(tape: Tape, time: Scalar, scalars: Iterable[Scalar]) -> tuple[li
                 for boundary in _alternatives(tape, time, apply(tape, side, arguments)):
                     roots = _roots(tape, time, boundary, derivative)
                     times |= dict.fromkeys(roots or ())
-                    # Most roots of expressions are smooth wherever they have a value.
+                    # Powers are usually smooth wherever they have a value.
                     is_complete &= roots is not None or operation.expression.is_Pow
             if isinstance(operation.expression, sm.floor | sm.ceiling):
                 is_complete &= not _is_of_time(tape, time, *arguments)
@@ -70,7 +70,7 @@ def breakpoints(tape: Tape, time: Scalar, scalars: Iterable[Scalar]) -> tuple[li
 
 
 def _sides(function: sm.Expr) -> Iterator[sm.Expr]:
-    """What changes its sign where a function may have a jump or a kink, in the function's placeholders."""
+    """Expressions in the function's placeholders that change sign where the function may have a jump or a kink."""
     if isinstance(function, sm.Abs | sm.sign | sm.Heaviside):
         yield function.args[0]
     elif function.is_Pow and not function.exp.is_Integer:
@@ -80,7 +80,7 @@ def _sides(function: sm.Expr) -> Iterator[sm.Expr]:
 
 
 def _alternatives(tape: Tape, time: Scalar, scalar: Scalar) -> list[Scalar]:
-    """What a scalar is, depending on the conditions in it."""
+    """The expressions that a scalar may equal, depending on the conditions in it."""
     waiting = [scalar]
     found: list[Scalar] = []
     while waiting:
@@ -95,7 +95,7 @@ def _alternatives(tape: Tape, time: Scalar, scalar: Scalar) -> list[Scalar]:
 
 
 def _choices(tape: Tape, time: Scalar, node: int) -> list[Scalar]:
-    """What a node may be by its conditions, if it depends on time; none otherwise."""
+    """The expressions that a node may equal, by its conditions, if it depends on time; none otherwise."""
     operation = tape.nodes[node]
     if not isinstance(operation, Call) or not _is_of_time(tape, time, Scalar(tape, 1, node)):
         return []
@@ -113,7 +113,7 @@ def _choices(tape: Tape, time: Scalar, node: int) -> list[Scalar]:
 
 
 def _roots(tape: Tape, time: Scalar, boundary: Scalar, derivative: Jvp) -> list[Scalar] | None:
-    """The times at which a scalar is zero, or may touch zero; None where these are not known."""
+    """The times at which a scalar is zero, or may touch zero; None if these are not known."""
     if not _is_of_time(tape, time, boundary) or not _is_prescribed(boundary):
         return []
     slope = derivative(boundary)
@@ -130,7 +130,7 @@ def _roots(tape: Tape, time: Scalar, boundary: Scalar, derivative: Jvp) -> list[
         return [-at(tape.zero) / slope]
     [slope_at_zero] = substitute(tape, [slope], {time: tape.zero})
     vertex = -slope_at_zero / curvature
-    # Where there is no root, the vertex is named twice, and nothing happens at it.
+    # Without a root, the vertex is returned twice, which does no harm.
     square = sm.Piecewise((placeholder(0), placeholder(0) > 0), (0, True))
     reach = apply(tape, sm.sqrt(placeholder(0)), [apply(tape, square, [at(vertex) * -2 / curvature])])
     return [vertex - reach, vertex + reach]

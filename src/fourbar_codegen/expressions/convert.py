@@ -42,17 +42,17 @@ OPERATIONS = (
     *(sm.Add, sm.Mul, sm.Pow, sm.NumberSymbol, sm.Max, sm.Min, sm.UnevaluatedExpr),
     *(ExprCondPair, Boolean),  # of a Piecewise
 )
-"""What expressions are made of, beside numbers, functions, and what stands for values."""
+"""Nodes of expressions beside numbers, functions and leaves."""
 
 
 class Conversion:
-    """Takes expressions to a tape, each subexpression once.
+    """Converts expressions to nodes of a tape, each subexpression once.
 
     Parameters
     ----------
     tape : Tape
     leaves : mapping of Basic to Scalar
-        What stands on the tape for symbols and functions of time. It may grow while this is in use.
+        Scalars of the tape for symbols and functions of time. It may grow while in use.
     """
 
     def __init__(self, tape: Tape, leaves: Mapping[sm.Basic, Scalar]) -> None:
@@ -61,7 +61,7 @@ class Conversion:
         self._known: dict[sm.Basic, Scalar] = {}
 
     def __call__(self, expression: sm.Expr) -> Scalar:
-        """What stands for an expression.
+        """The scalar for an expression.
 
         Raises
         ------
@@ -69,7 +69,7 @@ class Conversion:
             If it contains something that is neither a leaf nor computable.
         """
         known, leaves = self._known, self.leaves
-        # Depth first without recursion: the expressions of long chains are deep.
+        # Depth first without recursion, since expressions of long chains are deep.
         stack = [expression]
         while stack:
             node = stack[-1]
@@ -104,7 +104,7 @@ class Conversion:
                 return tape.power(known[base], int(exponent))
             if exponent.is_Rational and exponent < 0:
                 # A normalized vector and its rates have E^(-1/2), E^(-3/2), ...: powers of one square root. Positive
-                # powers stay: the derivative of E^(3/2) is 0 where E is, and that of the root is not.
+                # powers stay, since the derivative of E^(3/2) is 0 where E is 0, but that of the root is not.
                 root, power = (sm.S.Half, exponent.p) if exponent.q == 2 else (-exponent, -1)
                 return tape.power(apply(tape, sm.Pow(placeholder(0), root), [known[base]]), power)
         arguments = _arguments(node)
@@ -114,7 +114,7 @@ class Conversion:
 
 RECIPROCALS = {sm.sech: sm.cosh, sm.csch: sm.sinh, sm.coth: sm.tanh}
 OF_RECIPROCALS = {sm.acoth: sm.atanh, sm.asech: sm.acosh, sm.acsch: sm.asinh}
-"""What SymPy prints in exponentials, which overflow, and logarithms, which cancel, in terms of C's own functions."""
+"""C functions for what SymPy would print as exponentials, which overflow, and logarithms, which cancel."""
 
 
 def apply(tape: Tape, function: sm.Expr, arguments: Sequence[Scalar]) -> Scalar:
@@ -124,7 +124,7 @@ def apply(tape: Tape, function: sm.Expr, arguments: Sequence[Scalar]) -> Scalar:
         expression_of(a.coefficient) * (sm.S.One if a.node == ONE else placeholder(nodes.index(a.node)))
         for a in arguments
     ]
-    # Here SymPy takes signs and factors out: sin(-x) = -sin(x).
+    # Here SymPy takes out signs and factors: sin(-x) = -sin(x).
     built = function.xreplace({placeholder(i): stand_in for i, stand_in in enumerate(stand_ins)})
     factor, rest = built.as_coeff_Mul()
     if isinstance(rest, sm.Max | sm.Min):
@@ -151,14 +151,14 @@ def apply(tape: Tape, function: sm.Expr, arguments: Sequence[Scalar]) -> Scalar:
 
 
 def without_impulses(derivative: sm.Expr) -> sm.Expr:
-    """A derivative where nothing jumps: what a jump has for one is zero everywhere else."""
+    """A derivative without the impulses of jumps, which are zero everywhere else."""
     return derivative.replace(DiracDelta, lambda *_: sm.S.Zero) if derivative.has(DiracDelta) else derivative
 
 
 def smooth_sinc(x: sm.Expr) -> sm.Expr:
-    """sin(x) / x in parts whose derivatives are its own, also at 0, where those of the quotient are 0 / 0.
+    """sin(x) / x with a smooth branch at 0, where derivatives of the quotient are 0 / 0.
 
-    Up to |x| = 1 by the power series. What is left out of it changes third derivatives by less than 1e-17.
+    A truncated power series for |x| < 1. The truncation changes third derivatives by less than 1e-17.
     """
     series = sum((sm.Rational((-1) ** k, sm.factorial(2 * k + 1)) * placeholder(0) ** k for k in range(11)), sm.S.Zero)
     return sm.Piecewise((sm.sin(x) / x, x**2 > 1), (sm.horner(series).xreplace({placeholder(0): x**2}), True))
@@ -177,7 +177,7 @@ def substitute(tape: Tape, scalars: Sequence[Scalar], values: Mapping[Scalar, Sc
 
 
 def make_again(tape: Tape, operation: Node, value: Callable[[int], Scalar]) -> Scalar:
-    """An operation, not a leaf, on what its operands have become."""
+    """An operation (not a leaf) with new operands."""
     match operation:
         case Sum(terms):
             return tape.sum([value(term) * coefficient for term, coefficient in terms])
@@ -191,7 +191,7 @@ def make_again(tape: Tape, operation: Node, value: Callable[[int], Scalar]) -> S
 
 
 def expression_of(value: Number) -> sm.Expr:
-    """A number as SymPy has it."""
+    """A number as a SymPy expression."""
     return sm.Rational(value.numerator, value.denominator) if isinstance(value, Fraction) else sm.sympify(value)
 
 
@@ -204,7 +204,7 @@ def _number(expression: sm.Expr) -> Number:
 
 
 def _arguments(node: sm.Basic) -> list[sm.Expr]:
-    """The expressions that a node is made of; those in conditions and tuples count as its own."""
+    """The expressions that a node consists of, including those in its conditions and tuples."""
     found: dict[sm.Expr, None] = {}
     for argument in node.args:
         found.update(dict.fromkeys([argument] if isinstance(argument, sm.Expr) else _arguments(argument)))
@@ -212,7 +212,7 @@ def _arguments(node: sm.Basic) -> list[sm.Expr]:
 
 
 def _with_arguments(node: sm.Basic, arguments: Mapping[sm.Expr, sm.Expr]) -> sm.Basic:
-    """The node with other expressions for those that `_arguments` finds."""
+    """The node with new expressions for those that `_arguments` finds."""
     if not node.args:
         return node
     return node.func(*[arguments[a] if isinstance(a, sm.Expr) else _with_arguments(a, arguments) for a in node.args])
@@ -223,7 +223,7 @@ def _is_multiple(argument: sm.Expr) -> bool:
 
 
 def is_computable(node: sm.Basic) -> bool:
-    """Whether a node has a value in double arithmetic, its arguments apart: symbols and functions of time have none."""
+    """Whether a node can be evaluated in double arithmetic if its arguments can: not symbols and functions of time."""
     if isinstance(node, sm.Number):
         value = abs(_in_double(node))
         return math.isfinite(value) and (value > 0.0 or node.is_zero is True)

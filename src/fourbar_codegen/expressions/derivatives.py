@@ -30,7 +30,7 @@ from fourbar_codegen.expressions.tape import (
 __all__ = ["Jvp", "Rounding", "absolute", "jacobian", "vjp"]
 
 MIN_MAGNITUDE = 1e-12
-"""What is smaller counts as this to `Rounding`: zero but for rounding errors is as good as zero."""
+"""Smallest magnitude of a leaf in `Rounding`, since a value that should be zero has rounding errors."""
 
 
 class Jvp:
@@ -69,20 +69,19 @@ class Jvp:
         if isinstance(operation, Sum):
             return tape.sum([known[term] * coefficient for term, coefficient in operation.terms])
         if isinstance(operation, Call) and _is_piecewise(operation):
-            # Branch by branch: a branch that is not taken may have a derivative that is not a number.
+            # Branch by branch, since a branch that is not taken may have a derivative of NaN.
             return _piecewise_rate(tape, operation, [known[argument] for argument in operation.arguments])
         terms = [(known[operand], partial) for operand, partial in _partials(tape, node)]
         return tape.sum([partial * rate for rate, partial in terms if rate])
 
 
 class Rounding:
-    """What rounding errors make of scalars, in units of the precision of double.
+    """Rounding errors of scalars, in units of the precision of double.
 
-    To first order, with every leaf v known to |v| + MIN_MAGNITUDE, sines and cosines to 1, since angles of zero are
-    known to no more either, and other functions to their own value: the error of a node is the sum, over its operands,
-    of its derivative's size times theirs. So a constraint Phi has at least sum_j |dPhi/dq_j| |q_j|, and terms that
-    cancel, or constants, count with their size. Where a constraint is violated by no more than some of these units,
-    nothing in it is known better.
+    First-order bounds: the error of a node is the sum, over its operands, of |derivative| times the operand's error. A
+    leaf v has the error |v| + MIN_MAGNITUDE; sines and cosines have 1, even at angles of zero; other functions have
+    their own magnitude. So a constraint Phi has at least sum_j |dPhi/dq_j| |q_j|, and terms that cancel, or constants,
+    count with their magnitude. A constraint that is violated by only a few of these units is satisfied to rounding.
 
     Source: N. J. Higham, *Accuracy and Stability of Numerical Algorithms*, 2nd ed. 2002, section 3.3, running error
     analysis.
@@ -127,12 +126,12 @@ def absolute(tape: Tape, scalar: Scalar) -> Scalar:
 
 
 def jacobian(tape: Tape, rows: Iterable[Scalar], leaves: Sequence[Scalar]) -> list[list[Scalar]]:
-    """The derivatives of scalars, in rows, with respect to leaves, each row by one pass backwards."""
+    """The derivatives of scalars, in rows, with respect to leaves, each row by one reverse pass."""
     return [vjp(tape, [(row, tape.one)], leaves) for row in rows]
 
 
 def vjp(tape: Tape, scalars: Sequence[tuple[Scalar, Scalar]], leaves: Sequence[Scalar]) -> list[Scalar]:
-    """The sums of weights times derivatives of scalars, for each leaf, by one pass backwards.
+    """The sums of weights times derivatives of scalars, for each leaf, by one reverse pass.
 
     Parameters
     ----------
@@ -148,7 +147,7 @@ def vjp(tape: Tape, scalars: Sequence[tuple[Scalar, Scalar]], leaves: Sequence[S
     nodes = tape.reach([scalar for scalar, _ in scalars])
     dependent = tape.dependent(nodes, leaves)
     if any(_is_piecewise(tape.nodes[node]) for node in dependent):
-        # Backwards, a branch that is not taken would have its derivative, which may not be a number, times zero.
+        # A reverse pass would multiply the derivative of a branch that is not taken, which may be NaN, by zero.
         directions = [Jvp(tape, {leaf: tape.one}) for leaf in leaves]
         return [tape.sum([weight * d(scalar) for scalar, weight in scalars]) for d in directions]
     parts: dict[int, list[Scalar]] = {}
@@ -201,7 +200,7 @@ def _converted(tape: Tape, expression: sm.Expr, arguments: Sequence[Scalar]) -> 
 
 
 def _piecewise_rate(tape: Tape, call: Call, rates: Sequence[Scalar]) -> Scalar:
-    """A Piecewise of the branches' derivatives; its branches are multiples of placeholders, or numbers."""
+    """A Piecewise of the branches' derivatives; the branches are multiples of placeholders, or numbers."""
     arguments = [Scalar(tape, 1, argument) for argument in call.arguments]
     branches = []
     for branch, condition in call.expression.args:
@@ -218,10 +217,10 @@ def _derivative(expression: sm.Expr, symbol: sm.Symbol) -> sm.Expr:
     if isinstance(expression, sm.floor | sm.ceiling):
         return sm.S.Zero
     if expression.is_Pow and symbol not in expression.exp.free_symbols:
-        # SymPy's n x**n / x is not a number at x = 0.
+        # SymPy's n x**n / x is NaN at x = 0.
         base, exponent = expression.args
         return exponent * base ** (exponent - 1) * base.diff(symbol)
     derivative = expression.diff(symbol)
     if derivative.has(sm.Derivative, sm.Subs):
-        raise ModelError(f"The model contains {type(expression).__name__}, of which C99 has no derivative.")
+        raise ModelError(f"The model contains {type(expression).__name__}, whose derivative C99 does not have.")
     return without_impulses(derivative)

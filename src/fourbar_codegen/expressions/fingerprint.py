@@ -26,7 +26,7 @@ def fingerprint(data: object) -> str:
 
     Notes
     -----
-    An expression is written as a graph, every distinct node once, because the expressions of chained
+    An expression is digested as a graph, every distinct node once, because the expressions of chained
     frames are exponentially larger as trees.
 
     Examples
@@ -47,7 +47,7 @@ class _Writer:
         self.numbers: dict[sm.Basic, int] = {}
 
     def line(self, *words: object) -> None:
-        # repr delimits the words, so that no two sequences of words share a text.
+        # repr delimits the words, so that different sequences of words have different texts.
         self.hash.update(repr(words).encode())
 
     def write(self, data: object) -> None:
@@ -73,7 +73,7 @@ class _Writer:
             raise TypeError(f"Cannot digest a {type(data).__name__}.")
 
     def node(self, expr: sm.Basic) -> int:
-        # Depth first without recursion, each node behind its arguments.
+        # Depth first without recursion, each node after its arguments.
         stack = [expr]
         while stack:
             node = stack[-1]
@@ -90,6 +90,6 @@ class _Writer:
 def _head(node: sm.Basic) -> str:
     if isinstance(node, AppliedUndef):
         return f"function {node.func.__name__}"
-    if isinstance(node, sm.Dummy):  # told from others by its first appearance: its index is another in every process
+    if isinstance(node, sm.Dummy):  # numbered by first appearance, since its index differs between processes
         return f"dummy {sm.srepr(sm.Symbol(node.name, **node.assumptions0))}"
     return type(node).__name__ if node.args else sm.srepr(node)

@@ -1,7 +1,7 @@
-"""Expressions of a tape as plain data, which whoever runs the compiled model can evaluate in any arithmetic.
+"""Expressions of a tape as plain data, which can be evaluated in any arithmetic when the compiled model is used.
 
-C has the constraints in double precision. How many ways there are to close loops is decided with more digits, and by
-polynomials instead of numbers (see `polynomials`), long after SymPy's expressions are gone.
+C evaluates the constraints in double precision. Finding all assembly modes needs more digits, and polynomials instead
+of numbers (see `polynomials`), where SymPy's expressions are no longer available.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ FUNCTIONS = {
 
 
 def formulas(tape: Tape, scalars: Sequence[Scalar]) -> dict[str, Any]:
-    """What the scalars are made of, as data that JSON can hold.
+    """The scalars as data that JSON can hold.
 
     Parameters
     ----------
@@ -35,11 +35,12 @@ def formulas(tape: Tape, scalars: Sequence[Scalar]) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``operations``, each of which refers to operations before it by their numbers: ``["q", "q1"]`` a leaf;
-        ``["+", [[0, 2], [1, -1]], constant]`` numbers 0 and 1 with factors, and a number; ``["*", [0, 1]]``;
-        ``["/", 0]`` the reciprocal; ``["sin", argument]`` and other functions, whose arguments are nested lists of
-        functions, ``"+"``, ``"*"``, ``"^"``, numbers ``["=", 2]`` and operations ``["@", 0]``; ``["?", [0, 1]]`` what
-        cannot be encoded in these. ``results``, a pair of operation and factor for each scalar; None is the number 1.
+        ``operations``, each of which refers to earlier operations by their numbers: ``["q", "q1"]`` is a leaf;
+        ``["+", [[0, 2], [1, -1]], constant]`` a sum of operations 0 and 1 with factors, and a number; ``["*", [0, 1]]``
+        a product; ``["/", 0]`` a reciprocal; ``["sin", argument]`` a function, and likewise others, whose arguments are
+        nested lists of functions, ``"+"``, ``"*"``, ``"^"``, numbers ``["=", 2]`` and operations ``["@", 0]``;
+        ``["?", [0, 1]]`` is anything that cannot be encoded in these. ``results`` has a pair of operation and factor
+        for each scalar; the operation None is the number 1.
 
     Examples
     --------
@@ -91,7 +92,7 @@ def _encoded(expr: sm.Expr, operands: list[int | None]) -> list[Any] | None:
 
 
 def _plain(number: Number) -> int | float | list[int]:
-    """A fraction is a pair; what is whole is an int."""
+    """A fraction as a pair, an integer as an int."""
     if isinstance(number, Fraction):
         return int(number) if number.denominator == 1 else [number.numerator, number.denominator]
     return number

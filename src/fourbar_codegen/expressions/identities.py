@@ -1,10 +1,10 @@
 """Identities between expressions, decided by their values at a random point.
 
 Trigonometric identities, which SymPy needs minutes to prove and straight-line code does not show, are found this way in
-a millisecond. The values are exact, integers modulo a prime of 127 bits: every angle has sine and cosine
-2 t / (1 + t^2) and (1 - t^2) / (1 + t^2) with a random t, every variable and every other function a random value.
-Rational functions that are not the same differ there but for one case in 10^30, and what holds for any value of a
-function holds whatever the function is.
+a millisecond. The values are exact integers modulo a prime of 127 bits. Every angle has sine and cosine
+2 t / (1 + t^2) and (1 - t^2) / (1 + t^2) with a random t; every variable and every other function has a random value.
+Different rational functions have equal values with a probability of about 10^-30. An identity that holds for random
+values of a function holds for every function.
 
 Source: J. T. Schwartz, "Fast probabilistic algorithms for verification of polynomial identities", *Journal of the ACM*
 27 (1980).
@@ -25,7 +25,7 @@ from fourbar_codegen.expressions.tape import ONE, Call, Leaf, Number, Product, R
 __all__ = ["deduplicate", "is_zero", "rank"]
 
 PRIME = 0x6A09E667F3BCC908B2FB1366EA957D67
-"""The first prime behind the digits of the square root of 2: for primes such as 2**127 - 1, 2**127 would be 1."""
+"""The first prime after the digits of the square root of 2; modulo 2**127 - 1, for example, 2**127 would be 1."""
 
 POINTS = 8
 TOLERANCE = 1e-9
@@ -33,11 +33,10 @@ MODERATE = 1e-6
 
 
 def deduplicate(tape: Tape, scalars: Sequence[Scalar], known: Iterable[int] = ()) -> list[Scalar]:
-    """The scalars with known nodes, or with zero or one, in place of nodes that have the same values.
+    """The scalars, with nodes of equal value replaced by known or earlier nodes, or by zero or one.
 
-    Nodes are known that are given, or that come first. A constraint that was dotted out of a chain of frames, for
-    example, has products of direction cosines in another order than the one in which the equations of motion need them,
-    and so quadratically many of them.
+    For example, a constraint from dot products along a chain of frames has products of direction cosines in another
+    order than the equations of motion, and therefore quadratically many of them.
     """
     reached = tape.reach(scalars)
     given = set(known)
@@ -61,16 +60,16 @@ def deduplicate(tape: Tape, scalars: Sequence[Scalar], known: Iterable[int] = ()
 
 
 def is_zero(tape: Tape, scalars: Sequence[Scalar]) -> list[bool]:
-    """Whether each scalar is zero wherever the leaves are."""
+    """Whether each scalar is zero for all values of the leaves."""
     nodes = tape.reach(scalars)
     values = _exact_values(tape, nodes)
-    # Numbers such as the cosine of 0.3 make exact identities of nothing but sines and cosines inexact.
+    # With numbers such as the cosine of 0.3, identities of sines and cosines hold only to rounding.
     inexact = iter(_is_zero_to_rounding(tape, scalars, nodes))
     return [nearly or not scalar or values[scalar.node] == 0 for scalar, nearly in zip(scalars, inexact, strict=True)]
 
 
 def rank(tape: Tape, rows: Sequence[Sequence[Scalar]]) -> int:
-    """The rank of a matrix at a random point; that of its shape where there is none, or it is not known.
+    """The rank of a matrix at a random point; full rank if it has no value there or it is not known.
 
     Examples
     --------
@@ -102,7 +101,7 @@ def rank(tape: Tape, rows: Sequence[Sequence[Scalar]]) -> int:
 
 
 def _exact_values(tape: Tape, nodes: Sequence[int]) -> dict[int, int | None]:
-    """The nodes' values at a random point modulo the prime; None where there is none, or that is not known."""
+    """The nodes' values at a random point modulo the prime; None where there is none, or it is not known."""
     generator = random.Random(1)
     angles: dict[tuple[sm.Expr, tuple[int, ...]], tuple[int, int]] = {}
     known: dict[int, int | None] = {ONE: 1}
@@ -147,7 +146,7 @@ def _residue(value: Number) -> int | None:
 
 
 def _is_zero_to_rounding(tape: Tape, scalars: Sequence[Scalar], nodes: Sequence[int]) -> list[bool]:
-    """Whether scalars vanish but for rounding errors, if they are made of sines, cosines and numbers around 1."""
+    """Whether scalars vanish up to rounding errors, for scalars of sines, cosines and numbers around 1."""
     plain = _plain_nodes(tape, nodes)
     tested = [Scalar(tape, 1, scalar.node) for scalar in scalars if scalar.node in plain]
     leaves = [Scalar(tape, 1, node) for node in nodes if isinstance(tape.nodes[node], Leaf)]

@@ -1,4 +1,4 @@
-"""Small sparse systems of linear equations, solved on the tape."""
+"""Small sparse systems of linear equations, solved symbolically on the tape."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from fourbar_codegen.expressions.tape import Scalar, Tape
 __all__ = ["MAX_COUPLED", "TooManyCoupledError", "UndeterminedError", "solve_linear"]
 
 MAX_COUPLED = 6
-"""Expansion by minors grows as n!; coupled coordinates come in threes (attitude) and rarely in sixes."""
+"""Expansion by minors grows as n!. Coupled coordinates come in threes (attitude), rarely in sixes."""
 
 
 class UndeterminedError(Exception):
@@ -18,7 +18,7 @@ class UndeterminedError(Exception):
     Parameters
     ----------
     rows, columns : tuple of int
-        The equations and unknowns of the part that has no solution.
+        The equations and unknowns of the part without a unique solution.
     """
 
     def __init__(self, rows: tuple[int, ...], columns: tuple[int, ...]) -> None:
@@ -34,9 +34,9 @@ class TooManyCoupledError(Exception):
 def solve_linear(tape: Tape, matrix: Sequence[Sequence[Scalar]], constants: Sequence[Scalar]) -> tuple[Scalar, ...]:
     """Solve ``matrix @ unknowns + constants = 0``.
 
-    Equations with one unknown are solved first, then blocks that share no unknown, each apart. Within a
-    block, Cramer's rule needs no pivot that might vanish for some values of the leaves; where the block's
-    determinant vanishes, the unknowns are not finite.
+    Equations with one unknown are solved first, then each independent block. Within a block, Cramer's rule needs no
+    pivot that might vanish for some values of the leaves. Where the block's determinant vanishes, the unknowns are not
+    finite.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def solve_linear(tape: Tape, matrix: Sequence[Sequence[Scalar]], constants: Sequ
     Raises
     ------
     UndeterminedError
-        If the equations do not determine them, whatever the leaves are.
+        If the equations do not determine them for any values of the leaves.
     TooManyCoupledError
         If a block is too large for expansion by minors.
     """
@@ -60,7 +60,7 @@ def solve_linear(tape: Tape, matrix: Sequence[Sequence[Scalar]], constants: Sequ
     rest = list(constants)
     solution: dict[int, Scalar] = {}
 
-    # Equations with one unknown, as long as there are any: triangular ones are solved by that alone.
+    # Equations with one unknown, as long as there are any; this alone solves triangular systems.
     remaining = list(range(len(rows)))
     while (single := next((row for row in remaining if len(rows[row]) == 1), None)) is not None:
         [(unknown, entry)] = rows[single].items()

@@ -1,4 +1,4 @@
-"""Expressions as numbers, in double precision and without C: what compiled functions are checked against."""
+"""Expressions as numbers, in double precision and without C, as a reference for compiled functions."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def number(expr: sm.Expr, values: Mapping[sm.Symbol, float]) -> float:
         return float(expr)
     if expr.is_Pow:
         base, exponent = expr.args
-        # Unlike **, math.pow refuses a negative base with a broken exponent.
+        # Unlike **, math.pow refuses a negative base with a non-integer exponent.
         return math.pow(number(base, values), number(exponent, values))
     if isinstance(expr, sm.Piecewise):
         return next((number(branch, values) for branch, condition in expr.args if _holds(condition, values)), math.nan)
@@ -80,6 +80,6 @@ def _holds(condition: Boolean, values: Mapping[sm.Symbol, float]) -> bool:
         known = condition.func(*(sm.Float(number(side, values)) for side in condition.args))
     else:
         known = condition
-    if known not in (sm.true, sm.false):  # bool() would take any other object for true
+    if known not in (sm.true, sm.false):  # bool() would be true for any other object
         raise TypeError(f"It is not known whether {condition} holds.")
     return bool(known)

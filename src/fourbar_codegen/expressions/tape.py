@@ -1,9 +1,9 @@
-"""Straight-line code under construction: every expression once.
+"""Straight-line code under construction, with hash-consing: every expression is stored once.
 
 The expressions of chained reference frames are small as graphs and exponential as trees. A tape keeps them as a
-graph: each operation is stored as a node the first time it is met, and found again whenever it is met once more
-(hash-consing). Nodes are plain tuples of numbers, a hundred times cheaper to make than SymPy's expressions; SymPy
-stays inside the functions, such as sin or Piecewise.
+graph: each operation is stored as a node at its first appearance and reused afterwards. Nodes are plain tuples of
+numbers, a hundred times cheaper to make than SymPy's expressions. SymPy is only used inside the functions, such as sin
+or Piecewise.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ class Leaf(NamedTuple):
     Attributes
     ----------
     kind : str
-        What it is, in a letter or two.
+        What it is, in one or two letters.
     name : str
-        What it is called in the model, or its number.
+        Its name in the model, or its number.
     """
 
     kind: str
@@ -56,7 +56,7 @@ class Leaf(NamedTuple):
 
 
 class Sum(NamedTuple):
-    """The sum of nodes times numbers.
+    """A linear combination of nodes.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class Product(NamedTuple):
     Attributes
     ----------
     factors : tuple of int
-        In order; a square has its factor twice.
+        In order of their numbers; a square has its factor twice.
     """
 
     factors: tuple[int, ...]
@@ -139,9 +139,9 @@ def placeholder(position: int) -> sm.Symbol:
 
 
 class Scalar:
-    """A number times a node of a tape; arithmetic with it stores nodes there.
+    """A number times a node of a tape; arithmetic on scalars stores nodes on the tape.
 
-    Numerical factors stay outside of nodes, so that ``x``, ``-x`` and ``2*x`` share one.
+    Numerical factors stay outside of nodes, so that ``x``, ``-x`` and ``2*x`` share one node.
     """
 
     __slots__ = ("coefficient", "node", "tape")
@@ -158,7 +158,7 @@ class Scalar:
 
     @property
     def is_nan(self) -> bool:
-        """Whether it is not a number in the sense of floating-point arithmetic."""
+        """Whether it is NaN."""
         return self.coefficient != self.coefficient
 
     def __bool__(self) -> bool:
@@ -217,7 +217,7 @@ class Result:
 
 
 class Tape:
-    """Nodes in order of evaluation: each refers to nodes before it.
+    """Nodes in topological order: each refers only to earlier nodes.
 
     Attributes
     ----------
@@ -262,7 +262,7 @@ class Tape:
         items = sorted((node, coefficient) for node, coefficient in total.items() if coefficient)
         if len(items) < 2:
             return Scalar(self, items[0][1], items[0][0]) if items else self.zero
-        # The sign of the first term is the sum's, and so is a factor that all terms have.
+        # The sign of the first term and a factor common to all terms are taken out of the node.
         size = magnitude(items[0][1])
         factor: Number = size if all(magnitude(coefficient) == size for _, coefficient in items) else 1
         if items[0][1] < 0:
@@ -319,7 +319,7 @@ class Tape:
         return Scalar(self, _plain(coefficient), self._product(self._power(node, exponent)))
 
     def call(self, expression: sm.Expr, arguments: tuple[int, ...]) -> Scalar:
-        """A function that is not arithmetic, as `Call` has it; `convert.apply` finds out what is."""
+        """A function that is not arithmetic, see `Call`; `convert.apply` recognizes arithmetic."""
         return self._node(Call(expression, arguments))
 
     def multiple(self, scalar: Scalar) -> Scalar:
@@ -327,7 +327,7 @@ class Tape:
         return scalar if scalar.coefficient == 1 else self._node(Sum(((scalar.node, scalar.coefficient),)))
 
     def reach(self, scalars: Iterable[Scalar], known: Container[int] = ()) -> list[int]:
-        """All nodes that the scalars need, in order of evaluation, leaves among them, short of what is known."""
+        """All nodes that the scalars need, in topological order, including leaves, but without known nodes."""
         found: set[int] = set()
         stack = [scalar.node for scalar in scalars]
         while stack:
@@ -338,15 +338,15 @@ class Tape:
         return sorted(found)
 
     def count_operations(self, scalars: Iterable[Scalar]) -> int:
-        """Number of operations of all that the scalars need."""
+        """Number of operations that the scalars need."""
         return sum([operations_of(self.nodes[node]) for node in self.reach(scalars)])
 
     def depends(self, scalars: Iterable[Scalar], leaves: Iterable[Scalar]) -> bool:
-        """Whether any of the leaves takes part in the scalars' values."""
+        """Whether the scalars depend on any of the leaves."""
         return not {leaf.node for leaf in leaves}.isdisjoint(self.reach(scalars))
 
     def dependent(self, nodes: Iterable[int], leaves: Iterable[Scalar]) -> set[int]:
-        """Those of the nodes, given in order of evaluation, that depend on any of the leaves."""
+        """The nodes that depend on any of the leaves; the nodes are given in topological order."""
         found = {leaf.node for leaf in leaves}
         for node in nodes:
             if not found.isdisjoint(self._operands[node]):
@@ -354,7 +354,7 @@ class Tape:
         return found
 
     def evaluate(self, scalars: Sequence[Scalar], values: Mapping[Scalar, float]) -> list[float]:
-        """Numbers for scalars, given one for every leaf that they depend on.
+        """Numbers for scalars, for given numbers of all leaves that they depend on.
 
         Raises
         ------
@@ -365,7 +365,7 @@ class Tape:
         return [float(scalar.coefficient) * known[scalar.node] for scalar in scalars]
 
     def evaluate_nodes(self, nodes: Iterable[int], values: Mapping[Scalar, float]) -> dict[int, float]:
-        """Numbers for nodes, given in order of evaluation."""
+        """Numbers for nodes, which are given in topological order."""
         known = {leaf.node: value for leaf, value in values.items()}
         known[ONE] = 1.0
         for node in nodes:
@@ -394,10 +394,10 @@ def _inverse(value: Number) -> Number:
 
 
 def magnitude(value: Number) -> Number:
-    """abs, which type checkers do not know for fractions."""
+    """The absolute value; type checkers do not know abs of fractions."""
     return -value if value < 0 else value
 
 
 def _plain(value: Number) -> Number:
-    """A whole fraction as an int."""
+    """A fraction with an integer value as an int."""
     return value.numerator if isinstance(value, Fraction) and value.denominator == 1 else value

@@ -1,1 +1,1 @@
-"""A loaded model that evaluates, and what it is asked with."""
+"""Loaded models, their evaluation and its arguments."""

@@ -1,7 +1,7 @@
-"""What is compiled after the kernel, against the kernel: derivatives by differences, states side by side one by one.
+"""Parts that are compiled after the kernel, compared with it: derivatives with differences, batches with single states.
 
-The kernel itself was compared with the equations when it was compiled; see `verify`. These parts come later, where
-neither SymPy nor the equations are at hand.
+The kernel itself was compared with the equations when it was compiled; see `verify`. These parts are compiled later,
+when neither SymPy nor the equations are available.
 """
 
 from __future__ import annotations
@@ -24,19 +24,18 @@ Floats = NDArray[np.float64]
 STATES = 2
 ATTEMPTS = 8
 STEP = 2e-4
-"""Of differences, relative to what is changed where that is large. Extrapolated to h^4, their error is some 1e-14 of
-the fifth derivative, and that of rounding some 1e-12."""
+"""Step h of central differences, relative to large variables. After extrapolation, the truncation error is h^4 / 480
+times the fifth derivative, and the rounding error about 1e-12."""
 
 TOLERANCE = 1e-6
-"""The share of the largest entry of a matrix by which a derivative may miss a difference that is sure of itself."""
+"""Tolerance for derivatives against accurate differences, relative to the largest entry of the matrix."""
 
 ROUNDED = 4 * np.finfo(float).eps
-"""The share of a function's value that rounding errors make of it at least: of forces of 1e20 N, no difference knows
-how they change with others."""
+"""Smallest relative rounding error of a function's value; differences of forces of 1e20 N show no changes by others."""
 
 ALONE = 1e-8
-"""And rates of states side by side those of one: sines differ in the last bit, and what is solved may be
-ill-conditioned."""
+"""Relative tolerance for rates of states side by side against those of single states: sines differ in the last bit, and
+the equations may be ill-conditioned."""
 
 
 DEFECT = "That is a defect of the C compiler, its flags, or this package. Try other CFLAGS, or another compiler in CC."
@@ -45,7 +44,7 @@ DEFECT = "That is a defect of the C compiler, its flags, or this package. Try ot
 def compare_derivatives(model: Evaluator) -> None:
     """Compare derivatives with extrapolated differences of the kernel's functions, at random states.
 
-    Differences that two steps do not agree on, as near singular positions and kinks, are passed over.
+    Differences on which two step sizes disagree, as near singular positions and kinks, are skipped.
 
     Parameters
     ----------
@@ -55,7 +54,7 @@ def compare_derivatives(model: Evaluator) -> None:
     Raises
     ------
     BuildError
-        If one does not agree.
+        If one differs.
 
     Source: L. F. Richardson, "The approximate arithmetical solution by finite differences of physical problems",
     *Philosophical Transactions of the Royal Society A* 210 (1911).
@@ -114,14 +113,14 @@ def _compare_at(model: Evaluator, t: float, x: Floats, p: Floats, r: Floats) -> 
 
 
 def _differences(function: Callable[[Floats], Floats], point: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """The derivatives of a function at a point, by central differences, and which of them two steps agree on."""
+    """The derivatives of a function at a point, by central differences, and for which of them two step sizes agree."""
     columns, sure = [], []
     size = np.shape(function(point))
     for i in range(len(point)):
         step = STEP * max(abs(point[i]), 1.0)
 
         def slope(h: float, i: int = i) -> tuple[Floats, Floats]:
-            """And what rounding errors of the function make of it."""
+            """A difference quotient, and its rounding error."""
             moved = [point.copy(), point.copy()]
             moved[0][i] += h
             moved[1][i] -= h
@@ -139,15 +138,15 @@ def _differences(function: Callable[[Floats], Floats], point: Floats) -> tuple[F
 
 
 def compare_batch_functions(model: Evaluator) -> None:
-    """Compare rates of states side by side with those of one state after the other, at random states.
+    """Compare rates of states side by side with those of single states, at random states.
 
     Raises
     ------
     BuildError
-        If they do not agree.
+        If they differ.
     """
     generator = random.Random(0)
-    n = 2 * width(model) + 1  # whole vectors, and what is left over
+    n = 2 * width(model) + 1  # full vectors and a remainder
     arguments = [_arguments(model, generator) for _ in range(n)]
     t, x, p, r = (np.array(columns).T.copy() for columns in zip(*arguments, strict=True))
     rates = np.empty_like(x)

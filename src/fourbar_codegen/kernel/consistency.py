@@ -1,4 +1,4 @@
-"""Whether a state satisfies the constraints, so that a run may begin there, and what keeps it so."""
+"""Whether a state satisfies the constraints, so that a run may begin there, and whether the motion keeps them."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ __all__ = ["FLOOR", "check_start", "consistent", "is_rounded", "left", "projects
 Floats = NDArray[np.float64]
 
 CONSISTENT = 1e-3
-"""By what share of the coordinates or speeds projection may move the state that a run begins from."""
+"""Largest relative change of the coordinates or speeds by the projection of an initial state."""
 
 LOOKED = 16
-"""At how many states of a run it is asked whether its motion keeps the positions, ..."""
+"""Number of states of a run at which rates of position constraints are checked."""
 
 DIFFERENCE = 1e-6
-"""... with what share of the time, or of a second, as the step of a difference, ..."""
+"""Step of the difference with respect to time, relative to the time, or to a second if it is smaller."""
 
 LEFT = 1e-5
-"""... and by what share of its terms, or of the positions in a second, a rate may not be zero."""
+"""Largest rate of a position constraint, relative to its terms and, per second, to the constraint's scale."""
 
 FLOOR = 1e-12
-"""And by how much in any case: rounding errors."""
+"""Absolute change of a state that is always accepted as rounding errors."""
 
 
 def projects(model: Kernel, constraints: str, *, stabilizes: bool = False) -> bool:
-    """Whether states are to be moved onto the constraints, by a method that may allow "baumgarte" or not."""
+    """Whether states are to be projected onto the constraints; `stabilizes` says whether "baumgarte" is allowed."""
     allowed = ("project", "baumgarte", "none") if stabilizes else ("project", "none")
     if not isinstance(constraints, str) or constraints not in allowed:
         raise ModelError(f"constraints must be {' or '.join(map(repr, allowed))}, not {shown(constraints)}.")
@@ -41,9 +41,9 @@ def projects(model: Kernel, constraints: str, *, stabilizes: bool = False) -> bo
 
 
 def check_start(model: Kernel, ode: Ode, t: float, state: Floats, p: Floats | None, *, passes: bool = False) -> None:
-    """Raise where the first evaluation would fail: an integrator could not even choose a first step.
+    """Raise if the first evaluation fails, since an integrator could not even choose a first step.
 
-    What passes singular positions may begin at one.
+    Methods that pass singular positions may begin at one.
     """
     if is_finite(state) and is_finite(ode(t, state)):
         return
@@ -53,7 +53,7 @@ def check_start(model: Kernel, ode: Ode, t: float, state: Floats, p: Floats | No
 
 
 def consistent(ode: Ode, t: float, x0: Floats) -> Floats:
-    """The state to begin from, moved onto the constraints.
+    """The initial state, projected onto the constraints.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def consistent(ode: Ode, t: float, x0: Floats) -> Floats:
     Raises
     ------
     ModelError
-        If it violates them by more than what rounding to four digits does.
+        If it violates them by more than rounding to four digits explains.
     SimulationError
         If the equations cannot be evaluated there.
     """
@@ -113,10 +113,10 @@ def _tables(ode: Ode) -> set[str]:
 
 
 def left(model: Kernel, ode: Ode, times: Floats, states: Floats, p: Floats | None) -> str:
-    """A sentence where the motion does not keep a position constraint, whose states projection has moved back to it.
+    """A sentence if the motion does not keep a position constraint, and only projection did; else an empty text.
 
-    A Model looks at random states for that; here it is asked of a few of a run, in columns. Phi_q q' + Phi_t is not
-    zero there, by more than differences err for Phi_t.
+    A Model checks this at random states. Here it is checked at some states of a run, given in columns: Phi_q q' + Phi_t
+    must be zero, up to the error of the differences for Phi_t.
     """
     n_q, prescribed, every = model.n_q, bool(model.manifest["moving_inputs"]), len(times) // LOOKED + 1
     for t, x in zip(times[::every], states.T[::every], strict=True):
@@ -140,11 +140,11 @@ def left(model: Kernel, ode: Ode, times: Floats, states: Floats, p: Floats | Non
 
 
 def is_rounded(n_q: int, n_u: int, x0: Floats, x: Floats) -> Any:
-    """Whether states, or each of those in rows, differ from consistent ones by no more than rounding to four digits."""
+    """Whether a state, or each of the states in rows, equals a consistent one up to rounding to four digits."""
     moved = np.abs(x - x0)
     if (moved <= FLOOR).all():
         return np.ones(x0.shape[:-1], dtype=bool)[()]
-    # Of angles, whole turns say nothing; of what is small as a whole, small changes are large.
+    # Scales: at most 1 for coordinates, since whole turns of angles do not count; less if all values are small.
     size = np.empty_like(x0)
     for part in (slice(None, n_q), slice(n_q, n_q + n_u), slice(n_q + n_u, None)):
         size[..., part] = np.minimum(1.0, np.abs(x0[..., part]).max(axis=-1, keepdims=True, initial=0.0))

@@ -1,4 +1,4 @@
-"""Dependent coordinates and speeds from linear constraints, by their singular values."""
+"""Dependent coordinates and speeds from linear constraints, by singular value decomposition."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ __all__ = ["INDEPENDENT", "SINGULAR", "eliminate", "row_sizes", "solve_dependent
 Floats = NDArray[np.float64]
 
 SINGULAR = 1e-12
-"""Singular values below this share of the largest are rounding errors."""
+"""Singular values below this fraction of the largest are rounding errors."""
 
 INDEPENDENT = 1e-6
-"""And rows are independent of each other from this share on: those that are redundant on the constraint manifold alone
-differ by the error of the position."""
+"""Rows are independent if singular values exceed this fraction of the largest: rows that are redundant only on the
+constraint manifold differ by the error of the position."""
 
 NEGLIGIBLE = 2e-13
-"""Rows below this share of the largest are rounding errors; as in fourbar_solve.h."""
+"""Rows below this fraction of the largest are rounding errors; as in fourbar_solve.h."""
 
 
 def row_sizes(matrix: Floats) -> Floats:
-    """The largest entry of each row, by which constraints in unlike units are compared, shape (n, 1).
+    """The largest entry of each row, for comparing constraints in different units, shape (n, 1).
 
-    Infinite for rows that are nothing but rounding errors.
+    Infinite for rows of rounding errors.
     """
     size = np.abs(matrix).max(axis=1, keepdims=True, initial=0.0)
     return np.where(size > NEGLIGIBLE * size.max(initial=0.0), size, np.inf)
@@ -38,16 +38,16 @@ def solve_dependent(
 ) -> tuple[Floats, int]:
     """The v_d with ``matrix[:, n_independent:] @ v_d + known = 0`` by least squares, and the rank of the columns.
 
-    Rows are in units of their largest entries, by `row_sizes`; columns are taken in units of theirs, so that metres and
-    radians count alike. Columns that are nothing but rounding errors determine nothing: what they stand for is 0. Of
-    several solutions it is the shortest, in these units.
+    Rows must be scaled by `row_sizes`. Columns are scaled by their largest entries, so that metres and radians count
+    alike. Variables whose columns are only rounding errors are 0. Of several solutions, the minimum-norm one in these
+    units is returned.
     """
     dependent = matrix[:, n_independent:]
     size = np.abs(dependent).max(axis=0, initial=0.0)
     unit = np.where(size > NEGLIGIBLE, size, np.inf)
     scaled = dependent / unit
     solution, _, rank, _ = np.linalg.lstsq(scaled, -known, rcond=singular)
-    # What is small beside other entries is as accurate as these alone: refined once, it is by itself.
+    # One step of iterative refinement: entries that are small beside others become accurate by themselves.
     solution = solution - np.linalg.lstsq(scaled, scaled @ solution + known, rcond=singular)[0]
     return np.asarray(solution / unit.reshape(-1, *[1] * (known.ndim - 1)), dtype=np.float64), int(rank)
 
@@ -60,7 +60,7 @@ def eliminate(matrix: Floats, n_independent: int, names: Sequence[str]) -> Float
     matrix : ndarray, shape (n_c, n)
     n_independent : int
     names : sequence of str
-        What the dependent variables are called.
+        Names of the dependent variables.
 
     Returns
     -------
@@ -69,7 +69,7 @@ def eliminate(matrix: Floats, n_independent: int, names: Sequence[str]) -> Float
     Raises
     ------
     SimulationError
-        If they do not follow.
+        If they do not follow from the independent ones.
 
     Examples
     --------

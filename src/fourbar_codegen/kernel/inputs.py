@@ -1,4 +1,4 @@
-"""Where the inputs' values come from: numbers, tables, callables and the model's own expressions."""
+"""Sources of the inputs' values: numbers, tables, callables and the model's own expressions."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ InputSource = float | tuple[ArrayLike, ArrayLike] | tuple[ArrayLike, ArrayLike, 
 InterpolationTable = tuple[Floats, Floats] | tuple[Floats, Floats, str]
 
 KINDS = ("linear", "pchip", "cubic")
-"""What is laid through a table: lines; the monotone cubics of PCHIP, which do not overshoot; a cubic spline."""
+"""Interpolation of a table: linear; monotone PCHIP cubics, which do not overshoot; a cubic spline."""
 
 
 def bind(model: Kernel, parameters: Values | None, inputs: Mapping[Any, InputSource] | None) -> Ode:
@@ -45,17 +45,17 @@ def bind(model: Kernel, parameters: Values | None, inputs: Mapping[Any, InputSou
             if entry["expression"] is None and source is None and not entry["order"]
         ]
         if missing:
-            raise ModelError(f"No source for input {', '.join(missing)}: give one in inputs=, there is no expression.")
+            raise ModelError(f"Input {', '.join(missing)} has no source and no expression: give a source in inputs=.")
     return Ode(model, parameters, sources)
 
 
 def along(
     model: Kernel, parameters: Values | None, t: Floats, r: Floats, inputs: Mapping[Any, InputSource] | None
 ) -> tuple[Ode, bool]:
-    """The right-hand side with the inputs of a run, and whether one that prescribes a motion is interpolated.
+    """The right-hand side with the inputs of a run, and whether an input that prescribes a motion is interpolated.
 
-    They come from their sources. Where these are not known, r in columns at times t, they are those of their
-    expressions where that gives the same, and interpolated linearly otherwise.
+    Inputs come from their sources. If these are unknown, an input is given by its expression if that agrees with its
+    values r, in columns at times t; otherwise r is interpolated linearly.
     """
     if inputs is not None:
         return bind(model, parameters, inputs), False
@@ -83,7 +83,7 @@ def by_name(model: Kernel, inputs: Mapping[Any, Any] | None) -> Mapping[Any, Any
 
 
 def input_sources(model: Kernel, inputs: Mapping[Any, InputSource] | None) -> list[object]:
-    """For each entry of the inputs r None (its expression), a float, a Table or a callable."""
+    """For each entry of the inputs r: None (its expression), a float, a Table or a callable."""
     entries = model.manifest["inputs"]
     names = [entry["name"] for entry in entries if not entry["order"]]
     sources: list[object] = [None] * len(entries)
@@ -95,7 +95,7 @@ def input_sources(model: Kernel, inputs: Mapping[Any, InputSource] | None) -> li
         if callable(source):
             if len(orders) > 1:
                 raise ModelError(
-                    f"Input {name} prescribes a motion, so that its rates are needed: give a number or a table (times, "
+                    f"Input {name} prescribes a motion, so its rates are needed: give a number or a table (times, "
                     "values) or (times, values, kind), not a callable."
                 )
             of_orders = [source]
@@ -109,7 +109,7 @@ def input_sources(model: Kernel, inputs: Mapping[Any, InputSource] | None) -> li
 
 
 def own_source(name: str, source: Any) -> float | InterpolationTable | Callable[[float, Floats], float]:
-    """The source of an input, checked, with nothing of the caller's in it but a callable."""
+    """The source of an input, checked and, unless it is a callable, copied."""
     if callable(source):
         of_time_and_state(source, f"The callable of input {name}")
         return source  # type: ignore[no-any-return]
@@ -145,7 +145,7 @@ def _linear(times: Floats, values: Floats) -> Table:
 
 
 def _interpolants(times: Floats, values: Floats, kind: str, orders: int) -> Iterator[Table]:
-    """What is laid through a table, and its derivatives; at rest outside.
+    """The interpolant of a table, and its derivatives; constant outside of the table.
 
     Source: F. N. Fritsch, J. Butland, "A method for constructing local monotone piecewise cubic interpolants", *SIAM
     Journal on Scientific and Statistical Computing* 5 (1984), as ``scipy.interpolate.PchipInterpolator`` has it.
@@ -166,9 +166,9 @@ def _interpolants(times: Floats, values: Floats, kind: str, orders: int) -> Iter
 
 
 def inputs_at(model: Kernel, t: float, p: Floats | None, inputs: Mapping[Any, InputSource] | None) -> Floats | None:
-    """The inputs for what depends on configuration and motion alone: those that prescribe it count.
+    """The inputs for results of configuration and motion only, where only inputs that prescribe a motion count.
 
-    A callable may ask for the state, which is not known yet; it cannot prescribe a motion, and 0 stands for it.
+    A callable may depend on the state, which is not known yet. It cannot prescribe a motion, so it is replaced by 0.
     """
     if inputs is None:
         return None  # the expressions
@@ -182,7 +182,7 @@ def inputs_at(model: Kernel, t: float, p: Floats | None, inputs: Mapping[Any, In
 
 
 def by_member(name: object, source: Any) -> Any:
-    """The source of an input, or an array with a number for each member; a copy of what is the caller's."""
+    """The source of an input, or an array with a number for each member, checked and copied."""
     if not is_by_member(source):
         return own_source(name_of(name), source)
     values = np.array(numbers(source, f"The values of input {name_of(name)}"))

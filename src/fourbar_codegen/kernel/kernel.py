@@ -1,4 +1,4 @@
-"""Kernel: a loaded model's names, and all that it evaluates at a state."""
+"""Kernel: a loaded model's names, and everything that it evaluates at a state."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ Floats = NDArray[np.float64]
 
 
 class Kernel(Evaluator):
-    """A mechanism's equations of motion, compiled, and what they are evaluated with.
+    """A mechanism's compiled equations of motion, and their evaluation.
 
-    Arguments stand in the order (t, x, p, r): time, state x = [q; u; z], parameters, inputs. Parameters and inputs are
-    arrays in order, or mappings from names or SymPy symbols that may leave out what has a default.
+    The order of arguments is (t, x, p, r): time, state x = [q; u; z], parameters, inputs. Parameters and inputs are
+    arrays in order, or mappings from names or SymPy symbols, which may leave out entries with a default.
 
     Its attributes are those of `fourbar_codegen.CompiledModel`.
     """
@@ -68,7 +68,7 @@ class Kernel(Evaluator):
         try:
             model = cls(versions(loaded.kernel)[-1], loaded.manifest)
         except (ValueError, KeyError) as error:
-            if isinstance(error, ModelError):  # is one, of another layout
+            if isinstance(error, ModelError):  # a compiled model, of another layout
                 raise
             raise ModelError(f"{loaded.path} is not a compiled model: {error}.") from error
         model.path = loaded.path
@@ -82,7 +82,7 @@ class Kernel(Evaluator):
 
     @classmethod
     def find(cls, name: str, fingerprint: str) -> Self | None:
-        """The model of a name and fingerprint, if it can be had without building it; see `loading.load_known`."""
+        """The model of a name and fingerprint, if it exists already; see `loading.load_known`."""
         found = load_known(name, fingerprint)
         return None if found is None else cls.from_loaded(found)
 
@@ -91,19 +91,19 @@ class Kernel(Evaluator):
         return _restore, (type(self), self.name, path, self.manifest, self._sources())
 
     def _sources(self) -> dict[str, str] | None:
-        """The sources: as they were beside a library when it was loaded, or as they are beside a module.
+        """The sources: those beside a library when it was loaded, or those that are beside a module now.
 
-        A module's folder may have been built anew, or half of it: then those there are another model's.
+        None if a module's folder was rebuilt, even in part, since its sources belong to another model then.
         """
         if not self.is_portable:
             return self._sources_when_loaded
         return sources_beside(self.path, self.name) if manifest_beside(self.path) == self.manifest else None
 
     def require_batch_functions(self) -> None:
-        """Build and load the functions for several states side by side, where the model was built without them.
+        """Build and load the functions for several states side by side, if the model was built without them.
 
-        They are in modules that were built to travel. `compile_model` leaves them to the first batch or ensemble, which
-        calls this.
+        Portable modules contain them. `compile_model` does not build them; the first batch or ensemble calls this
+        method.
 
         Raises
         ------
@@ -125,9 +125,10 @@ class Kernel(Evaluator):
             self._require("batch_functions", "Batches and ensembles need", attach, compare)
 
     def require_derivatives(self) -> None:
-        """Build and load derivatives, and what is drawn, where the model was built without them.
+        """Build and load derivatives and data for drawings, if the model was built without them.
 
-        As `require_batch_functions`: `compile_model` leaves them to the first Jacobian or picture.
+        As `require_batch_functions`: `compile_model` does not build them; the first Jacobian or picture calls this
+        method.
 
         Examples
         --------
@@ -148,12 +149,12 @@ class Kernel(Evaluator):
         attach: Callable[[Self, int], None],
         compare: Callable[[Evaluator], None],
     ) -> None:
-        """Attach a part from its library, which is built and compared first where it is not in the cache."""
+        """Attach a part from its library, which is built and compared first if it is not in the cache."""
         sources = self._sources() or {}
         if any(f"{self.name}{suffix}" not in sources for suffix in PARTS[part][0]):
             raise ModelError(
-                f"{needed} functions that compile_model leaves for later, and their sources were not beside "
-                f"{self.path}, or damaged: compile the model again. A module of build_model has them inside."
+                f"{needed} functions that compile_model builds later, but their sources beside {self.path} were "
+                "missing or damaged: compile the model again. A module of build_model contains them."
             )
         with Progress(f"fourbar_codegen: {self.name}") as progress:
             progress.stage(f"compiling {part.replace('_', ' ')}")
@@ -196,19 +197,19 @@ class Kernel(Evaluator):
         return named_values(r, self.inputs, known | self.rates_at_rest(r), "input")
 
     def rates_at_rest(self, r: Mapping[Any, Any]) -> dict[str, float]:
-        """The rates of motions that r gives, 0 each: an input that is given without its rates is at rest."""
+        """Rates of 0 for inputs that r gives without their rates: such an input is at rest."""
         in_force = zip(self.manifest["inputs"], self.defaults_in_force(r), strict=True)
         return {entry["name"]: 0.0 for entry, expression in in_force if entry["order"] and not expression}
 
     def defaults_in_force(self, r: Values | None) -> list[bool]:
-        """For each input, whether it is what its expression gives: r names neither it nor what it is a rate of."""
+        """For each input, whether its expression is used: r names neither it nor the input that it is a rate of."""
         if r is None or not is_mapping(r):
             return super().defaults_in_force(r)
         given = {name_of(key) for key in r}
         return [given.isdisjoint({entry["name"], entry["of"]}) for entry in self.manifest["inputs"]]
 
     def missing(self) -> str:
-        """What has to be given in every call."""
+        """The message that names parameters and inputs without a default."""
         parameters = [name for name, value in self.defaults.items() if value is None]
         inputs = [entry["name"] for entry in self.manifest["inputs"] if entry["expression"] is None]
         parts = [
@@ -251,7 +252,7 @@ class Kernel(Evaluator):
         return self._finite(self.dynamics(t, x, p, r)[2] + self._force_effect(t, x, p, r), t, x)
 
     def _force_effect(self, t: float, x: ArrayLike, p: Values | None, r: Values | None) -> Floats | float:
-        """What unknown forces that drive the motion add to f, shape (n_u,)."""
+        """The contribution of unknown forces that drive the motion to f, shape (n_u,)."""
         if self.n_l == self.n_c:
             return 0.0
         effect: Floats = self.unknown_forces(t, x, self.accelerations(t, x, p, r)[1][self.n_c :], p, r)[0]
@@ -260,8 +261,7 @@ class Kernel(Evaluator):
     def mass_matrix(self, t: float, x: ArrayLike, p: Values | None = None) -> Floats:
         """SymPy's ``System.mass_matrix``, shape (n_u, n_u).
 
-        In the model's own partition: Kane's equations projected on the independent speeds, above the
-        constraints' Jacobian. See `forcing`.
+        Kane's equations projected onto the model's independent speeds, above the constraints' Jacobian. See `forcing`.
 
         Parameters
         ----------
@@ -312,7 +312,7 @@ class Kernel(Evaluator):
         return self._finite(np.concatenate((self._projection(jacobian).T @ forcing, -bias)), t, x)
 
     def _finite(self, values: Floats, t: float, x: ArrayLike) -> Floats:
-        """The values; a SimulationError where the equations have none that is finite."""
+        """The values; raises a SimulationError if they are not finite."""
         if not is_finite(np.ascontiguousarray(values)):
             raise SimulationError(self.failure(NOT_FINITE, t, x))
         return values
@@ -405,8 +405,8 @@ class Kernel(Evaluator):
     def multipliers(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
         """Multipliers lambda of M u' = f + J^T lambda, shape (n_c,).
 
-        They are the generalized reactions conjugate to the constraints as they were written: for the four-bar,
-        the force (N) of the ground on the end of link 4.
+        They are the generalized reactions conjugate to the constraints in the form they were written: for the
+        four-bar, the force (N) of the ground on the end of link 4.
 
         Parameters
         ----------
@@ -466,7 +466,7 @@ class Kernel(Evaluator):
         return float(self._finite(self.energy(t, x, p, r)[:1], t, x)[0])
 
     def potential_energy(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> float:
-        """Potential energy, J: as given with the Model, or of the forces that are constant, such as gravity.
+        """Potential energy, J: as given with the Model, or of bodies and constant forces, such as gravity.
 
         Parameters
         ----------
@@ -476,8 +476,8 @@ class Kernel(Evaluator):
         Raises
         ------
         ModelError
-            If it is not known, as the Model's `potential_energy` says; or it depends on an input that has no
-            expression and is not given.
+            If it is unknown (see `potential_energy` of the Model), or depends on an input without expression that is
+            not given.
 
         Examples
         --------
@@ -488,8 +488,8 @@ class Kernel(Evaluator):
         if not self.manifest["has_potential_energy"]:
             raise ModelError(
                 f"The potential energy of {self.name} is not known: a constant force acts at a point whose position "
-                "from a fixed point is not defined, or has another velocity than the rate of that position; or bodies' "
-                "potentials lose another energy than all loads do work. Give potential_energy= to the Model."
+                "relative to a fixed point is not defined, or whose velocity is not the rate of that position; or the "
+                "loss of the bodies' potentials is not the work of all loads. Give potential_energy= to the Model."
             )
         energy = float(self.energy(t, x, p, r)[1])
         if r is None and math.isnan(energy) and any(e["expression"] is None for e in self.manifest["inputs"]):
@@ -500,11 +500,11 @@ class Kernel(Evaluator):
 def _restore(
     kind: type[Kernel], name: str, path: str | None, manifest: dict[str, Any], sources: Mapping[str, str] | None
 ) -> Kernel:
-    """A model from another process, which may run on another machine.
+    """A model from another process, possibly on another machine.
 
-    A module that was built to travel is loaded from its path. One that was built for its machine has none here: where
-    another machine sees the same folder, its processor may lack the instructions, and the cache's key knows that. What
-    is not there, is another model or cannot be loaded is built from the sources that came along.
+    A portable module is loaded from its path. A library that was built for one machine comes without a path: another
+    machine may see the same folder, but lack the instructions, which the cache's key accounts for. A model that is
+    missing, differs or cannot be loaded is built from the sources that came with it.
     """
     if path is not None and Path(path).is_file():
         with suppress(ModelError):
@@ -517,8 +517,8 @@ def _restore(
             return found
     if sources is None:
         raise ModelError(
-            f"The model {name} that was sent is not found here, or only another one of its name, and its sources were "
-            "not beside it, or are those of a later build: install its wheel, or send what build_model made, from the "
-            "folder that has its sources."
+            f"The model {name} that was sent is not found here, or only a different one of its name, and its sources "
+            "were not beside it, or are those of a later build. Install its wheel, or send the module of build_model "
+            "from the folder that has its sources."
         )
     return kind.from_loaded(load_from_sources(name, sources, manifest))

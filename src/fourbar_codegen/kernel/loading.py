@@ -1,4 +1,4 @@
-"""Where compiled models lie: found by name, by fingerprint or by path, and loaded; or built from their sources."""
+"""Compiled models are found by name, by fingerprint or by path, and loaded; or built from their sources."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ __all__ = [
 
 _Found = TypeVar("_Found")
 
-# What this process loaded from files: the system goes on giving out the first library of a path.
+# Files that this process loaded: for a path, the system always returns the library that was loaded first.
 _LOADED: dict[str, tuple[int, int, int]] = {}
 
 
@@ -56,11 +56,11 @@ class Loaded:
     Attributes
     ----------
     kernel : object
-        The capsule of its kernel, of which there may be faster versions; see `evaluator.versions`.
+        The capsule of its kernel, which may have faster versions; see `evaluator.versions`.
     manifest : dict
     path : Path
     sources : dict of str to str or None
-        Text by file name, of a library, whose other parts are built of them; of a module, which has all parts, none.
+        Text by file name, from which other parts of a library are built; None for a module, which has all parts.
     """
 
     kernel: object
@@ -83,7 +83,7 @@ def load_named(name: str | Path) -> Loaded:
         If there is no such model, or the file cannot be loaded.
     """
     if not isinstance(name, str | Path):
-        raise ModelError(f"A compiled model is known by its name or its path, not {name!r}.")
+        raise ModelError(f"A compiled model is loaded by its name or its path, not {name!r}.")
     path = path_of(name)
     try:
         is_file = path.suffix != "" and path.is_file()
@@ -93,8 +93,8 @@ def load_named(name: str | Path) -> Loaded:
         numbers = numbers_path(path)
         if _is_truncated(path) or not is_whole(path.parent, path.name, numbers.name):
             raise ModelError(
-                f"{path}, or {numbers.name} beside it, is damaged, and to load it might end Python: build it again, or "
-                "copy it again."
+                f"{path}, or {numbers.name} beside it, is damaged, and loading it might crash Python: build it or copy "
+                "it again."
             )
         return load_file(path)
     if str(name) in _prebuilt():
@@ -104,17 +104,16 @@ def load_named(name: str | Path) -> Loaded:
         return load_file(installed)
     known = ", ".join(_prebuilt()) or "none"
     raise ModelError(
-        f"There is no compiled model {str(name)!r}: it is neither one of the package's ({known}) nor one installed "
+        f"There is no compiled model {str(name)!r}: it is neither in the package ({known}) nor installed "
         "from a wheel, nor the path of an extension module that fourbar build made."
     )
 
 
 def load_known(name: str, fingerprint: str) -> Loaded | None:
-    """Load the model of a name and fingerprint, if it can be had without building it.
+    """Load the model of a name and fingerprint, if it exists already.
 
-    It is one that comes with the package, was installed from a wheel, or is in the cache of `compile_model`, built for
-    this machine. Name and fingerprint may come from a stranger's file: neither becomes a path, and nothing is loaded
-    but what is known to be that model.
+    It may come with the package, from a wheel, or from the cache of `compile_model` for this machine. Name and
+    fingerprint may come from an untrusted file: neither is used as a path, and only that model is loaded.
     """
     if not name.isidentifier():
         return None
@@ -131,14 +130,14 @@ def load_known(name: str, fingerprint: str) -> Loaded | None:
 
 
 def cache_key(source: object, *, checked: bool = True) -> str:
-    """The key in the cache of a model that is made of a source by this package and these tools, for this machine.
+    """The cache key of a model that this package and these tools make from a source, for this machine.
 
     Parameters
     ----------
     source : object
-        A model's fingerprint, or texts; plain data, as JSON has it.
+        A model's fingerprint, or texts; plain data that JSON can hold.
     checked : bool, optional
-        Whether it was compared with its equations: one that was not is none that was.
+        Whether it was compared with its equations; compared and other models have different keys.
 
     Returns
     -------
@@ -154,18 +153,18 @@ def load_file(path: Path) -> Loaded:
     Raises
     ------
     ModelError
-        If it cannot be loaded, is none, or this process has loaded what was there before.
+        If it cannot be loaded, is no compiled model, or this process has loaded an earlier file of that path.
     """
     place = str(path.resolve())
     try:
         status = path.stat()
         identity = (status.st_ino, status.st_size, status.st_mtime_ns)
         if _LOADED.setdefault(place, identity) != identity:
-            if numbers_path(path).is_file():  # a library, of which another one can be loaded from another place
+            if numbers_path(path).is_file():  # a library can be loaded again from another path
                 with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as temporary:
                     return _of_library(ctypes.CDLL(shutil.copy(path, temporary)), path)
             raise ModelError(
-                f"{path} was built again after this process loaded it, and a module cannot be loaded anew: restart "
+                f"{path} was built again after this process loaded it, and a module cannot be loaded twice: restart "
                 "Python, or build into another folder."
             )
         library = ctypes.CDLL(str(path))  # which stays loaded as long as the process runs
@@ -179,19 +178,19 @@ def load_file(path: Path) -> Loaded:
 
 
 def load_cached(find: Callable[[], Path]) -> Loaded:
-    """Load what is in the cache or is built there, again and again where another process removes it in between.
+    """Load a model that is in the cache or is built there; retries if another process removes it in between.
 
     Parameters
     ----------
     find : callable
-        Gives the model's path, and builds it if it is not there.
+        Returns the model's path, after building it if necessary.
 
     Raises
     ------
     ModelError
         If it cannot be loaded.
     CacheError
-        If it does not stay.
+        If it is removed each time.
     """
 
     def load(path: Path) -> Loaded:
@@ -215,7 +214,7 @@ def _where_it_stays(find: Callable[[], Path], load: Callable[[Path], _Found]) ->
 
 
 def _is_truncated(path: Path) -> bool:
-    """Whether an ELF file ends before the table of sections that its header tells of, which stands at the end.
+    """Whether an ELF file ends before its section header table, which is at the end.
 
     Source: System V Application Binary Interface, chapter 4 (the header of 64 bits).
     """
@@ -223,7 +222,7 @@ def _is_truncated(path: Path) -> bool:
         with path.open("rb") as file:
             header = file.read(64)
             size = file.seek(0, os.SEEK_END)
-    except OSError:  # of which the loader says more
+    except OSError:  # the loader reports more about it
         return False
     if not header.startswith(b"\x7fELF\x02"):
         return False
@@ -243,7 +242,7 @@ def _import(path: Path) -> ModuleType:
         module = util.module_from_spec(spec)
         loader.exec_module(module)
     finally:
-        if not taken:  # Cython enters its modules there, and the next import of that name would end at this one
+        if not taken:  # Cython registers its modules there, and the next import of that name would return this one
             sys.modules.pop(name, None)
     return module
 
@@ -271,8 +270,8 @@ def _of_library(library: ctypes.CDLL, path: Path) -> Loaded:
         manifest = manifest_of(json.loads(b"".join(lines)), numbers)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ModelError(
-            f"{path} is a model without its numbers: its defaults, units and initial values are to be in "
-            f"{numbers_path(path).name} beside it ({error})."
+            f"{path} is a model without its numbers: {numbers_path(path).name} beside it must contain its defaults, "
+            f"units and initial values ({error})."
         ) from error
     return Loaded(kernel_at(table.kernel), manifest, path, sources_beside(path, manifest["name"]))
 
@@ -294,7 +293,7 @@ def sources_beside(path: Path, name: str) -> dict[str, str] | None:
 
 
 def load_from_sources(name: str, sources: Mapping[str, str], manifest: Mapping[str, Any]) -> Loaded:
-    """Load the model of generated sources and a manifest, built for this machine, in the cache."""
+    """Load the model of generated sources and a manifest, built for this machine in the cache."""
     key = cache_key([sources, manifest])
 
     def build(folder: Path) -> Path:
@@ -304,10 +303,7 @@ def load_from_sources(name: str, sources: Mapping[str, str], manifest: Mapping[s
 
 
 def load_part(name: str, part: str, sources: Mapping[str, str], check: Callable[[int], None]) -> int:
-    """Build and load a part of a model that `compile_model` leaves for later: the address of its table.
-
-    What is built is checked first.
-    """
+    """Build, check and load a part of a model that `compile_model` builds later: the address of its table."""
 
     def address(path: Path) -> int:
         return _address(path, f"{name}_{part}")
@@ -333,12 +329,12 @@ def _is_held(path: Path) -> bool:
 
 
 def _noexec(error: Exception) -> str:
-    """A sentence, if the system refuses to run what is in a folder."""
+    """A sentence, if the system does not allow execution in a folder."""
     if "failed to map segment" not in str(error):
         return ""
     return (
-        " Its file system may be mounted with noexec: name a folder elsewhere in the environment variable "
-        "FOURBAR_CODEGEN_CACHE, or build elsewhere."
+        " Its file system may be mounted with noexec: set the environment variable FOURBAR_CODEGEN_CACHE to a folder "
+        "elsewhere, or build elsewhere."
     )
 
 
@@ -352,7 +348,7 @@ def _installed(name: str, fingerprint: str | None = None) -> Path | None:
     """The extension module in a package as `build_wheel` packs it; nothing is imported to find it."""
     if not name.isidentifier():
         return None
-    # A data file may come with a folder beside it, which then is in the current one.
+    # Not from the current folder: a data file may come with a folder of the model's name beside it.
     spec = machinery.PathFinder.find_spec(name, [place for place in sys.path if not _is_current(place)])
     for folder in map(Path, (spec and spec.submodule_search_locations) or ()):
         try:

@@ -1,1 +1,1 @@
-"""Equations -> Program -> Schedule: what is evaluated, with how few operations, and in which order."""
+"""Equations -> Program -> Schedule: what is evaluated, with few operations, and in which order."""

@@ -1,12 +1,11 @@
-"""Angles added, where the tape has products of their sines and cosines.
+"""Addition theorems: sums of angles for products of their sines and cosines.
 
-The direction cosines of frames that turn about one axis, one on the other, are multiplied link after link,
+The direction cosines of a chain of frames that turn about the same axis are multiplied link by link,
 
     sin(a + b) = sin a cos b + cos a sin b,    cos(a + b) = cos a cos b - sin a sin b.
 
-Adding the angles instead takes one operation for six, and the sines of all links can be evaluated side by side. A sum
-is rounded as the angles themselves are: by about 1e-16 of the largest, which a crank that has turned often feels as it
-feels the rounding of its own angle.
+Adding the angles takes one operation instead of six, and the sines of all links can be evaluated side by side. The
+rounding error of a sum is about 1e-16 of the largest angle, the same as that of an angle itself after many turns.
 """
 
 from __future__ import annotations
@@ -24,20 +23,20 @@ SINE, COSINE = sm.sin(placeholder(0)), sm.cos(placeholder(0))
 
 
 def add_angles(tape: Tape, roots: Sequence[Scalar], is_constant: Callable[[int], bool]) -> list[Scalar]:
-    """The roots with angles added, where that needs no more sines and cosines, and fewer operations.
+    """The roots with sums of angles, where this needs no more sines and cosines, and fewer operations.
 
     Parameters
     ----------
     tape : Tape
     roots : sequence of Scalar
     is_constant : callable
-        Whether a node depends on parameters alone; such nodes stay what they are.
+        Whether a node depends on parameters alone; such nodes are not changed.
 
     Returns
     -------
     list of Scalar
     """
-    made: dict[int, Scalar] = {}  # what nodes became, where they did not stay what they are
+    made: dict[int, Scalar] = {}  # replacements of the nodes that changed
 
     def value(node: int) -> Scalar:
         known = made.get(node)
@@ -61,7 +60,7 @@ def add_angles(tape: Tape, roots: Sequence[Scalar], is_constant: Callable[[int],
 
 
 def _added(tape: Tape, operation: Node) -> Scalar | None:
-    """What an addition theorem makes of a sum."""
+    """A sum by an addition theorem; None if none applies."""
     match operation:
         case Sum(((first, 1), (second, 1 | -1 as sign))):
             one, other = _two_angles(tape, first), _two_angles(tape, second)
@@ -83,7 +82,7 @@ def _added(tape: Tape, operation: Node) -> Scalar | None:
 
 
 def _two_angles(tape: Tape, node: int) -> dict[int, sm.Expr] | None:
-    """The angles in a product of two sines or cosines, and which of the two is taken of each."""
+    """The angles in a product of two sines or cosines, each with its function."""
     match tape.nodes[node]:
         case Product((factor, other)):
             found = [_angle(tape.nodes[factor]), _angle(tape.nodes[other])]
@@ -92,7 +91,7 @@ def _two_angles(tape: Tape, node: int) -> dict[int, sm.Expr] | None:
 
 
 def _angle(operation: Node) -> tuple[int, sm.Expr] | None:
-    """The angle of a sine or cosine, and which of the two it is."""
+    """The angle and the function of a sine or cosine."""
     match operation:
         case Call(expression, (angle,)) if expression in (SINE, COSINE):
             return angle, expression

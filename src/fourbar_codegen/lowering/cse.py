@@ -1,7 +1,7 @@
-"""Common subexpression elimination: common parts of sums and products, factors in front, constants together.
+"""Common subexpression elimination: common parts of sums and products, factoring, grouping of constants.
 
-The tape has what is equal as a whole; here, the sums and products that it built in pairs are put together again and
-taken apart along what several of them have in common.
+The tape shares subexpressions that are equal as a whole. Here, its nested sums and products are flattened, and split
+again along the parts that several of them have in common.
 
 Source: Hosangadi, Fallah and Kastner, "Optimizing polynomial expressions by algebraic factorization and common
 subexpression elimination", *IEEE Transactions on CAD* 25 (2006); the greedy choice of the most frequent pair is theirs.
@@ -25,23 +25,23 @@ Operand = TypeVar("Operand")
 Pair = TypeVar("Pair", bound=tuple[Number, ...])
 
 MAX_OPERATIONS = 5000
-"""Operations beyond which products are left as they are: half of the time for a few per cent of the operations."""
+"""With more operations, products are left as they are: this would take half of the time and save a few per cent."""
 
 MAX_OPERANDS = 40
-"""Sums and products of more operands are left as they are: their pairs are too many."""
+"""Sums and products of more operands are left as they are: they have too many pairs."""
 
 
 def eliminate_common_subexpressions(
     tape: Tape, roots: Sequence[Scalar], is_constant: Callable[[int], bool]
 ) -> tuple[Statements, list[Scalar]]:
-    """The operations that roots need, in order of evaluation, and the roots in their terms.
+    """The operations that the roots need, in topological order, and the roots in terms of these.
 
     Parameters
     ----------
     tape : Tape
     roots : sequence of Scalar
     is_constant : callable
-        Whether a node depends on parameters alone; such nodes are taken as given, and new ones may come up.
+        Whether a node depends on parameters alone; such nodes are taken as given, and new ones may arise.
 
     Returns
     -------
@@ -60,9 +60,9 @@ def eliminate_common_subexpressions(
 
 
 class _Flattening:
-    """The roots with products that are used once put into the products that use them, and sums into sums.
+    """The roots with nested products and nested sums merged, where the inner one is used once.
 
-    In each, the constants come together, numerical factors included.
+    The constants of each are grouped, numerical factors included.
     """
 
     def __init__(self, tape: Tape, roots: Sequence[Scalar], is_constant: Callable[[int], bool]) -> None:
@@ -97,7 +97,7 @@ class _Flattening:
                 self._made[node] = make_again(self.tape, operation, self._value)
 
     def _value(self, node: int) -> Scalar:
-        """What a node becomes; a sum or product that is put into another one is not asked for."""
+        """The replacement of a node; not called for sums and products that are merged into others."""
         if node not in self._made:
             if node in self._terms:
                 self._made[node] = self._sum(self._terms[node])
@@ -108,7 +108,7 @@ class _Flattening:
         return self._made[node]
 
     def _multiple(self, node: int, coefficient: Number) -> Scalar:
-        """A multiple of a node; where that is all there is of a product, its constant takes the number in."""
+        """A multiple of a node; a product that is used nowhere else absorbs the coefficient in its constant."""
         if node in self._factors and self.uses[node] == 1:
             return self._product([*self._factors[node], self.tape.number(coefficient)], absorb=True)
         return self._value(node) * coefficient
@@ -141,10 +141,10 @@ class _Flattening:
 
 
 class _Block:
-    """The operations of one function, by the nodes that they give.
+    """The operations of one function, by their nodes.
 
-    A pass changes operations, but never the value of a node; then the tape takes them up again, finds those that
-    have become equal, and lets zeros and ones propagate.
+    A pass changes operations, but never the value of a node. Afterwards the tape stores them again, merges those that
+    became equal, and propagates zeros and ones.
     """
 
     def __init__(self, tape: Tape, roots: Sequence[Scalar], is_constant: Callable[[int], bool]) -> None:
@@ -154,7 +154,7 @@ class _Block:
         self.operations = self._reached({})
 
     def _reached(self, changed: Mapping[int, Node]) -> dict[int, Node]:
-        """The operations that the roots need, depth first, so that values are used soon after they are known."""
+        """The operations that the roots need, depth first, so that values are used soon after evaluation."""
         nodes = self.tape.nodes
         ordered: dict[int, Node] = {}
         for root in self.roots:
@@ -174,7 +174,7 @@ class _Block:
     def _take_up(self) -> None:
         """Store the operations as they are now, and keep those that the roots need."""
         tape = self.tape
-        made: dict[int, Scalar] = {}  # what nodes became, where they did not stay what they are
+        made: dict[int, Scalar] = {}  # replacements of the nodes that changed
 
         def value(node: int) -> Scalar:
             known = made.get(node)
@@ -188,7 +188,7 @@ class _Block:
         self.operations = self._reached({})
 
     def eliminate_common_products(self) -> None:
-        """Take out pairs of factors that several products have."""
+        """Extract pairs of factors that several products share."""
         items = {n: list(o.factors) for n, o in self.operations.items() if isinstance(o, Product)}
 
         def keys(factors: Sequence[int]) -> set[tuple[int, int]]:
@@ -205,7 +205,7 @@ class _Block:
         self._take_up()
 
     def eliminate_common_sums(self) -> None:
-        """Take out pairs of terms that several sums have, or multiples of them."""
+        """Extract pairs of terms, or multiples of pairs, that several sums share."""
         items = {n: list(o.terms) for n, o in self.operations.items() if isinstance(o, Sum)}
 
         def keys(terms: Sequence[tuple[int, Number]]) -> set[tuple[int, int, Number]]:
@@ -218,7 +218,7 @@ class _Block:
             terms: list[tuple[int, Number]], key: tuple[int, int, Number], new: int
         ) -> list[tuple[int, Number]]:
             rest = {n: c for n, c in terms if n not in key[:2]}
-            # The pair may stand in the sum as a term already.
+            # The pair may already be a term of the sum.
             rest[new] = rest.get(new, 0) + dict(terms)[key[0]]
             return sorted((n, c) for n, c in rest.items() if c)
 
@@ -227,7 +227,7 @@ class _Block:
         self._take_up()
 
     def factor_sums(self) -> None:
-        """Take a factor that several terms of a sum have in front of them: a b + a c = a (b + c)."""
+        """Factor out what several terms of a sum share: a b + a c = a (b + c)."""
         uses = Counter(root.node for root in self.roots)
         for operation in self.operations.values():
             uses.update(operands(operation))
@@ -316,7 +316,7 @@ def _extract_pairs(
 def _ratio(a: Number, b: Number) -> Number:
     if isinstance(a, float) or isinstance(b, float):
         return a / b
-    if type(a) is type(b) is int and not a % b:  # as nearly all are, without the time that a Fraction takes
+    if type(a) is type(b) is int and not a % b:  # the usual case, faster than with a Fraction
         return a // b
     ratio = Fraction(a) / Fraction(b)
     return ratio.numerator if ratio.denominator == 1 else ratio

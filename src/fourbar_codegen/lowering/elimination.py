@@ -1,14 +1,14 @@
-"""The structure of M u' = f + J^T lambda, J u' + gamma = 0 where most entries are zero: an order of elimination.
+"""Elimination orders for M u' = f + J^T lambda, J u' + gamma = 0: sparse, and of dense constraints.
 
-With a weight w > 0 for each constraint, u' and lambda are those of
+With a weight w > 0 for each constraint, u' and lambda solve
 
     [M + J^T w J   J^T] [  u'   ]   [f - J^T w gamma]
     [     J         0 ] [-lambda] = [    -gamma     ]
 
-whose upper left block is positive definite wherever the equations determine u', though M alone may be singular. So
-Gaussian elimination needs no pivoting, if each constraint comes after all speeds in it: its pivot then is negative as
-long as the constraints are independent. The order is chosen here, once, by the smallest number of neighbours; a row of
-loops takes operations linear in their number.
+The upper left block is positive definite wherever the equations determine u', even if M is singular. So Gaussian
+elimination needs no pivoting if each constraint comes after all speeds in it: its pivot is negative as long as the
+constraints are independent. The order is chosen once, at code generation, by minimum degree. The number of operations
+for a row of loops is linear in their number.
 
 Source: the augmented Lagrangian for saddle point systems, Benzi, Golub and Liesen, "Numerical solution of saddle point
 problems", *Acta Numerica* 14 (2005), section 3.5; minimum degree, Davis, *Direct Methods for Sparse Linear Systems*,
@@ -27,20 +27,20 @@ __all__ = ["MAX_CONSTRAINTS", "find_pivot_order", "find_structure"]
 
 MIN_SPEEDS = 8
 MAX_CONSTRAINTS = 8
-"""Of full equations, constraints for which a pivot order is chosen in advance; see fourbar_solve.h."""
+"""Most constraints of dense equations for which a pivot order is fixed at code generation; see fourbar_solve.h."""
 
 GOOD_PIVOT = 0.25
-"""The pivot by the largest entry of its row, as a mean, from which on an order is taken; see fourbar_solve.h."""
+"""Smallest mean ratio of a pivot to the largest entry of its row in a good order; see fourbar_solve.h."""
 
 TINY = 1e-12
-"""The share of its row below which a pivot is nothing but rounding errors."""
+"""Ratio of a pivot to the largest entry of its row below which it is only rounding errors."""
 
 GAIN = 4
-"""How many times fewer multiplications make up for their places in memory being looked up."""
+"""Sparse elimination must need this many times fewer multiplications, since it looks up indices."""
 
 
 def find_structure(n_u: int, n_c: int, mass_entries: Entries, jacobian_entries: Entries) -> Structure | None:
-    """An order of elimination, if that pays; None if the matrices are too small or too full.
+    """A sparse elimination order; None if the matrices are too small or too dense for a gain.
 
     Parameters
     ----------
@@ -103,11 +103,11 @@ def find_structure(n_u: int, n_c: int, mass_entries: Entries, jacobian_entries: 
 
 
 def find_pivot_order(n_c: int, n_u: int, rank: int, jacobians: Sequence[Sequence[Sequence[float]]]) -> PivotOrder:
-    """The order whose pivots are large by their rows, at some examples of J.
+    """A pivot order with large pivots relative to their rows, for some examples of J.
 
-    At each step the next constraint and speed are those with the largest product, over the examples, of the pivots by
-    the largest entries of their rows. They are sought among the dependent speeds, which stand last; among all where
-    these are no good choice.
+    Each step takes the constraint and the speed with the largest product, over the examples, of the ratios of pivot to
+    largest entry in the row. Only dependent speeds, which come last, are candidates, or all speeds if these give small
+    pivots.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def find_pivot_order(n_c: int, n_u: int, rank: int, jacobians: Sequence[Sequence
     PivotOrder(rows=(0, 1), speeds=(2, 1, 0))
     """
     dependent, order = range(n_u - rank, n_u), list(zip(range(n_c), range(n_u - rank, n_u), strict=False))
-    if rank == n_c and jacobians:  # redundant constraints are pivoted as it comes
+    if rank == n_c and jacobians:  # redundant constraints are pivoted at run time
         order, worst = _pivot(jacobians, n_c, dependent)
         if worst < GOOD_PIVOT:
             order, _ = _pivot(jacobians, n_c, range(n_u))
@@ -138,7 +138,7 @@ def find_pivot_order(n_c: int, n_u: int, rank: int, jacobians: Sequence[Sequence
 def _pivot(
     jacobians: Sequence[Sequence[Sequence[float]]], n_c: int, speeds: Sequence[int]
 ) -> tuple[list[tuple[int, int]], float]:
-    """Pairs of row and speed in the order of elimination; the pivot of the worst step, as a mean over the examples."""
+    """Pairs of row and speed in pivot order; the smallest pivot ratio of all steps, as a mean over the examples."""
     matrices = [[list(row) for row in jacobian] for jacobian in jacobians]
     waiting, order, worst = list(itertools.product(range(n_c), speeds)), [], 0.0
     while waiting:
@@ -155,6 +155,6 @@ def _pivot(
 
 
 def _share(matrix: Sequence[Sequence[float]], row: int, speed: int) -> float:
-    """The logarithm of an entry by the largest one in its row that is left."""
+    """The logarithm of the ratio of an entry to the largest remaining one in its row."""
     largest = max(abs(entry) for entry in matrix[row])
     return math.log(max(abs(matrix[row][speed]) / largest, TINY) if largest else TINY)

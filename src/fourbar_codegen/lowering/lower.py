@@ -1,7 +1,7 @@
 """Equations -> Program: one straight-line function for everything that is evaluated together.
 
-For each function: keep the operations it needs, add angles, move what depends on parameters alone into `prepare`, and
-eliminate common subexpressions.
+For each function: keep the operations it needs, add angles, move subexpressions of parameters alone into `prepare`,
+and eliminate common subexpressions.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _Specification = tuple[str, str, Sequence[Array], Sequence[Array], Sequence[Resu
 """Of a function: name, summary, arguments before and after the constants, results."""
 
 POINTS = 8
-"""Pairs of random points at which the constraints' Jacobian is looked at."""
+"""Pairs of random points at which the constraints' Jacobian is evaluated."""
 
 
 def lower(name: str, equations: Equations) -> Program:
@@ -46,7 +46,7 @@ def lower(name: str, equations: Equations) -> Program:
     Raises
     ------
     ModelError
-        If state equations contain multipliers that redundant constraints leave open.
+        If state equations or unknown forces depend on multipliers that redundant constraints leave undetermined.
 
     Examples
     --------
@@ -66,12 +66,13 @@ def lower(name: str, equations: Equations) -> Program:
     is_redundant = rank < len(e.velocity_bias.entries)
     if is_redundant and e.tape.depends(e.state_rates.entries, e.multipliers):
         raise ModelError(
-            "State equations contain multipliers, which redundant constraints leave open: leave the redundant ones out."
+            "State equations contain multipliers, which redundant constraints leave undetermined: leave out the "
+            "redundant ones."
         )
     if is_redundant and any(e.auxiliary_constraint_jacobian.entries):
         raise ModelError(
-            "Unknown forces that drive the motion depend on multipliers, which redundant constraints leave open: leave "
-            "the redundant ones out."
+            "Unknown forces that drive the motion depend on multipliers, which redundant constraints leave "
+            "undetermined: leave out the redundant ones."
         )
     structure = _structure(e, rank)
     mass_matrix, constraint_jacobian = _entries(e, structure)
@@ -101,14 +102,14 @@ def lower(name: str, equations: Equations) -> Program:
         ),
         (
             "constraint_violation",
-            "Violations of constraints: Phi in the rows of J that are its rates, then what no speed changes; J u + b.",
+            "Constraint violations: w of J v = -w, which corrects Phi, then those that no speed changes; J u + b.",
             [time, state],
             [inputs],
             [e.position_violation, e.velocity_violation],
         ),
         (
             "constraint_scale",
-            "What violations of the position constraints, and of the rows of `constraint_violation`, are measured by.",
+            "Scales of violations: of the position constraints, and of the rows of `constraint_violation`.",
             [time, state],
             [inputs],
             [e.position_scale, e.position_violation_scale, e.velocity_violation_scale],
@@ -122,7 +123,7 @@ def lower(name: str, equations: Equations) -> Program:
         ),
         (
             "coordinate_change",
-            "K v, the change of the coordinates for a change v of what the speeds integrate to.",
+            "K v, the change of the coordinates for a change v of the speeds' integrals.",
             [time, coordinates],
             [inputs, _array("change", e.accelerations)],
             [e.coordinate_change],
@@ -138,7 +139,7 @@ def lower(name: str, equations: Equations) -> Program:
         specifications.append(
             (
                 "unknown_forces",
-                "What unknown forces n do: F(n) beside f; Q(n) - M_a u' + J_a^T lambda = 0 of the auxiliary speeds.",
+                "Unknown forces n: F(n), added to f; Q(n) - M_a u' + J_a^T lambda = 0 of the auxiliary speeds.",
                 [time, state],
                 [inputs, _array("forces", unknown)],
                 [*e.of_unknown_forces],
@@ -179,9 +180,9 @@ def lower(name: str, equations: Equations) -> Program:
 
 
 def lower_derivatives(program: Program, equations: Equations, derivatives: Derivatives) -> tuple[Function, ...]:
-    """Lower what a simulation does without: derivatives, and what is drawn.
+    """Lower derivatives and data for drawings, which a simulation by an explicit method does not need.
 
-    Of what depends on parameters alone they share what the program's functions have; the rest they evaluate themselves.
+    They use the constants of the program's functions; they evaluate other subexpressions of parameters themselves.
 
     Parameters
     ----------
@@ -217,7 +218,7 @@ def lower_derivatives(program: Program, equations: Equations, derivatives: Deriv
     specifications: list[_Specification] = [
         (
             "drawing",
-            "Positions of the points that are drawn, and the inputs' forces on them.",
+            "Positions of the drawn points, and the inputs' forces on them.",
             [time, state],
             [inputs],
             [e.points, e.forces],
@@ -285,7 +286,7 @@ def lower_derivatives(program: Program, equations: Equations, derivatives: Deriv
 
 
 def _held(e: Equations) -> tuple[Array, ...]:
-    """The arguments behind the constants where u' and the multipliers are given."""
+    """The arguments after the constants if u' and the multipliers are given."""
     return _array("r", e.inputs), _array("accelerations", e.accelerations), _array("multipliers", e.multipliers)
 
 
@@ -320,9 +321,9 @@ def _functions(
 
 
 def _rank(e: Equations) -> int:
-    """How many constraints are not redundant: as many as there are dependent speeds, or as J has independent rows.
+    """The number of constraints that are not redundant: that of dependent speeds, or the rank of J if it is smaller.
 
-    The latter at a random point; at states that satisfy the constraints, `verify` looks for more.
+    The rank is that at a random point. `verify` tests it at states that satisfy the constraints.
     """
     n_u = len(e.speeds)
     entries = e.constraint_jacobian.entries
@@ -330,10 +331,10 @@ def _rank(e: Equations) -> int:
 
 
 def _pivot_order(e: Equations, rank: int, structure: Structure | None) -> PivotOrder:
-    """From J at random points, some of them close to where the coordinates are zero, as models often begin."""
+    """A pivot order for J at random points, some of them near zero coordinates, where models often start."""
     n_u, n_c = len(e.speeds), len(e.velocity_bias.entries)
     if structure is not None or n_c > MAX_CONSTRAINTS:
-        return find_pivot_order(n_c, n_u, rank, [])  # none is taken
+        return find_pivot_order(n_c, n_u, rank, [])  # it is not used
     generator = random.Random(0)
     jacobians = []
     for size in (0.05, 1.0) * POINTS:
@@ -342,7 +343,7 @@ def _pivot_order(e: Equations, rank: int, structure: Structure | None) -> PivotO
         try:
             entries = e.tape.evaluate(e.constraint_jacobian.entries, values)
         except (ArithmeticError, ValueError, TypeError):
-            continue  # not everything has a value everywhere
+            continue  # some expressions have no value there
         jacobians.append([entries[i : i + n_u] for i in range(0, len(entries), n_u)])
     return find_pivot_order(n_c, n_u, rank, jacobians)
 
@@ -357,7 +358,7 @@ def _structure(e: Equations, rank: int) -> Structure | None:
 
 
 def _entries(e: Equations, structure: Structure | None) -> tuple[Result, Result]:
-    """The mass matrix and the constraint Jacobian as `dynamics` gives them."""
+    """The mass matrix and the constraint Jacobian in the form that `dynamics` returns."""
     if structure is None:
         return e.mass_matrix, e.constraint_jacobian
     n_u = len(e.speeds)
@@ -367,7 +368,7 @@ def _entries(e: Equations, structure: Structure | None) -> tuple[Result, Result]
 
 
 class _Constants:
-    """What depends on parameters alone, collected from all functions for `prepare`."""
+    """Nodes that depend on parameters alone, collected from all functions for `prepare`."""
 
     def __init__(self, tape: Tape, parameters: tuple[Scalar, ...]) -> None:
         self.tape = tape
@@ -397,7 +398,7 @@ class _Constants:
         )
         prepare = Function(
             "prepare",
-            "The parameters, and behind them all that is derived from them alone.",
+            "The parameters, then all constants derived from them.",
             (_array("p", self.parameters),),
             statements,
             (Result("constants", (len(nodes),), tuple(entries)),),
@@ -409,7 +410,7 @@ class _Constants:
 
 
 class _WrittenOut:
-    """Counts the operations of expressions with everything that they refer to put in its place."""
+    """Counts the operations of expressions that are written out in full."""
 
     def __init__(self, tape: Tape) -> None:
         self.tape = tape
@@ -434,6 +435,6 @@ def _leaf(scalar: Scalar) -> Leaf:
 
 
 def _shaped(results: Sequence[Result], entries: Sequence[Scalar]) -> tuple[Result, ...]:
-    """The results with other entries, given one after another."""
+    """The results with other entries, given as one sequence."""
     remaining = iter(entries)
     return tuple(Result(r.name, r.shape, tuple(itertools.islice(remaining, len(r.entries)))) for r in results)

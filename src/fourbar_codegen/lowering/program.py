@@ -1,7 +1,6 @@
 """The intermediate representation: straight-line functions between arrays.
 
-Plain frozen data. What can be printed is decided by what builds it (`lower`), how it
-is printed by what reads it (`c_source`); in between, a Program checks itself.
+Plain frozen data. `lower` decides what is printed, `c_source` how. A Program checks its own consistency.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ class Array:
     name : str
     nodes : tuple of int
     leaves : tuple of Leaf or None
-        What each entry is called; None for a constant that is derived from parameters.
+        The name of each entry; None for a constant that is derived from parameters.
     """
 
     name: str
@@ -52,7 +51,7 @@ class Function:
         The nodes in order of evaluation; every one is assigned once.
     results : tuple of Result
     operations_before_sharing : int
-        Number of operations if every result were written out in full, nothing evaluated once for two places.
+        Number of operations if every result were written out in full, without common subexpressions.
     """
 
     name: str
@@ -92,7 +91,7 @@ class Function:
 
 @dataclass(frozen=True)
 class Structure:
-    """An elimination of the unknowns u', then -lambda, in a fixed order.
+    """A fixed elimination order of the unknowns, numbered u' first, then -lambda.
 
     Attributes
     ----------
@@ -110,9 +109,9 @@ class Structure:
     below: tuple[tuple[int, ...], ...]
 
     def tables(self) -> dict[str, list[int]]:
-        """What fourbar_sparse.h loops over.
+        """The index tables of fourbar_sparse.h.
 
-        Places in memory number the diagonal in the order of the steps, then the columns below it.
+        In memory, the diagonal in the order of the steps comes first, then the columns below it.
         """
         n_u = len(self.order) - len({row for row, _ in self.jacobian_entries})
         step = {unknown: k for k, unknown in enumerate(self.order)}
@@ -131,7 +130,7 @@ class Structure:
         row_starts = [0]
         for columns in rows_of_jacobian:
             row_starts.append(row_starts[-1] + len(columns))
-        # The last row first, so that a column can be scaled where it stands while it is used.
+        # The last row first, so that a column can be scaled in place while it is used.
         targets = [
             place[rows[i], rows[j]] for rows in self.below for i in reversed(range(len(rows))) for j in range(i + 1)
         ]
@@ -152,14 +151,14 @@ class Structure:
 
 @dataclass(frozen=True)
 class PivotOrder:
-    """An order in which full constraints are solved for as many speeds.
+    """A pivot order in which dense constraints are solved for as many speeds.
 
     Attributes
     ----------
     rows : tuple of int
         The constraints, in the order of elimination.
     speeds : tuple of int
-        The speeds that they are solved for, in that order, and behind them the others.
+        The speeds that they are solved for, in that order, then the others.
     """
 
     rows: tuple[int, ...]
@@ -178,7 +177,7 @@ class Sizes:
         Position constraints; velocity constraints; unknown forces that drive the motion; position constraints that no
         speed changes; outputs.
     n_points, n_forces : int
-        Points that are drawn, and those with forces of inputs.
+        Drawn points, and those of them with forces of inputs.
     n_breakpoints : int
         Times at which expressions have a jump or a kink.
     rank : int
@@ -213,18 +212,18 @@ class Program:
     name : str
     sizes : Sizes
     functions : tuple of Function
-        `prepare` first, which derives the constants that all others take.
+        First `prepare`, which derives the constants that all others take.
     constants : Array
-        What they are.
+        These constants.
     position_rows : tuple of (int or None)
         For each position constraint the row of J that keeps it, if one does.
     pivot_order : PivotOrder
-        The order in which `dynamics`' constraints are eliminated from full equations.
+        The order in which the constraints are eliminated from dense equations.
     structure : Structure or None
-        How the equations of `dynamics` are solved, if not as full ones. Then that function gives the entries of M and J
-        that are not zero, one after another.
+        The sparse elimination order of the equations in `dynamics`, which then returns only the nonzero entries of M
+        and J; None for dense equations.
     states_need_solution, states_need_multipliers : bool
-        Whether u' or multipliers stand in state equations; whether multipliers do.
+        Whether state equations contain u' or multipliers; whether they contain multipliers.
     forces_are_linear : bool
         Whether the equations are linear in the unknown forces that drive the motion.
     """

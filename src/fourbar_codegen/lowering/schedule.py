@@ -1,7 +1,7 @@
-"""Program -> Schedule: in which order each function evaluates, stores and hands on its values.
+"""Program -> Schedule: the order in which each function evaluates, stores and passes on its values.
 
-What is used once is evaluated where it is used, unless the expression becomes long. Long functions are divided into
-parts, which compilers translate in linear time. Sines and cosines of several angles are evaluated together.
+A value that is used once is written inline, unless the expression becomes long. Long functions are split into parts, so
+that compilers take linear time. Sines and cosines of several angles are evaluated together.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ __all__ = [
 ]
 
 INLINED = 8
-"""Operands of the longest expression that stands in another one, instead of on a line of its own."""
+"""Most operands of an expression that is written inline instead of on a line of its own."""
 
 MAX_STATEMENTS = 500
 """Statements in one C function. Compilers need more than linear time for longer ones."""
@@ -58,19 +58,19 @@ SIDE_BY_SIDE = (
     "invariant_correction",
     "state_rates",
 )
-"""The functions that are compiled for several states side by side as well; fourbar_side_by_side.h says what for."""
+"""The functions that are also compiled for several states side by side; see fourbar_side_by_side.h."""
 
 SHORT = 600
-"""Operations of equations that are compiled into what calls them. Side by side that gains 7 % for a chain of eight
-links (527), and 3 % for the bicycle (1301), which takes half as long again to compile."""
+"""Most operations of equations that are inlined into their callers. For states side by side, this gains 7 % for a chain
+of eight links (527), and 3 % for the bicycle (1301), which then takes 50 % longer to compile."""
 
 MAX_ARGUMENTS = 4
-"""Arguments of the functions that fourbar_real.h can evaluate lane by lane."""
+"""Most arguments of functions that fourbar_real.h can evaluate lane by lane."""
 
 
 @dataclass(frozen=True)
 class Load:
-    """An entry of an argument is given its name."""
+    """Give an entry of an argument its name."""
 
     node: int
     array: str
@@ -79,7 +79,7 @@ class Load:
 
 @dataclass(frozen=True)
 class Resume:
-    """A value that an earlier part has handed on is given its name."""
+    """Give a value from an earlier part its name."""
 
     node: int
     place: int
@@ -87,7 +87,7 @@ class Resume:
 
 @dataclass(frozen=True)
 class EvaluateAngles:
-    """Sines and cosines of several angles together."""
+    """Evaluate the sines and cosines of several angles together."""
 
     group: int
     angles: tuple[int, ...]
@@ -95,7 +95,7 @@ class EvaluateAngles:
 
 @dataclass(frozen=True)
 class Assign:
-    """A node is evaluated; or taken from a group of angles: the group, "sin" or "cos", and the position in it."""
+    """Evaluate a node; or take it from a group of angles: the group, "sin" or "cos", and the position in it."""
 
     node: int
     angle: tuple[int, str, int] | None = None
@@ -103,7 +103,7 @@ class Assign:
 
 @dataclass(frozen=True)
 class Clear:
-    """All entries of a result are set to zero."""
+    """Set all entries of a result to zero."""
 
     result: str
     length: int
@@ -111,7 +111,7 @@ class Clear:
 
 @dataclass(frozen=True)
 class Store:
-    """An entry of a result is stored."""
+    """Store an entry of a result."""
 
     result: str
     position: int
@@ -120,7 +120,7 @@ class Store:
 
 @dataclass(frozen=True)
 class Carry:
-    """A value is handed on to later parts."""
+    """Pass a value on to later parts."""
 
     node: int
     place: int
@@ -136,7 +136,7 @@ class Part:
     Attributes
     ----------
     unused : tuple of str
-        Arguments and results that it has no use for.
+        Arguments and results that it does not use.
     steps : tuple of Step
     """
 
@@ -155,11 +155,11 @@ class ScheduledFunction:
         The nodes that are given a name, in order of evaluation; the others are evaluated where they are used.
     parts : tuple of Part
     n_carried : int
-        Values that parts hand on to later ones.
+        Number of values that parts pass on to later ones.
     side_by_side : bool
-        Whether it is compiled for several states side by side as well.
+        Whether it is also compiled for several states side by side.
     inline_angles : bool
-        Whether sines and cosines are those of fourbar_angle.h, or the library's.
+        Whether sines and cosines are those of fourbar_angle.h instead of the library's.
     """
 
     function: Function
@@ -179,10 +179,10 @@ class Schedule:
     program : Program
     functions : tuple of ScheduledFunction
     has_batches : bool
-        Whether there are functions for several states side by side: the equations are solved without pivoting as a
-        rule, x' needs no multipliers or unknown forces, and none calls a function of many arguments.
+        Whether there are functions for several states side by side. The equations must be dense with a fixed pivot
+        order, x' must not need multipliers or unknown forces, and no function of many arguments may be called.
     is_short : bool
-        Whether the equations are compiled into what calls them; fourbar_real.h says how.
+        Whether the equations are inlined into their callers; see fourbar_real.h.
     """
 
     program: Program
@@ -192,7 +192,7 @@ class Schedule:
 
 
 def schedule(program: Program) -> Schedule:
-    """In which order the functions of a program are evaluated.
+    """Schedule the functions of a program.
 
     Examples
     --------
@@ -216,10 +216,10 @@ def schedule(program: Program) -> Schedule:
 
 
 def schedule_function(function: Function, *, inline_angles: bool) -> ScheduledFunction:
-    """In which order a function is evaluated.
+    """Schedule a function.
 
-    Arguments are named where they are first used, and results stored as soon as they are known, what is an argument
-    itself at last: compilers keep this order, and in it few values wait in registers.
+    Arguments are loaded where they are first used. Results are stored as soon as they are known, those that are
+    arguments last. Compilers keep this order, and it needs few registers.
     """
     lines = _Lines(function, inline_angles)
     blocks = _blocks(function, lines)
@@ -240,7 +240,7 @@ def schedule_function(function: Function, *, inline_angles: bool) -> ScheduledFu
 
 
 class _Lines:
-    """Which nodes of a function are given a name, and what each refers to by name."""
+    """The nodes of a function that get a name, and the names that each of them uses."""
 
     def __init__(self, function: Function, inline_angles: bool) -> None:
         self.inline_angles = inline_angles
@@ -249,7 +249,7 @@ class _Lines:
         uses.update(entry.node for result in function.results for entry in result.entries)
         named = {a for o in self.operations.values() if isinstance(o, Call) for a in o.arguments}
         named.update(node for node, count in uses.items() if count > 1)
-        lengths: dict[int, int] = {}  # operands in the text of what has no line of its own
+        lengths: dict[int, int] = {}  # operands in the text of inline nodes
         for node, operation in self.operations.items():
             length = sum(lengths.get(operand, 1) for operand in operands(operation))
             if node not in named and not isinstance(operation, Call) and length <= INLINED:
@@ -258,7 +258,7 @@ class _Lines:
         self.named = {*self.lines, *(node for array in function.arguments for node in array.nodes)}
 
     def referred(self, node: int) -> set[int]:
-        """The nodes that the text of a node names; of one that has a name, itself."""
+        """The named nodes in the text of a node; a named node itself."""
         found: set[int] = set()
         stack = [node]
         while stack:
@@ -270,7 +270,7 @@ class _Lines:
         return found
 
     def referred_by(self, line: int) -> set[int]:
-        """The nodes that a line names on its right-hand side."""
+        """The named nodes on the right-hand side of a line."""
         return {name for operand in operands(self.operations[line]) for name in self.referred(operand)}
 
     def angle(self, line: int) -> tuple[str, int] | None:
@@ -285,7 +285,7 @@ class _Lines:
 
 @dataclass(frozen=True)
 class _Block:
-    """Consecutive lines of a function, and the entries of its results that can be stored behind them."""
+    """Consecutive lines of a function, and the entries of its results that can be stored after them."""
 
     lines: tuple[int, ...]
     cleared: tuple[Clear, ...]
@@ -321,7 +321,7 @@ def _blocks(function: Function, lines: _Lines) -> list[_Block]:
 
 
 def _part(function: Function, block: _Block, lines: _Lines, carried: Mapping[int, int]) -> Part:
-    """The steps of a block, each behind those that give what it refers to."""
+    """The steps of a block, in topological order."""
     given: dict[int, Step] = {
         node: Load(node, array.name, position)
         for array in function.arguments
@@ -356,7 +356,7 @@ def _is_time(leaf: object) -> bool:
 
 
 def _assignments(block: _Block, lines: _Lines) -> Sequence[tuple[Step, set[int]]]:
-    """A step for each line, and what it reads; before those that need sines and cosines, these of several angles."""
+    """A step for each line, and what it reads; sines and cosines of several angles come before the lines using them."""
     inline = {line: call for line in block.lines if (call := lines.angle(line))}
     behind: set[int] = set()  # the lines that need a sine or a cosine
     for line in block.lines:

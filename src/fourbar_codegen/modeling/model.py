@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["InputEntry", "Model", "Parameter", "joint_force", "multiplier"]
 
 IMPORTED = frozenset({"cpython", "cython", "libc", "numpy", "fb", "fourbar"})
-"""What the generated module imports and includes itself."""
+"""Names that the generated module itself imports or includes."""
 
 COLUMNS = re.compile(r"kinetic_energy|potential_energy|constraint_residual_\d+|file|allow_pickle")
 """Names of a trajectory's own columns, and of the arguments of numpy.savez, which takes columns by name."""
@@ -34,15 +34,15 @@ COLUMNS = re.compile(r"kinetic_energy|potential_energy|constraint_residual_\d+|f
 
 @dataclass(frozen=True)
 class Parameter:
-    """What is known of a parameter.
+    """A parameter's default value, unit and description.
 
     Attributes
     ----------
     value : float, Expr or None
-        Its default; None if every run has to give it. A parameter whose value is an expression of others
-        always follows from them, and is none of the compiled model's parameters.
+        Its default; None if every run has to give it. A parameter whose value is an expression of others always follows
+        from them; it is not a parameter of the compiled model.
     unit : str
-        As it is to be shown, for instance ``"kg m^2"``.
+        As shown to users, for example ``"kg m^2"``.
     description : str
 
     Examples
@@ -89,12 +89,12 @@ class InputEntry:
 
 
 def multiplier(number: int) -> sm.Expr:
-    """What stands for a constraint's multiplier in the expression of an output.
+    """The symbol for a constraint's multiplier in expressions of outputs.
 
     Parameters
     ----------
     number : int
-        The constraint's, from 1: in the order of `CompiledModel.multipliers`, holonomic ones first.
+        Number of the constraint, from 1, in the order of `CompiledModel.multipliers`: holonomic ones first.
 
     Returns
     -------
@@ -103,7 +103,7 @@ def multiplier(number: int) -> sm.Expr:
     Raises
     ------
     ModelError
-        If it is not a number of a constraint.
+        If it is not a positive integer.
 
     Examples
     --------
@@ -116,11 +116,11 @@ def multiplier(number: int) -> sm.Expr:
 
 
 def joint_force(name: str, directions: Mapping[int, Vector], frame: ReferenceFrame) -> dict[str, sm.Expr]:
-    """The force in a joint that constraints close, as outputs of a Model.
+    """The force in a joint that is closed by constraints, as outputs of a Model.
 
-    Where constraint k keeps the component along e_k of the position (or velocity) of a point B relative to a
-    point A at zero, its multiplier is the force along e_k on the body of B; the body of A gets the opposite.
-    That holds as long as no velocity had the constraint substituted into it.
+    If constraint k keeps the component along e_k of the position (or velocity) of a point B relative to a point A at
+    zero, its multiplier is the force along e_k on the body of B, and the opposite force acts on the body of A. This
+    holds only if the constraint was not substituted into any velocity.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def joint_force(name: str, directions: Mapping[int, Vector], frame: ReferenceFra
         For each of the joint's constraints, its number (see `multiplier`) and the direction e_k that the
         relative position is dotted with.
     frame : ReferenceFrame
-        In whose axes the force is wanted.
+        The frame in which the force is resolved.
 
     Returns
     -------
@@ -140,7 +140,7 @@ def joint_force(name: str, directions: Mapping[int, Vector], frame: ReferenceFra
     Raises
     ------
     ModelError
-        If the directions are no mapping to vectors, or not known in the frame.
+        If the directions are no mapping to vectors, or are not oriented relative to the frame.
 
     Source: Kane and Levinson 1985, section 4.9; Featherstone, *Rigid Body Dynamics Algorithms*, 2008, section 8.
 
@@ -171,51 +171,51 @@ class Model:
     Parameters
     ----------
     system : sympy.physics.mechanics.System or KanesMethod
-        A System as its ``form_eoms`` takes it, or a KanesMethod with its bodies and loads. It is read once,
-        here: later changes to it do not reach the Model. Accelerations follow from the velocities; those set
-        with ``Point.set_acc`` are not read. Of redundant constraints, only as many dependent coordinates and
-        speeds are to be named as there are independent ones.
+        A System that is ready for its ``form_eoms``, or a KanesMethod with its bodies and loads. It is read once,
+        here; later changes to it do not reach the Model. Accelerations follow from the velocities; those set
+        with ``Point.set_acc`` are only compared with these, for warnings. If constraints are redundant, name as
+        many dependent coordinates and speeds as there are independent constraints.
     name : str, optional
         A Python identifier; names the compiled module.
     parameters : mapping of Symbol to float, Expr or Parameter, optional
         Default values, or expressions of other parameters; keys are symbols or their names, as they are of inputs and
-        initial values. Symbols of the System that are not named here follow in alphabetical order, without a default,
-        as far as the equations need them (a body's automatic inertia symbols often drop out).
+        initial values. Other symbols that the equations need follow in alphabetical order, without a default. (A body's
+        automatic inertia symbols often drop out.)
     inputs : mapping of function of time to Expr, float or None, or "auto", optional
         Every function of time that is neither coordinate nor speed, with its default: an expression of time
-        and parameters, a number, or None if every run has to give it. Where it prescribes a motion (its rates
-        come into the equations: it stands in an orientation, a position, a velocity, a constraint, or
-        differentiated), its first and second rate become inputs behind it, named with primes, with the
-        derivatives of the expression as defaults. One in a kinematic differential equation alone does so only
-        where velocities or constraints take it up. "auto" stands for all of them: they are 0 by default, or what
-        ``parameters`` has for them.
+        and parameters, a number, or None if every run has to give it. An input prescribes a motion if its rates
+        appear in the equations, that is, if it stands in an orientation, a position, a velocity or a constraint, or is
+        differentiated. Its first and second derivatives are then inputs too; they follow it, are named with primes, and
+        have the derivatives of the expression as defaults. An input that stands only in a kinematic differential
+        equation prescribes a motion only if velocities or constraints depend on it. "auto" names all of them, with the
+        default in ``parameters``, else 0.
     initial : mapping of coordinate, speed or auxiliary state to float, optional
         Default initial values of the independent coordinates and speeds and of auxiliary states, and guesses of the
-        dependent coordinates. Dependent speeds follow from these.
+        dependent coordinates. Dependent speeds follow from the others.
     potential_energy : Expr, optional
-        In terms of coordinates, parameters and time. By default the bodies' ``potential_energy``, and the potentials of
-        all forces that are constant in the System's frame, such as gravity, if the former do not include them. It is
-        not known where these lose another energy than the forces do work.
+        In terms of coordinates, parameters and time. By default the sum of the bodies' ``potential_energy`` and of the
+        potentials of all forces that are constant in the System's frame, such as gravity, unless the former include
+        the latter. It is unknown if its loss does not equal the work of these forces.
     outputs : mapping of str to Expr, optional
-        What else is of interest, by name: expressions of time, coordinates, speeds, both differentiated once,
-        inputs, parameters, and multipliers (see `multiplier`, `joint_force`). With auxiliary speeds, outputs
-        come first that say what keeps them zero: the functions of time in the loads that are not named
-        otherwise, as many as there are auxiliary speeds; or the generalized noncontributing forces, under the
-        names of the auxiliary speeds, where the loads have none.
+        Further results by name: expressions of time, coordinates, speeds, first derivatives of both, inputs,
+        parameters, and multipliers (see `multiplier`, `joint_force`). With auxiliary speeds, the first outputs are the
+        forces that keep these zero. They are the functions of time in the loads that are not named otherwise, as many
+        as there are auxiliary speeds. If the loads have none, they are the generalized noncontributing forces, under
+        the names of the auxiliary speeds.
     state_equations : mapping of function of time to Expr, optional
         States z beside coordinates and speeds, with their rates z': activations of muscles, currents, filters,
-        relaxation of tyres. Expressions are of time, coordinates, speeds, both differentiated once, these states,
+        relaxation of tyres. Expressions may contain time, coordinates, speeds, first derivatives of both, these states,
         inputs, parameters and multipliers. Loads and outputs may contain the states; velocities, constraints and the
-        potential energy may not. Actuators of ``sympy.physics.biomechanics`` bring their own; their excitations are
-        inputs, 0 by default.
+        potential energy may not. The equations of actuators of ``sympy.physics.biomechanics`` are added by themselves;
+        their excitations are inputs, 0 by default.
     extra : {"raise", "ignore"}, optional
-        What to do with parameters and inputs that the System does not have. A symbol or function of the same name
-        with other assumptions, such as ``positive=True``, is an error in any case.
+        What to do with parameters and inputs that the System does not contain. A symbol or function of the same name
+        with different assumptions, such as ``positive=True``, is always an error.
 
     Raises
     ------
     ModelError
-        If the System's parts do not fit together, or a symbol is missing, unknown, or named twice; or if velocity
+        If the System is inconsistent or incomplete; a symbol is missing, unknown, or named twice; or velocity
         constraints that it states do not keep its position constraints.
 
     Examples
@@ -246,7 +246,7 @@ class Model:
         extra: Literal["raise", "ignore"] = "raise",
     ) -> None:
         if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
-            raise ModelError(f"A model's name is letters, digits and underscores, a letter first; not {name!r}.")
+            raise ModelError(f"A model's name is letters, digits and underscores, a letter first, not {name!r}.")
         if keyword.iskeyword(name) or name in IMPORTED:
             raise ModelError(f"A model cannot be named {name!r}: Python or the generated code needs that name.")
         self.system = system
@@ -274,7 +274,7 @@ class Model:
         self._check_appearance(extra)
         undeclared = self._find_undeclared()
         if is_automatic:
-            # Who has constants in one mapping may have numbers for some of them there.
+            # Users who keep all constants in one mapping may have numbers for some inputs there.
             given = {f: getattr(parameters.get(f, 0), "value", parameters.get(f, 0)) for f in undeclared}
             self.input_expressions = {
                 f: None if value is None else _expression(value, f"the input {f}") for f, value in given.items()
@@ -315,7 +315,7 @@ class Model:
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Names of the inputs, and of the rates of those that may prescribe a motion; the equations tell which do."""
+        """Names of the inputs, and of the rates of those that may prescribe a motion, which the equations decide."""
         return tuple(entry.name for entry in self.input_entries)
 
     @property
@@ -371,9 +371,9 @@ class Model:
         return {f: None if e is None else _expression(e, f"the input {f}") for f, e in inputs.items()}
 
     def _check_appearance(self, extra: str) -> None:
-        """Raise where inputs are given that the model does not have, if they are not to be ignored."""
+        """Raise if inputs are given that the model does not have, unless they are to be ignored."""
         functions = self._functions()
-        states = {*self._states()}  # of which names that stand twice are told
+        states = {*self._states()}  # for these, the check of names reports duplicates
         given = {_name(f): f for f in self.input_expressions if f not in states}
         known = {_name(f): f for f in functions if f not in states}
         _check_unknown(given, known, "inputs", extra)
@@ -383,7 +383,7 @@ class Model:
         return (*self.mechanism.coordinates, *self.mechanism.speeds, *self.state_equations)
 
     def _labelled(self) -> Iterator[tuple[str, Iterable[sm.Expr]]]:
-        """All expressions of the model, with words that say where they stand."""
+        """All expressions of the model, with a description of their place."""
         yield from self.mechanism.labelled_loads()
         yield from self.mechanism.labelled_structure()
         if self.potential_energy is not None:
@@ -397,7 +397,7 @@ class Model:
             yield f"output {name}", (expression,)
 
     def _find_noncontributing(self) -> tuple[sm.Expr, ...]:
-        """Functions of time in the loads that nobody named: the unknown forces that auxiliary speeds bring out."""
+        """Functions of time in the loads that are not named: the unknown forces of the auxiliary speeds."""
         mechanism = self.mechanism
         if not mechanism.auxiliary_speeds:
             return ()
@@ -413,13 +413,13 @@ class Model:
             raise ModelError(
                 f"The loads have {len(found)} functions of time that are neither coordinates nor speeds nor named in "
                 f"inputs= ({', '.join(sorted(map(_name, found)))}), for {len(mechanism.auxiliary_speeds)} auxiliary "
-                "speeds: there must be as many unknown forces, or none, or as many must act along these. Name those "
-                "that are known in inputs=."
+                "speeds: there must be as many unknown forces, or none, or as many must act along these. Name known "
+                "forces in inputs=."
             )
         return tuple(sorted(found, key=_name))
 
     def _functions(self) -> dict[sm.Expr, str]:
-        """Functions of time in all expressions, in the order of their names, with where they stand first."""
+        """Functions of time in all expressions, sorted by name, each with the first place where it appears."""
         found: dict[sm.Expr, str] = {}
         for label, expressions in self._labelled():
             for node in walk(expressions):
@@ -435,7 +435,7 @@ class Model:
         return {_name(function): function for function in self._functions()} | symbols
 
     def _find_undeclared(self) -> dict[sm.Expr, str]:
-        """Those that nobody named."""
+        """Those of them that are not named."""
         mechanism = self.mechanism
         known = {*self._states(), *mechanism.auxiliary_speeds}
         known |= {*self.input_expressions, *self.noncontributing}
@@ -445,24 +445,24 @@ class Model:
         return found
 
     def _check_assumptions(self, function: sm.Expr, label: str) -> None:
-        """Raise for a function of the name of a state."""
+        """Raise if a function has the name of a state."""
         if _name(function) in map(_name, self._states()):
             raise ModelError(
                 f"{function} in {label} has other assumptions than the state of that name: to SymPy these are two "
-                "functions. Take the System's."
+                "functions. Use the System's."
             )
 
     def _neither(self, functions: Mapping[sm.Expr, str]) -> str:
-        """What is to be done about functions that are unknown, given with where they stand."""
+        """The message for unknown functions, given with the places where they appear."""
         names = "; ".join(f"{function} in {label}" for function, label in functions.items())
         return (
             f"{names}: not among the coordinates {self.coordinates}, the speeds {self.speeds} and the inputs "
             f"{tuple(map(_name, self.input_expressions))}. Add such functions of time to the System's coordinates or "
-            "speeds, or name them in inputs=; inputs='auto' takes all of them for inputs that are 0 by default."
+            "speeds, or name them in inputs=; inputs='auto' makes all of them inputs that are 0 by default."
         )
 
     def _list_inputs(self) -> tuple[InputEntry, ...]:
-        """The inputs, and behind each that may prescribe a motion its first and second rate."""
+        """The inputs; those that may prescribe a motion are followed by their first and second rates."""
         t = self.mechanism.time
         structure = walk(chain.from_iterable(expressions for _, expressions in self.mechanism.labelled_structure()))
         prescribed = {node for node in structure if isinstance(node, AppliedUndef)}
@@ -505,9 +505,9 @@ class Model:
                     raise ModelError(self._neither({node: label}))
                 elif isinstance(node, sm.Derivative) and node not in rates | in_outputs:
                     raise ModelError(
-                        f"{node} in {label} cannot be compiled: of all derivatives, only the first ones of the "
-                        f"coordinates {self.coordinates}, the first and second ones of inputs, and in outputs and "
-                        "state equations the first ones of the speeds may appear."
+                        f"{node} in {label} cannot be compiled: the only derivatives allowed are the first ones of the "
+                        f"coordinates {self.coordinates}, the first and second ones of inputs, and, in outputs and "
+                        "state equations, the first ones of the speeds."
                     )
         found.discard(t)
         symbols = [s for s in given if not (isinstance(s, AppliedUndef) and extra == "ignore")]
@@ -541,7 +541,7 @@ class Model:
             raise ModelError(f"{self.mechanism.time.name} is the name of time; give the other symbol another name.")
 
     def _check_inputs(self) -> None:
-        """Their expressions know only time and parameters; in the structure, they are differentiated once at most."""
+        """Their expressions contain only time and parameters; in velocities, they are differentiated at most once."""
         allowed = {self.mechanism.time, *self.parameter_symbols, *self.derived_parameters}
         for function, expression in self.input_expressions.items():
             if expression is None:
@@ -550,7 +550,7 @@ class Model:
             if functions or not expression.free_symbols <= allowed:
                 raise ModelError(
                     f"The expression of input {_name(function)} may contain time and parameters only, not "
-                    f"{expression}. State feedback goes into the loads, or in at run time as a callable of (t, x)."
+                    f"{expression}. Put state feedback into the loads, or give it at run time as a callable of (t, x)."
                 )
         accelerations = {entry.function for entry in self.input_entries if entry.order == 2}
         for label, expressions in self.mechanism.labelled_structure():
@@ -572,7 +572,7 @@ class Model:
                     )
 
     def _check_auxiliary_states(self) -> None:
-        """They stand in loads, state equations and outputs alone."""
+        """They may appear only in loads, state equations and outputs."""
         structure = [*self.mechanism.labelled_structure()]
         if self.potential_energy is not None:
             structure.append(("the potential energy", (self.potential_energy,)))
@@ -580,8 +580,8 @@ class Model:
             for node in walk(expressions):
                 if node in self.state_equations:
                     raise ModelError(
-                        f"{node} in {label} cannot be compiled: states with equations of their own may stand in loads, "
-                        "in state equations and in outputs."
+                        f"{node} in {label} cannot be compiled: states with equations of their own may appear only in "
+                        "loads, state equations and outputs."
                     )
 
     def _check_initial(self, given: Mapping[sm.Expr, float]) -> dict[str, float]:
@@ -595,14 +595,14 @@ class Model:
                 raise ModelError(f"{function} in initial= is none of the states {(*map(_name, self._states()),)}.")
             if function in dependent:
                 raise ModelError(
-                    f"{function} in initial= is a dependent speed: it follows from the others, leave it out."
+                    f"{function} in initial= is a dependent speed, which follows from the others: leave it out."
                 )
             initial[_name(function)] = finite_number(value, f"initial {_name(function)}")
         return initial
 
 
 def _check_unknown(given: Mapping[str, sm.Expr], known: Mapping[str, sm.Expr], argument: str, extra: str) -> None:
-    """Raise where names are given that the model does not have, if they are not to be ignored."""
+    """Raise if names are given that the model does not have, unless they are to be ignored."""
     if extra not in ("raise", "ignore"):
         raise ModelError(f"extra must be 'raise' or 'ignore', not {shown(extra)}.")
     wrong, unknown = [], []
@@ -613,11 +613,11 @@ def _check_unknown(given: Mapping[str, sm.Expr], known: Mapping[str, sm.Expr], a
             nearest = other_case or difflib.get_close_matches(name, known, 1, cutoff=0.0)
             unknown.append(name + (f" (the nearest is {nearest[0]})" if nearest else ""))
         elif mine != symbol:
-            texts = sm.srepr(mine), sm.srepr(symbol)  # which has no assumptions for functions
+            texts = sm.srepr(mine), sm.srepr(symbol)  # srepr shows no assumptions of functions
             differ = f"is {texts[0]} in the model and {texts[1]}" if len({*texts}) > 1 else "has other assumptions"
             wrong.append(f"{name} {differ} in {argument}=")
     if wrong:
-        raise ModelError(f"{'; '.join(wrong)}: to SymPy these are two symbols. Take the model's.")
+        raise ModelError(f"{'; '.join(wrong)}: to SymPy these are two symbols. Use the model's.")
     if unknown and extra == "raise":
         raise ModelError(
             f"These {argument} do not appear in the model: {', '.join(unknown)}. extra='ignore' leaves them out."
@@ -633,7 +633,7 @@ def _of_parameters(symbol: sm.Symbol, value: Any, time: sm.Symbol) -> sm.Expr:
 
 
 def _in_order(derived: Mapping[sm.Symbol, sm.Expr]) -> dict[sm.Symbol, sm.Expr]:
-    """Parameters that are expressions of others, each behind those that it needs."""
+    """Parameters that are expressions of others, in topological order."""
     ordered: dict[sm.Symbol, sm.Expr] = {}
     waiting = dict(derived)
     while waiting:
@@ -675,9 +675,9 @@ def _by_symbol(given: Mapping[Any, Any], known: Mapping[str, sm.Expr], time: sm.
 
 
 def _rate(expression: sm.Expr, t: sm.Symbol) -> sm.Expr:
-    """The derivative by time, but for what jumps: an impulse takes the place of that where a run comes to it."""
+    """The derivative with respect to time, without jumps: for these, a run applies an impulse when it gets there."""
     smooth = expression.replace(sm.sinc, smooth_sinc)
-    # Of an absolute value, SymPy differentiates real and imaginary parts where a symbol might be complex.
+    # With symbols that might be complex, SymPy differentiates real and imaginary parts of an absolute value.
     real = {s: sm.Dummy(s.name, real=True) for s in smooth.free_symbols} if smooth.has(sm.Abs, sm.sign) else {}
     rate = smooth.xreplace(real).diff(real.get(t, t))
     return without_impulses(rate).xreplace({dummy: symbol for symbol, dummy in real.items()})
@@ -687,10 +687,10 @@ def _expression(given: Any, what: str) -> sm.Expr:
     """A SymPy expression; text is not evaluated."""
     try:
         expression = sm.sympify(given, strict=True)
-    except (sm.SympifyError, TypeError) as error:  # the latter is SymPy's for some of what is in containers
+    except (sm.SympifyError, TypeError) as error:  # SymPy raises the latter for some containers
         raise ModelError(f"{what} must be an expression or a number, not {shown(given)}.") from error
     _check_expressions([expression], what)
-    # Of larger expressions SymPy's answer may be false: of the inverse of De Groote's tendon curve, for one.
+    # For larger expressions SymPy's answer may be wrong, for example for the inverse of De Groote's tendon curve.
     atoms = (node for node in walk([expression]) if isinstance(node, sm.Symbol | AppliedUndef))
     parts = [*atoms] or [expression]
     if any(part.is_extended_real is False or part.is_finite is False for part in parts):
@@ -699,7 +699,7 @@ def _expression(given: Any, what: str) -> sm.Expr:
 
 
 def _check_expressions(expressions: Iterable[sm.Basic], label: str) -> None:
-    """Raise where an expression has something in it that is no operation on real numbers."""
+    """Raise if an expression contains something that is no operation on real numbers."""
     expressions = tuple(expressions)
     for expression in expressions:
         if not isinstance(expression, sm.Expr):

@@ -1,6 +1,6 @@
-"""System -> Mechanism: what a SymPy System says, as plain data.
+"""System -> Mechanism: the content of a SymPy System as plain data.
 
-This is the only place that reads SymPy's mechanics objects. Everything that the equations depend on is
+This is the only module that reads SymPy's mechanics objects. Everything that the equations depend on is
 in the `Mechanism`, so its fingerprint is the fingerprint of the equations.
 """
 
@@ -48,12 +48,12 @@ class Frame:
     parent : int
         Number of the parent frame; the inertial frame, number 0, is its own parent.
     dcm : tuple of Expr or None
-        The 9 entries, row by row, of the matrix whose row i holds axis i of this frame in the parent's axes; None where
-        a frame has an angular velocity and no orientation. Then no vector is written in it.
+        The 9 entries, row by row, of the matrix whose row i holds axis i of this frame in the parent's axes. None if
+        the frame has an angular velocity but no orientation; no vector is written in such a frame.
     angular_velocity : Vector or None
-        In the frame `reference`; None where SymPy knows none.
+        Relative to the frame `reference`; None if SymPy knows none.
     reference : int
-        The parent frame, or the inertial one where that makes fewer components.
+        The parent frame, or the inertial one if that gives fewer components.
     """
 
     name: str
@@ -65,19 +65,19 @@ class Frame:
 
 @dataclass(frozen=True)
 class Point:
-    """A point that a body or a load needs, or that lies between two such.
+    """A point that a body or a load needs, or that connects two of these.
 
     Attributes
     ----------
     name : str
     parent : int or None
-        Number of the point, smaller than its own, that its position is given from.
+        Number of the point, smaller than its own, that its position is relative to.
     offset : Vector
         Its position from the parent.
     velocity : Vector or None
-        In the inertial frame, as it was set; None where it follows from that of the parent, or nothing asks for it.
+        In the inertial frame, as it was set; None if it follows from the parent's velocity or is not needed.
     derived : bool
-        Whether something asks for a velocity that follows from the parent's.
+        Whether the velocity is needed and follows from the parent's.
     """
 
     name: str
@@ -89,19 +89,19 @@ class Point:
 
 @dataclass(frozen=True)
 class DrawnPoint:
-    """A point of the mechanism as it is drawn, with a line to it from the point that its position is given from.
+    """A point in drawings, with a line to it from its parent.
 
     Attributes
     ----------
     name : str
     parent : int or None
-        Number of that point, smaller than its own; None for the first, which is the origin.
+        Number of the point, smaller than its own, that its position is relative to; None for the first, the origin.
     offset : Vector
         Its position from the parent.
     body : str or None
         The body whose mass centre it is.
     number : int or None
-        Its place among the mechanism's points, if it is needed for more than to be drawn.
+        Its number among the mechanism's points, if the equations need it.
     """
 
     name: str
@@ -129,7 +129,7 @@ class Body:
         The 9 entries of the central inertia.
     potential_energy : Expr
     acceleration, angular_acceleration : Vector or None
-        Of the mass centre and the frame, in the inertial frame, if one was set. Equations do not depend on them.
+        Of the mass centre and the frame, in the inertial frame, if set. The equations do not depend on them.
     """
 
     name: str
@@ -155,8 +155,8 @@ class Load:
     target : int
         The point that the force acts on, or the frame that the torque acts on.
     position : Vector or None
-        The point's position from the System's fixed point, or from a point at rest where there is none, as in a
-        KanesMethod; None for a torque or where SymPy knows none.
+        The point's position relative to the System's fixed point, or to a point at rest if there is none, as in a
+        KanesMethod. None for a torque, or if SymPy knows none.
     """
 
     kind: Literal["force", "torque"]
@@ -177,22 +177,22 @@ class Mechanism:
         Generalized coordinates and speeds; the independent ones first.
     n_dependent_coordinates, n_dependent_speeds : int
     auxiliary_speeds : tuple of Expr
-        Speeds that are zero, and stand in velocities for the sake of the forces that keep them so.
+        Speeds that are zero, used in velocities to find the forces that keep them zero.
     kinematic_equations, holonomic_constraints, velocity_constraints : tuple of Expr
-        Each to be zero. The velocity constraints follow from the holonomic constraints, in their order, if
-        `velocity_constraints_derived`; then the nonholonomic ones stand behind them.
+        Expressions to be zero. If `velocity_constraints_derived`, rates of the holonomic constraints come first, in
+        their order, and `velocity_constraints` has only the nonholonomic ones, which follow.
     fixed_point : int or None
-        Number of the System's fixed point, which loads' positions are given from; a KanesMethod has none. A point whose
-        velocity is set to zero need not be fixed: the contact of a wheel is not.
+        Number of the System's fixed point, which positions of loads are relative to; a KanesMethod has none. A point
+        whose velocity is set to zero need not be fixed, for example the contact point of a wheel.
     state_equations : tuple of (Expr, Expr)
-        States that actuators have beside coordinates and speeds, and their rates: activations and fibres of muscles.
+        States of actuators beside coordinates and speeds, with their rates: activations and fibre lengths of muscles.
     excitations : tuple of Expr
         The functions of time that drive these.
     acceleration_constraints : tuple of Expr
-        Those that a KanesMethod was given, each to be zero. Equations do not depend on them.
+        Those given to a KanesMethod, to be zero. The equations do not depend on them.
     drawn : tuple of DrawnPoint
-        The points whose positions follow from the System's fixed point, or else from a point at rest. Nothing but
-        pictures depends on them.
+        The points with positions relative to the System's fixed point, or else to a point at rest. Used only for
+        drawings.
     """
 
     time: sm.Symbol
@@ -217,16 +217,16 @@ class Mechanism:
 
     @property
     def states_velocity_constraints(self) -> bool:
-        """Whether the rates of the positions are not derived, but what the velocity constraints are said to keep."""
+        """Whether the model states velocity constraints that should keep its position constraints."""
         return bool(self.holonomic_constraints) and not self.velocity_constraints_derived
 
     def labelled_loads(self) -> Iterator[tuple[str, Iterable[sm.Expr]]]:
-        """The loads' vectors, with words that say where they stand in the System."""
+        """The loads' vectors, with a description of their place in the System."""
         for load in self.loads:
             yield f"the {load.name}", _entries(load.vector)
 
     def labelled_structure(self) -> Iterator[tuple[str, Iterable[sm.Expr]]]:
-        """All other expressions, likewise."""
+        """All other expressions, with the same kind of description."""
         for frame in self.frames[1:]:
             yield f"the orientation of frame {frame.name}", frame.dcm or ()
             yield f"the angular velocity of frame {frame.name}", _entries(frame.angular_velocity)
@@ -254,10 +254,10 @@ def _entries(vector: Vector | None) -> Iterator[sm.Expr]:
 
 
 def walk(expressions: Iterable[sm.Basic]) -> Iterator[sm.Basic]:
-    """Every distinct subexpression once; functions of time and derivatives are not descended into.
+    """Every distinct subexpression once, without arguments of functions of time and of derivatives.
 
-    Expressions of chained frames are small as graphs and exponential as trees, so `atoms` and
-    `free_symbols`, which visit trees, are not for them.
+    Expressions of chained frames are small as graphs but exponential as trees, so `atoms` and
+    `free_symbols`, which visit trees, would take too long.
     """
     seen: set[sm.Basic] = set()
     stack = list(expressions)
@@ -277,7 +277,7 @@ def read_mechanism(system: System | me.KanesMethod) -> Mechanism:
     Parameters
     ----------
     system : System or KanesMethod
-        A System as for its ``form_eoms``; a KanesMethod with its bodies and loads.
+        A System that is ready for its ``form_eoms``, or a KanesMethod with its bodies and loads.
 
     Returns
     -------
@@ -286,8 +286,8 @@ def read_mechanism(system: System | me.KanesMethod) -> Mechanism:
     Raises
     ------
     ModelError
-        If the numbers of coordinates, speeds, kinematic equations and constraints do not fit together, or
-        a velocity or orientation that the equations need is not defined.
+        If the numbers of coordinates, speeds, kinematic equations and constraints do not match, or a velocity or
+        orientation that the equations need is not defined.
     """
     if isinstance(system, System):
         description = _of_system(system)
@@ -296,8 +296,8 @@ def read_mechanism(system: System | me.KanesMethod) -> Mechanism:
     elif isinstance(system, me.LagrangesMethod):
         raise ModelError(
             "A LagrangesMethod cannot be read: equations are formed by Kane's method, from bodies and loads. Make a "
-            "System or a KanesMethod of these, with a speed u for each coordinate q and the kinematic equation "
-            "u - q' = 0; forces that a Lagrangian has as potentials become loads."
+            "System or a KanesMethod from these, with a speed u for each coordinate q and the kinematic equation "
+            "u - q' = 0; forces in the Lagrangian's potential become loads."
         )
     else:
         raise ModelError(
@@ -335,7 +335,7 @@ def read_mechanism(system: System | me.KanesMethod) -> Mechanism:
 
 @dataclass(frozen=True)
 class _Description:
-    """What a System and a KanesMethod have in common; named as in a System."""
+    """The common data of a System and a KanesMethod, with the names of a System."""
 
     frame: me.ReferenceFrame
     fixed_point: me.Point | None
@@ -351,7 +351,7 @@ class _Description:
     velocity_constraints: Sequence[sm.Expr]
     actuators: Sequence[Any]
     acceleration_constraints: Sequence[sm.Expr]
-    derived: bool  # whether the rates of the holonomic constraints are to stand before the velocity constraints
+    derived: bool  # whether the rates of the holonomic constraints come before the velocity constraints
 
 
 def _of_system(system: System) -> _Description:
@@ -376,14 +376,14 @@ def _of_system(system: System) -> _Description:
 
 
 def _loads(items: Iterable[Any]) -> list[Any]:
-    """Loads as they are, and those that actuators stand for."""
+    """Loads, with actuators replaced by their loads."""
     return [load for item in items for load in (item.to_loads() if isinstance(item, me.ActuatorBase) else [item])]
 
 
 def _actuators(system: _Description) -> dict[str, Any]:
-    """The equations of actuators with states of their own, as sympy.physics.biomechanics has them.
+    """The equations of actuators with states of their own, such as those of sympy.physics.biomechanics.
 
-    Who has made a state a coordinate, with its equation among the kinematic ones, has said the same.
+    A state that the user made a coordinate, with its equation among the kinematic ones, is left out.
     """
     known = {*system.q_ind, *system.q_dep, *system.u_ind, *system.u_dep}
     equations: dict[sm.Expr, sm.Expr] = {}
@@ -393,7 +393,7 @@ def _actuators(system: _Description) -> dict[str, Any]:
             for state, rate in zip(actuator.x, actuator.rhs(), strict=True):
                 if equations.get(state, rate) != rate:
                     raise ModelError(
-                        f"Two actuators have other equations for the state {state}: give one of them another name."
+                        f"Two actuators have different equations for the state {state}: give one of them another name."
                     )
                 if state not in known:
                     equations[state] = rate
@@ -402,7 +402,7 @@ def _actuators(system: _Description) -> dict[str, Any]:
 
 
 def _of_kanes_method(kane: me.KanesMethod) -> _Description:
-    """KanesMethod keeps kinematics and velocity constraints as matrices, and offers no public way to them."""
+    """KanesMethod stores kinematics and velocity constraints as matrices, without public access."""
     t = me.dynamicsymbols._t
     q, u = sm.Matrix(kane.q), sm.Matrix(kane.u)
     n_qi, n_ui = len(q) - len(kane._qdep), len(u) - len(kane._udep)
@@ -425,7 +425,7 @@ def _of_kanes_method(kane: me.KanesMethod) -> _Description:
         holonomic_constraints=kane._f_h[:],
         velocity_constraints=(kane._k_nh * u + kane._f_nh)[:] if kane._udep else (),
         actuators=[item for item in kane.forcelist or () if isinstance(item, me.ActuatorBase)],
-        # Those that KanesMethod derives itself have the velocity constraints' matrix.
+        # Those that KanesMethod derives itself have the matrix of the velocity constraints.
         acceleration_constraints=(
             (kane._k_dnh * u.diff(t) + kane._f_dnh)[:] if kane._udep and kane._k_dnh is not kane._k_nh else ()
         ),
@@ -445,8 +445,8 @@ def _check_counts(system: _Description) -> None:
     rates = [u for u in (*system.u_ind, *system.u_dep) if isinstance(u, sm.Derivative)]
     if rates:
         problems.append(
-            f"its speeds {', '.join(map(str, rates))} are derivatives, as for LagrangesMethod, and Kane's method is "
-            "what is read: give each coordinate q a speed u of its own, and the kinematic differential equation "
+            f"its speeds {', '.join(map(str, rates))} are derivatives, as for LagrangesMethod, but Kane's method is "
+            "needed: give each coordinate q a speed u of its own, and the kinematic differential equation "
             "u - q' = 0"
         )
     elif len(system.kdes) != n_q:
@@ -463,7 +463,7 @@ def _check_counts(system: _Description) -> None:
 
 
 def wrong_number(kind: str, n_constraints: int, letter: Literal["q", "u"], dependent: Sequence[sm.Expr]) -> str:
-    """What is wrong with the number of dependent variables, if anything is."""
+    """An error message if the number of dependent variables is wrong; else an empty text."""
     if len(dependent) <= n_constraints and (dependent or not n_constraints):
         return ""
     what = "coordinates" if letter == "q" else "speeds"
@@ -478,15 +478,15 @@ def _names(functions: Iterable[Any]) -> str:
 
 
 class _Reader:
-    """Numbers the frames that vectors refer to, while it reads the vectors."""
+    """Reads vectors, and numbers the frames that they refer to."""
 
     def __init__(self, inertial: me.ReferenceFrame, fixed_point: me.Point | None) -> None:
         self.inertial = inertial
         self.fixed_point = fixed_point
-        # ``ReferenceFrame.dcm`` finds its way by listing every path in the graph and multiplies out what lies on
-        # it; one breadth-first pass over the neighbours keeps the tree as it was modelled.
+        # ``ReferenceFrame.dcm`` lists every path in the graph and multiplies the matrices along it; one breadth-first
+        # pass over the neighbours keeps the tree as it was modelled.
         self.parents = _neighbours(inertial, lambda frame: frame._dcm_dict)
-        # A frame that nothing is written in need not be oriented: the wheel of a bicycle whose angle nobody asks for.
+        # A frame that no vector is written in needs no orientation, for example a wheel whose angle is not needed.
         self.turning = _neighbours(inertial, lambda frame: frame._ang_vel_dict)
         self.numbers: dict[me.ReferenceFrame, int] = {inertial: 0}
         self.points: list[Point] = []
@@ -505,7 +505,7 @@ class _Reader:
         return self.numbers[frame]
 
     def number_of_turning(self, frame: me.ReferenceFrame, used_by: str) -> int:
-        """The number of a frame of which nothing but the angular velocity is needed."""
+        """The number of a frame of which only the angular velocity is needed."""
         if frame in self.parents or frame not in self.turning:
             return self.number(frame, used_by)
         if frame not in self.numbers:
@@ -532,7 +532,7 @@ class _Reader:
         return self.vector(velocity, used_by)
 
     def read_points(self, users: Iterable[tuple[me.Point, str]]) -> None:
-        """Read the velocities of points, given with what uses them, and the tree of positions that joins them."""
+        """Read the velocities of points, given with their users, and the tree of positions that connects them."""
         needed: dict[me.Point, str] = {}
         for point, used_by in users:
             needed.setdefault(point, used_by)
@@ -542,8 +542,8 @@ class _Reader:
                 root = self._at_rest(point) or point
                 parents.update(_neighbours(root, _positions))
                 parents[root] = None
-        # SymPy differentiates, in the inertial frame, the position from the nearest point whose velocity is known; that
-        # does not end for spatial chains. Along the tree of positions `Kinematics` does it frame by frame.
+        # SymPy differentiates the position relative to the nearest point of known velocity in the inertial frame, which
+        # practically never ends for spatial chains. `Kinematics` differentiates along the tree, frame by frame.
         derived: set[me.Point] = set()
         for point in needed:
             path = list(_ancestors(point, parents))
@@ -559,13 +559,13 @@ class _Reader:
         return next((p for p in _neighbours(point, _positions) if self.inertial in p._vel_dict), None)
 
     def _at_rest(self, point: me.Point) -> me.Point | None:
-        """The System's fixed point or another one at rest, if the position of a point is given from it."""
+        """The System's fixed point or another point at rest, if a point's position is known relative to it."""
         component = _neighbours(point, _positions)
         at_rest = [p for p in component if p._vel_dict.get(self.inertial) == 0]
         return next((p for p in (self.fixed_point, *at_rest) if p in component), None)
 
     def drawn(self, bodies: Iterable[Any]) -> tuple[DrawnPoint, ...]:
-        """The tree of positions, as far as it stands in frames that have a number by now."""
+        """The tree of positions, as far as it is written in frames that are numbered by now."""
         names = {body.masscenter: str(body.name) for body in bodies}
         roots = [found for found in map(self._at_rest, names) if found is not None]
         if not roots:
@@ -638,7 +638,7 @@ class _Reader:
         try:
             return None if given is None else self.vector(given, f"acceleration of {of.name}")
         except ModelError:
-            return None  # it is written in a frame that nothing else needs
+            return None  # written in a frame that nothing else needs
 
     def body(self, body: me.RigidBody | me.Particle) -> Body:
         name = f"body {body.name}"
@@ -648,8 +648,8 @@ class _Reader:
         if not isinstance(body, me.RigidBody):  # the deprecated Body is a RigidBody and a Particle
             return Body(body.name, mass, point, None, None, None, potential_energy, acceleration, None)
         self.angular_velocity(body.frame, name)
-        # The inertia stays in the frame it was given in, which need not be fixed in the body (the wheel of a
-        # bicycle is simplest in a frame that does not spin with it); mixed frames go to the body's own.
+        # The inertia stays in the frame it was given in, which need not be fixed in the body (for a wheel, a frame
+        # that does not spin is simplest). An inertia in mixed frames is converted to the body's own.
         dyadic = body.central_inertia
         frames = {frame for _, *axes in dyadic.args for frame in (axis.args[0][1] for axis in axes)}
         frame = frames.pop() if len(frames) == 1 else body.frame
@@ -679,14 +679,14 @@ class _Reader:
 
     def frames(self) -> tuple[Frame, ...]:
         angular_velocities: list[Vector | None] = []
-        # An angular velocity may name frames that nothing else did; they take the next numbers.
+        # An angular velocity may refer to frames that nothing else does; they get the next numbers.
         while len(angular_velocities) < len(self.numbers):
             frame = list(self.numbers)[len(angular_velocities)]
             try:
                 angular_velocities.append(self.angular_velocity(frame, f"frame {frame.name}"))
             except ModelError:
                 angular_velocities.append(None)
-        # The direction cosines between neighbours are the ones that orient_axis and its like stored.
+        # The direction cosines between neighbours are those that orient_axis and similar methods stored.
         frames = []
         for (frame, number), velocity in zip(self.numbers.items(), angular_velocities, strict=True):
             is_oriented = frame in self.parents
@@ -705,7 +705,7 @@ class _Reader:
 
 
 def _difference(a: Vector | None, b: Vector | None) -> Vector | None:
-    """A - b where that has fewer components than a; None if not."""
+    """The difference a - b if it has fewer components than a; else None."""
     if a is None or b is None:
         return None
     parts = dict(a)
@@ -717,7 +717,7 @@ def _difference(a: Vector | None, b: Vector | None) -> Vector | None:
 
 
 def _neighbours(root: Any, links: Callable[[Any], Iterable[Any]]) -> dict[Any, Any]:
-    """The parent of everything that links lead to from a root, nearest first; the root is its own."""
+    """The parent of everything reachable from a root by links, breadth first; the root is its own parent."""
     parents = {root: root}
     queue = [root]
     for item in queue:
@@ -729,7 +729,7 @@ def _neighbours(root: Any, links: Callable[[Any], Iterable[Any]]) -> dict[Any, A
 
 
 def _ancestors(point: me.Point, parents: Mapping[me.Point, me.Point | None]) -> Iterator[me.Point]:
-    """A point, the one that its position is given from, and so on."""
+    """A point, its parent, and so on to the root."""
     member: me.Point | None = point
     while member is not None:
         yield member
@@ -737,6 +737,6 @@ def _ancestors(point: me.Point, parents: Mapping[me.Point, me.Point | None]) -> 
 
 
 def _positions(point: me.Point) -> Iterable[me.Point]:
-    """The points that a point's position is given from, or theirs from it."""
+    """The points whose positions are given relative to a point, or the reverse."""
     positions: dict[me.Point, me.Vector] = point._pos_dict
     return positions

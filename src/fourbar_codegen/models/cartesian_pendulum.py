@@ -15,7 +15,7 @@ __all__ = ["cartesian_pendulum"]
 
 
 def cartesian_pendulum() -> Model:
-    """Model a particle that a massless rod keeps at a distance from the origin, y upwards.
+    """Model a particle that a massless rod keeps at a constant distance from the origin, y upwards.
 
     Returns
     -------

@@ -13,7 +13,7 @@ from fourbar_codegen.modeling.model import Model, Parameter
 __all__ = ["chain"]
 
 MAX_LINKS = 1_000
-"""A larger number of links is taken for a slip."""
+"""Larger numbers of links are refused as mistakes."""
 
 
 def chain(links: int = 3, *, closed: bool = False) -> Model:
@@ -30,8 +30,8 @@ def chain(links: int = 3, *, closed: bool = False) -> Model:
     Returns
     -------
     Model
-        Coordinates q1, q2, ... (rad), the angle of each bar relative to the one before, and from the horizontal for
-        the first; speeds u1, u2, ... (rad/s), their rates.
+        Coordinates q1, q2, ... (rad), the angle of each bar relative to the previous one, of the first to the
+        horizontal; speeds u1, u2, ... (rad/s), their rates.
 
     Raises
     ------

@@ -23,14 +23,14 @@ def four_bar() -> Model:
     Returns
     -------
     Model
-        Coordinates q1, q2, q3 (rad), the angles of links 2, 3 and 4 relative to the link before; q1 is
+        Coordinates q1, q2, q3 (rad), the angles of links 2, 3 and 4 relative to the previous link; q1 is
         independent. Speeds u1, u2, u3 (rad/s), their rates. Input F (N), a horizontal force at the third joint.
 
     Notes
     -----
-    As in the tutorial's code, spring and damper act between links 2 and 1, with the angle q2 and its rate, which are
-    those between links 3 and 2. So the damper does not take energy away but feeds the motion: with F = 0, the energy
-    grows from -697 J to 1083 J in 7.34 s with c = 10, and stays below -697 J with c = 0.
+    As in the tutorial's code, the torque of spring and damper acts between links 2 and 1, but depends on the angle q2
+    and its rate, which are between links 3 and 2. So the damper adds energy instead of dissipating it: with F = 0, the
+    energy grows from -697 J to 1083 J in 7.34 s with c = 10, and stays below -697 J with c = 0.
 
     Examples
     --------
@@ -43,7 +43,7 @@ def four_bar() -> Model:
     force = me.dynamicsymbols("F")
     t = me.dynamicsymbols._t
 
-    # Bodies: thin rods along their x axis, of which a planar motion needs the inertia about z only.
+    # Bodies: thin rods along their x axis. Planar motion needs only the inertia about z.
     frame_1 = me.ReferenceFrame("N")
     masscenter_1 = me.Point("mc1")
     inertia_1 = me.Inertia.from_inertia_scalars(masscenter_1, frame_1, 0, 0, rho * l1**3 / 12)
@@ -82,7 +82,7 @@ def four_bar() -> Model:
     joint3 = me.PinJoint("joint3", link3, link4, q3, u3, l3 / 2 * link3.x, -l4 / 2 * link4.x, joint_axis=link3.z)
     system.add_joints(joint2, joint3)
 
-    # The joint's velocity follows from link 3 and from link 4 alike; name one, so that SymPy need not choose.
+    # The joint's velocity follows from link 3 and from link 4; name one, so that SymPy need not choose.
     joint3.parent_point.v2pt_theory(link3.masscenter, link1.frame, link3.frame)
 
     # Loads: gravity, the horizontal force at the third joint, and the spring-damper.

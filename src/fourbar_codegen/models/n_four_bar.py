@@ -1,4 +1,4 @@
-"""The N-four-bar mechanism: a row of parallelograms that passes singular positions.
+"""The N-four-bar mechanism: a row of parallelograms that passes singular configurations.
 
 Source: IFToMM multibody benchmark A02, https://www.iftomm-multibody.org/benchmark; M. Gonzalez, D. Dopico, U. Lugris,
 J. Cuadrado, "A benchmarking system for MBS simulation software", *Multibody System Dynamics* 16 (2006).
@@ -17,7 +17,7 @@ from fourbar_codegen.modeling.model import Model, Parameter
 __all__ = ["n_four_bar"]
 
 MAX_LOOPS = 1_000
-"""A larger number of loops is taken for a slip."""
+"""Larger numbers of loops are refused as mistakes."""
 
 
 def n_four_bar(loops: int = 2) -> Model:
@@ -32,8 +32,8 @@ def n_four_bar(loops: int = 2) -> Model:
     -------
     Model
         Coordinates p0, p1, ... (rad), the angles of the upright bars from the vertical, clockwise; c1, c2, ... (rad),
-        those of the bars across from the horizontal, likewise. Speeds v0, v1, ... and w1, w2, ... (rad/s), their
-        rates. Only p0 and v0 are independent. It begins upright, the joints at the top moving with 1 m/s.
+        those of the bars across from the horizontal, also clockwise. Speeds v0, v1, ... and w1, w2, ... (rad/s), their
+        rates. Only p0 and v0 are independent. It begins upright, with the joints at the top moving at 1 m/s.
 
     Raises
     ------

@@ -46,7 +46,7 @@ def rolling_disc() -> Model:
     contact = origin.locatenew("P", q4 * ground.x + q5 * ground.y)
     contact.set_vel(ground, u4 * ground.x + u5 * ground.y)
     center.set_pos(contact, r * leaning.z)
-    # The disc rolls, which is substituted here: the mass matrix has rows of zeros for u4 and u5.
+    # The rolling constraint is substituted here, so the mass matrix has rows of zeros for u4 and u5.
     center.set_vel(ground, by_speeds.cross(r * leaning.z))
     slip = contact.vel(ground) + disc.ang_vel_in(leaning).cross(-r * leaning.z)
 

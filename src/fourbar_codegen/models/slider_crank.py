@@ -18,9 +18,9 @@ def slider_crank() -> Model:
     -------
     Model
         Coordinates crank and rod (rad), the angles of both relative to the line of the slider; slide (m), the
-        slider's place, which two holonomic constraints tie to the rod's end. Speeds are their rates. Inputs
-        torque (N m) on the crank and load (N) on the slider, outputs pin_x and pin_y (N), the force of the
-        slider on the rod.
+        slider's position, which two holonomic constraints tie to the rod's end. Speeds are their rates. Inputs
+        torque (N m) on the crank and load (N) on the slider, outputs pin_x, pin_y and pin_z (N), the force of the
+        slider on the rod (pin_z is zero).
 
     Examples
     --------

@@ -25,10 +25,10 @@ def whipple_bicycle() -> Model:
     Returns
     -------
     Model
-        Coordinates q1, q2 (m), the place of the rear contact; q3, q4, q5 (rad), yaw, roll and pitch of the
+        Coordinates q1, q2 (m), the position of the rear contact; q3, q4, q5 (rad), yaw, roll and pitch of the
         rear frame; q6 (rad), the rear wheel's angle; q7 (rad), steer; q8 (rad), the front wheel's angle.
         Speeds u1 to u8, their rates. The independent speeds are roll, rear wheel and steer.
-        It begins upright, with 5 m/s.
+        It begins upright, at 5 m/s.
 
     Examples
     --------
@@ -84,7 +84,7 @@ def whipple_bicycle() -> Model:
     for name, center, carrier, mass, axes, scalars in (
         ("rear frame", frame_center, frame, mc, frame, (ic11, ic22, ic33, 0, 0, ic31)),
         ("front frame", fork_center, fork, m_e, fork, (ie11, ie22, ie33, 0, 0, ie31)),
-        # A wheel's inertia is the same in the frame that does not spin with it, where it is shorter to work with.
+        # A wheel's inertia is the same in the frame that does not spin with it, where expressions are shorter.
         ("rear wheel", rear_center, rear, md, frame, (id11, id22, id11)),
         ("front wheel", front_center, front, mf, fork, (if11, if22, if11)),
     ):

@@ -65,12 +65,12 @@ cdef const fb_batch_functions *_batch_functions(Evaluator evaluator) noexcept:
 
 
 def width(Evaluator evaluator not None):
-    """How many states are evaluated side by side."""
+    """The number of states that are evaluated side by side."""
     return _batch_functions(evaluator).width if _batch_functions(evaluator) != NULL else 1
 
 
 cdef fb_columns _columns(cnp.ndarray array, int axes):
-    """A contiguous array with so many axes, the last that of the states; or with one less, the same for all states."""
+    """A contiguous array with `axes` axes, the last one for the states; or with one less, common to all states."""
     cdef fb_columns columns
     columns.values = data(array)
     columns.stride = cnp.PyArray_DIM(array, axes - 1) if cnp.PyArray_NDIM(array) == axes else 0
@@ -79,7 +79,7 @@ cdef fb_columns _columns(cnp.ndarray array, int axes):
 
 @cython.final
 cdef class Batch:
-    """The right-hand side at many states; arrays are of double and contiguous, as `_columns` has them.
+    """The right-hand side at many states; arrays are of double and contiguous, see `_columns`.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ cdef class Batch:
     r : ndarray, shape (n_r,) or (n_r, n), or None
         None for the inputs' expressions.
     rates : ndarray, shape (n_x, n)
-        Where the results come.
+        The array for the results.
     """
 
     cdef fb_batch batch
@@ -105,7 +105,7 @@ cdef class Batch:
             self.batch.r = _columns(r, 2)
 
     def evaluate(self, long begin, long end):
-        """The states from one to another; other threads may evaluate others at the same time."""
+        """Evaluate the states from begin to end; other threads may evaluate others at the same time."""
         cdef const fb_batch_functions *functions = _batch_functions(self.evaluator)
         cdef int status
         with nogil:
@@ -128,7 +128,7 @@ cdef class Members:
     t, t_bound : float
         Beginning and end.
     x : ndarray, shape (n, n_x)
-        The states at the beginning, which are moved onto the constraints.
+        The initial states, which are projected onto the constraints.
     p : ndarray, shape (n, n_p)
     sources : sequence of length n_r
         For each input None (its expression), an array of shape (n,), or a `Table`.
@@ -137,15 +137,15 @@ cdef class Members:
     project : bool
     times : ndarray, shape (n_t,)
     breaks : ndarray, shape (3, n)
-        Times in order, at which steps end: inputs have jumps or kinks there. And those up to which, and from which on,
-        values belong to either side.
+        Sorted times of jumps or kinks of inputs, at which steps end; the times up to which inputs are evaluated before
+        them; and those from which on after them.
     max_steps : int
-        After which a member is left to be run alone; 0 for no limit.
+        After this number of steps a member has to be run alone; 0 for no limit.
 
     Attributes
     ----------
     samples : ndarray, shape (n, n_x, n_t)
-        NaN where there is none.
+        NaN for missing samples.
     status : ndarray of int8, shape (n,)
         `DONE`, or something else.
     n_evaluations : ndarray of int, shape (n,)
@@ -202,7 +202,7 @@ cdef class Members:
         PyMem_Free(self.sources)
 
     def run(self):
-        """Run members until none waits; other threads may do so at the same time."""
+        """Run members until none is waiting; other threads may do so at the same time."""
         cdef const fb_batch_functions *functions = _batch_functions(self.evaluator)
         cdef int status = 0
         if functions != NULL:
@@ -212,10 +212,10 @@ cdef class Members:
             raise MemoryError
 
     def stop(self):
-        """Make all threads give up after their next step."""
+        """Stop all threads after their next step."""
         self.stopped = 1
 
     @property
     def n_ended(self):
-        """Of the members."""
+        """The number of members that have ended."""
         return self.ended

@@ -1,5 +1,5 @@
 # cython: language_level=3
-"""What the runtime's extension modules share."""
+"""Declarations shared by the runtime's extension modules."""
 
 cimport numpy as cnp
 

@@ -1,5 +1,5 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
-"""Calls kernels: argument checks and evaluation."""
+"""Checks arguments and evaluates kernels."""
 
 cimport numpy as cnp
 from cpython.mem cimport PyMem_Calloc, PyMem_Free, PyMem_Malloc
@@ -40,26 +40,26 @@ cdef cnp.ndarray new_array(int rows, int columns=-1):
 
 
 cdef bint is_ready(object values) noexcept:
-    """Whether values are an array as C takes it."""
+    """Whether values are an array that C can use directly."""
     return (cnp.PyArray_CheckExact(values) and cnp.PyArray_TYPE(values) == cnp.NPY_DOUBLE
             and cnp.PyArray_ISCARRAY_RO(values))
 
 
 cpdef cnp.ndarray numbers(object values, str what):
-    """Real numbers as an array of double, native, aligned and contiguous: the same array if it is one already.
+    """Real numbers as a native, aligned and contiguous array of double; such an array is returned itself.
 
-    All numbers that users hand in are read here.
+    All numbers given by users are read here.
 
     Parameters
     ----------
     values : array_like
     what : str
-        What they are: the subject of the error's sentence.
+        Their name, the subject of error messages.
 
     Returns
     -------
     ndarray
-        Of the shape that the values have. What is not finite is let through.
+        Of the same shape. Infinities and NaN are allowed.
 
     Raises
     ------
@@ -71,7 +71,7 @@ cpdef cnp.ndarray numbers(object values, str what):
         return values
     try:
         return _read(values)
-    except Exception as error:  # float() raises what the entries' classes please to
+    except Exception as error:  # float() may raise anything for objects
         raise ModelError(f"{what} must be real numbers, not {shown(values)}.") from error
 
 
@@ -102,7 +102,7 @@ cdef cnp.ndarray _read(object values):
 
 
 cdef double _real(object entry) except? -1.0:
-    """An entry of an array of objects; float() would read text, and take a time or the real part for the number."""
+    """An entry of an array of objects; float() alone would accept text, times, and real parts of complex numbers."""
     if isinstance(entry, np.ndarray) and entry.ndim == 0 and not _masked(entry, 0):
         entry = entry[()]
     if isinstance(entry, (str, bytes, bytearray)) or _masked(entry, 0):
@@ -113,8 +113,8 @@ cdef double _real(object entry) except? -1.0:
 
 
 cdef bint _masked(object values, int depth):
-    """Whether entries are masked, also of arrays in lists of so many dimensions: NumPy would drop the masks."""
-    masked = sys.modules.get("numpy.ma")  # without which nobody has one
+    """Whether entries are masked, also in arrays inside lists of `depth` dimensions: NumPy would drop the masks."""
+    masked = sys.modules.get("numpy.ma")  # if it is not imported, there are no masks
     if masked is None:
         return False
     if isinstance(values, masked.MaskedArray):
@@ -127,13 +127,13 @@ cdef bint _masked(object values, int depth):
 
 
 cdef cnp.ndarray rows(object columns, str what):
-    """Real numbers, as `numbers` has them, with rows for the columns that are given."""
+    """Real numbers, read by `numbers`, transposed."""
     cdef cnp.ndarray given = columns if cnp.PyArray_CheckExact(columns) else numbers(columns, what)
-    return numbers(given.T, what)  # of what was handed out, states in columns, the same array
+    return numbers(given.T, what)  # arrays returned to users, with states in columns, are not copied
 
 
 cdef cnp.ndarray vector(object values, int n, str what):
-    """Real numbers, as `numbers` has them, of the shape (n,)."""
+    """Real numbers, read by `numbers`, of the shape (n,)."""
     cdef cnp.ndarray array = <cnp.ndarray>values if is_ready(values) else numbers(values, what)
     if cnp.PyArray_NDIM(array) != 1 or cnp.PyArray_DIM(array, 0) != n:
         raise ModelError(f"{what} must have shape ({n},), not {(<object>array).shape}.")
@@ -147,12 +147,12 @@ cdef bint _overlap(cnp.ndarray a, cnp.ndarray b) noexcept:
 
 
 def is_finite(cnp.ndarray values not None):
-    """Whether all entries of a contiguous array of double are finite; for a few, NumPy takes ten times as long."""
+    """Whether all entries of a contiguous array of double are finite; ten times faster than NumPy for short arrays."""
     return bool(fb_finite(data(values), cnp.PyArray_SIZE(values)))
 
 
 def finite_copy(object values, int n):
-    """A copy of n finite numbers that come in an array as C takes it; None for all else."""
+    """A copy of n finite numbers in an array that C can use directly; None for anything else."""
     cdef cnp.ndarray given, copy
     if not is_ready(values):
         return None
@@ -165,7 +165,7 @@ def finite_copy(object values, int n):
 
 
 def largest_difference(cnp.ndarray a not None, cnp.ndarray b not None):
-    """The largest difference of two contiguous arrays of double with as many entries; NaN where one is."""
+    """The largest difference of two contiguous arrays of double of equal length; NaN if one is NaN."""
     cdef double largest = 0.0, difference
     cdef Py_ssize_t i
     for i in range(cnp.PyArray_SIZE(a)):
@@ -178,7 +178,7 @@ def largest_difference(cnp.ndarray a not None, cnp.ndarray b not None):
 
 
 def kernel_at(size_t address):
-    """The capsule of a kernel in a library that stays loaded, as extension modules have one."""
+    """The capsule of a kernel in a library that stays loaded, like those of extension modules."""
     return PyCapsule_New(<void *>address, FB_CAPSULE_NAME, NULL)
 
 
@@ -193,7 +193,7 @@ def versions(capsule not None):
     """
     cdef const fb_kernel *kernel = _kernel_in(capsule)
     found = [capsule]
-    # Another layout may have something else in that place: an Evaluator of it says so.
+    # Another layout may have other data in that place; an Evaluator reports it.
     while kernel.struct_size == sizeof(fb_kernel) and fb_runs_here(kernel) and fb_runs_here(kernel.faster):
         kernel = kernel.faster
         found.append(kernel_at(<size_t>kernel))
@@ -206,13 +206,13 @@ cdef class Evaluator:
     Parameters
     ----------
     capsule : object
-        The kernel, as a generated module exports it.
+        The kernel that a generated module exports.
     manifest : dict
         The manifest of the same module, decoded.
     """
 
-    # One set of buffers serves all threads: a method first gets its arguments, which may run Python and let
-    # another thread in, then fills the buffers and calls the kernel without a step of Python in between.
+    # All threads share one set of buffers. A method first reads its arguments, which may run Python and switch
+    # threads, then fills the buffers and calls the kernel without running Python in between.
 
     def __cinit__(self, capsule, manifest):
         cdef const fb_kernel *kernel = _kernel_in(capsule)
@@ -222,7 +222,7 @@ cdef class Evaluator:
             raise _other_layout(manifest)
         if kernel.derivatives != NULL and not _agree(kernel.derivatives):
             raise _other_layout(manifest)
-        self.own = kernel[0]  # which what is built apart is attached to
+        self.own = kernel[0]  # a copy, to which parts that are built separately are attached
         self.kernel = &self.own
         self.capsule, self.manifest = capsule, manifest
         self.n_q, self.n_u, self.n_p, self.n_r = kernel.n_q, kernel.n_u, kernel.n_p, kernel.n_r
@@ -249,28 +249,28 @@ cdef class Evaluator:
 
     @property
     def lacks_batch_functions(self):
-        """Whether the functions for several states side by side are in a library that has not been attached yet."""
+        """Whether the functions for several states side by side are in a library that is not attached yet."""
         return self.kernel.batch_functions == NULL and self.kernel.batch_functions_apart != 0
 
     @property
     def lacks_derivatives(self):
-        """Whether derivatives, and what is drawn, are in a library that has not been attached yet."""
+        """Whether derivatives and data for drawings are in a library that is not attached yet."""
         return self.kernel.derivatives == NULL
 
     @property
     def is_portable(self):
-        """Whether it was built to travel, and not for the processor of one machine."""
+        """Whether it runs on other machines, and was not built for the processor of one machine."""
         return self.kernel.one_machine == 0
 
     @property
     def instructions(self):
-        """What it was compiled for: "native", the processor of this machine; or, of a module that travels, "baseline",
-        "avx2" or "avx512", the most that the processor has.
+        """The instruction set: "native" for the processor of this machine; for a portable module "baseline", "avx2" or
+        "avx512", the best that the processor has.
         """
         return "native" if self.kernel.one_machine else ("baseline", "avx2", "avx512")[self.kernel.instructions]
 
     def _attach_batch_functions(self, size_t address):
-        """Take an ``fb_batch_functions`` that was built apart from the kernel: functions for states side by side.
+        """Attach an ``fb_batch_functions`` that was built separately: functions for states side by side.
 
         Raises
         ------
@@ -282,17 +282,17 @@ cdef class Evaluator:
         self.own.batch_functions = <const fb_batch_functions *>address
 
     def _attach_derivatives(self, size_t address):
-        """The same for an ``fb_derivatives``."""
+        """Attach an ``fb_derivatives``."""
         if not _agree(<const fb_derivatives *>address):
             raise _other_layout(self.manifest)
         self.own.derivatives = <const fb_derivatives *>address
 
     def require_derivatives(self):
-        """Attach the derivatives; a subclass that knows where they come from builds them."""
+        """Attach the derivatives; a subclass that has their sources builds them."""
         raise ModelError("The derivatives are in a library of their own: attach it.")
 
     cdef const fb_derivatives *derivatives(self) except NULL:
-        """Those of the kernel, built first where that was left for later."""
+        """The derivatives of the kernel, built first if necessary."""
         if self.kernel.derivatives == NULL:
             self.require_derivatives()
         return self.kernel.derivatives
@@ -302,15 +302,15 @@ cdef class Evaluator:
         return p
 
     def input_values(self, r, defaults):
-        """All input values in order; likewise, with the values of the expressions as defaults."""
+        """All input values in order; a subclass also takes mappings, with the expressions' values as defaults."""
         return r
 
     def defaults_in_force(self, r):
-        """For each input, whether it is what its expression gives, with r as a call has it; likewise."""
+        """For each input, whether its expression is used, for the argument r of a call; a subclass takes mappings."""
         return [r is None] * self.n_r
 
     def missing(self):
-        """A sentence that names what has no default."""
+        """A sentence about missing parameters and inputs."""
         return "A parameter or an input has no default and was not given."
 
     def failure(self, int status, double t, x):
@@ -322,7 +322,7 @@ cdef class Evaluator:
             return (
                 f"The mechanism is in a singular position {where}: the constraints' Jacobian has lost rank, so that "
                 "the accelerations are not determined, or no acceleration satisfies all constraints. (Or one "
-                "constraint is smaller than another by the precision of double: then give them units of like size.)"
+                "constraint is smaller than another by the precision of double: then give them similar units.)"
             )
         if status == FB_CONSTRAINTS_INDEPENDENT:
             return self.too_few_dependent(where)
@@ -343,7 +343,7 @@ cdef class Evaluator:
                 "them."
             )
         if status == FB_NOT_CLOSED:
-            return f"The loops cannot be closed {where}: no state close by satisfies the constraints."
+            return f"The loops cannot be closed {where}: no state nearby satisfies the constraints."
         return (
             f"The equations of motion, or their derivatives, are not finite {where}: a division by zero, a coordinate "
             "beyond its range, or an input that is not finite."
@@ -500,10 +500,9 @@ cdef class Evaluator:
     def parameter_jacobian(self, t, x, p=None, r=None):
         """The derivatives of the right-hand side with respect to the parameters.
 
-        They count all of a parameter's ways to x' at the state x: also those through parameters that are expressions of
-        it, and through the expressions of inputs and, of those that prescribe a motion, of their rates,
-        dx'/dp + dx'/dr dr/dp. Inputs that are given in `r` do not change with the parameters: all of them where it is
-        an array; where it is a mapping, those that it names, with their rates.
+        They are total derivatives of x' at the state x. They include parameters that are expressions of others, and
+        the expressions of inputs and of the rates of prescribed motions: dx'/dp + dx'/dr dr/dp. Inputs given in `r` do
+        not change with the parameters: all inputs if it is an array; if it is a mapping, those in it, with their rates.
 
         Parameters
         ----------
@@ -537,13 +536,12 @@ cdef class Evaluator:
         return self._finite_or_raise(result + self._through_inputs(by_inputs, by_parameters, changing), t, x)
 
     def _changing(self, by_parameters, r):
-        """The inputs whose expressions change with the parameters; others are not asked about: dx'/dr may be infinite.
-        """
+        """The inputs whose expressions change with the parameters; others are skipped, since dx'/dr may be infinite."""
         in_force = self.defaults_in_force(r)
         return [j for j in range(self.n_r) if in_force[j] and by_parameters[j].any()]
 
     cdef cnp.ndarray _through_inputs(self, cnp.ndarray by_inputs, cnp.ndarray by_parameters, list changing):
-        """The derivatives by the parameters that go through inputs' expressions."""
+        """The derivatives with respect to the parameters through inputs' expressions."""
         return np.matmul(by_inputs[:, changing], by_parameters[changing])
 
     def _finite_or_raise(self, cnp.ndarray result, double t, x):
@@ -554,7 +552,7 @@ cdef class Evaluator:
     def output_jacobian(self, t, x, p=None, r=None):
         """The derivatives of the outputs with respect to the state.
 
-        Accelerations and multipliers in the outputs change as the equations of motion have it.
+        Accelerations and multipliers in the outputs change by the equations of motion.
 
         Parameters
         ----------
@@ -568,7 +566,7 @@ cdef class Evaluator:
         Raises
         ------
         ModelError, SimulationError
-            As for `rhs`; or if an output contains multipliers that redundant constraints leave open.
+            As for `rhs`; or if an output contains multipliers that redundant constraints leave undetermined.
 
         Examples
         --------
@@ -586,7 +584,7 @@ cdef class Evaluator:
     def output_parameter_jacobian(self, t, x, p=None, r=None):
         """The derivatives of the outputs with respect to the parameters.
 
-        They count all of a parameter's ways, as those of `parameter_jacobian` do.
+        They are total derivatives, like those of `parameter_jacobian`.
 
         Parameters
         ----------
@@ -652,15 +650,15 @@ cdef class Evaluator:
             derivatives.input_sensitivity, derivatives.output_input_sensitivity, self.n_r, t, x, p, r)
 
     def require_output_derivatives(self, names):
-        """Raise a ModelError where redundant constraints leave the derivatives of some of these outputs open."""
+        """Raise a ModelError if redundant constraints leave the derivatives of some of these outputs undetermined."""
         left_open = [name for name in names if name in self.manifest["open_outputs"]]
         if left_open:
             raise ModelError(
-                f"The outputs {', '.join(left_open)} contain multipliers, which redundant constraints leave open, and "
-                "with them their derivatives: leave the redundant ones out.")
+                f"The outputs {', '.join(left_open)} contain multipliers, which redundant constraints leave "
+                "undetermined, and so are their derivatives: leave out the redundant ones.")
 
     def output_derivatives(self, t, x, p=None, r=None):
-        """The derivatives of all outputs by state and by inputs, two arrays; see `require_output_derivatives`."""
+        """The derivatives of all outputs with respect to state and inputs; see `require_output_derivatives`."""
         t = time_of(t)
         cdef const fb_derivatives *derivatives = self.derivatives()
         by_state = self._differentiate_outputs(
@@ -670,7 +668,7 @@ cdef class Evaluator:
 
     cdef cnp.ndarray _differentiate_outputs(
             self, fb_sensitivity *function, fb_output_sensitivity *outputs, int columns, double t, x, p, r):
-        """dy = y_x dx + y_u' du' + y_lambda dlambda; the equations have du' and dlambda."""
+        """dy = y_x dx + y_u' du' + y_lambda dlambda, with du' and dlambda from the equations."""
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
@@ -757,7 +755,7 @@ cdef class Evaluator:
         return accelerations, multipliers
 
     def unknown_forces(self, t, x, forces, p=None, r=None):
-        """What unknown forces n do: F, (n_u,), dF/dn, Q, (n_n,), dQ/dn, M_a, (n_n, n_u), and J_a^T, (n_n, n_c).
+        """For unknown forces n: F, (n_u,), dF/dn, Q, (n_n,), dQ/dn, M_a, (n_n, n_u), and J_a^T, (n_n, n_c).
 
         See ``fourbar_forces.h``.
         """
@@ -799,7 +797,7 @@ cdef class Evaluator:
         return rates, mass_matrix, forcing, jacobian, bias
 
     def position(self, t, q, p=None, r=None):
-        """The position constraints, shape (n_h,), and their derivatives by q, shape (n_h, n_q)."""
+        """The position constraints, shape (n_h,), and their Jacobian, shape (n_h, n_q)."""
         t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_motions)
@@ -825,9 +823,9 @@ cdef class Evaluator:
         return jacobian, bias
 
     def constraint_violation(self, t, x, p=None, r=None):
-        """By how much the constraints are violated, row by row as in J, with positions that no speed changes behind.
+        """Constraint violations: of positions, in the rows of J and then invariants, and of velocities.
 
-        Positions, shape (n_c + n_i,), and velocities, shape (n_c,).
+        Their shapes are (n_c + n_i,) and (n_c,).
         """
         t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
@@ -841,9 +839,9 @@ cdef class Evaluator:
         return positions, velocities
 
     def constraint_scale(self, t, x, p=None, r=None):
-        """What violations are measured by.
+        """Scales of violations.
 
-        Of the position constraints, shape (n_h,), and of both results of `constraint_violation`.
+        Those of the position constraints, shape (n_h,), and of both results of `constraint_violation`.
         """
         t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
@@ -858,7 +856,7 @@ cdef class Evaluator:
         return constraints, positions, velocities
 
     def coordinate_change(self, t, x, change, p=None, r=None):
-        """K v, the change of the coordinates, shape (n_q,), for a change v of what the speeds integrate to."""
+        """K v, the change of the coordinates, shape (n_q,), for a change v of the speeds' integrals."""
         t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
@@ -871,7 +869,7 @@ cdef class Evaluator:
         return result
 
     def invariant_correction(self, t, q, p=None, r=None):
-        """The change of the coordinates, shape (n_q,), that corrects position constraints which no speed changes."""
+        """The change of the coordinates, shape (n_q,), that corrects invariants (constraints that no speed changes)."""
         t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_motions)
@@ -909,7 +907,7 @@ cdef class Evaluator:
         return energies
 
     def drawing(self, t, x, p=None, r=None):
-        """Positions of the points that are drawn, shape (n_points, 3), and the inputs' forces, shape (n_forces, 3)."""
+        """Positions of the drawn points, shape (n_points, 3), and the inputs' forces, shape (n_forces, 3)."""
         t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_motions)
@@ -996,7 +994,7 @@ cdef class Evaluator:
         return by_accelerations, by_multipliers
 
     def sensitivities(self, t, x, accelerations, multipliers, p=None, r=None):
-        """The sensitivities by x, p and r for given u' and lambda, six arrays.
+        """The sensitivities with respect to x, p and r for given u' and lambda, six arrays.
 
         They are dq', shape (n_q, n), and d(f - M u' + J^T lambda, -(J u' + gamma), z'), shape (n_u + n_l + n_z, n).
         """
@@ -1025,7 +1023,7 @@ cdef class Evaluator:
         return results
 
     def output_sensitivities(self, t, x, accelerations, multipliers, p=None, r=None):
-        """The outputs' derivatives by x, p and r for given u' and lambda, and by these, five arrays."""
+        """The outputs' derivatives with respect to x, p, r, u' and lambda, each with the others fixed, five arrays."""
         t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
@@ -1050,12 +1048,12 @@ cdef class Evaluator:
         return by_state, by_parameters, by_inputs, by_accelerations, by_multipliers
 
     def parameter_vector(self, p):
-        """The parameters as `rhs` takes them, checked, as an array of their own; None for the defaults."""
+        """The parameters, given as for `rhs`, checked and copied; None for the defaults."""
         cdef cnp.ndarray values = self._parameters(p)
         return None if values is None else np.array(values)
 
     def default_inputs(self, t, p=None):
-        """The inputs' expressions at one time, shape (n_r,); NaN where there is none."""
+        """The inputs' expressions at one time, shape (n_r,); NaN for inputs without one."""
         t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = new_array(self.n_r)
@@ -1070,7 +1068,7 @@ cdef class Evaluator:
         return times
 
     def default_input_sensitivity(self, t, p=None):
-        """The derivatives of the inputs' expressions by the parameters, shape (n_r, n_p); 0 where there is none."""
+        """The derivatives of the inputs' expressions with respect to parameters, shape (n_r, n_p); 0 without one."""
         t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray result = new_array(self.n_r, self.n_p)
@@ -1082,7 +1080,7 @@ cdef class Evaluator:
         """Position constraints, (n_h, n_t), J u + b, (n_c, n_t), energies, (2, n_t), multipliers, (n_c, n_t), and
         outputs, (n_o, n_t).
 
-        States and inputs stand in columns. Multipliers and outputs are NaN where the accelerations cannot be
+        States and inputs are given in columns. Multipliers and outputs are NaN where the accelerations cannot be
         evaluated.
         """
         cdef cnp.ndarray t = numbers(times, "The times")

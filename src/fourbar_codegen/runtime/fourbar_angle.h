@@ -1,6 +1,6 @@
-/* Sine and cosine, inline, for code that needs both of many angles: by fourbar_sine.h, of four angles side by side in
- * vectors as long as the machine's, or, where states stand side by side, of an angle of each. Where an angle is large
- * or not finite, the library takes over.
+/* Inline sine and cosine for code that needs both of many angles, by fourbar_sine.h: four angles side by side in SIMD
+ * vectors, or, for states side by side, one angle of each state. Angles that are large or not finite are left to the
+ * library.
  */
 #ifndef FOURBAR_ANGLE_H
 #define FOURBAR_ANGLE_H
@@ -26,7 +26,7 @@ typedef struct fb_angles {
 #define FB_SINE fb_sine_1
 #include "fourbar_sine.h"
 #else
-/* Where intermediate results have more digits than double, it cannot be told how they are rounded. */
+/* If intermediate results have more digits than double, their rounding is unknown. */
 static FB_INLINE void fb_sine_1(const double *restrict angle, double *restrict sine, double *restrict cosine)
 {
     *sine = sin(*angle);
@@ -64,7 +64,7 @@ static FB_INLINE double fb_cos(const double x)
     return fabs(x) < FB_MAX_ANGLE ? c : cos(x);
 }
 
-/* One by one, where an angle is large or not finite: a call, which compilers would repeat in every function. */
+/* One by one, if an angle is large or not finite. Not inline, since compilers would repeat it in every function. */
 static FB_CALLED void fb_large_angles(const double *x, fb_angles *angles)
 {
     for (int i = 0; i < 4; ++i) {
@@ -94,7 +94,7 @@ static FB_INLINE fb_angles fb_angles_of(const double x0, const double x1, const 
     fb_sine_1(&x2, angles.sin + 2, angles.cos + 2);
     fb_sine_1(&x3, angles.sin + 3, angles.cos + 3);
 #endif
-    /* One comparison for the four; not true either where one is not a number. */
+    /* One comparison for all four; false if one is NaN. */
     if (!(x0 * x0 + x1 * x1 + x2 * x2 + x3 * x3 < FB_MAX_ANGLE * FB_MAX_ANGLE)) {
         const double each[4] = {x0, x1, x2, x3};
         fb_large_angles(each, &angles);
@@ -109,7 +109,7 @@ static FB_INLINE fb_angles fb_angles_of(const double x0, const double x1, const 
 #define FB_SINE fb_sine_lanes
 #include "fourbar_sine.h"
 
-/* What the library has for the lanes whose angle is large. */
+/* The library's values for the lanes with large angles. */
 static __attribute__((noinline)) void fb_large_angles(const fb_real *angle, fb_real *sine, fb_real *cosine)
 {
     for (int lane = 0; lane < FB_WIDTH; ++lane)

@@ -1,6 +1,5 @@
 /* Arrays whose lengths depend on the model: declared with one entry at least, since C has no arrays of length 0;
- * several laid into one block of memory; checked for numbers that are not finite. And what constraint violations are
- * compared with. */
+ * several in one block of memory; checked for infinities and NaN. Also tolerances of constraint violations. */
 #ifndef FOURBAR_ARRAY_H
 #define FOURBAR_ARRAY_H
 
@@ -11,15 +10,14 @@
 
 #define FB_AT_LEAST_1(n) ((n) > 0 ? (n) : 1)
 
-/* Corrections of a projection that are tried with one factorization, and factorizations. */
+/* Iterations of a projection with one factorization, and number of factorizations. */
 enum { MAX_CORRECTIONS = 8, MAX_FACTORIZATIONS = 3 };
-/* A state is on the constraints where they are violated by no more than this share of the constraints' scales, 45 times
- * the precision of double, ... */
+/* Tolerance of constraint violations relative to their scales, 45 times the precision of double, ... */
 #define FB_CLOSED 1e-14
-/* ... or where rounding errors allow no better, by no more than this one. */
+/* ... and the tolerance if rounding errors prevent further progress. */
 #define FB_NEARLY_CLOSED 1e-9
 
-/* Not fmax, which is a call into the library because it has to skip what is not a number. */
+/* Not fmax, which is a library call since it has to skip NaN. */
 static inline double fb_max(double a, double b)
 {
     return a > b ? a : b;
@@ -33,7 +31,7 @@ static inline int all_finite(const double *values, const int n)
     return FB_OK;
 }
 
-/* The largest of n violations by its scale; not a number where one is not. */
+/* The largest of n violations relative to its scale; NaN if one is NaN. */
 static inline double fb_violation(const double *restrict violations, const double *restrict scales, const int n)
 {
     double largest = 0.0;
@@ -47,8 +45,8 @@ static inline double fb_violation(const double *restrict violations, const doubl
     return largest;
 }
 
-/* Solves A x = b, both of which are overwritten, by Gaussian elimination with pivoting; 0 where A is singular,
- * its pivots no larger than `least`. */
+/* Solves A x = b by Gaussian elimination with partial pivoting; A and b are overwritten. Returns 0 if A is singular:
+ * a pivot is no larger than `least`. */
 static inline int fb_eliminate_full(const int n, double *restrict a, double *restrict b, const double least)
 {
     for (int k = 0; k < n; ++k) {
@@ -86,7 +84,7 @@ typedef struct fb_place {
     int size;
 } fb_place;
 
-/* The length of n arrays together, which are placed in memory one after the other, if there is any yet. */
+/* The total length of n arrays, which are placed in memory one after the other, unless that is NULL. */
 static inline size_t fb_place_all(const fb_place *places, const size_t n, double *memory)
 {
     size_t length = 0;

@@ -1,22 +1,21 @@
-/* Steps of one length that pass singular positions: the augmented Lagrangian formulation of index 3, with projections
- * of positions, velocities and accelerations.
+/* Fixed steps that pass singular positions: the index-3 augmented Lagrangian formulation, with mass-orthogonal
+ * projections of positions, velocities and accelerations.
  *
- * The trapezoidal rule takes M u' = f + J^T lambda to an equation for the speeds at the step's end, of which the
- * positions and accelerations there are functions. It is solved by Newton's method, with lambda = lambda* - alpha g in
- * the place of a multiplier for each constraint g = 0: since alpha J^T J is added to a positive definite matrix, no
- * rank of J is asked for, and redundant constraints are as good as others. lambda* takes over what lambda is, iteration
- * by iteration, so that the penalty alpha need not be large for g to vanish. Then positions, speeds and accelerations
- * are moved onto their constraints by the change that is least in the metric of M. lambda* begins as the shortest of
- * all multipliers that have the same effect: what J^T does not see would grow without bound at a singular position.
+ * The trapezoidal rule turns M u' = f + J^T lambda into an equation for the speeds at the step's end; positions and
+ * accelerations there are functions of these. It is solved by Newton's method, with lambda = lambda* - alpha g for each
+ * constraint g = 0. Since alpha J^T J is added to a positive definite matrix, J need not have full rank, and redundant
+ * constraints are allowed. lambda* is updated to lambda in each iteration, so that g vanishes without a large penalty
+ * alpha. Then positions, speeds and accelerations are projected onto their constraints, orthogonally in the metric of
+ * M. lambda* starts as the minimum-norm multipliers with the same effect, since components in the null space of J^T
+ * would grow without bound at a singular position.
  *
  * Auxiliary states follow the trapezoidal rule too, and are unknowns of Newton's method beside the speeds.
- * Accelerations and multipliers in their equations are those that belong to the state, not those of the rule.
+ * Accelerations and multipliers in their equations are those of the state, not those of the rule.
  *
- * Rows of J that keep positions are multiplied by numbers that make them alike in size where they are far from it: one
- * penalty for all of them would be next to nothing for the small ones, or too much for the large ones. Multipliers are
- * those of these rows.
+ * Rows of J that keep positions are scaled to similar size if they differ much: a common penalty would be negligible
+ * for small rows, or too large for large ones. Multipliers are those of the scaled rows.
  *
- * The mass matrix has to be positive definite without the constraints.
+ * The mass matrix must be positive definite without the constraints.
  *
  * Source: E. Bayo, R. Ledesma, "Augmented Lagrangian and mass-orthogonal projection methods for constrained multibody
  * dynamics", Nonlinear Dynamics 9 (1996); J. Cuadrado, J. Cardenal, E. Bayo, "Modeling and solution methods for
@@ -30,43 +29,43 @@
 /* The penalty of constraints in units of the mass matrix, for Newton's method and for projections. */
 #define FB_PENALTY 1e6
 #define FB_PROJECTION_PENALTY 1e10
-/* Newton's method ends where speeds change by no more than this share, and has failed above the second one; below what
- * rounding errors of the positions make of speeds in a step, in units of these, nothing is a change. */
+/* Newton's method has converged if speeds change by at most the first fraction, and has failed above the second.
+ * Changes below the third are ignored: rounding errors of the positions, as speeds over a step. */
 #define FB_CONVERGED 1e-9
 #define FB_DIVERGED 1e-6
 #define FB_ROUNDING 1e-14
-/* The share of max_step down to which steps are halved. */
+/* Steps are halved down to this fraction of max_step. */
 #define FB_MIN_STEP 1e-3
-/* The share of a step that is not worth another one. */
+/* A remainder below this fraction of a step is not worth a step of its own. */
 #define FB_SAME_TIME 1e-3
-/* Projections that change positions or speeds by more than this share of the step's change, or of its rounding errors,
- * are no corrections any more. */
+/* A projection must not change positions or speeds by more than this fraction of the step's change, or of its rounding
+ * errors. */
 #define FB_CORRECTION 0.1
-/* Of the trace of J J^T: multipliers of singular values below its root are left out. */
+/* Relative to the trace of J J^T: multipliers for singular values below its square root are left out. */
 #define FB_SHORTEST 1e-10
 
-/* How many times a row is smaller than the largest before it is multiplied. */
+/* Rows are scaled if they are this many times smaller than the largest. */
 #define FB_UNLIKE 100.0
 
 enum { FB_MAX_ITERATIONS = 12, FB_MAX_PROJECTIONS = 20, FB_REFINEMENTS = 3 };
 
 typedef struct fb_augmented {
     double *mass_matrix, *forcing, *jacobian, *bias; /* M, f, J, gamma */
-    double *positions, *velocities;            /* Phi in the rows of J that are its rates, (n_c + n_i,), J u + b */
-    double *scales;                            /* what positions, (n_c + n_i,), and others are measured by */
-    double *multipliers, *multipliers_old;     /* lambda*, and that of the step's beginning, (n_c,) */
-    double *penalized;                         /* lambda* - alpha g, (n_c,) */
-    double *matrix, *normal;                   /* (n_u + n_z, n_u + n_z), (n_c, n_c) */
-    double *change, *unit;                     /* (n_u + n_z,), (n_u,) */
-    double *coordinate_change, *correction;    /* (n_q,) */
-    double *rate_jacobian, *residual_jacobian; /* (n_q, n_x), (n_u + n_l + n_z, n_x) */
-    double *kept;                              /* multipliers, (n_c,) */
-    double *accelerations;                     /* those that belong to a state, (n_u,) */
-    double *row_unit, *lambda;                 /* what rows are multiplied by, and the kernel's multipliers, (n_c,) */
+    double *positions, *velocities;                  /* position violations in the rows of J, (n_c + n_i,), J u + b */
+    double *scales;                                  /* scales of position violations, (n_c + n_i,), and of others */
+    double *multipliers, *multipliers_old;           /* lambda*, and that of the step's beginning, (n_c,) */
+    double *penalized;                               /* lambda* - alpha g, (n_c,) */
+    double *matrix, *normal;                         /* (n_u + n_z, n_u + n_z), (n_c, n_c) */
+    double *change, *unit;                           /* (n_u + n_z,), (n_u,) */
+    double *coordinate_change, *correction;          /* (n_q,) */
+    double *rate_jacobian, *residual_jacobian;       /* (n_q, n_x), (n_u + n_l + n_z, n_x) */
+    double *kept;                                    /* multipliers, (n_c,) */
+    double *accelerations;                           /* those of a state, (n_u,) */
+    double *row_unit, *lambda;                       /* factors of rows, and the kernel's multipliers, (n_c,) */
     long n_jacobians, n_factorizations;
 } fb_augmented;
 
-/* Places the arrays in memory, if there is any yet; returns how many doubles they are. */
+/* Places the arrays in memory, unless that is NULL; returns their number of doubles. */
 static inline size_t fb_place_augmented(const fb_kernel *k, fb_augmented *a, double *memory)
 {
     const int q = k->n_q, u = k->n_u, z = k->n_z, c = k->n_c, i = k->n_i, x = k->n_x;
@@ -97,7 +96,7 @@ static inline size_t fb_place_augmented(const fb_kernel *k, fb_augmented *a, dou
     return fb_place_all(places, sizeof places / sizeof *places, memory);
 }
 
-/* The penalty by which J^T J weighs as much as `weight` times M. */
+/* The penalty for which J^T J has `weight` times the size of M. */
 static inline double fb_penalty(const fb_kernel *k, const fb_augmented *a, const double weight)
 {
     double mass = 0.0, jacobian = 0.0;
@@ -108,7 +107,7 @@ static inline double fb_penalty(const fb_kernel *k, const fb_augmented *a, const
     return jacobian > 0.0 ? weight * mass / jacobian : 0.0;
 }
 
-/* M at the beginning of a matrix of n columns. */
+/* Copies M to the upper left of a matrix with n columns. */
 static inline void fb_take_mass(const fb_kernel *k, const fb_augmented *a, const int n, double *restrict matrix)
 {
     for (int i = 0; i < k->n_u; ++i)
@@ -127,14 +126,15 @@ static inline void fb_penalize(const fb_kernel *k, const fb_augmented *a, const 
     }
 }
 
-/* Solves matrix x = b for n unknowns; 0 where the matrix is singular. */
+/* Solves matrix x = b for n unknowns; 0 if the matrix is singular. */
 static inline int fb_solve_matrix(fb_augmented *a, const int n, double *b)
 {
     a->n_factorizations += 1;
     return fb_eliminate_full(n, a->matrix, b, 0.0);
 }
 
-/* `change` is the least one in the metric of M with J change = -violation, as far as J can. */
+/* Mass-orthogonal correction: `change` with J change = -violation, as far as possible, and minimum norm in the metric
+ * of M. */
 static inline int fb_least_change(const fb_kernel *k, fb_augmented *a, const double *restrict violation)
 {
     const double penalty = fb_penalty(k, a, FB_PROJECTION_PENALTY);
@@ -148,7 +148,7 @@ static inline int fb_least_change(const fb_kernel *k, fb_augmented *a, const dou
     return fb_solve_matrix(a, k->n_u, a->change);
 }
 
-/* M, f, J, gamma and violations at the state x; negative from the caller of inputs. */
+/* M, f, J, gamma and violations at the state x; a negative status comes from the callback of inputs. */
 static inline int fb_augmented_equations(fb_run *s, const double t, const double *x, double *coordinate_rates)
 {
     fb_problem *const p = s->problem;
@@ -179,7 +179,7 @@ static inline const double *fb_kernels_multipliers(const fb_kernel *k, fb_augmen
     return a->lambda;
 }
 
-/* How far accelerations are from J u' + gamma = 0, in the place of `positions`. */
+/* The violation of J u' + gamma = 0 by accelerations, stored in `positions`. */
 static inline void fb_acceleration_violation(const fb_kernel *k, fb_augmented *a, const double *accelerations)
 {
     for (int row = 0; row < k->n_c; ++row) {
@@ -189,7 +189,7 @@ static inline void fb_acceleration_violation(const fb_kernel *k, fb_augmented *a
     }
 }
 
-/* lambda* as the shortest multipliers with J^T lambda = M u' - f, from their normal equations. */
+/* lambda* as the minimum-norm multipliers with J^T lambda = M u' - f, from their normal equations. */
 static inline void fb_shortest_multipliers(const fb_kernel *k, fb_augmented *a, const double *accelerations)
 {
     const int n_u = k->n_u, n_c = k->n_c;
@@ -216,7 +216,7 @@ static inline void fb_shortest_multipliers(const fb_kernel *k, fb_augmented *a, 
         memset(a->multipliers, 0, (size_t)n_c * sizeof(double));
 }
 
-/* Accelerations moved onto J u' + gamma = 0, and the multipliers that belong to them. */
+/* Accelerations projected onto J u' + gamma = 0, and their multipliers. */
 static inline int fb_project_accelerations(fb_run *s, double *restrict accelerations)
 {
     const fb_kernel *const k = s->problem->kernel;
@@ -232,7 +232,7 @@ static inline int fb_project_accelerations(fb_run *s, double *restrict accelerat
     return FB_RUN_PAUSED;
 }
 
-/* u' and lambda* that belong to a state whose equations are known, moved onto the constraints from
+/* u' and lambda* of a state whose equations are known, projected onto the constraints from
  * M u' = f - alpha J^T (J u' + gamma). */
 static inline int fb_augmented_solution(fb_run *s, double *restrict accelerations)
 {
@@ -269,9 +269,9 @@ static inline double fb_row_size(const fb_kernel *k, const fb_augmented *a, cons
     return size;
 }
 
-/* Rows that keep positions come close to the largest of them, where both J and what violations are measured by are
- * smaller: entries may vanish in a singular position, and terms in a plane of symmetry. Others are left alone. A power
- * of two rounds nothing. */
+/* Scales rows that keep positions to about the size of the largest, if both J and the scales of violations are smaller:
+ * entries of J may vanish in a singular position, and terms in a plane of symmetry. Other rows are not scaled. Factors
+ * are powers of two, which cause no rounding errors. */
 static inline void fb_choose_row_units(fb_run *s, const double t, const double *x)
 {
     const fb_problem *const p = s->problem;
@@ -292,7 +292,7 @@ static inline void fb_choose_row_units(fb_run *s, const double t, const double *
     }
 }
 
-/* x' at the beginning of a run, or where it goes on after a breakpoint. */
+/* x' at the beginning of a run, or after a breakpoint. */
 static inline int fb_augmented_begin(fb_run *s)
 {
     const fb_kernel *const k = s->problem->kernel;
@@ -315,8 +315,8 @@ static inline int fb_augmented_begin(fb_run *s)
     return 0;
 }
 
-/* The matrix of Newton's method: half a step times the derivative of M u' - f - J^T lambda by the speeds, and by the
- * auxiliary states; and that of what these are short of by the rule, with u' and lambda held. */
+/* The matrix of Newton's method: half a step times the derivatives of M u' - f - J^T lambda with respect to the speeds
+ * and the auxiliary states; and those of the rule's residual for the auxiliary states, with u' and lambda held. */
 static inline void fb_newton_matrix(fb_run *s, const double t, const double h, const double penalty, const double *x,
                                     const double *accelerations)
 {
@@ -367,7 +367,7 @@ static inline int fb_augmented_newton(fb_run *s, const double t, const double h,
     const int n_q = k->n_q, n_u = k->n_u, n_x = k->n_x;
     const double *const x_old = s->x, *const f_old = s->stages;
     double penalty = 0.0, size = 0.0, changed = INFINITY, rounding = 0.0;
-    double share = 0.0; /* by which auxiliary states have changed */
+    double share = 0.0; /* relative change of auxiliary states */
     for (int i = 0; i < n_q; ++i)
         rounding = fb_max(rounding, FB_ROUNDING * fabs(x_old[i] / h));
     for (int i = 0; i < n_x; ++i)
@@ -388,8 +388,8 @@ static inline int fb_augmented_newton(fb_run *s, const double t, const double h,
         for (int row = 0; row < k->n_c; ++row) {
             const double force =
                 penalty * (fb_is_rate(k, row) ? 4.0 / (h * h) * a->positions[row] : 2.0 / h * a->velocities[row]);
-            /* lambda <- lambda - penalty (4 Phi / h^2 or 2 (J u + b) / h): the force by which the penalty held the
-             * constraint becomes part of the multiplier, so that the next iteration's penalty need not hold it. */
+            /* lambda <- lambda - penalty (4 Phi / h^2 or 2 (J u + b) / h): the penalty's force becomes part of the
+             * multiplier, so that the next iteration does not need it. */
             a->multipliers[row] -= iteration > 0 ? force : 0.0;
             a->penalized[row] = a->multipliers[row] - force;
         }
@@ -426,7 +426,7 @@ static inline int fb_augmented_newton(fb_run *s, const double t, const double h,
             x[i] += a->change[i - n_q];
             share = change > 0.0 ? fb_max(share, change / fb_max(fabs(x[i]), fabs(h * rates[i]))) : share;
         }
-        /* As the rule has it for the speeds before, and what their change adds. */
+        /* By the rule, for the speeds of the last iteration, plus the effect of their change. */
         for (int i = 0; i < n_q; ++i) {
             const double ruled = x_old[i] + 0.5 * h * (f_old[i] + rates[i]);
             changed = fb_max(changed, fabs(ruled - x[i]) / fabs(h));
@@ -438,7 +438,7 @@ static inline int fb_augmented_newton(fb_run *s, const double t, const double h,
     return changed <= FB_DIVERGED * size + 1000.0 * rounding && share <= FB_DIVERGED ? FB_RUN_PAUSED : FB_RUN_DIVERGED;
 }
 
-/* Moves the state onto the constraints, positions first. */
+/* Projects the state onto the constraints, positions first. */
 static inline int fb_augmented_project(fb_run *s, const double t, double *restrict x, double *restrict coordinate_rates)
 {
     fb_problem *const p = s->problem;
@@ -478,7 +478,7 @@ static inline int fb_augmented_project(fb_run *s, const double t, double *restri
     return FB_RUN_PAUSED;
 }
 
-/* Whether projections have changed the step's result, `before` them, by little of what the step has changed. */
+/* Whether projections have changed the step's result (`before` them) by little compared with the step. */
 static inline int fb_is_correction(const fb_run *s, const double *before, const double h)
 {
     double changed = 0.0, corrected = 0.0;
@@ -509,7 +509,7 @@ static inline int fb_augmented_try(fb_run *s, const double t_new)
     return status == FB_RUN_PAUSED && !(fb_finite(s->scratch, s->n) && fb_finite(end, s->n)) ? FB_RUN_DIVERGED : status;
 }
 
-/* One step, a shorter one where its equations cannot be solved; negative from the caller of inputs, or an FB_RUN. */
+/* One step, shortened if its equations cannot be solved; an FB_RUN, or negative from the callback of inputs. */
 static inline int fb_augmented_step_on(fb_run *s)
 {
     const size_t size = (size_t)s->problem->kernel->n_c * sizeof(double);
@@ -519,7 +519,7 @@ static inline int fb_augmented_step_on(fb_run *s)
     memcpy(s->augmented->multipliers_old, s->augmented->multipliers, size);
     for (double h = s->max_step; status == FB_RUN_DIVERGED && h >= FB_MIN_STEP * s->max_step; h /= 2) {
         double t_new = s->t + h * s->direction;
-        /* A last step that is next to nothing would be all rounding errors. */
+        /* A tiny last step would consist of rounding errors. */
         if (s->direction * (t_new - s->t_bound) > -FB_SAME_TIME * s->max_step)
             t_new = s->t_bound;
         if (!(fabs(t_new - s->t) >= fb_least_step(s->t, s->direction)))

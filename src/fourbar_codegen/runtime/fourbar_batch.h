@@ -1,4 +1,4 @@
-/* Many states, or many runs, at once: what a kernel's functions for that are given, and what they fill. */
+/* Arguments and results of a kernel's functions for many states, or many runs, at once. */
 #ifndef FOURBAR_BATCH_H
 #define FOURBAR_BATCH_H
 
@@ -9,7 +9,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* An array of quantities by states: `stride` is the number of states, or 0 where all have the same. */
+/* An array of quantities by states: `stride` is the number of states, or 0 if all states share the values. */
 typedef struct fb_columns {
     const double *values;
     long stride;
@@ -25,30 +25,30 @@ typedef struct fb_batch {
     const fb_kernel *kernel;
     long n;
     fb_columns t, x, p, r; /* (1, n), (n_x, n), (n_p, n), (n_r, n); r.values may be NULL, for the inputs' expressions */
-    double *rates;         /* (n_x, n), not a number where the equations cannot be evaluated */
+    double *rates;         /* (n_x, n), NaN where the equations cannot be evaluated */
 } fb_batch;
 
 enum FB_MEMBER {
     FB_MEMBER_WAITING = 0,
     FB_MEMBER_DONE = 1,
-    FB_MEMBER_LEFT = 2 /* to be run alone, where it is seen why it is not like others */
+    FB_MEMBER_LEFT = 2 /* has to be run alone, which handles special cases */
 };
 
 /* n runs of an explicit Runge-Kutta method over the same time, with samples at the same times. */
 typedef struct fb_ensemble {
     const fb_kernel *kernel; /* for one state */
     long n;
-    double *x;       /* (n, n_x): the states at the beginning, moved onto the constraints as their runs begin */
+    double *x;       /* (n, n_x): the initial states, projected onto the constraints at the start of each run */
     const double *p; /* (n, n_p) */
     int n_sources;
-    const fb_source *sources; /* of inputs that are not taken from their expressions */
+    const fb_source *sources; /* of inputs that are not given by their expressions */
     const double *values;     /* (n, n_sources): those of sources without a table */
     const fb_tableau *method;
     int project;
-    double origin, t_bound, max_step; /* when all begin; and since then, as are all times of the runs, when they end */
-    double first, last;               /* times between which values belong to the runs */
-    /* (n_breaks,): times between the ends, in the order of the runs, at which steps end; and those up to which, and
-     * from which on, values belong to either side */
+    double origin, t_bound, max_step; /* the start of all runs; the end, like all times of the runs, since the start */
+    double first, last;               /* interval in which inputs are evaluated */
+    /* (n_breaks,): intermediate times, in the order of the runs, at which steps end; inputs are evaluated up to
+     * `before`, and then from `after` on */
     const double *breaks, *before, *after;
     int n_breaks;
     long max_steps;            /* of each; 0 for no limit */
@@ -58,15 +58,15 @@ typedef struct fb_ensemble {
     double *samples;      /* (n, n_x, n_times) */
     char *status;         /* (n,): FB_MEMBER */
     long *n_evaluations;  /* (n,) */
-    long *next, *n_ended; /* of the members, by all workers */
-    const int *stop;      /* whether to give up */
+    long *next, *n_ended; /* counters of members, shared by all workers */
+    const int *stop;      /* whether to stop early */
 } fb_ensemble;
 
-/* The sizes of all that is handed to a model's functions for states side by side, which may have been built with other
- * headers than their caller. */
+/* The sizes of all types passed to a model's functions for states side by side, which may have been built with other
+ * headers than the caller. */
 typedef struct fb_layout {
     int abi_version;
-    size_t batch_functions; /* of fb_batch_functions itself: what stands after is read where this one agrees */
+    size_t batch_functions; /* of fb_batch_functions itself: the following sizes are read only if this one agrees */
     size_t kernel, batch, columns, ensemble, source, table, tableau;
 } fb_layout;
 
@@ -81,13 +81,13 @@ typedef struct fb_layout {
      .table = sizeof(fb_table),                                                                                        \
      .tableau = sizeof(fb_tableau)}
 
-/* What a model has for states side by side; width 0 where the compiler has no vectors. */
+/* A model's functions for states side by side; width 0 if the compiler has no vectors. */
 struct fb_batch_functions {
     fb_layout layout;
     int width;
-    /* the states from begin to end; 0, or -1 where there is no memory */
+    /* the states from begin to end; returns 0, or -1 without memory */
     int (*batch)(const fb_batch *batch, long begin, long end);
-    /* until no member waits; 0, or -1 where there is no memory. Workers call it at the same time. */
+    /* runs members until none is waiting; returns 0, or -1 without memory. Workers call it concurrently. */
     int (*run)(const fb_ensemble *ensemble);
 };
 
@@ -101,7 +101,7 @@ static inline int fb_batch_functions_agree(const fb_batch_functions *functions)
            built->tableau == own.tableau;
 }
 
-/* The same by the kernel for one state. */
+/* The same by the kernel for single states. */
 static inline int fb_batch_one_by_one(const fb_batch *b, const long begin, const long end)
 {
     const fb_kernel *const k = b->kernel;

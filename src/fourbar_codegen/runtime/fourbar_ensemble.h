@@ -1,10 +1,10 @@
-/* Runs side by side: the steps of fourbar_integrate.h with a run in each lane, at its own time and with its own step.
- * Where one has ended, the next one takes its lane. A run in which something comes up that a step alone does not tell
- * (a singular position, steps that collapse, a projection that fails, what is not a number) leaves it, and is marked.
+/* Runs side by side: the steps of fourbar_integrate.h with a run in each SIMD lane, with its own time and step. When a
+ * run ends, the next one takes its lane. A run with a special case (a singular position, collapsing steps, a failed
+ * projection, NaN) is marked and leaves its lane, to be run alone.
  */
 
 typedef struct fb_lanes {
-    fb_side side; /* what belongs to states side by side comes first */
+    fb_side side; /* must come first */
     fb_real stages[FB_MAX_STAGES + 4][N_X], interpolant[7][N_X];
     fb_real x[N_X], t; /* the runs' states and times */
     fb_mask active;
@@ -12,9 +12,9 @@ typedef struct fb_lanes {
     long member[FB_WIDTH], next_time[FB_WIDTH], n_steps[FB_WIDTH];
     double h_abs[FB_WIDTH];
     int rejected[FB_WIDTH], next_break[FB_WIDTH];
-    fb_real first, last; /* of their pieces of time, as fb_clock has it */
-    /* J at the beginning of the step, and the orientation of its columns in the static pivot order, as `fb_orientation`
-     * has it; that is not a number where it is not known; and the largest one of the run, and the units */
+    fb_real first, last; /* of their pieces of time, see fb_clock */
+    /* J at the beginning of the step; the orientation of its columns in the static pivot order, see `fb_orientation`,
+     * NaN if unknown; the largest one of the run; and the units */
     fb_real jacobian_before[FB_AT_LEAST_1(N_JACOBIAN)], orientation, largest_orientation;
     fb_real column_unit[N_U], row_unit[FB_AT_LEAST_1(N_C)];
     fb_source sources[FB_WIDTH][FB_AT_LEAST_1(N_R)];
@@ -38,7 +38,7 @@ static inline void fb_lanes_inputs(fb_lanes *restrict c, const fb_ensemble *e, c
         }
 }
 
-/* As fb_time. */
+/* See fb_time. */
 static inline fb_real fb_lanes_time(const fb_lanes *c, const fb_ensemble *e, const fb_real since)
 {
     const fb_real t = e->origin + since;
@@ -51,7 +51,7 @@ static inline double fb_lanes_bound(const fb_lanes *c, const fb_ensemble *e, con
     return c->next_break[lane] < e->n_breaks ? e->breaks[c->next_break[lane]] - e->origin : e->t_bound;
 }
 
-/* ... and the times between which values belong to it. */
+/* ... and the interval in which inputs are evaluated for it. */
 static inline void fb_lanes_piece(fb_lanes *c, const fb_ensemble *e, const int lane)
 {
     const int next = c->next_break[lane];
@@ -61,7 +61,7 @@ static inline void fb_lanes_piece(fb_lanes *c, const fb_ensemble *e, const int l
     c->last[lane] = first < last ? last : first;
 }
 
-/* x' of the lanes that are asked for. */
+/* x' of the requested lanes. */
 static __attribute__((noinline)) void fb_lanes_rates(fb_lanes *restrict c, const fb_ensemble *e, const fb_real since,
                                                      const fb_real *x, const fb_mask asked, fb_real *rates)
 {
@@ -83,7 +83,7 @@ static inline void fb_lanes_combine(const fb_lanes *restrict c, const fb_weights
     }
 }
 
-/* The square of the error estimate in units of the tolerances, times the number of states; as `fb_error_of`. */
+/* The square of the error estimate in units of the tolerances, times the number of states; see `fb_error_of`. */
 static inline fb_real fb_lanes_error(const fb_lanes *restrict c, const fb_ensemble *e, const fb_real h,
                                      const fb_real *restrict x_new)
 {
@@ -104,8 +104,8 @@ static inline fb_real fb_lanes_error(const fb_lanes *restrict c, const fb_ensemb
     return fb_select((sum == 0.0) & (sum3 == 0.0), fb_number(0.0), squared);
 }
 
-/* Newton's method as in `project` of fourbar_model.h, with the factors of the last evaluation, for the lanes that are
- * asked for; returns those that are closed. */
+/* Newton's method as in `project` of fourbar_model.h, with the factors of the last evaluation, for the requested lanes;
+ * returns the lanes that satisfy the constraints. */
 static inline fb_mask fb_lanes_close(fb_lanes *restrict c, const fb_real t, fb_real *restrict x, const fb_mask asked)
 {
     fb_side *const s = &c->side;
@@ -119,7 +119,7 @@ static inline fb_mask fb_lanes_close(fb_lanes *restrict c, const fb_real t, fb_r
         constraint_violation(t, x, s->constants, s->inputs, positions, velocities);
         fb_real size = fb_number(0.0), sum = size;
         for (int j = 0; j < N_C; ++j) {
-            /* 0 by a scale of 0 is none. */
+            /* 0 / 0 counts as no violation. */
             size = fb_greater(fb_abs(positions[j]) / position_scale[j], size);
             size = fb_greater(fb_abs(velocities[j]) / velocity_scale[j], size);
             sum += positions[j] + velocities[j];
@@ -157,8 +157,8 @@ static inline fb_mask fb_lanes_close(fb_lanes *restrict c, const fb_real t, fb_r
     return closed;
 }
 
-/* The same, by the kernel for one state where need be; `factors_valid` says whether the factors are those of a state
- * close by. What cannot be closed stays as it is, and is not a number where the constraints have no value. */
+/* The same, by the kernel for single states where necessary; `factors_valid` says whether the factors are those of a
+ * state nearby. States that cannot be projected are unchanged, or NaN where the constraints have no value. */
 static __attribute__((noinline)) fb_mask fb_lanes_project(fb_lanes *restrict c, const fb_ensemble *e,
                                                           const fb_real since, fb_real *restrict x, const fb_mask asked,
                                                           const int factors_valid)
@@ -206,7 +206,7 @@ static inline void fb_store(fb_lanes *c, const fb_ensemble *e, const int lane, c
     c->next_time[lane] += 1;
 }
 
-/* The next member that waits comes to a free lane. */
+/* Starts the next waiting member in a free lane. */
 static inline void fb_enter(fb_lanes *c, const fb_ensemble *e, const int lane)
 {
     fb_side *const s = &c->side;
@@ -262,9 +262,8 @@ static inline void fb_enter(fb_lanes *c, const fb_ensemble *e, const int lane)
     }
 }
 
-/* Whether J, of the last evaluation, has another orientation than at the beginning of the step, as
- * `orientation_changed` of fourbar_model.h has it; it is the one of the next step's beginning in the lanes that have
- * been asked for. */
+/* Whether J of the last evaluation has another orientation than at the beginning of the step, as in
+ * `orientation_changed` of fourbar_model.h. In the requested lanes it is kept for the next step. */
 static inline fb_mask fb_orientation_changed(fb_lanes *c, const fb_mask asked)
 {
     const fb_side *const s = &c->side;
@@ -272,7 +271,7 @@ static inline fb_mask fb_orientation_changed(fb_lanes *c, const fb_mask asked)
     fb_real orientation = fb_number(INFINITY), sign = fb_number(1.0);
     if (N_C == 0)
         return changed;
-    /* As fb_note_units has it. */
+    /* See fb_note_units. */
     for (int i = 0; i < N_C; ++i)
         for (int j = 0; j < N_U; ++j) {
             const fb_real size = fb_greater(fb_abs(s->constraint_jacobian[i * N_U + j]), c->column_unit[j]);
@@ -280,7 +279,7 @@ static inline fb_mask fb_orientation_changed(fb_lanes *c, const fb_mask asked)
         }
     for (int i = 0; i < N_C; ++i)
         for (int j = 0; j < N_U; ++j) {
-            /* 0 by 0 is not greater. */
+            /* 0 / 0 is not greater. */
             const fb_real share = fb_abs(s->constraint_jacobian[i * N_U + j]) / c->column_unit[j];
             c->row_unit[i] = fb_select(asked, fb_greater(share, c->row_unit[i]), c->row_unit[i]);
         }
@@ -348,7 +347,7 @@ static inline void fb_lanes_interpolant(fb_lanes *restrict c, const fb_ensemble 
         fb_lanes_combine(c, b->dense + i, h, NULL, c->interpolant[3 + i]);
 }
 
-/* The states at a share y of each step. */
+/* The states at a fraction y of each step. */
 static inline void fb_lanes_interpolate(const fb_lanes *restrict c, const fb_tableau *m, const fb_real y,
                                         fb_real *restrict x)
 {
@@ -365,7 +364,7 @@ static inline void fb_lanes_interpolate(const fb_lanes *restrict c, const fb_tab
     }
 }
 
-/* The samples within the steps from t to t_new that have been taken in the lanes asked for. */
+/* The samples within the steps from t to t_new that were accepted in the requested lanes. */
 static inline void fb_lanes_sample(fb_lanes *restrict c, const fb_ensemble *e, const fb_real h, const double *t_new,
                                    const fb_real *x_new, const fb_mask asked)
 {
@@ -388,7 +387,7 @@ static inline void fb_lanes_sample(fb_lanes *restrict c, const fb_ensemble *e, c
             return;
         if (!prepared)
             fb_lanes_interpolant(c, e, h, x_new, within);
-        prepared = 1; /* for all that come later: each round has fewer lanes */
+        prepared = 1; /* also for later rounds, which have fewer lanes */
         fb_lanes_interpolate(c, e->method, (t - c->t) / h, x);
         if (e->project)
             fb_lanes_project(c, e, t, x, within, 0);
@@ -398,7 +397,7 @@ static inline void fb_lanes_sample(fb_lanes *restrict c, const fb_ensemble *e, c
     }
 }
 
-/* A step in each lane, taken where its error allows. */
+/* A step in each lane, accepted where its error allows. */
 static void fb_lanes_step(fb_lanes *restrict c, const fb_ensemble *e)
 {
     const fb_tableau *const m = e->method;
@@ -414,7 +413,7 @@ static void fb_lanes_step(fb_lanes *restrict c, const fb_ensemble *e)
         if (!c->rejected[lane])
             c->h_abs[lane] = fb_first_length(c->h_abs[lane], e->max_step, min_step);
         const double share = c->n_steps[lane] > 9 ? c->h_abs[lane] * c->n_steps[lane] / fabs(t) : 1.0;
-        /* Also where it is not a number. */
+        /* Also if it is NaN. */
         if (!(c->h_abs[lane] >= min_step) || !isfinite(c->h_abs[lane]) || share < FB_COLLAPSE ||
             (e->max_steps > 0 && c->n_steps[lane] >= e->max_steps)) {
             fb_leave(c, e, lane, FB_MEMBER_LEFT);
@@ -463,7 +462,7 @@ static void fb_lanes_step(fb_lanes *restrict c, const fb_ensemble *e)
     for (int lane = 0; lane < FB_WIDTH; ++lane) {
         if (!c->active[lane])
             continue;
-        /* A step that could not be taken though its error allowed it has none that is known. */
+        /* If a step could not be taken although its error allowed it, the error is unknown. */
         const double squared = error[lane] < (double)N_X && !taken[lane] ? NAN : error[lane] / N_X;
         const double factor = squared == 0.0 ? FB_MAX_FACTOR : FB_SAFETY * pow(squared, -0.5 / (m->order + 1.0));
         c->h_abs[lane] *= fb_change(factor, taken[lane] != 0, c->rejected[lane]);
@@ -480,7 +479,7 @@ static void fb_lanes_step(fb_lanes *restrict c, const fb_ensemble *e)
             }
         }
     }
-    if (fb_any(passed)) { /* as fb_resume */
+    if (fb_any(passed)) { /* see fb_resume */
         fb_real rates[N_X];
         fb_lanes_rates(c, e, c->t, c->x, passed, rates);
         for (int i = 0; i < N_X; ++i)

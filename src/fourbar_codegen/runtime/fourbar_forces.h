@@ -1,15 +1,15 @@
-/* Unknown forces n that drive the motion, such as the normal force of a contact with friction: what keeps auxiliary
- * speeds zero, and acts on the motion as well.
+/* Unknown forces n that drive the motion, such as the normal force of a contact with friction: they keep auxiliary
+ * speeds zero, and also act on the motion.
  *
  *   M u' = f + F(n) + J^T lambda,    J u' + gamma = 0,    Q(n) - M_a u' + J_a^T lambda = 0
  *
- * With the factors of M and J, u' = a + A dn and lambda = l + L dn for a change dn of the forces: a column of A and L
- * is the solution for one of F_n. What is left of the auxiliary speeds' rows changes by G dn, G = Q_n - M_a A + J_a^T
- * L, which is as small as there are forces, and not symmetric. Where F and Q are linear, a step of Newton's method from
- * n = 0 is the solution; otherwise it is found by more of them, from there or other forces that are always the same, so
- * that x' is a function of the state alone.
+ * With the factors of M and J, u' = a + A dn and lambda = l + L dn for a change dn of the forces: each column of A and
+ * L is the solution for a column of F_n. The residual of the auxiliary speeds' rows changes by G dn, with the small
+ * unsymmetric matrix G = Q_n - M_a A + J_a^T L. If F and Q are linear, one step of Newton's method from n = 0 is the
+ * solution. Otherwise more steps are needed, always from the same starting forces, so that x' is a function of the
+ * state alone.
  *
- * Included by fourbar_model.h, where the model has such forces.
+ * Included by fourbar_model.h, if the model has such forces.
  *
  * Source: T. R. Kane and D. A. Levinson, *Dynamics: Theory and Applications*, 1985, sections 4.9 and 5.9
  * (noncontributing forces brought into evidence by auxiliary speeds).
@@ -17,13 +17,13 @@
 #ifndef FOURBAR_FORCES_H
 #define FOURBAR_FORCES_H
 
-/* Newton's method ends where the rows are balanced to this share of their terms, ... */
+/* Tolerance of Newton's method: residuals of the rows relative to their terms, ... */
 #define FB_BALANCED 1e-13
-/* ... or where rounding errors allow no better, to this one. */
+/* ... and the tolerance if rounding errors prevent further progress. */
 #define FB_NEARLY_BALANCED 1e-9
-/* Forces are not determined where a pivot of G, its rows and columns in units of their terms, is smaller. */
+/* Forces are undetermined if a pivot of G, with rows and columns in units of their terms, is smaller. */
 #define FB_UNDETERMINED 1e-12
-/* Iterations, and those that may be steps away from the balance: over the kink of an absolute value, as a rule. */
+/* Iterations, and iterations that may increase the residual, usually over the kink of an absolute value. */
 enum { FB_MAX_STEPS = 40, FB_FREE_STEPS = 8 };
 
 typedef struct fb_response {
@@ -35,7 +35,7 @@ typedef struct fb_response {
     double matrix[N_N * N_N], row_unit[N_N], column_unit[N_N]; /* G, in units of the terms in its rows and columns */
 } fb_response;
 
-/* What is left in an auxiliary speed's row beside `forcing`; `size` is the sum of the terms' sizes. */
+/* The residual of an auxiliary speed's row without `forcing`; `size` is the sum of the terms' magnitudes. */
 static inline double fb_auxiliary_row(const fb_response *s, const int row, const double forcing,
                                       const double *accelerations, const double *multipliers, double *size)
 {
@@ -86,7 +86,7 @@ static inline void fb_form_response(const double *mass_matrix, const fb_factors 
     }
 }
 
-/* The change dn that G takes to -`rest`, which is overwritten; u' and lambda follow. */
+/* Solves G dn = -`rest`, which is overwritten by dn, and updates u' and lambda. */
 static inline int fb_respond(const fb_response *s, double *restrict rest, double *restrict accelerations,
                              double *restrict multipliers)
 {
@@ -118,8 +118,8 @@ static inline int fb_evaluate_forces(double t, const double *x, const double *co
            all_finite(s->auxiliary_forcing_jacobian, N_N * N_N) == FB_OK;
 }
 
-/* u' and lambda for forces that were evaluated, and what is left of the auxiliary speeds' rows; its largest share of
- * the rows' terms, of which Q has those that are linear at n, and the rest. */
+/* u' and lambda for evaluated forces, and the residuals of the auxiliary speeds' rows; `size` is the largest residual
+ * relative to the row's terms. Terms of Q are its linear terms at n, and the rest. */
 static inline int fb_balance_forces(const double *mass_matrix, const double *forcing, const double *acceleration_bias,
                                     const fb_factors *factors, const fb_response *restrict s,
                                     double *restrict accelerations, double *restrict multipliers, double *restrict rest,
@@ -148,7 +148,7 @@ static inline int fb_balance_forces(const double *mass_matrix, const double *for
     return all_finite(rest, N_N);
 }
 
-/* u', and lambda with n behind it, by Newton's method from forces that are all the same. */
+/* u', and lambda followed by n, by Newton's method from equal starting forces. */
 static inline int fb_newton_for_forces(double t, const double *x, const double *constants, const double *r,
                                        const double *mass_matrix, const double *forcing,
                                        const double *acceleration_bias, const fb_factors *factors, const double start,
@@ -199,7 +199,7 @@ static inline int fb_newton_for_forces(double t, const double *x, const double *
     return FB_FORCES_NOT_FOUND;
 }
 
-/* The same, for factors of M and J, f and gamma that are known. */
+/* The same, for known factors of M and J, f and gamma. */
 static inline int fb_solve_with_forces(double t, const double *x, const double *constants, const double *r,
                                        const double *mass_matrix, const double *forcing,
                                        const double *acceleration_bias, const fb_factors *factors,
@@ -211,8 +211,8 @@ static inline int fb_solve_with_forces(double t, const double *x, const double *
 #else
     enum { N_STARTS = 5 };
 #endif
-    /* In N or N m. Laws with a root or a quotient of the forces have no value or no slope at 0; and from 0, Newton's
-     * method may not find its way over kinks. */
+    /* In N or N m. Force laws with a root or a quotient of the forces have no value or derivative at 0, and from 0
+     * Newton's method may fail at kinks. */
     static const double starts[] = {0.0, 1e-8, -1e-8, 1.0, 1e3};
     int first = FB_NOT_FINITE;
     for (int i = 0; i < N_STARTS; ++i) {

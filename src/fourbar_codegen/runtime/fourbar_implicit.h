@@ -1,18 +1,18 @@
 /* The equations of motion as a differential-algebraic system F(t, y, y') = 0, and its Jacobian, for implicit solvers.
  *
- * y = [x; lambda; mu]. In each formulation M u' = f + J^T lambda, z' is as given by that; and
+ * y = [x; lambda; mu]. Each formulation has M u' = f + J^T lambda, the equations for z', and
  *
  *   index 1                        q' = K u + k                J u' + gamma = 0
  *   index 2, Gear-Gupta-Leimkuhler q' = K (u + D J^T mu) + k   J u + b = 0, Phi = 0
  *   index 3                        q' = K u + k                Phi = 0, and J u + b = 0 in nonholonomic rows
  *
- * where mu, which vanishes along the solution, belongs to the rows that keep positions; it keeps these where the
- * speeds, being on their constraints, would let them drift. D has the squares of the speeds' absolute tolerances, by
- * the largest one: with equal ones it is the identity, and with others they share in that by them. Positions that no
- * speed changes, such as norms of quaternions, add Phi_q^T mu to q' in index 2, and are left alone in index 3.
+ * mu belongs to the rows that keep positions, and vanishes along the solution. It prevents the drift of positions that
+ * remains if only the speeds satisfy their constraints. The diagonal matrix D has the squares of the speeds' absolute
+ * tolerances, relative to the largest one, so that corrections are distributed according to the tolerances; it is the
+ * identity if they are equal. Invariants, such as norms of quaternions, add Phi_q^T mu to q' in index 2, and are not
+ * corrected in index 3.
  *
- * Unknown forces n that drive the motion stand behind lambda, with the rows of the auxiliary speeds; see
- * fourbar_forces.h.
+ * Unknown forces n that drive the motion follow lambda, with the rows of the auxiliary speeds; see fourbar_forces.h.
  *
  * Source: C. W. Gear, B. Leimkuhler, G. K. Gupta, "Automatic integration of Euler-Lagrange equations with constraints",
  * Journal of Computational and Applied Mathematics 12-13 (1985).
@@ -31,17 +31,17 @@ typedef struct fb_implicit {
     double *coordinate_rates, *mass_matrix, *forcing, *jacobian, *bias; /* q', M, f, J, gamma */
     double *positions, *position_jacobian;                              /* Phi, dPhi/dq */
     double *velocities, *velocity_jacobian;                             /* J u + b, its derivative by q */
-    double *rate_jacobian, *residual_jacobian;                          /* as fb_sensitivity has them */
+    double *rate_jacobian, *residual_jacobian;                          /* from fb_sensitivity */
     double *state_rates, *by_accelerations, *by_multipliers;            /* z', dz'/du', dz'/dlambda */
     double *effect, *effect_jacobian;                                   /* F, dF/dn */
     double *auxiliary_forcing, *auxiliary_forcing_jacobian;             /* Q, dQ/dn */
     double *auxiliary_mass, *auxiliary_constraint_jacobian;             /* M_a, J_a^T */
     double *change, *coordinate_change, *unused;
-    double *row;    /* what each equation is multiplied by */
+    double *row;    /* the factor of each equation */
     double *metric; /* the diagonal of D */
 } fb_implicit;
 
-/* Places the arrays in memory, if there is any yet; returns how many doubles they are. */
+/* Places the arrays in memory, unless that is NULL; returns their number of doubles. */
 static inline size_t fb_place_implicit(fb_problem *problem, const int formulation, fb_implicit *s, double *memory)
 {
     const fb_kernel *const k = problem->kernel;
@@ -167,7 +167,7 @@ static inline int fb_implicit_form(fb_implicit *s, const double t, const double 
     return 0;
 }
 
-/* F(t, y, y'); negative from the caller of inputs. */
+/* F(t, y, y'); a negative status comes from the callback of inputs. */
 static inline int fb_implicit_residual(fb_implicit *s, const double since, const double *restrict y,
                                        const double *restrict y_rate, double *restrict residual)
 {
@@ -180,7 +180,7 @@ static inline int fb_implicit_residual(fb_implicit *s, const double since, const
     return called;
 }
 
-/* dF/dy + c dF/dy', row by row, (n_y, n_y). What J^T mu changes with q is left out, since mu vanishes. */
+/* dF/dy + c dF/dy', row by row, (n_y, n_y), without the derivative of J^T mu with respect to q, since mu vanishes. */
 static inline int fb_implicit_derivative(fb_implicit *s, const double t, const double c, const double *restrict y,
                                          const double *restrict y_rate, double *restrict matrix)
 {
@@ -277,9 +277,8 @@ static inline int fb_implicit_jacobian(fb_implicit *s, const double since, const
     return called;
 }
 
-/* Takes the diagonal of D, and gives each equation the unit that makes its largest derivative by the state 1, for
- * states in units of their weights: pivots of the matrix are then chosen alike for mechanisms of micrometres and of
- * kilometres. */
+/* Takes the diagonal of D, and scales each equation so that its largest derivative with respect to the states, in units
+ * of their weights, is 1. Then pivoting does not depend on the units, from micrometres to kilometres. */
 static inline int fb_implicit_scale(fb_implicit *s, const double since, const double c, const double *restrict y,
                                     const double *restrict y_rate, const double *restrict weights,
                                     const double *restrict metric, double *restrict matrix)

@@ -13,25 +13,25 @@
 #include <math.h>
 #include <string.h>
 
-/* Of the step control: by how much a step is kept shorter than the estimate allows, and changes at most. */
+/* Step control: safety factor of a step's length, and limits of its change. */
 #define FB_SAFETY 0.9
 #define FB_MIN_FACTOR 0.2
 #define FB_MAX_FACTOR 10.0
 
-/* Shares of the average step below which the steps have collapsed, and from which they have recovered. */
+/* Fractions of the average step below which the steps have collapsed, and above which they have recovered. */
 #define FB_COLLAPSE 1e-9
 #define FB_RECOVERY 1e-3
 
 enum { FB_BLOCK = 8, FB_MAX_STAGES = 16 };
 
-/* States along a step at which the constraints' orientation is looked at, where its ends do not tell. */
+/* States along a step at which the constraints' orientation is evaluated, if the ends are not conclusive. */
 enum { FB_LOOKS = 8 };
 
 enum FB_RUN {
     FB_RUN_END = 0,       /* t_bound is reached */
     FB_RUN_PAUSED = 1,    /* as many steps as asked for */
     FB_RUN_FULL = 2,      /* no room for another sample */
-    FB_RUN_EVENT = 3,     /* a step to look at, before its samples are taken: an event function changed its sign, or the
+    FB_RUN_EVENT = 3,     /* a step to examine before its samples are taken: an event function changed its sign, or the
                              constraints their orientation */
     FB_RUN_TOO_SMALL = 4, /* the step control asks for less than the spacing of doubles */
     FB_RUN_INFINITE = 5,  /* the step's length is not finite */
@@ -53,7 +53,7 @@ typedef struct fb_run fb_run;
 struct fb_run {
     fb_problem *problem;
     const fb_tableau *method;
-    int (*step)(fb_run *run);       /* one accepted step: FB_RUN_PAUSED, or why there is none */
+    int (*step)(fb_run *run);       /* one accepted step: FB_RUN_PAUSED, or the reason of failure */
     struct fb_augmented *augmented; /* for fourbar_augmented.h, or NULL */
     fb_weights stage[FB_MAX_STAGES], error[2], more[4], dense[4];
     int n, padded;
@@ -70,7 +70,7 @@ struct fb_run {
     int interpolant_valid;
     long n_evaluations, n_steps;
     double t_begin;
-    int collapsed; /* whether that was said */
+    int collapsed; /* whether that was reported */
     /* samples at given times, or after each step */
     const double *times; /* or NULL */
     long n_times, next_time;
@@ -79,7 +79,7 @@ struct fb_run {
     int pending;             /* whether the last step's samples are still to be taken */
     double until;            /* no samples after this time */
     int orientation_changed; /* whether the constraints' orientation has changed in the last step */
-    int look_at_all;         /* whether every step is one to look at */
+    int look_at_all;         /* whether to examine every step */
     /* outputs whose changes of sign are events */
     int n_events;
     const int *event_output, *event_direction;
@@ -184,7 +184,7 @@ static inline int fb_begin(fb_run *s)
     if (status < 0)
         return status;
     const double d2 = fb_rms(s, f1, f0, s->x) / h0;
-    /* As Python compares: what is not a number, of a trial beyond where the equations hold, loses. */
+    /* Compares like Python: NaN, from a trial step outside of the equations' domain, is ignored. */
     const double largest = d2 > d1 ? d2 : d1;
     double h1 = d1 <= 1e-15 && d2 <= 1e-15 ? (h0 * 1e-3 > 1e-6 ? h0 * 1e-3 : 1e-6)
                                            : pow(0.01 / largest, 1.0 / (s->method->order + 1.0));
@@ -209,8 +209,7 @@ static inline int fb_stages(fb_run *s, const double h)
     return 0;
 }
 
-/* The step to t + h is taken: x' at its end in the last row of stages becomes that at the next one's beginning when
- * that is taken. */
+/* Accepts the step to t + h. x' at its end, in the last row of stages, is moved to the first row at the next step. */
 static inline void fb_accept(fb_run *s, const double t_new)
 {
     double *const x_new = s->scratch;
@@ -226,14 +225,14 @@ static inline void fb_accept(fb_run *s, const double t_new)
     s->pending = 1;
 }
 
-/* x' where a run goes on after a breakpoint, with steps as long as they were. */
+/* x' where a run continues after a breakpoint, with unchanged step length. */
 static inline int fb_resume(fb_run *s)
 {
     s->fsal = 0;
     return fb_evaluate(s, s->t, s->x, s->stages);
 }
 
-/* The least length of a step from t, ... */
+/* The smallest length of a step from t, ... */
 static inline double fb_least_step(const double t, const double direction)
 {
     return 10.0 * fabs(nextafter(t, direction * INFINITY) - t);
@@ -245,7 +244,7 @@ static inline double fb_first_length(const double h_abs, const double max_step, 
     return h_abs > max_step ? max_step : h_abs < min_step ? min_step : h_abs;
 }
 
-/* ... and by how much it changes, for a factor that the error asks for; not a number is an error that is not known. */
+/* ... and its change, for a factor from the error estimate; NaN means an unknown error. */
 static inline double fb_change(const double factor, const int taken, const int rejected)
 {
     if (!taken)
@@ -254,7 +253,7 @@ static inline double fb_change(const double factor, const int taken, const int r
     return factor < largest ? factor : largest;
 }
 
-/* One accepted step; negative from the caller of inputs, or an FB_RUN. */
+/* One accepted step; an FB_RUN, or negative from the callback of inputs. */
 static inline int fb_step_on(fb_run *s)
 {
     const fb_tableau *const m = s->method;
@@ -268,7 +267,7 @@ static inline int fb_step_on(fb_run *s)
     if (s->fsal)
         memcpy(s->stages, end, (size_t)s->padded * sizeof *end);
     for (;;) {
-        /* Also where it is not a number. */
+        /* Also if it is NaN. */
         if (!(h_abs >= min_step))
             return FB_RUN_TOO_SMALL;
         double t_new = s->t + h_abs * s->direction;
@@ -312,13 +311,13 @@ static inline int fb_step_on(fb_run *s)
     }
 }
 
-/* The time after n steps of length h, rounded once: sums of h would miss the end of a run by a step. */
+/* The time after n steps of length h, rounded once; sums of h could miss the end of a run by a step. */
 static inline double fb_fixed_time(const fb_run *s, const double h, const long n)
 {
     return s->t_begin + (double)n * h;
 }
 
-/* A step of length h by a method without an error estimate; the status of the kernel where it cannot be taken. */
+/* A step of length h by a method without an error estimate; the status of the kernel if it fails. */
 static inline int fb_fixed_step(fb_run *s, const double h)
 {
     fb_problem *const p = s->problem;
@@ -387,8 +386,8 @@ static inline void fb_interpolate(const fb_tableau *m, const double *coefficient
     }
 }
 
-/* Moves an interpolant onto the constraints. It stands where no state close by satisfies them, and is not a number
- * where they have no value. */
+/* Projects an interpolant onto the constraints. It is unchanged if no state nearby satisfies them, and NaN where they
+ * have no value. */
 static inline int fb_project_sample(fb_problem *p, const double t, double *x)
 {
     const int closed = fb_problem_project(p, t, x, 0);
@@ -398,7 +397,7 @@ static inline int fb_project_sample(fb_problem *p, const double t, double *x)
     return closed < 0 ? closed : 0;
 }
 
-/* The state at a time in the last step; the present one where there was none since the run has begun or gone on. */
+/* The state at a time in the last step; the present state if there was no step since the start or continuation. */
 static inline int fb_state_at(fb_run *s, const double t, double *x)
 {
     if (t == s->t || !s->fsal) {
@@ -414,7 +413,7 @@ static inline int fb_state_at(fb_run *s, const double t, double *x)
     return fb_project_sample(s->problem, t, x);
 }
 
-/* The samples of the last step; FB_RUN_FULL where there is no room for them. */
+/* The samples of the last step; FB_RUN_FULL if there is no room for them. */
 static inline int fb_sample(fb_run *s)
 {
     if (s->times == NULL) {
@@ -459,17 +458,17 @@ static inline int fb_event_values(fb_run *s, const double since, const double *x
     return 0;
 }
 
-/* Whether a function with these values at both ends of a step has an event in it, as solve_ivp has it. */
+/* Whether a function with these values at both ends of a step has an event in it, by the rule of solve_ivp. */
 static inline int fb_is_event(const double before, const double after, const int direction)
 {
     return (before <= 0.0 && after >= 0.0 && direction >= 0) || (before >= 0.0 && after <= 0.0 && direction <= 0);
 }
 
-/* Whether the constraints' orientation has changed also from one to the next of several states along the last step;
- * where it has not, J kept its rank, and the step was only a long one. Ends with an evaluation at the state reached. */
+/* Whether the constraints' orientation has also changed between neighbours of several states along the last step. If
+ * not, J kept its rank, and the step was only long. Ends with an evaluation at the state reached. */
 static inline int fb_orientation_changed_within(fb_run *s)
 {
-    const long n_evaluations = s->n_evaluations; /* looks count as little as those for events */
+    const long n_evaluations = s->n_evaluations; /* these evaluations are not counted, like those for events */
     int orientation_changed = 0;
     for (int i = 0; i <= FB_LOOKS; ++i) {
         const double since = i == FB_LOOKS ? s->t : s->t_old + s->h * i / FB_LOOKS;
@@ -489,7 +488,7 @@ static inline int fb_orientation_changed_within(fb_run *s)
     return orientation_changed;
 }
 
-/* Up to n steps; returns an FB_RUN, or negative from the caller of inputs. */
+/* Up to n steps; returns an FB_RUN, or negative from the callback of inputs. */
 static inline int fb_run_on(fb_run *s, long n)
 {
     for (;;) {
@@ -502,7 +501,7 @@ static inline int fb_run_on(fb_run *s, long n)
             return FB_RUN_END;
         if (n-- <= 0)
             return FB_RUN_PAUSED;
-        /* Once for each time that the steps collapse. */
+        /* Reported once for each collapse. */
         const double share = s->n_steps > 9 ? s->h_abs * s->n_steps / fabs(s->t - s->t_begin) : 1.0;
         if (share < FB_COLLAPSE && !s->collapsed) {
             s->collapsed = 1;
@@ -513,7 +512,7 @@ static inline int fb_run_on(fb_run *s, long n)
         int status = s->step(s);
         if (status != FB_RUN_PAUSED)
             return status;
-        /* What passes singular positions need not look for them. */
+        /* Methods that pass singular positions need not detect them. */
         s->orientation_changed = s->augmented ? 0 : s->problem->kernel->orientation_changed(s->problem->work);
         if (s->orientation_changed)
             s->orientation_changed = fb_orientation_changed_within(s);

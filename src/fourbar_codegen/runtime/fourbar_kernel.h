@@ -1,11 +1,11 @@
-/* The interface between a compiled model and whatever calls it.
+/* The interface between a compiled model and its callers (ABI).
  *
- * Arguments stand in the order (t, x, constants, r):
+ * The order of arguments is (t, x, constants, r):
  *   t          time
  *   x          state, coordinates q, speeds u, then auxiliary states z, n_x values
  *   constants  n_constants values that `prepare` derives from the n_p parameters p
  *   r          inputs, n_r values
- *   work       work_size bytes, aligned for double, that one call at a time may use
+ *   work       workspace of work_size bytes, aligned for double, for one call at a time
  * Matrices are stored row by row. Functions that can fail return an FB_STATUS.
  */
 #ifndef FOURBAR_KERNEL_H
@@ -16,14 +16,14 @@
 #define FB_ABI_VERSION 14
 #define FB_CAPSULE_NAME "fourbar_codegen.kernel"
 
-/* Long functions are printed in parts, which the compiler must not put together again. */
+/* Long functions are printed in parts, which the compiler must not inline. */
 #if defined(__GNUC__)
 #define FB_PART __attribute__((noinline))
 #else
 #define FB_PART
 #endif
 
-/* The instructions that a kernel was compiled for, beyond those that all processors of its kind have. */
+/* The instruction set that a kernel was compiled for, beyond the baseline of its architecture. */
 enum FB_INSTRUCTION_SET { FB_BASELINE = 0, FB_AVX2 = 1, FB_AVX512 = 2 };
 
 enum FB_STATUS {
@@ -31,18 +31,18 @@ enum FB_STATUS {
     FB_CONSTRAINTS_DEPENDENT = 1,   /* J has lost rank, or J u' + gamma = 0 has no solution */
     FB_MASS_SINGULAR = 2,           /* T^T M T is not positive definite */
     FB_NOT_FINITE = 3,              /* a result is infinite or not a number */
-    FB_NOT_CLOSED = 4,              /* no state close by satisfies the constraints */
+    FB_NOT_CLOSED = 4,              /* no state nearby satisfies the constraints */
     FB_CONSTRAINTS_INDEPENDENT = 5, /* J has a larger rank than the model has dependent speeds */
     FB_FORCES_UNDETERMINED = 6,     /* no unknown forces keep the auxiliary speeds zero, or many do */
     FB_FORCES_NOT_FOUND = 7         /* Newton's method does not find unknown forces that do */
 };
 
-/* Something with x' in it, which needs the equations solved. */
+/* A result that contains x', for which the equations are solved. */
 typedef int fb_evaluation(double t, const double *x, const double *constants, const double *r, double *result,
                           void *work);
-/* Derivatives of q' and of (f - M u' + J^T lambda, -(J u' + gamma), z'), with u' and lambda held. Where unknown forces
- * n drive the motion (fourbar_forces.h), they stand behind lambda, here and wherever multipliers do, their effect
- * beside f, and the rows of the auxiliary speeds behind those of J. */
+/* Derivatives of q' and of (f - M u' + J^T lambda, -(J u' + gamma), z'), with u' and lambda held. If unknown forces n
+ * drive the motion (fourbar_forces.h), they follow lambda, here and in all arrays of multipliers; their effect is added
+ * to f, and the rows of the auxiliary speeds follow those of J. */
 typedef void fb_sensitivity(double t, const double *x, const double *constants, const double *r,
                             const double *accelerations, const double *multipliers, double *coordinate_rate_jacobian,
                             double *residual_jacobian);
@@ -51,7 +51,7 @@ typedef void fb_sensitivity(double t, const double *x, const double *constants, 
 typedef void fb_output_sensitivity(double t, const double *x, const double *constants, const double *r,
                                    const double *accelerations, const double *multipliers, double *output_jacobian);
 
-/* Derivatives, and what is drawn: what a simulation by an explicit method does without. */
+/* Derivatives and data for drawings, which a simulation by an explicit method does not need. */
 typedef struct fb_derivatives {
     int abi_version;
     size_t struct_size;
@@ -85,15 +85,15 @@ typedef struct fb_kernel {
     int n_q, n_u, n_z; /* coordinates, speeds, auxiliary states */
     int n_x;           /* all of these */
     int n_p, n_r;
-    int states_need_solution; /* whether u' or lambda stand in z' */
+    int states_need_solution; /* whether z' contains u' or lambda */
     int n_h;                  /* position constraints */
     int n_c;                  /* velocity constraints */
-    int n_l;                  /* multipliers: n_c, and behind them unknown forces that drive the motion */
-    int n_i;           /* of the position constraints those that no speed changes, such as norms of quaternions */
-    int n_o;           /* outputs */
-    int n_breakpoints; /* times at which expressions have a jump or a kink */
-    int n_points;      /* points that are drawn */
-    int n_forces;      /* those of them on which forces of inputs act */
+    int n_l;                  /* multipliers: n_c, then unknown forces that drive the motion */
+    int n_i;                  /* invariants: position constraints that no speed changes, such as norms of quaternions */
+    int n_o;                  /* outputs */
+    int n_breakpoints;        /* times at which expressions have a jump or a kink */
+    int n_points;             /* drawn points */
+    int n_forces;             /* drawn points on which forces of inputs act */
     int n_constants;
     const int *position_row; /* for each position constraint the row of J that keeps it, or -1 */
 
@@ -101,27 +101,27 @@ typedef struct fb_kernel {
     void (*default_inputs)(double t, const double *constants, double *r);
     void (*breakpoints)(const double *constants, double *times);
     fb_evaluation *rhs; /* x' */
-    /* the same, with gamma + 2 a (J u + b) + a^2 Phi in the place of gamma, so that violations Phi decay as
+    /* the same, with gamma + 2 a (J u + b) + a^2 Phi instead of gamma, so that violations Phi decay as
      * Phi'' + 2 a Phi' + a^2 Phi = 0 (J. Baumgarte, "Stabilization of constraints and integrals of motion in dynamical
      * systems", Computer Methods in Applied Mechanics and Engineering 1, 1972) */
     int (*stabilized)(double t, const double *x, const double *constants, const double *r, double a, double *rates,
                       void *work);
-    /* dx'/dx, dx'/dp or dx'/dr, each n_x by n, of the sensitivity with respect to n quantities; and the multipliers'
-     * derivatives, n_l by n, if there is room for them */
+    /* dx'/dx, dx'/dp or dx'/dr, each n_x by n, from the sensitivity with respect to n quantities; and the multipliers'
+     * derivatives, n_l by n, unless multiplier_jacobian is NULL */
     int (*differentiate)(const fb_derivatives *derivatives, fb_sensitivity *sensitivity, int n, double t,
                          const double *x, const double *constants, const double *r, double *matrix,
                          double *multiplier_jacobian, void *work);
     /* u' and the multipliers lambda of M u' = f + J^T lambda */
     int (*accelerations)(double t, const double *x, const double *constants, const double *r, double *accelerations,
                          double *multipliers, void *work);
-    /* z', for u' and lambda as given; NULL without auxiliary states */
+    /* z', for given u' and lambda; NULL without auxiliary states */
     void (*state_rates)(double t, const double *x, const double *constants, const double *r,
                         const double *accelerations, const double *multipliers, double *state_rates);
     /* q', M, f, J, gamma of M u' = f + J^T lambda, J u' + gamma = 0 */
     void (*dynamics)(double t, const double *x, const double *constants, const double *r, double *coordinate_rates,
                      double *mass_matrix, double *forcing, double *constraint_jacobian, double *acceleration_bias);
-    /* What unknown forces n do: F(n) of M u' = f + F + J^T lambda, its derivative, and Q(n), its derivative, M_a and
-     * J_a^T of the auxiliary speeds' rows Q - M_a u' + J_a^T lambda = 0; NULL without such forces */
+    /* Unknown forces n: F(n) of M u' = f + F + J^T lambda, its derivative, and Q(n), its derivative, M_a and J_a^T of
+     * the auxiliary speeds' rows Q - M_a u' + J_a^T lambda = 0; NULL without such forces */
     void (*unknown_forces)(double t, const double *x, const double *constants, const double *r, const double *forces,
                            double *effect, double *effect_jacobian, double *auxiliary_forcing,
                            double *auxiliary_forcing_jacobian, double *auxiliary_mass,
@@ -132,45 +132,45 @@ typedef struct fb_kernel {
     /* J and b of J u + b = 0 */
     void (*velocity)(double t, const double *x, const double *constants, const double *r, double *constraint_jacobian,
                      double *velocity_bias);
-    /* by how much the constraints are violated, row by row as in J: Phi, and J u + b. Behind the n_c positions stand
-     * those that no speed changes, n_i values. */
+    /* constraint violations: w in the n_c rows of J, where a change v of the speeds' integrals with J v = -w corrects
+     * Phi (w = Phi in rows that are its rates), then the n_i invariants; and J u + b */
     void (*constraint_violation)(double t, const double *x, const double *constants, const double *r,
                                  double *position_violation, double *velocity_violation);
-    /* what Phi, n_h values, and both results of constraint_violation are measured by: what rounding errors make of
-     * them, in units of the precision of double */
+    /* scales of Phi, n_h values, and of both results of constraint_violation: their rounding errors, in units of the
+     * precision of double */
     void (*constraint_scale)(double t, const double *x, const double *constants, const double *r,
                              double *position_scale, double *position_violation_scale,
                              double *velocity_violation_scale);
-    /* the change of q that corrects the position constraints that no speed changes */
+    /* the change of q that corrects the invariants */
     void (*invariant_correction)(double t, const double *q, const double *constants, const double *r,
                                  double *invariant_correction);
     /* K v for q' = K u + k */
     void (*coordinate_change)(double t, const double *q, const double *constants, const double *r, const double *change,
                               double *coordinate_change);
-    /* Moves x onto the constraints, from which it has drifted. `factors_valid` says that rhs was called with the same
-     * `work` at a state close to x. */
+    /* Mass-orthogonal projection of x, which has drifted, onto the constraints. `factors_valid`: rhs was called with
+     * the same `work` at a state close to x. */
     int (*project)(double t, double *x, const double *constants, const double *r, int factors_valid, void *work);
-    /* Whether the constraints have changed their orientation from one call to the next: whether the determinant of the
-     * columns of J that rhs has taken for dependent when it was last called with `work` has another sign than it had.
-     * Then J has lost rank on the way, or a long step has jumped over a dead point of these speeds. Or whether J has
-     * changed by as much as its own size, so that this says nothing; or is close to losing rank, where loops that are
-     * closed but for rounding errors may lead past the singular position. */
+    /* Whether the orientation of the constraints may have changed since the last call: whether the determinant of the
+     * columns of J that the last rhs with `work` took as dependent has changed its sign. Then J has lost rank in
+     * between, or a long step has passed a toggle position of these speeds. Also true if J has changed by as much as
+     * its own size, so that the sign is not conclusive; or if J is close to losing rank, where rounding errors of
+     * closed loops may lead around the singular position. */
     int (*orientation_changed)(void *work);
     /* kinetic and potential energy */
     void (*energy)(double t, const double *x, const double *constants, const double *r, double *energies);
-    /* the outputs, for u' and lambda as given */
+    /* the outputs, for given u' and lambda */
     void (*output)(double t, const double *x, const double *constants, const double *r, const double *accelerations,
                    const double *multipliers, double *outputs);
-    const fb_derivatives *derivatives;         /* or NULL, where they are in a library of their own */
+    const fb_derivatives *derivatives;         /* or NULL, if they are in a library of their own */
     const fb_batch_functions *batch_functions; /* the same for several states side by side, or NULL */
     int batch_functions_apart;                 /* whether they are in a library of their own */
-    int one_machine;                /* whether it was compiled for the processor of one machine, and not to travel */
+    int one_machine;                /* whether it was compiled for the processor of one machine; else it is portable */
     int instructions;               /* an FB_INSTRUCTION_SET */
     const struct fb_kernel *faster; /* the same for processors with more instructions, or NULL; empty, with abi_version
-                                     * 0, where the compiler was not told to use them */
+                                     * 0, if the compiler was not told to use them */
 } fb_kernel;
 
-/* Whether a kernel is there, and the processor has the instructions that it was compiled for. */
+/* Whether a kernel exists, and the processor has the instructions that it was compiled for. */
 static inline int fb_runs_here(const fb_kernel *k)
 {
     if (k == NULL || k->abi_version != FB_ABI_VERSION)
@@ -195,10 +195,10 @@ static inline const fb_kernel *fb_fastest(const fb_kernel *kernel)
     return kernel;
 }
 
-/* What a shared library without Python says of itself: the symbol `fourbar_library`. */
+/* Description of a shared library without Python: the symbol `fourbar_library`. */
 typedef struct fb_library {
     const fb_kernel *kernel;
-    const char *const *structure; /* of the manifest, lines of JSON, and NULL behind the last */
+    const char *const *structure; /* of the manifest, lines of JSON, ended by NULL */
 } fb_library;
 
 /* dx'/dx, dx'/dp and dx'/dr; the kernel needs its derivatives. */

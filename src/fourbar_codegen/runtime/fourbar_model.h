@@ -1,9 +1,9 @@
-/* The part of a kernel that is the same for every model: it solves what the generated functions set up.
+/* The part of a kernel that is the same for every model: it solves the equations from the generated functions.
  *
  * Included once, at the end of a generated source, which defines N_Q, N_U, ..., the functions `prepare` to
- * `output`, and the names of tables: FB_TABLE(kernel), FB_TABLE(batch_functions), and FB_DERIVATIVES, which stands
- * elsewhere. A kernel may be compiled in two units side by side: FB_RHS_ONLY has the right-hand side, which takes
- * longest, and FB_WITHOUT_RHS all else.
+ * `output`, and the names of tables: FB_TABLE(kernel), FB_TABLE(batch_functions), and FB_DERIVATIVES, which is in
+ * another source. A kernel may be compiled in two units in parallel: FB_RHS_ONLY has the right-hand side, which takes
+ * longest, and FB_WITHOUT_RHS everything else.
  */
 #include "fourbar_array.h"
 #include "fourbar_kernel.h"
@@ -48,11 +48,11 @@ typedef struct fb_work {
 #endif
     double jacobian_before[FB_AT_LEAST_1(N_JACOBIAN)]; /* J when `orientation_changed` was last called */
 #ifndef FB_SPARSE
-    fb_units units; /* of J as `orientation_changed` has met it */
+    fb_units units; /* of J in all calls of `orientation_changed` */
     double orientation_before;
     int was_static;
 #endif
-    double largest_orientation; /* that it has met, 0 before it was called */
+    double largest_orientation; /* in all calls, 0 before the first */
 } fb_work;
 
 #ifdef FB_SPARSE
@@ -76,8 +76,8 @@ static void full_dynamics(double t, const double *x, const double *constants, co
 #define full_dynamics dynamics
 #endif
 
-/* The factors at a state. Constraints that are redundant on the constraint manifold alone are so no more where loops
- * are open; others never were. */
+/* The factors at a state. Constraints that are redundant only on the constraint manifold become independent where loops
+ * are open, which is distinguished from constraints that always were. */
 static inline int factor_at(double t, const double *x, const double *constants, const double *r, fb_work *restrict w)
 {
     const int status = fb_factor(w->mass_matrix, w->constraint_jacobian, &w->factors);
@@ -87,7 +87,7 @@ static inline int factor_at(double t, const double *x, const double *constants, 
         double unused[2][FB_AT_LEAST_1(N_C + N_I)];
         position(t, x, constants, r, positions, slopes);
         constraint_scale(t, x, constants, r, scale, unused[0], unused[1]);
-        /* What a violation makes of rows grows with what pivots divide them by. */
+        /* The effect of a violation on rows grows by the division by pivots. */
         const double inverse = N_RANK > 0 ? fabs(w->factors.inverse[FB_AT_LEAST_1(N_RANK) - 1]) : 1.0;
         if (!(w->factors.left <= FB_REDUNDANT + FB_OPENED * inverse * fb_violation(positions, scale, N_H)))
             return FB_CONSTRAINTS_INDEPENDENT;
@@ -98,7 +98,7 @@ static inline int factor_at(double t, const double *x, const double *constants, 
     return status;
 }
 
-/* u' at a state whose equations are set up and factored; with unknown forces, lambda and these as well. */
+/* u' at a state whose equations are set up and factored; with unknown forces, also lambda and these. */
 static inline int solve_factored(double t, const double *restrict x, const double *restrict constants,
                                  const double *restrict r, double *restrict rates, fb_work *restrict w)
 {
@@ -123,7 +123,7 @@ static inline int solve_accelerations(double t, const double *restrict x, const 
     return solve_factored(t, x, constants, r, rates, w);
 }
 
-/* z', behind a solution u'. */
+/* z', for a solution u'. */
 static inline void fill_state_rates(double t, const double *restrict x, const double *restrict constants,
                                     const double *restrict r, double *restrict rates, fb_work *restrict w)
 {
@@ -195,10 +195,10 @@ static int accelerations(double t, const double *x, const double *constants, con
     return all_finite(rates, N_U) == FB_OK ? all_finite(multipliers, N_L) : FB_NOT_FINITE;
 }
 
-/* Newton's method with the factors of a state close by. A change v with J v = -Phi that is the least in the metric of M
- * is what M v = J^T lambda, J v + Phi = 0 gives, so that the equations of motion are solved with other right-hand
- * sides; q changes by K v. For the speeds likewise, with J u + b. Nonholonomic rows leave v alone. Positions that no
- * speed changes have a correction of their own.
+/* Constraint stabilization by mass-orthogonal projection: Newton's method with the factors of a state nearby. The
+ * change v with J v = -Phi of minimum norm in the metric of M solves M v = J^T lambda, J v + Phi = 0. These are the
+ * equations of motion with other right-hand sides; q changes by K v. Likewise for the speeds, with J u + b. Rows that
+ * keep no position have 0 for Phi. Invariants have a correction of their own.
  */
 static int project(double t, double *x, const double *constants, const double *r, int factors_valid, void *work)
 {
@@ -225,11 +225,11 @@ static int project(double t, double *x, const double *constants, const double *r
             if (position != position || velocity != velocity)
                 return FB_NOT_FINITE;
             const double size = fb_max(position, velocity);
-            /* The first correction of the positions may open the velocities. */
+            /* The first correction of the positions may increase the violation of velocities. */
             const int stagnates = i > 1 && !(size < 0.5 * last);
             if (size <= FB_CLOSED || (size <= FB_NEARLY_CLOSED && stagnates))
                 return status == FB_NOT_FINITE ? status : FB_OK;
-            /* At a singular position, states that are closed are. */
+            /* Tested after the violations, since closed states at singular positions are accepted. */
             if (status != FB_OK)
                 return status;
             if (stagnates)
@@ -259,7 +259,7 @@ static int orientation_changed(void *work)
         const double now = fb_orientation(w->constraint_jacobian, &w->units, &w->factors);
         result = fabs(now) < FB_CLOSE_BY * w->largest_orientation;
         if (w->largest_orientation > 0.0) {
-            /* Of the columns of the static pivot order it is known. */
+            /* It is known if both have the static pivot order. */
             const int known = w->factors.is_static && w->was_static;
             result |=
                 now * (known ? w->orientation_before : fb_orientation(w->jacobian_before, &w->units, &w->factors)) <
@@ -288,7 +288,7 @@ static int orientation_changed(void *work)
 }
 
 #if N_Z + N_N == 0
-/* A column of the multipliers' derivatives, for one of the accelerations'. Out of the way of who asks for no others. */
+/* A column of the multipliers' derivatives, for one of the accelerations'. Not inline, since it is rarely needed. */
 FB_PART static void store_multipliers(const fb_work *w, const double *accelerations, const int n, double *column)
 {
     double multipliers[FB_AT_LEAST_1(N_C)];
@@ -299,8 +299,8 @@ FB_PART static void store_multipliers(const fb_work *w, const double *accelerati
 #endif
 
 /* Differentiating M u' = f + J^T lambda and J u' + gamma = 0 in some direction gives equations for the changes of u'
- * and lambda with the same matrices; the right-hand sides are the n columns of residual_jacobian. With these changes,
- * z' changes by what stands in its rows there. */
+ * and lambda with the same matrices; the right-hand sides are the n columns of residual_jacobian. The rows of z' there
+ * are completed with these changes. */
 static int differentiate(const fb_derivatives *derivatives, fb_sensitivity *function, int n, double t, const double *x,
                          const double *constants, const double *r, double *matrix, double *multiplier_jacobian,
                          void *work)
@@ -331,7 +331,7 @@ static int differentiate(const fb_derivatives *derivatives, fb_sensitivity *func
             w->forcing[i] = w->residual_jacobian[i * n + j];
         for (int i = 0; i < N_C; ++i)
             w->acceleration_bias[i] = -w->residual_jacobian[(N_U + i) * n + j];
-        /* Redundant rows hold in every direction in which the state can move; others are not asked about. */
+        /* Redundant rows hold in every direction in which the state can move; the status for others is ignored. */
         fb_solve(w->forcing, w->acceleration_bias, &w->factors, solution);
 #if N_Z + N_N > 0
         fb_multipliers(w->mass_matrix, w->forcing, solution, &w->factors, multipliers);
@@ -415,7 +415,7 @@ const fb_kernel FB_TABLE(kernel) = {
     .orientation_changed = orientation_changed,
     .energy = energy,
     .output = output,
-#ifdef FB_ONE_MACHINE /* where the rest can be built when it is needed */
+#ifdef FB_ONE_MACHINE /* other parts can be built when they are needed */
     .one_machine = 1,
 #ifdef FB_HAS_BATCH_FUNCTIONS
     .batch_functions_apart = 1,

@@ -1,8 +1,8 @@
-/* With a pivot order, the part of fourbar_solve.h that computes alike for one state and for several side by side:
- * FB_VALUE is a double or a vector of them, FB_FACTORS the type of the factors, FB_OF(name) what a function is called.
- * Before it is included, FB_REQUIRE_POSITIVE(s, value) says what to do unless a value is positive.
+/* The part of fourbar_solve.h after the choice of a pivot order, common to single states and states side by side:
+ * FB_VALUE is a double or a vector of them, FB_FACTORS the type of the factors, FB_OF(name) the name of a function.
+ * FB_REQUIRE_POSITIVE(s, value), defined before inclusion, handles values that are not positive.
  *
- * `order` is the static pivot order, so that the compiler knows its places, or one that was found at run time.
+ * `order` is the static pivot order, so that indices are known at compile time, or one that was found at run time.
  */
 
 /* Row k below the diagonal of U_d, by a pivot that is not zero. */
@@ -56,7 +56,7 @@ static FB_INLINE int FB_OF(fb_reduce)(const FB_VALUE *restrict mass_matrix, FB_F
     return FB_OK;
 }
 
-/* u' from f, or from zeros where that is NULL, and w = L^-1 P S gamma. */
+/* u' from f (zeros if NULL) and w = L^-1 P S gamma. */
 static FB_INLINE void FB_OF(fb_back)(const FB_VALUE *restrict forcing, const FB_VALUE *restrict w,
                                      const FB_FACTORS *restrict s, FB_VALUE *restrict accelerations, const int *order)
 {

@@ -25,7 +25,7 @@ static inline double fb_table_value(const fb_table *table, const double t, int *
         return table->before;
     if (!(t <= times[last]))
         return table->after;
-    /* Integrators move on slowly: the interval of the last call is the first guess. */
+    /* Integrators advance slowly, so the interval of the last call is the first guess. */
     int low = 0, high = last, middle = t == times[last] ? last - 1 : *interval;
     while (!(times[middle] <= t && (t < times[middle + 1] || middle == last - 1))) {
         if (t < times[middle])
@@ -42,8 +42,8 @@ static inline double fb_table_value(const fb_table *table, const double t, int *
     return value;
 }
 
-/* What time is where an integrator's is zero, and the piece of time that it is in: where something jumps or has a kink
- * at either end of that, values from beyond do not belong to it. */
+/* The time at which an integrator's time is zero, and the present interval between discontinuities: beyond its ends,
+ * inputs are not evaluated. */
 typedef struct fb_clock {
     double origin, first, last;
 } fb_clock;
@@ -56,17 +56,17 @@ static inline double fb_time(const fb_clock *clock, const double since)
     return t < clock->first ? clock->first : t > clock->last ? clock->last : t;
 }
 
-/* Where an input comes from that is not taken from its expression. */
+/* The source of an input that is not given by its expression. */
 typedef struct fb_source {
     int input;
-    double value;          /* where there is no table */
+    double value;          /* if there is no table */
     const fb_table *table; /* or NULL */
     int interval;
 } fb_source;
 
 typedef struct fb_problem fb_problem;
 
-/* Gives the sources of inputs that a caller computes their values at (t, x); negative stops the integration. */
+/* Callback that sets the values of computed inputs at (t, x); a negative status stops the integration. */
 typedef int fb_called_inputs(fb_problem *problem, double t, const double *x);
 
 struct fb_problem {
@@ -80,7 +80,7 @@ struct fb_problem {
     fb_source *sources;
     fb_called_inputs *called_inputs; /* or NULL */
     void *caller;
-    int status; /* of the last evaluation; where it was not FB_OK, also where the failure began */
+    int status; /* of the last evaluation; if it is not FB_OK, the first failed time and state follow */
     double failed_t;
     double *failed_x; /* (n_x,) */
     double *moved_x;  /* (n_x,), scratch */
@@ -106,7 +106,7 @@ static inline int fb_finite(const double *values, const int n)
     return all_finite(values, n) == FB_OK;
 }
 
-/* Integrators go on from NaN with states of NaN; what is to be reported is how it began. */
+/* After NaN, integrators continue with states of NaN; the first failure is the one to report. */
 static inline void fb_note_failure(fb_problem *s, const int status, const double t, const double *x)
 {
     const int n = s->kernel->n_x;
@@ -118,7 +118,7 @@ static inline void fb_note_failure(fb_problem *s, const int status, const double
         s->status = FB_OK;
 }
 
-/* x', not a number where the equations cannot be evaluated. */
+/* x', NaN where the equations cannot be evaluated. */
 static inline int fb_problem_rates(void *problem, const double since, const double *x, double *rates)
 {
     fb_problem *const s = problem;
@@ -137,8 +137,8 @@ static inline int fb_problem_rates(void *problem, const double since, const doub
     return 0;
 }
 
-/* dx'/dx; zeros where the equations cannot be evaluated, since factorizations refuse what is not a number, while x' is
- * not a number there and fails the step. */
+/* dx'/dx; zeros where the equations cannot be evaluated, since factorizations refuse NaN. x' is NaN there, and fails
+ * the step. */
 static inline int fb_problem_jacobian(fb_problem *s, const double since, const double *x, double *matrix)
 {
     const double t = fb_time(&s->clock, since);
@@ -154,8 +154,7 @@ static inline int fb_problem_jacobian(fb_problem *s, const double since, const d
     return 0;
 }
 
-/* Moves x onto the constraints, and leaves it as it is where that fails; `factors_valid` as for the kernel's function.
- */
+/* Projects x onto the constraints; x is unchanged if that fails. `factors_valid` as for the kernel's function. */
 static inline int fb_problem_project(fb_problem *s, const double since, double *x, const int factors_valid)
 {
     const double t = fb_time(&s->clock, since);

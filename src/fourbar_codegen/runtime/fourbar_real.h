@@ -1,5 +1,5 @@
-/* What the functions of the equations of motion compute with: fb_real is double, or, in a source that defines
- * FB_SIDE_BY_SIDE, a vector of FB_WIDTH doubles, as many as the machine's registers hold, with a state in each lane.
+/* The type of values in the equations of motion: fb_real is double, or, in a source that defines FB_SIDE_BY_SIDE, a
+ * vector of FB_WIDTH doubles, as many as a SIMD register holds, with a state in each lane.
  */
 #ifndef FOURBAR_REAL_H
 #define FOURBAR_REAL_H
@@ -7,16 +7,16 @@
 #include <float.h>
 #include <math.h>
 
-/* What is not a number has to be noticed, and roundings are part of the method. */
+/* NaN must be detected, and rounding is part of the method. */
 #if defined(__FAST_MATH__) || defined(__ASSOCIATIVE_MATH__) ||                                                         \
     (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__ > 0)
 #error "Results would be wrong with -ffast-math or -Ofast: leave them out, or let " \
     "-fno-fast-math -fno-finite-math-only -fno-unsafe-math-optimizations follow them."
-#elif defined(__clang__) /* which does not say so of all such options */
+#elif defined(__clang__) /* defines no macros for some such options */
 #pragma float_control(precise, on)
 #endif
 
-/* With -fsingle-precision-constant they would not be, and this has no size. */
+/* An error with -fsingle-precision-constant: the array has a negative size. */
 typedef char fb_constants_are_of_type_double[sizeof(1.0) == sizeof(double) ? 1 : -1];
 
 #if defined(__GNUC__)
@@ -25,15 +25,14 @@ typedef char fb_constants_are_of_type_double[sizeof(1.0) == sizeof(double) ? 1 :
 #define FB_INLINE inline
 #endif
 
-/* What is called where compilers would repeat it; not every model does. */
+/* A function that is not inlined, since compilers would repeat it; not every model calls it. */
 #if defined(__GNUC__)
 #define FB_CALLED __attribute__((noinline, unused))
 #else
 #define FB_CALLED
 #endif
 
-/* Short equations become part of what calls them: what they compute stays in registers, and what nobody asks for is
- * left out. */
+/* Short equations are inlined into their callers: values stay in registers, and unused results are left out. */
 #if defined(FB_SHORT) && defined(__GNUC__)
 #define FB_FLATTEN __attribute__((flatten))
 #else
@@ -104,7 +103,7 @@ static FB_INLINE int fb_any(const fb_mask mask)
 #endif
 }
 
-/* An expression of doubles, lane by lane; behind it the variables in it. */
+/* An expression of doubles, evaluated lane by lane, followed by its variables. */
 #define FB_LANE_BY_LANE(outside, inside, value)                                                                        \
     __extension__({                                                                                                    \
         fb_real each;                                                                                                  \

@@ -1,7 +1,7 @@
-/* The equations of motion of FB_WIDTH states side by side, a state in each lane of fb_real.
+/* The equations of motion of FB_WIDTH states side by side, a state in each SIMD lane of fb_real.
  *
- * What a lane holds does not depend on what the others hold. The equations are solved as in fourbar_solve.h with the
- * static pivot order; a lane where that is a bad one is left to the kernel for one state.
+ * Results of a lane are bitwise independent of the other lanes. The equations are solved as in fourbar_solve.h with the
+ * static pivot order; a lane with too small pivots is left to the kernel for single states.
  */
 #include "fourbar_array.h"
 #include "fourbar_batch.h"
@@ -18,9 +18,8 @@
 #endif
 enum { N_X = N_Q + N_U + N_Z };
 
-/* The order is taken where its pivots are no less than this share of the sum of their row, which takes less time than
- * the largest entry. That is less than fourbar_solve.h asks for, at the cost of a digit or two, since pivoting in one
- * lane makes all of them wait. */
+/* Smallest ratio of a pivot to the sum of its row, which takes less time than the largest entry. The limit is lower
+ * than in fourbar_solve.h, at the cost of a digit or two, since all lanes wait if one needs other pivots. */
 #define FB_BATCH_PIVOT_TOLERANCE 0.01
 
 typedef struct fb_factors_side_by_side {
@@ -61,7 +60,7 @@ static FB_INLINE void fb_factor_side_by_side(const fb_real *restrict mass_matrix
     fb_reduce_side_by_side(mass_matrix, s, static_pivot_speed);
 }
 
-/* u' for one right-hand side (f, gamma); f may be NULL, for zeros. */
+/* u' for one right-hand side (f, gamma); NULL for f means zeros. */
 static FB_INLINE void fb_solve_side_by_side(const fb_real *restrict forcing, const fb_real *restrict acceleration_bias,
                                             const fb_factors_side_by_side *restrict s, fb_real *restrict accelerations)
 {
@@ -74,7 +73,7 @@ static FB_INLINE void fb_solve_side_by_side(const fb_real *restrict forcing, con
     fb_back_side_by_side(forcing, w, s, accelerations, static_pivot_speed);
 }
 
-/* z', behind a solution u'; it needs no multipliers. */
+/* z', for a solution u'; it needs no multipliers. */
 static FB_INLINE void fb_fill_state_rates(const fb_real t, const fb_real *restrict x, const fb_real *restrict constants,
                                           const fb_real *restrict r, fb_real *restrict rates)
 {
@@ -125,8 +124,8 @@ static __attribute__((noinline)) void fb_lane_rates(fb_side *s, const double t, 
     fb_put_lane(s->lane_rates, lane, N_X, rates);
 }
 
-/* Sets up the equations, with the inputs known, and factors them. One function for all that call it: that is
- * compiled once, and stays in the cache of instructions. */
+/* Sets up the equations, for known inputs, and factors them. Not inline, so that it is compiled once, and stays in the
+ * instruction cache. */
 static __attribute__((noinline)) FB_FLATTEN void
 fb_side_equations(fb_side *restrict s, const fb_real t, const fb_real *restrict x, fb_real *restrict coordinate_rates)
 {
@@ -135,7 +134,7 @@ fb_side_equations(fb_side *restrict s, const fb_real t, const fb_real *restrict 
     fb_factor_side_by_side(s->mass_matrix, s->constraint_jacobian, &s->factors);
 }
 
-/* x' of the lanes that are asked for, with the inputs known. */
+/* x' of the requested lanes, for known inputs. */
 static inline void fb_side_rates(fb_side *restrict s, const fb_real t, const fb_real *restrict x, const fb_mask asked,
                                  fb_real *restrict rates)
 {
@@ -156,7 +155,7 @@ static void fb_free_side(fb_side *s)
     }
 }
 
-/* Memory for `size` bytes, of which an fb_side is the first part, aligned for fb_real; NULL where there is none. */
+/* Memory of `size` bytes that begin with an fb_side, aligned for fb_real; NULL without memory. */
 static fb_side *fb_new_side(const fb_kernel *kernel, const size_t size)
 {
     char *const memory = calloc(1, size + sizeof(fb_real));
@@ -173,8 +172,8 @@ static fb_side *fb_new_side(const fb_kernel *kernel, const size_t size)
     return s;
 }
 
-/* FB_WIDTH states from place i on, the last one again where there are fewer; they are read where they stand, if they
- * stand side by side. */
+/* FB_WIDTH states from number i on, with the last one repeated if there are fewer; contiguous states are read directly.
+ */
 static FB_INLINE void fb_load(const fb_columns *columns, const int rows, const long i, const int count,
                               fb_real *restrict to)
 {
@@ -203,7 +202,7 @@ static FB_INLINE void fb_put_columns(const fb_real *restrict from, const int row
             memcpy(to + row * n + i, from + row, (size_t)count * sizeof(double));
 }
 
-/* What the lanes hold whose pivots are not good, or whose rates are not finite, by the kernel for one state. */
+/* Lanes with too small pivots or rates that are not finite, by the kernel for single states. */
 static __attribute__((noinline)) void fb_repair(const fb_batch *b, const long i, const int count, const fb_real *t,
                                                 const fb_real *x, const fb_mask *good, fb_real *rates, fb_side *s)
 {
@@ -224,7 +223,7 @@ static __attribute__((noinline)) void fb_repair(const fb_batch *b, const long i,
         rates[j] = fb_select(finite, rates[j], fb_number(NAN));
 }
 
-/* States from one place to another, with parameters of their own or common to all. */
+/* States from begin to end, with parameters of their own or common to all. */
 static FB_INLINE void fb_batch_of(const fb_batch *b, const long begin, const long end, const int own, fb_side *s)
 {
     fb_real p[FB_AT_LEAST_1(N_P)], constants[FB_AT_LEAST_1(N_CONSTANTS)], r[FB_AT_LEAST_1(N_R)];
@@ -232,7 +231,7 @@ static FB_INLINE void fb_batch_of(const fb_batch *b, const long begin, const lon
         fb_load(&b->p, N_P, begin, FB_WIDTH, p);
         prepare(p, constants);
     }
-    /* At first as many as leave the others where vectors do not lie across two lines of the cache. */
+    /* At first as many as align the others with cache lines. */
     const uintptr_t place = (uintptr_t)((own ? b->p.values : b->x.values) + begin) / sizeof(double);
     int count = FB_WIDTH - (int)(place % FB_WIDTH);
     for (long i = begin; i < end; i += count, count = FB_WIDTH) {
@@ -257,7 +256,7 @@ static FB_INLINE void fb_batch_of(const fb_batch *b, const long begin, const lon
         fb_real sum = t;
         for (int j = 0; j < N_X; ++j)
             sum += rates[j];
-        /* The sum may also be infinite where no rate is; then nothing is changed. */
+        /* The sum may also overflow although all rates are finite; then nothing is changed. */
         if (fb_any(~(factors.good & (sum - sum == 0.0))))
             fb_repair(b, i, count, &t, x, &factors.good, rates, s);
         fb_put_columns(rates, N_X, b->n, i, count, b->rates);
@@ -267,7 +266,7 @@ static FB_INLINE void fb_batch_of(const fb_batch *b, const long begin, const lon
 static FB_FLATTEN int batch(const fb_batch *b, const long begin, const long end)
 {
     if (begin >= end)
-        return 0;                                         /* of no states, not even parameters can be read */
+        return 0;                                         /* without states, not even parameters can be read */
     fb_side *const s = fb_new_side(b->kernel, sizeof *s); /* for single states */
     if (s == NULL)
         return -1;

@@ -28,9 +28,9 @@ static FB_INLINE void FB_SINE(const FB_REAL *restrict angle, FB_REAL *restrict s
     memcpy(&c, &cosine_r, sizeof c);
     memcpy(&sign, &r, sizeof sign);
     memcpy(&quadrant, &shifted, sizeof quadrant);
-    /* Of -0, the sum above has lost the sign. */
+    /* The sum above has lost the sign of -0. */
     s |= sign & (UINT64_C(1) << 63);
-    /* In every other quadrant both change places; in two of four each changes its sign. */
+    /* In every other quadrant both are swapped; in two of four each changes its sign. */
     const FB_BITS change = (s ^ c) & (UINT64_C(0) - (quadrant & UINT64_C(1)));
     s ^= change ^ ((quadrant & UINT64_C(2)) << 62);
     c ^= change ^ (((quadrant + UINT64_C(1)) & UINT64_C(2)) << 62);

@@ -6,10 +6,10 @@
  *
  *     (T^T M T) u_i' = T^T (f - M [e; 0]),
  *
- * symmetric and positive definite even where M alone is singular. Here dependent speeds stand first.
- * u' does not depend on the split. A static pivot order, by the tables static_pivot_row and static_pivot_speed, was
- * chosen when the source was generated, so that the compiler knows its places; where it is a bad one, the best is
- * chosen anew in each call.
+ * symmetric and positive definite even if M alone is singular. Dependent speeds come first here.
+ * u' does not depend on the split. A static pivot order, in the tables static_pivot_row and static_pivot_speed, is
+ * fixed at code generation, so that indices are known at compile time. Where its pivots are too small, complete
+ * pivoting is the fallback, so that toggle positions are harmless.
  */
 #ifndef FOURBAR_SOLVE_H
 #define FOURBAR_SOLVE_H
@@ -21,32 +21,33 @@
 
 enum { N_MASS = N_U * N_U, N_JACOBIAN = N_C * N_U };
 
-/* Pivots of J below this share of the largest are rounding errors: 1000 times the precision of double. */
+/* Pivots of J below this fraction of the largest are rounding errors: 1000 times the precision of double. */
 #define FB_RANK_TOLERANCE 2e-13
-/* Where the model has fewer dependent speeds than constraints, the others are redundant: of the scaled J nothing may be
- * left in them, and they must be satisfied, to this share of gamma and u'. They may be redundant on the constraint
- * manifold alone, from which a run drifts. */
+/* If the model has fewer dependent speeds than constraints, the others are redundant: after elimination, their rows of
+ * the scaled J must vanish, and they must be satisfied, to this fraction of gamma and u'. They may be redundant only on
+ * the constraint manifold, from which a run drifts. */
 #define FB_DRIFT_TOLERANCE 1e-3
-/* Or to this floor: where gamma and u' are zero, what is left are rounding errors. */
+/* The absolute tolerance for that, for rounding errors if gamma and u' are zero. */
 #define FB_NEARLY 1e-12
 
 /* Whether the static pivot order is tried first: with many constraints its code becomes long. */
 #define FB_TRY_STATIC (N_C > 0 && N_C <= 8 && N_RANK == N_C)
-/* It is taken where its pivots are no less than this share of the largest in their row. */
+/* It is used if its pivots are at least this fraction of the largest entry in their row, ... */
 #define FB_STATIC_TOLERANCE 0.25
-/* A singular position is close by where the smallest pivot is below this share of what it has been in a run; less than
- * where positions count as singular, and more than what lies between two branches that meet there, if the loops are
- * closed to rounding errors: these open the branches to the root of their size. */
+/* A singular position is nearby if the smallest pivot is below this fraction of its largest value in a run. That is
+ * smaller than where positions count as singular, and larger than the gap between two branches that meet there, since
+ * rounding errors of closed loops separate the branches by the square root of their size. */
 #define FB_CLOSE_BY 1e-5
-/* And where no row is nearly dependent on others. */
+/* ... and if no row is nearly dependent on others. */
 #define FB_NEAR_DEPENDENCE 1e-6
 
-/* At states with closed loops no more than this is left of J; where loops are open, so many times their violation. */
+/* Bounds of the redundant rows of J after elimination: the first for closed loops; for open loops, plus the second
+ * times their violation. */
 #define FB_REDUNDANT 1e-7
 #define FB_OPENED 1e4
 
 typedef struct fb_factors {
-    double left;                              /* of the scaled J in redundant rows, the largest entry */
+    double left;                              /* largest entry of the scaled J in redundant rows */
     int is_static;                            /* whether the pivot order is the static one */
     int row[FB_AT_LEAST_1(N_C)], column[N_U]; /* P, Q */
     double scale[FB_AT_LEAST_1(N_C)];         /* S, in the order of the rows of L */
@@ -92,7 +93,7 @@ static inline int fb_eliminate(const double *restrict jacobian, fb_factors *rest
         largest = fb_max(largest, size);
     }
     for (int i = 0; i < N_C; ++i) {
-        /* A row that is nothing but rounding errors must not be scaled up to look like a constraint. */
+        /* A row of rounding errors must not be scaled up to look like a constraint. */
         s->scale[i] = s->scale[i] > FB_RANK_TOLERANCE * largest ? 1.0 / s->scale[i] : 0.0;
         s->row[i] = i;
         for (int j = 0; j < N_U; ++j)
@@ -130,7 +131,8 @@ static inline int fb_eliminate(const double *restrict jacobian, fb_factors *rest
     return s->left <= FB_DRIFT_TOLERANCE ? FB_OK : FB_CONSTRAINTS_INDEPENDENT;
 }
 
-/* Where all is known, compilers that unroll loops early keep all in registers: a tenth to a sixth of an evaluation. */
+/* With all indices known, compilers that unroll loops early keep values in registers, which saves a tenth to a sixth of
+ * an evaluation. */
 #if defined(__clang__)
 #define FB_UNROLL _Pragma("unroll(8)")
 #elif defined(__GNUC__)
@@ -139,8 +141,8 @@ static inline int fb_eliminate(const double *restrict jacobian, fb_factors *rest
 #define FB_UNROLL
 #endif
 
-/* P J Q = L [U_d U_i] by the static pivot order; returns whether that is a good one. With rows in a given order, and
- * each pivot compared with its own row, no scaling is needed. */
+/* P J Q = L [U_d U_i] by the static pivot order; returns whether its pivots are large enough. With a given order of
+ * rows, and each pivot compared with its own row, no scaling is needed. */
 static inline int fb_eliminate_static(const double *restrict jacobian, fb_factors *restrict s)
 {
     double lu[FB_AT_LEAST_1(N_C)][N_U], size[FB_AT_LEAST_1(N_C)], largest = 0.0;
@@ -202,7 +204,7 @@ static inline double fb_forward(const double *restrict acceleration_bias, const 
     return size;
 }
 
-/* The units of J: the largest entries so far of its columns, and, in units of these, of its rows. */
+/* The units of J: the largest entries of its columns so far, and, in these units, of its rows. */
 typedef struct fb_units {
     double column[N_U], row[FB_AT_LEAST_1(N_C)];
 } fb_units;
@@ -218,8 +220,8 @@ static inline void fb_note_units(const double *restrict jacobian, fb_units *rest
                 units->row[i] = fabs(jacobian[i * N_U + j]) / units->column[j];
 }
 
-/* The sign of the determinant of the columns of J that stand for the dependent speeds, times the smallest pivot of
- * these, with columns and rows in their units: it goes through 0, or close to it, at a singular position. */
+/* The sign of the determinant of the dependent speeds' columns of J, times their smallest pivot, with columns and rows
+ * in their units: it passes through or near 0 at a singular position. */
 static inline double fb_orientation(const double *restrict jacobian, const fb_units *restrict units,
                                     const fb_factors *restrict s)
 {
@@ -247,7 +249,7 @@ static inline double fb_orientation(const double *restrict jacobian, const fb_un
     return sign * smallest;
 }
 
-/* The factors of M and J, for as many right-hand sides as follow. */
+/* The factors of M and J, for any number of right-hand sides. */
 static inline int fb_factor(const double *restrict mass_matrix, const double *restrict constraint_jacobian,
                             fb_factors *restrict s)
 {
@@ -274,7 +276,7 @@ static inline int fb_solve(const double *restrict forcing, const double *restric
     }
     double size = fb_forward(acceleration_bias, s, w, 0);
     fb_back(forcing, w, s, accelerations, s->column);
-    /* The rows beyond the rank have to hold by themselves. */
+    /* The rows beyond the rank must be satisfied by themselves. */
     for (int i = 0; i < N_U && N_RANK < N_C; ++i)
         size = fb_max(size, fabs(accelerations[i]));
     for (int i = N_RANK; i < N_C; ++i)
@@ -283,8 +285,8 @@ static inline int fb_solve(const double *restrict forcing, const double *restric
     return FB_OK;
 }
 
-/* Of all lambda with y = K^T lambda, K = S^-1 P^T L, the shortest one: K (K^T K)^-1 y. It is what redundant rows
- * leave open; with full rank it is the only one. */
+/* The minimum-norm lambda with y = K^T lambda, K = S^-1 P^T L: lambda = K (K^T K)^-1 y. Redundant rows leave lambda
+ * undetermined; with full rank it is unique. */
 static inline void fb_shortest(const fb_factors *restrict s, const double *restrict y, double *restrict multipliers)
 {
     double k[FB_AT_LEAST_1(N_C)][FB_AT_LEAST_1(N_C)] = {{0.0}}, normal[FB_AT_LEAST_1(N_C)][FB_AT_LEAST_1(N_C)];
@@ -320,7 +322,7 @@ static inline void fb_shortest(const fb_factors *restrict s, const double *restr
     }
 }
 
-/* The multipliers of J_d^T lambda = (M u' - f)_d; the shortest ones where rows are redundant. */
+/* The multipliers of J_d^T lambda = (M u' - f)_d; the minimum-norm ones if rows are redundant. */
 static inline void fb_multipliers(const double *restrict mass_matrix, const double *restrict forcing,
                                   const double *restrict accelerations, const fb_factors *restrict s,
                                   double *restrict multipliers)

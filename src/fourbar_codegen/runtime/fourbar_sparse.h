@@ -1,19 +1,19 @@
-/* Solves M u' = f + J^T lambda, J u' + gamma = 0 where most entries of M and J are zero.
+/* Solves M u' = f + J^T lambda, J u' + gamma = 0 with sparse M and J.
  *
- * With a weight w > 0 for each constraint, u' and lambda are those of
+ * With a weight w > 0 for each constraint, u' and lambda solve
  *
  *     [M + J^T w J   J^T] [  u'   ]   [f - J^T w gamma]
  *     [     J         0 ] [-lambda] = [    -gamma     ]
  *
- * which is factored as L D L^T in an order that was chosen when the model was generated. No pivots have to be sought:
- * the upper left block is positive definite wherever the equations determine u', and each constraint stands behind
- * all speeds in it. What would be a pivoting failure is a state where the constraints depend on each other.
+ * The matrix is factored as L D L^T in an order that was fixed at code generation. No pivoting is needed: the upper
+ * left block is positive definite wherever the equations determine u', and each constraint comes after all speeds in
+ * it. If the factorization fails, the constraints are dependent at this state.
  *
- * Included once, by fourbar_model.h, behind the tables of the model:
- *   mass_row, mass_column         where the entries of M stand, on and below the diagonal
- *   jacobian_row, jacobian_column where those of J stand: the first of each row, and the columns
- *   unknown                       what each step eliminates: speeds, and N_U and more for constraints
- *   column, below                 the later steps that a step has an entry for: the first of them, and all
+ * Included once, by fourbar_model.h, after the tables of the model:
+ *   mass_row, mass_column         rows and columns of the entries of M on and below the diagonal
+ *   jacobian_row, jacobian_column the entries of J: the first of each row, and the columns
+ *   unknown                       the unknown of each step: speeds, then N_U and more for constraints
+ *   column, below                 the later steps with an entry in a step's column: the first of them, and all
  *   mass_place, jacobian_place, pair_place, target
  *                                 places of M, J, the products of J^T w J, and of what a step subtracts
  */
@@ -27,9 +27,9 @@
 
 enum { N_STEPS = N_U + N_C };
 
-/* Rows of J below this share of the largest are rounding errors. */
+/* Rows of J below this fraction of the largest are rounding errors. */
 #define FB_ROW_TOLERANCE 2e-13
-/* Pivots below this share of what was subtracted from them are rounding errors. */
+/* Pivots below this fraction of the terms subtracted from them are rounding errors. */
 #define FB_PIVOT_TOLERANCE 1e-13
 
 typedef struct fb_factors {
@@ -38,7 +38,7 @@ typedef struct fb_factors {
     double weight[FB_AT_LEAST_1(N_C)];
 } fb_factors;
 
-/* The weights, which make both terms of M + J^T w J alike in size; whether no row is nothing but rounding errors. */
+/* The weights, which give both terms of M + J^T w J similar size; returns 0 if a row is only rounding errors. */
 static inline int fb_weigh(const double *restrict diagonal, const double *restrict jacobian, double *restrict weight)
 {
     double size[FB_AT_LEAST_1(N_C)], largest = 0.0;
@@ -104,7 +104,7 @@ static inline int fb_factor(const double *restrict mass_matrix, const double *re
     return FB_OK;
 }
 
-/* The unknowns for right-hand sides that stand in the order of the steps. */
+/* The unknowns for right-hand sides in the order of the steps. */
 static inline void fb_substitute(const fb_factors *restrict s, double *restrict y)
 {
     const double *restrict const l = s->entries + N_STEPS;
@@ -139,7 +139,7 @@ static inline int fb_solve(const double *restrict forcing, const double *restric
     return FB_OK;
 }
 
-/* The multipliers of J^T lambda = M u' - f: with that on the right-hand side and no gamma, u' is zero. */
+/* The multipliers of J^T lambda = M u' - f: with M u' - f as right-hand side and zero gamma, u' is zero. */
 static inline void fb_multipliers(const double *restrict mass_matrix, const double *restrict forcing,
                                   const double *restrict accelerations, const fb_factors *restrict s,
                                   double *restrict multipliers)

@@ -1,10 +1,10 @@
-/* Explicit Runge-Kutta methods by their coefficients, which are SciPy's to the bit (scipy.integrate.RK45, DOP853).
+/* Coefficients of explicit Runge-Kutta methods, bitwise equal to SciPy's (scipy.integrate.RK45, DOP853).
  *
  * RK45: J. R. Dormand, P. J. Prince, "A family of embedded Runge-Kutta formulae", Journal of Computational and Applied
  * Mathematics 6 (1980); its interpolant: L. F. Shampine, "Some practical Runge-Kutta formulas", Mathematics of
  * Computation 46 (1986). DOP853: E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, 2nd
- * ed. 1993, section II.10. The classical method of order 4, for fixed steps; and what the trapezoidal rule of
- * fourbar_augmented.h needs for its interpolant.
+ * ed. 1993, section II.10. The classical method of order 4, for fixed steps; and the interpolant of the trapezoidal
+ * rule in fourbar_augmented.h.
  */
 #ifndef FOURBAR_TABLEAU_H
 #define FOURBAR_TABLEAU_H
@@ -17,9 +17,9 @@ typedef struct fb_tableau {
     int n_errors;            /* 0 for fixed steps */
     const double *error;     /* (n_errors, s + 1): weights of the stages and of x' at the step's end */
     double order;            /* of the error estimate */
-    int n_extra;             /* stages that the interpolant needs beside */
+    int n_extra;             /* further stages for the interpolant */
     const double *a_extra, *c_extra;
-    int hermite; /* whether the interpolant's first coefficients are those of the cubic through x and x' at both ends */
+    int hermite; /* whether the interpolant's first coefficients are those of the cubic Hermite polynomial */
     int n_dense; /* further rows of its coefficients */
     const double *dense;
 } fb_tableau;

@@ -1,6 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
-"""Functions for implicit solvers: see ``fourbar_implicit.h``. Solvers call them often, with arrays that are known to be
-contiguous, of double, and of the right length, so that nothing is checked and nothing allocated."""
+"""Functions for implicit solvers: see ``fourbar_implicit.h``. Solvers call them often, with contiguous arrays of double
+of the right length, so nothing is checked or allocated."""
 
 cimport cython
 cimport numpy as cnp
@@ -34,7 +34,7 @@ cdef inline double *_at(cnp.ndarray array) noexcept:
 
 @cython.final
 cdef class Rates:
-    """The right-hand side for a solver of x' = f(t, x) that hands in the arrays to fill.
+    """The right-hand side for a solver of x' = f(t, x) that provides the arrays to fill.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ cdef class Residual:
     Attributes
     ----------
     n_y : int
-        Length of y: the state, and behind it the multipliers.
+        Length of y: the state, then the multipliers.
     """
 
     cdef Ode ode
@@ -83,7 +83,7 @@ cdef class Residual:
         fb_place_implicit(&ode.problem, chosen, &self.implicit, _at(self.memory))
 
     def scale(self, double t, double c, cnp.ndarray y, cnp.ndarray y_rate, cnp.ndarray weights, cnp.ndarray metric):
-        """Give each equation a unit, for y' = c y and weights of the states as at the beginning, and D its diagonal."""
+        """Scale each equation, for y' = c y and weights of the states at the beginning, and set the diagonal of D."""
         matrix = np.empty((self.implicit.n_y, self.implicit.n_y))
         self.ode.check(fb_implicit_scale(&self.implicit, t, c, _at(y), _at(y_rate), _at(weights), _at(metric),
                                          _at(matrix)))

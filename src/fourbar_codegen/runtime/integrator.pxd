@@ -1,5 +1,5 @@
 # cython: language_level=3
-"""What other extension modules of the runtime need of integrator.pyx."""
+"""Declarations of integrator.pyx for other extension modules of the runtime."""
 
 cimport numpy as cnp
 

@@ -86,17 +86,17 @@ cdef extern from "fourbar_augmented.h":
 
 
 def check_within(times, begin, end):
-    """Raise a ModelError where a run has no states: times outside, but for rounding errors."""
+    """Raise a ModelError if times are outside of a run by more than rounding errors."""
     allowed = 1e-12 * max(abs(begin), abs(end))
     if not ((times >= min(begin, end) - allowed) & (times <= max(begin, end) + allowed)).all():
         raise ModelError(f"The run goes from t = {begin:.15g} to {end:.15g}; it has no states at the times {times}.")
 
 
 def steps_at(times, direction, bounds, since):
-    """The numbers of the steps that times lie in; `bounds` are the beginning of the first one, and the ends of all.
+    """The numbers of the steps that contain times; `bounds` are the beginning of the first step, and the ends of all.
 
-    By `since`, the same since the beginning of the run, which is finer; where that is the same on either side of a
-    jump, by the times themselves.
+    Decided by `since`, the bounds relative to the beginning of the run, which have a higher resolution. If these are
+    equal on both sides of a jump, the times themselves decide.
     """
     ends, at = direction * np.array(since), direction * (times - bounds[0])
     steps = np.clip(np.searchsorted(ends, at) - 1, 0, len(ends) - 2)
@@ -112,8 +112,7 @@ cdef class Table:
     times : ndarray, shape (n,)
         Strictly increasing.
     coefficients : ndarray, shape (k + 1, n - 1)
-        Of the powers k to 0 of the time since the beginning of each interval, as ``scipy.interpolate.PPoly``
-        has them.
+        For the powers k to 0 of the time since the beginning of each interval, as in ``scipy.interpolate.PPoly``.
     before, after : float
         Values outside.
     """
@@ -150,13 +149,13 @@ cdef class Ode:
     """The right-hand side with parameters and inputs bound: f(t, x) for an integrator.
 
     Where the equations cannot be evaluated, it returns NaN, so that an integrator with step control rejects
-    the step; `failure` then says why. `projects` asks the solvers of `fourbar_codegen.solvers` to move each state onto
-    the constraints; `in_pieces` tells them that steps end at discontinuities already. `clock` says what time is where
-    the integrator's is zero, and between which times values are taken; the inputs' methods go by time itself.
+    the step; `failure` then gives the reason. If `projects`, the solvers of `fourbar_codegen.solvers` project each
+    state onto the constraints; if `in_pieces`, steps already end at discontinuities. `clock` has the time at which the
+    integrator's time is zero, and the interval in which inputs are evaluated; methods for inputs take absolute time.
 
-    Several threads may share one: each call is done before another thread's begins, `failure` is that of the last call,
-    and a solver of `fourbar_codegen.solvers` takes a copy with memory of its own. A callable input is called by all of
-    them, and may itself call the right-hand side.
+    Threads may share an Ode: calls are serialized, `failure` is that of the last call, and a solver of
+    `fourbar_codegen.solvers` takes a copy with its own workspace. All of them call a callable input, which may itself
+    call the right-hand side.
 
     Parameters
     ----------
@@ -166,12 +165,12 @@ cdef class Ode:
         For each input None (its expression), a float, a `Table` or a callable of (t, x).
     """
 
-    # One set of buffers serves all calls: callables, which run Python and let other threads in, come first, and between
-    # filling the buffers and reading them there is no step of Python. What gives the lock of the interpreter away while
-    # it computes needs a copy.
+    # All calls share one set of buffers. Callables, which run Python and may switch threads, are called first; no
+    # Python runs between filling the buffers and reading them. Code that releases the GIL while it computes needs a
+    # copy.
 
     def __cinit__(self, Evaluator evaluator not None, p, sources):
-        cdef cnp.ndarray parameters = evaluator.parameter_vector(p)  # its own: copies need it later
+        cdef cnp.ndarray parameters = evaluator.parameter_vector(p)  # a copy, which copies of the Ode need later
         cdef int i
         self.evaluator, self.parameters = evaluator, parameters
         self.problem.kernel, self.problem.clock = evaluator.kernel, fb_all_time
@@ -222,7 +221,7 @@ cdef class Ode:
         return names[i] if names else i + 1
 
     cdef int _call(self, double t, const double *x) noexcept:
-        """The callables' values; all of them first, since they may run whatever Python they like."""
+        """The callables' values; all are called first, since they may run any Python code."""
         cdef cnp.ndarray state
         cdef list called = []
         cdef tuple given
@@ -230,12 +229,12 @@ cdef class Ode:
         try:
             time = t
             for given in self.callables:
-                state = new_array(self.evaluator.n_x)  # of its own for each: what it does to it stays its own affair
+                state = new_array(self.evaluator.n_x)  # a copy for each, which it may modify
                 memcpy(data(state), x, self.evaluator.n_x * sizeof(double))
                 value = given[1](time, state)
                 called.append(value if type(value) is float else number(value, given[2]))
         except BaseException as error:
-            self.problem.status = FB_OK  # the equations have not failed, the callable has
+            self.problem.status = FB_OK  # the callable has failed, not the equations
             self.error = error
             return -1
         for i in range(len(called)):
@@ -243,7 +242,7 @@ cdef class Ode:
         return 0
 
     cdef int check(self, int status) except -2:
-        """The status of something that may have called inputs; raises what they have raised."""
+        """The status of a call that may have called inputs; raises the exceptions of these."""
         if status < 0 and self.error is not None:
             error, self.error = self.error, None
             raise error
@@ -251,7 +250,7 @@ cdef class Ode:
 
     @property
     def clock(self):
-        """Time where the integrator's is zero, and the first and last time that values are taken at."""
+        """The time at which the integrator's time is zero, and the first and last time that inputs are evaluated at."""
         return self.problem.clock.origin, self.problem.clock.first, self.problem.clock.last
 
     @clock.setter
@@ -267,7 +266,7 @@ cdef class Ode:
 
     @property
     def manifest(self):
-        """Of the model."""
+        """The manifest of the model."""
         return self.evaluator.manifest
 
     @property
@@ -301,12 +300,12 @@ cdef class Ode:
 
     @property
     def has_jacobian(self):
-        """Whether `jac` is the derivative: it does not know of callable inputs, nor of a stabilization."""
+        """Whether `jac` is the derivative: it does not include callable inputs or a stabilization."""
         return not self.callables and self.problem.stabilization == 0.0
 
     @property
     def failure(self):
-        """Why the equations could not be evaluated when they last were, or None."""
+        """The reason why the last evaluation of the equations failed, or None."""
         cdef cnp.ndarray x
         if self.problem.status == FB_OK:
             return None
@@ -343,18 +342,18 @@ cdef class Ode:
         return result.T
 
     def orientation_changed(self):
-        """Whether the constraints have changed their orientation from one call to the next: see `fb_kernel`."""
+        """Whether the constraints' orientation has changed since the last call: see `fb_kernel`."""
         return bool(self.problem.kernel.orientation_changed(self.problem.work))
 
     def closest(self, t, x):
-        """The state moved onto the constraints, shape (n_x,), behind the kernel's status of that."""
+        """The kernel's status, and the state projected onto the constraints, shape (n_x,)."""
         t = time_of(t)
         cdef cnp.ndarray state = vector(x, self.evaluator.n_x, "The state x").copy()
         cdef int status = self.check(fb_problem_project(&self.problem, t, data(state), 0))
         return status, state
 
     def project(self, t, x):
-        """The state moved onto the constraints, shape (n_x,); where that cannot be done, as it was."""
+        """The state projected onto the constraints, shape (n_x,); unchanged if that fails."""
         t = time_of(t)
         status, state = self.closest(t, x)
         return np.array(x) if status else state
@@ -368,7 +367,7 @@ cdef class Ode:
         return result
 
     def multipliers(self, t, x):
-        """x', shape (n_x,), and the multipliers with unknown forces behind them, shape (n_l,)."""
+        """x', shape (n_x,), and the multipliers followed by unknown forces, shape (n_l,)."""
         t = time_of(t)
         cdef cnp.ndarray state = vector(x, self.evaluator.n_x, "The state x")
         cdef cnp.ndarray accelerations = new_array(self.evaluator.n_u), result = new_array(self.evaluator.n_l)
@@ -381,7 +380,7 @@ cdef class Ode:
         return rates, result
 
     def energies(self, t, x):
-        """Kinetic and potential energy at one time; NaN for one that is not known."""
+        """Kinetic and potential energy at one time; NaN if unknown."""
         t = time_of(t)
         cdef double[2] found
         cdef cnp.ndarray state = vector(x, self.evaluator.n_x, "The state x")
@@ -400,7 +399,7 @@ cdef class Ode:
 
 
 def _ode(evaluator, p, sources, double stabilization, bint projects, bint in_pieces, clock):
-    """As it was copied or pickled."""
+    """Restores a copied or pickled Ode."""
     cdef Ode ode = Ode(evaluator, p, sources)
     ode.stabilization, ode.projects, ode.in_pieces, ode.clock = stabilization, projects, in_pieces, clock
     return ode
@@ -416,9 +415,9 @@ cdef class EmbeddedSteps:
     tableau : (array_like, array_like, array_like), shapes (s, s), (s,), (s,)
         The method's coefficients a, b, c.
     error : array_like, shape (s + 1,) or (2, s + 1)
-        Weights of the error estimate; with two rows, of those of fifth and third order of DOP853.
+        Weights of the error estimate; two rows are the estimates of fifth and third order of DOP853.
     error_exponent : float
-        Of the step control.
+        Exponent of the step control.
     t_bound : float
         The end of the run.
     direction : float
@@ -465,7 +464,7 @@ cdef class EmbeddedSteps:
             Time and the step's proposed length.
         x : array_like, shape (n_x,)
         stages : ndarray, shape (s + 1, n_x)
-            Its first row is x' at t; the others are written.
+            The first row is x' at t; the others are filled.
 
         Returns
         -------
@@ -474,7 +473,7 @@ cdef class EmbeddedSteps:
         x : ndarray, shape (n_x,)
         n_evaluations : int
         problem : {"", "too small", "infinite"}
-            Of the step's length; otherwise the step was accepted.
+            Problem of the step's length; if empty, the step was accepted.
         """
         cdef fb_run *run = &self.run
         cdef cnp.ndarray state = vector(x, run.n, "The state x")
@@ -498,17 +497,17 @@ cdef class EmbeddedSteps:
 
 
 cdef int _enter(bint *busy) except -1:
-    """Begin a step, in whose middle a callable input, or another thread, may ask for another one."""
+    """Begin a step; raise if a callable input within a step, or another thread, requests another one."""
     if busy[0]:
         raise SimulationError(
             "A step of this run is under way, in another thread or because a callable input has asked for one within "
-            "it: take one step after the other, or a stepper or solver for each thread.")
+            "it: take one step after the other, or use a stepper or solver for each thread.")
     busy[0] = True
     return 0
 
 
 cdef int _prepare(fb_run *run, Ode ode, const fb_tableau *method) except -1:
-    """What a run is made of: the problem and its size, and the method."""
+    """Set a run's problem, size and method."""
     run.problem, run.method, run.n = &ode.problem, method, ode.evaluator.n_x
     run.padded = _padded_size(run.n)
     fb_prepare_method(run)
@@ -516,7 +515,7 @@ cdef int _prepare(fb_run *run, Ode ode, const fb_tableau *method) except -1:
 
 
 cdef int _padded_size(int n):
-    """Of whole blocks."""
+    """The length of n states padded to whole blocks."""
     return (n + FB_BLOCK - 1) // FB_BLOCK * FB_BLOCK
 
 
@@ -532,7 +531,7 @@ cdef const fb_tableau *tableau_of(str method) except NULL:
 
 
 cdef const double *_fill_padded(double *padded, values, const fb_run *run) except NULL:
-    """Tolerances, and ones where states are padded with zeros."""
+    """Tolerances, padded with ones (states are padded with zeros)."""
     cdef cnp.ndarray given
     cdef int i, step
     cdef double one
@@ -556,7 +555,7 @@ cdef cnp.ndarray _zeros(int n, int m):
 
 
 cdef cnp.ndarray _state_of(const fb_run *run):
-    """The state reached, as an array of its own."""
+    """A copy of the state reached."""
     cdef cnp.ndarray x = new_array(run.n)
     memcpy(data(x), run.x, run.n * sizeof(double))
     return x
@@ -579,17 +578,17 @@ cdef class Run:
     t, t_bound : float
         Beginning and end.
     x : array_like, shape (n_x,)
-        The state at the beginning.
+        The initial state.
     max_step : float
-        The longest step; of ALI3P each but the last.
+        The longest step; for ALI3P, the length of all steps but the last.
     rtol, atol : array_like, shape () or (n_x,)
         Relative and absolute tolerance.
     project : bool
-        Whether states are moved onto the constraints after each step.
+        Whether states are projected onto the constraints after each step.
     times : array_like, shape (n,), or None
         Times of the samples; None for a sample after each step.
     events : sequence of (int, int)
-        Positions of outputs whose changes of sign are events, and the direction of these: 1, -1, or 0 for both.
+        Numbers of outputs whose changes of sign are events, and the direction of these: 1, -1, or 0 for both.
     look_at_all : bool
         Whether to stop after each step.
     """
@@ -606,7 +605,7 @@ cdef class Run:
     cdef cnp.ndarray kept_t
     cdef cnp.ndarray kept_x
 
-    # In C, times are counted from the beginning, so that steps are as fine at any time; outside, they are absolute.
+    # In C, times are relative to the beginning, so that their resolution does not depend on it; outside, absolute.
 
     def __cinit__(self, Ode ode not None, str method, double t, x, double t_bound, double max_step, rtol, atol,
                   bint project, times, events, bint look_at_all):
@@ -681,10 +680,10 @@ cdef class Run:
             self.ode.check(fb_event_values(&self.run, self.run.t, self.run.x, self.run.event_value))
 
     def enter(self, double t, double t_bound, double first, double last, x=None):
-        """Go on from a time, that of a boundary, to another one; with a state x, from there.
+        """Continue from one boundary to the next, from the present state or from x.
 
-        Before it, take the samples. In between, values are taken from the first time to the last one. Returns whether
-        there is a state close by that satisfies the constraints.
+        Take the samples before. Inputs are evaluated from the first time to the last one. Returns whether a state
+        nearby satisfies the constraints.
         """
         cdef fb_run *run = &self.run
         cdef cnp.ndarray state
@@ -693,7 +692,7 @@ cdef class Run:
         run.t, run.t_bound = t - origin, t_bound - origin
         self.t_begin, self.since_begin, self.t_bound = t, run.t, t_bound
         run.until = run.t_bound
-        if self.times is not None:  # absolute: from the beginning, those on either side of a jump may be the same
+        if self.times is not None:  # absolute times, since relative ones may be equal on both sides of a jump
             run.n_times = np.searchsorted(run.direction * self.times, run.direction * t_bound, side="right")
         if x is not None:
             state = vector(x, run.n, "The state x")
@@ -708,15 +707,15 @@ cdef class Run:
         return True
 
     def on(self, long steps):
-        """Take up to so many steps; why it stopped: "end", "paused", "full", "event", "too small", "infinite",
-        "collapsed", "diverged"."""
+        """Take up to this number of steps; returns the reason of the stop: "end", "paused", "full", "event",
+        "too small", "infinite", "collapsed", "diverged"."""
         cdef int status
         with nogil:
             status = fb_run_on(&self.run, steps)
         return _REASONS[self.ode.check(status)]
 
     cdef double _at(self, double since):
-        """Time, for one of the run's: exactly that of the beginning or the end, between which rounding leaves it."""
+        """The absolute time of a relative one: exact at the beginning and the end, and never outside of these."""
         if since == self.run.t_bound:
             return self.t_bound
         if since == self.since_begin:
@@ -725,28 +724,28 @@ cdef class Run:
         return min(max(t, min(self.t_begin, self.t_bound)), max(self.t_begin, self.t_bound))
 
     cdef double _within(self, double share):
-        """The run's time at a share of the last step."""
+        """The run's time at a fraction of the last step."""
         return self.run.t if share == 1.0 else self.run.t_old + share * self.run.h
 
     def time_within(self, double share):
-        """The time at a share of the last step."""
+        """The time at a fraction of the last step."""
         return self._at(self._within(share))
 
     def state_within(self, double share):
-        """The state at a share of the last step, shape (n_x,)."""
+        """The state at a fraction of the last step, shape (n_x,)."""
         cdef cnp.ndarray x = new_array(self.run.n)
         self.ode.check(fb_state_at(&self.run, self._within(share), data(x)))
         return x
 
     def event_values_within(self, double share):
-        """The event functions at a share of the last step, shape (n_events,)."""
+        """The event functions at a fraction of the last step, shape (n_events,)."""
         cdef cnp.ndarray x = self.state_within(share)
         cdef cnp.ndarray values = new_array(self.run.n_events)
         self.ode.check(fb_event_values(&self.run, self._within(share), data(x), data(values)))
         return values
 
     def stop_within(self, double share):
-        """End the run at a share of the last step: the state there is the last one, with no samples after it."""
+        """End the run at a fraction of the last step: the state there is the last one, with no samples after it."""
         cdef cnp.ndarray x = self.state_within(share)
         t = self.time_within(share)
         self.run.until = self.run.t_bound = self._within(share)
@@ -756,12 +755,12 @@ cdef class Run:
             self.run.t = self.run.until
 
     def discard(self):
-        """Go back to before the last step, where the run ends."""
+        """Discard the last step; the run ends before it."""
         memcpy(self.run.x, self.run.x_old, self.run.n * sizeof(double))
         self.run.t, self.run.pending = self.run.t_old, 0
 
     def dense_output(self):
-        """Take in the last step."""
+        """An empty dense output from the present time on, to which steps are added."""
         return DenseOutput(self.ode, self.method, self.run.direction, self.run.project, [self.t], [self.run.t], [])
 
     @property
@@ -776,27 +775,27 @@ cdef class Run:
 
     @property
     def t_old(self):
-        """Where the last step began."""
+        """The beginning of the last step."""
         return self._at(self.run.t_old)
 
     @property
     def n_steps(self):
-        """Steps taken."""
+        """Number of steps."""
         return self.run.n_steps
 
     @property
     def n_evaluations(self):
-        """Evaluations of the right-hand side."""
+        """Number of evaluations of the right-hand side."""
         return self.run.n_evaluations
 
     @property
     def n_jacobians(self):
-        """Evaluations of its derivatives."""
+        """Number of evaluations of its derivatives."""
         return self.augmented.n_jacobians
 
     @property
     def n_factorizations(self):
-        """Of matrices, for Newton's method and for projections; those of the right-hand side itself do not count."""
+        """Number of factorizations for Newton's method and projections, without those of the right-hand side."""
         return self.augmented.n_factorizations
 
     @property
@@ -814,15 +813,15 @@ cdef class Run:
 
 @cython.final
 cdef class Stepper:
-    """Advances a mechanism by steps of one length, for control loops and real time.
+    """Advances a mechanism by fixed steps, for control loops and real time.
 
-    Each step is one of the classical Runge-Kutta method (four evaluations, no control of the error), after which the
-    state is moved onto the constraints. It is one run: each thread needs a stepper of its own.
+    Each step is one of the classical Runge-Kutta method (four evaluations, no error control), followed by a projection
+    of the state onto the constraints. It is one run: each thread needs a stepper of its own.
 
     Attributes
     ----------
     t : float
-        Time, s: that of the beginning and so many times the step as were taken.
+        Time, s: the initial time plus the number of steps times their length.
     x : ndarray, shape (n_x,)
         The state: coordinates, then speeds.
 
@@ -868,7 +867,7 @@ cdef class Stepper:
         Parameters
         ----------
         r : array_like, shape (n_r,), or mapping, optional
-            Inputs to hold during the step; without it, the sources that the stepper was made with.
+            Inputs to hold constant during the step; by default, those of the stepper's sources.
 
         Returns
         -------
@@ -880,9 +879,9 @@ cdef class Stepper:
         ModelError
             If an input has a wrong name, or is not finite.
         SimulationError
-            If the equations cannot be evaluated, or no state close by satisfies the constraints; if speeds jump within
+            If the equations cannot be evaluated, or no state nearby satisfies the constraints; if speeds jump within
             the step, with the rate of a prescribed motion; or if a step is under way already, in another thread, or
-            because a callable input asks for one. Nothing is advanced.
+            because a callable input requests one. The state does not change then.
         """
         cdef fb_problem *problem = &self.ode.problem
         cdef fb_problem own = problem[0]
@@ -926,22 +925,22 @@ cdef class Stepper:
 
 @cython.final
 cdef class DenseOutput:
-    """The state at any time of a run, by the method's interpolant, moved onto the constraints if the run's are.
+    """The state at any time of a run, by the method's interpolant, projected onto the constraints if the run's are.
 
     Parameters
     ----------
     ode : Ode
     method : str
-        As of `Run`.
+        As for `Run`.
     direction : float
     project : bool
     times : list of float
         The beginning of the run, and the end of each step.
     ends : list of float
-        The same since the beginning of the run: finer, but for what lies on either side of a jump.
+        The same relative to the beginning of the run: with a higher resolution, except on both sides of a jump.
     steps : list of ndarray
-        The interpolants' coefficients, the state at the beginning, and the beginning and length of each step, since the
-        beginning of the run.
+        For each step, the interpolant's coefficients, the state at its beginning, its beginning relative to that of the
+        run, and its length.
     """
 
     cdef Ode ode
@@ -969,7 +968,7 @@ cdef class DenseOutput:
         return len(self.steps)
 
     def add(self, Run last not None):
-        """The last step of a run."""
+        """Add the last step of a run."""
         cdef fb_run *run = &last.run
         cdef cnp.ndarray step = new_array(self.rows + 2, self.padded)
         last.ode.check(fb_prepare_interpolant(run))
@@ -986,7 +985,7 @@ cdef class DenseOutput:
         Raises
         ------
         ModelError
-            If a time is not one of the run: its interpolants say nothing of others.
+            If a time is outside of the run, since the interpolants are not valid there.
         """
         cdef cnp.ndarray at = np.atleast_1d(numbers(t, "The times"))
         cdef int i, n = self.ode.evaluator.n_x
@@ -1004,7 +1003,7 @@ cdef class DenseOutput:
             fb_interpolate(self.tableau, data(step), n, self.padded, data(step) + self.rows * self.padded,
                            (data(at)[i] - origin - end[0]) / end[1], data(x) + i * n)
             if self.project:
-                # At the time itself: since the beginning, it may be that of another side of a jump.
+                # At the absolute time, since the relative one may be on the other side of a jump.
                 self.ode.clock = data(at)[i], -INFINITY, INFINITY
                 self.ode.check(fb_project_sample(&self.ode.problem, 0.0, data(x) + i * n))
         return np.array(x.T) if np.ndim(t) else x[0]

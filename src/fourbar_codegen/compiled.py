@@ -718,6 +718,6 @@ class CompiledModel(Kernel):
 def _restore(*_: object) -> CompiledModel:
     """The function that pickles of earlier versions refer to."""
     raise ModelError(
-        "This pickle of a compiled model is from an earlier version of fourbar_codegen: create it again, or load the "
+        "This pickle of a compiled model is from an earlier version of fourbar_codegen: make it again, or load the "
         "module with fourbar_codegen.load."
     )

@@ -362,7 +362,7 @@ def info(model: str) -> None:
         click.echo(f"  {entry['name']:<8} {entry['expression'] or 'no expression'}")
     driving = compiled.outputs[: compiled.n_l - compiled.n_c]
     if driving:
-        click.echo(f"unknown forces that influence the motion: {', '.join(driving)}")
+        click.echo(f"unknown forces that drive the motion: {', '.join(driving)}")
     if compiled.outputs:
         click.echo(f"outputs: {', '.join(compiled.outputs)}")
     click.echo("operations (written out in full):")

@@ -32,7 +32,7 @@ def simulate(model: Kernel, options: RunOptions) -> Trajectory:
     if options.method == FIXED_STEP and model.n_l > model.n_c:
         names = ", ".join(model.outputs[: model.n_l - model.n_c])
         raise ModelError(
-            f"{FIXED_STEP} does not support unknown forces that influence the motion ({names}): all other methods do."
+            f"{FIXED_STEP} does not support unknown forces that drive the motion ({names}): all other methods do."
         )
     (start, end), p, inputs, report = options.t_span, options.parameters, options.inputs, options.progress
     state = initial_state(model, t=start, parameters=p, inputs=inputs) if options.x0 is None else options.x0

@@ -117,7 +117,7 @@ class Singular:
         ratio = self._ratio(t, x)
         if not ratio < threshold:
             return ""
-        passes = self.model.n_l == self.model.n_c  # ALI3P does not support unknown forces that influence the motion
+        passes = self.model.n_l == self.model.n_c  # ALI3P does not support unknown forces that drive the motion
         where = ", ".join(f"{name} = {value:.6g}" for name, value in zip(self.model.coordinates, x, strict=False))
         return (
             f"The mechanism {verb} a singular position at t = {t:.6g}, {where}: the constraints' Jacobian loses rank "

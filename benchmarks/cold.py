@@ -1,8 +1,8 @@
-"""How long it takes to begin: from a finished Model to its first call, and from ``import`` to the first trajectory.
+"""Start-up times: from a finished Model to its first call, and from ``import`` to the first trajectory.
 
-Every figure is the median of fresh processes, taken in turn. With ``--against``, the folder of another version's
-sources (``.../src``, compiled in place), both are measured in one run. Peers that are not installed are skipped with a
-line: ``pip install 'fourbar_codegen[bench]'``.
+Every figure is the median of fresh processes, by interleaved measurements. ``--against``, the folder of another
+version's sources (``.../src``, compiled in place), also measures that version. Packages that are not installed are
+skipped with a message: ``pip install 'fourbar_codegen[bench]'``.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ PEERS = {
     "JiTCODE": ("JiTCODE", "JiTCODE, dop853"),
     "the tutorial's code": ("the tutorial's code", "the tutorial's code, solve_ivp DOP853"),
 }
-"""Of each package the integrator of ``peers.py`` whose first simulation a fresh process waits for."""
+"""For each package, the integrator of ``peers.py`` whose first simulation is measured."""
 
 OTHER = ", the other version"
-"""What comes behind the names of measurements with ``--against``, which stay out of the documentation."""
+"""Suffix of the names of measurements with ``--against``; they are not written into the documentation."""
 
 MODELS = {"four-bar": "four_bar", "Whipple bicycle": "whipple_bicycle", "Cartesian pendulum": "cartesian_pendulum"}
 

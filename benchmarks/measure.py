@@ -1,4 +1,4 @@
-"""Measures taken in turn, so that a busy machine slows all of them alike, and where their tables go."""
+"""Interleaved measurements, so that the load of the machine affects all of them alike; and the tables in the docs."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def call(function: Callable[..., object], *arguments: Any) -> Callable[[], float
     function(*arguments)  # the first call may compile
     number = max(1, int(0.02 / timed(lambda: function(*arguments))))
 
-    def repeated() -> None:  # keeping no result, as one who goes on with the last one
+    def repeated() -> None:  # results are not kept, as in typical use
         for _ in range(number):
             function(*arguments)
 
@@ -77,7 +77,7 @@ def evaluation_inside_c(
 
 
 def compare(*measures: Callable[[], float], rounds: int) -> list[float]:
-    """Medians of several measures, taken in turn."""
+    """Medians of several measures, by interleaved measurements."""
     samples = [[measure() for measure in measures] for _ in range(rounds)]
     return [statistics.median(column) for column in zip(*samples, strict=True)]
 
@@ -95,7 +95,7 @@ def circumstances() -> dict[str, Any]:
 
 
 def replace_in_page(page: Path, mark: str, text: str, command: str, report: dict[str, Any]) -> None:
-    """Replace what stands between two comments in a page, and name the command that did it."""
+    """Replace the text between two comments in a page, and add the command, date and versions."""
     versions = ", ".join(f"{name} {number}" for name, number in report["versions"].items())
     written = f"Written by `{command}` on {report['date']}; {report['machine']};\n{versions}."
     before, _, rest = page.read_text().partition(f"<!-- {mark} -->\n")

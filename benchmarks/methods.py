@@ -1,8 +1,8 @@
-"""Which method for which mechanism: time, evaluations, errors, loops and energies of all of `simulate`'s, case by case.
+"""Compare all methods of `simulate`: time, evaluations, errors, constraint violation and energy, case by case.
 
-Each method goes from coarse tolerances to fine ones (ALI3P from long steps to short ones) until a run takes longer than
-a second. References are DOP853's at 1e-12, which Radau's and IDA's runs approach. Beside them stands how much a motion
-itself makes of an error on its way, which no method can avoid.
+Each method runs with tolerances from coarse to fine (ALI3P with steps from long to short) until a run takes longer than
+a second. The reference is DOP853 at 1e-12, to which Radau and IDA converge. The tables also show by how much the motion
+itself amplifies an error, which no method can avoid.
 """
 
 from __future__ import annotations
@@ -72,10 +72,10 @@ class Case:
         return self.model.simulate((start, self.end), x0, parameters=self.parameters, inputs=self.inputs, **how)
 
     def growth(self) -> tuple[float, float]:
-        """The largest error at the end for one of 1 in each entry's own units, and when that was made.
+        """The largest error at the end for a relative error of 1 on the way, and the time of that error.
 
-        Of one state in each `SAMPLES`-th part of the reference's steps, which are short where much happens; each entry
-        is off by `PERTURBATION` of itself, with a random sign.
+        About `SAMPLES` states of the reference, equally spaced in its steps, are perturbed: each entry by
+        `PERTURBATION` of itself, with a random sign.
         """
         steps, signs = self.run(**EXACT), np.random.default_rng(0)
         made = []
@@ -106,7 +106,7 @@ def cases() -> list[Case]:
 
 
 def precision(case: Case, rounds: int) -> list[dict[str, Any]]:
-    """The runs of all methods at all tolerances, those of one tolerance in turn."""
+    """The runs of all methods at all tolerances; those of one tolerance are measured interleaved."""
     rows = []
     going = dict(METHODS)
     for tolerance, step in zip(TOLERANCES, STEPS, strict=True):
@@ -127,7 +127,7 @@ def precision(case: Case, rounds: int) -> list[dict[str, Any]]:
 
 
 def qualities(case: Case, run: partial[fb.Trajectory]) -> dict[str, Any]:
-    """Of one run, with the loops as the method itself leaves them beside those that are handed out."""
+    """Errors of one run, and its constraint violation with and without projection."""
     sampled = run(t_eval=case.times)
     if not sampled.success:
         return {"message": sampled.message}
@@ -194,8 +194,8 @@ def tables(
         growth, time = growths[name]
         lines += [
             f"### {name}\n",
-            f"An error at t = {time:.4g} s, relative to each entry, ends {growth:.0e} times as large.\n",
-            "| | time | evaluations | error at the end | energy error, J | loops open by, m | by themselves |",
+            f"The motion amplifies a relative error at t = {time:.4g} s by {growth:.0e}.\n",
+            "| method | time | evaluations | final error | energy error, J | violation, m | without projection, m |",
             "|---|---|---|---|---|---|---|",
         ]
         for method in METHODS:
@@ -211,13 +211,13 @@ def tables(
             )
         lines.append("")
     lines += [
-        "![Time against error, case by case](methods.svg)\n",
+        "![Computing time against error, for each case](methods.svg)\n",
     ]
     alone, in_one, in_steps = (f"{1e6 * seconds:.2g} us" for seconds in calls.values())
     text = (
-        f"An evaluation of IDA's residual takes {alone} by itself; {in_one} in a single call of scikit-sundae for the",
-        f"tutorial's whole case, Jacobians and linear algebra included; {in_steps} in `simulate`, which looks at each",
-        "step. scikit-sundae takes callbacks as Python functions alone, and makes arrays of their arguments.",
+        f"Time per evaluation of IDA's residual: {alone} by itself; {in_one} in a single call of scikit-sundae for the",
+        f"tutorial's whole case, including Jacobians and linear algebra; {in_steps} in `simulate`, which checks each",
+        "step. scikit-sundae accepts callbacks as Python functions only, and makes arrays of their arguments.",
     )
     return "\n".join([*lines, *text])
 

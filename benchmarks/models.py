@@ -1,4 +1,4 @@
-"""Other models than the four-bar: evaluation, operations and time to compile, side by side in one run.
+"""Other models than the four-bar linkage: evaluation, operations and compile time, by interleaved measurements.
 
 Against `lambdify` with ``cse=True`` and `numpy.linalg.solve` on SymPy's own equations, and against PyDy's Cython
 generator with its default solver (NumPy's) where PyDy is installed: ``pip install 'fourbar_codegen[bench]'``.
@@ -54,7 +54,7 @@ LAMBDIFIED = "models.Tutorial(model.system, {s: 1.0 for s in model.parameter_sym
 
 
 def read_again(model: fb.Model) -> fb.Model:
-    """A Model from another's System, which is what the time to a module begins with."""
+    """A new Model from the System of another one, where the measured compile time begins."""
     return fb.Model(model.system, name=model.name, parameters=model.parameter_symbols)
 
 
@@ -159,10 +159,11 @@ def main() -> None:
     print("\n".join([*lines, f"Written: {options.output}"]))
     if options.docs:
         text = (
-            "One evaluation from Python, against `lambdify` with `numpy.linalg.solve`, and PyDy's Cython generator\n"
-            "with its default solver; one inside C (`-march=native`), the forming of q', M, f, J and gamma in it,\n"
-            "and that per operation; operations of forming, a sine as one; and the time from the\n"
-            "System to a function that evaluates it (warm: from the cache).\n\n"
+            "One evaluation called from Python: `lambdify` with `numpy.linalg.solve`, PyDy's Cython generator with\n"
+            "its default solver, and the compiled model, with the ratios of both to it. Inside C (`-march=native`):\n"
+            "one evaluation, the forming of q', M, f, J and gamma in it, and the latter per operation. Operations\n"
+            "are those of forming; a sine counts as one. Times are from the System to a function that evaluates it\n"
+            "(warm: from the cache).\n\n"
         )
         replace_in_page(
             DOCS / "benchmarks.md", "models", text + "\n".join(lines), "python benchmarks/models.py --docs", report

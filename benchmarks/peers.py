@@ -1,8 +1,8 @@
-"""Simulation of the tutorial's four-bar by this package and by its peers, side by side in one run.
+"""Simulation of the tutorial's four-bar linkage with this package and with others, by interleaved measurements.
 
-One evaluation from Python, a batch of 4096 states, one simulation of 4 s, and many with different parameters; how long
-each integrator takes for what error, against a reference at 1e-13. How long a first simulation takes is in cold.py.
-Peers that are not installed are skipped with a line: ``pip install 'fourbar_codegen[bench]'``.
+One evaluation from Python, a batch of 4096 states, one simulation of 4 s, and many with different parameters; computing
+time of each integrator against its error, from a reference at 1e-13. For the time of a first simulation, see cold.py.
+Packages that are not installed are skipped with a message: ``pip install 'fourbar_codegen[bench]'``.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ BATCH = 4096
 END = 4.0
 TOLERANCES = [10.0**-k for k in range(3, 14)]
 TIGHTEST = {"heyoka, Taylor": 2.3e-16}
-"""Tolerances below the last one that integrators take."""
+"""Tolerances below the last one, where an integrator accepts them."""
 MODULES = {
     "heyoka": "heyoka",
     "numba": "numba",
@@ -331,7 +331,7 @@ WAYS = {
 
 
 def installed() -> dict[str, Any]:
-    """The ways that can be measured."""
+    """The packages that are installed."""
     missing = [name for name in WAYS if name in MODULES and not find_spec(MODULES[name])]
     for name in missing:
         print(f"{name} is not installed: pip install 'fourbar_codegen[bench]'", flush=True)
@@ -392,7 +392,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--output", type=Path, default=Path("results/peers.json"), help="where to write JSON")
     parser.add_argument("--docs", action="store_true", help="write the tables into docs/benchmarks.md as well")
-    parser.add_argument("--rounds", type=int, default=9, help="samples of each measure")
+    parser.add_argument("--rounds", type=int, default=9, help="number of measurements")
     parser.add_argument("--first", nargs=2, help="a package and an integrator: make a single simulation with it")
     options = parser.parse_args()
     case = Case()
@@ -464,9 +464,9 @@ def tables(
     errors = (1e-4, 1e-7, 1e-10)
     slow = one["the tutorial's code"]
     lines = [
-        "The tutorial's four-bar by its own code, by this package and by its peers. One evaluation from Python, and",
-        f"one of {BATCH} states at once, each with its own parameters:\n",
-        "| | time | against the tutorial |",
+        "The tutorial's four-bar linkage with its own code, with this package and with others. One evaluation",
+        f"called from Python, and one evaluation of {BATCH} states, each with its own parameters:\n",
+        "| | time | speed-up against the tutorial |",
         "|---|---|---|",
         *(
             f"| {name} | {t * 1e6:.3g} us | {slow / t:.3g} |"
@@ -476,9 +476,9 @@ def tables(
             f"| a state of {BATCH}: {name} | {t * 1e9 / BATCH:.3g} ns | {slow * BATCH / t:.4g} |"
             for name, t in sorted(batch.items(), key=lambda item: -item[1])
         ),
-        "\nA simulation of 4 s: the time for an error of the state at its end (interpolated between tolerances; see",
-        "the plot for all of them):\n",
-        "![The time of a simulation against its error](peers.svg)\n",
+        "\nA simulation of 4 s: computing time for a given error of the final state (interpolated between",
+        "tolerances; the plot shows all of them):\n",
+        "![Computing time against error](peers.svg)\n",
         "| | " + " | ".join(f"{error:.0e}" for error in errors) + " |",
         "|---|" + "---|" * len(errors),
     ]
@@ -487,7 +487,7 @@ def tables(
         cells = [at_error(rows, name, error) for error in errors]
         lines.append(f"| {name} | " + " | ".join(f"{cell * 1e3:.3g} ms" if cell else "" for cell in cells) + " |")
     lines += [
-        "\nThe same at a tolerance of 1e-3, of 1e-10, and at the tightest that is taken, with the error:\n",
+        "\nThe same at tolerances of 1e-3, 1e-10 and the smallest that is accepted, with the error:\n",
         "| | 1e-03 | 1e-10 | tightest |",
         "|---|---|---|---|",
     ]
@@ -497,8 +497,8 @@ def tables(
         cells = [f"{row['seconds'] * 1e3:.3g} ms, {row['error']:.0e}" for row in shown]
         lines.append(f"| {name} | {' | '.join(cells)} |")
     lines += [
-        "\n10,000 simulations of 4 s with different stiffnesses, each, with the largest error of five of them:\n",
-        "| | tolerance | error | time | against the tutorial's code |",
+        "\n10,000 simulations of 4 s with different stiffnesses; the error is the largest of five of them:\n",
+        "| | tolerance | error | time per simulation | speed-up against the tutorial's code |",
         "|---|---|---|---|---|",
         *(
             f"| {row['way']} | {row['tolerance']:.0e} | {row['error']:.1e} | {row['us']:.3g} us | {row['ratio']:.4g} |"

@@ -1,7 +1,7 @@
-"""How time and operations grow with the number of bodies, in one run: chains in a plane and in space, rows of loops.
+"""Growth of time and operations with the number of bodies: planar and spatial chains, rows of loops.
 
-Closed chains also by way of SymPy's `form_eoms` and `lambdify` with ``cse=True``, up to the length that
-``--reference-up-to`` gives: 12 links take SymPy some minutes. Writes a table, JSON and a picture.
+Closed chains are also measured with SymPy's `form_eoms` and `lambdify` with ``cse=True``, up to the length
+``--reference-up-to``: 12 links take SymPy some minutes. Writes a table, JSON and a picture.
 """
 
 from __future__ import annotations
@@ -144,11 +144,12 @@ def main() -> None:
     ]
     chain, loops, _ = FAMILIES
     exponents = {
-        "System to module, closed chain, 8 to 32 links": growth(rows, chain, "to module s", 8, 32),
+        "compile time, closed chain, 8 to 32 links": growth(rows, chain, "to module s", 8, 32),
         "operations, closed chain, 8 to 32 links": growth(rows, chain, "operations", 8, 32),
         "evaluation, N-four-bar, 10 to 40 loops": growth(rows, loops, "compiled us", 10, 40),
     }
-    lines += ["", "As powers of n: " + "; ".join(f"{what}: {power:.2f}" for what, power in exponents.items()) + "."]
+    growths = "; ".join(f"{what}: {power:.2f}" for what, power in exponents.items())
+    lines += ["", f"Exponents of the growth with n: {growths}."]
     report = circumstances() | {"rounds": options.rounds, "rows": rows, "growth": exponents}
     options.output.parent.mkdir(parents=True, exist_ok=True)
     options.output.write_text(json.dumps(report, indent=2) + "\n")

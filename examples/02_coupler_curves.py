@@ -9,10 +9,11 @@
 # ---
 
 # %% [markdown]
-# # Coupler curves over crank lengths
+# # Coupler curves for different crank lengths
 #
-# A designer turns the crank of a four-bar linkage and looks at the path of a point of the coupler, here its middle. No
-# equations of motion are needed for that, only closed loops. As a notebook: `jupytext --to ipynb 02_coupler_curves.py`.
+# The path of the midpoint of the coupler of a four-bar linkage, over a turn of the crank, for
+# several lengths of the crank. This needs no equations of motion, only closed loops. To make a
+# notebook of this script: `jupytext --to ipynb 02_coupler_curves.py`.
 
 # %%
 # %matplotlib inline
@@ -25,22 +26,25 @@ import fourbar_codegen as fb
 
 four_bar = fb.load("four_bar")
 links = {"l1": 0.8, "l3": 0.7, "l4": 0.6}  # ground, coupler, rocker
-cranks = np.linspace(0.1, 0.45, 8)  # shorter than the others, and by Grashof's rule it turns all the way
+cranks = np.linspace(0.1, 0.45, 8)  # the shortest link: by Grashof's rule it turns fully
 angles = np.linspace(0.0, 2 * np.pi, 181)
 
 # %% [markdown]
-# The loop closes in two ways; the first mode is followed around, each position being the guess for the next.
+# There are two assembly modes. The first one is followed, with each position as the guess for the
+# next one.
 
 
 # %%
 def coupler_curve(crank: float) -> np.ndarray:
-    """The path of the coupler's middle over a turn of the crank, shape (2, 181)."""
+    """The path of the coupler's midpoint over a turn of the crank, shape (2, 181)."""
     parameters = {**links, "l2": crank}
     state = four_bar.initial_states([angles[0]], [1.0], parameters=parameters)[0]
     places = []
     for angle in angles:
-        state = four_bar.initial_state([angle], [1.0], guess=state[1:3], parameters=parameters)
-        places.append(four_bar.positions(0.0, state[:3], parameters)["link3_masscenter"][:2])
+        guess = state[1:3]
+        state = four_bar.initial_state([angle], [1.0], guess=guess, parameters=parameters)
+        points = four_bar.positions(0.0, state[:3], parameters)
+        places.append(points["link3_masscenter"][:2])
     return np.transpose(places)
 
 
@@ -48,7 +52,8 @@ curves = [coupler_curve(crank) for crank in cranks]
 
 # %%
 figure = Figure(figsize=(6.0, 5.0), layout="constrained")
-axes = figure.add_subplot(aspect="equal", xlabel="x (m)", ylabel="y (m)", title="Paths of the coupler's middle")
+axes = figure.add_subplot(aspect="equal", xlabel="x (m)", ylabel="y (m)")
+axes.set_title("Paths of the coupler's midpoint")
 for crank, curve in zip(cranks, curves, strict=True):
     axes.plot(*curve, label=f"crank {crank:.2f} m")
 axes.plot([-0.4, 0.4], [0.0, 0.0], "ko-", label="ground")
@@ -56,16 +61,17 @@ axes.legend()
 figure
 
 # %% [markdown]
-# The coupler swings back and forth without turning over, and its other end goes to and fro on an arc. The areas that
-# points of such a bar go around then change in proportion from one end to the other (Holditch's theorem): in the
-# middle, half the crank's circle.
+# The coupler oscillates without a full turn, and its other end moves back and forth on an arc. The
+# enclosed area of the path of a point of the coupler then changes linearly from one end to the
+# other (Holditch's theorem). For the midpoint, it is half the area of the crank's circle.
 
 # %%
 for crank, (x, y) in zip(cranks, curves, strict=True):
     area = 0.5 * abs(np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]))
     length = np.hypot(np.diff(x), np.diff(y)).sum()
     share = area / (np.pi * crank**2)
-    print(f"crank {crank:.2f} m: length {length:.3f} m, area {area:.4f} m^2, {share:.4f} of the crank's circle")
+    print(f"crank {crank:.2f} m: length {length:.3f} m, area {area:.4f} m^2,", end=" ")
+    print(f"{share:.4f} of the crank's circle")
 
 # %%
 path = Path("results/02_coupler_curves.png")

@@ -1,4 +1,4 @@
-"""The forces in the joint of a slider-crank's piston, while a motor keeps the crank near its speed against a load."""
+"""Forces in the pin between rod and slider of a slider-crank, with a speed-controlled motor and a load."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ def main() -> None:
         t_eval=np.linspace(0.0, 1.0, 1001),
     )
     print(f"{run.message} The crank turns {run['crank'][-1] / (2 * np.pi):.2f} times.")
-    print(f"Its pin carries {np.hypot(run['pin_x'], run['pin_y']).max():.1f} N at most.")
+    print(f"The largest force in the pin is {np.hypot(run['pin_x'], run['pin_y']).max():.1f} N.")
 
-    # Newton's law for the slider alone: the load, and what the rod does to it, which is the opposite of the output.
+    # Newton's law for the slider: the load, and the force of the rod, which is opposite to the output.
     mass = crank.defaults["m_slider"]
     rates = np.array([crank.rhs(t, x, r=r) for t, x, r in zip(run.t, run.y.T, run.r.T, strict=True)])
     gap = mass * rates[:, 5] - (-50.0 - run["pin_x"])
-    print(f"The slider's own balance of forces is open by {abs(gap).max():.1e} N.")
+    print(f"The largest error of the slider's force balance is {abs(gap).max():.1e} N.")
     print(run.save("results/03_joint_forces.png"))
 
 

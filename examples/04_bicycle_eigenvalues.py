@@ -1,4 +1,4 @@
-"""A bicycle's eigenvalues against its speed, and the speeds between which it balances itself.
+"""Eigenvalues of a bicycle over its speed, and the speed range in which it is self-stable.
 
 Source: J. P. Meijaard, J. M. Papadopoulos, A. Ruina, A. L. Schwab, "Linearized dynamics equations for the balance and
 steer of a bicycle: a benchmark and review", *Proc. R. Soc. A* 463 (2007), Table 2 and Figure 2.
@@ -21,7 +21,7 @@ def main() -> None:
     bicycle = fb.compile_model(fb.models.whipple_bicycle())
 
     def eigenvalues(speed: float) -> np.ndarray:
-        """The four of lean and steer at a speed; those of place, heading and pitch are zero."""
+        """The four eigenvalues of lean and steer; those of position, heading and wheel angles are zero."""
         x = bicycle.initial_state(speeds={"u6": -speed / bicycle.defaults["rr"]})
         A, _ = bicycle.linearize(0.0, x)
         names = ["q4", "q7", "u4", "u7"]
@@ -42,7 +42,7 @@ def main() -> None:
     axes = figure.add_subplot(xlabel="speed (m/s)", ylabel="eigenvalue (1/s)", ylim=(-10.0, 10.0))
     axes.plot(speeds, values.real, ".", color="tab:blue", markersize=2)
     axes.plot(speeds, np.where(values.imag > 0, values.imag, np.nan), ".", color="tab:orange", markersize=2)
-    axes.axvspan(*found.values(), color="tab:green", alpha=0.2, label="balances itself")
+    axes.axvspan(*found.values(), color="tab:green", alpha=0.2, label="self-stable")
     axes.legend()
     path = Path("results/04_bicycle_eigenvalues.png")
     path.parent.mkdir(exist_ok=True)

@@ -1,4 +1,4 @@
-"""Stiffness and damping of the four-bar linkage's spring from a noisy measurement of one angle, by least squares."""
+"""Identification of the stiffness and damping of the four-bar linkage from a noisy angle, by least squares."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def main() -> None:
     deviations = np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac)))
     for name, value, deviation in zip(TRUE, fit.x, deviations, strict=True):
         print(f"{name} = {value:.3f} +- {deviation:.3f}, measured with {TRUE[name]}")
-    print(f"chi^2 = {2 * fit.cost / (times.size - 2):.2f} for each degree of freedom")
+    print(f"chi^2 = {2 * fit.cost / (times.size - 2):.2f} per degree of freedom")
     print(f"{runs} simulations in {1e3 * seconds:.0f} ms")
 
 

@@ -1,7 +1,7 @@
-"""A controller that holds the four-bar linkage upright by the force on its third joint, a thousand times a second.
+"""A controller, sampled at 1 kHz, that stabilizes the upright four-bar linkage by the force on its third joint.
 
-The linkage is linearized about the position in which it would stay but falls from; the gains are those of a linear
-quadratic regulator; the motion is that of the linkage itself.
+The linkage is linearized about its unstable equilibrium. The gains are those of a linear quadratic regulator. The
+simulation uses the nonlinear equations.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def main() -> None:
         stepper.step({"F": force})
     gap = abs(four_bar.position_constraints(stepper.t, stepper.x[:3], loose)).max()
     print(f"After {stepper.t:.1f} s it is {abs(stepper.x[0] - upright[0]):.1e} rad from upright.")
-    print(f"The force was {greatest:.0f} N at most, and the loop is open by {gap:.0e} m.")
+    print(f"The largest force is {greatest:.0f} N. The constraint violation is {gap:.0e} m.")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What manufacturing tolerances of the links do to the motion: ten thousand linkages at once."""
+"""Effect of manufacturing tolerances of the links on the motion: an ensemble of ten thousand linkages."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ def main() -> None:
     ensemble = four_bar.ensemble((0.0, 4.0), parameters=lengths, t_eval=times, rtol=1e-9, atol=1e-9)
     seconds = time.perf_counter() - begin
     angles = ensemble["q1"]
-    print(f"{MEMBERS} simulations of 4 s in {seconds:.2f} s, {ensemble.success.sum()} of them to the end")
+    print(f"{MEMBERS} simulations of 4 s in {seconds:.2f} s, {ensemble.success.sum()} successful")
     print(f"q1 after 4 s: {angles[:, -1].mean():.4f} rad, standard deviation {angles[:, -1].std():.4f} rad")
 
-    # What the lengths' deviations amount to by themselves, to first order.
+    # Sensitivities: the effect of each length by itself, to first order.
     rows = np.array([values - values.mean() for values in lengths.values()])
     slopes = np.linalg.lstsq(rows.T, angles[:, -1] - angles[:, -1].mean(), rcond=None)[0]
     for name, slope in zip(lengths, slopes, strict=True):

@@ -1,8 +1,8 @@
-"""A four-bar linkage on a stiff drive, by explicit and by implicit methods.
+"""A four-bar linkage with a stiff drive: a comparison of explicit and implicit methods.
 
-A motor turns the crank of the tutorial's linkage, light links and no load otherwise, through an elastic shaft with a
-damper. The faster the shaft's own motion dies away, the shorter the steps that an explicit method can take, though
-nothing happens any more that needs them; implicit methods go on with the motor. The loop stays closed by all of them.
+A motor turns the crank of the tutorial's linkage, with light links and no other load, through an elastic shaft with a
+damper. The faster the vibration of the shaft decays, the shorter the steps of explicit methods must be, even after it
+has decayed. The steps of implicit methods are limited by the slow motion only. All methods keep the loop closed.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import sympy.physics.mechanics as me
 
 import fourbar_codegen as fb
 
-SHAFT = {"stiffness": 1e6, "damping": 1e5}  # N m/rad and N m s/rad: its own motion dies away in some 1e-6 s
+SHAFT = {"stiffness": 1e6, "damping": 1e5}  # N m/rad and N m s/rad: its vibration decays in about 1e-6 s
 METHODS = {
     "DOP853": {"rtol": 1e-6, "atol": 1e-6},
     "RK45": {"rtol": 1e-6, "atol": 1e-6},
@@ -28,7 +28,7 @@ METHODS = {
 
 
 def driven_four_bar() -> fb.Model:
-    """The tutorial's linkage with a motor, whose angle is prescribed, and a shaft between it and the crank."""
+    """The tutorial's linkage with a motor, whose angle is prescribed, and a shaft between motor and crank."""
     system = fb.models.four_bar().system
     stiffness, damping, amplitude, frequency = sm.symbols("stiffness damping amplitude frequency")
     t = me.dynamicsymbols._t

@@ -1,9 +1,9 @@
-"""A rider on a bicycle of SymBRiM's components: 27 coordinates, 17 constraints, assembled from zero, and ridden.
+"""A rider on a bicycle, made of SymBRiM's components: 27 coordinates and 17 constraints, assembled from zero.
 
-Hands hold the grips and feet turn the cranks, so that each arm and each leg closes a loop. The dependent coordinates
-need no guess: `initial_state` closes loop after loop, within the ranges of knees and elbows that are given. The rider
-leans against a spring in the seat and steers into the fall. Spring, damper and torque are functions of time that
-SymBRiM leaves open, and inputs here.
+The hands hold the grips and the feet turn the cranks, so each arm and each leg closes a loop. The dependent coordinates
+need no guess: `initial_state` closes one loop after another, within the given ranges of knees and elbows. The rider
+leans against a spring in the seat and steers into the fall. The spring and damper coefficients and the steering torque
+are functions of time that SymBRiM leaves undefined; they are inputs here.
 
 Needs symbrim: ``pip install symbrim``. Source of the components: T. J. Stienstra, S. G. Brockie, J. K. Moore, "BRiM: A
 modular bicycle-rider modeling framework", Bicycle and Motorcycle Dynamics 2023.
@@ -33,7 +33,7 @@ from sympy.physics.mechanics.system import System
 import fourbar_codegen as fb
 
 SPEED = 4.5  # m/s
-GEOMETRY = {  # m and rad; links of the limbs and places on the frames
+GEOMETRY = {  # m and rad; lengths and positions on the frames
     "rear_wheel_r": 0.3, "front_wheel_r": 0.35, "pedals_radius": 0.17, "pedals_offset": 0.1, "bicycle_gear_ratio": 2.0,
     "rear_frame_d1": 0.95346, "rear_frame_l1": 0.47073, "rear_frame_l2": -0.47793, "rear_frame_d4": 0.4386,
     "rear_frame_d5": -0.541, "rear_frame_l_bbx": 0.406, "rear_frame_l_bbz": 0.2057, "front_frame_d2": 0.26764,
@@ -48,7 +48,7 @@ OF_A_LIMB = {
 
 
 def value(name: str) -> float:
-    """Of a symbol, by its name: kg, kg m^2, m."""
+    """The value of a parameter, from its name: kg, kg m^2, m."""
     is_large = name.startswith(("rear_frame", "torso", "pelvis"))
     if name in GEOMETRY:
         return GEOMETRY[name]
@@ -62,7 +62,7 @@ def value(name: str) -> float:
 
 
 def rider_on_a_bicycle() -> System:
-    """The System, with the limbs' joints that the loops determine as dependent ones."""
+    """The System; the joint coordinates that the loops determine are declared dependent."""
     bike, rider, both = sb.WhippleBicycle("bicycle"), sb.Rider("rider"), sb.BicycleRider("both")
     bike.ground, bike.cranks = sb.FlatGround("ground"), MasslessCranks("pedals")
     bike.rear_frame, bike.front_frame = sb.RigidRearFrame("rear_frame"), sb.RigidFrontFrame("front_frame")
@@ -124,8 +124,8 @@ def main() -> None:
     begin = time.perf_counter()
     run = rider.simulate((0.0, 4.0), x0, inputs=inputs)
     print(f"4 s in {time.perf_counter() - begin:.3f} s; {run.message}")
-    print(f"largest violation of a constraint {np.abs(run.constraint_residual).max():.1e}")
-    print(f"lean of {np.abs(run['bicycle_q4']).max():.3f} rad at most, {run['bicycle_q1'][-1]:.1f} m ridden")
+    print(f"largest constraint violation {np.abs(run.constraint_residual).max():.1e}")
+    print(f"largest lean angle {np.abs(run['bicycle_q4']).max():.3f} rad, distance {run['bicycle_q1'][-1]:.1f} m")
 
 
 if __name__ == "__main__":

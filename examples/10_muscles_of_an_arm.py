@@ -1,9 +1,9 @@
-"""An arm that turns a lever by its biceps: SymPy's tutorial on biomechanics, run as it is described there.
+"""An arm whose biceps turns a lever: the model of SymPy's tutorial on biomechanics, simulated.
 
-The upper arm turns in the shoulder about two axes, the lower arm in the elbow, and the hand holds a lever that a spring
-and a damper resist: four coordinates, three of which the closed loop decides. Biceps and triceps are SymPy's, after De
-Groote et al. 2016, with rigid tendons; the triceps runs around the elbow. Their activations are states of the model,
-with equations that the System brings along, and their excitations inputs.
+The upper arm rotates about two axes in the shoulder, the lower arm about one in the elbow. The hand holds a lever with
+a spring and a damper. The closed loop makes three of the four coordinates dependent. Biceps and triceps are SymPy's
+muscles after De Groote et al. 2016, with rigid tendons; the triceps wraps around the elbow. Their activations are
+states, with differential equations from the System; their excitations are inputs.
 
 Source: SymPy 1.14, "Biomechanical Model Example",
 https://docs.sympy.org/latest/tutorials/physics/biomechanics/biomechanical-model-example.html
@@ -25,9 +25,10 @@ T = me.dynamicsymbols._t
 
 
 class AroundJoint(me.PathwayBase):
-    """A muscle that runs around a cylinder on the axis of a joint, between points of both bodies in one plane.
+    """A muscle that wraps around a cylinder on the axis of a joint, between points of both bodies in one plane.
 
-    From a point at the distance d it leaves the line to the axis by the angle asin(r/d), to touch the cylinder.
+    Its straight parts are tangents of the cylinder: at the angle asin(r/d) to the line from a point at distance d to
+    the axis.
     """
 
     def __init__(self, origin, insertion, centre, axis, to_origin, to_insertion, radius, angle):
@@ -42,17 +43,17 @@ class AroundJoint(me.PathwayBase):
 
     @property
     def length(self):
-        """Of both straight parts, and of the arc between them."""
+        """Length of both straight parts and of the arc between them."""
         (_, first, before, _), (_, last, after, _) = self.ends
         return first + self.radius * (before + self.angle + after) + last
 
     @property
     def extension_velocity(self):
-        """Of the arc alone."""
+        """Rate of the length of the arc; the straight parts are constant."""
         return self.radius * self.angle.diff(T)
 
     def to_loads(self, force):
-        """Forces at both ends, and what they make of the cylinder's."""
+        """Forces at both ends, and the reaction on the cylinder."""
         loads = [me.Force(point, force * pull) for point, _, _, pull in self.ends]
         return [*loads, me.Force(self.centre, -(loads[0].vector + loads[1].vector))]
 
@@ -102,7 +103,7 @@ def arm() -> fb.Model:
         me.Torque(A, (-k * q[0] - c * u[0]) * N.z), me.Force(upper, mC * g * N.z), me.Force(lower, mD * g * N.z)
     )
     biceps = muscle("biceps", me.LinearPathway(on_upper, on_lower))
-    # As the tutorial has it: about B.y, though the elbow's own axis is C.y.
+    # As in the tutorial, about B.y, although the axis of the elbow is C.y.
     around = AroundJoint(on_upper, on_lower, elbow, B.y, -C.z, D.z, r, q[3])
     triceps = muscle("triceps", around)
     system.add_actuators(biceps, triceps)
@@ -135,7 +136,7 @@ def main() -> None:
         run = model.simulate((0.0, 3.0), x0, inputs=inputs, t_eval=times, rtol=1e-8, atol=1e-8)
         lever = np.rad2deg(run["q1"])
         print(f"{name}: lever at {lever[0]:.3f}, {lever[100]:.3f}, {lever[-1]:.3f} degrees after 0, 1 and 3 s")
-        print(f"  activation of the biceps {run['a_biceps'].max():.3f} at most, loop open by", end=" ")
+        print(f"  largest activation of the biceps {run['a_biceps'].max():.3f}, constraint violation", end=" ")
         print(f"{abs(run.constraint_residual).max():.1e} m")
     path = Path("results/arm.png")
     run.save(path)

@@ -52,12 +52,12 @@ def test_values_are_pythons(text, t, k):
         ("sin()", "not allowed"),
         ("True", "not allowed"),
         ("1j", "not allowed"),
-        ("t := 3", "no arithmetic"),
-        ("t +", "no arithmetic"),
+        ("t := 3", "not an arithmetic"),
+        ("t +", "not an arithmetic"),
         ("9" * 400, "too large"),
         ("1 + " * 400 + "1", "at most 1000 characters"),
-        ("(" * 400 + "1" + ")" * 400, "no arithmetic"),
-        ("2 t", "no arithmetic"),
+        ("(" * 400 + "1" + ")" * 400, "not an arithmetic"),
+        ("2 t", "not an arithmetic"),
         ("t^2", r"write \*\*"),
         ("sine(t)", "Did you mean sin"),
         ("kk", "Did you mean k"),
@@ -70,7 +70,7 @@ def test_what_is_no_arithmetic_is_refused(text, words):
 
 @pytest.mark.parametrize(
     ("text", "words"),
-    [("1/(t - 1)", "at t = 1: .*division"), ("9.0**9**9", "no value"), ("(-1)**0.5", "no real number"),
+    [("1/(t - 1)", "at t = 1: .*division"), ("9.0**9**9", "no value"), ("(-1)**0.5", "not a real number"),
      ("sqrt(-t)", "at t = 1"), ("sin(t, t)", "no value")],
 )  # fmt: skip
 def test_what_has_no_value_says_where(text, words):

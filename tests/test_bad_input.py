@@ -163,7 +163,7 @@ CALLS = {
     "times of a table": ((2,), lambda m, v: m.simulate(SPAN, inputs={"F": (v, [0.0, 1.0])}), "Input F .* times"),
     "values of a table": ((2,), lambda m, v: m.simulate(SPAN, inputs={"F": ([0.0, 1.0], v)}), "Input F .* values"),
     "value of a callable": ((), lambda m, v: m.simulate(SPAN, inputs={"F": lambda t, x: v}), "callable of input F"),
-    "value of an event": ((), lambda m, v: m.simulate(SPAN, events=lambda t, x: v), "callable of an event"),
+    "value of an event": ((), lambda m, v: m.simulate(SPAN, events=lambda t, x: v), "value of an event's callable"),
     "direction": ((), lambda m, v: fb.Event("a", direction=v), "direction"),
     "initial coordinates": ((1,), lambda m, v: m.initial_state([None] if v is None else v), "coordinate"),
     "initial t": ((), lambda m, v: m.initial_state(t=v), "time t"),

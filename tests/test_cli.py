@@ -63,7 +63,7 @@ def test_simulate_takes_initial_values_guesses_and_inputs(four_bar):
         (["sweep", "-p", "k=1:2"], "FIRST:LAST:N"),
         (["sweep", "-p", "k=1:2:0"], "FIRST:LAST:N"),
         (["sweep", "-p", "k=1:2:2000", "-p", "l2=0.4:0.5:2000"], "at most 1000000 runs"),
-        (["sweep", "-p", "k=1:2:3", "-r", "F=k*t"], "contains k, which the sweep changes"),
+        (["sweep", "-p", "k=1:2:3", "-r", "F=k*t"], "contains k, which the sweep varies"),
         (["sweep", "-p", "l2=0.5,5"], "cannot be closed"),
         (["sweep", "-p", "k=1,2", "-o", "run.gif"], "run.gif"),
         (["simulate", "-p", "l2=5"], "cannot be closed"),

@@ -193,7 +193,7 @@ def test_positions_that_jump_end_a_run(jump, how):
     model = moved(jump, how)
     run = model.simulate((0.0, 2.0), dict.fromkeys(model.states, 0.0))
     assert not run.success
-    assert "jumps at t = 1, which no finite force does" in run.message
+    assert "jumps at t = 1, which no finite force can cause" in run.message
     assert run.t[-1] == pytest.approx(1.0, rel=1e-15)
 
 

@@ -441,7 +441,7 @@ def test_steps_that_rounding_swallows_are_refused(four_bar):
     """Of the run's length, which times are counted in: those of a late run may be shorter than its times tell apart."""
     for run in (four_bar.simulate, four_bar.ensemble):
         for shortest in (1e-300, 1e-17):
-            with pytest.raises(fb.ModelError, match=r"max_step = .* is lost in the rounding of the run's 0.1 s"):
+            with pytest.raises(fb.ModelError, match=r"max_step = .* is below the rounding error of the run's 0.1 s"):
                 run((1.0, 1.1), max_step=shortest)
     late = four_bar.simulate((1e12, 1e12 + 0.01), max_step=5e-5)  # half of what is between two times
     early = four_bar.simulate((0.0, 0.01), max_step=5e-5)

@@ -427,7 +427,7 @@ def test_runs_of_one_time_or_none(four_bar, tmp_path):
 
 
 def test_animations_that_are_not_made(trajectory, tmp_path, monkeypatch):
-    with pytest.raises(fb.ModelError, match="greater speed"):
+    with pytest.raises(fb.ModelError, match="larger speed"):
         trajectory.animate(speed=1e-4)
     with pytest.raises(fb.ModelError, match="sequence of their names"):
         trajectory.animate(traces="P2")

@@ -288,7 +288,7 @@ def test_an_expression_without_rates_will_do_where_none_are_needed():
     )
     run = fb.compile_model(carried).simulate((0.0, 2.0), x, parameters=p)
     assert run.t[-1] == pytest.approx(1.0, rel=1e-14)
-    assert "Input s jumps at t = 1, which no finite force does" in run.message
+    assert "Input s jumps at t = 1, which no finite force can cause" in run.message
     floored = fb.Model(drifting(carried=True).system, name="floored", inputs={s: sm.floor(t)})
     with pytest.raises(fb.ModelError, match="s prescribes a motion"):
         fb.compile_model(floored)

@@ -122,7 +122,7 @@ def test_bands_are_percentiles(ensemble):
     median = next(line for line in figure.axes[0].lines if line.get_label() == "median")
     np.testing.assert_array_equal(median.get_ydata(), np.nanmedian(ensemble["q1"], axis=0))
     assert "failed" in figure.get_suptitle()
-    with pytest.raises(fb.ModelError, match="P2 is no scalar"):
+    with pytest.raises(fb.ModelError, match="P2 is not a scalar"):
         ensemble.plot(["P2"])
     with pytest.raises(fb.ModelError, match="names must be"):
         ensemble.plot("q1")

@@ -458,7 +458,7 @@ def test_forces_that_act_along_no_auxiliary_speed_are_no_unknown_ones():
     assert fb.Model(system, parameters=values, inputs={push: 1}).outputs == ("N",)
     with pytest.raises(fb.ModelError, match=r"F\(t\) in the force at point P: not among"):
         fb.Model(system, parameters=values)
-    with pytest.raises(fb.ModelError, match=r"ALI3P takes no unknown forces that drive the motion \(N\)"):
+    with pytest.raises(fb.ModelError, match=r"ALI3P does not support unknown forces that drive the motion \(N\)"):
         compiled(box(lambda n, u: -MU * n)).simulate((0.0, 1.0), method="ALI3P", max_step=1e-2)
 
 

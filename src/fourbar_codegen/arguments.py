@@ -1,4 +1,4 @@
-"""What users hand in, by name or in order, as finite numbers; or an error that says what is allowed."""
+"""Checks and conversion of users' arguments: values by name or in order, as finite numbers, or an error message."""
 
 from __future__ import annotations
 
@@ -35,27 +35,27 @@ __all__ = [
 ]
 
 Values = ArrayLike | Mapping[Any, float]
-"""Numbers in order, or by name or SymPy symbol."""
+"""Numbers in order, or a mapping from names or SymPy symbols."""
 
 
 def is_mapping(values: Any) -> TypeGuard[Mapping[Any, Any]]:
-    """Whether values come by name: in a dict, or something like it, such as a pandas Series."""
+    """Whether values are given by name: in a dict or a similar object, such as a pandas Series."""
     return hasattr(values, "keys") and hasattr(values, "items") and not isinstance(values, type)
 
 
 def name_of(key: Any) -> str:
-    """The name of a symbol or function of time; a name itself."""
+    """The name of a symbol or function of time; a str is a name already."""
     name = key if isinstance(key, str) else getattr(key, "name", key)
     return name if isinstance(name, str) else shown(key)
 
 
 def named(values: Mapping[Any, Any], names: Collection[str], kind: str) -> dict[str, Any]:
-    """A mapping with names for keys.
+    """A mapping with names as keys.
 
     Raises
     ------
     ModelError
-        If a key is none of the names, or two are the same one.
+        If a key is not one of the names, or two keys have the same name.
     """
     found: dict[str, Any] = {}
     for key, value in values.items():
@@ -76,7 +76,7 @@ def named_values(
     Raises
     ------
     ModelError
-        If a key is none of the names, or two are the same one, or a name has neither value nor default.
+        If a key is not one of the names, two keys have the same name, or a name has neither value nor default.
     """
     known: dict[str, float | None] = {name: defaults.get(name) for name in names}
     known |= {name: finite_number(value, f"{kind} {name}") for name, value in named(values, names, kind).items()}
@@ -87,8 +87,8 @@ def named_values(
 
 
 def finite_number(value: Any, what: str) -> float:
-    """A finite float, or a ModelError that says what should have been one."""
-    if type(value) is float and math.isfinite(value):  # as most are, without the words for what may be wrong
+    """A finite float, or a ModelError that names the argument."""
+    if type(value) is float and math.isfinite(value):  # the usual case, without preparing an error message
         return value
     known = number(value, f"The value of {what}")
     if not math.isfinite(known):
@@ -100,7 +100,7 @@ def named_array(
     given: Values | None, names: Sequence[str], defaults: Mapping[str, float], kind: str
 ) -> NDArray[np.float64]:
     """Finite values in the order of the names, from an array or a mapping."""
-    ready = finite_copy(given, len(names))  # without the words for what may be wrong
+    ready = finite_copy(given, len(names))  # without preparing an error message
     if ready is not None:
         return ready
     if given is None or is_mapping(given):
@@ -123,15 +123,15 @@ def named_columns(
     Parameters
     ----------
     given : mapping or array_like
-        For each name a number, or an array with one for each state; or an array of shape (len(names),), for all states,
-        or (len(names), n).
+        For each name a number, or an array with one for each state; or an array of shape (len(names),), for all
+        states, or (len(names), n).
     names : sequence of str
     defaults : mapping
-        What a mapping may leave out; None where it may not.
+        Values for names that a mapping omits; None if there is no default.
     kind : str
-        What is named.
+        The kind of the names, for messages.
     n : int, optional
-        The number of states, where it is known.
+        The number of states, if known.
 
     Returns
     -------
@@ -140,7 +140,7 @@ def named_columns(
     Raises
     ------
     ModelError
-        If a name or a shape is wrong, or a value is missing. Values that are not finite are let through.
+        If a name or a shape is wrong, or a value is missing. Values that are not finite are accepted.
     """
     if type(given) is not np.ndarray and is_mapping(given):
         known: dict[str, Any] = {name: defaults.get(name) for name in names} | named(given, names, kind)
@@ -152,7 +152,7 @@ def named_columns(
         if len(lengths) > 1 or any(row.ndim > 1 for row in rows):
             shapes = ", ".join(f"{name} {row.shape}" for name, row in zip(known, rows, strict=True) if row.ndim)
             raise ModelError(f"The {kind}s must be numbers or arrays of one length, not {shapes}.")
-        # What all states have alike stays one column.
+        # Values that are the same for all states stay one column.
         values = np.empty((len(rows), *lengths))
         for place, row in enumerate(rows):
             values[place] = row
@@ -166,8 +166,8 @@ def named_columns(
 
 
 def time_span(t_span: Sequence[float]) -> tuple[float, float]:
-    """The first and the last time of a run, which differ."""
-    if type(t_span) is tuple and len(t_span) == 2:  # two finite floats, as most are, without an array
+    """The first and last time of a run; they must differ."""
+    if type(t_span) is tuple and len(t_span) == 2:  # the usual case of two finite floats, without an array
         start, end = t_span
         if type(start) is float is type(end) and start != end and math.isfinite(start) and math.isfinite(end):
             return start, end
@@ -178,11 +178,11 @@ def time_span(t_span: Sequence[float]) -> tuple[float, float]:
 
 
 def sample_times(t_eval: ArrayLike, start: float, end: float, name: str = "t_eval") -> NDArray[np.float64]:
-    """Times of samples within a run, in its order."""
+    """Sample times within a run, in its direction."""
     times = numbers(t_eval, name).copy()
     forward = 1.0 if end > start else -1.0
     if times.ndim != 1 or not times.size or not np.isfinite(times).all() or not (np.diff(forward * times) > 0).all():
-        raise ModelError(f"{name} must be a one-dimensional array of times in the order of the run, each once.")
+        raise ModelError(f"{name} must be a one-dimensional array of distinct times in the order of the run.")
     if not (min(start, end) <= times.min() and times.max() <= max(start, end)):
         raise ModelError(
             f"{name} must lie within t_span ({start:g}, {end:g}); it goes from {times.min()} to {times.max()}."
@@ -204,7 +204,7 @@ def longest_step(value: float) -> float:
 
 
 def tolerance(value: ArrayLike, name: str, size: int = 0) -> float | NDArray[np.float64]:
-    """A positive tolerance, a number for all states or an array with one for each of `size`."""
+    """A positive tolerance: a number for all states, or an array of length `size`."""
     if type(value) is float and 0.0 < value < math.inf:
         return value
     allowed = {(), (size,)} if size else {()}
@@ -216,12 +216,12 @@ def tolerance(value: ArrayLike, name: str, size: int = 0) -> float | NDArray[np.
 
 
 def of_time_and_state(function: Callable[..., Any], what: str) -> None:
-    """Raise where a callable cannot be called with (t, x)."""
-    import inspect  # some milliseconds, which only those wait for who have callables
+    """Raise a ModelError if a callable cannot be called with (t, x)."""
+    import inspect  # takes some milliseconds, so only if there are callables
 
     try:
         signature = inspect.signature(function)
-    except (TypeError, ValueError):  # of some that are not in Python
+    except (TypeError, ValueError):  # some callables that are not written in Python
         return
     try:
         signature.bind(0.0, None)
@@ -232,19 +232,19 @@ def of_time_and_state(function: Callable[..., Any], what: str) -> None:
 
 
 def is_integer(value: object) -> TypeGuard[int]:
-    """Whether it is a whole number by its type; neither a truth value nor a time is one."""
+    """Whether the type is an integer type; bool and timedelta64 do not count."""
     return isinstance(value, int | np.integer) and not isinstance(value, bool | np.timedelta64)
 
 
 def flag(value: object, name: str) -> bool:
-    """A truth value, or a ModelError: what only counts as one is a slip."""
+    """A bool, or a ModelError: other types with a truth value are probably mistakes."""
     if not isinstance(value, bool | np.bool_):
         raise ModelError(f"{name} must be True or False, not {shown(value)}.")
     return bool(value)
 
 
 def one_of(value: object, allowed: Collection[str], kind: str) -> str:
-    """One of the words that are allowed, or a ModelError that lists them."""
+    """One of the allowed words, or a ModelError that lists them."""
     if not isinstance(value, str) or value not in allowed:
         raise ModelError(f"There is no {kind} {shown(value)}; there are {', '.join(allowed)}.")
     return value

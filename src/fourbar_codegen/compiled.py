@@ -1,4 +1,4 @@
-"""CompiledModel: a kernel, and all that can be done with it."""
+"""CompiledModel: the facade of a kernel, with all methods that users call."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ Floats = NDArray[np.float64]
 
 
 def load(name: str | Path) -> CompiledModel:
-    """Load a model that is compiled already; neither SymPy nor a compiler is needed.
+    """Load a compiled model; neither SymPy nor a compiler is needed.
 
-    (For a library of `compile_model`, in the cache, a compiler is needed once more by its first Jacobian or picture,
-    and by its first batch or ensemble.)
+    (A library of `compile_model`, in the cache, needs a compiler once more for its first Jacobian or picture, and for
+    its first batch or ensemble.)
 
     Parameters
     ----------
     name : str or Path
-        The name of a model that comes with the package, ``"four_bar"``, or that was installed from a wheel
-        of `build_wheel` (not what lies in the current folder); or the path of an extension module that
-        ``fourbar build`` or `build_model` made, or of a library of `compile_model`. Of an installed package, nothing
-        runs that does not say in its manifest.json that it is that model.
+        The name of a model in this package, ``"four_bar"``, or of a model that was installed from a wheel of
+        `build_wheel` (not from the current folder); or the path of an extension module of ``fourbar build`` or
+        `build_model`, or of a library of `compile_model`. An installed package is only imported if its manifest.json
+        identifies it as that model.
 
     Returns
     -------
@@ -62,30 +62,31 @@ def load(name: str | Path) -> CompiledModel:
 
 
 def load_trajectory(path: str | Path, model: CompiledModel | None = None) -> Trajectory:
-    """Read a trajectory from a file that `Trajectory.save` has written.
+    """Read a trajectory from a file of `Trajectory.save`.
 
     Parameters
     ----------
     path : str or Path
         A ``.nc`` or ``.npz`` file.
     model : CompiledModel, optional
-        The model that was run. Without it, the one of the name and fingerprint that the file has: among those that come
-        with the package, that were installed from wheels, or that `compile_model` left in the cache on this machine.
+        The simulated model. Without it, the model with the name and fingerprint in the file is searched: in this
+        package, among models installed from wheels, and in the cache of this machine.
 
     Returns
     -------
     Trajectory
-        Without interpolant and events, which are not saved.
+        Without interpolant and events; these are not saved.
 
     Raises
     ------
     ModelError
-        If the file cannot be read, is none of these, the run was another model's, or that model is not found.
+        If the file cannot be read or has another format, the run is of another model, or the model is not found.
 
     Notes
     -----
-    Files may come from anywhere: they say which model was run, and never where it lies. A package is imported if its
-    own manifest.json has the name and fingerprint, and the cache is asked by a key that is made of them.
+    Files may come from untrusted sources: they contain the name and fingerprint of the model, but no path. A package
+    is imported only if its own manifest.json has this name and fingerprint; the cache is searched by a key made of
+    both.
 
     Examples
     --------
@@ -105,9 +106,9 @@ def load_trajectory(path: str | Path, model: CompiledModel | None = None) -> Tra
 class CompiledModel(Kernel):
     """A mechanism's equations of motion, compiled.
 
-    Made by `compile_model` and `load`. Arguments stand in the order (t, x, p, r): time, state x = [q; u; z],
-    parameters, inputs. Parameters and inputs are arrays in order, or mappings from names or SymPy symbols
-    that may leave out what has a default. Several threads may use one model at the same time.
+    Made by `compile_model` and `load`. Arguments are in the order (t, x, p, r): time, state x = [q; u; z],
+    parameters, inputs. Parameters and inputs are arrays, or mappings from names or SymPy symbols; mappings may
+    omit entries that have a default. Several threads may use one model at the same time.
 
     Attributes
     ----------
@@ -115,22 +116,22 @@ class CompiledModel(Kernel):
     coordinates, speeds : tuple of str
         Generalized coordinates and speeds, the independent ones first.
     auxiliary_states : tuple of str
-        The states that have equations of their own.
+        States with first-order differential equations of their own.
     states : tuple of str
-        All of these.
+        Coordinates, speeds and auxiliary states.
     parameters, inputs, outputs : tuple of str
     points : tuple of str
-        The points that are drawn: those whose positions the System gives, as its own points are called.
+        The points that are drawn: those with positions in the System, by their names there.
     forced_points : tuple of str
-        Those of them on which forces act that depend on inputs.
+        Points at which forces act that depend on inputs.
     defaults : dict of str to float or None
-        Parameter values; None where every call has to give one.
+        Parameter values; None if there is no default.
     units, descriptions : dict of str to str
         Of the parameters.
     path : Path
-        The extension module, or the library that `compile_model` made; `load` takes it.
+        The extension module, or the library of `compile_model`; an argument for `load`.
     manifest : dict
-        All that is known of the model, as in the manifest.json beside the generated sources.
+        The description of the model, as in the manifest.json of the generated sources.
     n_q, n_u, n_z, n_x, n_p, n_r : int
         Numbers of coordinates, speeds, auxiliary states, states, parameters and inputs.
     n_h, n_c, n_o : int
@@ -181,9 +182,9 @@ class CompiledModel(Kernel):
     ) -> tuple[Floats, ...]:
         """A and B of d(q_i, u_i, z)/dt = A d(q_i, u_i, z) + B dr near a state that satisfies the constraints.
 
-        In the independent coordinates q_i and speeds u_i, as ``KanesMethod.linearize(A_and_B=True)``: the
-        dependent ones follow the constraints to first order, also where inputs stand in these. And C and D of
-        dy = C d(q_i, u_i, z) + D dr, if outputs y are given.
+        In the independent coordinates q_i and speeds u_i, as ``KanesMethod.linearize(A_and_B=True)``: the dependent
+        ones follow the constraints to first order, including constraints with inputs. With outputs y, also C and D
+        of dy = C d(q_i, u_i, z) + D dr.
 
         Parameters
         ----------
@@ -198,16 +199,16 @@ class CompiledModel(Kernel):
             n_i is the number of independent coordinates, independent speeds and auxiliary states.
         B : ndarray, shape (n_i, n_r)
         C : ndarray, shape (len(outputs), n_i)
-            C and D are there where outputs are given.
+            C and D are returned if outputs are given.
         D : ndarray, shape (len(outputs), n_r)
 
         Raises
         ------
         ModelError
             If an argument has a wrong shape or name, or is not finite, or the state violates the constraints; or
-            redundant constraints leave the derivatives of outputs open.
+            redundant constraints do not determine the derivatives of outputs.
         SimulationError
-            If the dependent coordinates or speeds do not follow from the independent ones at this state.
+            If the independent coordinates and speeds do not determine the dependent ones at this state.
 
         Source: D. L. Peterson, G. Gede, M. Hubbard, "Symbolic linearization of equations of motion of
         constrained multibody systems", *Multibody System Dynamics* 33 (2015).
@@ -232,17 +233,17 @@ class CompiledModel(Kernel):
         parameters: Values | None = None,
         inputs: Mapping[Any, InputSource] | None = None,
     ) -> Floats:
-        """A state of rest in which the mechanism stays.
+        """An equilibrium: a state of rest in which all accelerations vanish.
 
-        Found by SciPy's ``least_squares`` on constraints and accelerations with compiled Jacobians. It may be
-        stable or not: the eigenvalues of `linearize` tell.
+        SciPy's ``least_squares`` solves for constraints and accelerations, with compiled Jacobians. The equilibrium may
+        be stable or unstable, which the eigenvalues of `linearize` show.
 
         Parameters
         ----------
         guess : array_like, shape (n_q,), or mapping, optional
-            Coordinates at which to begin; the model's initial values, or 0, where left out.
+            Coordinates to start from; by default the model's initial values, or 0.
         t : float, optional
-            Time, s, at which inputs are taken.
+            Time, s, at which inputs are evaluated.
         parameters : array_like or mapping, optional
             The defaults otherwise.
         inputs : mapping, optional
@@ -258,7 +259,7 @@ class CompiledModel(Kernel):
         ModelError
             If an argument has a wrong shape or name, or is not finite.
         SimulationError
-            If no equilibrium was found; with where the search ended.
+            If no equilibrium was found. The message says where the search ended.
 
         Examples
         --------
@@ -286,28 +287,28 @@ class CompiledModel(Kernel):
     ) -> Floats:
         """A state that satisfies all constraints, from the independent coordinates and speeds.
 
-        The dependent coordinates are found by Newton's method where each of its steps halves the residual at least,
-        otherwise by SciPy's ``fsolve``, on the position constraints with their Jacobian; or loop by loop, each by
-        damped least squares. The dependent speeds follow from the velocity constraints, which are linear in them.
+        The position constraints are solved for the dependent coordinates: by Newton's method as long as each step at
+        least halves the residual, otherwise by SciPy's ``fsolve`` with the Jacobian, otherwise loop by loop with damped
+        least squares. The dependent speeds follow from the velocity constraints, which are linear in them.
 
         Parameters
         ----------
         coordinates, speeds : array_like or mapping, optional
-            Values of the independent ones; the model's initial values where left out.
+            Values of the independent ones; by default the model's initial values.
         t : float, optional
             Time, s.
         guess : array_like or mapping, optional
-            Where to start the search for the dependent coordinates; it decides which of several ways to close the
-            loops is found. Without it, the model's guess, or 0, and if loops do not close from there, others about it:
-            each loop in the way that is nearest.
+            Starting values of the dependent coordinates; they decide which assembly mode is found. By default the
+            model's guess, or 0; if loops do not close from there, further guesses around it are tried, and the nearest
+            solution of each loop is taken.
         bounds : mapping, optional
-            The range of dependent coordinates, (low, high), such as that of a knee; any value otherwise.
+            Ranges (low, high) of dependent coordinates, such as that of a knee; unbounded otherwise.
         parameters : array_like or mapping, optional
             The defaults otherwise.
         inputs : mapping, optional
-            As for `simulate`; those count that prescribe a motion.
+            As for `simulate`; only those that prescribe a motion matter.
         auxiliary_states : array_like or mapping, optional
-            Their values; the model's initial values where left out.
+            Their values; by default the model's initial values.
 
         Returns
         -------
@@ -351,12 +352,12 @@ class CompiledModel(Kernel):
         inputs: Mapping[Any, InputSource] | None = None,
         auxiliary_states: Values | None = None,
     ) -> AssemblyModes:
-        """The assembly modes: all states that satisfy the constraints with these independent coordinates and speeds.
+        """All assembly modes: the states that satisfy the constraints for given independent coordinates and speeds.
 
-        They are complete where the loops are those of dyads, one after another: constraints, one or two at a time, in
-        no more unknown coordinates, that are trigonometric in angles and polynomial in displacements. So are the
-        four-bar linkage, the slider-crank, and chains of them. Other loops are searched from many starting points, and
-        the number of modes is a lower bound. See `fourbar_codegen.analysis.assembly_modes` for the method.
+        The result is complete for chains of dyads: one or two constraints at a time, with no more unknown coordinates
+        than constraints, trigonometric in angles and polynomial in displacements. Examples are the four-bar linkage,
+        the slider-crank, and combinations of them. Otherwise multistart search is used, and the number of modes is a
+        lower bound. See `fourbar_codegen.analysis.assembly_modes` for the method.
 
         Parameters
         ----------
@@ -366,7 +367,7 @@ class CompiledModel(Kernel):
         Returns
         -------
         AssemblyModes
-            A sequence of states, empty if the loops cannot be closed; with ``is_complete``, and ``plot()``.
+            A sequence of states, empty if the loops cannot be closed, with ``is_complete`` and ``plot()``.
 
         Raises
         ------
@@ -393,7 +394,7 @@ class CompiledModel(Kernel):
         )
 
     def ode(self, parameters: Values | None = None, inputs: Mapping[Any, InputSource] | None = None) -> Ode:
-        """The right-hand side as a callable f(t, x), for `scipy.integrate.solve_ivp` and its like.
+        """The right-hand side as a callable f(t, x), for `scipy.integrate.solve_ivp` and similar integrators.
 
         Parameters
         ----------
@@ -405,8 +406,8 @@ class CompiledModel(Kernel):
         Returns
         -------
         Ode
-            Callable, with its Jacobian as ``.jac``. The integrators in `fourbar_codegen.solvers` call it from C.
-            Several threads may use one at the same time.
+            Callable, with its Jacobian as ``.jac``. The integrators in `fourbar_codegen.solvers` call it in C.
+            Several threads may use it at the same time.
 
         Examples
         --------
@@ -444,75 +445,74 @@ class CompiledModel(Kernel):
         formulation: str | None = None,
         progress: Callable[[float], object] | Literal[False] | None = None,
     ) -> Trajectory:
-        """Integrate the equations of motion, with the loops closed.
+        """Integrate the equations of motion and keep the loops closed.
 
         Parameters
         ----------
         t_span : (float, float)
             First and last time, s.
         x0 : array_like, shape (n_x,), optional
-            Initial state, taken as it is (`initial_state` makes consistent ones); the one that follows from
-            the model's initial values otherwise.
+            Initial state, which must satisfy the constraints (see `initial_state`); by default the one that
+            `initial_state` returns for the model's initial values.
         method : {"DOP853", "RK45", "ALI3P", "RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA"}, optional
-            The first two run in C, with the coefficients and the step control of SciPy's. ALI3P passes singular
-            positions: an augmented Lagrangian of index 3, by the trapezoidal rule, with projections; it runs in C and
-            takes steps of `max_step`, shorter ones where their equations cannot be solved. At a singular position,
-            where a mechanism may go on in more than one way, it takes the one on which its velocities are continuous,
-            since inertia does not let them jump. The next are SciPy's by `fourbar_codegen.solvers`: of RK23 the steps
-            are in C, the implicit ones are given the compiled Jacobian. CVODE, for what is stiff, and IDA, which keeps
-            the constraints as equations, are SUNDIALS' by scikit-sundae (``pip install 'fourbar_codegen[dae]'``), with
-            compiled functions.
+            DOP853 and RK45 are explicit and run in C, with the coefficients and step size control of SciPy. ALI3P
+            passes singular positions: an augmented Lagrangian formulation of index 3 with the trapezoidal rule and
+            projections. It runs in C with steps of `max_step`, and shorter ones if their equations cannot be solved. At
+            a singular position it follows the branch on which the velocities are continuous, since inertia does not let
+            them jump. RK23 (explicit, with steps in C), Radau and BDF (implicit) and LSODA (with automatic switching
+            between Adams and BDF) are SciPy's, through `fourbar_codegen.solvers`, with the compiled Jacobian for the
+            last three. CVODE (BDF, for stiff problems) and IDA (a differential-algebraic solver) are SUNDIALS', through
+            scikit-sundae (``pip install 'fourbar_codegen[dae]'``), with compiled functions.
         parameters : array_like or mapping, optional
             The defaults otherwise.
         inputs : mapping of input to source, optional
-            For each input a number, a table ``(times, values)`` or ``(times, values, kind)``, held constant beyond its
-            ends, or a callable of (t, x); its expression otherwise. The kinds are "linear", "pchip" and "cubic":
-            lines, monotone cubics, which do not overshoot, and a cubic spline. By default it is the first, and the last
-            where an input prescribes a motion and its rates are needed; a callable is refused there.
+            For each input a number, a table ``(times, values)`` or ``(times, values, kind)``, which is held constant
+            outside its range, or a callable of (t, x); by default its expression. The kind is "linear", "pchip"
+            (monotone cubic, without overshoot) or "cubic" (cubic spline). The default is "linear"; for prescribed
+            motions, whose rates are needed, it is "cubic", and callables are refused.
         t_eval : array_like, optional
             Times at which to store the state.
         rtol, atol : float, optional
-            Relative and absolute tolerance of the integrator; ALI3P has none.
+            Relative and absolute tolerance of a step; ALI3P has none.
         events : sequence, or one of its entries, optional
             Names of outputs, callables of (t, x) as for ``solve_ivp``, with attributes ``terminal`` and ``direction``,
-            or `Event` objects, which have these. Each change of sign is located on the interpolant. Outputs are
-            evaluated in C; callables after each step.
+            or `Event` objects. Each sign change is located on the interpolant. Outputs are evaluated in C; callables
+            are called after each step.
         constraints : {"project", "baumgarte", "none"}, optional
-            How to keep the loops closed. With "project", the positions and then the speeds are moved onto the
-            constraints after each accepted step, by the change that is least in the metric of the mass matrix; so is
-            every state that is handed out. With "baumgarte", the
-            accelerations are such that violations decay, and these stay as large as what an integrator's error adds
-            within 1 / `stabilization`. With "none", only the accelerations satisfy the constraints, and the loops
-            drift open by the integrator's error. LSODA, CVODE and IDA have a history of their own, so that only the
-            states that they hand out are moved.
+            Constraint stabilization. "project": mass-orthogonal projection of positions and then of speeds after each
+            accepted step, and of every returned state. LSODA, CVODE and IDA are multistep methods: of them, only the
+            returned states are projected. "baumgarte": the accelerations make violations decay; the remaining
+            violation is what the integration error adds within 1 / `stabilization`. "none": only the accelerations
+            satisfy the constraints, and the integration error makes the loops drift open.
         stabilization : float, optional
-            The rate a, 1/s, at which "baumgarte" lets violations decay: Phi'' + 2 a Phi' + a^2 Phi = 0. Rates beyond
-            one by the step make the equations stiff. Source: J. Baumgarte, "Stabilization of constraints and integrals
+            The rate a, 1/s, at which violations decay with "baumgarte": Phi'' + 2 a Phi' + a^2 Phi = 0. Rates above
+            1 / (step size) make the equations stiff. Source: J. Baumgarte, "Stabilization of constraints and integrals
             of motion in dynamical systems", *Computer Methods in Applied Mechanics and Engineering* 1 (1972).
         dense_output : bool, optional
             Whether to keep an interpolant as ``trajectory.sol``.
         max_step : float, optional
-            The longest step, s; ALI3P needs it. One that is lost in the rounding of the run's length is refused.
+            The longest step, s; required for ALI3P. It must exceed the rounding error of the simulated time.
         max_steps : int, "auto" or None, optional
-            The most steps: a run that has taken them ends there, with what it has. None is no limit. By default
-            1,000,000 of the methods in C (DOP853, RK45, ALI3P) and 100,000 of the others, or ten times those that
-            `max_step` asks for, where that is more.
+            The largest number of steps; a run ends after them, with the states up to there. None is no limit. By
+            default 1,000,000 for the methods in C (DOP853, RK45, ALI3P) and 100,000 for the others, or ten times the
+            number that `max_step` requires, if that is more.
         formulation : {"gear-gupta-leimkuhler", "index-1", "index-3"}, optional
-            For IDA, the first one if left out: whether positions and velocities satisfy the constraints in each step;
-            or accelerations alone, so that the loops drift open; or positions alone, with only the coordinates under
-            the step control. See `fourbar_codegen.solvers.IDA`.
+            For IDA; the first is the default. It selects what satisfies the constraints in each step: positions and
+            velocities; only accelerations, so that the loops drift open; or only positions, with error control of the
+            coordinates only. See `fourbar_codegen.solvers.IDA`.
         progress : callable or False, optional
-            A callable is called with the time reached, some times a second. Without one, a run that takes longer than a
-            second says on stderr how far it is: on a terminal in a line that vanishes, elsewhere in a line a second,
-            after a minute in fewer. False is silence.
+            A callable is called with the time reached, some times per second. By default, a run that takes longer than
+            a second reports its progress on stderr: in one line that is removed at the end on a terminal, otherwise in
+            one line per second, and less often after a minute. False turns this off.
 
         Returns
         -------
         Trajectory
-            With ``success`` False and a sentence in ``message`` if the integrator could not finish: for instance at a
-            singular position, where the constraints' Jacobian loses rank. Another sentence says from what to what the
-            energy has grown, where it ends with a thousand times the largest kinetic energy of the states that are
-            stored of the run's first half, and the range of its potential energy; a constant force makes four times.
+            If the integrator could not finish, for instance at a singular position, where the Jacobian of the
+            constraints loses rank, ``success`` is False and ``message`` gives the reason. The message also warns if the
+            energy has grown suspiciously: if the final kinetic energy is a thousand times both the largest kinetic
+            energy of the stored states in the first half of the run and the range of the potential energy. (A constant
+            force causes a factor of four.)
 
         Raises
         ------
@@ -547,7 +547,7 @@ class CompiledModel(Kernel):
         out: Floats | None = None,
         workers: int | None = 1,
     ) -> Floats:
-        """The right-hand side x' = f(t, x) at many states, side by side in vectors.
+        """The right-hand side x' = f(t, x) at many states, in SIMD batches.
 
         Parameters
         ----------
@@ -559,15 +559,15 @@ class CompiledModel(Kernel):
         r : array_like, shape (n_r,) or (n_r, n), or mapping, optional
             Inputs; their expressions otherwise.
         out : ndarray, shape (n_x, n), optional
-            Where the results come, contiguous, without memory shared with the arguments; a fresh array otherwise.
+            Array for the result: contiguous, without memory shared with the arguments; a new array otherwise.
         workers : int or None, optional
-            Number of threads; None for one on each core.
+            Number of threads; None for one per core.
 
         Returns
         -------
         ndarray, shape (n_x, n)
-            x', NaN in the columns of states at which the equations cannot be evaluated. A state's rates are the same
-            to the bit whatever stands beside it.
+            x', with NaN in the columns of states at which the equations cannot be evaluated. Results are bitwise
+            independent of the other states.
 
         Raises
         ------
@@ -605,7 +605,7 @@ class CompiledModel(Kernel):
         parallel: Any = None,
         progress: bool = True,
     ) -> Ensemble:
-        """Many runs over the same time, several side by side in vectors, and on all cores.
+        """Simulate many members over the same time span, in SIMD batches and on all cores.
 
         Models with redundant or with many constraints run one member at a time on each core.
 
@@ -614,32 +614,32 @@ class CompiledModel(Kernel):
         t_span : (float, float)
             First and last time, s.
         x0 : array_like, shape (n_x,) or (n, n_x), or mapping, optional
-            Initial states of all members, or of each; by name, numbers or arrays of length n. Where they are left out,
-            `initial_state` makes one for each set of parameters.
+            One initial state for all members, or one for each; in a mapping, numbers or arrays of length n. By default,
+            `initial_state` is solved for each set of parameters.
         method : {"DOP853", "RK45"}, optional
         parameters : array_like, shape (n_p,) or (n, n_p), or mapping, optional
             Likewise; the defaults otherwise.
         inputs : mapping of input to source, optional
-            As for `simulate`, or an array of shape (n,) with a number for each member. With a callable, members run
-            one after the other.
+            As for `simulate`, or an array of shape (n,) with a number for each member. With callables, members run
+            one after another.
         t_eval : array_like, optional
-            Times at which to store the states; the first and the last one otherwise.
+            Times at which to store the states; by default the first and the last one.
         rtol, atol, constraints, max_step, max_steps
             As for `simulate`.
         workers : int, optional
-            Number of threads; one on each core otherwise.
+            Number of threads; by default one per core.
         parallel : joblib.Parallel, optional
-            An engine that runs blocks of members instead of threads, with any of its backends: in processes, or on a
-            cluster. Where a worker does not find the compiled model, it builds it from its sources, once on each node.
+            An engine that runs blocks of members in place of threads, with any backend: in processes, or on a cluster.
+            A worker that does not find the compiled model builds it from its sources, once on each node.
         progress : bool, optional
-            Whether a bar on the terminal says how far it is, where it takes longer than a second.
+            Whether to show a progress bar on a terminal if the simulation takes longer than a second.
 
         Returns
         -------
         Ensemble
-            A member that fails is marked there; the others go on. What a member gives is the same to the bit whatever
-            runs beside it, on however many threads. `simulate` gives the same up to rounding errors, which kinks of an
-            input, or a position close to a singular one, can make large.
+            A member that fails is marked; the others continue. Results are bitwise independent of the batch and of the
+            number of threads. They agree with `simulate` up to rounding errors, which kinks of an input or nearby
+            singular positions can amplify.
 
         Raises
         ------
@@ -674,27 +674,27 @@ class CompiledModel(Kernel):
         inputs: Mapping[Any, InputSource] | None = None,
         constraints: str = "project",
     ) -> Stepper:
-        """An object that advances the mechanism by steps of one length, for control loops and real time.
+        """A stepper with a fixed step size, for control loops and real time.
 
         Parameters
         ----------
         h : float
-            The step, s.
+            The step size, s.
         x0 : array_like, shape (n_x,), optional
-            The state to begin from; the one that follows from the model's initial values otherwise.
+            Initial state; by default the one that `initial_state` returns for the model's initial values.
         t : float, optional
-            Time to begin at, s.
+            Initial time, s.
         parameters : array_like or mapping, optional
             The defaults otherwise.
         inputs : mapping, optional
-            As for `simulate`; ``step(r)`` holds others.
+            As for `simulate`; ``step(r)`` overrides them for a step.
         constraints : {"project", "none"}, optional
             As for `simulate`.
 
         Returns
         -------
         Stepper
-            With the method ``step(r)`` and the attributes ``t`` and ``x``; each thread needs one of its own.
+            With the method ``step(r)`` and the attributes ``t`` and ``x``; each thread needs its own.
 
         Raises
         ------
@@ -716,8 +716,8 @@ class CompiledModel(Kernel):
 
 
 def _restore(*_: object) -> CompiledModel:
-    """What a compiled model's pickle named, before `kernel` had a function for it."""
+    """The function that pickles of earlier versions refer to."""
     raise ModelError(
-        "This pickle of a compiled model was made by an earlier version of fourbar_codegen: make it again, or load the "
-        "module by fourbar_codegen.load."
+        "This pickle of a compiled model is from an earlier version of fourbar_codegen: make it again, or load the "
+        "module with fourbar_codegen.load."
     )

@@ -1,4 +1,4 @@
-"""The package's exceptions: one base class, and a subclass for each stage that may fail."""
+"""The package's exceptions: a base class, and a subclass for each stage."""
 
 from __future__ import annotations
 
@@ -16,37 +16,37 @@ __all__ = [
 ]
 
 MAX_SHOWN = 300
-"""Characters that a message spends on what was given."""
+"""Largest number of characters of a given value in a message."""
 
 
 class FourbarError(Exception):
-    """Base class of every error that this package raises on purpose."""
+    """Base class of all errors that this package raises."""
 
 
 class ModelError(FourbarError, ValueError):
-    """A model, or a value handed to a compiled model, does not fit.
+    """A model, or an argument of a compiled model, is invalid.
 
-    The message names what was given and what is allowed.
+    The message says what was given and what is allowed.
     """
 
 
 class ModelWarning(UserWarning):
-    """A model can be compiled, and may not mean what was meant: its kinematics contradict themselves."""
+    """A model can be compiled, but is probably wrong: its kinematics are inconsistent."""
 
 
 class BuildError(FourbarError, RuntimeError):
-    """A build tool could not be run, or refused its input.
+    """A build tool could not be run, or failed.
 
     Parameters
     ----------
     message : str
-        What was attempted, and what to do.
+        What failed, and what to do.
     command : sequence of str, optional
-        The command that failed.
+        The failed command.
     exit_code : int or None, optional
         Its exit code; None if it could not be started.
     output : str, optional
-        What the tool printed, unchanged.
+        The unchanged output of the tool.
     """
 
     def __init__(
@@ -76,18 +76,18 @@ class CacheError(FourbarError, OSError):
 
 
 class SimulationError(FourbarError, ArithmeticError):
-    """The equations cannot be evaluated at the state that was given."""
+    """The equations cannot be evaluated at the given state."""
 
 
 class AssemblyError(SimulationError):
-    """No configuration was found in which the loops close.
+    """No configuration was found in which the loops are closed.
 
     Parameters
     ----------
     message : str
         What failed, with the residual.
     residual : sequence of float
-        The position constraints at the best configuration found, in the model's units.
+        The violation of the position constraints at the best configuration found, in the model's units.
     """
 
     def __init__(self, message: str, residual: Iterable[float] = ()) -> None:
@@ -96,7 +96,7 @@ class AssemblyError(SimulationError):
 
 
 def shown(given: object) -> str:
-    """What was given, as a message has it: its repr, without what is beyond a few lines; its class, if it has none."""
+    """The repr of a value for a message, truncated; its class, if repr fails."""
     try:
         text = repr(given)
     except Exception:

@@ -1,4 +1,4 @@
-"""HTML by which notebooks show objects: tables, and whole pages in a frame."""
+"""HTML representations of objects in notebooks: tables, and whole pages in a frame."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ class Page:
     ----------
     title : str
     text : str
-        The whole page, with all that it needs.
+        The whole page, self-contained.
     height : int
-        Of the frame, pixels.
+        Height of the frame, pixels.
     """
 
     title: str
@@ -37,7 +37,7 @@ class Page:
 
 
 def table(caption: str, header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table with a caption, a row of headings if there are any, and the first cell of each row as its heading.
+    """A table with a caption, an optional row of headings, and the first cell of each row as its heading.
 
     Examples
     --------
@@ -58,17 +58,17 @@ def names_table(
     inputs: Mapping[str, str | None],
     outputs: Sequence[str],
 ) -> str:
-    """What a model has: a row for each name.
+    """The names of a model: a row for each.
 
     Parameters
     ----------
     caption : str
     states : sequence of (str, sequence of str, int)
-        What they are, their names, and how many of these, at the end, are dependent.
+        The kind, the names, and how many of the last names are dependent.
     parameters : mapping
         Default, unit and description by name.
     inputs : mapping
-        Expression by name; None where every run has to give one.
+        Expression by name; None if there is no default.
     outputs : sequence of str
     """
     nothing = ("", "", "")

@@ -17,15 +17,14 @@ from ecosystem.pages import pages, sympys_tests
 from ecosystem.tutorial_run import main as tutorial_run
 from fourbar_codegen import FourbarError
 
-PAGES = """## Their tests and pages as they are
+PAGES = """## Unchanged tests, tutorials and examples
 
-SymPy's own tests, its tutorials, PyDy's and opty's examples are run from their source distributions, and each
-KanesMethod and System that they form equations of is taken, without a word of its page being changed; values that a
-page does not have are 1.
+SymPy's tests and tutorials and the examples of PyDy and opty are run from their source distributions, unchanged. Each
+KanesMethod and System for which they form equations is compiled. Parameters without a value are 1.
 """
-REFUSED = """## What is refused, and why
+REFUSED = """## Refused models
 
-| model | of | sentence |
+| model | of | message |
 |---|---|---|"""
 HEAD = (
     "| model | of | states | constraints | operations | compiled, s | SymPy, s | faster | difference | residual |\n"

@@ -364,7 +364,7 @@ def sympys(name: str, module: str, function: str, which: int = 0, **more: str) -
     return Case(name, f"SymPy, {module}.{function}", of_sympys_test(module, function, which), **more)
 
 
-CONTACT = "a2pt_theory from the contact, which is fixed in no body: SymPy's 2 u2 u3 are 6/5 u2 u3"
+CONTACT = "a2pt_theory from the contact point, which is not fixed in a body: SymPy has 2 u2 u3 instead of 6/5 u2 u3"
 QUICK = (
     sympys("two masses on a line", "test_kane", "test_two_dof"),
     sympys("pendulum by its velocity", "test_kane", "test_pend"),

@@ -29,9 +29,9 @@ PATHS = [PROJECT / name for name in ("tests", "benchmarks", "examples")]
 PAGE = PROJECT / "docs" / "robustness.md"
 
 KINDS = {
-    "calls": "calls with odd arguments",
+    "calls": "calls with unusual arguments",
     "mechanisms": "Systems against SymPy's equations",
-    "assemblies": "ways to close loops, against 60 digits",
+    "assemblies": "assembly modes, against 60 digits",
     "damage": "damaged files",
     "kills": "killed processes",
 }

@@ -119,7 +119,7 @@ def test_a_half_written_file_is_found(monkeypatch):
     )
     monkeypatch.setattr(kills, "SAVE", careless)
     [error] = findings(lambda generator, say: kills.case(_Saving(generator), say), 1)
-    assert "holds no trajectory" in str(error) or "is no NPZ file" in str(error) or "half" in str(error)
+    assert "holds no trajectory" in str(error) or "is not an NPZ file" in str(error) or "half" in str(error)
 
 
 class _Saving:

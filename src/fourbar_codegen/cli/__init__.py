@@ -1,4 +1,4 @@
-"""The command line: commands, their options, the models that they name, and arithmetic in options."""
+"""The command line: commands, options, models, and arithmetic expressions in options."""
 
 from fourbar_codegen.cli.commands import main
 

@@ -1,4 +1,4 @@
-"""Arithmetic written as text, for options of the command line: Python's syntax, from a whitelist, without eval."""
+"""Arithmetic expressions in command line options: a whitelist of Python's syntax, evaluated without eval."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ OPERATORS: dict[type, Callable[..., float]] = {
 }
 
 LONGEST = 1000
-"""Characters: Python's parser is recursive."""
+"""Largest number of characters: Python's parser is recursive."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Arithmetic:
     text : str
         As it was written.
     names : frozenset of str
-        The names in it that need a value.
+        The names in the expression that need values.
     """
 
     text: str
@@ -57,19 +57,19 @@ class Arithmetic:
     function: Function
 
     def __call__(self, values: Values) -> float:
-        """The value for values of the names.
+        """The value of the expression for given values of the names.
 
         Raises
         ------
         ModelError
-            If it has none, as of a division by zero.
+            If it has no real value, for instance because of a division by zero.
         """
         try:
             value = self.function(values)
         except (ArithmeticError, ValueError, TypeError) as error:
             value, reason = math.nan, str(error)
         else:
-            reason = "it is no real number" if isinstance(value, complex) else ""
+            reason = "it is not a real number" if isinstance(value, complex) else ""
         if reason:
             where = ", ".join(f"{name} = {values[name]:g}" for name in sorted(self.names))
             raise ModelError(f"{self.text} has no value{f' at {where}' if where else ''}: {reason}.")
@@ -77,19 +77,19 @@ class Arithmetic:
 
 
 def parse(text: str, names: Collection[str]) -> Arithmetic:
-    """Arithmetic from text.
+    """Parse an arithmetic expression.
 
     Parameters
     ----------
     text : str
         Numbers, names, ``+ - * / **``, parentheses, ``pi``, and the functions of `FUNCTIONS`.
     names : collection of str
-        Names that may occur; one that is ``pi`` takes the place of that number.
+        Names that may occur. If ``pi`` is one of them, it replaces the constant.
 
     Raises
     ------
     ModelError
-        If it is something else.
+        If the text is not such an expression.
 
     Examples
     --------
@@ -101,14 +101,14 @@ def parse(text: str, names: Collection[str]) -> Arithmetic:
     try:
         tree = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise ModelError(f"{shown(text)} is no arithmetic expression: {getattr(error, 'msg', error)}.") from error
+        raise ModelError(f"{shown(text)} is not an arithmetic expression: {getattr(error, 'msg', error)}.") from error
     found: set[str] = set()
     function = _function(tree, text, names, found)
     return Arithmetic(text, frozenset(found), function)
 
 
 def _function(node: ast.expr, text: str, names: Collection[str], found: set[str]) -> Function:
-    """What a node of the syntax tree computes; the names in it are added to those found."""
+    """The function that a node of the syntax tree computes; the names in it are added to `found`."""
     if isinstance(node, ast.Constant) and isinstance(node.value, int | float) and not isinstance(node.value, bool):
         try:
             number = float(node.value)
@@ -130,7 +130,7 @@ def _function(node: ast.expr, text: str, names: Collection[str], found: set[str]
         parts = [node.left, node.right] if isinstance(node, ast.BinOp) else [node.operand]
         operation = OPERATORS.get(type(node.op))
         if isinstance(node.op, ast.BitXor):
-            raise ModelError(f"In {shown(text)}, ^ is no power: write **.")
+            raise ModelError(f"In {shown(text)}, write ** for a power, not ^.")
     elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
         if node.func.id not in FUNCTIONS:
             raise _unknown(node.func.id, text, names)

@@ -31,7 +31,7 @@ __all__ = ["main"]
 
 
 class _Command(click.Command):
-    """Says what -t takes, where it is given one number."""
+    """Explains -t if it is given only one number."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         try:
@@ -39,12 +39,12 @@ class _Command(click.Command):
         except click.BadOptionUsage as error:
             if error.option_name not in {"-t", "--time"}:
                 raise
-            message = f"{error.message} It takes the first and the last time in s: -t 0 4."
+            message = f"{error.message} Give the first and the last time in s: -t 0 4."
             raise click.BadOptionUsage(error.option_name, message, ctx) from error
 
 
 class _Commands(click.Group):
-    """Prints the package's errors in a line instead of a traceback."""
+    """Prints the package's errors without traceback."""
 
     command_class = _Command
 
@@ -62,7 +62,7 @@ def main() -> None:
 
 
 def _help(what: str, *examples: str) -> str:
-    """What a command does, how it is called, and which models there are."""
+    """The help text of a command: description, examples and available models."""
     return "\n\n".join([what, "\b\nExamples:\n" + "\n".join(f"  fourbar {e}" for e in examples), MODEL_HELP])
 
 
@@ -73,7 +73,7 @@ def _model_and_inputs(
     parameters: Mapping[str, Any],
     t_span: tuple[float, float],
 ) -> tuple[CompiledModel, dict[str, float], dict[str, Any]]:
-    """The compiled model, initial values and sources of inputs; what --initial has of inputs belongs to these."""
+    """The compiled model, initial values and sources of inputs, including inputs that were given with --initial."""
     if not all(map(math.isfinite, t_span)):
         raise fb.ModelError(f"The first and last time must be finite, not {t_span}.")
     compiled = compiled_model(model)
@@ -92,7 +92,7 @@ def _simulated(
     t_span: tuple[float, float],
     **how: Any,
 ) -> tuple[Trajectory, float]:
-    """A run, its states at the times that a function of its span gives, and the seconds that it took."""
+    """A run, with states at the times that a function of the time span returns, and its computing time in s."""
     compiled, values, sources = _model_and_inputs(model, initial, inputs, parameters, t_span)
     x0 = initial_state(compiled, values, t_span[0], parameters, sources)
     begin = time.perf_counter()
@@ -244,13 +244,13 @@ def animate(output: Path, **run: Any) -> None:
 
 
 def _show(output: Path, suffixes: tuple[str, ...], run: dict[str, Any]) -> None:
-    """Simulate with a state for each frame, and write these."""
+    """Simulate with a state for each frame, and write the file."""
     from fourbar_codegen.presentation.report import frame_times
 
     if output.suffix.lower() not in suffixes:
         raise fb.ModelError(
-            f"{output} must end with {' or '.join(suffixes)}. fourbar animate writes films, report pages, simulate "
-            "data."
+            f"{output} must end with {' or '.join(suffixes)}: fourbar animate writes animations, report HTML pages, "
+            "simulate data."
         )
     trajectory, _ = _simulated(frame_times, **run)
     click.echo(f"Written: {trajectory.save(output)}")
@@ -295,7 +295,7 @@ def _report(trajectory: Trajectory, method: str, seconds: float) -> None:
     type=click.Path(file_okay=False, path_type=Path),
     default=Path("generated"),
     show_default=True,
-    help="Folder in which the model's folder is made.",
+    help="The folder of the model is created in this folder.",
 )
 def generate(model: str, output: Path) -> None:
     from fourbar_codegen.building.toolchain import write_sources
@@ -322,9 +322,9 @@ def generate(model: str, output: Path) -> None:
     type=click.Path(file_okay=False, path_type=Path),
     default=Path("build"),
     show_default=True,
-    help="Folder in which the model's folder, or the wheel, is made.",
+    help="The folder of the model, or the wheel, is created in this folder.",
 )
-@click.option("--wheel", is_flag=True, help="Make a wheel, to be installed without SymPy or a compiler.")
+@click.option("--wheel", is_flag=True, help="Build a wheel, which can be installed without SymPy or a compiler.")
 @click.option("--version", default="0.1.0", show_default=True, help="Version of the wheel.")
 def build(model: str, output: Path, wheel: bool, version: str) -> None:
     source = source_model(model)
@@ -375,9 +375,9 @@ def info(model: str) -> None:
 
 
 @main.command()
-@click.option("--clear", is_flag=True, help="Remove what is there. Loaded models go on working.")
+@click.option("--clear", is_flag=True, help="Remove the entries. Loaded models continue to work.")
 @click.option(
-    "--older-than", type=click.FloatRange(min=0.0), metavar="DAYS", help="Only what was not used for so many days."
+    "--older-than", type=click.FloatRange(min=0.0), metavar="DAYS", help="Only entries unused for this number of days."
 )
 def cache(clear: bool, older_than: float | None) -> None:
     """List the compiled models in the cache, with their sizes, or remove them."""
@@ -392,4 +392,4 @@ def cache(clear: bool, older_than: float | None) -> None:
     removed = " removed" if clear else ""
     click.echo(f"{len(found)} libraries and models{removed}, {total:.2f} MB, in {folder.cache_folder()}")
     if not clear:
-        click.echo(f"at most {folder.size_limit() / 1e6:g} MB, or what {folder.SIZE_LIMIT} says")
+        click.echo(f"size limit {folder.size_limit() / 1e6:g} MB; {folder.SIZE_LIMIT} sets another one")

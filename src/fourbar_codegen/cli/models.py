@@ -1,4 +1,4 @@
-"""The models that the command line names: those of the package, and functions in the user's files."""
+"""Models on the command line: models of the package, and functions in users' files."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ MODEL_HELP = (
 
 
 class _ModelName(click.ParamType):  # type: ignore[type-arg]  # generic in newer versions alone
-    """A model's name, or a file with a function that makes one."""
+    """The name of a model, or a file and a function that returns one."""
 
     name = "model"
 
@@ -44,18 +44,18 @@ MODEL = click.argument("model", default="four_bar", type=_ModelName())
 
 
 def compiled_model(text: str) -> CompiledModel:
-    """The model that MODEL names: one that comes compiled, or compiled now."""
+    """The compiled model of the argument MODEL, compiled now if necessary."""
     if ":" not in text and text not in NAMES:
         _check_name(text)
         try:
-            return fb.load(text)  # one that is installed from a wheel
+            return fb.load(text)  # a model installed from a wheel
         except fb.ModelError as error:
             raise _unknown(text) from error
     return fb.load(text) if text == "four_bar" else fb.compile_model(source_model(text))
 
 
 def source_model(text: str) -> Model:
-    """The Model that MODEL names."""
+    """The Model of the argument MODEL."""
     place, colon, function = text.rpartition(":")
     if not colon:
         _check_name(text)
@@ -66,7 +66,7 @@ def source_model(text: str) -> Model:
         model = getattr(_module(place), function)()
     except fb.FourbarError:
         raise
-    except Exception as error:  # it is the user's code that runs here
+    except Exception as error:  # any error of the user's code
         raise fb.ModelError(f"{text} could not be called: {_said(error, place)}") from error
     if not isinstance(model, fb.Model):
         raise fb.ModelError(f"{text}() returned a {type(model).__name__}, not a fourbar_codegen.Model.")
@@ -82,12 +82,12 @@ def _unknown(text: str) -> fb.ModelError:
     close = difflib.get_close_matches(text, NAMES, 1)
     return fb.ModelError(
         f"There is no model {text!r}.{f' Did you mean {close[0]}?' if close else ''} There are {', '.join(NAMES)}; "
-        "FILE.py:FUNCTION or MODULE:FUNCTION name one of your own."
+        "for a model of your own, give FILE.py:FUNCTION or MODULE:FUNCTION."
     )
 
 
 def _said(error: Exception, place: str) -> str:
-    """An error of the user's code, with the last of their lines in which it arose."""
+    """An error in the user's code, with the line number of its last frame there."""
     name = Path(place).name
     lines = [frame for frame in traceback.extract_tb(error.__traceback__) if Path(frame.filename).name == name]
     where = f"{name}, line {lines[-1].lineno}: " if lines else ""
@@ -95,16 +95,16 @@ def _said(error: Exception, place: str) -> str:
 
 
 def _module(place: str) -> Any:
-    """A module by its name, from the current folder as well, or by its file.
+    """Import a module by its name, also from the current folder, or from its file.
 
-    Folders of the user come last on the path: a json.py there is not taken for the standard library's. For the same
-    reason a file is known under a name of its own.
+    The user's folder is appended to the path, so that a json.py there does not replace that of the standard library.
+    For the same reason, the module of a file gets a name of its own.
     """
     if not place.endswith(".py"):
         sys.path.append("")
         return importlib.import_module(place)
     path = Path(place)
-    sys.path.append(str(path.absolute().parent))  # what stands beside the file can be imported, as by `python FILE.py`
+    sys.path.append(str(path.absolute().parent))  # for imports beside the file, as in `python FILE.py`
     spec = importlib.util.spec_from_file_location(f"fourbar_model_{path.stem}", path)
     if spec is None or spec.loader is None:
         raise ImportError(f"{place} is not a Python file")

@@ -1,4 +1,4 @@
-"""Options of runs: names with numbers, expressions and ranges, and how they become arguments of `CompiledModel`."""
+"""Options of runs: numbers, expressions and ranges by name, and their conversion to arguments of `CompiledModel`."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ METHODS = ("DOP853", "RK45", "ALI3P", "RK23", "Radau", "BDF", "LSODA", "CVODE", 
 SWEEP_METHODS = METHODS[:2]
 
 MOST_MEMBERS = 1_000_000
-"""Members of a sweep."""
+"""Largest number of members of a sweep."""
 
 Texts = dict[str, str]
 
@@ -57,7 +57,7 @@ def number(name: str, text: str) -> float:
     except ValueError:
         pass
     if ":" in text or "," in text:
-        raise click.BadParameter(f"{name}={text} is a range, which fourbar sweep takes of parameters; give a number.")
+        raise click.BadParameter(f"{name}={text} is a range, which only fourbar sweep takes: give a number.")
     try:
         return parse(text, ())({})
     except fb.ModelError as error:
@@ -90,7 +90,7 @@ def _ranges(
 
 
 def _steps(_: click.Context, __: click.Parameter, text: str) -> int | str | None:
-    """A number of steps, the method's own, or no limit."""
+    """A number of steps, "auto", or None for no limit."""
     if text == "none":
         return None
     return int(text) if text.isdecimal() else text
@@ -106,16 +106,16 @@ class _Time(click.ParamType):  # type: ignore[type-arg]  # generic in newer vers
         try:
             return float(value)
         except ValueError:
-            self.fail(f"{value!r} is not a number. It takes two, the first and the last time in s: -t 0 4.", param, ctx)
+            self.fail(f"{value!r} is not a number. Give the first and the last time in s: -t 0 4.", param, ctx)
 
 
 def _common(methods: tuple[str, ...]) -> list[Callable[..., Any]]:
-    """What runs and sweeps have in common."""
+    """The options that runs and sweeps have in common."""
     return [
         click.option(
             "-i", "--initial", multiple=True, callback=_pairs, metavar="NAME=VALUE",
             help="Initial value of an independent coordinate or speed or an auxiliary state, or guess of a dependent "
-            "coordinate; repeatable. With the name of an input as -r.",
+            "coordinate; repeatable. With the name of an input, the same as -r.",
         ),
         click.option(
             "-r", "--input", "inputs", multiple=True, callback=_pairs, metavar="NAME=EXPRESSION",
@@ -133,15 +133,15 @@ def _accuracy(constraints: tuple[str, ...]) -> list[Callable[..., Any]]:
     return [
         click.option(
             "--constraints", type=click.Choice(constraints), default="project", show_default=True,
-            help="How to keep loops closed: project moves each state onto the constraints.",
+            help="Constraint stabilization; project is mass-orthogonal projection of each state.",
         ),
         click.option("--rtol", default=1e-6, show_default=True, help="Relative tolerance."),
         click.option("--atol", default=1e-9, show_default=True, help="Absolute tolerance."),
-        click.option("--max-step", default=math.inf, help="Longest step, s; ALI3P needs it."),
+        click.option("--max-step", default=math.inf, help="Longest step, s; required for ALI3P."),
         click.option(
             "--max-steps", default="auto", show_default=True, metavar="N|auto|none", callback=_steps,
-            help="Most steps: by default 1,000,000 of methods in C, 100,000 of others, ten times what --max-step asks "
-            "for.",
+            help="Largest number of steps: by default 1,000,000 for DOP853, RK45 and ALI3P, 100,000 for others, or ten "
+            "times the number that --max-step requires, if that is more.",
         ),
     ]  # fmt: skip
 
@@ -155,7 +155,7 @@ RUN_OPTIONS = [
     *_common(METHODS),
     click.option(
         "--formulation", type=click.Choice(["gear-gupta-leimkuhler", "index-1", "index-3"]),
-        help="Of IDA; its default is the first.",
+        help="Formulation of IDA; the first is the default.",
     ),
     *_accuracy(("project", "baumgarte", "none")),
 ]  # fmt: skip
@@ -164,8 +164,8 @@ SWEEP_OPTIONS = [
     MODEL,
     click.option(
         "-p", "--parameter", "parameters", multiple=True, callback=_ranges, metavar="NAME=RANGE",
-        help="A parameter as FIRST:LAST:N (N equally spaced values), as VALUE,VALUE,... or as a number; repeatable: of "
-        "several ranges, all combinations are run.",
+        help="A parameter as FIRST:LAST:N (N equally spaced values), as VALUE,VALUE,... or as a number; repeatable. "
+        "With several ranges, all combinations are run.",
     ),
     *_common(SWEEP_METHODS),
     *_accuracy(("project", "none")),
@@ -173,7 +173,7 @@ SWEEP_OPTIONS = [
 
 
 def with_options(options: list[Callable[..., Any]]) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """A decorator that gives a command all of these options."""
+    """A decorator that adds these options to a command."""
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
         for option in reversed(options):
@@ -185,7 +185,7 @@ def with_options(options: list[Callable[..., Any]]) -> Callable[[Callable[..., N
 
 @dataclass(frozen=True)
 class InputExpression:
-    """An input that follows an expression of time; the parameters in it have values."""
+    """An input as an expression of time, with the values of its parameters."""
 
     expression: Arithmetic
     parameters: Mapping[str, float]
@@ -203,7 +203,7 @@ def input_sources(
     Raises
     ------
     ModelError
-        If an expression has a name that is neither t nor a parameter, or that of a parameter that is swept.
+        If an expression contains a name that is neither t nor a parameter, or a parameter that is swept.
     """
     values = {**compiled.defaults, **parameters}
     sources: dict[str, float | InputExpression] = {}
@@ -212,14 +212,12 @@ def input_sources(
         used = {parameter: values[parameter] for parameter in expression.names - {"t"}}
         swept = sorted(parameter for parameter, value in used.items() if np.ndim(value))
         if swept:
-            raise fb.ModelError(
-                f"{name}={text} contains {', '.join(swept)}, which the sweep changes: give it a number."
-            )
+            raise fb.ModelError(f"{name}={text} contains {', '.join(swept)}, which the sweep varies: give a number.")
         missing = sorted(parameter for parameter, value in used.items() if value is None)
         if missing:
-            raise fb.ModelError(f"{name}={text} contains {', '.join(missing)}, which has no value: give it with -p.")
+            raise fb.ModelError(f"{name}={text} contains {', '.join(missing)}, which has no value: give one with -p.")
         source = InputExpression(expression, used)
-        source(0.0, None)  # raises where it has no value
+        source(0.0, None)  # raises if it has no value
         sources[name] = source if "t" in expression.names else source(0.0, None)
     return sources
 
@@ -227,7 +225,7 @@ def input_sources(
 def initial_state(
     compiled: CompiledModel, initial: Mapping[str, float], t: float, parameters: Mapping[str, float], inputs: Any
 ) -> Any:
-    """Values by name, handed to the argument of `CompiledModel.initial_state` that takes them."""
+    """An initial state from values by name, with the arguments of `CompiledModel.initial_state` that they belong to."""
     n_qi = compiled.n_q - compiled.manifest["n_dependent_coordinates"]
     n_ui = compiled.n_u - compiled.manifest["n_dependent_speeds"]
     groups = (

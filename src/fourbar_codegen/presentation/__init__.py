@@ -1,1 +1,1 @@
-"""Results in files, figures, animations and reports."""
+"""Files, figures, animations and reports of results."""

@@ -1,4 +1,4 @@
-"""What there is to draw of a trajectory: the mechanism's points at equally spaced times, and curves over time."""
+"""The data of pictures: the points of the mechanism at equally spaced times, and curves over time."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ __all__ = ["Drawing", "Panel", "drawing", "equal_times", "extent", "panels"]
 Floats = NDArray[np.float64]
 
 PLANAR = 1e-9
-"""Points that leave the plane of x and y, or their places, by less than this share of the mechanism's size do not."""
+"""Relative tolerance, of the size of the mechanism, for planar mechanisms and for points at rest."""
 
 ARROW = 0.25
-"""Length of the greatest force's arrow, as a share of the mechanism's size."""
+"""Length of the largest force's arrow, relative to the size of the mechanism."""
 
 
 @dataclass(frozen=True)
 class Drawing:
-    """A trajectory at the times at which it is shown, and where its points are.
+    """A trajectory at the times that are shown, with the positions of its points.
 
     Attributes
     ----------
@@ -32,10 +32,10 @@ class Drawing:
     positions : ndarray, shape (n_points, 3, n_t)
         In the inertial frame, m.
     arrows : dict of int to ndarray, shape (3, n_t)
-        The tips of arrows that show the inputs' forces, m, by the number of the point at which they begin.
+        Tips of the arrows of forces that depend on inputs, m, by the number of the point where they start.
     size : float
     is_planar : bool
-        As `extent` has them.
+        As returned by `extent`.
     """
 
     shown: Trajectory
@@ -45,13 +45,13 @@ class Drawing:
     is_planar: bool
 
     def moves(self, point: int) -> bool:
-        """Whether a point does not stay where it is."""
+        """Whether a point moves."""
         return bool(np.ptp(self.positions[point], axis=1).max() > PLANAR * self.size)
 
     def traced(self) -> dict[int, str]:
-        """Number and name of the points that leave a trace if nobody says otherwise.
+        """Number and name of the points with a trace by default.
 
-        Joints and ends of links that move, of those at one place the first; the mass centres where there are none.
+        Moving joints and ends of links, one for each position; the mass centres if there are none.
         """
         moving = [(number, name, body) for number, name, _, body in self.points() if self.moves(number)]
         joints: dict[int, str] = {}
@@ -62,13 +62,13 @@ class Drawing:
         return joints or {number: name for number, name, _ in moving}
 
     def points(self) -> Iterator[tuple[int, str, int | None, str | None]]:
-        """Number, name, number of the point from which a line leads to it, and body of each point."""
+        """For each point: number, name, number of the point that a line connects it to, and body."""
         for number, entry in enumerate(self.shown.model.manifest["points"]):
             yield number, entry["name"], entry["parent"], entry["body"]
 
 
 def extent(positions: Floats) -> tuple[float, bool]:
-    """How far points reach along one of the axes, m, and whether all of them stay in one plane z = constant.
+    """The largest extent along an axis, m, and whether all points stay in one plane z = constant.
 
     Parameters
     ----------
@@ -79,18 +79,18 @@ def extent(positions: Floats) -> tuple[float, bool]:
 
 
 def equal_times(start: float, end: float, rate: float) -> Floats:
-    """Equally spaced times from start to end, about so many in a second."""
+    """Equally spaced times from start to end, with about this rate per second."""
     return np.linspace(start, end, 1 + max(1, round(abs(end - start) * rate)) if start != end else 1)
 
 
 def drawing(trajectory: Trajectory, times: Callable[[float, float], Floats]) -> Drawing:
-    """What there is to draw at certain times.
+    """The data of pictures at certain times.
 
     Parameters
     ----------
     trajectory : Trajectory
     times : callable
-        It is given the first and the last time of the run, and returns those to be shown.
+        Function of the first and last time of the run; returns the times to show.
 
     Returns
     -------
@@ -109,7 +109,7 @@ def drawing(trajectory: Trajectory, times: Callable[[float, float], Floats]) -> 
     shown = trajectory.resample(times(t[0], t[-1]))
     positions = np.array([shown.points[name] for name in model.points])
     size, is_planar = extent(positions)
-    # A force that is not finite has no arrow.
+    # Forces that are not finite have no arrow.
     forces = {name: np.where(np.isfinite(force).all(axis=0), force, 0.0) for name, force in shown.forces.items()}
     greatest = max((np.abs(force).max() for force in forces.values()), default=0.0)
     if greatest:
@@ -122,14 +122,14 @@ def drawing(trajectory: Trajectory, times: Callable[[float, float], Floats]) -> 
 
 @dataclass(frozen=True)
 class Panel:
-    """Curves that share their axes.
+    """Curves in the same axes.
 
     Attributes
     ----------
     title : str
     curves : dict of str to ndarray, shape (n_t,)
     is_logarithmic : bool
-        Whether they span orders of magnitude.
+        Whether the vertical axis is logarithmic.
     """
 
     title: str
@@ -158,7 +158,7 @@ def panels(trajectory: Trajectory) -> list[Panel]:
         ),
     ]
     if len(trajectory.constraint_residual):
-        # Zero has no place on a logarithmic axis; half the spacing of doubles around 1 stands for it.
+        # Zero is replaced by half the machine epsilon, for the logarithmic axis.
         largest = np.maximum(np.abs(trajectory.constraint_residual).max(axis=0), np.finfo(float).eps / 2)
         found.append(Panel(f"{trajectory.residual_label} (units of the constraints)", {"largest": largest}, True))
     return [panel for panel in found if panel.curves]

@@ -1,4 +1,4 @@
-"""Pictures of trajectories and ensembles: plots and animations with Matplotlib."""
+"""Plots and animations of trajectories and ensembles with Matplotlib."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ FPS = 30.0
 """Frames per second by default."""
 
 MAX_FRAMES = 10_000
-"""An animation takes no more: each is some hundredths of a second to draw."""
+"""Largest number of frames of an animation; each takes some hundredths of a second to draw."""
 
 EDGE = 0.08
-"""Free space around an animation, as a share of the mechanism's size."""
+"""Margin around an animation, relative to the size of the mechanism."""
 
 MAX_PANELS = 24
-"""No more assembly modes are drawn."""
+"""Largest number of assembly modes that are drawn."""
 
 CURVES = 30
-"""Members of an ensemble that are drawn as curves."""
+"""Number of members of an ensemble that are drawn as curves."""
 
 SMOOTH = 401
-"""States that a curve looks smooth with."""
+"""Number of states with which a curve looks smooth."""
 
 
 def _imported(name: str, what: str) -> Any:
@@ -55,7 +55,7 @@ def _imported(name: str, what: str) -> Any:
 
 
 def plot_trajectory(trajectory: Trajectory) -> Figure:
-    """All curves of a trajectory over time, one panel above the other; see `drawing.panels`.
+    """Plot all curves of a trajectory over time, in panels; see `drawing.panels`.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def plot_trajectory(trajectory: Trajectory) -> Figure:
     Returns
     -------
     matplotlib.figure.Figure
-        Made without pyplot: it appears on no screen by itself and needs not be closed.
+        Made without pyplot: it is not shown by itself and need not be closed.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def plot_trajectory(trajectory: Trajectory) -> Figure:
 
 
 def plot_paths(trajectory: Trajectory, points: Sequence[str]) -> Figure:
-    """Draw the paths of points, and the mechanism at the first time; see `Trajectory.plot_paths`."""
+    """Draw the paths of points and the initial mechanism; see `Trajectory.plot_paths`."""
     points = _checked(trajectory.model, points)
     drawn = drawing(trajectory, lambda start, end: np.linspace(start, end, SMOOTH if start != end else 1))
     figure, [axes] = _figure(1, drawn.is_planar)
@@ -107,7 +107,7 @@ def plot_paths(trajectory: Trajectory, points: Sequence[str]) -> Figure:
 
 
 def plot_ensemble(ensemble: Ensemble, names: Sequence[Any]) -> Figure:
-    """Median, bands and curves of an ensemble; see `Ensemble.plot`."""
+    """Plot median, bands and members of an ensemble; see `Ensemble.plot`."""
     figure_class = _imported("matplotlib.figure", "Plots").Figure
     if isinstance(names, str) or not isinstance(names, list | tuple):
         raise ModelError(f"names must be a sequence of names, not {shown(names)}.")
@@ -121,7 +121,7 @@ def plot_ensemble(ensemble: Ensemble, names: Sequence[Any]) -> Figure:
     ):
         values = ensemble[name]
         if values.ndim != 2:
-            raise ModelError(f"{name} is no scalar quantity over time: it has shape {values.shape}.")
+            raise ModelError(f"{name} is not a scalar quantity over time: it has shape {values.shape}.")
         reached = np.isfinite(values).any(axis=0)
         times = ensemble.t[reached]
         low, quarter, median, other, high = np.nanpercentile(values[:, reached], [5, 25, 50, 75, 95], axis=0)
@@ -137,7 +137,7 @@ def plot_ensemble(ensemble: Ensemble, names: Sequence[Any]) -> Figure:
     failed = len(ensemble) - int(ensemble.success.sum())
     figure.suptitle(
         f"{ensemble.model.name}: {len(ensemble)} members"
-        + (f", {failed} of which failed: later, percentiles are of the others" if failed else "")
+        + (f", {failed} of which failed; later percentiles are of the others" if failed else "")
     )
     return figure
 
@@ -170,7 +170,7 @@ def plot_modes(modes: AssemblyModes) -> Figure:
 
 
 def _label(name: str) -> str:
-    """A name as Matplotlib shows it: not as a formula, and though it begins with an underscore."""
+    """A name as a Matplotlib label: not as a formula, and shown even with a leading underscore."""
     label = name.replace("$", r"\$")
     return f" {label}" if label.startswith("_") else label
 
@@ -208,7 +208,7 @@ def _checked(model: Kernel, points: Iterable[str]) -> list[str]:
     """Names of points of the model."""
     try:
         names = [] if isinstance(points, str) else list(points)
-    except TypeError:  # no sequence, or one that only looks like it
+    except TypeError:  # not a sequence
         names = []
     if not all(isinstance(name, str) for name in names) or not (names or isinstance(points, list | tuple)):
         raise ModelError(f"Points are given as a sequence of their names, not {shown(points)}.")
@@ -228,13 +228,13 @@ def animate(trajectory: Trajectory, *, fps: float, speed: float, traces: Sequenc
     chosen = None if traces is None else _checked(model, traces)
     n = abs(np.ptp(trajectory.t)) * fps / speed if len(trajectory.t) else 0.0
     if n > MAX_FRAMES:
-        raise ModelError(f"The animation would have {n:.0f} frames, more than {MAX_FRAMES}: take a greater speed.")
+        raise ModelError(f"The animation would have {n:.0f} frames, more than {MAX_FRAMES}: use a larger speed.")
     drawn = drawing(trajectory, lambda start, end: equal_times(start, end, fps / speed))
     dimensions = 2 if drawn.is_planar else 3
     every = np.array([*drawn.positions, *drawn.arrows.values()])[:, :dimensions]
     low, high = every.min(axis=(0, 2)), every.max(axis=(0, 2))
     middle, half = (low + high) / 2, (high - low) / 2 + EDGE * drawn.size
-    if drawn.is_planar:  # as high as the motion needs
+    if drawn.is_planar:  # height of the figure as needed
         figure = figures.Figure(figsize=(6.0, 6.0 * np.clip(half[1] / half[0], 0.4, 1.5)))
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     else:
@@ -251,7 +251,7 @@ def animate(trajectory: Trajectory, *, fps: float, speed: float, traces: Sequenc
     for number, name, _, _ in drawn.points():
         if name in traced:
             axes.plot(*every[number], color="tab:red", linewidth=1.0)
-    # Lines that are moved: rows of `every` that each of them joins.
+    # Moving lines, with the rows of `every` that each of them connects.
     moved = [(rows, axes.plot(*every[rows, :, 0].T, **style)[0]) for rows, style in _moving_lines(drawn)]
     time = axes.annotate("", (0.02, 0.02), xycoords="axes fraction", fontsize="small", color="0.3")
 
@@ -267,7 +267,7 @@ def animate(trajectory: Trajectory, *, fps: float, speed: float, traces: Sequenc
 
 
 def _moving_lines(drawn: Drawing) -> Iterator[tuple[list[int], dict[str, Any]]]:
-    """The points that a line joins, and how it is drawn: links, mass centres, and forces with a dot at their tips."""
+    """Points of each moving line, and its style: links, mass centres, and forces with a dot at their tips."""
     masses = []
     for number, _, parent, body in drawn.points():
         if parent is not None:
@@ -283,7 +283,7 @@ def _moving_lines(drawn: Drawing) -> Iterator[tuple[list[int], dict[str, Any]]]:
 
 
 def write_animation(trajectory: Trajectory, path: Path, kind: str) -> None:
-    """Write an animation to a file, whose name ends like its kind, as a GIF or an MP4."""
+    """Write an animation as GIF or MP4; the suffix of the file matches."""
     animations = _imported("matplotlib.animation", "Animations")
     name = {"gif": "pillow", "mp4": "ffmpeg"}[kind]
     if not animations.writers.is_available(name):

@@ -1,4 +1,4 @@
-"""Trajectory -> an interactive report: one HTML file that needs no network and no server."""
+"""Trajectory -> an interactive report: one HTML file that works offline."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ Floats = NDArray[np.float64]
 
 FRAMES_PER_SECOND = 60
 MIN_FRAMES = 241
-"""Short runs are shown at more times, so that their curves are smooth."""
+"""Smallest number of frames, so that curves of short runs are smooth."""
 MAX_FRAMES = 601
-"""More than these are not embedded: longer runs are shown at fewer times."""
+"""Largest number of frames: long runs are shown with fewer per second."""
 
 
 def report_text(trajectory: Trajectory) -> str:
-    """The report as HTML: the moving mechanism, traces of its points, plots that follow, and a table of the run.
+    """The report as HTML: the moving mechanism, traces, plots that follow the time, and a table of the run.
 
     Parameters
     ----------
     trajectory : Trajectory
-        It is shown at equally spaced times; see `Trajectory.resample`.
+        Shown at equally spaced times; see `Trajectory.resample`.
 
     Returns
     -------
@@ -43,16 +43,16 @@ def report_text(trajectory: Trajectory) -> str:
     Raises
     ------
     ModelError
-        If there is nothing to show: no points whose positions are known, or no states.
+        If there is nothing to show: no points with known positions, or no states.
     """
     drawn = drawing(trajectory, frame_times)
     traced = drawn.traced()
     data = {
         "times": _packed(drawn.shown.t, "<f8"),
-        # In units of the mechanism's size: single precision has a smaller range.
+        # Relative to the size of the mechanism, because of the range of single precision.
         "positions": _packed(np.moveaxis(np.array([*drawn.positions, *drawn.arrows.values()]), 2, 0) / drawn.size),
         "planar": drawn.is_planar,
-        # Their tips stand behind the points.
+        # The positions of their tips follow those of the points.
         "arrows": list(drawn.arrows),
         "points": [
             {"name": name, "parent": parent, "body": body, "traced": number in traced}
@@ -61,20 +61,20 @@ def report_text(trajectory: Trajectory) -> str:
         "plots": _plots(drawn.shown),
         "table": run_rows(trajectory),
     }
-    # "<" would end the element that the data stands in.
+    # "<" could end the HTML element that contains the data.
     text = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     page = resources.files("fourbar_codegen.presentation").joinpath("report.html").read_text(encoding="utf-8")
     return page.replace("@TITLE@", html.escape(trajectory.model.name)).replace("@DATA@", text)
 
 
 def frame_times(start: float, end: float) -> Floats:
-    """The times at which a run from start to end is shown."""
+    """The times of the frames of a run from start to end."""
     n = np.clip(round(abs(end - start) * FRAMES_PER_SECOND), MIN_FRAMES, MAX_FRAMES) if start != end else 1
     return np.linspace(start, end, int(n))
 
 
 def _packed(values: Any, dtype: str = "<f4") -> str:
-    """Numbers as the page reads them."""
+    """Numbers in the format of the page."""
     return base64.b64encode(np.ascontiguousarray(values, dtype=dtype).tobytes()).decode("ascii")
 
 
@@ -93,7 +93,7 @@ def _plots(shown: Trajectory) -> list[dict[str, Any]]:
 
 
 def run_rows(trajectory: Trajectory) -> list[tuple[str, str]]:
-    """What a run was, and what it took, as names and texts."""
+    """The table of a run: names and texts."""
     model, run = trajectory.model, attributes(trajectory)
     rows = [("model", run["model"]), ("fingerprint", run["fingerprint"][:16])]
     rows += [(name, str(value)) for name, value in run["settings"].items()]

@@ -1,4 +1,4 @@
-"""Trajectories as data that travel: datasets of xarray, NetCDF and NPZ files, and back."""
+"""Export and import of results: pandas and xarray, NetCDF and NPZ files."""
 
 from __future__ import annotations
 
@@ -45,18 +45,18 @@ __all__ = [
 Floats = NDArray[np.float64]
 
 ATTRIBUTES = "run_attributes"
-"""Name of the array of an NPZ file that holds what is not an array, as JSON."""
+"""Name of the array in an NPZ file that contains everything else, as JSON."""
 
 SEAL = b"fourbar_codegen SHA-256 "
-"""Stands behind a NetCDF file, before the digest of all that is before it. HDF5 does not read what is behind its end,
-but may read what is damaged for ever."""
+"""Marks the SHA-256 digest that is appended to a NetCDF file. HDF5 ignores bytes after its end, but may hang when it
+reads damaged data."""
 
 MAX_COMPRESSION = 1100
-"""No more bytes come of one in a file: zlib's limit is 1032."""
+"""Largest ratio of decompression that is accepted: zlib's limit is 1032."""
 
 
 def versions() -> dict[str, str]:
-    """Of this package and what it computes with, as far as they are installed."""
+    """Versions of this package and of the packages it computes with, if installed."""
     found = {}
     for name in ("fourbar_codegen", "numpy", "scipy", "sympy"):
         try:
@@ -67,7 +67,7 @@ def versions() -> dict[str, str]:
 
 
 def _origin(model: Kernel, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """The model, and how it was run."""
+    """The model, and the settings of the run."""
     return {
         "model": model.name,
         "fingerprint": model.manifest["fingerprint"],
@@ -77,7 +77,7 @@ def _origin(model: Kernel, settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def attributes(trajectory: Trajectory) -> dict[str, Any]:
-    """What it takes to make a run again, and how it ended."""
+    """The information to repeat a run, and how it ended."""
     model = trajectory.model
     values = list(model.defaults.values()) if trajectory.parameters is None else trajectory.parameters.tolist()
     return {
@@ -88,7 +88,7 @@ def attributes(trajectory: Trajectory) -> dict[str, Any]:
 
 
 def to_dataframe(trajectory: Trajectory) -> pandas.DataFrame:
-    """A trajectory as a table; see `Trajectory.to_dataframe`."""
+    """A trajectory as a DataFrame; see `Trajectory.to_dataframe`."""
     columns = trajectory.columns()
     return _imported("pandas", "Tables").DataFrame(columns).set_index("t")
 
@@ -149,7 +149,7 @@ def to_dataset(trajectory: Trajectory) -> xarray.Dataset:
 def _check_free(variables: Iterable[str], reserved: set[str]) -> None:
     taken = reserved & set(variables)
     if taken:
-        raise ModelError(f"In a dataset the names {', '.join(taken)} are reserved: rename the state or output.")
+        raise ModelError(f"The names {', '.join(taken)} are reserved in a dataset: rename the state or output.")
 
 
 def _texts(attributes: Mapping[str, Any]) -> dict[str, Any]:
@@ -176,7 +176,7 @@ def ensemble_dataset(ensemble: Ensemble) -> xarray.Dataset:
 
 
 def write_ensemble_npz(ensemble: Ensemble, file: IO[bytes]) -> None:
-    """An ensemble as NumPy's arrays by name; see `Ensemble.save`."""
+    """An ensemble as NumPy arrays by name; see `Ensemble.save`."""
     arrays: dict[str, Any] = dict(zip(ensemble.model.parameters, ensemble.parameters.T, strict=True))
     arrays.update(success=ensemble.success, messages=np.array(ensemble.messages, dtype=str), nfev=ensemble.nfev)
     arrays[ATTRIBUTES] = np.array(json.dumps(_origin(ensemble.model, ensemble.settings)))
@@ -212,15 +212,15 @@ def write_dataset(dataset: xarray.Dataset, file: IO[bytes]) -> None:
     import h5netcdf
     from xarray.backends import H5NetCDFStore
 
-    # With checksums, which are NetCDF's own: damaged numbers are not read as others.
+    # With NetCDF's own checksums, so that damaged numbers are detected.
     numbers = (name for name, array in dataset.variables.items() if array.dtype == float and array.size)
     summed = {name: {"fletcher32": True} for name in numbers}
-    # In memory, where no write fails: HDF5 may end the process when it closes a file that it could not write.
+    # In memory, where writing cannot fail: HDF5 may abort the process when it closes a file that it could not write.
     memory = io.BytesIO()
     try:
         with h5netcdf.File(memory, "w") as held:
             dataset.dump_to_store(H5NetCDFStore(held), encoding=summed)
-    except ValueError as error:  # names of outputs may be anything
+    except ValueError as error:  # outputs may have names that NetCDF does not allow
         raise ModelError(f"NetCDF cannot hold this result: {error}.") from error
     content = memory.getbuffer()
     file.write(content)
@@ -228,29 +228,29 @@ def write_dataset(dataset: xarray.Dataset, file: IO[bytes]) -> None:
 
 
 def write_npz(trajectory: Trajectory, file: IO[bytes]) -> None:
-    """A trajectory as NumPy's arrays by name, and the rest as JSON."""
+    """A trajectory as NumPy arrays by name, with everything else as JSON."""
     arrays: dict[str, Any] = dict(trajectory.columns())
     if ATTRIBUTES in arrays:
-        raise ModelError(f"NPZ files have a place of their own for {ATTRIBUTES}: name the state or output otherwise.")
+        raise ModelError(f"The name {ATTRIBUTES} is reserved in NPZ files: rename the state or output.")
     arrays[ATTRIBUTES] = np.array(json.dumps(attributes(trajectory)))
     np.savez(file, **arrays)
 
 
 def read_trajectory(path: str | Path, model: Kernel | None, find: Callable[[str, str], Kernel | None]) -> Trajectory:
-    """A trajectory that was saved; see `fourbar_codegen.load_trajectory`.
+    """Read a saved trajectory; see `fourbar_codegen.load_trajectory`.
 
     Parameters
     ----------
     path : str or Path
     model : Kernel or None
-        The model that was run.
+        The simulated model.
     find : callable
-        Where none is given: the model of a name and fingerprint, or None.
+        Returns the model with a name and fingerprint, or None; used if no model is given.
     """
     path = path_of(path)
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
-        raise ModelError(f"Trajectories are read from {' and '.join(_READERS)} files; {path.name!r} ends otherwise.")
+        raise ModelError(f"Trajectories are read from {' and '.join(_READERS)} files, not from {path.name!r}.")
     try:
         if not path.is_file():
             raise ModelError(f"{path} cannot be read: there is no such file.")
@@ -259,16 +259,16 @@ def read_trajectory(path: str | Path, model: Kernel | None, find: Callable[[str,
         raise
     except OSError as error:
         raise ModelError(f"{path} cannot be read: {error.strerror or error}.") from error
-    except Exception as error:  # whatever the libraries that read it find in a damaged file
+    except Exception as error:  # any error of the reading libraries on a damaged file
         raise _unreadable(path, error) from error
     try:
         name, fingerprint = (_entry(attributes, key, str) for key in ("model", "fingerprint"))
         model = find(name, fingerprint) if model is None else model
         if model is None:
             raise ModelError(
-                f"{path} is a run of the model {name!r} with the fingerprint {fingerprint[:16]!r}, which neither comes "
-                "with the package, nor was installed from a wheel, nor is in the cache of this machine: pass it, as "
-                f"load_trajectory({str(path)!r}, model=compile_model(...)), or model=load(...) with the path of the "
+                f"{path} is a run of the model {name!r} with the fingerprint {fingerprint[:16]!r}, which "
+                "is not in the package, not installed from a wheel, and not in the cache of this machine: pass it, as "
+                f"load_trajectory({str(path)!r}, model=compile_model(...)), or as model=load(...) with the path of the "
                 "module that build_model made."
             )
         if fingerprint != model.manifest["fingerprint"]:
@@ -289,7 +289,7 @@ def _unreadable(path: Path, error: Exception) -> ModelError:
 
 
 def _trajectory(model: Kernel, attributes: Mapping[str, Any], columns: Mapping[str, Any]) -> Trajectory:
-    """What was read, or a KeyError or ValueError that says what is wrong with it."""
+    """A trajectory from the data of a file; a KeyError or ValueError says what is wrong with them."""
     t = _column(columns, "t")
     steps = np.diff(t)
     if not np.isfinite(t).all() or not ((steps >= 0).all() or (steps <= 0).all()):
@@ -320,7 +320,7 @@ def _trajectory(model: Kernel, attributes: Mapping[str, Any], columns: Mapping[s
 
 def _entry(attributes: Mapping[str, Any], key: str, kind: type) -> Any:
     value = attributes[key]
-    # NetCDF has no larger integers.
+    # The largest integers of NetCDF.
     if type(value) is not kind or (isinstance(value, int) and abs(value) >= 2**63):
         raise ValueError(f"its {key} is no {kind.__name__}")
     return value
@@ -346,8 +346,8 @@ _Read = tuple[Mapping[str, Any], Mapping[str, Any]]
 
 def _read_npz(path: Path) -> _Read:
     with path.open("rb") as opened:
-        if not is_zipfile(opened):  # in which case NumPy would give advice about pickles
-            raise ModelError(f"{path} is no NPZ file, or a damaged one.")
+        if not is_zipfile(opened):  # NumPy would give misleading advice about pickles
+            raise ModelError(f"{path} is not an NPZ file, or it is damaged.")
         with np.load(opened, allow_pickle=False) as file:
             arrays = dict(file)
     return _parsed(str(arrays[ATTRIBUTES])), arrays
@@ -360,7 +360,7 @@ def _read_netcdf(path: Path) -> _Read:
     content = path.read_bytes()
     end = len(content) - len(SEAL) - sha256().digest_size
     if content[end:].startswith(SEAL) and content[end + len(SEAL) :] != sha256(content[:end]).digest():
-        raise ModelError(f"{path} is damaged, or another program has changed it: its digest is another one.")
+        raise ModelError(f"{path} is damaged, or was changed by another program: its digest does not match.")
     _require_whole_heaps(content)
     _require_own_data(io.BytesIO(content))
     most = MAX_COMPRESSION * len(content)
@@ -368,7 +368,7 @@ def _read_netcdf(path: Path) -> _Read:
         attributes = dict(file.attrs)
         variables = {name: v for name, v in file.variables.items() if v.dimensions == ("time",)}
         for name, variable in variables.items():
-            if variable.shape[0] * variable.dtype.itemsize > most:  # HDF5 fills what is not there
+            if variable.shape[0] * variable.dtype.itemsize > most:  # HDF5 fills missing values
                 raise ValueError(f"its {name} claims {variable.shape[0]} values, for which the file is too small")
         columns = {name: variable[...] for name, variable in variables.items()}
     columns["t"] = columns.pop("time")
@@ -380,7 +380,7 @@ def _read_netcdf(path: Path) -> _Read:
 
 
 def _require_whole_heaps(content: bytes) -> None:
-    """Raise a ValueError if a heap of texts is damaged: HDF5 2.0 may go through its objects for ever.
+    """Raise a ValueError if a global heap is damaged: HDF5 2.0 may loop forever over its objects.
 
     Source: The HDF Group, *HDF5 File Format Specification Version 3.0*, section III.E, disk format of global heaps.
     """
@@ -398,7 +398,7 @@ def _require_whole_heaps(content: bytes) -> None:
 
 
 def _require_own_data(file: IO[bytes]) -> None:
-    """Raise a ValueError if a variable is in another file: HDF5 would read whatever is there."""
+    """Raise a ValueError if a variable refers to another file, which HDF5 would read."""
     import h5py
 
     with h5py.File(file, "r") as opened:

@@ -1,1 +1,1 @@
-"""What simulations give: data, and the doors to files and figures."""
+"""Results of simulations: data, with methods that plot and save them."""

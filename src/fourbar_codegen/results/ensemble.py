@@ -1,4 +1,4 @@
-"""Ensemble: the result of many runs of one mechanism."""
+"""Ensemble: the results of many simulations of one mechanism."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Ensemble:
-    """Runs of one mechanism over the same time, members in rows.
+    """Simulations of one mechanism over the same time span, members in rows.
 
     Attributes
     ----------
@@ -38,18 +38,18 @@ class Ensemble:
     t : ndarray, shape (n_t,)
         Times, s.
     y : ndarray, shape (n, n_x, n_t)
-        ``y[i]`` are the states of member i as those of a `Trajectory`; NaN from where it failed on.
+        ``y[i]`` contains the states of member i, as in a `Trajectory`; NaN after a failure.
     success : ndarray of bool, shape (n,)
-        Whether each member has reached the end.
+        Whether each member reached the end.
     messages : tuple of str
-        Why each has ended.
+        Why each member ended.
     nfev : ndarray of int, shape (n,)
         Numbers of evaluations of the right-hand side.
     parameters : ndarray, shape (n, n_p)
     inputs : mapping
-        Sources of the inputs as they were given, in copies.
+        Copies of the given sources of inputs.
     settings : dict
-        How the runs were asked for, as of a `Trajectory`.
+        Arguments of the runs, as in a `Trajectory`.
 
     Examples
     --------
@@ -74,15 +74,15 @@ class Ensemble:
         return len(self.y)
 
     def __getitem__(self, key: Any) -> Any:
-        """A member as a `Trajectory`, by its number; or a quantity of all members, by its name.
+        """A member by its number, as a `Trajectory`; or a quantity of all members by its name.
 
-        A name is any that a `Trajectory` takes: a state, input, output, ``"energy"``, ... The shape is (n, n_t), of a
-        point (n, 3, n_t); NaN from where a member failed on. ``"t"`` are the times, shape (n_t,).
+        Names are those of a `Trajectory`: a state, input, output, ``"energy"``, ... The shape is (n, n_t), for a point
+        (n, 3, n_t), with NaN after the failure of a member. ``"t"`` gives the times, shape (n_t,).
         """
         if is_integer(key):
             return self._member(int(key))
         if isinstance(key, slice):
-            raise ModelError("Members are had one by one: slice ensemble.y, or index with a number.")
+            raise ModelError("Ensembles have no slices: slice ensemble.y, or index one member with a number.")
         name = name_of(key)
         if name in self.model.states:
             return self.y[:, self.model.states.index(name)]
@@ -122,13 +122,13 @@ class Ensemble:
         }
 
     def to_xarray(self) -> xarray.Dataset:
-        """The ensemble as a dataset of xarray, which needs the extra ``data``.
+        """The ensemble as an xarray Dataset; needs the extra ``data``.
 
         Returns
         -------
         xarray.Dataset
             Over ``member`` and ``time`` (s) a variable for each coordinate, speed, auxiliary state and output; over
-            ``member`` each parameter, ``success``, ``message`` and ``nfev``. Attributes as of `Trajectory.to_xarray`.
+            ``member`` each parameter, ``success``, ``message`` and ``nfev``. Attributes as in `Trajectory.to_xarray`.
 
         Raises
         ------
@@ -147,12 +147,12 @@ class Ensemble:
         return ensemble_dataset(self)
 
     def plot(self, names: Sequence[Any] = ()) -> Figure:
-        """Median, bands of 50 and 90 % of the members, and curves of some members; needs the extra ``visual``.
+        """Plot the median, the bands that contain 50 % and 90 % of the members, and some members; needs ``visual``.
 
         Parameters
         ----------
         names : sequence of str, optional
-            Scalar quantities as `Trajectory` names them, a panel for each; the coordinates otherwise.
+            Names of scalar quantities, as in `Trajectory`, with a panel for each; by default the coordinates.
 
         Returns
         -------
@@ -181,11 +181,11 @@ class Ensemble:
         Parameters
         ----------
         path : str or Path
-            Its suffix gives the kind: ``.csv`` (a row for each member and time: the parameters that differ, states and
-            outputs), ``.npz`` (NumPy: ``t``; each state and output, shape (n, n_t); each parameter, ``success``,
-            ``messages`` and ``nfev``, shape (n,)), ``.nc`` (NetCDF, as `to_xarray` has it; needs the extra ``data``),
-            ``.png`` (`plot`; needs the extra ``visual``). Missing folders are made. Whatever goes wrong, a file that
-            was there stays as it was.
+            The suffix selects the format: ``.csv`` (a row for each member and time: the parameters that differ, states
+            and outputs), ``.npz`` (NumPy: ``t``; each state and output, shape (n, n_t); each parameter, ``success``,
+            ``messages`` and ``nfev``, shape (n,)), ``.nc`` (NetCDF of `to_xarray`; needs the extra ``data``), ``.png``
+            (`plot`; needs the extra ``visual``). Missing folders are created. If writing fails, an existing file is not
+            changed.
 
         Returns
         -------
@@ -194,7 +194,7 @@ class Ensemble:
         Raises
         ------
         ModelError
-            If it is no path, the suffix is another one, the file cannot be written, or what it takes is missing.
+            If this is no path, the suffix is unknown, the file cannot be written, or a required package is missing.
         """
         return save(path, self, WRITERS, "An ensemble")
 

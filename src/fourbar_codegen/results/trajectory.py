@@ -1,4 +1,4 @@
-"""Trajectory: the result of a simulation, with SciPy's names."""
+"""Trajectory: the result of a simulation, with the attribute names of SciPy."""
 
 from __future__ import annotations
 
@@ -43,23 +43,23 @@ class Trajectory:
     r : ndarray, shape (n_r, n_t)
         Inputs in columns.
     sol : callable or None
-        Interpolant of the state, if ``dense_output`` was asked for.
+        Interpolant of the state, with ``dense_output=True``.
     t_events, y_events : list of ndarray or None
         Times and states of each event.
     nfev, njev, nlu : int
         Numbers of evaluations of the right-hand side and its Jacobian, and of factorizations.
     status : int
-        0: the end was reached; 1: a terminal event; -1: the integrator failed.
+        0: end reached; 1: terminal event; -1: integration failed.
     success : bool
     message : str
-        Why it ended.
+        Why the run ended.
     model : Kernel
     parameters : ndarray or None
-        The parameter values, if they are not the defaults.
+        The parameter values, unless they are the defaults.
     settings : dict
-        How the run was asked for: method, t_span, rtol, atol, constraints and what else it had.
+        Arguments of the run: method, t_span, rtol, atol, constraints and others that were given.
     inputs : mapping or None
-        The inputs' sources as they were given, in copies; None of a run that was read from a file.
+        Copies of the given sources of inputs; None if the run was read from a file.
 
     Examples
     --------
@@ -102,15 +102,15 @@ class Trajectory:
         return self.y[self.model.n_q + self.model.n_u :]
 
     def __getitem__(self, name: Any) -> Floats:
-        """A quantity over time by its name, or by SymPy's symbol of it.
+        """A quantity over time, by its name or SymPy symbol.
 
-        States, inputs and outputs; else what `columns` has: ``"t"``, ``"energy"``, ``"lambda1"``, ...; each of shape
-        (n_t,). Else the position of a point, shape (3, n_t), m.
+        A state, input or output, or another quantity of `columns`: ``"t"``, ``"energy"``, ``"lambda1"``, ..., of shape
+        (n_t,); or the position of a point, m, of shape (3, n_t).
 
         Raises
         ------
         ModelError
-            If nothing has this name. The message lists the names.
+            If there is no such quantity. The message lists the names.
         """
         model, key = self.model, name_of(name)
         for names, rows in ((model.states, "y"), (model.inputs, "r"), (model.outputs, "outputs")):
@@ -133,16 +133,16 @@ class Trajectory:
 
     @property
     def constraint_residual(self) -> Floats:
-        """By how much constraints are violated, shape (n, n_t), in their units.
+        """Constraint violation, shape (n, n_t), in the units of the constraints.
 
-        Phi of those on positions, n_h rows; then J u + b of those on velocities alone, which are no rates of these.
+        Phi of the position constraints, n_h rows; then J u + b of the nonholonomic constraints.
         """
         positions, velocities, *_ = self._derived
         return np.concatenate((positions, velocities[self.model.manifest["velocity_rows"]]))
 
     @property
     def residual_label(self) -> str:
-        """What `constraint_residual` is called where it is shown."""
+        """The title of `constraint_residual` in plots and tables."""
         return "Constraint residual" if self.model.manifest["velocity_rows"] else "Loop residual"
 
     @property
@@ -158,15 +158,15 @@ class Trajectory:
     def points(self) -> dict[str, Floats]:
         """Positions of the mechanism's points over time, by name, m, each of shape (3, n_t).
 
-        They are those of the System's own points, from its fixed point, along the axes of its frame.
+        Relative to the fixed point of the System, in its frame.
         """
         return dict(zip(self.model.points, self._drawing[0], strict=True))
 
     @property
     def forces(self) -> dict[str, Floats]:
-        """The inputs' forces over time, by the name of the point that they act on, N, each of shape (3, n_t).
+        """Forces that depend on inputs, over time, by the name of their point, N, each of shape (3, n_t).
 
-        Along the axes of the System's frame; the sum of those loads at a point that depend on an input.
+        In the frame of the System; the sum of the loads at the point that depend on an input.
         """
         return dict(zip(self.model.forced_points, self._drawing[1], strict=True))
 
@@ -178,7 +178,7 @@ class Trajectory:
 
     @property
     def potential_energy(self) -> Floats:
-        """Potential energy, J, shape (n_t,); NaN where the model does not know it."""
+        """Potential energy, J, shape (n_t,); NaN if it is unknown."""
         values: Floats = self._derived[2][1]
         return values
 
@@ -189,27 +189,27 @@ class Trajectory:
 
     @property
     def multipliers(self) -> Floats:
-        """Multipliers of the constraints, shape (n_c, n_t); NaN in singular positions."""
+        """Lagrange multipliers of the constraints, shape (n_c, n_t); NaN at singular positions."""
         return self._derived[3]
 
     @property
     def outputs(self) -> Floats:
-        """Outputs, shape (n_o, n_t); NaN in singular positions."""
+        """Outputs, shape (n_o, n_t); NaN at singular positions."""
         return self._derived[4]
 
     def resample(self, times: ArrayLike) -> Trajectory:
         """The same run at other times, for pictures and tables.
 
-        States are those of ``sol`` where there is one; otherwise of cubic Hermite polynomials through the stored states
-        and their rates, whose error goes with the fourth power of the distance between these. Either are moved onto the
-        constraints if the run's are. Inputs come from their sources; of a run that was read from a file, those that are
-        not their expressions are interpolated linearly, and where one of these prescribes a motion, states stay as they
-        are.
+        States are interpolated with ``sol`` if it exists, otherwise with cubic Hermite polynomials through the stored
+        states and their rates, whose error is proportional to the fourth power of the distance between stored states.
+        They are projected onto the constraints if the run was. Inputs are evaluated from their sources. For a run that
+        was read from a file, inputs that are not their default expressions are interpolated linearly; if one of these
+        prescribes a motion, states are not projected.
 
         Parameters
         ----------
         times : array_like, shape (n,)
-            Within the run, in its direction, s.
+            Times within the run, in its direction, s.
 
         Returns
         -------
@@ -233,7 +233,7 @@ class Trajectory:
             raise ModelError("The run has no states.")
         times = sample_times(times, self.t[0], self.t[-1], "times")
         ode, prescribed = along(self.model, self.parameters, self.t, self.r, self.inputs)
-        stored, places = np.unique(self.t, return_index=True)  # an event at the beginning is stored beside it
+        stored, places = np.unique(self.t, return_index=True)  # an event at the start is stored in addition to it
         if self.sol is not None:
             states = np.asarray(self.sol(times))
         elif len(stored) == 1:
@@ -251,8 +251,8 @@ class Trajectory:
         """All scalar quantities over time by name, each of shape (n_t,).
 
         ``t`` (s), states, inputs, outputs; multipliers ``lambda1``, ``lambda2``, ... in the order of the constraints;
-        ``constraint_residual_1``, ...; ``kinetic_energy``, ``potential_energy`` and ``energy`` (J). Where a state,
-        input or output has one of these names, the name is that of the state, input or output.
+        ``constraint_residual_1``, ...; ``kinetic_energy``, ``potential_energy`` and ``energy`` (J). A state, input or
+        output with one of these names takes precedence.
         """
         model = self.model
         columns = {"t": self.t, **dict(zip(model.states, self.y, strict=True))}
@@ -266,7 +266,7 @@ class Trajectory:
         return {**columns, **{name: row for name, row in derived.items() if name not in columns}}
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """The trajectory as a table of pandas, which the extra ``data`` installs.
+        """The trajectory as a pandas DataFrame; needs the extra ``data``.
 
         Returns
         -------
@@ -290,15 +290,15 @@ class Trajectory:
         return to_dataframe(self)
 
     def to_xarray(self) -> xarray.Dataset:
-        """The trajectory as a dataset of xarray, which needs the extra ``data``.
+        """The trajectory as an xarray Dataset; needs the extra ``data``.
 
         Returns
         -------
         xarray.Dataset
-            Over ``time`` (s) a variable for each coordinate, speed, input and output, by name; residuals, multipliers,
-            energies (J), the points' positions (m) and the inputs' forces on them (N). Its attributes are what it takes
-            to make the run again: model and fingerprint, parameters, settings and versions, the latter three as JSON;
-            and how it ended.
+            Over ``time`` (s) a variable for each coordinate, speed, input and output; residuals, multipliers, energies
+            (J), positions of points (m) and forces that depend on inputs (N). The attributes contain the information to
+            repeat the run: model and fingerprint, parameters, settings and versions, the latter three as JSON; and how
+            the run ended.
 
         Raises
         ------
@@ -322,11 +322,11 @@ class Trajectory:
         Parameters
         ----------
         path : str or Path
-            Its suffix gives the kind: ``.csv`` (a row for each time, all digits), ``.npz`` (NumPy, an array
-            for each name), ``.nc`` (NetCDF, as `to_xarray` has it; needs the extra ``data``), ``.html`` (an interactive
-            report), ``.png`` (a plot), ``.gif`` or ``.mp4`` (an animation); the last three need the extra ``visual``,
-            ``.mp4`` also FFmpeg. Missing folders are made. `load_trajectory` reads ``.npz`` and ``.nc``. Whatever goes
-            wrong, a file that was there stays as it was.
+            The suffix selects the format: ``.csv`` (a row for each time, all digits), ``.npz`` (NumPy, an array for
+            each name), ``.nc`` (NetCDF of `to_xarray`; needs the extra ``data``), ``.html`` (interactive report),
+            ``.png`` (plot), ``.gif`` or ``.mp4`` (animation); the last three need the extra ``visual``, ``.mp4`` also
+            FFmpeg. Missing folders are created. `load_trajectory` reads ``.npz`` and ``.nc``. If writing fails, an
+            existing file is not changed.
 
         Returns
         -------
@@ -335,32 +335,32 @@ class Trajectory:
         Raises
         ------
         ModelError
-            If it is no path, the suffix is another one, the file cannot be written, or what it takes is missing.
+            If this is no path, the suffix is unknown, the file cannot be written, or a required package is missing.
         """
         return save(path, self, WRITERS, "A trajectory")
 
     def animate(self, *, fps: float = 30.0, speed: float = 1.0, traces: Sequence[str] | None = None) -> FuncAnimation:
-        """Move the mechanism's points and the lines between them; needs the extra ``visual``.
+        """Animate the mechanism with Matplotlib; needs the extra ``visual``.
 
         Parameters
         ----------
         fps : float, optional
             Frames per second.
         speed : float, optional
-            Seconds of the run that a second shows.
+            Simulated seconds per second of the animation.
         traces : sequence of str, optional
-            Names of points that leave a trace; by default the joints that move, or else the mass centres.
+            Names of points with a trace; by default the moving joints, or the mass centres if there are none.
 
         Returns
         -------
         matplotlib.animation.FuncAnimation
-            To be saved, which `save` does for GIF and MP4. In a notebook, `report` needs no network, which the buttons
-            of Matplotlib's ``to_jshtml()`` do.
+            `save` writes it as GIF or MP4. In a notebook, prefer `report`: the buttons of Matplotlib's ``to_jshtml()``
+            need a network.
 
         Raises
         ------
         ModelError
-            If the extra is not installed, a trace's point does not exist, or no point's position is known.
+            If the extra is not installed, the point of a trace does not exist, or no positions are known.
 
         Examples
         --------
@@ -373,7 +373,7 @@ class Trajectory:
         return animate(self, fps=fps, speed=speed, traces=traces)
 
     def report(self, *, height: int = 900) -> Page:
-        """The interactive report for a notebook: the moving mechanism, traces, plots and a table of the run.
+        """The interactive report in a notebook: the moving mechanism, traces, plots and a table of the run.
 
         The same page as ``save("run.html")``; it needs no network, no extra and no running kernel.
 
@@ -385,12 +385,12 @@ class Trajectory:
         Returns
         -------
         Page
-            The last expression of a cell shows it.
+            Displayed if it is the last expression of a cell.
 
         Raises
         ------
         ModelError
-            If height is no positive integer, or there is nothing to show: no points whose positions are known, or no
+            If height is not a positive integer, or there is nothing to show: no points with known positions, or no
             states.
 
         Examples
@@ -406,9 +406,9 @@ class Trajectory:
         return Page(f"Report of {self.model.name}", report_text(self), int(height))
 
     def plot(self) -> Figure:
-        """States, inputs, outputs (joint forces among them), energy, multipliers and loop residual.
+        """Plot states, inputs, outputs (such as joint forces), energy, multipliers and constraint violation over time.
 
-        Over time, one above the other; needs the extra ``visual``.
+        One panel for each; needs the extra ``visual``.
 
         Returns
         -------
@@ -424,12 +424,12 @@ class Trajectory:
         return plot_trajectory(self)
 
     def plot_paths(self, points: Sequence[str] = ()) -> Figure:
-        """Draw the paths of points, such as coupler curves, and the mechanism as it begins; needs the extra ``visual``.
+        """Draw the paths of points, such as coupler curves, and the initial mechanism; needs the extra ``visual``.
 
         Parameters
         ----------
         points : sequence of str, optional
-            Names of the points; otherwise the joints that move, or the mass centres where there are none.
+            Names of the points; by default the moving joints, or the mass centres if there are none.
 
         Returns
         -------
@@ -462,7 +462,7 @@ class Trajectory:
 
 
 def _hermite(t: Floats, y: Floats, rates: Floats, times: Floats) -> Floats:
-    """Cubic Hermite polynomials through states in columns: SciPy's class takes half a second to import."""
+    """Cubic Hermite interpolation of states in columns; importing SciPy's class would take half a second."""
     i = np.clip(np.searchsorted(t, times, side="right") - 1, 0, len(t) - 2)
     step = t[i + 1] - t[i]
     s = (times - t[i]) / step
@@ -475,7 +475,7 @@ def _hermite(t: Floats, y: Floats, rates: Floats, times: Floats) -> Floats:
 
 
 def make_trajectory(**attributes: Any) -> Trajectory:
-    """A `Trajectory` of all its attributes at once: its own way, a call for each, takes a tenth of a short run."""
+    """A `Trajectory` from all its attributes; setting them one by one would take a tenth of a short run."""
     trajectory = Trajectory.__new__(Trajectory)
     object.__setattr__(trajectory, "__dict__", attributes)
     return trajectory

@@ -1,1 +1,1 @@
-"""Motions: runs of all methods, events, jumps, singular positions, ensembles."""
+"""Simulation: integration methods, events, discontinuities, singular positions, ensembles."""

@@ -1,4 +1,4 @@
-"""The right-hand side at many states at once: side by side in vectors, and on all cores."""
+"""The right-hand side at many states, in SIMD batches and on all cores."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["BLOCK", "evaluate", "n_workers"]
 Floats = NDArray[np.float64]
 
 BLOCK = 1024
-"""States that a thread evaluates at a time, members that a process runs at a time."""
+"""Number of states in a task of a thread, and of members in a task of a process."""
 
 
 def evaluate(
@@ -40,7 +40,7 @@ def evaluate(
     if times.shape not in {(), (n,)}:
         raise ModelError(f"The times must be a number or have shape ({n},), not {times.shape}.")
     if p is None:
-        model.parameter_vector(None)  # raises where one has no default
+        model.parameter_vector(None)  # raises if a parameter has no default
         parameters = np.array(list(model.defaults.values()), dtype=float)
     else:
         parameters = named_columns(p, model.parameters, model.defaults, "parameter", n)
@@ -53,7 +53,7 @@ def evaluate(
         out = np.empty(states.shape)
     elif not (isinstance(out, np.ndarray) and out.shape == states.shape and out.dtype == float and out.flags.carray):
         raise ModelError(f"out must be a contiguous, writable array of double of the shape {states.shape}.")
-    # For arrays that are contiguous, as these are, the bounds tell it.
+    # For contiguous arrays, as these are, the bounds are sufficient.
     elif any(np.may_share_memory(out, given) for given in (times, states, parameters, inputs) if given is not None):
         raise ModelError("out must not share memory with t, x, p or r.")
     model.require_batch_functions()
@@ -68,7 +68,7 @@ def evaluate(
 
 
 def _with_defaults(model: Kernel, times: Floats, parameters: Floats, r: Values, n: int) -> Values:
-    """Inputs by name with those that are left out: their expressions' values, rates of given motions 0."""
+    """Inputs by name, completed by the values of their expressions; rates of given motions are 0."""
     if not is_mapping(r):
         return r
     given = model.rates_at_rest(r) | named(r, model.inputs, "input")
@@ -85,7 +85,7 @@ def _with_defaults(model: Kernel, times: Floats, parameters: Floats, r: Values, 
 
 
 def n_workers(workers: int | None) -> int:
-    """The number of threads that is asked for; None is one for each core."""
+    """The number of threads; None is one per core."""
     if workers is None:
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     if not is_integer(workers) or workers < 1:

@@ -1,8 +1,8 @@
-"""Jumps and kinks of what is given as a function of time: where they are, and what a jump of velocities does.
+"""Discontinuities in time: their detection, and the effect of velocity jumps.
 
-Integrators assume that x' is smooth within a step. So a step ends where an input's table has a point, and where a
-condition of an expression changes (see `breakpoints`). Where the rate of a prescribed motion jumps, speeds jump with
-it: an impulse passes through the constraints, and through the bodies that the motion carries.
+Integrators assume that x' is smooth within a step. Steps therefore end at the points of input tables, and where a
+condition in an expression changes (see `breakpoints`). If the rate of a prescribed motion jumps, the speeds jump: an
+impulse acts through the constraints, and through the bodies that the motion carries.
 """
 
 from __future__ import annotations
@@ -23,29 +23,29 @@ __all__ = ["Boundary", "Discontinuity", "Pieces", "boundary", "discontinuities",
 Floats = NDArray[np.float64]
 
 JUMP = 1e-9
-"""The share of their size by which values jump from one double to the next; less may be rounding errors."""
+"""Relative threshold for a jump between neighbouring doubles; smaller changes may be rounding errors."""
 
 STEADY = 10.0
-"""So many times the change from one double to the next, on either side, is none either: of large times these are far
-apart."""
+"""A jump must also exceed this many times the change between neighbouring doubles on either side, because large times
+are widely spaced."""
 
 SAME = 4
-"""Times that differ by so many spacings of the latest one are the same but for rounding errors, and so are the sides of
-a condition there."""
+"""Times that differ by at most this many spacings of the latest time are equal up to rounding errors, and so are the
+sides of a condition there."""
 
 
 @dataclass(frozen=True)
 class Discontinuity:
-    """A time at which something has a jump or a kink.
+    """A time of a jump or a kink.
 
     Attributes
     ----------
     t, until : float
-        The time; or the first and last of several that differ by rounding errors.
+        The time; or the first and last of several times that differ by rounding errors.
     moves : bool
-        Whether that may be a position or a velocity; forces otherwise, across which speeds are continuous.
+        Whether a position or velocity may jump; otherwise only forces, and speeds are continuous.
     rounding : float
-        By how much conditions may miss the time.
+        Rounding error of the time in conditions.
     """
 
     t: float
@@ -61,9 +61,9 @@ class Boundary:
     Attributes
     ----------
     end, begin : float
-        Where one step ends and the next one begins: the same, or where speeds jump next to each other.
+        End of one step and start of the next: equal, or neighbouring if the speeds jump.
     last, first : float
-        The times up to which, and from which on, values belong to either side.
+        The last time of the values before, and the first time of the values after.
     """
 
     end: float
@@ -73,7 +73,7 @@ class Boundary:
 
 
 def discontinuities(ode: Ode, begin: float, end: float) -> list[Discontinuity]:
-    """Those between two times, both included, in order from one to the other.
+    """The discontinuities between two times, both included, in the order of the run.
 
     Parameters
     ----------
@@ -110,17 +110,17 @@ def discontinuities(ode: Ode, begin: float, end: float) -> list[Discontinuity]:
 def boundary(ode: Ode, at: Discontinuity, towards: float, x: Floats) -> Boundary:
     """How a run passes a discontinuity.
 
-    Where speeds jump, the value at its time belongs to one side, or to none: of tables to what is between their ends,
-    of a Piecewise to the branch whose condition holds, and that of SymPy's Heaviside is half of each.
+    If speeds jump, the value at the time itself belongs to one side or to neither: for tables to the interval between
+    their ends, for a Piecewise to the branch whose condition holds; SymPy's Heaviside has the mean of both.
 
     Parameters
     ----------
     ode : Ode
     at : Discontinuity
     towards : float
-        Infinity, with the sign of the run's direction.
+        Infinity with the sign of the direction of the run.
     x : ndarray, shape (n_x,)
-        A state of the run before it.
+        A state of the run before the discontinuity.
 
     Returns
     -------
@@ -132,7 +132,7 @@ def boundary(ode: Ode, at: Discontinuity, towards: float, x: Floats) -> Boundary
         prescribed = _Prescribed(ode, x)
         for value, jumped in prescribed.velocities(before, after):
             if jumped.any():
-                if not np.isfinite(prescribed.inputs(at.t)).all():  # such as the slope of a root where that is zero
+                if not np.isfinite(prescribed.inputs(at.t)).all():  # such as the derivative of a square root at zero
                     return Boundary(before, after, before, after)
                 place = np.flatnonzero(jumped)[0]
                 to_left, to_right = (abs(value(at.t) - value(side))[place] for side in (before, after))
@@ -143,33 +143,33 @@ def boundary(ode: Ode, at: Discontinuity, towards: float, x: Floats) -> Boundary
 
 
 def speeds_after(ode: Ode, at: Boundary, x: Floats) -> Floats | None:
-    """The speeds after a boundary, shape (n_u,); None where they do not jump.
+    """The speeds after a boundary, shape (n_u,); None if they do not jump.
 
     With the kinetic energy T = u^T M u / 2 + m(q, t)^T u + T_0 and the constraints J u + b(q, t) = 0, jumps of m and b
     at fixed positions give
 
         M (u_+ - u_-) = -(m_+ - m_-) + J^T Lambda,    J (u_+ - u_-) = -(b_+ - b_-)
 
-    with the constraints' impulses Lambda: generalized momenta dT/du change by what the constraints transmit.
+    with the impulses Lambda of the constraints: they change the generalized momenta dT/du.
 
     Parameters
     ----------
     ode : Ode
     at : Boundary
     x : ndarray, shape (n_x,)
-        The state before it.
+        The state before the boundary.
 
     Raises
     ------
     SimulationError
-        If positions jump: no finite force does that. Or if no speeds satisfy the constraints after it.
+        If positions jump, which no finite force can cause, or if no speeds satisfy the constraints afterwards.
 
     Source: F. Pfeiffer, C. Glocker, *Multibody Dynamics with Unilateral Contacts*, Wiley, 1996, section 8.2.
     """
     prescribed = _Prescribed(ode, x)
     for name in prescribed.jumping_positions(at.last, at.first):
         raise SimulationError(
-            f"{name} jumps at t = {at.first:.9g}, which no finite force does: prescribe a continuous motion."
+            f"{name} jumps at t = {at.first:.9g}, which no finite force can cause: prescribe a continuous motion."
         )
     momentum, bias = (
         np.where(jumped, value(at.first) - value(at.last), 0.0)
@@ -178,7 +178,7 @@ def speeds_after(ode: Ode, at: Boundary, x: Floats) -> Floats | None:
     if not (momentum.any() or bias.any()):
         return None
     mass_matrix, jacobian = prescribed.matrices(at.first)
-    # Each speed in units of its inertia, each constraint in units of its row.
+    # Speeds are scaled by their inertia, constraints by the norm of their row.
     speed = 1.0 / np.sqrt(_positive(np.diag(mass_matrix)))
     row = 1.0 / _positive(np.linalg.norm(jacobian * speed, axis=1))
     scaled = row[:, np.newaxis] * jacobian * speed
@@ -203,7 +203,7 @@ OfTime = Callable[[float], Floats]
 
 
 def _jumped(value: OfTime, size: Floats | float, before: float, after: float) -> NDArray[np.bool_]:
-    """Which entries jump from one time to the next, and do not just go on."""
+    """Which entries jump between two neighbouring times, and do not only change continuously."""
     step = after - before
     earlier, at, then, later = (value(t) for t in (before - step, before, after, after + step))
     jumped: NDArray[np.bool_] = np.abs(then - at) > JUMP * size + STEADY * (np.abs(at - earlier) + np.abs(later - then))
@@ -211,7 +211,7 @@ def _jumped(value: OfTime, size: Floats | float, before: float, after: float) ->
 
 
 class _Prescribed:
-    """What time prescribes at a state, as functions of time."""
+    """Prescribed motions at a state, as functions of time."""
 
     def __init__(self, ode: Ode, x: Floats) -> None:
         self.ode, self.model, self.p, self.x = ode, ode.evaluator, ode.parameters, x
@@ -226,21 +226,21 @@ class _Prescribed:
         return self.model.dynamics(t, self.x, self.p, r)[1], self.model.velocity(t, self.x, self.p, r)[0]
 
     def bias(self, t: float) -> Floats:
-        """What b is in J u + b = 0, shape (n_c,)."""
+        """The vector b in J u + b = 0, shape (n_c,)."""
         return self.model.velocity(t, self.x, self.p, self.inputs(t))[1]
 
     def kinetic_energy(self, t: float, x: Floats) -> float:
         return float(self.model.energy(t, x, self.p, self.inputs(t))[0])
 
     def velocities(self, before: float, after: float) -> list[tuple[OfTime, NDArray[np.bool_]]]:
-        """The momentum m that motions carry, shape (n_u,), and b; and which of their entries jump."""
+        """The momentum m of prescribed motions, shape (n_u,), and b; with the entries that jump."""
         mass = np.diag(self.matrices(after)[0])
-        # T is nowhere negative: where nothing is carried, m is 0. With these speeds both parts of T weigh the same.
+        # T >= 0, so m = 0 if T_0 = 0. With these speeds, both parts of T have the same magnitude.
         carried = max(self.kinetic_energy(t, self.at_rest) for t in (before, after))
         speeds = np.sqrt(2.0 * max(carried, 0.0) / np.where(mass > 0.0, mass, np.inf))
 
         def momentum(t: float) -> Floats:
-            """The slope at u = 0 of T, which is of degree 2 in u."""
+            """The derivative of T, which is quadratic in u, at u = 0."""
             found = np.zeros(len(speeds))
             for i in np.flatnonzero(speeds):
                 change = np.zeros(len(self.x))
@@ -254,7 +254,7 @@ class _Prescribed:
         return [(value, _jumped(value, size, before, after)) for value, size in sizes]
 
     def jumping_positions(self, before: float, after: float) -> list[str]:
-        """Names of what jumps among the motions, constraints and points."""
+        """Names of the motions, constraints and points that jump."""
         q, entries = self.x[: self.ode.n_q], self.ode.manifest["inputs"]
         moving = {entry["of"] for entry in entries if entry["order"]}
         places = [place for place, entry in enumerate(entries) if entry["name"] in moving]
@@ -279,14 +279,14 @@ class _Prescribed:
 
 
 class Pieces:
-    """The pieces of a run from one discontinuity to the next: steps end there, and speeds may jump.
+    """The pieces of a run between discontinuities: steps end there, and speeds may jump.
 
     Parameters
     ----------
     ode : Ode
     span : (float, float)
     later : list of Discontinuity
-        Those of the span, one at least.
+        The discontinuities in the span, at least one.
     """
 
     def __init__(self, ode: Ode, span: tuple[float, float], later: list[Discontinuity]) -> None:
@@ -297,25 +297,25 @@ class Pieces:
 
     @property
     def ahead(self) -> bool:
-        """Whether there is another piece after the present one."""
+        """Whether there is another piece after the current one."""
         return self._next is not None
 
     def begin(self, run: Integration) -> None:
-        """Make the run end where its first piece does."""
+        """Make the run stop at the end of its first piece."""
         t, x = run.t, run.x
         if self._later[0].t != t:
             self._enter(run, t, -self._towards, x, jumps=False)
             return
         at = self._later.pop(0)
         here = boundary(self._ode, at, self._towards, x)
-        if here.end == t != here.begin:  # the state at the beginning is one before the jump
+        if here.end == t != here.begin:  # the initial state is before the jump
             self._next = at, here
             run.enter(t, t, -self._towards, t)
         else:
             self._enter(run, t, here.first, x, jumps=False)
 
     def go_on(self, run: Integration) -> bool:
-        """From the end of a piece to the next one; whether a state close by satisfies the constraints there.
+        """Continue with the next piece; returns whether the state could be projected onto the constraints there.
 
         Raises
         ------
@@ -329,7 +329,7 @@ class Pieces:
             speeds = speeds_after(self._ode, here, x)
             if speeds is not None:
                 x[self._ode.n_q : self._ode.n_q + self._ode.n_u] = speeds
-                if not jumps:  # only here, not where the piece began
+                if not jumps:  # detected only at this state, not at the start of the piece
                     t, jumps = here.first, True
         return self._enter(run, t, here.first, x, jumps=jumps)
 
@@ -344,12 +344,12 @@ class Pieces:
         return run.enter(t, end, first, last, x if jumps else None)
 
     def end(self, run: Integration) -> None:
-        """Let values be taken at all times again."""
+        """Allow values at all times again."""
         run.ode.clock = self._span[0], -math.inf, math.inf
 
 
 def jumps(ode: Ode, begin: float, end: float, x: Floats) -> list[Boundary]:
-    """Where speeds jump between two times, for integrators that do not know of it; x is a state at the first one."""
+    """Boundaries where speeds jump between two times, for other integrators; x is a state at the first time."""
     found = discontinuities(ode, begin, end)
     towards = math.copysign(math.inf, end - begin)
     boundaries = [boundary(ode, at, towards, x) for at in found if at.moves]

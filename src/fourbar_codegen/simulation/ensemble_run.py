@@ -1,4 +1,4 @@
-"""Many runs at once: side by side in vectors, on all cores, or on those of an engine of joblib."""
+"""Ensembles: many members in SIMD batches, on all cores, or with an engine of joblib."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ __all__ = ["run"]
 Floats = NDArray[np.float64]
 
 PAUSE = 0.05
-"""Seconds between two looks at how far the threads are."""
+"""Seconds between two updates of the progress bar."""
 
 
 def run(
@@ -47,9 +47,9 @@ def run(
     progress: bool,
     **given: Any,
 ) -> Ensemble:
-    """Many runs at once; see `CompiledModel.ensemble`."""
+    """Simulate many members; see `CompiledModel.ensemble`."""
     one_of(given["method"], METHODS, "method for ensembles")
-    projects(model, given["constraints"])  # of one member, "baumgarte" is allowed as well
+    projects(model, given["constraints"])  # "baumgarte" is allowed for single runs only
     options = RunOptions.of(model, **given)
     if options.t_eval is None:
         options = options._replace(t_eval=np.array(options.t_span))
@@ -58,15 +58,15 @@ def run(
     shows_bar = flag(progress, "progress")
     if not (parallel is None or _is_engine(parallel)):
         raise ModelError(f"parallel must be a joblib.Parallel or None, not {shown(parallel)}.")
-    # Arrays of one dimension have a number for each member.
+    # One-dimensional arrays contain a number for each member.
     inputs = {key: by_member(key, source) for key, source in by_name(model, inputs).items()}
     p, states, n = _members(model, options.t_span[0], x0, parameters, inputs)
     if n:
-        bind(model, p[0], inputs_of(inputs, 0))  # raises where an input has no source
+        bind(model, p[0], inputs_of(inputs, 0))  # raises if an input has no source
     runs = _Runs(model, options, states, p, inputs)
     from tqdm import tqdm
 
-    # Silent where nobody watches: disable=None looks whether there is a terminal.
+    # disable=None: no progress bar without a terminal.
     with tqdm(total=n, desc=model.name, unit="run", delay=PATIENCE, disable=None if shows_bar else True) as bar:
         if parallel is None or not n:
             y, success, messages, nfev = _on_threads(runs, workers, bar)
@@ -79,7 +79,7 @@ def run(
 
 
 def _is_engine(parallel: object) -> bool:
-    """Whether it is a joblib.Parallel; without joblib, there is none."""
+    """Whether the object is a joblib.Parallel; False without joblib."""
     try:
         from joblib import Parallel
     except ImportError:
@@ -103,14 +103,14 @@ def _members(
     lengths += [(w, len(rows.T)) for w, rows in (("parameters", p), ("x0", x)) if rows is not None and rows.ndim == 2]
     if len({length for _, length in lengths}) > 1:
         raise ModelError(
-            "All that is given for each member must have the same length: "
+            "Values for each member must have the same length: "
             + ", ".join(f"{name} has {length}" for name, length in lengths)
         )
     n = lengths[0][1] if lengths else 1
     for what, rows in (("parameters", p), ("x0", x)):
         if rows is not None and not np.isfinite(rows).all():
             raise ModelError(f"{what} must be finite.")
-    # Copies, also where a single row or column already lies as it is needed.
+    # Always copies, also if the memory layout is already right.
     p = np.array(np.broadcast_to(p.T, (n, model.n_p)), order="C")
     if x is not None:
         return p, np.array(np.broadcast_to(x.T, (n, model.n_x)), order="C"), n
@@ -128,7 +128,7 @@ def _members(
 
 
 def _columns(given: Any, what: str, n: int) -> Any:
-    """Values by name, or those of members in rows, as columns."""
+    """Values by name unchanged; an array with members in rows is transposed."""
     if is_mapping(given):
         return given
     values = numbers(given, what)
@@ -153,7 +153,7 @@ Results = tuple[Floats, NDArray[np.bool_], tuple[str, ...], NDArray[np.int_]]
 
 @dataclass(frozen=True)
 class _Runs:
-    """What is to be run, members in rows, and how."""
+    """The members to simulate, in rows, with their options."""
 
     model: Kernel
     options: RunOptions
@@ -162,7 +162,7 @@ class _Runs:
     inputs: Mapping[Any, Any]
 
     def of(self, member: int) -> RunOptions:
-        """Those of a member."""
+        """The options of a member."""
         inputs = inputs_of(self.inputs, member)
         return self.options._replace(x0=self.states[member], parameters=self.parameters[member], inputs=inputs)
 
@@ -173,7 +173,7 @@ class _Runs:
 
 
 def _on_threads(runs: _Runs, workers: int, bar: Any) -> Results:
-    """Side by side those that can be, the others alone."""
+    """Simulate in SIMD batches where possible, the other members one by one."""
     model, options, states, n = runs.model, runs.options, runs.states, len(runs.states)
     assert options.t_eval is not None
     y: Floats | None = None
@@ -201,7 +201,7 @@ def _on_threads(runs: _Runs, workers: int, bar: Any) -> Results:
     waiting = np.arange(n)
     members = None
     tasks: list[Future[None]] = []
-    # Callables may have a memory: they get no two members at once.
+    # Callables may have internal state, so members with callables do not run concurrently.
     with ThreadPoolExecutor(1 if called else workers) as pool:
         try:
             breaks = _breaks(runs) if width(model) > 1 and not called else None
@@ -221,7 +221,7 @@ def _on_threads(runs: _Runs, workers: int, bar: Any) -> Results:
                 y[waiting], nfev[waiting] = np.nan, 0
             else:
                 y = np.full((n, model.n_x, len(options.t_eval)), np.nan)
-            bar.n = n - len(waiting)  # members that have to run again do not count twice
+            bar.n = n - len(waiting)  # members that are repeated do not count twice
             tasks = [pool.submit(alone, int(member)) for member in waiting]
             for finished in _finished(tasks):
                 bar.update(finished)
@@ -237,9 +237,9 @@ def _on_threads(runs: _Runs, workers: int, bar: Any) -> Results:
 
 
 def _breaks(runs: _Runs) -> Floats | None:
-    """Where the steps of all members end, and the times up to which and from which on values belong to either side.
+    """Times at which the steps of all members end, and the limits of the values before and after, in three rows.
 
-    In rows. None where members do not end them at the same times, or velocities may jump.
+    None if the times differ between members, or if velocities may jump.
     """
     begin, end = runs.options.t_span
     by_parameters = runs.model.manifest["n_breakpoints"] > 0
@@ -258,11 +258,11 @@ def _breaks(runs: _Runs) -> Floats | None:
 
 
 class _StoppedError(Exception):
-    """The user has interrupted all runs."""
+    """The user interrupted all runs."""
 
 
 def _finished(tasks: Sequence[Future[None]]) -> Iterator[int]:
-    """Looks up now and then, also for an interrupt from the keyboard, until all tasks are done: how many more are."""
+    """Wait for all tasks, with breaks for keyboard interrupts; yields the number of newly finished tasks."""
     pending: Any = tasks
     while pending:
         done, pending = wait(pending, timeout=PAUSE)
@@ -272,13 +272,13 @@ def _finished(tasks: Sequence[Future[None]]) -> Iterator[int]:
 
 
 def _on_engine(runs: _Runs, parallel: Any, bar: Any) -> Results:
-    """By joblib, in blocks of members."""
+    """Simulate blocks of members with joblib."""
     from joblib import delayed
 
     blocks = [slice(begin, begin + BLOCK) for begin in range(0, len(runs.states), BLOCK)]
     tasks = (delayed(_block)(number, runs.block(members)) for number, members in enumerate(blocks))
     parts: dict[int, Results] = {}
-    for number, part in parallel(tasks):  # in the order in which they come
+    for number, part in parallel(tasks):  # in order of arrival
         parts[number] = part
         bar.update(len(part[0]))
     y, success, messages, nfev = zip(*(parts[number] for number in range(len(blocks))), strict=True)

@@ -1,4 +1,4 @@
-"""Events: what to find the times of, and how these are found in each step of a run."""
+"""Events: their definition, and their detection in each step of a run."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Event:
-    """Something to find the times of: where a function changes its sign.
+    """An event: a sign change of a function.
 
     Parameters
     ----------
     function : str or callable
-        The name of an output, which is evaluated in C; or a function of (t, x).
+        The name of an output, evaluated in C; or a function of (t, x).
     terminal : bool or int, optional
-        Whether the run ends with it; a number ends it with the event of that number.
+        Whether the event ends the run; with a number n, the n-th event does.
     direction : float, optional
-        Positive for changes from negative to positive alone, negative for the opposite ones, 0 for both.
+        Positive: only changes from negative to positive; negative: only the opposite; 0: both.
     """
 
     function: str | Callable[[float, Floats], float]
@@ -50,7 +50,7 @@ EventLike = Event | str | Callable[[float, Floats], float]
 
 
 def events_of(model: Kernel, events: object) -> list[Event] | None:
-    """What a run is given as events, checked."""
+    """The checked events of a run."""
     if events is None:
         return None
     watched = []
@@ -73,7 +73,7 @@ def events_of(model: Kernel, events: object) -> list[Event] | None:
 
 
 class Watch:
-    """Events as ``solve_ivp`` has them: found between the ends of each step, by Brent's method on the interpolant."""
+    """Event detection as in ``solve_ivp``: in each step, with Brent's method on the interpolant."""
 
     def __init__(self, model: Kernel, events: Sequence[Event]) -> None:
         self.events = events
@@ -86,45 +86,45 @@ class Watch:
         ]
         self.values = [0.0] * len(events)
         self.went_on = math.nan
-        """Where the present piece of the run begins, after another one."""
+        """Start of the current piece of the run, after a discontinuity."""
 
     def begin(self, run: Integration) -> None:
-        """The functions' values at the beginning."""
+        """Evaluate the functions at the start."""
         for place, i in enumerate(self.named):
             self.values[i] = run.event_values[1][place]
         for i, function in self.callables:
             self.values[i] = self._call(function, run.t, run.x)
 
     def _call(self, function: Callable[[float, Floats], float], t: float, x: Floats) -> float:
-        return number(function(t, x), "What the callable of an event returns")
+        return number(function(t, x), "The value of an event's callable")
 
     def look(self, run: Integration) -> float | None:
-        """Note the events of the last step; at which share of it the one is that ends the run."""
+        """Store the events of the last step; returns the fraction of the step at which a terminal event occurs."""
         before = self._move_on(run)
         for share, i in sorted((self._root(run, i, before[i]), i) for i in self._changed(before)):
             if share == 0.0 and self.times[i] and self.times[i][-1] == self.went_on == run.time_within(share):
-                continue  # found where the piece before ended
+                continue  # already found at the end of the previous piece
             if self._note(i, run.time_within(share), run.state_within(share)):
                 return share
         return None
 
     def across(self, run: Integration) -> bool:
-        """Note the events of a jump to the state that a run goes on from; whether one of them ends it."""
+        """Store the events of a jump of the state; returns whether one of them is terminal."""
         before, self.went_on = self._move_on(run), run.t
         changed = [i for i in self._changed(before) if before[i] != self.values[i]]
         ends = [self._note(i, run.t, run.x) for i in changed]
         return any(ends)
 
     def _move_on(self, run: Integration) -> list[float]:
-        """Evaluate the functions where the run is; their values before."""
+        """Evaluate the functions at the current state; returns their previous values."""
         before = list(self.values)
-        for place, i in enumerate(self.named):  # the steps between were not looked at
+        for place, i in enumerate(self.named):  # intermediate steps were not checked
             before[i] = run.event_values[0][place]
         self.begin(run)
         return before
 
     def _changed(self, before: Sequence[float]) -> list[int]:
-        """The events whose functions have changed their sign."""
+        """The events with a sign change."""
         found = []
         for i, event in enumerate(self.events):
             up, down = before[i] <= 0.0 <= self.values[i], before[i] >= 0.0 >= self.values[i]
@@ -133,14 +133,14 @@ class Watch:
         return found
 
     def _note(self, i: int, t: float, x: Floats) -> bool:
-        """An event, and whether it ends the run."""
+        """Store an event; returns whether it ends the run."""
         self.times[i].append(t)
         self.states[i].append(x)
         terminal = self.events[i].terminal
         return bool(terminal) and len(self.times[i]) >= int(terminal)
 
     def _root(self, run: Integration, i: int, before: float) -> float:
-        """The share of the last step at which a function is zero."""
+        """The fraction of the last step at which a function is zero."""
         from scipy.optimize import brentq
 
         known = {0.0: before, 1.0: self.values[i]}

@@ -1,4 +1,4 @@
-"""Runs of all methods: samples, events, discontinuities, dense output, and what there is to say at the end."""
+"""Runs with any method: samples, events, discontinuities, dense output, and the final message."""
 
 from __future__ import annotations
 
@@ -25,30 +25,30 @@ __all__ = ["REACHED_END", "integrate"]
 Floats = NDArray[np.float64]
 
 PAUSE = 0.02
-"""Seconds after which a run in C looks up: for an interrupt from the keyboard, and to say how far it is."""
+"""Seconds after which a run in C returns to Python, for keyboard interrupts and progress."""
 
 REACHED_END = "The solver successfully reached the end of the integration interval."
 TERMINATED = "A termination event occurred."
 DIVERGED = (
-    "The equations of a step could not be solved: take a shorter max_step, such as {:.1e}. If the motion passes no "
-    'singular position, method="DOP853" chooses its steps itself.'
+    "The equations of a step could not be solved: use a shorter max_step, such as {:.1e}. If the motion passes no "
+    'singular position, method="DOP853" selects its step size itself.'
 )
 FAILED = {
     "too small": "Required step size is less than spacing between numbers. Is an input or a load discontinuous there? "
-    "Jumps of tables and of the model's expressions are found, those of callables are not: end the run there by a "
-    "terminal event and start anew, or hold the inputs over each step with CompiledModel.stepper.",
-    "infinite": "The step's length is not finite: give a finite end, or max_step.",
-    "open": "A step has opened the loops too far to be closed again: take smaller tolerances.",
+    "Jumps of tables and of the model's expressions are found, those of callables are not: end the run there with a "
+    "terminal event and start a new one, or hold the inputs over each step with CompiledModel.stepper.",
+    "infinite": "The step size is not finite: give a finite end, or max_step.",
+    "open": "After a step the constraint violation is too large to be corrected: use smaller tolerances.",
 }
-COORDINATES_ALONE = " In index 3 the tolerance holds for the coordinates of a step alone; speeds are less exact."
+COORDINATES_ALONE = " In index 3 the tolerance applies to the coordinates only; the speeds are less accurate."
 
 GROWN = 1e3
-"""The energy of a run has grown beyond reason where it ends with so many times the largest kinetic energy of its first
-half, and the range of its potential energy. A constant force makes 4 times that of the first half, a constant power
-twice as much; what a load feeds that goes with the motion grows exponentially."""
+"""The energy of a run has grown suspiciously if the final kinetic energy exceeds this many times both the largest
+kinetic energy of the first half and the range of the potential energy. With a constant force the factor is 4, with a
+constant power 2; energy that loads supply in proportion to the motion grows exponentially."""
 
 SAMPLES = 100
-"""States along a run whose energies are compared."""
+"""Number of states of a run at which energies are compared."""
 
 
 def integrate(
@@ -60,7 +60,7 @@ def integrate(
     ----------
     model : Kernel
     ode : Ode
-        The right-hand side; nothing else may use it during the run.
+        The right-hand side; for exclusive use during the run.
     x0 : ndarray, shape (n_x,)
     options : RunOptions
     progress : callable of the time, or None
@@ -71,7 +71,7 @@ def integrate(
     """
     span, method, max_steps, t_eval = options.t_span, options.method, options.max_steps, options.t_eval
     watch = Watch(model, options.events) if options.events else None
-    # ALI3P closes positions by itself, whatever is done with its states.
+    # ALI3P satisfies the position constraints by itself, with or without projection.
     closes = options.project or method == FIXED_STEP
     start = consistent(ode, span[0], x0) if closes else x0
     (t_begin, t_bound), max_step, rtol, atol = span, options.max_step, options.rtol, options.atol
@@ -95,7 +95,7 @@ def integrate(
     pieces = Pieces(ode, span, later) if later else None
     if pieces:
         pieces.begin(run)
-    dense: Any = run.dense_output() if options.dense_output else None  # which takes steps of this kind of run
+    dense: Any = run.dense_output() if options.dense_output else None  # stores steps of this kind of run
     samples: list[tuple[Floats, Floats]] = []
     outcome: tuple[int, str] | None = None
     steps, noted = 16, time.perf_counter()
@@ -125,7 +125,7 @@ def integrate(
         elif reason == "paused":
             steps = round(min(max(steps * PAUSE / (now - begin), 1), 4 * steps))
             if run.n_steps == max_steps:
-                outcome = -1, f"It has taken max_steps = {max_steps} steps; None is no limit."
+                outcome = -1, f"max_steps = {max_steps} is reached; None is no limit."
         elif reason == "end":
             if not (pieces and pieces.ahead):
                 outcome = 0, REACHED_END
@@ -157,7 +157,7 @@ def integrate(
     t, y = samples[0] if len(samples) == 1 else map(np.concatenate, zip(*samples, strict=True))
     y = y.T
     if dense is not None and t_eval is None and t.size > 1 and t[-1] == t[-2]:
-        t, y = t[:-1], y[:, :-1]  # an event where a step begins; SciPy leaves that time away as well, beside `sol`
+        t, y = t[:-1], y[:, :-1]  # an event at the start of a step, which SciPy omits as well if there is `sol`
     if options.project and model.manifest["states_velocity_constraints"] and status >= 0:
         sentence = left(model, ode, t, y, options.parameters)
         status, message = (-1, sentence) if sentence else (status, message)
@@ -168,7 +168,7 @@ def integrate(
         t=t,
         y=y,
         r=ode.inputs_along(t, y),
-        sol=dense or None,  # without a step there is nothing between states
+        sol=dense or None,  # None if there are no steps
         t_events=None if options.events is None else [np.array(times) for times in watch.times] if watch else [],
         y_events=None if options.events is None else [np.array(states) for states in watch.states] if watch else [],
         nfev=run.n_evaluations,
@@ -183,10 +183,10 @@ def integrate(
 
 
 def _growth(ode: Ode, t: Floats, y: Floats, run: Integration, *, by_steps: bool) -> str:
-    """A sentence, if the energy has grown beyond reason; see GROWN."""
+    """A warning if the energy has grown suspiciously, or an empty text; see GROWN."""
     n, end = len(t), run.t
     kinetic, potential = reached = ode.energies(end, run.x)
-    largest, low, high = 0.0, potential, potential  # NaN where nobody knows it
+    largest, low, high = 0.0, potential, potential  # NaN if unknown
     for i in range(0, n, n // SAMPLES + 1):
         found = ode.energies(t[i], y[:, i])
         if found[0] > largest and abs(t[i] - t[0]) <= abs(end - t[i]):
@@ -196,8 +196,8 @@ def _growth(ode: Ode, t: Floats, y: Floats, run: Integration, *, by_steps: bool)
         elif found[1] > high:
             high = found[1]
         if kinetic <= GROWN * largest or kinetic <= GROWN * (high - low):
-            return ""  # of most runs the first state tells it
-    if by_steps and n > 1:  # from rest, steps grow until one of them is half of the run, along which speeds are smooth
+            return ""  # for most runs at the first state
+    if by_steps and n > 1:  # from rest, steps may grow to half of the run
         half = (t[0] + end) / 2.0
         there = [np.interp(abs(half - t[0]), np.abs(t - t[0]), row) for row in y]
         if kinetic <= GROWN * ode.energies(half, np.array(there))[0]:
@@ -205,10 +205,10 @@ def _growth(ode: Ode, t: Floats, y: Floats, run: Integration, *, by_steps: bool)
     if not (n and max(largest, high - low) > 0.0 and not np.isnan(kinetic)):
         return ""
     before, after = map(np.nansum, (ode.energies(t[0], y[:, 0]), reached))
-    return f" The energy has grown from {before:.6g} J to {after:.6g} J: loads feed the motion, or errors do."
+    return f" The energy has grown from {before:.6g} J to {after:.6g} J, because of loads or of integration errors."
 
 
 def _passed(run: Integration, samples: Sequence[tuple[Floats, Floats]]) -> list[tuple[float, Floats]]:
-    """Times and states of the run so far."""
+    """Times and states of the run up to now."""
     passed = [sample for times, states in samples for sample in zip(times, states, strict=True)]
     return passed or [(run.t, run.x)]

@@ -1,4 +1,4 @@
-"""RunOptions: how a run is asked for, checked."""
+"""RunOptions: the checked arguments of a run."""
 
 from __future__ import annotations
 
@@ -33,30 +33,30 @@ __all__ = ["FIXED_STEP", "METHODS", "SOLVERS", "RunOptions"]
 Floats = NDArray[np.float64]
 
 METHODS = ("DOP853", "RK45")
-"""Explicit methods with step control, in C."""
+"""Explicit methods with step size control, in C."""
 
 FIXED_STEP = "ALI3P"
-"""The method that passes singular positions, by steps of one length; see ``fourbar_augmented.h``."""
+"""The method that passes singular positions, with a fixed step size; see ``fourbar_augmented.h``."""
 
 SOLVERS = ("RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA")
-"""Those of `fourbar_codegen.solvers` that are not in C as a whole."""
+"""Methods of `fourbar_codegen.solvers` that are not entirely in C."""
 
 STEPS = dict.fromkeys((*METHODS, FIXED_STEP), 1_000_000) | dict.fromkeys(SOLVERS, 100_000)
-"""The most steps of a run that gives no other number: seconds of computing, for mechanisms of a few bodies; ..."""
+"""Default for the largest number of steps: seconds of computing time for mechanisms of a few bodies; ..."""
 
 MARGIN = 10
-"""... or so many times those that max_step asks for, where these are more."""
+"""... or this many times the number that max_step requires, if that is more."""
 
 
 class RunOptions(NamedTuple):
-    """The arguments of `CompiledModel.simulate`, which documents them, checked; made by `of`.
+    """The checked arguments of `CompiledModel.simulate`, which documents them; created by `of`.
 
-    A named tuple, since a frozen dataclass of so many fields takes a microsecond longer to make.
+    A named tuple, because a frozen dataclass with this many fields takes a microsecond longer to create.
 
     Attributes
     ----------
     project : bool
-        Whether states are moved onto the constraints.
+        Whether states are projected onto the constraints.
     """
 
     t_span: tuple[float, float]
@@ -99,15 +99,15 @@ class RunOptions(NamedTuple):
         formulation: str | None = None,
         progress: Any = None,
     ) -> RunOptions:
-        """The arguments as they were given.
+        """Check the given arguments.
 
-        What an ensemble has for each member, or not at all, is left out by it: initial state, parameters, inputs, and
-        how a single run is looked at.
+        Ensembles omit the arguments that differ between members, or that they do not support: initial state,
+        parameters, inputs, and events, output and progress of a single run.
 
         Raises
         ------
         ModelError
-            If one has a wrong shape or name, is not finite, or is not for the method.
+            If an argument has a wrong shape or name, is not finite, or is not supported by the method.
         """
         one_of(method, STEPS, "method")
         if not (formulation is None or method == "IDA"):
@@ -116,12 +116,12 @@ class RunOptions(NamedTuple):
         span = time_span(t_span)
         max_step = longest_step(max_step)
         if method == FIXED_STEP and max_step == math.inf:
-            raise ModelError(f"{FIXED_STEP} takes steps of one length: give it as max_step.")
+            raise ModelError(f"{FIXED_STEP} has a fixed step size: give it as max_step.")
         if not (progress is None or progress is False or callable(progress)):
             raise ModelError(f"progress must be a callable of the time, False or None, not {shown(progress)}.")
         if inputs is not None:
             inputs = {key: own_source(name_of(key), source) for key, source in by_name(model, inputs).items()}
-        return cls(  # in their order: by name it takes twice as long
+        return cls(  # by position: keywords take twice as long
             span,
             None if x0 is None else named_array(x0, model.states, {}, "state"),
             method,
@@ -142,7 +142,7 @@ class RunOptions(NamedTuple):
         )
 
     def settings(self) -> dict[str, Any]:
-        """What a result says of how it was asked for."""
+        """The arguments that a result stores."""
         settings: dict[str, Any] = {
             "method": self.method,
             "t_span": self.t_span,
@@ -160,12 +160,12 @@ class RunOptions(NamedTuple):
 
 
 def _max_steps(given: object, method: str, span: tuple[float, float], max_step: float) -> int | None:
-    """The most steps that a run may take: by default those of its method."""
-    if max_step == math.inf and type(given) is str and given == "auto":  # as most are
+    """The largest number of steps of a run: by default that of its method."""
+    if max_step == math.inf and type(given) is str and given == "auto":  # the usual case
         return STEPS[method]
     length = abs(span[1] - span[0])
     if max_step < math.ulp(length):
-        raise ModelError(f"max_step = {max_step:g} is lost in the rounding of the run's {length:g} s.")
+        raise ModelError(f"max_step = {max_step:g} is below the rounding error of the run's {length:g} s.")
     if isinstance(given, str) and given == "auto":
         return max(STEPS[method], int(min(MARGIN * length / max_step, sys.maxsize)))
     if given is None:

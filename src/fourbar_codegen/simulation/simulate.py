@@ -1,4 +1,4 @@
-"""Simulation: a right-hand side is made of the options, and handed to an integrator."""
+"""Simulation: makes a right-hand side of the options and passes it to an integrator."""
 
 from __future__ import annotations
 
@@ -31,7 +31,9 @@ def simulate(model: Kernel, options: RunOptions) -> Trajectory:
     """Integrate the equations of motion; see `CompiledModel.simulate`."""
     if options.method == FIXED_STEP and model.n_l > model.n_c:
         names = ", ".join(model.outputs[: model.n_l - model.n_c])
-        raise ModelError(f"{FIXED_STEP} takes no unknown forces that drive the motion ({names}): all other methods do.")
+        raise ModelError(
+            f"{FIXED_STEP} does not support unknown forces that drive the motion ({names}): all other methods do."
+        )
     (start, end), p, inputs, report = options.t_span, options.parameters, options.inputs, options.progress
     state = initial_state(model, t=start, parameters=p, inputs=inputs) if options.x0 is None else options.x0
     ode = bind(model, p, inputs)
@@ -54,7 +56,7 @@ def make_stepper(
     inputs: Mapping[Any, InputSource] | None,
     constraints: str,
 ) -> Stepper:
-    """Steps of one length; see `CompiledModel.stepper`."""
+    """A stepper with a fixed step size; see `CompiledModel.stepper`."""
     h, t = finite_number(h, "h"), finite_number(t, "t")
     if h == 0.0:
         raise ModelError("The step h must not be 0.")

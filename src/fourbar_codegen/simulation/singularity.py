@@ -1,4 +1,4 @@
-"""Singular positions, where the constraints' Jacobian loses rank: whether a run has come to one."""
+"""Detection of singular positions, where the Jacobian of the constraints loses rank."""
 
 from __future__ import annotations
 
@@ -16,47 +16,46 @@ __all__ = ["Singular"]
 
 Floats = NDArray[np.float64]
 
-# A position counts as singular where the smallest singular value of J is less than this, relative to its median over
-# the run:
+# A position counts as singular if the smallest singular value of J, relative to its median over the run, is below:
 COLLAPSED = 1e-3
-"""... where steps collapse;"""
+"""... if the steps collapse;"""
 
 PASSED = 1e-4
-"""... within a step over which the constraints' orientation has changed;"""
+"""... within a step in which the orientation of the constraints has changed;"""
 
 NEAR = 0.2
-"""... where a step fails."""
+"""... if a step fails."""
 
 JUMPED = 1e-3
-"""States of a step jump if after five refinements, of 32 intervals each, the largest change between neighbours is more
-than this, relative to that of the first."""
+"""The states within a step jump if, after five refinements of 32 intervals each, the largest change between neighbours
+exceeds this fraction of that in the first refinement."""
 
-PASSING = 'method="ALI3P" with max_step=1e-3 goes through it (fourbar: --method ALI3P --max-step 1e-3).'
-"""What to do about it."""
+PASSING = 'method="ALI3P" with max_step=1e-3 passes it (fourbar: --method ALI3P --max-step 1e-3).'
+"""Advice in messages."""
 
 STATES = 100
-"""States along the run of which the median is taken."""
+"""Number of states of the run for the median."""
 
 
 class Singular:
-    """Tells whether a run has come to a singular position, where the constraints' Jacobian loses rank.
+    """Detects whether a run has reached a singular position, where the Jacobian of the constraints loses rank.
 
-    The measure is the smallest singular value of J by what it has been in the run (the median), with each column of J,
-    and then each row, in units of its largest entry in the run: metres and radians count alike.
+    The measure is the smallest singular value of J, relative to its median over the run. Each column of J, and then
+    each row, is scaled by its largest entry in the run, so that metres and radians are comparable.
 
     Parameters
     ----------
     model : Kernel
     ode : Ode
     passed : sequence of (float, ndarray)
-        Times and states of the run so far.
+        Times and states of the run up to now.
     """
 
     def __init__(self, model: Kernel, ode: Ode, passed: Sequence[tuple[float, Floats]]) -> None:
         self.model, self.ode = model, ode
         self.rank = model.manifest["n_dependent_speeds"]
         if self.rank:
-            # The last states of a run that collapses are all alike: those before count by the time they stand for.
+            # The last states of a collapsing run are almost equal, so states are sampled at equally spaced times.
             since = [abs(t - passed[0][0]) for t, _ in passed]
             order = np.searchsorted(since, np.linspace(0.0, since[-1], STATES))
             jacobians = np.array([self._jacobian(*passed[min(i, len(passed) - 1)]) for i in order])
@@ -75,11 +74,11 @@ class Singular:
 
     def _ratio(self, t: float, x: Floats) -> float:
         if not np.isfinite(x).all():
-            return np.inf  # of a run that explodes; nothing is known of its position
+            return np.inf  # the run diverges; its position is unknown
         return self._least(self._jacobian(t, x)) / self.median if self.median else 0.0
 
     def here(self, t: float, x: Floats, *, collapsed: bool) -> str:
-        """A message, or none: whether the state at which steps collapse, or after which none succeeds, is singular."""
+        """A message if the state at which steps collapse or fail is singular, otherwise an empty text."""
         if not self.rank:
             return ""
         at = self._message("runs into", t, x, COLLAPSED, ", and the steps collapse")
@@ -88,10 +87,10 @@ class Singular:
         return self._message("comes close to", t, x, NEAR, ", and the next step fails: try smaller tolerances")
 
     def within_step(self, run: Integration) -> str:
-        """A message, or none: whether the last step of a run has passed a singular position.
+        """A message if the last step of a run has passed a singular position, otherwise an empty text.
 
-        There the loops' states have a position of less rank between them; or one of them is followed by another one, by
-        which the loops close in another way.
+        Then J loses rank at a state within the step, or neighbouring states within the step are in different assembly
+        modes.
         """
         shares = jump_shares = np.linspace(0.0, 1.0, 33)
         jumped = []
@@ -110,15 +109,15 @@ class Singular:
         if passed or not jumped[-1] > JUMPED * jumped[0] + FLOOR:
             return passed
         return (
-            f"A step has crossed to another way of closing the loops at t = {run.time_within(jump_shares[0]):.6g}, "
-            "past a singular position: take smaller tolerances."
+            f"A step has jumped to another assembly mode at t = {run.time_within(jump_shares[0]):.6g}, past a singular "
+            "position: use smaller tolerances."
         )
 
     def _message(self, verb: str, t: float, x: Floats, threshold: float, more: str) -> str:
         ratio = self._ratio(t, x)
         if not ratio < threshold:
             return ""
-        passes = self.model.n_l == self.model.n_c  # ALI3P takes no unknown forces that drive the motion
+        passes = self.model.n_l == self.model.n_c  # ALI3P does not support unknown forces that drive the motion
         where = ", ".join(f"{name} = {value:.6g}" for name, value in zip(self.model.coordinates, x, strict=False))
         return (
             f"The mechanism {verb} a singular position at t = {t:.6g}, {where}: the constraints' Jacobian loses rank "

@@ -1,4 +1,4 @@
-"""Runs of `fourbar_codegen.solvers`, with the members that `runtime.integrator.Run` has for the methods in C."""
+"""Runs with `fourbar_codegen.solvers`, with the same interface as `runtime.integrator.Run` for the methods in C."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ __all__ = ["SolverRun"]
 Floats = NDArray[np.float64]
 
 SHORT = 16
-"""Spacings of doubles that no solver can take a step across."""
+"""A step of this many spacings of doubles is too short for all solvers."""
 
 LOOKS = 8
-"""States along a step at which the constraints' orientation is looked at, where its ends do not tell."""
+"""Number of states within a step at which the orientation of the constraints is checked, if necessary."""
 
 
 class SolverRun:
-    """A run of one of `fourbar_codegen.solvers`, a step at a time.
+    """A run with one of `fourbar_codegen.solvers`, step by step.
 
     Parameters
     ----------
     model : Kernel
     ode : Ode
-        The right-hand side; the run's own copy is the attribute of that name.
+        The right-hand side; the run's attribute ``ode`` is a copy.
     method : str
         The solver's name.
     t : float
@@ -44,13 +44,13 @@ class SolverRun:
     t_bound, max_step : float
     rtol, atol : array_like
     project : bool
-        Whether every state is moved onto the constraints.
+        Whether every state is projected onto the constraints.
     times : ndarray or None
         Times of the samples; None for a sample after each step.
     outputs : sequence of int
-        Places of the outputs that are event functions.
+        Indices of the outputs that are event functions.
     options : dict
-        More of the solver's.
+        Further options of the solver.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class SolverRun:
     ) -> None:  # fmt: skip
         self._model, self._project, self._outputs = model, project, outputs
         ode.projects, ode.in_pieces, ode.clock = project, True, (t, -math.inf, math.inf)
-        # The solver's time is counted from the beginning, so that steps are as fine at any time.
+        # The solver's time starts at 0, so that its resolution does not depend on the time.
         self._origin = t
         options = {"rtol": rtol, "atol": atol, "max_step": max_step, **options}
         self._make = functools.partial(getattr(solvers, method), **options)
@@ -77,35 +77,35 @@ class SolverRun:
 
     @property
     def x(self) -> Floats:
-        """The state reached, shape (n_x,), an array of its own."""
+        """The state reached, shape (n_x,), as a copy."""
         return self._x.copy()
 
     @property
     def n_evaluations(self) -> int:
-        """Evaluations of the right-hand side, or of the residual."""
+        """Number of evaluations of the right-hand side, or of the residual."""
         return self._counted[0] + int(self._solver.nfev)
 
     @property
     def n_jacobians(self) -> int:
-        """Evaluations of its derivatives."""
+        """Number of evaluations of its Jacobian."""
         return self._counted[1] + int(self._solver.njev)
 
     @property
     def n_factorizations(self) -> int:
-        """Of matrices, where the solver counts them."""
+        """Number of matrix factorizations, if the solver counts them."""
         return self._counted[2] + int(self._solver.nlu)
 
     def begin(self) -> None:
-        """Before the first step."""
+        """Prepare for the first step."""
         self._orientation_changed()
         values = self._event_values(self.t, self._x)
         self.event_values = values, values
 
     def enter(self, t: float, t_bound: float, first: float, last: float, x: ArrayLike | None = None) -> bool:
-        """Go on from a time, that of a boundary, to another one; with a state x, from there.
+        """Continue from the time of a boundary to another time; from state x, if given.
 
-        Before it, take the samples. In between, values are taken from the first time to the last one. Returns whether
-        there is a state close by that satisfies the constraints.
+        Take the samples before. Until the next boundary, inputs are evaluated between the times first and last.
+        Returns whether the state could be projected onto the constraints.
         """
         ode = self.ode
         ode.clock = self._origin, min(first, last), max(first, last)
@@ -129,8 +129,8 @@ class SolverRun:
         return True
 
     def on(self, steps: int) -> str:
-        """A step, if there are any to take; why it stopped: "event", "paused", "end", "too small", "open", or a
-        sentence of the solver's.
+        """Take a step, if any is left; returns why it stopped: "event", "paused", "end", "too small", "open", or a
+        message of the solver.
         """
         if self._pending:
             self._sample()
@@ -141,7 +141,7 @@ class SolverRun:
         message = self._solver.step()
         if self._solver.status == "failed":
             if self.ode.failure is None:
-                # The last evaluation may have been one before what cannot be evaluated, and steps grown too short.
+                # The last evaluation may be just before one that fails, with steps that became too short.
                 since = self._since + self._solver.direction * SHORT * np.spacing(abs(self._since))
                 self.ode(since, self._x)
             return message or "The solver has failed."
@@ -165,14 +165,14 @@ class SolverRun:
         return self._t_bound if since == self._bound else self._origin + since
 
     def _orientation_changed(self) -> bool:
-        """Whether the constraints have changed their orientation since the last call, and not only in a long step."""
+        """Whether the orientation of the constraints has changed since the last call, also within the step."""
         if not self._orientation_changed_at(1.0) or self.n_steps == 0:
             return False
         self.ode(self._since_old, self._x_old)
         self.ode.orientation_changed()
         turned = [
             self._orientation_changed_at(look / LOOKS) for look in range(1, LOOKS + 1)
-        ]  # to the end, where the run goes on
+        ]  # up to the end, where the run continues
         return any(turned)
 
     def _orientation_changed_at(self, share: float) -> bool:
@@ -180,7 +180,7 @@ class SolverRun:
         return self.ode.orientation_changed()
 
     def _sample(self) -> None:
-        """Those of the last step."""
+        """Store the samples of the last step."""
         direction, self._pending = self._solver.direction, False
         if self._times is None:
             self._samples.append((self.t, self._x))
@@ -188,7 +188,7 @@ class SolverRun:
         last, end = min(direction * self._since, direction * self._until), direction * self._t_bound
         while self._next < len(self._times):
             t = float(self._times[self._next])
-            # By the time itself, too: since the beginning, those on either side of a jump may be the same.
+            # Compare the time itself, too: relative times on both sides of a jump may be equal.
             if direction * t > end or direction * (t - self._origin) > last:
                 break
             self._samples.append((t, self._state_at(t - self._origin)))
@@ -200,14 +200,14 @@ class SolverRun:
         return np.array([t for t, _ in samples]), np.reshape([x for _, x in samples], (-1, len(self._x)))
 
     def interpolant(self) -> DenseOutput:
-        """Of the last step."""
+        """The interpolant of the last step."""
         if self._interpolant is None:
             self._interpolant = self._solver.dense_output()
         return self._interpolant
 
     def _state_at(self, since: float) -> Floats:
-        """The state at a time in the last step."""
-        if since == self._since or self._since == self._since_old:  # no step since the run has begun or gone on
+        """The state at a time within the last step."""
+        if since == self._since or self._since == self._since_old:  # no step since the run was started or continued
             return self.x
         x: Floats = self.interpolant()(since)
         return self.ode.project(since, x) if self._project else x
@@ -216,15 +216,15 @@ class SolverRun:
         return self._since if share == 1.0 else self._since_old + share * (self._since - self._since_old)
 
     def time_within(self, share: float) -> float:
-        """The time at a share of the last step."""
+        """The time at a fraction of the last step."""
         return self._at(self._within(share))
 
     def state_within(self, share: float) -> Floats:
-        """The state at a share of the last step, shape (n_x,)."""
+        """The state at a fraction of the last step, shape (n_x,)."""
         return self._state_at(self._within(share))
 
     def event_values_within(self, share: float) -> Floats:
-        """The event functions at a share of the last step, shape (n_events,)."""
+        """Values of the event functions at a fraction of the last step, shape (n_events,)."""
         return self._event_values(self.time_within(share), self.state_within(share))
 
     def _event_values(self, t: float, x: Floats) -> Floats:
@@ -234,22 +234,22 @@ class SolverRun:
         return values[list(self._outputs)]
 
     def stop_within(self, share: float) -> None:
-        """End the run at a share of the last step: the state there is the last one, with no samples after it."""
+        """End the run at a fraction of the last step; there are no samples after it."""
         self._until = self._within(share)
         if self._times is None:
             self.t, self._x = self.time_within(share), self.state_within(share)
 
     def discard(self) -> None:
-        """Go back to before the last step, where the run ends."""
+        """Discard the last step; the run ends before it."""
         self.t, self._x, self._pending = self.t_old, self._x_old, False
 
     def dense_output(self) -> _Solution:
-        """Take in the last step."""
+        """An object that stores the interpolants of all steps."""
         return _Solution(self.ode, self._project, self.t)
 
 
 class _Solution:
-    """The state at any time of a run."""
+    """Dense output: the state at any time of a run."""
 
     def __init__(self, ode: Ode, project: bool, t: float) -> None:
         self._ode, self._project, self._times, self._ends = ode, project, [t], [0.0]
@@ -259,7 +259,7 @@ class _Solution:
         return len(self._interpolants)
 
     def add(self, run: SolverRun) -> None:
-        """The last step of a run."""
+        """Add the last step of a run."""
         self._times.append(run.t)
         self._ends.append(run.interpolant().t)
         self._interpolants.append(run.interpolant())
@@ -278,6 +278,6 @@ class _Solution:
     def _state(self, t: float, x: Floats) -> Floats:
         if not self._project:
             return x
-        # At the time itself: since the beginning, it may be that of another side of a jump.
+        # Use the time itself: the relative time may be on the other side of a jump.
         self._ode.clock = t, -math.inf, math.inf
         return self._ode.project(0.0, x)

@@ -1,9 +1,8 @@
 """SciPy's integrators for a compiled right-hand side.
 
-Subclasses that replace `_step_impl`, which ``scipy.integrate.OdeSolver`` documents as the place for a method
-of one's own. All else is SciPy's: the options, the choice of steps, events and dense output; numbers differ by
-rounding errors. Of the explicit ones, hooks such as `_estimate_error_norm` are not called. Solvers in several threads
-may be given the same right-hand side.
+Subclasses that replace `_step_impl`, the documented extension point of ``scipy.integrate.OdeSolver``. Everything else
+is SciPy's: options, step size control, events and dense output. Results differ by rounding errors. Hooks of explicit
+methods, such as `_estimate_error_norm`, are not called. Solvers in several threads may use the same right-hand side.
 
 Examples
 --------
@@ -41,19 +40,19 @@ from fourbar_codegen.simulation.discontinuities import jumps
 __all__ = ["BDF", "CVODE", "DOP853", "IDA", "LSODA", "RK23", "RK45", "Radau"]
 
 LOOKED = 100.0
-"""Steps of a run whose length IDA's equations are scaled for; what is right within some powers of ten."""
+"""Assumed number of steps of a run, for the scaling of IDA's equations; some powers of ten do not matter."""
 
 NOT_CONTROLLED = 1e150
-"""An absolute tolerance that leaves a variable out of the step control."""
+"""An absolute tolerance that excludes a variable from the error control."""
 
 
 class _Compiled(scipy.integrate.OdeSolver):
-    """An integrator that knows that its right-hand side is compiled.
+    """An integrator with a compiled right-hand side.
 
     Attributes
     ----------
     ode : Ode
-        Its own copy of the right-hand side.
+        A copy of the right-hand side.
     """
 
     t: float
@@ -62,7 +61,7 @@ class _Compiled(scipy.integrate.OdeSolver):
     def __init__(self, fun: Ode, t0: float, y0: ArrayLike, t_bound: float, **options: Any) -> None:
         if not isinstance(fun, Ode):
             name = type(self).__name__
-            other = f": for other functions there is scipy.integrate.{name}" if hasattr(scipy.integrate, name) else ""
+            other = f": for other functions, use scipy.integrate.{name}" if hasattr(scipy.integrate, name) else ""
             raise ModelError(
                 f"fourbar_codegen.solvers.{name} integrates what CompiledModel.ode() returns, without args=, not "
                 f"{fun!r}{other}."
@@ -75,7 +74,7 @@ class _Compiled(scipy.integrate.OdeSolver):
             if np.shape(options[name]) not in {(), (fun.n_x,)} or not np.all(
                 (options[name] >= 0) & np.isfinite(options[name])
             ):
-                raise ModelError(f"{name} must be a number, not negative, or an array of shape ({fun.n_x},) of such.")
+                raise ModelError(f"{name} must be a nonnegative number, or an array of these, of shape ({fun.n_x},).")
         if "max_step" in options:
             options["max_step"] = longest_step(options["max_step"])
         if options.get("first_step") is not None:
@@ -86,26 +85,26 @@ class _Compiled(scipy.integrate.OdeSolver):
         if not fun.in_pieces:
             for at in jumps(fun, t0, t_bound, y0):
                 raise ModelError(
-                    f"The rate of a prescribed motion jumps at t = {at.begin:.9g}, and speeds with it: "
-                    "CompiledModel.simulate passes that; of a solver by itself, the run has to end there."
+                    f"The rate of a prescribed motion jumps at t = {at.begin:.9g}, and so do the speeds: use "
+                    "CompiledModel.simulate, which passes the jump, or end the run there."
                 )
-        self.ode = copy(fun)  # with memory of its own: others may use the one given, in other threads
+        self.ode = copy(fun)  # a copy with its own memory: the given one may be in use in other threads
         self._complete(options)
         super().__init__(self.ode, t0, y0, t_bound, **options)
 
     def _complete(self, options: dict[str, Any]) -> None:
-        """Add what follows from the right-hand side."""
+        """Add options that depend on the right-hand side."""
 
     def _project(self) -> None:
-        """Move the state that was reached onto the constraints, and evaluate it anew."""
+        """Project the state reached onto the constraints, and evaluate it again."""
         self.y = self.ode.project(self.t, self.y)
         self.f = self.fun(self.t, self.y)
 
 
 class _Explicit(_Compiled):
-    """The stages of a step, and its control, in C: see ``runtime/fourbar_integrate.h``."""
+    """Stages and step size control in C: see ``runtime/fourbar_integrate.h``."""
 
-    # Of scipy.integrate.RungeKutta, which has no types.
+    # Attributes of scipy.integrate.RungeKutta, which has no type annotations.
     h_abs: float
     f: NDArray[np.float64]
 
@@ -132,7 +131,7 @@ class _Explicit(_Compiled):
         return self.E  # type: ignore[no-any-return]
 
     def _step_impl(self) -> tuple[bool, str | None]:
-        # They may be changed between steps.
+        # Users may change them between steps.
         settings = (self.t_bound, self.direction, self.max_step, self.rtol, self.atol)
         if not self._settings or not all(map(operator.is_, settings, self._settings)):
             self._settings, self._stepper = settings, self._make_stepper()
@@ -140,7 +139,7 @@ class _Explicit(_Compiled):
         t, h, h_abs, y, evaluations, problem = self._stepper.step(self.t, self.h_abs, self.y, self.K)
         self.nfev += evaluations
         if problem == "infinite":
-            return False, "The step's length is not finite: give a finite end, or max_step."
+            return False, "The step size is not finite: give a finite end, or max_step."
         if problem:
             return False, self.TOO_SMALL_STEP
         self.h_previous, self.y_old = h, self.y
@@ -149,26 +148,25 @@ class _Explicit(_Compiled):
 
 
 class RK23(_Explicit, scipy.integrate.RK23):
-    """Runge-Kutta of order 3(2) by Bogacki and Shampine: ``scipy.integrate.RK23`` with its steps in C."""
+    """Explicit Runge-Kutta method of order 3(2), Bogacki and Shampine: ``scipy.integrate.RK23`` with steps in C."""
 
 
 class RK45(_Explicit, scipy.integrate.RK45):
-    """Runge-Kutta of order 5(4) by Dormand and Prince: ``scipy.integrate.RK45`` with its steps in C."""
+    """Explicit Runge-Kutta method of order 5(4), Dormand and Prince: ``scipy.integrate.RK45`` with steps in C."""
 
 
 class DOP853(_Explicit, scipy.integrate.DOP853):
-    """Runge-Kutta of order 8(5, 3) by Hairer: ``scipy.integrate.DOP853`` with its steps in C."""
+    """Explicit Runge-Kutta method of order 8(5, 3), Hairer: ``scipy.integrate.DOP853`` with steps in C."""
 
     def _error_weights(self) -> ArrayLike:
         return [self.E5, self.E3]
 
 
 class _Implicit(_Compiled):
-    """The compiled Jacobian, and an end, with what there is, where the equations cannot be evaluated.
+    """Uses the compiled Jacobian, and ends the run, with its results, if the equations cannot be evaluated.
 
-    The explicit methods reject a step that is not a number and go down with their step size. Of the implicit
-    ones, Radau and BDF stop with an exception from the factorization, and LSODA goes on with what is not a
-    number.
+    Explicit methods reject a step with NaN and reduce the step size. Without this class, Radau and BDF would end with
+    an exception of the factorization, and LSODA would continue with NaN.
     """
 
     def _complete(self, options: dict[str, Any]) -> None:
@@ -183,7 +181,7 @@ class _Implicit(_Compiled):
         except ValueError as error:
             if self.ode.failure is None and "infs or NaNs" not in str(error):
                 raise
-            return False, self.ode.failure or "the method's own numbers are beyond the range of double"
+            return False, self.ode.failure or "intermediate results exceed the range of double"
         if is_finite(self.y):
             if success and self.ode.projects:
                 self._project()
@@ -193,21 +191,21 @@ class _Implicit(_Compiled):
 
 
 class Radau(_Implicit, scipy.integrate.Radau):
-    """Implicit Runge-Kutta of Radau IIA, order 5: ``scipy.integrate.Radau`` with the compiled Jacobian."""
+    """Implicit Runge-Kutta method Radau IIA of order 5: ``scipy.integrate.Radau`` with the compiled Jacobian."""
 
 
 class BDF(_Implicit, scipy.integrate.BDF):
-    """Backward differentiation of order 1 to 5: ``scipy.integrate.BDF`` with the compiled Jacobian."""
+    """Backward differentiation formulas of order 1 to 5: ``scipy.integrate.BDF`` with the compiled Jacobian."""
 
     def _project(self) -> None:
-        # Its history are differences, of which the first is the state itself.
+        # The method stores differences, the first of which is the state itself.
         self.y = self.D[0] = self.ode.project(self.t, self.y)
 
 
 class LSODA(_Implicit, scipy.integrate.LSODA):
-    """Adams and BDF by turns, from ODEPACK: ``scipy.integrate.LSODA`` with the compiled Jacobian.
+    """Automatic switching between Adams and BDF, from ODEPACK: ``scipy.integrate.LSODA`` with the compiled Jacobian.
 
-    Its history is its own, so that nothing is moved onto the constraints between its steps.
+    Its history cannot be modified, so states are not projected between steps.
     """
 
     def _project(self) -> None:
@@ -215,7 +213,7 @@ class LSODA(_Implicit, scipy.integrate.LSODA):
 
 
 class _Sundials(_Compiled):
-    """Steps of a solver of SUNDIALS, through scikit-sundae; its history is its own, so that no step is projected."""
+    """A solver of SUNDIALS, through scikit-sundae; its history cannot be modified, so states are not projected."""
 
     _solver: Any
     njev = nlu = 0
@@ -232,19 +230,19 @@ class _Sundials(_Compiled):
             "rtol": float(tolerance(rtol, "rtol")),
             "max_step": 0.0 if longest == math.inf else longest,
             "first_step": 0.0 if first_step is None else positive(first_step, "first_step"),
-            "max_num_steps": 10_000,  # for a single one, with its repetitions
+            "max_num_steps": 10_000,  # within a single step, with its repetitions
         }
         self._atol = np.array(np.broadcast_to(tolerance(atol, "atol", self.n), self.n))
 
     def _step_impl(self) -> tuple[bool, str | None]:
         try:
             result = self._solver.step(self.t_bound, method="onestep", tstop=self.t_bound)
-        except KeyError as error:  # of a code that scikit-sundae has no words for
-            return False, f"SUNDIALS ends with its error {error}: the interval may be too short for it."
+        except KeyError as error:  # an error code that scikit-sundae does not know
+            return False, f"SUNDIALS ends with error {error}: the interval may be too short."
         self.nfev, self.njev = result.nfev, result.njev
         if result.status < 0 or not is_finite(result.y):
             return False, self.ode.failure or result.message
-        if result.t == self.t:  # SUNDIALS would go on for ever
+        if result.t == self.t:  # SUNDIALS would never end
             return False, self.ode.failure or self.TOO_SMALL_STEP
         self.t, self.y = result.t, result.y[: self.n].copy()
         return True, None
@@ -253,12 +251,12 @@ class _Sundials(_Compiled):
         return _Polynomial(self.t_old, self.t, self._interpolated)
 
     def _interpolated(self, t: float) -> NDArray[np.float64]:
-        """The solver's own interpolant at a time within the last step."""
+        """The solver's interpolant at a time within the last step."""
         return self._solver.step(t, method="normal").y[: self.n].copy()  # type: ignore[no-any-return]
 
 
 class _Polynomial(scipy.integrate.DenseOutput):
-    """The polynomial of degree 5 through the solver's interpolant, whose degree is no higher, at Chebyshev points.
+    """The polynomial of degree 5 through the solver's interpolant, of degree at most 5, at Chebyshev points.
 
     Source: L. N. Trefethen, *Approximation Theory and Approximation Practice*, SIAM, 2013, chapter 3.
     """
@@ -269,7 +267,7 @@ class _Polynomial(scipy.integrate.DenseOutput):
     def __init__(self, t_old: float, t: float, value: Callable[[float], NDArray[np.float64]]) -> None:
         super().__init__(t_old, t)
         times = t_old + (t - t_old) * (1.0 + self.NODES) / 2.0
-        times[-1] = t  # the last one read: the solver goes on from there
+        times[-1] = t  # read last, because the solver continues from there
         self._coefficients = self.COEFFICIENTS @ [value(time) for time in times]
 
     def _call_impl(self, t: Any) -> NDArray[np.float64]:
@@ -278,9 +276,9 @@ class _Polynomial(scipy.integrate.DenseOutput):
 
 
 class CVODE(_Sundials):
-    """Backward differentiation of order 1 to 5, from SUNDIALS, with the compiled right-hand side and Jacobian.
+    """Backward differentiation formulas of order 1 to 5, from SUNDIALS, with compiled right-hand side and Jacobian.
 
-    It needs scikit-sundae: ``pip install 'fourbar_codegen[dae]'``.
+    Needs scikit-sundae: ``pip install 'fourbar_codegen[dae]'``.
 
     Source: A. C. Hindmarsh and others, "SUNDIALS: Suite of Nonlinear and Differential/Algebraic Equation Solvers", *ACM
     Transactions on Mathematical Software* 31 (2005).
@@ -296,24 +294,24 @@ class CVODE(_Sundials):
 
 
 class IDA(_Sundials):
-    """The equations with their constraints as a differential-algebraic system, by SUNDIALS' IDA of order 1 to 5.
+    """Differential-algebraic solver of order 1 to 5, from SUNDIALS: keeps the constraints as equations.
 
-    Residual and Jacobian are compiled. Constraints must not be redundant. It needs scikit-sundae:
+    Residual and Jacobian are compiled. Constraints must not be redundant. Needs scikit-sundae:
     ``pip install 'fourbar_codegen[dae]'``.
 
     Parameters
     ----------
     fun, t0, y0, t_bound, rtol, atol, max_step, first_step
-        As for ``scipy.integrate.OdeSolver``; ``y0`` satisfies the constraints.
+        As for ``scipy.integrate.OdeSolver``; ``y0`` must satisfy the constraints.
     formulation : {"gear-gupta-leimkuhler", "index-1", "index-3"}, optional
-        Whether loops are closed in positions and velocities at each step (the index is 2), in accelerations alone, so
-        that they drift open, or in positions alone. Tolerances hold for the state; multipliers follow.
+        What satisfies the constraints at each step: positions and velocities (index 2); only accelerations, so that
+        the loops drift open; or only positions. Tolerances apply to the state; multipliers follow.
 
     Notes
     -----
-    Tolerances are those of a step. Velocities that satisfy their constraints exactly follow errors of positions: where
-    these change fast, IDA takes several times as many steps in its default formulation as in index 1. DOP853 is more
-    accurate, and faster, where nothing is stiff.
+    Tolerances limit the error of a step. Velocities that satisfy their constraints exactly follow the errors of
+    positions: if these change fast, IDA takes several times as many steps in its default formulation as in index 1.
+    For non-stiff problems, DOP853 is more accurate and faster.
     """
 
     def __init__(
@@ -331,8 +329,8 @@ class IDA(_Sundials):
         one_of(formulation, FORMULATIONS, "formulation")
         if formulation == "index-3" and ode.evaluator.states_need_solution:
             raise ModelError(
-                "In formulation='index-3' accelerations and multipliers are known too roughly for the state equations "
-                "that contain them; the other formulations take them."
+                "In formulation='index-3' accelerations and multipliers are not accurate enough for state equations "
+                "that contain them: use another formulation."
             )
         if formulation != "index-1":
             self.y = consistent(ode, t0, self.y)
@@ -340,7 +338,7 @@ class IDA(_Sundials):
         without_row = manifest["position_rows"].count(None) - len(manifest["invariants"])
         if without_row or manifest["n_dependent_speeds"] < ode.evaluator.n_c:
             raise ModelError(
-                "IDA solves for all multipliers, which redundant constraints leave open: all other methods take them."
+                "IDA solves for all multipliers, which redundant constraints do not determine: use another method."
             )
         ida = _sundae("ida")
         residual = Residual(ode, formulation)

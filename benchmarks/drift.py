@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import sympy as sm
 import sympy.physics.mechanics as me
-from measure import DOCS, circumstances, compare, replace_in_page, save_figure, timed
+from measure import COLORS, DOCS, circumstances, compare, name_curves, replace_in_page, save_figure, timed
 from scipy.integrate import solve_ivp
 from sympy.physics.mechanics.system import System
 from tutorial import Tutorial
@@ -90,13 +90,13 @@ def main() -> None:
 
     ways = {
         "lambdify and solve_ivp": by_scipy,
-        "the same, dependent speeds eliminated, as in the book": in_the_book,
+        "solve_ivp, dependent speeds eliminated, as in the book": in_the_book,
         'constraints="none"': ours(constraints="none"),
         'constraints="baumgarte"': ours(constraints="baumgarte"),
         'constraints="project", the default': ours(),
-        "the same at rtol = atol = 1e-10, DOP853": ours(method="DOP853", rtol=1e-10, atol=1e-10),
-        'IDA by itself, constraints="none"': ours(method="IDA", constraints="none"),
-        "the same at rtol = atol = 1e-10": ours(method="IDA", constraints="none", rtol=1e-10, atol=1e-10),
+        'constraints="project", DOP853, rtol = atol = 1e-10': ours(method="DOP853", rtol=1e-10, atol=1e-10),
+        'IDA, constraints="none"': ours(method="IDA", constraints="none"),
+        'IDA, constraints="none", rtol = atol = 1e-10': ours(method="IDA", constraints="none", rtol=1e-10, atol=1e-10),
     }
     medians = compare(*((lambda way=way: timed(way)) for way in ways.values()), rounds=options.rounds)
     rows, residuals = [], {}
@@ -133,15 +133,15 @@ def main() -> None:
 def plot(t: Any, residuals: dict[str, Any], path: Path) -> None:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(8, 4), layout="constrained")
+    figure = Figure(figsize=(8.2, 4.4), layout="constrained")
     axes = figure.add_subplot()
     step = 10
-    for name, residual in residuals.items():
-        axes.semilogy(t[::step], np.maximum(residual[::step], 1e-17), label=name)
+    for color, (name, residual) in zip(COLORS, residuals.items(), strict=False):
+        axes.semilogy(t[::step], np.maximum(residual[::step], 1e-17), color=color, linewidth=1.0, label=name)
     axes.set_xlabel("time, s")
     axes.set_ylabel("loop open by, m")
-    axes.legend(fontsize="small")
     axes.grid(alpha=0.3)
+    name_curves(axes)
     save_figure(figure, path)
 
 

@@ -988,9 +988,8 @@ def chain_table(rows: list[dict[str, Any]]) -> list[str]:
             "thread, and the accelerations: before anything is timed they are compared at 64 random states, and "
             f"differ by {difference:.0e} at most, relative to the largest of a state. Not held equal: this package "
             "compiles C for each chain, with all instructions that the processor has; the engines take any chain and "
-            "need no compiler (MuJoCo as in its wheel; Pinocchio's headers with "
-            "`-O3`, for which `-march=native` makes no difference). A call from Python has its overhead in it, with "
-            "MuJoCo also the writing of the state. `mj_forward` forms the mass matrix as well."
+            "need no compiler (MuJoCo as in its wheel; Pinocchio's headers with `-O3`). A call from Python has its "
+            "overhead in it, with MuJoCo also the writing of the state. `mj_forward` forms the mass matrix as well."
         ),
         "",
         paragraph(

@@ -1,6 +1,6 @@
 """The compiled four-bar against the tutorial's own code, side by side in one run.
 
-Every row times both in turn, so that a busy machine slows both, and compares their medians. Prints a table of
+Every row measures both, interleaved, so that a busy machine slows both, and compares medians. Prints a table of
 ratios and writes them, with the machine and the versions, as JSON.
 """
 

@@ -103,6 +103,49 @@ def replace_in_page(page: Path, mark: str, text: str, command: str, report: dict
     page.write_text(f"{before}<!-- {mark} -->\n{text}\n\n{written}\n{end}{after}")
 
 
+COLORS = (
+    "#0b57b0", "#b3261e", "#15703c", "#7c3aed", "#a1460c", "#0e6f7f", "#ad1457", "#5b6470", "#6b5a00", "#3949ab",
+    "#8e24aa", "#1c1c1c", "#00695c", "#7b3f00",
+)  # fmt: skip
+"""Of curves and of their names beside them: on white, each has a contrast of 4.5:1 at least."""
+
+LINE = 0.052
+"""Height of a name beside a curve, as a share of the axes' height."""
+
+
+def name_curves(axes: Any, *, at_right: Callable[[Any], Any] = max) -> None:
+    """Write the name of each curve beside its end on the right, in its colour, instead of a legend.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+    at_right : callable
+        `max`, or `min` where the axis is inverted: which end of a curve is the right one.
+    """
+    axes.figure.draw_without_rendering()  # places the axes and their limits
+    ends = []
+    for curve in axes.lines:
+        points = [point for point in curve.get_xydata() if all(value == value for value in point)]
+        if points:
+            end = at_right(points, key=lambda point: point[0])
+            ends.append((axes.transAxes.inverted().transform(axes.transData.transform(end)), curve))
+    ends.sort(key=lambda pair: pair[0][1])
+    heights = [min(max(place[1], 0.0), 1.0) for place, _ in ends]
+    # From below, none closer than a line to the one before; then the same from above, where they stick out.
+    for i in range(1, len(heights)):
+        heights[i] = max(heights[i], heights[i - 1] + LINE)
+    top = 1.0
+    for i in reversed(range(len(heights))):
+        heights[i] = top = min(heights[i], top)
+        top -= LINE
+    for (place, curve), height in zip(ends, heights, strict=True):
+        axes.annotate(
+            curve.get_label(), xy=place, xytext=(1.03, height), xycoords="axes fraction", textcoords="axes fraction",
+            color=curve.get_color(), fontsize="small", va="center", annotation_clip=False,
+            arrowprops={"arrowstyle": "-", "color": curve.get_color(), "linewidth": 0.6, "shrinkA": 0, "shrinkB": 2},
+        )  # fmt: skip
+
+
 def save_figure(figure: Figure, path: Path) -> None:
     """Write a figure, the same file for the same curves."""
     import matplotlib as mpl

@@ -17,7 +17,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from measure import DOCS, PROJECT, call, circumstances, compare, replace_in_page, save_figure, timed
+from measure import (
+    COLORS,
+    DOCS,
+    PROJECT,
+    call,
+    circumstances,
+    compare,
+    name_curves,
+    replace_in_page,
+    save_figure,
+    timed,
+)
 from sksundae.ida import IDA
 
 import fourbar_codegen as fb
@@ -168,21 +179,18 @@ def overhead(case: Case, rounds: int) -> dict[str, float]:
 def plot(results: dict[str, list[dict[str, Any]]], path: Path) -> None:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(11, 13), layout="constrained")
-    panels = figure.subplots(3, 2).ravel()[: len(results)]
-    for axes, (title, rows) in zip(panels, results.items(), strict=True):
-        for i, name in enumerate(METHODS):
+    figure = Figure(figsize=(8.2, 5.0 * len(results)), layout="constrained")
+    for axes, (title, rows) in zip(figure.subplots(len(results), 1), results.items(), strict=True):
+        for i, (name, color) in enumerate(zip(METHODS, COLORS, strict=False)):
             own = [row for row in rows if row["method"] == name and "error" in row]
-            style = {"linewidth": 2.0} if i < 4 else {"linewidth": 1.0}
             errors, times = [row["error"] for row in own], [1e3 * row["seconds"] for row in own]
-            axes.loglog(errors, times, ".-", color=f"C{i}" if i < 10 else "black", label=name, **style)
+            axes.loglog(errors, times, ".-", color=color, label=name, linewidth=2.2 if i < 4 else 1.2)
         axes.invert_xaxis()
-        axes.set_title(title)
+        axes.set_title(title, loc="left")
         axes.set_xlabel("error of the state at the end")
         axes.set_ylabel("time, ms")
         axes.grid(alpha=0.3)
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+        name_curves(axes, at_right=min)
     save_figure(figure, path)
 
 

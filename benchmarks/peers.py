@@ -20,7 +20,17 @@ from typing import Any
 
 import numpy as np
 import sympy as sm
-from measure import DOCS, call, circumstances, compare, evaluation, replace_in_page, save_figure
+from measure import (
+    COLORS,
+    DOCS,
+    call,
+    circumstances,
+    compare,
+    evaluation,
+    name_curves,
+    replace_in_page,
+    save_figure,
+)
 from scipy.integrate import solve_ivp
 from tutorial import Floats, Tutorial, tutorial_four_bar
 
@@ -373,18 +383,18 @@ def at_error(rows: list[dict[str, Any]], name: str, error: float) -> float | Non
 def plot(rows: list[dict[str, Any]], path: Path) -> None:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(10, 5), layout="constrained")
+    figure = Figure(figsize=(8.2, 5.2), layout="constrained")
     axes = figure.add_subplot()
-    for number, name in enumerate(dict.fromkeys(row["integrator"] for row in rows)):
+    for color, name in zip(COLORS, dict.fromkeys(row["integrator"] for row in rows), strict=False):
         own = [row for row in rows if row["integrator"] == name and row["error"] > 0.0]  # the reference has none
-        style = {"linewidth": 2.5} if name.startswith("fourbar") else {"linewidth": 1.0}
-        line = ".-" if number < 10 else ".--"  # when Matplotlib's ten colours are used up
-        axes.loglog([r["error"] for r in own], [1e3 * r["seconds"] for r in own], line, label=name, **style)
+        width = 2.5 if name.startswith("fourbar") else 1.2
+        errors, times = [r["error"] for r in own], [1e3 * r["seconds"] for r in own]
+        axes.loglog(errors, times, ".-", color=color, label=name, linewidth=width)
     axes.invert_xaxis()
     axes.set_xlabel("error of the state at 4 s")
     axes.set_ylabel("time of the simulation, ms")
     axes.grid(alpha=0.3)
-    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small")
+    name_curves(axes, at_right=min)
     save_figure(figure, path)
 
 

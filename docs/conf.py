@@ -36,6 +36,7 @@ nb_execution_mode = "force"
 nb_execution_timeout = 300
 nb_execution_raise_on_error = True
 myst_enable_extensions = ["dollarmath"]
+myst_heading_anchors = 3
 html_math_renderer = "mathml"
 suppress_warnings = ["myst.header"]  # the benchmarks' tables begin below the headings of their pages
 

@@ -291,9 +291,13 @@ def calls_of(name: str) -> dict[str, Call]:
     for suffix, share in (("csv", 0.3), ("npz", 0.3), ("nc", 0.1), ("html", 0.05), ("png", 0.01)):
         calls.add(f"trajectory.save {suffix}", lambda path: trajectory.save(path), path=f"run.{suffix}", share=share)
     calls.add("trajectory.animate", trajectory.animate, fps=30.0, speed=1.0, traces=[model.points[0]], share=0.02)
+    calls.add("trajectory.report", trajectory.report, height=500, share=0.05)
     calls.add("trajectory.plot_paths", trajectory.plot_paths, points=[model.points[0]], share=0.02)
     calls.add("load_trajectory", fb.load_trajectory, path=saved, model=model, share=0.5)
     several = model.ensemble((0.0, 0.1), np.tile(x0, (2, 1)))
+    calls.add("ensemble.plot", several.plot, names=[model.states[0]], share=0.02)
+    for suffix in ("csv", "npz", "nc"):
+        calls.add(f"ensemble.save {suffix}", lambda path: several.save(path), path=f"runs.{suffix}", share=0.1)
     calls.add("ensemble[]", several.__getitem__, key=1, errors=(IndexError,), may_be_nan=True)
     modes = model.initial_states()
     calls.add("modes[]", modes.__getitem__, number=0, errors=(IndexError,), may_be_nan=True)
@@ -399,7 +403,8 @@ def missing() -> set[str]:
     public = {
         name for name in trajectory | methods | solvers | functions if not name.rpartition(".")[2].startswith("_")
     }
-    without_arguments = {"trajectory.plot", "trajectory.columns", "trajectory.to_xarray", "get_include"}
+    doors = {f"trajectory.{name}" for name in ("plot", "columns", "to_xarray", "to_dataframe")}
+    without_arguments = {*doors, "get_include"}
     return public - called - without_arguments
 
 

@@ -155,16 +155,16 @@ def qualities(case: Case, run: partial[fb.Trajectory]) -> dict[str, Any]:
 def overhead(case: Case, rounds: int) -> dict[str, float]:
     """Seconds of an evaluation of IDA's residual: by itself, in one call of scikit-sundae, and in `simulate`."""
     residual = Residual(case.model.ode(), "gear-gupta-leimkuhler")
-    z, z_rate, values = (np.zeros(residual.n_z) for _ in range(3))
+    z, z_rate, values = (np.zeros(residual.n_y) for _ in range(3))
     z[: len(case.x0)] = case.x0
     rates, multipliers = case.model.ode().multipliers(0.0, case.x0)
     z[len(case.x0) :][: len(multipliers)], z_rate[: len(rates)] = multipliers, rates
-    atol = np.where(np.arange(residual.n_z) < len(case.x0), SHOWN, 1e20)
+    atol = np.where(np.arange(residual.n_y) < len(case.x0), SHOWN, 1e20)
 
     def whole() -> Any:
         solver = IDA(
             residual.evaluate, jacfn=residual.jacobian, rtol=SHOWN, atol=atol,
-            algebraic_idx=np.arange(len(case.x0), residual.n_z),
+            algebraic_idx=np.arange(len(case.x0), residual.n_y),
         )  # fmt: skip
         solver.init_step(0.0, z, z_rate)
         return solver.step(case.end, method="normal")

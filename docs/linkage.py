@@ -102,7 +102,7 @@ def drawing():
     }  # fmt: skip
     for (a, b), (name, beside) in zip(pairwise([start, *joints]), names.items(), strict=True):
         parts.append(text(place((a + b) / 2 + beside), name, LINK))
-    labels = [("P_1", [26, -2]), ("P_2", [20, -4]), ("P_3", [-4, 24])]
+    labels = [("P_1", [-16, 24]), ("P_2", [20, -4]), ("P_3", [-4, 24])]
     for joint, (label, shift) in zip(joints, labels, strict=False):
         parts.append(text(place(joint) + shift, label, LINK))
     return "\n".join([*parts, "</svg>\n"])

@@ -55,9 +55,10 @@ def generate_sources(model: Model) -> dict[str, str]:
     Examples
     --------
     >>> import fourbar_codegen as fb
-    >>> sorted(fb.generate_sources(fb.models.four_bar()))
-    ['four_bar.pyx', 'four_bar_batch.c', 'four_bar_batch_avx2.c', 'four_bar_batch_avx512.c', 'four_bar_derivatives.c',
-     'four_bar_kernel.c', 'four_bar_kernel.h', 'four_bar_kernel_avx2.c', 'four_bar_kernel_avx512.c', 'manifest.json']
+    >>> sources = fb.generate_sources(fb.models.four_bar())
+    >>> sorted(name for name in sources if "avx" not in name)
+    ['four_bar.pyx', 'four_bar_batch.c', 'four_bar_derivatives.c', 'four_bar_kernel.c', 'four_bar_kernel.h',
+     'manifest.json']
     """
     with Progress(f"fourbar_codegen: {getattr(model, 'name', '')}") as progress:
         equations, _, sources = _generate(model, progress)

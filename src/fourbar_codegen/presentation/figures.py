@@ -101,7 +101,7 @@ def plot_paths(trajectory: Trajectory, points: Sequence[str]) -> Figure:
         axes.plot(*drawn.positions[trajectory.model.points.index(name), :dimensions], label=_label(name))
     axes.set_aspect("equal")
     if traced:
-        axes.legend()
+        axes.legend(loc="center left", bbox_to_anchor=(1.02 if drawn.is_planar else 1.15, 0.5))
     axes.set_title(trajectory.model.name)
     return figure
 

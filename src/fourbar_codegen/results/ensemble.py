@@ -138,7 +138,8 @@ class Ensemble:
         Examples
         --------
         >>> import fourbar_codegen as fb
-        >>> ensemble = fb.load("four_bar").ensemble((0.0, 1.0), parameters={"k": [2.0, 3.0]}, t_eval=[0.0, 0.5, 1.0])
+        >>> four_bar = fb.load("four_bar")
+        >>> ensemble = four_bar.ensemble((0.0, 1.0), parameters={"k": [2.0, 3.0]}, t_eval=[0.0, 0.5, 1.0])
         >>> ensemble.to_xarray()["q1"].dims
         ('member', 'time')
         """
@@ -168,7 +169,8 @@ class Ensemble:
         >>> import numpy as np
         >>> import fourbar_codegen as fb
         >>> times = np.linspace(0.0, 1.0, 101)
-        >>> ensemble = fb.load("four_bar").ensemble((0.0, 1.0), parameters={"k": np.linspace(1, 5, 50)}, t_eval=times)
+        >>> stiffness = np.linspace(1.0, 5.0, 50)
+        >>> ensemble = fb.load("four_bar").ensemble((0.0, 1.0), parameters={"k": stiffness}, t_eval=times)
         >>> figure = ensemble.plot(["q1", "energy"])  # doctest: +SKIP
         """
         from fourbar_codegen.presentation.figures import plot_ensemble

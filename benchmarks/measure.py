@@ -82,10 +82,10 @@ def compare(*measures: Callable[[], float], rounds: int) -> list[float]:
     return [statistics.median(column) for column in zip(*samples, strict=True)]
 
 
-def circumstances() -> dict[str, Any]:
-    """Date, machine and versions."""
+def circumstances(others: Iterable[str] = ()) -> dict[str, Any]:
+    """Date, machine and versions, of other packages as well."""
     versions = {"python": platform.python_version()}
-    for name in ("fourbar_codegen", "sympy", "numpy", "scipy", "cython", "pydy"):
+    for name in ("fourbar_codegen", "sympy", "numpy", "scipy", "cython", "pydy", *map(str.lower, others)):
         try:
             versions[name] = version(name)
         except PackageNotFoundError:

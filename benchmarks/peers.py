@@ -436,7 +436,7 @@ def main() -> None:
             each = seconds / len(case.stiffness)
             many.append({"way": name, "tolerance": tolerance, "error": error, "us": each * 1e6, "ratio": slow / each})
             print(json.dumps(many[-1]), flush=True)
-    report = {**circumstances(), "one": one, "batch": batch, "precision": rows, "many": many}
+    report = {**circumstances(MODULES), "one": one, "batch": batch, "precision": rows, "many": many}
     options.output.parent.mkdir(parents=True, exist_ok=True)
     options.output.write_text(json.dumps(report, indent=2) + "\n")
     picture = DOCS / "peers.svg" if options.docs else options.output.with_suffix(".svg")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import io
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,6 +31,9 @@ Floats = NDArray[np.float64]
 
 FPS = 30.0
 """Frames per second by default."""
+
+COLORS = 64
+"""Of a GIF."""
 
 MAX_FRAMES = 10_000
 """Largest number of frames of an animation; each takes some hundredths of a second to draw."""
@@ -297,4 +301,33 @@ def write_animation(trajectory: Trajectory, path: Path, kind: str) -> None:
             bar.total = total
             bar.update()
 
-        animation.save(path, writer=animations.writers[name](fps=FPS), progress_callback=advance)
+        writer = _gif_writer(animations) if kind == "gif" else animations.writers[name](fps=FPS)
+        animation.save(path, writer=writer, progress_callback=advance)
+
+
+def _gif_writer(animations: Any) -> Any:
+    """A writer of GIFs with one palette, that of the first frame.
+
+    Matplotlib's leaves it to Pillow to choose a palette for each frame, which takes most of the time.
+    """
+    images = importlib.import_module("PIL.Image")
+
+    class Writer(animations.AbstractMovieWriter):  # type: ignore[misc]
+        frames: list[Any]
+
+        def setup(self, fig: Any, outfile: Any, dpi: Any = None) -> None:
+            super().setup(fig, outfile, dpi=dpi)
+            self.frames = []
+
+        def grab_frame(self, **how: Any) -> None:
+            buffer = io.BytesIO()
+            self.fig.savefig(buffer, **{**how, "format": "rgba", "dpi": self.dpi})
+            frame = images.frombuffer("RGBA", self.frame_size, buffer.getbuffer(), "raw", "RGBA", 0, 1).convert("RGB")
+            known = {"palette": self.frames[0]} if self.frames else {"colors": COLORS}
+            self.frames.append(frame.quantize(dither=images.Dither.NONE, **known))
+
+        def finish(self) -> None:
+            first, *others = self.frames
+            first.save(self.outfile, save_all=True, append_images=others, duration=round(1000.0 / self.fps), loop=0)
+
+    return Writer(fps=FPS)

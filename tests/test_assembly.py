@@ -422,7 +422,7 @@ def test_turns_of_the_crank_change_nothing(four_bar):
 
 
 def test_wrong_names(four_bar):
-    with pytest.raises(fb.ModelError, match="no independent coordinate 'q2'"):
+    with pytest.raises(fb.ModelError, match="'q2' is a dependent coordinate: give a guess"):
         four_bar.initial_states({"q2": 1.0})
 
 
@@ -587,7 +587,7 @@ def test_coordinates_within_bounds():
     with pytest.raises(fb.AssemblyError, match="within the bounds"):
         model.initial_state({"s0": 0.5}, [0.0], bounds={s1: (1.1, 1.2)})
     for bounds, words in (
-        ({"s0": (0.0, 1.0)}, "no dependent coordinate 's0'; there are s1, s2"),
+        ({"s0": (0.0, 1.0)}, "no dependent coordinate 's0'"),
         ({"s1": (1.0, 0.0)}, "smaller and a larger"),
         ({"s1": 3.0}, "smaller and a larger"),
         ([(0.0, 1.0)], "mapping"),

@@ -55,7 +55,7 @@ X = [0.1] * 6
         (lambda m: m.jacobian(0.0, [0.1] * 5), ["(6,)", "(5,)"]),
         (lambda m: m.position_constraints(0.0, X), ["(3,)", "(6,)"]),
         (lambda m: m.mass_matrix(0.0, X, {"m": 1.0}), ["'m'", "rho"]),
-        (lambda m: m.initial_state({"q2": 1.0}), ["'q2'", "independent coordinate", "q1"]),
+        (lambda m: m.initial_state({"q2": 1.0}), ["'q2'", "guess=", "independent coordinates (q1)"]),
         (lambda m: m.initial_state([1.0, 2.0]), ["independent coordinates", "(1,)", "(2,)"]),
         (lambda m: m.initial_state([np.nan]), ["finite"]),
         (lambda m: m.initial_state(guess={"q1": 1.0}), ["'q1'", "dependent coordinate", "q2, q3"]),

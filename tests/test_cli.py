@@ -59,6 +59,10 @@ def test_simulate_takes_initial_values_guesses_and_inputs(four_bar):
         (["simulate", "-t", "0", "four"], "-t 0 4"),
         (["simulate", "-r", "F=50*sin(q1)"], "there is no q1"),
         (["simulate", "fourbar"], "Did you mean four_bar?"),
+        (["simulate", "-p", "F=3"], "F is an input, not a parameter: give it with -r"),
+        (["simulate", "-p", "q1=3"], "q1 is a state, not a parameter: give it with -i"),
+        (["simulate", "-p", "L2=3"], "Did you mean l2?"),
+        (["generate", "os:getcw"], "os has no function getcw"),
         (["sweep"], "nothing to sweep"),
         (["sweep", "-p", "k=1:2"], "FIRST:LAST:N"),
         (["sweep", "-p", "k=1:2:0"], "FIRST:LAST:N"),
@@ -150,8 +154,15 @@ def test_a_sweep_runs_all_combinations(four_bar, tmp_path):
     # Stiffer springs reach the linkage's singular position; those runs are kept, and the command fails.
     failed = run("sweep", "-p", "k=100,200", "-o", tmp_path / "f.csv")
     assert failed.exit_code == 1
-    assert "1 of 2 members failed, the first of them at k = 200: The integration stopped" in failed.output
+    assert "1 of 2 runs failed, the first of them at k = 200: The integration stopped" in failed.output
     assert (tmp_path / "f.csv").exists()
+    # So are those of lengths for which the loop closes.
+    files = ["-o", tmp_path / "o.npz", "-o", tmp_path / "o.png", "--plot", "u1"]
+    open_loop = run("sweep", "-p", "l2=0.5,5", "-t", 0, 1, *files)
+    assert open_loop.exit_code == 1
+    assert "1 of 2 runs failed, the first of them at l2 = 5: The loops do not close" in open_loop.output
+    assert np.load(tmp_path / "o.npz")["q1"].shape == (1, 201)
+    assert (tmp_path / "o.png").stat().st_size > 5_000
 
 
 PENDULUM = """
@@ -187,6 +198,14 @@ def test_errors_of_a_users_file_name_its_line(tmp_path):
 
 
 COMMAND = [sys.executable, "-m", "fourbar_codegen"]
+
+
+def test_a_hint_is_one_line():
+    command = [*COMMAND, "simulate", "-i", "q1=30", "-t", "0", "0.1"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    first = done.stderr.splitlines()[0]
+    assert re.fullmatch(r"Warning: q1 = 30 rad is more than a turn.* give 0\.523599\.", first)
+    assert "ModelWarning" not in done.stderr
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")

@@ -432,10 +432,10 @@ def test_animations_that_are_not_made(trajectory, tmp_path, monkeypatch):
     with pytest.raises(fb.ModelError, match="sequence of their names"):
         trajectory.animate(traces="P2")
 
-    def finish(writer):
+    def save(image, *_, **__):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("matplotlib.animation.PillowWriter.finish", finish)
+    monkeypatch.setattr("PIL.Image.Image.save", save)
     with pytest.raises(fb.ModelError, match="No space left"):
         trajectory.resample([0.0, 0.1]).save(tmp_path / "run.gif")
     assert not list(tmp_path.iterdir())

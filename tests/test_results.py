@@ -38,6 +38,15 @@ def test_everything_has_a_name(four_bar, trajectory):
     assert own["pin_x"].shape == own.t.shape
 
 
+def test_chosen_quantities_are_plotted(trajectory):
+    figure = trajectory.plot(["P2", "energy"])
+    assert [axes.get_title(loc="left") for axes in figure.axes] == ["P2", "energy"]
+    assert [line.get_label() for line in figure.axes[0].lines] == ["x", "y", "z"]
+    assert len(trajectory.plot("q1").axes) == 1
+    with pytest.raises(fb.ModelError, match="no quantity 'q9'"):
+        trajectory.plot("q9")
+
+
 def test_a_table_of_pandas(trajectory, monkeypatch):
     frame = trajectory.to_dataframe()
     assert frame.index.name == "t"
@@ -116,13 +125,24 @@ def test_outputs_of_members_are_saved():
         np.testing.assert_array_equal(dataset["pin_x"].isel(member=member), runs[member]["pin_x"])
 
 
-def test_bands_are_percentiles(ensemble):
+def test_members_that_differ_in_one_parameter_are_coloured_by_it(ensemble):
+    figure = ensemble.plot("q1")
+    axes, bar = figure.axes
+    assert bar.get_ylabel() == "k (N m/rad)"
+    assert len(axes.lines) == 30
+    np.testing.assert_array_equal(axes.lines[0].get_ydata(), ensemble["q1"][0])
+    assert len({line.get_color() for line in axes.lines}) == 30
+    assert "failed" in figure.get_suptitle()
+
+
+def test_bands_are_percentiles(four_bar):
+    varied = {"k": np.linspace(1.0, 200.0, 40), "c": np.linspace(0.0, 10.0, 40)}
+    ensemble = four_bar.ensemble((0.0, 4.0), parameters=varied, t_eval=np.linspace(0.0, 4.0, 81))
     figure = ensemble.plot(["q1", "energy"])
     assert [axes.get_title(loc="left") for axes in figure.axes] == ["q1", "energy"]
     median = next(line for line in figure.axes[0].lines if line.get_label() == "median")
     np.testing.assert_array_equal(median.get_ydata(), np.nanmedian(ensemble["q1"], axis=0))
-    assert "failed" in figure.get_suptitle()
     with pytest.raises(fb.ModelError, match="P2 is not a scalar"):
         ensemble.plot(["P2"])
     with pytest.raises(fb.ModelError, match="names must be"):
-        ensemble.plot("q1")
+        ensemble.plot(5)

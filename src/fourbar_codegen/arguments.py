@@ -19,6 +19,7 @@ __all__ = [
     "is_integer",
     "is_mapping",
     "longest_step",
+    "meant",
     "name_of",
     "named",
     "named_array",
@@ -49,6 +50,15 @@ def name_of(key: Any) -> str:
     return name if isinstance(name, str) else shown(key)
 
 
+def meant(name: str, names: Collection[str]) -> str:
+    """A question for the nearest name, if one is near."""
+    from difflib import get_close_matches  # which only those wait for who have mistyped something
+
+    other_case = [other for other in names if other.lower() == name.lower()]
+    near = other_case or get_close_matches(name, names, 1)
+    return f" Did you mean {near[0]}?" if near else ""
+
+
 def named(values: Mapping[Any, Any], names: Collection[str], kind: str) -> dict[str, Any]:
     """A mapping with names as keys.
 
@@ -61,7 +71,9 @@ def named(values: Mapping[Any, Any], names: Collection[str], kind: str) -> dict[
     for key, value in values.items():
         name = name_of(key)
         if name not in names:
-            raise ModelError(f"There is no {kind} {name!r}; there are {', '.join(names) or 'none'}.")
+            raise ModelError(
+                f"There is no {kind} {name!r}.{meant(name, names)} There are {', '.join(names) or 'none'}."
+            )
         if name in found:
             raise ModelError(f"There are two values of {kind} {name}: give one, by its name or its symbol.")
         found[name] = value

@@ -57,8 +57,8 @@ def generate_sources(model: Model) -> dict[str, str]:
     >>> import fourbar_codegen as fb
     >>> sources = fb.generate_sources(fb.models.four_bar())
     >>> sorted(name for name in sources if "avx" not in name)
-    ['four_bar.pyx', 'four_bar_batch.c', 'four_bar_derivatives.c', 'four_bar_kernel.c', 'four_bar_kernel.h',
-     'manifest.json']
+    ['four_bar.pyx', 'four_bar_batch.c', 'four_bar_derivatives.c', 'four_bar_kernel.c',
+     'four_bar_kernel.h', 'manifest.json']
     """
     with Progress(f"fourbar_codegen: {getattr(model, 'name', '')}") as progress:
         equations, _, sources = _generate(model, progress)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fourbar_codegen.analysis.loop_closure import DEAD, Loops, nearest_closed
 from fourbar_codegen.analysis.staged_closing import OpenLoop, close_in_stages, turned_towards
-from fourbar_codegen.arguments import Values, is_mapping, named, named_array
+from fourbar_codegen.arguments import Values, is_mapping, name_of, named, named_array
 from fourbar_codegen.errors import AssemblyError, ModelError, ModelWarning, shown
 from fourbar_codegen.kernel.dependent import INDEPENDENT, row_sizes, solve_dependent
 from fourbar_codegen.kernel.inputs import InputSource, inputs_at
@@ -126,6 +126,13 @@ def _given(
     n_ui = model.n_u - model.manifest["n_dependent_speeds"]
     initial = model.manifest["initial"]
     p = model.parameter_vector(parameters)
+    given = {name_of(key) for key in coordinates} if is_mapping(coordinates) else set()
+    misplaced = [name for name in model.coordinates[n_qi:] if name in given]
+    if misplaced:
+        raise ModelError(
+            f"{misplaced[0]!r} is a dependent coordinate: give a guess of it in guess=. Of the independent coordinates "
+            f"({', '.join(model.coordinates[:n_qi])}) give values."
+        )
     q_i = named_array(coordinates, model.coordinates[:n_qi], initial, "independent coordinate")
     u_i = named_array(speeds, model.speeds[:n_ui], initial, "independent speed")
     dependent = model.coordinates[n_qi:]

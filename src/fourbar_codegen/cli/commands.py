@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import time
+import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,6 +24,7 @@ from fourbar_codegen.cli.options import (
     number,
     with_options,
 )
+from fourbar_codegen.files import save, writer_of
 
 if TYPE_CHECKING:
     from fourbar_codegen import CompiledModel, Ensemble, Trajectory
@@ -50,7 +52,9 @@ class _Commands(click.Group):
 
     def invoke(self, ctx: click.Context) -> Any:
         try:
-            return super().invoke(ctx)
+            with warnings.catch_warnings():
+                warnings.showwarning = lambda message, *_, **__: click.echo(f"Warning: {message}", err=True)
+                return super().invoke(ctx)
         except fb.FourbarError as error:
             raise click.ClickException(str(error)) from error
 
@@ -77,6 +81,10 @@ def _model_and_inputs(
     if not all(map(math.isfinite, t_span)):
         raise fb.ModelError(f"The first and last time must be finite, not {t_span}.")
     compiled = compiled_model(model)
+    for name in parameters:
+        for option, kind, others in (("-r", "an input", compiled.inputs), ("-i", "a state", compiled.states)):
+            if name in others:
+                raise fb.ModelError(f"{name} is {kind}, not a parameter: give it with {option}.")
     given = inputs | {name: text for name, text in initial.items() if name in compiled.inputs}
     values = {name: number(name, text) for name, text in initial.items() if name not in given}
     return compiled, values, input_sources(compiled, given, parameters)
@@ -125,7 +133,6 @@ def _simulated(
     help="Write the trajectory: .csv, .npz, .nc, .html for a report, .png for a plot, .gif or .mp4; may be repeated.",
 )
 def simulate(samples: int, outputs: tuple[Path, ...], **run: Any) -> None:
-    from fourbar_codegen.files import writer_of
     from fourbar_codegen.results.trajectory import WRITERS
 
     for path in outputs:
@@ -151,9 +158,12 @@ def simulate(samples: int, outputs: tuple[Path, ...], **run: Any) -> None:
     "-o", "--output", "outputs", multiple=True, type=click.Path(dir_okay=False, path_type=Path),
     help="Write the runs: .csv, .npz, .nc, or .png for a plot; may be repeated.",
 )  # fmt: skip
+@click.option("--plot", "plotted", multiple=True, metavar="NAME",
+              help="What a .png shows: a state, input or output, energy, lambda1, ...; may be repeated.")  # fmt: skip
 def sweep(
     samples: int,
     outputs: tuple[Path, ...],
+    plotted: tuple[str, ...],
     model: str,
     parameters: dict[str, Any],
     initial: dict[str, str],
@@ -161,7 +171,6 @@ def sweep(
     t_span: tuple[float, float],
     **how: Any,
 ) -> None:
-    from fourbar_codegen.files import writer_of
     from fourbar_codegen.results.ensemble import WRITERS
 
     for path in outputs:
@@ -174,25 +183,34 @@ def sweep(
         raise fb.ModelError(f"A sweep has at most {MOST_MEMBERS} runs, not {n}.")
     compiled, values, sources = _model_and_inputs(model, initial, inputs, parameters, t_span)
     grid = np.array(list(itertools.product(*swept.values())))
-    members = parameters | dict(zip(swept, grid.T, strict=True))
-    x0 = [
-        initial_state(compiled, values, t_span[0], parameters | dict(zip(swept, row.tolist(), strict=True)), sources)
-        for row in grid
-    ]
-    times = np.linspace(*t_span, samples)
-    begin = time.perf_counter()
-    ensemble = compiled.ensemble(t_span, x0, parameters=members, inputs=sources, t_eval=times, **how)
-    seconds = time.perf_counter() - begin
-    _report_sweep(ensemble, swept, how["method"], seconds)
-    for path in outputs:
-        click.echo(f"Written: {ensemble.save(path)}")
-    if not ensemble.success.all():
-        first = int(np.argmin(ensemble.success))
-        of_first = ", ".join(f"{name} = {value:g}" for name, value in zip(swept, grid[first], strict=True))
-        raise fb.SimulationError(
-            f"{n - ensemble.success.sum()} of {n} members failed, the first of them at {of_first}: "
-            f"{ensemble.messages[first]}"
-        )
+    members = [parameters | dict(zip(swept, row.tolist(), strict=True)) for row in grid]
+    x0, failures = [], {}
+    for place, member in enumerate(members):
+        try:
+            x0.append(initial_state(compiled, values, t_span[0], member, sources))
+        except fb.AssemblyError as error:
+            failures[place] = str(error)
+    assembled = [place for place in range(n) if place not in failures]
+    if assembled:
+        columns = parameters | dict(zip(swept, grid[assembled].T, strict=True))
+        times = np.linspace(*t_span, samples)
+        begin = time.perf_counter()
+        ensemble = compiled.ensemble(t_span, x0, parameters=columns, inputs=sources, t_eval=times, **how)
+        _report_sweep(ensemble, swept, how["method"], time.perf_counter() - begin)
+        for path in outputs:
+            click.echo(f"Written: {_save_sweep(ensemble, path, plotted)}")
+        failures |= {assembled[i]: ensemble.messages[i] for i in np.flatnonzero(~ensemble.success)}
+    if failures:
+        first = min(failures)
+        at = ", ".join(f"{name} = {members[first][name]:g}" for name in swept)
+        raise fb.SimulationError(f"{len(failures)} of {n} runs failed, the first of them at {at}: {failures[first]}")
+
+
+def _save_sweep(ensemble: Ensemble, path: Path, plotted: tuple[str, ...]) -> Path:
+    """Write an ensemble; a plot of what was named."""
+    if path.suffix.lower() != ".png":
+        return ensemble.save(path)
+    return save(path, ensemble.plot(plotted), {".png": lambda figure, file: figure.savefig(file, dpi=120)}, "A plot")
 
 
 def _report_sweep(ensemble: Ensemble, swept: Mapping[str, Any], method: str, seconds: float) -> None:

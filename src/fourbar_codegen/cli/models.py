@@ -63,7 +63,14 @@ def source_model(text: str) -> Model:
             raise _unknown(text)
         return getattr(fb.models, text)()  # type: ignore[no-any-return]
     try:
-        model = getattr(_module(place), function)()
+        module = _module(place)
+        make = getattr(module, function, None)
+        if isinstance(make, fb.Model):
+            return make
+        if not callable(make):
+            own = [name for name, value in vars(module).items() if getattr(value, "__module__", "") == module.__name__]
+            raise fb.ModelError(f"{place} has no function {function}; it has {', '.join(own) or 'none'}.")
+        model = make()
     except fb.FourbarError:
         raise
     except Exception as error:  # any error of the user's code

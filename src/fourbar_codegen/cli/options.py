@@ -125,7 +125,7 @@ def _common(methods: tuple[str, ...]) -> list[Callable[..., Any]]:
             "-t", "--time", "t_span", nargs=2, type=_Time(), default=(0.0, 4.0), show_default="0 4",
             metavar="FIRST LAST", help="First and last time, s.",
         ),
-        click.option("--method", type=click.Choice(methods), default="DOP853", show_default=True),
+        click.option("--method", type=click.Choice(methods, case_sensitive=False), default="DOP853", show_default=True),
     ]  # fmt: skip
 
 
@@ -137,7 +137,7 @@ def _accuracy(constraints: tuple[str, ...]) -> list[Callable[..., Any]]:
         ),
         click.option("--rtol", default=1e-6, show_default=True, help="Relative tolerance."),
         click.option("--atol", default=1e-9, show_default=True, help="Absolute tolerance."),
-        click.option("--max-step", default=math.inf, help="Longest step, s; required for ALI3P."),
+        click.option("--max-step", default=math.inf, help="Longest step, s; the step of ALI3P."),
         click.option(
             "--max-steps", default="auto", show_default=True, metavar="N|auto|none", callback=_steps,
             help="Largest number of steps: by default 1,000,000 for DOP853, RK45 and ALI3P, 100,000 for others, or ten "

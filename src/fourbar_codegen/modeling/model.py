@@ -129,8 +129,8 @@ def joint_force(name: str, directions: Mapping[int, Vector], frame: ReferenceFra
     directions : mapping of int to Vector
         For each of the joint's constraints, its number (see `multiplier`) and the direction e_k that the
         relative position is dotted with.
-    frame : ReferenceFrame
-        The frame in which the force is resolved.
+    frame : ReferenceFrame or Body
+        The frame in which the force is resolved, or a body with that frame.
 
     Returns
     -------
@@ -151,6 +151,7 @@ def joint_force(name: str, directions: Mapping[int, Vector], frame: ReferenceFra
     >>> joint_force("pin", {1: N.x, 2: N.y}, N)
     {'pin_x': multiplier(1), 'pin_y': multiplier(2), 'pin_z': 0}
     """
+    frame = getattr(frame, "frame", frame)  # of a body
     try:
         return {
             f"{name}_{letter}": sm.Add(*(multiplier(k) * direction.dot(axis) for k, direction in directions.items()))
@@ -500,7 +501,11 @@ class Model:
                     found.add(node)
                 elif isinstance(node, AppliedUndef) and node.func == multiplier(1).func and in_outputs:
                     if node not in in_outputs:
-                        raise ModelError(f"{node} in {label}: the model has {n_c} constraints on velocities.")
+                        raise ModelError(
+                            f"{node} in {label}: the model has {n_c} constraints on velocities. Only joints that "
+                            "constraints close have multipliers: leave the joint out of add_joints and close it with "
+                            "holonomic constraints, or use auxiliary speeds."
+                        )
                 elif isinstance(node, AppliedUndef) and node not in known | in_outputs:
                     raise ModelError(self._neither({node: label}))
                 elif isinstance(node, sm.Derivative) and node not in rates | in_outputs:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fourbar_codegen.arguments import name_of, positive
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.kernel.kernel import Kernel
-from fourbar_codegen.presentation.drawing import Drawing, drawing, equal_times, extent, panels
+from fourbar_codegen.presentation.drawing import Drawing, Panel, drawing, equal_times, extent, panels
 from fourbar_codegen.progress import PATIENCE
 
 if TYPE_CHECKING:
@@ -47,6 +47,9 @@ MAX_PANELS = 24
 CURVES = 30
 """Number of members of an ensemble that are drawn as curves."""
 
+TRACE_RATE = 500.0
+"""Points of a trace for a second, so that fast motions have round traces."""
+
 SMOOTH = 401
 """Number of states with which a curve looks smooth."""
 
@@ -58,12 +61,14 @@ def _imported(name: str, what: str) -> Any:
         raise ModelError(f"{what} need {name.split('.')[0]}: pip install 'fourbar_codegen[visual]'.") from error
 
 
-def plot_trajectory(trajectory: Trajectory) -> Figure:
+def plot_trajectory(trajectory: Trajectory, names: str | Sequence[Any]) -> Figure:
     """Plot all curves of a trajectory over time, in panels; see `drawing.panels`.
 
     Parameters
     ----------
     trajectory : Trajectory
+    names : str or sequence of str
+        Quantities, a panel for each; all of them if there are none.
 
     Returns
     -------
@@ -78,7 +83,8 @@ def plot_trajectory(trajectory: Trajectory) -> Figure:
     figure_class = _imported("matplotlib.figure", "Plots").Figure
     if len(trajectory.t) < SMOOTH and len(np.unique(trajectory.t)) > 1:
         trajectory = trajectory.resample(np.linspace(trajectory.t[0], trajectory.t[-1], SMOOTH))
-    shown = panels(trajectory)
+    chosen = [_panel(name, trajectory[name]) for name in _quantities(names)]
+    shown = chosen or panels(trajectory)
     figure: Figure = figure_class(figsize=(7.0, 2.2 * len(shown)), layout="constrained")
     for axes, panel in zip(figure.subplots(len(shown), 1, sharex=True, squeeze=False).flat, shown, strict=True):
         for name, values in panel.curves.items():
@@ -91,6 +97,19 @@ def plot_trajectory(trajectory: Trajectory) -> Figure:
     axes.set_xlabel("time (s)")
     figure.suptitle(trajectory.model.name)
     return figure
+
+
+def _quantities(names: str | Sequence[Any]) -> list[str]:
+    """Names of quantities, of which one may be given by itself."""
+    given = [names] if isinstance(names, str) or hasattr(names, "name") else names
+    if not isinstance(given, list | tuple):
+        raise ModelError(f"names must be a sequence of names, not {shown(names)}.")
+    return list(map(name_of, given))
+
+
+def _panel(name: str, values: Floats) -> Panel:
+    """A quantity over time, or the three coordinates of a point."""
+    return Panel(name, {name: values} if values.ndim == 1 else dict(zip("xyz", values, strict=True)))
 
 
 def plot_paths(trajectory: Trajectory, points: Sequence[str]) -> Figure:
@@ -110,40 +129,60 @@ def plot_paths(trajectory: Trajectory, points: Sequence[str]) -> Figure:
     return figure
 
 
-def plot_ensemble(ensemble: Ensemble, names: Sequence[Any]) -> Figure:
-    """Plot median, bands and members of an ensemble; see `Ensemble.plot`."""
+def plot_ensemble(ensemble: Ensemble, names: str | Sequence[Any]) -> Figure:
+    """Plot an ensemble; see `Ensemble.plot`."""
     figure_class = _imported("matplotlib.figure", "Plots").Figure
-    if isinstance(names, str) or not isinstance(names, list | tuple):
-        raise ModelError(f"names must be a sequence of names, not {shown(names)}.")
+    quantities = _quantities(names) or list(ensemble.model.coordinates)
     if not len(ensemble):
         raise ModelError("There is nothing to plot: the ensemble has no members.")
-    shown_names = list(map(name_of, names)) or list(ensemble.model.coordinates)
-    curves = np.unique(np.linspace(0, len(ensemble) - 1, CURVES).round().astype(int))
-    figure: Figure = figure_class(figsize=(7.0, 2.6 * len(shown_names)), layout="constrained")
-    for axes, name in zip(
-        figure.subplots(len(shown_names), 1, sharex=True, squeeze=False).flat, shown_names, strict=True
-    ):
+    figure: Figure = figure_class(figsize=(7.0, 2.6 * len(quantities)), layout="constrained")
+    cells = figure.subplots(len(quantities), 1, sharex=True, squeeze=False).flat
+    varied = ensemble.varied
+    draw = _draw_members if len(varied) == 1 else _draw_bands
+    for axes, name in zip(cells, quantities, strict=True):
         values = ensemble[name]
         if values.ndim != 2:
             raise ModelError(f"{name} is not a scalar quantity over time: it has shape {values.shape}.")
-        reached = np.isfinite(values).any(axis=0)
-        times = ensemble.t[reached]
-        low, quarter, median, other, high = np.nanpercentile(values[:, reached], [5, 25, 50, 75, 95], axis=0)
-        lines = axes.plot(ensemble.t, values[curves].T, color="0.6", linewidth=0.5, zorder=1)
-        lines[0].set_label("members")
-        axes.fill_between(times, low, high, color="tab:blue", alpha=0.2, linewidth=0.0, label="90 %")
-        axes.fill_between(times, quarter, other, color="tab:blue", alpha=0.35, linewidth=0.0, label="50 %")
-        axes.plot(times, median, color="tab:blue", label="median")
+        draw(axes, ensemble, values)
         axes.set_title(_label(name), loc="left", fontsize="medium")
-        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
         axes.grid(alpha=0.3)
     axes.set_xlabel("time (s)")
     failed = len(ensemble) - int(ensemble.success.sum())
     figure.suptitle(
         f"{ensemble.model.name}: {len(ensemble)} members"
-        + (f", {failed} of which failed; later percentiles are of the others" if failed else "")
+        + (f", {failed} of which failed" if failed else "")
+        + (": later, percentiles are of the others" if failed and draw is _draw_bands else "")
     )
     return figure
+
+
+def _some(n: int) -> Any:
+    """Numbers of the members that are drawn as curves."""
+    return np.unique(np.linspace(0, n - 1, CURVES).round().astype(int))
+
+
+def _draw_members(axes: Any, ensemble: Ensemble, values: Floats) -> None:
+    """Curves of members, coloured by the parameter in which they differ."""
+    [(name, of_members)] = ensemble.varied.items()
+    mappable = _imported("matplotlib.cm", "Plots").ScalarMappable(cmap="viridis")
+    mappable.set_clim(of_members.min(), of_members.max())
+    order = np.argsort(of_members)
+    for member in order[_some(len(ensemble))]:
+        axes.plot(ensemble.t, values[member], color=mappable.to_rgba(of_members[member]), linewidth=1.0)
+    axes.figure.colorbar(mappable, ax=axes, label=f"{_label(name)} ({ensemble.model.units[name]})".removesuffix(" ()"))
+
+
+def _draw_bands(axes: Any, ensemble: Ensemble, values: Floats) -> None:
+    """Median, the bands of 50 and 90 % of the members, and curves of some."""
+    reached = np.isfinite(values).any(axis=0)
+    times = ensemble.t[reached]
+    low, quarter, median, other, high = np.nanpercentile(values[:, reached], [5, 25, 50, 75, 95], axis=0)
+    lines = axes.plot(ensemble.t, values[_some(len(ensemble))].T, color="0.6", linewidth=0.5, zorder=1)
+    lines[0].set_label("members")
+    axes.fill_between(times, low, high, color="tab:blue", alpha=0.2, linewidth=0.0, label="90 %")
+    axes.fill_between(times, quarter, other, color="tab:blue", alpha=0.35, linewidth=0.0, label="50 %")
+    axes.plot(times, median, color="tab:blue", label="median")
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
 
 
 def plot_modes(modes: AssemblyModes) -> Figure:
@@ -252,9 +291,11 @@ def animate(trajectory: Trajectory, *, fps: float, speed: float, traces: Sequenc
     axes.set_aspect("equal")
     axes.set_axis_off()
     traced = drawn.traced().values() if chosen is None else chosen
-    for number, name, _, _ in drawn.points():
-        if name in traced:
-            axes.plot(*every[number], color="tab:red", linewidth=1.0)
+    start, end = trajectory.t[0], trajectory.t[-1]
+    rate = min(TRACE_RATE, MAX_FRAMES / abs(end - start)) if start != end else TRACE_RATE
+    finer = trajectory.resample(equal_times(start, end, rate)).points
+    for name in traced:
+        axes.plot(*finer[name][:dimensions], color="tab:red", linewidth=1.0)
     # Moving lines, with the rows of `every` that each of them connects.
     moved = [(rows, axes.plot(*every[rows, :, 0].T, **style)[0]) for rows, style in _moving_lines(drawn)]
     time = axes.annotate("", (0.02, 0.02), xycoords="axes fraction", fontsize="small", color="0.3")
@@ -312,7 +353,7 @@ def _gif_writer(animations: Any) -> Any:
     """
     images = importlib.import_module("PIL.Image")
 
-    class Writer(animations.AbstractMovieWriter):  # type: ignore[misc]
+    class Writer(animations.AbstractMovieWriter):
         frames: list[Any]
 
         def setup(self, fig: Any, outfile: Any, dpi: Any = None) -> None:

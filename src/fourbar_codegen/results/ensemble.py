@@ -147,12 +147,14 @@ class Ensemble:
 
         return ensemble_dataset(self)
 
-    def plot(self, names: Sequence[Any] = ()) -> Figure:
-        """Plot the median, the bands that contain 50 % and 90 % of the members, and some members; needs ``visual``.
+    def plot(self, names: str | Sequence[Any] = ()) -> Figure:
+        """Plot some members, and the median and the bands of 50 % and 90 % of all of them; needs ``visual``.
+
+        If members differ in one parameter alone, there are no bands: curves are coloured by its value.
 
         Parameters
         ----------
-        names : sequence of str, optional
+        names : str or sequence of str, optional
             Names of scalar quantities, as in `Trajectory`, with a panel for each; by default the coordinates.
 
         Returns

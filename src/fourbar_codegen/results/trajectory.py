@@ -405,10 +405,15 @@ class Trajectory:
             raise ModelError(f"height must be a positive number of pixels, not {shown(height)}.")
         return Page(f"Report of {self.model.name}", report_text(self), int(height))
 
-    def plot(self) -> Figure:
+    def plot(self, names: str | Sequence[Any] = ()) -> Figure:
         """Plot states, inputs, outputs (such as joint forces), energy, multipliers and constraint violation over time.
 
         One panel for each; needs the extra ``visual``.
+
+        Parameters
+        ----------
+        names : str or sequence of str, optional
+            Plot only these quantities, each in a panel: names that ``run[name]`` takes.
 
         Returns
         -------
@@ -417,11 +422,17 @@ class Trajectory:
         Raises
         ------
         ModelError
-            If Matplotlib is not installed.
+            If there is no such quantity, or Matplotlib is not installed.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> run = fb.load("four_bar").simulate((0.0, 1.0))
+        >>> figure = run.plot(["q1", "energy"])  # doctest: +SKIP
         """
         from fourbar_codegen.presentation.figures import plot_trajectory
 
-        return plot_trajectory(self)
+        return plot_trajectory(self, names)
 
     def plot_paths(self, points: Sequence[str] = ()) -> Figure:
         """Draw the paths of points, such as coupler curves, and the initial mechanism; needs the extra ``visual``.

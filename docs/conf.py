@@ -16,6 +16,7 @@ release = fourbar_codegen.__version__
 
 extensions = ["myst_nb", "numpydoc", "sphinx.ext.autodoc"]
 html_theme = "furo"
+html_show_copyright = False
 html_title = f"fourbar_codegen {release}"
 html_static_path = ["_static"]
 html_css_files = ["custom.css"]

@@ -133,7 +133,7 @@ def main() -> None:
         ("at rest", {}),
         ("pulled", {"e_biceps": ([0.5, 0.5 + 1e-9, 1.5, 1.5 + 1e-9], [0.0, 0.8, 0.8, 0.0])}),
     ):
-        run = model.simulate((0.0, 3.0), x0, inputs=inputs, t_eval=times, rtol=1e-8, atol=1e-8)
+        run = model.simulate((0.0, 3.0), x0, inputs=inputs, t_eval=times, rtol=1e-8, atol=1e-8, dense_output=True)
         lever = np.rad2deg(run["q1"])
         print(f"{name}: lever at {lever[0]:.3f}, {lever[100]:.3f}, {lever[-1]:.3f} degrees after 0, 1 and 3 s")
         print(f"  largest activation of the biceps {run['a_biceps'].max():.3f}, constraint violation", end=" ")

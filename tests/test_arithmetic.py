@@ -58,6 +58,9 @@ def test_values_are_pythons(text, t, k):
         ("1 + " * 400 + "1", "at most 1000 characters"),
         ("(" * 400 + "1" + ")" * 400, "not an arithmetic"),
         ("2 t", "not an arithmetic"),
+        ("-" * 900 + "t", "nested too deeply"),
+        ("sin", r"sin is a function: write sin"),
+        ("t(3)", r"t is not a function: write t\*"),
         ("t^2", r"write \*\*"),
         ("sine(t)", "Did you mean sin"),
         ("kk", "Did you mean k"),
@@ -70,7 +73,8 @@ def test_what_is_no_arithmetic_is_refused(text, words):
 
 @pytest.mark.parametrize(
     ("text", "words"),
-    [("1/(t - 1)", "at t = 1: .*division"), ("9.0**9**9", "no value"), ("(-1)**0.5", "not a real number"),
+    [("1/(t - 1)", "at t = 1: .*division"), ("9.0**9**9", "no value"),
+     ("(-1)**0.5", "no value"), ("abs((-8)**(1/3))", "no value"),
      ("sqrt(-t)", "at t = 1"), ("sin(t, t)", "no value")],
 )  # fmt: skip
 def test_what_has_no_value_says_where(text, words):

@@ -59,6 +59,9 @@ def test_simulate_takes_initial_values_guesses_and_inputs(four_bar):
         (["simulate", "-t", "0", "four"], "-t 0 4"),
         (["simulate", "-r", "F=50*sin(q1)"], "there is no q1"),
         (["simulate", "fourbar"], "Did you mean four_bar?"),
+        (["simulate", "-p", "k=1", "-p", "k=2"], "k is given twice"),
+        (["simulate", "-i", "F=3", "-r", "F=4"], "F is given twice"),
+        (["sweep", "-p", "k=1,2", "--plot", "q1"], "give one, such as -o sweep.png"),
         (["simulate", "-p", "F=3"], "F is an input, not a parameter: give it with -r"),
         (["simulate", "-p", "q1=3"], "q1 is a state, not a parameter: give it with -i"),
         (["simulate", "-p", "L2=3"], "Did you mean l2?"),
@@ -161,7 +164,10 @@ def test_a_sweep_runs_all_combinations(four_bar, tmp_path):
     open_loop = run("sweep", "-p", "l2=0.5,5", "-t", 0, 1, *files)
     assert open_loop.exit_code == 1
     assert "1 of 2 runs failed, the first of them at l2 = 5: The loops do not close" in open_loop.output
-    assert np.load(tmp_path / "o.npz")["q1"].shape == (1, 201)
+    arrays = np.load(tmp_path / "o.npz")
+    assert arrays["success"].tolist() == [True, False]
+    assert np.isnan(arrays["q1"][1]).all()
+    assert arrays["l2"].tolist() == [0.5, 5.0]
     assert (tmp_path / "o.png").stat().st_size > 5_000
 
 
@@ -198,6 +204,17 @@ def test_errors_of_a_users_file_name_its_line(tmp_path):
 
 
 COMMAND = [sys.executable, "-m", "fourbar_codegen"]
+
+
+def test_a_file_that_exits_is_an_error(tmp_path):
+    (tmp_path / "own.py").write_text("raise SystemExit(0)\n")
+    done = run("info", f"{tmp_path / 'own.py'}:make")
+    assert done.exit_code == 1
+    assert "could not be called: own.py, line 1: SystemExit: 0" in done.output
+
+
+def test_an_expression_begins_with_the_run():
+    assert run("simulate", "-t", 1, 2, "-r", "F=log(t)").exit_code == 0
 
 
 def test_a_hint_is_one_line():

@@ -1,5 +1,6 @@
 """Messages that lead on: what they name, and that what they advise works."""
 
+import functools
 import re
 import warnings
 
@@ -59,6 +60,9 @@ def test_names_stand_for_symbols():
         inputs={F: 3},
         initial={me.dynamicsymbols(name): value for name, value in states.items()},
     )
+    own = sm.Symbol("a", positive=True)  # in the expression of a parameter alone
+    derived = fb.Model(pendulum(), parameters={"m": own**2, "a": 2.0, "g": 9.81, "l": 1.0})
+    assert derived.parameters["a"].value == 2.0
     for name in ("initial", "input_expressions", "parameters", "derived_parameters"):
         assert getattr(by_symbol, name) == getattr(by_name, name)
 
@@ -102,6 +106,39 @@ def test_degrees_are_noticed():
         warnings.simplefilter("error")
         arm.initial_state({"q": 7.123}, [0.0])  # a wheel that has turned
         arm.initial_state({"q": 3}, [0.0])
+
+
+def test_times_that_are_too_far_apart_for_curves_are_told(four_bar):
+    """With 9 times in 4 s, cubic polynomials err by 0.026 rad in q1, of 1.8; with 33 by 1e-4."""
+    exact = four_bar.simulate((0.0, 4.0), rtol=1e-12, atol=1e-12, dense_output=True)
+    times = np.linspace(0.0, 4.0, 1001)
+    coarse = four_bar.simulate((0.0, 4.0), t_eval=np.linspace(0.0, 4.0, 9), rtol=1e-9, atol=1e-9)
+    with pytest.warns(fb.ModelWarning, match=r"up to 0\.5 s apart. Between them u3 is interpolated with errors"):
+        shown = coarse.resample(times)
+    assert 0.01 < np.abs(shown["q1"] - exact.sol(times)[0]).max() < 0.05
+    fine = four_bar.simulate((0.0, 4.0), t_eval=np.linspace(0.0, 4.0, 33), rtol=1e-9, atol=1e-9)
+    assert np.abs(fine.resample(times)["q1"] - exact.sol(times)[0]).max() < 1e-3
+
+
+def test_adapters_are_called_as_they_are(four_bar):
+    """Not as the functions that they wrap; and what has no signature is left to its call."""
+
+    def force(t):
+        return 3.0 * t
+
+    @functools.wraps(force)
+    def adapter(t, x):
+        return force(t)
+
+    class Odd:
+        def __call__(self, t, x):
+            return 3.0 * t
+
+        def __getattr__(self, name):
+            raise RuntimeError(name)
+
+    ends = [four_bar.simulate((0.0, 0.5), inputs={"F": given}).y[:, -1] for given in (adapter, Odd())]
+    np.testing.assert_array_equal(*ends)
 
 
 def test_what_the_compiler_says_stands_before_its_command():

@@ -5,6 +5,8 @@ import sys
 
 import numpy as np
 import pytest
+import sympy.physics.mechanics as me
+from systems import pendulum
 
 import fourbar_codegen as fb
 
@@ -36,6 +38,33 @@ def test_everything_has_a_name(four_bar, trajectory):
     assert all(trajectory[name] is not None for name in saved)
     own = fb.compile_model(fb.models.slider_crank()).simulate((0.0, 0.1))
     assert own["pin_x"].shape == own.t.shape
+
+
+def test_inputs_by_member_are_saved(four_bar, tmp_path):
+    forces = np.array([1.0, 2.0, 3.0])
+    runs = four_bar.ensemble((0.0, 0.5), inputs={"F": forces})
+    np.testing.assert_array_equal(runs.varied["F"], forces)
+    np.testing.assert_array_equal(np.load(runs.save(tmp_path / "f.npz"))["F"], forces)
+    with runs.save(tmp_path / "f.csv").open(newline="") as file:
+        assert {row["F"] for row in csv.DictReader(file)} == {"1.0", "2.0", "3.0"}
+    assert runs.plot("q1").axes[1].get_ylabel() == "F"
+
+
+def test_names_that_files_need_are_refused(tmp_path):
+    parameters = {"m": 1.0, "g": 9.81, "l": 1.0}
+    model = fb.Model(pendulum(), name="named", parameters=parameters, outputs={"success": me.dynamicsymbols("q")})
+    runs = fb.compile_model(model).ensemble((0.0, 0.1), [[0.1, 0.0]])
+    for kind in ("npz", "nc"):
+        with pytest.raises(fb.ModelError, match="names success are reserved"):
+            runs.save(tmp_path / f"runs.{kind}")
+    assert runs.save(tmp_path / "runs.csv").exists()
+
+
+def test_all_members_may_fail(four_bar):
+    parameters = {"k": [100.0, 300.0], "c": [1.0, 2.0]}
+    runs = four_bar.ensemble((0.0, 1.0), parameters=parameters, t_eval=[0.5, 1.0], max_steps=1)
+    assert not runs.success.any()
+    assert len(runs.plot("energy").axes) == 1
 
 
 def test_chosen_quantities_are_plotted(trajectory):

@@ -232,8 +232,8 @@ def of_time_and_state(function: Callable[..., Any], what: str) -> None:
     import inspect  # takes some milliseconds, so only if there are callables
 
     try:
-        signature = inspect.signature(function)
-    except (TypeError, ValueError):  # some callables that are not written in Python
+        signature = inspect.signature(function, follow_wrapped=False)
+    except Exception:  # some callables that are not written in Python
         return
     try:
         signature.bind(0.0, None)

@@ -6,14 +6,14 @@ import errno
 import os
 import secrets
 import stat
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, TypeVar
 
 from fourbar_codegen.errors import ModelError
 
-__all__ = ["path_of", "replacing", "save", "writer_of"]
+__all__ = ["check_free", "path_of", "replacing", "save", "writer_of"]
 
 T = TypeVar("T")
 Writer = Callable[[T, IO[bytes]], None]
@@ -87,6 +87,15 @@ def _mode(target: Path) -> int | None:
     if not os.access(target, os.W_OK):
         raise PermissionError(errno.EACCES, "it is write-protected")
     return stat.S_IMODE(mode)
+
+
+def check_free(names: Iterable[str], reserved: set[str]) -> None:
+    """Raise a ModelError if names of a model are reserved in files."""
+    taken = reserved & set(names)
+    if taken:
+        raise ModelError(
+            f"In files the names {', '.join(sorted(taken))} are reserved: rename the state, output or parameter."
+        )
 
 
 def writer_of(path: Path, writers: Mapping[str, Writer[T]], what: str) -> Writer[T]:

@@ -31,7 +31,7 @@ OPERATORS: dict[type, Callable[..., float]] = {
     ast.Sub: operator.sub,
     ast.Mult: operator.mul,
     ast.Div: operator.truediv,
-    ast.Pow: operator.pow,
+    ast.Pow: math.pow,  # which, unlike Python's own, has no complex values
     ast.UAdd: operator.pos,
     ast.USub: operator.neg,
 }
@@ -103,7 +103,10 @@ def parse(text: str, names: Collection[str]) -> Arithmetic:
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         raise ModelError(f"{shown(text)} is not an arithmetic expression: {getattr(error, 'msg', error)}.") from error
     found: set[str] = set()
-    function = _function(tree, text, names, found)
+    try:
+        function = _function(tree, text, names, found)
+    except RecursionError as error:
+        raise ModelError(f"{shown(text)} is not an arithmetic expression: it is nested too deeply.") from error
     return Arithmetic(text, frozenset(found), function)
 
 
@@ -153,6 +156,10 @@ def _function(node: ast.expr, text: str, names: Collection[str], found: set[str]
 
 
 def _unknown(name: str, text: str, names: Collection[str]) -> ModelError:
+    if name in FUNCTIONS:
+        return ModelError(f"In {shown(text)}, {name} is a function: write {name}(...).")
+    if name in {*names, *CONSTANTS}:
+        return ModelError(f"In {shown(text)}, {name} is not a function: write {name}*(...) for a product.")
     close = difflib.get_close_matches(name, [*names, *CONSTANTS, *FUNCTIONS], 1)
     return ModelError(
         f"In {shown(text)}, there is no {name}.{f' Did you mean {close[0]}?' if close else ''} There are "

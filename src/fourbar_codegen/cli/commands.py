@@ -7,6 +7,7 @@ import math
 import time
 import warnings
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +26,7 @@ from fourbar_codegen.cli.options import (
     with_options,
 )
 from fourbar_codegen.files import save, writer_of
+from fourbar_codegen.progress import PATIENCE, Progress
 
 if TYPE_CHECKING:
     from fourbar_codegen import CompiledModel, Ensemble, Trajectory
@@ -85,9 +87,12 @@ def _model_and_inputs(
         for option, kind, others in (("-r", "an input", compiled.inputs), ("-i", "a state", compiled.states)):
             if name in others:
                 raise fb.ModelError(f"{name} is {kind}, not a parameter: give it with {option}.")
-    given = inputs | {name: text for name, text in initial.items() if name in compiled.inputs}
-    values = {name: number(name, text) for name, text in initial.items() if name not in given}
-    return compiled, values, input_sources(compiled, given, parameters)
+    by_initial = {name: text for name, text in initial.items() if name in compiled.inputs}
+    twice = sorted(by_initial.keys() & inputs.keys())
+    if twice:
+        raise fb.ModelError(f"{twice[0]} is given twice, with -i and with -r.")
+    values = {name: number(name, text) for name, text in initial.items() if name not in by_initial}
+    return compiled, values, input_sources(compiled, inputs | by_initial, parameters, t_span[0])
 
 
 def _simulated(
@@ -175,6 +180,8 @@ def sweep(
 
     for path in outputs:
         writer_of(path, WRITERS, "An ensemble")
+    if plotted and not any(path.suffix.lower() == ".png" for path in outputs):
+        raise fb.ModelError("--plot says what a .png shows: give one, such as -o sweep.png.")
     swept = {name: values for name, values in parameters.items() if np.ndim(values)}
     if not swept:
         raise fb.ModelError("There is nothing to sweep: give a parameter a range, such as -p NAME=FIRST:LAST:N.")
@@ -184,26 +191,41 @@ def sweep(
     compiled, values, sources = _model_and_inputs(model, initial, inputs, parameters, t_span)
     grid = np.array(list(itertools.product(*swept.values())))
     members = [parameters | dict(zip(swept, row.tolist(), strict=True)) for row in grid]
-    x0, failures = [], {}
-    for place, member in enumerate(members):
-        try:
-            x0.append(initial_state(compiled, values, t_span[0], member, sources))
-        except fb.AssemblyError as error:
-            failures[place] = str(error)
-    assembled = [place for place in range(n) if place not in failures]
-    if assembled:
-        columns = parameters | dict(zip(swept, grid[assembled].T, strict=True))
-        times = np.linspace(*t_span, samples)
-        begin = time.perf_counter()
-        ensemble = compiled.ensemble(t_span, x0, parameters=columns, inputs=sources, t_eval=times, **how)
-        _report_sweep(ensemble, swept, how["method"], time.perf_counter() - begin)
-        for path in outputs:
-            click.echo(f"Written: {_save_sweep(ensemble, path, plotted)}")
-        failures |= {assembled[i]: ensemble.messages[i] for i in np.flatnonzero(~ensemble.success)}
+    x0 = np.full((n, compiled.n_x), np.nan)
+    failures = {}
+    with Progress(compiled.name, unwatched=PATIENCE) as progress:
+        for place, member in enumerate(members):
+            progress.stage(f"initial state {place + 1} of {n}")
+            try:
+                x0[place] = initial_state(compiled, values, t_span[0], member, sources)
+            except fb.AssemblyError as error:
+                failures[place] = str(error)
+    assembled = np.array([place for place in range(n) if place not in failures], dtype=int)
+    begin = time.perf_counter()
+    ran = compiled.ensemble(
+        t_span, x0[assembled], parameters=parameters | dict(zip(swept, grid[assembled].T, strict=True)),
+        inputs=sources, t_eval=np.linspace(*t_span, samples), **how,
+    )  # fmt: skip
+    p = np.array([[member.get(name, default) for name, default in compiled.defaults.items()] for member in members])
+    ensemble = _with_others(ran, assembled, p, failures)
+    _report_sweep(ensemble, swept, how["method"], time.perf_counter() - begin)
+    failures |= {int(place): ensemble.messages[place] for place in np.flatnonzero(~ensemble.success)}
+    for path in sorted(outputs, key=lambda path: path.suffix.lower() == ".png"):  # data first
+        click.echo(f"Written: {_save_sweep(ensemble, path, plotted)}")
     if failures:
         first = min(failures)
         at = ", ".join(f"{name} = {members[first][name]:g}" for name in swept)
         raise fb.SimulationError(f"{len(failures)} of {n} runs failed, the first of them at {at}: {failures[first]}")
+
+
+def _with_others(ran: Ensemble, places: Any, parameters: Any, failures: Mapping[int, str]) -> Ensemble:
+    """An ensemble with the members that could not be assembled, as failed ones, at their places."""
+    n = len(parameters)
+    y, success, nfev = np.full((n, *ran.y.shape[1:]), np.nan), np.zeros(n, dtype=bool), np.zeros(n, dtype=int)
+    y[places], success[places], nfev[places] = ran.y, ran.success, ran.nfev
+    messages = {**failures, **dict(zip(places.tolist(), ran.messages, strict=True))}
+    return replace(ran, y=y, success=success, nfev=nfev, parameters=parameters,
+                   messages=tuple(messages[place] for place in range(n)))  # fmt: skip
 
 
 def _save_sweep(ensemble: Ensemble, path: Path, plotted: tuple[str, ...]) -> Path:

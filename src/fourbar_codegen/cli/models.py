@@ -73,7 +73,7 @@ def source_model(text: str) -> Model:
         model = make()
     except fb.FourbarError:
         raise
-    except Exception as error:  # any error of the user's code
+    except (Exception, SystemExit) as error:  # any error of the user's code
         raise fb.ModelError(f"{text} could not be called: {_said(error, place)}") from error
     if not isinstance(model, fb.Model):
         raise fb.ModelError(f"{text}() returned a {type(model).__name__}, not a fourbar_codegen.Model.")
@@ -93,7 +93,7 @@ def _unknown(text: str) -> fb.ModelError:
     )
 
 
-def _said(error: Exception, place: str) -> str:
+def _said(error: BaseException, place: str) -> str:
     """An error in the user's code, with the line number of its last frame there."""
     name = Path(place).name
     lines = [frame for frame in traceback.extract_tb(error.__traceback__) if Path(frame.filename).name == name]

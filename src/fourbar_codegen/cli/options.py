@@ -46,6 +46,8 @@ def _pairs(_: click.Context, __: click.Parameter, texts: tuple[str, ...]) -> Tex
         name, equals, value = text.partition("=")
         if not equals or not name.strip() or not value.strip():
             raise click.BadParameter(f"{text!r} is not NAME=VALUE, such as NAME=0.45.")
+        if name.strip() in pairs:
+            raise click.BadParameter(f"{name.strip()} is given twice.")
         pairs[name.strip()] = value.strip()
     return pairs
 
@@ -57,7 +59,7 @@ def number(name: str, text: str) -> float:
     except ValueError:
         pass
     if ":" in text or "," in text:
-        raise click.BadParameter(f"{name}={text} is a range, which only fourbar sweep takes: give a number.")
+        raise click.BadParameter(f"{name}={text} is a range, which only -p of fourbar sweep takes: give a number.")
     try:
         return parse(text, ())({})
     except fb.ModelError as error:
@@ -125,7 +127,7 @@ def _common(methods: tuple[str, ...]) -> list[Callable[..., Any]]:
             "-t", "--time", "t_span", nargs=2, type=_Time(), default=(0.0, 4.0), show_default="0 4",
             metavar="FIRST LAST", help="First and last time, s.",
         ),
-        click.option("--method", type=click.Choice(methods, case_sensitive=False), default="DOP853", show_default=True),
+        click.option("--method", type=click.Choice(methods), default="DOP853", show_default=True),
     ]  # fmt: skip
 
 
@@ -196,9 +198,9 @@ class InputExpression:
 
 
 def input_sources(
-    compiled: CompiledModel, inputs: Texts, parameters: Mapping[str, Any]
+    compiled: CompiledModel, inputs: Texts, parameters: Mapping[str, Any], t: float
 ) -> dict[str, float | InputExpression]:
-    """Inputs as `CompiledModel.simulate` takes them: numbers, or functions of time.
+    """Inputs as `CompiledModel.simulate` takes them: numbers, or functions of time, which have a value at the time t.
 
     Raises
     ------
@@ -217,8 +219,8 @@ def input_sources(
         if missing:
             raise fb.ModelError(f"{name}={text} contains {', '.join(missing)}, which has no value: give one with -p.")
         source = InputExpression(expression, used)
-        source(0.0, None)  # raises if it has no value
-        sources[name] = source if "t" in expression.names else source(0.0, None)
+        first = source(t, None)  # raises if it has no value
+        sources[name] = source if "t" in expression.names else first
     return sources
 
 

@@ -270,7 +270,10 @@ class Model:
             known, appearing = {*self._states(), *self.input_expressions}, self._functions()
             driving = [f for f in self.mechanism.excitations if f in appearing and f not in known]
             self.input_expressions.update(dict.fromkeys(driving, sm.S.Zero))
-        parameters = _by_symbol(_mapping(parameters, "parameters"), self._symbols())
+        parameters = _mapping(parameters, "parameters")
+        values = (getattr(value, "value", value) for value in parameters.values())
+        others = {symbol.name: symbol for value in values for symbol in getattr(value, "free_symbols", ())}
+        parameters = _by_symbol(parameters, others | self._symbols())
         self.noncontributing: tuple[sm.Expr, ...] = self._find_noncontributing()
         self._check_appearance(extra)
         undeclared = self._find_undeclared()
@@ -542,8 +545,8 @@ class Model:
         columns = sorted(name for name in names if COLUMNS.fullmatch(name))
         if columns:
             raise ModelError(f"Trajectories have columns named {', '.join(columns)}; give the symbols other names.")
-        if self.mechanism.time.name in names:
-            raise ModelError(f"{self.mechanism.time.name} is the name of time; give the other symbol another name.")
+        for name in {self.mechanism.time.name, "t"} & {*names}:  # results call it t, whatever its symbol
+            raise ModelError(f"{name} is the name of time; give the other symbol another name.")
 
     def _check_inputs(self) -> None:
         """Their expressions contain only time and parameters; in velocities, they are differentiated at most once."""

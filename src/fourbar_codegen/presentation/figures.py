@@ -163,18 +163,21 @@ def _some(n: int) -> Any:
 
 def _draw_members(axes: Any, ensemble: Ensemble, values: Floats) -> None:
     """Curves of members, coloured by the parameter in which they differ."""
-    [(name, of_members)] = ensemble.varied.items()
+    [(name, of_members)], units = ensemble.varied.items(), ensemble.model.units
     mappable = _imported("matplotlib.cm", "Plots").ScalarMappable(cmap="viridis")
     mappable.set_clim(of_members.min(), of_members.max())
     order = np.argsort(of_members)
     for member in order[_some(len(ensemble))]:
         axes.plot(ensemble.t, values[member], color=mappable.to_rgba(of_members[member]), linewidth=1.0)
-    axes.figure.colorbar(mappable, ax=axes, label=f"{_label(name)} ({ensemble.model.units[name]})".removesuffix(" ()"))
+    unit = units.get(name, "")
+    axes.figure.colorbar(mappable, ax=axes, label=f"{_label(name)} ({unit})" if unit else _label(name))
 
 
 def _draw_bands(axes: Any, ensemble: Ensemble, values: Floats) -> None:
     """Median, the bands of 50 and 90 % of the members, and curves of some."""
     reached = np.isfinite(values).any(axis=0)
+    if not reached.any():
+        return
     times = ensemble.t[reached]
     low, quarter, median, other, high = np.nanpercentile(values[:, reached], [5, 25, 50, 75, 95], axis=0)
     lines = axes.plot(ensemble.t, values[_some(len(ensemble))].T, color="0.6", linewidth=0.5, zorder=1)
@@ -364,7 +367,7 @@ def _gif_writer(animations: Any) -> Any:
             buffer = io.BytesIO()
             self.fig.savefig(buffer, **{**how, "format": "rgba", "dpi": self.dpi})
             frame = images.frombuffer("RGBA", self.frame_size, buffer.getbuffer(), "raw", "RGBA", 0, 1).convert("RGB")
-            known = {"palette": self.frames[0]} if self.frames else {"colors": COLORS}
+            known = {"palette": self.frames[0]} if self.frames else {"colors": COLORS, "kmeans": 3}
             self.frames.append(frame.quantize(dither=images.Dither.NONE, **known))
 
         def finish(self) -> None:

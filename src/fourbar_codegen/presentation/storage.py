@@ -7,7 +7,7 @@ import json
 import re
 import struct
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from hashlib import sha256
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourbar_codegen.errors import FourbarError, ModelError
-from fourbar_codegen.files import path_of
+from fourbar_codegen.files import check_free, path_of
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.results.ensemble import Ensemble
 from fourbar_codegen.results.trajectory import Trajectory
@@ -116,7 +116,7 @@ def to_dataset(trajectory: Trajectory) -> xarray.Dataset:
         for names, rows, kind in described
         for name, values in zip(names, rows, strict=True)
     }
-    _check_free(variables, {"time", "constraint", "row", "point", "forced_point", "axis"})
+    check_free(variables, {"time", "constraint", "row", "point", "forced_point", "axis"})
     more = {
         "constraint_residual": (("constraint", "time"), trajectory.constraint_residual, {}),
         "velocity_residual": (("row", "time"), trajectory.velocity_residual, {}),
@@ -146,12 +146,6 @@ def to_dataset(trajectory: Trajectory) -> xarray.Dataset:
     )
 
 
-def _check_free(variables: Iterable[str], reserved: set[str]) -> None:
-    taken = reserved & set(variables)
-    if taken:
-        raise ModelError(f"The names {', '.join(taken)} are reserved in a dataset: rename the state or output.")
-
-
 def _texts(attributes: Mapping[str, Any]) -> dict[str, Any]:
     """Attributes as NetCDF takes them: mappings as JSON."""
     return {
@@ -160,15 +154,18 @@ def _texts(attributes: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
+OF_MEMBERS = {"member", "time", "t", "success", "message", "messages", "nfev", ATTRIBUTES}
+"""Names in files of ensembles that are not the model's."""
+
+
 def ensemble_dataset(ensemble: Ensemble) -> xarray.Dataset:
-    """An ensemble as a dataset; see `Ensemble.to_xarray`."""
+    """An ensemble as a Dataset; see `Ensemble.to_xarray`."""
     xarray = _imported("xarray", "Datasets")
-    series = _series(ensemble)
-    of_members = dict(zip(ensemble.model.parameters, ensemble.parameters.T, strict=True))
-    of_members.update(success=ensemble.success, message=np.array(ensemble.messages, dtype=object), nfev=ensemble.nfev)
-    _check_free(series, {"time", "member"})
+    series, of_members = _series(ensemble), ensemble.by_member
+    check_free((*series, *of_members), OF_MEMBERS)
+    ends = {"success": ensemble.success, "message": np.array(ensemble.messages, dtype=object), "nfev": ensemble.nfev}
     return xarray.Dataset(
-        {name: ("member", values) for name, values in of_members.items()}
+        {name: ("member", values) for name, values in (of_members | ends).items()}
         | {name: (("member", "time"), values) for name, values in series.items()},
         coords={"time": ("time", ensemble.t, {"units": "s"}), "member": np.arange(len(ensemble))},
         attrs=_texts(_origin(ensemble.model, ensemble.settings)),
@@ -177,10 +174,12 @@ def ensemble_dataset(ensemble: Ensemble) -> xarray.Dataset:
 
 def write_ensemble_npz(ensemble: Ensemble, file: IO[bytes]) -> None:
     """An ensemble as NumPy arrays by name; see `Ensemble.save`."""
-    arrays: dict[str, Any] = dict(zip(ensemble.model.parameters, ensemble.parameters.T, strict=True))
-    arrays.update(success=ensemble.success, messages=np.array(ensemble.messages, dtype=str), nfev=ensemble.nfev)
-    arrays[ATTRIBUTES] = np.array(json.dumps(_origin(ensemble.model, ensemble.settings)))
-    np.savez(file, **{**arrays, **_series(ensemble), "t": ensemble.t})
+    series, of_members = _series(ensemble), ensemble.by_member
+    check_free((*series, *of_members), OF_MEMBERS)
+    ends = {"success": ensemble.success, "messages": np.array(ensemble.messages, dtype=str), "nfev": ensemble.nfev}
+    attributes = np.array(json.dumps(_origin(ensemble.model, ensemble.settings)))
+    arrays: dict[str, Any] = {**of_members, **ends, **series, "t": ensemble.t, ATTRIBUTES: attributes}
+    np.savez(file, **arrays)
 
 
 def _series(ensemble: Ensemble) -> dict[str, Floats]:

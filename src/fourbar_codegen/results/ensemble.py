@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from fourbar_codegen.arguments import is_integer, name_of
 from fourbar_codegen.errors import ModelError
-from fourbar_codegen.files import save
-from fourbar_codegen.kernel.inputs import bind, inputs_of
+from fourbar_codegen.files import check_free, save
+from fourbar_codegen.kernel.inputs import bind, inputs_of, is_by_member
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.results.trajectory import Trajectory
 
@@ -114,11 +114,15 @@ class Ensemble:
 
     @property
     def varied(self) -> dict[str, Floats]:
-        """The parameters that differ between members, by name, each of shape (n,)."""
+        """The parameters and inputs that differ between members, by name, each of shape (n,)."""
+        return {name: values for name, values in self.by_member.items() if len(values) and (values != values[0]).any()}
+
+    @property
+    def by_member(self) -> dict[str, Floats]:
+        """All parameters, and the inputs with a number for each member, by name, each of shape (n,)."""
         return {
-            name: values
-            for name, values in zip(self.model.parameters, self.parameters.T, strict=True)
-            if len(values) and (values != values[0]).any()
+            **dict(zip(self.model.parameters, self.parameters.T, strict=True)),
+            **{name_of(key): source for key, source in self.inputs.items() if is_by_member(source)},
         }
 
     def to_xarray(self) -> xarray.Dataset:
@@ -218,13 +222,19 @@ class Ensemble:
 
 def _write_csv(ensemble: Ensemble, file: IO[bytes]) -> None:
     model, varied = ensemble.model, ensemble.varied
+    of_members = {  # those that differ between members, or from the defaults
+        name: values
+        for name, values in ensemble.by_member.items()
+        if name in varied or (len(values) and values[0] != model.defaults.get(name))
+    }
+    check_free((*of_members, *model.states, *model.outputs), {"member", "t"})
     text = io.TextIOWrapper(file, encoding="utf-8", newline="")
     writer = csv.writer(text)
-    writer.writerow(("member", *varied, "t", *model.states, *model.outputs))
+    writer.writerow(("member", *of_members, "t", *model.states, *model.outputs))
     for number, member in enumerate(ensemble):
-        of_member = [float(values[number]) for values in varied.values()]
+        own = [float(values[number]) for values in of_members.values()]
         rows = np.vstack((member.t, member.y, member.outputs)).T.tolist()
-        writer.writerows((number, *of_member, *row) for row in rows)
+        writer.writerows((number, *own, *row) for row in rows)
     text.detach()  # the file stays open
 
 

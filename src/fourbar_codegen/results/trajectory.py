@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.arguments import is_integer, name_of, sample_times
-from fourbar_codegen.errors import ModelError, shown
+from fourbar_codegen.errors import ModelError, ModelWarning, shown
 from fourbar_codegen.files import save
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.tables import Page, table
@@ -26,6 +27,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = ["WRITERS", "Trajectory", "make_trajectory"]
+
+ROUGH = 0.01
+"""Interpolation errors of more than this share of a state's range cause a warning."""
 
 Floats = NDArray[np.float64]
 
@@ -241,8 +245,9 @@ class Trajectory:
         elif not np.isfinite(self.y).all():
             raise ModelError("Some of the states are not numbers: there is nothing to interpolate between.")
         else:
-            rates = [ode(t, x) for t, x in zip(stored, self.y.T[places], strict=True)]
-            states = _hermite(stored, self.y[:, places], np.reshape(rates, (len(stored), -1)).T, times)
+            rates = np.transpose([ode(t, x) for t, x in zip(stored, self.y.T[places], strict=True)])
+            states = _hermite(stored, self.y[:, places], rates, times)
+            _warn_of_gaps(self.model.states, ode, stored, self.y[:, places], rates)
         if self.settings["constraints"] == "project" and not prescribed:
             states = np.reshape([ode.project(t, x) for t, x in zip(times, states.T, strict=True)], states.T.shape).T
         return replace(self, t=times, y=states, r=ode.inputs_along(times, states))
@@ -483,6 +488,28 @@ def _hermite(t: Floats, y: Floats, rates: Floats, times: Floats) -> Floats:
         + step * s * (1.0 - s) * ((1.0 - s) * rates[:, i] - s * rates[:, i + 1])
     )
     return values
+
+
+def _warn_of_gaps(names: Sequence[str], ode: Any, t: Floats, y: Floats, rates: Floats) -> None:
+    """Warn if stored times are too far apart for the interpolation between them.
+
+    With the fourth derivative D and steps h, the polynomial errs by D h^4 / 384 in the middle of an interval, and its
+    derivative by D h^3 / 128 at a quarter of it, which the right-hand side tells.
+    """
+    h = np.diff(t)
+    quarters = _hermite(t, y, rates, t[:-1] + h / 4.0)
+    slopes = 1.125 * np.diff(y) / h + 0.1875 * rates[:, :-1] - 0.3125 * rates[:, 1:]
+    exact = np.transpose([ode(time, x) for time, x in zip(t[:-1] + h / 4.0, quarters.T, strict=True)])
+    errors = np.nan_to_num(np.abs(slopes - exact) * h / 3.0).max(axis=1)
+    share = errors / np.maximum(np.ptp(y, axis=1), ROUGH)
+    worst = int(np.argmax(share))
+    if share[worst] > ROUGH:
+        warnings.warn(
+            f"Stored times are up to {h.max():.3g} s apart. Between them {names[worst]} is interpolated with errors of "
+            f"about {errors[worst]:.2g}: store more times by t_eval, or take dense_output=True.",
+            ModelWarning,
+            stacklevel=4,
+        )
 
 
 def make_trajectory(**attributes: Any) -> Trajectory:

@@ -203,6 +203,8 @@ def test_importing_the_package_is_quiet_and_imports_neither_sympy_nor_scipy():
     done = run("import fourbar_codegen, sys; print([m for m in ('sympy', 'scipy', 'numpy') if m in sys.modules])")
     assert done.stdout == "[]\n"
     assert done.stderr == ""
+    done = run("import fourbar_codegen.cli, sys; print([m for m in ('sympy', 'scipy', 'numpy') if m in sys.modules])")
+    assert done.stdout == "[]\n"  # help and completion are quick
 
 
 def test_the_prebuilt_model_needs_neither_sympy_nor_scipy_nor_a_compiler():

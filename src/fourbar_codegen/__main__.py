@@ -3,10 +3,9 @@
 import os
 import sys
 
-__all__ = ["main"]
+from fourbar_codegen.errors import INTERRUPTED
 
-INTERRUPTED = 130
-"""As shells have it: 128 and the number of the signal."""
+__all__ = ["main"]
 
 
 def main() -> None:

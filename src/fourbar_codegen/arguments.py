@@ -9,7 +9,7 @@ from typing import Any, TypeGuard
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.errors import ModelError, shown
+from fourbar_codegen.errors import ModelError, meant, shown
 from fourbar_codegen.runtime.evaluator import finite_copy, is_finite, number, numbers
 
 __all__ = [
@@ -19,7 +19,6 @@ __all__ = [
     "is_integer",
     "is_mapping",
     "longest_step",
-    "meant",
     "name_of",
     "named",
     "named_array",
@@ -48,15 +47,6 @@ def name_of(key: Any) -> str:
     """The name of a symbol or function of time; a str is a name already."""
     name = key if isinstance(key, str) else getattr(key, "name", key)
     return name if isinstance(name, str) else shown(key)
-
-
-def meant(name: str, names: Collection[str]) -> str:
-    """A question for the nearest name, if one is near."""
-    from difflib import get_close_matches  # which only those wait for who have mistyped something
-
-    other_case = [other for other in names if other.lower() == name.lower()]
-    near = other_case or get_close_matches(name, names, 1)
-    return f" Did you mean {near[0]}?" if near else ""
 
 
 def named(values: Mapping[Any, Any], names: Collection[str], kind: str) -> dict[str, Any]:

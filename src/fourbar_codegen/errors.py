@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 
 __all__ = [
     "AssemblyError",
@@ -12,8 +12,13 @@ __all__ = [
     "ModelError",
     "ModelWarning",
     "SimulationError",
+    "meant",
+    "nearest",
     "shown",
 ]
+
+INTERRUPTED = 130
+"""Exit code of a process after Ctrl-C, as shells have it: 128 and the number of the signal."""
 
 MAX_SHOWN = 300
 """Largest number of characters of a given value in a message."""
@@ -102,3 +107,17 @@ def shown(given: object) -> str:
     except Exception:
         return f"an object of the class {type(given).__name__}"
     return text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}..."
+
+
+def nearest(name: str, names: Collection[str], cutoff: float = 0.6) -> str | None:
+    """The name that is most like another one: the same but for its case, or by `difflib`."""
+    from difflib import get_close_matches  # which only those wait for who have mistyped something
+
+    other_case = [other for other in names if other.lower() == name.lower()]
+    return next(iter(other_case or get_close_matches(name, names, 1, cutoff)), None)
+
+
+def meant(name: str, names: Collection[str]) -> str:
+    """A question for the nearest name, if one is near."""
+    near = nearest(name, names)
+    return "" if near is None else f" Did you mean {near}?"

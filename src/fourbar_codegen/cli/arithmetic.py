@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import ast
-import difflib
 import math
 import operator
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 
-from fourbar_codegen.errors import ModelError, shown
+from fourbar_codegen.errors import ModelError, meant, shown
 
 __all__ = ["Arithmetic", "parse"]
 
@@ -160,8 +159,7 @@ def _unknown(name: str, text: str, names: Collection[str]) -> ModelError:
         return ModelError(f"In {shown(text)}, {name} is a function: write {name}(...).")
     if name in {*names, *CONSTANTS}:
         return ModelError(f"In {shown(text)}, {name} is not a function: write {name}*(...) for a product.")
-    close = difflib.get_close_matches(name, [*names, *CONSTANTS, *FUNCTIONS], 1)
     return ModelError(
-        f"In {shown(text)}, there is no {name}.{f' Did you mean {close[0]}?' if close else ''} There are "
+        f"In {shown(text)}, there is no {name}.{meant(name, [*names, *CONSTANTS, *FUNCTIONS])} There are "
         f"{', '.join([*names, *CONSTANTS])}, and the functions {', '.join(sorted(FUNCTIONS))}."
     )

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-import numpy as np
 
 import fourbar_codegen as fb
 from fourbar_codegen.cli.models import MODEL, MODEL_HELP, compiled_model, source_model
@@ -25,6 +24,7 @@ from fourbar_codegen.cli.options import (
     number,
     with_options,
 )
+from fourbar_codegen.errors import INTERRUPTED
 from fourbar_codegen.files import save, writer_of
 from fourbar_codegen.progress import PATIENCE, Progress
 
@@ -59,6 +59,9 @@ class _Commands(click.Group):
                 return super().invoke(ctx)
         except fb.FourbarError as error:
             raise click.ClickException(str(error)) from error
+        except KeyboardInterrupt:  # which click would announce by an empty line
+            click.echo("Interrupted.", err=True)
+            raise click.exceptions.Exit(INTERRUPTED) from None
 
 
 @click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
@@ -138,6 +141,8 @@ def _simulated(
     help="Write the trajectory: .csv, .npz, .nc, .html for a report, .png for a plot, .gif or .mp4; may be repeated.",
 )
 def simulate(samples: int, outputs: tuple[Path, ...], **run: Any) -> None:
+    import numpy as np
+
     from fourbar_codegen.results.trajectory import WRITERS
 
     for path in outputs:
@@ -176,13 +181,15 @@ def sweep(
     t_span: tuple[float, float],
     **how: Any,
 ) -> None:
+    import numpy as np
+
     from fourbar_codegen.results.ensemble import WRITERS
 
     for path in outputs:
         writer_of(path, WRITERS, "An ensemble")
     if plotted and not any(path.suffix.lower() == ".png" for path in outputs):
         raise fb.ModelError("--plot says what a .png shows: give one, such as -o sweep.png.")
-    swept = {name: values for name, values in parameters.items() if np.ndim(values)}
+    swept = {name: values for name, values in parameters.items() if hasattr(values, "shape")}
     if not swept:
         raise fb.ModelError("There is nothing to sweep: give a parameter a range, such as -p NAME=FIRST:LAST:N.")
     n = math.prod(map(len, swept.values()))
@@ -220,6 +227,8 @@ def sweep(
 
 def _with_others(ran: Ensemble, places: Any, parameters: Any, failures: Mapping[int, str]) -> Ensemble:
     """An ensemble with the members that could not be assembled, as failed ones, at their places."""
+    import numpy as np
+
     n = len(parameters)
     y, success, nfev = np.full((n, *ran.y.shape[1:]), np.nan), np.zeros(n, dtype=bool), np.zeros(n, dtype=int)
     y[places], success[places], nfev[places] = ran.y, ran.success, ran.nfev
@@ -236,6 +245,8 @@ def _save_sweep(ensemble: Ensemble, path: Path, plotted: tuple[str, ...]) -> Pat
 
 
 def _report_sweep(ensemble: Ensemble, swept: Mapping[str, Any], method: str, seconds: float) -> None:
+    import numpy as np
+
     model, (first, last) = ensemble.model, (ensemble.t[0], ensemble.t[-1])
     click.echo(f"Model {model.name}, {method}, from t = {first:g} s to t = {last:g} s")
     for name, values in swept.items():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import importlib.util
 import sys
@@ -14,6 +13,7 @@ import click
 from click.shell_completion import CompletionItem
 
 import fourbar_codegen as fb
+from fourbar_codegen.errors import meant
 
 if TYPE_CHECKING:
     from fourbar_codegen import CompiledModel, Model
@@ -86,9 +86,8 @@ def _check_name(text: str) -> None:
 
 
 def _unknown(text: str) -> fb.ModelError:
-    close = difflib.get_close_matches(text, NAMES, 1)
     return fb.ModelError(
-        f"There is no model {text!r}.{f' Did you mean {close[0]}?' if close else ''} There are {', '.join(NAMES)}; "
+        f"There is no model {text!r}.{meant(text, NAMES)} There are {', '.join(NAMES)}; "
         "for a model of your own, give FILE.py:FUNCTION or MODULE:FUNCTION."
     )
 

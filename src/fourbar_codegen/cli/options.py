@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import click
-import numpy as np
 
 import fourbar_codegen as fb
 from fourbar_codegen.cli.arithmetic import Arithmetic, parse
 from fourbar_codegen.cli.models import MODEL
 
 if TYPE_CHECKING:
+    import numpy as np
     from numpy.typing import NDArray
 
     from fourbar_codegen import CompiledModel
@@ -77,6 +77,8 @@ def _ranges(
     context: click.Context, option: click.Parameter, texts: tuple[str, ...]
 ) -> dict[str, float | NDArray[np.float64]]:
     """NAME=VALUE, NAME=FIRST:LAST:N or NAME=VALUE,VALUE,... options."""
+    import numpy as np  # not for help and completion, which are quicker without it
+
     found: dict[str, Any] = {}
     for name, text in _pairs(context, option, texts).items():
         if ":" in text:
@@ -212,7 +214,7 @@ def input_sources(
     for name, text in inputs.items():
         expression = parse(text, ("t", *compiled.parameters))
         used = {parameter: values[parameter] for parameter in expression.names - {"t"}}
-        swept = sorted(parameter for parameter, value in used.items() if np.ndim(value))
+        swept = sorted(parameter for parameter, value in used.items() if hasattr(value, "shape"))
         if swept:
             raise fb.ModelError(f"{name}={text} contains {', '.join(swept)}, which the sweep varies: give a number.")
         missing = sorted(parameter for parameter, value in used.items() if value is None)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import keyword
 import re
 from collections.abc import Iterable, Iterator, Mapping
@@ -15,7 +14,7 @@ import sympy as sm
 from sympy.core.function import AppliedUndef
 
 from fourbar_codegen.arguments import finite_number, is_mapping, name_of
-from fourbar_codegen.errors import ModelError, shown
+from fourbar_codegen.errors import ModelError, nearest, shown
 from fourbar_codegen.expressions.convert import is_computable, smooth_sinc, without_impulses
 from fourbar_codegen.modeling.system_reader import Mechanism, read_mechanism, walk
 
@@ -617,9 +616,8 @@ def _check_unknown(given: Mapping[str, sm.Expr], known: Mapping[str, sm.Expr], a
     for name, symbol in given.items():
         mine = known.get(name)
         if mine is None:
-            other_case = [mine for mine in known if mine.lower() == name.lower()]
-            nearest = other_case or difflib.get_close_matches(name, known, 1, cutoff=0.0)
-            unknown.append(name + (f" (the nearest is {nearest[0]})" if nearest else ""))
+            near = nearest(name, known, cutoff=0.0)
+            unknown.append(name if near is None else f"{name} (the nearest is {near})")
         elif mine != symbol:
             texts = sm.srepr(mine), sm.srepr(symbol)  # srepr shows no assumptions of functions
             differ = f"is {texts[0]} in the model and {texts[1]}" if len({*texts}) > 1 else "has other assumptions"

@@ -294,11 +294,12 @@ def animate(trajectory: Trajectory, *, fps: float, speed: float, traces: Sequenc
     axes.set_aspect("equal")
     axes.set_axis_off()
     traced = drawn.traced().values() if chosen is None else chosen
-    start, end = trajectory.t[0], trajectory.t[-1]
-    rate = min(TRACE_RATE, MAX_FRAMES / abs(end - start)) if start != end else TRACE_RATE
-    finer = trajectory.resample(equal_times(start, end, rate)).points
-    for name in traced:
-        axes.plot(*finer[name][:dimensions], color="tab:red", linewidth=1.0)
+    if traced:
+        start, end = trajectory.t[0], trajectory.t[-1]
+        rate = min(TRACE_RATE, MAX_FRAMES / abs(end - start)) if start != end else TRACE_RATE
+        finer = trajectory.resample(equal_times(start, end, rate)).points
+        for name in traced:
+            axes.plot(*finer[name][:dimensions], color="tab:red", linewidth=1.0)
     # Moving lines, with the rows of `every` that each of them connects.
     moved = [(rows, axes.plot(*every[rows, :, 0].T, **style)[0]) for rows, style in _moving_lines(drawn)]
     time = axes.annotate("", (0.02, 0.02), xycoords="axes fraction", fontsize="small", color="0.3")

@@ -38,7 +38,6 @@ __all__ = [
     "versions",
     "write_dataset",
     "write_ensemble_npz",
-    "write_netcdf",
     "write_npz",
 ]
 
@@ -198,11 +197,6 @@ def _require_h5netcdf() -> None:
     for name in ("xarray", "h5netcdf", "h5py"):
         if find_spec(name) is None:
             raise ModelError(f"NetCDF needs {name}: pip install 'fourbar_codegen[data]'.")
-
-
-def write_netcdf(trajectory: Trajectory, file: IO[bytes]) -> None:
-    """A trajectory as NetCDF 4."""
-    write_dataset(to_dataset(trajectory), file)
 
 
 def write_dataset(dataset: xarray.Dataset, file: IO[bytes]) -> None:

@@ -535,9 +535,9 @@ def _write_npz(trajectory: Trajectory, file: IO[bytes]) -> None:
 
 
 def _write_netcdf(trajectory: Trajectory, file: IO[bytes]) -> None:
-    from fourbar_codegen.presentation.storage import write_netcdf
+    from fourbar_codegen.presentation.storage import to_dataset, write_dataset
 
-    write_netcdf(trajectory, file)
+    write_dataset(to_dataset(trajectory), file)
 
 
 def _write_png(trajectory: Trajectory, file: IO[bytes]) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from archives import arrays_of
 from click.testing import CliRunner
 
 import fourbar_codegen as fb
@@ -27,7 +28,7 @@ def test_simulate_writes_what_is_asked_for(tmp_path, four_bar):
     assert result.exit_code == 0, result.output
     assert all(path.exists() and str(path) in result.output for path in paths)
     expected = four_bar.simulate((0.0, 2.0), parameters={"l2": 0.45}, t_eval=np.linspace(0, 2, 401))
-    np.testing.assert_array_equal(np.load(paths[1])["q1"], expected["q1"])
+    np.testing.assert_array_equal(arrays_of(paths[1])["q1"], expected["q1"])
     with paths[0].open() as file:
         assert len(list(csv.reader(file))) == 402
 
@@ -146,7 +147,7 @@ def test_a_sweep_runs_all_combinations(four_bar, tmp_path):
     done = run("sweep", *ranges, "-t", 0, 2, "-i", "q1=-0.6", "-o", tmp_path / "s.npz")
     assert done.exit_code == 0, done.output
     assert "k = 50 ... 150 N m/rad, 3 values" in done.output
-    arrays = np.load(tmp_path / "s.npz")
+    arrays = arrays_of(tmp_path / "s.npz")
     assert list(zip(arrays["k"], arrays["c"], strict=True)) == [(k, c) for k in (50, 100, 150) for c in (0, 5)]
     of_last = {"k": 150.0, "c": 5.0, "l2": 0.45}
     x0 = four_bar.initial_state({"q1": -0.6}, parameters=of_last)
@@ -164,7 +165,7 @@ def test_a_sweep_runs_all_combinations(four_bar, tmp_path):
     open_loop = run("sweep", "-p", "l2=0.5,5", "-t", 0, 1, *files)
     assert open_loop.exit_code == 1
     assert "1 of 2 runs failed, the first of them at l2 = 5: The loops do not close" in open_loop.output
-    arrays = np.load(tmp_path / "o.npz")
+    arrays = arrays_of(tmp_path / "o.npz")
     assert arrays["success"].tolist() == [True, False]
     assert np.isnan(arrays["q1"][1]).all()
     assert arrays["l2"].tolist() == [0.5, 5.0]

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import scipy.integrate
 import sympy.physics.mechanics as me
+from archives import arrays_of
 from scipy.integrate import solve_ivp
 from systems import coordinate_free
 
@@ -275,7 +276,7 @@ def test_saved_files_hold_the_trajectory(four_bar, tmp_path):
         header, *rows = csv.reader(file)
     assert header[:7] == ["t", "q1", "q2", "q3", "u1", "u2", "u3"]
     np.testing.assert_array_equal(np.array(rows, dtype=float).T[1:7], run.y)
-    arrays = np.load(run.save(tmp_path / "run.npz"))
+    arrays = arrays_of(run.save(tmp_path / "run.npz"))
     np.testing.assert_array_equal(arrays["q3"], run["q3"])
     np.testing.assert_array_equal(arrays["kinetic_energy"], run.kinetic_energy)
     picture = run.save(tmp_path / "run.png").read_bytes()

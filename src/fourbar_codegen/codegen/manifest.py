@@ -15,7 +15,7 @@ from fourbar_codegen.modeling.model import Model
 
 __all__ = ["manifest_of", "manifest_text", "operations_of"]
 
-MANIFEST_FORMAT = 10
+MANIFEST_FORMAT = 11
 
 
 def manifest_of(
@@ -41,7 +41,7 @@ def manifest_of(
     functions = {function.name: function.results for function in program.functions}
     energies = functions["energy"][0].entries
     violation = functions["constraint_violation"][0].entries[: program.sizes.n_c]
-    point_names = [point.name for point in equations.drawn_points]
+    picture = equations.picture
     return {
         "format": MANIFEST_FORMAT,
         "name": model.name,
@@ -74,9 +74,11 @@ def manifest_of(
         "open_outputs": _open_outputs(equations, program, names["outputs"]),
         "position_constraints": equations.position_formulas,
         "points": [
-            {"name": name, "parent": point.parent, "body": point.body}
-            for name, point in zip(_distinct(point_names), equations.drawn_points, strict=True)
+            {"name": name, "body": point.body}
+            for name, point in zip(_distinct([point.name for point in picture.points]), picture.points, strict=True)
         ],
+        "shapes": [{"kind": shape.kind, "name": shape.name, "points": list(shape.points)} for shape in picture.shapes],
+        "not_drawn": list(picture.not_drawn),
         "forced_points": list(equations.forced),
         "initial": model.initial,
         "invariants": list(equations.invariants),
@@ -113,12 +115,12 @@ def operations_of(functions: Sequence[Function]) -> dict[str, Any]:
 
 
 def _distinct(names: Sequence[str]) -> list[str]:
-    """The names, with a number appended to those that were used before."""
+    """The names, with a number appended to those that were used before; that of unnamed points is empty."""
     taken: dict[str, int] = {}
     distinct = []
     for name in names:
         taken[name] = taken.get(name, 0) + 1
-        distinct.append(name if taken[name] == 1 else f"{name} ({taken[name]})")
+        distinct.append(name if taken[name] == 1 or not name else f"{name} ({taken[name]})")
     return distinct
 
 

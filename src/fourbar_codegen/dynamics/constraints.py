@@ -10,7 +10,8 @@ from fourbar_codegen.expressions.convert import Conversion
 from fourbar_codegen.expressions.derivatives import Jvp, jacobian
 from fourbar_codegen.expressions.identities import deduplicate, is_zero
 from fourbar_codegen.expressions.tape import Scalar, Tape
-from fourbar_codegen.modeling.system_reader import Mechanism, wrong_number
+from fourbar_codegen.modeling.mechanism import Mechanism
+from fourbar_codegen.modeling.system_reader import wrong_number
 
 __all__ = ["Constraints", "form_constraints", "position_jacobian"]
 

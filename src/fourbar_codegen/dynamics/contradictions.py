@@ -39,7 +39,7 @@ from fourbar_codegen.expressions.convert import Conversion
 from fourbar_codegen.expressions.derivatives import Jvp
 from fourbar_codegen.expressions.identities import is_zero
 from fourbar_codegen.expressions.tape import Scalar
-from fourbar_codegen.modeling import system_reader as stored
+from fourbar_codegen.modeling import mechanism as stored
 
 __all__ = ["find_contradictions"]
 

@@ -27,10 +27,10 @@ from numpy.typing import NDArray
 from fourbar_codegen.dynamics.constraints import form_constraints, position_jacobian
 from fourbar_codegen.dynamics.contradictions import find_contradictions
 from fourbar_codegen.dynamics.corrections import form_corrections
-from fourbar_codegen.dynamics.drawn_points import applied_forces, drawn_points
 from fourbar_codegen.dynamics.kane import Kane
 from fourbar_codegen.dynamics.kinematic_equations import solve_kinematics
 from fourbar_codegen.dynamics.kinematics import Kinematics
+from fourbar_codegen.dynamics.picture import Picture, applied_forces, find_picture
 from fourbar_codegen.dynamics.random_states import RandomStates
 from fourbar_codegen.dynamics.unknown_forces import form_generalized_forces, form_unknown_forces
 from fourbar_codegen.errors import ModelError
@@ -41,7 +41,6 @@ from fourbar_codegen.expressions.formulas import formulas
 from fourbar_codegen.expressions.identities import deduplicate, is_zero
 from fourbar_codegen.expressions.tape import Result, Scalar, Tape
 from fourbar_codegen.modeling.model import InputEntry, Model, multiplier
-from fourbar_codegen.modeling.system_reader import DrawnPoint
 
 __all__ = ["Equations", "check_velocity_constraints", "form_equations", "matrix"]
 
@@ -123,7 +122,7 @@ class Equations:
     power : Result
         Power of the loads without unknown forces, (1,), only for tests of the other results; NaN if the kinetic energy
         also changes otherwise.
-    drawn_points : tuple of DrawnPoint
+    picture : Picture
     points : Result
         Their positions in the inertial frame, (n_points, 3).
     forced : tuple of int
@@ -183,7 +182,7 @@ class Equations:
     coordinate_change: Result
     energies: Result
     power: Result
-    drawn_points: tuple[DrawnPoint, ...]
+    picture: Picture
     points: Result
     forced: tuple[int, ...]
     forces: Result
@@ -295,8 +294,9 @@ def form_equations(model: Model) -> Equations:
         kinematics, constraints, rate, total_rate, with_rates, v.u, v.a, values, not_orthonormal
     )
     n_q, n_u, n_n = len(v.q), len(v.u), len(forces.driving)
-    drawn, points, numbers = drawn_points(mechanism, kinematics)
-    applied = applied_forces(tape, mechanism, kinematics, numbers, v.r, (*v.aux, *v.unknown))
+    picture = find_picture(mechanism, kinematics)
+    points = picture.positions
+    applied = applied_forces(tape, mechanism, kinematics, picture.points, v.r, (*v.aux, *v.unknown))
     results = [
         _vector("outputs", [*forces.values, *(convert(expr) for expr in model.output_expressions.values())]),
         _vector("state_rates", state_rates),
@@ -375,7 +375,7 @@ def form_equations(model: Model) -> Equations:
         breakpoints=_vector("breakpoints", times),
         n_jumps=len(jumps),
         position_formulas=formulas(tape, constraints.positions),
-        drawn_points=drawn,
+        picture=picture,
         forced=tuple(applied),
         not_orthonormal=tuple(not_orthonormal),
         warnings=warnings,

@@ -28,7 +28,7 @@ from fourbar_codegen.dynamics.kinematics import (
 from fourbar_codegen.expressions.derivatives import Jvp, vjp
 from fourbar_codegen.expressions.identities import is_zero
 from fourbar_codegen.expressions.tape import Scalar, Tape
-from fourbar_codegen.modeling.system_reader import Body, Load, Mechanism
+from fourbar_codegen.modeling.mechanism import Body, Load, Mechanism
 
 __all__ = ["Kane", "loads_power"]
 

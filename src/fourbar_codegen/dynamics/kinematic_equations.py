@@ -11,7 +11,7 @@ from fourbar_codegen.expressions.convert import Conversion
 from fourbar_codegen.expressions.derivatives import vjp
 from fourbar_codegen.expressions.linear import MAX_COUPLED, TooManyCoupledError, UndeterminedError, solve_linear
 from fourbar_codegen.expressions.tape import Scalar, Tape
-from fourbar_codegen.modeling.system_reader import Mechanism
+from fourbar_codegen.modeling.mechanism import Mechanism
 
 __all__ = ["solve_kinematics"]
 

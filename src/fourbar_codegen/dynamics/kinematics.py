@@ -14,8 +14,8 @@ from fourbar_codegen.errors import ModelError
 from fourbar_codegen.expressions.convert import Conversion
 from fourbar_codegen.expressions.identities import is_zero
 from fourbar_codegen.expressions.tape import Scalar, Tape
-from fourbar_codegen.modeling import system_reader as stored
-from fourbar_codegen.modeling.system_reader import Mechanism
+from fourbar_codegen.modeling import mechanism as stored
+from fourbar_codegen.modeling.mechanism import Mechanism
 
 __all__ = [
     "INERTIAL",

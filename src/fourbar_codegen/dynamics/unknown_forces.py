@@ -25,8 +25,8 @@ from fourbar_codegen.expressions.derivatives import Jvp, jacobian
 from fourbar_codegen.expressions.identities import is_zero
 from fourbar_codegen.expressions.linear import TooManyCoupledError, UndeterminedError, solve_linear
 from fourbar_codegen.expressions.tape import Scalar, Tape
+from fourbar_codegen.modeling.mechanism import Mechanism, walk
 from fourbar_codegen.modeling.model import Model
-from fourbar_codegen.modeling.system_reader import Mechanism, walk
 
 __all__ = [
     "GeneralizedForces",

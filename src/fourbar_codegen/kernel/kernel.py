@@ -54,7 +54,7 @@ class Kernel(Evaluator):
         self.parameters: tuple[str, ...] = tuple(entry["name"] for entry in manifest["parameters"])
         self.inputs: tuple[str, ...] = tuple(entry["name"] for entry in manifest["inputs"])
         self.outputs: tuple[str, ...] = tuple(manifest["outputs"])
-        self.points: tuple[str, ...] = tuple(entry["name"] for entry in manifest["points"])
+        self.points: tuple[str, ...] = tuple(entry["name"] for entry in manifest["points"] if entry["name"])
         self.forced_points: tuple[str, ...] = tuple(self.points[place] for place in manifest["forced_points"])
         self.defaults: Mapping[str, float | None] = MappingProxyType(
             {e["name"]: e["default"] for e in manifest["parameters"]}
@@ -360,7 +360,7 @@ class Kernel(Evaluator):
         """
         coordinates = named_array(q, self.coordinates, {}, "coordinate")
         positions, _ = self.drawing(t, np.concatenate((coordinates, np.zeros(self.n_x - self.n_q))), p, r)
-        return dict(zip(self.points, positions, strict=True))
+        return dict(zip(self.points, positions, strict=False))  # those without names come last
 
     def velocity_constraints(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
         """Residuals J u + b of the velocity constraints, shape (n_c,), holonomic ones first.

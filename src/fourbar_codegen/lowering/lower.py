@@ -159,7 +159,7 @@ def lower(name: str, equations: Equations) -> Program:
         n_n=n_n,
         n_i=len(e.invariants),
         n_o=len(e.outputs.entries),
-        n_points=len(e.drawn_points),
+        n_points=len(e.picture.points),
         n_forces=len(e.forced),
         n_breakpoints=len(e.breakpoints.entries),
         rank=rank,

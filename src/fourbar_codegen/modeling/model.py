@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import keyword
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain
@@ -16,10 +16,11 @@ from sympy.core.function import AppliedUndef
 from fourbar_codegen.arguments import finite_number, is_mapping, name_of
 from fourbar_codegen.errors import ModelError, nearest, shown
 from fourbar_codegen.expressions.convert import is_computable, smooth_sinc, without_impulses
-from fourbar_codegen.modeling.system_reader import Mechanism, read_mechanism, walk
+from fourbar_codegen.modeling.mechanism import Mechanism, walk
+from fourbar_codegen.modeling.system_reader import read_mechanism
 
 if TYPE_CHECKING:
-    from sympy.physics.mechanics import KanesMethod, ReferenceFrame, Vector
+    from sympy.physics.mechanics import KanesMethod, Point, ReferenceFrame, Vector
     from sympy.physics.mechanics.system import System
 
 __all__ = ["InputEntry", "Model", "Parameter", "joint_force", "multiplier"]
@@ -208,6 +209,12 @@ class Model:
         inputs, parameters and multipliers. Loads and outputs may contain the states; velocities, constraints and the
         potential energy may not. The equations of actuators of ``sympy.physics.biomechanics`` are added by themselves;
         their excitations are inputs, 0 by default.
+    points : sequence of sympy.physics.mechanics.Point, optional
+        Points that are drawn, and that results list, although no body and no load needs them: tracing points, feet.
+        Symbols in their positions are parameters.
+    lines : sequence of sequence of Point or str, optional
+        Lines to draw between points beside the links that are found (see `fourbar_codegen.Trajectory.animate`), such as
+        ``[("B1", "K")]``; points that stand here are drawn like those in `points`.
     extra : {"raise", "ignore"}, optional
         What to do with parameters and inputs that the System does not contain. A symbol or function of the same name
         with different assumptions, such as ``positive=True``, is always an error.
@@ -243,6 +250,8 @@ class Model:
         potential_energy: sm.Expr | None = None,
         outputs: Mapping[str, sm.Expr] | None = None,
         state_equations: Mapping[sm.Expr, sm.Expr] | None = None,
+        points: Sequence[Point] = (),
+        lines: Sequence[Sequence[Point | str]] = (),
         extra: Literal["raise", "ignore"] = "raise",
     ) -> None:
         if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
@@ -251,7 +260,7 @@ class Model:
             raise ModelError(f"A model cannot be named {name!r}: Python or the generated code needs that name.")
         self.system = system
         self.name = name
-        self.mechanism: Mechanism = read_mechanism(system)
+        self.mechanism: Mechanism = read_mechanism(system, points, lines)
         for label, expressions in (*self.mechanism.labelled_loads(), *self.mechanism.labelled_structure()):
             _check_expressions(expressions, label)
         self.state_equations = self._read_state_equations(_mapping(state_equations, "state_equations"))

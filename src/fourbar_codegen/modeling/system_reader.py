@@ -1,8 +1,4 @@
-"""System -> Mechanism: the content of a SymPy System as plain data.
-
-This is the only module that reads SymPy's mechanics objects. Everything that the equations depend on is
-in the `Mechanism`, so its fingerprint is the fingerprint of the equations.
-"""
+"""System -> Mechanism. This is the only module that reads SymPy's mechanics objects."""
 
 from __future__ import annotations
 
@@ -12,272 +8,38 @@ from typing import Any, Literal
 
 import sympy as sm
 import sympy.physics.mechanics as me
-from sympy.core.function import AppliedUndef
 from sympy.physics.mechanics.system import System
 
-from fourbar_codegen.errors import ModelError, shown
+from fourbar_codegen.errors import ModelError, meant, shown
+from fourbar_codegen.modeling.mechanism import (
+    Body,
+    DrawnPoint,
+    Frame,
+    Load,
+    Mechanism,
+    Point,
+    Shape,
+    Vector,
+    entries_of,
+)
+from fourbar_codegen.modeling.shapes import find_shapes
 
-__all__ = [
-    "Body",
-    "Components",
-    "DrawnPoint",
-    "Frame",
-    "Load",
-    "Mechanism",
-    "Point",
-    "Vector",
-    "read_mechanism",
-    "walk",
-    "wrong_number",
-]
-
-Components = tuple[sm.Expr, sm.Expr, sm.Expr]
-"""Components of a vector along the axes of one frame."""
-
-Vector = tuple[tuple[int, Components], ...]
-"""A vector as SymPy stores it: a sum of components, each in the frame of the given number."""
+__all__ = ["read_mechanism", "wrong_number"]
 
 
-@dataclass(frozen=True)
-class Frame:
-    """A reference frame: its direction cosines relative to its parent, and its angular velocity.
-
-    Attributes
-    ----------
-    name : str
-    parent : int
-        Number of the parent frame; the inertial frame, number 0, is its own parent.
-    dcm : tuple of Expr or None
-        The 9 entries, row by row, of the matrix whose row i holds axis i of this frame in the parent's axes. None if
-        the frame has an angular velocity but no orientation; no vector is written in such a frame.
-    angular_velocity : Vector or None
-        Relative to the frame `reference`; None if SymPy knows none.
-    reference : int
-        The parent frame, or the inertial one if that gives fewer components.
-    """
-
-    name: str
-    parent: int
-    dcm: tuple[sm.Expr, ...] | None
-    angular_velocity: Vector | None
-    reference: int
-
-
-@dataclass(frozen=True)
-class Point:
-    """A point that a body or a load needs, or that connects two of these.
-
-    Attributes
-    ----------
-    name : str
-    parent : int or None
-        Number of the point, smaller than its own, that its position is relative to.
-    offset : Vector
-        Its position from the parent.
-    velocity : Vector or None
-        In the inertial frame, as it was set; None if it follows from the parent's velocity or is not needed.
-    derived : bool
-        Whether the velocity is needed and follows from the parent's.
-    """
-
-    name: str
-    parent: int | None
-    offset: Vector
-    velocity: Vector | None
-    derived: bool
-
-
-@dataclass(frozen=True)
-class DrawnPoint:
-    """A point in drawings, with a line to it from its parent.
-
-    Attributes
-    ----------
-    name : str
-    parent : int or None
-        Number of the point, smaller than its own, that its position is relative to; None for the first, the origin.
-    offset : Vector
-        Its position from the parent.
-    body : str or None
-        The body whose mass centre it is.
-    number : int or None
-        Its number among the mechanism's points, if the equations need it.
-    """
-
-    name: str
-    parent: int | None
-    offset: Vector
-    body: str | None
-    number: int | None
-
-
-@dataclass(frozen=True)
-class Body:
-    """A rigid body, or a particle (whose `inertia` is None).
-
-    Attributes
-    ----------
-    name : str
-    mass : Expr
-    point : int
-        The mass centre.
-    frame : int or None
-        The body-fixed frame.
-    inertia_frame : int or None
-        The frame in whose axes the central inertia is given.
-    inertia : tuple of Expr or None
-        The 9 entries of the central inertia.
-    potential_energy : Expr
-    acceleration, angular_acceleration : Vector or None
-        Of the mass centre and the frame, in the inertial frame, if set. The equations do not depend on them.
-    """
-
-    name: str
-    mass: sm.Expr
-    point: int
-    frame: int | None
-    inertia_frame: int | None
-    inertia: tuple[sm.Expr, ...] | None
-    potential_energy: sm.Expr
-    acceleration: Vector | None
-    angular_acceleration: Vector | None
-
-
-@dataclass(frozen=True)
-class Load:
-    """A force at a point or a torque on a frame.
-
-    Attributes
-    ----------
-    kind : {"force", "torque"}
-    name : str
-    vector : Vector
-    target : int
-        The point that the force acts on, or the frame that the torque acts on.
-    position : Vector or None
-        The point's position relative to the System's fixed point, or to a point at rest if there is none, as in a
-        KanesMethod. None for a torque, or if SymPy knows none.
-    """
-
-    kind: Literal["force", "torque"]
-    name: str
-    vector: Vector
-    target: int
-    position: Vector | None
-
-
-@dataclass(frozen=True)
-class Mechanism:
-    """All that the equations of motion of a System depend on.
-
-    Attributes
-    ----------
-    time : Symbol
-    coordinates, speeds : tuple of Expr
-        Generalized coordinates and speeds; the independent ones first.
-    n_dependent_coordinates, n_dependent_speeds : int
-    auxiliary_speeds : tuple of Expr
-        Speeds that are zero, used in velocities to find the forces that keep them zero.
-    kinematic_equations, holonomic_constraints, velocity_constraints : tuple of Expr
-        Expressions to be zero. If `velocity_constraints_derived`, rates of the holonomic constraints come first, in
-        their order, and `velocity_constraints` has only the nonholonomic ones, which follow.
-    fixed_point : int or None
-        Number of the System's fixed point, which positions of loads are relative to; a KanesMethod has none. A point
-        whose velocity is set to zero need not be fixed, for example the contact point of a wheel.
-    state_equations : tuple of (Expr, Expr)
-        States of actuators beside coordinates and speeds, with their rates: activations and fibre lengths of muscles.
-    excitations : tuple of Expr
-        The functions of time that drive these.
-    acceleration_constraints : tuple of Expr
-        Those given to a KanesMethod, to be zero. The equations do not depend on them.
-    drawn : tuple of DrawnPoint
-        The points with positions relative to the System's fixed point, or else to a point at rest. Used only for
-        drawings.
-    """
-
-    time: sm.Symbol
-    coordinates: tuple[sm.Expr, ...]
-    speeds: tuple[sm.Expr, ...]
-    n_dependent_coordinates: int
-    n_dependent_speeds: int
-    auxiliary_speeds: tuple[sm.Expr, ...]
-    frames: tuple[Frame, ...]
-    points: tuple[Point, ...]
-    bodies: tuple[Body, ...]
-    loads: tuple[Load, ...]
-    kinematic_equations: tuple[sm.Expr, ...]
-    holonomic_constraints: tuple[sm.Expr, ...]
-    velocity_constraints: tuple[sm.Expr, ...]
-    velocity_constraints_derived: bool
-    fixed_point: int | None
-    state_equations: tuple[tuple[sm.Expr, sm.Expr], ...]
-    excitations: tuple[sm.Expr, ...]
-    acceleration_constraints: tuple[sm.Expr, ...]
-    drawn: tuple[DrawnPoint, ...]
-
-    @property
-    def states_velocity_constraints(self) -> bool:
-        """Whether the model states velocity constraints that should keep its position constraints."""
-        return bool(self.holonomic_constraints) and not self.velocity_constraints_derived
-
-    def labelled_loads(self) -> Iterator[tuple[str, Iterable[sm.Expr]]]:
-        """The loads' vectors, with a description of their place in the System."""
-        for load in self.loads:
-            yield f"the {load.name}", _entries(load.vector)
-
-    def labelled_structure(self) -> Iterator[tuple[str, Iterable[sm.Expr]]]:
-        """All other expressions, with the same kind of description."""
-        for frame in self.frames[1:]:
-            yield f"the orientation of frame {frame.name}", frame.dcm or ()
-            yield f"the angular velocity of frame {frame.name}", _entries(frame.angular_velocity)
-        for point in self.points:
-            yield f"the velocity of point {point.name}", _entries(point.velocity)
-            yield f"the position of point {point.name}", _entries(point.offset if point.derived else None)
-        for body in self.bodies:
-            yield f"the mass of body {body.name}", (body.mass,)
-            yield f"the inertia of body {body.name}", body.inertia or ()
-            yield f"the potential energy of body {body.name}", (body.potential_energy,)
-        for load in self.loads:
-            yield f"the position of the {load.name}", _entries(load.position)
-        for label, group in (
-            ("kinematic differential equation", self.kinematic_equations),
-            ("holonomic constraint", self.holonomic_constraints),
-            ("velocity constraint", self.velocity_constraints),
-        ):
-            for number, expr in enumerate(group, start=1):
-                yield f"{label} {number}", (expr,)
-
-
-def _entries(vector: Vector | None) -> Iterator[sm.Expr]:
-    for _, components in vector or ():
-        yield from components
-
-
-def walk(expressions: Iterable[sm.Basic]) -> Iterator[sm.Basic]:
-    """Every distinct subexpression once, without arguments of functions of time and of derivatives.
-
-    Expressions of chained frames are small as graphs but exponential as trees, so `atoms` and
-    `free_symbols`, which visit trees, would take too long.
-    """
-    seen: set[sm.Basic] = set()
-    stack = list(expressions)
-    while stack:
-        node = stack.pop()
-        if node in seen:
-            continue
-        seen.add(node)
-        yield node
-        if not isinstance(node, AppliedUndef | sm.Derivative):
-            stack.extend(node.args)
-
-
-def read_mechanism(system: System | me.KanesMethod) -> Mechanism:
+def read_mechanism(
+    system: System | me.KanesMethod, points: Iterable[Any] = (), lines: Iterable[Iterable[Any]] = ()
+) -> Mechanism:
     """Read a System or a KanesMethod.
 
     Parameters
     ----------
     system : System or KanesMethod
         A System that is ready for its ``form_eoms``, or a KanesMethod with its bodies and loads.
+    points : iterable of sympy.physics.mechanics.Point, optional
+        Points to be drawn although nothing else needs them.
+    lines : iterable of sequence of Point or str, optional
+        Points, or names of points, that lines connect in drawings.
 
     Returns
     -------
@@ -287,7 +49,7 @@ def read_mechanism(system: System | me.KanesMethod) -> Mechanism:
     ------
     ModelError
         If the numbers of coordinates, speeds, kinematic equations and constraints do not match, or a velocity or
-        orientation that the equations need is not defined.
+        orientation that the equations need is not defined, or points to be drawn have no position.
     """
     if isinstance(system, System):
         description = _of_system(system)
@@ -305,12 +67,16 @@ def read_mechanism(system: System | me.KanesMethod) -> Mechanism:
         )
     _check_counts(description)
     reader = _Reader(description.frame, description.fixed_point)
-    points = [(body.masscenter, f"body {body.name}") for body in description.bodies]
-    points += [(place, f"force at point {place.name}") for place, _ in description.loads if isinstance(place, me.Point)]
-    reader.read_points(points)
+    users = [(body.masscenter, f"body {body.name}") for body in description.bodies]
+    users += [(place, f"force at point {place.name}") for place, _ in description.loads if isinstance(place, me.Point)]
+    reader.read_points(users)
     bodies = tuple(reader.body(body) for body in description.bodies)
     loads = tuple(reader.load(load) for load in description.loads)
-    drawn = reader.drawn(description.bodies)
+    lines = _lines(lines)
+    named = [*_points(points), *(point for line in lines for point in line if isinstance(point, me.Point))]
+    drawn, of_points, not_drawn = reader.drawn(description.bodies, named)
+    frames = reader.frames()
+    tips, shapes = find_shapes(frames, drawn, bodies)
     return Mechanism(
         time=me.dynamicsymbols._t,
         coordinates=(*description.q_ind, *description.q_dep),
@@ -319,7 +85,7 @@ def read_mechanism(system: System | me.KanesMethod) -> Mechanism:
         n_dependent_speeds=len(description.u_dep),
         auxiliary_speeds=tuple(description.u_aux),
         points=tuple(reader.points),
-        frames=reader.frames(),
+        frames=frames,
         bodies=bodies,
         loads=loads,
         kinematic_equations=tuple(description.kdes),
@@ -329,8 +95,56 @@ def read_mechanism(system: System | me.KanesMethod) -> Mechanism:
         fixed_point=None if description.fixed_point is None else reader.point_numbers.get(description.fixed_point),
         **_actuators(description),
         acceleration_constraints=tuple(description.acceleration_constraints),
-        drawn=drawn,
+        drawn=(*drawn, *tips),
+        shapes=(*shapes, *_pathways(description.actuators, of_points), *_drawn_lines(lines, drawn, of_points)),
+        not_drawn=not_drawn,
     )
+
+
+def _points(given: Iterable[Any]) -> list[me.Point]:
+    points = [given] if isinstance(given, str) or not isinstance(given, Iterable) else list(given)
+    for point in points:
+        if not isinstance(point, me.Point):
+            raise ModelError(f"points= takes Points of sympy.physics.mechanics, not {shown(point)}.")
+    return points
+
+
+def _lines(given: Iterable[Any]) -> list[list[Any]]:
+    """Lines as lists of points and names of points."""
+    lines = [given] if isinstance(given, str) or not isinstance(given, Iterable) else list(given)
+    for line in lines:
+        ends = list(line) if isinstance(line, list | tuple) else []
+        if len(ends) < 2 or not all(isinstance(end, str | me.Point) for end in ends):
+            raise ModelError(
+                f"lines= takes sequences of two and more points, or of their names, such as [('A', 'B')], not "
+                f"{shown(line)}."
+            )
+    return [list(line) for line in lines]
+
+
+def _drawn_lines(
+    lines: Iterable[Sequence[Any]], drawn: Sequence[DrawnPoint], numbers: Mapping[me.Point, int]
+) -> Iterator[Shape]:
+    """The lines that were asked for."""
+    names = {point.name: number for number, point in reversed([*enumerate(drawn)])}
+    for line in lines:
+        for end in line:
+            if isinstance(end, str) and end not in names:
+                raise ModelError(f"lines= names a point {end}, which is not drawn.{meant(end, names)}")
+        yield Shape("line", "", tuple(names[end] if isinstance(end, str) else numbers[end] for end in line))
+
+
+def _pathways(actuators: Iterable[Any], numbers: Mapping[me.Point, int]) -> Iterator[Shape]:
+    """Springs, dampers and other actuators that act between drawn points."""
+    for actuator in actuators:
+        ends = [point for point in getattr(getattr(actuator, "pathway", None), "attachments", ()) if point in numbers]
+        if len(ends) > 1:
+            is_spring, is_damper = (
+                any(base.__name__ in names for base in type(actuator).__mro__)
+                for names in (("LinearSpring", "DuffingSpring"), ("LinearDamper", "CoulombKineticFriction"))
+            )
+            kind: Any = "spring" if is_spring else "damper" if is_damper else "actuator"
+            yield Shape(kind, str(getattr(actuator, "name", "")), tuple(numbers[point] for point in ends))
 
 
 @dataclass(frozen=True)
@@ -564,28 +378,44 @@ class _Reader:
         at_rest = [p for p in component if p._vel_dict.get(self.inertial) == 0]
         return next((p for p in (self.fixed_point, *at_rest) if p in component), None)
 
-    def drawn(self, bodies: Iterable[Any]) -> tuple[DrawnPoint, ...]:
-        """The tree of positions, as far as it is written in frames that are numbered by now."""
+    def drawn(
+        self, bodies: Iterable[Any], named: Iterable[me.Point]
+    ) -> tuple[tuple[DrawnPoint, ...], dict[me.Point, int], tuple[str, ...]]:
+        """The tree of positions, their numbers in it, and names of points that are left out.
+
+        These have positions in frames that are not numbered by now, since nothing but the drawing needs them. On the
+        way to a point that is named, such frames are numbered.
+        """
         names = {body.masscenter: str(body.name) for body in bodies}
-        roots = [found for found in map(self._at_rest, names) if found is not None]
-        if not roots:
-            return ()
-        root = self.fixed_point if self.fixed_point in roots else roots[0]
+        asked = dict.fromkeys(named)
+        roots = [found for found in map(self._at_rest, (*names, *asked)) if found is not None]
+        root = (self.fixed_point if self.fixed_point in roots else roots[0]) if roots else None
+        parents = {} if root is None else _neighbours(root, _positions)
+        for point in asked:
+            if point not in parents:
+                raise ModelError(
+                    f"Point {point.name} cannot be drawn: its position is not given from a point at rest that the "
+                    "mass centres' positions are given from, too. Call its set_pos."
+                )
+        on_the_way = {member for point in asked for member in _ancestors(point, {**parents, root: None})}
         numbers: dict[me.Point, int] = {}
         points: list[DrawnPoint] = []
-        for point, parent in _neighbours(root, _positions).items():
+        left_out = []
+        for point, parent in parents.items():
             offset: Vector = ()
             if point is not root:
                 position = point._pos_dict[parent]
                 frames = [frame for _, frame in position.args] if isinstance(position, me.Vector) else []
-                if parent not in numbers or not all(f in self.numbers and f in self.parents for f in frames):
+                is_known = all(f in self.numbers and f in self.parents for f in frames) or point in on_the_way
+                if parent not in numbers or not is_known:
+                    left_out.append(point.name)
                     continue
                 offset = self.vector(position, f"point {point.name}")
             numbers[point] = len(points)
             before = None if point is root else numbers[parent]
             number = self.point_numbers.get(point)
-            points.append(DrawnPoint(point.name, before, offset, names.get(point), number))
-        return tuple(points)
+            points.append(DrawnPoint(point.name, before, offset, names.get(point), number, point in on_the_way))
+        return tuple(points), numbers, tuple(left_out)
 
     def _add_point(
         self,
@@ -713,7 +543,7 @@ def _difference(a: Vector | None, b: Vector | None) -> Vector | None:
         mine = parts.get(frame, (sm.S.Zero,) * 3)
         parts[frame] = tuple(x - y for x, y in zip(mine, components, strict=True))
     difference = tuple((frame, c) for frame, c in parts.items() if any(c))
-    return difference if sum(map(bool, _entries(difference))) < sum(map(bool, _entries(a))) else None
+    return difference if sum(map(bool, entries_of(difference))) < sum(map(bool, entries_of(a))) else None
 
 
 def _neighbours(root: Any, links: Callable[[Any], Iterable[Any]]) -> dict[Any, Any]:

@@ -53,4 +53,5 @@ def cartesian_pendulum() -> Model:
             g: Parameter(9.81, "m/s^2", "gravitational acceleration"),
         },
         initial={y: 0.0, x: -1.0, vy: 0.0},
+        lines=[(origin, point)],
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import io
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from fourbar_codegen.arguments import name_of, positive
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.kernel.kernel import Kernel
-from fourbar_codegen.presentation.drawing import Drawing, Panel, drawing, equal_times, extent, panels
+from fourbar_codegen.presentation.drawing import Panel, drawing, equal_times, panels
+from fourbar_codegen.presentation.scene import SYMBOLS, Scene, scene
 from fourbar_codegen.progress import PATIENCE
 
 if TYPE_CHECKING:
@@ -52,6 +53,20 @@ TRACE_RATE = 500.0
 
 SMOOTH = 401
 """Number of states with which a curve looks smooth."""
+
+STYLES: dict[str, dict[str, Any]] = {
+    "link": {"color": "0.25", "linewidth": 3.0, "solid_capstyle": "round", "solid_joinstyle": "round", "zorder": 2},
+    "line": {"color": "0.25", "linewidth": 1.5, "zorder": 2},
+    "guide": {"color": "0.6", "linewidth": 1.2, "zorder": 1},
+    "actuator": {"color": "tab:red", "linewidth": 2.0, "zorder": 2},
+    "spring": {"color": "tab:green", "linewidth": 1.2, "zorder": 2},
+    "damper": {"color": "tab:green", "linewidth": 1.2, "zorder": 2},
+    "ground": {"color": "0.45", "linewidth": 1.0, "zorder": 2},
+    "slider": {"color": "0.25", "linewidth": 1.5, "zorder": 3},
+    "pin": {"color": "0.25", "marker": "o", "markersize": 6.0, "markerfacecolor": "white", "zorder": 4},
+    "mass": {"color": "tab:blue", "marker": "o", "markersize": 4.0, "zorder": 4},
+    "arrow": {"color": "tab:orange", "linewidth": 2.0, "marker": "o", "markersize": 5.0, "markevery": [1], "zorder": 5},
+}
 
 
 def _imported(name: str, what: str) -> Any:
@@ -116,15 +131,16 @@ def plot_paths(trajectory: Trajectory, points: Sequence[str]) -> Figure:
     """Draw the paths of points and the initial mechanism; see `Trajectory.plot_paths`."""
     points = _checked(trajectory.model, points)
     drawn = drawing(trajectory, lambda start, end: np.linspace(start, end, SMOOTH if start != end else 1))
-    figure, [axes] = _figure(1, drawn.is_planar)
-    _draw_mechanism(axes, trajectory.model, drawn.positions[:, :, 0], drawn.is_planar)
-    dimensions = 2 if drawn.is_planar else 3
-    traced = points or list(drawn.traced().values())
+    figure, [axes] = _figure(1, drawn.scene.is_planar)
+    _draw(axes, drawn.scene)
+    dimensions = 2 if drawn.scene.is_planar else 3
+    traced = points or list(drawn.scene.traced().values())
     for name in traced:
-        axes.plot(*drawn.positions[trajectory.model.points.index(name), :dimensions], label=_label(name))
+        path = drawn.scene.positions[trajectory.model.points.index(name), :dimensions]
+        axes.plot(*path, label=_label(name), zorder=1)
     axes.set_aspect("equal")
     if traced:
-        axes.legend(loc="center left", bbox_to_anchor=(1.02 if drawn.is_planar else 1.15, 0.5))
+        axes.legend(loc="center left", bbox_to_anchor=(1.02 if drawn.scene.is_planar else 1.15, 0.5))
     axes.set_title(trajectory.model.name)
     return figure
 
@@ -195,22 +211,22 @@ def plot_modes(modes: AssemblyModes) -> Figure:
         raise ModelError(f"There is nothing to draw: {modes!r} with the points {', '.join(model.points) or 'none'}.")
     states = np.where(np.isfinite(modes.x), modes.x, 0.0)[:MAX_PANELS]
     positions = np.stack([model.drawing(modes.t, x, modes.parameters, modes.inputs)[0] for x in states], axis=2)
-    size, planar = extent(positions)
-    figure, cells = _figure(len(states), planar)
+    drawn = scene(model, positions)
+    figure, cells = _figure(len(states), drawn.is_planar)
     figure.suptitle(
         f"{model.name}: {len(modes)} assembly modes"
         + ("" if modes.is_complete else ", or more")
         + ("" if len(states) == len(modes) else f"; the first {len(states)}")
     )
-    low, high = positions.min(axis=(0, 2)), positions.max(axis=(0, 2))
+    low, high = drawn.positions.min(axis=(0, 2)), drawn.positions.max(axis=(0, 2))
     n_qi = model.n_q - model.manifest["n_dependent_coordinates"]
     for number, axes in enumerate(cells):
-        _draw_mechanism(axes, model, positions[:, :, number], planar)
+        _draw(axes, drawn)(number)
         named = zip(model.coordinates[n_qi:], modes.x[number, n_qi : model.n_q], strict=True)
         text = _label(", ".join(f"{name} = {value:.3g}" for name, value in [*named][:3]))
         axes.set_title(f"{number}: {text}", fontsize="small")
-        for name, begin, end in list(zip("xyz", low, high, strict=True))[: 2 if planar else 3]:
-            getattr(axes, f"set_{name}lim")(begin - 0.05 * size, end + 0.05 * size)
+        for name, begin, end in list(zip("xyz", low, high, strict=True))[: 2 if drawn.is_planar else 3]:
+            getattr(axes, f"set_{name}lim")(begin - EDGE * drawn.size, end + EDGE * drawn.size)
         axes.set_aspect("equal")
     return figure
 
@@ -240,14 +256,27 @@ def _figure(panels: int, planar: bool) -> tuple[Figure, list[Any]]:
     return figure, axes
 
 
-def _draw_mechanism(axes: Any, model: Kernel, positions: Floats, planar: bool) -> None:
-    """The lines between the points, and the mass centres."""
-    dimensions = 2 if planar else 3
-    for place, entry in zip(positions, model.manifest["points"], strict=True):
-        if entry["parent"] is not None:
-            axes.plot(*np.transpose([positions[entry["parent"]], place])[:dimensions], color="0.3", linewidth=2.0)
-        if entry["body"] is not None:
-            axes.plot(*place[:dimensions, None], "o", color="tab:blue", markersize=4)
+def _draw(axes: Any, drawn: Scene, arrows: Mapping[int, int] | None = None) -> Callable[[int], None]:
+    """Draw the mechanism at the first instant, and return a function that shows it at another."""
+    dimensions = 2 if drawn.is_planar else 3
+    styled = [(line.kind, drawn.positions[[*line.rows, *line.rows[: line.is_closed]]]) for line in drawn.lines]
+    styled = [(kind, np.moveaxis(points, 0, 1)) for kind, points in styled]
+    for symbol in drawn.symbols:
+        has_outline = symbol.kind in SYMBOLS
+        styled.append((symbol.kind, drawn.outline(symbol) if has_outline else drawn.positions[symbol.at][:, None]))
+    styled += [("arrow", np.moveaxis(drawn.positions[[*ends]], 0, 1)) for ends in (arrows or {}).items()]
+    lines = [axes.plot(*points[:dimensions, :, 0], **STYLES[kind])[0] for kind, points in styled]
+    areas = [line for line in drawn.lines if line.is_closed and drawn.is_planar]
+    corners = [drawn.positions[list(area.rows), :2] for area in areas]
+    filled = [axes.fill(*points[:, :, 0].T, color="0.25", alpha=0.2)[0] for points in corners]
+
+    def show(instant: int) -> None:
+        for line, (_, points) in zip(lines, styled, strict=True):
+            (line.set_data if dimensions == 2 else line.set_data_3d)(*points[:dimensions, :, instant])
+        for area, points in zip(filled, corners, strict=True):
+            area.set_xy(points[:, :, instant])
+
+    return show
 
 
 def _checked(model: Kernel, points: Iterable[str]) -> list[str]:
@@ -276,11 +305,11 @@ def animate(trajectory: Trajectory, *, fps: float, speed: float, traces: Sequenc
     if n > MAX_FRAMES:
         raise ModelError(f"The animation would have {n:.0f} frames, more than {MAX_FRAMES}: use a larger speed.")
     drawn = drawing(trajectory, lambda start, end: equal_times(start, end, fps / speed))
-    dimensions = 2 if drawn.is_planar else 3
-    every = np.array([*drawn.positions, *drawn.arrows.values()])[:, :dimensions]
+    dimensions = 2 if drawn.scene.is_planar else 3
+    every = drawn.scene.positions[:, :dimensions]
     low, high = every.min(axis=(0, 2)), every.max(axis=(0, 2))
-    middle, half = (low + high) / 2, (high - low) / 2 + EDGE * drawn.size
-    if drawn.is_planar:  # height of the figure as needed
+    middle, half = (low + high) / 2, (high - low) / 2 + EDGE * drawn.scene.size
+    if drawn.scene.is_planar:  # height of the figure as needed
         figure = figures.Figure(figsize=(6.0, 6.0 * np.clip(half[1] / half[0], 0.4, 1.5)))
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     else:
@@ -293,42 +322,24 @@ def animate(trajectory: Trajectory, *, fps: float, speed: float, traces: Sequenc
         getattr(axes, f"set_{name}lim")(begin, end)
     axes.set_aspect("equal")
     axes.set_axis_off()
-    traced = drawn.traced().values() if chosen is None else chosen
+    traced = drawn.scene.traced().values() if chosen is None else chosen
     if traced:
         start, end = trajectory.t[0], trajectory.t[-1]
         rate = min(TRACE_RATE, MAX_FRAMES / abs(end - start)) if start != end else TRACE_RATE
         finer = trajectory.resample(equal_times(start, end, rate)).points
         for name in traced:
-            axes.plot(*finer[name][:dimensions], color="tab:red", linewidth=1.0)
-    # Moving lines, with the rows of `every` that each of them connects.
-    moved = [(rows, axes.plot(*every[rows, :, 0].T, **style)[0]) for rows, style in _moving_lines(drawn)]
+            axes.plot(*finer[name][:dimensions], color="tab:red", linewidth=1.0, zorder=1)
+    move = _draw(axes, drawn.scene, drawn.arrows)
     time = axes.annotate("", (0.02, 0.02), xycoords="axes fraction", fontsize="small", color="0.3")
 
     def show(frame: int) -> None:
-        for rows, line in moved:
-            (line.set_data if dimensions == 2 else line.set_data_3d)(*every[rows, :, frame].T)
+        move(frame)
         time.set_text(f"t = {drawn.shown.t[frame]:.2f} s")
 
     animation: FuncAnimation = animations.FuncAnimation(
         figure, show, frames=every.shape[2], interval=1000.0 / fps, blit=False
     )
     return animation
-
-
-def _moving_lines(drawn: Drawing) -> Iterator[tuple[list[int], dict[str, Any]]]:
-    """Points of each moving line, and its style: links, mass centres, and forces with a dot at their tips."""
-    masses = []
-    for number, _, parent, body in drawn.points():
-        if parent is not None:
-            yield [parent, number], {"color": "0.2", "linewidth": 3.0, "solid_capstyle": "round"}
-        if body is not None:
-            masses.append(number)
-    yield masses, {"color": "tab:blue", "marker": "o", "markersize": 6.0, "linestyle": "none"}
-    for tip, number in enumerate(drawn.arrows, start=len(drawn.positions)):
-        yield (
-            [number, tip],
-            {"color": "tab:orange", "linewidth": 2.0, "marker": "o", "markersize": 5.0, "markevery": [1]},
-        )
 
 
 def write_animation(trajectory: Trajectory, path: Path, kind: str) -> None:

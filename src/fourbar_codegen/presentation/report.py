@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourbar_codegen.presentation.drawing import drawing, panels
+from fourbar_codegen.presentation.scene import SYMBOLS
 from fourbar_codegen.presentation.storage import attributes
 
 if TYPE_CHECKING:
@@ -46,18 +47,22 @@ def report_text(trajectory: Trajectory) -> str:
         If there is nothing to show: no points with known positions, or no states.
     """
     drawn = drawing(trajectory, frame_times)
-    traced = drawn.traced()
+    found = drawn.scene
+    traced = found.traced()
     data = {
         "times": _packed(drawn.shown.t, "<f8"),
         # Relative to the size of the mechanism, because of the range of single precision.
-        "positions": _packed(np.moveaxis(np.array([*drawn.positions, *drawn.arrows.values()]), 2, 0) / drawn.size),
-        "planar": drawn.is_planar,
-        # The positions of their tips follow those of the points.
-        "arrows": list(drawn.arrows),
+        "positions": _packed(np.moveaxis(found.positions, 2, 0) / found.size),
+        "unit": found.unit / found.size,
+        "planar": found.is_planar,
+        "arrows": list(drawn.arrows.items()),
         "points": [
-            {"name": name, "parent": parent, "body": body, "traced": number in traced}
-            for number, name, parent, body in drawn.points()
+            {"name": name, "body": body, "traced": row in traced}
+            for row, (name, body) in enumerate(zip(found.names, found.bodies, strict=True))
         ],
+        "lines": [{"kind": line.kind, "rows": line.rows, "closed": line.is_closed} for line in found.lines],
+        "symbols": [{"kind": symbol.kind, "at": symbol.at, "toward": symbol.toward} for symbol in found.symbols],
+        "outlines": SYMBOLS,
         "plots": _plots(drawn.shown),
         "table": run_rows(trajectory),
     }

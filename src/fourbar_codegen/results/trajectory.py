@@ -164,7 +164,7 @@ class Trajectory:
 
         Relative to the fixed point of the System, in its frame.
         """
-        return dict(zip(self.model.points, self._drawing[0], strict=True))
+        return dict(zip(self.model.points, self._drawing[0], strict=False))  # those without names come last
 
     @property
     def forces(self) -> dict[str, Floats]:
@@ -346,6 +346,9 @@ class Trajectory:
 
     def animate(self, *, fps: float = 30.0, speed: float = 1.0, traces: Sequence[str] | None = None) -> FuncAnimation:
         """Animate the mechanism with Matplotlib; needs the extra ``visual``.
+
+        A link is the line through the points that are fixed on it, or the polygon about them; pins are where links
+        meet, and the ground where they meet points at rest. Arrows are forces that depend on inputs.
 
         Parameters
         ----------

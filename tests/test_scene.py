@@ -54,8 +54,8 @@ def test_a_guide_as_long_as_the_way():
     ends = found.positions[list(guide.rows)]
     assert np.ptp(ends, axis=2).max() < 1e-14
     x = ends[:, 0, 0]
-    # The slider goes from l - r = 0.2 to l + r = 0.4 m. Around these the crank is shown every 0.01 rad, so that the last
-    # position shown is at most (0.005 rad)^2 r / 2 (1 + r / (l - r)) from them.
+    # The slider goes from l - r = 0.2 to l + r = 0.4 m. The crank is shown every 0.01 rad, and the shown position nearest
+    # to these is within (0.005 rad)^2 r / 2 (1 + r / (l - r)).
     margin = 2 * found.unit
     np.testing.assert_allclose(x, [0.2 - margin, 0.4 + margin], rtol=0, atol=5e-6)
     assert places(found, "slider") == {"S"}
@@ -140,7 +140,7 @@ def test_joints_of_sympy(tmp_path):
     assert plate.is_closed
     assert {found.names[row] for row in plate.rows} == {"pin_wall_joint", "E", "F"}
     assert places(found, "ground") == places(found, "pin") == {"pin_wall_joint"}
-    assert places(found, "slider") == {"slide_cart_joint"}
+    assert places(found, "slider") == {"cart_masscenter"}
     ends = {(found.names[s.at], found.names[s.toward]) for s in found.symbols if s.kind in ("spring", "damper")}
     assert ends == {("E", "cart_masscenter")}
     assert_rigid(found)

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from fourbar_codegen.building.toolchain import get_include
     from fourbar_codegen.compile import build_model, build_wheel, compile_model, generate_sources
     from fourbar_codegen.compiled import CompiledModel, load, load_trajectory
+    from fourbar_codegen.linkage.linkage import Linkage
     from fourbar_codegen.modeling.model import Model, Parameter, joint_force, multiplier
     from fourbar_codegen.results.ensemble import Ensemble
     from fourbar_codegen.results.trajectory import Trajectory
@@ -39,6 +40,7 @@ __all__ = [
     "Ensemble",
     "Event",
     "FourbarError",
+    "Linkage",
     "Model",
     "ModelError",
     "ModelWarning",
@@ -63,6 +65,7 @@ _HOME = {
     "CompiledModel": "compiled",
     "Ensemble": "results.ensemble",
     "Event": "simulation.events",
+    "Linkage": "linkage.linkage",
     "Model": "modeling.model",
     "Parameter": "modeling.model",
     "Trajectory": "results.trajectory",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import json
+from dataclasses import asdict
 from importlib import resources
 from typing import TYPE_CHECKING, Any
 
@@ -61,7 +62,7 @@ def report_text(trajectory: Trajectory) -> str:
             for row, (name, body) in enumerate(zip(found.names, found.bodies, strict=True))
         ],
         "lines": [{"kind": line.kind, "rows": line.rows, "closed": line.is_closed} for line in found.lines],
-        "symbols": [{"kind": symbol.kind, "at": symbol.at, "toward": symbol.toward} for symbol in found.symbols],
+        "symbols": [asdict(symbol) for symbol in found.symbols],
         "outlines": SYMBOLS,
         "plots": _plots(drawn.shown),
         "table": run_rows(trajectory),

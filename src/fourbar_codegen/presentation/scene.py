@@ -38,6 +38,9 @@ Template = tuple[tuple[tuple[float, float, float], ...], ...]
 and displacements along and across that direction in units of the symbols' size."""
 
 COILS = 6
+SPACE = 1.6
+"""Distance of springs and dampers side by side."""
+
 SYMBOLS: dict[str, Template] = {
     "ground": (
         ((0.0, 0.0, 0.0), (0.0, -0.6, -1.0), (0.0, 0.6, -1.0), (0.0, 0.0, 0.0)),
@@ -95,11 +98,14 @@ class Symbol:
         Row of the position where it stands.
     toward : int or None
         Row of the position that it is directed to; None for the x axis.
+    shift : float
+        Displacement across, in units of the symbols' size, of several between the same points.
     """
 
     kind: str
     at: int
     toward: int | None = None
+    shift: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -166,7 +172,7 @@ class Scene:
                 across = np.where(upright, np.roll(along, 2, axis=0), across)
         pieces = []
         for line in SYMBOLS[symbol.kind]:
-            steps = [at + part * way + self.unit * (x * along + y * across) for part, x, y in line]
+            steps = [at + part * way + self.unit * (x * along + (y + symbol.shift) * across) for part, x, y in line]
             pieces += [*steps, np.full_like(at, np.nan)]
         return np.stack(pieces[:-1], axis=1)
 
@@ -219,7 +225,8 @@ def scene(model: Kernel, positions: Floats) -> Scene:
             symbols.append(Symbol("slider", points[0], len(rows) + 1))
             rows += _guide(positions[[*points]], 2.0 * unit)
         elif kind in ("spring", "damper"):
-            symbols.append(Symbol(kind, points[0], points[-1]))
+            beside = sum({s.at, s.toward} == {points[0], points[-1]} for s in symbols)
+            symbols.append(Symbol(kind, points[0], points[-1], beside * SPACE))
         elif kind != "ground":
             lines.append(Line(kind, points))
     ground = kinds.get("ground", set())

@@ -1,0 +1,1 @@
+"""A planar linkage by its points -> System, Model."""

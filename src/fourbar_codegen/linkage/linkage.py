@@ -1,0 +1,690 @@
+"""Linkage: a planar mechanism as engineers draw it, by its points."""
+
+from __future__ import annotations
+
+import csv
+import re
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+import sympy as sm
+import sympy.physics.mechanics as me
+
+from fourbar_codegen.arguments import finite_number, is_mapping, name_of
+from fourbar_codegen.errors import ModelError, ModelWarning, meant, shown
+from fourbar_codegen.linkage.mobility import Mobility, find_mobility
+from fourbar_codegen.linkage.parts import Drive, Link, Parts, PointForce, Strut, Torque
+from fourbar_codegen.linkage.system import build_system, coordinate, geometry, speed
+from fourbar_codegen.linkage.tree import GROUND, Slide, Tree, spanning_tree
+from fourbar_codegen.modeling.model import Model, Parameter, multiplier
+
+if TYPE_CHECKING:
+    from sympy.physics.mechanics.system import System
+
+__all__ = ["Linkage"]
+
+Quantity: TypeAlias = sm.Expr | float | str
+"""A number, which becomes a parameter; an expression; or the name of an input."""
+
+SAME = 1e-9
+"""Largest distance of points that are one, or of a point from its guide, relative to the size of the linkage."""
+
+MIXED = 500.0
+"""Ratio of lengths above which units are probably mixed."""
+
+
+class Linkage:
+    """A planar mechanism by its points, links and joints.
+
+    Links that share a point turn about it. Lengths and first angles are those of the points as they are given, in one
+    closed position; lengths become parameters (``l_AB``), so that they can be changed from run to run. Each moving
+    link has an angle from the x axis, ``q_AB``, and a block a displacement along its guide, ``q_C``; ``u_AB`` and
+    ``u_C`` are their rates. Joints that close loops become constraints; which coordinates are independent is found.
+
+    Parameters
+    ----------
+    name : str
+        Names the model.
+    points : mapping of str to (float, float), optional
+        Coordinates, m.
+    ground : str or sequence of str, optional
+        The points that do not move: ``"AD"``, or ``["A1", "A2"]``.
+    links : sequence of str or sequence of str, optional
+        The points of each moving link: ``["AB", "BCD"]``, or ``[("A1", "B1"), ...]``.
+    density : float, Expr or str, optional
+        Mass by length of links without mass or density of their own, kg/m.
+    gravity : float, Expr or str, optional
+        Gravitational acceleration along -y, m/s^2; none by default.
+
+    Raises
+    ------
+    ModelError
+        If a point, link or name is stated twice, not known, or of no use: a bar without length, for example.
+
+    Notes
+    -----
+    Quantities (masses, stiffnesses, forces) are numbers, which become parameters; expressions of SymPy, with parameters
+    of any name, functions of time as inputs, and the coordinates `q` and speeds `u`; or a str, the name of a new input.
+
+    Examples
+    --------
+    >>> linkage = Linkage(
+    ...     "crank_rocker", points={"A": (0, 0), "B": (0.1, 0), "C": (0.3, 0.3), "D": (0.4, 0)}, ground="AD",
+    ...     links=["AB", "BC", "CD"], density=1.0,
+    ... )
+    >>> linkage.torque("A", 0.5)
+    >>> linkage.mobility.degrees_of_freedom
+    1
+    >>> linkage.model().coordinates
+    ('q_AB', 'q_BC', 'q_CD')
+    """
+
+    def __init__(
+        self,
+        name: str,
+        *,
+        points: Mapping[str, Sequence[float]] | None = None,
+        ground: str | Sequence[str] = (),
+        links: Iterable[str | Sequence[str]] = (),
+        density: Quantity | None = None,
+        gravity: Quantity | None = None,
+    ) -> None:
+        self.name = name
+        self._parts = Parts()
+        self._system: System | None = None
+        self._density = None if density is None else self._quantity(density, "rho", "kg/m", "mass of links by length")
+        if gravity is not None:
+            self._parts.gravity = self._quantity(gravity, "g", "m/s^2", "gravitational acceleration")
+        if points is not None and not is_mapping(points):
+            raise ModelError(f"points= is a mapping from names to coordinates, not {shown(points)}.")
+        for point, place in (points or {}).items():
+            self.joint(point, place)
+        for point in self._points(ground, "ground="):
+            self._parts.ground.append(point)
+        for link in links:
+            self.plate(*self._points(link, "links="))
+
+    @classmethod
+    def from_csv(cls, path: str | Path, name: str | None = None, **options: Any) -> Linkage:
+        """Read points and links from a table.
+
+        Parameters
+        ----------
+        path : str or Path
+            A CSV file with the columns ``point``, ``x``, ``y`` and ``links``; in the last one, the names of all links
+            that the point is on, between spaces: ``ground crank``.
+        name : str, optional
+            By default that of the file.
+        **options
+            `density` and `gravity`.
+
+        Returns
+        -------
+        Linkage
+
+        Raises
+        ------
+        ModelError
+            If the file cannot be read, or a row is not understood.
+        """
+        path = Path(path)
+        try:
+            with path.open(newline="", encoding="utf-8-sig") as file:
+                rows = list(csv.DictReader(file))
+        except (OSError, UnicodeDecodeError, csv.Error) as error:
+            raise ModelError(f"{path} cannot be read: {error}") from error
+        linkage = cls(re.sub(r"\W", "_", path.stem) if name is None else name, **options)
+        links: dict[str, list[str]] = {}
+        for number, row in enumerate(rows, start=2):
+            try:
+                point, x, y = row["point"].strip(), float(row["x"]), float(row["y"])
+                on = row["links"].split()
+            except (KeyError, ValueError, AttributeError, TypeError) as error:
+                raise ModelError(
+                    f"Row {number} of {path} is not understood: {row}. The columns are point, x, y, links."
+                ) from error
+            linkage.joint(point, (x, y))
+            for link in on:
+                links.setdefault(link, []).append(point)
+        linkage._parts.ground += links.pop(GROUND, [])
+        for link, members in links.items():
+            linkage.plate(*members, name=link)
+        return linkage
+
+    def joint(self, name: str, place: Sequence[float], *, mass: Quantity | None = None) -> None:
+        """State a point: a pin between links, or a point of one link, such as a tracing point.
+
+        Parameters
+        ----------
+        name : str
+            Letters, digits and underscores.
+        place : (float, float)
+            x and y in one closed position of the linkage, m.
+        mass : float, Expr or str, optional
+            A point mass there, kg.
+        """
+        parts = self._change()
+        if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z]\w*", name):
+            raise ModelError(f"The name of a point is letters, digits and underscores, not {shown(name)}.")
+        if name in parts.points:
+            raise ModelError(
+                f"There are two points {name}. Links that share a point name it once, and are joined there."
+            )
+        if not isinstance(place, Sequence | np.ndarray) or isinstance(place, str) or len(place) != 2:
+            raise ModelError(f"Point {name} has two coordinates, (x, y), not {shown(place)}.")
+        at = complex(
+            *(finite_number(value, f"the {axis} of point {name}") for axis, value in zip("xy", place, strict=True))
+        )
+        parts.points[name] = at
+        if mass is not None:
+            parts.masses[name] = self._quantity(mass, f"m_{name}", "kg", f"mass at {name}")
+
+    def ground(self, name: str, place: Sequence[float]) -> None:
+        """State a point of the ground, where links are pinned.
+
+        Parameters
+        ----------
+        name : str
+        place : (float, float)
+            x and y, m.
+        """
+        self.joint(name, place)
+        self._parts.ground.append(name)
+
+    def bar(self, a: str, b: str, **properties: Any) -> None:
+        """State a link with two points; see `plate`.
+
+        Parameters
+        ----------
+        a, b : str
+        **properties
+            Those of `plate`.
+        """
+        self.plate(a, b, **properties)
+
+    def plate(
+        self,
+        *points: str,
+        name: str | None = None,
+        density: Quantity | None = None,
+        mass: Quantity | None = None,
+        inertia: Quantity | None = None,
+        center: Sequence[float] | None = None,
+    ) -> None:
+        """State a rigid link with any number of points.
+
+        Its angle is that of the way from its first to its second point. Points are placed by their distances from
+        these two, which are parameters.
+
+        Parameters
+        ----------
+        *points : str
+        name : str, optional
+            By default the points' names, one after the other.
+        density : float, Expr or str, optional
+            Mass by length, kg/m, of a bar between two points, or of bars along the sides of a polygon. By default that
+            of the linkage, unless there is a mass.
+        mass : float, Expr or str, optional
+            kg; distributed in the same way.
+        inertia : float, Expr or str, optional
+            About the mass centre, kg m^2; by default that of the bars.
+        center : (float, float), optional
+            The mass centre as drawn, m; by default that of the bars.
+        """
+        parts = self._change()
+        members = tuple(self._known(point) for point in points)
+        own = name if name is not None else "".join(members) if all(len(m) == 1 for m in members) else "_".join(members)
+        if not re.fullmatch(r"[A-Za-z]\w*", own) or own == GROUND:
+            raise ModelError(f"A link's name is letters, digits and underscores, and not {GROUND}; {own!r} is not.")
+        if own in parts.links:
+            raise ModelError(f"There are two links {own}.")
+        if own in parts.points:
+            raise ModelError(f"{own} is a point: give the link another name.")
+        if len(members) < 2 or len({*members}) < len(members):
+            raise ModelError(f"Link {own} needs two and more different points, not {', '.join(members) or 'none'}.")
+        if density is not None and mass is not None:
+            raise ModelError(f"Link {own} has a density and a mass: give one of them.")
+        if density is None and mass is None and center is None and inertia is None:
+            density = self._density
+        first, second = (parts.points[member] for member in members[:2])
+        at = None
+        if center is not None:
+            if first == second:
+                raise ModelError(f"Link {own} has no length: {members[0]} and {members[1]} are at the same place.")
+            local = (_pair(center, f"the mass centre of {own}") - first) * abs(second - first) / (second - first)
+            what = f"of the mass centre of {own}, from {members[0]}"
+            at = (
+                self._quantity(local.real, f"x_{own}", "m", f"x {what}"),
+                self._quantity(local.imag, f"y_{own}", "m", f"y {what}"),
+            )
+        parts.links[own] = Link(
+            members,
+            None if density is None else self._quantity(density, f"rho_{own}", "kg/m", f"mass of {own} by length"),
+            None if mass is None else self._quantity(mass, f"m_{own}", "kg", f"mass of {own}"),
+            None if inertia is None else self._quantity(inertia, f"I_{own}", "kg m^2", f"inertia of {own}"),
+            at,
+        )
+
+    def slider(self, point: str, along: Sequence[float] | str | Sequence[str], *, mass: Quantity | None = None) -> None:
+        """State a block that moves along a straight guide; a pin joins it to the links with that point.
+
+        Parameters
+        ----------
+        point : str
+        along : (float, float), str or (str, str)
+            A direction on the ground, of the guide through the point as drawn; or two points of the link, or of the
+            ground, that carries the guide.
+        mass : float, Expr or str, optional
+            Of the block, kg.
+        """
+        parts = self._change()
+        point = self._known(point)
+        if point in parts.slides:
+            raise ModelError(f"There are two blocks at {point}: state one guide for each point.")
+        if not isinstance(along, str) and all(isinstance(x, int | float | np.number) for x in along):
+            direction = _pair(along, f"the guide of {point}")
+            if not abs(direction):
+                raise ModelError(f"The guide of {point} has no direction: along={shown(along)}.")
+            parts.slides[point] = Slide(point, GROUND, parts.points[point], direction / abs(direction), None)
+        else:
+            ends = self._points(along, f"along= of {point}")
+            carriers = {GROUND: tuple(parts.ground), **{name: link.points for name, link in parts.links.items()}}
+            on = [name for name, members in carriers.items() if len(ends) == 2 and {*ends} <= {*members}]
+            if not on:
+                raise ModelError(f"The guide of {point} goes through two points of one link, not {', '.join(ends)}.")
+            base, way = parts.points[ends[0]], parts.points[ends[1]] - parts.points[ends[0]]
+            if (
+                not abs(way)
+                or abs(((parts.points[point] - base) * way.conjugate() / abs(way)).imag) > SAME * self._size()
+            ):
+                raise ModelError(f"{point} is not on the guide from {ends[0]} to {ends[1]}: draw it there.")
+            parts.slides[point] = Slide(point, on[0], base, way / abs(way), (ends[0], ends[1]))
+        if mass is not None:
+            parts.masses[point] = self._quantity(mass, f"m_{point}", "kg", f"mass of the block at {point}")
+
+    def force(self, point: str, components: Sequence[Quantity]) -> None:
+        """State a force on a point.
+
+        Parameters
+        ----------
+        point : str
+        components : (float, Expr or str, float, Expr or str)
+            Along x and y, N.
+        """
+        parts = self._change()
+        point = self._known(point)
+        if isinstance(components, str) or not isinstance(components, Sequence) or len(components) != 2:
+            raise ModelError(f"The force on {point} has two components, along x and y, not {shown(components)}.")
+        x, y = (
+            sm.S.Zero if isinstance(value, int | float) and value == 0 else
+            self._quantity(value, f"F_{point}_{axis}", "N", f"force on {point} along {axis}")
+            for axis, value in zip("xy", components, strict=True)
+        )  # fmt: skip
+        parts.forces.append(PointForce(point, x, y))
+
+    def torque(self, at: str, value: Quantity, *, link: str | None = None) -> None:
+        """State a torque in a joint, about z: on one link, and the opposite one on the other.
+
+        Parameters
+        ----------
+        at : str
+            A joint, or a link: then the torque acts between this and the ground.
+        value : float, Expr or str
+            N m.
+        link : str, optional
+            The link on which it acts as stated, where two moving links are joined.
+        """
+        on, reaction = self._joined(at, link, "torque")
+        self._change().torques.append(
+            Torque(on, reaction, self._quantity(value, f"T_{at}", "N m", f"torque on {on} at {at}"))
+        )
+
+    def spring(self, a: str, b: str, stiffness: Quantity, length: Quantity | None = None) -> None:
+        """State a spring between two points.
+
+        Parameters
+        ----------
+        a, b : str
+        stiffness : float, Expr or str
+            N/m.
+        length : float, Expr or str, optional
+            Its free length, m; by default that as drawn.
+        """
+        ends, label = self._ends(a, b, "spring")
+        drawn = abs(self._parts.points[b] - self._parts.points[a])
+        coefficient = self._quantity(stiffness, f"k_{label}", "N/m", f"stiffness of the spring from {a} to {b}")
+        free = self._quantity(drawn if length is None else length, f"l0_{label}", "m", "its free length")
+        self._change().struts.append(Strut("spring", ends, coefficient, free))
+
+    def damper(self, a: str, b: str, coefficient: Quantity) -> None:
+        """State a linear damper between two points.
+
+        Parameters
+        ----------
+        a, b : str
+        coefficient : float, Expr or str
+            N s/m.
+        """
+        ends, label = self._ends(a, b, "damper")
+        value = self._quantity(coefficient, f"c_{label}", "N s/m", f"coefficient of the damper from {a} to {b}")
+        self._change().struts.append(Strut("damper", ends, value))
+
+    def drive(
+        self,
+        at: str,
+        *,
+        angle: Quantity | None = None,
+        displacement: Quantity | None = None,
+        speed: Quantity | None = None,
+    ) -> None:
+        """Prescribe the angle of a link, or the displacement of a block.
+
+        The motion is an input, ``drive_A``; the torque or force that it takes is an output, ``torque_A`` or
+        ``force_C``.
+
+        Parameters
+        ----------
+        at : str
+            A joint of one moving link with the ground, a link, or the point of a block.
+        angle : float, Expr or str, optional
+            The angle from the x axis, rad: a number or an expression of time, ``me.dynamicsymbols._t``.
+        displacement : float, Expr or str, optional
+            Of a block, m.
+        speed : float or Expr, optional
+            rad/s or m/s; instead of the others, from the position as drawn.
+        """
+        parts = self._change()
+        is_block = at in parts.slides
+        on = at if is_block else self._joined(at, None, "drive")[0]
+        given = [value for value in (displacement if is_block else angle, speed) if value is not None]
+        if len(given) != 1 or (angle if is_block else displacement) is not None:
+            what = "displacement" if is_block else "angle"
+            raise ModelError(f"The drive at {at} has {'a' if is_block else 'an'} {what} or a speed, and nothing else.")
+        if any(drive.of == on for drive in parts.drives):
+            raise ModelError(f"There are two drives of {on}: one is enough.")
+        function, t = me.dynamicsymbols(f"drive_{at}"), me.dynamicsymbols._t
+        unit = "m" if is_block else "rad"
+        if speed is None:
+            expression = self._quantity(given[0], f"held_{at}", unit, f"what the drive at {at} holds")
+        else:
+            rate = self._quantity(speed, f"speed_{at}", f"{unit}/s", f"speed of the drive at {at}")
+            first = self._quantity(self._tree().values[self._number(on)], f"start_{at}", unit, f"{on} at t = 0")
+            expression = first + rate * t
+        parts.inputs[function] = expression
+        parts.drives.append(Drive(on, function, expression))
+
+    @property
+    def q(self) -> dict[str, sm.Expr]:
+        """The coordinates: angles of the links from the x axis, rad, and displacements of the blocks, m."""
+        return {name: coordinate(name) for name in (*self._parts.links, *self._parts.slides)}
+
+    @property
+    def u(self) -> dict[str, sm.Expr]:
+        """The rates of the coordinates."""
+        return {name: speed(name) for name in (*self._parts.links, *self._parts.slides)}
+
+    @property
+    def mobility(self) -> Mobility:
+        """Degrees of freedom by counting and by rank, and which coordinates are independent.
+
+        Raises
+        ------
+        ModelError
+            If the linkage is rigid, in parts or not connected, has more drives than degrees of freedom, or a point or
+            bar of no use.
+        """
+        return self._analyzed()[1]
+
+    @property
+    def system(self) -> System:
+        """The System of SymPy, to go on by hand; it is made once, and anew after further statements.
+
+        Raises
+        ------
+        ModelError
+            As `mobility`.
+        """
+        return self._built()[0]
+
+    def model(self, **options: Any) -> Model:
+        """Make a Model.
+
+        Parameters
+        ----------
+        **options
+            Those of `fourbar_codegen.Model`. Parameters, inputs, initial values and outputs are added to those of the
+            linkage, or replace them; keys are symbols or names. Initial angles are those of the drawing, and initial
+            speeds zero.
+
+        Returns
+        -------
+        Model
+
+        Raises
+        ------
+        ModelError
+            As `mobility` and `fourbar_codegen.Model`.
+        """
+        system, parameters = self._built()
+        tree, mobility = self._analyzed()
+        names = tree.coordinates
+        initial = {f"q_{name}": float(value) for name, value in zip(names, tree.values, strict=True)}
+        initial |= {f"u_{names[k]}": 0.0 for k in mobility.independent}
+        first = 2 * len(tree.cuts) + 1
+        outputs = {
+            f"{'force' if drive.of in tree.slides else 'torque'}_{name_of(drive.function.func)[6:]}": multiplier(
+                first + k
+            )
+            for k, drive in enumerate(self._parts.drives)
+        }
+        own: dict[str, Mapping[Any, Any]] = {
+            "parameters": parameters, "inputs": self._parts.inputs, "initial": initial, "outputs": outputs
+        }  # fmt: skip
+        for argument, values in own.items():
+            options[argument] = _merged(values, options.get(argument), argument)
+        return Model(system, **{"name": self.name, **options})
+
+    def __repr__(self) -> str:
+        parts = self._parts
+        return (
+            f"<Linkage {self.name}: {len(parts.points)} points, {len(parts.links)} links, {len(parts.slides)} blocks>"
+        )
+
+    def _change(self) -> Parts:
+        """The parts, to be changed: what was made of them is made anew."""
+        self._system = None
+        return self._parts
+
+    def _quantity(self, value: Quantity, name: str, unit: str, description: str) -> sm.Expr:
+        """An expression for a quantity: of a number, the symbol of a new parameter; of a name, a new input."""
+        if isinstance(value, str):
+            function = me.dynamicsymbols(value)
+            self._parts.inputs.setdefault(function, sm.S.Zero)
+            return function
+        expression = sm.sympify(value)
+        if not isinstance(expression, sm.Expr):
+            raise ModelError(f"{description or name} is a number, an expression or a name, not {shown(value)}.")
+        if expression.free_symbols or not expression.is_number:
+            return expression
+        symbol = sm.Symbol(name)
+        number = 2
+        while symbol in self._parts.parameters:
+            symbol, number = sm.Symbol(f"{name}_{number}"), number + 1
+        self._parts.parameters[symbol] = Parameter(finite_number(value, description), unit, description)
+        return symbol
+
+    def _known(self, point: Any) -> str:
+        points = self._parts.points
+        if not isinstance(point, str) or point not in points:
+            raise ModelError(f"There is no point {shown(point)}; there are {', '.join(points) or 'none'}.")
+        return point
+
+    def _points(self, given: Any, what: str) -> list[str]:
+        """Names of points, of a sequence, or of a text without gaps or with them."""
+        if not isinstance(given, str):
+            return [self._known(point) for point in given]
+        if re.search(r"[\s,-]", given.strip()):
+            return [self._known(point) for point in re.split(r"[\s,-]+", given.strip())]
+        found = _split(given, tuple(self._parts.points))
+        if len(found) != 1:
+            raise ModelError(
+                f"{what} {given!r} is {'not made of names of points' if not found else 'ambiguous'}; there are "
+                f"{', '.join(self._parts.points) or 'none'}. Write it as a list of names."
+            )
+        return list(found[0])
+
+    def _size(self) -> float:
+        drawn = np.array(list(self._parts.points.values()))
+        return float(max(np.ptp(drawn.real), np.ptp(drawn.imag), 1e-300))
+
+    def _number(self, name: str) -> int:
+        return [*self._parts.links, *self._parts.slides].index(name)
+
+    def _joined(self, at: str, link: str | None, what: str) -> tuple[str, str]:
+        """The link that a torque in a joint acts on, and the other one."""
+        parts = self._parts
+        if at in parts.links:
+            return at, GROUND
+        if at not in parts.points:
+            known = [*parts.points, *parts.links]
+            raise ModelError(f"There is no joint or link {shown(at)} for a {what}.{meant(str(at), known)}")
+        at_joint = [name for name, members in parts.links.items() if at in members.points]
+        others = [GROUND] * (at in parts.ground) + at_joint
+        if link is None and at_joint and (len(at_joint) == 1 or others == [GROUND, at_joint[-1]]):
+            return at_joint[0], GROUND
+        if link in at_joint and len(others) == 2:
+            return str(link), next(name for name in others if name != link)
+        raise ModelError(
+            f"The {what} at {at} is between two of {', '.join(others) or 'no links'}: name a link (or link=) on which it "
+            "acts."
+        )
+
+    def _ends(self, a: str, b: str, what: str) -> tuple[tuple[str, str], str]:
+        ends = self._known(a), self._known(b)
+        if self._parts.points[a] == self._parts.points[b]:
+            raise ModelError(f"A {what} from {a} to {b} has no length: they are at the same place.")
+        return ends, f"{a}{b}" if len(a) == len(b) == 1 else f"{a}_{b}"
+
+    def _tree(self) -> Tree:
+        parts = self._parts
+        links = {name: link.points for name, link in parts.links.items()}
+        return spanning_tree(parts.points, tuple(dict.fromkeys(parts.ground)), links, list(parts.slides.values()))
+
+    def _check(self) -> None:
+        parts = self._parts
+        if not parts.ground:
+            raise ModelError("There is no ground: state the points that do not move, by ground(...) or ground=.")
+        if not parts.links:
+            raise ModelError("There is no link: state bars or plates.")
+        used = {point for link in parts.links.values() for point in link.points}
+        lost = [point for point in parts.points if point not in used | {*parts.ground, *parts.slides}]
+        if lost:
+            raise ModelError(f"Points {', '.join(lost)} are on no link: leave them out, or name them in a link.")
+        idle = [point for point in parts.slides if point not in used]
+        if idle:
+            raise ModelError(f"No link is pinned to the blocks at {', '.join(idle)}.")
+        size, distances = self._size(), {}
+        for name, link in parts.links.items():
+            if {*link.points} <= {*parts.ground}:
+                raise ModelError(f"Link {name} connects points of the ground only: leave it out.")
+            for k, a in enumerate(link.points):
+                for b in link.points[k + 1 :]:
+                    distances[name, a, b] = abs(parts.points[a] - parts.points[b])
+        for (name, a, b), distance in distances.items():
+            if distance <= SAME * size:
+                raise ModelError(
+                    f"Link {name} has no length from {a} to {b}: both are at ({parts.points[a].real:g}, "
+                    f"{parts.points[a].imag:g}). For a joint of links, give one point to both."
+                )
+        (longest, shortest) = (f(distances, key=lambda key: distances[key]) for f in (max, min))
+        if distances[longest] > MIXED * distances[shortest]:
+            warnings.warn(
+                f"Lengths of {self.name} differ by a factor of {distances[longest] / distances[shortest]:.0f}: "
+                f"{distances[longest]:g} m from {longest[1]} to {longest[2]}, {distances[shortest]:g} m from "
+                f"{shortest[1]} to {shortest[2]}. Coordinates are in metres; are units mixed?",
+                ModelWarning,
+                stacklevel=5,
+            )
+
+    def _analyzed(self) -> tuple[Tree, Mobility]:
+        self._check()
+        tree, size, parts = self._tree(), self._size(), self._parts
+        if tree.unreached:
+            raise ModelError(
+                f"Links {', '.join(tree.unreached)} are not connected to the ground ({', '.join(parts.ground)}), not "
+                "even through other links."
+            )
+        names = tree.coordinates
+        pivoted = [name for name in tree.links if {*tree.links[name]} & {*parts.ground}]
+        preferred = [names.index(name) for name in dict.fromkeys([*pivoted, *tree.slides, *names])]
+        scales = np.array([1.0 if name in tree.links else size for name in names])
+
+        def gaps(values: Any) -> Any:
+            gap, jacobian = tree.gaps(values)
+            return gap / size, jacobian / size
+
+        driven = [names.index(drive.of) for drive in parts.drives]
+        mobility = find_mobility(gaps, tree.values, scales, driven, preferred)
+        if mobility.degrees_of_freedom == 0:
+            raise ModelError(
+                f"{self.name} is rigid: no link can move. {_sentence(mobility, tree)} Leave out a bar, or give links "
+                "lengths with which they can move."
+            )
+        if mobility.degrees_of_freedom - mobility.left < len(driven):
+            raise ModelError(
+                f"{self.name} has {mobility.degrees_of_freedom} degrees of freedom, and the drives of "
+                f"{', '.join(drive.of for drive in parts.drives)} are more than these can follow: leave out one."
+            )
+        return tree, mobility
+
+    def _built(self) -> tuple[System, dict[sm.Symbol, Parameter]]:
+        tree, mobility = self._analyzed()
+        shape = geometry(tree, tuple(dict.fromkeys(self._parts.ground)))
+        if self._system is None:
+            self._system = build_system(self._parts, tree, shape, mobility.independent, bool(mobility.redundant))
+        return self._system, {**shape.parameters, **self._parts.parameters}
+
+
+def _pair(given: Any, what: str) -> complex:
+    """Two finite numbers as a complex one."""
+    if isinstance(given, str) or not isinstance(given, Sequence | np.ndarray) or len(given) != 2:
+        raise ModelError(f"{what} has two coordinates, (x, y), not {shown(given)}.")
+    x, y = (finite_number(value, f"the {axis} of {what}") for axis, value in zip("xy", given, strict=True))
+    return complex(x, y)
+
+
+def _split(text: str, names: tuple[str, ...]) -> list[tuple[str, ...]]:
+    """All ways to write a text as names, one after the other."""
+    if not text:
+        return [()]
+    return [(name, *rest) for name in names if text.startswith(name) for rest in _split(text[len(name) :], names)]
+
+
+def _merged(own: Mapping[Any, Any], given: Any, argument: str) -> dict[Any, Any]:
+    """The linkage's values with those that are given, which replace those of the same name."""
+    if given is None:
+        return dict(own)
+    if not is_mapping(given):
+        raise ModelError(f"{argument}= must be a mapping from symbols to values, not {shown(given)}.")
+    names = {_label(key): key for key in own}
+    merged = dict(own)
+    for key, value in given.items():
+        known = names.get(_label(key), key)
+        old: Any = merged.get(known)
+        keeps_unit = isinstance(old, Parameter) and not isinstance(value, Parameter)
+        merged[known] = Parameter(value, old.unit, old.description) if keeps_unit else value
+    return merged
+
+
+def _label(key: Any) -> str:
+    return key if isinstance(key, str) else str(getattr(key, "func", key)) if getattr(key, "args", ()) else str(key)
+
+
+def _sentence(mobility: Mobility, tree: Tree) -> str:
+    """Degrees of freedom by counting, and the joints with constraints that follow from others."""
+    joints = dict.fromkeys(tree.places[tree.cuts[row // 2][0]].point for row in mobility.redundant)
+    counted = f"By counting it has {mobility.gruebler} degrees of freedom."
+    return counted + (f" Constraints of {', '.join(joints)} follow from others." if joints else "")

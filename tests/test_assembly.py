@@ -1,5 +1,7 @@
 """Assembly modes, against circles that are cut with circles and lines, and against SciPy's search in SymPy's terms."""
 
+import copy
+import pickle
 from concurrent.futures import ThreadPoolExecutor
 
 import mpmath
@@ -183,15 +185,17 @@ def test_sums_and_powers():
     np.testing.assert_allclose(modes.x[:, 2], 0.2 / np.cos(modes.x[:, 1]), rtol=1e-9)
 
 
-def test_infinitely_many_ways(monkeypatch):
-    """A rhombus folded flat: the crank's end lies on the other pivot, and the rest turns freely about it."""
-    monkeypatch.setattr("fourbar_codegen.analysis.assembly_modes.MAX_MODES", 50)
-    model = linkage(1)
+def test_a_folded_rhombus():
+    """The crank's end lies on the other pivot, and the other two bars turn freely about it."""
+    model = linkage(1, absolute=True)
     assert len(model.initial_states([1.0], [0.0], parameters=[1.0] * 5)) == 2
-    folded = model.initial_states([0.0], [0.0], parameters=[1.0] * 5)
-    assert not folded.is_complete
-    assert len(folded) == 50
-    assert repr(folded).startswith("<AssemblyModes of linkage1: at least")
+    for turn in (0.0, 1e-15):  # less than rounding errors of the lengths
+        folded = model.initial_states([turn], [0.0], parameters=[1.0] * 5)
+        assert not folded.is_complete
+        assert folded.free == ("q1", "q2")
+        assert "of infinitely many; a degree of freedom is left: q1, q2 move while q0 is held" in repr(folded)
+        np.testing.assert_allclose(np.cos(folded.x[:, 1]), np.cos(folded.x[:, 2]), atol=1e-13)
+        assert np.isnan(folded.x[:, 4:6]).all()
 
 
 def test_a_plane_that_leans():
@@ -201,7 +205,11 @@ def test_a_plane_that_leans():
     np.testing.assert_allclose(modes.x[:, 2], [-1.49782726919522, 1.49782726919522], atol=1e-9)  # the tutorial's
 
 
-def platform():
+LEGS = (((0.0, 0.0), (0.0, 0.0)), ((1.9, 0.0), (1.1, 0.0)), ((2.8, 1.0), (0.9, 2.0)))
+LENGTHS = (2.4, 1.4, 2.0)
+
+
+def platform(legs=LEGS, lengths=LENGTHS):
     """A triangle on three legs whose lengths are given, in a plane: a triad, which is not made of dyads."""
     frame, origin, corner, body = me.ReferenceFrame("N"), me.Point("O"), me.Point("B1"), me.ReferenceFrame("B")
     origin.set_vel(frame, 0)
@@ -216,16 +224,12 @@ def platform():
     system = System(frame, origin)
     system.add_bodies(me.RigidBody("platform", corner, body, 1, (me.inertia(body, 1, 1, 1), corner)))
     system.add_bodies(me.Particle("leg", slider, 1))
-    for (foot, place), length in zip(LEGS, (leg, *LENGTHS[1:]), strict=True):
+    for (foot, place), length in zip(legs, (leg, *lengths[1:]), strict=True):
         gap = corner.pos_from(origin) + place[0] * body.x + place[1] * body.y - foot[0] * frame.x - foot[1] * frame.y
         system.add_holonomic_constraints(gap.dot(gap) - length**2)
     system.q_ind, system.q_dep, system.u_ind, system.u_dep = [leg], q[1:], [u[0]], u[1:]
     system.add_kdes(*(rate - coordinate.diff() for coordinate, rate in zip(q, u, strict=True)))
     return fb.compile_model(fb.Model(system, name="platform"))
-
-
-LEGS = (((0.0, 0.0), (0.0, 0.0)), ((1.9, 0.0), (1.1, 0.0)), ((2.8, 1.0), (0.9, 2.0)))
-LENGTHS = (2.4, 1.4, 2.0)
 
 
 def test_search_where_nothing_is_a_dyad():
@@ -464,6 +468,7 @@ def test_a_bar_about_the_cranks_end():
     modes = inverted_slider_crank()
     for length in (1.0, 15.0):
         found = modes(0.0, A=length, G=length)
+        assert found.free == ("b",)
         assert not found.is_complete
         np.testing.assert_allclose(found.x[:, 2], 0.0, atol=1e-12)
 
@@ -594,3 +599,179 @@ def test_coordinates_within_bounds():
     ):
         with pytest.raises(fb.ModelError, match=words):
             model.initial_state({"s0": 0.5}, [0.0], bounds=bounds)
+
+
+def test_a_loop_that_is_driven_by_a_free_bar():
+    """A folded rhombus, whose rocker drives a loop that does not close where the rocker is at 0."""
+    model = linkage(2, absolute=True)
+    ground, crank, coupler, rocker = 1.0, 0.8, 1.2, 0.3
+    assert abs(ground - crank) < coupler - rocker < coupler + rocker < ground + crank
+    lengths = (1.0, 1.0, 1.0, 1.0, ground, crank, coupler, rocker)
+    modes = model.initial_states([0.0], [0.0], parameters={f"a{i}": length for i, length in enumerate(lengths)})
+    assert modes.free == ("q1", "q2", "q3", "q4")
+    assert not modes.is_complete
+    for mode in modes:
+        assert min(abs(np.exp(1j * mode[4]) - np.exp(1j * angle)) for (angle,) in rockers(lengths[4:], mode[2])) < 1e-9
+
+
+def test_a_slider_crank_without_lengths():
+    """The slider is held at the crank's pivot by a rod of length zero, which turns freely."""
+    model = fb.compile_model(fb.models.slider_crank())
+    for angle in (0.0, 0.5):
+        modes = model.initial_states([angle], [1.0], parameters={"r": 0.0, "l": 0.0})
+        assert modes.free == ("rod",)
+        assert not modes.is_complete
+        np.testing.assert_allclose(modes.x[:, 2], 0.0, atol=1e-13)
+    sentence = "a degree of freedom is left: rod moves while crank is held"
+    assert repr(modes) == f"<AssemblyModes of slider_crank: 1 of infinitely many; {sentence}>"
+    assert sentence in modes._repr_html_()
+    assert sentence in modes.plot().get_suptitle()
+    again = pickle.loads(pickle.dumps(modes))
+    assert (again.free, repr(again)) == (modes.free, repr(modes))
+    earlier = copy.copy(modes)  # from a version that did not know
+    del vars(earlier)["free"]
+    assert (earlier.free, repr(earlier)) == ((), "<AssemblyModes of slider_crank: at least 1>")
+
+
+ARM, SIDE, CRANK = 3.0, 1.5, 1.2
+
+
+def peaucellier(independent):
+    """Peaucellier's linkage: seven bars with absolute angles, and the place (x, y) of its pen.
+
+    Its mobility is 3 * 7 - 2 * 10 = 1, and the pen draws the line x = (ARM^2 - SIDE^2) / (2 CRANK).
+
+    A. B. Kempe, *How to Draw a Straight Line*, 1877.
+    """
+    arm, side, crank = sm.symbols("arm side crank")
+    *angles, x, y = coordinates = me.dynamicsymbols("q:7 x y")
+
+    def bar(length, angle):
+        return length * sm.Matrix([sm.cos(angle), sm.sin(angle)])
+
+    pin = sm.Matrix([crank, 0]) + bar(crank, angles[0])
+    one, other = bar(arm, angles[1]), bar(arm, angles[2])
+    pen = sm.Matrix([x, y])
+    sides = [bar(side, angle) for angle in angles[3:]]
+    top = one + sides[2]
+    gaps = one + sides[0] - pin, other + sides[1] - pin, other + sides[3] - top, pen - top
+    order = sorted(coordinates, key=lambda q: q.func.__name__ != independent)
+    return on_a_line([row for gap in gaps for row in gap], order, parameters={arm: ARM, side: SIDE, crank: CRANK})
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
+def test_the_pen_of_peaucellier(unit):
+    """Both elbows are on one side or the other. Where they coincide, the pen turns about them with two bars; otherwise
+    it is on the line or on the crank's pin."""
+    lengths = {"arm": ARM * unit, "side": SIDE * unit, "crank": CRANK * unit}
+    modes = peaucellier("q0")(0.3, **lengths)
+    assert modes.free == ("q5", "q6", "x", "y")
+    assert not modes.is_complete
+    pin = CRANK * np.array([1 + np.cos(0.3), np.sin(0.3)])
+    elbows = circles(np.zeros(2), ARM, pin, SIDE)
+    line = (ARM**2 - SIDE**2) / (2 * CRANK)
+    isolated = 0
+    for mode in modes:
+        one, other = (ARM * np.array([np.cos(angle), np.sin(angle)]) for angle in mode[1:3])
+        assert min(np.abs(one - elbow).max() for elbow in elbows) < 1e-12
+        pen = mode[7:9] / unit
+        assert np.hypot(*(pen - one)) == pytest.approx(SIDE, rel=1e-12)
+        if np.abs(one - other).max() > 1e-3:
+            assert min(abs(pen[0] - line), np.abs(pen - pin).max()) < 1e-12
+            isolated += 1
+        assert np.isnan(mode[10:18]).any() == (np.abs(one - other).max() < 1e-3)
+    assert isolated == 4
+    assert len(modes) == 6
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
+def test_a_coordinate_that_holds_nothing(unit):
+    """The pen's x is the line's wherever the linkage is, so holding it leaves the mobility of 1."""
+    lengths = {"arm": ARM * unit, "side": SIDE * unit, "crank": CRANK * unit}
+    modes = peaucellier("x")((ARM**2 - SIDE**2) / (2 * CRANK) * unit, **lengths)
+    assert modes.free == ("q0", "q1", "q2", "q3", "q4", "q5", "q6", "y")
+    assert not modes.is_complete
+
+
+def test_a_five_bar_held_by_one_angle():
+    """Of mobility 3 * 4 - 2 * 5 = 2; a third constraint is redundant, so one too many is declared dependent."""
+    angles = me.dynamicsymbols("q:4")
+    x, y = (sum(turn(angle) for angle in angles) for turn in (sm.cos, sm.sin))
+    modes = on_a_line([x - 2, y, x - 2 + y / 3], angles)(0.5)
+    assert modes.free == ("q1", "q2", "q3")
+    assert not modes.is_complete
+
+
+def test_a_parallelogram_with_a_bar_too_many():
+    """Three parallel cranks and a coupler: 3 * 4 - 2 * 6 = 0 by Gruebler, yet it moves.
+
+    One crank holds it, also in line, where four constraints have rank 2 in three angles and two modes meet.
+    """
+    crank, coupler, one, other = angles = me.dynamicsymbols("q:4")
+    rows = [
+        row
+        for angle, length in ((one, 2), (other, 1))
+        for row in (
+            sm.cos(crank) + length * sm.cos(coupler) - sm.cos(angle) - length,
+            sm.sin(crank) + length * sm.sin(coupler) - sm.sin(angle),
+        )
+    ]
+    modes = on_a_line(rows, angles)
+    for angle in (-2.0, 0.0, 0.7, np.pi / 2):
+        found = modes(angle)
+        assert found.is_complete
+        assert found.free == ()
+        np.testing.assert_allclose(found.x[:, 1:4], [[0.0, angle, angle]], atol=1e-7 if angle == 0.0 else 1e-13)
+
+
+def test_the_linkage_of_bennett():
+    """Four hinges in space: 6 * 3 - 5 * 4 = -2 by Kutzbach, yet it moves, with tan(q0 / 2) tan(q1 / 2) constant.
+
+    G. T. Bennett, "A new mechanism", Engineering 76 (1903). Six constraints have rank 3 in three angles.
+    """
+    one, other, length = 1.0, 1.9, 1.0
+    angles = me.dynamicsymbols("q:4")
+
+    def hinge(angle, twist, length):
+        c, s, ct, st = sm.cos(angle), sm.sin(angle), np.cos(twist), np.sin(twist)
+        return sm.Matrix([[c, -s * ct, s * st], [s, c * ct, -c * st], [0, st, ct]]), length * sm.Matrix([c, s, 0])
+
+    another = length * np.sin(other) / np.sin(one)
+    (r0, p0), (r1, p1), (r2, p2), (r3, p3) = (
+        hinge(angle, *link) for angle, link in zip(angles, [(one, length), (other, another)] * 2, strict=True)
+    )
+    turned = r0 * r1 - (r2 * r3).T
+    gap = p0 + r0 * p1 + (r2 * r3).T * (p2 + r2 * p3)
+    modes = on_a_line([*gap, turned[0, 1], turned[0, 2], turned[1, 2]], angles)
+    for angle in (0.4, 1.3, -2.0):
+        found = modes(angle)
+        assert found.free == ()
+        ratio = np.sin((one + other) / 2) / np.sin((other - one) / 2)
+        expected = 2 * np.arctan(ratio / np.tan(angle / 2))
+        assert np.abs(found.x[:, 1:4] - [expected, -angle, -expected]).max(axis=1).min() < 1e-9
+
+
+def test_a_platform_on_parallel_legs():
+    """As wide as its base, on legs of one length: it moves along a circle and does not turn, like a parallelogram."""
+    modes = platform([(foot, foot) for foot, _ in LEGS], [2.4] * 3).initial_states([2.4], [0.0])
+    assert modes.free == ("x", "y")
+    assert not modes.is_complete
+
+
+def test_a_chain_that_is_taut():
+    """As far as it reaches: all bars in line, where the Jacobian has rank 1 in three angles, and nothing moves."""
+    angles = me.dynamicsymbols("q:4")
+    x, y = (sum(turn(angle) for angle in angles) for turn in (sm.cos, sm.sin))
+    modes = on_a_line([x - 4, y, x - 4 + y / 3], angles)(0.0)
+    assert modes.free == ()
+    assert len(modes) > 0
+    np.testing.assert_allclose(modes.x[:, :4], 0.0, atol=1e-4)  # half of all digits, and the search's 1e-10 for them
+
+
+def test_a_point_and_a_circle():
+    """s^2 + y^2 = w twice: at 0 the Jacobian is zero, and the only solution is a point, known to half of all digits."""
+    modes = on_a_line([S**2 + Y**2 - W, 2 * (S**2 + Y**2 - W)], [W, S, Y])
+    assert modes(1.0).free == ("s", "y")
+    point = modes(0.0)
+    assert point.free == ()
+    np.testing.assert_allclose(point.x[:, 1:3], 0.0, atol=1e-4)

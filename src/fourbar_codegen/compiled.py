@@ -357,7 +357,8 @@ class CompiledModel(Kernel):
         The result is complete for chains of dyads: one or two constraints at a time, with no more unknown coordinates
         than constraints, trigonometric in angles and polynomial in displacements. Examples are the four-bar linkage,
         the slider-crank, and combinations of them. Otherwise multistart search is used, and the number of modes is a
-        lower bound. See `fourbar_codegen.analysis.assembly_modes` for the method.
+        lower bound. If a part can still move while the independent coordinates are held, the search ends, and ``free``
+        names the coordinates that move. See `fourbar_codegen.analysis.assembly_modes` for the method.
 
         Parameters
         ----------
@@ -367,7 +368,7 @@ class CompiledModel(Kernel):
         Returns
         -------
         AssemblyModes
-            A sequence of states, empty if the loops cannot be closed, with ``is_complete`` and ``plot()``.
+            A sequence of states, empty if the loops cannot be closed, with ``is_complete``, ``free`` and ``plot()``.
 
         Raises
         ------

@@ -5,6 +5,10 @@ slider-crank, and their combinations), and they are polynomials in exp(i angle) 
 found: as roots of the resultant, with enough digits to separate them. Remaining coordinates, if any, need a multistart
 search, which gives a lower bound of the number of modes.
 
+If the Jacobian has a null vector at a solution, and there are solutions at finite steps along it, the solutions form a
+curve: a degree of freedom is left, and the search ends. Where two modes meet there is a null vector as well, but no
+solution along it.
+
 Source: dyads are solved one after another as Assur groups of the second class (J. M. McCarthy and G. S. Soh, *Geometric
 Design of Linkages*, 2nd ed., 2011, chapter 2, has the four-bar's two modes); two polynomials by Sylvester's resultant
 (D. Cox, J. Little, D. O'Shea, *Ideals, Varieties, and Algorithms*, chapter 3).
@@ -14,15 +18,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, islice
+from itertools import chain, combinations, islice
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fourbar_codegen.analysis.loop_closure import DEAD, Loops
+from fourbar_codegen.analysis.loop_closure import DEAD, MAX_CORRECTIONS, Loops
 from fourbar_codegen.analysis.polynomials import Constraints, Polynomial, real_roots, terms_of
 from fourbar_codegen.errors import ModelError, shown
+from fourbar_codegen.kernel.dependent import SINGULAR, row_sizes
 from fourbar_codegen.kernel.kernel import Kernel
 
 if TYPE_CHECKING:
@@ -54,6 +59,10 @@ WITHOUT_NEWS = 100
 
 MAX_STARTING_POINTS = 3000
 
+STEPS = (0.05, 0.2)
+"""Steps along a null vector of the Jacobian, in rad or typical displacements, at which a curve of solutions has points.
+At the larger one even a root of multiplicity 16 violates its constraint by more than ROUNDING."""
+
 
 @dataclass(frozen=True, eq=False)
 class AssemblyModes:
@@ -73,6 +82,10 @@ class AssemblyModes:
         Whether there are no other modes. If False, their number is a lower bound.
     parameters, inputs : ndarray or None
         As given, in order.
+    free : tuple of str
+        The dependent coordinates that can move while the independent ones are held, in at least one of the modes; empty
+        if modes are isolated. Otherwise they are infinitely many, and `x` has examples, found until the first that can
+        move: isolated modes may be missing. Dependent speeds are NaN in those that can move.
 
     Examples
     --------
@@ -90,6 +103,7 @@ class AssemblyModes:
     is_complete: bool
     parameters: Floats | None
     inputs: Floats | None
+    free: tuple[str, ...] = ()
 
     def __getitem__(self, number: int) -> Floats:
         """The state of a mode."""
@@ -113,7 +127,19 @@ class AssemblyModes:
     def _number(self) -> str:
         if not len(self):
             return "the loops cannot be closed" if self.is_complete else "none found"
+        if self.free:
+            return f"{len(self)} of infinitely many; {self.freedom}"
         return f"{len(self)}, and no others" if self.is_complete else f"at least {len(self)}"
+
+    @property
+    def freedom(self) -> str:
+        """The degree of freedom that is left, in words; empty if `free` is."""
+        if not self.free:
+            return ""
+        held = self.model.coordinates[: self.model.n_q - self.model.manifest["n_dependent_coordinates"]]
+        moving = f"{', '.join(self.free)} move{'s' if len(self.free) == 1 else ''}"
+        fixed = f"{', '.join(held) or 'nothing'} {'are' if len(held) > 1 else 'is'} held"
+        return f"a degree of freedom is left: {moving} while {fixed}"
 
     def _repr_html_(self) -> str:
         from fourbar_codegen.tables import table
@@ -138,7 +164,7 @@ class AssemblyModes:
         return plot_modes(self)
 
 
-def closed_coordinates(loops: Loops, start: Floats, progress: Progress) -> tuple[list[Floats], bool]:
+def closed_coordinates(loops: Loops, start: Floats, progress: Progress) -> tuple[list[Floats], bool, tuple[str, ...]]:
     """All values of the dependent coordinates found to close the loops, and whether there are no others.
 
     Parameters
@@ -154,13 +180,15 @@ def closed_coordinates(loops: Loops, start: Floats, progress: Progress) -> tuple
     list of ndarray
         In ascending order, angles between -pi and pi.
     bool
+    tuple of str
+        Names of those that can move in a solution; see `AssemblyModes.free`.
     """
     generator = np.random.default_rng(0)
     chart = _Chart.of(loops, start, generator)
     loops = chart.loops
     groups, rest = _groups(chart, generator)
     partial = [np.zeros(len(start))]
-    complete = True
+    complete, free = True, np.zeros(len(start), dtype=bool)
     for number, group in enumerate(groups):
         extended: list[Floats] = []
         for dependent in partial:
@@ -176,7 +204,7 @@ def closed_coordinates(loops: Loops, start: Floats, progress: Progress) -> tuple
         partial = extended[:MAX_MODES]
     if rest and partial:
         complete = False
-        found = _search(chart, partial, rest, start, generator, progress)
+        found, free = _search(chart, partial, rest, start, generator, progress)
     else:
         found = [dependent for dependent in partial if loops.are_closed(dependent)]
         everything = _Group(tuple(range(loops.model.n_h)), tuple(range(len(start))))
@@ -186,8 +214,12 @@ def closed_coordinates(loops: Loops, start: Floats, progress: Progress) -> tuple
             if witness is None or not _is_exact(loops, witness) or (found and _is_dead(loops, everything, witness)):
                 continue
             complete &= not chart.add(witness, found)
+        for dependent in found:
+            free |= _free(chart, dependent)
+        complete &= not free.any()
     sizes = np.abs(found).max(axis=0, initial=1e-300) if found else 1.0
-    return sorted(found, key=lambda dependent: tuple(np.round(dependent / sizes, 6))), complete
+    modes = sorted(found, key=lambda dependent: tuple(np.round(dependent / sizes, 6)))
+    return modes, complete, tuple(name for name, is_free in zip(chart.names, free, strict=True) if is_free)
 
 
 def _constraints(loops: Loops) -> Constraints:
@@ -383,6 +415,50 @@ def _is_dead(loops: Loops, group: _Group, dependent: Floats) -> bool:
     return bool(sizes[-1] <= DEAD * sizes[0])
 
 
+def _free(chart: _Chart, dependent: Floats) -> NDArray[np.bool_]:
+    """Which coordinates change along curves of solutions through one; none if it is isolated.
+
+    Tangents of such curves are null vectors of the Jacobian, so any basis of these has one that is not normal to the
+    tangent. Redundant constraints make rows dependent, not columns.
+    """
+    free = np.zeros(len(dependent), dtype=bool)
+    scales = np.where(chart.is_angle, 1.0, np.maximum(chart.scales, np.abs(dependent)))
+    slopes = chart.loops.jacobian(dependent) * scales
+    if not np.isfinite(slopes).all():
+        return free
+    _, sizes, directions = np.linalg.svd(slopes / row_sizes(slopes))
+    rank = int((sizes > DEAD * sizes.max(initial=0.0)).sum())
+    for direction in [*directions[rank:], *-directions[rank:]]:
+        moved = _moved(chart.loops, dependent, scales, direction)
+        if moved is not None:
+            free |= np.abs(moved) > DISTINCT
+    return free
+
+
+def _moved(loops: Loops, dependent: Floats, scales: Floats, direction: Floats) -> Floats | None:
+    """The motion, in units of scales, from a solution to that at the last of `STEPS`; None unless there is one at each.
+
+    It is sought in the plane that is normal to the direction, at that distance, by the Gauss-Newton method.
+    """
+    for step in STEPS:
+        moved = step * direction
+        for _ in range(MAX_CORRECTIONS):
+            error, slopes = loops.position(dependent + scales * moved)
+            if not np.isfinite(slopes).all():
+                return None
+            off = direction @ moved - step
+            if abs(off) <= DISTINCT and _is_exact(loops, dependent + scales * moved):
+                break
+            size = row_sizes(slopes * scales)
+            rows, gaps = np.vstack((slopes * scales / size, direction)), np.append(error / size[:, 0], off)
+            moved = moved - np.linalg.lstsq(rows, gaps, rcond=SINGULAR)[0]
+        else:
+            return None
+        if np.linalg.norm(moved) > 2.0 * step:
+            return None
+    return moved
+
+
 def _starting_points(
     chart: _Chart, partial: list[Floats], rest: Sequence[int], start: Floats, generator: np.random.Generator
 ) -> Iterator[Floats]:
@@ -404,15 +480,22 @@ def _search(
     start: Floats,
     generator: np.random.Generator,
     progress: Progress,
-) -> list[Floats]:
-    """Solutions by a multistart search."""
+) -> tuple[list[Floats], NDArray[np.bool_]]:
+    """Solutions by a multistart search, and which coordinates can move in one of them, with which the search ends."""
     found: list[Floats] = []
+    free = np.zeros(len(start), dtype=bool)
     in_vain = 0
-    for begin in _starting_points(chart, partial, rest, start, generator):
+    others = _starting_points(chart, partial, rest, start, generator)
+    for number, begin in enumerate(chain(partial, others), start=1):
         progress.stage(f"{len(found)} found")
         dependent = chart.loops.search(begin)
-        news = dependent is not None and chart.add(dependent, found)
-        in_vain = 0 if news else in_vain + 1
+        if dependent is not None and chart.add(dependent, found):
+            in_vain = 0
+            free |= _free(chart, dependent)
+        else:
+            in_vain += 1
+        if free.any() and number >= len(partial):
+            break
         if in_vain >= max(WITHOUT_NEWS, 2 * len(partial)) or len(found) >= MAX_MODES:
             break
-    return found
+    return found, free

@@ -82,7 +82,7 @@ def initial_states(
 
     loops, u_i, start = _given(model, coordinates, speeds, t, None, parameters, inputs)
     with Progress(f"{model.name}: ways to close the loops") as progress:
-        found, is_complete = closed_coordinates(loops, start, progress) if model.n_h else ([start], True)
+        found, is_complete, free = closed_coordinates(loops, start, progress) if model.n_h else ([start], True, ())
     z = _auxiliary_values(model, auxiliary_states)
     states = []
     for dependent in found:
@@ -92,7 +92,8 @@ def initial_states(
         except UndeterminedSpeedsError:
             u = np.concatenate((u_i, np.full(model.n_u - len(u_i), np.nan)))
         states.append(np.concatenate((q, u, z)))
-    return AssemblyModes(model, loops.t, np.reshape(states, (len(states), model.n_x)), is_complete, loops.p, loops.r)
+    x = np.reshape(states, (len(states), model.n_x))
+    return AssemblyModes(model, loops.t, x, is_complete, loops.p, loops.r, free)
 
 
 def _warn_of_degrees(model: Kernel, q_i: Floats) -> None:

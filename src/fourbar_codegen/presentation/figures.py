@@ -215,8 +215,10 @@ def plot_modes(modes: AssemblyModes) -> Figure:
     figure, cells = _figure(len(states), drawn.is_planar)
     figure.suptitle(
         f"{model.name}: {len(modes)} assembly modes"
-        + ("" if modes.is_complete else ", or more")
+        + ("" if modes.is_complete else " of infinitely many" if modes.free else ", or more")
         + ("" if len(states) == len(modes) else f"; the first {len(states)}")
+        + (f"\n{_label(modes.freedom)}" if modes.free else ""),
+        wrap=True,
     )
     low, high = drawn.positions.min(axis=(0, 2)), drawn.positions.max(axis=(0, 2))
     n_qi = model.n_q - model.manifest["n_dependent_coordinates"]

@@ -190,7 +190,7 @@ def test_lengths_are_parameters():
     model = fb.compile_model(fb.Linkage("plate", points=points, ground=ground, links=links, density=1.0).model())
     assert {"l_AB", "l_BC", "l_BP", "l_CP", "l_CD", "x_D", "y_D"} <= {*model.parameters}
     changed = {"l_BC": 0.35, "l_BP": 0.3, "l_CP": 0.2}
-    place = model.positions(0.0, model.initial_state(parameters=changed)[:3], parameters=changed)
+    place = model.positions(0.0, model.initial_state(parameters=changed)[:3], {**model.defaults, **changed})
     for a, b, length in (("B", "C", 0.35), ("B", "P", 0.3), ("C", "P", 0.2)):
         assert np.linalg.norm(place[a] - place[b]) == pytest.approx(length, abs=1e-14)
     # On the side where it was drawn: left of the way from B to C.

@@ -94,7 +94,7 @@ class Linkage:
     ) -> None:
         self.name = name
         self._parts = Parts()
-        self._system: System | None = None
+        self._system: tuple[System, list[me.Point]] | None = None
         self._density = None if density is None else self._quantity(density, "rho", "kg/m", "mass of links by length")
         if gravity is not None:
             self._parts.gravity = self._quantity(gravity, "g", "m/s^2", "gravitational acceleration")
@@ -241,10 +241,10 @@ class Linkage:
             raise ModelError(f"A link's name is letters, digits and underscores, and not {GROUND}; {own!r} is not.")
         if own in parts.links:
             raise ModelError(f"There are two links {own}.")
-        if own in parts.points:
-            raise ModelError(f"{own} is a point: give the link another name.")
         if len(members) < 2 or len({*members}) < len(members):
             raise ModelError(f"Link {own} needs two and more different points, not {', '.join(members) or 'none'}.")
+        if own in parts.points:
+            raise ModelError(f"{own} is a point: give the link another name.")
         if density is not None and mass is not None:
             raise ModelError(f"Link {own} has a density and a mass: give one of them.")
         if density is None and mass is None and center is None and inertia is None:
@@ -468,7 +468,7 @@ class Linkage:
         ModelError
             As `mobility` and `fourbar_codegen.Model`.
         """
-        system, parameters = self._built()
+        system, points, parameters = self._built()
         tree, mobility = self._analyzed()
         names = tree.coordinates
         initial = {f"q_{name}": float(value) for name, value in zip(names, tree.values, strict=True)}
@@ -485,7 +485,7 @@ class Linkage:
         }  # fmt: skip
         for argument, values in own.items():
             options[argument] = _merged(values, options.get(argument), argument)
-        return Model(system, **{"name": self.name, **options})
+        return Model(system, **{"name": self.name, "points": points, **options})
 
     def __repr__(self) -> str:
         parts = self._parts
@@ -558,8 +558,7 @@ class Linkage:
         if link in at_joint and len(others) == 2:
             return str(link), next(name for name in others if name != link)
         raise ModelError(
-            f"The {what} at {at} is between two of {', '.join(others) or 'no links'}: name a link (or link=) on which it "
-            "acts."
+            f"The {what} at {at} is between two of {', '.join(others) or 'no links'}: name the link on which it acts."
         )
 
     def _ends(self, a: str, b: str, what: str) -> tuple[tuple[str, str], str]:
@@ -586,6 +585,12 @@ class Linkage:
         idle = [point for point in parts.slides if point not in used]
         if idle:
             raise ModelError(f"No link is pinned to the blocks at {', '.join(idle)}.")
+        weights = [
+            *parts.masses,
+            *(name for name, link in parts.links.items() if link.density is not None or link.mass),
+        ]
+        if parts.gravity is not None and not weights:
+            raise ModelError("There is gravity, but nothing has a mass: give a density, or masses of links or points.")
         size, distances = self._size(), {}
         for name, link in parts.links.items():
             if {*link.points} <= {*parts.ground}:
@@ -640,12 +645,15 @@ class Linkage:
             )
         return tree, mobility
 
-    def _built(self) -> tuple[System, dict[sm.Symbol, Parameter]]:
+    def _built(self) -> tuple[System, list[me.Point], dict[sm.Symbol, Parameter]]:
         tree, mobility = self._analyzed()
         shape = geometry(tree, tuple(dict.fromkeys(self._parts.ground)))
         if self._system is None:
             self._system = build_system(self._parts, tree, shape, mobility.independent, bool(mobility.redundant))
-        return self._system, {**shape.parameters, **self._parts.parameters}
+        own = {**self._parts.parameters}
+        if self._density is not None and all(link.density != self._density for link in self._parts.links.values()):
+            own.pop(self._density, None)
+        return *self._system, {**shape.parameters, **own}
 
 
 def _pair(given: Any, what: str) -> complex:

@@ -108,7 +108,9 @@ def _side(a: str, b: str) -> str:
     return f"l_{a}{b}" if len(a) == len(b) == 1 else f"l_{a}_{b}"
 
 
-def build_system(parts: Parts, tree: Tree, shape: Geometry, independent: Sequence[int], redundant: bool) -> System:
+def build_system(
+    parts: Parts, tree: Tree, shape: Geometry, independent: Sequence[int], redundant: bool
+) -> tuple[System, list[me.Point]]:
     """The System: bodies, joints of the tree by positions, cut joints and drives by constraints, loads.
 
     Parameters
@@ -124,6 +126,8 @@ def build_system(parts: Parts, tree: Tree, shape: Geometry, independent: Sequenc
     Returns
     -------
     System
+    list of Point
+        Those with names.
     """
     t, ground = me.dynamicsymbols._t, me.ReferenceFrame("N")
     origin = me.Point("")
@@ -188,7 +192,7 @@ def build_system(parts: Parts, tree: Tree, shape: Geometry, independent: Sequenc
     system.add_kdes(*(w - c.diff(t) for c, w in zip(q, u, strict=True)))
     if not redundant:
         system.validate_system()
-    return system
+    return system, list(known.values())
 
 
 def distribution(link: Link, name: str, shape: Geometry, tree: Tree) -> tuple[sm.Expr, Vector, sm.Expr]:

@@ -113,3 +113,13 @@ def test_the_rider(said):
     assert violation < 1e-10
     assert lean < 0.2
     assert ridden == pytest.approx(4 * 4.5, rel=0.05)
+
+
+def test_the_mechanisms(said):
+    """Ways in which they close: two for each dyad that closes independently (what is drawn is in test_kinematics)."""
+    text = said("11_mechanisms")
+    branches = dict(re.findall(r"(\w+): (\d+) branches", text))
+    assert len(branches) == 12
+    assert [branches[name] for name in ("crank_rocker", "slider_crank", "quick_return", "peaucellier", "hoeken")] == [
+        "2", "2", "2", "4", "2",
+    ]  # fmt: skip

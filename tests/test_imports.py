@@ -56,6 +56,7 @@ DOORS = {
     ("results.ensemble", "presentation.storage"),
     ("results.ensemble", "presentation.figures"),
     ("analysis.assembly_modes", "presentation.figures"),
+    ("analysis.drive", "presentation.figures"),
     ("modeling.model", "dynamics.equations"),
     ("modeling.model", "dynamics.unknown_forces"),
 }

@@ -1,5 +1,6 @@
 """Linkages by their points: the same motion as by hand, known mobilities, and what mistakes are told."""
 
+from itertools import pairwise
 from math import sqrt
 
 import natural_coordinates
@@ -29,10 +30,12 @@ LINKAGES = {
         {"A": (0, 0), "B": (0.1, 0.05), "C": (0.3, 0.3), "D": (0.4, 0)}, "AD", ["AB", "BC", "CD"]
     ),
     "coupler plate": (
-        {"A": (0, 0), "B": (0.1, 0.05), "C": (0.3, 0.3), "D": (0.4, 0), "P": (0.15, 0.4)}, "AD", ["AB", "BCP", "CD"]
+        {"A": (0, 0), "B": (0.1, 0.05), "C": (0.3, 0.3), "D": (0.4, 0), "P": (0.15, 0.4)},
+        "AD", ["AB", "BCP", "CD"],
     ),
     "five-bar": (
-        {"A": (0, 0), "B": (-0.1, 0.3), "C": (0.2, 0.5), "D": (0.5, 0.25), "E": (0.4, 0)}, "AE", ["AB", "BC", "CD", "DE"]
+        {"A": (0, 0), "B": (-0.1, 0.3), "C": (0.2, 0.5), "D": (0.5, 0.25), "E": (0.4, 0)},
+        "AE", ["AB", "BC", "CD", "DE"],
     ),
     "Peaucellier": (
         {"O": (0, 0), "Q": (1.5, 0), "B": (3, 0), "A": RHOMBUS, "C": (RHOMBUS[0], -RHOMBUS[1]), "D": (16 / 3, 0)},
@@ -43,7 +46,8 @@ LINKAGES = {
         "OG", ["OA", "AC", "AD", "GCE", "GD", "EF", "FDH"],
     ),
     "parallelogram with a bar too many": (
-        {"A": (0, 0), "B": (0, 1), "C": (1, 1), "D": (1, 0), "E": (0.5, 0), "F": (0.5, 1)}, "AED", ["AB", "BFC", "CD", "EF"]
+        {"A": (0, 0), "B": (0, 1), "C": (1, 1), "D": (1, 0), "E": (0.5, 0), "F": (0.5, 1)},
+        "AED", ["AB", "BFC", "CD", "EF"],
     ),
     "double pendulum": ({"A": (0, 0), "B": (0.4, 0.1), "C": (0.5, 0.5)}, "A", ["AB", "BC"]),
 }  # fmt: skip
@@ -51,12 +55,12 @@ LINKAGES = {
 
 
 def bars_of(links):
-    """The bars of links with mass: links with two points, sides of plates, a bar from end to end of points on a line."""
+    """The bars of links with mass, and rods without: sides of plates; points on a line are on one bar, by rods."""
     on_line = [link for link in links if link == "BFC"]
     bars = [link for link in links if len(link) == 2] + [link[0] + link[-1] for link in on_line]
     plates = [link for link in links if len(link) > 2 and link not in on_line]
     bars += [a + b for link in plates for a, b in zip(link, link[1:] + link[0], strict=True)]
-    return bars, [a + b for link in on_line for a, b in zip(link, link[1:], strict=False)]
+    return bars, [a + b for link in on_line for a, b in pairwise(link)]
 
 
 @pytest.mark.parametrize("name", LINKAGES)

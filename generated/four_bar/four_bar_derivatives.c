@@ -86,6 +86,146 @@ static void drawing(double t, const double *restrict x, const double *restrict c
     forces[2] = 0.0;
 }
 
+/* q'', and velocities and accelerations of the drawn points, with u' given. */
+static void motion(double t, const double *restrict x, const double *restrict constants,
+    const double *restrict r, const double *restrict accelerations, double *restrict coordinate_accelerations,
+    double *restrict point_velocities, double *restrict point_accelerations)
+{
+    (void)t;
+    (void)r;
+    const double q1 = x[0];
+    const double z0 = sin(q1);
+    const double u1 = x[3];
+    const double z1 = u1*z0;
+    const double l2 = constants[2];
+    const double z2 = l2*z1;
+    point_velocities[9] = (-1.0/2.0)*z2;
+    point_velocities[12] = -z2;
+    point_velocities[15] = -z2;
+    const double z3 = cos(q1);
+    const double z4 = u1*z3;
+    const double z5 = l2*z4;
+    point_velocities[10] = (1.0/2.0)*z5;
+    point_velocities[13] = z5;
+    point_velocities[16] = z5;
+    const double q2 = x[1];
+    const double z6 = cos(q2);
+    const double z7 = sin(q2);
+    const double u2 = x[4];
+    const double z8 = u2*z7;
+    const double z9 = u2*z6;
+    const double z10 = z6*z1 + z3*z8 + z7*z4 + z0*z9;
+    const double l3 = constants[3];
+    const double z11 = l3*z10;
+    const double z12 = 2.0*z2 + z11;
+    point_velocities[18] = (-1.0/2.0)*z12;
+    const double z13 = z6*z4 - z0*z8 - z7*z1 + z3*z9;
+    const double z14 = l3*z13;
+    const double z15 = z5 + (1.0/2.0)*z14;
+    point_velocities[19] = z15;
+    const double z16 = z11 + z12;
+    point_velocities[21] = (-1.0/2.0)*z16;
+    point_velocities[24] = (-1.0/2.0)*z16;
+    const double z17 = (1.0/2.0)*z14 + z15;
+    point_velocities[22] = z17;
+    point_velocities[25] = z17;
+    const double q3 = x[2];
+    const double z18 = sin(q3);
+    const double u3 = x[5];
+    const double z19 = u3*z18;
+    const double z20 = z3*z6 - z0*z7;
+    const double z21 = cos(q3);
+    const double z22 = u3*z21;
+    const double z23 = z0*z6 + z3*z7;
+    const double l4 = constants[4];
+    const double z24 = l4*(z19*z20 + z22*z23 + z21*z10 + z18*z13);
+    const double z25 = z16 + z24;
+    point_velocities[27] = (-1.0/2.0)*z25;
+    point_velocities[30] = (-1.0/2.0)*(z24 + z25);
+    const double z26 = l4*(z19*z23 - z22*z20 - z21*z13 + z18*z10);
+    const double z27 = z17 - (1.0/2.0)*z26;
+    point_velocities[28] = z27;
+    point_velocities[31] = -((1.0/2.0)*z26 - z27);
+    const double u1_rate = accelerations[0];
+    const double z28 = u1*z4 + u1_rate*z0;
+    const double z29 = l2*z28;
+    point_accelerations[9] = (-1.0/2.0)*z29;
+    point_accelerations[12] = -z29;
+    point_accelerations[15] = -z29;
+    const double z30 = u1*z1 - u1_rate*z3;
+    const double z31 = l2*z30;
+    point_accelerations[10] = (-1.0/2.0)*z31;
+    point_accelerations[13] = -z31;
+    point_accelerations[16] = -z31;
+    const double u2_rate = accelerations[1];
+    const double z32 = u2_rate*z7 + u2*z9;
+    const double z33 = u2_rate*z6 - u2*z8;
+    const double z34 = 2.0*z1*z8 - z6*z28 - z3*z32 - 2.0*z4*z9 + z7*z30 - z0*z33;
+    const double z35 = l3*z34;
+    const double z36 = 2.0*z29 - z35;
+    point_accelerations[18] = (-1.0/2.0)*z36;
+    const double z37 = 2.0*z4*z8 + z6*z30 + z0*z32 + 2.0*z1*z9 + z7*z28 - z3*z33;
+    const double z38 = l3*z37;
+    const double z39 = z31 + (1.0/2.0)*z38;
+    point_accelerations[19] = -z39;
+    const double z40 = z35 - z36;
+    point_accelerations[21] = (1.0/2.0)*z40;
+    point_accelerations[24] = (1.0/2.0)*z40;
+    const double z41 = (1.0/2.0)*z38 + z39;
+    point_accelerations[22] = -z41;
+    point_accelerations[25] = -z41;
+    const double u3_rate = accelerations[2];
+    const double z42 = u3_rate*z18 + u3*z22;
+    const double z43 = u3_rate*z21 - u3*z19;
+    const double z44 = z20*z42 + z23*z43 - 2.0*z19*z10 - z21*z34 + 2.0*z22*z13 - z18*z37;
+    const double z45 = l4*z44;
+    const double z46 = z40 - z45;
+    point_accelerations[27] = (1.0/2.0)*z46;
+    point_accelerations[30] = (-1.0/2.0)*(z45 - z46);
+    const double z47 = z23*z42 - z20*z43 + 2.0*z19*z13 + z21*z37 + 2.0*z22*z10 - z18*z34;
+    const double z48 = l4*z47;
+    const double z49 = z41 + (1.0/2.0)*z48;
+    coordinate_accelerations[0] = u1_rate;
+    coordinate_accelerations[1] = u2_rate;
+    coordinate_accelerations[2] = u3_rate;
+    point_velocities[0] = 0.0;
+    point_velocities[1] = 0.0;
+    point_velocities[2] = 0.0;
+    point_velocities[3] = (0.0/1.0);
+    point_velocities[4] = 0.0;
+    point_velocities[5] = 0.0;
+    point_velocities[6] = (0.0/1.0);
+    point_velocities[7] = 0.0;
+    point_velocities[8] = 0.0;
+    point_velocities[11] = 0.0;
+    point_velocities[14] = 0.0;
+    point_velocities[17] = 0.0;
+    point_velocities[20] = 0.0;
+    point_velocities[23] = 0.0;
+    point_velocities[26] = 0.0;
+    point_velocities[29] = 0.0;
+    point_velocities[32] = 0.0;
+    point_accelerations[0] = 0.0;
+    point_accelerations[1] = 0.0;
+    point_accelerations[2] = 0.0;
+    point_accelerations[3] = (0.0/1.0);
+    point_accelerations[4] = 0.0;
+    point_accelerations[5] = 0.0;
+    point_accelerations[6] = (0.0/1.0);
+    point_accelerations[7] = 0.0;
+    point_accelerations[8] = 0.0;
+    point_accelerations[11] = 0.0;
+    point_accelerations[14] = 0.0;
+    point_accelerations[17] = 0.0;
+    point_accelerations[20] = 0.0;
+    point_accelerations[23] = 0.0;
+    point_accelerations[26] = 0.0;
+    point_accelerations[28] = -z49;
+    point_accelerations[29] = 0.0;
+    point_accelerations[31] = -((1.0/2.0)*z48 + z49);
+    point_accelerations[32] = 0.0;
+}
+
 /* d/dx of q', and of f - M u' + J^T lambda and -(J u' + gamma) with u' and lambda held. */
 static void sensitivity(double t, const double *restrict x, const double *restrict constants,
     const double *restrict r, const double *restrict accelerations, const double *restrict multipliers,
@@ -522,6 +662,7 @@ const fb_derivatives four_bar_derivatives = {
     .abi_version = FB_ABI_VERSION,
     .struct_size = sizeof(fb_derivatives),
     .drawing = drawing,
+    .motion = motion,
     .sensitivity = sensitivity,
     .parameter_sensitivity = parameter_sensitivity,
     .input_sensitivity = input_sensitivity,

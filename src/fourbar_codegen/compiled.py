@@ -20,6 +20,7 @@ from fourbar_codegen.simulation.simulate import make_stepper, simulate
 
 if TYPE_CHECKING:
     from fourbar_codegen.analysis.assembly_modes import AssemblyModes
+    from fourbar_codegen.analysis.drive import Kinematics
     from fourbar_codegen.kernel.inputs import InputSource
     from fourbar_codegen.results.ensemble import Ensemble
     from fourbar_codegen.results.trajectory import Trajectory
@@ -393,6 +394,63 @@ class CompiledModel(Kernel):
             inputs=inputs,
             auxiliary_states=auxiliary_states,
         )
+
+    def kinematics(
+        self,
+        drive: Mapping[Any, ArrayLike],
+        *,
+        rates: Mapping[Any, float] | None = None,
+        accelerations: Mapping[Any, float] | None = None,
+        parameters: Values | None = None,
+        inputs: Mapping[Any, float] | None = None,
+        t: float = 0.0,
+    ) -> Kinematics:
+        """Positions, velocities and accelerations along a drive, in all ways in which the loops close.
+
+        Branches are continued by arc length, through the positions where the drive has to turn round: dead points,
+        which are also the limits of the range where the loops can close. They are found from the assembly modes at nine
+        places along the drive; a branch that closes at none of these is missed. Masses and forces need no values.
+
+        Parameters
+        ----------
+        drive : mapping of coordinate or prescribed motion to array_like, shape (n,)
+            As many as the mechanism has degrees of freedom; values are passed in their order, linearly in between.
+        rates, accelerations : mapping of str to float, optional
+            Of the driven quantities, constant; by default 1 and 0, so that velocities are derivatives with respect to
+            the drive.
+        parameters : array_like or mapping, optional
+        inputs : mapping of str to float, optional
+            Values of inputs that prescribe other motions, and of their rates.
+        t : float, optional
+            The time at which constraints are evaluated, s.
+
+        Returns
+        -------
+        Kinematics
+            A sequence of branches with the coordinates, points and their derivatives, and ``dead_points``.
+
+        Raises
+        ------
+        ModelError
+            If an argument has a wrong name or shape, or the drive leaves a degree of freedom.
+        AssemblyError
+            If the loops close nowhere along the drive.
+
+        Source: E. L. Allgower and K. Georg, *Introduction to Numerical Continuation Methods*, SIAM 2003.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> import numpy as np
+        >>> four_bar = fb.load("four_bar")
+        >>> lengths = {"l1": 0.8, "l2": 0.2, "l3": 0.7, "l4": 0.6}
+        >>> found = four_bar.kinematics({"q1": np.linspace(0.0, 2 * np.pi, 73)}, parameters=lengths)
+        >>> len(found), len(found.dead_points), bool(found.closes.all())
+        (2, 0, True)
+        """
+        from fourbar_codegen.analysis.drive import kinematics
+
+        return kinematics(self, drive, rates, accelerations, parameters, inputs, t)
 
     def ode(self, parameters: Values | None = None, inputs: Mapping[Any, InputSource] | None = None) -> Ode:
         """The right-hand side as a callable f(t, x), for `scipy.integrate.solve_ivp` and similar integrators.

@@ -173,6 +173,10 @@ def _compiled_results(
                 compiled.output_sensitivities(t, x, accelerations, multipliers, p, r)[3:],
             ),
             "drawing": ([e.points, e.forces], compiled.drawing(t, x, p, r)),
+            "motion": (
+                [d.coordinate_accelerations, d.point_velocities, d.point_accelerations],
+                compiled.motion(t, x, accelerations, p, r),
+            ),
             "sensitivity": ([d.coordinate_rate_jacobian, d.residual_jacobian], sensitivities[0:2]),
             "parameter_sensitivity": (
                 [d.coordinate_rate_parameter_jacobian, d.residual_parameter_jacobian],

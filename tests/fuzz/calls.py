@@ -212,6 +212,7 @@ def calls_of(name: str) -> dict[str, Call]:
         calls.add(function, getattr(model, function), t=0.3, q=x0[: model.n_q], **values, may_be_nan=raw)
     acceleration, multipliers = model.accelerations(0.3, x0)
     change = x0[model.n_q :]
+    calls.add("motion", model.motion, **state, accelerations=acceleration, **values, may_be_nan=True)
     calls.add("coordinate_change", model.coordinate_change, **state, change=change, **values, may_be_nan=True)
     held = {"accelerations": acceleration, "multipliers": multipliers}
     for function in (

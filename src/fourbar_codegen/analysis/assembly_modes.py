@@ -263,13 +263,14 @@ class _Chart:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the dependent coordinates."""
-        return self.loops.model.coordinates[-self.loops.n_dependent :]
+        return self.loops.names
 
     @classmethod
     def of(cls, loops: Loops, start: Floats, generator: np.random.Generator) -> _Chart:
         """A chart from the structure of the constraints, and their values at random coordinates."""
         constraints, rows = _constraints(loops), range(loops.model.n_h)
-        given, names = np.split(np.array(loops.model.coordinates, dtype=object), [len(loops.q_i)])
+        names = loops.names
+        given = [name for name in loops.model.coordinates if name not in names]
         # Independent angles between -pi and pi, since sines of large ones have fewer digits in double precision.
         turns = [all(constraints.is_periodic(row, name) for row in rows) for name in given]
         loops = replace(loops, q_i=np.where(turns, np.remainder(loops.q_i + np.pi, 2 * np.pi) - np.pi, loops.q_i))

@@ -42,9 +42,11 @@ class Loops:
     model : Kernel
     t : float
     q_i : ndarray
-        The independent coordinates.
+        The coordinates that are given: the independent ones, unless `given` names others.
     p, r : ndarray or None
         Parameters and inputs.
+    given : tuple of int or None
+        Numbers of the given coordinates, in ascending order; None for the first ones. All others are dependent.
     """
 
     model: Kernel
@@ -52,6 +54,18 @@ class Loops:
     q_i: Floats
     p: Floats | None
     r: Floats | None
+    given: tuple[int, ...] | None = None
+
+    @cached_property
+    def dependent(self) -> list[int]:
+        """Numbers of the dependent coordinates."""
+        given = range(len(self.q_i)) if self.given is None else self.given
+        return [number for number in range(self.model.n_q) if number not in given]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the dependent coordinates."""
+        return tuple(self.model.coordinates[number] for number in self.dependent)
 
     @property
     def n_dependent(self) -> int:
@@ -60,14 +74,18 @@ class Loops:
 
     def coordinates(self, dependent: Floats) -> Floats:
         """All of them."""
-        return np.concatenate((self.q_i, dependent))
+        if self.given is None:
+            return np.concatenate((self.q_i, dependent))
+        q = np.empty(self.model.n_q)
+        q[list(self.given)], q[self.dependent] = self.q_i, dependent
+        return q
 
     def position(self, dependent: Floats) -> tuple[Floats, Floats]:
         """The residual and its derivatives with respect to the dependent coordinates."""
         if not np.isfinite(dependent).all():  # a diverging step of a solver
             return np.full(self.model.n_h, np.inf), np.full((self.model.n_h, len(dependent)), np.inf)
         error, slopes = self.model.position(self.t, self.coordinates(dependent), self.p, self.r)
-        return error, slopes[:, len(self.q_i) :]
+        return error, slopes[:, self.dependent]
 
     def residual(self, dependent: Floats) -> Floats:
         """The residual alone."""
@@ -108,7 +126,7 @@ class Loops:
             allowed = CLOSED * self.scale(q)
         else:
             within = np.where(self.angles, np.remainder(q + np.pi, TURN) - np.pi, q)
-            with_own = np.concatenate((self.q_i, within[len(self.q_i) :]))
+            with_own = self.coordinates(within[self.dependent])
             allowed = CLOSED * self.scale(within) + ROUNDING * self.scale(with_own)
         return np.asarray((np.abs(self.residual(dependent)) <= allowed) & np.isfinite(allowed))
 

@@ -77,6 +77,7 @@ def manifest_of(
             {"name": name, "body": point.body}
             for name, point in zip(_distinct([point.name for point in picture.points]), picture.points, strict=True)
         ],
+        "geometry": _geometry(equations, names["parameters"]),
         "shapes": [{"kind": shape.kind, "name": shape.name, "points": list(shape.points)} for shape in picture.shapes],
         "not_drawn": list(picture.not_drawn),
         "forced_points": list(equations.forced),
@@ -96,6 +97,14 @@ def _angles(equations: Equations, names: Sequence[str]) -> list[str]:
     calls = (node for node in tape.nodes if isinstance(node, Call) and node.expression.func in (sm.sin, sm.cos))
     reached = {*tape.reach(Scalar(tape, 1, argument) for call in calls for argument in call.arguments)}
     return [name for name, q in zip(names, equations.coordinates, strict=True) if q.node in reached]
+
+
+def _geometry(equations: Equations, names: Sequence[str]) -> list[str]:
+    """The parameters that positions, velocity constraints and coordinates' rates depend on: lengths, not masses."""
+    e = equations
+    results = (e.position_constraints, e.velocity_violation, e.coordinate_rates, e.points, e.default_inputs)
+    reached = {*e.tape.reach(entry for result in results for entry in result.entries)}
+    return [name for name, leaf in zip(names, e.parameters, strict=True) if leaf.node in reached]
 
 
 def _open_outputs(equations: Equations, program: Program, names: Sequence[str]) -> list[str]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from fourbar_codegen.dynamics.equations import Equations, matrix
+from fourbar_codegen.dynamics.equations import Equations, matrix, vector
 from fourbar_codegen.expressions.derivatives import Jvp, jacobian
 from fourbar_codegen.expressions.tape import Result, Scalar
 
@@ -37,6 +37,10 @@ class Derivatives:
         d(J u + b)/dq, (n_c, n_q), and d(J u + b)/dr, (n_c, n_r).
     position_input_jacobian : Result
         dPhi/dr, (n_h, n_r).
+    coordinate_accelerations : Result
+        q'' for given u', (n_q,).
+    point_velocities, point_accelerations : Result
+        Of the drawn points, for given u', (n_points, 3). Inputs whose rates are no inputs count as constant.
     """
 
     coordinate_rate_jacobian: Result
@@ -56,6 +60,9 @@ class Derivatives:
     velocity_jacobian: Result
     velocity_input_jacobian: Result
     position_input_jacobian: Result
+    coordinate_accelerations: Result
+    point_velocities: Result
+    point_accelerations: Result
 
 
 def form_derivatives(equations: Equations) -> Derivatives:
@@ -89,7 +96,20 @@ def form_derivatives(equations: Equations) -> Derivatives:
         for name, of in (("coordinate_rate", e.coordinate_rates), ("residual", e.residual)):
             key = f"{name}{kind}_jacobian"
             formed[key] = matrix(key, [[d(row) for d in directions] for row in of.entries], len(variables))
+    rate = Jvp(
+        e.tape,
+        {
+            e.time: e.tape.one,
+            **dict(zip(e.coordinates, e.coordinate_rates.entries, strict=True)),
+            **dict(zip(e.speeds, e.accelerations, strict=True)),
+            **{e.inputs[place]: e.inputs[of_rate] for place, of_rate in e.input_rates},
+        },
+    )
+    velocities = [rate(entry) for entry in e.points.entries]
     return Derivatives(
+        coordinate_accelerations=vector("coordinate_accelerations", map(rate, e.coordinate_rates.entries)),
+        point_velocities=Result("point_velocities", e.points.shape, tuple(velocities)),
+        point_accelerations=Result("point_accelerations", e.points.shape, tuple(map(rate, velocities))),
         output_jacobian=backwards("output_jacobian", e.outputs, state),
         output_parameter_jacobian=backwards("output_parameter_jacobian", e.outputs, e.parameters),
         output_input_jacobian=backwards("output_input_jacobian", e.outputs, e.inputs),

@@ -42,7 +42,7 @@ from fourbar_codegen.expressions.identities import deduplicate, is_zero
 from fourbar_codegen.expressions.tape import Result, Scalar, Tape
 from fourbar_codegen.modeling.model import InputEntry, Model, multiplier
 
-__all__ = ["Equations", "check_velocity_constraints", "form_equations", "matrix"]
+__all__ = ["Equations", "check_velocity_constraints", "form_equations", "matrix", "vector"]
 
 MOTIONS = 5
 ROUNDED = 1e-9
@@ -67,6 +67,8 @@ class Equations:
     coordinates, speeds, auxiliary_states, parameters, inputs : tuple of Scalar
         The leaves, in the order of the state and argument arrays. Parameters are those that the model names or the
         equations need. Inputs that prescribe a motion are followed by their rates.
+    input_rates : tuple of (int, int)
+        Numbers of the inputs whose rates are inputs too, and of these.
     moving : tuple of int
         The inputs that positions, velocities or constraints depend on.
     accelerations : tuple of Scalar
@@ -145,6 +147,7 @@ class Equations:
     auxiliary_states: tuple[Scalar, ...]
     parameters: tuple[Scalar, ...]
     inputs: tuple[Scalar, ...]
+    input_rates: tuple[tuple[int, int], ...]
     moving: tuple[int, ...]
     accelerations: tuple[Scalar, ...]
     multipliers: tuple[Scalar, ...]
@@ -298,34 +301,34 @@ def form_equations(model: Model) -> Equations:
     points = picture.positions
     applied = applied_forces(tape, mechanism, kinematics, picture.points, v.r, (*v.aux, *v.unknown))
     results = [
-        _vector("outputs", [*forces.values, *(convert(expr) for expr in model.output_expressions.values())]),
-        _vector("state_rates", state_rates),
-        _vector("coordinate_rates", q_rates),
+        vector("outputs", [*forces.values, *(convert(expr) for expr in model.output_expressions.values())]),
+        vector("state_rates", state_rates),
+        vector("coordinate_rates", q_rates),
         matrix("mass_matrix", mass_matrix, n_u),
-        _vector("forcing", forcing),
-        _vector("force_effect", forces.effect),
+        vector("forcing", forcing),
+        vector("force_effect", forces.effect),
         matrix("force_effect_jacobian", jacobian(tape, forces.effect, forces.driving), n_n),
-        _vector("auxiliary_forcing", forces.forcing),
+        vector("auxiliary_forcing", forces.forcing),
         matrix("auxiliary_forcing_jacobian", jacobian(tape, forces.forcing, forces.driving), n_n),
         matrix("auxiliary_mass", forces.mass, n_u),
         matrix("auxiliary_constraint_jacobian", forces.constraint_jacobian, len(lam)),
-        _vector("position_constraints", constraints.positions),
+        vector("position_constraints", constraints.positions),
         matrix("position_jacobian", position_jacobian(tape, constraints, v.q, q_rates, v.u), n_q),
         matrix("constraint_jacobian", constraints.jacobian, n_u),
-        _vector("velocity_bias", substitute(tape, constraints.velocities, dict.fromkeys(v.u, tape.zero))),
-        _vector("acceleration_bias", constraints.acceleration_bias),
-        _vector("position_violation", corrections.violation),
-        _vector("velocity_violation", constraints.velocities),
-        _vector("position_scale", map(rounding, constraints.positions)),
-        _vector("position_violation_scale", corrections.scale),
-        _vector("velocity_violation_scale", map(rounding, constraints.velocities)),
-        _vector("invariant_correction", corrections.coordinate_change),
-        _vector("coordinate_change", map(Jvp(tape, dict(zip(v.u, v.a, strict=True))), q_rates)),
-        _vector("energies", energies),
-        _vector("power", [generalized.power]),
+        vector("velocity_bias", substitute(tape, constraints.velocities, dict.fromkeys(v.u, tape.zero))),
+        vector("acceleration_bias", constraints.acceleration_bias),
+        vector("position_violation", corrections.violation),
+        vector("velocity_violation", constraints.velocities),
+        vector("position_scale", map(rounding, constraints.positions)),
+        vector("position_violation_scale", corrections.scale),
+        vector("velocity_violation_scale", map(rounding, constraints.velocities)),
+        vector("invariant_correction", corrections.coordinate_change),
+        vector("coordinate_change", map(Jvp(tape, dict(zip(v.u, v.a, strict=True))), q_rates)),
+        vector("energies", energies),
+        vector("power", [generalized.power]),
         matrix("points", points, 3),
         matrix("forces", list(applied.values()), 3),
-        _vector("residual", (*dynamic, *kinematic, *forces.rows, *state_rates)),
+        vector("residual", (*dynamic, *kinematic, *forces.rows, *state_rates)),
     ]
     _check_places(tape, model, v.unknown, results)
     entries = [*chain.from_iterable(result.entries for result in results)]
@@ -335,7 +338,7 @@ def form_equations(model: Model) -> Equations:
     moved = set(tape.reach(moving))
     nan = tape.number(float("nan"))
     defaults = [nan if e.expression is None else convert(e.expression) for e in inputs.values()]
-    default_inputs = _vector("inputs", defaults)
+    default_inputs = vector("inputs", defaults)
     entries += defaults
     moving += [default for leaf, default in zip(inputs, defaults, strict=True) if leaf.node in moved]
     jumps, is_complete = breakpoints(tape, v.time, moving)
@@ -349,7 +352,7 @@ def form_equations(model: Model) -> Equations:
         )
     others, _ = breakpoints(tape, v.time, [*dynamic, *kinematic, *forces.rows, *state_rates, *q_rates, *defaults])
     times = dict.fromkeys([*jumps, *others])
-    reached = set(tape.reach(entries))
+    reached, rates = set(tape.reach(entries)), _input_rates(model, v)
     needed = tuple(
         leaf
         for symbol, leaf in zip(model.parameter_symbols, v.p, strict=True)
@@ -363,6 +366,9 @@ def form_equations(model: Model) -> Equations:
         auxiliary_states=v.z,
         parameters=needed,
         inputs=tuple(inputs),
+        input_rates=tuple(
+            (place, [*inputs].index(rates[leaf])) for place, leaf in enumerate(inputs) if rates.get(leaf) in inputs
+        ),
         moving=tuple(place for place, leaf in enumerate(inputs) if leaf.node in moved),
         accelerations=v.a,
         multipliers=(*lam, *forces.driving),
@@ -372,7 +378,7 @@ def form_equations(model: Model) -> Equations:
         position_rows=corrections.rows,
         invariants=corrections.invariants,
         default_inputs=default_inputs,
-        breakpoints=_vector("breakpoints", times),
+        breakpoints=vector("breakpoints", times),
         n_jumps=len(jumps),
         position_formulas=formulas(tape, constraints.positions),
         picture=picture,
@@ -528,7 +534,8 @@ def _first_true(
     return tape.number(float("nan"))
 
 
-def _vector(name: str, entries: Iterable[Scalar]) -> Result:
+def vector(name: str, entries: Iterable[Scalar]) -> Result:
+    """A result of one dimension."""
     entries = tuple(entries)
     return Result(name, (len(entries),), entries)
 

@@ -203,7 +203,7 @@ def lower_derivatives(program: Program, equations: Equations, derivatives: Deriv
     >>> equations = form_equations(four_bar())
     >>> functions = lower_derivatives(lower("four_bar", equations), equations, form_derivatives(equations))
     >>> [f.name for f in functions][:2]
-    ['drawing', 'sensitivity']
+    ['drawing', 'motion']
     """
     e, d = equations, derivatives
     time, inputs = _array("t", (e.time,)), _array("r", e.inputs)
@@ -222,6 +222,13 @@ def lower_derivatives(program: Program, equations: Equations, derivatives: Deriv
             [time, state],
             [inputs],
             [e.points, e.forces],
+        ),
+        (
+            "motion",
+            "q'', and velocities and accelerations of the drawn points, with u' given.",
+            [time, state],
+            [inputs, _array("accelerations", e.accelerations)],
+            [d.coordinate_accelerations, d.point_velocities, d.point_accelerations],
         ),
         (
             "sensitivity",

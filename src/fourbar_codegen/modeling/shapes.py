@@ -7,6 +7,7 @@ in frames that do not turn relative to it. Joints show where links share points,
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -70,12 +71,12 @@ def find_shapes(
             else:
                 rigid.join(fixed(number, offset[0][0]), fixed(parent, offset[0][0]))
     # A place is drawn by one point, which is a mass centre only if there is no other.
-    drawn: dict[Any, int] = {}
+    at: dict[Any, list[int]] = {}
     for number in sorted(range(len(points)), key=lambda number: points[number].body is not None):
-        drawn.setdefault(places.of(number), number)
+        at.setdefault(places.of(number), []).append(number)
     links: dict[Any, dict[Any, int]] = {rigid.of(fixed(0, 0)): {places.of(0): 0}}
     for node in rigid.known():
-        links.setdefault(rigid.of(node), {})[node[1]] = drawn[node[1]]
+        links.setdefault(rigid.of(node), {})[node[1]] = at[node[1]][0]
     numbers = {point.number: number for number, point in enumerate(points) if point.number is not None}
     names: dict[Any, list[str]] = {}
     centres: dict[Any, set[Any]] = {}
@@ -83,10 +84,14 @@ def find_shapes(
         if body.point in numbers and body.frame is not None:
             node = fixed(numbers[body.point], body.frame)
             names.setdefault(rigid.of(node), []).append(body.name)
-            centres.setdefault(rigid.of(node), set()).add(node[1])
+            if body.mass != 0:
+                centres.setdefault(rigid.of(node), set()).add(node[1])
     shapes = []
+    shared = Counter(place for members in links.values() for place in members)
     for number, (link, members) in enumerate(links.items()):
-        ends = [n for place, n in members.items() if place not in centres.get(link, ())]
+        # Mass centres that are no joints are not on the outline.
+        inner = {place for place in centres.get(link, ()) if shared[place] == len(at[place]) == 1}
+        ends = [n for place, n in members.items() if place not in inner]
         vertices = tuple(sorted(ends if len(ends) > 1 else members.values()))
         name = " and ".join(names.get(link, [frames[link[0]].name]))
         if number == 0 or len(vertices) > 1:

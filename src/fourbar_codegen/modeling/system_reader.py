@@ -386,9 +386,10 @@ class _Reader:
         These have positions in frames that are not numbered by now, since nothing but the drawing needs them. On the
         way to a point that is named, such frames are numbered.
         """
-        names = {body.masscenter: str(body.name) for body in bodies}
+        names = {body.masscenter: str(body.name) for body in bodies if body.mass != 0}
         asked = dict.fromkeys(named)
-        roots = [found for found in map(self._at_rest, (*names, *asked)) if found is not None]
+        placed = (*(body.masscenter for body in bodies), *asked)
+        roots = [found for found in map(self._at_rest, placed) if found is not None]
         root = (self.fixed_point if self.fixed_point in roots else roots[0]) if roots else None
         parents = {} if root is None else _neighbours(root, _positions)
         for point in asked:

@@ -23,10 +23,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from fourbar_codegen.analysis.assembly_modes import AssemblyModes
+    from fourbar_codegen.analysis.drive import Branch, Kinematics
     from fourbar_codegen.results.ensemble import Ensemble
     from fourbar_codegen.results.trajectory import Trajectory
 
-__all__ = ["animate", "plot_ensemble", "plot_modes", "plot_paths", "plot_trajectory", "write_animation"]
+__all__ = [
+    "animate", "plot_branches", "plot_ensemble", "plot_kinematics", "plot_modes", "plot_paths", "plot_trajectory",
+    "write_animation",
+]  # fmt: skip
 
 Floats = NDArray[np.float64]
 
@@ -230,6 +234,53 @@ def plot_modes(modes: AssemblyModes) -> Figure:
         for name, begin, end in list(zip("xyz", low, high, strict=True))[: 2 if drawn.is_planar else 3]:
             getattr(axes, f"set_{name}lim")(begin - EDGE * drawn.size, end + EDGE * drawn.size)
         axes.set_aspect("equal")
+    return figure
+
+
+def plot_kinematics(found: Kinematics, names: Sequence[Any]) -> Figure:
+    """Plot quantities of all branches against the drive; see `Kinematics.plot`."""
+    figure_class = _imported("matplotlib.figure", "Plots").Figure
+    quantities = _quantities(names) or [name for name in found.model.coordinates if name not in found.drive]
+    unknown = [name for name in quantities if name not in (*found.model.states, *found.model.points)]
+    if unknown:
+        known = [*found.model.states, *found.model.points]
+        raise ModelError(f"There is no {', '.join(unknown)}; there are {', '.join(known)}.")
+    [(driven, values), *_] = found.drive.items()
+    figure: Figure = figure_class(figsize=(7.0, 2.4 * len(quantities)), layout="constrained")
+    for axes, name in zip(
+        figure.subplots(len(quantities), 1, sharex=True, squeeze=False).flat, quantities, strict=True
+    ):
+        for number, branch in enumerate(found):
+            for part, letter in zip(np.atleast_2d(branch[name]), "xyz", strict=False):
+                label = f"branch {number}" + (f", {letter}" if branch[name].ndim > 1 else "")
+                axes.plot(values, part, label=label)
+        axes.set_title(_label(name), loc="left", fontsize="medium")
+        axes.grid(alpha=0.3)
+        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    axes.set_xlabel(_label(driven))
+    figure.suptitle(found.model.name)
+    return figure
+
+
+def plot_branches(branches: Sequence[Branch], points: Sequence[str]) -> Figure:
+    """Draw the mechanism in each branch, where it is first closed, with paths; see `Kinematics.plot_paths`."""
+    model = branches[0].model
+    chosen = _checked(model, points)
+    shown = branches[:MAX_PANELS]
+    scenes = [scene(model, branch.positions[:, :, np.isfinite(branch.q).all(axis=0)]) for branch in shown]
+    planar = all(drawn.is_planar for drawn in scenes)
+    figure, cells = _figure(len(shown), planar)
+    for number, (axes, drawn) in enumerate(zip(cells, scenes, strict=True)):
+        dimensions = 2 if planar else 3
+        _draw(axes, drawn)
+        for name in chosen or list(drawn.traced().values()):
+            axes.plot(*drawn.positions[model.points.index(name), :dimensions], label=_label(name), zorder=1)
+        axes.set_aspect("equal")
+        if len(shown) > 1:
+            axes.set_title(f"branch {number}", fontsize="small")
+    if len(shown) == 1 and cells[0].get_legend_handles_labels()[0]:
+        cells[0].legend(loc="center left", bbox_to_anchor=(1.02, 0.5))
+    figure.suptitle(model.name)
     return figure
 
 

@@ -37,6 +37,8 @@ cdef extern from "fourbar_kernel.h":
         void (*output_solution_sensitivity)(double, const double *, const double *, const double *, const double *,
                                             const double *, double *, double *) noexcept nogil
         void (*drawing)(double, const double *, const double *, const double *, double *, double *) noexcept nogil
+        void (*motion)(double, const double *, const double *, const double *, const double *, double *, double *,
+                       double *) noexcept nogil
     ctypedef struct fb_kernel:
         int abi_version
         size_t struct_size

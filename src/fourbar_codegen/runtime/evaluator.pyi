@@ -106,6 +106,14 @@ class Evaluator:
     def drawing(
         self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None
     ) -> tuple[Floats, Floats]: ...
+    def motion(
+        self,
+        t: float,
+        x: ArrayLike,
+        accelerations: ArrayLike,
+        p: Values | None = None,
+        r: Values | None = None,
+    ) -> tuple[Floats, Floats, Floats]: ...
     def drawing_along(
         self, times: ArrayLike, states: Floats, inputs: Floats, p: Values | None = None
     ) -> list[Floats]: ...

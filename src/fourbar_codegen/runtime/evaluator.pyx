@@ -919,6 +919,22 @@ cdef class Evaluator:
         derivatives.drawing(t, data(state), constants, self._fill(t, constants, inputs), data(points), data(forces))
         return points, forces
 
+    def motion(self, t, x, accelerations, p=None, r=None):
+        """q'', shape (n_q,), and velocities and accelerations of the drawn points, (n_points, 3), with u' given."""
+        t = time_of(t)
+        cdef cnp.ndarray parameters = self._parameters(p)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_motions)
+        cdef cnp.ndarray state = self._state(t, x, self.n_x)
+        cdef cnp.ndarray rates = vector(accelerations, self.n_u, "The accelerations")
+        cdef cnp.ndarray second = new_array(self.n_q)
+        cdef cnp.ndarray velocities = new_array(self.kernel.n_points, 3)
+        cdef cnp.ndarray of_points = new_array(self.kernel.n_points, 3)
+        cdef const fb_derivatives *derivatives = self.derivatives()
+        cdef const double *constants = self._prepare(parameters)
+        derivatives.motion(t, data(state), constants, self._fill(t, constants, inputs), data(rates), data(second),
+                           data(velocities), data(of_points))
+        return second, velocities, of_points
+
     def drawing_along(self, times, states, inputs, p=None):
         """The same for states and inputs in columns, shapes (n_points, 3, n_t) and (n_forces, 3, n_t)."""
         cdef cnp.ndarray t = numbers(times, "The times")

@@ -13,7 +13,7 @@
 
 #include <stddef.h>
 
-#define FB_ABI_VERSION 14
+#define FB_ABI_VERSION 15
 #define FB_CAPSULE_NAME "fourbar_codegen.kernel"
 
 /* Long functions are printed in parts, which the compiler must not inline. */
@@ -74,6 +74,9 @@ typedef struct fb_derivatives {
     /* positions (n_points, 3) and forces (n_forces, 3) in the inertial frame */
     void (*drawing)(double t, const double *x, const double *constants, const double *r, double *points,
                     double *forces);
+    /* q'' (n_q), and velocities and accelerations of the drawn points, (n_points, 3) each, with u' given */
+    void (*motion)(double t, const double *x, const double *constants, const double *r, const double *accelerations,
+                   double *coordinate_accelerations, double *point_velocities, double *point_accelerations);
 } fb_derivatives;
 
 typedef struct fb_batch_functions fb_batch_functions; /* fourbar_batch.h */

@@ -1,0 +1,187 @@
+"""Curves F(z) = 0 in n + 1 unknowns, traced by arc length through folds.
+
+A step along the tangent is corrected by the Gauss-Newton method with steps of minimum norm. At a fold the last unknown,
+the parameter of the curve, has an extreme value; where two curves cross, the trace goes straight on.
+
+Source: E. L. Allgower and K. Georg, Introduction to Numerical Continuation Methods, SIAM 2003, chapters 3 and 6.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Curve", "null_space", "solve_at", "trace"]
+
+Floats = NDArray[np.float64]
+Function = Callable[[Floats], tuple[Floats, Floats]]
+"""F and its Jacobian; unknowns and rows are scaled to the order of 1."""
+
+LONGEST = 0.1
+SHORTEST = 1e-7
+"""Of steps."""
+
+STRAIGHT = 0.98
+"""Smallest cosine of the angle between the tangents at the ends of a step."""
+
+MAX_ITERATIONS = 12
+MAX_STEPS = 100_000
+SOLVED = 1e-12
+"""Largest component of F at a solution. Newton's method then goes on while it halves that."""
+
+RANK = 1e-9
+"""Smallest singular value that counts, relative to the largest."""
+
+FOLDED = 1e-10
+"""Component of the tangent along the parameter at a fold."""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A piece of a curve, from one end of the parameter's range to another, or closed.
+
+    Attributes
+    ----------
+    points : ndarray, shape (n_points, n + 1)
+    folds : tuple of int
+        Numbers of the points that are folds.
+    is_closed : bool
+    ends_early : bool
+        Whether it ends where no further point was found.
+    """
+
+    points: Floats
+    folds: tuple[int, ...]
+    is_closed: bool
+    ends_early: bool
+
+    def branches(self) -> list[Floats]:
+        """The parts in which the parameter increases all the way, between folds and ends; turned round if needed."""
+        points, folds = self.points, [*self.folds]
+        if self.is_closed and folds:  # begin with a fold; a turn later, angles are larger by a whole turn
+            turn = points[-1] - points[0]
+            points = np.concatenate((points[folds[0] : -1], points[: folds[0] + 1] + turn))
+            folds = [fold - folds[0] for fold in folds]
+        limits = sorted({0, *folds, len(points) - 1})
+        parts = [points[a : b + 1] for a, b in pairwise(limits)]
+        return [part if part[-1, -1] >= part[0, -1] else part[::-1] for part in parts]
+
+
+def null_space(jacobian: Floats, rank: float = RANK) -> Floats:
+    """An orthonormal basis in columns."""
+    _, sizes, basis = np.linalg.svd(jacobian)
+    return np.asarray(basis[int((sizes > rank * sizes.max(initial=0.0)).sum()) :].T)
+
+
+def _correct(function: Function, z: Floats, held: bool = False) -> Floats | None:
+    """A solution near z by minimum-norm steps, without a change of the parameter if it is held; None without one."""
+    value, jacobian = function(z)
+    for _ in range(MAX_ITERATIONS):
+        size = np.abs(value).max(initial=0.0)
+        if not np.isfinite(size):
+            return None
+        free = jacobian[:, :-1] if held else jacobian
+        step = np.linalg.lstsq(free, value, rcond=RANK)[0]
+        tried = z - (np.append(step, 0.0) if held else step)
+        value_there, jacobian_there = function(tried)
+        if size <= SOLVED and not np.abs(value_there).max(initial=0.0) < 0.5 * size:
+            return z
+        z, value, jacobian = tried, value_there, jacobian_there
+    return z if np.abs(value).max(initial=0.0) <= SOLVED else None
+
+
+def solve_at(function: Function, guess: Floats, parameter: float) -> Floats | None:
+    """The solution near a guess for a value of the parameter; None without one."""
+    return _correct(function, np.append(guess[:-1], parameter), held=True)
+
+
+def _tangent(function: Function, z: Floats, before: Floats) -> Floats:
+    """The unit tangent, in the direction of the one before; where curves cross, the nearest to it."""
+    basis = null_space(function(z)[1])
+    along = basis @ (basis.T @ before)
+    size = np.linalg.norm(along)
+    return np.asarray(along / size) if size else before
+
+
+def trace(function: Function, begin: Floats, low: float, high: float, periods: Floats) -> Curve:
+    """Trace a curve in both directions from a point, until the parameter leaves its range or the curve closes.
+
+    Parameters
+    ----------
+    function : callable
+    begin : ndarray, shape (n + 1,)
+        A solution.
+    low, high : float
+        The range of the parameter.
+    periods : ndarray, shape (n + 1,)
+        Of unknowns in which F is periodic, such as angles; infinite for the others.
+
+    Returns
+    -------
+    Curve
+    """
+    tangent = null_space(function(begin)[1])[:, 0]
+    forward, folds, is_closed, early = _follow(function, begin, tangent, low, high, periods)
+    if is_closed:
+        return Curve(np.array(forward), tuple(folds), True, early)
+    backward, others, _, early_too = _follow(function, begin, -tangent, low, high, periods)
+    n = len(backward) - 1
+    points = np.array([*backward[:0:-1], *forward])
+    return Curve(points, (*sorted(n - k for k in others), *(n + k for k in folds)), False, early or early_too)
+
+
+def _follow(
+    function: Function, begin: Floats, tangent: Floats, low: float, high: float, periods: Floats
+) -> tuple[list[Floats], list[int], bool, bool]:
+    """Points in one direction, numbers of folds, and whether it is closed or ends early."""
+    points, folds = [begin], list[int]()
+    first, length, step = tangent, 0.0, LONGEST
+    for _ in range(MAX_STEPS):
+        z = points[-1]
+        moved = _correct(function, z + step * tangent)
+        turned = None if moved is None else _tangent(function, moved, tangent)
+        is_near = moved is not None and np.linalg.norm(moved - z - step * tangent) < 0.5 * step
+        if moved is None or turned is None or not is_near or turned @ tangent < STRAIGHT:
+            step *= 0.5
+            if step < SHORTEST:
+                return points, folds, False, True
+            continue
+        if turned[-1] * tangent[-1] < 0.0:
+            fold = _fold(function, z, tangent, step)
+            if fold is not None and low <= fold[-1] <= high:
+                points.append(fold)
+                folds.append(len(points) - 1)
+        if not low <= moved[-1] <= high:
+            end = solve_at(function, moved, low if moved[-1] < low else high)
+            if end is not None:
+                points.append(end)
+            return points, folds, False, end is None
+        length += step
+        turns = np.where(np.isfinite(periods), periods, 0.0) * np.round((moved - begin) / periods)
+        gap = begin + turns - moved
+        if length > 4.0 * LONGEST and np.linalg.norm(gap) <= step and first @ turned > STRAIGHT and gap @ turned >= 0.0:
+            return [*points, moved, begin + turns], folds, True, False
+        points.append(moved)
+        tangent = turned
+        step = min(LONGEST, 1.5 * step)
+    return points, folds, False, True
+
+
+def _fold(function: Function, z: Floats, tangent: Floats, step: float) -> Floats | None:
+    """The point between two others where the tangent has no component along the parameter, by bisection."""
+    low, high, sign = 0.0, step, tangent[-1]
+    found = None
+    for _ in range(60):
+        middle = (low + high) / 2.0
+        found = _correct(function, z + middle * tangent)
+        if found is None:
+            return None
+        slope = _tangent(function, found, tangent)[-1]
+        if abs(slope) <= FOLDED:
+            break
+        low, high = (middle, high) if slope * sign > 0.0 else (low, middle)
+    return found

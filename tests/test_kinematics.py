@@ -1,0 +1,245 @@
+"""Positions along a drive: known curves, limits and velocities of mechanisms, and what cannot be driven."""
+
+import sys
+from math import acos, pi, radians, sqrt
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fourbar_codegen as fb
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
+mechanisms = __import__("11_mechanisms")
+sys.path.pop(0)
+
+
+def found_of(make, values=None, **how):
+    """The branches of a mechanism of the example, and the one that is drawn."""
+    drive, own, _ = mechanisms.MECHANISMS[make]
+    made = make()
+    model = fb.compile_model(made if isinstance(made, fb.Model) else made.model())
+    return model.kinematics({drive: own if values is None else values}, **how)
+
+
+def test_peaucelliers_line():
+    """x = (l^2 - s^2) / (2 p) = 16/3, exactly; |OB| |OD| = l^2 - s^2 = 16, in every branch where the cell is open."""
+    found = found_of(mechanisms.peaucellier)
+    x, y, _ = found[0]["D"]
+    np.testing.assert_allclose(x, 16 / 3, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(y, 16 / 3 * np.tan(found.drive["q_QB"] / 2), rtol=0, atol=1e-11)
+    product = np.linalg.norm(found[0]["B"], axis=0) * np.linalg.norm(found[0]["D"], axis=0)
+    np.testing.assert_allclose(product, 16.0, rtol=0, atol=1e-12)
+
+
+def test_chebyshevs_line_and_limits():
+    """Within sqrt(1029)/8 - 4 of y = 4 for 0 <= x <= 4, exact; the arm turns between acos(4/5) and acos(-1/5).
+
+    Source of the limits: https://en.wikipedia.org/wiki/Chebyshev_linkage.
+    """
+    found = found_of(mechanisms.chebyshev, np.linspace(radians(30.0), radians(110.0), 1601))
+    x, y, _ = found[0]["P"]
+    inside = (x >= 0) & (x <= 4)
+    assert np.nanmax(np.abs(y[inside] - 4.0)) <= sqrt(1029) / 8 - 4 + 1e-12
+    assert np.nanmax(np.abs(y[inside] - 4.0)) > (sqrt(1029) / 8 - 4) * 0.999
+    limits = sorted({round(point["q_OA"], 9) for point in found.dead_points})
+    np.testing.assert_allclose(limits, [acos(4 / 5), acos(-1 / 5)], rtol=0, atol=1e-9)
+
+
+def test_hoekens_speed():
+    """4/3 of the crank's speed in the middle of the line; P is at (4, 4), (2, 4), (0, 4) at quarter turns."""
+    found = found_of(mechanisms.hoeken, np.array([pi / 2, pi, 3 * pi / 2]))
+    branch = found[0]
+    np.testing.assert_allclose(branch["P"][:2], [[4.0, 2.0, 0.0], [4.0, 4.0, 4.0]], rtol=0, atol=1e-12)
+    assert branch.velocities["P"][0, 1] == pytest.approx(-4 / 3, abs=1e-12)
+
+
+def test_watts_inflection():
+    """x = y^5 / (8 b^3 c) for small y: the first derivative that is not zero is the fifth."""
+    found = found_of(mechanisms.watt, np.linspace(-0.06, 0.06, 13))
+    x, y, _ = found[0]["P"]
+    expected = y**5 / (8 * 2.5**3 * 0.5) * (1 + (y / 2.5) ** 2)
+    np.testing.assert_allclose(x, expected, rtol=2e-3, atol=1e-13)
+
+
+def test_jansens_foot():
+    """The foot at quarters of a turn, by circles that intersect, with the published lengths."""
+    found = found_of(mechanisms.jansen, np.radians([0.0, 90.0, 180.0, 270.0]))
+    expected = [
+        (-43.1601105241047, -91.75693292612323),
+        (-7.689066230641682, -90.38935136740429),
+        (-33.72972953816961, -73.5170974098195),
+        (-70.67056317652096, -89.64283680091991),
+    ]
+    np.testing.assert_allclose(found[0]["H"][:2].T, expected, rtol=0, atol=1e-10)
+
+
+def test_klanns_foot():
+    """Step height 52.3 % and stride 1.000, as the inventor says: http://www.mechanicalspider.com/concept.html."""
+    branch = found_of(mechanisms.klann)[0]
+    x, y, _ = branch["H"]
+    assert np.ptp(y) / np.ptp(x) == pytest.approx(0.523, abs=5e-4)
+    assert abs(x[0] - x[180]) == pytest.approx(1.000, abs=5e-4)
+
+
+def test_a_pantograph_scales():
+    branch = found_of(mechanisms.pantograph)[0]
+    np.testing.assert_allclose(branch["Q"], 2.5 * branch["P"], rtol=0, atol=1e-11)
+
+
+def test_a_lift_of_scissors():
+    """h = n l sin(theta), w = l cos(theta)."""
+    branch = found_of(mechanisms.scissor_lift)[0]
+    width = branch["R0"][0]
+    np.testing.assert_allclose(branch["T"][1], 3 * np.sqrt(4 - width**2), rtol=0, atol=1e-11)
+
+
+def test_a_quick_return():
+    """The ram turns round where the crank is square to the lever: at 210 and 330 degrees, so it returns in half the time."""
+    branch = found_of(mechanisms.quick_return, np.radians([90.0, 210.0, 330.0]))[0]
+    assert branch["u_LB"][0] == pytest.approx(1 / 3, abs=1e-12)
+    np.testing.assert_allclose(branch.velocities["C"][0, 1:], 0.0, atol=1e-12)
+    assert abs(branch["C"][0, 1] - branch["C"][0, 2]) == pytest.approx(4.0, abs=1e-12)
+
+
+def test_transmission_angles():
+    """Their extremes by the law of cosines, where crank and ground are in line; Norton's row a: 25.2 and 58.4 degrees."""
+    branch = found_of(mechanisms.crank_rocker)[0]
+    angle = branch.transmission_angle("A", "B", "R")
+    expected = [acos((49 + 81 - (6 - sign * 2) ** 2) / (2 * 7 * 9)) for sign in (1, -1)]
+    np.testing.assert_allclose([angle.min(), angle.max()], expected, rtol=0, atol=1e-12)
+
+
+def test_velocities_and_accelerations_of_a_slider():
+    """In closed form, at 3 rad/s and with 2 rad/s^2."""
+    angles = np.linspace(0.1, 6.0, 40)
+    found = found_of(mechanisms.slider_crank, angles, rates={"q_OA": 3.0}, accelerations={"q_OA": 2.0})
+    s = np.sqrt(9 - np.sin(angles) ** 2)
+    first = -np.sin(angles) * (1 + np.cos(angles) / s)
+    second = -np.cos(angles) - np.cos(2 * angles) / s - np.sin(2 * angles) ** 2 / (4 * s**3)
+    np.testing.assert_allclose(found[0]["C"][0], np.cos(angles) + s, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found[0].velocities["C"][0], 3 * first, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found[0].accelerations["C"][0], 9 * second + 2 * first, rtol=0, atol=1e-11)
+    assert len(found) == 2
+
+
+def test_dead_points_of_a_slider_that_is_driven():
+    """At x = l + r and l - r, where crank and rod are in line; beyond, the loop does not close."""
+    crank = fb.compile_model(fb.models.slider_crank())
+    found = crank.kinematics({"slide": np.linspace(0.15, 0.45, 31)})
+    assert sorted(point["slide"] for point in found.dead_points) == pytest.approx([0.2, 0.4], abs=1e-12)
+    assert np.flatnonzero(found.closes).tolist() == list(range(5, 26))
+    assert np.isnan(found[0].u[:, 5]).all()
+    assert [branch.limits for branch in found] == [pytest.approx((1 / 6, 5 / 6), abs=1e-12)] * 2
+
+
+def test_a_prescribed_motion_is_a_drive():
+    linkage = mechanisms.crank_rocker()
+    linkage.drive("O", speed=1.0)
+    model = fb.compile_model(linkage.model())
+    by_input = model.kinematics({"drive_O": np.linspace(0.0, 2 * pi, 19)}, rates={"drive_O": 2.0})
+    other = found_of(mechanisms.crank_rocker, np.linspace(0.0, 2 * pi, 19), rates={"q_OA": 2.0})
+    assert len(by_input) == len(other) == 2
+    np.testing.assert_allclose(by_input[0]["P"], other[0]["P"], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(by_input[0].accelerations["P"], other[0].accelerations["P"], rtol=0, atol=1e-10)
+
+
+WISHBONE = {
+    -10: (0.003566817762454773, 0.7473893050356877, -0.07019859573689735, 0.9989165703049724),
+    -5: (0.0017895604993800537, 0.7600530510652271, -0.03555498092072579, -0.21233584854284443),
+    5: (-0.0017879063591839973, 0.7716132059579246, 0.036150990285247014, -0.9290563990956462),
+    10: (-0.003557648744409104, 0.7710587995809179, 0.07259176622997532, -0.6719691190300003),
+}
+"""Wheel centre, m, and camber, degrees, by the lower arm's angle in degrees: from two trigonometric equations, solved in
+closed form, and from Newton's method for 15 unknown coordinates of points, which agree to 1e-16 m."""
+
+
+def test_a_double_wishbone_in_space():
+    found = found_of(mechanisms.double_wishbone, np.radians([*WISHBONE]))
+    branch = found[0]
+    axle = branch["T"] - branch["W"]
+    camber = np.degrees(np.arctan2(axle[2], axle[1]))
+    for k, (x, y, z, expected) in enumerate(WISHBONE.values()):
+        np.testing.assert_allclose(branch["W"][:, k], (x, y, z), rtol=0, atol=1e-12)
+        assert camber[k] == pytest.approx(expected, abs=1e-9)
+
+
+def test_published_arms():
+    """Upper arm's angles for those of the lower arm, degrees, both assemblies: MathGroup, message 64453 (2006)."""
+    points = {"A": (0, 0), "C": (13, 0), "F": (13, 7), "D": (5, 7)}
+    model = fb.compile_model(fb.Linkage("arms", points=points, ground="AD", links=["AC", "CF", "DF"]).model())
+    found = model.kinematics({"q_AC": np.radians([5, 25, 45, 60, 90])})
+    table = [(8.14157, 42.7897, 88.0132, 131.266, 182.348), (279.009, 292.171, 327.201, 355.264, 77.2632)]
+    angles = np.degrees([branch["q_DF"] for branch in found])
+    for row, expected in zip(angles, table, strict=True):
+        away = (row - expected + 180.0) % 360.0 - 180.0
+        np.testing.assert_allclose(away, 0.0, atol=6e-4)  # the last printed digit
+
+
+def test_no_masses_are_asked_for():
+    system = fb.models.four_bar().system
+    lengths = {"l1": 0.8, "l2": 0.2, "l3": 0.7, "l4": 0.6}
+    model = fb.compile_model(fb.Model(system, name="no_masses", parameters=lengths, inputs="auto"))
+    assert len(model.kinematics({"q1": np.linspace(0.0, 6.0, 7)})) == 2
+    with pytest.raises(fb.ModelError, match="Positions depend on l2"):
+        incomplete = {name: value for name, value in lengths.items() if name != "l2"}
+        bare = fb.compile_model(fb.Model(system, name="no_masses", parameters=incomplete, inputs="auto"))
+        bare.kinematics({"q1": [0.0, 1.0]})
+
+
+def test_every_drawn_line_keeps_its_length():
+    """The ends of each link's lines, along the whole motion, to 1e-12 of the size of the mechanism."""
+    from fourbar_codegen.presentation.scene import scene
+
+    for make in mechanisms.MECHANISMS:
+        branch = found_of(make)[0]
+        found = scene(branch.model, branch.positions[:, :, np.isfinite(branch.q).all(axis=0)])
+        links = [line for line in found.lines if line.kind == "link"]
+        assert links, make
+        for line in links:
+            for a, b in zip(line.rows, line.rows[1:], strict=False):
+                far = np.linalg.norm(found.positions[a] - found.positions[b], axis=0)
+                assert np.ptp(far) < 1e-12 * found.size, (make, line)
+
+
+def test_a_freedom_that_is_left():
+    """A five-bar has two degrees of freedom; both of them driven, it has two branches."""
+    points = {"A": (0, 0), "B": (-0.1, 0.3), "C": (0.2, 0.5), "D": (0.5, 0.25), "E": (0.4, 0)}
+    linkage = fb.Linkage("five", points=points, ground="AE", links=["AB", "BC", "CD", "DE"])
+    model = fb.compile_model(linkage.model())
+    with pytest.raises(fb.ModelError, match="degree of freedom is left"):
+        model.kinematics({"q_AB": [1.5, 1.6]})
+    angles = np.linspace(1.7, 1.9, 5)
+    found = model.kinematics({"q_AB": angles, "q_DE": angles - 0.5})
+    assert len(found) == 2
+    lengths = [np.linalg.norm(branch["C"] - branch["B"], axis=0) for branch in found]
+    np.testing.assert_allclose(lengths, sqrt(0.3**2 + 0.2**2), rtol=0, atol=1e-12)
+
+
+def test_what_cannot_be_driven(four_bar):
+    for drive, message in (
+        ({"q9": [0.0]}, "q9"),
+        ({}, "drive= is a mapping"),
+        ({"q1": [0.0, np.nan]}, "finite"),
+        ({"q1": [[0.0]]}, "one length"),
+        ({"q1": [0.0], "q2": [0.0, 1.0]}, "one length"),
+        ({"F": [0.0]}, "F"),
+    ):
+        with pytest.raises(fb.ModelError, match=message):
+            four_bar.kinematics(drive)
+    with pytest.raises(fb.AssemblyError, match="do not close anywhere"):
+        four_bar.kinematics({"q1": [0.0, 1.0]}, parameters={"l1": 5.0})
+    with pytest.raises(fb.ModelError, match="no position constraints"):
+        fb.compile_model(fb.models.chain(2)).kinematics({"q1": [0.0]})
+
+
+def test_pictures_of_branches(four_bar):
+    found = four_bar.kinematics({"q1": np.linspace(-0.5, 0.5, 5)})
+    assert len(found.plot().axes) == 2
+    assert len(found.plot("q2", "P2").axes) == 2
+    assert len(found.plot_paths(["P2"]).axes) == 2
+    with pytest.raises(fb.ModelError, match="no point P9"):
+        found.plot_paths(["P9"])
+    with pytest.raises(fb.ModelError, match="There is no q9"):
+        found.plot("q9")
+    assert "2 branches" in repr(found)

@@ -23,7 +23,7 @@ def said(tmp_path_factory):
         # What takes long says how far it is.
         assert all(re.fullmatch(r".+: .+, \d+ s", line) for line in done.stderr.splitlines()), done.stderr
         written = [line for line in done.stdout.splitlines() if line.startswith("results/")]
-        assert [path for path in folder.rglob("*") if path.is_file()] == [folder / path for path in written]
+        assert {path for path in folder.rglob("*") if path.is_file()} == {folder / path for path in written}
         return done.stdout
 
     return run
@@ -116,7 +116,7 @@ def test_the_rider(said):
 
 
 def test_the_mechanisms(said):
-    """Ways in which they close: two for each dyad that closes independently (what is drawn is in test_kinematics)."""
+    """Ways in which they close: two for each dyad that closes by itself. More about them is in test_kinematics."""
     text = said("11_mechanisms")
     branches = dict(re.findall(r"(\w+): (\d+) branches", text))
     assert len(branches) == 12

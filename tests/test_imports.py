@@ -27,6 +27,7 @@ ON = {
     "expressions": ["ground"],
     "modeling": ["expressions"],
     "models": ["modeling"],
+    "linkage": ["modeling"],
     "dynamics": ["modeling"],
     "lowering": ["dynamics"],
     "codegen": ["lowering"],
@@ -38,11 +39,11 @@ ON = {
     "presentation": ["analysis", "results"],
     "compiled": ["simulation", "presentation"],
     "compile": ["codegen", "compiled"],
-    "cli": ["compile", "models"],
+    "cli": ["compile", "models", "linkage"],
 }
 """What each layer stands on: it may import that, and what that stands on."""
 
-GENERATION = {"expressions", "modeling", "models", "dynamics", "lowering", "codegen"}
+GENERATION = {"expressions", "modeling", "models", "linkage", "dynamics", "lowering", "codegen"}
 BOTH = {"compile", "cli"}
 FILES = {
     ".".join(path.relative_to(PACKAGE).with_suffix("").parts): path

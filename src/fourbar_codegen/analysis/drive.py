@@ -50,8 +50,8 @@ class Branch:
         and of the derivatives at dead points.
     u, ud : ndarray, shape (n_u, n)
         Speeds and their rates.
-    limits : (float, float)
-        Where the branch begins and ends, as fractions of the way along the drive: 0 and 1 if it closes everywhere.
+    limits : dict of str to (float, float)
+        Values of the drive where the branch begins and ends: the range in which the loops close in this way.
     r : ndarray, shape (n_r, n)
         Inputs.
     p : ndarray, shape (n_p,)
@@ -65,7 +65,7 @@ class Branch:
     qdd: Floats
     u: Floats
     ud: Floats
-    limits: tuple[float, float]
+    limits: dict[str, tuple[float, float]]
     r: Floats
     p: Floats
 
@@ -236,14 +236,17 @@ class Kinematics(Sequence[Branch]):
 
 @dataclass(frozen=True)
 class _Drive:
-    """The driven coordinates and inputs, as functions of a parameter s from 0 to n - 1.
+    """The driven coordinates and inputs, as functions of a parameter s: piecewise linear between nodes.
 
-    Between the given values they are linear in s.
+    Of one drive, s is its value, in whatever order values are asked for; of several, the length of the way.
     """
 
     model: Kernel
     names: tuple[str, ...]
     values: Floats
+    places: Floats
+    nodes: Floats
+    at_nodes: Floats
     rates: Floats
     accelerations: Floats
     coordinates: tuple[int, ...]
@@ -254,17 +257,20 @@ class _Drive:
 
     def at(self, s: float) -> Floats:
         """The driven values; beyond the ends, by the lines there."""
-        return np.asarray(self.values[:, self._before(s)] + (s - self._before(s)) * self.slope(s))
+        before = self._before(s)
+        return np.asarray(self.at_nodes[:, before] + (s - self.nodes[before]) * self.slope(s))
 
     def slope(self, s: float) -> Floats:
         """Their derivatives with respect to s."""
-        if self.values.shape[1] == 1:
+        if len(self.nodes) == 1:
             return np.zeros(len(self.values))
-        return np.asarray(self.values[:, self._before(s) + 1] - self.values[:, self._before(s)])
+        before, after = self._before(s), self._before(s) + 1
+        way = self.at_nodes[:, after] - self.at_nodes[:, before]
+        return np.asarray(way / (self.nodes[after] - self.nodes[before]))
 
     def _before(self, s: float) -> int:
-        """The number of the given value before s."""
-        return int(np.clip(np.floor(s), 0, max(0, self.values.shape[1] - 2)))
+        """The number of the node before s."""
+        return int(np.clip(np.searchsorted(self.nodes, s, side="right") - 1, 0, max(0, len(self.nodes) - 2)))
 
     def inputs(self, driven: Floats) -> Floats:
         """The inputs with the driven ones."""
@@ -278,7 +284,7 @@ class _Drive:
     def function(self, z: Floats) -> tuple[Floats, Floats]:
         """The position constraints and the drives at scaled coordinates and s, and their Jacobian, with scaled rows."""
         model, n_q = self.model, self.model.n_q
-        q, s = z[:n_q] * self.scales[:n_q], z[n_q] * self.scales[n_q]
+        q, s = z[:n_q] * self.scales, z[n_q]
         driven, slope = self.at(s), self.slope(s)
         r = self.inputs(driven)
         error, slopes = model.position(self.t, q, self.p, r)
@@ -289,13 +295,13 @@ class _Drive:
             for name, rate in zip(self.names, slope, strict=True):
                 if name in model.inputs:
                     along += by_inputs[:, model.inputs.index(name)] * rate
-        matrix = np.column_stack((slopes * self.scales[:n_q], along * self.scales[n_q]))
+        matrix = np.column_stack((slopes * self.scales, along))
         size = np.abs(matrix).max(axis=1, initial=0.0)
         size[size == 0.0] = 1.0
         rows, errors = [matrix / size[:, None]], [error / size]
         for place, value, rate in zip(self.coordinates, driven[: len(self.coordinates)], slope, strict=False):
             row = np.zeros((1, n_q + 1))
-            row[0, place], row[0, n_q] = 1.0, -rate * self.scales[n_q] / self.scales[place]
+            row[0, place], row[0, n_q] = 1.0, -rate / self.scales[place]
             rows.append(row)
             errors.append(np.array([q[place] - value]) / self.scales[place])
         return np.concatenate(errors), np.vstack(rows)
@@ -342,17 +348,22 @@ def kinematics(
 ) -> Kinematics:
     """Positions and motions along a drive; see `CompiledModel.kinematics`."""
     path = _given(model, drive, rates, accelerations, parameters, inputs, t)
-    n_q, n = model.n_q, path.values.shape[1]
+    n_q, first, last = model.n_q, path.nodes[0], path.nodes[-1]
     initial = model.manifest["initial"]
     start = np.array([initial.get(name, 0.0) for name in model.coordinates])
     loops = Loops(model, t, start, path.p, path.r)
-    periods = np.append(np.where(loops.angles, 2.0 * np.pi, np.inf), np.inf) / path.scales
+    periods = np.append(np.where(loops.angles, 2.0 * np.pi / path.scales, np.inf), np.inf)
+    if n_q - len(path.coordinates) > model.n_h:
+        raise ModelError(
+            f"A degree of freedom is left: with {', '.join(path.names)} held, the other {n_q - len(path.coordinates)} "
+            f"coordinates have {model.n_h} constraints. Drive another one, too."
+        )
     curves: list[Curve] = []
     parts: list[Floats] = []
     is_complete, tried, free = True, 0, dict[str, None]()
     with Progress(f"{model.name}: positions along the drive") as progress:
-        for fraction in SEEDS if n > 1 else (0.0,):
-            s = fraction * (n - 1)
+        for fraction in SEEDS if last > first else (0.0,):
+            s = first + fraction * (last - first)
             driven = path.at(s)
             order = np.argsort(path.coordinates).astype(int)
             given = tuple(path.coordinates[k] for k in order)
@@ -362,13 +373,13 @@ def kinematics(
             free |= dict.fromkeys(moving) if moving else {}
             is_complete &= all_found or bool(moving)
             for dependent in found:
-                z = np.append(loops.coordinates(dependent), s) / path.scales
+                z = np.append(loops.coordinates(dependent) / path.scales, s)
                 if any(_passes(path, part, z, periods) for part in parts):
                     continue
-                if n == 1:
+                if first == last:
                     parts.append(z[None, :])
                 elif null_space(path.function(z)[1]).shape[1] == 1:
-                    curve = trace(path.function, z, 0.0, (n - 1) / path.scales[n_q], periods)
+                    curve = trace(path.function, z, first, last, periods)
                     curves.append(curve)
                     parts += curve.branches()
             if moving and not parts and tried >= 3:
@@ -382,16 +393,16 @@ def kinematics(
         raise AssemblyError(f"The loops of {model.name} do not close anywhere along {', '.join(path.names)}.")
 
     def distance(part: Floats) -> float:
-        away = part[:, :n_q] - start / path.scales[:n_q]
+        away = part[:, :n_q] - start / path.scales
         return float(np.abs(_within(away, periods[:n_q])).max(axis=1).min())
 
     branches = tuple(_branch(path, part) for part in sorted(parts, key=distance))
     dead = []
     for curve in curves:
         for fold in curve.folds:
-            q = curve.points[fold, :n_q] * path.scales[:n_q]
+            q = curve.points[fold, :n_q] * path.scales
             values = dict(zip(model.coordinates, q.tolist(), strict=True))
-            at = path.at(curve.points[fold, n_q] * path.scales[n_q])
+            at = path.at(curve.points[fold, n_q])
             dead.append({**values, **dict(zip(path.names, at.tolist(), strict=True))})
     drives = dict(zip(path.names, path.values, strict=True))
     return Kinematics(model, drives, branches, tuple(dead), is_complete)
@@ -421,18 +432,18 @@ def _between(part: Floats, s: float) -> Floats:
 
 def _branch(path: _Drive, part: Floats) -> Branch:
     """A branch at the given values of the drive."""
-    model, n_q, scales = path.model, path.model.n_q, path.scales
+    model, n_q = path.model, path.model.n_q
     n = path.values.shape[1]
     q, qd, qdd = (np.full((n_q, n), np.nan) for _ in range(3))
     u, ud = (np.full((model.n_u, n), np.nan) for _ in range(2))
     r = np.transpose([path.inputs(path.values[:, k]) for k in range(n)])
-    low, high = part[0, -1] * scales[n_q], part[-1, -1] * scales[n_q]
-    for k in range(n):
-        if low - SAME <= k <= high + SAME:
-            near = solve_at(path.function, _between(part, k / scales[n_q]), k / scales[n_q])
+    low, high = part[0, -1], part[-1, -1]
+    for k, s in enumerate(path.places):
+        if low - SAME <= s <= high + SAME:
+            near = solve_at(path.function, _between(part, s), s)
             if near is not None:
-                q[:, k] = near[:n_q] * scales[:n_q]
-                motion = path.motion(q[:, k], k)
+                q[:, k] = near[:n_q] * path.scales
+                motion = path.motion(q[:, k], s)
                 if motion is not None:
                     u[:, k], ud[:, k], qd[:, k], qdd[:, k] = motion
     known = np.flatnonzero(np.isfinite(q).all(axis=0))
@@ -440,8 +451,8 @@ def _branch(path: _Drive, part: Floats) -> Branch:
     for place in np.flatnonzero(angles) if known.size else []:
         if place not in path.coordinates:
             q[place] -= 2.0 * np.pi * np.round(q[place, known[0]] / (2.0 * np.pi))
-    whole = max(n - 1, 1)
-    limits = (float(np.clip(low / whole, 0.0, 1.0)), float(np.clip(high / whole, 0.0, 1.0)) if n > 1 else 1.0)
+    ends = zip(path.names, path.at(low).tolist(), path.at(high).tolist(), strict=True)
+    limits = {name: (begin, end) for name, begin, end in ends}
     drive = dict(zip(path.names, path.values, strict=True))
     return Branch(model, path.t, drive, q, qd, qdd, u, ud, limits, r, path.p)
 
@@ -481,19 +492,25 @@ def _given(
     path = np.array([values[name] for name in names])
     coordinates = tuple(model.coordinates.index(name) for name in names if name in model.coordinates)
     start = np.array([model.manifest["initial"].get(name, 0.0) for name in model.coordinates])
-    scales = np.ones(model.n_q + 1)
+    scales = np.ones(model.n_q)
     if model.points:
         drawn = model.drawing(t, np.concatenate((start, np.zeros(model.n_x - model.n_q))), p, r)[0]
         size = np.ptp(drawn[np.isfinite(drawn).all(axis=1)], axis=0).max(initial=0.0) or 1.0
-        scales[: model.n_q] = np.where(Loops(model, t, start, p, r).angles, 1.0, size)
-    if path.shape[1] > 1:
-        units = [scales[model.coordinates.index(name)] if name in model.coordinates else 1.0 for name in names]
-        step = (np.abs(np.diff(path)) / np.array(units)[:, None]).max(axis=0).mean()
-        scales[model.n_q] = 1.0 / step if step > 0.0 else 1.0
+        scales = np.where(Loops(model, t, start, p, r).angles, 1.0, size)
+    units = [scales[model.coordinates.index(name)] if name in model.coordinates else 1.0 for name in names]
+    scaled = path / np.array(units)[:, None]
+    way = np.linalg.norm(np.diff(scaled, axis=1), axis=0)
+    places = scaled[0] if len(names) == 1 else np.concatenate(([0.0], np.cumsum(way)))
+    nodes, numbers_of = np.unique(places, return_index=True)
+    if len(names) == 1:  # straight on, also where values are far apart
+        nodes, numbers_of = nodes[[0, -1]][: len(nodes)], numbers_of[[0, -1]][: len(nodes)]
     return _Drive(
         model,
         names,
         path,
+        places,
+        nodes,
+        path[:, numbers_of],
         np.array([finite_number(speeds.get(name, 0.0), f"the rate of {name}") for name in names]),
         np.array([finite_number(second.get(name, 0.0), f"the acceleration of {name}") for name in names]),
         coordinates,

@@ -150,8 +150,8 @@ WISHBONE = {
     5: (-0.0017879063591839973, 0.7716132059579246, 0.036150990285247014, -0.9290563990956462),
     10: (-0.003557648744409104, 0.7710587995809179, 0.07259176622997532, -0.6719691190300003),
 }
-"""Wheel centre, m, and camber, degrees, by the lower arm's angle in degrees: from two trigonometric equations, solved in
-closed form, and by Newton's method for 15 unknown coordinates of points; both agree to 1e-16 m."""
+"""Wheel centre, m, and camber, degrees, by the lower arm's angle in degrees: from two trigonometric equations in closed
+form, and by Newton's method for 15 unknown coordinates of points; both agree to 1e-16 m."""
 
 
 def test_a_double_wishbone_in_space():

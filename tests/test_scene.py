@@ -54,8 +54,8 @@ def test_a_guide_as_long_as_the_way():
     ends = found.positions[list(guide.rows)]
     assert np.ptp(ends, axis=2).max() < 1e-14
     x = ends[:, 0, 0]
-    # The slider goes from l - r = 0.2 to l + r = 0.4 m. The crank is shown every 0.01 rad, so the nearest position shown
-    # is within (0.005 rad)^2 r / 2 (1 + r / (l - r)) of these.
+    # The slider goes from l - r = 0.2 to l + r = 0.4 m. The crank is shown every 0.01 rad, so the nearest position
+    # shown is within (0.005 rad)^2 r / 2 (1 + r / (l - r)) of these.
     margin = 2 * found.unit
     np.testing.assert_allclose(x, [0.2 - margin, 0.4 + margin], rtol=0, atol=5e-6)
     assert places(found, "slider") == {"S"}

@@ -244,6 +244,8 @@ def calls_of(name: str) -> dict[str, Call]:
     bounds = {model.coordinates[-1]: (-4.0, 4.0)}
     calls.add("initial_state", model.initial_state, **start, guess=guess, bounds=bounds, **given, share=0.3)
     calls.add("initial_states", model.initial_states, **start, **given, may_be_nan=True, share=0.3)
+    along = {"drive": {first: x0[0] + np.array([0.0, 0.1])}, "rates": {first: 1.0}, "accelerations": {first: 0.0}}
+    calls.add("kinematics", model.kinematics, **along, parameters=p, t=0.0, may_be_nan=True, share=0.05)
     calls.add("equilibrium", model.equilibrium, guess=x0[: model.n_q], t=0.0, **given, share=0.1)
     run = {"t_span": (0.0, 0.05), "x0": x0, "parameters": p, "inputs": sources, "rtol": 1e-6, "atol": 1e-9}
     times = np.linspace(0.0, 0.05, 3)

@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from fourbar_codegen.analysis.continuation import null_space
 from fourbar_codegen.analysis.loop_closure import DEAD, MAX_CORRECTIONS, Loops
 from fourbar_codegen.analysis.polynomials import Constraints, Polynomial, real_roots, terms_of
 from fourbar_codegen.errors import ModelError, shown
@@ -427,9 +428,8 @@ def _free(chart: _Chart, dependent: Floats) -> NDArray[np.bool_]:
     slopes = chart.loops.jacobian(dependent) * scales
     if not np.isfinite(slopes).all():
         return free
-    _, sizes, directions = np.linalg.svd(slopes / row_sizes(slopes))
-    rank = int((sizes > DEAD * sizes.max(initial=0.0)).sum())
-    for direction in [*directions[rank:], *-directions[rank:]]:
+    directions = null_space(slopes / row_sizes(slopes), DEAD).T
+    for direction in [*directions, *-directions]:
         moved = _moved(chart.loops, dependent, scales, direction)
         if moved is not None:
             free |= np.abs(moved) > DISTINCT

@@ -72,7 +72,7 @@ class Curve:
 
 
 def null_space(jacobian: Floats, rank: float = RANK) -> Floats:
-    """An orthonormal basis in columns."""
+    """An orthonormal basis in columns; singular values count from the fraction `rank` of the largest."""
     _, sizes, basis = np.linalg.svd(jacobian)
     return np.asarray(basis[int((sizes > rank * sizes.max(initial=0.0)).sum()) :].T)
 

@@ -161,7 +161,8 @@ class Kinematics(Sequence[Branch]):
     dead_points : tuple of dict of str to float
         Positions between two branches, where the drive cannot go on: the values of driven quantities and coordinates.
     is_complete : bool
-        Whether all branches are known to be found: where modes are searched, others may exist.
+        Whether all modes were found at the places where they were looked for, and no branch ended where it should go
+        on.
     """
 
     model: Kernel
@@ -253,7 +254,14 @@ class _Drive:
     p: Floats
     r: Floats
     t: float
+    start: Floats
     scales: Floats
+    angles: NDArray[np.bool_]
+
+    @property
+    def periods(self) -> Floats:
+        """Of the scaled coordinates, and of s."""
+        return np.append(np.where(self.angles, 2.0 * np.pi / self.scales, np.inf), np.inf)
 
     def at(self, s: float) -> Floats:
         """The driven values; beyond the ends, by the lines there."""
@@ -349,10 +357,7 @@ def kinematics(
     """Positions and motions along a drive; see `CompiledModel.kinematics`."""
     path = _given(model, drive, rates, accelerations, parameters, inputs, t)
     n_q, first, last = model.n_q, path.nodes[0], path.nodes[-1]
-    initial = model.manifest["initial"]
-    start = np.array([initial.get(name, 0.0) for name in model.coordinates])
-    loops = Loops(model, t, start, path.p, path.r)
-    periods = np.append(np.where(loops.angles, 2.0 * np.pi / path.scales, np.inf), np.inf)
+    start, periods = path.start, path.periods
     if n_q - len(path.coordinates) > model.n_h:
         raise ModelError(
             f"A degree of freedom is left: with {', '.join(path.names)} held, the other {n_q - len(path.coordinates)} "
@@ -382,6 +387,7 @@ def kinematics(
                     curve = trace(path.function, z, first, last, periods)
                     curves.append(curve)
                     parts += curve.branches()
+                    is_complete &= not curve.ends_early
             if moving and not parts and tried >= 3:
                 break
     if not parts and free:
@@ -447,8 +453,7 @@ def _branch(path: _Drive, part: Floats) -> Branch:
                 if motion is not None:
                     u[:, k], ud[:, k], qd[:, k], qdd[:, k] = motion
     known = np.flatnonzero(np.isfinite(q).all(axis=0))
-    angles = Loops(model, path.t, q[:, 0], path.p, path.r).angles
-    for place in np.flatnonzero(angles) if known.size else []:
+    for place in np.flatnonzero(path.angles) if known.size else []:
         if place not in path.coordinates:
             q[place] -= 2.0 * np.pi * np.round(q[place, known[0]] / (2.0 * np.pi))
     ends = zip(path.names, path.at(low).tolist(), path.at(high).tolist(), strict=True)
@@ -492,11 +497,11 @@ def _given(
     path = np.array([values[name] for name in names])
     coordinates = tuple(model.coordinates.index(name) for name in names if name in model.coordinates)
     start = np.array([model.manifest["initial"].get(name, 0.0) for name in model.coordinates])
-    scales = np.ones(model.n_q)
+    scales, angles = np.ones(model.n_q), Loops(model, t, start, p, r).angles
     if model.points:
         drawn = model.drawing(t, np.concatenate((start, np.zeros(model.n_x - model.n_q))), p, r)[0]
         size = np.ptp(drawn[np.isfinite(drawn).all(axis=1)], axis=0).max(initial=0.0) or 1.0
-        scales = np.where(Loops(model, t, start, p, r).angles, 1.0, size)
+        scales = np.where(angles, 1.0, size)
     units = [scales[model.coordinates.index(name)] if name in model.coordinates else 1.0 for name in names]
     scaled = path / np.array(units)[:, None]
     way = np.linalg.norm(np.diff(scaled, axis=1), axis=0)
@@ -517,7 +522,9 @@ def _given(
         p,
         r,
         t,
+        start,
         scales,
+        angles,
     )
 
 

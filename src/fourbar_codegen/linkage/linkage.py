@@ -94,6 +94,7 @@ class Linkage:
     ) -> None:
         self.name = name
         self._parts = Parts()
+        self._analysis: tuple[Tree, Mobility] | None = None
         self._system: tuple[System, list[me.Point]] | None = None
         self._density = None if density is None else self._quantity(density, "rho", "kg/m", "mass of links by length")
         if gravity is not None:
@@ -173,12 +174,7 @@ class Linkage:
             raise ModelError(
                 f"There are two points {name}. Links that share a point name it once, and are joined there."
             )
-        if not isinstance(place, Sequence | np.ndarray) or isinstance(place, str) or len(place) != 2:
-            raise ModelError(f"Point {name} has two coordinates, (x, y), not {shown(place)}.")
-        at = complex(
-            *(finite_number(value, f"the {axis} of point {name}") for axis, value in zip("xy", place, strict=True))
-        )
-        parts.points[name] = at
+        parts.points[name] = _pair(place, f"point {name}")
         if mass is not None:
             parts.masses[name] = self._quantity(mass, f"m_{name}", "kg", f"mass at {name}")
 
@@ -296,10 +292,8 @@ class Linkage:
             if not on:
                 raise ModelError(f"The guide of {point} goes through two points of one link, not {', '.join(ends)}.")
             base, way = parts.points[ends[0]], parts.points[ends[1]] - parts.points[ends[0]]
-            if (
-                not abs(way)
-                or abs(((parts.points[point] - base) * way.conjugate() / abs(way)).imag) > SAME * self._size()
-            ):
+            across = ((parts.points[point] - base) * way.conjugate()).imag
+            if not abs(way) or abs(across) > SAME * self._size() * abs(way):
                 raise ModelError(f"{point} is not on the guide from {ends[0]} to {ends[1]}: draw it there.")
             parts.slides[point] = Slide(point, on[0], base, way / abs(way), (ends[0], ends[1]))
         if mass is not None:
@@ -494,8 +488,8 @@ class Linkage:
         )
 
     def _change(self) -> Parts:
-        """The parts, to be changed: what was made of them is made anew."""
-        self._system = None
+        """The parts, to be changed: what was found or made of them is no longer valid."""
+        self._analysis = self._system = None
         return self._parts
 
     def _quantity(self, value: Quantity, name: str, unit: str, description: str) -> sm.Expr:
@@ -615,6 +609,11 @@ class Linkage:
             )
 
     def _analyzed(self) -> tuple[Tree, Mobility]:
+        if self._analysis is None:
+            self._analysis = self._analyze()
+        return self._analysis
+
+    def _analyze(self) -> tuple[Tree, Mobility]:
         self._check()
         tree, size, parts = self._tree(), self._size(), self._parts
         if tree.unreached:
@@ -659,7 +658,7 @@ class Linkage:
 def _pair(given: Any, what: str) -> complex:
     """Two finite numbers as a complex one."""
     if isinstance(given, str) or not isinstance(given, Sequence | np.ndarray) or len(given) != 2:
-        raise ModelError(f"{what} has two coordinates, (x, y), not {shown(given)}.")
+        raise ModelError(f"{what[0].upper()}{what[1:]} has two coordinates, (x, y), not {shown(given)}.")
     x, y = (finite_number(value, f"the {axis} of {what}") for axis, value in zip("xy", given, strict=True))
     return complex(x, y)
 

@@ -202,9 +202,7 @@ def distribution(link: Link, name: str, shape: Geometry, tree: Tree) -> tuple[sm
     """
     local = {point: shape.local[name, point] for point in link.points}
     if all(y == 0 for _, y in local.values()):
-        along = sorted(
-            link.points, key=lambda p: ((tree.points[p] - tree.points[link.points[0]]) / tree.direction(name)).real
-        )
+        along = sorted(link.points, key=lambda point: (tree.points[point] / tree.direction(name)).real)
         sides = [(along[0], along[-1])]
     else:
         sides = [*pairwise(link.points), (link.points[-1], link.points[0])]

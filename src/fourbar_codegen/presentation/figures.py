@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -99,23 +100,32 @@ def plot_trajectory(trajectory: Trajectory, names: str | Sequence[Any]) -> Figur
     ModelError
         If Matplotlib is not installed.
     """
-    figure_class = _imported("matplotlib.figure", "Plots").Figure
     if len(trajectory.t) < SMOOTH and len(np.unique(trajectory.t)) > 1:
         trajectory = trajectory.resample(np.linspace(trajectory.t[0], trajectory.t[-1], SMOOTH))
     chosen = [_panel(name, trajectory[name]) for name in _quantities(names)]
     shown = chosen or panels(trajectory)
-    figure: Figure = figure_class(figsize=(7.0, 2.2 * len(shown)), layout="constrained")
-    for axes, panel in zip(figure.subplots(len(shown), 1, sharex=True, squeeze=False).flat, shown, strict=True):
+    figure, cells = _stacked([panel.title for panel in shown], 2.2, "time (s)")
+    for axes, panel in zip(cells, shown, strict=True):
         for name, values in panel.curves.items():
             axes.plot(trajectory.t, values, label=_label(name))
-        axes.set_title(panel.title, loc="left", fontsize="medium")
         if panel.is_logarithmic:
             axes.set_yscale("log")
         axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
-        axes.grid(alpha=0.3)
-    axes.set_xlabel("time (s)")
     figure.suptitle(trajectory.model.name)
     return figure
+
+
+def _stacked(titles: Sequence[str], height: float, label: str) -> tuple[Figure, list[Any]]:
+    """A figure with axes one below the other, of a height in inches, and the label of their common horizontal axis."""
+    figure: Figure = _imported("matplotlib.figure", "Plots").Figure(
+        figsize=(7.0, height * len(titles)), layout="constrained"
+    )
+    cells = list(figure.subplots(len(titles), 1, sharex=True, squeeze=False).flat)
+    for axes, title in zip(cells, titles, strict=True):
+        axes.set_title(title, loc="left", fontsize="medium")
+        axes.grid(alpha=0.3)
+    cells[-1].set_xlabel(label)
+    return figure, cells
 
 
 def _quantities(names: str | Sequence[Any]) -> list[str]:
@@ -136,27 +146,33 @@ def plot_paths(trajectory: Trajectory, points: Sequence[str]) -> Figure:
     points = _checked(trajectory.model, points)
     drawn = drawing(trajectory, lambda start, end: np.linspace(start, end, SMOOTH if start != end else 1))
     figure, [axes] = _figure(1, drawn.scene.is_planar)
-    _draw(axes, drawn.scene)
-    dimensions = 2 if drawn.scene.is_planar else 3
-    traced = points or list(drawn.scene.traced().values())
-    for name in traced:
-        path = drawn.scene.positions[trajectory.model.points.index(name), :dimensions]
-        axes.plot(*path, label=_label(name), zorder=1)
-    axes.set_aspect("equal")
-    if traced:
-        axes.legend(loc="center left", bbox_to_anchor=(1.02 if drawn.scene.is_planar else 1.15, 0.5))
+    _draw_paths(axes, drawn.scene, points)
+    _name_paths(axes, drawn.scene)
     axes.set_title(trajectory.model.name)
     return figure
 
 
+def _draw_paths(axes: Any, drawn: Scene, points: Sequence[str]) -> None:
+    """The mechanism at the first instant, and the paths of points, or of the moving joints."""
+    _draw(axes, drawn)
+    dimensions = 2 if drawn.is_planar else 3
+    for name in points or drawn.traced().values():
+        axes.plot(*drawn.positions[drawn.names.index(name), :dimensions], label=_label(name), zorder=1)
+    axes.set_aspect("equal")
+
+
+def _name_paths(axes: Any, drawn: Scene) -> None:
+    """A legend beside the axes, if there are paths."""
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(loc="center left", bbox_to_anchor=(1.02 if drawn.is_planar else 1.15, 0.5))
+
+
 def plot_ensemble(ensemble: Ensemble, names: str | Sequence[Any]) -> Figure:
     """Plot an ensemble; see `Ensemble.plot`."""
-    figure_class = _imported("matplotlib.figure", "Plots").Figure
     quantities = _quantities(names) or list(ensemble.model.coordinates)
     if not len(ensemble):
         raise ModelError("There is nothing to plot: the ensemble has no members.")
-    figure: Figure = figure_class(figsize=(7.0, 2.6 * len(quantities)), layout="constrained")
-    cells = figure.subplots(len(quantities), 1, sharex=True, squeeze=False).flat
+    figure, cells = _stacked([_label(name) for name in quantities], 2.6, "time (s)")
     varied = ensemble.varied
     draw = _draw_members if len(varied) == 1 else _draw_bands
     for axes, name in zip(cells, quantities, strict=True):
@@ -164,9 +180,6 @@ def plot_ensemble(ensemble: Ensemble, names: str | Sequence[Any]) -> Figure:
         if values.ndim != 2:
             raise ModelError(f"{name} is not a scalar quantity over time: it has shape {values.shape}.")
         draw(axes, ensemble, values)
-        axes.set_title(_label(name), loc="left", fontsize="medium")
-        axes.grid(alpha=0.3)
-    axes.set_xlabel("time (s)")
     failed = len(ensemble) - int(ensemble.success.sum())
     figure.suptitle(
         f"{ensemble.model.name}: {len(ensemble)} members"
@@ -239,25 +252,19 @@ def plot_modes(modes: AssemblyModes) -> Figure:
 
 def plot_kinematics(found: Kinematics, names: Sequence[Any]) -> Figure:
     """Plot quantities of all branches against the drive; see `Kinematics.plot`."""
-    figure_class = _imported("matplotlib.figure", "Plots").Figure
     quantities = _quantities(names) or [name for name in found.model.coordinates if name not in found.drive]
     unknown = [name for name in quantities if name not in (*found.model.states, *found.model.points)]
     if unknown:
         known = [*found.model.states, *found.model.points]
         raise ModelError(f"There is no {', '.join(unknown)}; there are {', '.join(known)}.")
     [(driven, values), *_] = found.drive.items()
-    figure: Figure = figure_class(figsize=(7.0, 2.4 * len(quantities)), layout="constrained")
-    for axes, name in zip(
-        figure.subplots(len(quantities), 1, sharex=True, squeeze=False).flat, quantities, strict=True
-    ):
+    figure, cells = _stacked([_label(name) for name in quantities], 2.4, _label(driven))
+    for axes, name in zip(cells, quantities, strict=True):
         for number, branch in enumerate(found):
             for part, letter in zip(np.atleast_2d(branch[name]), "xyz", strict=False):
                 label = f"branch {number}" + (f", {letter}" if branch[name].ndim > 1 else "")
                 axes.plot(values, part, label=label)
-        axes.set_title(_label(name), loc="left", fontsize="medium")
-        axes.grid(alpha=0.3)
         axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
-    axes.set_xlabel(_label(driven))
     figure.suptitle(found.model.name)
     return figure
 
@@ -271,15 +278,11 @@ def plot_branches(branches: Sequence[Branch], points: Sequence[str]) -> Figure:
     planar = all(drawn.is_planar for drawn in scenes)
     figure, cells = _figure(len(shown), planar)
     for number, (axes, drawn) in enumerate(zip(cells, scenes, strict=True)):
-        dimensions = 2 if planar else 3
-        _draw(axes, drawn)
-        for name in chosen or list(drawn.traced().values()):
-            axes.plot(*drawn.positions[model.points.index(name), :dimensions], label=_label(name), zorder=1)
-        axes.set_aspect("equal")
+        _draw_paths(axes, replace(drawn, is_planar=planar), chosen)
         if len(shown) > 1:
             axes.set_title(f"branch {number}", fontsize="small")
-    if len(shown) == 1 and cells[0].get_legend_handles_labels()[0]:
-        cells[0].legend(loc="center left", bbox_to_anchor=(1.02, 0.5))
+    if len(shown) == 1:
+        _name_paths(cells[0], scenes[0])
     figure.suptitle(model.name)
     return figure
 

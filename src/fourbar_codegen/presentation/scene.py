@@ -152,12 +152,10 @@ class Scene:
         moving = {row: name for row, name in enumerate(self.names) if self.moves(row)}
         joints: dict[int, str] = {}
         for row, name in moving.items():
-            if self.bodies[row] is None and not any(self._coincide(row, other, PLANAR) for other in joints):
+            elsewhere = not any(_coincide(self.positions, row, other, PLANAR * self.size) for other in joints)
+            if self.bodies[row] is None and elsewhere:
                 joints[row] = name
         return joints or moving
-
-    def _coincide(self, row: int, other: int, tolerance: float) -> bool:
-        return _coincide(self.positions, row, other, tolerance * self.size)
 
     def outline(self, symbol: Symbol) -> Floats:
         """The lines of a symbol, one after the other with NaN between them, shape (3, n_points, n_t)."""

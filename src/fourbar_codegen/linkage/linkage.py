@@ -71,10 +71,9 @@ class Linkage:
 
     Examples
     --------
-    >>> linkage = Linkage(
-    ...     "crank_rocker", points={"A": (0, 0), "B": (0.1, 0), "C": (0.3, 0.3), "D": (0.4, 0)}, ground="AD",
-    ...     links=["AB", "BC", "CD"], density=1.0,
-    ... )
+    >>> points = {"A": (0, 0), "B": (0.1, 0), "C": (0.3, 0.3), "D": (0.4, 0)}
+    >>> links = ["AB", "BC", "CD"]
+    >>> linkage = Linkage("crank_rocker", points=points, ground="AD", links=links, density=1.0)
     >>> linkage.torque("A", 0.5)
     >>> linkage.mobility.degrees_of_freedom
     1

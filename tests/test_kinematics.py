@@ -233,6 +233,26 @@ def test_what_cannot_be_driven(four_bar):
         fb.compile_model(fb.models.chain(2)).kinematics({"q1": [0.0]})
 
 
+def test_a_trammel():
+    """Two blocks on the ground and no pin there: the end of the rod moves on an ellipse (Archimedes)."""
+    points = {"X": (0.75, 0), "Y": (0, -sqrt(27) / 4), "P": (1.5, sqrt(27) / 4)}
+    linkage = fb.Linkage("trammel", points=points, links=["XYP"])
+    linkage.slider("X", along=(1, 0))
+    linkage.slider("Y", along=(0, 1))
+    found = fb.compile_model(linkage.model()).kinematics({"q_XYP": np.linspace(-2.0, 2.0, 21)})
+    x, y, _ = found[0]["P"]
+    np.testing.assert_allclose((x / 3) ** 2 + (y / 1.5) ** 2, 1.0, rtol=0, atol=1e-12)
+
+
+def test_a_branch_between_two_values_is_not_drawn():
+    """The slider's dead points are at 0.2 and 0.4 m."""
+    crank = fb.compile_model(fb.models.slider_crank())
+    found = crank.kinematics({"slide": [0.1, 0.5]})
+    assert not found.closes.any()
+    with pytest.raises(fb.ModelError, match="close at none of the drive's values"):
+        found.plot_paths()
+
+
 def test_pictures_of_branches(four_bar):
     found = four_bar.kinematics({"q1": np.linspace(-0.5, 0.5, 5)})
     assert len(found.plot().axes) == 2

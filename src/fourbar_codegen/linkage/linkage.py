@@ -567,7 +567,7 @@ class Linkage:
 
     def _check(self) -> None:
         parts = self._parts
-        if not parts.ground:
+        if not parts.ground and all(slide.on != GROUND for slide in parts.slides.values()):
             raise ModelError("There is no ground: state the points that do not move, by ground(...) or ground=.")
         if not parts.links:
             raise ModelError("There is no link: state bars or plates.")

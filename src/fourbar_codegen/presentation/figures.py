@@ -273,7 +273,11 @@ def plot_branches(branches: Sequence[Branch], points: Sequence[str]) -> Figure:
     """Draw the mechanism in each branch, where it is first closed, with paths; see `Kinematics.plot_paths`."""
     model = branches[0].model
     chosen = _checked(model, points)
-    shown = branches[:MAX_PANELS]
+    # A branch between two of the values of the drive has no position at any of them.
+    closed = [branch for branch in branches if np.isfinite(branch.q).all(axis=0).any()]
+    if not closed:
+        raise ModelError(f"There is nothing of {model.name} to draw: the loops close at none of the drive's values.")
+    shown = closed[:MAX_PANELS]
     scenes = [scene(model, branch.positions[:, :, np.isfinite(branch.q).all(axis=0)]) for branch in shown]
     planar = all(drawn.is_planar for drawn in scenes)
     figure, cells = _figure(len(shown), planar)

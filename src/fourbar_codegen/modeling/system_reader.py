@@ -27,6 +27,15 @@ from fourbar_codegen.modeling.shapes import find_shapes
 __all__ = ["read_mechanism", "wrong_number"]
 
 
+DRAWN_AS: dict[str, Literal["spring", "damper"]] = {
+    "LinearSpring": "spring",
+    "DuffingSpring": "spring",
+    "LinearDamper": "damper",
+    "CoulombKineticFriction": "damper",
+}
+"""Classes of actuators by name, since older versions of SymPy lack some; others are drawn as actuators."""
+
+
 def read_mechanism(
     system: System | me.KanesMethod, points: Iterable[Any] = (), lines: Iterable[Iterable[Any]] = ()
 ) -> Mechanism:
@@ -102,16 +111,21 @@ def read_mechanism(
 
 
 def _points(given: Iterable[Any]) -> list[me.Point]:
-    points = [given] if isinstance(given, str) or not isinstance(given, Iterable) else list(given)
+    points = _listed(given)
     for point in points:
         if not isinstance(point, me.Point):
             raise ModelError(f"points= takes Points of sympy.physics.mechanics, not {shown(point)}.")
     return points
 
 
+def _listed(given: Any) -> list[Any]:
+    """The items of a collection; of anything else, itself."""
+    return [given] if isinstance(given, str) or not isinstance(given, Iterable) else list(given)
+
+
 def _lines(given: Iterable[Any]) -> list[list[Any]]:
     """Lines as lists of points and names of points."""
-    lines = [given] if isinstance(given, str) or not isinstance(given, Iterable) else list(given)
+    lines = _listed(given)
     for line in lines:
         ends = list(line) if isinstance(line, list | tuple) else []
         if len(ends) < 2 or not all(isinstance(end, str | me.Point) for end in ends):
@@ -139,12 +153,9 @@ def _pathways(actuators: Iterable[Any], numbers: Mapping[me.Point, int]) -> Iter
     for actuator in actuators:
         ends = [point for point in getattr(getattr(actuator, "pathway", None), "attachments", ()) if point in numbers]
         if len(ends) > 1:
-            is_spring, is_damper = (
-                any(base.__name__ in names for base in type(actuator).__mro__)
-                for names in (("LinearSpring", "DuffingSpring"), ("LinearDamper", "CoulombKineticFriction"))
-            )
-            kind: Any = "spring" if is_spring else "damper" if is_damper else "actuator"
-            yield Shape(kind, str(getattr(actuator, "name", "")), tuple(numbers[point] for point in ends))
+            classes = (base.__name__ for base in type(actuator).__mro__)
+            kind = next((DRAWN_AS[name] for name in classes if name in DRAWN_AS), None)
+            yield Shape(kind or "actuator", str(getattr(actuator, "name", "")), tuple(numbers[point] for point in ends))
 
 
 @dataclass(frozen=True)

@@ -426,8 +426,8 @@ class Linkage:
         Raises
         ------
         ModelError
-            If the linkage is rigid, in parts or not connected, has more drives than degrees of freedom, or a point or
-            bar of no use.
+            If the linkage is rigid or not connected, has more drives than degrees of freedom, or a point or bar of no
+            use.
         """
         return self._analyzed()[1]
 

@@ -165,7 +165,7 @@ class Tree:
 def spanning_tree(
     points: Mapping[str, complex], ground: tuple[str, ...], links: Mapping[str, tuple[str, ...]], slides: list[Slide]
 ) -> Tree:
-    """Reach the links from the ground, by pins first, breadth first in the order of their definition.
+    """Reach the links from the ground, by pins first, in the order of their definition.
 
     Parameters
     ----------

@@ -133,6 +133,59 @@ def test_dead_points_of_a_slider_that_is_driven():
     assert [branch.limits["slide"] for branch in found] == [pytest.approx((0.2, 0.4), abs=1e-12)] * 2
 
 
+def test_a_range_beside_all_places_that_are_searched_first():
+    """The loop closes between 0.2 and 0.4 m, of 5: at given values alone, and the first of these is a dead point."""
+    crank = fb.compile_model(fb.models.slider_crank())
+    found = crank.kinematics({"slide": np.linspace(0.0, 5.0, 201)})
+    assert len(found) == len(found.dead_points) == 2
+    assert np.flatnonzero(found.closes).tolist() == list(range(8, 17))
+
+
+def test_drives_around_corners():
+    """Two drives of a five-bar around a square and back: each position by two circles that intersect."""
+    points = {"A": (0, 0), "B": (-0.1, 0.3), "C": (0.2, 0.5), "D": (0.5, 0.25), "E": (0.4, 0)}
+    linkage = fb.Linkage("five", points=points, ground="AE", links=["AB", "BC", "CD", "DE"])
+    first, second = np.array([1.7, 1.9, 1.9, 1.7, 1.7, 1.9]), np.array([1.2, 1.2, 1.4, 1.4, 1.2, 1.4])
+    found = fb.compile_model(linkage.model()).kinematics({"q_AB": first, "q_DE": second})
+    assert found.is_complete
+    assert found.closes.all()
+    ab, bc, cd, de = (
+        np.linalg.norm(np.subtract(points[a], points[b])) for a, b in (("A", "B"), ("B", "C"), ("C", "D"), ("D", "E"))
+    )
+    b = ab * np.exp(1j * first)
+    # q_DE is the angle of the way from D to E.
+    d = 0.4 - de * np.exp(1j * second)
+    along = (d - b) / abs(d - b)
+    middle = (bc**2 - cd**2 + abs(d - b) ** 2) / (2 * abs(d - b))
+    expected = [b + along * (middle + side * 1j * np.sqrt(bc**2 - middle**2)) for side in (1, -1)]
+    assert len(found) == 2
+    places = [branch["C"][0] + 1j * branch["C"][1] for branch in found]
+    for place in expected:
+        assert min(np.abs(place - other).max() for other in places) < 1e-12
+
+
+def test_an_open_chain():
+    """All coordinates driven, with rates of their own: the end of a chain by differentiating its position."""
+    model = fb.compile_model(fb.Linkage("arm", points=ARM, ground="A", links=["AB", "BC"]).model())
+    t = np.linspace(0.0, 1.0, 11)
+    one, two = np.sin(t), t**2
+    found = model.kinematics(
+        {"q_AB": one, "q_BC": two},
+        rates={"q_AB": np.cos(t), "q_BC": 2 * t},
+        accelerations={"q_AB": -np.sin(t), "q_BC": 2.0},
+    )
+    turn, other = 1j * np.cos(t), 2j * t
+    a, b = 0.4 * np.exp(1j * one), 0.3 * np.exp(1j * two)
+    acceleration = a * (turn**2 - 1j * np.sin(t)) + b * (other**2 + 2j)
+    np.testing.assert_allclose(found[0].velocities["C"][0], (a * turn + b * other).real, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(found[0].accelerations["C"][1], acceleration.imag, rtol=0, atol=1e-14)
+    with pytest.raises(fb.ModelError, match="The rate of q_AB is a finite number, or 11 of them"):
+        model.kinematics({"q_AB": one, "q_BC": two}, rates={"q_AB": [1.0, 2.0]})
+
+
+ARM = {"A": (0, 0), "B": (0.4, 0), "C": (0.7, 0)}
+
+
 def test_a_prescribed_motion_is_a_drive():
     linkage = mechanisms.crank_rocker()
     linkage.drive("O", speed=1.0)
@@ -233,9 +286,9 @@ def test_what_cannot_be_driven(four_bar):
     ):
         with pytest.raises(fb.ModelError, match=message):
             four_bar.kinematics(drive)
-    with pytest.raises(fb.AssemblyError, match="do not close anywhere"):
+    with pytest.raises(fb.AssemblyError, match="close at none of the values"):
         four_bar.kinematics({"q1": [0.0, 1.0]}, parameters={"l1": 5.0})
-    with pytest.raises(fb.ModelError, match="no position constraints"):
+    with pytest.raises(fb.ModelError, match="degree of freedom is left: with q1 held, 1 coord"):
         fb.compile_model(fb.models.chain(2)).kinematics({"q1": [0.0]})
 
 

@@ -28,18 +28,21 @@ if TYPE_CHECKING:
     from fourbar_codegen.linkage.linkage import Linkage
     from fourbar_codegen.modeling.model import Model, Parameter, joint_force, multiplier
     from fourbar_codegen.results.ensemble import Ensemble
+    from fourbar_codegen.results.kinematics import Branch, Kinematics
     from fourbar_codegen.results.trajectory import Trajectory
     from fourbar_codegen.simulation.events import Event
 
 __all__ = [
     "AssemblyError",
     "AssemblyModes",
+    "Branch",
     "BuildError",
     "CacheError",
     "CompiledModel",
     "Ensemble",
     "Event",
     "FourbarError",
+    "Kinematics",
     "Linkage",
     "Model",
     "ModelError",
@@ -62,9 +65,11 @@ __all__ = [
 
 _HOME = {
     "AssemblyModes": "analysis.assembly_modes",
+    "Branch": "results.kinematics",
     "CompiledModel": "compiled",
     "Ensemble": "results.ensemble",
     "Event": "simulation.events",
+    "Kinematics": "results.kinematics",
     "Linkage": "linkage.linkage",
     "Model": "modeling.model",
     "Parameter": "modeling.model",

@@ -20,9 +20,9 @@ from fourbar_codegen.simulation.simulate import make_stepper, simulate
 
 if TYPE_CHECKING:
     from fourbar_codegen.analysis.assembly_modes import AssemblyModes
-    from fourbar_codegen.analysis.drive import Kinematics
     from fourbar_codegen.kernel.inputs import InputSource
     from fourbar_codegen.results.ensemble import Ensemble
+    from fourbar_codegen.results.kinematics import Kinematics
     from fourbar_codegen.results.trajectory import Trajectory
     from fourbar_codegen.simulation.events import EventLike
 
@@ -399,8 +399,8 @@ class CompiledModel(Kernel):
         self,
         drive: Mapping[Any, ArrayLike],
         *,
-        rates: Mapping[Any, float] | None = None,
-        accelerations: Mapping[Any, float] | None = None,
+        rates: Mapping[Any, ArrayLike] | None = None,
+        accelerations: Mapping[Any, ArrayLike] | None = None,
         parameters: Values | None = None,
         inputs: Mapping[Any, float] | None = None,
         t: float = 0.0,
@@ -409,15 +409,16 @@ class CompiledModel(Kernel):
 
         Branches are continued by arc length, through the positions where the drive has to turn round: dead points,
         which are also the limits of the range where the loops can close. They are found from the assembly modes at nine
-        places along the drive; a branch that closes at none of these is missed. Masses and forces need no values.
+        places along the drive, and at all given values where no branch closes; one that closes at none of these is
+        missed. Masses and forces need no values.
 
         Parameters
         ----------
         drive : mapping of coordinate or prescribed motion to array_like, shape (n,)
-            As many as the mechanism has degrees of freedom; values are passed in their order, linearly in between.
-        rates, accelerations : mapping of str to float, optional
-            Of the driven quantities, constant; by default 1 and 0, so that velocities are derivatives with respect to
-            the drive.
+            As many as the mechanism has degrees of freedom. Values of several are passed in their order.
+        rates, accelerations : mapping of coordinate or prescribed motion to float or array_like, shape (n,), optional
+            First and second derivatives of the driven quantities with respect to time; by default 1 and 0, so that
+            velocities are derivatives with respect to the drive.
         parameters : array_like or mapping, optional
         inputs : mapping of str to float, optional
             Values of inputs that prescribe other motions, and of their rates.

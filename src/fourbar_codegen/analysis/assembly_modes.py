@@ -184,6 +184,8 @@ def closed_coordinates(loops: Loops, start: Floats, progress: Progress) -> tuple
     tuple of str
         Names of those that can move in a solution; see `AssemblyModes.free`.
     """
+    if not loops.model.n_h:
+        return [start], True, ()
     generator = np.random.default_rng(0)
     chart = _Chart.of(loops, start, generator)
     loops = chart.loops

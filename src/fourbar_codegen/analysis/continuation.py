@@ -39,6 +39,9 @@ RANK = 1e-9
 FOLDED = 1e-10
 """Component of the tangent along the parameter at a fold."""
 
+STEEP = 1e-3
+"""Component of the tangent along the parameter near a fold."""
+
 
 @dataclass(frozen=True)
 class Curve:
@@ -125,6 +128,10 @@ def trace(function: Function, begin: Floats, low: float, high: float, periods: F
     Curve
     """
     tangent = null_space(function(begin)[1])[:, 0]
+    if abs(tangent[-1]) < STEEP:  # a fold, or near to one: begin beside it, so that it is passed
+        beside = _correct(function, begin + 0.5 * LONGEST * tangent)
+        if beside is not None and low <= beside[-1] <= high:
+            begin, tangent = beside, _tangent(function, beside, tangent)
     forward, folds, is_closed, early = _follow(function, begin, tangent, low, high, periods)
     if is_closed:
         return Curve(np.array(forward), tuple(folds), True, early)
@@ -140,6 +147,13 @@ def _follow(
     """Points in one direction, numbers of folds, and whether it is closed or ends early."""
     points, folds = [begin], list[int]()
     first, length, step = tangent, 0.0, LONGEST
+
+    def add_fold(z: Floats, tangent: Floats, step: float) -> None:
+        fold = _fold(function, z, tangent, step)
+        if fold is not None and low <= fold[-1] <= high:
+            points.append(fold)
+            folds.append(len(points) - 1)
+
     for _ in range(MAX_STEPS):
         z = points[-1]
         moved = _correct(function, z + step * tangent)
@@ -151,10 +165,7 @@ def _follow(
                 return points, folds, False, True
             continue
         if turned[-1] * tangent[-1] < 0.0:
-            fold = _fold(function, z, tangent, step)
-            if fold is not None and low <= fold[-1] <= high:
-                points.append(fold)
-                folds.append(len(points) - 1)
+            add_fold(z, tangent, step)
         if not low <= moved[-1] <= high:
             end = solve_at(function, moved, low if moved[-1] < low else high)
             if end is not None:
@@ -164,7 +175,10 @@ def _follow(
         turns = np.where(np.isfinite(periods), periods, 0.0) * np.round((moved - begin) / periods)
         gap = begin + turns - moved
         if length > 4.0 * LONGEST and np.linalg.norm(gap) <= step and first @ turned > STRAIGHT and gap @ turned >= 0.0:
-            return [*points, moved, begin + turns], folds, True, False
+            points.append(moved)
+            if first[-1] * turned[-1] < 0.0:
+                add_fold(moved, turned, float(np.linalg.norm(gap)))
+            return [*points, begin + turns], folds, True, False
         points.append(moved)
         tangent = turned
         step = min(LONGEST, 1.5 * step)

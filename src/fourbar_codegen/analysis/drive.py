@@ -4,29 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.analysis.assembly_modes import closed_coordinates
 from fourbar_codegen.analysis.continuation import Curve, null_space, solve_at, trace
 from fourbar_codegen.analysis.loop_closure import Loops
-from fourbar_codegen.arguments import Values, finite_number, is_mapping, name_of, named, named_array, numbers
+from fourbar_codegen.arguments import Values, finite_number, is_mapping, named, named_array, numbers
 from fourbar_codegen.errors import AssemblyError, ModelError, shown
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.progress import Progress
+from fourbar_codegen.results.kinematics import Branch, Kinematics
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-__all__ = ["Branch", "Kinematics", "kinematics"]
+__all__ = ["kinematics"]
 
 Floats = NDArray[np.float64]
 
 SEEDS = (0.5131, 0.0, 1.0, 0.2417, 0.7689, 0.1201, 0.8773, 0.3718, 0.6329)
-"""Places along the drive, of its whole way, where assembly modes are searched: unlikely to be singular."""
+"""Places along the drive, of its whole way, where assembly modes are searched: unlikely to be singular. They are also
+searched at all given values at which no branch closes."""
 
 SINGULAR = 1e-7
 """Smallest singular value with which velocities are determined, relative to the largest."""
@@ -36,218 +34,19 @@ SAME = 1e-6
 
 
 @dataclass(frozen=True)
-class Branch:
-    """One way in which the loops close, along the drive.
-
-    Attributes
-    ----------
-    model : CompiledModel
-    t : float
-    drive : dict of str to ndarray, shape (n,)
-        The driven coordinates or inputs.
-    q, qd, qdd : ndarray, shape (n_q, n)
-        The coordinates and their first and second derivatives with respect to time; NaN where the loops do not close,
-        and of the derivatives at dead points.
-    u, ud : ndarray, shape (n_u, n)
-        Speeds and their rates.
-    limits : dict of str to (float, float)
-        Values of the drive where the branch begins and ends: the range in which the loops close in this way.
-    r : ndarray, shape (n_r, n)
-        Inputs.
-    p : ndarray, shape (n_p,)
-    """
-
-    model: Kernel
-    t: float
-    drive: dict[str, Floats]
-    q: Floats
-    qd: Floats
-    qdd: Floats
-    u: Floats
-    ud: Floats
-    limits: dict[str, tuple[float, float]]
-    r: Floats
-    p: Floats
-
-    @cached_property
-    def _drawn(self) -> Floats:
-        """Positions, velocities and accelerations of all drawn points, shape (3, n_points, 3, n)."""
-        model, n = self.model, self.q.shape[1]
-        found = np.full((3, len(model.manifest["points"]), 3, n), np.nan)
-        for k in np.flatnonzero(np.isfinite(self.q).all(axis=0)):
-            is_known = np.isfinite(self.ud[:, k]).all()
-            state = np.concatenate(
-                (self.q[:, k], self.u[:, k] if is_known else np.zeros(model.n_u), np.zeros(model.n_z))
-            )
-            found[0, :, :, k] = model.drawing(self.t, state, self.p, self.r[:, k])[0]
-            if is_known:
-                found[1:, :, :, k] = model.motion(self.t, state, self.ud[:, k], self.p, self.r[:, k])[1:]
-        return found
-
-    @property
-    def positions(self) -> Floats:
-        """Positions of all drawn points, those without names last, m, shape (n_points, 3, n)."""
-        return np.asarray(self._drawn[0])
-
-    @cached_property
-    def points(self) -> dict[str, Floats]:
-        """Positions of points by name, m, each of shape (3, n)."""
-        return dict(zip(self.model.points, self._drawn[0], strict=False))
-
-    @cached_property
-    def velocities(self) -> dict[str, Floats]:
-        """Velocities of points by name, m/s, each of shape (3, n)."""
-        return dict(zip(self.model.points, self._drawn[1], strict=False))
-
-    @cached_property
-    def accelerations(self) -> dict[str, Floats]:
-        """Accelerations of points by name, m/s^2, each of shape (3, n)."""
-        return dict(zip(self.model.points, self._drawn[2], strict=False))
-
-    def __getitem__(self, name: Any) -> Floats:
-        """A coordinate, shape (n,), or the positions of a point, (3, n), by name or symbol."""
-        key, model = name_of(name), self.model
-        if key in model.coordinates:
-            return np.asarray(self.q[model.coordinates.index(key)])
-        if key in model.speeds:
-            return np.asarray(self.u[model.speeds.index(key)])
-        if key in model.points:
-            return self.points[key]
-        known = [*model.coordinates, *model.speeds, *model.points]
-        raise KeyError(f"{key!r} is none of {', '.join(known)}")
-
-    def transmission_angle(self, a: str, joint: str, b: str) -> Floats:
-        """The angle at a joint between the ways to two other points, such as between coupler and rocker.
-
-        Parameters
-        ----------
-        a, joint, b : str
-            Names of points: for a four-bar the ends of the coupler, then the rocker's joint with the ground.
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            Between 0 and pi; forces are transmitted well near pi/2.
-
-        Raises
-        ------
-        ModelError
-            If a point is not known.
-        """
-        for name in (a, joint, b):
-            if name not in self.model.points:
-                raise ModelError(f"There is no point {shown(name)}; there are {', '.join(self.model.points)}.")
-        first, second = (self.points[end] - self.points[joint] for end in (a, b))
-        return np.asarray(
-            np.arctan2(np.linalg.norm(np.cross(first, second, axis=0), axis=0), (first * second).sum(axis=0))
-        )
-
-    def plot_paths(self, points: Sequence[str] = ()) -> Figure:
-        """Draw the mechanism with the paths of points; see `Kinematics.plot_paths`."""
-        from fourbar_codegen.presentation.figures import plot_branches
-
-        return plot_branches([self], points)
-
-
-@dataclass(frozen=True)
-class Kinematics(Sequence[Branch]):
-    """The branches of a mechanism along a drive: a sequence of `Branch`, the one nearest to the initial values first.
-
-    Attributes
-    ----------
-    model : CompiledModel
-    drive : dict of str to ndarray, shape (n,)
-    branches : tuple of Branch
-    dead_points : tuple of dict of str to float
-        Positions between two branches, where the drive cannot go on: the values of driven quantities and coordinates.
-    is_complete : bool
-        Whether all modes were found at the places where they were looked for, and no branch ended where it should go
-        on.
-    """
-
-    model: Kernel
-    drive: dict[str, Floats]
-    branches: tuple[Branch, ...]
-    dead_points: tuple[dict[str, float], ...]
-    is_complete: bool
-
-    def __len__(self) -> int:
-        return len(self.branches)
-
-    def __getitem__(self, number: Any) -> Any:
-        return self.branches[number]
-
-    def __iter__(self) -> Iterator[Branch]:
-        return iter(self.branches)
-
-    @property
-    def closes(self) -> NDArray[np.bool_]:
-        """Where along the drive the loops can close, shape (n,)."""
-        return np.asarray(np.isfinite([branch.q for branch in self.branches]).all(axis=1).any(axis=0))
-
-    def __repr__(self) -> str:
-        where = "everywhere" if self.closes.all() else f"at {int(self.closes.sum())} of {len(self.closes)} values"
-        return (
-            f"<Kinematics of {self.model.name} along {', '.join(self.drive)}: {len(self)} branches"
-            f"{'' if self.is_complete else ' or more'}, {len(self.dead_points)} dead points; the loops close {where}>"
-        )
-
-    def plot(self, *names: Any) -> Figure:
-        """Plot quantities of all branches against the drive; needs the extra ``visual``.
-
-        Parameters
-        ----------
-        *names : str or Symbol
-            Coordinates, speeds, or points; by default all coordinates.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-
-        Raises
-        ------
-        ModelError
-            If a name is not known, or Matplotlib is not installed.
-        """
-        from fourbar_codegen.presentation.figures import plot_kinematics
-
-        return plot_kinematics(self, names)
-
-    def plot_paths(self, points: Sequence[str] = ()) -> Figure:
-        """Draw the mechanism in each branch with the paths of points; needs the extra ``visual``.
-
-        Parameters
-        ----------
-        points : sequence of str, optional
-            By default the moving joints.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-
-        Raises
-        ------
-        ModelError
-            If a point is not known, there is nothing to draw, or Matplotlib is not installed.
-        """
-        from fourbar_codegen.presentation.figures import plot_branches
-
-        return plot_branches(self.branches, points)
-
-
-@dataclass(frozen=True)
 class _Drive:
-    """The driven coordinates and inputs, as functions of a parameter s: piecewise linear between nodes.
+    """The driven coordinates and inputs, as functions of a parameter s.
 
-    Of one drive, s is its value, in whatever order values are asked for; of several, the length of the way.
+    Of one drive, s is its scaled value, in whatever order values are asked for. Of several, it is the length of the way
+    from value to value, and they are monotone cubics of it, `curves`: a curve without corners can be traced.
     """
 
     model: Kernel
     names: tuple[str, ...]
     values: Floats
     places: Floats
-    nodes: Floats
-    at_nodes: Floats
+    curves: tuple[Any, Any] | None
+    unit: float
     rates: Floats
     accelerations: Floats
     coordinates: tuple[int, ...]
@@ -263,27 +62,27 @@ class _Drive:
         """Of the scaled coordinates, and of s."""
         return np.append(np.where(self.angles, 2.0 * np.pi / self.scales, np.inf), np.inf)
 
+    @property
+    def ends(self) -> tuple[float, float]:
+        """The smallest and the largest s."""
+        return float(self.places.min()), float(self.places.max())
+
     def at(self, s: float) -> Floats:
-        """The driven values; beyond the ends, by the lines there."""
-        before = self._before(s)
-        return np.asarray(self.at_nodes[:, before] + (s - self.nodes[before]) * self.slope(s))
+        """The driven values; beyond the ends, by the tangents there."""
+        if self.curves is None:
+            return np.array([s * self.unit])
+        within = np.clip(s, *self.ends)
+        return np.asarray(self.curves[0](within) + (s - within) * self.curves[1](within))
 
     def slope(self, s: float) -> Floats:
         """Their derivatives with respect to s."""
-        if len(self.nodes) == 1:
-            return np.zeros(len(self.values))
-        before, after = self._before(s), self._before(s) + 1
-        way = self.at_nodes[:, after] - self.at_nodes[:, before]
-        return np.asarray(way / (self.nodes[after] - self.nodes[before]))
+        return np.array([self.unit]) if self.curves is None else np.asarray(self.curves[1](np.clip(s, *self.ends)))
 
-    def _before(self, s: float) -> int:
-        """The number of the node before s."""
-        return int(np.clip(np.searchsorted(self.nodes, s, side="right") - 1, 0, max(0, len(self.nodes) - 2)))
-
-    def inputs(self, driven: Floats) -> Floats:
-        """The inputs with the driven ones."""
+    def inputs(self, driven: Floats, number: int = 0) -> Floats:
+        """The inputs with the driven ones, and their rates at one of the places, on which positions do not depend."""
         r = self.r.copy()
-        for name, value, rate, acceleration in zip(self.names, driven, self.rates, self.accelerations, strict=True):
+        rates, accelerations = self.rates[:, number], self.accelerations[:, number]
+        for name, value, rate, acceleration in zip(self.names, driven, rates, accelerations, strict=True):
             if name in self.model.inputs:
                 place = self.model.inputs.index(name)
                 r[place : place + 3] = value, rate, acceleration
@@ -314,22 +113,23 @@ class _Drive:
             errors.append(np.array([q[place] - value]) / self.scales[place])
         return np.concatenate(errors), np.vstack(rows)
 
-    def motion(self, q: Floats, s: float) -> tuple[Floats, Floats, Floats, Floats] | None:
-        """u, u', q' and q'' in a position; None where they are not determined."""
+    def motion(self, q: Floats, number: int) -> tuple[Floats, Floats, Floats, Floats] | None:
+        """u, u', q' and q'' in a position at one of the places; None where they are not determined."""
         model, driven = self.model, list(self.coordinates)
-        r = self.inputs(self.at(s))
+        r = self.inputs(self.values[:, number], number)
         x = np.concatenate((q, np.zeros(model.n_x - model.n_q)))
         # q' = K u + k, of which the driven rows are given; J u + b = 0.
         by_speeds = np.transpose([model.coordinate_change(self.t, x, row, self.p, r) for row in np.eye(model.n_u)])
         jacobian, bias = model.velocity(self.t, x, self.p, r)
         matrix = np.vstack((jacobian, by_speeds[driven]))
-        wanted = self.rates[: len(driven)] - model.dynamics(self.t, x, self.p, r)[0][driven]
+        wanted = self.rates[: len(driven), number] - model.dynamics(self.t, x, self.p, r)[0][driven]
         u = _solve(matrix, np.concatenate((-bias, wanted)))
         if u is None:
             return None
         x[model.n_q : model.n_q + model.n_u] = u
         qd, *_, bias = model.dynamics(self.t, x, self.p, r)
-        wanted = self.accelerations[: len(driven)] - model.motion(self.t, x, np.zeros(model.n_u), self.p, r)[0][driven]
+        at_constant_speeds = model.motion(self.t, x, np.zeros(model.n_u), self.p, r)[0]
+        wanted = self.accelerations[: len(driven), number] - at_constant_speeds[driven]
         ud = _solve(matrix, np.concatenate((-bias, wanted)))
         return None if ud is None else (u, ud, qd, model.motion(self.t, x, ud, self.p, r)[0])
 
@@ -348,27 +148,26 @@ def _solve(matrix: Floats, right: Floats) -> Floats | None:
 def kinematics(
     model: Kernel,
     drive: Mapping[Any, Any],
-    rates: Mapping[Any, float] | None,
-    accelerations: Mapping[Any, float] | None,
+    rates: Mapping[Any, ArrayLike] | None,
+    accelerations: Mapping[Any, ArrayLike] | None,
     parameters: Values | None,
     inputs: Mapping[Any, float] | None,
     t: float,
 ) -> Kinematics:
     """Positions and motions along a drive; see `CompiledModel.kinematics`."""
     path = _given(model, drive, rates, accelerations, parameters, inputs, t)
-    n_q, first, last = model.n_q, path.nodes[0], path.nodes[-1]
+    n_q, (first, last) = model.n_q, path.ends
     start, periods = path.start, path.periods
     if n_q - len(path.coordinates) > model.n_h:
         raise ModelError(
-            f"A degree of freedom is left: with {', '.join(path.names)} held, the other {n_q - len(path.coordinates)} "
-            f"coordinates have {model.n_h} constraints. Drive another one, too."
+            f"A degree of freedom is left: with {', '.join(path.names)} held, {n_q - len(path.coordinates)} coordinates "
+            f"and {model.n_h} position constraints are left. Drive another one, too."
         )
     curves: list[Curve] = []
     parts: list[Floats] = []
     is_complete, tried, free = True, 0, dict[str, None]()
     with Progress(f"{model.name}: positions along the drive") as progress:
-        for fraction in SEEDS if last > first else (0.0,):
-            s = first + fraction * (last - first)
+        for s in _seeds(path, parts):
             driven = path.at(s)
             order = np.argsort(path.coordinates).astype(int)
             given = tuple(path.coordinates[k] for k in order)
@@ -396,7 +195,10 @@ def kinematics(
             "too, or connect what moves."
         )
     if not parts:
-        raise AssemblyError(f"The loops of {model.name} do not close anywhere along {', '.join(path.names)}.")
+        raise AssemblyError(
+            f"The loops of {model.name} close at none of the values of {', '.join(path.names)}, nor at "
+            f"{len(SEEDS)} places between them."
+        )
 
     def distance(part: Floats) -> float:
         away = part[:, :n_q] - start / path.scales
@@ -412,6 +214,16 @@ def kinematics(
             dead.append({**values, **dict(zip(path.names, at.tolist(), strict=True))})
     drives = dict(zip(path.names, path.values, strict=True))
     return Kinematics(model, drives, branches, tuple(dead), is_complete)
+
+
+def _seeds(path: _Drive, parts: Sequence[Floats]) -> Iterator[float]:
+    """Places where assembly modes are searched: some on the whole way, then those that no branch passes by then."""
+    first, last = path.ends
+    tried = {first + fraction * (last - first): None for fraction in SEEDS}
+    yield from tried
+    for s in path.places.tolist():
+        if s not in tried and not any(part[0, -1] <= s <= part[-1, -1] for part in parts):
+            yield s
 
 
 def _passes(path: _Drive, part: Floats, z: Floats, periods: Floats) -> bool:
@@ -442,14 +254,14 @@ def _branch(path: _Drive, part: Floats) -> Branch:
     n = path.values.shape[1]
     q, qd, qdd = (np.full((n_q, n), np.nan) for _ in range(3))
     u, ud = (np.full((model.n_u, n), np.nan) for _ in range(2))
-    r = np.transpose([path.inputs(path.values[:, k]) for k in range(n)])
+    r = np.transpose([path.inputs(path.values[:, k], k) for k in range(n)])
     low, high = part[0, -1], part[-1, -1]
     for k, s in enumerate(path.places):
         if low - SAME <= s <= high + SAME:
             near = solve_at(path.function, _between(part, s), s)
             if near is not None:
                 q[:, k] = near[:n_q] * path.scales
-                motion = path.motion(q[:, k], s)
+                motion = path.motion(q[:, k], k)
                 if motion is not None:
                     u[:, k], ud[:, k], qd[:, k], qdd[:, k] = motion
     known = np.flatnonzero(np.isfinite(q).all(axis=0))
@@ -465,15 +277,13 @@ def _branch(path: _Drive, part: Floats) -> Branch:
 def _given(
     model: Kernel,
     drive: Mapping[Any, Any],
-    rates: Mapping[Any, float] | None,
-    accelerations: Mapping[Any, float] | None,
+    rates: Mapping[Any, ArrayLike] | None,
+    accelerations: Mapping[Any, ArrayLike] | None,
     parameters: Values | None,
     inputs: Mapping[Any, float] | None,
     t: float,
 ) -> _Drive:
     """The arguments, checked, with coordinates before inputs."""
-    if not model.n_h:
-        raise ModelError(f"{model.name} has no position constraints: its coordinates are independent of each other.")
     if model.n_c > len([row for row in model.manifest["position_rows"] if row is not None]):
         raise ModelError(f"{model.name} has nonholonomic constraints: its positions do not follow from a drive.")
     moving = [model.manifest["inputs"][k] for k in model.manifest["moving_inputs"]]
@@ -490,8 +300,6 @@ def _given(
     if not all(np.isfinite(value).all() for value in values.values()):
         raise ModelError("The values of a drive must be finite.")
     names = tuple(name for name in known if name in values)
-    speeds = dict.fromkeys(names, 1.0) if rates is None else named(rates, names, "drive")
-    second = {} if accelerations is None else named(accelerations, names, "drive")
     p = _parameters(model, parameters)
     r = _inputs(model, p, inputs, t, names)
     path = np.array([values[name] for name in names])
@@ -502,22 +310,21 @@ def _given(
         drawn = model.drawing(t, np.concatenate((start, np.zeros(model.n_x - model.n_q))), p, r)[0]
         size = np.ptp(drawn[np.isfinite(drawn).all(axis=1)], axis=0).max(initial=0.0) or 1.0
         scales = np.where(angles, 1.0, size)
-    units = [scales[model.coordinates.index(name)] if name in model.coordinates else 1.0 for name in names]
-    scaled = path / np.array(units)[:, None]
-    way = np.linalg.norm(np.diff(scaled, axis=1), axis=0)
-    places = scaled[0] if len(names) == 1 else np.concatenate(([0.0], np.cumsum(way)))
-    nodes, numbers_of = np.unique(places, return_index=True)
-    if len(names) == 1:  # straight on, also where values are far apart
-        nodes, numbers_of = nodes[[0, -1]][: len(nodes)], numbers_of[[0, -1]][: len(nodes)]
+    units = np.array([scales[model.coordinates.index(n)] if n in model.coordinates else 1.0 for n in names])
+    scaled = path / units[:, None]
+    places, curves = scaled[0], None
+    if len(names) > 1:
+        places = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(scaled, axis=1), axis=0)))
+        curves = _curves(places, path)
     return _Drive(
         model,
         names,
         path,
         places,
-        nodes,
-        path[:, numbers_of],
-        np.array([finite_number(speeds.get(name, 0.0), f"the rate of {name}") for name in names]),
-        np.array([finite_number(second.get(name, 0.0), f"the acceleration of {name}") for name in names]),
+        curves,
+        float(units[0]),
+        _of_drives(rates, names, 1.0, path.shape[1], "rate"),
+        _of_drives(accelerations, names, 0.0, path.shape[1], "acceleration"),
         coordinates,
         p,
         r,
@@ -526,6 +333,35 @@ def _given(
         scales,
         angles,
     )
+
+
+def _curves(places: Floats, values: Floats) -> tuple[Any, Any]:
+    """Monotone cubics through values at ascending places, and their derivatives."""
+    from scipy.interpolate import PchipInterpolator
+
+    nodes, numbers_of = np.unique(places, return_index=True)
+    if len(nodes) == 1:  # all values are the same
+        nodes, numbers_of = np.array([0.0, 1.0]), np.array([0, 0])
+    curve = PchipInterpolator(nodes, values[:, numbers_of], axis=1)
+    return curve, curve.derivative()
+
+
+def _of_drives(
+    given: Mapping[Any, ArrayLike] | None, names: Sequence[str], default: float, n: int, what: str
+) -> Floats:
+    """Rates or accelerations of the drives, shape (n_drives, n); those that are not named are 0."""
+    if given is None:
+        return np.full((len(names), n), default)
+    if not is_mapping(given):
+        raise ModelError(f"{what}s= is a mapping from drives to numbers or sequences, not {shown(given)}.")
+    known = named(given, names, "drive")
+    found = np.zeros((len(names), n))
+    for row, name in zip(found, names, strict=True):
+        values = numbers(known.get(name, 0.0), f"The {what} of {name}")
+        if values.shape not in {(), (n,)} or not np.isfinite(values).all():
+            raise ModelError(f"The {what} of {name} is a finite number, or {n} of them, not {shown(known[name])}.")
+        row[:] = values
+    return found
 
 
 def _parameters(model: Kernel, given: Values | None) -> Floats:

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from fourbar_codegen.analysis.assembly_modes import AssemblyModes
-    from fourbar_codegen.analysis.drive import Branch, Kinematics
     from fourbar_codegen.results.ensemble import Ensemble
+    from fourbar_codegen.results.kinematics import Branch, Kinematics
     from fourbar_codegen.results.trajectory import Trajectory
 
 __all__ = [

@@ -1,0 +1,222 @@
+"""Branch and Kinematics: positions, velocities and accelerations of a mechanism along a drive."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourbar_codegen.arguments import name_of
+from fourbar_codegen.errors import ModelError, shown
+from fourbar_codegen.kernel.kernel import Kernel
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Branch", "Kinematics"]
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Branch:
+    """One way in which the loops close, along the drive.
+
+    Attributes
+    ----------
+    model : CompiledModel
+    t : float
+    drive : dict of str to ndarray, shape (n,)
+        The driven coordinates or inputs.
+    q, qd, qdd : ndarray, shape (n_q, n)
+        The coordinates and their first and second derivatives with respect to time; NaN where the loops do not close,
+        and of the derivatives at dead points.
+    u, ud : ndarray, shape (n_u, n)
+        Speeds and their rates.
+    limits : dict of str to (float, float)
+        Values of the drive where the branch begins and ends: the range in which the loops close in this way.
+    r : ndarray, shape (n_r, n)
+        Inputs.
+    p : ndarray, shape (n_p,)
+    """
+
+    model: Kernel
+    t: float
+    drive: dict[str, Floats]
+    q: Floats
+    qd: Floats
+    qdd: Floats
+    u: Floats
+    ud: Floats
+    limits: dict[str, tuple[float, float]]
+    r: Floats
+    p: Floats
+
+    @cached_property
+    def _drawn(self) -> Floats:
+        """Positions, velocities and accelerations of all drawn points, shape (3, n_points, 3, n)."""
+        model, n = self.model, self.q.shape[1]
+        found = np.full((3, len(model.manifest["points"]), 3, n), np.nan)
+        for k in np.flatnonzero(np.isfinite(self.q).all(axis=0)):
+            is_known = np.isfinite(self.ud[:, k]).all()
+            state = np.concatenate(
+                (self.q[:, k], self.u[:, k] if is_known else np.zeros(model.n_u), np.zeros(model.n_z))
+            )
+            found[0, :, :, k] = model.drawing(self.t, state, self.p, self.r[:, k])[0]
+            if is_known:
+                found[1:, :, :, k] = model.motion(self.t, state, self.ud[:, k], self.p, self.r[:, k])[1:]
+        return found
+
+    @property
+    def positions(self) -> Floats:
+        """Positions of all drawn points, those without names last, m, shape (n_points, 3, n)."""
+        return np.asarray(self._drawn[0])
+
+    @cached_property
+    def points(self) -> dict[str, Floats]:
+        """Positions of points by name, m, each of shape (3, n)."""
+        return dict(zip(self.model.points, self._drawn[0], strict=False))
+
+    @cached_property
+    def velocities(self) -> dict[str, Floats]:
+        """Velocities of points by name, m/s, each of shape (3, n)."""
+        return dict(zip(self.model.points, self._drawn[1], strict=False))
+
+    @cached_property
+    def accelerations(self) -> dict[str, Floats]:
+        """Accelerations of points by name, m/s^2, each of shape (3, n)."""
+        return dict(zip(self.model.points, self._drawn[2], strict=False))
+
+    def __getitem__(self, name: Any) -> Floats:
+        """A coordinate, shape (n,), or the positions of a point, (3, n), by name or symbol."""
+        key, model = name_of(name), self.model
+        if key in model.coordinates:
+            return np.asarray(self.q[model.coordinates.index(key)])
+        if key in model.speeds:
+            return np.asarray(self.u[model.speeds.index(key)])
+        if key in model.points:
+            return self.points[key]
+        known = [*model.coordinates, *model.speeds, *model.points]
+        raise KeyError(f"{key!r} is none of {', '.join(known)}")
+
+    def transmission_angle(self, a: str, joint: str, b: str) -> Floats:
+        """The angle at a joint between the ways to two other points, such as between coupler and rocker.
+
+        Parameters
+        ----------
+        a, joint, b : str
+            Names of points: for a four-bar the ends of the coupler, then the rocker's joint with the ground.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Between 0 and pi; forces are transmitted well near pi/2.
+
+        Raises
+        ------
+        ModelError
+            If a point is not known.
+        """
+        for name in (a, joint, b):
+            if name not in self.model.points:
+                raise ModelError(f"There is no point {shown(name)}; there are {', '.join(self.model.points)}.")
+        first, second = (self.points[end] - self.points[joint] for end in (a, b))
+        return np.asarray(
+            np.arctan2(np.linalg.norm(np.cross(first, second, axis=0), axis=0), (first * second).sum(axis=0))
+        )
+
+    def plot_paths(self, points: Sequence[str] = ()) -> Figure:
+        """Draw the mechanism with the paths of points; see `Kinematics.plot_paths`."""
+        from fourbar_codegen.presentation.figures import plot_branches
+
+        return plot_branches([self], points)
+
+
+@dataclass(frozen=True)
+class Kinematics(Sequence[Branch]):
+    """The branches of a mechanism along a drive: a sequence of `Branch`, the one nearest to the initial values first.
+
+    Attributes
+    ----------
+    model : CompiledModel
+    drive : dict of str to ndarray, shape (n,)
+    branches : tuple of Branch
+    dead_points : tuple of dict of str to float
+        Positions between two branches, where the drive cannot go on: the values of driven quantities and coordinates.
+    is_complete : bool
+        Whether all modes were found at the places where they were looked for, and no branch ended where it should go
+        on.
+    """
+
+    model: Kernel
+    drive: dict[str, Floats]
+    branches: tuple[Branch, ...]
+    dead_points: tuple[dict[str, float], ...]
+    is_complete: bool
+
+    def __len__(self) -> int:
+        return len(self.branches)
+
+    def __getitem__(self, number: Any) -> Any:
+        return self.branches[number]
+
+    def __iter__(self) -> Iterator[Branch]:
+        return iter(self.branches)
+
+    @property
+    def closes(self) -> NDArray[np.bool_]:
+        """Where along the drive the loops can close, shape (n,)."""
+        return np.asarray(np.isfinite([branch.q for branch in self.branches]).all(axis=1).any(axis=0))
+
+    def __repr__(self) -> str:
+        where = "everywhere" if self.closes.all() else f"at {int(self.closes.sum())} of {len(self.closes)} values"
+        return (
+            f"<Kinematics of {self.model.name} along {', '.join(self.drive)}: {len(self)} branches"
+            f"{'' if self.is_complete else ' or more'}, {len(self.dead_points)} dead points; the loops close {where}>"
+        )
+
+    def plot(self, *names: Any) -> Figure:
+        """Plot quantities of all branches against the drive; needs the extra ``visual``.
+
+        Parameters
+        ----------
+        *names : str or Symbol
+            Coordinates, speeds, or points; by default all coordinates.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+
+        Raises
+        ------
+        ModelError
+            If a name is not known, or Matplotlib is not installed.
+        """
+        from fourbar_codegen.presentation.figures import plot_kinematics
+
+        return plot_kinematics(self, names)
+
+    def plot_paths(self, points: Sequence[str] = ()) -> Figure:
+        """Draw the mechanism in each branch with the paths of points; needs the extra ``visual``.
+
+        Parameters
+        ----------
+        points : sequence of str, optional
+            By default the moving joints.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+
+        Raises
+        ------
+        ModelError
+            If a point is not known, there is nothing to draw, or Matplotlib is not installed.
+        """
+        from fourbar_codegen.presentation.figures import plot_branches
+
+        return plot_branches(self.branches, points)

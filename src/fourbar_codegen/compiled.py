@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from fourbar_codegen.analysis.assembly_modes import AssemblyModes
     from fourbar_codegen.kernel.inputs import InputSource
     from fourbar_codegen.results.ensemble import Ensemble
-    from fourbar_codegen.results.kinematics import Kinematics
+    from fourbar_codegen.results.kinematics import Branch, Kinematics
     from fourbar_codegen.results.trajectory import Trajectory
     from fourbar_codegen.simulation.events import EventLike
 
@@ -452,6 +452,67 @@ class CompiledModel(Kernel):
         from fourbar_codegen.analysis.drive import kinematics
 
         return kinematics(self, drive, rates, accelerations, parameters, inputs, t)
+
+    def inverse_dynamics(
+        self,
+        motion: Branch | Trajectory | tuple[ArrayLike, Any, Any],
+        find: str | Sequence[Any] | None = None,
+        *,
+        parameters: Values | None = None,
+        inputs: Mapping[Any, InputSource] | None = None,
+    ) -> dict[str, Floats]:
+        """The inputs, such as motor torques, that a given motion needs.
+
+        As many inputs are found as there are degrees of freedom. The mass matrix is not inverted, so that parts may
+        have no mass.
+
+        Parameters
+        ----------
+        motion : Branch, Trajectory, or tuple (t, x, accelerations)
+            A branch of `kinematics`, with the rates for which it was found. Or a run, also of another model with the
+            same coordinates and speeds, such as one where a drive prescribes them. Or times, float or shape (n,);
+            states, shape (n_x,) or (n_x, n), or a mapping from names; and rates of the speeds: an array of shape (n_u,)
+            or (n_u, n), or a mapping from names of some, from which the constraints determine the others.
+        find : str or sequence of str, optional
+            Names of the inputs to find; by default all that are not given and prescribe no motion.
+        parameters : array_like or mapping, optional
+            By default those of the branch or run, otherwise the model's.
+        inputs : mapping, optional
+            Sources of the other inputs, as for `simulate`.
+
+        Returns
+        -------
+        dict of str to ndarray, shape (n,), or () for a single state
+            NaN where the motion is not known, and where these inputs cannot bring it about: at their dead points.
+
+        Raises
+        ------
+        ModelError
+            If an argument has a wrong name or shape, the number of inputs is not that of the degrees of freedom, or a
+            state or its accelerations violate the constraints.
+        SimulationError
+            If the inputs are not determined at any of the states.
+
+        Source: J. Garcia de Jalon, E. Bayo, *Kinematic and Dynamic Simulation of Multibody Systems*, Springer 1994.
+
+        Examples
+        --------
+        The torque that turns a massless crank at 10 rad/s with a piston of 2 kg:
+
+        >>> import fourbar_codegen as fb
+        >>> import numpy as np
+        >>> points = {"O": (0, 0), "A": (0, 0.1), "C": (0.3, 0)}
+        >>> linkage = fb.Linkage("engine", points=points, ground="O", links=["OA", "AC"])
+        >>> linkage.slider("C", along=(1, 0), mass=2.0)
+        >>> linkage.torque("O", "torque")
+        >>> engine = fb.compile_model(linkage.model())
+        >>> found = engine.kinematics({"q_OA": np.linspace(0.0, 2 * np.pi, 73)}, rates={"q_OA": 10.0})
+        >>> engine.inverse_dynamics(found[0])["torque"].max().round(4)
+        np.float64(1.3573)
+        """
+        from fourbar_codegen.analysis.inverse_dynamics import inverse_dynamics
+
+        return inverse_dynamics(self, motion, find, parameters, inputs)
 
     def ode(self, parameters: Values | None = None, inputs: Mapping[Any, InputSource] | None = None) -> Ode:
         """The right-hand side as a callable f(t, x), for `scipy.integrate.solve_ivp` and similar integrators.

@@ -246,6 +246,8 @@ def calls_of(name: str) -> dict[str, Call]:
     calls.add("initial_states", model.initial_states, **start, **given, may_be_nan=True, share=0.3)
     along = {"drive": {first: x0[0] + np.array([0.0, 0.1])}, "rates": {first: 1.0}, "accelerations": {first: 0.0}}
     calls.add("kinematics", model.kinematics, **along, parameters=p, t=0.0, may_be_nan=True, share=0.05)
+    motion = (np.linspace(0.0, 1.0, 3), states, dict.fromkeys(model.speeds[: model.n_u - model.n_c], 0.1))
+    calls.add("inverse_dynamics", model.inverse_dynamics, motion=motion, find=[source], parameters=p, may_be_nan=True)
     calls.add("equilibrium", model.equilibrium, guess=x0[: model.n_q], t=0.0, **given, share=0.1)
     run = {"t_span": (0.0, 0.05), "x0": x0, "parameters": p, "inputs": sources, "rtol": 1e-6, "atol": 1e-9}
     times = np.linspace(0.0, 0.05, 3)

@@ -14,6 +14,7 @@ from fourbar_codegen.analysis.continuation import Curve, null_space, solve_at, t
 from fourbar_codegen.analysis.loop_closure import Loops
 from fourbar_codegen.arguments import Values, finite_number, is_mapping, named, named_array, numbers
 from fourbar_codegen.errors import AssemblyError, ModelError, shown
+from fourbar_codegen.kernel.dependent import solve_redundant
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.progress import Progress
 from fourbar_codegen.results.kinematics import Branch, Kinematics
@@ -25,9 +26,6 @@ Floats = NDArray[np.float64]
 SEEDS = (0.5131, 0.0, 1.0, 0.2417, 0.7689, 0.1201, 0.8773, 0.3718, 0.6329)
 """Places along the drive, of its whole way, where assembly modes are searched: unlikely to be singular. They are also
 searched at all given values at which no branch closes."""
-
-SINGULAR = 1e-7
-"""Smallest singular value with which velocities are determined, relative to the largest."""
 
 SAME = 1e-6
 """Largest distance of scaled coordinates that are the same."""
@@ -51,6 +49,7 @@ class _Drive:
     accelerations: Floats
     coordinates: tuple[int, ...]
     p: Floats
+    without_value: tuple[str, ...]
     r: Floats
     t: float
     start: Floats
@@ -123,26 +122,15 @@ class _Drive:
         jacobian, bias = model.velocity(self.t, x, self.p, r)
         matrix = np.vstack((jacobian, by_speeds[driven]))
         wanted = self.rates[: len(driven), number] - model.dynamics(self.t, x, self.p, r)[0][driven]
-        u = _solve(matrix, np.concatenate((-bias, wanted)))
+        u = solve_redundant(matrix, np.concatenate((-bias, wanted)))
         if u is None:
             return None
         x[model.n_q : model.n_q + model.n_u] = u
         qd, *_, bias = model.dynamics(self.t, x, self.p, r)
         at_constant_speeds = model.motion(self.t, x, np.zeros(model.n_u), self.p, r)[0]
         wanted = self.accelerations[: len(driven), number] - at_constant_speeds[driven]
-        ud = _solve(matrix, np.concatenate((-bias, wanted)))
+        ud = solve_redundant(matrix, np.concatenate((-bias, wanted)))
         return None if ud is None else (u, ud, qd, model.motion(self.t, x, ud, self.p, r)[0])
-
-
-def _solve(matrix: Floats, right: Floats) -> Floats | None:
-    """The solution of equations that may be redundant; None if it is not determined."""
-    size = np.abs(matrix).max(axis=1, initial=0.0)
-    size[size == 0.0] = 1.0
-    units = np.abs(matrix).max(axis=0, initial=0.0)
-    if not np.isfinite(matrix).all() or not units.all():
-        return None
-    solution, _, rank, _ = np.linalg.lstsq(matrix / size[:, None] / units, right / size, rcond=SINGULAR)
-    return solution / units if rank == matrix.shape[1] else None
 
 
 def kinematics(
@@ -160,8 +148,8 @@ def kinematics(
     start, periods = path.start, path.periods
     if n_q - len(path.coordinates) > model.n_h:
         raise ModelError(
-            f"A degree of freedom is left: with {', '.join(path.names)} held, {n_q - len(path.coordinates)} coordinates "
-            f"and {model.n_h} position constraints are left. Drive another one, too."
+            f"A degree of freedom is left: with {', '.join(path.names)} held, {n_q - len(path.coordinates)} "
+            f"coordinates and {model.n_h} position constraints are left. Drive another one, too."
         )
     curves: list[Curve] = []
     parts: list[Floats] = []
@@ -271,7 +259,7 @@ def _branch(path: _Drive, part: Floats) -> Branch:
     ends = zip(path.names, path.at(low).tolist(), path.at(high).tolist(), strict=True)
     limits = {name: (begin, end) for name, begin, end in ends}
     drive = dict(zip(path.names, path.values, strict=True))
-    return Branch(model, path.t, drive, q, qd, qdd, u, ud, limits, r, path.p)
+    return Branch(model, path.t, drive, q, qd, qdd, u, ud, limits, r, path.p, path.without_value)
 
 
 def _given(
@@ -300,7 +288,7 @@ def _given(
     if not all(np.isfinite(value).all() for value in values.values()):
         raise ModelError("The values of a drive must be finite.")
     names = tuple(name for name in known if name in values)
-    p = _parameters(model, parameters)
+    p, without_value = _parameters(model, parameters)
     r = _inputs(model, p, inputs, t, names)
     path = np.array([values[name] for name in names])
     coordinates = tuple(model.coordinates.index(name) for name in names if name in model.coordinates)
@@ -327,6 +315,7 @@ def _given(
         _of_drives(accelerations, names, 0.0, path.shape[1], "acceleration"),
         coordinates,
         p,
+        without_value,
         r,
         t,
         start,
@@ -364,17 +353,19 @@ def _of_drives(
     return found
 
 
-def _parameters(model: Kernel, given: Values | None) -> Floats:
-    """All parameters; those without a value that positions do not depend on, such as masses, are 1."""
+def _parameters(model: Kernel, given: Values | None) -> tuple[Floats, tuple[str, ...]]:
+    """All parameters, and those without a value that positions do not depend on, such as masses: they are 1."""
     if given is not None and not is_mapping(given):
-        return named_array(given, model.parameters, {}, "parameter")
+        return named_array(given, model.parameters, {}, "parameter"), ()
     values: dict[str, Any] = {**model.defaults, **named(given or {}, model.parameters, "parameter")}
-    missing = [name for name in model.manifest["geometry"] if values[name] is None]
+    without = tuple(name for name, value in values.items() if value is None)
+    missing = [name for name in without if name in model.manifest["geometry"]]
     if missing:
         raise ModelError(
             f"Positions depend on {', '.join(missing)}, which have no default: give values in parameters=."
         )
-    return np.array([1.0 if v is None else finite_number(v, f"parameter {name}") for name, v in values.items()])
+    known = [1.0 if v is None else finite_number(v, f"parameter {name}") for name, v in values.items()]
+    return np.array(known), without
 
 
 def _inputs(model: Kernel, p: Floats, given: Mapping[Any, float] | None, t: float, driven: Sequence[str]) -> Floats:

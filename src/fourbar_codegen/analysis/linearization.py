@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fourbar_codegen.analysis.loop_closure import require_closed
 from fourbar_codegen.arguments import Values, finite_number, name_of, named_array
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.kernel.dependent import eliminate
@@ -16,9 +17,6 @@ from fourbar_codegen.kernel.kernel import Kernel
 __all__ = ["linearize"]
 
 Floats = NDArray[np.float64]
-
-# A state is accepted if constraint violations are at most this fraction of their scales.
-CLOSED = 1e-6
 
 
 def linearize(
@@ -30,7 +28,7 @@ def linearize(
     n_q, n_r = model.n_q, model.n_r
     n_qi = n_q - model.manifest["n_dependent_coordinates"]
     n_ui, n_z = model.n_u - model.manifest["n_dependent_speeds"], model.n_z
-    _check_constraints(model, t, state, p, r)
+    require_closed(model, t, state, p, r)
     # Phi_q dq + Phi_r dr = 0 and J du + d(J u + b)/dq dq + d(J u + b)/dr dr = 0 give all coordinates and speeds in
     # terms of the independent ones and the inputs. Each array has a column for each entry of dq_i, du_i, dz and dr.
     velocity_by_q, position_by_r, velocity_by_r = model.constraint_sensitivity(t, state, p, r)
@@ -63,20 +61,3 @@ def _rows(model: Kernel, outputs: Sequence[Any]) -> list[int]:
             raise ModelError(f"There is no output {name!r}; there are {', '.join(model.outputs) or 'none'}.")
     model.require_output_derivatives(names)
     return [model.outputs.index(name) for name in names]
-
-
-def _check_constraints(model: Kernel, t: float, x: Floats, p: Values | None, r: Values | None) -> None:
-    """Raise if the state violates the constraints, since the mechanism cannot move there."""
-    positions = model.position_constraints(t, x[: model.n_q], p, r)
-    velocities = model.velocity_constraints(t, x, p, r)
-    position_scale, _, velocity_scale = model.constraint_scale(t, x, p, r)
-    # At rest, speeds are only rounding errors: the scale takes them as 1 at least.
-    velocity_scale = velocity_scale + np.abs(model.velocity(t, x, p, r)[0]).sum(axis=1)
-    closed = *(np.abs(positions) <= CLOSED * position_scale), *(np.abs(velocities) <= CLOSED * velocity_scale)
-    if not all(closed):
-        q, u = (", ".join(f"{n} = {v:.6g}" for n, v in zip(names, x[start:], strict=False)) for names, start in
-                ((model.coordinates, 0), (model.speeds, model.n_q)))  # fmt: skip
-        raise ModelError(
-            f"The state x violates the constraints at t = {t:g}: Phi(q, t) = {positions} for {q}; "
-            f"J u + b = {velocities} for {u}. initial_state() makes states that satisfy them."
-        )

@@ -8,10 +8,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from fourbar_codegen.arguments import Values
+from fourbar_codegen.errors import ModelError
 from fourbar_codegen.kernel.dependent import SINGULAR
 from fourbar_codegen.kernel.kernel import Kernel
 
-__all__ = ["Loops", "nearest_closed"]
+__all__ = ["Loops", "nearest_closed", "require_closed"]
 
 Floats = NDArray[np.float64]
 
@@ -29,6 +31,9 @@ SAME = 1e-9
 DEAD = 1e-5
 """If singular values of the Jacobian have this ratio, the configuration is singular, since two assembly modes meet:
 positions are known only to half of all digits, and speeds are undetermined."""
+
+NEARLY_CLOSED = 1e-6
+"""Largest constraint violations of a state that is given, relative to their scales."""
 
 MAX_CORRECTIONS = 30
 
@@ -191,3 +196,23 @@ def nearest_closed(model: Kernel, t: float, q: Floats, p: Floats | None, r: Floa
             return q
         q = q - np.linalg.lstsq(slopes, residual, rcond=SINGULAR)[0]
     return None
+
+
+def require_closed(model: Kernel, t: float, x: Floats, p: Values | None, r: Values | None) -> None:
+    """Raise if the state violates the constraints, since the mechanism cannot move there."""
+    positions = model.position_constraints(t, x[: model.n_q], p, r)
+    velocities = model.velocity_constraints(t, x, p, r)
+    position_scale, _, velocity_scale = model.constraint_scale(t, x, p, r)
+    # At rest, speeds are only rounding errors: the scale takes them as 1 at least.
+    velocity_scale = velocity_scale + np.abs(model.velocity(t, x, p, r)[0]).sum(axis=1)
+    closed = (
+        *(np.abs(positions) <= NEARLY_CLOSED * position_scale),
+        *(np.abs(velocities) <= NEARLY_CLOSED * velocity_scale),
+    )
+    if not all(closed):
+        q, u = (", ".join(f"{n} = {v:.6g}" for n, v in zip(names, x[start:], strict=False)) for names, start in
+                ((model.coordinates, 0), (model.speeds, model.n_q)))  # fmt: skip
+        raise ModelError(
+            f"The state x violates the constraints at t = {t:g}: Phi(q, t) = {positions} for {q}; "
+            f"J u + b = {velocities} for {u}. initial_state() makes states that satisfy them."
+        )

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fourbar_codegen.errors import SimulationError
 
-__all__ = ["INDEPENDENT", "SINGULAR", "eliminate", "row_sizes", "solve_dependent"]
+__all__ = ["INDEPENDENT", "SINGULAR", "eliminate", "row_sizes", "solve_dependent", "solve_redundant"]
 
 Floats = NDArray[np.float64]
 
@@ -19,6 +19,9 @@ SINGULAR = 1e-12
 INDEPENDENT = 1e-6
 """Rows are independent if singular values exceed this fraction of the largest: rows that are redundant only on the
 constraint manifold differ by the error of the position."""
+
+DETERMINED = 1e-7
+"""Velocities and accelerations are determined if singular values exceed this fraction of the largest."""
 
 NEGLIGIBLE = 2e-13
 """Rows below this fraction of the largest are rounding errors; as in fourbar_solve.h."""
@@ -85,3 +88,24 @@ def eliminate(matrix: Floats, n_independent: int, names: Sequence[str]) -> Float
             "in this configuration: the constraints' Jacobian with respect to them is singular."
         )
     return solution
+
+
+def solve_redundant(matrix: Floats, right: Floats) -> Floats | None:
+    """The solution of equations that may be redundant, in any units; None if they do not determine it.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (m, n)
+    right : ndarray, shape (m,)
+
+    Returns
+    -------
+    ndarray, shape (n,), or None
+    """
+    size = np.abs(matrix).max(axis=1, initial=0.0)
+    size[size == 0.0] = 1.0
+    units = np.abs(matrix).max(axis=0, initial=0.0)
+    if not np.isfinite(matrix).all() or not units.all():
+        return None
+    solution, _, rank, _ = np.linalg.lstsq(matrix / size[:, None] / units, right / size, rcond=DETERMINED)
+    return np.asarray(solution / units) if rank == matrix.shape[1] else None

@@ -42,6 +42,8 @@ class Branch:
     r : ndarray, shape (n_r, n)
         Inputs.
     p : ndarray, shape (n_p,)
+    without_value : tuple of str
+        Parameters that have none, such as masses, since no position depends on them; they are 1 in p.
     """
 
     model: Kernel
@@ -55,6 +57,7 @@ class Branch:
     limits: dict[str, tuple[float, float]]
     r: Floats
     p: Floats
+    without_value: tuple[str, ...]
 
     @cached_property
     def _drawn(self) -> Floats:

@@ -1,0 +1,209 @@
+"""The inputs that a motion needs: closed forms of textbooks, drives that tell their torque, and what is refused."""
+
+from math import pi, sqrt
+
+import numpy as np
+import pytest
+import sympy as sm
+import sympy.physics.mechanics as me
+from test_unknown_forces import MU, box, compiled
+
+import fourbar_codegen as fb
+
+RATE = 10.0
+ANGLES = np.linspace(0.0, 2 * pi, 73)
+
+
+def slider_crank(rod_mass=None, piston=2.0):
+    """Crank of 1 m, rod of 3 m."""
+    points = {"O": (0, 0), "A": (0, 1), "C": (sqrt(8), 0)}
+    linkage = fb.Linkage("engine", points=points, ground="O", links=["OA"])
+    linkage.bar("A", "C", mass=rod_mass)
+    linkage.slider("C", along=(1, 0), mass=piston)
+    linkage.torque("O", "torque")
+    return linkage
+
+
+def piston(angle):
+    """x' and x'' of the slider by the crank's angle."""
+    s = np.sqrt(9 - np.sin(angle) ** 2)
+    first = -np.sin(angle) * (1 + np.cos(angle) / s)
+    return first, -np.cos(angle) - np.cos(2 * angle) / s - np.sin(2 * angle) ** 2 / (4 * s**3)
+
+
+def test_the_torque_of_a_slider_crank():
+    """T = m w^2 x' x'', which follows from the kinetic energy; also at dead points, where no inertia is left.
+
+    A. Ghosh and A. K. Mallik, Theory of Mechanisms and Machines, chapter on dynamic force analysis.
+    """
+    model = fb.compile_model(slider_crank().model())
+    branch = model.kinematics({"q_OA": ANGLES}, rates={"q_OA": RATE})[0]
+    first, second = piston(ANGLES)
+    torque = model.inverse_dynamics(branch)["torque"]
+    # Terms of the equations are as large as m w^2 r^2 = 200 N m.
+    np.testing.assert_allclose(torque, 2.0 * RATE**2 * first * second, rtol=0, atol=1e-12 * 200)
+
+
+def test_a_rod_with_mass():
+    """T = 1/2 w^2 dI/dt, with the inertia I reduced to the crank: of a uniform rod, differentiated by SymPy."""
+    t = sm.Symbol("t")
+    s = sm.sqrt(9 - sm.sin(t) ** 2)
+    x = sm.cos(t) + s
+    center = ((sm.cos(t) + x) / 2, sm.sin(t) / 2)
+    inertia = 1.5 * sum(c.diff(t) ** 2 for c in center) + 1.5 * 9 / 12 * (sm.cos(t) / s) ** 2
+    expected = sm.lambdify(t, (inertia / 2).diff(t) * RATE**2)
+    model = fb.compile_model(slider_crank(1.5, None).model())
+    branch = model.kinematics({"q_OA": ANGLES}, rates={"q_OA": RATE})[0]
+    torque = model.inverse_dynamics(branch, "torque")["torque"]
+    np.testing.assert_allclose(torque, expected(ANGLES), rtol=0, atol=1e-12 * 150)
+
+
+def test_the_torque_of_a_drive():
+    """A run in which a drive turns the crank, and its multiplier; the same run, of the model with a torque."""
+    driven = slider_crank(1.5)
+    driven.drive("O", speed=RATE)
+    run = fb.compile_model(driven.model()).simulate((0.0, 1.0), rtol=1e-12, atol=1e-12)
+    model = fb.compile_model(slider_crank(1.5).model())
+    torque = model.inverse_dynamics(run)["torque"]
+    np.testing.assert_allclose(torque, run["torque_O"], rtol=0, atol=1e-9 * np.ptp(torque))
+
+
+def test_a_run_brings_its_inputs_and_parameters():
+    """The load and the masses of the run count, not the model's defaults."""
+    linkage = slider_crank(1.5)
+    linkage.force("C", ("load", 0))
+    model = fb.compile_model(linkage.model())
+    run = model.simulate(
+        (0.0, 1.0), inputs={"load": lambda t, x: 50.0 * x[0], "torque": 40.0}, parameters={"m_AC": 2.5}, rtol=1e-10
+    )
+    np.testing.assert_allclose(model.inverse_dynamics(run, "torque")["torque"], 40.0, rtol=1e-9)
+    np.testing.assert_allclose(
+        model.inverse_dynamics(run, "torque", inputs={"load": 0.0})["torque"][0],
+        40.0 + run["load"][0] * piston(run["q_OA"][0])[0],
+        rtol=1e-9,
+    )
+
+
+def test_a_robots_arm():
+    """The joint torques in closed form: J. J. Craig, Introduction to Robotics, 2005, example 6.7."""
+    l1, l2, m1, m2, g = 0.4, 0.3, 3.0, 2.0, 9.81
+    linkage = fb.Linkage("arm", gravity=g)
+    linkage.ground("A", (0, 0))
+    linkage.joint("B", (l1, 0), mass=m1)
+    linkage.joint("C", (l1 + l2, 0), mass=m2)
+    linkage.bar("A", "B")
+    linkage.bar("B", "C")
+    linkage.torque("A", "shoulder")
+    linkage.torque("B", "elbow", link="BC")
+    model = fb.compile_model(linkage.model())
+    t = np.linspace(0.0, 2.0, 21)
+    one, two = 0.7 * np.sin(3 * t), 0.4 + 0.9 * np.cos(2 * t)  # the second is relative to the first link
+    d1, d2 = 2.1 * np.cos(3 * t), -1.8 * np.sin(2 * t)
+    a1, a2 = -6.3 * np.sin(3 * t), -3.6 * np.cos(2 * t)
+    c2, s2, c12 = np.cos(two), np.sin(two), np.cos(one + two)
+    elbow = m2 * l1 * l2 * (c2 * a1 + s2 * d1**2) + m2 * l2 * g * c12 + m2 * l2**2 * (a1 + a2)
+    shoulder = (
+        m2 * l2**2 * (a1 + a2) + m2 * l1 * l2 * c2 * (2 * a1 + a2) + (m1 + m2) * l1**2 * a1
+        - m2 * l1 * l2 * s2 * (d2**2 + 2 * d1 * d2) + m2 * l2 * g * c12 + (m1 + m2) * l1 * g * np.cos(one)
+    )  # fmt: skip
+    states = {"q_AB": one, "q_BC": one + two, "u_AB": d1, "u_BC": d1 + d2}
+    found = model.inverse_dynamics((t, states, {"u_AB": a1, "u_BC": a1 + a2}))
+    np.testing.assert_allclose(found["shoulder"], shoulder, rtol=0, atol=1e-12 * np.ptp(shoulder))
+    np.testing.assert_allclose(found["elbow"], elbow, rtol=0, atol=1e-12 * np.ptp(shoulder))
+    found = model.kinematics(
+        {"q_AB": one, "q_BC": one + two},
+        rates={"q_AB": d1, "q_BC": d1 + d2},
+        accelerations={"q_AB": a1, "q_BC": a1 + a2},
+    )
+    torque = model.inverse_dynamics(found[0], ["elbow", "shoulder"])
+    assert [*torque] == ["elbow", "shoulder"]
+    np.testing.assert_allclose(torque["elbow"], elbow, rtol=0, atol=1e-12 * np.ptp(shoulder))
+    one_state = model.inverse_dynamics((0.0, [0.0, 0.0, 0.0, 0.0], [0.0, 0.0]))
+    assert one_state["shoulder"] == pytest.approx((m1 + m2) * l1 * g + m2 * l2 * g, rel=1e-14)
+
+
+def test_constraints_that_are_redundant():
+    """A parallelogram with a bar too many: the coupler of 1 kg on two cranks, T = m l^2 w' + m g l cos(q)."""
+    points = {"A": (0, 0), "B": (0, 1), "C": (1, 1), "D": (1, 0), "E": (0.5, 0), "F": (0.5, 1)}
+    linkage = fb.Linkage("redundant", points=points, ground="AED", links=["AB", "CD", "EF"], gravity=9.81)
+    linkage.plate("B", "F", "C", mass=1.0)
+    linkage.torque("A", "torque")
+    model = fb.compile_model(linkage.model())
+    angles = np.linspace(0.5, 2.5, 9)
+    branch = model.kinematics({"q_AB": angles}, rates={"q_AB": 3.0}, accelerations={"q_AB": 2.0})[0]
+    torque = model.inverse_dynamics(branch)["torque"]
+    np.testing.assert_allclose(torque, 2.0 + 9.81 * np.cos(angles), rtol=0, atol=1e-11)
+
+
+def test_friction_of_normal_forces():
+    """F = m (u' + mu g), whatever the normal force is written as."""
+    push = me.dynamicsymbols("F")
+    model = compiled(box(lambda n, u: push - MU * n, name="pushed"), inputs={push: 0.0})
+    t = np.linspace(0.0, 1.0, 5)
+    states = {"q": t**2, "u": 2 * t}
+    found = model.inverse_dynamics((t, states, {"u": 2.0}))
+    np.testing.assert_allclose(found["F"], 2.0 * (2.0 + 0.3 * 9.81), rtol=1e-14)
+
+
+def test_other_inputs_have_sources():
+    """A load on the piston, as a function of time: its power is the torque's, without inertia."""
+    linkage = slider_crank(piston=None)
+    linkage.force("C", ("load", 0))
+    model = fb.compile_model(linkage.model())
+    branch = model.kinematics({"q_OA": ANGLES}, rates={"q_OA": RATE})[0]
+    torque = model.inverse_dynamics(branch, "torque", inputs={"load": -40.0})["torque"]
+    np.testing.assert_allclose(torque, 40.0 * piston(ANGLES)[0], rtol=0, atol=1e-12 * 40)
+    load = model.inverse_dynamics(branch, "load", inputs={"torque": 5.0})["load"]
+    dead = np.abs(np.sin(ANGLES)) < 1e-9
+    assert np.isnan(load[dead]).all()
+    np.testing.assert_allclose(load[~dead], -5.0 / piston(ANGLES[~dead])[0], rtol=1e-11)
+
+
+def test_inputs_that_enter_nonlinearly():
+    """A square: found by Newton's method, where it is unique."""
+    q, u, F = me.dynamicsymbols("q u F")
+    frame, origin, point = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
+    origin.set_vel(frame, 0)
+    point.set_pos(origin, q * frame.x)
+    point.set_vel(frame, u * frame.x)
+    system = me.System(frame, origin)
+    system.add_coordinates(q)
+    system.add_speeds(u)
+    system.add_kdes(u - q.diff())
+    system.add_bodies(me.Particle("P", point, 2))
+    system.add_loads(me.Force(point, (F + F**3) * frame.x))
+    model = fb.compile_model(fb.Model(system, name="cubic", inputs={F: 0.0}))
+    assert model.inverse_dynamics((0.0, [0.0, 0.0], [5.0]))["F"] == pytest.approx(2.0, rel=1e-12)
+
+
+def test_what_is_refused():
+    model = fb.compile_model(slider_crank().model())
+    branch = model.kinematics({"q_OA": ANGLES}, rates={"q_OA": RATE})[0]
+    x = np.concatenate((branch.q, branch.u))
+    for motion, find, more, message in (
+        (branch, "T", {}, "T cannot be found"),
+        (branch, ["torque", "torque"], {}, "torque is given twice"),
+        (branch, "torque", {"inputs": {"torque": 1.0}}, "torque is given twice"),
+        (branch, None, {"inputs": {"torque": 1.0}}, "1 degrees of freedom, so it determines as many inputs, not 0"),
+        (x, None, {}, "A motion is a Branch, a Trajectory, or"),
+        ((0.0, x, branch.ud[:, :3]), None, {}, "acceleration"),
+        ((0.0, x, branch.ud + 1.0), None, {}, "violate the constraints: J u' [+] gamma"),
+        ((0.0, x + 0.1, branch.ud), None, {}, "violates the constraints at t = 0"),
+        ((np.zeros(3), x, branch.ud), None, {}, "times must be a number or have shape"),
+    ):
+        with pytest.raises(fb.ModelError, match=message):
+            model.inverse_dynamics(motion, find, **more)
+    other = fb.compile_model(fb.models.slider_crank())
+    with pytest.raises(fb.ModelError, match="does not tell crank, rod, slide, crank_rate"):
+        other.inverse_dynamics(branch, "torque")
+
+
+def test_masses_are_asked_for():
+    system = fb.models.four_bar().system
+    lengths = {"l1": 0.8, "l2": 0.2, "l3": 0.7, "l4": 0.6}
+    model = fb.compile_model(fb.Model(system, name="no_masses", parameters=lengths, inputs="auto"))
+    branch = model.kinematics({"q1": np.linspace(0.1, 1.0, 4)})[0]
+    with pytest.raises(fb.ModelError, match="No value for parameter"):
+        model.inverse_dynamics(branch, "F")
+    values = {name: 1.0 for name, value in model.defaults.items() if value is None}
+    assert np.isfinite(model.inverse_dynamics(branch, "F", parameters=values)["F"]).all()

@@ -1,8 +1,11 @@
 """Linkages by their points: the same motion as by hand, known mobilities, and what mistakes are told."""
 
+import ast
+import inspect
 from itertools import pairwise
 from math import sqrt
 
+import by_hand
 import natural_coordinates
 import numpy as np
 import pytest
@@ -83,50 +86,126 @@ def test_the_motion_is_that_in_natural_coordinates(name):
         np.testing.assert_allclose(run[point][:2], path, rtol=0, atol=1e-10 * size)
 
 
-def test_the_tutorials_linkage(four_bar):
-    """The flagship by its points: the same motion of all points as the model made by hand."""
-    k, c, F = sm.symbols("k c")[0], sm.Symbol("c"), me.dynamicsymbols("F")
+def peaucellier():
+    points, ground, links = LINKAGES["Peaucellier"]
+    linkage = fb.Linkage("cell", points=points, ground=ground, links=links, density=by_hand.RHO, gravity=by_hand.G)
+    linkage.force("B", (3, -1))
+    return linkage
+
+
+def jansen():
+    points, ground, links = LINKAGES["Jansen"]
+    linkage = fb.Linkage("leg", points=points, ground=ground, links=links, density=by_hand.RHO, gravity=by_hand.G)
+    linkage.force("A", (3, -1))
+    return linkage
+
+
+SHAPER = {"O": (0, 2), "A": (1, 2), "L": (0, 0), "B": (4 / sqrt(5), 8 / sqrt(5)), "C": (3.228184126011713, 4)}
+
+
+def quick_return():
+    how = {"density": by_hand.RHO, "gravity": by_hand.G}
+    linkage = fb.Linkage("shaper", points=SHAPER, ground="OL", links=["OA", "LB", "BC"], **how)
+    linkage.slider("A", along="LB")
+    linkage.slider("C", along=(1, 0))
+    linkage.force("A", (3, -1))
+    return linkage
+
+
+SUSPENSION = {
+    "A": (0.32, -0.08), "C": (0.737, -0.145), "D": (0.435, 0.196), "F": (0.68, 0.162), "W": (0.768, 0.0),
+    "S": (0.4, 0.3), "K": (0.32 + 0.75 * 0.417, -0.08 - 0.75 * 0.065),
+}  # fmt: skip
+
+
+def double_wishbone():
+    how = {"density": by_hand.RHO, "gravity": by_hand.G}
+    linkage = fb.Linkage("suspension", points=SUSPENSION, ground="ADS", links=["AKC", "DF", "CFW"], **how)
+    linkage.spring("S", "K", 400.0, length=0.4)
+    linkage.damper("S", "K", 15.0)
+    return linkage
+
+
+BY_HAND = {
+    peaucellier: lambda: (by_hand.peaucellier(), "BACD"),
+    jansen: lambda: (by_hand.jansen(LINKAGES["Jansen"][0]), "ACDEFH"),
+    quick_return: lambda: (by_hand.quick_return(SHAPER), "ABC"),
+    double_wishbone: lambda: (by_hand.double_wishbone(SUSPENSION), "CFWK"),
+}
+
+
+@pytest.mark.parametrize("make", BY_HAND)
+def test_as_by_hand(make):
+    """The motion of all points, from rest, is that of models in plain SymPy."""
+    other, names = BY_HAND[make]()
+    how = {"t_eval": np.linspace(0.0, 0.5, 11), "rtol": 1e-13, "atol": 1e-13}
+    run, expected = (fb.compile_model(model).simulate((0.0, 0.5), **how) for model in (make().model(), other))
+    assert run.success
+    assert np.ptp(expected[names[0]]) > 0.1
+    for name in names:
+        np.testing.assert_allclose(run[name], expected[name], rtol=0, atol=1e-10)
+
+
+def tutorials_linkage():
+    k, c, F = *sm.symbols("k c"), me.dynamicsymbols("F")
     points = {"A": (0.4, 0), "B": (0.84, -0.24), "C": (-0.08, -0.62), "D": (-0.4, 0)}
     linkage = fb.Linkage("tutorial", points=points, ground="AD", links=["AB", "BC", "CD"], density=100.0, gravity=9.81)
     q, u = linkage.q, linkage.u
     linkage.torque("A", -k * (q["BC"] - q["AB"]) - c * (u["BC"] - u["AB"]))
     linkage.force("C", (F, 0))
-    model = linkage.model(
+    return linkage.model(
         parameters={k: 100.0, c: 10.0, "l_AB": 0.5, "l_BC": 1.0, "l_CD": 0.7},
         inputs={F: 100 * sm.sin(sm.pi * me.dynamicsymbols._t)},
         initial={"q_AB": -0.5, "u_AB": -0.1},
     )
+
+
+def test_the_tutorials_linkage(four_bar):
+    """The flagship by its points: the same motion of all points as the model made by hand."""
+    model = tutorials_linkage()
     run = fb.compile_model(model).simulate((0.0, 4.0), rtol=1e-13, atol=1e-13, t_eval=np.linspace(0.0, 4.0, 41))
-    by_hand = four_bar.simulate((0.0, 4.0), rtol=1e-13, atol=1e-13, t_eval=run.t)
+    hand_made = four_bar.simulate((0.0, 4.0), rtol=1e-13, atol=1e-13, t_eval=run.t)
     for name, other in (("B", "P2"), ("C", "joint3_link3_joint"), ("D", "P44"), ("AB_masscenter", "link2_masscenter")):
-        np.testing.assert_allclose(run[name], by_hand[other], rtol=0, atol=1e-10)
-    np.testing.assert_allclose(run.kinetic_energy, by_hand.kinetic_energy, rtol=1e-9)
+        np.testing.assert_allclose(run[name], hand_made[other], rtol=0, atol=1e-10)
+    np.testing.assert_allclose(run.kinetic_energy, hand_made.kinetic_energy, rtol=1e-9)
 
 
 def test_the_slider_crank():
     """As `models.slider_crank`, in its parameters' values; it is given a torque and a load."""
-    by_hand = fb.compile_model(fb.models.slider_crank())
+    hand_made = fb.compile_model(fb.models.slider_crank())
     r, length = 0.1, 0.3
     a, b = 0.5, -np.arcsin(r * np.sin(0.5) / length)
     points = {"O": (0, 0), "P": (r * np.cos(a), r * np.sin(a)), "S": (r * np.cos(a) + length * np.cos(b), 0)}
+    model = fb.compile_model(slider_crank(points).model(initial={"u_OP": 10.0}))
+    how = {"rtol": 1e-13, "atol": 1e-13, "t_eval": np.linspace(0.0, 1.0, 21)}
+    inputs = {"torque": 0.3, "load": -2.0}
+    run, other = (m.simulate((0.0, 1.0), inputs=inputs, **how) for m in (model, hand_made))
+    np.testing.assert_allclose(run["P"], other["P"], rtol=0, atol=1e-10)
+    np.testing.assert_allclose(run["S"], other["E"], rtol=0, atol=1e-10)
+
+
+def slider_crank(points):
     linkage = fb.Linkage("slider_crank", points=points, ground="O")
     linkage.bar("O", "P", mass=1.0)
     linkage.bar("P", "S", mass=0.5)
     linkage.slider("S", along=(1, 0), mass=0.8)
     linkage.torque("O", "torque")
     linkage.force("S", ("load", 0))
-    model = fb.compile_model(linkage.model(initial={"u_OP": 10.0}))
-    how = {"rtol": 1e-13, "atol": 1e-13, "t_eval": np.linspace(0.0, 1.0, 21)}
-    inputs = {"torque": 0.3, "load": -2.0}
-    run, other = (m.simulate((0.0, 1.0), inputs=inputs, **how) for m in (model, by_hand))
-    np.testing.assert_allclose(run["P"], other["P"], rtol=0, atol=1e-10)
-    np.testing.assert_allclose(run["S"], other["E"], rtol=0, atol=1e-10)
+    return linkage
+
+
+@pytest.mark.parametrize("make", [*BY_HAND, tutorials_linkage, slider_crank])
+def test_few_statements(make):
+    """At most twelve, and one more for points that stand elsewhere."""
+    [function] = ast.parse(inspect.getsource(make)).body
+    statements = [node for node in ast.walk(function) if isinstance(node, ast.stmt) and node is not function]
+    assert len(statements) < 12
 
 
 def test_a_block_on_a_lever():
     """A quick-return mechanism, as by hand in test_scene."""
-    by_hand = fb.compile_model(inverted_slider_crank("lever"))
-    closed = by_hand.simulate((0.0, 1.0), rtol=1e-13, atol=1e-13, t_eval=np.linspace(0.0, 1.0, 21))
+    hand_made = fb.compile_model(inverted_slider_crank("lever"))
+    closed = hand_made.simulate((0.0, 1.0), rtol=1e-13, atol=1e-13, t_eval=np.linspace(0.0, 1.0, 21))
     points = {name: closed[name][:2, 0] for name in "OEBT"}
     linkage = fb.Linkage("lever", points=points, ground="OB")
     linkage.bar("O", "E", mass=1, inertia=0.1)
@@ -204,19 +283,19 @@ def test_lengths_are_parameters():
 @pytest.mark.parametrize(
     ("name", "gruebler", "freedom", "redundant"),
     [
-        ("four-bar", 1, 1, 0),
-        ("five-bar", 2, 2, 0),
-        ("Peaucellier", 1, 1, 0),
-        ("Jansen", 1, 1, 0),
-        ("double pendulum", 2, 2, 0),
-        ("parallelogram with a bar too many", 0, 1, 2),
+        ("four-bar", 1, 1, ()),
+        ("five-bar", 2, 2, ()),
+        ("Peaucellier", 1, 1, ()),
+        ("Jansen", 1, 1, ()),
+        ("double pendulum", 2, 2, ()),
+        ("parallelogram with a bar too many", 0, 1, ("C", "F")),
     ],
 )
 def test_mobility(name, gruebler, freedom, redundant):
     points, ground, links = LINKAGES[name]
     mobility = fb.Linkage("one", points=points, ground=ground, links=links).mobility
     assert (mobility.gruebler, mobility.degrees_of_freedom) == (gruebler, freedom)
-    assert bool(mobility.redundant) == bool(redundant)
+    assert mobility.redundant == redundant
     assert len(mobility.independent) == freedom
 
 
@@ -310,7 +389,38 @@ def test_an_open_end_is_one_more_freedom():
     points = {"A": (0, 0), "B": (0.1, 0.05), "C": (0.3, 0.3), "D": (0.4, 0)}
     linkage = fb.Linkage("open", points=points, ground="AD", links=["AB", "CD"])
     assert linkage.mobility.degrees_of_freedom == 2
+    assert linkage.mobility.parts == ((("AB",), 1), (("CD",), 1))
     assert len(linkage.model().system.q_ind) == 2
+
+
+def test_bars_that_hold_each_other():
+    """A triangle of bars as coupler, and one on the ground beside a four-bar; a crossbar that makes a frame."""
+    points = {"A": (0, 0), "B": (0.1, 0.05), "C": (0.3, 0.3), "D": (0.4, 0), "P": (0.15, 0.4), "E": (0.2, -0.3)}
+
+    def made(links, names):
+        return fb.Linkage("one", points={name: points[name] for name in names}, ground="AD", links=links)
+
+    coupler = made(["AB", "BC", "CP", "PB", "CD"], "ABCDP")
+    with pytest.warns(fb.ModelWarning, match="BC, CP, PB of one move as one rigid part.* points B, C, P"):
+        assert coupler.mobility.rigid == (("BC", "CP", "PB"),)
+    with pytest.warns(fb.ModelWarning, match="Links AE, ED of one cannot move") as told:
+        assert made(["AB", "BC", "CD", "AE", "ED"], "ABCDE").model().coordinates
+    assert told[0].filename == __file__
+    framed = made(["AB", "BC", "CD", "DB", "CP"], "ABCDP")
+    with pytest.warns(fb.ModelWarning, match="Links AB, BC, CD, DB of one cannot move"):
+        assert framed.mobility.parts == ((("CP",), 1),)
+    framed.drive("A", speed=1.0)
+    with pytest.raises(fb.ModelError, match="AB is rigidly connected to the ground"):
+        framed.mobility  # noqa: B018
+
+
+def test_what_drives_leave_free():
+    points, ground, links = LINKAGES["five-bar"]
+    linkage = fb.Linkage("one", points=points, ground=ground, links=links)
+    linkage.drive("A", speed=1.0)
+    assert linkage.mobility.free == ("BC", "CD", "DE")
+    linkage.drive("E", speed=1.0)
+    assert linkage.mobility.free == ()
 
 
 def test_tables(tmp_path):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import re
-import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -14,7 +13,8 @@ import sympy as sm
 import sympy.physics.mechanics as me
 
 from fourbar_codegen.arguments import finite_number, is_mapping, name_of
-from fourbar_codegen.errors import ModelError, ModelWarning, meant, shown
+from fourbar_codegen.errors import ModelError, meant, shown
+from fourbar_codegen.linkage.checks import SAME, check_mobility, check_parts, size_of
 from fourbar_codegen.linkage.mobility import Mobility, find_mobility
 from fourbar_codegen.linkage.parts import Drive, Link, Parts, PointForce, Strut, Torque
 from fourbar_codegen.linkage.system import build_system, coordinate, geometry, speed
@@ -28,12 +28,6 @@ __all__ = ["Linkage"]
 
 Quantity: TypeAlias = sm.Expr | float | str
 """A number, which becomes a parameter; an expression; or the name of an input."""
-
-SAME = 1e-9
-"""Largest distance of points that are one, or of a point from its guide, relative to the size of the linkage."""
-
-MIXED = 500.0
-"""Ratio of lengths above which units are probably mixed."""
 
 
 class Linkage:
@@ -292,7 +286,7 @@ class Linkage:
                 raise ModelError(f"The guide of {point} goes through two points of one link, not {', '.join(ends)}.")
             base, way = parts.points[ends[0]], parts.points[ends[1]] - parts.points[ends[0]]
             across = ((parts.points[point] - base) * way.conjugate()).imag
-            if not abs(way) or abs(across) > SAME * self._size() * abs(way):
+            if not abs(way) or abs(across) > SAME * size_of(self._parts) * abs(way):
                 raise ModelError(f"{point} is not on the guide from {ends[0]} to {ends[1]}: draw it there.")
             parts.slides[point] = Slide(point, on[0], base, way / abs(way), (ends[0], ends[1]))
         if mass is not None:
@@ -440,6 +434,7 @@ class Linkage:
         ModelError
             As `mobility`.
         """
+        self._analyzed()
         return self._built()[0]
 
     def model(self, **options: Any) -> Model:
@@ -461,11 +456,11 @@ class Linkage:
         ModelError
             As `mobility` and `fourbar_codegen.Model`.
         """
-        system, points, parameters = self._built()
         tree, mobility = self._analyzed()
+        system, points, parameters = self._built()
         names = tree.coordinates
         initial = {f"q_{name}": float(value) for name, value in zip(names, tree.values, strict=True)}
-        initial |= {f"u_{names[k]}": 0.0 for k in mobility.independent}
+        initial |= {f"u_{name}": 0.0 for name in mobility.independent}
         first = 2 * len(tree.cuts) + 1
         outputs = {
             f"{'force' if drive.of in tree.slides else 'torque'}_{name_of(drive.function.func)[6:]}": multiplier(
@@ -529,10 +524,6 @@ class Linkage:
             )
         return list(found[0])
 
-    def _size(self) -> float:
-        drawn = np.array(list(self._parts.points.values()))
-        return float(max(np.ptp(drawn.real), np.ptp(drawn.imag), 1e-300))
-
     def _number(self, name: str) -> int:
         return [*self._parts.links, *self._parts.slides].index(name)
 
@@ -565,82 +556,24 @@ class Linkage:
         links = {name: link.points for name, link in parts.links.items()}
         return spanning_tree(parts.points, tuple(dict.fromkeys(parts.ground)), links, list(parts.slides.values()))
 
-    def _check(self) -> None:
-        parts = self._parts
-        if not parts.ground and all(slide.on != GROUND for slide in parts.slides.values()):
-            raise ModelError("There is no ground: state the points that do not move, by ground(...) or ground=.")
-        if not parts.links:
-            raise ModelError("There is no link: state bars or plates.")
-        used = {point for link in parts.links.values() for point in link.points}
-        lost = [point for point in parts.points if point not in used | {*parts.ground, *parts.slides}]
-        if lost:
-            raise ModelError(f"Points {', '.join(lost)} are on no link: leave them out, or name them in a link.")
-        idle = [point for point in parts.slides if point not in used]
-        if idle:
-            raise ModelError(f"No link is pinned to the blocks at {', '.join(idle)}.")
-        weights = [
-            *parts.masses,
-            *(name for name, link in parts.links.items() if link.density is not None or link.mass),
-        ]
-        if parts.gravity is not None and not weights:
-            raise ModelError("There is gravity, but nothing has a mass: give a density, or masses of links or points.")
-        size, distances = self._size(), {}
-        for name, link in parts.links.items():
-            if {*link.points} <= {*parts.ground}:
-                raise ModelError(f"Link {name} connects points of the ground only: leave it out.")
-            for k, a in enumerate(link.points):
-                for b in link.points[k + 1 :]:
-                    distances[name, a, b] = abs(parts.points[a] - parts.points[b])
-        for (name, a, b), distance in distances.items():
-            if distance <= SAME * size:
-                raise ModelError(
-                    f"Link {name} has no length from {a} to {b}: both are at ({parts.points[a].real:g}, "
-                    f"{parts.points[a].imag:g}). For a joint of links, give one point to both."
-                )
-        (longest, shortest) = (f(distances, key=lambda key: distances[key]) for f in (max, min))
-        if distances[longest] > MIXED * distances[shortest]:
-            warnings.warn(
-                f"Lengths of {self.name} differ by a factor of {distances[longest] / distances[shortest]:.0f}: "
-                f"{distances[longest]:g} m from {longest[1]} to {longest[2]}, {distances[shortest]:g} m from "
-                f"{shortest[1]} to {shortest[2]}. Coordinates are in metres; are units mixed?",
-                ModelWarning,
-                stacklevel=5,
-            )
-
     def _analyzed(self) -> tuple[Tree, Mobility]:
         if self._analysis is None:
             self._analysis = self._analyze()
         return self._analysis
 
     def _analyze(self) -> tuple[Tree, Mobility]:
-        self._check()
-        tree, size, parts = self._tree(), self._size(), self._parts
+        parts = self._parts
+        check_parts(self.name, parts)
+        tree = self._tree()
         if tree.unreached:
             raise ModelError(
                 f"Links {', '.join(tree.unreached)} are not connected to the ground ({', '.join(parts.ground)}), not "
                 "even through other links."
             )
-        names = tree.coordinates
         pivoted = [name for name in tree.links if {*tree.links[name]} & {*parts.ground}]
-        preferred = [names.index(name) for name in dict.fromkeys([*pivoted, *tree.slides, *names])]
-        scales = np.array([1.0 if name in tree.links else size for name in names])
-
-        def gaps(values: Any) -> Any:
-            gap, jacobian = tree.gaps(values)
-            return gap / size, jacobian / size
-
-        driven = [names.index(drive.of) for drive in parts.drives]
-        mobility = find_mobility(gaps, tree.values, scales, driven, preferred)
-        if mobility.degrees_of_freedom == 0:
-            raise ModelError(
-                f"{self.name} is rigid: no link can move. {_sentence(mobility, tree)} Leave out a bar, or give links "
-                "lengths with which they can move."
-            )
-        if mobility.degrees_of_freedom - mobility.left < len(driven):
-            raise ModelError(
-                f"{self.name} has {mobility.degrees_of_freedom} degrees of freedom, and the drives of "
-                f"{', '.join(drive.of for drive in parts.drives)} are more than these can follow: leave out one."
-            )
+        preferred = list(dict.fromkeys([*pivoted, *tree.slides, *tree.coordinates]))
+        mobility = find_mobility(tree, size_of(parts), [drive.of for drive in parts.drives], preferred)
+        check_mobility(self.name, parts, tree, mobility)
         return tree, mobility
 
     def _built(self) -> tuple[System, list[me.Point], dict[sm.Symbol, Parameter]]:
@@ -687,10 +620,3 @@ def _merged(own: Mapping[Any, Any], given: Any, argument: str) -> dict[Any, Any]
 
 def _label(key: Any) -> str:
     return key if isinstance(key, str) else str(getattr(key, "func", key)) if getattr(key, "args", ()) else str(key)
-
-
-def _sentence(mobility: Mobility, tree: Tree) -> str:
-    """Degrees of freedom by counting, and the joints with constraints that follow from others."""
-    joints = dict.fromkeys(tree.places[tree.cuts[row // 2][0]].point for row in mobility.redundant)
-    counted = f"By counting it has {mobility.gruebler} degrees of freedom."
-    return counted + (f" Constraints of {', '.join(joints)} follow from others." if joints else "")

@@ -1,4 +1,4 @@
-"""How a linkage can move: degrees of freedom and redundant constraints, by rank at closed positions.
+"""How a linkage can move: degrees of freedom, rigid parts and redundant joints, by rank at closed positions.
 
 Counting (Gruebler) misses special lengths: a parallelogram with a bar too many moves, and three bars can be drawn in
 line. The Jacobian of the loops tells the instantaneous mobility at one position; at positions nearby, reached by finite
@@ -7,19 +7,21 @@ steps along its null space and closed again, it tells the mobility of the linkag
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.linalg import matrix_rank
 from numpy.typing import NDArray
+
+from fourbar_codegen.linkage.tree import GROUND, Tree
 
 __all__ = ["Mobility", "find_mobility"]
 
 Floats = NDArray[np.float64]
-Gaps = Callable[[Floats], tuple[Floats, Floats]]
 
 RANK = 1e-7
-"""Smallest singular value that counts, relative to the largest."""
+"""Smallest singular value that counts, relative to the largest; and smallest component of a motion."""
 
 SMALLEST = 0.05
 """Smallest part of a column that is independent of others, for a choice of dependent coordinates far from singular."""
@@ -35,7 +37,7 @@ CLOSED = 1e-11
 
 @dataclass(frozen=True)
 class Mobility:
-    """How a linkage can move.
+    """How a linkage can move; links and blocks are told by their names.
 
     Attributes
     ----------
@@ -43,95 +45,99 @@ class Mobility:
         Degrees of freedom by counting: coordinates minus constraints, 3 (n - 1) - 2 j for n links with j pins.
     degrees_of_freedom : int
         By the rank of the constraints at closed positions near the drawn one, drives not counted.
-    left : int
-        Degrees of freedom that the drives leave.
-    independent : tuple of int
-        Numbers of the coordinates that determine the others, as many as are left.
-    redundant : tuple of int
-        Numbers of the constraints that follow from others.
+    independent : tuple of str
+        Those whose coordinates determine the others; as many as the degrees of freedom that drives leave.
+    free : tuple of str
+        Those that can move while all drives are held.
+    parts : tuple of (tuple of str, int)
+        Those that move independently of others, and their degrees of freedom, drives not counted.
+    rigid : tuple of tuple of str
+        Links that do not move relative to each other, such as bars in a triangle; ``"ground"`` may be among them.
+    redundant : tuple of str
+        Joints with constraints that follow from others: without one of them, it could move in the same way.
     is_singular : bool
         Whether it is drawn at a singular position, such as a dead point: there the constraints have a smaller rank.
-    motions : ndarray, shape (n, degrees_of_freedom)
-        Rates of the coordinates in independent motions at a position nearby, drives not counted.
     """
 
     gruebler: int
     degrees_of_freedom: int
-    left: int
-    independent: tuple[int, ...]
-    redundant: tuple[int, ...]
+    independent: tuple[str, ...]
+    free: tuple[str, ...]
+    parts: tuple[tuple[tuple[str, ...], int], ...]
+    rigid: tuple[tuple[str, ...], ...]
+    redundant: tuple[str, ...]
     is_singular: bool
-    motions: Floats
 
 
-def find_mobility(
-    gaps: Gaps, values: Floats, scales: Floats, driven: Sequence[int], preferred: Sequence[int]
-) -> Mobility:
+def find_mobility(tree: Tree, size: float, driven: Sequence[str], preferred: Sequence[str]) -> Mobility:
     """Find how a linkage can move.
 
     Parameters
     ----------
-    gaps : callable
-        Function of the coordinates; returns the constraints, relative to the size, and their Jacobian.
-    values : ndarray, shape (n,)
-        The coordinates as drawn, where the constraints hold.
-    scales : ndarray, shape (n,)
-        Typical changes of the coordinates: 1 rad, or the size of the linkage.
-    driven : sequence of int
-        Numbers of the driven coordinates, one for each drive.
-    preferred : sequence of int
-        All coordinates, those first that should be independent.
+    tree : Tree
+    size : float
+        Of the linkage, m.
+    driven : sequence of str
+        Links and blocks that are driven, one for each drive.
+    preferred : sequence of str
+        All links and blocks, those first whose coordinates should be independent.
 
     Returns
     -------
     Mobility
     """
-    _, drawn = gaps(values)
-    drawn = drawn * scales
+    names, n = tree.coordinates, len(tree.coordinates)
+    scales = np.array([1.0 if name in tree.links else size for name in names])
+    drawn = tree.gaps(tree.values)[1] * scales / size
     free = _null_space(drawn)
-    nearby = [jacobian * scales for jacobian in _nearby(gaps, values, scales, free)]
     # The rank is larger almost everywhere than at singular positions. With no position nearby, nothing moves.
-    generic = max([drawn, *nearby], key=_rank) if nearby or not free.size else np.vstack([drawn, free.T])
-    drives = np.zeros((len(driven), len(values)))
-    drives[np.arange(len(driven)), list(driven)] = 1.0
-    held = np.vstack([generic, drives])
-    is_singular = _rank(drawn) < _rank(generic)
-    chosen = held if is_singular else np.vstack([drawn, drives])
-    left = len(values) - _rank(held)
+    nearby = list(_nearby(tree, size, scales, free))
+    jacobians = [tree.gaps(position)[1] * scales / size for position in nearby]
+    if not nearby:
+        nearby, jacobians = [tree.values], [np.vstack([drawn, free.T])]
+    ranks = [int(matrix_rank(jacobian, rtol=RANK)) for jacobian in jacobians]
+    rank = max(ranks)
+    generic = [k for k, own in enumerate(ranks) if own == rank]
+    is_singular = int(matrix_rank(drawn, rtol=RANK)) < rank
+    drives = np.eye(n)[[names.index(name) for name in driven]]
+    held = [np.vstack([jacobians[k], drives]) for k in generic]
+    left = n - int(matrix_rank(held[0], rtol=RANK))
+    chosen = held[0] if is_singular else np.vstack([drawn, drives])
+    motions = [_null_space(jacobians[k]) for k in generic]
+    independent = _independent(chosen, left, [names.index(name) for name in preferred])
+    velocities = [
+        _velocities(tree, nearby[k], size, scales[:, None] * m) for k, m in zip(generic, motions, strict=True)
+    ]
     return Mobility(
-        gruebler=len(values) - len(drawn),
-        degrees_of_freedom=len(values) - _rank(generic),
-        left=left,
-        independent=_independent(chosen, left, preferred),
-        redundant=_dependent_rows(generic[: len(drawn)]),
+        gruebler=n - len(drawn),
+        degrees_of_freedom=n - rank,
+        independent=tuple(names[k] for k in independent),
+        free=tuple(names[k] for k in _moving(*map(_null_space, held))),
+        parts=tuple((tuple(names[k] for k in part), freedom) for part, freedom in _parts(motions)),
+        rigid=_rigid(velocities),
+        redundant=_redundant(tree, jacobians[generic[0]][: len(drawn)]),
         is_singular=is_singular,
-        motions=_null_space(generic),
     )
-
-
-def _rank(matrix: Floats) -> int:
-    sizes = np.linalg.svd(matrix, compute_uv=False) if matrix.size else np.zeros(0)
-    return int((sizes > RANK * sizes.max(initial=0.0)).sum())
 
 
 def _null_space(matrix: Floats) -> Floats:
     """An orthonormal basis, in columns."""
-    return np.asarray(np.linalg.svd(matrix)[2][_rank(matrix) :].T) if matrix.size else np.eye(matrix.shape[1])
+    return np.asarray(np.linalg.svd(matrix)[2][matrix_rank(matrix, rtol=RANK) :].T)
 
 
-def _nearby(gaps: Gaps, values: Floats, scales: Floats, free: Floats) -> Iterator[Floats]:
-    """The Jacobian at closed positions that are reached by steps along random free motions."""
+def _nearby(tree: Tree, size: float, scales: Floats, free: Floats) -> Iterator[Floats]:
+    """Closed positions that are reached by steps along random free motions."""
     generator = np.random.default_rng(0)
     for length in STEPS * ATTEMPTS * bool(free.size):
         step = free @ generator.standard_normal(free.shape[1])
-        moved = values + scales * length * step / np.linalg.norm(step)
+        moved = tree.values + scales * length * step / np.linalg.norm(step)
         for _ in range(MAX_ITERATIONS):
-            gap, jacobian = gaps(moved)
-            if np.abs(gap).max(initial=0.0) <= CLOSED:
-                if np.linalg.norm((moved - values) / scales) > length / 2.0:
-                    yield jacobian
+            gap, jacobian = tree.gaps(moved)
+            if np.abs(gap).max(initial=0.0) <= CLOSED * size:
+                if np.linalg.norm((moved - tree.values) / scales) > length / 2.0:
+                    yield moved
                 break
-            moved = moved - scales * np.linalg.lstsq(jacobian * scales, gap, rcond=RANK)[0]
+            moved = moved - scales * np.linalg.lstsq(jacobian * scales / size, gap / size, rcond=RANK)[0]
 
 
 def _independent(matrix: Floats, count: int, preferred: Sequence[int]) -> tuple[int, ...]:
@@ -156,7 +162,55 @@ def _independent(matrix: Floats, count: int, preferred: Sequence[int]) -> tuple[
     return independent
 
 
-def _dependent_rows(matrix: Floats) -> tuple[int, ...]:
-    """Numbers of the rows in linear combinations that vanish."""
-    combinations = _null_space(matrix.T)
-    return tuple(int(row) for row in np.flatnonzero(np.abs(combinations).max(axis=1, initial=0.0) > RANK))
+def _moving(*motions: Floats) -> list[int]:
+    """Numbers of the coordinates that change in a motion at some position."""
+    return np.flatnonzero(np.abs(np.hstack(motions)).max(axis=1, initial=0.0) > RANK).tolist()
+
+
+def _parts(motions: Sequence[Floats]) -> list[tuple[list[int], int]]:
+    """Coordinates in groups that move independently, with their degrees of freedom.
+
+    The projector on the space of motions is block diagonal, and the trace of a block is its number of freedoms.
+    """
+    projectors = [basis @ basis.T for basis in motions]
+    waiting, parts = _moving(*motions), []
+    while waiting:
+        part, reached = list[int](), [waiting[0]]
+        while reached:
+            k = reached.pop()
+            if k in waiting:
+                waiting.remove(k)
+                part.append(k)
+                reached += _moving(*(projector[:, [k]] for projector in projectors))
+        parts.append((sorted(part), round(float(np.diag(projectors[0])[part].sum()))))
+    return parts
+
+
+def _velocities(tree: Tree, position: Floats, size: float, motions: Floats) -> dict[str, NDArray[np.complex128]]:
+    """Of each link in each motion at a position: angular, and of its point that is at the origin."""
+    z, dz = tree.positions(position)
+    found = {GROUND: np.zeros(2 * motions.shape[1], dtype=complex)}
+    for number, (link, points) in enumerate(tree.links.items()):
+        place, turn = tree.of_link[link, points[0]], motions[number]
+        found[link] = np.concatenate((turn, (dz[place] @ motions - 1j * turn * z[place]) / size))
+    return found
+
+
+def _rigid(velocities: Sequence[dict[str, NDArray[np.complex128]]]) -> tuple[tuple[str, ...], ...]:
+    """Links with the same velocities at all positions."""
+    groups: list[list[str]] = []
+    for link in velocities[0]:
+        for group in groups:
+            away = [np.abs(own[group[0]] - own[link]).max(initial=0.0) for own in velocities]
+            if max(away) <= RANK:
+                group.append(link)
+                break
+        else:
+            groups.append([link])
+    return tuple(tuple(group) for group in groups if len(group) > 1)
+
+
+def _redundant(tree: Tree, jacobian: Floats) -> tuple[str, ...]:
+    """Points of the cut joints whose rows are in linear combinations that vanish."""
+    rows = _moving(_null_space(jacobian.T)) if jacobian.size else []
+    return tuple(dict.fromkeys(tree.places[tree.cuts[row // 2][0]].point for row in rows))

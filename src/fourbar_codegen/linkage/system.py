@@ -109,7 +109,7 @@ def _side(a: str, b: str) -> str:
 
 
 def build_system(
-    parts: Parts, tree: Tree, shape: Geometry, independent: Sequence[int], redundant: bool
+    parts: Parts, tree: Tree, shape: Geometry, independent: Sequence[str], redundant: bool
 ) -> tuple[System, list[me.Point]]:
     """The System: bodies, joints of the tree by positions, cut joints and drives by constraints, loads.
 
@@ -118,8 +118,8 @@ def build_system(
     parts : Parts
     tree : Tree
     shape : Geometry
-    independent : sequence of int
-        Numbers of the independent coordinates.
+    independent : sequence of str
+        Links and blocks with independent coordinates.
     redundant : bool
         Whether constraints follow from others, which SymPy's own equations do not allow.
 
@@ -184,9 +184,8 @@ def build_system(
     gaps = [carried[a].pos_from(carried[b]) for a, b in tree.cuts]
     closing = [gap.dot(axis) for gap in gaps for axis in (ground.x, ground.y)]
     system.add_holonomic_constraints(*closing, *(coordinate(drive.of) - drive.function for drive in parts.drives))
-    names = tree.coordinates
-    order = [*independent, *(k for k in range(len(names)) if k not in independent)]
-    q, u = [coordinate(names[k]) for k in order], [speed(names[k]) for k in order]
+    names = [*independent, *(name for name in tree.coordinates if name not in independent)]
+    q, u = [coordinate(name) for name in names], [speed(name) for name in names]
     system.q_ind, system.q_dep = q[: len(independent)], q[len(independent) :]
     system.u_ind, system.u_dep = u[: len(independent)], u[len(independent) :]
     system.add_kdes(*(w - c.diff(t) for c, w in zip(q, u, strict=True)))

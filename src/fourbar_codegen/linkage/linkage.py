@@ -123,6 +123,18 @@ class Linkage:
         ------
         ModelError
             If the file cannot be read, or a row is not understood.
+
+        Examples
+        --------
+        >>> from pathlib import Path
+        >>> print(Path("four_bar.csv").read_text())  # doctest: +SKIP
+        point,x,y,links
+        A,0,0,ground crank
+        B,0.1,0,crank coupler
+        C,0.3,0.3,coupler rocker
+        D,0.4,0,rocker ground
+        >>> Linkage.from_csv("four_bar.csv").mobility.independent  # doctest: +SKIP
+        ('crank',)
         """
         path = Path(path)
         try:
@@ -159,6 +171,19 @@ class Linkage:
             x and y in one closed position of the linkage, m.
         mass : float, Expr or str, optional
             A point mass there, kg.
+
+        Raises
+        ------
+        ModelError
+            If there is such a point, or its name or coordinates are not valid.
+
+        Examples
+        --------
+        >>> linkage = Linkage("pendulum", points={"A": (0, 0)}, ground="A")
+        >>> linkage.joint("B", (0.0, -1.0), mass=2.0)
+        >>> linkage.bar("A", "B")
+        >>> linkage
+        <Linkage pendulum: 2 points, 1 links, 0 blocks>
         """
         parts = self._change()
         if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z]\w*", name):
@@ -179,6 +204,16 @@ class Linkage:
         name : str
         place : (float, float)
             x and y, m.
+
+        Raises
+        ------
+        ModelError
+            As `joint`.
+
+        Examples
+        --------
+        >>> linkage = Linkage("pendulum")
+        >>> linkage.ground("A", (0.0, 0.0))
         """
         self.joint(name, place)
         self._parts.ground.append(name)
@@ -191,6 +226,18 @@ class Linkage:
         a, b : str
         **properties
             Those of `plate`.
+
+        Raises
+        ------
+        ModelError
+            As `plate`.
+
+        Examples
+        --------
+        >>> linkage = Linkage("pendulum", points={"A": (0, 0), "B": (0.3, -0.4)}, ground="A")
+        >>> linkage.bar("A", "B", density=2.0)
+        >>> [*linkage.q]
+        ['AB']
         """
         self.plate(a, b, **properties)
 
@@ -222,6 +269,19 @@ class Linkage:
             About the mass centre, kg m^2; by default that of the bars.
         center : (float, float), optional
             The mass centre as drawn, m; by default that of the bars.
+
+        Raises
+        ------
+        ModelError
+            If a point is not known or named twice, the link or its name is not valid, or it has a mass and a density.
+
+        Examples
+        --------
+        >>> points = {"A": (0, 0), "B": (0.1, 0), "C": (0.3, 0.3), "D": (0.4, 0), "P": (0.2, 0.4)}
+        >>> linkage = Linkage("coupler_curve", points=points, ground="AD", links=["AB", "CD"])
+        >>> linkage.plate("B", "C", "P", name="coupler", mass=0.5)
+        >>> linkage.mobility.independent
+        ('AB',)
         """
         parts = self._change()
         members = tuple(self._known(point) for point in points)
@@ -268,6 +328,19 @@ class Linkage:
             ground, that carries the guide.
         mass : float, Expr or str, optional
             Of the block, kg.
+
+        Raises
+        ------
+        ModelError
+            If there is a block at this point, or it is not on the guide.
+
+        Examples
+        --------
+        >>> points = {"O": (0, 0), "A": (0, 1), "C": (3, 0)}
+        >>> linkage = Linkage("slider_crank", points=points, ground="O", links=["OA", "AC"])
+        >>> linkage.slider("C", along=(1, 0), mass=2.0)
+        >>> [*linkage.q]
+        ['OA', 'AC', 'C']
         """
         parts = self._change()
         point = self._known(point)
@@ -300,6 +373,19 @@ class Linkage:
         point : str
         components : (float, Expr or str, float, Expr or str)
             Along x and y, N.
+
+        Raises
+        ------
+        ModelError
+            If a point is not known, or a quantity is no number, expression or name.
+
+        Examples
+        --------
+        >>> points = {"A": (0, 0), "B": (0, -1)}
+        >>> linkage = Linkage("pendulum", points=points, ground="A", links=["AB"], density=1.0)
+        >>> linkage.force("B", ("push", 0))
+        >>> linkage.model().inputs
+        ('push',)
         """
         parts = self._change()
         point = self._known(point)
@@ -323,6 +409,17 @@ class Linkage:
             N m.
         link : str, optional
             The link on which it acts as stated, where two moving links are joined.
+
+        Raises
+        ------
+        ModelError
+            If there is no such joint or link, or it is not clear which links the torque acts on.
+
+        Examples
+        --------
+        >>> points = {"A": (0, 0), "B": (0, -1)}
+        >>> linkage = Linkage("pendulum", points=points, ground="A", links=["AB"], density=1.0)
+        >>> linkage.torque("A", -0.1 * linkage.u["AB"])  # friction in the pin
         """
         on, reaction = self._joined(at, link, "torque")
         self._change().torques.append(
@@ -339,6 +436,17 @@ class Linkage:
             N/m.
         length : float, Expr or str, optional
             Its free length, m; by default that as drawn.
+
+        Raises
+        ------
+        ModelError
+            If a point is not known, or both are at one place.
+
+        Examples
+        --------
+        >>> points = {"A": (0, 0), "B": (1, 0), "C": (1, 1)}
+        >>> linkage = Linkage("sprung", points=points, ground="AC", links=["AB"], density=1.0)
+        >>> linkage.spring("B", "C", 40.0, length=0.8)
         """
         ends, label = self._ends(a, b, "spring")
         drawn = abs(self._parts.points[b] - self._parts.points[a])
@@ -354,6 +462,17 @@ class Linkage:
         a, b : str
         coefficient : float, Expr or str
             N s/m.
+
+        Raises
+        ------
+        ModelError
+            As `spring`.
+
+        Examples
+        --------
+        >>> points = {"A": (0, 0), "B": (1, 0), "C": (1, 1)}
+        >>> linkage = Linkage("damped", points=points, ground="AC", links=["AB"], density=1.0)
+        >>> linkage.damper("B", "C", 5.0)
         """
         ends, label = self._ends(a, b, "damper")
         value = self._quantity(coefficient, f"c_{label}", "N s/m", f"coefficient of the damper from {a} to {b}")
@@ -382,6 +501,20 @@ class Linkage:
             Of a block, m.
         speed : float or Expr, optional
             rad/s or m/s; instead of the others, from the position as drawn.
+
+        Raises
+        ------
+        ModelError
+            If this is no such joint, link or block; it is driven already; or not one of the arguments is given.
+
+        Examples
+        --------
+        >>> points = {"A": (0, 0), "B": (0.1, 0), "C": (0.3, 0.3), "D": (0.4, 0)}
+        >>> links = ["AB", "BC", "CD"]
+        >>> linkage = Linkage("driven", points=points, ground="AD", links=links, density=1.0)
+        >>> linkage.drive("A", speed=10.0)
+        >>> linkage.model().outputs
+        ('torque_A',)
         """
         parts = self._change()
         is_block = at in parts.slides
@@ -405,17 +538,25 @@ class Linkage:
 
     @property
     def q(self) -> dict[str, sm.Expr]:
-        """The coordinates: angles of the links from the x axis, rad, and displacements of the blocks, m."""
+        """The coordinates: angles of the links from the x axis, rad, and displacements of the blocks, m.
+
+        Examples
+        --------
+        >>> Linkage("pendulum", points={"A": (0, 0), "B": (0, -1)}, ground="A", links=["AB"]).q
+        {'AB': q_AB(t)}
+        """
         return {name: coordinate(name) for name in (*self._parts.links, *self._parts.slides)}
 
     @property
     def u(self) -> dict[str, sm.Expr]:
-        """The rates of the coordinates."""
+        """The rates of the coordinates, rad/s and m/s, as `q`."""
         return {name: speed(name) for name in (*self._parts.links, *self._parts.slides)}
 
     @property
     def mobility(self) -> Mobility:
-        """Degrees of freedom by counting and by rank, and which coordinates are independent.
+        """Degrees of freedom by counting and by rank, and which links move independently, which as one.
+
+        Bars that hold each other, as in a triangle, are warned of.
 
         Raises
         ------
@@ -455,6 +596,14 @@ class Linkage:
         ------
         ModelError
             As `mobility` and `fourbar_codegen.Model`.
+
+        Examples
+        --------
+        >>> points = {"A": (0, 0), "B": (0, -1)}
+        >>> how = {"density": 1.0, "gravity": 9.81}
+        >>> linkage = Linkage("pendulum", points=points, ground="A", links=["AB"], **how)
+        >>> linkage.model(initial={"q_AB": 0.5}).coordinates
+        ('q_AB',)
         """
         tree, mobility = self._analyzed()
         system, points, parameters = self._built()

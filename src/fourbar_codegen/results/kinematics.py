@@ -22,7 +22,7 @@ __all__ = ["Branch", "Kinematics"]
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Branch:
     """One way in which the loops close, along the drive.
 
@@ -95,7 +95,13 @@ class Branch:
         return dict(zip(self.model.points, self._drawn[2], strict=False))
 
     def __getitem__(self, name: Any) -> Floats:
-        """A coordinate, shape (n,), or the positions of a point, (3, n), by name or symbol."""
+        """A coordinate or speed, shape (n,), or the positions of a point, m, shape (3, n), by name or symbol.
+
+        Raises
+        ------
+        ModelError
+            If there is no such quantity. The message lists the names.
+        """
         key, model = name_of(name), self.model
         if key in model.coordinates:
             return np.asarray(self.q[model.coordinates.index(key)])
@@ -104,7 +110,12 @@ class Branch:
         if key in model.points:
             return self.points[key]
         known = [*model.coordinates, *model.speeds, *model.points]
-        raise KeyError(f"{key!r} is none of {', '.join(known)}")
+        raise ModelError(f"There is no quantity {key!r}; there are {', '.join(known)}.")
+
+    def __repr__(self) -> str:
+        closed = int(np.isfinite(self.q).all(axis=0).sum())
+        ends = "; ".join(f"{name} from {low:.6g} to {high:.6g}" for name, (low, high) in self.limits.items())
+        return f"<Branch of {self.model.name}: {ends}; closed at {closed} of {self.q.shape[1]} values>"
 
     def transmission_angle(self, a: str, joint: str, b: str) -> Floats:
         """The angle at a joint between the ways to two other points, such as between coupler and rocker.
@@ -123,6 +134,14 @@ class Branch:
         ------
         ModelError
             If a point is not known.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> import numpy as np
+        >>> found = fb.load("four_bar").kinematics({"q1": np.linspace(-0.5, 0.5, 11)})
+        >>> found[0].transmission_angle("P2", "joint3_link3_joint", "P44").shape
+        (11,)
         """
         for name in (a, joint, b):
             if name not in self.model.points:
@@ -133,13 +152,20 @@ class Branch:
         )
 
     def plot_paths(self, points: Sequence[str] = ()) -> Figure:
-        """Draw the mechanism with the paths of points; see `Kinematics.plot_paths`."""
+        """Draw the mechanism with the paths of points; see `Kinematics.plot_paths`.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> branch = fb.load("four_bar").kinematics({"q1": [-0.5, 0.0, 0.5]})[0]
+        >>> figure = branch.plot_paths(["P2"])  # doctest: +SKIP
+        """
         from fourbar_codegen.presentation.figures import plot_branches
 
         return plot_branches([self], points)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Kinematics(Sequence[Branch]):
     """The branches of a mechanism along a drive: a sequence of `Branch`, the one nearest to the initial values first.
 
@@ -198,6 +224,13 @@ class Kinematics(Sequence[Branch]):
         ------
         ModelError
             If a name is not known, or Matplotlib is not installed.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> import numpy as np
+        >>> found = fb.load("four_bar").kinematics({"q1": np.linspace(-0.5, 0.5, 11)})
+        >>> figure = found.plot("q2", "P2")  # doctest: +SKIP
         """
         from fourbar_codegen.presentation.figures import plot_kinematics
 
@@ -219,6 +252,13 @@ class Kinematics(Sequence[Branch]):
         ------
         ModelError
             If a point is not known, there is nothing to draw, or Matplotlib is not installed.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> import numpy as np
+        >>> found = fb.load("four_bar").kinematics({"q1": np.linspace(-0.5, 0.5, 11)})
+        >>> figure = found.plot_paths(["P2"])  # doctest: +SKIP
         """
         from fourbar_codegen.presentation.figures import plot_branches
 

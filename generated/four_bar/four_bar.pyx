@@ -26,7 +26,7 @@ manifest = (
     '{\n'
     '  "format": 11,\n'
     '  "name": "four_bar",\n'
-    '  "fingerprint": "80b24decd2fb15b72eacaa7eba70cc83f689f5bb17de508072ae99b6859a7deb",\n'
+    '  "fingerprint": "808a354512398c570505a9cf124f067f43597fda6e0bb51eb684c8a4f05259da",\n'
     '  "coordinates": [\n'
     '    "q1",\n'
     '    "q2",\n'

@@ -260,7 +260,9 @@ class Model:
             raise ModelError(f"A model cannot be named {name!r}: Python or the generated code needs that name.")
         self.system = system
         self.name = name
-        self.mechanism: Mechanism = read_mechanism(system, points, lines)
+        parameters = _mapping(parameters, "parameters")
+        with_value = {name_of(key) for key, v in parameters.items() if getattr(v, "value", v) is not None}
+        self.mechanism: Mechanism = read_mechanism(system, points, lines, with_value)
         for label, expressions in (*self.mechanism.labelled_loads(), *self.mechanism.labelled_structure()):
             _check_expressions(expressions, label)
         self.state_equations = self._read_state_equations(_mapping(state_equations, "state_equations"))
@@ -278,7 +280,6 @@ class Model:
             known, appearing = {*self._states(), *self.input_expressions}, self._functions()
             driving = [f for f in self.mechanism.excitations if f in appearing and f not in known]
             self.input_expressions.update(dict.fromkeys(driving, sm.S.Zero))
-        parameters = _mapping(parameters, "parameters")
         values = (getattr(value, "value", value) for value in parameters.values())
         others = {symbol.name: symbol for value in values for symbol in getattr(value, "free_symbols", ())}
         parameters = _by_symbol(parameters, others | self._symbols())

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import sympy as sm
 import sympy.physics.mechanics as me
+from sympy.core.function import AppliedUndef
 from sympy.physics.mechanics.system import System
 
 from fourbar_codegen.errors import ModelError, meant, shown
@@ -21,6 +22,7 @@ from fourbar_codegen.modeling.mechanism import (
     Shape,
     Vector,
     entries_of,
+    walk,
 )
 from fourbar_codegen.modeling.shapes import find_shapes
 
@@ -37,7 +39,10 @@ DRAWN_AS: dict[str, Literal["spring", "damper"]] = {
 
 
 def read_mechanism(
-    system: System | me.KanesMethod, points: Iterable[Any] = (), lines: Iterable[Iterable[Any]] = ()
+    system: System | me.KanesMethod,
+    points: Iterable[Any] = (),
+    lines: Iterable[Iterable[Any]] = (),
+    values: Iterable[str] = (),
 ) -> Mechanism:
     """Read a System or a KanesMethod.
 
@@ -49,6 +54,8 @@ def read_mechanism(
         Points to be drawn although nothing else needs them.
     lines : iterable of sequence of Point or str, optional
         Points, or names of points, that lines connect in drawings.
+    values : iterable of str, optional
+        Names of parameters with a value: points whose positions take no others are drawn, too.
 
     Returns
     -------
@@ -83,7 +90,9 @@ def read_mechanism(
     loads = tuple(reader.load(load) for load in description.loads)
     lines = _lines(lines)
     named = [*_points(points), *(point for line in lines for point in line if isinstance(point, me.Point))]
-    drawn, of_points, not_drawn = reader.drawn(description.bodies, named)
+    states = (*description.q_ind, *description.q_dep, *description.u_ind, *description.u_dep)
+    known = {*states, *values, me.dynamicsymbols._t.name}
+    drawn, of_points, not_drawn = reader.drawn(description.bodies, named, known)
     frames = reader.frames()
     tips, shapes = find_shapes(frames, drawn, bodies)
     return Mechanism(
@@ -390,12 +399,13 @@ class _Reader:
         return next((p for p in (self.fixed_point, *at_rest) if p in component), None)
 
     def drawn(
-        self, bodies: Iterable[Any], named: Iterable[me.Point]
+        self, bodies: Iterable[Any], named: Iterable[me.Point], known: Container[sm.Expr | str]
     ) -> tuple[tuple[DrawnPoint, ...], dict[me.Point, int], tuple[str, ...]]:
         """The tree of positions, their numbers in it, and names of points that are left out.
 
         These have positions in frames that are not numbered by now, since nothing but the drawing needs them. On the
-        way to a point that is named, such frames are numbered.
+        way to a point that is named, such frames are numbered; likewise of points whose positions depend on
+        coordinates and `known` parameters alone.
         """
         names = {body.masscenter: str(body.name) for body in bodies if body.mass != 0}
         asked = dict.fromkeys(named)
@@ -418,6 +428,8 @@ class _Reader:
             if point is not root:
                 position = point._pos_dict[parent]
                 frames = [frame for _, frame in position.args] if isinstance(position, me.Vector) else []
+                if point not in on_the_way and parent in numbers and self._follows(position, known):
+                    on_the_way.add(point)
                 is_known = all(f in self.numbers and f in self.parents for f in frames) or point in on_the_way
                 if parent not in numbers or not is_known:
                     left_out.append(point.name)
@@ -428,6 +440,32 @@ class _Reader:
             number = self.point_numbers.get(point)
             points.append(DrawnPoint(point.name, before, offset, names.get(point), number, point in on_the_way))
         return tuple(points), numbers, tuple(left_out)
+
+    def _follows(self, position: Any, known: Container[sm.Expr | str]) -> bool:
+        """Whether a position depends on known functions and parameters alone, also by its frames' orientations."""
+        if not isinstance(position, me.Vector):
+            return True
+        entries, frames = [], []
+        for components, frame in position.args:
+            entries += components
+            frames.append(frame)
+        for frame in frames:
+            if frame not in self.parents:
+                return False
+            parent = self.parents[frame]
+            if frame not in self.numbers and parent is not frame:
+                entries += frame.dcm(parent)
+                turning = frame._ang_vel_dict.get(parent)
+                if isinstance(turning, me.Vector):
+                    entries += (component for components, _ in turning.args for component in components)
+                    frames += (other for _, other in turning.args if other not in frames)
+                frames += [parent] if parent not in frames else []
+        for node in walk(entries):
+            leaf = node.expr if isinstance(node, sm.Derivative) else node
+            is_unknown = isinstance(leaf, AppliedUndef) and leaf not in known
+            if is_unknown or (isinstance(leaf, sm.Symbol) and leaf.name not in known):
+                return False
+        return True
 
     def _add_point(
         self,

@@ -154,7 +154,7 @@ def test_joints_of_sympy(tmp_path):
     run.plot_paths()
 
 
-def pendulum_with_foot(**changes):
+def pendulum_with_foot(*, is_known=False, **changes):
     q, u = me.dynamicsymbols("q u")
     length, reach = sm.symbols("l e")
     ground, bar, foot_frame = map(me.ReferenceFrame, "NBF")
@@ -170,7 +170,7 @@ def pendulum_with_foot(**changes):
     system.add_coordinates(q)
     system.add_speeds(u)
     system.add_kdes(u - q.diff())
-    values = {length: 2.0} | ({reach: 0.5, sm.Symbol("a"): 0.3} if "points" in changes or "lines" in changes else {})
+    values = {length: 2.0} | ({reach: 0.5, sm.Symbol("a"): 0.3} if is_known or "lines" in changes else {})
     given = {key: [foot if item == "foot" else item for item in value] for key, value in changes.items()}
     if "lines" in changes:
         given = {"lines": [(origin, foot), ("P", "O")]}
@@ -184,9 +184,16 @@ def test_a_point_that_nothing_needs_is_named_in_a_warning():
         run.plot_paths()
 
 
+def test_a_point_is_drawn_if_its_parameters_have_values():
+    run = pendulum_with_foot(is_known=True).simulate((0.0, 1.0))
+    assert run.model.parameters == ("l", "e", "a")
+    angle = run["q"]
+    np.testing.assert_allclose(run["foot"][0], 2.0 * np.cos(angle) + 0.5 * np.cos(angle + 0.3), rtol=0, atol=1e-14)
+
+
 def test_a_named_point_keeps_its_parameters():
     model = pendulum_with_foot(points=["foot"])
-    assert model.parameters == ("l", "e", "a")
+    assert model.parameters == ("l", "a", "e")
     run = model.simulate((0.0, 1.0), parameters={"e": 0.7, "a": 0.2})
     angle = run["q"]
     expected = 2.0 * np.exp(1j * angle) + 0.7 * np.exp(1j * (angle + 0.2))
@@ -255,3 +262,64 @@ def test_a_spatial_link_is_drawn_by_the_edges_of_its_hull():
         frozenset(edge) for edge in ("Oa", "Ob", "Oc", "ab", "bc", "ac")
     }
     assert_rigid(found)
+
+
+def hanging(turn_about, down, offset):
+    """A pendulum that hangs in the direction in which gravity acts."""
+    q, u = me.dynamicsymbols("q u")
+    m, g, length = sm.symbols("m g l")
+    frame, origin, rod = me.ReferenceFrame("N"), me.Point("O"), me.ReferenceFrame("R")
+    origin.set_vel(frame, 0)
+
+    def vector(components, of=frame):
+        return sum((c * axis for c, axis in zip(components, of, strict=True)), me.Vector(0))
+
+    rod.orient_axis(frame, vector(turn_about), q)
+    rod.set_ang_vel(frame, u * vector(turn_about))
+    end = origin.locatenew("end", length * vector(down, rod) + offset * vector(turn_about, rod))
+    end.v2pt_theory(origin, frame, rod)
+    system = System(frame, origin)
+    system.add_bodies(me.Particle("bob", end, m))
+    system.add_loads(me.Force(end, m * g * vector(down)))
+    system.add_coordinates(q)
+    system.add_speeds(u)
+    system.add_kdes(u - q.diff())
+    values = {m: 2.0, g: 9.81, length: 0.5}
+    return fb.compile_model(fb.Model(system, name="hanging", parameters=values, initial={q: 0.3, u: 0.0}))
+
+
+AXES = np.vstack((np.eye(3, dtype=int), -np.eye(3, dtype=int)))
+
+
+@pytest.mark.parametrize("down", AXES.tolist(), ids=["x", "y", "z", "-x", "-y", "-z"])
+@pytest.mark.parametrize("offset", [0.0, 0.2])
+def test_gravity_is_downwards(down, offset):
+    """Whatever axis it acts along; what is shown is turned, not mirrored, and in the plane if there is one."""
+    about = np.roll(np.abs(down), 1)
+    model = hanging(about.tolist(), down, offset)
+    assert model.manifest["gravity"] == down
+    run = model.simulate((0.0, 1.0))
+    drawn = scene(model, model.drawing_along(run.t, run.y, run.r, None)[0])
+    assert drawn.is_planar is (offset == 0.0)
+    assert np.linalg.det(drawn.view.turn) == 1.0
+    vertical = 1 if drawn.is_planar else 2
+    end, origin = (drawn.positions[drawn.names.index(name)] for name in ("end", "O"))
+    assert (end[vertical] < origin[vertical] - 0.4).all()
+    assert drawn.view.labels[vertical] == ("-" if sum(down) > 0 else "") + "xyz"[int(np.abs(down).argmax())]
+
+
+def test_a_push_is_no_gravity():
+    """A constant force that is no mass times an acceleration turns nothing."""
+    q, u = me.dynamicsymbols("q u")
+    frame, origin = me.ReferenceFrame("N"), me.Point("O")
+    origin.set_vel(frame, 0)
+    block = origin.locatenew("block", q * frame.x)
+    block.set_vel(frame, u * frame.x)
+    system = System(frame, origin)
+    system.add_bodies(me.Particle("block", block, sm.Symbol("m")))
+    system.add_loads(me.Force(block, sm.Symbol("push") * frame.x))
+    system.add_coordinates(q)
+    system.add_speeds(u)
+    system.add_kdes(u - q.diff())
+    model = fb.compile_model(fb.Model(system, name="pushed", parameters={"m": 1.0, "push": 3.0}))
+    assert model.manifest["gravity"] is None

@@ -24,7 +24,7 @@ kernel = PyCapsule_New(<void *>&four_bar_kernel, FB_CAPSULE_NAME, NULL)
 
 manifest = (
     '{\n'
-    '  "format": 11,\n'
+    '  "format": 12,\n'
     '  "name": "four_bar",\n'
     '  "fingerprint": "808a354512398c570505a9cf124f067f43597fda6e0bb51eb684c8a4f05259da",\n'
     '  "coordinates": [\n'
@@ -486,6 +486,11 @@ manifest = (
     '    }\n'
     '  ],\n'
     '  "not_drawn": [],\n'
+    '  "gravity": [\n'
+    '    0,\n'
+    '    -1,\n'
+    '    0\n'
+    '  ],\n'
     '  "forced_points": [\n'
     '    7\n'
     '  ],\n'

@@ -12,10 +12,11 @@ from fourbar_codegen.dynamics.equations import Equations
 from fourbar_codegen.expressions.tape import Call, Scalar
 from fourbar_codegen.lowering.program import Function, Program
 from fourbar_codegen.modeling.model import Model
+from fourbar_codegen.modeling.shapes import gravity
 
 __all__ = ["manifest_of", "manifest_text", "operations_of"]
 
-MANIFEST_FORMAT = 11
+MANIFEST_FORMAT = 12
 
 
 def manifest_of(
@@ -80,6 +81,7 @@ def manifest_of(
         "geometry": _geometry(equations, names["parameters"]),
         "shapes": [{"kind": shape.kind, "name": shape.name, "points": list(shape.points)} for shape in picture.shapes],
         "not_drawn": list(picture.not_drawn),
+        "gravity": gravity(model.mechanism.loads, model.mechanism.bodies, _values(model)),
         "forced_points": list(equations.forced),
         "initial": model.initial,
         "invariants": list(equations.invariants),
@@ -89,6 +91,14 @@ def manifest_of(
         "warnings": list(equations.warnings),
         "has_potential_energy": not energies[1].is_nan,
     }
+
+
+def _values(model: Model) -> dict[sm.Basic, Any]:
+    """Numbers for parameters, also for those that are expressions of others."""
+    values = {symbol: p.value for symbol, p in model.parameter_symbols.items() if p.value is not None}
+    for symbol, expression in model.derived_parameters.items():
+        values[symbol] = expression.xreplace(values)
+    return {symbol: sm.sympify(value) for symbol, value in values.items()}
 
 
 def _angles(equations: Equations, names: Sequence[str]) -> list[str]:

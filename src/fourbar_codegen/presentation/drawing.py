@@ -74,7 +74,9 @@ def drawing(trajectory: Trajectory, times: Callable[[float, float], Floats]) -> 
         forces = {name: force / greatest for name, force in forces.items()}
         longest = max(np.linalg.norm(force, axis=0).max() for force in forces.values())
         forces = {name: ARROW * found.size * force / longest for name, force in forces.items()}
-    tips = {model.points.index(name): shown.points[name] + force for name, force in forces.items() if greatest}
+    tips = {
+        model.points.index(name): found.view(shown.points[name] + force) for name, force in forces.items() if greatest
+    }
     arrows = {point: len(found.positions) + number for number, point in enumerate(tips)}
     return Drawing(shown, replace(found, positions=np.array([*found.positions, *tips.values()])), arrows)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +15,7 @@ from fourbar_codegen.arguments import name_of, positive
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.presentation.drawing import Panel, drawing, equal_times, panels
-from fourbar_codegen.presentation.scene import SYMBOLS, Scene, scene
+from fourbar_codegen.presentation.scene import SYMBOLS, Scene, View, scene, view_of
 from fourbar_codegen.progress import PATIENCE
 
 if TYPE_CHECKING:
@@ -40,6 +39,9 @@ FPS = 30.0
 
 COLORS = 64
 """Of a GIF."""
+
+TICKS = 6
+"""Numbers along the longest axis in space."""
 
 MAX_FRAMES = 10_000
 """Largest number of frames of an animation; each takes some hundredths of a second to draw."""
@@ -145,7 +147,7 @@ def plot_paths(trajectory: Trajectory, points: Sequence[str]) -> Figure:
     """Draw the paths of points and the initial mechanism; see `Trajectory.plot_paths`."""
     points = _checked(trajectory.model, points)
     drawn = drawing(trajectory, lambda start, end: np.linspace(start, end, SMOOTH if start != end else 1))
-    figure, [axes] = _figure(1, drawn.scene.is_planar)
+    figure, [axes] = _figure(1, drawn.scene.view)
     _draw_paths(axes, drawn.scene, points)
     _name_paths(axes, drawn.scene)
     axes.set_title(trajectory.model.name)
@@ -159,6 +161,10 @@ def _draw_paths(axes: Any, drawn: Scene, points: Sequence[str]) -> None:
     for name in points or drawn.traced().values():
         axes.plot(*drawn.positions[drawn.names.index(name), :dimensions], label=_label(name), zorder=1)
     axes.set_aspect("equal")
+    if not drawn.is_planar:  # fewer numbers along short axes
+        lengths = {name: np.ptp(getattr(axes, f"get_{name}lim")()) for name in "xyz"}
+        for name, length in lengths.items():
+            axes.locator_params(axis=name, nbins=max(1, round(TICKS * length / max(lengths.values()))))
 
 
 def _name_paths(axes: Any, drawn: Scene) -> None:
@@ -229,7 +235,7 @@ def plot_modes(modes: AssemblyModes) -> Figure:
     states = np.where(np.isfinite(modes.x), modes.x, 0.0)[:MAX_PANELS]
     positions = np.stack([model.drawing(modes.t, x, modes.parameters, modes.inputs)[0] for x in states], axis=2)
     drawn = scene(model, positions)
-    figure, cells = _figure(len(states), drawn.is_planar)
+    figure, cells = _figure(len(states), drawn.view)
     figure.suptitle(
         f"{model.name}: {len(modes)} assembly modes"
         + ("" if modes.is_complete else " of infinitely many" if modes.free else ", or more")
@@ -278,11 +284,12 @@ def plot_branches(branches: Sequence[Branch], points: Sequence[str]) -> Figure:
     if not closed:
         raise ModelError(f"There is nothing of {model.name} to draw: the loops close at none of the drive's values.")
     shown = closed[:MAX_PANELS]
-    scenes = [scene(model, branch.positions[:, :, np.isfinite(branch.q).all(axis=0)]) for branch in shown]
-    planar = all(drawn.is_planar for drawn in scenes)
-    figure, cells = _figure(len(shown), planar)
+    known = [branch.positions[:, :, np.isfinite(branch.q).all(axis=0)] for branch in shown]
+    view = view_of(model, np.concatenate(known, axis=2)[: len(model.points)])
+    scenes = [scene(model, positions, view) for positions in known]
+    figure, cells = _figure(len(shown), view)
     for number, (axes, drawn) in enumerate(zip(cells, scenes, strict=True)):
-        _draw_paths(axes, replace(drawn, is_planar=planar), chosen)
+        _draw_paths(axes, drawn, chosen)
         if len(shown) > 1:
             axes.set_title(f"branch {number}", fontsize="small")
     if len(shown) == 1:
@@ -297,22 +304,21 @@ def _label(name: str) -> str:
     return f" {label}" if label.startswith("_") else label
 
 
-def _figure(panels: int, planar: bool) -> tuple[Figure, list[Any]]:
+def _figure(panels: int, view: View) -> tuple[Figure, list[Any]]:
     """A figure with axes side by side, in rows of four."""
     figure_class = _imported("matplotlib.figure", "Plots").Figure
     columns = min(panels, 4)
     rows = -(-panels // columns)
     side = 5.0 if panels == 1 else 2.8
-    figure: Any = figure_class(figsize=(side * columns, side * rows), layout="constrained")
-    how = {} if planar else {"projection": "3d"}
+    width = side * columns * (1.5 if panels == 1 and not view.is_planar else 1.0)  # for the names beside it
+    figure: Any = figure_class(figsize=(width, side * rows), layout="constrained")
+    how = {} if view.is_planar else {"projection": "3d"}
     axes = [figure.add_subplot(rows, columns, number + 1, **how) for number in range(panels)]
     for each in axes:
-        each.set_xlabel("x (m)")
-        each.set_ylabel("y (m)")
-        if planar:
+        for axis, label in list(zip("xyz", view.labels, strict=True))[: 2 if view.is_planar else 3]:
+            getattr(each, f"set_{axis}label")(f"{label} (m)")
+        if view.is_planar:
             each.grid(alpha=0.3)
-        else:
-            each.set_zlabel("z (m)")
     return figure, axes
 
 
@@ -388,7 +394,7 @@ def animate(trajectory: Trajectory, *, fps: float, speed: float, traces: Sequenc
         rate = min(TRACE_RATE, MAX_FRAMES / abs(end - start)) if start != end else TRACE_RATE
         finer = trajectory.resample(equal_times(start, end, rate)).points
         for name in traced:
-            axes.plot(*finer[name][:dimensions], color="tab:red", linewidth=1.0, zorder=1)
+            axes.plot(*drawn.scene.view(finer[name])[:dimensions], color="tab:red", linewidth=1.0, zorder=1)
     move = _draw(axes, drawn.scene, drawn.arrows)
     time = axes.annotate("", (0.02, 0.02), xycoords="axes fraction", fontsize="small", color="0.3")
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fourbar_codegen.errors import ModelError, ModelWarning
 from fourbar_codegen.kernel.kernel import Kernel
 
-__all__ = ["SYMBOLS", "Line", "Scene", "Symbol", "extent", "scene"]
+__all__ = ["SYMBOLS", "Line", "Scene", "Symbol", "View", "extent", "scene", "view_of"]
 
 Floats = NDArray[np.float64]
 
@@ -109,6 +109,50 @@ class Symbol:
 
 
 @dataclass(frozen=True)
+class View:
+    """How pictures show the axes of the inertial frame.
+
+    Gravity is shown downwards. A mechanism whose points stay in a plane is seen in this plane.
+
+    Attributes
+    ----------
+    turn : ndarray, shape (3, 3)
+        A rotation. The first two of the new coordinates are shown to the right and upwards if the mechanism is planar;
+        otherwise the third one is upwards.
+    labels : tuple of str
+        Of the new coordinates.
+    is_planar : bool
+    """
+
+    turn: Floats
+    labels: tuple[str, ...]
+    is_planar: bool
+
+    def __call__(self, positions: Floats) -> Floats:
+        """Positions in the new coordinates, shape (..., 3, n_t)."""
+        return np.asarray(self.turn @ positions)
+
+
+def view_of(model: Kernel, positions: Floats) -> View:
+    """The view of a model's points, shape (n_points, 3, n_t)."""
+    size, extents = extent(positions)
+    flat = [axis for axis in (2, 1, 0) if extents[axis] <= PLANAR * size]
+    axes, gravity = np.eye(3), model.manifest["gravity"]
+    down = None if gravity is None else np.array(gravity, dtype=float)
+    if flat:
+        normal = next((axis for axis in flat if down is None or not down[axis]), flat[0])
+        up = axes[1 if normal == 2 else 2] if down is None or down[normal] else -down
+        right = next(axis for number, axis in enumerate(axes) if number != normal and not axis @ up)
+        turn, is_planar = np.array([right, up, np.cross(right, up)]), True
+    else:
+        up = axes[2] if down is None else -down
+        right = next(axis for axis in axes if not axis @ up)
+        turn, is_planar = np.array([right, np.cross(up, right), up]), False
+    labels = tuple(("-" if row.sum() < 0 else "") + "xyz"[int(np.abs(row).argmax())] for row in turn)
+    return View(turn, labels, is_planar)
+
+
+@dataclass(frozen=True)
 class Scene:
     """A mechanism at several instants: what every picture of it shows.
 
@@ -119,12 +163,11 @@ class Scene:
     bodies : tuple of str or None
         The bodies whose mass centres they are.
     positions : ndarray, shape (n_rows, 3, n_t)
-        In the inertial frame, m.
+        In the coordinates of the view, m.
     lines : tuple of Line
     symbols : tuple of Symbol
     size : float
-    is_planar : bool
-        As returned by `extent`.
+    view : View
     unit : float
         Size of the symbols, m.
     """
@@ -135,8 +178,13 @@ class Scene:
     lines: tuple[Line, ...]
     symbols: tuple[Symbol, ...]
     size: float
-    is_planar: bool
+    view: View
     unit: float
+
+    @property
+    def is_planar(self) -> bool:
+        """Whether it is shown in the plane of its first two coordinates."""
+        return self.view.is_planar
 
     def moves(self, row: int) -> bool:
         """Whether a point moves."""
@@ -175,14 +223,16 @@ class Scene:
         return np.stack(pieces[:-1], axis=1)
 
 
-def scene(model: Kernel, positions: Floats) -> Scene:
+def scene(model: Kernel, positions: Floats, view: View | None = None) -> Scene:
     """What pictures of a model show at several instants.
 
     Parameters
     ----------
     model : Kernel
     positions : ndarray, shape (n_points, 3, n_t)
-        Of the model's points, those without names included.
+        Of the model's points, those without names included, in the inertial frame, m.
+    view : View, optional
+        By default that of these positions.
 
     Returns
     -------
@@ -202,7 +252,9 @@ def scene(model: Kernel, positions: Floats) -> Scene:
             ModelWarning,
             stacklevel=5,
         )
-    size, is_planar = extent(positions[: len(model.points)])
+    named = positions[: len(model.points)]
+    view = view_of(model, named) if view is None else view
+    size, positions = extent(named)[0], view(positions)
     # Of a vehicle that goes far, symbols are as large as the vehicle needs.
     links = [positions[shape["points"]] for shape in model.manifest["shapes"] if shape["kind"] == "link"]
     unit = UNIT * min(size, LINKS * max((extent(link[:, :, :1])[0] for link in links), default=size))
@@ -237,7 +289,7 @@ def scene(model: Kernel, positions: Floats) -> Scene:
     still = [point for point in masses if np.ptp(positions[point], axis=1).max(initial=0.0) <= PLANAR * size]
     symbols += [Symbol("mass", point) for point in masses if point not in still or len(still) == len(masses)]
     bodies = tuple(entry["body"] for entry in entries[: len(model.points)])
-    return Scene(model.points, bodies, np.array(rows), tuple(lines), tuple(symbols), size, is_planar, unit)
+    return Scene(model.points, bodies, np.array(rows), tuple(lines), tuple(symbols), size, view, unit)
 
 
 def _coincide(positions: Floats, point: int, other: int, tolerance: float) -> bool:
@@ -282,8 +334,8 @@ def _outline(positions: Floats, points: tuple[int, ...], size: float) -> Iterato
                 yield Line("link", (points[a], points[b]))
 
 
-def extent(positions: Floats) -> tuple[float, bool]:
-    """The largest extent along an axis, m, and whether all points stay in one plane z = constant.
+def extent(positions: Floats) -> tuple[float, Floats]:
+    """The largest extent along an axis, m, and those along all axes.
 
     Parameters
     ----------
@@ -291,6 +343,6 @@ def extent(positions: Floats) -> tuple[float, bool]:
     """
     finite = positions[:, :, np.isfinite(positions).all(axis=(0, 1))]
     if not finite.size:
-        return 1.0, True
-    size = float(np.ptp(finite, axis=(0, 2)).max()) or 1.0
-    return size, bool(np.ptp(finite[:, 2]) <= PLANAR * size)
+        return 1.0, np.zeros(3)
+    extents = np.ptp(finite, axis=(0, 2))
+    return float(extents.max()) or 1.0, extents

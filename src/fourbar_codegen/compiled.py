@@ -449,7 +449,7 @@ class CompiledModel(Kernel):
         >>> len(found), len(found.dead_points), bool(found.closes.all())
         (2, 0, True)
         """
-        from fourbar_codegen.analysis.drive import kinematics
+        from fourbar_codegen.analysis.branches import kinematics
 
         return kinematics(self, drive, rates, accelerations, parameters, inputs, t)
 

@@ -197,6 +197,17 @@ def test_files_of_users_do_not_replace_pythons(tmp_path, model):
     assert done.stdout.startswith("Model cartesian_pendulum")
 
 
+def test_a_linkage_is_a_model(tmp_path):
+    """A function that returns a Linkage, or one by its name."""
+    points = {"A": (0, 0), "B": (0.1, 0.05), "C": (0.3, 0.3), "D": (0.4, 0)}
+    made = f'fb.Linkage("rocker", points={points}, ground="AD", links=["AB", "BC", "CD"], density=1.0)'
+    text = f"import fourbar_codegen as fb\nlinkage = {made}\ndef make():\n    return linkage\n"
+    (tmp_path / "own.py").write_text(text)
+    for name in ("linkage", "make"):
+        output = run("info", f"{tmp_path / 'own.py'}:{name}").output
+        assert output.startswith("Model rocker\ncoordinates: q_AB independent; q_BC, q_CD dependent")
+
+
 def test_errors_of_a_users_file_name_its_line(tmp_path):
     (tmp_path / "own.py").write_text("def make():\n    x = 1\n    return y\n")
     done = run("info", f"{tmp_path / 'own.py'}:make")

@@ -16,7 +16,7 @@ import fourbar_codegen as fb
 from fourbar_codegen.errors import meant
 
 if TYPE_CHECKING:
-    from fourbar_codegen import CompiledModel, Model
+    from fourbar_codegen import CompiledModel, Linkage, Model
 
 __all__ = ["MODEL", "MODEL_HELP", "compiled_model", "source_model"]
 
@@ -25,7 +25,7 @@ NAMES = sorted(file.stem for file in (Path(fb.__file__).parent / "models").glob(
 
 MODEL_HELP = (
     f"MODEL is one of {', '.join(NAMES)} (four_bar, the default, is compiled already), or FILE.py:FUNCTION or "
-    "MODULE:FUNCTION, a function without arguments that returns a Model."
+    "MODULE:FUNCTION, a function without arguments that returns a Model or a Linkage."
 )
 
 
@@ -65,8 +65,8 @@ def source_model(text: str) -> Model:
     try:
         module = _module(place)
         make = getattr(module, function, None)
-        if isinstance(make, fb.Model):
-            return make
+        if isinstance(make, fb.Model | fb.Linkage):
+            return _model_of(make)
         if not callable(make):
             own = [name for name, value in vars(module).items() if getattr(value, "__module__", "") == module.__name__]
             raise fb.ModelError(f"{place} has no function {function}; it has {', '.join(own) or 'none'}.")
@@ -75,9 +75,13 @@ def source_model(text: str) -> Model:
         raise
     except (Exception, SystemExit) as error:  # any error of the user's code
         raise fb.ModelError(f"{text} could not be called: {_said(error, place)}") from error
-    if not isinstance(model, fb.Model):
-        raise fb.ModelError(f"{text}() returned a {type(model).__name__}, not a fourbar_codegen.Model.")
-    return model
+    if not isinstance(model, fb.Model | fb.Linkage):
+        raise fb.ModelError(f"{text}() returned a {type(model).__name__}, not a fourbar_codegen.Model or Linkage.")
+    return _model_of(model)
+
+
+def _model_of(made: Model | Linkage) -> Model:
+    return made.model() if isinstance(made, fb.Linkage) else made
 
 
 def _check_name(text: str) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.analysis.assembly_modes import closed_coordinates
-from fourbar_codegen.analysis.continuation import Curve, null_space, solve_at, trace
+from fourbar_codegen.analysis.continuation import null_space, solve_at, trace
 from fourbar_codegen.analysis.drive import Drive, read_drive
 from fourbar_codegen.analysis.loop_closure import Loops
 from fourbar_codegen.arguments import Values
@@ -41,36 +41,61 @@ def kinematics(
 ) -> Kinematics:
     """Positions and motions along a drive; see `CompiledModel.kinematics`."""
     path = read_drive(model, drive, rates, accelerations, parameters, inputs, t)
-    n_q, (first, last) = model.n_q, path.ends
-    start, periods = path.start, path.periods
-    if n_q - len(path.coordinates) > model.n_h:
+    if (left := model.n_q - len(path.coordinates)) > model.n_h:
         raise ModelError(
-            f"A degree of freedom is left: with {', '.join(path.names)} held, {n_q - len(path.coordinates)} "
-            f"coordinates and {model.n_h} position constraints are left. Drive another one, too."
+            f"A degree of freedom is left: with {', '.join(path.names)} held, {left} coordinates and {model.n_h} "
+            "position constraints are left. Drive another one, too."
         )
-    curves: list[Curve] = []
+    parts, folds, is_complete = _search(path)
+    n_q, periods = model.n_q, path.periods
+
+    def distance(part: Floats) -> float:
+        away = part[:, :n_q] - path.start / path.scales
+        return float(np.abs(_within(away, periods[:n_q])).max(axis=1).min())
+
+    branches = tuple(_branch(path, part) for part in sorted(parts, key=distance))
+    dead = []
+    for fold in folds:
+        values = dict(zip(model.coordinates, (fold[:n_q] * path.scales).tolist(), strict=True))
+        dead.append({**values, **dict(zip(path.names, path.at(fold[n_q]).tolist(), strict=True))})
+    drives = dict(zip(path.names, path.values, strict=True))
+    return Kinematics(model, drives, branches, tuple(dead), is_complete)
+
+
+def _search(path: Drive) -> tuple[list[Floats], list[Floats], bool]:
+    """Branches, points in rows; the folds between them; and whether these are all, as far as is known.
+
+    Raises
+    ------
+    ModelError
+        If coordinates can move while the drive is held.
+    AssemblyError
+        If the loops close nowhere.
+    """
+    model, (first, last), start = path.model, path.ends, path.start
     parts: list[Floats] = []
+    folds: list[Floats] = []
     is_complete, tried, free = True, 0, dict[str, None]()
+    order = np.argsort(path.coordinates).astype(int)
+    given = tuple(path.coordinates[k] for k in order)
     with Progress(f"{model.name}: positions along the drive") as progress:
         for s in _seeds(path, parts):
             driven = path.at(s)
-            order = np.argsort(path.coordinates).astype(int)
-            given = tuple(path.coordinates[k] for k in order)
-            loops = Loops(model, t, driven[order], path.p, path.inputs(driven), given)
+            loops = Loops(model, path.t, driven[order], path.p, path.inputs(driven), given)
             found, all_found, moving = closed_coordinates(loops, start[loops.dependent], progress)
             tried += bool(found)
-            free |= dict.fromkeys(moving) if moving else {}
+            free |= dict.fromkeys(moving)
             is_complete &= all_found or bool(moving)
             for dependent in found:
                 z = np.append(loops.coordinates(dependent) / path.scales, s)
-                if any(_passes(path, part, z, periods) for part in parts):
+                if any(_passes(path, part, z) for part in parts):
                     continue
                 if first == last:
                     parts.append(z[None, :])
                 elif null_space(path.function(z)[1]).shape[1] == 1:
-                    curve = trace(path.function, z, first, last, periods)
-                    curves.append(curve)
+                    curve = trace(path.function, z, first, last, path.periods)
                     parts += curve.branches()
+                    folds += [curve.points[fold] for fold in curve.folds]
                     is_complete &= not curve.ends_early
             if moving and not parts and tried >= 3:
                 break
@@ -84,21 +109,7 @@ def kinematics(
             f"The loops of {model.name} close at none of the values of {', '.join(path.names)}, nor at "
             f"{len(SEEDS)} places between them."
         )
-
-    def distance(part: Floats) -> float:
-        away = part[:, :n_q] - start / path.scales
-        return float(np.abs(_within(away, periods[:n_q])).max(axis=1).min())
-
-    branches = tuple(_branch(path, part) for part in sorted(parts, key=distance))
-    dead = []
-    for curve in curves:
-        for fold in curve.folds:
-            q = curve.points[fold, :n_q] * path.scales
-            values = dict(zip(model.coordinates, q.tolist(), strict=True))
-            at = path.at(curve.points[fold, n_q])
-            dead.append({**values, **dict(zip(path.names, at.tolist(), strict=True))})
-    drives = dict(zip(path.names, path.values, strict=True))
-    return Kinematics(model, drives, branches, tuple(dead), is_complete)
+    return parts, folds, is_complete
 
 
 def _seeds(path: Drive, parts: Sequence[Floats]) -> Iterator[float]:
@@ -111,7 +122,7 @@ def _seeds(path: Drive, parts: Sequence[Floats]) -> Iterator[float]:
             yield s
 
 
-def _passes(path: Drive, part: Floats, z: Floats, periods: Floats) -> bool:
+def _passes(path: Drive, part: Floats, z: Floats) -> bool:
     """Whether a branch goes through a position."""
     s = part[:, -1]
     if len(part) == 1 or not s[0] - SAME <= z[-1] <= s[-1] + SAME:
@@ -119,7 +130,7 @@ def _passes(path: Drive, part: Floats, z: Floats, periods: Floats) -> bool:
     near = solve_at(path.function, _between(part, z[-1]), z[-1])
     if near is None:
         return False
-    return bool(np.abs(_within(z - near, periods)).max() <= SAME)
+    return bool(np.abs(_within(z - near, path.periods)).max() <= SAME)
 
 
 def _within(away: Floats, periods: Floats) -> Floats:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
+from sympy.physics.mechanics.system import System
 from test_unknown_forces import MU, box, compiled
 
 import fourbar_codegen as fb
@@ -159,21 +160,100 @@ def test_other_inputs_have_sources():
     np.testing.assert_allclose(load[~dead], -5.0 / piston(ANGLES[~dead])[0], rtol=1e-11)
 
 
-def test_inputs_that_enter_nonlinearly():
-    """A square: found by Newton's method, where it is unique."""
-    q, u, F = me.dynamicsymbols("q u F")
-    frame, origin, point = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
+def particles(*loads, place=0, mass=2, **options):
+    """Particles on the x axis, each with a force, and a motion of the axis that is added to all positions."""
+    n = len(loads)
+    q, u = me.dynamicsymbols(f"q1:{n + 1}"), me.dynamicsymbols(f"u1:{n + 1}")
+    frame, origin = me.ReferenceFrame("N"), me.Point("O")
     origin.set_vel(frame, 0)
-    point.set_pos(origin, q * frame.x)
-    point.set_vel(frame, u * frame.x)
-    system = me.System(frame, origin)
-    system.add_coordinates(q)
-    system.add_speeds(u)
-    system.add_kdes(u - q.diff())
-    system.add_bodies(me.Particle("P", point, 2))
-    system.add_loads(me.Force(point, (F + F**3) * frame.x))
-    model = fb.compile_model(fb.Model(system, name="cubic", inputs={F: 0.0}))
-    assert model.inverse_dynamics((0.0, [0.0, 0.0], [5.0]))["F"] == pytest.approx(2.0, rel=1e-12)
+    system = System(frame, origin)
+    masses = mass if isinstance(mass, tuple) else (mass,) * n
+    for k, (load, m) in enumerate(zip(loads, masses, strict=True)):
+        point = origin.locatenew(f"P{k + 1}", (q[k] + place) * frame.x)
+        point.set_vel(frame, (u[k] + sm.sympify(place).diff(T)) * frame.x)
+        system.add_bodies(me.Particle(f"P{k + 1}", point, m))
+        system.add_loads(me.Force(point, load * frame.x))
+    system.add_coordinates(*q)
+    system.add_speeds(*u)
+    system.add_kdes(*(w - c.diff(T) for c, w in zip(q, u, strict=True)))
+    return fb.compile_model(fb.Model(system, name="particles", initial=dict.fromkeys((*q, *u), 0), **options))
+
+
+T = me.dynamicsymbols._t
+F, G, A = me.dynamicsymbols("F G A")
+
+
+@pytest.mark.parametrize(
+    ("law", "force"),
+    [(F + F**3, 10.0), (F**3, 8.0), (sm.sqrt(F), 3.0), (1 / F, 0.5), (F * sm.Abs(F), 9.0), (sm.exp(F), 5.0)],
+)
+def test_inputs_that_enter_nonlinearly(law, force):
+    """By Newton's method, from several guesses; the law at what was found is the force."""
+    model = particles(law, inputs={F: 0.0})
+    found = model.inverse_dynamics((0.0, [0.0, 0.0], [force / 2.0]))["F"]
+    assert float(law.subs(F, found)) == pytest.approx(force, rel=1e-8)
+
+
+def test_each_equation_is_balanced_by_itself():
+    """1000 tonnes beside 10 grams, of which the force is nonlinear in the input: G + G^3 = 1 N and 0.2 N."""
+    model = particles(F, G + G**3, mass=(1e6, 0.01), inputs={F: 0.0, G: 0.0})
+    for rates in ([1000.0, 100.0], [10.0, 20.0]):
+        found = model.inverse_dynamics((0.0, np.zeros(4), rates))
+        assert found["G"] + found["G"] ** 3 == pytest.approx(0.01 * rates[1], rel=1e-9)
+        assert found["F"] == pytest.approx(1e6 * rates[0], rel=1e-12)
+
+
+def test_prescribed_motions_come_with_their_rates():
+    """F = m (q'' + A''), where A is given by its expression, or by the drive."""
+    model = particles(F, place=A, inputs={A: sm.sin(T), F: 0.0})
+    found = model.kinematics({"q1": [0.0, 1.0]}, t=1.0)[0]
+    np.testing.assert_allclose(model.inverse_dynamics(found)["F"], -2.0 * np.sin(1.0), rtol=1e-14)
+    how = {"rates": {"q1": 1.0}, "accelerations": {"A": 5.0, "q1": 1.0}}
+    found = model.kinematics({"q1": [0.0, 1.0], "A": [0.0, 0.0]}, **how)[0]
+    np.testing.assert_allclose(model.inverse_dynamics(found)["F"], 12.0, rtol=1e-14)
+    with pytest.raises(fb.ModelError, match="A cannot be found: it prescribes a motion"):
+        model.inverse_dynamics(found, "A")
+
+
+def test_an_input_whose_rate_acts_cannot_be_found():
+    """The other end of a damper moves by an input: its rate is an input of its own."""
+    q, u = me.dynamicsymbols("q1 u1")
+    model = particles(F - 3 * (u - A.diff(T)) - 5 * (q - A), inputs={F: 0.0, A: sm.sin(3 * T)})
+    run = model.simulate((0.0, 1.0), inputs={"F": 2.0})
+    np.testing.assert_allclose(model.inverse_dynamics(run)["F"], 2.0, rtol=1e-12)
+    with pytest.raises(fb.ModelError, match="A cannot be found: it prescribes a motion"):
+        model.inverse_dynamics(run, "A")
+
+
+def test_a_run_that_lacks_rates():
+    """A spring's end whose rate one model needs, and another has not."""
+    q, u = me.dynamicsymbols("q1 u1")
+    spring = particles(F - 5 * (q - A), inputs={F: 1.0, A: sm.sin(3 * T)})
+    damped = particles(F - 3 * (u - A.diff(T)) - 5 * (q - A), inputs={F: 0.0, A: sm.sin(3 * T)})
+    run = spring.simulate((0.0, 1.0))
+    with pytest.raises(fb.ModelError, match="tells A, but not A'"):
+        damped.inverse_dynamics(run)
+    table = (np.linspace(0.0, 1.0, 201), np.sin(3 * np.linspace(0.0, 1.0, 201)))
+    force = damped.inverse_dynamics(run, inputs={"A": table})["F"]
+    expected = 1.0 + 3.0 * (run["u1"] - 3.0 * np.cos(3.0 * run.t))
+    # The spline's derivative errs by h^3 / 24 times the fourth derivative.
+    np.testing.assert_allclose(force[5:-5], expected[5:-5], rtol=0, atol=0.005**3 * 81 * 3)
+
+
+def test_inputs_of_a_branch():
+    """A force that is given with the positions, and one without a value there."""
+    model = particles(F + G, inputs={F: 0.0, G: None})
+    found = model.kinematics({"q1": [0.0]}, accelerations={"q1": 4.0}, inputs={"G": 5.0})[0]
+    assert model.inverse_dynamics(found, "F")["F"] == pytest.approx(3.0)
+    found = model.kinematics({"q1": [0.0]}, accelerations={"q1": 4.0})[0]
+    with pytest.raises(fb.ModelError, match="G has no source"):
+        model.inverse_dynamics(found, "F")
+
+
+def test_one_state_with_several_accelerations():
+    model = particles(F, inputs={F: 0.0})
+    np.testing.assert_allclose(model.inverse_dynamics((0.0, {"q1": 0.0, "u1": 0.0}, {"u1": [1.0, 2.0]}))["F"], [2, 4])
+    np.testing.assert_allclose(model.inverse_dynamics(([0.0, 1.0], [0.0, 0.0], [3.0]))["F"], [6.0, 6.0])
 
 
 def test_what_is_refused():
@@ -181,20 +261,22 @@ def test_what_is_refused():
     branch = model.kinematics({"q_OA": ANGLES}, rates={"q_OA": RATE})[0]
     x = np.concatenate((branch.q, branch.u))
     for motion, find, more, message in (
-        (branch, "T", {}, "T cannot be found"),
+        (branch, "T", {}, "no input 'T'. There are torque"),
         (branch, ["torque", "torque"], {}, "torque is given twice"),
         (branch, "torque", {"inputs": {"torque": 1.0}}, "torque is given twice"),
         (branch, None, {"inputs": {"torque": 1.0}}, "1 degrees of freedom, so it determines as many inputs, not 0"),
         (x, None, {}, "A motion is a Branch, a Trajectory, or"),
-        ((0.0, x, branch.ud[:, :3]), None, {}, "acceleration"),
+        ((0.0, x, branch.ud[:, :3]), None, {}, "as many instants, or of one"),
+        ((0.0, np.zeros((6, 0)), np.zeros((3, 0))), None, {}, "at none of its 0 states: there are none"),
+        ((0.0, x, {}), None, {}, "rates of speeds that determine all"),
         ((0.0, x, branch.ud + 1.0), None, {}, "violate the constraints: J u' [+] gamma"),
         ((0.0, x + 0.1, branch.ud), None, {}, "violates the constraints at t = 0"),
-        ((np.zeros(3), x, branch.ud), None, {}, "times must be a number or have shape"),
+        ((np.zeros(3), x, branch.ud), None, {}, "as many instants, or of one"),
     ):
         with pytest.raises(fb.ModelError, match=message):
             model.inverse_dynamics(motion, find, **more)
     other = fb.compile_model(fb.models.slider_crank())
-    with pytest.raises(fb.ModelError, match="does not tell crank, rod, slide, crank_rate"):
+    with pytest.raises(fb.ModelError, match="do not tell crank, rod, slide, crank_rate"):
         other.inverse_dynamics(branch, "torque")
 
 

@@ -26,7 +26,7 @@ manifest = (
     '{\n'
     '  "format": 12,\n'
     '  "name": "four_bar",\n'
-    '  "fingerprint": "808a354512398c570505a9cf124f067f43597fda6e0bb51eb684c8a4f05259da",\n'
+    '  "fingerprint": "1b061c8ad84e85ff3d8ec9112fe2f3c4b0d06aa5bbed0253f39c23147d3acb1e",\n'
     '  "coordinates": [\n'
     '    "q1",\n'
     '    "q2",\n'

@@ -134,8 +134,7 @@ def read_drive(
     """The arguments of `CompiledModel.kinematics`, checked, with coordinates before inputs."""
     if model.n_c > len([row for row in model.manifest["position_rows"] if row is not None]):
         raise ModelError(f"{model.name} has nonholonomic constraints: its positions do not follow from a drive.")
-    moving = [model.manifest["inputs"][k] for k in model.manifest["moving_inputs"]]
-    sources = [entry["of"] for entry in moving if entry["order"] == 0 and f"{entry['of']}''" in model.inputs]
+    sources = [name for name in model.prescribed if f"{name}''" in model.inputs]
     known = [*model.coordinates, *sources]
     if not is_mapping(drive) or not drive:
         raise ModelError(f"drive= is a mapping from coordinates or prescribed motions to values, not {shown(drive)}.")
@@ -149,7 +148,8 @@ def read_drive(
         raise ModelError("The values of a drive must be finite.")
     names = tuple(name for name in known if name in values)
     p, without_value = _parameters(model, parameters)
-    r = _inputs(model, p, inputs, t, names)
+    r, unset = _inputs(model, p, inputs, t, names)
+    without_value = (*without_value, *unset)
     path = np.array([values[name] for name in names])
     coordinates = tuple(model.coordinates.index(name) for name in names if name in model.coordinates)
     start = np.array([model.manifest["initial"].get(name, 0.0) for name in model.coordinates])
@@ -228,15 +228,18 @@ def _parameters(model: Kernel, given: Values | None) -> tuple[Floats, tuple[str,
     return np.array(known), without
 
 
-def _inputs(model: Kernel, p: Floats, given: Mapping[Any, float] | None, t: float, driven: Sequence[str]) -> Floats:
-    """All inputs; those that no position depends on are 0."""
+def _inputs(
+    model: Kernel, p: Floats, given: Mapping[Any, float] | None, t: float, driven: Sequence[str]
+) -> tuple[Floats, tuple[str, ...]]:
+    """All inputs, and those without a value that no position depends on: they are 0."""
     r = model.default_inputs(t, p)
-    moving = set(model.manifest["moving_inputs"])
-    for name, value in named(given or {}, model.inputs, "input").items():
+    values = named(given or {}, model.inputs, "input")
+    for name, value in (model.rates_at_rest(values) | values).items():
         r[model.inputs.index(name)] = finite_number(value, f"input {name}")
-    for place, entry in enumerate(model.manifest["inputs"]):
-        if place not in moving or entry["of"] in driven:
-            r[place] = 0.0 if not np.isfinite(r[place]) else r[place]
-        elif not np.isfinite(r[place]):
-            raise ModelError(f"Positions depend on the input {entry['name']}: give its value in inputs=.")
-    return r
+    unset = [place for place, value in enumerate(r) if not np.isfinite(value)]
+    entries = [model.manifest["inputs"][place] for place in unset]
+    needed = [e["name"] for e in entries if e["of"] in model.prescribed and e["of"] not in driven]
+    if needed:
+        raise ModelError(f"Positions and their rates depend on {', '.join(needed)}: give values in inputs=.")
+    r[unset] = 0.0
+    return r, tuple(entry["name"] for entry in entries if entry["of"] not in driven)

@@ -1,10 +1,10 @@
 """Inverse dynamics: the inputs, such as motor torques, that a given motion needs.
 
 In the equations M u' = f(r) + F(n, r) + J^T lambda and 0 = Q(n, r) - M_a u' + J_a^T lambda, the motion is known, and
-unknown are some inputs r, the multipliers lambda, and the unknown forces n that drive the motion. Projected onto the
-left null space of (J^T, F_n; J_a^T, Q_n), they are as many equations as there are degrees of freedom, for the inputs
-alone. The mass matrix is not inverted, so that inertia may vanish, as that of a piston does at its dead points. One
-step of Newton's method is exact where inputs and forces enter linearly.
+unknown are some inputs r, the multipliers lambda, and the unknown forces n that drive the motion. The inputs are
+determined if they are as many as the degrees of freedom, and no combination of their columns (f_r + F_r; Q_r) is one
+of the columns (J^T, F_n; J_a^T, Q_n). The mass matrix is not inverted, so that inertia may vanish, as that of a piston
+does at its dead points. One step of Newton's method is exact where inputs and forces enter linearly.
 
 Source: J. Garcia de Jalon and E. Bayo, *Kinematic and Dynamic Simulation of Multibody Systems*, Springer 1994,
 chapter 6.
@@ -12,7 +12,8 @@ chapter 6.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -42,8 +43,14 @@ errors, which should not count."""
 CONSISTENT = 1e-6
 """Largest violation of the constraints by given accelerations, relative to its terms."""
 
-BALANCED = 1e-9
-"""Largest residual of the equations, relative to its terms."""
+BALANCED = 1e-12
+"""Largest residual of each equation, relative to its terms, ..."""
+
+NEARLY_BALANCED = 1e-9
+"""... and if rounding errors prevent further progress."""
+
+ROUNDED = 1e-13
+"""Rounding errors of the largest term of all equations, which may stay in small equations."""
 
 MAX_ITERATIONS = 30
 
@@ -56,35 +63,42 @@ def inverse_dynamics(
     inputs: Mapping[Any, InputSource] | None,
 ) -> dict[str, Floats]:
     """Inputs that a motion needs; see `CompiledModel.inverse_dynamics`."""
-    names = _unknown(model, find, inputs)
-    given = _motion(model, motion)
+    without_rates = _names(model)
+    sources = named(by_name(model, inputs), without_rates, "input")
+    names = _unknown(model, find, sources)
+    given = _read_tuple(model, motion) if isinstance(motion, tuple) else _read_result(model, motion)
     if parameters is None or is_mapping(parameters):
         parameters = given.parameters | named(parameters or {}, model.parameters, "parameter")
     p = model.parameter_vector(parameters)
-    entries, sources = model.manifest["inputs"], by_name(model, inputs)
-    replaced = {*names, *map(name_of, sources)}
-    carried = {
-        k: given.inputs[e["name"]]
-        for k, e in enumerate(entries)
-        if e["of"] not in replaced and e["name"] in given.inputs
-    }
-    ode = bind(model, p, {**sources, **dict.fromkeys([*names, *(entries[k]["of"] for k in carried)], 0.0)})
-    rows = [model.inputs.index(name) for name in names]
-    found = np.full((len(names), *given.states.shape[1:]), np.nan)
-    for k in np.ndindex(given.states.shape[1:]):
+    carried = _carried(model, given, {*sources, *names})
+    set_below = [name for name in without_rates if name in names or name in carried]
+    ode = bind(model, p, {**dict.fromkeys(set_below, 0.0), **sources})
+    rows, others = ([model.inputs.index(name) for name in group] for group in (names, carried))
+    guesses = np.array([given.inputs.get(name, np.full(given.shape, np.nan)) for name in names])
+    found, is_moving = np.full((len(names), *given.shape), np.nan), False
+    for k in np.ndindex(given.shape):
         t, x, rates = float(given.times[k]), given.states[:, *k], given.rates[:, *k]
         if np.isfinite(x).all() and np.isfinite(rates).all():
             r = ode.input_values(t, x)
-            r[[*carried]] = [values[k] for values in carried.values()]
+            r[others] = [values[k] for values in carried.values()]
             require_closed(model, t, x, p, r)
-            all_rates = _accelerations(model, t, x, given.rows, rates, p, r)
-            if all_rates is not None:
-                found[:, *k] = _balance(model, t, x, all_rates, p, r, rows)
+            accelerations = _accelerations(model, t, x, given.rows, rates, p, r)
+            if accelerations is not None:
+                is_moving = True
+                found[:, *k] = _balance(model, t, x, accelerations, p, r, rows, guesses[:, *k])
+    if not is_moving:
+        raise ModelError(
+            f"The motion is known at none of its {found[0].size} states: "
+            + (
+                "there are none."
+                if not found[0].size
+                else "give finite states, and rates of speeds that determine all."
+            )
+        )
     if not np.isfinite(found).any():
         raise SimulationError(
-            f"{', '.join(names)} cannot bring about this motion: the equations determine them at none of its "
-            f"{found[0].size} states. Inputs that act through auxiliary states, or in a singular position, do not "
-            "change accelerations."
+            f"{', '.join(names)} cannot bring about this motion: the equations determine them at none of its states. "
+            "Inputs that act through auxiliary states, or in a singular position, do not change accelerations."
         )
     return dict(zip(names, found, strict=True))
 
@@ -95,17 +109,20 @@ class _Motion:
 
     Attributes
     ----------
+    source : str
+        Where it comes from.
     times : ndarray, shape (...)
     states : ndarray, shape (n_x, ...)
     rows : list of int
         Numbers of the speeds with given rates.
     rates : ndarray, shape (n_rows, ...)
     parameters : dict of str to float
-        Those of the motion that the model has, too.
+        Those with values that the model has, too.
     inputs : dict of str to ndarray, shape (...)
-        Likewise.
+        Those with values.
     """
 
+    source: str
     times: Floats
     states: Floats
     rows: list[int]
@@ -113,94 +130,135 @@ class _Motion:
     parameters: dict[str, float]
     inputs: dict[str, Floats]
 
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return self.times.shape
 
-def _unknown(model: Kernel, find: Any, inputs: Mapping[Any, InputSource] | None) -> list[str]:
+
+def _names(model: Kernel) -> list[str]:
+    """The inputs, without rates."""
+    return [entry["name"] for entry in model.manifest["inputs"] if not entry["order"]]
+
+
+def _unknown(model: Kernel, find: Any, given: Mapping[str, InputSource]) -> list[str]:
     """The names of the inputs to find, as many as there are degrees of freedom."""
     freedom = model.n_u - model.manifest["n_dependent_speeds"]
-    moving = {model.inputs[place] for place in model.manifest["moving_inputs"]}
-    known = [entry["name"] for entry in model.manifest["inputs"] if not entry["order"]]
-    forces = [name for name in known if name not in moving]
-    given = named(by_name(model, inputs), known, "input")
+    forces = [name for name in _names(model) if name not in model.prescribed]
     if find is None:
         names = [name for name in forces if name not in given]
     else:
-        names = [
-            name_of(name) for name in ([find] if isinstance(find, str) or not isinstance(find, Iterable) else find)
-        ]
+        several = find if isinstance(find, Iterable) and not isinstance(find, str) else [find]
+        names = [name_of(name) for name in several]
         for name in names:
+            if name in model.prescribed:
+                raise ModelError(f"{name} cannot be found: it prescribes a motion. Others are {_listed(forces)}.")
             if name not in forces:
-                why = "prescribes a motion" if name in moving else f"is no input.{meant(name, forces)}"
-                raise ModelError(f"{name} cannot be found: it {why}. There are {', '.join(forces) or 'none'}.")
+                raise ModelError(f"There is no input {name!r}.{meant(name, forces)} There are {_listed(forces)}.")
             if name in given or names.count(name) > 1:
                 raise ModelError(f"{name} is given twice: name it once, in find= or in inputs=.")
     if len(names) != freedom or not names:
+        if not freedom:
+            advice = "What holds prescribed motions is told by their multipliers and outputs."
+        elif len(forces) >= freedom:
+            advice = "Name them in find=, and give the others in inputs=."
+        else:
+            advice = "Make forces or torques functions of time, which are inputs."
         raise ModelError(
             f"The motion of {model.name} has {freedom} degrees of freedom, so it determines as many inputs, not "
-            f"{len(names)} ({', '.join(names) or 'none'}). "
-            + (
-                "Name them in find=, and give the others in inputs=."
-                if len(forces) >= freedom > 0
-                else "What holds prescribed motions is told by their multipliers and outputs."
-                if not freedom
-                else "Make forces or torques functions of time, which are inputs."
-            )
+            f"{len(names)} ({_listed(names)}). {advice}"
         )
     return names
 
 
-def _motion(model: Kernel, motion: Any) -> _Motion:
-    """The given motion, in the order of the model's states."""
-    all_speeds = list(range(model.n_u))
-    if isinstance(motion, Branch | Trajectory):
-        source = motion.model
-        missing = [name for name in model.states if name not in source.states]
-        if missing:
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(names) or "none"
+
+
+def _carried(model: Kernel, given: _Motion, others: Container[str]) -> dict[str, Floats]:
+    """The values of inputs, and of their rates, that the motion brings along."""
+    entries = [entry for entry in model.manifest["inputs"] if entry["of"] not in others]
+    carried = {entry["name"]: given.inputs[entry["name"]] for entry in entries if entry["name"] in given.inputs}
+    for entry in entries:
+        if entry["of"] in carried and entry["name"] not in carried:
             raise ModelError(
-                f"The motion of {source.name} does not tell {', '.join(missing)} of {model.name}; it has "
-                f"{', '.join(source.states)}."
+                f"{given.source} tells {entry['of']}, but not {entry['name']}, which {model.name} needs: give "
+                f"{entry['of']} in inputs=."
             )
-        order = [source.states.index(name) for name in model.states]
-        speeds = [source.speeds.index(name) for name in model.speeds]
-        shared = [name for name in source.parameters if name in model.parameters]
-        if isinstance(motion, Branch):
-            if model.n_z:
-                raise ModelError(f"Positions along a drive do not tell {', '.join(model.auxiliary_states)}.")
-            states = np.concatenate((motion.q, motion.u, np.full((source.n_z, motion.q.shape[1]), np.nan)))
-            times, rates = np.full(states.shape[1], motion.t), motion.ud
-            shared = [name for name in shared if name not in motion.without_value]
-            inherited = {source.inputs[place] for place in source.manifest["moving_inputs"]}
-            values = dict(zip(source.parameters, motion.p.tolist(), strict=True))
-        else:
-            times, states, first = motion.t, motion.y, source.n_q
-            inherited = {*source.inputs}
-            rates = np.reshape(
-                [
-                    source.rhs(t, x, motion.parameters, r)[first : first + source.n_u]
-                    for t, x, r in zip(times, states.T, motion.r.T, strict=True)
-                ],
-                (len(times), source.n_u),
-            ).T
-            own = source.defaults.values() if motion.parameters is None else motion.parameters.tolist()
-            values = dict(zip(source.parameters, own, strict=True))
-        own_inputs = {n: row for n, row in zip(source.inputs, motion.r, strict=True) if n in inherited}
-        return _Motion(
-            times, states[order], all_speeds, rates[speeds], {name: values[name] for name in shared}, own_inputs
-        )
-    if not isinstance(motion, tuple) or len(motion) != 3:
+    return carried
+
+
+def _read_result(model: Kernel, motion: Any) -> _Motion:
+    """A branch or a run, in the order of the model's states."""
+    if not isinstance(motion, Branch | Trajectory):
         raise ModelError(f"A motion is a Branch, a Trajectory, or (t, x, accelerations), not {shown(motion)}.")
-    states = named_columns(motion[1], model.states, {}, "state")
-    shape = states.shape[1:]
-    times = numbers(motion[0], "The times")
-    if times.shape not in {(), shape}:
-        raise ModelError(f"The times must be a number or have shape {shape}, not {times.shape}.")
-    rows, names = all_speeds, model.speeds
+    source = motion.model
+    without = motion.without_value if isinstance(motion, Branch) else ()
+    if isinstance(motion, Branch):
+        states = np.concatenate((motion.q, motion.u, np.full((source.n_z, motion.q.shape[1]), np.nan)))
+        times, rates, p = np.full(states.shape[1], motion.t), motion.ud, motion.p
+        missing = [*model.auxiliary_states]
+    else:
+        times, states, missing = motion.t, motion.y, []
+        p = np.array([*source.defaults.values()]) if motion.parameters is None else motion.parameters
+        rates = np.zeros((source.n_u, len(times)))
+        for k, (t, x, r) in enumerate(zip(times, states.T, motion.r.T, strict=True)):
+            rates[:, k] = source.rhs(t, x, p, r)[source.n_q : source.n_q + source.n_u]
+    for own, known in (
+        (model.coordinates, source.coordinates),
+        (model.speeds, source.speeds),
+        (model.auxiliary_states, source.auxiliary_states),
+    ):
+        missing += [name for name in own if name not in known]
+    if missing:
+        what = "Positions along a drive do" if isinstance(motion, Branch) else f"The run of {source.name} does"
+        raise ModelError(f"{what} not tell {', '.join(missing)} of {model.name}: they tell {', '.join(source.states)}.")
+    return _Motion(
+        source.name,
+        times,
+        states[[source.states.index(name) for name in model.states]],
+        list(range(model.n_u)),
+        rates[[source.speeds.index(name) for name in model.speeds]],
+        {
+            n: v
+            for n, v in zip(source.parameters, p.tolist(), strict=True)
+            if n in model.parameters and n not in without
+        },
+        {name: row for name, row in zip(source.inputs, motion.r, strict=True) if name not in without},
+    )
+
+
+def _read_tuple(model: Kernel, motion: tuple[Any, ...]) -> _Motion:
+    """Times, states and accelerations, which may be the same for all."""
+    if len(motion) != 3:
+        raise ModelError(f"A motion is a Branch, a Trajectory, or (t, x, accelerations), not {shown(motion)}.")
+    times, states = numbers(motion[0], "The times"), named_columns(motion[1], model.states, {}, "state")
+    names = model.speeds
     if is_mapping(motion[2]):
         given = named(motion[2], model.speeds, "speed")
-        rows = [row for row in all_speeds if model.speeds[row] in given]
-        names = tuple(model.speeds[row] for row in rows)
-    rates = named_columns(motion[2], names, {}, "acceleration", *shape)
-    rates = np.broadcast_to(rates.reshape(len(names), *(rates.shape[1:] or [1] * len(shape))), (len(names), *shape))
-    return _Motion(np.broadcast_to(times, shape), states, rows, rates, {}, {})
+        names = tuple(name for name in model.speeds if name in given)
+    rates = named_columns(motion[2], names, {}, "acceleration")
+    try:
+        shape = np.broadcast_shapes(times.shape, states.shape[1:], rates.shape[1:])
+    except ValueError:
+        shape = (0, 0)
+    if len(shape) > 1:
+        raise ModelError(
+            f"Times, states and accelerations must be of as many instants, or of one: their shapes are {times.shape}, "
+            f"{states.shape} and {rates.shape}."
+        )
+    states, rates = (
+        np.broadcast_to(rows.reshape(len(rows), *(rows.shape[1:] or (1,) * len(shape))), (len(rows), *shape))
+        for rows in (states, rates)
+    )
+    return _Motion(
+        "The motion",
+        np.broadcast_to(times, shape),
+        states,
+        [model.speeds.index(name) for name in names],
+        rates,
+        {},
+        {},
+    )
 
 
 def _accelerations(
@@ -208,8 +266,10 @@ def _accelerations(
 ) -> Floats | None:
     """All u' with J u' + gamma = 0 and the given ones; None if these do not determine the others."""
     *_, jacobian, bias = model.dynamics(t, x, p, r)
-    matrix = np.vstack((jacobian, np.eye(model.n_u)[rows]))
-    found = solve_redundant(matrix, np.concatenate((-bias, rates)))
+    found: Floats | None = rates
+    if len(rows) < model.n_u:
+        matrix = np.vstack((jacobian, np.eye(model.n_u)[rows]))
+        found = solve_redundant(matrix, np.concatenate((-bias, rates)))
     if found is None:
         return None
     violation = jacobian @ found + bias
@@ -224,28 +284,71 @@ def _accelerations(
     return found
 
 
-def _balance(model: Kernel, t: float, x: Floats, rates: Floats, p: Floats | None, r: Floats, rows: list[int]) -> Floats:
-    """The inputs in these rows for which the equations hold; NaN if they do not determine them."""
+def _balance(
+    model: Kernel,
+    t: float,
+    x: Floats,
+    rates: Floats,
+    p: Floats | None,
+    r: Floats,
+    rows: list[int],
+    guess: Floats,
+) -> Floats:
+    """The inputs in these rows for which the equations hold; NaN if they are not found.
+
+    Newton's method begins at the guess and the default, if these are known, then at 0 and at 1, since of inputs that
+    enter nonlinearly the derivative may vanish or be infinite there.
+    """
+    r = r.copy()
+    for begin in (guess, model.default_inputs(t, p)[rows], np.zeros(len(rows)), np.ones(len(rows))):
+        if np.isfinite(begin).all():
+            r[rows] = begin
+            forces = np.zeros(model.n_l)
+            if model.n_l > model.n_c:
+                with suppress(SimulationError):
+                    forces = model.accelerations(t, x, p, r)[1]
+            with np.errstate(all="ignore"):
+                found = _newton(model, t, x, rates, p, r, rows, np.concatenate((begin, forces)))
+            if found is not None:
+                return found
+    return np.full(len(rows), np.nan)
+
+
+def _newton(
+    model: Kernel,
+    t: float,
+    x: Floats,
+    rates: Floats,
+    p: Floats | None,
+    r: Floats,
+    rows: list[int],
+    unknown: Floats,
+) -> Floats | None:
+    """The inputs, from a guess of them, the multipliers and the unknown forces."""
     n_u, n_c, k = model.n_u, model.n_c, len(rows)
-    unknown, r = np.zeros(k + model.n_l), r.copy()
+    equations = [*range(n_u), *range(n_u + n_c, n_u + model.n_l)]
+    before = np.inf
     for iteration in range(MAX_ITERATIONS):
         r[rows], multipliers, forces = unknown[:k], unknown[k : k + n_c], unknown[k + n_c :]
         _, mass, forcing, jacobian, _ = model.dynamics(t, x, p, r)
         effect, by_forces, rest, rest_by_forces, other_mass, other_jacobian = model.unknown_forces(t, x, forces, p, r)
-        equations = [*range(n_u), *range(n_u + n_c, n_u + model.n_l)]
         by_inputs = model.sensitivities(t, x, rates, unknown[k:], p, r)[5][equations][:, rows]
         reactions = np.block([[jacobian.T, by_forces], [other_jacobian, rest_by_forces]])
         known, inertial = np.concatenate((forcing + effect, rest)), np.vstack((mass, other_mass)) @ rates
         residual = known + reactions[:, :n_c] @ multipliers - inertial
+        if not (np.isfinite(residual).all() and np.isfinite(by_inputs).all() and np.isfinite(reactions).all()):
+            return None
         # Inputs may balance other forces within `forcing`.
         terms = np.abs(known) + np.abs(inertial) + np.abs(np.hstack((by_inputs, reactions))) @ np.abs(unknown)
-        if iteration and (np.abs(residual) <= BALANCED * terms.max(initial=0.0)).all():
+        error = float((np.abs(residual) / np.where(terms > 0.0, terms, 1.0)).max(initial=0.0))
+        is_rounded = error <= NEARLY_BALANCED or (np.abs(residual) <= ROUNDED * terms.max(initial=0.0)).all()
+        if iteration and (error <= BALANCED or (error > 0.5 * before and is_rounded)):
             return unknown[:k]
-        step = _step(by_inputs, reactions, residual)
+        step, before = _step(by_inputs, reactions, residual), error
         if step is None:
-            break
+            return None
         unknown = unknown + step
-    return np.full(k, np.nan)
+    return None
 
 
 def _step(by_inputs: Floats, reactions: Floats, residual: Floats) -> Floats | None:

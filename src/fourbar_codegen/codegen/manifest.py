@@ -11,8 +11,8 @@ import sympy as sm
 from fourbar_codegen.dynamics.equations import Equations
 from fourbar_codegen.expressions.tape import Call, Scalar
 from fourbar_codegen.lowering.program import Function, Program
+from fourbar_codegen.modeling.gravity import gravity
 from fourbar_codegen.modeling.model import Model
-from fourbar_codegen.modeling.shapes import gravity
 
 __all__ = ["manifest_of", "manifest_text", "operations_of"]
 
@@ -81,7 +81,7 @@ def manifest_of(
         "geometry": _geometry(equations, names["parameters"]),
         "shapes": [{"kind": shape.kind, "name": shape.name, "points": list(shape.points)} for shape in picture.shapes],
         "not_drawn": list(picture.not_drawn),
-        "gravity": gravity(model.mechanism.loads, model.mechanism.bodies, _values(model)),
+        "gravity": gravity(model.mechanism.loads, model.mechanism.bodies, _values(model), model.mechanism.time),
         "forced_points": list(equations.forced),
         "initial": model.initial,
         "invariants": list(equations.invariants),

@@ -91,7 +91,9 @@ def eliminate(matrix: Floats, n_independent: int, names: Sequence[str]) -> Float
 
 
 def solve_redundant(matrix: Floats, right: Floats) -> Floats | None:
-    """The solution of equations that may be redundant, in any units; None if they do not determine it.
+    """The solution of equations that may be redundant; None if they do not determine it.
+
+    Rows are scaled, columns are not: at a dead point, a column of rounding errors should not count.
 
     Parameters
     ----------
@@ -104,8 +106,7 @@ def solve_redundant(matrix: Floats, right: Floats) -> Floats | None:
     """
     size = np.abs(matrix).max(axis=1, initial=0.0)
     size[size == 0.0] = 1.0
-    units = np.abs(matrix).max(axis=0, initial=0.0)
-    if not np.isfinite(matrix).all() or not units.all():
+    if not np.isfinite(matrix).all() or not np.isfinite(right).all():
         return None
-    solution, _, rank, _ = np.linalg.lstsq(matrix / size[:, None] / units, right / size, rcond=DETERMINED)
-    return np.asarray(solution / units) if rank == matrix.shape[1] else None
+    solution, _, rank, _ = np.linalg.lstsq(matrix / size[:, None], right / size, rcond=DETERMINED)
+    return np.asarray(solution) if rank == matrix.shape[1] else None

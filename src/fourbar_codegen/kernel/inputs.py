@@ -69,9 +69,8 @@ def along(
         else:
             sources.append(float(values[0]) if len(t) == 1 else _linear(t, values))
     entries = model.manifest["inputs"]
-    prescribing = {entry["of"] for entry in entries if entry["order"]}
     interpolated = {entry["of"] for entry, source in zip(entries, sources, strict=True) if source is not None}
-    return Ode(model, parameters, sources), bool(prescribing & interpolated)
+    return Ode(model, parameters, sources), not interpolated.isdisjoint(model.prescribed)
 
 
 def by_name(model: Kernel, inputs: Mapping[Any, Any] | None) -> Mapping[Any, Any]:

@@ -53,6 +53,7 @@ class Kernel(Evaluator):
         self.states = (*self.coordinates, *self.speeds, *self.auxiliary_states)
         self.parameters: tuple[str, ...] = tuple(entry["name"] for entry in manifest["parameters"])
         self.inputs: tuple[str, ...] = tuple(entry["name"] for entry in manifest["inputs"])
+        self.prescribed: tuple[str, ...] = _prescribed(manifest)
         self.outputs: tuple[str, ...] = tuple(manifest["outputs"])
         self.points: tuple[str, ...] = tuple(entry["name"] for entry in manifest["points"] if entry["name"])
         self.forced_points: tuple[str, ...] = tuple(self.points[place] for place in manifest["forced_points"])
@@ -495,6 +496,13 @@ class Kernel(Evaluator):
         if r is None and math.isnan(energy) and any(e["expression"] is None for e in self.manifest["inputs"]):
             raise ModelError(self.missing())
         return float(self._finite(np.array([energy]), t, x)[0])
+
+
+def _prescribed(manifest: Mapping[str, Any]) -> tuple[str, ...]:
+    """The inputs that prescribe motions: that positions depend on, or of which rates are needed."""
+    entries = manifest["inputs"]
+    moving = {entries[place]["of"] for place in manifest["moving_inputs"]}
+    return tuple(dict.fromkeys(entry["of"] for entry in entries if entry["order"] or entry["of"] in moving))
 
 
 def _restore(

@@ -98,7 +98,7 @@ class DrawnPoint:
         The body whose mass centre it is.
     number : int or None
         Its number among the mechanism's points, if the equations need it.
-    is_named : bool
+    is_required : bool
         Whether it has to be drawn: symbols in its position are parameters of the model.
     """
 
@@ -107,7 +107,7 @@ class DrawnPoint:
     offset: Vector
     body: str | None
     number: int | None
-    is_named: bool = False
+    is_required: bool = False
 
 
 @dataclass(frozen=True)
@@ -265,7 +265,7 @@ class Mechanism:
         for load in self.loads:
             yield f"the position of the {load.name}", entries_of(load.position)
         for drawn in self.drawn:
-            yield f"the position of point {drawn.name}", entries_of(drawn.offset if drawn.is_named else None)
+            yield f"the position of point {drawn.name}", entries_of(drawn.offset if drawn.is_required else None)
         for label, group in (
             ("kinematic differential equation", self.kinematic_equations),
             ("holonomic constraint", self.holonomic_constraints),

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain
+from numbers import Real
 from typing import TYPE_CHECKING, Any, Literal
 
 import sympy as sm
@@ -261,8 +262,10 @@ class Model:
         self.system = system
         self.name = name
         parameters = _mapping(parameters, "parameters")
-        with_value = {name_of(key) for key, v in parameters.items() if getattr(v, "value", v) is not None}
-        self.mechanism: Mechanism = read_mechanism(system, points, lines, with_value)
+        numbers = {key for key, v in parameters.items() if _is_number(getattr(v, "value", v))}
+        taken = set(map(name_of, _mapping(outputs, "outputs")))
+        drawing = {key for key in numbers if isinstance(key, sm.Symbol | str) and name_of(key) not in taken}
+        self.mechanism: Mechanism = read_mechanism(system, points, lines, drawing)
         for label, expressions in (*self.mechanism.labelled_loads(), *self.mechanism.labelled_structure()):
             _check_expressions(expressions, label)
         self.state_equations = self._read_state_equations(_mapping(state_equations, "state_equations"))
@@ -616,6 +619,10 @@ class Model:
                 )
             initial[_name(function)] = finite_number(value, f"initial {_name(function)}")
         return initial
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, Real) or getattr(value, "is_number", False)
 
 
 def _check_unknown(given: Mapping[str, sm.Expr], known: Mapping[str, sm.Expr], argument: str, extra: str) -> None:

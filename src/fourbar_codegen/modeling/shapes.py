@@ -8,13 +8,11 @@ in frames that do not turn relative to it. Joints show where links share points,
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import sympy as sm
-from numpy.typing import NDArray
 from sympy.core.function import AppliedUndef
 
 from fourbar_codegen.modeling.mechanism import (
@@ -22,14 +20,13 @@ from fourbar_codegen.modeling.mechanism import (
     Components,
     DrawnPoint,
     Frame,
-    Load,
     Shape,
     Vector,
     entries_of,
     walk,
 )
 
-__all__ = ["find_shapes", "gravity"]
+__all__ = ["find_shapes"]
 
 
 @dataclass(frozen=True)
@@ -40,57 +37,6 @@ class _Slide:
     base: int
     frame: int
     direction: Components
-
-
-ALIGNED = 1e-9
-"""Largest components of gravity along the other axes, relative to the one along its axis."""
-
-
-def gravity(
-    loads: Iterable[Load], bodies: Iterable[Body], values: Mapping[sm.Basic, Any]
-) -> tuple[int, int, int] | None:
-    """The axis of the inertial frame, with its sign, along which gravity acts: pictures show it downwards.
-
-    Gravity is a constant force at a mass centre that is proportional to the mass: that contains its symbol, or that is
-    the same acceleration for several bodies.
-
-    Parameters
-    ----------
-    loads : iterable of Load
-    bodies : iterable of Body
-    values : mapping
-        Values of parameters; the others count as 1.
-
-    Returns
-    -------
-    tuple of int, or None if there is no gravity, or it is along no axis.
-    """
-
-    def number(expression: sm.Expr) -> float | None:
-        known = sm.sympify(expression).xreplace(values)
-        known = known.xreplace({symbol: sm.Integer(1) for symbol in walk([known]) if isinstance(symbol, sm.Symbol)})
-        return float(known) if known.is_number else None
-
-    masses = {body.point: body.mass for body in bodies}
-    found: list[tuple[bool, NDArray[np.float64]]] = []
-    for load in loads:
-        mass = masses.get(load.target) if load.kind == "force" else None
-        if mass is None or [frame for frame, _ in load.vector] != [0]:
-            continue
-        [(_, components)] = load.vector
-        force, size = [number(component) for component in components], number(mass)
-        if size and all(part is not None and np.isfinite(part) for part in force):
-            symbols = {node for node in walk([sm.sympify(mass)]) if isinstance(node, sm.Symbol)}
-            has_mass = bool(symbols & {*walk(map(sm.sympify, components))})
-            found.append((has_mass, np.array(force, dtype=float) / size))
-    if not found or not (all(has_mass for has_mass, _ in found) or len(found) > 1):
-        return None
-    accelerations = np.array([acceleration for _, acceleration in found])
-    largest = np.abs(accelerations).max()
-    if not largest or np.ptp(accelerations, axis=0).max() > ALIGNED * largest:
-        return None
-    signs = np.where(np.abs(accelerations[0]) > ALIGNED * largest, np.sign(accelerations[0]), 0).astype(int).tolist()
-    return tuple(signs) if sum(map(abs, signs)) == 1 else None
 
 
 def find_shapes(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -42,7 +42,7 @@ def read_mechanism(
     system: System | me.KanesMethod,
     points: Iterable[Any] = (),
     lines: Iterable[Iterable[Any]] = (),
-    values: Iterable[str] = (),
+    values: Iterable[sm.Symbol | str] = (),
 ) -> Mechanism:
     """Read a System or a KanesMethod.
 
@@ -54,8 +54,8 @@ def read_mechanism(
         Points to be drawn although nothing else needs them.
     lines : iterable of sequence of Point or str, optional
         Points, or names of points, that lines connect in drawings.
-    values : iterable of str, optional
-        Names of parameters with a value: points whose positions take no others are drawn, too.
+    values : iterable of Symbol or str, optional
+        Parameters with a number, or their names: points with simple positions that take no others are drawn, too.
 
     Returns
     -------
@@ -90,8 +90,11 @@ def read_mechanism(
     loads = tuple(reader.load(load) for load in description.loads)
     lines = _lines(lines)
     named = [*_points(points), *(point for line in lines for point in line if isinstance(point, me.Point))]
-    states = (*description.q_ind, *description.q_dep, *description.u_ind, *description.u_dep)
-    known = {*states, *values, me.dynamicsymbols._t.name}
+    q = (*description.q_ind, *description.q_dep)
+    rates = (*description.u_ind, *description.u_dep, *(c.diff(me.dynamicsymbols._t) for c in q))
+    functions = {function.name for function in (*q, *rates) if isinstance(function, AppliedUndef)}
+    own = frozenset(value for value in values if getattr(value, "name", value) not in functions)
+    known = _Known(frozenset(q), frozenset(rates), own)
     drawn, of_points, not_drawn = reader.drawn(description.bodies, named, known)
     frames = reader.frames()
     tips, shapes = find_shapes(frames, drawn, bodies)
@@ -117,6 +120,45 @@ def read_mechanism(
         shapes=(*shapes, *_pathways(description.actuators, of_points), *_drawn_lines(lines, drawn, of_points)),
         not_drawn=not_drawn,
     )
+
+
+SIMPLE = (sm.Add, sm.Mul, sm.Pow, sm.NumberSymbol, sm.sin, sm.cos, sm.tan, sm.asin, sm.acos, sm.atan, sm.atan2)
+"""Operations in positions of points that are drawn although nobody named them: they can be compiled in any case."""
+
+
+@dataclass(frozen=True)
+class _Known:
+    """What positions of points may depend on that are drawn although nothing needs them and nobody named them.
+
+    Attributes
+    ----------
+    coordinates : frozenset of Expr
+    rates : frozenset of Expr
+        Speeds and rates of the coordinates, in angular velocities.
+    values : frozenset of Symbol or str
+        Parameters with a number, or their names.
+    """
+
+    coordinates: frozenset[sm.Expr]
+    rates: frozenset[sm.Expr]
+    values: frozenset[sm.Symbol | str]
+
+    def simple(self, entries: Iterable[sm.Expr], others: frozenset[sm.Expr] = frozenset()) -> bool:
+        """Whether expressions are simple operations on this."""
+        for node in walk(entries):
+            if isinstance(node, AppliedUndef | sm.Derivative):
+                is_simple = node in self.coordinates or node in others
+            elif isinstance(node, sm.Symbol):
+                is_simple = node in self.values or (node.name in self.values and node == sm.Symbol(node.name))
+            else:
+                is_simple = isinstance(node, SIMPLE) or (isinstance(node, sm.Number) and node.is_finite is True)
+            if not is_simple:
+                return False
+        return True
+
+
+def _entries(vector: me.Vector) -> list[sm.Expr]:
+    return [component for components, _ in vector.args for component in components]
 
 
 def _points(given: Iterable[Any]) -> list[me.Point]:
@@ -399,13 +441,12 @@ class _Reader:
         return next((p for p in (self.fixed_point, *at_rest) if p in component), None)
 
     def drawn(
-        self, bodies: Iterable[Any], named: Iterable[me.Point], known: Container[sm.Expr | str]
+        self, bodies: Iterable[Any], named: Iterable[me.Point], known: _Known
     ) -> tuple[tuple[DrawnPoint, ...], dict[me.Point, int], tuple[str, ...]]:
         """The tree of positions, their numbers in it, and names of points that are left out.
 
         These have positions in frames that are not numbered by now, since nothing but the drawing needs them. On the
-        way to a point that is named, such frames are numbered; likewise of points whose positions depend on
-        coordinates and `known` parameters alone.
+        way to a point that is named, such frames are numbered; likewise to points with simple and known positions.
         """
         names = {body.masscenter: str(body.name) for body in bodies if body.mass != 0}
         asked = dict.fromkeys(named)
@@ -428,10 +469,10 @@ class _Reader:
             if point is not root:
                 position = point._pos_dict[parent]
                 frames = [frame for _, frame in position.args] if isinstance(position, me.Vector) else []
-                if point not in on_the_way and parent in numbers and self._follows(position, known):
+                if parent in numbers and self._is_known(position, known):
                     on_the_way.add(point)
-                is_known = all(f in self.numbers and f in self.parents for f in frames) or point in on_the_way
-                if parent not in numbers or not is_known:
+                has_frames = all(f in self.numbers and f in self.parents for f in frames)
+                if parent not in numbers or not (has_frames or point in on_the_way):
                     left_out.append(point.name)
                     continue
                 offset = self.vector(position, f"point {point.name}")
@@ -441,31 +482,23 @@ class _Reader:
             points.append(DrawnPoint(point.name, before, offset, names.get(point), number, point in on_the_way))
         return tuple(points), numbers, tuple(left_out)
 
-    def _follows(self, position: Any, known: Container[sm.Expr | str]) -> bool:
-        """Whether a position depends on known functions and parameters alone, also by its frames' orientations."""
+    def _is_known(self, position: Any, known: _Known) -> bool:
+        """Whether a position is simple and known, also in frames that nothing else needs."""
         if not isinstance(position, me.Vector):
             return True
-        entries, frames = [], []
-        for components, frame in position.args:
-            entries += components
-            frames.append(frame)
+        frames = [frame for _, frame in position.args]
+        entries = _entries(position)
         for frame in frames:
             if frame not in self.parents:
                 return False
             parent = self.parents[frame]
             if frame not in self.numbers and parent is not frame:
+                velocities = frame._ang_vel_dict.values()
+                if not all(isinstance(w, me.Vector) and known.simple(_entries(w), known.rates) for w in velocities):
+                    return False
                 entries += frame.dcm(parent)
-                turning = frame._ang_vel_dict.get(parent)
-                if isinstance(turning, me.Vector):
-                    entries += (component for components, _ in turning.args for component in components)
-                    frames += (other for _, other in turning.args if other not in frames)
                 frames += [parent] if parent not in frames else []
-        for node in walk(entries):
-            leaf = node.expr if isinstance(node, sm.Derivative) else node
-            is_unknown = isinstance(leaf, AppliedUndef) and leaf not in known
-            if is_unknown or (isinstance(leaf, sm.Symbol) and leaf.name not in known):
-                return False
-        return True
+        return known.simple(entries)
 
     def _add_point(
         self,

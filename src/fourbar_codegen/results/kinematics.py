@@ -43,7 +43,8 @@ class Branch:
         Inputs.
     p : ndarray, shape (n_p,)
     without_value : tuple of str
-        Parameters that have none, such as masses, since no position depends on them; they are 1 in p.
+        Parameters and inputs that have none, such as masses and forces, since no position depends on them. They are 1
+        in p and 0 in r.
     """
 
     model: Kernel

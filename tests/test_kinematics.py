@@ -141,6 +141,52 @@ def test_a_range_beside_all_places_that_are_searched_first():
     assert np.flatnonzero(found.closes).tolist() == list(range(8, 17))
 
 
+@pytest.mark.parametrize("inset", [0.0, 1e-12, 1e-8, 1e-6, 1e-5, 1e-4, -0.01])
+def test_a_slider_that_is_driven_over_its_stroke(inset):
+    """0.2 m for a crank of 0.1 m: two branches, whose ends are dead points if these are within the drive's ends."""
+    points = {"O": (0, 0), "A": (0.1, 0), "C": (0.4, 0)}
+    linkage = fb.Linkage("engine", points=points, ground="O", links=["OA", "AC"])
+    linkage.slider("C", along=(1, 0))
+    model = fb.compile_model(linkage.model())
+    values = np.linspace(-0.2 + inset, -inset, 41)
+    found = model.kinematics({"q_C": values})
+    assert len(found) == 2
+    assert len(found.dead_points) == (2 if inset < 1e-9 else 0)
+    assert found.is_complete
+    inside = (values >= -0.2 - 1e-15) & (values <= 1e-15)
+    assert (found.closes == inside).all()
+    for branch in found:
+        x = 0.4 + values[inside]
+        cosine = np.clip((x**2 + 0.1**2 - 0.3**2) / (2 * 0.1 * x), -1.0, 1.0)
+        # Loops are closed to 1e-12, and the cosine changes by 15 per metre at the dead point.
+        np.testing.assert_allclose(np.cos(branch["q_OA"][inside]), cosine, rtol=0, atol=2e-11)
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e-6, 1e-4, 1e-2])
+def test_change_points(offset):
+    """A parallelogram, and its antiparallel branch with -3 / (5 - 4 cos q) of the speed: limits where they cross.
+
+    The interpolation errs by 0.05 h^6 = 5e-14 to 3e-13 times the sixth derivative, some 1e4 there.
+    """
+    points = {"A": (0, 0), "B": (0, 1), "C": (2, 1), "D": (2, 0)}
+    linkage = fb.Linkage("para", points=points, ground="AD", links=["AB", "BC", "CD"], density=1.0, gravity=9.81)
+    linkage.torque("A", "M")
+    model = fb.compile_model(linkage.model())
+    angles = np.array([offset, 1.0, pi + offset, 4.0, 2 * pi - offset])
+    along, across = model.kinematics({"q_AB": angles})
+    np.testing.assert_allclose(along["u_CD"], 1.0, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(along.qdd, 0.0, rtol=0, atol=1e-8)
+    cosine = np.cos(angles)
+    np.testing.assert_allclose(across["u_CD"], -3 / (5 - 4 * cosine), rtol=0, atol=1e-8)
+    acceleration = 12 * np.sin(angles) / (5 - 4 * cosine) ** 2
+    np.testing.assert_allclose(across.ud[model.speeds.index("u_CD")], acceleration, rtol=0, atol=1e-6)
+    # Weights of cranks of 1 m, with coupler: M = (1 + 2) m g cos q. At the change point itself no torque holds them.
+    torque = model.inverse_dynamics(along)["M"]
+    assert np.isnan(torque[[0, 2, 4]]).all() == (offset == 0.0)
+    known = np.isfinite(torque)
+    np.testing.assert_allclose(torque[known], 3 * 9.81 * cosine[known], rtol=0, atol=1e-5)
+
+
 def test_drives_around_corners():
     """Two drives of a five-bar around a square and back: each position by two circles that intersect."""
     points = {"A": (0, 0), "B": (-0.1, 0.3), "C": (0.2, 0.5), "D": (0.5, 0.25), "E": (0.4, 0)}

@@ -379,6 +379,130 @@ def test_mistakes(change, message):
         wrong(change)
 
 
+FOUR_BAR = {"A": (0, 0), "B": (0.1, 0.05), "C": (0.3, 0.3), "D": (0.4, 0)}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda linkage: linkage.torque("A", "my torque"), "torque on AB at A is a number, .* not 'my torque'"),
+        (lambda linkage: linkage.torque("A", "2*x"), "not '2[*]x'"),
+        (lambda linkage: linkage.torque("A", [1.0]), "torque on AB"),
+        (lambda linkage: linkage.torque("AB", 1.0, link="BC"), "between it and the ground"),
+        (lambda linkage: linkage.joint("_E", (1, 1)), "a letter, then letters"),
+        (lambda linkage: linkage.joint("AB", (1, 1)), "AB is a link"),
+        (lambda linkage: linkage.bar("A", "C", name="1st", density=1.0), "a letter, then letters"),
+        (lambda linkage: linkage.bar("A", "C", density=-1.0), "mass of AC by length is -1 kg/m"),
+        (lambda linkage: linkage.slider("C", along=1), "along= of C takes names of points"),
+        (lambda linkage: linkage.slider("A", along=(1, 0)), "A is a point of ground itself"),
+        (lambda linkage: linkage.slider("C", along="BC"), "C is a point of BC itself"),
+    ],
+)
+def test_more_mistakes(change, message):
+    linkage = fb.Linkage("one", points=FOUR_BAR, ground="AD", links=["AB", "BC", "CD"], density=1.0)
+
+    def model():
+        change(linkage)
+        linkage.model()
+
+    with pytest.raises(fb.ModelError, match=message):
+        model()
+
+
+@pytest.mark.parametrize("given", [{"links": None}, {"links": "AB"}, {"ground": 5}, {"ground": None}, {"links": [3]}])
+def test_what_is_no_sequence(given):
+    with pytest.raises(fb.ModelError, match=r"takes names of points|is a sequence of links"):
+        fb.Linkage("one", points=FOUR_BAR, **{"ground": "AD", "links": ["AB", "BC", "CD"], **given})
+
+
+def test_arrays_and_names_of_links():
+    links = {"crank": "AB", "coupler": ["B", "C"], "rocker": "CD"}
+    linkage = fb.Linkage("one", points=FOUR_BAR, ground=np.array(["A", "D"]), links=links, density=np.float64(2.0))
+    linkage.force("B", np.array([1.0, 2.0]))
+    linkage.force("C", (sm.Integer(0), sm.Rational(1, 2)))
+    model = linkage.model()
+    assert model.coordinates == ("q_crank", "q_coupler", "q_rocker")
+    assert {s.name: p.value for s, p in model.parameter_symbols.items()}["F_C_y"] == 0.5
+
+
+def test_masses_at_one_place_are_added():
+    """A point mass and a block of the same point; F = (3 + 2) m x''."""
+    m = sm.Symbol("m1")
+    linkage = fb.Linkage("one", points={"O": (0, 0), "A": (0, 0.1)}, ground="O", links=["OA"])
+    linkage.joint("C", (0.3, 0), mass=3 * m)
+    linkage.bar("A", "C")
+    linkage.slider("C", along=(1, 0), mass=2 * m)
+    linkage.force("C", ("F", 0))
+    model = fb.compile_model(linkage.model(parameters={m: 1.0}))
+    found = model.kinematics({"q_C": [0.0]}, rates={"q_C": 0.0}, accelerations={"q_C": 1.0})[0]
+    assert model.inverse_dynamics(found)["F"] == pytest.approx(5.0)
+
+
+def test_the_linkages_density_counts_beside_an_inertia():
+    linkage = fb.Linkage("one", points={"A": (0, 0), "B": (0.5, 0)}, ground="A", density=2.0, gravity=10.0)
+    linkage.bar("A", "B", inertia=0.1)
+    model = fb.compile_model(linkage.model())
+    # m g l / 2 over I + m l^2 / 4, with m = 1 kg.
+    assert model.rhs(0.0, [0.0, 0.0])[1] == pytest.approx(-2.5 / (0.1 + 0.0625))
+
+
+def test_a_pinned_plate_turned_by_a_torque():
+    """The inertia of a triangle of bars about its corner."""
+    places = {"A": 0j, "B": 1 + 0j, "C": 0.3 + 0.8j}
+    points = {name: (z.real, z.imag) for name, z in places.items()}
+    linkage = fb.Linkage("one", points=points, ground="A", links=["ABC"], density=1.0)
+    linkage.torque("A", "M")
+    inertia = sum(
+        abs(b - a) * (abs(b - a) ** 2 / 12 + abs(a + b) ** 2 / 4)
+        for a, b in ((places[i], places[j]) for i, j in ("AB", "BC", "CA"))
+    )
+    model = fb.compile_model(linkage.model())
+    assert model.rhs(0.0, [0.3, 0.0], r={"M": 1.0})[1] == pytest.approx(1 / inertia, rel=1e-14)
+
+
+def test_names_that_coincide():
+    """Two lengths l_A_B_C; a spring's stiffness beside a symbol of the user's; a link with the name of two points."""
+    points = {"A": (0, 0), "B_C": (0.2, 0.1), "T": (0.1, 0.2), "A_B": (0.5, 0.4), "C": (0.7, 0)}
+    linkage = fb.Linkage("one", points=points, ground=["A", "C"])
+    linkage.plate("A", "B_C", "T")
+    linkage.bar("B_C", "A_B")
+    linkage.bar("A_B", "C")
+    values = {s.name: p.value for s, p in linkage.model().parameter_symbols.items()}
+    assert values["l_A_B_C"] == pytest.approx(sqrt(0.05))
+    assert values["l_A_B_C_2"] == pytest.approx(sqrt(0.2))
+    k = sm.Symbol("k_BC")
+    linkage = fb.Linkage("one", points={"A": (0, 0), "B": (0.5, 0), "C": (0.2, 0.7)}, ground="AC", links=["AB"])
+    linkage.torque("A", -k * linkage.q["AB"])
+    linkage.spring("B", "C", 40.0)
+    values = {s.name: p.value for s, p in linkage.model(parameters={k: 0.5}).parameter_symbols.items()}
+    assert (values["k_BC"], values["k_BC_2"]) == (0.5, 40.0)
+
+
+def test_a_drive_starts_where_it_is_drawn():
+    """Although the link is stated before those that place it; and a drive at its dead point is no drive too many."""
+    linkage = fb.Linkage("one", points={"A": (0, 0), "B": (0.5, 1), "C": (0.9, 1.25), "D": (1.2, 0)}, ground="AD")
+    linkage.bar("B", "C")
+    linkage.drive("BC", speed=1.0)
+    linkage.bar("A", "B")
+    linkage.bar("C", "D")
+    parameters = {s.name: p.value for s, p in linkage.model().parameter_symbols.items()}
+    assert parameters["start_BC"] == pytest.approx(np.arctan2(0.25, 0.4))
+    dead = {"O": (0, 0), "A": (0.1, 0), "C": (0.4, 0)}
+    linkage = fb.Linkage("dead", points=dead, ground="O", links=["OA", "AC"], density=1.0)
+    linkage.slider("C", along=(1, 0))
+    linkage.drive("C", speed=-0.1)
+    assert linkage.mobility.free == ()
+    with pytest.raises(fb.SimulationError, match="singular"):
+        fb.compile_model(linkage.model()).simulate((0.0, 0.1))
+
+
+def test_lengths_that_make_no_triangle():
+    points, ground, links = LINKAGES["coupler plate"]
+    model = fb.compile_model(fb.Linkage("plate", points=points, ground=ground, links=links).model())
+    with pytest.raises(fb.ModelError, match="P have no positions with these parameters"):
+        model.kinematics({"q_AB": [0.0, 1.0]}, parameters={"l_BP": 0.01, "l_CP": 0.01})
+
+
 def test_mixed_units_are_asked_about():
     with pytest.warns(fb.ModelWarning, match="are units mixed"):
         wrong("units mixed")
@@ -430,11 +554,21 @@ def test_tables(tmp_path):
     linkage = fb.Linkage.from_csv(path, density=1.0)
     assert linkage.model().coordinates == ("q_crank", "q_coupler", "q_rocker")
     assert linkage.name == "crank_rocker"
+    other = tmp_path / "4bar.csv"
+    marked = ["# from a drawing", " Point; X ;Y; Links", "", *(row.replace(",", "; ") for row in rows[1:]), ";;;"]
+    other.write_text("\n".join([*marked, "D; 0.4; 0; rocker Ground"]))
+    assert fb.Linkage.from_csv(other).mobility == linkage.mobility
+    assert fb.Linkage.from_csv(other).name == "linkage_4bar"
+    path.write_text("point,x,y,links\n")
+    with pytest.raises(fb.ModelError, match="has no points"):
+        fb.Linkage.from_csv(path)
     path.write_text("point,x,y,links\nA,zero,0,ground")
     with pytest.raises(fb.ModelError, match="Row 2 of"):
         fb.Linkage.from_csv(path)
     with pytest.raises(fb.ModelError, match="cannot be read"):
         fb.Linkage.from_csv(tmp_path / "none.csv")
+    with pytest.raises(fb.ModelError, match="cannot be read"):
+        fb.Linkage.from_csv(None)
 
 
 def test_the_system_is_sympys():

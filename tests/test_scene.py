@@ -308,18 +308,103 @@ def test_gravity_is_downwards(down, offset):
     assert drawn.view.labels[vertical] == ("-" if sum(down) > 0 else "") + "xyz"[int(np.abs(down).argmax())]
 
 
-def test_a_push_is_no_gravity():
-    """A constant force that is no mass times an acceleration turns nothing."""
+def block(*forces, mass=None, others=(), **options):
+    """A particle on the x axis with forces, beside other points."""
     q, u = me.dynamicsymbols("q u")
     frame, origin = me.ReferenceFrame("N"), me.Point("O")
     origin.set_vel(frame, 0)
-    block = origin.locatenew("block", q * frame.x)
-    block.set_vel(frame, u * frame.x)
+    point = origin.locatenew("block", q * frame.x)
+    point.set_vel(frame, u * frame.x)
     system = System(frame, origin)
-    system.add_bodies(me.Particle("block", block, sm.Symbol("m")))
-    system.add_loads(me.Force(block, sm.Symbol("push") * frame.x))
+    system.add_bodies(me.Particle("block", point, sm.Symbol("m") if mass is None else mass))
+    system.add_loads(
+        *(me.Force(point, sum((f * axis for axis, f in given(frame).items()), me.Vector(0))) for given in forces)
+    )
     system.add_coordinates(q)
     system.add_speeds(u)
     system.add_kdes(u - q.diff())
-    model = fb.compile_model(fb.Model(system, name="pushed", parameters={"m": 1.0, "push": 3.0}))
-    assert model.manifest["gravity"] is None
+    for add in others:
+        add(frame, point, q, u)
+    return fb.compile_model(fb.Model(system, name="block", **options))
+
+
+t = me.dynamicsymbols._t
+M, PUSH, RHO = sm.symbols("m push rho")
+
+
+@pytest.mark.parametrize(
+    ("force", "mass", "gravity"),
+    [
+        (lambda n: {n.x: PUSH}, None, None),
+        (lambda n: {n.x: 9.81 * M}, None, [1, 0, 0]),
+        (lambda n: {n.x: 9.81 * M, n.y: 0 * M}, None, [1, 0, 0]),
+        (lambda n: {n.x: 9.81 * M, n.y: M}, None, None),
+        (lambda n: {n.y: -sm.Symbol("g") * M + me.dynamicsymbols("F")}, None, [0, -1, 0]),
+        (lambda n: {n.x: M * sm.sin(5 * t)}, None, None),
+        (lambda n: {n.x: 19.62}, 2, [1, 0, 0]),
+        (lambda n: {n.x: 3.0}, 2, None),
+        (lambda n: {n.x: sm.sqrt(sm.Symbol("a") - 2 * sm.Symbol("b"))}, None, None),
+        (lambda n: {n.x: sm.Symbol("k") / (sm.Symbol("a") - sm.Symbol("b"))}, None, None),
+        (lambda n: {n.x: sm.Symbol("k") * sm.Symbol("l")}, sm.Symbol("rho") * sm.Symbol("l"), None),
+        (
+            lambda n: {n.z: sm.Symbol("g") * sm.Symbol("rho") * sm.Symbol("l")},
+            sm.Symbol("rho") * sm.Symbol("l"),
+            [0, 0, 1],
+        ),
+    ],
+)
+def test_what_is_gravity(force, mass, gravity):
+    """The constant force that is proportional to the mass; of masses in numbers, as on the earth."""
+    model = block(force, mass=mass, inputs="auto", parameters={} if mass else {M: 1.0})
+    assert model.manifest["gravity"] == gravity
+
+
+def test_a_push_beside_gravity():
+    """A constant force on one of the mass centres does not hide the weight."""
+    model = block(lambda n: {n.x: 9.81 * M}, lambda n: {n.y: PUSH}, parameters={M: 1.0, PUSH: 0.1})
+    assert model.manifest["gravity"] == [1, 0, 0]
+
+
+def frame_with(orient, position):
+    """Adds a point in a frame of its own."""
+
+    def add(ground, point, q, u):
+        frame = me.ReferenceFrame("F")
+        orient(frame, ground, q, u)
+        point.locatenew("foot", position(frame, q, u))
+
+    return add
+
+
+@pytest.mark.parametrize(
+    ("orient", "position", "is_drawn"),
+    [
+        (lambda f, n, q, u: f.orient_axis(n, n.z, q), lambda f, q, u: sm.Symbol("b") * f.x, True),
+        (lambda f, n, q, u: f.orient_axis(n, n.z, sm.Symbol("a")), lambda f, q, u: sm.Symbol("b") * f.x, True),
+        (lambda f, n, q, u: f.orient_axis(n, n.z, sm.Symbol("c")), lambda f, q, u: sm.Symbol("b") * f.x, False),
+        (lambda f, n, q, u: f.orient_axis(n, n.z, q), lambda f, q, u: u * f.x, False),
+        (lambda f, n, q, u: f.orient_axis(n, n.z, q), lambda f, q, u: q.diff() * f.x, False),
+        (lambda f, n, q, u: f.orient_axis(n, n.z, me.dynamicsymbols("x")), lambda f, q, u: f.x, False),
+        (lambda f, n, q, u: f.orient_axis(n, n.z, q), lambda f, q, u: sm.besselj(0, q) * f.x, False),
+        (lambda f, n, q, u: f.orient_axis(n, n.z, q), lambda f, q, u: sm.I * sm.Symbol("b") * f.x, False),
+        (lambda f, n, q, u: f.orient_axis(n, n.z, q), lambda f, q, u: sm.Symbol("b", positive=True) * f.x, False),
+    ],
+)
+def test_which_points_are_drawn_without_being_named(orient, position, is_drawn):
+    """Those in simple and known places; no others are asked for, and none makes a model that is refused."""
+    model = block(others=[frame_with(orient, position)], parameters={"m": 1.0, "a": 0.3, "b": 0.5}, extra="ignore")
+    assert ("foot" in model.points) is is_drawn
+    assert model.simulate((0.0, 0.1), [0.0, 1.0]).success
+
+
+def test_an_angular_velocity_that_nobody_knows():
+    """Of a frame that only a point needs: the point is left out."""
+
+    def add(ground, point, q, u):
+        frame = me.ReferenceFrame("F")
+        frame.orient_axis(ground, ground.z, q)
+        frame.set_ang_vel(ground, me.dynamicsymbols("x") * ground.z)
+        point.locatenew("foot", sm.Symbol("b") * frame.x)
+
+    model = block(others=[add], parameters={"m": 1.0, "b": 0.5}, extra="ignore")
+    assert "foot" not in model.points

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,11 +24,33 @@ __all__ = ["kinematics"]
 Floats = NDArray[np.float64]
 
 SEEDS = (0.5131, 0.0, 1.0, 0.2417, 0.7689, 0.1201, 0.8773, 0.3718, 0.6329)
-"""Places along the drive, of its whole way, where assembly modes are searched: unlikely to be singular. They are also
-searched at all given values at which no branch closes."""
+"""Places along the drive, of its whole way, where assembly modes are searched: unlikely to be singular."""
+
+MANY_PLACES = 32
+FEW_BRANCHES = 32
+"""With no more branches, assembly modes are searched at so many of the given values, too, if that finds all of them."""
 
 SAME = 1e-6
 """Largest distance of scaled coordinates that are the same."""
+
+MARGIN = 0.2
+"""Curves are followed beyond the ends of the drive, since these may be dead points."""
+
+NEAR = 0.05
+"""Largest distance of a position from a branch that is drawn straight between the points that were traced."""
+
+AT_LIMIT = 1e-9
+"""Largest distance of a value from a dead point that is at it."""
+
+SINGULAR = 0.005
+"""Ratio of singular values, of the constraints with the drive held, near a change point."""
+
+BESIDE = (0.01, 0.013)
+"""Distance of positions on a branch from which those at a change point between them are interpolated; the second one if
+there is a change point at one of these, too."""
+
+WEIGHTS = ((-3, 0.05), (-2, -0.3), (-1, 0.75), (1, 0.75), (2, -0.3), (3, 0.05))
+"""Of values at multiples of that distance h. The error is 0.05 h^6 times the sixth derivative."""
 
 
 def kinematics(
@@ -46,24 +69,39 @@ def kinematics(
             f"A degree of freedom is left: with {', '.join(path.names)} held, {left} coordinates and {model.n_h} "
             "position constraints are left. Drive another one, too."
         )
-    parts, folds, is_complete = _search(path)
+    found = _search(path)
     n_q, periods = model.n_q, path.periods
 
     def distance(part: Floats) -> float:
         away = part[:, :n_q] - path.start / path.scales
         return float(np.abs(_within(away, periods[:n_q])).max(axis=1).min())
 
-    branches = tuple(_branch(path, part) for part in sorted(parts, key=distance))
+    parts = sorted(found.parts, key=distance)
+    _check_points(path, parts[0][0])
+    branches = tuple(_branch(path, part) for part in parts)
     dead = []
-    for fold in folds:
+    for fold in found.folds:
         values = dict(zip(model.coordinates, (fold[:n_q] * path.scales).tolist(), strict=True))
         dead.append({**values, **dict(zip(path.names, path.at(fold[n_q]).tolist(), strict=True))})
     drives = dict(zip(path.names, path.values, strict=True))
-    return Kinematics(model, drives, branches, tuple(dead), is_complete)
+    return Kinematics(model, drives, branches, tuple(dead), found.is_complete)
 
 
-def _search(path: Drive) -> tuple[list[Floats], list[Floats], bool]:
-    """Branches, points in rows; the folds between them; and whether these are all, as far as is known.
+def _check_points(path: Drive, z: Floats) -> None:
+    """Raise a ModelError if points have no positions where the loops are closed."""
+    model, n_q = path.model, path.model.n_q
+    x = np.concatenate((z[:n_q] * path.scales, np.zeros(model.n_x - n_q)))
+    places = model.drawing(path.t, x, path.p, path.inputs(path.at(z[n_q])))[0]
+    lost = [name for name, place in zip(model.points, places, strict=False) if not np.isfinite(place).all()]
+    if lost:
+        raise ModelError(
+            f"The loops close, but {', '.join(lost)} have no positions with these parameters: they are not numbers. Do "
+            "the distances of three points on a link make a triangle?"
+        )
+
+
+def _search(path: Drive) -> _Found:
+    """Find the branches.
 
     Raises
     ------
@@ -73,64 +111,110 @@ def _search(path: Drive) -> tuple[list[Floats], list[Floats], bool]:
         If the loops close nowhere.
     """
     model, (first, last), start = path.model, path.ends, path.start
-    parts: list[Floats] = []
-    folds: list[Floats] = []
-    is_complete, tried, free = True, 0, dict[str, None]()
+    found, tried, free = _Found([], [], True), 0, dict[str, None]()
     order = np.argsort(path.coordinates).astype(int)
     given = tuple(path.coordinates[k] for k in order)
     with Progress(f"{model.name}: positions along the drive") as progress:
-        for s in _seeds(path, parts):
+        for s in _seeds(path, found):
             driven = path.at(s)
             loops = Loops(model, path.t, driven[order], path.p, path.inputs(driven), given)
-            found, all_found, moving = closed_coordinates(loops, start[loops.dependent], progress)
-            tried += bool(found)
+            modes, all_found, moving = closed_coordinates(loops, start[loops.dependent], progress)
+            tried += bool(modes)
             free |= dict.fromkeys(moving)
-            is_complete &= all_found or bool(moving)
-            for dependent in found:
+            covering = sum(_covers(part, s) for part in found.parts)
+            # At a special position, such as an end, modes may be all known although that is not sure there.
+            found.is_complete &= all_found or bool(moving) or 0 < len(modes) == covering
+            for dependent in modes:
                 z = np.append(loops.coordinates(dependent) / path.scales, s)
-                if any(_passes(path, part, z) for part in parts):
+                if any(_passes(path, part, z) for part in found.parts):
                     continue
                 if first == last:
-                    parts.append(z[None, :])
+                    found.parts.append(z[None, :])
                 elif null_space(path.function(z)[1]).shape[1] == 1:
-                    curve = trace(path.function, z, first, last, path.periods)
-                    parts += curve.branches()
-                    folds += [curve.points[fold] for fold in curve.folds]
-                    is_complete &= not curve.ends_early
-            if moving and not parts and tried >= 3:
+                    curve = trace(path.function, z, first - MARGIN, last + MARGIN, path.periods)
+                    found.parts += [part for part in curve.branches() if _overlap(path, part) >= -AT_LIMIT]
+                    points = (curve.points[fold] for fold in curve.folds)
+                    found.folds += [z for z in points if first - AT_LIMIT <= z[-1] <= last + AT_LIMIT]
+                    found.is_complete &= not curve.ends_early
+            if moving and not found.parts and tried >= 3:
                 break
-    if not parts and free:
+    if not found.parts and free:
         raise ModelError(
             f"A degree of freedom is left: {', '.join(free)} can move while {', '.join(path.names)} is held. Drive it, "
             "too, or connect what moves."
         )
-    if not parts:
+    if not found.parts:
+        prescribed = [name for name in model.prescribed if name not in path.names]
         raise AssemblyError(
             f"The loops of {model.name} close at none of the values of {', '.join(path.names)}, nor at "
             f"{len(SEEDS)} places between them."
+            + (f" Motions are prescribed by {', '.join(prescribed)}: drive these instead." if prescribed else "")
         )
-    return parts, folds, is_complete
+    return found
 
 
-def _seeds(path: Drive, parts: Sequence[Floats]) -> Iterator[float]:
-    """Places where assembly modes are searched: some on the whole way, then those that no branch passes by then."""
+@dataclass
+class _Found:
+    """What was found by now.
+
+    Attributes
+    ----------
+    parts : list of ndarray
+        Branches, points in rows.
+    folds : list of ndarray
+        Points between them.
+    is_complete : bool
+        Whether these are all, as far as is known.
+    """
+
+    parts: list[Floats]
+    folds: list[Floats]
+    is_complete: bool
+
+
+def _seeds(path: Drive, found: _Found) -> Iterator[float]:
+    """Places where assembly modes are searched.
+
+    Some are on the whole way; then, where all modes are found, are given values; then those that no branch covers yet.
+    """
     first, last = path.ends
     tried = {first + fraction * (last - first): None for fraction in SEEDS}
     yield from tried
-    for s in path.places.tolist():
-        if s not in tried and not any(part[0, -1] <= s <= part[-1, -1] for part in parts):
+    places = path.places.tolist()
+    some = places[:: -(-len(places) // MANY_PLACES)] if found.is_complete and len(found.parts) <= FEW_BRANCHES else []
+    for s in (*some, *places):
+        if s not in tried and (s in some or not any(_covers(part, s) for part in found.parts)):
+            tried[s] = None
             yield s
 
 
+def _covers(part: Floats, s: float) -> bool:
+    """Whether a branch has a position at a place, or ends there."""
+    return bool(part[0, -1] - AT_LIMIT <= s <= part[-1, -1] + AT_LIMIT)
+
+
+def _overlap(path: Drive, part: Floats) -> float:
+    """The length of the drive's way that a branch covers; negative if it is beyond the ends."""
+    return float(min(path.ends[1], part[-1, -1]) - max(path.ends[0], part[0, -1]))
+
+
+def _singularity(path: Drive, z: Floats) -> float:
+    """The smallest of the singular values with the drive held, relative to the largest."""
+    sizes = np.linalg.svd(path.function(z)[1][:, :-1], compute_uv=False)
+    return float(sizes[-1] / sizes[0]) if sizes.size and sizes[0] else 0.0
+
+
 def _passes(path: Drive, part: Floats, z: Floats) -> bool:
-    """Whether a branch goes through a position."""
-    s = part[:, -1]
-    if len(part) == 1 or not s[0] - SAME <= z[-1] <= s[-1] + SAME:
+    """Whether a branch goes through a position; near a singular one, whether it goes near."""
+    if len(part) == 1 or not _covers(part, z[-1]):
         return False
-    near = solve_at(path.function, _between(part, z[-1]), z[-1])
-    if near is None:
+    expected = _between(part, z[-1])
+    if np.abs(_within(z - expected, path.periods)).max() > NEAR:
         return False
-    return bool(np.abs(_within(z - near, path.periods)).max() <= SAME)
+    near = solve_at(path.function, expected, z[-1])
+    if near is not None and np.abs(_within(z - near, path.periods)).max() <= SAME:
+        return True
+    return _singularity(path, z) < SINGULAR
 
 
 def _within(away: Floats, periods: Floats) -> Floats:
@@ -144,6 +228,36 @@ def _between(part: Floats, s: float) -> Floats:
     return np.array([np.interp(s, part[:, -1], column) for column in part.T])
 
 
+def _motion(path: Drive, part: Floats, s: float, number: int) -> list[Floats]:
+    """Coordinates, u, u', q' and q'' on a branch at a place, NaN where they are not determined.
+
+    At a change point, where branches cross, the constraints determine no velocities. There they are the limits along
+    the branch, by interpolation between positions beside it.
+    """
+    low, high = part[0, -1], part[-1, -1]
+    near = solve_at(path.function, _between(part, s), s)
+    is_inside = low + 3 * BESIDE[1] <= s <= high - 3 * BESIDE[1]
+    if path.curves is None and is_inside and (near is None or _singularity(path, near) < SINGULAR):
+        for length in BESIDE:
+            beside = [(weight, s + step * length) for step, weight in WEIGHTS]
+            found = [(w, _motion_at(path, solve_at(path.function, _between(part, at), at), number)) for w, at in beside]
+            rows = [np.asarray(sum(weight * values[row] for weight, values in found)) for row in range(5)]
+            if all(np.isfinite(row).all() for row in rows):
+                return rows
+    if near is None and min(s - low, high - s) <= AT_LIMIT:
+        near = part[0 if s - low < high - s else -1]
+    return _motion_at(path, near, number)
+
+
+def _motion_at(path: Drive, z: Floats | None, number: int) -> list[Floats]:
+    n_q, n_u = path.model.n_q, path.model.n_u
+    if z is None:
+        return [np.full(n, np.nan) for n in (n_q, n_u, n_u, n_q, n_q)]
+    q = z[:n_q] * path.scales
+    u, ud, qd, qdd = path.motion(q, z[n_q], number) or [np.full(n, np.nan) for n in (n_u, n_u, n_q, n_q)]
+    return [q, u, ud, qd, qdd]
+
+
 def _branch(path: Drive, part: Floats) -> Branch:
     """A branch at the given values of the drive."""
     model, n_q = path.model, path.model.n_q
@@ -153,18 +267,14 @@ def _branch(path: Drive, part: Floats) -> Branch:
     r = np.transpose([path.inputs(path.values[:, k], k) for k in range(n)])
     low, high = part[0, -1], part[-1, -1]
     for k, s in enumerate(path.places):
-        if low - SAME <= s <= high + SAME:
-            near = solve_at(path.function, _between(part, s), s)
-            if near is not None:
-                q[:, k] = near[:n_q] * path.scales
-                motion = path.motion(q[:, k], k)
-                if motion is not None:
-                    u[:, k], ud[:, k], qd[:, k], qdd[:, k] = motion
+        if _covers(part, s):
+            q[:, k], u[:, k], ud[:, k], qd[:, k], qdd[:, k] = _motion(path, part, s, k)
     known = np.flatnonzero(np.isfinite(q).all(axis=0))
     for place in np.flatnonzero(path.angles) if known.size else []:
         if place not in path.coordinates:
             q[place] -= 2.0 * np.pi * np.round(q[place, known[0]] / (2.0 * np.pi))
-    ends = zip(path.names, path.at(low).tolist(), path.at(high).tolist(), strict=True)
+    first, last = path.ends
+    ends = zip(path.names, path.at(max(low, first)).tolist(), path.at(min(high, last)).tolist(), strict=True)
     limits = {name: (begin, end) for name, begin, end in ends}
     drive = dict(zip(path.names, path.values, strict=True))
     return Branch(model, path.t, drive, q, qd, qdd, u, ud, limits, r, path.p, path.without_value)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.analysis.loop_closure import Loops
+from fourbar_codegen.analysis.loop_closure import Loops, row_scales
 from fourbar_codegen.arguments import Values, finite_number, is_mapping, named, named_array, numbers
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.kernel.dependent import solve_redundant
@@ -43,6 +43,7 @@ class Drive:
     t: float
     start: Floats
     scales: Floats
+    sizes: tuple[Floats, Floats]
     angles: NDArray[np.bool_]
 
     @property
@@ -90,9 +91,7 @@ class Drive:
             for name, rate in zip(self.names, slope, strict=True):
                 if name in model.inputs:
                     along += by_inputs[:, model.inputs.index(name)] * rate
-        matrix = np.column_stack((slopes * self.scales, along))
-        size = np.abs(matrix).max(axis=1, initial=0.0)
-        size[size == 0.0] = 1.0
+        matrix, size = np.column_stack((slopes * self.scales, along)), self.sizes[0]
         rows, errors = [matrix / size[:, None]], [error / size]
         for place, value, rate in zip(self.coordinates, driven[: len(self.coordinates)], slope, strict=False):
             row = np.zeros((1, n_q + 1))
@@ -101,24 +100,26 @@ class Drive:
             errors.append(np.array([q[place] - value]) / self.scales[place])
         return np.concatenate(errors), np.vstack(rows)
 
-    def motion(self, q: Floats, number: int) -> tuple[Floats, Floats, Floats, Floats] | None:
-        """u, u', q' and q'' in a position at one of the places; None where they are not determined."""
+    def motion(self, q: Floats, s: float, number: int) -> tuple[Floats, Floats, Floats, Floats] | None:
+        """u, u', q' and q'' in a position, with the rates at one of the places; None where they are not determined."""
         model, driven = self.model, list(self.coordinates)
-        r = self.inputs(self.values[:, number], number)
+        r = self.inputs(self.at(s), number)
         x = np.concatenate((q, np.zeros(model.n_x - model.n_q)))
         # q' = K u + k, of which the driven rows are given; J u + b = 0.
         by_speeds = np.transpose([model.coordinate_change(self.t, x, row, self.p, r) for row in np.eye(model.n_u)])
         jacobian, bias = model.velocity(self.t, x, self.p, r)
         matrix = np.vstack((jacobian, by_speeds[driven]))
+        of_drives = np.abs(by_speeds[driven]).max(axis=1, initial=0.0)
+        size = np.append(self.sizes[1], np.where(of_drives > 0.0, of_drives, 1.0))
         wanted = self.rates[: len(driven), number] - model.dynamics(self.t, x, self.p, r)[0][driven]
-        u = solve_redundant(matrix, np.concatenate((-bias, wanted)))
+        u = solve_redundant(matrix, np.concatenate((-bias, wanted)), size)
         if u is None:
             return None
         x[model.n_q : model.n_q + model.n_u] = u
         qd, *_, bias = model.dynamics(self.t, x, self.p, r)
         at_constant_speeds = model.motion(self.t, x, np.zeros(model.n_u), self.p, r)[0]
         wanted = self.accelerations[: len(driven), number] - at_constant_speeds[driven]
-        ud = solve_redundant(matrix, np.concatenate((-bias, wanted)))
+        ud = solve_redundant(matrix, np.concatenate((-bias, wanted)), size)
         return None if ud is None else (u, ud, qd, model.motion(self.t, x, ud, self.p, r)[0])
 
 
@@ -180,6 +181,7 @@ def read_drive(
         t,
         start,
         scales,
+        row_scales(model, t, start, p, r, scales),
         angles,
     )
 

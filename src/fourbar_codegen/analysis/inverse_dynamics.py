@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.analysis.loop_closure import require_closed
+from fourbar_codegen.analysis.loop_closure import require_closed, row_scales
 from fourbar_codegen.arguments import Values, is_mapping, name_of, named, named_columns, numbers
 from fourbar_codegen.errors import ModelError, SimulationError, meant, shown
 from fourbar_codegen.kernel.dependent import solve_redundant
@@ -75,14 +75,17 @@ def inverse_dynamics(
     ode = bind(model, p, {**dict.fromkeys(set_below, 0.0), **sources})
     rows, others = ([model.inputs.index(name) for name in group] for group in (names, carried))
     guesses = np.array([given.inputs.get(name, np.full(given.shape, np.nan)) for name in names])
-    found, is_moving = np.full((len(names), *given.shape), np.nan), False
+    found, sizes = np.full((len(names), *given.shape), np.nan), None
+    is_moving = False
     for k in np.ndindex(given.shape):
         t, x, rates = float(given.times[k]), given.states[:, *k], given.rates[:, *k]
         if np.isfinite(x).all() and np.isfinite(rates).all():
             r = ode.input_values(t, x)
             r[others] = [values[k] for values in carried.values()]
             require_closed(model, t, x, p, r)
-            accelerations = _accelerations(model, t, x, given.rows, rates, p, r)
+            if sizes is None:
+                sizes = row_scales(model, t, x[: model.n_q], p, r, np.ones(model.n_q))[1]
+            accelerations = _accelerations(model, t, x, given.rows, rates, p, r, sizes)
             if accelerations is not None:
                 is_moving = True
                 found[:, *k] = _balance(model, t, x, accelerations, p, r, rows, guesses[:, *k])
@@ -262,18 +265,21 @@ def _read_tuple(model: Kernel, motion: tuple[Any, ...]) -> _Motion:
 
 
 def _accelerations(
-    model: Kernel, t: float, x: Floats, rows: list[int], rates: Floats, p: Floats | None, r: Floats
+    model: Kernel, t: float, x: Floats, rows: list[int], rates: Floats, p: Floats | None, r: Floats, sizes: Floats
 ) -> Floats | None:
-    """All u' with J u' + gamma = 0 and the given ones; None if these do not determine the others."""
+    """All u' with J u' + gamma = 0 and the given ones; None if these do not determine the others.
+
+    `sizes` are typical ones of the rows of J.
+    """
     *_, jacobian, bias = model.dynamics(t, x, p, r)
     found: Floats | None = rates
     if len(rows) < model.n_u:
         matrix = np.vstack((jacobian, np.eye(model.n_u)[rows]))
-        found = solve_redundant(matrix, np.concatenate((-bias, rates)))
+        found = solve_redundant(matrix, np.concatenate((-bias, rates)), np.append(sizes, np.ones(len(rows))))
     if found is None:
         return None
     violation = jacobian @ found + bias
-    size = np.abs(jacobian) @ np.abs(found) + np.abs(bias) + np.abs(jacobian).max(axis=1, initial=0.0)
+    size = np.abs(jacobian) @ np.abs(found) + np.abs(bias) + sizes
     away = np.abs(found[rows] - rates)
     if (np.abs(violation) > CONSISTENT * size).any() or (away > CONSISTENT * (1.0 + np.abs(rates))).any():
         told = ", ".join(f"{model.speeds[row]}' = {rate:.6g}" for row, rate in zip(rows, rates, strict=True))

@@ -13,7 +13,7 @@ from fourbar_codegen.errors import ModelError
 from fourbar_codegen.kernel.dependent import SINGULAR
 from fourbar_codegen.kernel.kernel import Kernel
 
-__all__ = ["Loops", "nearest_closed", "require_closed"]
+__all__ = ["Loops", "nearest_closed", "require_closed", "row_scales"]
 
 Floats = NDArray[np.float64]
 
@@ -36,6 +36,9 @@ NEARLY_CLOSED = 1e-6
 """Largest constraint violations of a state that is given, relative to their scales."""
 
 MAX_CORRECTIONS = 30
+
+SAMPLES = 16
+"""Positions at which the sizes of constraints are looked at."""
 
 
 @dataclass(frozen=True)
@@ -196,6 +199,32 @@ def nearest_closed(model: Kernel, t: float, q: Floats, p: Floats | None, r: Floa
             return q
         q = q - np.linalg.lstsq(slopes, residual, rcond=SINGULAR)[0]
     return None
+
+
+def row_scales(
+    model: Kernel, t: float, q: Floats, p: Floats | None, r: Floats | None, scales: Floats
+) -> tuple[Floats, Floats]:
+    """Typical sizes of the rows of Phi_q, with columns in units of the coordinates, and of J, shapes (n_h,) and (n_c,).
+
+    They are the largest at random positions. At a change point a row vanishes, and its own size would hide that.
+
+    Parameters
+    ----------
+    model, t, p, r
+    q : ndarray, shape (n_q,)
+        A position.
+    scales : ndarray, shape (n_q,)
+        Units of the coordinates.
+    """
+    generator = np.random.default_rng(0)
+    sizes: list[tuple[Floats, Floats]] = []
+    for k in range(SAMPLES):
+        at = q + scales * generator.uniform(-np.pi, np.pi, model.n_q) * bool(k)
+        rows = model.position(t, at, p, r)[1] * scales
+        jacobian = model.velocity(t, np.concatenate((at, np.zeros(model.n_x - model.n_q))), p, r)[0]
+        sizes.append((np.abs(rows).max(axis=1, initial=0.0), np.abs(jacobian).max(axis=1, initial=0.0)))
+    positions, velocities = (np.nanmax([size[part] for size in sizes], axis=0, initial=0.0) for part in (0, 1))
+    return np.where(positions > 0.0, positions, 1.0), np.where(velocities > 0.0, velocities, 1.0)
 
 
 def require_closed(model: Kernel, t: float, x: Floats, p: Values | None, r: Values | None) -> None:

@@ -90,22 +90,21 @@ def eliminate(matrix: Floats, n_independent: int, names: Sequence[str]) -> Float
     return solution
 
 
-def solve_redundant(matrix: Floats, right: Floats) -> Floats | None:
+def solve_redundant(matrix: Floats, right: Floats, size: Floats) -> Floats | None:
     """The solution of equations that may be redundant; None if they do not determine it.
-
-    Rows are scaled, columns are not: at a dead point, a column of rounding errors should not count.
 
     Parameters
     ----------
     matrix : ndarray, shape (m, n)
     right : ndarray, shape (m,)
+    size : ndarray, shape (m,)
+        Typical sizes of the rows: not their own, since at a change point a row of rounding errors should not count, nor
+        at a dead point a column of these.
 
     Returns
     -------
     ndarray, shape (n,), or None
     """
-    size = np.abs(matrix).max(axis=1, initial=0.0)
-    size[size == 0.0] = 1.0
     if not np.isfinite(matrix).all() or not np.isfinite(right).all():
         return None
     solution, _, rank, _ = np.linalg.lstsq(matrix / size[:, None], right / size, rcond=DETERMINED)

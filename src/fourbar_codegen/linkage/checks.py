@@ -46,6 +46,12 @@ def check_parts(name: str, parts: Parts) -> None:
     idle = [point for point in parts.slides if point not in used]
     if idle:
         raise ModelError(f"No link is pinned to the blocks at {', '.join(idle)}.")
+    for point, slide in parts.slides.items():
+        carriers = {GROUND: parts.ground, **{name: link.points for name, link in parts.links.items()}}
+        if point in carriers[slide.on]:
+            raise ModelError(f"{point} is a point of {slide.on} itself: a block there cannot move along its guide.")
+        if point in parts.links:
+            raise ModelError(f"{point} is the name of a block and of a link: give the link another name.")
     has_mass = parts.masses or any(link.density is not None or link.mass for link in parts.links.values())
     if parts.gravity is not None and not has_mass:
         raise ModelError("There is gravity, but nothing has a mass: give a density, or masses of links or points.")

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -18,6 +18,7 @@ from fourbar_codegen.linkage.checks import SAME, check_mobility, check_parts, si
 from fourbar_codegen.linkage.mobility import Mobility, find_mobility
 from fourbar_codegen.linkage.parts import Drive, Link, Parts, PointForce, Strut, Torque
 from fourbar_codegen.linkage.system import build_system, coordinate, geometry, speed
+from fourbar_codegen.linkage.table import name_of_file, rows
 from fourbar_codegen.linkage.tree import GROUND, Slide, Tree, spanning_tree
 from fourbar_codegen.modeling.model import Model, Parameter, multiplier
 
@@ -28,6 +29,10 @@ __all__ = ["Linkage"]
 
 Quantity: TypeAlias = sm.Expr | float | str
 """A number, which becomes a parameter; an expression; or the name of an input."""
+
+
+POSITIVE = {"kg", "kg/m", "kg m^2"}
+"""Units of masses and inertias."""
 
 
 class Linkage:
@@ -46,8 +51,9 @@ class Linkage:
         Coordinates, m.
     ground : str or sequence of str, optional
         The points that do not move: ``"AD"``, or ``["A1", "A2"]``.
-    links : sequence of str or sequence of str, optional
-        The points of each moving link: ``["AB", "BCD"]``, or ``[("A1", "B1"), ...]``.
+    links : sequence of str or sequence of str, or mapping, optional
+        The points of each moving link: ``["AB", "BCD"]``, or ``[("A1", "B1"), ...]``; or these by the links' names:
+        ``{"crank": "AB", ...}``.
     density : float, Expr or str, optional
         Mass by length of links without mass or density of their own, kg/m.
     gravity : float, Expr or str, optional
@@ -62,6 +68,7 @@ class Linkage:
     -----
     Quantities (masses, stiffnesses, forces) are numbers, which become parameters; expressions of SymPy, with parameters
     of any name, functions of time as inputs, and the coordinates `q` and speeds `u`; or a str, the name of a new input.
+    A symbol with the name of one of the linkage's parameters, such as ``l_AB``, stands for that.
 
     Examples
     --------
@@ -81,7 +88,7 @@ class Linkage:
         *,
         points: Mapping[str, Sequence[float]] | None = None,
         ground: str | Sequence[str] = (),
-        links: Iterable[str | Sequence[str]] = (),
+        links: Iterable[str | Sequence[str]] | Mapping[str, str | Sequence[str]] = (),
         density: Quantity | None = None,
         gravity: Quantity | None = None,
     ) -> None:
@@ -98,8 +105,9 @@ class Linkage:
             self.joint(point, place)
         for point in self._points(ground, "ground="):
             self._parts.ground.append(point)
-        for link in links:
-            self.plate(*self._points(link, "links="))
+        named_links = links.items() if is_mapping(links) else ((None, link) for link in _listed(links))
+        for own_name, link in named_links:
+            self.plate(*self._points(link, "links="), name=own_name)
 
     @classmethod
     def from_csv(cls, path: str | Path, name: str | None = None, **options: Any) -> Linkage:
@@ -108,8 +116,9 @@ class Linkage:
         Parameters
         ----------
         path : str or Path
-            A CSV file with the columns ``point``, ``x``, ``y`` and ``links``; in the last one, the names of all links
-            that the point is on, between spaces: ``ground crank``.
+            A CSV file with the columns ``point``, ``x``, ``y`` and ``links``, between commas, semicolons or tabs; in
+            the last one, the names of all links that the point is on, between spaces: ``ground crank``. Lines that
+            begin with # are comments.
         name : str, optional
             By default that of the file.
         **options
@@ -136,17 +145,10 @@ class Linkage:
         >>> Linkage.from_csv("four_bar.csv").mobility.independent  # doctest: +SKIP
         ('crank',)
         """
-        path = Path(path)
-        try:
-            with path.open(newline="", encoding="utf-8-sig") as file:
-                rows = list(csv.DictReader(file))
-        except (OSError, UnicodeDecodeError, csv.Error) as error:
-            raise ModelError(f"{path} cannot be read: {error}") from error
-        linkage = cls(re.sub(r"\W", "_", path.stem) if name is None else name, **options)
-        links: dict[str, list[str]] = {}
-        for number, row in enumerate(rows, start=2):
+        linkage, links = cls(name_of_file(path) if name is None else name, **options), dict[str, list[str]]()
+        for number, row in rows(path):
             try:
-                point, x, y = row["point"].strip(), float(row["x"]), float(row["y"])
+                point, x, y = row["point"], float(row["x"]), float(row["y"])
                 on = row["links"].split()
             except (KeyError, ValueError, AttributeError, TypeError) as error:
                 raise ModelError(
@@ -154,7 +156,7 @@ class Linkage:
                 ) from error
             linkage.joint(point, (x, y))
             for link in on:
-                links.setdefault(link, []).append(point)
+                links.setdefault(GROUND if link.lower() == GROUND else link, []).append(point)
         linkage._parts.ground += links.pop(GROUND, [])
         for link, members in links.items():
             linkage.plate(*members, name=link)
@@ -186,15 +188,19 @@ class Linkage:
         <Linkage pendulum: 2 points, 1 links, 0 blocks>
         """
         parts = self._change()
-        if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z]\w*", name):
-            raise ModelError(f"The name of a point is letters, digits and underscores, not {shown(name)}.")
+        if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z]\w*", name, re.ASCII):
+            raise ModelError(
+                f"The name of a point is a letter, then letters, digits and underscores, not {shown(name)}."
+            )
+        if name in parts.links:
+            raise ModelError(f"{name} is a link: give the point another name.")
         if name in parts.points:
             raise ModelError(
                 f"There are two points {name}. Links that share a point name it once, and are joined there."
             )
         parts.points[name] = _pair(place, f"point {name}")
         if mass is not None:
-            parts.masses[name] = self._quantity(mass, f"m_{name}", "kg", f"mass at {name}")
+            self._add_mass(name, mass, f"mass at {name}")
 
     def ground(self, name: str, place: Sequence[float]) -> None:
         """State a point of the ground, where links are pinned.
@@ -286,8 +292,10 @@ class Linkage:
         parts = self._change()
         members = tuple(self._known(point) for point in points)
         own = name if name is not None else "".join(members) if all(len(m) == 1 for m in members) else "_".join(members)
-        if not re.fullmatch(r"[A-Za-z]\w*", own) or own == GROUND:
-            raise ModelError(f"A link's name is letters, digits and underscores, and not {GROUND}; {own!r} is not.")
+        if not re.fullmatch(r"[A-Za-z]\w*", own, re.ASCII) or own == GROUND:
+            raise ModelError(
+                f"A link's name is a letter, then letters, digits and underscores, and not {GROUND}; {own!r} is not."
+            )
         if own in parts.links:
             raise ModelError(f"There are two links {own}.")
         if len(members) < 2 or len({*members}) < len(members):
@@ -296,7 +304,7 @@ class Linkage:
             raise ModelError(f"{own} is a point: give the link another name.")
         if density is not None and mass is not None:
             raise ModelError(f"Link {own} has a density and a mass: give one of them.")
-        if density is None and mass is None and center is None and inertia is None:
+        if density is None and mass is None:
             density = self._density
         first, second = (parts.points[member] for member in members[:2])
         at = None
@@ -346,7 +354,7 @@ class Linkage:
         point = self._known(point)
         if point in parts.slides:
             raise ModelError(f"There are two blocks at {point}: state one guide for each point.")
-        if not isinstance(along, str) and all(isinstance(x, int | float | np.number) for x in along):
+        if isinstance(along, Sequence | np.ndarray) and not any(isinstance(x, str) for x in along):
             direction = _pair(along, f"the guide of {point}")
             if not abs(direction):
                 raise ModelError(f"The guide of {point} has no direction: along={shown(along)}.")
@@ -363,7 +371,7 @@ class Linkage:
                 raise ModelError(f"{point} is not on the guide from {ends[0]} to {ends[1]}: draw it there.")
             parts.slides[point] = Slide(point, on[0], base, way / abs(way), (ends[0], ends[1]))
         if mass is not None:
-            parts.masses[point] = self._quantity(mass, f"m_{point}", "kg", f"mass of the block at {point}")
+            self._add_mass(point, mass, f"mass of the block at {point}")
 
     def force(self, point: str, components: Sequence[Quantity]) -> None:
         """State a force on a point.
@@ -389,10 +397,10 @@ class Linkage:
         """
         parts = self._change()
         point = self._known(point)
-        if isinstance(components, str) or not isinstance(components, Sequence) or len(components) != 2:
+        if isinstance(components, str) or not isinstance(components, Sequence | np.ndarray) or len(components) != 2:
             raise ModelError(f"The force on {point} has two components, along x and y, not {shown(components)}.")
         x, y = (
-            sm.S.Zero if isinstance(value, int | float) and value == 0 else
+            sm.S.Zero if not isinstance(value, str) and value == 0 else
             self._quantity(value, f"F_{point}_{axis}", "N", f"force on {point} along {axis}")
             for axis, value in zip("xy", components, strict=True)
         )  # fmt: skip
@@ -526,15 +534,15 @@ class Linkage:
         if any(drive.of == on for drive in parts.drives):
             raise ModelError(f"There are two drives of {on}: one is enough.")
         function, t = me.dynamicsymbols(f"drive_{at}"), me.dynamicsymbols._t
-        unit = "m" if is_block else "rad"
+        unit, start = "m" if is_block else "rad", None
         if speed is None:
             expression = self._quantity(given[0], f"held_{at}", unit, f"what the drive at {at} holds")
         else:
             rate = self._quantity(speed, f"speed_{at}", f"{unit}/s", f"speed of the drive at {at}")
-            first = self._quantity(self._tree().values[self._number(on)], f"start_{at}", unit, f"{on} at t = 0")
-            expression = first + rate * t
+            start = self._quantity(0.0, f"start_{at}", unit, f"{on} at t = 0, as drawn")
+            expression = start + rate * t
         parts.inputs[function] = expression
-        parts.drives.append(Drive(on, function, expression))
+        parts.drives.append(Drive(on, function, expression, start))
 
     @property
     def q(self) -> dict[str, sm.Expr]:
@@ -635,22 +643,31 @@ class Linkage:
         self._analysis = self._system = None
         return self._parts
 
+    def _add_mass(self, point: str, mass: Quantity, what: str) -> None:
+        added = self._quantity(mass, f"m_{point}", "kg", what)
+        self._parts.masses[point] = self._parts.masses.get(point, sm.S.Zero) + added
+
     def _quantity(self, value: Quantity, name: str, unit: str, description: str) -> sm.Expr:
         """An expression for a quantity: of a number, the symbol of a new parameter; of a name, a new input."""
         if isinstance(value, str):
+            if not re.fullmatch(r"[A-Za-z_]\w*", value):
+                raise ModelError(
+                    f"The {description} is a number, an expression, or the name of an input, made of letters, digits "
+                    f"and underscores, not {shown(value)}."
+                )
             function = me.dynamicsymbols(value)
             self._parts.inputs.setdefault(function, sm.S.Zero)
             return function
-        expression = sm.sympify(value)
-        if not isinstance(expression, sm.Expr):
-            raise ModelError(f"{description or name} is a number, an expression or a name, not {shown(value)}.")
-        if expression.free_symbols or not expression.is_number:
-            return expression
-        symbol = sm.Symbol(name)
-        number = 2
-        while symbol in self._parts.parameters:
-            symbol, number = sm.Symbol(f"{name}_{number}"), number + 1
-        self._parts.parameters[symbol] = Parameter(finite_number(value, description), unit, description)
+        if isinstance(value, sm.Expr) and not value.is_number:
+            self._parts.symbols |= value.free_symbols
+            return value
+        known = finite_number(value, description)
+        if known < 0.0 and unit in POSITIVE:
+            raise ModelError(f"The {description} is {known:g} {unit}, but must not be negative.")
+        symbol, count = sm.Symbol(name), 2
+        while symbol in self._parts.parameters or symbol in self._parts.symbols:
+            symbol, count = sm.Symbol(f"{name}_{count}"), count + 1
+        self._parts.parameters[symbol] = Parameter(known, unit, description)
         return symbol
 
     def _known(self, point: Any) -> str:
@@ -662,6 +679,8 @@ class Linkage:
     def _points(self, given: Any, what: str) -> list[str]:
         """Names of points, of a sequence, or of a text without gaps or with them."""
         if not isinstance(given, str):
+            if not isinstance(given, Iterable):
+                raise ModelError(f"{what} takes names of points, not {shown(given)}.")
             return [self._known(point) for point in given]
         if re.search(r"[\s,-]", given.strip()):
             return [self._known(point) for point in re.split(r"[\s,-]+", given.strip())]
@@ -673,13 +692,12 @@ class Linkage:
             )
         return list(found[0])
 
-    def _number(self, name: str) -> int:
-        return [*self._parts.links, *self._parts.slides].index(name)
-
     def _joined(self, at: str, link: str | None, what: str) -> tuple[str, str]:
         """The link that a torque in a joint acts on, and the other one."""
         parts = self._parts
         if at in parts.links:
+            if link is not None:
+                raise ModelError(f"A {what} on link {at} acts between it and the ground: name a joint, or no link=.")
             return at, GROUND
         if at not in parts.points:
             known = [*parts.points, *parts.links]
@@ -727,13 +745,23 @@ class Linkage:
 
     def _built(self) -> tuple[System, list[me.Point], dict[sm.Symbol, Parameter]]:
         tree, mobility = self._analyzed()
-        shape = geometry(tree, tuple(dict.fromkeys(self._parts.ground)))
+        shape = geometry(tree, tuple(dict.fromkeys(self._parts.ground)), self._parts.parameters)
         if self._system is None:
             self._system = build_system(self._parts, tree, shape, mobility.independent, bool(mobility.redundant))
         own = {**self._parts.parameters}
+        for drive in self._parts.drives:  # where it is drawn is known when all links are
+            if drive.start is not None:
+                drawn = float(tree.values[tree.coordinates.index(drive.of)])
+                own[drive.start] = replace(own[drive.start], value=drawn)
         if self._density is not None and all(link.density != self._density for link in self._parts.links.values()):
             own.pop(self._density, None)
         return *self._system, {**shape.parameters, **own}
+
+
+def _listed(links: Any) -> Iterable[Any]:
+    if not isinstance(links, Iterable) or isinstance(links, str):
+        raise ModelError(f"links= is a sequence of links, such as ['AB', 'BC'], or a mapping, not {shown(links)}.")
+    return links
 
 
 def _pair(given: Any, what: str) -> complex:

@@ -102,7 +102,8 @@ def find_mobility(tree: Tree, size: float, driven: Sequence[str], preferred: Seq
     drives = np.eye(n)[[names.index(name) for name in driven]]
     held = [np.vstack([jacobians[k], drives]) for k in generic]
     left = n - int(matrix_rank(held[0], rtol=RANK))
-    chosen = held[0] if is_singular else np.vstack([drawn, drives])
+    as_drawn = np.vstack([drawn, drives])
+    chosen = as_drawn if n - int(matrix_rank(as_drawn, rtol=RANK)) == left else held[0]
     motions = [_null_space(jacobians[k]) for k in generic]
     independent = _independent(chosen, left, [names.index(name) for name in preferred])
     velocities = [

@@ -65,11 +65,12 @@ class Strut:
 
 @dataclass(frozen=True)
 class Drive:
-    """A prescribed motion: of a link's angle, or of a block's displacement."""
+    """A prescribed motion: of a link's angle, or of a block's displacement; from where it is drawn, or not."""
 
     of: str
     function: sm.Expr
     expression: sm.Expr
+    start: sm.Expr | None = None
 
 
 @dataclass
@@ -87,6 +88,8 @@ class Parts:
         Of points, kg.
     gravity : Expr or None
         Acceleration in the direction of -y.
+    symbols : set of Symbol
+        Those in given expressions: new parameters have other names.
     """
 
     points: dict[str, complex] = field(default_factory=dict)
@@ -101,3 +104,4 @@ class Parts:
     drives: list[Drive] = field(default_factory=list)
     parameters: dict[sm.Symbol, Parameter] = field(default_factory=dict)
     inputs: dict[sm.Expr, sm.Expr | float] = field(default_factory=dict)
+    symbols: set[sm.Basic] = field(default_factory=set)

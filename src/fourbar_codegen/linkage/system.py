@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -44,31 +44,42 @@ class Geometry:
         By link and point: from the link's first point, along the axes of its frame, whose x axis points to its second.
     guides : dict of str to (Vector, Vector)
         By block: the base, from the place that its position is relative to, and the direction, in the link's frame.
+    lengths : dict of (str, frozenset of str) to Symbol
+        By link and two of its points.
     parameters : dict of Symbol to Parameter
         Lengths, and the coordinates of points that follow from them.
     """
 
     local: dict[tuple[str, str], Vector]
     guides: dict[str, tuple[Vector, Vector]]
+    lengths: dict[tuple[str, frozenset[str]], sm.Symbol]
     parameters: dict[sm.Symbol, Parameter]
 
 
-def geometry(tree: Tree, ground: Sequence[str]) -> Geometry:
+def geometry(tree: Tree, ground: Sequence[str], taken: Container[sm.Symbol]) -> Geometry:
     """Symbols for all lengths, with those that were drawn as values.
 
     A point of a plate is placed by its distances from the first two points, on the side where it was drawn. A point on
-    the line through these is placed by one distance.
+    the line through these is placed by one distance. No symbol has a name that is `taken`.
     """
     local: dict[tuple[str, str], Vector] = {}
+    lengths: dict[tuple[str, frozenset[str]], sm.Symbol] = {}
     parameters: dict[sm.Symbol, Parameter] = {}
 
     def symbol(name: str, value: float | sm.Expr, what: str, unit: str = "m") -> sm.Symbol:
-        parameters.setdefault(sm.Symbol(name), Parameter(value, unit, what))
-        return sm.Symbol(name)
+        new, count = sm.Symbol(name), 2
+        while new in parameters or new in taken:
+            new, count = sm.Symbol(f"{name}_{count}"), count + 1
+        parameters[new] = Parameter(value, unit, what)
+        return new
 
     def length(link: str, a: str, b: str) -> sm.Symbol:
-        name = f"l_{link}" if set(tree.links[link]) == {a, b} else _side(a, b)
-        return symbol(name, abs(tree.points[b] - tree.points[a]), f"distance of {a} and {b} on link {link}")
+        key = link, frozenset((a, b))
+        if key not in lengths:
+            name = f"l_{link}" if set(tree.links[link]) == {a, b} else _side(a, b)
+            drawn = abs(tree.points[b] - tree.points[a])
+            lengths[key] = symbol(name, drawn, f"distance of {a} and {b} on link {link}")
+        return lengths[key]
 
     for point in (*ground, *(slide.point for slide in tree.slides.values() if slide.ends is None)):
         drawn, what = tree.points[point], "the ground's point" if point in ground else "the guide of"
@@ -101,7 +112,7 @@ def geometry(tree: Tree, ground: Sequence[str]) -> Geometry:
             x, y = x1 - x0, y1 - y0
             size = sm.sqrt(x**2 + y**2)
             guides[slide.point] = (sm.S.Zero, sm.S.Zero), (x / size, y / size)
-    return Geometry(local, guides, parameters)
+    return Geometry(local, guides, lengths, parameters)
 
 
 def _side(a: str, b: str) -> str:
@@ -205,7 +216,7 @@ def distribution(link: Link, name: str, shape: Geometry, tree: Tree) -> tuple[sm
         sides = [(along[0], along[-1])]
     else:
         sides = [*pairwise(link.points), (link.points[-1], link.points[0])]
-    lengths = [_distance(a, b, name, shape, tree) for a, b in sides]
+    lengths = [_distance(a, b, name, shape) for a, b in sides]
     middles = [tuple((local[a][k] + local[b][k]) / 2 for k in (0, 1)) for a, b in sides]
     total = sm.Add(*lengths)
     mass = link.mass if link.density is None else link.density * total
@@ -225,9 +236,8 @@ def distribution(link: Link, name: str, shape: Geometry, tree: Tree) -> tuple[sm
     return mass, (x, y), inertia
 
 
-def _distance(a: str, b: str, link: str, shape: Geometry, tree: Tree) -> sm.Expr:
+def _distance(a: str, b: str, link: str, shape: Geometry) -> sm.Expr:
     """The symbol for a distance on a link, or its expression."""
-    names = [f"l_{link}"] if set(tree.links[link]) == {a, b} else [_side(a, b), _side(b, a)]
-    known = [symbol for symbol in map(sm.Symbol, names) if symbol in shape.parameters]
     (ax, ay), (bx, by) = shape.local[link, a], shape.local[link, b]
-    return known[0] if known else sm.sqrt((bx - ax) ** 2 + (by - ay) ** 2)
+    known = shape.lengths.get((link, frozenset((a, b))))
+    return sm.sqrt((bx - ax) ** 2 + (by - ay) ** 2) if known is None else known

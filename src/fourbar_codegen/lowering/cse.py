@@ -161,7 +161,7 @@ class _Block:
             stack = [(root.node, False)]
             while stack:
                 node, ready = stack.pop()
-                if node in ordered or self.is_constant(node):
+                if node in ordered or node == ONE or self.is_constant(node):
                     continue
                 operation = changed.get(node, nodes[node])
                 if ready:

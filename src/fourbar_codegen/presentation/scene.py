@@ -112,7 +112,7 @@ class Symbol:
 class View:
     """How pictures show the axes of the inertial frame.
 
-    Gravity is shown downwards. A mechanism whose points stay in a plane is seen in this plane.
+    Gravity along an axis is shown downwards. A mechanism whose points stay in a plane of two axes is seen in this plane.
 
     Attributes
     ----------
@@ -247,8 +247,8 @@ def scene(model: Kernel, positions: Floats, view: View | None = None) -> Scene:
         raise ModelError(f"There is nothing of {model.name} to draw: no positions are given from a point at rest.")
     if model.manifest["not_drawn"]:
         warnings.warn(
-            f"Points of {model.name} that are not drawn: {', '.join(model.manifest['not_drawn'])}. Nothing else needs "
-            "the frames or symbols of their positions. Model(points=[...]) draws them.",
+            f"Points of {model.name} that are not drawn: {', '.join(model.manifest['not_drawn'])}. Their positions take "
+            "frames, parameters without values or inputs that nothing else needs. Model(points=[...]) draws them.",
             ModelWarning,
             stacklevel=5,
         )

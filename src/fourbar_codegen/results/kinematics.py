@@ -38,7 +38,8 @@ class Branch:
     u, ud : ndarray, shape (n_u, n)
         Speeds and their rates.
     limits : dict of str to (float, float)
-        Values of the drive where the branch begins and ends: the range in which the loops close in this way.
+        Values of the drive where the branch begins and ends: the range in which the loops close in this way. Of
+        several drives, the values at both ends of the way.
     r : ndarray, shape (n_r, n)
         Inputs.
     p : ndarray, shape (n_p,)

@@ -157,7 +157,7 @@ def plot_paths(trajectory: Trajectory, points: Sequence[str]) -> Figure:
 def _draw_paths(axes: Any, drawn: Scene, points: Sequence[str]) -> None:
     """The mechanism at the first instant, and the paths of points, or of the moving joints."""
     _draw(axes, drawn)
-    dimensions = 2 if drawn.is_planar else 3
+    dimensions = len(drawn.view.axes)
     for name in points or drawn.traced().values():
         axes.plot(*drawn.positions[drawn.names.index(name), :dimensions], label=_label(name), zorder=1)
     axes.set_aspect("equal")
@@ -250,7 +250,7 @@ def plot_modes(modes: AssemblyModes) -> Figure:
         named = zip(model.coordinates[n_qi:], modes.x[number, n_qi : model.n_q], strict=True)
         text = _label(", ".join(f"{name} = {value:.3g}" for name, value in [*named][:3]))
         axes.set_title(f"{number}: {text}", fontsize="small")
-        for name, begin, end in list(zip("xyz", low, high, strict=True))[: 2 if drawn.is_planar else 3]:
+        for name, begin, end in zip(drawn.view.axes, low, high, strict=False):
             getattr(axes, f"set_{name}lim")(begin - EDGE * drawn.size, end + EDGE * drawn.size)
         axes.set_aspect("equal")
     return figure
@@ -315,7 +315,7 @@ def _figure(panels: int, view: View) -> tuple[Figure, list[Any]]:
     how = {} if view.is_planar else {"projection": "3d"}
     axes = [figure.add_subplot(rows, columns, number + 1, **how) for number in range(panels)]
     for each in axes:
-        for axis, label in list(zip("xyz", view.labels, strict=True))[: 2 if view.is_planar else 3]:
+        for axis, label in zip(view.axes, view.labels, strict=False):
             getattr(each, f"set_{axis}label")(f"{label} (m)")
         if view.is_planar:
             each.grid(alpha=0.3)
@@ -324,7 +324,7 @@ def _figure(panels: int, view: View) -> tuple[Figure, list[Any]]:
 
 def _draw(axes: Any, drawn: Scene, arrows: Mapping[int, int] | None = None) -> Callable[[int], None]:
     """Draw the mechanism at the first instant, and return a function that shows it at another."""
-    dimensions = 2 if drawn.is_planar else 3
+    dimensions = len(drawn.view.axes)
     styled = [(line.kind, drawn.positions[[*line.rows, *line.rows[: line.is_closed]]]) for line in drawn.lines]
     styled = [(kind, np.moveaxis(points, 0, 1)) for kind, points in styled]
     for symbol in drawn.symbols:
@@ -371,7 +371,7 @@ def animate(trajectory: Trajectory, *, fps: float, speed: float, traces: Sequenc
     if n > MAX_FRAMES:
         raise ModelError(f"The animation would have {n:.0f} frames, more than {MAX_FRAMES}: use a larger speed.")
     drawn = drawing(trajectory, lambda start, end: equal_times(start, end, fps / speed))
-    dimensions = 2 if drawn.scene.is_planar else 3
+    dimensions = len(drawn.scene.view.axes)
     every = drawn.scene.positions[:, :dimensions]
     low, high = every.min(axis=(0, 2)), every.max(axis=(0, 2))
     middle, half = (low + high) / 2, (high - low) / 2 + EDGE * drawn.scene.size

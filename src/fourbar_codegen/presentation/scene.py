@@ -112,7 +112,7 @@ class Symbol:
 class View:
     """How pictures show the axes of the inertial frame.
 
-    Gravity along an axis is shown downwards. A mechanism whose points stay in a plane of two axes is seen in this plane.
+    Gravity along an axis is shown downwards, and a mechanism whose points stay in a plane of two axes in this plane.
 
     Attributes
     ----------
@@ -127,6 +127,11 @@ class View:
     turn: Floats
     labels: tuple[str, ...]
     is_planar: bool
+
+    @property
+    def axes(self) -> str:
+        """Matplotlib's names of the new coordinates that are shown."""
+        return "xy" if self.is_planar else "xyz"
 
     def __call__(self, positions: Floats) -> Floats:
         """Positions in the new coordinates, shape (..., 3, n_t)."""
@@ -247,8 +252,8 @@ def scene(model: Kernel, positions: Floats, view: View | None = None) -> Scene:
         raise ModelError(f"There is nothing of {model.name} to draw: no positions are given from a point at rest.")
     if model.manifest["not_drawn"]:
         warnings.warn(
-            f"Points of {model.name} that are not drawn: {', '.join(model.manifest['not_drawn'])}. Their positions take "
-            "frames, parameters without values or inputs that nothing else needs. Model(points=[...]) draws them.",
+            f"Points of {model.name} that are not drawn: {', '.join(model.manifest['not_drawn'])}. Their positions "
+            "take frames, parameters without values or inputs that nothing else needs. Model(points=[...]) draws them.",
             ModelWarning,
             stacklevel=5,
         )

@@ -187,6 +187,58 @@ def test_change_points(offset):
     np.testing.assert_allclose(torque[known], 3 * 9.81 * cosine[known], rtol=0, atol=1e-5)
 
 
+@pytest.mark.parametrize("longer", [1e-9, 1e-7, 5e-6, 1e-4])
+def test_beside_a_change_point(longer):
+    """A rod that is longer than the crank by little: the slider goes on on its side, by Pythagoras."""
+    points = {"O": (0, 0), "A": (0.3, 0.4), "C": (0.6, 0)}
+    linkage = fb.Linkage("isosceles", points=points, ground="O", links=["OA", "AC"])
+    linkage.slider("C", along=(1, 0))
+    model = fb.compile_model(linkage.model())
+    angles = np.radians(np.arange(0.0, 361.0, 10.0))
+    found = model.kinematics({"q_OA": angles}, parameters={"l_AC": 0.5 + longer})
+    assert len(found) == 2
+    side = np.sqrt((0.5 + longer) ** 2 - (0.5 * np.sin(angles)) ** 2)
+    # Loops are closed to 1e-12, and the square root of what is added is taken.
+    for branch, sign in zip(found, (1, -1), strict=True):
+        expected = 0.5 * np.cos(angles) + sign * side
+        np.testing.assert_allclose(branch["C"][0], expected, rtol=0, atol=1e-12 / side.min())
+
+
+def test_a_kite_that_folds():
+    """Crank and ground of 1 m, coupler and rocker alike: folded, the rocker is free; two branches go on through it."""
+    points = {"A": (0, 0), "B": (0.6, 0.8), "D": (1, 0), "C": (2.4, 1.2)}
+    linkage = fb.Linkage("kite", points=points, ground="AD", links=["AB", "BC", "CD"])
+    found = fb.compile_model(linkage.model()).kinematics({"q_AB": np.linspace(0.0, 2 * pi, 37)})
+    assert len(found) == 2
+    assert found.dead_points == ()
+    assert found.closes.all()
+
+
+@pytest.mark.parametrize("wheels", [3, 4])
+def test_wheels_that_are_coupled(wheels):
+    """Each coupling is a parallelogram or antiparallelogram: tan(q/2) of a wheel is k times that of the one before."""
+    places = {f"G{i}": (2.0 * i, 0) for i in range(wheels)} | {f"K{i}": (2.0 * i + 0.6, 0.8) for i in range(wheels)}
+    links = [(f"G{i}", f"K{i}") for i in range(wheels)] + [(f"K{i}", f"K{i + 1}") for i in range(wheels - 1)]
+    linkage = fb.Linkage("wheels", points=places, ground=[f"G{i}" for i in range(wheels)], links=links, density=1.0)
+    linkage.torque("G0", "M")
+    with pytest.warns(fb.ModelWarning, match="move as one rigid part"):
+        model = fb.compile_model(linkage.model())
+    angles = np.linspace(0.0, 2 * pi, 181)
+    found = model.kinematics({"q_G0_K0": angles})
+    assert len(found) == 2 ** (wheels - 1)
+    assert found.closes.all()
+    for branch in found:
+        tangents = np.tan([branch[f"q_G{i}_K{i}"][[5, 40, 130]] / 2 for i in range(wheels)])
+        ratios = tangents[1:] / tangents[:-1]
+        # The antiparallelogram of crank 1 and ground 2 multiplies tan(q/2) by -(2 + 1) / (2 - 1), or its inverse.
+        known = np.array([1.0, -3.0, -1 / 3])
+        assert np.abs(ratios[..., None] - known).min(axis=-1).max() < 1e-9
+        for k in range(0, 181, 20):
+            assert np.abs(model.position_constraints(0.0, branch.q[:, k])).max() < 1e-10
+        torque = model.inverse_dynamics(branch)["M"]
+        assert np.flatnonzero(np.isnan(torque)).tolist() == [0, 90, 180]
+
+
 def test_drives_around_corners():
     """Two drives of a five-bar around a square and back: each position by two circles that intersect."""
     points = {"A": (0, 0), "B": (-0.1, 0.3), "C": (0.2, 0.5), "D": (0.5, 0.25), "E": (0.4, 0)}

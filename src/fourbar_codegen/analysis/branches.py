@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -45,9 +45,12 @@ AT_LIMIT = 1e-9
 SINGULAR = 0.005
 """Ratio of singular values, of the constraints with the drive held, near a change point."""
 
-BESIDE = (0.01, 0.013)
-"""Distance of positions on a branch from which those at a change point between them are interpolated; the second one if
-there is a change point at one of these, too."""
+BESIDE = (0.01, 0.013, 0.003, 0.001)
+"""Distances of positions on a branch from which the one at a change point between them is interpolated, tried in turn:
+there may be another change point at one of them, or the branch may be curved too much."""
+
+INTERPOLATED = 1e-11
+"""Largest residual of the scaled constraints at an interpolated position."""
 
 WEIGHTS = ((-3, 0.05), (-2, -0.3), (-1, 0.75), (1, 0.75), (2, -0.3), (3, 0.05))
 """Of values at multiples of that distance h. The error is 0.05 h^6 times the sixth derivative."""
@@ -132,9 +135,11 @@ def _search(path: Drive) -> _Found:
                     found.parts.append(z[None, :])
                 elif null_space(path.function(z)[1]).shape[1] == 1:
                     curve = trace(path.function, z, first - MARGIN, last + MARGIN, path.periods)
-                    found.parts += [part for part in curve.branches() if _overlap(path, part) >= -AT_LIMIT]
-                    points = (curve.points[fold] for fold in curve.folds)
-                    found.folds += [z for z in points if first - AT_LIMIT <= z[-1] <= last + AT_LIMIT]
+                    # Where a part moves while the drive is at rest, a curve has no extent along it.
+                    parts = [part for part in curve.branches() if part[-1, -1] - part[0, -1] > SAME]
+                    parts = [part for part in parts if _overlap(path, part) >= -AT_LIMIT]
+                    found.parts += parts
+                    found.folds += [fold for fold in curve.points[list(curve.folds)] if _is_end(path, fold, parts)]
                     found.is_complete &= not curve.ends_early
             if moving and not found.parts and tried >= 3:
                 break
@@ -198,6 +203,14 @@ def _overlap(path: Drive, part: Floats) -> float:
     return float(min(path.ends[1], part[-1, -1]) - max(path.ends[0], part[0, -1]))
 
 
+def _is_end(path: Drive, fold: Floats, parts: Sequence[Floats]) -> bool:
+    """Whether a fold is the end of a branch, within the ends of the drive."""
+    first, last = path.ends
+    ends = [part[place] for part in parts for place in (0, -1)]
+    is_inside = first - AT_LIMIT <= fold[-1] <= last + AT_LIMIT
+    return is_inside and any(np.abs(_within(fold - end, path.periods)).max() <= AT_LIMIT for end in ends)
+
+
 def _singularity(path: Drive, z: Floats) -> float:
     """The smallest of the singular values with the drive held, relative to the largest."""
     sizes = np.linalg.svd(path.function(z)[1][:, :-1], compute_uv=False)
@@ -236,17 +249,27 @@ def _motion(path: Drive, part: Floats, s: float, number: int) -> list[Floats]:
     """
     low, high = part[0, -1], part[-1, -1]
     near = solve_at(path.function, _between(part, s), s)
-    is_inside = low + 3 * BESIDE[1] <= s <= high - 3 * BESIDE[1]
-    if path.curves is None and is_inside and (near is None or _singularity(path, near) < SINGULAR):
-        for length in BESIDE:
-            beside = [(weight, s + step * length) for step, weight in WEIGHTS]
-            found = [(w, _motion_at(path, solve_at(path.function, _between(part, at), at), number)) for w, at in beside]
-            rows = [np.asarray(sum(weight * values[row] for weight, values in found)) for row in range(5)]
-            if all(np.isfinite(row).all() for row in rows):
-                return rows
     if near is None and min(s - low, high - s) <= AT_LIMIT:
         near = part[0 if s - low < high - s else -1]
+    if path.curves is None and (near is None or _singularity(path, near) < SINGULAR):
+        for length in BESIDE:
+            if low + 3 * length <= s <= high - 3 * length:
+                beside = [(weight, s + step * length) for step, weight in WEIGHTS]
+                found = [
+                    (w, _motion_at(path, solve_at(path.function, _between(part, z), z), number)) for w, z in beside
+                ]
+                rows = [np.asarray(sum(weight * values[row] for weight, values in found)) for row in range(5)]
+                if all(np.isfinite(row).all() for row in rows) and _is_on_curve(path, rows[0], s, near):
+                    return rows
     return _motion_at(path, near, number)
+
+
+def _is_on_curve(path: Drive, q: Floats, s: float, near: Floats | None) -> bool:
+    """Whether an interpolated position closes the loops, and is the one that was found, which is less accurate."""
+    z = np.append(q / path.scales, s)
+    if np.abs(path.function(z)[0]).max(initial=0.0) > INTERPOLATED:
+        return False
+    return near is None or bool(np.abs(_within(z - near, path.periods)).max() <= SAME)
 
 
 def _motion_at(path: Drive, z: Floats | None, number: int) -> list[Floats]:

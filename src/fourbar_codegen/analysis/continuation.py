@@ -1,7 +1,8 @@
 """Curves F(z) = 0 in n + 1 unknowns, traced by arc length through folds.
 
 A step along the tangent is corrected by the Gauss-Newton method with steps of minimum norm. At a fold the last unknown,
-the parameter of the curve, has an extreme value; where two curves cross, the trace goes straight on.
+the parameter of the curve, has an extreme value; where two curves cross, the trace goes straight on. Where curves pass
+near each other, the smallest singular value of the Jacobian is proportional to their distance, and steps are shorter.
 
 Source: E. L. Allgower and K. Georg, Introduction to Numerical Continuation Methods, SIAM 2003, chapters 3 and 6.
 """
@@ -24,6 +25,17 @@ Function = Callable[[Floats], tuple[Floats, Floats]]
 LONGEST = 0.1
 SHORTEST = 1e-7
 """Of steps."""
+
+CLOSE = 5.0
+"""Steps are shorter where the smallest singular value is smaller than the largest one on the curve by this factor."""
+
+EXACT = 1e-5
+"""Curves that are nearer to each other than steps of this length can tell cross."""
+
+JUMP = 0.02
+LONGER = 1.37
+MAX_LONGER = 4
+"""Length of a step over a crossing, and by what it is longer if it ends at another one, so many times."""
 
 STRAIGHT = 0.98
 """Smallest cosine of the angle between the tangents at the ends of a step."""
@@ -102,12 +114,18 @@ def solve_at(function: Function, guess: Floats, parameter: float) -> Floats | No
     return _correct(function, np.append(guess[:-1], parameter), held=True)
 
 
-def _tangent(function: Function, z: Floats, before: Floats) -> Floats:
-    """The unit tangent, in the direction of the one before; where curves cross, the nearest to it."""
-    basis = null_space(function(z)[1])
+def _tangent(function: Function, z: Floats, before: Floats) -> tuple[Floats, float]:
+    """The unit tangent, in the direction of the one before; and the smallest singular value, of as many as unknowns.
+
+    Where curves cross, the tangent is the nearest to the one before.
+    """
+    _, sizes, rows = np.linalg.svd(function(z)[1])
+    largest, n = sizes.max(initial=0.0), len(before) - 1
+    basis = rows[int((sizes > RANK * largest).sum()) :].T
     along = basis @ (basis.T @ before)
     size = np.linalg.norm(along)
-    return np.asarray(along / size) if size else before
+    smallest = float(sizes[n - 1] / largest) if len(sizes) >= n and largest else 0.0
+    return np.asarray(along / size) if size else before, smallest
 
 
 def trace(function: Function, begin: Floats, low: float, high: float, periods: Floats) -> Curve:
@@ -131,7 +149,7 @@ def trace(function: Function, begin: Floats, low: float, high: float, periods: F
     if abs(tangent[-1]) < STEEP:  # a fold, or near to one: begin beside it, so that it is passed
         beside = _correct(function, begin + 0.5 * LONGEST * tangent)
         if beside is not None and low <= beside[-1] <= high:
-            begin, tangent = beside, _tangent(function, beside, tangent)
+            begin, tangent = beside, _tangent(function, beside, tangent)[0]
     forward, folds, is_closed, early = _follow(function, begin, tangent, low, high, periods)
     if is_closed:
         return Curve(np.array(forward), tuple(folds), True, early)
@@ -147,6 +165,7 @@ def _follow(
     """Points in one direction, numbers of folds, and whether it is closed or ends early."""
     points, folds = [begin], list[int]()
     first, length, step = tangent, 0.0, LONGEST
+    regular = distance = _tangent(function, begin, tangent)[1]
 
     def add_fold(z: Floats, tangent: Floats, step: float) -> None:
         fold = _fold(function, z, tangent, step)
@@ -154,14 +173,22 @@ def _follow(
             points.append(fold)
             folds.append(len(points) - 1)
 
+    def allowed(distance: float) -> float:
+        return LONGEST * min(1.0, CLOSE * distance / regular) if regular else LONGEST
+
+    crosses, longer = allowed(distance) < EXACT, 0
     for _ in range(MAX_STEPS):
         z = points[-1]
+        step = step if crosses else min(step, allowed(distance))
         moved = _correct(function, z + step * tangent)
-        turned = None if moved is None else _tangent(function, moved, tangent)
+        turned, there = (tangent, 0.0) if moved is None else _tangent(function, moved, tangent)
         is_near = moved is not None and np.linalg.norm(moved - z - step * tangent) < 0.5 * step
-        if moved is None or turned is None or not is_near or turned @ tangent < STRAIGHT:
+        if moved is not None and is_near and allowed(there) < EXACT and longer < MAX_LONGER:
+            crosses, step, longer = True, max(JUMP, step * LONGER), longer + 1  # it ends where curves cross
+            continue
+        if moved is None or not is_near or turned @ tangent < STRAIGHT or not (crosses or step <= 2 * allowed(there)):
             step *= 0.5
-            if step < SHORTEST:
+            if step < (EXACT if crosses else SHORTEST):
                 return points, folds, False, True
             continue
         if turned[-1] * tangent[-1] < 0.0:
@@ -180,8 +207,9 @@ def _follow(
                 add_fold(moved, turned, float(np.linalg.norm(gap)))
             return [*points, begin + turns], folds, True, False
         points.append(moved)
-        tangent = turned
-        step = min(LONGEST, 1.5 * step)
+        tangent, distance, regular = turned, there, max(regular, there)
+        crosses, longer = allowed(distance) < EXACT, 0
+        step = JUMP if crosses else min(LONGEST, 1.5 * step)
     return points, folds, False, True
 
 
@@ -194,7 +222,7 @@ def _fold(function: Function, z: Floats, tangent: Floats, step: float) -> Floats
         found = _correct(function, z + middle * tangent)
         if found is None:
             return None
-        slope = _tangent(function, found, tangent)[-1]
+        slope = _tangent(function, found, tangent)[0][-1]
         if abs(slope) <= FOLDED:
             break
         low, high = (middle, high) if slope * sign > 0.0 else (low, middle)

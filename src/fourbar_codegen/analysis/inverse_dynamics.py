@@ -76,19 +76,27 @@ def inverse_dynamics(
     rows, others = ([model.inputs.index(name) for name in group] for group in (names, carried))
     guesses = np.array([given.inputs.get(name, np.full(given.shape, np.nan)) for name in names])
     found, sizes = np.full((len(names), *given.shape), np.nan), None
-    is_moving = False
+    is_moving, refused = False, None
     for k in np.ndindex(given.shape):
         t, x, rates = float(given.times[k]), given.states[:, *k], given.rates[:, *k]
         if np.isfinite(x).all() and np.isfinite(rates).all():
             r = ode.input_values(t, x)
             r[others] = [values[k] for values in carried.values()]
-            require_closed(model, t, x, p, r)
             if sizes is None:
                 sizes = row_scales(model, t, x[: model.n_q], p, r, np.ones(model.n_q))[1]
-            accelerations = _accelerations(model, t, x, given.rows, rates, p, r, sizes)
+            try:
+                require_closed(model, t, x, p, r)
+                accelerations = _accelerations(model, t, x, given.rows, rates, p, r, sizes)
+            except ModelError as error:
+                if isinstance(motion, tuple):
+                    raise
+                refused = refused or error  # a result may violate constraints at some states
+                continue
             if accelerations is not None:
                 is_moving = True
                 found[:, *k] = _balance(model, t, x, accelerations, p, r, rows, guesses[:, *k])
+    if refused is not None and not is_moving:
+        raise refused
     if not is_moving:
         raise ModelError(
             f"The motion is known at none of its {found[0].size} states: "

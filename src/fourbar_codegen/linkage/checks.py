@@ -110,8 +110,8 @@ def check_mobility(name: str, parts: Parts, tree: Tree, mobility: Mobility) -> N
             _warn(f"Links {', '.join(bars)} of {name} cannot move: they hold each other on the ground.")
         else:
             _warn(
-                f"Links {', '.join(bars)} of {name} move as one rigid part. If that is meant, state a plate of the "
-                f"points {', '.join(points)}: it has the same motion, with fewer coordinates."
+                f"Links {', '.join(bars)} of {name} move as one rigid part, as they are drawn. If that is meant, state "
+                f"a plate of the points {', '.join(points)}: it has this motion, with fewer coordinates."
             )
 
 

@@ -496,6 +496,22 @@ def test_a_drive_starts_where_it_is_drawn():
         fb.compile_model(linkage.model()).simulate((0.0, 0.1))
 
 
+def test_a_linkage_in_nanometres():
+    """With gravity in proportion, torques go with the third power of the size."""
+    torques = []
+    for size in (1.0, 1e-9):
+        points = {name: (size * x, size * y) for name, (x, y) in FOUR_BAR.items()}
+        linkage = fb.Linkage(
+            "small", points=points, ground="AD", links=["AB", "BC", "CD"], density=1.3, gravity=9.81 * size
+        )
+        linkage.torque("A", "M")
+        model = fb.compile_model(linkage.model())
+        found = model.kinematics({"q_AB": np.linspace(0.0, 6.0, 7)}, rates={"q_AB": 2.0})
+        assert len(found) == 2
+        torques.append(model.inverse_dynamics(found[0])["M"] / size**3)
+    np.testing.assert_allclose(torques[1], torques[0], rtol=1e-9)
+
+
 def test_lengths_that_make_no_triangle():
     points, ground, links = LINKAGES["coupler plate"]
     model = fb.compile_model(fb.Linkage("plate", points=points, ground=ground, links=links).model())

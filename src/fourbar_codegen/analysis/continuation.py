@@ -88,8 +88,13 @@ class Curve:
 
 def null_space(jacobian: Floats, rank: float = RANK) -> Floats:
     """An orthonormal basis in columns; singular values count from the fraction `rank` of the largest."""
+    return _null_space(jacobian, rank)[0]
+
+
+def _null_space(jacobian: Floats, rank: float = RANK) -> tuple[Floats, Floats]:
+    """The basis, and the singular values."""
     _, sizes, basis = np.linalg.svd(jacobian)
-    return np.asarray(basis[int((sizes > rank * sizes.max(initial=0.0)).sum()) :].T)
+    return np.asarray(basis[int((sizes > rank * sizes.max(initial=0.0)).sum()) :].T), sizes
 
 
 def _correct(function: Function, z: Floats, held: bool = False) -> Floats | None:
@@ -119,9 +124,8 @@ def _tangent(function: Function, z: Floats, before: Floats) -> tuple[Floats, flo
 
     Where curves cross, the tangent is the nearest to the one before.
     """
-    _, sizes, rows = np.linalg.svd(function(z)[1])
+    basis, sizes = _null_space(function(z)[1])
     largest, n = sizes.max(initial=0.0), len(before) - 1
-    basis = rows[int((sizes > RANK * largest).sum()) :].T
     along = basis @ (basis.T @ before)
     size = np.linalg.norm(along)
     smallest = float(sizes[n - 1] / largest) if len(sizes) >= n and largest else 0.0

@@ -86,7 +86,7 @@ def inverse_dynamics(
                 sizes = row_scales(model, t, x[: model.n_q], p, r, np.ones(model.n_q))[1]
             try:
                 require_closed(model, t, x, p, r)
-                accelerations = _accelerations(model, t, x, given.rows, rates, p, r, sizes)
+                accelerations = _accelerations(_Instant(model, t, x, p, r), given.rows, rates, sizes)
             except ModelError as error:
                 if isinstance(motion, tuple):
                     raise
@@ -94,7 +94,7 @@ def inverse_dynamics(
                 continue
             if accelerations is not None:
                 is_moving = True
-                found[:, *k] = _balance(model, t, x, accelerations, p, r, rows, guesses[:, *k])
+                found[:, *k] = _balance(_Instant(model, t, x, p, r), accelerations, rows, guesses[:, *k])
     if refused is not None and not is_moving:
         raise refused
     if not is_moving:
@@ -272,14 +272,30 @@ def _read_tuple(model: Kernel, motion: tuple[Any, ...]) -> _Motion:
     )
 
 
-def _accelerations(
-    model: Kernel, t: float, x: Floats, rows: list[int], rates: Floats, p: Floats | None, r: Floats, sizes: Floats
-) -> Floats | None:
+@dataclass(frozen=True)
+class _Instant:
+    """The arguments of the equations at one of the states; inputs to be found are not yet in r."""
+
+    model: Kernel
+    t: float
+    x: Floats
+    p: Floats | None
+    r: Floats
+
+    def inputs(self, rows: list[int], values: Floats) -> Floats:
+        """The inputs with others in these rows."""
+        r = self.r.copy()
+        r[rows] = values
+        return r
+
+
+def _accelerations(at: _Instant, rows: list[int], rates: Floats, sizes: Floats) -> Floats | None:
     """All u' with J u' + gamma = 0 and the given ones; None if these do not determine the others.
 
     `sizes` are typical ones of the rows of J.
     """
-    *_, jacobian, bias = model.dynamics(t, x, p, r)
+    model = at.model
+    *_, jacobian, bias = model.dynamics(at.t, at.x, at.p, at.r)
     found: Floats | None = rates
     if len(rows) < model.n_u:
         matrix = np.vstack((jacobian, np.eye(model.n_u)[rows]))
@@ -292,63 +308,46 @@ def _accelerations(
     if (np.abs(violation) > CONSISTENT * size).any() or (away > CONSISTENT * (1.0 + np.abs(rates))).any():
         told = ", ".join(f"{model.speeds[row]}' = {rate:.6g}" for row, rate in zip(rows, rates, strict=True))
         raise ModelError(
-            f"The accelerations {told} at t = {t:g} violate the constraints: J u' + gamma = {violation}. Give those of "
-            "the independent speeds by name: the others follow."
+            f"The accelerations {told} at t = {at.t:g} violate the constraints: J u' + gamma = {violation}. Give those "
+            "of the independent speeds by name: the others follow."
         )
     return found
 
 
-def _balance(
-    model: Kernel,
-    t: float,
-    x: Floats,
-    rates: Floats,
-    p: Floats | None,
-    r: Floats,
-    rows: list[int],
-    guess: Floats,
-) -> Floats:
+def _balance(at: _Instant, accelerations: Floats, rows: list[int], guess: Floats) -> Floats:
     """The inputs in these rows for which the equations hold; NaN if they are not found.
 
     Newton's method begins at the guess and the default, if these are known, then at 0 and at 1, since of inputs that
     enter nonlinearly the derivative may vanish or be infinite there.
     """
-    r = r.copy()
-    for begin in (guess, model.default_inputs(t, p)[rows], np.zeros(len(rows)), np.ones(len(rows))):
+    model, n = at.model, len(rows)
+    for begin in (guess, model.default_inputs(at.t, at.p)[rows], np.zeros(n), np.ones(n)):
         if np.isfinite(begin).all():
-            r[rows] = begin
             forces = np.zeros(model.n_l)
             if model.n_l > model.n_c:
                 with suppress(SimulationError):
-                    forces = model.accelerations(t, x, p, r)[1]
+                    forces = model.accelerations(at.t, at.x, at.p, at.inputs(rows, begin))[1]
             with np.errstate(all="ignore"):
-                found = _newton(model, t, x, rates, p, r, rows, np.concatenate((begin, forces)))
+                found = _newton(at, accelerations, rows, np.concatenate((begin, forces)))
             if found is not None:
                 return found
-    return np.full(len(rows), np.nan)
+    return np.full(n, np.nan)
 
 
-def _newton(
-    model: Kernel,
-    t: float,
-    x: Floats,
-    rates: Floats,
-    p: Floats | None,
-    r: Floats,
-    rows: list[int],
-    unknown: Floats,
-) -> Floats | None:
+def _newton(at: _Instant, accelerations: Floats, rows: list[int], unknown: Floats) -> Floats | None:
     """The inputs, from a guess of them, the multipliers and the unknown forces."""
+    model, t, x, p = at.model, at.t, at.x, at.p
     n_u, n_c, k = model.n_u, model.n_c, len(rows)
     equations = [*range(n_u), *range(n_u + n_c, n_u + model.n_l)]
     before = np.inf
     for iteration in range(MAX_ITERATIONS):
-        r[rows], multipliers, forces = unknown[:k], unknown[k : k + n_c], unknown[k + n_c :]
+        multipliers, forces = unknown[k : k + n_c], unknown[k + n_c :]
+        r = at.inputs(rows, unknown[:k])
         _, mass, forcing, jacobian, _ = model.dynamics(t, x, p, r)
         effect, by_forces, rest, rest_by_forces, other_mass, other_jacobian = model.unknown_forces(t, x, forces, p, r)
-        by_inputs = model.sensitivities(t, x, rates, unknown[k:], p, r)[5][equations][:, rows]
+        by_inputs = model.sensitivities(t, x, accelerations, unknown[k:], p, r)[5][equations][:, rows]
         reactions = np.block([[jacobian.T, by_forces], [other_jacobian, rest_by_forces]])
-        known, inertial = np.concatenate((forcing + effect, rest)), np.vstack((mass, other_mass)) @ rates
+        known, inertial = np.concatenate((forcing + effect, rest)), np.vstack((mass, other_mass)) @ accelerations
         residual = known + reactions[:, :n_c] @ multipliers - inertial
         if not (np.isfinite(residual).all() and np.isfinite(by_inputs).all() and np.isfinite(reactions).all()):
             return None

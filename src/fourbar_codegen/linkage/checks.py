@@ -47,8 +47,7 @@ def check_parts(name: str, parts: Parts) -> None:
     if idle:
         raise ModelError(f"No link is pinned to the blocks at {', '.join(idle)}.")
     for point, slide in parts.slides.items():
-        carriers = {GROUND: parts.ground, **{name: link.points for name, link in parts.links.items()}}
-        if point in carriers[slide.on]:
+        if point in parts.carriers[slide.on]:
             raise ModelError(f"{point} is a point of {slide.on} itself: a block there cannot move along its guide.")
         if point in parts.links:
             raise ModelError(f"{point} is the name of a block and of a link: give the link another name.")

@@ -16,7 +16,7 @@ from fourbar_codegen.arguments import finite_number, is_mapping, name_of
 from fourbar_codegen.errors import ModelError, meant, shown
 from fourbar_codegen.linkage.checks import SAME, check_mobility, check_parts, size_of
 from fourbar_codegen.linkage.mobility import Mobility, find_mobility
-from fourbar_codegen.linkage.parts import Drive, Link, Parts, PointForce, Strut, Torque
+from fourbar_codegen.linkage.parts import Drive, Link, Parts, PointForce, Strut, Torque, new_symbol
 from fourbar_codegen.linkage.system import build_system, coordinate, geometry, speed
 from fourbar_codegen.linkage.table import name_of_file, rows
 from fourbar_codegen.linkage.tree import GROUND, Slide, Tree, spanning_tree
@@ -168,7 +168,7 @@ class Linkage:
         Parameters
         ----------
         name : str
-            Letters, digits and underscores.
+            A letter, then letters, digits and underscores.
         place : (float, float)
             x and y in one closed position of the linkage, m.
         mass : float, Expr or str, optional
@@ -361,8 +361,7 @@ class Linkage:
             parts.slides[point] = Slide(point, GROUND, parts.points[point], direction / abs(direction), None)
         else:
             ends = self._points(along, f"along= of {point}")
-            carriers = {GROUND: tuple(parts.ground), **{name: link.points for name, link in parts.links.items()}}
-            on = [name for name, members in carriers.items() if len(ends) == 2 and {*ends} <= {*members}]
+            on = [name for name, members in parts.carriers.items() if len(ends) == 2 and {*ends} <= {*members}]
             if not on:
                 raise ModelError(f"The guide of {point} goes through two points of one link, not {', '.join(ends)}.")
             base, way = parts.points[ends[0]], parts.points[ends[1]] - parts.points[ends[0]]
@@ -664,9 +663,7 @@ class Linkage:
         known = finite_number(value, description)
         if known < 0.0 and unit in POSITIVE:
             raise ModelError(f"The {description} is {known:g} {unit}, but must not be negative.")
-        symbol, count = sm.Symbol(name), 2
-        while symbol in self._parts.parameters or symbol in self._parts.symbols:
-            symbol, count = sm.Symbol(f"{name}_{count}"), count + 1
+        symbol = new_symbol(name, self._parts.parameters, self._parts.symbols)
         self._parts.parameters[symbol] = Parameter(known, unit, description)
         return symbol
 

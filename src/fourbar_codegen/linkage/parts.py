@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Container
 from dataclasses import dataclass, field
 
 import sympy as sm
 
-from fourbar_codegen.linkage.tree import Slide
+from fourbar_codegen.linkage.tree import GROUND, Slide
 from fourbar_codegen.modeling.model import Parameter
 
-__all__ = ["Drive", "Link", "Parts", "PointForce", "Strut", "Torque"]
+__all__ = ["Drive", "Link", "Parts", "PointForce", "Strut", "Torque", "new_symbol"]
 
 
 @dataclass(frozen=True)
@@ -105,3 +106,16 @@ class Parts:
     parameters: dict[sm.Symbol, Parameter] = field(default_factory=dict)
     inputs: dict[sm.Expr, sm.Expr | float] = field(default_factory=dict)
     symbols: set[sm.Basic] = field(default_factory=set)
+
+    @property
+    def carriers(self) -> dict[str, tuple[str, ...]]:
+        """The points of the ground and of each link."""
+        return {GROUND: tuple(self.ground), **{name: link.points for name, link in self.links.items()}}
+
+
+def new_symbol(name: str, *taken: Container[sm.Symbol]) -> sm.Symbol:
+    """A symbol that is not taken, with a number behind its name if necessary."""
+    symbol, number = sm.Symbol(name), 2
+    while any(symbol in symbols for symbols in taken):
+        symbol, number = sm.Symbol(f"{name}_{number}"), number + 1
+    return symbol

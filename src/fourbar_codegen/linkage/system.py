@@ -11,7 +11,7 @@ import sympy as sm
 import sympy.physics.mechanics as me
 from sympy.physics.mechanics.system import System
 
-from fourbar_codegen.linkage.parts import Link, Parts
+from fourbar_codegen.linkage.parts import Link, Parts, new_symbol
 from fourbar_codegen.linkage.tree import GROUND, Tree
 from fourbar_codegen.modeling.model import Parameter
 
@@ -67,9 +67,7 @@ def geometry(tree: Tree, ground: Sequence[str], taken: Container[sm.Symbol]) -> 
     parameters: dict[sm.Symbol, Parameter] = {}
 
     def symbol(name: str, value: float | sm.Expr, what: str, unit: str = "m") -> sm.Symbol:
-        new, count = sm.Symbol(name), 2
-        while new in parameters or new in taken:
-            new, count = sm.Symbol(f"{name}_{count}"), count + 1
+        new = new_symbol(name, parameters, taken)
         parameters[new] = Parameter(value, unit, what)
         return new
 

@@ -141,6 +141,37 @@ def test_a_range_beside_all_places_that_are_searched_first():
     assert np.flatnonzero(found.closes).tolist() == list(range(8, 17))
 
 
+def test_branches_that_close_at_few_values_where_others_close_too():
+    """Pivots on circles: C by B and D, F by E and G, H by C and J. Two of ten values with 8 modes stand apart."""
+    points = {
+        "O": (0, 0), "A": (0.5070579, 0.1521173), "B": (-0.4246983, 0.7039159), "E": (1.1521088, -0.3365495),
+        "D": (-0.2997853, -0.5088148), "C": (0.2607650, -0.2600158), "G": (1.6721405, -1.0057842),
+        "F": (2.2621141, -0.4655703), "J": (1.4915418, -1.4231630), "H": (0.1787367, -1.4181379),
+    }  # fmt: skip
+    links = ["OABE", "BC", "DC", "EF", "GF", "CH", "JH"]
+    linkage = fb.Linkage("island", points=points, ground="ODGJ", links=links)
+    angles = np.linspace(-pi, pi, 91) + 0.003
+    found = fb.compile_model(linkage.model()).kinematics({"q_OABE": angles})
+    z = {name: complex(*place) for name, place in points.items()}
+
+    def crossings(one, other, at, name):
+        """The points at the distances of a name from two pivots."""
+        near, far, apart = abs(z[name] - z[one]), abs(z[name] - z[other]), at[other] - at[one]
+        along = (near**2 - far**2 + abs(apart) ** 2) / (2 * abs(apart))
+        height = near**2 - along**2
+        return [at[one] + apart / abs(apart) * (along + side * 1j * height**0.5) for side in (1, -1) if height > 0]
+
+    expected = []
+    for angle in angles:
+        turned = np.exp(1j * angle) / z["A"] * abs(z["A"])  # of the plate, whose angle is that of O to A
+        at = {name: place * turned if name in "OABE" else place for name, place in z.items()}
+        h = [point for c in crossings("B", "D", at, "C") for point in crossings("C", "J", {**at, "C": c}, "H")]
+        expected.append(len(h) * len(crossings("E", "G", at, "F")))
+    assert np.isfinite([branch.q for branch in found]).all(axis=1).sum(axis=0).tolist() == expected
+    assert [k for k, number in enumerate(expected) if number == 8] == [28, 29, *range(56, 64)]
+    assert found.is_complete
+
+
 @pytest.mark.parametrize("inset", [0.0, 1e-12, 1e-8, 1e-6, 1e-5, 1e-4, -0.01])
 def test_a_slider_that_is_driven_over_its_stroke(inset):
     """0.2 m for a crank of 0.1 m: two branches, whose ends are dead points if these are within the drive's ends."""

@@ -409,9 +409,10 @@ class CompiledModel(Kernel):
 
         Branches are continued by arc length, through the positions where the drive has to turn round: dead points,
         which are also the limits of the range where the loops can close. They are found from the assembly modes at nine
-        places along the drive, at up to 32 of the given values, and at all where no branch closes; one that closes at
-        none of these is missed. Where branches cross, velocities are limits along them. Masses and forces need no
-        values.
+        places along the drive, and at those given values where there are more modes than branches, or where no branch
+        closes. Modes can be counted where loops are closed one or two constraints at a time; otherwise a branch may be
+        missed, and ``is_complete`` is False. Where branches cross, velocities are limits along them. Masses and forces
+        need no values.
 
         Parameters
         ----------

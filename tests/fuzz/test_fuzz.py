@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import fourbar_codegen as fb
-from fourbar_codegen.analysis import assembly_modes, polynomials
+from fourbar_codegen.analysis import groups, polynomials
 from fuzz import assemblies, calls, damage, kills, mechanisms
 from fuzz.runner import PATHS, explore
 
@@ -44,7 +44,7 @@ def findings(case, count):
 
 def test_a_mode_that_is_lost_is_found(monkeypatch):
     """Of two solutions of each group, the second is left out."""
-    monkeypatch.setattr(assembly_modes, "real_roots", lambda *arguments: (polynomials.real_roots(*arguments) or [])[:1])
+    monkeypatch.setattr(groups, "real_roots", lambda *arguments: (polynomials.real_roots(*arguments) or [])[:1])
     assert len(findings(assemblies.case, 12)) > 6
 
 

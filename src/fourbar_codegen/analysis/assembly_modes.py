@@ -9,24 +9,24 @@ If the Jacobian has a null vector at a solution, and there are solutions at fini
 curve: a degree of freedom is left, and the search ends. Where two modes meet there is a null vector as well, but no
 solution along it.
 
-Source: dyads are solved one after another as Assur groups of the second class (J. M. McCarthy and G. S. Soh, *Geometric
-Design of Linkages*, 2nd ed., 2011, chapter 2, has the four-bar's two modes); two polynomials by Sylvester's resultant
-(D. Cox, J. Little, D. O'Shea, *Ideals, Varieties, and Algorithms*, chapter 3).
+Source: J. M. McCarthy and G. S. Soh, *Geometric Design of Linkages*, 2nd ed., 2011, chapter 2, has the four-bar's two
+modes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from itertools import chain, combinations, islice
+from dataclasses import dataclass
+from itertools import chain, islice
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fourbar_codegen.analysis.continuation import null_space
+from fourbar_codegen.analysis.groups import DISTINCT, ROUNDING, Chart, Group, Solved, find_groups
 from fourbar_codegen.analysis.loop_closure import DEAD, MAX_CORRECTIONS, Loops
-from fourbar_codegen.analysis.polynomials import Constraints, Polynomial, real_roots, terms_of
+from fourbar_codegen.analysis.polynomials import terms_of
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.kernel.dependent import SINGULAR, row_sizes
 from fourbar_codegen.kernel.kernel import Kernel
@@ -40,17 +40,8 @@ __all__ = ["AssemblyModes", "closed_coordinates"]
 
 Floats = NDArray[np.float64]
 
-ROUNDING = 1e-13
-"""Violation of a constraint in a mode, relative to its terms."""
-
 WITNESSES = 12
 """Starting points of a numerical search that must find no further solutions."""
-
-DISTINCT = 1e-5
-"""Modes that differ by more are always distinct, even if they are not known that well. Where two meet, constraints are
-satisfied to ROUNDING within sqrt(ROUNDING) = 3e-7."""
-
-EPS = float(np.finfo(float).eps)
 
 MAX_MODES = 1024
 """Largest number of modes, which grows exponentially with the number of loops."""
@@ -187,9 +178,9 @@ def closed_coordinates(loops: Loops, start: Floats, progress: Progress) -> tuple
     if not loops.model.n_h:
         return [start], True, ()
     generator = np.random.default_rng(0)
-    chart = _Chart.of(loops, start, generator)
+    chart = Chart.of(loops, start, generator)
     loops = chart.loops
-    groups, rest = _groups(chart, generator)
+    groups, rest = find_groups(chart, generator)
     partial = [np.zeros(len(start))]
     complete, free = True, np.zeros(len(start), dtype=bool)
     for number, group in enumerate(groups):
@@ -210,7 +201,7 @@ def closed_coordinates(loops: Loops, start: Floats, progress: Progress) -> tuple
         found, free = _search(chart, partial, rest, start, generator, progress)
     else:
         found = [dependent for dependent in partial if loops.are_closed(dependent)]
-        everything = _Group(tuple(range(loops.model.n_h)), tuple(range(len(start))))
+        everything = Group(tuple(range(loops.model.n_h)), tuple(range(len(start))))
         for begin in islice(_starting_points(chart, [start], range(len(start)), start, generator), WITNESSES):
             witness = loops.search(begin)
             # Where two modes meet, further solutions nearby are rounding errors, unless none was found at all.
@@ -225,171 +216,11 @@ def closed_coordinates(loops: Loops, start: Floats, progress: Progress) -> tuple
     return modes, complete, tuple(name for name, is_free in zip(chart.names, free, strict=True) if is_free)
 
 
-def _constraints(loops: Loops) -> Constraints:
-    """The position constraints as formulas, with dependent coordinates of 1 until they are known."""
-    model = loops.model
-    parameters, inputs = model.manifest["parameters"], model.manifest["inputs"]
-    p = [entry["default"] for entry in parameters] if loops.p is None else loops.p
-    r = model.default_inputs(loops.t, loops.p) if loops.r is None else loops.r
-    q = loops.coordinates(np.ones(loops.n_dependent))
-    values = {("t", ""): loops.t}
-    values |= {("q", name): value for name, value in zip(model.coordinates, q, strict=True)}
-    values |= {("p", entry["name"]): value for entry, value in zip(parameters, p, strict=True)}
-    values |= {("r", entry["name"]): value for entry, value in zip(inputs, r, strict=True)}
-    return Constraints(model.manifest["position_constraints"], values)
-
-
-@dataclass(frozen=True)
-class _Chart:
-    """The loops, with properties of their dependent coordinates.
-
-    Attributes
-    ----------
-    loops : Loops
-    constraints : Constraints
-        As polynomials.
-    held : ndarray of bool, shape (n_h, n)
-        Which constraint contains which coordinate.
-    is_angle : ndarray of bool, shape (n,)
-        Whether the constraints are periodic in it by 2 pi.
-    scales : ndarray, shape (n,)
-        Typical values: 1 for angles; for displacements the median of residuals over derivatives, about the displacement
-        that closes a loop.
-    """
-
-    loops: Loops
-    constraints: Constraints
-    held: NDArray[np.bool_]
-    is_angle: NDArray[np.bool_]
-    scales: Floats
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the dependent coordinates."""
-        return self.loops.names
-
-    @classmethod
-    def of(cls, loops: Loops, start: Floats, generator: np.random.Generator) -> _Chart:
-        """A chart from the structure of the constraints, and their values at random coordinates."""
-        constraints, rows = _constraints(loops), range(loops.model.n_h)
-        names = loops.names
-        given = [name for name in loops.model.coordinates if name not in names]
-        # Independent angles between -pi and pi, since sines of large ones have fewer digits in double precision.
-        turns = [all(constraints.is_periodic(row, name) for row in rows) for name in given]
-        loops = replace(loops, q_i=np.where(turns, np.remainder(loops.q_i + np.pi, 2 * np.pi) - np.pi, loops.q_i))
-        constraints = constraints.with_values({("q", name): q for name, q in zip(given, loops.q_i, strict=True)})
-        held = np.array([[constraints.depends(row, name) for name in names] for row in rows], dtype=bool)
-        is_angle = np.array([all(constraints.is_periodic(row, name) for row in rows) for name in names], dtype=bool)
-        points = np.where(is_angle, generator.uniform(-np.pi, np.pi, (4, len(start))), start)
-        known = [loops.position(point) for point in points]
-        gaps = np.array([np.abs(error).max() for error, _ in known])
-        rates = np.array([np.abs(slopes).max(axis=0) for _, slopes in known])
-        with np.errstate(all="ignore"):
-            reach = np.median(gaps[:, None] / rates, axis=0)
-        scales = np.where(is_angle | ~np.isfinite(reach) | (reach == 0.0), 1.0, reach)
-        return cls(loops, constraints, held, is_angle, scales)
-
-    def wrapped(self, dependent: Floats) -> Floats:
-        """The coordinates with angles between -pi and pi, and pi for -pi."""
-        turns = np.ceil((dependent - np.pi) / (2 * np.pi) - DISTINCT)
-        return np.where(self.is_angle, dependent - 2 * np.pi * turns, dependent)
-
-    def add(self, dependent: Floats, found: list[Floats], solved: _Solved | None = None) -> bool:
-        """Append a solution unless it was found already."""
-        if found:
-            reach = self._uncertainty(dependent, solved or _Solved.all_of(self, dependent))
-            for other in found:
-                difference = dependent - other
-                turns = np.where(self.is_angle, np.round(difference / (2 * np.pi)), 0.0)
-                if (np.abs(difference - 2 * np.pi * turns) <= reach).all():
-                    return False
-        found.append(self.wrapped(dependent))
-        return True
-
-    def _uncertainty(self, dependent: Floats, solved: _Solved) -> Floats:
-        """How far a solution moves if each constraint changes by `ROUNDING` of its terms; at most `DISTINCT`."""
-        error, slopes = self.loops.position(dependent)
-        rows, columns = list(solved.rows), list(solved.unknowns)
-        error, slopes = error[rows], slopes[rows][:, columns]
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            alone = np.where(slopes != 0.0, solved.terms[:, None] / np.abs(slopes), 0.0).max(axis=0)
-        most = DISTINCT * np.where(self.is_angle[columns], 1.0, np.maximum(np.abs(dependent[columns]), alone))
-        try:
-            inverse = np.abs(np.linalg.pinv(slopes, rcond=EPS))
-        except np.linalg.LinAlgError:
-            inverse = np.full(slopes.T.shape, np.inf)
-        reach = EPS * np.abs(dependent)
-        reach[columns] += np.minimum(inverse @ (ROUNDING * solved.terms + np.abs(error)), most)
-        return reach
-
-
-@dataclass(frozen=True)
-class _Group:
-    """One or two constraints, and as many coordinates, determined by these if those of earlier groups are known."""
-
-    rows: tuple[int, ...]
-    unknowns: tuple[int, ...]
-
-
-@dataclass(frozen=True)
-class _Solved:
-    """Constraints, the coordinates that they were solved for, and the size of the constraints' terms there."""
-
-    rows: Sequence[int]
-    unknowns: Sequence[int]
-    terms: Floats
-
-    @classmethod
-    def all_of(cls, chart: _Chart, dependent: Floats) -> _Solved:
-        """All constraints, solved for all dependent coordinates."""
-        terms = chart.loops.scale(chart.loops.coordinates(dependent))
-        return cls(range(len(terms)), range(len(dependent)), terms)
-
-
-def _groups(chart: _Chart, generator: np.random.Generator) -> tuple[list[_Group], list[int]]:
-    """The groups in the order of their solution, and the coordinates that are in none."""
-    groups: list[_Group] = []
-    unknown = set(range(chart.loops.n_dependent))
-    rows = list(range(len(chart.held)))
-
-    def next_group() -> _Group | None:
-        for size in (1, 2):
-            for chosen in combinations(rows, size):
-                held = [j for j in sorted(unknown) if chart.held[list(chosen), j].any()]
-                if len(held) == size:
-                    group = _Group(chosen, tuple(held))
-                    anywhere = generator.uniform(-np.pi, np.pi, chart.loops.n_dependent) * chart.scales
-                    # Redundant constraints have infinitely many common roots everywhere.
-                    if _candidates(chart, group, _polynomials(chart, group, anywhere)) is not None:
-                        return group
-        return None
-
-    while unknown and (group := next_group()) is not None:
-        groups.append(group)
-        unknown -= set(group.unknowns)
-        rows = [row for row in rows if row not in group.rows]
-    return groups, sorted(unknown)
-
-
-def _polynomials(chart: _Chart, group: _Group, dependent: Floats) -> list[Polynomial] | None:
-    """The group's constraints as polynomials in its unknowns; None if they are no polynomials."""
-    names = chart.names
-    known = {("q", names[j]): float(dependent[j]) for j in range(len(names)) if j not in group.unknowns}
-    unknowns = [(names[j], bool(chart.is_angle[j])) for j in group.unknowns]
-    return chart.constraints.with_values(known).polynomials(group.rows, unknowns)
-
-
-def _candidates(chart: _Chart, group: _Group, polynomials: list[Polynomial] | None) -> list[tuple[float, ...]] | None:
-    """Values of the group's unknowns that may be a common root; None if there may be infinitely many."""
-    is_angle = [bool(chart.is_angle[j]) for j in group.unknowns]
-    return None if polynomials is None else real_roots(polynomials, is_angle)
-
-
-def _roots(chart: _Chart, group: _Group, dependent: Floats) -> list[Floats] | None:
+def _roots(chart: Chart, group: Group, dependent: Floats) -> list[Floats] | None:
     """The dependent coordinates with each solution for a group's unknowns; None if solutions are not isolated."""
     loops, rows, columns = chart.loops, list(group.rows), list(group.unknowns)
-    polynomials = _polynomials(chart, group, dependent)
-    candidates = _candidates(chart, group, polynomials)
+    polynomials = chart.polynomials(group, dependent)
+    candidates = chart.candidates(group, polynomials)
     if polynomials is None or candidates is None:
         return None
     found: list[Floats] = []
@@ -403,7 +234,7 @@ def _roots(chart: _Chart, group: _Group, dependent: Floats) -> list[Floats] | No
         at = [1.0 if chart.is_angle[j] else abs(value) for j, value in zip(columns, candidate, strict=True)]
         terms = np.abs(slopes[rows]) @ np.abs(q) + [terms_of(polynomial, at) for polynomial in polynomials]
         if (np.abs(error[rows]) <= ROUNDING * np.maximum(terms, loops.scale(q)[rows])).all():
-            chart.add(point, found, _Solved(rows, columns, terms))
+            chart.add(point, found, Solved(rows, columns, terms))
     return found
 
 
@@ -412,14 +243,14 @@ def _is_exact(loops: Loops, dependent: Floats) -> bool:
     return bool((np.abs(loops.residual(dependent)) <= ROUNDING * loops.scale(loops.coordinates(dependent))).all())
 
 
-def _is_dead(loops: Loops, group: _Group, dependent: Floats) -> bool:
+def _is_dead(loops: Loops, group: Group, dependent: Floats) -> bool:
     """Whether the configuration is singular or nearly so for a group: two of its solutions meet."""
     slopes = loops.jacobian(dependent)[np.ix_(group.rows, group.unknowns)]
     sizes = np.linalg.svd(slopes, compute_uv=False)
     return bool(sizes[-1] <= DEAD * sizes[0])
 
 
-def _free(chart: _Chart, dependent: Floats) -> NDArray[np.bool_]:
+def _free(chart: Chart, dependent: Floats) -> NDArray[np.bool_]:
     """Which coordinates change along curves of solutions through one; none if it is isolated.
 
     Tangents of such curves are null vectors of the Jacobian, so any basis of these has one that is not normal to the
@@ -463,7 +294,7 @@ def _moved(loops: Loops, dependent: Floats, scales: Floats, direction: Floats) -
 
 
 def _starting_points(
-    chart: _Chart, partial: list[Floats], rest: Sequence[int], start: Floats, generator: np.random.Generator
+    chart: Chart, partial: list[Floats], rest: Sequence[int], start: Floats, generator: np.random.Generator
 ) -> Iterator[Floats]:
     """The known coordinates, and random values of the others."""
     others = list(rest)
@@ -477,7 +308,7 @@ def _starting_points(
 
 
 def _search(
-    chart: _Chart,
+    chart: Chart,
     partial: list[Floats],
     rest: Sequence[int],
     start: Floats,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +13,7 @@ from fourbar_codegen.analysis.assembly_modes import closed_coordinates
 from fourbar_codegen.analysis.continuation import null_space, solve_at, trace
 from fourbar_codegen.analysis.drive import Drive, read_drive
 from fourbar_codegen.analysis.loop_closure import Loops
+from fourbar_codegen.analysis.mode_counts import NO_COUNT, mode_counts
 from fourbar_codegen.arguments import Values
 from fourbar_codegen.errors import AssemblyError, ModelError
 from fourbar_codegen.kernel.kernel import Kernel
@@ -103,61 +104,6 @@ def _check_points(path: Drive, z: Floats) -> None:
         )
 
 
-def _search(path: Drive) -> _Found:
-    """Find the branches.
-
-    Raises
-    ------
-    ModelError
-        If coordinates can move while the drive is held.
-    AssemblyError
-        If the loops close nowhere.
-    """
-    model, (first, last), start = path.model, path.ends, path.start
-    found, tried, free = _Found([], [], True), 0, dict[str, None]()
-    order = np.argsort(path.coordinates).astype(int)
-    given = tuple(path.coordinates[k] for k in order)
-    with Progress(f"{model.name}: positions along the drive") as progress:
-        for s in _seeds(path, found):
-            driven = path.at(s)
-            loops = Loops(model, path.t, driven[order], path.p, path.inputs(driven), given)
-            modes, all_found, moving = closed_coordinates(loops, start[loops.dependent], progress)
-            tried += bool(modes)
-            free |= dict.fromkeys(moving)
-            covering = sum(_covers(part, s) for part in found.parts)
-            # At a special position, such as an end, modes may be all known although that is not sure there.
-            found.is_complete &= all_found or bool(moving) or 0 < len(modes) == covering
-            for dependent in modes:
-                z = np.append(loops.coordinates(dependent) / path.scales, s)
-                if any(_passes(path, part, z) for part in found.parts):
-                    continue
-                if first == last:
-                    found.parts.append(z[None, :])
-                elif null_space(path.function(z)[1]).shape[1] == 1:
-                    curve = trace(path.function, z, first - MARGIN, last + MARGIN, path.periods)
-                    # Where a part moves while the drive is at rest, a curve has no extent along it.
-                    parts = [part for part in curve.branches() if part[-1, -1] - part[0, -1] > SAME]
-                    parts = [part for part in parts if _overlap(path, part) >= -AT_LIMIT]
-                    found.parts += parts
-                    found.folds += [fold for fold in curve.points[list(curve.folds)] if _is_end(path, fold, parts)]
-                    found.is_complete &= not curve.ends_early
-            if moving and not found.parts and tried >= 3:
-                break
-    if not found.parts and free:
-        raise ModelError(
-            f"A degree of freedom is left: {', '.join(free)} can move while {', '.join(path.names)} is held. Drive it, "
-            "too, or connect what moves."
-        )
-    if not found.parts:
-        prescribed = [name for name in model.prescribed if name not in path.names]
-        raise AssemblyError(
-            f"The loops of {model.name} close at none of the values of {', '.join(path.names)}, nor at "
-            f"{len(SEEDS)} places between them."
-            + (f" Motions are prescribed by {', '.join(prescribed)}: drive these instead." if prescribed else "")
-        )
-    return found
-
-
 @dataclass
 class _Found:
     """What was found by now.
@@ -169,28 +115,97 @@ class _Found:
     folds : list of ndarray
         Points between them.
     is_complete : bool
-        Whether these are all, as far as is known.
+        Whether the branches have all modes at all given values.
+    free : dict
+        Names of coordinates that can move while the drive is held, as keys.
     """
 
     parts: list[Floats]
     folds: list[Floats]
     is_complete: bool
+    free: dict[str, None]
+
+    def covering(self, s: float) -> int:
+        """The number of branches that have a position at a place."""
+        return sum(_covers(part, s) for part in self.parts)
 
 
-def _seeds(path: Drive, found: _Found) -> Iterator[float]:
-    """Places where assembly modes are searched.
+def _search(path: Drive) -> _Found:
+    """Find the branches: from modes at a few places, then at those given values where there are more modes.
 
-    Some are on the whole way; then, where all modes are found, are given values; then those that no branch covers yet.
+    Raises
+    ------
+    ModelError
+        If coordinates can move while the drive is held.
+    AssemblyError
+        If the loops close nowhere.
     """
+    (first, last), found = path.ends, _Found([], [], True, {})
+    places = np.unique(path.places)
+    with Progress(f"{path.model.name}: positions along the drive") as progress:
+        for number, fraction in enumerate(SEEDS):
+            if (found.free and not found.parts and number >= 3) or (first == last and number):
+                break
+            _add_modes(path, found, first + fraction * (last - first), progress)
+        counts = _counts(path, places)
+        for s, count in zip(places, counts, strict=True):
+            if count == found.covering(s):
+                continue
+            is_certain = False
+            if count != NO_COUNT or not found.covering(s):
+                is_certain = _add_modes(path, found, s, progress)
+            found.is_complete &= is_certain or count == found.covering(s)
+    if not found.parts and found.free:
+        raise ModelError(
+            f"A degree of freedom is left: {', '.join(found.free)} can move while {', '.join(path.names)} is held. "
+            "Drive it, too, or connect what moves."
+        )
+    if not found.parts:
+        prescribed = [name for name in path.model.prescribed if name not in path.names]
+        raise AssemblyError(
+            f"The loops of {path.model.name} close at none of the values of {', '.join(path.names)}, nor at "
+            f"{len(SEEDS)} places between them."
+            + (f" Motions are prescribed by {', '.join(prescribed)}: drive these instead." if prescribed else "")
+        )
+    return found
+
+
+def _loops(path: Drive, s: float) -> Loops:
+    """The loops with the drive held at a place."""
+    driven, order = path.at(s), np.argsort(path.coordinates).astype(int)
+    given = tuple(path.coordinates[k] for k in order)
+    return Loops(path.model, path.t, driven[order], path.p, path.inputs(driven), given)
+
+
+def _counts(path: Drive, places: Floats) -> NDArray[np.int64]:
+    """The number of modes at each place, as far as it is certain."""
     first, last = path.ends
-    tried = {first + fraction * (last - first): None for fraction in SEEDS}
-    yield from tried
-    places = path.places.tolist()
-    some = places[:: -(-len(places) // MANY_PLACES)] if found.is_complete and len(found.parts) <= FEW_BRANCHES else []
-    for s in (*some, *places):
-        if s not in tried and (s in some or not any(_covers(part, s) for part in found.parts)):
-            tried[s] = None
-            yield s
+    typical = _loops(path, first + SEEDS[0] * (last - first))
+    return mode_counts(typical, [_loops(path, s) for s in places], path.start[typical.dependent])
+
+
+def _add_modes(path: Drive, found: _Found, s: float, progress: Progress) -> bool:
+    """Find assembly modes at a place, and trace the branches through them; whether these have all modes there."""
+    (first, last), loops = path.ends, _loops(path, s)
+    modes, all_found, moving = closed_coordinates(loops, path.start[loops.dependent], progress)
+    found.free |= dict.fromkeys(moving)
+    covering = found.covering(s)
+    for dependent in modes:
+        z = np.append(loops.coordinates(dependent) / path.scales, s)
+        if any(_passes(path, part, z) for part in found.parts):
+            continue
+        if first == last:
+            found.parts.append(z[None, :])
+        elif null_space(path.function(z)[1]).shape[1] == 1:
+            curve = trace(path.function, z, first - MARGIN, last + MARGIN, path.periods)
+            # Where a part moves while the drive is at rest, a curve has no extent along it.
+            parts = [part for part in curve.branches() if part[-1, -1] - part[0, -1] > SAME]
+            parts = [part for part in parts if _overlap(path, part) >= -AT_LIMIT]
+            found.parts += parts
+            found.folds += [fold for fold in curve.points[list(curve.folds)] if _is_end(path, fold, parts)]
+            found.is_complete &= not curve.ends_early
+    # At a special position, such as an end, modes may be all known although that is not sure there.
+    return all_found or bool(moving) or 0 < len(modes) == covering
 
 
 def _covers(part: Floats, s: float) -> bool:

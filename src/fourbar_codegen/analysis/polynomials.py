@@ -17,7 +17,9 @@ from functools import reduce
 from itertools import product
 from typing import Any
 
-__all__ = ["Constraints", "Polynomial", "real_roots", "terms_of"]
+import numpy as np
+
+__all__ = ["ROUNDING", "Coefficients", "Constraints", "Polynomial", "at", "real_roots", "reduced", "terms_of"]
 
 DIGITS = 25
 """Digits of a root; a root of multiplicity m has only 1/m of the coefficients' digits."""
@@ -92,7 +94,7 @@ class Constraints:
             {tuple(self._operations[n]) for n in nodes if _is_leaf(self._operations[n])} for nodes in self._reached
         ]
 
-    def with_values(self, values: Mapping[tuple[str, str], float]) -> Constraints:
+    def with_values(self, values: Mapping[tuple[str, str], Any]) -> Constraints:
         """The same expressions with other values of some leaves."""
         other = copy(self)
         other._values = {**self._values, **values}
@@ -116,7 +118,7 @@ class Constraints:
         """Whether an expression is periodic in a coordinate by 2 pi, as far as its form shows."""
         if not self.depends(row, name):
             return True
-        expansion = _Expansion(self._values, [(name, True)])
+        expansion = _Expansion(self._values, [(name, True)], _numbers())
         known: dict[int | None, _Value] = {None: expansion.number(1)}
         periodic: dict[int | None, bool] = {None: True}
         for node in self._reached[row]:
@@ -129,7 +131,9 @@ class Constraints:
             )
         return periodic[self._results[row][0]]
 
-    def polynomials(self, rows: Sequence[int], unknowns: Sequence[tuple[str, bool]]) -> list[Polynomial] | None:
+    def polynomials(
+        self, rows: Sequence[int], unknowns: Sequence[tuple[str, bool]], numbers: Any = None
+    ) -> list[Polynomial] | None:
         """Expressions as polynomials in coordinates.
 
         Parameters
@@ -137,13 +141,15 @@ class Constraints:
         rows : sequence of int
         unknowns : sequence of (str, bool)
             The coordinates' names, and whether each is an angle.
+        numbers : optional
+            Arithmetic of the coefficients, with mpmath's names; mpmath's own by default. Coefficients may be arrays.
 
         Returns
         -------
         list of Polynomial or None
             None if one of them is no polynomial in these.
         """
-        expansion = _Expansion(self._values, unknowns)
+        expansion = _Expansion(self._values, unknowns, numbers or _numbers())
         known: dict[int | None, _Value] = {None: expansion.number(1)}
         for node in sorted({node for row in rows for node in self._reached[row]}):
             known[node] = expansion.evaluated(self._operations[node], known)
@@ -152,8 +158,8 @@ class Constraints:
             polynomial = known[node].polynomial
             if polynomial is None or not all(map(expansion.numbers.isfinite, polynomial.values())):
                 return None
-            scale, largest = expansion.exact(factor), max((abs(c) for c in polynomial.values()), default=0)
-            found.append({powers: scale * c for powers, c in polynomial.items() if abs(c) > ROUNDING * largest})
+            scale, largest = expansion.exact(factor), sum(map(abs, polynomial.values()))
+            found.append({powers: scale * c for powers, c in polynomial.items() if np.any(abs(c) > ROUNDING * largest)})
         return found
 
 
@@ -186,8 +192,10 @@ def _mentioned(encoded: list[Any]) -> list[int]:
 class _Expansion:
     """Operations on `_Value`s, with values of the known leaves."""
 
-    def __init__(self, values: Mapping[tuple[str, str], float], unknowns: Sequence[tuple[str, bool]]) -> None:
-        self.numbers = _numbers()
+    def __init__(
+        self, values: Mapping[tuple[str, str], Any], unknowns: Sequence[tuple[str, bool]], numbers: Any
+    ) -> None:
+        self.numbers = numbers
         self.values = values
         self.places = {name: place for place, (name, _) in enumerate(unknowns)}
         self.is_angle = [is_angle for _, is_angle in unknowns]
@@ -239,7 +247,7 @@ class _Expansion:
                 is_affine = False
             else:
                 slopes = [a + factor * b for a, b in zip(slopes, value.affine.slopes, strict=True)]
-                constant += factor * value.affine.constant
+                constant = constant + factor * value.affine.constant
         return _Value(total, _Affine(tuple(slopes), constant) if is_affine else None)
 
     def _product(self, one: _Value, other: _Value) -> _Value:
@@ -365,15 +373,15 @@ def _real_pairs(polynomials: Sequence[Polynomial], is_angle: Sequence[bool]) -> 
     if is_angle[1] and not is_angle[0]:  # eliminate the angle, since roots of displacements may be far apart
         swapped = _real_pairs([{(b, a): c for (a, b), c in f.items()} for f in polynomials], is_angle[::-1])
         return None if swapped is None else [(x, y) for y, x in swapped]
-    by_second = _reduced([_by_second(polynomial, is_angle[1]) for polynomial in polynomials], is_angle[1])
-    resultant = _resultant(*by_second) if all(by_second) else None
+    pair = reduced(polynomials, is_angle[1])
+    resultant = _resultant(*pair) if all(pair) else None
     roots = None if resultant is None else _roots(resultant, is_angle[0])
     if roots is None:
         return None
     found: list[tuple[float, ...]] = []
     for x in _near_real(roots, is_angle[0]):
-        lines = [{k: _at(coefficient, x) for k, coefficient in f.items()} for f in by_second]
-        terms = [max(_at_size(coefficient, x) for coefficient in f.values()) for f in by_second]
+        lines = [{k: at(coefficient, x) for k, coefficient in f.items()} for f in pair]
+        terms = [max(_at_size(coefficient, x) for coefficient in f.values()) for f in pair]
         isolating = False
         for line, size in zip(lines, terms, strict=True):
             held = {k: c for k, c in line.items() if abs(c) > RELATIVE_ZERO * size}
@@ -398,21 +406,29 @@ def _by_second(polynomial: Polynomial, is_angle: bool) -> dict[int, Coefficients
     return found
 
 
-def _reduced(polynomials: list[dict[int, Coefficients]], is_angle: bool) -> list[dict[int, Coefficients]]:
-    """Two polynomials with the same common roots, of lower degree in the second unknown.
+def reduced(
+    polynomials: Sequence[Polynomial], is_angle: bool, rounding: float = ROUNDING
+) -> list[dict[int, Coefficients]]:
+    """Two polynomials with the same common roots, of lower degree in the second unknown, by powers of that.
 
     If their leading coefficients are multiples of each other, one of them is eliminated; likewise the lowest ones, if
-    the unknown cannot be zero. The loop of a dyad, whose components are real and imaginary parts of a complex equation,
-    becomes that equation and its conjugate.
+    the second unknown is an angle, since its exponential is not zero. The loop of a dyad, whose components are real and
+    imaginary parts of a complex equation, becomes that equation and its conjugate.
+
+    Returns
+    -------
+    list of dict
+        Coefficients, polynomials in the first unknown; the polynomial of higher degree first. Empty for zero.
     """
-    longer, shorter = sorted(polynomials, key=lambda f: -max(f))
+    by_powers = [_by_second(polynomial, is_angle) for polynomial in polynomials]
+    longer, shorter = sorted(by_powers, key=lambda f: -max(f))
     for end in (max, min) if is_angle else (max,):
         while longer and shorter and end(longer) == end(shorter):
-            factor = _ratio(longer[end(longer)], shorter[end(shorter)])
+            factor = _ratio(longer[end(longer)], shorter[end(shorter)], rounding)
             if factor is None:
                 break
-            less = {k: _difference(c, shorter.get(k, {}), factor) for k, c in longer.items()}
-            less |= {k: _difference({}, c, factor) for k, c in shorter.items() if k not in longer}
+            less = {k: _difference(c, shorter.get(k, {}), factor, rounding) for k, c in longer.items()}
+            less |= {k: _difference({}, c, factor, rounding) for k, c in shorter.items() if k not in longer}
             less = {k: c for k, c in less.items() if c}
             if is_angle and less:
                 lowest = min(less)
@@ -421,24 +437,25 @@ def _reduced(polynomials: list[dict[int, Coefficients]], is_angle: bool) -> list
     return [longer, shorter]
 
 
-def _ratio(one: Coefficients, other: Coefficients) -> Any:
+def _ratio(one: Coefficients, other: Coefficients, rounding: float) -> Any:
     """The ratio if one is a multiple of the other, or None."""
     place = next(iter(other))
     factor = one.get(place, 0) / other[place]
-    return factor if factor and not _difference(one, other, factor) else None
+    return factor if np.any(factor) and not _difference(one, other, factor, rounding) else None
 
 
-def _difference(one: Coefficients, other: Coefficients, factor: Any) -> Coefficients:
+def _difference(one: Coefficients, other: Coefficients, factor: Any, rounding: float) -> Coefficients:
     """One - factor * other, without coefficients that are rounding errors."""
     found = {}
     for power in {*one, *other}:
         a, b = one.get(power, 0), factor * other.get(power, 0)
-        if abs(a - b) > ROUNDING * (abs(a) + abs(b)):
+        if not np.all(abs(a - b) <= rounding * (abs(a) + abs(b))):
             found[power] = a - b
     return found
 
 
-def _at(coefficients: Coefficients, x: Any) -> Any:
+def at(coefficients: Coefficients, x: Any) -> Any:
+    """The value of a polynomial."""
     return sum(c * x**k for k, c in coefficients.items())
 
 
@@ -463,7 +480,7 @@ def _resultant(f: dict[int, Coefficients], g: dict[int, Coefficients]) -> Coeffi
     points = [numbers.expjpi(numbers.mpf(2 * k) / (degree + 1)) for k in range(degree + 1)]
     values, bound = [], numbers.zero
     for x in points:
-        rows = [{k: _at(c, x) / x**low for k, c in p.items()} for p, low in zip((f, g), lowest, strict=True)]
+        rows = [{k: at(c, x) / x**low for k, c in p.items()} for p, low in zip((f, g), lowest, strict=True)]
         shifted = [(rows[0], i) for i in range(n)] + [(rows[1], i) for i in range(m)]
         values.append(
             _determinant([[line.get(k - shift, numbers.zero) for k in range(m + n)] for line, shift in shifted])

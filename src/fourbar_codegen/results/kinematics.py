@@ -179,8 +179,8 @@ class Kinematics(Sequence[Branch]):
     dead_points : tuple of dict of str to float
         Positions between two branches, where the drive cannot go on: the values of driven quantities and coordinates.
     is_complete : bool
-        Whether all modes were found at the places where they were looked for, and no branch ended where it should go
-        on.
+        Whether the branches have all assembly modes at all values of the drive, and none ended where it should go on.
+        This is known where loops are closed one or two constraints at a time (see `AssemblyModes`).
     """
 
     model: Kernel

@@ -1,6 +1,7 @@
 """Positions along a drive: known curves, limits and velocities of mechanisms, and what cannot be driven."""
 
 import sys
+from itertools import product
 from math import acos, pi, radians, sqrt
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 import fourbar_codegen as fb
+from fourbar_codegen.analysis.continuation import trace
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
 mechanisms = __import__("11_mechanisms")
@@ -141,6 +143,14 @@ def test_a_range_beside_all_places_that_are_searched_first():
     assert np.flatnonzero(found.closes).tolist() == list(range(8, 17))
 
 
+def crossings(drawn, at, one, other, name):
+    """The points at the drawn distances of a name from two pivots, which are elsewhere now."""
+    near, far, apart = abs(drawn[name] - drawn[one]), abs(drawn[name] - drawn[other]), at[other] - at[one]
+    along = (near**2 - far**2 + abs(apart) ** 2) / (2 * abs(apart))
+    height = near**2 - along**2
+    return [at[one] + apart / abs(apart) * (along + side * 1j * height**0.5) for side in (1, -1) if height > 0]
+
+
 def test_branches_that_close_at_few_values_where_others_close_too():
     """Pivots on circles: C by B and D, F by E and G, H by C and J. Two of ten values with 8 modes stand apart."""
     points = {
@@ -154,19 +164,12 @@ def test_branches_that_close_at_few_values_where_others_close_too():
     found = fb.compile_model(linkage.model()).kinematics({"q_OABE": angles})
     z = {name: complex(*place) for name, place in points.items()}
 
-    def crossings(one, other, at, name):
-        """The points at the distances of a name from two pivots."""
-        near, far, apart = abs(z[name] - z[one]), abs(z[name] - z[other]), at[other] - at[one]
-        along = (near**2 - far**2 + abs(apart) ** 2) / (2 * abs(apart))
-        height = near**2 - along**2
-        return [at[one] + apart / abs(apart) * (along + side * 1j * height**0.5) for side in (1, -1) if height > 0]
-
     expected = []
     for angle in angles:
         turned = np.exp(1j * angle) / z["A"] * abs(z["A"])  # of the plate, whose angle is that of O to A
         at = {name: place * turned if name in "OABE" else place for name, place in z.items()}
-        h = [point for c in crossings("B", "D", at, "C") for point in crossings("C", "J", {**at, "C": c}, "H")]
-        expected.append(len(h) * len(crossings("E", "G", at, "F")))
+        h = [point for c in crossings(z, at, "B", "D", "C") for point in crossings(z, {**at, "C": c}, "C", "J", "H")]
+        expected.append(len(h) * len(crossings(z, at, "E", "G", "F")))
     assert np.isfinite([branch.q for branch in found]).all(axis=1).sum(axis=0).tolist() == expected
     assert [k for k, number in enumerate(expected) if number == 8] == [28, 29, *range(56, 64)]
     assert found.is_complete
@@ -452,3 +455,45 @@ def test_pictures_of_branches(four_bar):
     with pytest.raises(fb.ModelError, match="There is no q9"):
         found.plot("q9")
     assert "2 branches" in repr(found)
+
+
+@pytest.mark.parametrize("radius", [0.01, 0.1, 0.7, 3.0])
+@pytest.mark.parametrize("angle", [0.0, 0.3, 1.2, pi / 2, 2.7, 4.4])
+def test_a_closed_curve_is_traced_once(radius, angle):
+    """A circle: its length, that of the chords of arcs of less than 0.11, with two folds."""
+
+    def circle(z):
+        x, s = z / radius
+        return np.array([x * x + s * s - 1.0]), 2.0 * z[None, :] / radius**2
+
+    begin = radius * np.array([np.cos(angle), np.sin(angle)])
+    curve = trace(circle, begin, -5.0, 5.0, np.full(2, np.inf))
+    assert curve.is_closed
+    assert [abs(curve.points[k][1]) for k in curve.folds] == pytest.approx([radius] * 2)
+    length = np.linalg.norm(np.diff(curve.points, axis=0), axis=1).sum()
+    assert 2 * pi * radius * 0.9 < length <= 2 * pi * radius
+    assert len(curve.branches()) == 2
+
+
+def test_loops_with_paths_in_common():
+    """By circles: C by A and G, D by A and G, F by D and E. The tree of links begins at G, and is driven at its end."""
+    points = {
+        "O": (0, 0), "G": (-38, -7.8), "A": (15, 0), "C": (-24, 31.3), "E": (-74.8, 8.1), "D": (-27, -45.5),
+        "F": (-59.2, -28.1), "H": (-43.2, -91.8),
+    }  # fmt: skip
+    links = ["GCE", "EF", "FDH", "GD", "AD", "AC", "OA"]
+    model = fb.compile_model(fb.Linkage("leg", points=points, ground="OG", links=links).model())
+    angles = np.linspace(0.1, 6.3, 32)
+    found = model.kinematics({"q_OA": angles})
+    assert found.is_complete
+    z = {name: complex(*place) for name, place in points.items()}
+    expected = []
+    for angle in angles:
+        at = {"G": z["G"], "A": 15 * np.exp(1j * angle)}
+        ends = [
+            at["G"] + (c - at["G"]) * (z["E"] - z["G"]) / (z["C"] - z["G"]) for c in crossings(z, at, "A", "G", "C")
+        ]
+        pairs = product(crossings(z, at, "A", "G", "D"), ends)
+        expected.append(sum(len(crossings(z, {"D": d, "E": e}, "D", "E", "F")) for d, e in pairs))
+    assert np.isfinite([branch.q for branch in found]).all(axis=1).sum(axis=0).tolist() == expected
+    assert set(expected) == {4, 6, 8}

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourbar_codegen.analysis.continuation import null_space
-from fourbar_codegen.analysis.groups import DISTINCT, ROUNDING, Chart, Group, Solved, find_groups
+from fourbar_codegen.analysis.groups import DISTINCT, ROUNDING, Chart, Group, Solved, solving_order
 from fourbar_codegen.analysis.loop_closure import DEAD, MAX_CORRECTIONS, Loops
 from fourbar_codegen.analysis.polynomials import terms_of
 from fourbar_codegen.errors import ModelError, shown
@@ -178,9 +178,8 @@ def closed_coordinates(loops: Loops, start: Floats, progress: Progress) -> tuple
     if not loops.model.n_h:
         return [start], True, ()
     generator = np.random.default_rng(0)
-    chart = Chart.of(loops, start, generator)
+    chart, groups, rest = solving_order(loops, start, generator)
     loops = chart.loops
-    groups, rest = find_groups(chart, generator)
     partial = [np.zeros(len(start))]
     complete, free = True, np.zeros(len(start), dtype=bool)
     for number, group in enumerate(groups):
@@ -191,7 +190,7 @@ def closed_coordinates(loops: Loops, start: Floats, progress: Progress) -> tuple
             if roots is None:  # infinitely many solutions, or nearly
                 complete, rest = False, [*rest, *group.unknowns]
                 roots = [dependent]
-            elif not roots and any(_is_dead(loops, before, dependent) for before in groups[:number]):
+            elif not roots and any(_is_dead(chart, before, dependent) for before in groups[:number]):
                 complete = False  # earlier coordinates are known only to half of all digits
             extended += roots
         complete &= len(extended) <= MAX_MODES
@@ -205,7 +204,7 @@ def closed_coordinates(loops: Loops, start: Floats, progress: Progress) -> tuple
         for begin in islice(_starting_points(chart, [start], range(len(start)), start, generator), WITNESSES):
             witness = loops.search(begin)
             # Where two modes meet, further solutions nearby are rounding errors, unless none was found at all.
-            if witness is None or not _is_exact(loops, witness) or (found and _is_dead(loops, everything, witness)):
+            if witness is None or not _is_exact(loops, witness) or (found and _is_dead(chart, everything, witness)):
                 continue
             complete &= not chart.add(witness, found)
         for dependent in found:
@@ -231,9 +230,10 @@ def _roots(chart: Chart, group: Group, dependent: Floats) -> list[Floats] | None
         # only rounding errors of the constraints are left.
         q = loops.coordinates(point)
         error, slopes = loops.model.position(loops.t, q, loops.p, loops.r)
+        error, slopes = chart.weights @ error, np.abs(chart.weights) @ np.abs(slopes)
         at = [1.0 if chart.is_angle[j] else abs(value) for j, value in zip(columns, candidate, strict=True)]
-        terms = np.abs(slopes[rows]) @ np.abs(q) + [terms_of(polynomial, at) for polynomial in polynomials]
-        if (np.abs(error[rows]) <= ROUNDING * np.maximum(terms, loops.scale(q)[rows])).all():
+        terms = slopes[rows] @ np.abs(q) + [terms_of(polynomial, at) for polynomial in polynomials]
+        if (np.abs(error[rows]) <= ROUNDING * np.maximum(terms, chart.terms(point)[rows])).all():
             chart.add(point, found, Solved(rows, columns, terms))
     return found
 
@@ -243,9 +243,9 @@ def _is_exact(loops: Loops, dependent: Floats) -> bool:
     return bool((np.abs(loops.residual(dependent)) <= ROUNDING * loops.scale(loops.coordinates(dependent))).all())
 
 
-def _is_dead(loops: Loops, group: Group, dependent: Floats) -> bool:
+def _is_dead(chart: Chart, group: Group, dependent: Floats) -> bool:
     """Whether the configuration is singular or nearly so for a group: two of its solutions meet."""
-    slopes = loops.jacobian(dependent)[np.ix_(group.rows, group.unknowns)]
+    slopes = chart.position(dependent)[1][np.ix_(group.rows, group.unknowns)]
     sizes = np.linalg.svd(slopes, compute_uv=False)
     return bool(sizes[-1] <= DEAD * sizes[0])
 

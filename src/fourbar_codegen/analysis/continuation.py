@@ -48,6 +48,9 @@ SOLVED = 1e-12
 RANK = 1e-9
 """Smallest singular value that counts, relative to the largest."""
 
+REACHED = 1e-9
+"""Largest distance of a point from a curve through it."""
+
 FOLDED = 1e-10
 """Component of the tangent along the parameter at a fold."""
 
@@ -168,7 +171,7 @@ def _follow(
 ) -> tuple[list[Floats], list[int], bool, bool]:
     """Points in one direction, numbers of folds, and whether it is closed or ends early."""
     points, folds = [begin], list[int]()
-    first, length, step = tangent, 0.0, LONGEST
+    first, step = tangent, LONGEST
     regular = distance = _tangent(function, begin, tangent)[1]
 
     def add_fold(z: Floats, tangent: Floats, step: float) -> None:
@@ -195,26 +198,37 @@ def _follow(
             if step < (EXACT if crosses else SHORTEST):
                 return points, folds, False, True
             continue
+        turns = np.where(np.isfinite(periods), periods, 0.0) * np.round((z - begin) / periods)
+        end, forth = begin + turns, first @ tangent > STRAIGHT and first @ turned > STRAIGHT
+        if forth and first @ (end - z) > 0.0 >= first @ (end - moved) and _reaches(function, z, tangent, end):
+            if first[-1] * tangent[-1] < 0.0:
+                add_fold(z, tangent, float(np.linalg.norm(end - z)))
+            return [*points, end], folds, True, False
         if turned[-1] * tangent[-1] < 0.0:
             add_fold(z, tangent, step)
         if not low <= moved[-1] <= high:
-            end = solve_at(function, moved, low if moved[-1] < low else high)
-            if end is not None:
-                points.append(end)
-            return points, folds, False, end is None
-        length += step
-        turns = np.where(np.isfinite(periods), periods, 0.0) * np.round((moved - begin) / periods)
-        gap = begin + turns - moved
-        if length > 4.0 * LONGEST and np.linalg.norm(gap) <= step and first @ turned > STRAIGHT and gap @ turned >= 0.0:
-            points.append(moved)
-            if first[-1] * turned[-1] < 0.0:
-                add_fold(moved, turned, float(np.linalg.norm(gap)))
-            return [*points, begin + turns], folds, True, False
+            last = solve_at(function, moved, low if moved[-1] < low else high)
+            if last is not None:
+                points.append(last)
+            return points, folds, False, last is None
         points.append(moved)
         tangent, distance, regular = turned, there, max(regular, there)
         crosses, longer = allowed(distance) < EXACT, 0
         step = JUMP if crosses else min(LONGEST, 1.5 * step)
     return points, folds, False, True
+
+
+def _reaches(function: Function, z: Floats, tangent: Floats, end: Floats) -> bool:
+    """Whether a curve goes through a point ahead, and not beside it."""
+    for _ in range(MAX_ITERATIONS):
+        gap = end - z
+        if np.linalg.norm(gap) <= REACHED:
+            return True
+        moved = _correct(function, z + (gap @ tangent) * tangent)
+        if moved is None:
+            return False
+        z, tangent = moved, _tangent(function, moved, tangent)[0]
+    return False
 
 
 def _fold(function: Function, z: Floats, tangent: Floats, step: float) -> Floats | None:

@@ -1,7 +1,8 @@
 """Groups of one or two position constraints that determine as many coordinates, one group after another.
 
 In the loops of dyads (four-bar linkage, slider-crank, and their combinations) each group's constraints are polynomials
-in exp(i angle) and in displacements, once the coordinates of earlier groups are known.
+in exp(i angle) and in displacements, once the coordinates of earlier groups are known. If constraints close loops with
+paths in common, such groups are found among their sums and differences.
 
 Source: dyads are solved one after another as Assur groups of the second class (J. M. McCarthy and G. S. Soh, *Geometric
 Design of Linkages*, 2nd ed., 2011, chapter 2).
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from fourbar_codegen.analysis.loop_closure import Loops
 from fourbar_codegen.analysis.polynomials import Constraints, Polynomial, real_roots
 
-__all__ = ["DISTINCT", "ROUNDING", "Chart", "Group", "Solved", "find_groups", "leaf_values"]
+__all__ = ["DISTINCT", "ROUNDING", "Chart", "Group", "Solved", "leaf_values", "solving_order"]
 
 Floats = NDArray[np.float64]
 
@@ -29,6 +30,9 @@ ROUNDING = 1e-13
 DISTINCT = 1e-5
 """Modes that differ by more are always distinct, even if they are not known that well. Where two meet, constraints are
 satisfied to ROUNDING within sqrt(ROUNDING) = 3e-7."""
+
+CANCELLED = 1e-12
+"""Derivatives of a sum of constraints, relative to its terms, where a coordinate cancels."""
 
 EPS = float(np.finfo(float).eps)
 
@@ -54,10 +58,12 @@ class Chart:
     Attributes
     ----------
     loops : Loops
+    weights : ndarray, shape (n_h, n_h)
+        Of the position constraints in those that are solved, in rows: sums and differences of loops.
     constraints : Constraints
-        As polynomials.
+        These, as polynomials.
     held : ndarray of bool, shape (n_h, n)
-        Which constraint contains which coordinate.
+        Which of these contains which coordinate.
     is_angle : ndarray of bool, shape (n,)
         Whether the constraints are periodic in it by 2 pi.
     scales : ndarray, shape (n,)
@@ -66,6 +72,7 @@ class Chart:
     """
 
     loops: Loops
+    weights: Floats
     constraints: Constraints
     held: NDArray[np.bool_]
     is_angle: NDArray[np.bool_]
@@ -96,7 +103,30 @@ class Chart:
         with np.errstate(all="ignore"):
             reach = np.median(gaps[:, None] / rates, axis=0)
         scales = np.where(is_angle | ~np.isfinite(reach) | (reach == 0.0), 1.0, reach)
-        return cls(loops, constraints, held, is_angle, scales)
+        return cls(loops, np.eye(len(rows)), constraints, held, is_angle, scales)
+
+    def combined(self, generator: np.random.Generator) -> Chart:
+        """A chart of sums and differences of the constraints that contain fewer coordinates.
+
+        The closures of two loops with a path in common differ by that of a third loop without it.
+        """
+        points = generator.uniform(-np.pi, np.pi, (4, self.loops.n_dependent)) * self.scales
+        slopes = np.stack([self.loops.jacobian(point) for point in points], axis=1)
+        weights = _fewest_coordinates(slopes)
+        sums = np.einsum("ij,jkl->ikl", weights, slopes)
+        terms = np.einsum("ij,jkl->ikl", np.abs(weights), np.abs(slopes))
+        alone = (np.abs(weights).sum(axis=1) == 1.0)[:, None]
+        held = np.where(alone, self.held, (np.abs(sums) > CANCELLED * terms).any(axis=1))
+        return replace(self, weights=weights, constraints=self.constraints.combined(weights), held=held)
+
+    def position(self, dependent: Floats) -> tuple[Floats, Floats]:
+        """The residual of the constraints that are solved, and its derivatives."""
+        error, slopes = self.loops.position(dependent)
+        return self.weights @ error, self.weights @ slopes
+
+    def terms(self, dependent: Floats) -> Floats:
+        """The scales of the constraints that are solved."""
+        return np.asarray(np.abs(self.weights) @ self.loops.scale(self.loops.coordinates(dependent)))
 
     def polynomials(self, group: Group, dependent: Floats) -> list[Polynomial] | None:
         """The group's constraints as polynomials in its unknowns; None if they are no polynomials."""
@@ -131,7 +161,7 @@ class Chart:
 
     def _uncertainty(self, dependent: Floats, solved: Solved) -> Floats:
         """How far a solution moves if each constraint changes by `ROUNDING` of its terms; at most `DISTINCT`."""
-        error, slopes = self.loops.position(dependent)
+        error, slopes = self.position(dependent)
         rows, columns = list(solved.rows), list(solved.unknowns)
         error, slopes = error[rows], slopes[rows][:, columns]
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -165,11 +195,51 @@ class Solved:
     @classmethod
     def all_of(cls, chart: Chart, dependent: Floats) -> Solved:
         """All constraints, solved for all dependent coordinates."""
-        terms = chart.loops.scale(chart.loops.coordinates(dependent))
+        terms = chart.terms(dependent)
         return cls(range(len(terms)), range(len(dependent)), terms)
 
 
-def find_groups(chart: Chart, generator: np.random.Generator) -> tuple[list[Group], list[int]]:
+def solving_order(loops: Loops, start: Floats, generator: np.random.Generator) -> tuple[Chart, list[Group], list[int]]:
+    """The chart, groups in the order of their solution, and the coordinates that are in none."""
+    chart = Chart.of(loops, start, generator)
+    groups, rest = _groups(chart, generator)
+    if rest:
+        other = chart.combined(generator)
+        more, less = _groups(other, generator)
+        if len(less) < len(rest):
+            return other, more, less
+    return chart, groups, rest
+
+
+def _fewest_coordinates(slopes: Floats) -> Floats:
+    """Weights of 1, 0 and -1, by which one constraint after another is added to or subtracted from others.
+
+    Parameters
+    ----------
+    slopes : ndarray, shape (n_h, n_points, n)
+        Derivatives of the constraints at some points.
+    """
+    sums, terms, weights = slopes.copy(), np.abs(slopes), np.eye(len(slopes))
+    while True:
+        counts = (np.abs(sums) > CANCELLED * terms).any(axis=1).sum(axis=1)
+        best, change = (0, 0, 0.0), 0
+        for sign in (1.0, -1.0):
+            both = sums[:, None] + sign * sums[None]
+            held = (np.abs(both) > CANCELLED * (terms[:, None] + terms[None])).any(axis=2)
+            fewer = counts[:, None] - held.sum(axis=2)
+            np.fill_diagonal(fewer, 0)
+            i, j = (int(k) for k in np.unravel_index(np.argmax(fewer), fewer.shape))
+            if fewer[i, j] > change:
+                best, change = (i, j, sign), int(fewer[i, j])
+        if not change:
+            return weights
+        i, j, sign = best
+        sums[i] += sign * sums[j]
+        terms[i] += terms[j]
+        weights[i] += sign * weights[j]
+
+
+def _groups(chart: Chart, generator: np.random.Generator) -> tuple[list[Group], list[int]]:
     """The groups in the order of their solution, and the coordinates that are in none."""
     groups: list[Group] = []
     unknown = set(range(chart.loops.n_dependent))

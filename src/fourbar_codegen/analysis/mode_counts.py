@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fourbar_codegen.analysis.groups import Chart, find_groups, leaf_values
+from fourbar_codegen.analysis.groups import leaf_values, solving_order
 from fourbar_codegen.analysis.loop_closure import Loops
 from fourbar_codegen.analysis.polynomials import Coefficients, Polynomial, at, reduced
 
@@ -92,8 +92,7 @@ def mode_counts(typical: Loops, others: Sequence[Loops], start: Floats) -> NDArr
     if not typical.model.n_h:
         return np.ones(len(others), dtype=np.int64)
     generator = np.random.default_rng(0)
-    chart = Chart.of(typical, start, generator)
-    groups, rest = find_groups(chart, generator)
+    chart, groups, rest = solving_order(typical, start, generator)
     if rest:
         return np.full(len(others), NO_COUNT)
     tables = [leaf_values(some) for some in others]

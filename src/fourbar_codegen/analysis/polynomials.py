@@ -18,6 +18,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 __all__ = ["ROUNDING", "Coefficients", "Constraints", "Polynomial", "at", "real_roots", "reduced", "terms_of"]
 
@@ -99,6 +100,21 @@ class Constraints:
         other = copy(self)
         other._values = {**self._values, **values}
         return other
+
+    def combined(self, weights: NDArray[np.float64]) -> Constraints:
+        """Sums of the expressions with whole numbers as weights, in rows."""
+        operations, results = list(self._operations), list[list[Any]]()
+        for row in weights:
+            terms = [(*self._results[k], int(weight)) for k, weight in enumerate(row) if weight]
+            scaled = [
+                [node, [factor[0] * w, factor[1]] if isinstance(factor, list) else factor * w]
+                for node, factor, w in terms
+            ]
+            if len(scaled) > 1:
+                operations.append(["+", scaled, 0])
+                scaled = [[len(operations) - 1, 1]]
+            results += scaled
+        return Constraints({"operations": operations, "results": results}, self._values)
 
     def depends(self, row: int, name: str) -> bool:
         """Whether an expression contains a coordinate."""

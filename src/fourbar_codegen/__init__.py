@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from fourbar_codegen.building.toolchain import get_include
     from fourbar_codegen.compile import build_model, build_wheel, compile_model, generate_sources
     from fourbar_codegen.compiled import CompiledModel, load, load_trajectory
+    from fourbar_codegen.export import export_c
     from fourbar_codegen.linkage.linkage import Linkage
     from fourbar_codegen.modeling.model import Model, Parameter, joint_force, multiplier
     from fourbar_codegen.results.ensemble import Ensemble
@@ -53,6 +54,7 @@ __all__ = [
     "build_model",
     "build_wheel",
     "compile_model",
+    "export_c",
     "generate_sources",
     "get_include",
     "joint_force",
@@ -77,6 +79,7 @@ _HOME = {
     "build_model": "compile",
     "build_wheel": "compile",
     "compile_model": "compile",
+    "export_c": "export",
     "generate_sources": "compile",
     "get_include": "building.toolchain",
     "joint_force": "modeling.model",

@@ -29,9 +29,18 @@ from fourbar_codegen.runtime.evaluator import versions
 if TYPE_CHECKING:
     from fourbar_codegen.dynamics.derivatives import Derivatives
     from fourbar_codegen.dynamics.equations import Equations
-    from fourbar_codegen.lowering.schedule import Schedule
+    from fourbar_codegen.lowering.schedule import Schedule, ScheduledFunction
 
-__all__ = ["build_model", "build_wheel", "compile_model", "generate_sources", "key_of"]
+__all__ = [
+    "Generated",
+    "build_model",
+    "build_wheel",
+    "compile_model",
+    "generate_derivatives",
+    "generate_kernel",
+    "generate_sources",
+    "key_of",
+]
 
 
 def generate_sources(model: Model) -> dict[str, str]:
@@ -67,7 +76,7 @@ def generate_sources(model: Model) -> dict[str, str]:
 
 
 @dataclass(frozen=True)
-class _Generated:
+class Generated:
     """The sources of a kernel, and the data from which the rest is generated."""
 
     equations: Equations
@@ -77,7 +86,7 @@ class _Generated:
     manifest: dict[str, Any]
 
 
-def _generate_kernel(model: Model, progress: Progress) -> _Generated:
+def generate_kernel(model: Model, progress: Progress) -> Generated:
     """The equations, and the sources that a simulation needs."""
     _require_model(model)
     # Imported here, since a model in the cache does not need it.
@@ -108,28 +117,35 @@ def _generate_kernel(model: Model, progress: Progress) -> _Generated:
         f"{model.name}_kernel.h": header_text(scheduled, names),
     }
     manifest = manifest_of(model, equations, program, names, fingerprint(_described(model)))
-    return _Generated(equations, scheduled, names, sources, manifest)
+    return Generated(equations, scheduled, names, sources, manifest)
 
 
-def _generate_rest(generated: _Generated) -> tuple[Derivatives, dict[str, str], dict[str, Any]]:
-    """The derivatives, their source, and the operation counts of the manifest."""
-    from fourbar_codegen.codegen.c_source import derivatives_text
-    from fourbar_codegen.codegen.manifest import operations_of
+def generate_derivatives(generated: Generated) -> tuple[Derivatives, list[ScheduledFunction]]:
+    """The derivatives, and their functions."""
     from fourbar_codegen.dynamics.derivatives import form_derivatives
     from fourbar_codegen.lowering.lower import lower_derivatives
     from fourbar_codegen.lowering.schedule import schedule_function
 
-    program = generated.scheduled.program
     derivatives = form_derivatives(generated.equations)
-    functions = lower_derivatives(program, generated.equations, derivatives)
-    scheduled = [schedule_function(function, inline_angles=False) for function in functions]
+    functions = lower_derivatives(generated.scheduled.program, generated.equations, derivatives)
+    return derivatives, [schedule_function(function, inline_angles=False) for function in functions]
+
+
+def _generate_rest(generated: Generated) -> tuple[Derivatives, dict[str, str], dict[str, Any]]:
+    """The derivatives, their source, and the operation counts of the manifest."""
+    from fourbar_codegen.codegen.c_source import derivatives_text
+    from fourbar_codegen.codegen.manifest import operations_of
+
+    program = generated.scheduled.program
+    derivatives, scheduled = generate_derivatives(generated)
     text = derivatives_text(program.name, scheduled, generated.names)
-    return derivatives, {f"{program.name}_derivatives.c": text}, operations_of((*program.functions, *functions))
+    operations = operations_of((*program.functions, *(each.function for each in scheduled)))
+    return derivatives, {f"{program.name}_derivatives.c": text}, operations
 
 
 def _generate(model: Model, progress: Progress) -> tuple[Equations, Derivatives, dict[str, str]]:
     """The equations, their derivatives, and all sources made from them."""
-    generated = _generate_kernel(model, progress)
+    generated = generate_kernel(model, progress)
     from fourbar_codegen.codegen.c_source import version_texts
     from fourbar_codegen.codegen.cython_source import wrapper_text
     from fourbar_codegen.codegen.manifest import manifest_text
@@ -364,7 +380,7 @@ def compile_model(model: Model, *, check: bool = True) -> CompiledModel:
 
     def build(folder: Path) -> Path:
         with Progress(f"fourbar_codegen: {model.name}") as progress:
-            generated = _generate_kernel(model, progress)
+            generated = generate_kernel(model, progress)
             progress.stage("compiling")
             return install(
                 model.name,

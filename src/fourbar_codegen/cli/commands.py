@@ -385,6 +385,20 @@ def build(model: str, output: Path, wheel: bool, version: str) -> None:
 
 
 @main.command(
+    help=_help(
+        "Write a model for programs without Python: as a C library, which needs nothing else.",
+        "export four_bar --to c -o four_bar_c",
+    )
+)
+@MODEL
+@click.option("--to", "form", type=click.Choice(["c"]), required=True, help="c: a folder with a C library.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The folder.")
+def export(model: str, form: str, output: Path) -> None:  # noqa: ARG001
+    folder = fb.export_c(source_model(model), output)
+    click.echo(f"Written: {folder / 'README.md'} says how to build it")
+
+
+@main.command(
     help=_help("Show a model's names, defaults, sizes and operation counts.", "info four_bar", "info slider_crank")
 )
 @MODEL

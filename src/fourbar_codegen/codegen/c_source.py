@@ -36,7 +36,9 @@ INSTRUCTION_SETS = {
 LINE = 110
 
 
-def kernel_text(scheduled: Schedule, names: Mapping[str, Sequence[str]]) -> str:
+def kernel_text(
+    scheduled: Schedule, names: Mapping[str, Sequence[str]], folder: str = "", before: str = "", after: str = ""
+) -> str:
     """The C source of a model's kernel.
 
     Parameters
@@ -44,6 +46,10 @@ def kernel_text(scheduled: Schedule, names: Mapping[str, Sequence[str]]) -> str:
     scheduled : Schedule
     names : mapping of str to sequence of str
         Names of the model's `coordinates`, `speeds`, `auxiliary_states`, `parameters`, `inputs` and `outputs`.
+    folder : str, optional
+        Of the headers, relative to the source, with a slash.
+    before, after : str, optional
+        Further text, before the first header and after the last one.
 
     Returns
     -------
@@ -63,7 +69,7 @@ def kernel_text(scheduled: Schedule, names: Mapping[str, Sequence[str]]) -> str:
         )
         for both in (True, False)
     )
-    others += '\n\n#include "fourbar_model.h"'
+    others += f'\n\n#include "{folder}fourbar_model.h"'
     macros = "#define FB_SHORT\n" if scheduled.is_short else ""
     if sizes.n_z:
         macros += f"#define N_Z {sizes.n_z}\n"
@@ -95,8 +101,8 @@ def kernel_text(scheduled: Schedule, names: Mapping[str, Sequence[str]]) -> str:
  * The functions below evaluate straight-line code; fourbar_model.h, included at the end, solves the
  * equations that they set up. Matrices are stored row by row.{note}
  */
-{macros}#include "{program.name}_kernel.h"
-#include "fourbar_angle.h"
+{macros}{before}#include "{folder}{program.name}_kernel.h"
+#include "{folder}fourbar_angle.h"
 
 #include <math.h>
 
@@ -120,7 +126,7 @@ enum {{
 {side_by_side}
 
 {others}
-"""
+{after}"""
 
 
 def batch_text(scheduled: Schedule) -> str | None:
@@ -212,7 +218,14 @@ def _structure_text(structure: Structure | None) -> str:
     return "\n".join(lines) + "\n"
 
 
-def derivatives_text(name: str, derivatives: Sequence[ScheduledFunction], names: Mapping[str, Sequence[str]]) -> str:
+def derivatives_text(
+    name: str,
+    derivatives: Sequence[ScheduledFunction],
+    names: Mapping[str, Sequence[str]],
+    folder: str = "",
+    before: str = "",
+    after: str = "",
+) -> str:
     """The C source of a model's derivatives and data for drawings.
 
     Parameters
@@ -220,7 +233,7 @@ def derivatives_text(name: str, derivatives: Sequence[ScheduledFunction], names:
     name : str
         The model's.
     derivatives : sequence of ScheduledFunction
-    names
+    names, folder, before, after
         As for `kernel_text`.
 
     Returns
@@ -242,7 +255,7 @@ def derivatives_text(name: str, derivatives: Sequence[ScheduledFunction], names:
  *
  * fourbar_model.h, in {name}_kernel.c, solves the equations that they set up. Matrices are stored row by row.
  */
-#include "{name}_kernel.h"
+{before}#include "{folder}{name}_kernel.h"
 
 #include <math.h>
 
@@ -252,7 +265,7 @@ const fb_derivatives {name}_derivatives = {{
     .abi_version = FB_ABI_VERSION,
     .struct_size = sizeof(fb_derivatives),
 {entries}}};
-"""
+{after}"""
 
 
 def header_text(scheduled: Schedule, names: Mapping[str, Sequence[str]]) -> str:

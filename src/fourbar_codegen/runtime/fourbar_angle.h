@@ -34,7 +34,7 @@ static FB_INLINE void fb_sine_1(const double *restrict angle, double *restrict s
 }
 #endif
 
-#if defined(__GNUC__) && FLT_EVAL_METHOD == 0
+#if defined(__GNUC__) && FLT_EVAL_METHOD == 0 && !defined(FB_LIBRARY) /* which is C99 */
 #ifdef __AVX__
 #define FB_PACKED 4
 #else

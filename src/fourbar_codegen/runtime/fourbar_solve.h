@@ -269,7 +269,7 @@ static inline int fb_solve(const double *restrict forcing, const double *restric
                            const fb_factors *restrict s, double *restrict accelerations)
 {
     double w[FB_AT_LEAST_1(N_C)];
-    if (s->is_static) {
+    if (FB_TRY_STATIC && s->is_static) {
         fb_forward(acceleration_bias, s, w, 1);
         fb_back(forcing, w, s, accelerations, static_pivot_speed);
         return FB_OK;

@@ -1,0 +1,206 @@
+/* Loop closure in C: the dependent coordinates by Newton's method from a guess, then the dependent speeds; and the
+ * distance from a singular position.
+ */
+#ifndef FOURBAR_CLOSE_H
+#define FOURBAR_CLOSE_H
+
+#include "fourbar_array.h"
+#include "fourbar_kernel.h"
+
+#include <math.h>
+#include <string.h>
+
+/* Statuses of calls beyond those of a kernel. */
+enum FB_CALL {
+    FB_INVALID_ARGUMENT = 20,
+    FB_STEP_TOO_SMALL = 21,
+    FB_TOO_MANY_STEPS = 22,
+    FB_SINGULAR_POSITION = 23,
+    FB_SPEEDS_JUMP = 24
+};
+
+/* Steps of a run, iterations of Newton's method, and how often a step of it is halved. */
+enum { FB_MAX_STEPS = 1000000, FB_MAX_ITERATIONS = 100, FB_MAX_HALVINGS = 20 };
+
+/* Pivots below this fraction of the largest do not determine an unknown. */
+#define FB_DETERMINED 1e-10
+/* A position is singular if the least pivot of J is below this fraction of its mean over a run: within a step after
+ * which the orientation of the constraints is another one, and where a step fails. */
+#define FB_PASSED 1e-4
+#define FB_NEARBY 1e-3
+
+static inline double fb_min(const double a, const double b)
+{
+    return a < b ? a : b;
+}
+
+/* Divides m rows and n columns, and a right-hand side, by their largest entries. */
+static inline void fb_balance(const int m, const int n, double *restrict a, double *restrict b, double *restrict unit)
+{
+    for (int j = 0; j < n; ++j) {
+        unit[j] = 0.0;
+        for (int i = 0; i < m; ++i)
+            unit[j] = fb_max(unit[j], fabs(a[i * n + j]));
+    }
+    for (int i = 0; i < m; ++i) {
+        double size = 0.0;
+        for (int j = 0; j < n; ++j) {
+            a[i * n + j] /= unit[j] > 0.0 ? unit[j] : 1.0;
+            size = fb_max(size, fabs(a[i * n + j]));
+        }
+        for (int j = 0; j < n && size > 0.0; ++j)
+            a[i * n + j] /= size;
+        b[i] /= size > 0.0 ? size : 1.0;
+    }
+}
+
+/* Gaussian elimination with complete pivoting of m rows and n columns with a right-hand side. Stops after n pivots, or
+ * at one that is not above FB_DETERMINED, and returns their number; the last one is stored. The unknowns solve the rows
+ * of the pivots; others are 0. */
+static inline int fb_eliminate_rows(const int m, const int n, double *restrict a, double *restrict b,
+                                    int *restrict order, double *restrict solution, double *last)
+{
+    for (int j = 0; j < n; ++j) {
+        order[j] = j;
+        solution[j] = 0.0;
+    }
+    int rank = 0;
+    *last = n > 0 ? 0.0 : 1.0;
+    for (int k = 0; k < n && k < m; ++k) {
+        int row = k, column = k;
+        for (int i = k; i < m; ++i)
+            for (int j = k; j < n; ++j)
+                if (fabs(a[i * n + j]) > fabs(a[row * n + column])) {
+                    row = i;
+                    column = j;
+                }
+        *last = fabs(a[row * n + column]);
+        if (!(*last > FB_DETERMINED))
+            break;
+        for (int j = 0; j < n && row != k; ++j) {
+            const double other = a[k * n + j];
+            a[k * n + j] = a[row * n + j];
+            a[row * n + j] = other;
+        }
+        const double other = b[k];
+        b[k] = b[row];
+        b[row] = other;
+        for (int i = 0; i < m && column != k; ++i) {
+            const double entry = a[i * n + k];
+            a[i * n + k] = a[i * n + column];
+            a[i * n + column] = entry;
+        }
+        const int number = order[k];
+        order[k] = order[column];
+        order[column] = number;
+        for (int i = k + 1; i < m; ++i) {
+            const double factor = a[i * n + k] / a[k * n + k];
+            for (int j = k; j < n; ++j)
+                a[i * n + j] -= factor * a[k * n + j];
+            b[i] -= factor * b[k];
+        }
+        rank = k + 1;
+    }
+    for (int k = rank - 1; k >= 0; --k) {
+        double sum = b[k];
+        for (int j = k + 1; j < rank; ++j)
+            sum -= a[k * n + j] * solution[order[j]];
+        solution[order[k]] = sum / a[k * n + k];
+    }
+    return rank;
+}
+
+/* The least pivot of J, in the units of its rows and columns in a run: zero where it loses rank. */
+static double fb_least_pivot(const double t, const double *x, const double *constants, const double *r,
+                             const fb_work *work)
+{
+    double jacobian[FB_AT_LEAST_1(N_C * N_U)], bias[FB_AT_LEAST_1(N_C)], last = 0.0, solution[N_U];
+    double none[FB_AT_LEAST_1(N_C)] = {0.0};
+    int order[N_U];
+    velocity(t, x, constants, r, jacobian, bias);
+#ifdef FB_SPARSE
+    (void)work;
+    fb_balance(N_C, N_U, jacobian, none, solution);
+#else
+    for (int i = 0; i < N_C; ++i)
+        for (int j = 0; j < N_U; ++j) {
+            const double unit = work->units.row[i] * work->units.column[j];
+            jacobian[i * N_U + j] = unit > 0.0 ? jacobian[i * N_U + j] / unit : 0.0;
+        }
+#endif
+    /* Pivots beyond the rank are rounding errors. */
+    return fb_eliminate_rows(N_C, N_U, jacobian, none, order, solution, &last) < N_RANK ? 0.0 : last;
+}
+
+/* Violations of the position constraints, relative to their scales. */
+static double fb_open(const double t, const double *x, const double *constants, const double *r, double *errors,
+                      double *slopes)
+{
+    double scale[FB_AT_LEAST_1(N_H)], unused[2][FB_AT_LEAST_1(N_C + N_I)];
+    position(t, x, constants, r, errors, slopes);
+    constraint_scale(t, x, constants, r, scale, unused[0], unused[1]);
+    return fb_violation(errors, scale, N_H);
+}
+
+/* Closes the loops: the last N_DEPENDENT_COORDINATES coordinates, which are guesses, by Newton's method, whose steps
+ * are halved while they open the loops, and the last N_DEPENDENT_SPEEDS speeds by linear equations. */
+static int fb_close(const double t, double *x, const double *constants, const double *r)
+{
+    enum { N_DQ = N_DEPENDENT_COORDINATES, N_DU = N_DEPENDENT_SPEEDS };
+    double errors[FB_AT_LEAST_1(N_H)], slopes[FB_AT_LEAST_1(N_H * N_Q)], last;
+    double matrix[FB_AT_LEAST_1(N_H * N_DQ)], unit[FB_AT_LEAST_1(N_DQ)], change[FB_AT_LEAST_1(N_DQ)];
+    int order[FB_AT_LEAST_1(N_DQ)];
+    if (all_finite(x, N_X) != FB_OK)
+        return FB_NOT_FINITE;
+    double open = N_H > 0 ? fb_open(t, x, constants, r, errors, slopes) : 0.0;
+    for (int i = 0; i < FB_MAX_ITERATIONS && open > FB_CLOSED; ++i) {
+        double begin[FB_AT_LEAST_1(N_DQ)], before = open;
+        for (int row = 0; row < N_H; ++row)
+            for (int j = 0; j < N_DQ; ++j)
+                matrix[row * N_DQ + j] = slopes[row * N_Q + N_Q - N_DQ + j];
+        fb_balance(N_H, N_DQ, matrix, errors, unit);
+        fb_eliminate_rows(N_H, N_DQ, matrix, errors, order, change, &last);
+        memcpy(begin, x + N_Q - N_DQ, N_DQ * sizeof *begin);
+        double length = 1.0;
+        for (int halving = 0; halving <= FB_MAX_HALVINGS; ++halving) {
+            for (int j = 0; j < N_DQ; ++j)
+                x[N_Q - N_DQ + j] = begin[j] - (unit[j] > 0.0 ? length * change[j] / unit[j] : 0.0);
+            open = fb_open(t, x, constants, r, errors, slopes);
+            if (open < before || before <= FB_NEARLY_CLOSED)
+                break;
+            length *= 0.5;
+        }
+        if (!(open < before)) { /* rounding errors, or no way on */
+            if (before <= FB_NEARLY_CLOSED)
+                break;
+            return FB_NOT_CLOSED;
+        }
+    }
+    if (!(open <= FB_NEARLY_CLOSED))
+        return open == open ? FB_NOT_CLOSED : FB_NOT_FINITE;
+    double jacobian[FB_AT_LEAST_1(N_C * N_U)], bias[FB_AT_LEAST_1(N_C)], of_speeds[FB_AT_LEAST_1(N_C * N_DU)];
+    double speed_unit[FB_AT_LEAST_1(N_DU)], speeds[FB_AT_LEAST_1(N_DU)];
+    int speed_order[FB_AT_LEAST_1(N_DU)];
+    if (N_C == 0)
+        return FB_OK;
+    velocity(t, x, constants, r, jacobian, bias);
+    for (int i = 0; i < N_C; ++i) {
+        for (int j = 0; j < N_U - N_DU; ++j)
+            bias[i] += jacobian[i * N_U + j] * x[N_Q + j];
+        for (int j = 0; j < N_DU; ++j)
+            of_speeds[i * N_DU + j] = jacobian[i * N_U + N_U - N_DU + j];
+    }
+    fb_balance(N_C, N_DU, of_speeds, bias, speed_unit);
+    if (fb_eliminate_rows(N_C, N_DU, of_speeds, bias, speed_order, speeds, &last) < N_DU)
+        return FB_CONSTRAINTS_DEPENDENT;
+    for (int j = 0; j < N_DU; ++j)
+        x[N_Q + N_U - N_DU + j] = -speeds[j] / speed_unit[j];
+    double position_violations[FB_AT_LEAST_1(N_C + N_I)], velocity_violations[FB_AT_LEAST_1(N_C)];
+    double unused[FB_AT_LEAST_1(N_H)], position_scale[FB_AT_LEAST_1(N_C + N_I)], velocity_scale[FB_AT_LEAST_1(N_C)];
+    constraint_violation(t, x, constants, r, position_violations, velocity_violations);
+    constraint_scale(t, x, constants, r, unused, position_scale, velocity_scale);
+    return fb_violation(velocity_violations, velocity_scale, N_C) <= FB_NEARLY_CLOSED ? all_finite(x, N_X)
+                                                                                       : FB_CONSTRAINTS_DEPENDENT;
+}
+
+#endif

@@ -1,0 +1,393 @@
+/* A model as a C library: closing loops, steps of fixed length, and runs with step control.
+ *
+ * Included once, after fourbar_model.h, by a source that defines FB_MODEL, the name of the model and of the type that
+ * its header declares; N_DEPENDENT_COORDINATES, N_DEPENDENT_SPEEDS and N_JUMPS; and initial_state, default_parameters
+ * and has_expression. Public names begin with that of the model. Memory is the caller's, in one piece without pointers,
+ * so that a copy of it is a copy of the mechanism in its present state. Every loop ends after a constant number of
+ * turns.
+ */
+#ifndef FOURBAR_LIBRARY_H
+#define FOURBAR_LIBRARY_H
+
+#include "fourbar_close.h"
+#include "fourbar_integrate.h"
+
+#define FB_JOINED(model, name) model##_##name
+#define FB_NAMED(model, name) FB_JOINED(model, name)
+#define FB_PUBLIC(name) FB_NAMED(FB_MODEL, name)
+
+enum { N_PADDED = (N_X + FB_BLOCK - 1) / FB_BLOCK * FB_BLOCK, N_ROWS = 32 };
+
+/* What a mechanism needs between calls: the constants, the workspace of the equations, and the state and the stages of
+ * a step. */
+typedef struct fb_own {
+    double constants[FB_AT_LEAST_1(N_CONSTANTS)];
+    double rows[N_ROWS * N_PADDED];
+    double rtol[N_PADDED], atol[N_PADDED];
+    double failed_x[N_X], moved_x[N_X];
+    double inputs[FB_AT_LEAST_1(N_R)];
+    fb_source sources[FB_AT_LEAST_1(N_R)];
+    fb_problem problem;
+    fb_run run;
+    fb_work work;
+} fb_own;
+
+/* The memory that the header declares is large enough: otherwise this array has a negative size. */
+typedef char fb_memory_is_large_enough[sizeof(fb_own) <= sizeof(((FB_MODEL *)0)->memory) ? 1 : -1];
+
+static fb_own *own_of(FB_MODEL *model)
+{
+    return (fb_own *)(void *)model->memory.bytes;
+}
+
+/* The problem with the inputs as they are held now; pointers are set anew, since the mechanism may be a copy. */
+static fb_problem *problem_of(FB_MODEL *model)
+{
+    fb_own *const own = own_of(model);
+    fb_problem *const problem = &own->problem;
+    problem->kernel = &FB_TABLE(kernel);
+    problem->constants = own->constants;
+    problem->inputs = own->inputs;
+    problem->work = &own->work;
+    problem->clock = fb_all_time;
+    problem->stabilization = 0.0;
+    problem->sources = own->sources;
+    problem->n_sources = 0;
+    for (int i = 0; i < N_R; ++i)
+        if (model->held[i]) {
+            fb_source *const source = own->sources + problem->n_sources++;
+            source->input = i;
+            source->value = model->r[i];
+            source->table = NULL;
+        }
+    problem->called_inputs = NULL;
+    problem->status = FB_OK;
+    problem->failed_x = own->failed_x;
+    problem->moved_x = own->moved_x;
+    return problem;
+}
+
+/* The run at the present state. Its weights are prepared when the method changes. */
+static fb_run *run_of(FB_MODEL *model, const fb_tableau *method)
+{
+    fb_own *const own = own_of(model);
+    fb_run *const run = &own->run;
+    run->problem = problem_of(model);
+    if (run->method != method) {
+        run->method = method;
+        fb_prepare_method(run);
+    }
+    run->step = fb_step_on;
+    run->augmented = NULL;
+    run->n = N_X;
+    run->padded = N_PADDED;
+    run->project = N_C + N_I > 0;
+    run->rtol = own->rtol;
+    run->atol = own->atol;
+    run->x = own->rows;
+    run->x_old = own->rows + N_PADDED;
+    run->scratch = own->rows + 2 * N_PADDED;
+    run->along = own->rows + 3 * N_PADDED;
+    run->interpolant = own->rows + 5 * N_PADDED;
+    run->stages = own->rows + 12 * N_PADDED;
+    own->work.largest_orientation = 0.0; /* no step was taken yet */
+    memset(run->x, 0, N_PADDED * sizeof *run->x);
+    memcpy(run->x, model->x, sizeof model->x);
+    run->t = run->t_begin = model->t;
+    run->n_steps = run->n_evaluations = 0;
+    run->fsal = run->interpolant_valid = run->collapsed = run->look_at_all = run->n_events = 0;
+    return run;
+}
+
+/* Takes over the state that a run has reached. */
+static void reach(FB_MODEL *model, const fb_run *run, const double t)
+{
+    memcpy(model->x, run->x, sizeof model->x);
+    model->t = t;
+}
+
+int FB_PUBLIC(update)(FB_MODEL *model)
+{
+    fb_own *const own = own_of(model);
+    prepare(model->p, own->constants);
+    return all_finite(model->p, N_P) == FB_OK ? all_finite(own->constants, N_CONSTANTS) : FB_NOT_FINITE;
+}
+
+void FB_PUBLIC(init)(FB_MODEL *model)
+{
+    fb_own *const own = own_of(model);
+    memset(model, 0, sizeof *model);
+    memcpy(model->p, default_parameters, sizeof model->p);
+    memcpy(model->x, initial_state, sizeof model->x);
+    FB_PUBLIC(update)(model);
+    default_inputs(0.0, own->constants, model->r);
+    for (int i = 0; i < N_R; ++i)
+        model->held[i] = !has_expression[i];
+}
+
+int FB_PUBLIC(close)(FB_MODEL *model)
+{
+    fb_problem *const problem = problem_of(model);
+    fb_fill_inputs(problem, model->t, model->x);
+    double x[N_X];
+    memcpy(x, model->x, sizeof x);
+    const int status = fb_close(model->t, x, problem->constants, problem->inputs);
+    if (status == FB_OK)
+        memcpy(model->x, x, sizeof x);
+    return status;
+}
+
+int FB_PUBLIC(rhs)(FB_MODEL *model, const double t, const double *x, double *rates)
+{
+    fb_problem *const problem = problem_of(model);
+    fb_fill_inputs(problem, t, x);
+    return FB_RHS(t, x, problem->constants, problem->inputs, rates, problem->work);
+}
+
+int FB_PUBLIC(solution)(FB_MODEL *model, double *rates, double *multipliers)
+{
+    fb_problem *const problem = problem_of(model);
+    fb_fill_inputs(problem, model->t, model->x);
+    return accelerations(model->t, model->x, problem->constants, problem->inputs, rates, multipliers, problem->work);
+}
+
+int FB_PUBLIC(outputs)(FB_MODEL *model, double *outputs)
+{
+    fb_problem *const problem = problem_of(model);
+    double rates[N_U], multipliers[FB_AT_LEAST_1(N_L)];
+    const int status = FB_PUBLIC(solution)(model, rates, multipliers);
+    if (status != FB_OK)
+        return status;
+    output(model->t, model->x, problem->constants, problem->inputs, rates, multipliers, outputs);
+    return all_finite(outputs, N_O);
+}
+
+void FB_PUBLIC(energies)(FB_MODEL *model, double *kinetic, double *potential)
+{
+    fb_problem *const problem = problem_of(model);
+    double found[2];
+    fb_fill_inputs(problem, model->t, model->x);
+    energy(model->t, model->x, problem->constants, problem->inputs, found);
+    *kinetic = found[0];
+    *potential = found[1];
+}
+
+double FB_PUBLIC(violation)(FB_MODEL *model)
+{
+    fb_problem *const problem = problem_of(model);
+    double position_violations[FB_AT_LEAST_1(N_C + N_I)], velocity_violations[FB_AT_LEAST_1(N_C)], largest = 0.0;
+    fb_fill_inputs(problem, model->t, model->x);
+    constraint_violation(model->t, model->x, problem->constants, problem->inputs, position_violations,
+                         velocity_violations);
+    for (int i = 0; i < N_C + N_I; ++i)
+        largest = fabs(position_violations[i]) <= largest ? largest : fabs(position_violations[i]);
+    for (int i = 0; i < N_C; ++i)
+        largest = fabs(velocity_violations[i]) <= largest ? largest : fabs(velocity_violations[i]);
+    return largest;
+}
+
+int FB_PUBLIC(project)(FB_MODEL *model)
+{
+    return fb_problem_project(problem_of(model), model->t, model->x, 0);
+}
+
+/* The times at which expressions have a jump or a kink. The first N_JUMPS of them are jumps of speeds. */
+static int jumps_between(const fb_problem *problem, const double begin, const double end)
+{
+    double times[FB_AT_LEAST_1(N_BREAKPOINTS)];
+    breakpoints(problem->constants, times);
+    for (int i = 0; i < N_JUMPS; ++i)
+        if (times[i] > fb_min(begin, end) && times[i] < fb_max(begin, end))
+            return 1;
+    return 0;
+}
+
+/* The next of them between two times, or the second time. */
+static double next_breakpoint(const fb_problem *problem, const double begin, const double end)
+{
+    double times[FB_AT_LEAST_1(N_BREAKPOINTS)], next = end;
+    breakpoints(problem->constants, times);
+    for (int i = 0; i < N_BREAKPOINTS; ++i)
+        if (times[i] > fb_min(begin, next) && times[i] < fb_max(begin, next))
+            next = times[i];
+    return next;
+}
+
+int FB_PUBLIC(step)(FB_MODEL *model, const double h, const int order)
+{
+    fb_run *const run = run_of(model, order == 8 ? &fb_dop853 : &fb_rk4);
+    if (!(order == 4 || order == 8) || !isfinite(h))
+        return FB_INVALID_ARGUMENT;
+    if (N_JUMPS > 0 && jumps_between(run->problem, model->t, model->t + h))
+        return FB_SPEEDS_JUMP;
+    const int status = fb_fixed_step(run, h);
+    if (status == FB_OK)
+        reach(model, run, run->t);
+    return status;
+}
+
+/* Whether the constraints lose rank within the last step, in which their orientation has changed: at one of many
+ * states, those near the least of them looked at more closely. */
+static int passes_singular_position(fb_run *run, const double typical)
+{
+    double low = run->t_old, high = run->t, least = INFINITY;
+    for (int turn = 0; turn < 5; ++turn) {
+        const double part = (high - low) / 32.0;
+        int at = 1;
+        for (int i = 1; i < 32; ++i) {
+            const double t = low + i * part;
+            if (fb_state_at(run, t, run->along) < 0)
+                return 0;
+            fb_fill_inputs(run->problem, t, run->along);
+            const double pivot = fb_least_pivot(t, run->along, run->problem->constants, run->problem->inputs,
+                                                 run->problem->work);
+            if (pivot < least) {
+                least = pivot;
+                at = i;
+            }
+        }
+        high = low + (at + 1) * part;
+        low = low + (at - 1) * part;
+    }
+    return least < FB_PASSED * typical;
+}
+
+static double least_pivot_of(const fb_run *run)
+{
+    if (N_RANK == 0)
+        return 1.0;
+    return fb_least_pivot(run->t, run->x, run->problem->constants, run->problem->inputs, run->problem->work);
+}
+
+int FB_PUBLIC(simulate)(FB_MODEL *model, const double t_end, const double rtol, const double atol, const double *times,
+                        const long n_times, double *states)
+{
+    fb_own *const own = own_of(model);
+    fb_run *const run = run_of(model, &fb_dop853);
+    const double begin = model->t;
+    double unused, here = begin;
+    if (!isfinite(t_end) || !(rtol > 0.0) || !(atol >= 0.0) || n_times < 0)
+        return FB_INVALID_ARGUMENT;
+    for (long i = 0; i < n_times; ++i)
+        if (!(times[i] >= fb_min(begin, t_end) && times[i] <= fb_max(begin, t_end)) ||
+            (i > 0 && (times[i] - times[i - 1]) * (t_end - begin) < 0.0))
+            return FB_INVALID_ARGUMENT;
+    if (N_JUMPS > 0 && jumps_between(run->problem, begin, t_end))
+        return FB_SPEEDS_JUMP;
+    for (int i = 0; i < N_PADDED; ++i) {
+        own->rtol[i] = i < N_X ? rtol : 1.0;
+        own->atol[i] = i < N_X ? atol : 1.0;
+    }
+    run->direction = t_end >= begin ? 1.0 : -1.0;
+    run->max_step = INFINITY;
+    run->times = times;
+    run->n_times = times ? n_times : 0;
+    run->next_time = run->n_samples = 0;
+    run->sample_t = &unused;
+    run->sample_x = states;
+    run->room = 1;
+    if (times == NULL)
+        run->times = &unused;
+    int status = run->project ? fb_problem_project(run->problem, begin, run->x, 0) : FB_OK;
+    if (status != FB_OK)
+        return status;
+    double typical = 0.0, sum = 0.0; /* the geometric mean over the run of the least pivot of J */
+    for (int piece = 0; piece <= N_BREAKPOINTS; ++piece) {
+        const double until = N_BREAKPOINTS > 0 ? next_breakpoint(run->problem, here, t_end) : t_end;
+        if (N_BREAKPOINTS > 0) { /* Inputs are those between two discontinuities. */
+            run->problem->clock.first = nextafter(fb_min(here, until), INFINITY);
+            run->problem->clock.last = nextafter(fb_max(here, until), -INFINITY);
+        }
+        run->t_bound = run->until = until;
+        run->pending = piece == 0;
+        const int failed = piece == 0 ? fb_begin(run) : fb_resume(run);
+        if (failed < 0)
+            return failed;
+        for (;;) {
+            const int reason = fb_run_on(run, 1);
+            if (reason == FB_RUN_END)
+                break;
+            if (reason == FB_RUN_FULL) {
+                run->sample_x += N_X;
+                run->n_samples = 0;
+                continue;
+            }
+            if (reason == FB_RUN_EVENT && passes_singular_position(run, typical)) {
+                memcpy(run->x, run->x_old, sizeof model->x);
+                reach(model, run, run->t_old);
+                return FB_SINGULAR_POSITION;
+            }
+            if (reason == FB_RUN_PAUSED || reason == FB_RUN_EVENT || reason == FB_RUN_COLLAPSED) {
+                sum += fabs(run->h) * log(least_pivot_of(run));
+                typical = exp(sum / fabs(run->t - begin));
+                if (run->n_steps < FB_MAX_STEPS)
+                    continue;
+            }
+            reach(model, run, run->t);
+            if (least_pivot_of(run) < FB_NEARBY * typical)
+                return FB_SINGULAR_POSITION;
+            return run->problem->status != FB_OK    ? run->problem->status
+                   : run->n_steps >= FB_MAX_STEPS ? FB_TOO_MANY_STEPS
+                                                    : FB_STEP_TOO_SMALL;
+        }
+        here = until;
+        if (until == t_end)
+            break;
+    }
+    reach(model, run, t_end);
+    return FB_OK;
+}
+
+/* For the source of the derivatives. */
+int FB_PUBLIC(differentiate)(FB_MODEL *model, const fb_derivatives *derivatives, fb_sensitivity *function, const int n,
+                             double *matrix)
+{
+    fb_problem *const problem = problem_of(model);
+    fb_fill_inputs(problem, model->t, model->x);
+    return differentiate(derivatives, function, n, model->t, model->x, problem->constants, problem->inputs, matrix,
+                         NULL, problem->work);
+}
+
+void FB_PUBLIC(draw)(FB_MODEL *model, const fb_derivatives *derivatives, double *points)
+{
+    fb_problem *const problem = problem_of(model);
+    double forces[FB_AT_LEAST_1(3 * N_FORCES)];
+    fb_fill_inputs(problem, model->t, model->x);
+    derivatives->drawing(model->t, model->x, problem->constants, problem->inputs, points, forces);
+}
+
+const char *FB_PUBLIC(message)(const int status)
+{
+    switch (status) {
+    case FB_OK:
+        return "success";
+    case FB_CONSTRAINTS_DEPENDENT:
+        return "the constraints' Jacobian has lost rank, or the constraints contradict each other";
+    case FB_MASS_SINGULAR:
+        return "the mass matrix of the independent speeds is not positive definite";
+    case FB_NOT_FINITE:
+        return "a parameter, an input or a result is infinite or not a number";
+    case FB_NOT_CLOSED:
+        return "no state nearby satisfies the constraints";
+    case FB_CONSTRAINTS_INDEPENDENT:
+        return "there are more independent constraints than dependent speeds";
+    case FB_FORCES_UNDETERMINED:
+        return "no unknown forces keep the auxiliary speeds zero, or many do";
+    case FB_FORCES_NOT_FOUND:
+        return "Newton's method does not find the unknown forces";
+    case FB_INVALID_ARGUMENT:
+        return "an argument is outside of its range";
+    case FB_STEP_TOO_SMALL:
+        return "the required step size is less than the spacing between numbers";
+    case FB_TOO_MANY_STEPS:
+        return "the largest number of steps is reached";
+    case FB_SINGULAR_POSITION:
+        return "the mechanism reaches a singular position, where it may go on in more than one way";
+    case FB_SPEEDS_JUMP:
+        return "the speed of a prescribed motion jumps within the step or run: end it there";
+    default:
+        return "unknown status";
+    }
+}
+
+#endif

@@ -1,0 +1,407 @@
+"""Models as C libraries: built strictly, equal to Python's numbers, and usable without it."""
+
+import ctypes
+import os
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+import sympy as sm
+import sympy.physics.mechanics as me
+from c_library import STRICT, Library
+from programs import require
+from sympy.physics.mechanics.system import System
+from systems import closed_by_auxiliary_speeds, pendulum, quaternion_top, spatial_four_bar
+from test_compilers import zig_cc
+
+import fourbar_codegen as fb
+
+
+def parallelogram():
+    """With a bar too many: two of six constraints are redundant."""
+    points = {"A": (0, 0), "B": (0, 1), "C": (2, 1), "D": (2, 0), "E": (1, 0), "F": (1, 1)}
+    linkage = fb.Linkage("parallelogram", points=points, ground="AED", links=["AB", "BFC", "CD", "EF"], density=1.0)
+    linkage.torque("A", "M")
+    return linkage.model()
+
+
+def driven():
+    """A crank that is driven with a rate, an input that has no expression, and a kink of another one in time."""
+    points = {"O": (0, 0), "A": (0.1, 0.05), "C": (0.4, 0)}
+    linkage = fb.Linkage("driven", points=points, ground="O", links=["OA", "AC"], density=1.0)
+    linkage.slider("C", along=(1, 0))
+    linkage.drive("O", angle=sm.Symbol("w") * me.dynamicsymbols._t + 0.3, parameters={"w": 2.0})
+    linkage.force("C", "F", along=(1, 0))
+    return linkage.model()
+
+
+def kinked():
+    """A mass on a spring that is pushed from t = 0.35 on: x = (1 - cos w (t - 0.35)) / w^2, w = 3."""
+    q, u = me.dynamicsymbols("q u")
+    push, t = me.dynamicsymbols("push"), me.dynamicsymbols._t
+    frame, origin, block = me.ReferenceFrame("N"), me.Point("O"), me.Point("B")
+    origin.set_vel(frame, 0)
+    block.set_pos(origin, q * frame.x)
+    block.set_vel(frame, u * frame.x)
+    system = System(frame, origin)
+    system.add_bodies(me.Particle("block", block, sm.Symbol("m")))
+    system.add_loads(me.Force(block, (push - 9 * q) * frame.x))
+    system.add_coordinates(q)
+    system.add_speeds(u)
+    system.add_kdes(u - q.diff(t))
+    pushed = sm.Piecewise((0, t < sm.Rational(7, 20)), (1, True))
+    return fb.Model(system, name="kinked", parameters={"m": 1.0}, inputs={push: pushed})
+
+
+MODELS = {
+    "four_bar": fb.models.four_bar,
+    "slider_crank": fb.models.slider_crank,
+    "rolling_disc": fb.models.rolling_disc,
+    "whipple_bicycle": fb.models.whipple_bicycle,
+    "chain": lambda: fb.models.chain(5, closed=True),
+    "sparse": lambda: fb.models.n_four_bar(12),
+    "redundant": parallelogram,
+    "quaternion": lambda: fb.Model(
+        quaternion_top(), name="top", initial={"e0": 0.8, "e1": 0.6, "e2": 0, "e3": 0, "w1": 1, "w2": 2, "w3": 3}
+    ),
+    "spatial": spatial_four_bar,
+    "unknown_forces": lambda: closed_by_auxiliary_speeds(unknown_forces=True),
+    "kinked": kinked,
+    "pendulum": lambda: fb.Model(
+        pendulum(), name="hanging", parameters={"m": 1.0, "g": 9.81, "l": 0.5}, initial={"q": 0.4}
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    """Models with their libraries, by name and compiler."""
+    made = {}
+
+    def get(name, compiler="gcc"):
+        require(compiler)
+        if (name, compiler) not in made:
+            model = MODELS[name]()
+            folder = tmp_path_factory.mktemp(f"{name}_{compiler}")
+            made[name, compiler] = fb.compile_model(model), Library(model, folder, compiler)
+        return made[name, compiler]
+
+    return get
+
+
+def state_of(compiled, inputs):
+    """Consistent initial values; independent ones without a default are 0.3 rad and 0.2 rad/s."""
+    q, u = compiled.coordinates, compiled.speeds
+    q = q[: compiled.n_q - compiled.manifest["n_dependent_coordinates"]]
+    u = u[: compiled.n_u - compiled.manifest["n_dependent_speeds"]]
+    initial = compiled.manifest["initial"]
+    return compiled.initial_state(
+        {name: initial.get(name, 0.3) for name in q},
+        {name: initial.get(name, 0.2) for name in u},
+        inputs=inputs or None,
+    )
+
+
+def set_inputs(compiled, mechanism, value):
+    """Values of the inputs without an expression, for Python."""
+    entries = compiled.manifest["inputs"]
+    for k, entry in enumerate(entries):
+        assert mechanism.held[k] == (entry["expression"] is None)
+        if entry["expression"] is None:
+            mechanism.r[k] = value
+    return {entry["name"]: value for entry in entries if entry["expression"] is None}
+
+
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+@pytest.mark.parametrize("name", MODELS)
+def test_the_same_numbers(exported, name, compiler):
+    """Both evaluate the same operations, compiled with other flags: they differ by rounding, times the condition."""
+    compiled, library = exported(name, compiler)
+    mechanism = library.new()
+    inputs = set_inputs(compiled, mechanism, 0.3)
+    x = state_of(compiled, inputs)
+    mechanism.x[:] = x
+    mechanism.t = t = 0.37
+    if compiled.n_c:
+        x = x.copy()
+    r = compiled.default_inputs(t)
+    r[np.isnan(r)] = 0.3
+    n = compiled.n_x
+    matrices = compiled.dynamics(t, x, None, r)
+    kkt = np.block([[matrices[1], -matrices[3].T], [matrices[3], np.zeros((compiled.n_c, compiled.n_c))]])
+    sizes = np.linalg.svd(kkt, compute_uv=False)
+    condition = sizes[0] / sizes[sizes > 1e-12 * sizes[0]][-1]
+
+    def check(result, expected):
+        np.testing.assert_allclose(result, expected, rtol=0, atol=1e-14 * condition * np.abs(expected).max(initial=1))
+
+    rates, jacobian = np.zeros(n), np.zeros((n, n))
+    assert library.call("rhs", mechanism, t, x, rates) == 0
+    check(rates, compiled.rhs(t, x, None, r))
+    assert library.call("jacobian", mechanism, jacobian) == 0
+    check(jacobian, compiled.jacobian(t, x, None, r))
+    by_parameters, by_inputs = np.zeros((n, compiled.n_p)), np.zeros((n, compiled.n_r))
+    assert library.call("parameter_jacobian", mechanism, by_parameters) == 0
+    check(by_parameters, compiled.parameter_jacobian(t, x, None, r))
+    assert library.call("input_jacobian", mechanism, by_inputs) == 0
+    check(by_inputs, compiled.input_jacobian(t, x, None, r))
+    accelerations, multipliers = np.zeros(compiled.n_u), np.zeros(library.sizes["l"])
+    assert library.call("solution", mechanism, accelerations, multipliers) == 0
+    check(multipliers[: compiled.n_c], compiled.multipliers(t, x, None, r)[: compiled.n_c])
+    kinetic, potential = ctypes.c_double(), ctypes.c_double()
+    library.call("energies", mechanism, ctypes.byref(kinetic), ctypes.byref(potential))
+    check(kinetic.value, compiled.kinetic_energy(t, x))
+    if compiled.n_o:
+        outputs = np.zeros(compiled.n_o)
+        assert library.call("outputs", mechanism, outputs) == 0
+        check(outputs, compiled.output(t, x, None, r))
+    points = np.zeros((library.sizes["points"], 3))
+    library.call("points", mechanism, points)
+    check(points, compiled.drawing(t, x, compiled.parameter_vector(None), r)[0])
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_loops_are_closed(exported, name):
+    """From disturbed guesses, the same states as `initial_state` finds."""
+    compiled, library = exported(name)
+    mechanism = library.new()
+    inputs = set_inputs(compiled, mechanism, 0.3)
+    expected = state_of(compiled, inputs)
+    n_q, n_dq, n_du = compiled.n_q, *(compiled.manifest[f"n_dependent_{k}"] for k in ("coordinates", "speeds"))
+    mechanism.x[:] = expected
+    for k in (*range(n_q - n_dq, n_q), *range(n_q + compiled.n_u - n_du, n_q + compiled.n_u)):
+        mechanism.x[k] += 0.01
+    assert library.call("close", mechanism) == 0
+    # Positions are known to 1e-14 of the constraints' terms; the worst condition here is some 1e2.
+    np.testing.assert_allclose(mechanism.x, expected, rtol=0, atol=1e-12)
+    assert library.call("violation", mechanism) < 1e-12
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_steps_and_runs(exported, name):
+    compiled, library = exported(name)
+    mechanism = library.new()
+    inputs = set_inputs(compiled, mechanism, 0.3) or None
+    x = state_of(compiled, inputs)
+    stepper = compiled.stepper(2e-3, x, inputs=inputs)
+    mechanism.x[:] = x
+    for _ in range(50):
+        stepper.step()
+        assert library.call("step", mechanism, 2e-3, 4) == 0
+    assert mechanism.t == pytest.approx(stepper.t, abs=1e-15)
+    # Rounding errors grow with the motion's own sensitivity, e^2 to e^6 in these times.
+    np.testing.assert_allclose(mechanism.x, stepper.x, rtol=1e-11, atol=1e-11)
+    mechanism.t, mechanism.x[:] = 0.0, x
+    times = np.linspace(0.0, 0.5, 6)
+    states = np.zeros((6, compiled.n_x))
+    status = library.call("simulate", mechanism, 0.5, 1e-10, 1e-10, times, 6, states)
+    run = compiled.simulate((0.0, 0.5), x, inputs=inputs, t_eval=times, rtol=1e-10, atol=1e-10)
+    assert (status == 0) == run.success, library.message(status)
+    np.testing.assert_allclose(states[: run.y.shape[1]], run.y.T, rtol=1e-8, atol=1e-8)  # a hundred times the tolerance
+
+
+def test_the_order_of_steps(exported):
+    """Of the pendulum, whose motion is an elliptic function; halved steps give errors of 1/16 and 1/256."""
+    from scipy.special import ellipj
+
+    _, library = exported("pendulum")
+    amplitude, w = 1.0, np.sqrt(9.81 / 0.5)
+    m = np.sin(amplitude / 2) ** 2
+    # From the lowest point, with the speed that leads to the amplitude.
+    exact = 2 * np.arcsin(np.sqrt(m) * ellipj(w * 1.2, m)[0])
+    for order, numbers in ((4, (80, 160)), (8, (4, 8))):
+        errors = []
+        for n in numbers:
+            mechanism = library.new()
+            mechanism.x[:] = [0.0, 2 * w * np.sqrt(m)]
+            for _ in range(n):
+                assert library.call("step", mechanism, 1.2 / n, order) == 0
+            errors.append(abs(mechanism.x[0] - exact))
+        assert 0.7 < np.log2(errors[0] / errors[1]) / order < 1.4
+
+
+def test_a_kink_in_time(exported):
+    """Steps end at t = 0.35, so that the run is exact to its tolerance."""
+    _, library = exported("kinked")
+    mechanism = library.new()
+    times = np.array([0.0, 0.35, 0.6, 1.0])
+    states = np.zeros((4, 2))
+    assert library.call("simulate", mechanism, 1.0, 1e-12, 1e-12, times, 4, states) == 0
+    expected = np.where(times > 0.35, (1 - np.cos(3 * (times - 0.35))) / 9, 0.0)
+    np.testing.assert_allclose(states[:, 0], expected, rtol=0, atol=1e-11)
+
+
+def test_a_copy_is_the_mechanism_in_its_state(exported):
+    _, library = exported("four_bar")
+    mechanism = library.new()
+    assert library.call("close", mechanism) == 0
+    for _ in range(10):
+        library.call("step", mechanism, 1e-3, 8)
+    kept = type(mechanism).from_buffer_copy(mechanism)
+    results = []
+    for each in (mechanism, kept):
+        for _ in range(10):
+            library.call("step", each, 1e-3, 8)
+        results.append((each.t, *each.x))
+    assert results[0] == results[1]
+
+
+def test_parameters_and_inputs(exported):
+    compiled, library = exported("four_bar")
+    mechanism = library.new()
+    mechanism.p[compiled.parameters.index("l2")] = 0.4
+    assert library.call("update", mechanism) == 0
+    assert library.call("close", mechanism) == 0
+    np.testing.assert_allclose(mechanism.x, compiled.initial_state(parameters={"l2": 0.4}), rtol=0, atol=1e-13)
+    mechanism.held[0], mechanism.r[0] = 1, 7.0
+    stepper = compiled.stepper(1e-3, np.array(mechanism.x), parameters={"l2": 0.4}, inputs={"F": 7.0})
+    for _ in range(20):
+        library.call("step", mechanism, 1e-3, 4)
+        stepper.step()
+    np.testing.assert_allclose(mechanism.x, stepper.x, rtol=0, atol=1e-13)
+
+
+def test_what_fails_says_why(exported):
+    compiled, library = exported("four_bar")
+
+    def status(function, *arguments, **changes):
+        mechanism = library.new()
+        library.call("close", mechanism)
+        for name, value in changes.get("p", {}).items():
+            mechanism.p[compiled.parameters.index(name)] = value
+        library.call("update", mechanism)
+        if "r" in changes:
+            mechanism.held[0], mechanism.r[0] = 1, changes["r"]
+        before = [*mechanism.x]
+        found = library.call(function, mechanism, *arguments)
+        if function != "simulate":
+            assert [*mechanism.x] == before
+        return library.message(found)
+
+    assert status("close", p={"l2": 9.0}) == "no state nearby satisfies the constraints"
+    assert "not a number" in status("step", 1e-3, 4, r=np.nan)
+    assert "not a number" in status("update", p={"l2": np.inf})
+    assert "outside of its range" in status("step", 1e-3, 5)
+    assert "outside of its range" in status("step", np.inf, 4)
+    assert "outside of its range" in status("simulate", 1.0, 0.0, 1e-9, None, 0, None)
+    assert "outside of its range" in status("simulate", 1.0, 1e-6, 1e-9, np.array([0.5, 0.2]), 2, np.zeros((2, 6)))
+    assert "singular position" in status("simulate", 6.0, 1e-8, 1e-8, None, 0, None)
+    assert library.message(0) == "success"
+    assert library.message(99) == "unknown status"
+
+
+def test_the_folder_is_built_and_run_by_its_readme(tmp_path, four_bar):
+    """The example prints the motion that Python's stepper finds; a C++ program includes the header."""
+    require("gcc")
+    folder = fb.export_c(fb.models.four_bar(), tmp_path / "four_bar")
+    command = (folder / "README.md").read_text().split("    ")[1].splitlines()[0]
+    assert command == "gcc -std=c99 -O2 *.c -o example -lm && ./example"
+    strict = command.replace("-std=c99 -O2", " ".join(STRICT))
+    printed = subprocess.run(strict, shell=True, cwd=folder, capture_output=True, text=True, check=True).stdout
+    found = np.array([[float(word) for word in line.split()] for line in printed.splitlines()])
+    stepper = four_bar.stepper(1e-3, four_bar.initial_state())
+    expected = [stepper.x[:3]]
+    for k in range(1000):
+        stepper.step()
+        expected += [stepper.x[:3]] if k % 10 == 9 else []
+    np.testing.assert_allclose(found[:, 1:], expected, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found[:, 0], np.linspace(0, 1, 101), rtol=0, atol=5e-4)
+    user = folder / "user.cpp"
+    user.write_text('#include "four_bar.h"\nint size() { return four_bar_n_x + four_bar_x_q1 + four_bar_p_l2; }\n')
+    subprocess.run(
+        [require("gcc"), "-x", "c++", "-Wall", "-Wextra", "-Werror", "-c", user, "-o", os.devnull], check=True
+    )
+
+
+def test_the_controller_of_the_documentation(tmp_path):
+    """It prints what stands there, and what Python's stepper finds with the same torque."""
+    folder = fb.export_c(fb.models.slider_crank(), tmp_path / "slider_crank")
+    page = (Path(__file__).parents[1] / "docs" / "howto" / "c_library.md").read_text()
+    (folder / "main.c").write_text(page.split("```c\n")[1].split("```")[0])
+    subprocess.run([require("gcc"), *STRICT, *folder.glob("*.c"), "-o", folder / "a", "-lm"], check=True)
+    printed = subprocess.run([folder / "a"], capture_output=True, text=True, check=True).stdout.split()
+    assert printed[:6] == page.split("```text\n")[1].split()[:6]
+    assert printed[-1] == "success"
+    engine = fb.compile_model(fb.models.slider_crank())
+    given = {"m_slider": 1.2}
+    x = engine.initial_state({"crank": 0.5}, {"crank_rate": 0.0}, parameters=given)
+    stepper = engine.stepper(1e-3, x, parameters=given)
+    for _ in range(2000):
+        x = stepper.step({"torque": 2.0 * (10.0 - x[3]), "load": 5.0})
+    assert float(printed[2]) == pytest.approx(x[3], abs=1e-6)
+
+
+def test_two_models_in_one_program(tmp_path):
+    gcc = require("gcc")
+    for model in (fb.models.four_bar(), fb.models.slider_crank()):
+        fb.export_c(model, tmp_path / model.name)
+    (tmp_path / "main.c").write_text(
+        """
+        #include "four_bar/four_bar.h"
+        #include "slider_crank/slider_crank.h"
+        int main(void)
+        {
+            static four_bar a;
+            static slider_crank b;
+            four_bar_init(&a);
+            slider_crank_init(&b);
+            return four_bar_close(&a) + slider_crank_close(&b);
+        }
+        """
+    )
+    sources = [tmp_path / "main.c", *(tmp_path / name / f"{name}.c" for name in ("four_bar", "slider_crank"))]
+    subprocess.run([gcc, *STRICT, *sources, "-o", tmp_path / "both", "-lm"], check=True)
+    subprocess.run([tmp_path / "both"], check=True)
+
+
+@pytest.mark.parametrize("target", ["aarch64-linux-musl", "arm-linux-musleabihf"])
+def test_other_processors(tmp_path, four_bar, target):
+    """Cross-compiled, and run by an emulator: the state after a second of steps."""
+    emulator = require(f"qemu-{target.partition('-')[0]}")
+    folder = fb.export_c(fb.models.four_bar(), tmp_path / "four_bar")
+    program = zig_cc(tmp_path, target, sorted(folder.glob("*.c")), "-static")
+    done = subprocess.run([emulator, program], capture_output=True, text=True, check=True)
+    last = [float(word) for word in done.stdout.splitlines()[-1].split()]
+    stepper = four_bar.stepper(1e-3, four_bar.initial_state())
+    for _ in range(1000):
+        stepper.step()
+    np.testing.assert_allclose(last[1:], stepper.x[:3], rtol=0, atol=1e-12)
+
+
+def test_the_same_text_every_time_and_no_globals(tmp_path):
+    texts = []
+    for name in ("one", "two"):
+        folder = fb.export_c(fb.models.slider_crank(), tmp_path / name)
+        texts.append({str(p.relative_to(folder)): p.read_text() for p in folder.rglob("*") if p.is_file()})
+    assert texts[0] == texts[1]
+    # Sections of variables are empty.
+    subprocess.run([require("gcc"), *STRICT, "-c", "slider_crank.c", "-o", "a.o"], cwd=tmp_path / "one", check=True)
+    sizes = subprocess.run(["size", "a.o"], cwd=tmp_path / "one", capture_output=True, text=True, check=True).stdout
+    text, data, bss = map(int, sizes.splitlines()[1].split()[:3])
+    undefined = subprocess.run(["nm", "-u", "a.o"], cwd=tmp_path / "one", capture_output=True, text=True, check=True)
+    assert not {"malloc", "calloc", "free", "printf"} & set(undefined.stdout.split())
+    assert text > 0
+    assert bss == 0
+    assert data < 1000  # pointers of the constant table, which the linker fills in
+
+
+def test_what_cannot_be_exported(tmp_path):
+    with pytest.raises(fb.ModelError, match="begins with defaults: give m"):
+        fb.export_c(fb.Model(pendulum(), name="open", parameters={"g": 9.81, "l": 0.5}), tmp_path / "a")
+    with pytest.raises(fb.ModelError, match="is a word of C"):
+        fb.export_c(fb.Model(pendulum(), name="double", parameters={"m": 1.0, "g": 9.81, "l": 0.5}), tmp_path / "a")
+    greek = pendulum(mass=sm.Symbol("μ"))
+    with pytest.raises(fb.ModelError, match="is no name in C"):
+        fb.export_c(fb.Model(greek, name="p", parameters={"μ": 1.0, "m": 1.0, "g": 9.81, "l": 0.5}), tmp_path / "a")
+    twice = pendulum(mass=sm.Symbol("l^") + sm.Symbol("l_"))
+    with pytest.raises(fb.ModelError, match="are the same name in C"):
+        fb.export_c(
+            fb.Model(twice, name="p", parameters={"l^": 1.0, "l_": 1.0, "m": 1.0, "g": 9.81, "l": 0.5}), tmp_path / "a"
+        )
+    with pytest.raises(fb.ModelError, match="A Model is needed"):
+        fb.export_c("four_bar", tmp_path / "a")
+    assert not (tmp_path / "a").exists()
+    (tmp_path / "file").write_text("")
+    with pytest.raises(fb.BuildError, match="cannot be written"):
+        fb.export_c(fb.models.four_bar(), tmp_path / "file")

@@ -200,7 +200,7 @@ static int fb_close(const double t, double *x, const double *constants, const do
     constraint_violation(t, x, constants, r, position_violations, velocity_violations);
     constraint_scale(t, x, constants, r, unused, position_scale, velocity_scale);
     return fb_violation(velocity_violations, velocity_scale, N_C) <= FB_NEARLY_CLOSED ? all_finite(x, N_X)
-                                                                                       : FB_CONSTRAINTS_DEPENDENT;
+                                                                                      : FB_CONSTRAINTS_DEPENDENT;
 }
 
 #endif

@@ -239,8 +239,8 @@ static int passes_singular_position(fb_run *run, const double typical)
             if (fb_state_at(run, t, run->along) < 0)
                 return 0;
             fb_fill_inputs(run->problem, t, run->along);
-            const double pivot = fb_least_pivot(t, run->along, run->problem->constants, run->problem->inputs,
-                                                 run->problem->work);
+            const double pivot =
+                fb_least_pivot(t, run->along, run->problem->constants, run->problem->inputs, run->problem->work);
             if (pivot < least) {
                 least = pivot;
                 at = i;
@@ -326,9 +326,9 @@ int FB_PUBLIC(simulate)(FB_MODEL *model, const double t_end, const double rtol, 
             reach(model, run, run->t);
             if (least_pivot_of(run) < FB_NEARBY * typical)
                 return FB_SINGULAR_POSITION;
-            return run->problem->status != FB_OK    ? run->problem->status
+            return run->problem->status != FB_OK  ? run->problem->status
                    : run->n_steps >= FB_MAX_STEPS ? FB_TOO_MANY_STEPS
-                                                    : FB_STEP_TOO_SMALL;
+                                                  : FB_STEP_TOO_SMALL;
         }
         here = until;
         if (until == t_end)

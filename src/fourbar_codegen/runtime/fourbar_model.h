@@ -415,7 +415,7 @@ const fb_kernel FB_TABLE(kernel) = {
     .orientation_changed = orientation_changed,
     .energy = energy,
     .output = output,
-#ifdef FB_LIBRARY /* derivatives are called by a source of their own, which may be left out */
+#ifdef FB_LIBRARY             /* derivatives are called by a source of their own, which may be left out */
 #elif defined(FB_ONE_MACHINE) /* other parts can be built when they are needed */
     .one_machine = 1,
 #ifdef FB_HAS_BATCH_FUNCTIONS

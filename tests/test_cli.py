@@ -197,6 +197,17 @@ def test_files_of_users_do_not_replace_pythons(tmp_path, model):
     assert done.stdout.startswith("Model cartesian_pendulum")
 
 
+def test_export(tmp_path):
+    result = run("export", "four_bar", "--to", "c", "-o", tmp_path / "c")
+    assert result.stdout == f"Written: {tmp_path / 'c' / 'README.md'} says how to build it\n"
+    assert (tmp_path / "c" / "four_bar.h").exists()
+    result = run("export", "four_bar", "--to", "fmu", "--fmi", "2", "-o", tmp_path / "a.fmu")
+    assert result.stdout == f"Written: {tmp_path / 'a.fmu'}\n"
+    result = run("export", "four_bar", "--to", "c", "--fmi", "2", "-o", tmp_path / "c")
+    assert result.exit_code == 2
+    assert "--fmi belongs to --to fmu" in result.output
+
+
 def test_a_linkage_is_a_model(tmp_path):
     """A function that returns a Linkage, or one by its name."""
     points = {"A": (0, 0), "B": (0.1, 0.05), "C": (0.3, 0.3), "D": (0.4, 0)}

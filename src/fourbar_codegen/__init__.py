@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from fourbar_codegen.building.toolchain import get_include
     from fourbar_codegen.compile import build_model, build_wheel, compile_model, generate_sources
     from fourbar_codegen.compiled import CompiledModel, load, load_trajectory
-    from fourbar_codegen.export import export_c
+    from fourbar_codegen.export import export_c, export_fmu
     from fourbar_codegen.linkage.linkage import Linkage
     from fourbar_codegen.modeling.model import Model, Parameter, joint_force, multiplier
     from fourbar_codegen.results.ensemble import Ensemble
@@ -55,6 +55,7 @@ __all__ = [
     "build_wheel",
     "compile_model",
     "export_c",
+    "export_fmu",
     "generate_sources",
     "get_include",
     "joint_force",
@@ -80,6 +81,7 @@ _HOME = {
     "build_wheel": "compile",
     "compile_model": "compile",
     "export_c": "export",
+    "export_fmu": "export",
     "generate_sources": "compile",
     "get_include": "building.toolchain",
     "joint_force": "modeling.model",

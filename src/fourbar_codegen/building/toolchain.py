@@ -28,6 +28,7 @@ __all__ = [
     "KERNEL_FLAGS",
     "build_extension",
     "compile_library",
+    "compile_shared",
     "copied",
     "digest_of",
     "generator",
@@ -274,6 +275,21 @@ def compile_library(
         more = ("-DFB_ONE_MACHINE", *find_compiler().machine_flags)
         flags = {Path(temporary) / filename: (*own, *more) for filename, own in units.items()}
         return _link(_side_by_side([partial(_compile, *unit) for unit in flags.items()], meanwhile), library)
+
+
+def compile_shared(library: Path, folder: Path, sources: Sequence[str]) -> Path:
+    """Compile C sources in a folder to a shared library for other machines of this kind, without Python.
+
+    Only functions that a source marks as visible can be called from outside.
+
+    Raises
+    ------
+    BuildError
+        If a tool is missing or fails; with the tool's output.
+    """
+    flags = (*KERNEL_FLAGS, "-std=c99", "-fvisibility=hidden", *find_compiler().portable_flags)
+    jobs = [partial(_compile, folder / source, flags) for source in sources]
+    return _link([*_side_by_side(jobs), Path("-lm")], library)
 
 
 def copied(built: Path, folder: Path) -> Path:

@@ -386,14 +386,27 @@ def build(model: str, output: Path, wheel: bool, version: str) -> None:
 
 @main.command(
     help=_help(
-        "Write a model for programs without Python: as a C library, which needs nothing else.",
+        "Write a model for programs without Python: as a C library, or as an FMU for simulators of systems.",
         "export four_bar --to c -o four_bar_c",
+        "export four_bar --to fmu -o four_bar.fmu",
     )
 )
 @MODEL
-@click.option("--to", "form", type=click.Choice(["c"]), required=True, help="c: a folder with a C library.")
-@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The folder.")
-def export(model: str, form: str, output: Path) -> None:  # noqa: ARG001
+@click.option(
+    "--to",
+    "form",
+    type=click.Choice(["c", "fmu"]),
+    required=True,
+    help="c: a folder with a C library; fmu: a Functional Mock-up Unit.",
+)
+@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The folder, or the file.")
+@click.option("--fmi", type=click.Choice(["3", "2"]), help="The version of FMI, 3.0 by default.")
+def export(model: str, form: str, output: Path, fmi: str | None) -> None:
+    if form == "fmu":
+        click.echo(f"Written: {fb.export_fmu(source_model(model), output, fmi=int(fmi or 3))}")
+        return
+    if fmi:
+        raise click.UsageError("--fmi belongs to --to fmu.")
     folder = fb.export_c(source_model(model), output)
     click.echo(f"Written: {folder / 'README.md'} says how to build it")
 

@@ -221,6 +221,15 @@ void {name}_energies({name} *model, double *kinetic, double *potential);
 /* The largest violation of a constraint, of position or velocity. */
 double {name}_violation({name} *model);
 
+/* The same relative to the terms of the constraint. */
+double {name}_relative_violation({name} *model);
+
+/* The present value of an input, held or not. */
+double {name}_input({name} *model, int number);
+
+/* The next time at which an expression of time has a jump or a kink; infinite if there is none. */
+double {name}_next_breakpoint({name} *model);
+
 /* Moves the state onto the constraints nearby, orthogonally with respect to the mass matrix. */
 int {name}_project({name} *model);
 

@@ -29,6 +29,7 @@ typedef struct fb_own {
     fb_source sources[FB_AT_LEAST_1(N_R)];
     fb_problem problem;
     fb_run run;
+    int prepared; /* the order of the method whose weights the run has */
     fb_work work;
 } fb_own;
 
@@ -67,16 +68,16 @@ static fb_problem *problem_of(FB_MODEL *model)
     return problem;
 }
 
-/* The run at the present state. Its weights are prepared when the method changes. */
-static fb_run *run_of(FB_MODEL *model, const fb_tableau *method)
+/* The run at the present state, by a method of order 4 or 8. Its weights are prepared when the method changes. */
+static fb_run *run_of(FB_MODEL *model, const int order)
 {
     fb_own *const own = own_of(model);
     fb_run *const run = &own->run;
     run->problem = problem_of(model);
-    if (run->method != method) {
-        run->method = method;
+    run->method = order == 8 ? &fb_dop853 : &fb_rk4;
+    if (own->prepared != order)
         fb_prepare_method(run);
-    }
+    own->prepared = order;
     run->step = fb_step_on;
     run->augmented = NULL;
     run->n = N_X;
@@ -186,6 +187,24 @@ double FB_PUBLIC(violation)(FB_MODEL *model)
     return largest;
 }
 
+double FB_PUBLIC(relative_violation)(FB_MODEL *model)
+{
+    fb_problem *const problem = problem_of(model);
+    double positions[FB_AT_LEAST_1(N_C + N_I)], velocities[FB_AT_LEAST_1(N_C)], unused[FB_AT_LEAST_1(N_H)];
+    double position_scale[FB_AT_LEAST_1(N_C + N_I)], velocity_scale[FB_AT_LEAST_1(N_C)];
+    fb_fill_inputs(problem, model->t, model->x);
+    constraint_violation(model->t, model->x, problem->constants, problem->inputs, positions, velocities);
+    constraint_scale(model->t, model->x, problem->constants, problem->inputs, unused, position_scale, velocity_scale);
+    return fb_max(fb_violation(positions, position_scale, N_C + N_I), fb_violation(velocities, velocity_scale, N_C));
+}
+
+double FB_PUBLIC(input)(FB_MODEL *model, const int number)
+{
+    fb_problem *const problem = problem_of(model);
+    fb_fill_inputs(problem, model->t, model->x);
+    return problem->inputs[number];
+}
+
 int FB_PUBLIC(project)(FB_MODEL *model)
 {
     return fb_problem_project(problem_of(model), model->t, model->x, 0);
@@ -213,9 +232,14 @@ static double next_breakpoint(const fb_problem *problem, const double begin, con
     return next;
 }
 
+double FB_PUBLIC(next_breakpoint)(FB_MODEL *model)
+{
+    return next_breakpoint(problem_of(model), model->t, INFINITY);
+}
+
 int FB_PUBLIC(step)(FB_MODEL *model, const double h, const int order)
 {
-    fb_run *const run = run_of(model, order == 8 ? &fb_dop853 : &fb_rk4);
+    fb_run *const run = run_of(model, order == 8 ? 8 : 4);
     if (!(order == 4 || order == 8) || !isfinite(h))
         return FB_INVALID_ARGUMENT;
     if (N_JUMPS > 0 && jumps_between(run->problem, model->t, model->t + h))
@@ -263,7 +287,7 @@ int FB_PUBLIC(simulate)(FB_MODEL *model, const double t_end, const double rtol, 
                         const long n_times, double *states)
 {
     fb_own *const own = own_of(model);
-    fb_run *const run = run_of(model, &fb_dop853);
+    fb_run *const run = run_of(model, 8);
     const double begin = model->t;
     double unused, here = begin;
     if (!isfinite(t_end) || !(rtol > 0.0) || !(atol >= 0.0) || n_times < 0)

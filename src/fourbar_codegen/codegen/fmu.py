@@ -1,0 +1,248 @@
+"""A model as a Functional Mock-up Unit: its description in XML, and the source around its C library, as text.
+
+Source: Modelica Association, Functional Mock-up Interface, versions 2.0.5 and 3.0.2, https://fmi-standard.org.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+from xml.etree import ElementTree as ET
+
+from fourbar_codegen.codegen.c_library import FOLDER
+from fourbar_codegen.errors import ModelError
+
+__all__ = ["FMU_HEADERS", "build_description", "description", "fmu_source", "sources_of", "variables_of"]
+
+FMU_HEADERS = ("fourbar_fmu.h", "fourbar_fmi2.h", "fourbar_fmi3.h")
+"""The runtime of an FMU, besides that of its library."""
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A scalar variable.
+
+    Attributes
+    ----------
+    reference : int
+        Its value reference.
+    name, description, unit : str
+    kind : str
+        ``time``, ``state``, ``rate``, ``parameter``, ``input``, or ``output`` for all that follows from these.
+    start : float or None
+    is_exact : bool
+        Of a state, whether its start value is kept; others are guesses.
+    of : int or None
+        Of a rate, the value reference of its state.
+    """
+
+    reference: int
+    name: str
+    description: str
+    unit: str
+    kind: str
+    start: float | None = None
+    is_exact: bool = False
+    of: int | None = None
+
+
+def token_of(manifest: Mapping[str, Any]) -> str:
+    """What ties a binary to its description."""
+    return f"{{{manifest['fingerprint'][:32]}}}"
+
+
+def variables_of(manifest: Mapping[str, Any], defaults: Sequence[float]) -> list[Variable]:
+    """The variables in the order of fourbar_fmu.h.
+
+    Parameters
+    ----------
+    manifest : mapping
+    defaults : sequence of float
+        Values of the inputs at t = 0, NaN without one.
+
+    Raises
+    ------
+    ModelError
+        If two variables have the same name.
+    """
+    coordinates, speeds = manifest["coordinates"], manifest["speeds"]
+    states = [*coordinates, *speeds, *manifest["auxiliary_states"]]
+    n_q, n_u = len(coordinates), len(speeds)
+    dependent = {
+        *coordinates[n_q - manifest["n_dependent_coordinates"] :],
+        *speeds[n_u - manifest["n_dependent_speeds"] :],
+    }
+    initial = manifest["initial"]
+    found: list[Variable] = []
+
+    def add(name: str, description: str, unit: str, kind: str, **more: Any) -> None:
+        found.append(Variable(len(found), name, description, unit, kind, **more))
+
+    add("time", "", "", "time")
+    for k, name in enumerate(states):
+        what = "coordinate" if k < n_q else "speed" if k < n_q + n_u else "state"
+        words = f"{what}, follows from the independent ones" if name in dependent else what
+        unit = "rad" if name in manifest["angles"] else ""
+        add(name, words, unit, "state", start=initial.get(name, 0.0), is_exact=name not in dependent)
+    for k, name in enumerate(states):
+        add(f"der({name})", "", "", "rate", of=1 + k)
+    for entry in manifest["parameters"]:
+        add(entry["name"], entry["description"] or "", entry["unit"] or "", "parameter", start=entry["default"])
+    for entry, value in zip(manifest["inputs"], defaults, strict=True):
+        words = f"{entry['expression']}, until it is set" if entry["expression"] else ""
+        if entry["order"]:
+            words = ("", "rate of ", "second derivative of ")[entry["order"]] + entry["of"]
+        add(entry["name"], words, "", "input", start=0.0 if value != value else value)
+    for name in manifest["outputs"]:
+        add(name, "", "", "output")
+    for kind in ("kinetic", "potential"):
+        add(f"{kind} energy", "", "J", "output")
+    for number, point in enumerate(manifest["points"]):
+        name = point["name"] or f"point {number}"
+        for axis in "xyz":
+            add(f"{name}.{axis}", f"position of {name}", "", "output")
+    if not manifest["has_potential_energy"]:
+        found = [variable for variable in found if variable.name != "potential energy"]
+    counts = Counter(variable.name for variable in found)
+    twice = [name for name, number in counts.items() if number > 1]
+    if twice:
+        raise ModelError(f"Variables of an FMU have different names, but two are called {twice[0]!r}: rename one.")
+    return found
+
+
+def description(fmi: int, manifest: Mapping[str, Any], variables: Sequence[Variable], version: str) -> str:
+    """The file modelDescription.xml.
+
+    Parameters
+    ----------
+    fmi : {2, 3}
+    manifest : mapping
+    variables : sequence of Variable
+    version : str
+        Of fourbar_codegen.
+    """
+    name, token = manifest["name"], token_of(manifest)
+    root = ET.Element(
+        "fmiModelDescription",
+        {"fmiVersion": f"{fmi}.0", "modelName": name, "guid" if fmi == 2 else "instantiationToken": token},
+        description=f"The mechanism {name}, with its loops closed",
+        generationTool=f"fourbar_codegen {version}",
+        variableNamingConvention="flat",
+    )
+    able = {"modelIdentifier": name, "providesDirectionalDerivative" + "s" * (fmi == 3): "true"}
+    for word in ("canGetAndSetFMU", "canSerializeFMU"):
+        able[f"{word}{'state' if fmi == 2 else 'State'}"] = "true"
+    kinds = [
+        ET.SubElement(root, "ModelExchange", able, **({"needsCompletedIntegratorStep": "true"} if fmi == 3 else {})),
+        ET.SubElement(root, "CoSimulation", able, canHandleVariableCommunicationStepSize="true"),
+    ]
+    if fmi == 2:
+        for kind in kinds:
+            files = ET.SubElement(kind, "SourceFiles")
+            for source in sources_of(name):
+                ET.SubElement(files, "File", name=source)
+    units = sorted({variable.unit for variable in variables} - {""})
+    if units:
+        definitions = ET.SubElement(root, "UnitDefinitions")
+        for unit in units:
+            ET.SubElement(definitions, "Unit", name=unit)
+    categories = ET.SubElement(root, "LogCategories")
+    ET.SubElement(categories, "Category", name="logStatusError", description="Mistakes in calls, and failures")
+    ET.SubElement(root, "DefaultExperiment", startTime="0", stopTime="1", tolerance="1e-6")
+    listed = ET.SubElement(root, "ModelVariables")
+    structure = ET.SubElement(root, "ModelStructure")
+    for variable in variables:
+        (_variable_2 if fmi == 2 else _variable_3)(listed, variable)
+    outputs = [k for k, variable in enumerate(variables) if variable.kind in {"state", "output"}]
+    rates = [k for k, variable in enumerate(variables) if variable.kind == "rate"]
+    unknown = [
+        k for k, v in enumerate(variables) if v.kind in {"rate", "output"} or (v.kind == "state" and not v.is_exact)
+    ]
+    if fmi == 2:
+        for element, numbers in (("Outputs", outputs), ("Derivatives", rates), ("InitialUnknowns", unknown)):
+            group = ET.SubElement(structure, element)
+            for number in numbers:
+                ET.SubElement(group, "Unknown", index=str(number + 1))
+    else:
+        for element, numbers in (
+            ("Output", outputs), ("ContinuousStateDerivative", rates), ("InitialUnknown", unknown)
+        ):  # fmt: skip
+            for number in numbers:
+                ET.SubElement(structure, element, valueReference=str(variables[number].reference))
+    return _xml(root)
+
+
+def _common(variable: Variable) -> tuple[dict[str, str], dict[str, str]]:
+    """Attributes that describe a variable, and those of its value."""
+    own = {"name": variable.name, "valueReference": str(variable.reference)}
+    if variable.description:
+        own["description"] = variable.description
+    match variable.kind:
+        case "time":
+            own |= {"causality": "independent", "variability": "continuous"}
+        case "state":
+            own |= {"causality": "output", "initial": "exact" if variable.is_exact else "approx"}
+        case "rate":
+            own |= {"causality": "local"}
+        case "parameter":
+            own |= {"causality": "parameter", "variability": "fixed"}
+        case kind:
+            own |= {"causality": kind}
+    value = {"unit": variable.unit} if variable.unit else {}
+    if variable.start is not None:
+        value["start"] = repr(float(variable.start))
+    return own, value
+
+
+def _variable_3(listed: ET.Element, variable: Variable) -> None:
+    own, value = _common(variable)
+    if variable.of is not None:
+        value["derivative"] = str(variable.of)
+    ET.SubElement(listed, "Float64", own | value)
+
+
+def _variable_2(listed: ET.Element, variable: Variable) -> None:
+    own, value = _common(variable)
+    if variable.of is not None:
+        value["derivative"] = str(variable.of + 1)  # the number of the state in the list, from 1
+    ET.SubElement(ET.SubElement(listed, "ScalarVariable", own), "Real", value)
+
+
+def sources_of(name: str) -> tuple[str, ...]:
+    """The sources to compile."""
+    return f"{name}.c", f"{name}_derivatives.c", f"{name}_fmu.c"
+
+
+def build_description(name: str) -> str:
+    """The file sources/buildDescription.xml of FMI 3.0."""
+    root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
+    configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=name)
+    group = ET.SubElement(configuration, "SourceFileSet", language="C99")
+    for source in sources_of(name):
+        ET.SubElement(group, "SourceFile", name=source)
+    return _xml(root)
+
+
+def _xml(root: ET.Element) -> str:
+    ET.indent(root)
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def fmu_source(fmi: int, manifest: Mapping[str, Any]) -> str:
+    """The source of an FMU besides those of its library."""
+    name = manifest["name"]
+    outputs = "#define FB_OUTPUTS\n" if manifest["outputs"] else ""
+    return f"""\
+/* The mechanism "{name}" as an FMU, generated by fourbar_codegen. Do not edit.
+ *
+ * {name}.h declares what is called here; fourbar_fmu.h says how variables are numbered.
+ */
+#include "{name}.h"
+
+static const char fmu_token[] = "{token_of(manifest)}";
+
+#define FB_MODEL {name}
+{outputs}#include "{FOLDER}fourbar_fmi{fmi}.h"
+"""

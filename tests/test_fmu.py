@@ -1,0 +1,380 @@
+"""Models as FMUs of FMI 2 and 3, in FMPy, an importer by others (https://fmpy.readthedocs.io)."""
+
+import shutil
+import subprocess
+import sys
+import zipfile
+from ctypes import CDLL, c_double, c_uint, c_void_p
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+import sympy.physics.mechanics as me
+from fmpy.build import build_platform_binary
+from fmpy.fmi2 import FMU2Model, FMU2Slave
+from fmpy.fmi3 import FMU3Model, FMU3Slave
+from fmpy.validation import validate_fmu
+from programs import require
+from test_export_c import MODELS
+
+import fourbar_codegen as fb
+
+SLAVE, MODEL = {2: FMU2Slave, 3: FMU3Slave}, {2: FMU2Model, 3: FMU3Model}
+BOTH = pytest.mark.parametrize("fmi", [2, 3])
+
+
+@pytest.fixture(scope="module")
+def fmus(tmp_path_factory):
+    """FMUs by version and model, exported once."""
+    made = {}
+
+    def get(fmi, name="four_bar"):
+        if (fmi, name) not in made:
+            model = MODELS[name]()
+            path = tmp_path_factory.mktemp(name) / f"{name}{fmi}.fmu"
+            made[fmi, name] = str(fb.export_fmu(model, path, fmi=fmi))
+        return made[fmi, name]
+
+    return get
+
+
+class Instance:
+    """An FMU's instance, with its messages, and variables by name."""
+
+    def __init__(self, path, fmi, folder, kind=SLAVE):
+        self.description = fmpy.read_model_description(path)
+        self.references = {v.name: v.valueReference for v in self.description.modelVariables}
+        self.messages, self.fmi = [], fmi
+        self.fmu = kind[fmi](
+            guid=self.description.guid,
+            unzipDirectory=fmpy.extract(path, unzipdir=str(folder)),
+            modelIdentifier=self.description.coSimulation.modelIdentifier,
+            instanceName="instance",
+        )
+        if fmi == 2:
+            from fmpy.fmi2 import fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
+
+            self.callbacks = fmi2CallbackFunctions()
+            self.callbacks.logger = fmi2CallbackLoggerTYPE(lambda *words: self.messages.append(words[-1].decode()))
+            self.fmu.instantiate(callbacks=self.callbacks)
+        else:
+            self.fmu.instantiate(logMessage=lambda *words: self.messages.append(words[-1].decode()))
+
+    def begin(self, t=0.0, tolerance=1e-9, **values):
+        if self.fmi == 2:
+            self.fmu.setupExperiment(startTime=t, tolerance=tolerance)
+            self.fmu.enterInitializationMode()
+        else:
+            self.fmu.enterInitializationMode(startTime=t, tolerance=tolerance)
+        self.set(**values)
+        self.fmu.exitInitializationMode()
+
+    def set(self, **values):
+        setter = self.fmu.setReal if self.fmi == 2 else self.fmu.setFloat64
+        if values:
+            setter([self.references[name] for name in values], [*values.values()])
+
+    def get(self, *names):
+        getter = self.fmu.getReal if self.fmi == 2 else self.fmu.getFloat64
+        return np.array(getter([self.references[name] for name in names]))
+
+    def step(self, t, h):
+        self.fmu.doStep(currentCommunicationPoint=t, communicationStepSize=h)
+
+
+@BOTH
+@pytest.mark.parametrize(
+    "name", ["four_bar", "slider_crank", "whipple_bicycle", "redundant", "unknown_forces", "kinked"]
+)
+def test_valid(fmus, fmi, name):
+    """FMPy checks against the schema of the standard, and more; it finds no problem."""
+    path = fmus(fmi, name)
+    assert validate_fmu(path) == []
+    subprocess.run([sys.executable, "-m", "fmpy", "validate", path], check=True, capture_output=True)
+
+
+@BOTH
+def test_co_simulation(fmus, fmi, four_bar):
+    found = fmpy.simulate_fmu(
+        fmus(fmi), fmi_type="CoSimulation", stop_time=4.0, output_interval=0.05, relative_tolerance=1e-10,
+        output=[*four_bar.states, "der(u1)", "kinetic energy", "potential energy", "P2.x"],
+    )  # fmt: skip
+    run = four_bar.simulate((0.0, 4.0), t_eval=found["time"].clip(0.0, 4.0), rtol=1e-12, atol=1e-12)
+    for name in four_bar.states:
+        np.testing.assert_allclose(found[name], run[name], rtol=0, atol=2e-9)  # twenty times the tolerance
+    energies = [
+        (four_bar.kinetic_energy(t, x), four_bar.potential_energy(t, x)) for t, x in zip(run.t, run.y.T, strict=True)
+    ]
+    np.testing.assert_allclose(
+        np.column_stack([found["kinetic energy"], found["potential energy"]]), energies, rtol=1e-8
+    )
+    rates = [four_bar.rhs(t, x)[3] for t, x in zip(run.t, run.y.T, strict=True)]
+    np.testing.assert_allclose(found["der(u1)"], rates, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(found["P2.x"], run.points["P2"][0], rtol=0, atol=1e-8)
+
+
+@BOTH
+def test_model_exchange(fmus, fmi):
+    """FMPy's integrator, CVODE, knows nothing of the constraints: at events the state is projected onto them."""
+    slider_crank = fb.compile_model(fb.models.slider_crank())
+    found = fmpy.simulate_fmu(
+        fmus(fmi, "slider_crank"), fmi_type="ModelExchange", stop_time=10.0, output_interval=0.01,
+        relative_tolerance=1e-9, output=list(slider_crank.states),
+    )  # fmt: skip
+    states = np.array([found[name] for name in slider_crank.states])
+    violations = np.array([np.abs(slider_crank.position_constraints(0.0, x[:3])).max() for x in states.T])
+    assert violations.max() < 1e-8
+    last = np.append(np.diff(found["time"]) > 0.0, True)  # after the event, if there was one
+    early = last & (found["time"] < 1.0)
+    run = slider_crank.simulate((0.0, 1.0), t_eval=found["time"][early], rtol=1e-12, atol=1e-12)
+    # CVODE's tolerance is that of a step, of which there are some thousand, and speeds are up to 10 rad/s.
+    np.testing.assert_allclose(states[:, early], run.y, rtol=0, atol=1e-5)
+
+
+@BOTH
+def test_compiled_from_its_own_sources(fmus, fmi, tmp_path):
+    """By FMPy, with its own headers and CMake, for this machine; the numbers are the same."""
+    path = shutil.copy(fmus(fmi), tmp_path / "own.fmu")
+    before = fmpy.simulate_fmu(path, fmi_type="CoSimulation", stop_time=1.0)
+    folder = tmp_path / "sources"
+    with zipfile.ZipFile(path) as archive:
+        archive.extractall(folder, [name for name in archive.namelist() if not name.startswith("binaries")])
+    (tmp_path / "build").mkdir()
+    build_platform_binary(folder, tmp_path / "build")
+    after = fmpy.simulate_fmu(str(folder), fmi_type="CoSimulation", stop_time=1.0)
+    for name in before.dtype.names:
+        np.testing.assert_allclose(after[name], before[name], rtol=1e-9, atol=1e-9)
+
+
+@BOTH
+def test_states_are_saved_to_the_bit(fmus, fmi, tmp_path):
+    one, other = (Instance(fmus(fmi), fmi, tmp_path / str(k)) for k in range(2))
+    one.begin()
+    other.begin()
+    one.step(0.0, 0.1)
+    suffix = "FMUState"
+    saved = getattr(one.fmu, f"get{suffix}")()
+    text = getattr(one.fmu, f"serialize{suffix}")(saved)
+    names = [*one.references]
+    results = []
+    for _ in range(2):
+        for k in range(5):
+            one.step(0.1 + 0.1 * k, 0.1)
+        results.append(one.get(*names).tobytes())
+        getattr(one.fmu, f"set{suffix}")(saved)
+    restored = getattr(other.fmu, f"deserialize{suffix}")(text)
+    getattr(other.fmu, f"set{suffix}")(restored)
+    for k in range(5):
+        other.step(0.1 + 0.1 * k, 0.1)
+    results.append(other.get(*names).tobytes())
+    assert len(set(results)) == 1
+    getattr(one.fmu, f"free{suffix}")(saved)
+
+
+@BOTH
+def test_directional_derivatives(fmus, fmi, tmp_path, four_bar):
+    instance = Instance(fmus(fmi), fmi, tmp_path)
+    instance.begin(t=0.3)
+    x = instance.get(*four_bar.states)
+    knowns, unknowns = [*four_bar.states, "F"], [f"der({name})" for name in four_bar.states]
+    seed = np.linspace(-1.0, 1.0, 7)
+
+    def derivative(names):
+        references = [[instance.references[n] for n in group] for group in (names, knowns)]
+        return np.array(instance.fmu.getDirectionalDerivative(*references, [*seed]))
+
+    r = four_bar.default_inputs(0.3)
+    jacobian = np.hstack([four_bar.jacobian(0.3, x, None, r), four_bar.input_jacobian(0.3, x, None, r)])
+    np.testing.assert_allclose(derivative(unknowns), jacobian @ seed, rtol=1e-10)
+    h = 1e-6
+    points = [four_bar.drawing(0.3, x + side * h * seed[:6], four_bar.parameter_vector(None), r)[0] for side in (-1, 1)]
+    expected = (points[1] - points[0])[four_bar.points.index("P44")] / (2 * h)
+    np.testing.assert_allclose(derivative(["P44.x", "P44.y"]), expected[:2], rtol=0, atol=1e-8)
+
+
+@BOTH
+def test_loops_are_closed_and_inputs_set(fmus, fmi, tmp_path, four_bar):
+    instance = Instance(fmus(fmi), fmi, tmp_path)
+    instance.begin(q1=-0.4, u1=0.2, l2=0.45)
+    expected = four_bar.initial_state({"q1": -0.4}, {"u1": 0.2}, parameters={"l2": 0.45})
+    np.testing.assert_allclose(instance.get(*four_bar.states), expected, rtol=0, atol=1e-12)
+    # F follows 100 sin(pi t), until it is set.
+    instance.step(0.0, 0.25)
+    assert instance.get("F")[0] == pytest.approx(100 * np.sin(0.25 * np.pi), rel=1e-14)
+    instance.set(F=3.0)
+    x = instance.get(*four_bar.states)
+    instance.step(0.25, 0.5)
+    run = four_bar.simulate((0.25, 0.75), x, parameters={"l2": 0.45}, inputs={"F": 3.0}, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(instance.get(*four_bar.states), run.y[:, -1], rtol=0, atol=1e-7)
+    assert instance.get("F")[0] == 3.0
+
+
+@BOTH
+def test_mistakes_are_told(fmus, fmi, tmp_path):
+    instance = Instance(fmus(fmi), fmi, tmp_path)
+    prefix = f"fmi{fmi}"
+
+    def says(words, function, *arguments):
+        instance.messages.clear()
+        with pytest.raises(Exception, match=r"status 3"):
+            function(*arguments)
+        assert any(words in message for message in instance.messages), instance.messages
+
+    says('in the state "instantiated"', instance.step, 0.0, 0.1)
+    says('in the state "instantiated"', instance.fmu.exitInitializationMode)
+    says("must not be called here", instance.fmu.terminate)
+    instance.begin()
+    getter = instance.fmu.getReal if fmi == 2 else instance.fmu.getFloat64
+    says("no real variable with the value reference 12345", getter, [12345])
+    says("cannot be set after initialization", lambda: instance.set(l2=0.4))
+    says("cannot be set", lambda: instance.set(**{"kinetic energy": 1.0}))
+    says("cannot be nan", lambda: instance.set(F=np.nan))
+    says("the mechanism is at t = 0", instance.step, 0.5, 0.1)
+    says("must be positive", instance.step, 0.0, -0.1)
+    says("singular position", instance.step, 0.0, 6.0)
+    assert prefix in ("fmi2", "fmi3")
+    again = Instance(fmus(fmi), fmi, tmp_path / "again")
+    with pytest.raises(Exception, match=r"status 3"):
+        again.begin(l2=9.0)
+    assert "no state nearby satisfies the constraints" in again.messages[-1]
+
+
+def test_binary_and_description_belong_together(fmus, tmp_path):
+    path = fmus(3)
+    description = fmpy.read_model_description(path)
+    messages = []
+    fmu = FMU3Slave(
+        guid="{another}",
+        unzipDirectory=fmpy.extract(path, unzipdir=str(tmp_path)),
+        modelIdentifier=description.coSimulation.modelIdentifier,
+        instanceName="a",
+    )
+    with pytest.raises(Exception, match=r"[Ii]nstantiate"):
+        fmu.instantiate(logMessage=lambda *words: messages.append(words[-1]))
+    assert b"of different models" in messages[0]
+
+
+def test_a_kink_is_an_event(fmus):
+    """The FMU names the time of the push; CVODE stops there."""
+    found = fmpy.simulate_fmu(
+        fmus(3, "kinked"), fmi_type="ModelExchange", stop_time=1.0, output_interval=0.1, relative_tolerance=1e-9
+    )
+    assert 0.35 in found["time"]
+    expected = np.where(found["time"] > 0.35, (1 - np.cos(3 * (found["time"] - 0.35))) / 9, 0.0)
+    np.testing.assert_allclose(found["q"], expected, rtol=0, atol=1e-7)
+
+
+def test_the_same_every_time(tmp_path):
+    contents = []
+    for name in ("one", "two"):
+        path = fb.export_fmu(fb.models.slider_crank(), tmp_path / f"{name}.fmu")
+        with zipfile.ZipFile(path) as archive:
+            contents.append({name: archive.read(name) for name in archive.namelist()})
+    assert contents[0] == contents[1]
+
+
+def test_what_cannot_be_exported(tmp_path, monkeypatch):
+    with pytest.raises(fb.ModelError, match="2 or 3, not 1"):
+        fb.export_fmu(fb.models.four_bar(), tmp_path / "a.fmu", fmi=1)
+    (tmp_path / "folder.fmu").mkdir()
+    with pytest.raises(fb.BuildError, match="cannot be written"):
+        fb.export_fmu(fb.models.four_bar(), tmp_path / "folder.fmu")
+    monkeypatch.setenv("CC", "no-such-compiler")
+    with pytest.raises(fb.BuildError, match="no-such-compiler"):
+        fb.export_fmu(fb.models.four_bar(), tmp_path / "b.fmu")
+    assert [path.name for path in tmp_path.iterdir()] == ["folder.fmu"]
+
+
+def test_with_a_controller_of_someone_else(fmus, tmp_path):
+    """A motor's speed control, written by hand for FMI 2, and the slider-crank: their torque and speed are exchanged
+    every millisecond, and the motion is that of Python's stepper-like run with the torque held."""
+    source = tmp_path / "controller.c"
+    source.write_text(CONTROLLER)
+    library = tmp_path / "controller.so"
+    subprocess.run([require("gcc"), "-shared", "-fPIC", "-O1", source, "-o", library], check=True)
+    controller = CDLL(str(library))
+    controller.fmi2Instantiate.restype = c_void_p
+    own = c_void_p(controller.fmi2Instantiate(b"c", 1, b"{c}", b"", None, 0, 0))
+    engine = Instance(fmus(2, "slider_crank"), 2, tmp_path / "engine")
+    engine.begin(crank=0.5, crank_rate=0.0)
+    compiled = fb.compile_model(fb.models.slider_crank())
+    x = compiled.initial_state({"crank": 0.5}, {"crank_rate": 0.0})
+    for k in range(300):
+        t = k * 1e-3
+        speed, torque = c_double(engine.get("crank_rate")[0]), c_double()
+        assert controller.fmi2SetReal(own, (c_uint * 1)(0), 1, (c_double * 1)(speed.value)) == 0
+        assert controller.fmi2DoStep(own, c_double(t), c_double(1e-3), 0) == 0
+        values = (c_double * 1)()
+        assert controller.fmi2GetReal(own, (c_uint * 1)(1), 1, values) == 0
+        torque = values[0]
+        engine.set(torque=torque, load=0.0)
+        engine.step(t, 1e-3)
+        x = compiled.simulate(
+            (t, t + 1e-3), x, inputs={"torque": 2.0 * (10.0 - x[3]), "load": 0.0}, rtol=1e-11, atol=1e-11
+        ).y[:, -1]
+    np.testing.assert_allclose(engine.get(*compiled.states), x, rtol=0, atol=1e-7)
+
+
+CONTROLLER = """
+/* torque = 2 (10 - speed), sampled once a step; variables: 0 speed, 1 torque */
+static double speed, torque;
+void *fmi2Instantiate(const char *n, int k, const char *g, const char *r, const void *f, int v, int l)
+{
+    (void)n, (void)k, (void)g, (void)r, (void)f, (void)v, (void)l;
+    return &speed;
+}
+int fmi2SetReal(void *c, const unsigned v[], unsigned long n, const double x[])
+{
+    (void)c;
+    if (n != 1 || v[0] != 0) return 3;
+    speed = x[0];
+    return 0;
+}
+int fmi2GetReal(void *c, const unsigned v[], unsigned long n, double x[])
+{
+    (void)c;
+    if (n != 1 || v[0] > 1) return 3;
+    x[0] = v[0] ? torque : speed;
+    return 0;
+}
+int fmi2DoStep(void *c, double t, double h, int s)
+{
+    (void)c, (void)t, (void)h, (void)s;
+    torque = 2.0 * (10.0 - speed);
+    return 0;
+}
+"""
+
+
+def test_names_that_meet(tmp_path):
+    q, u = me.dynamicsymbols("q u")
+    system = me.system.System(me.ReferenceFrame("N"), me.Point("O"))
+    point = me.Point("P")
+    point.set_pos(system.fixed_point, q * system.frame.x)
+    point.set_vel(system.frame, u * system.frame.x)
+    system.fixed_point.set_vel(system.frame, 0)
+    system.add_bodies(me.Particle("a", point, 1))
+    system.add_coordinates(q)
+    system.add_speeds(u)
+    system.add_kdes(u - q.diff(me.dynamicsymbols._t))
+    model = fb.Model(system, name="twice", outputs={"kinetic energy": u**2})
+    with pytest.raises(fb.ModelError, match="two are called 'kinetic energy'"):
+        fb.export_fmu(model, tmp_path / "twice.fmu")
+
+
+def test_the_example_of_the_documentation(tmp_path, monkeypatch):
+    """The command, and the lines of Python, as they stand there."""
+    page = (Path(__file__).parents[1] / "docs" / "howto" / "fmu.md").read_text()
+    monkeypatch.chdir(tmp_path)
+    command = page.split("```console\n$ ")[1].splitlines()[0]
+    subprocess.run([sys.executable, "-m", "fourbar_codegen", *command.split()[1:]], check=True, capture_output=True)
+    names = {}
+    exec(page.split("```python\n")[1].split("```")[0], names)
+    engine = fb.compile_model(fb.models.slider_crank())
+    given = {"m_slider": 1.2}
+    x = engine.initial_state({"crank": 0.5}, parameters=given)
+    run = engine.simulate((0.0, 2.0), x, parameters=given, rtol=1e-10, atol=1e-10)
+    found = names["found"]
+    assert found["time"][-1] == 2.0
+    assert found["crank"][-1] == pytest.approx(run["crank"][-1], abs=1e-3)  # at the tolerance 1e-6

@@ -274,6 +274,23 @@ def test_the_same_every_time(tmp_path):
     assert contents[0] == contents[1]
 
 
+def test_binaries_for_other_machines(tmp_path):
+    """By zig: a DLL that exports the functions of the standard, and an object for 64-bit ARM."""
+    path = fb.export_fmu(fb.models.slider_crank(), tmp_path / "a.fmu", platforms=["x86_64-windows", "aarch64-linux"])
+    with zipfile.ZipFile(path) as archive:
+        windows = archive.read("binaries/x86_64-windows/slider_crank.dll")
+        arm = archive.read("binaries/aarch64-linux/slider_crank.so")
+        assert f"binaries/{fmpy.platform_tuple}/slider_crank.so" in archive.namelist()
+    assert windows[:2] == b"MZ"
+    assert b"fmi3DoStep\0" in windows
+    assert arm[:4] == b"\x7fELF"
+    assert int.from_bytes(arm[18:20], "little") == 183  # EM_AARCH64
+    with pytest.raises(fb.ModelError, match="not for 'amiga'"):
+        fb.export_fmu(fb.models.slider_crank(), tmp_path / "b.fmu", platforms=["amiga"])
+    with pytest.raises(fb.ModelError, match=r"FMI 2\.0 has no name for aarch64-linux"):
+        fb.export_fmu(fb.models.slider_crank(), tmp_path / "b.fmu", fmi=2, platforms=["aarch64-linux"])
+
+
 def test_what_cannot_be_exported(tmp_path, monkeypatch):
     with pytest.raises(fb.ModelError, match="2 or 3, not 1"):
         fb.export_fmu(fb.models.four_bar(), tmp_path / "a.fmu", fmi=1)

@@ -6,6 +6,7 @@ import platform
 import sys
 import tempfile
 import zipfile
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -17,6 +18,17 @@ from fourbar_codegen.modeling.model import Model
 from fourbar_codegen.progress import Progress
 
 __all__ = ["export_c", "export_fmu"]
+
+PLATFORMS = {
+    "x86_64-linux": ("x86_64-linux-gnu.2.17", "linux64"),
+    "aarch64-linux": ("aarch64-linux-gnu.2.17", None),
+    "x86_64-windows": ("x86_64-windows-gnu", "win64"),
+    "x86-windows": ("x86-windows-gnu", "win32"),
+    "aarch64-windows": ("aarch64-windows-gnu", None),
+    "x86_64-darwin": ("x86_64-macos", "darwin64"),
+    "aarch64-darwin": ("aarch64-macos", None),
+}
+"""Kinds of machines by their names in FMI 3: those that zig gives them, and those of FMI 2, if it has one."""
 
 LONG_AGO = (1980, 1, 1, 0, 0, 0)
 """The time of all files in an FMU, so that the same model makes the same FMU."""
@@ -61,7 +73,7 @@ def export_c(model: Model, folder: str | Path) -> Path:
     return folder
 
 
-def export_fmu(model: Model, path: str | Path, *, fmi: int = 3) -> Path:
+def export_fmu(model: Model, path: str | Path, *, fmi: int = 3, platforms: Sequence[str] = ()) -> Path:
     """Write a model as a Functional Mock-up Unit of FMI 3.0 or 2.0, for model exchange and co-simulation.
 
     It contains a binary for machines of this kind, and its sources. Co-simulation steps inside by DOP853, projected
@@ -76,6 +88,9 @@ def export_fmu(model: Model, path: str | Path, *, fmi: int = 3) -> Path:
         The file, such as ``four_bar.fmu``; replaced if it exists.
     fmi : {3, 2}, optional
         The version of FMI.
+    platforms : sequence of str, optional
+        Further kinds of machines that it has binaries for, such as ``x86_64-windows`` or ``aarch64-linux``: see
+        `PLATFORMS`. They are compiled by zig, from the extra ``compiler``.
 
     Returns
     -------
@@ -86,9 +101,10 @@ def export_fmu(model: Model, path: str | Path, *, fmi: int = 3) -> Path:
     ------
     ModelError
         As for `export_c`; if two variables have the same name; if the speed of a prescribed motion jumps; or if there
-        is no such version.
+        is no such version or platform.
     BuildError
-        If there is no C compiler, or it fails, with its output; or the file cannot be written.
+        If there is no C compiler, or no zig for other platforms; if it fails, with its output; or if the file cannot be
+        written.
 
     Source: Modelica Association, Functional Mock-up Interface, versions 2.0.5 and 3.0.2, https://fmi-standard.org.
 
@@ -103,6 +119,7 @@ def export_fmu(model: Model, path: str | Path, *, fmi: int = 3) -> Path:
     path = path_of(path)
     if fmi not in {2, 3}:
         raise ModelError(f"The version of FMI is 2 or 3, not {shown(fmi)}.")
+    folders = {_platform(): _folder(_platform(), fmi)} | {name: _folder(name, fmi) for name in platforms}
     with Progress(f"fourbar_codegen: {getattr(model, 'name', '')}") as progress:
         generated = generate_kernel(model, progress)
         manifest = generated.manifest
@@ -126,13 +143,19 @@ def export_fmu(model: Model, path: str | Path, *, fmi: int = 3) -> Path:
         with tempfile.TemporaryDirectory() as temporary:
             folder = Path(temporary)
             _write(sources, folder)
-            binary = compile_shared(folder / f"{name}{_suffix()}", folder, sources_of(name)).read_bytes()
+            binaries = {}
+            for kind, own in folders.items():
+                library = folder / own / f"{name}{_suffix(kind)}"
+                library.parent.mkdir()
+                target = None if kind == _platform() else PLATFORMS[kind][0]
+                built = compile_shared(library, folder, sources_of(name), target)
+                binaries[f"binaries/{own}/{built.name}"] = built.read_bytes()
         texts = {"modelDescription.xml": description(fmi, manifest, variables, _version())}
         if fmi == 3:
             texts["sources/buildDescription.xml"] = build_description(name)
         texts |= {f"sources/{file}": text for file, text in sources.items()}
         contents = {file: text.encode("utf-8") for file, text in texts.items()}
-        _pack(path, contents | {f"binaries/{_platform(fmi)}/{name}{_suffix()}": binary})
+        _pack(path, contents | binaries)
     return path
 
 
@@ -164,20 +187,29 @@ def _version() -> str:
     return version("fourbar_codegen")
 
 
-def _platform(fmi: int) -> str:
-    """The folder of this kind of machine in an FMU."""
-    machine = {"AMD64": "x86_64", "arm64": "aarch64", "i386": "x86", "i686": "x86"}.get(
-        platform.machine(), platform.machine()
-    )
-    system = {"win32": "windows", "darwin": "darwin"}.get(sys.platform, "linux")
-    if fmi == 2:
-        return f"{system.replace('windows', 'win')}{'64' if sys.maxsize > 2**32 else '32'}"
-    return f"{machine}-{system}"
+def _platform() -> str:
+    """The kind of this machine, as FMI 3 names it."""
+    names = {"AMD64": "x86_64", "arm64": "aarch64", "i386": "x86", "i686": "x86"}
+    machine = names.get(platform.machine(), platform.machine())
+    return f"{machine}-{({'win32': 'windows', 'darwin': 'darwin'}).get(sys.platform, 'linux')}"
 
 
-def _suffix() -> str:
+def _folder(kind: str, fmi: int) -> str:
+    """The folder of a kind of machine in an FMU."""
+    own = kind == _platform()
+    if kind not in PLATFORMS and not own:
+        raise ModelError(f"FMUs can have binaries for {', '.join(PLATFORMS)}, not for {shown(kind)}.")
+    if fmi == 3:
+        return kind
+    name = PLATFORMS.get(kind, ("", None))[1]
+    if name is None and not own:
+        raise ModelError(f"FMI 2.0 has no name for {kind}: use fmi=3.")
+    return name or kind
+
+
+def _suffix(kind: str) -> str:
     """Of a shared library."""
-    return {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
+    return {"windows": ".dll", "darwin": ".dylib"}.get(kind.rpartition("-")[2], ".so")
 
 
 def _pack(path: Path, contents: dict[str, bytes]) -> None:

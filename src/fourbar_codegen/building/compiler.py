@@ -89,6 +89,28 @@ def find_compiler() -> Compiler:
     return _gnu(pythons, "", _pythons_link_flags())
 
 
+def cross_compiler(target: str) -> Compiler:
+    """The package ziglang as a compiler for other machines, such as ``aarch64-linux-gnu``.
+
+    Raises
+    ------
+    BuildError
+        If it is not installed.
+    """
+    zig = _ziglang()
+    if zig is None:
+        raise BuildError(f"To compile for {target}, install ziglang: pip install 'fourbar_codegen[compiler]'.")
+    return Compiler(
+        (str(zig), "cc", "-target", target),
+        "the package ziglang",
+        flags=("-fno-sanitize=undefined",),
+        machine_flags=(),
+        portable_flags=(),
+        link_flags=("-shared",),
+        is_zig=True,
+    )
+
+
 def program_of(command: str) -> str:
     """The path of the program that a command runs; empty if there is none, which is not cached."""
     try:

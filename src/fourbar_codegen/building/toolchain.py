@@ -18,7 +18,7 @@ from functools import cache, partial
 from pathlib import Path
 
 from fourbar_codegen.building.cache import tool_folder
-from fourbar_codegen.building.compiler import INSTALL, Compiler, find_compiler, program_of, user_flags
+from fourbar_codegen.building.compiler import INSTALL, Compiler, cross_compiler, find_compiler, program_of, user_flags
 from fourbar_codegen.errors import BuildError
 from fourbar_codegen.files import replacing
 
@@ -277,18 +277,31 @@ def compile_library(
         return _link(_side_by_side([partial(_compile, *unit) for unit in flags.items()], meanwhile), library)
 
 
-def compile_shared(library: Path, folder: Path, sources: Sequence[str]) -> Path:
-    """Compile C sources in a folder to a shared library for other machines of this kind, without Python.
+def compile_shared(library: Path, folder: Path, sources: Sequence[str], target: str | None = None) -> Path:
+    """Compile C sources in a folder to a shared library without Python, for machines of this kind or of another one.
 
     Only functions that a source marks as visible can be called from outside.
+
+    Parameters
+    ----------
+    library : Path
+    folder : Path
+    sources : sequence of str
+    target : str, optional
+        Another kind of machine, as zig names it.
 
     Raises
     ------
     BuildError
         If a tool is missing or fails; with the tool's output.
     """
-    flags = (*KERNEL_FLAGS, "-std=c99", "-fvisibility=hidden", *find_compiler().portable_flags)
-    jobs = [partial(_compile, folder / source, flags) for source in sources]
+    flags = ("-g0", "-O2", "-std=c99", "-fvisibility=hidden")
+    if target is not None:
+        compiler = cross_compiler(target)
+        words = [*flags, *compiler.flags, *STRICT_FLAGS, *(str(folder / source) for source in sources)]
+        return _run_compiler(compiler, [*words, *compiler.link_flags, "-lm"], library)
+    own = (*COMMON_FLAGS, *flags, *find_compiler().portable_flags)
+    jobs = [partial(_compile, folder / source, own) for source in sources]
     return _link([*_side_by_side(jobs), Path("-lm")], library)
 
 

@@ -401,12 +401,18 @@ def build(model: str, output: Path, wheel: bool, version: str) -> None:
 )
 @click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The folder, or the file.")
 @click.option("--fmi", type=click.Choice(["3", "2"]), help="The version of FMI, 3.0 by default.")
-def export(model: str, form: str, output: Path, fmi: str | None) -> None:
+@click.option(
+    "--platform",
+    multiple=True,
+    help="Another kind of machine that an FMU has a binary for, such as x86_64-windows; by zig. Repeatable.",
+)
+def export(model: str, form: str, output: Path, fmi: str | None, platform: tuple[str, ...]) -> None:
     if form == "fmu":
-        click.echo(f"Written: {fb.export_fmu(source_model(model), output, fmi=int(fmi or 3))}")
+        path = fb.export_fmu(source_model(model), output, fmi=int(fmi or 3), platforms=platform)
+        click.echo(f"Written: {path}")
         return
-    if fmi:
-        raise click.UsageError("--fmi belongs to --to fmu.")
+    if fmi or platform:
+        raise click.UsageError(f"{'--fmi' if fmi else '--platform'} belongs to --to fmu.")
     folder = fb.export_c(source_model(model), output)
     click.echo(f"Written: {folder / 'README.md'} says how to build it")
 

@@ -30,6 +30,8 @@ class Library:
                 ("x", double * n["x"]),
                 ("p", double * max(n["p"], 1)),
                 ("r", double * max(n["r"], 1)),
+                ("slope", double * max(n["r"], 1)),
+                ("since", double),
                 ("held", ctypes.c_int * max(n["r"], 1)),
                 ("memory", double * (int(re.search(r"bytes\[(\d+)\]", header)[1]) // 8)),
             ]

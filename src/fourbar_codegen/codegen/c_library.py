@@ -144,12 +144,14 @@ def _header(program: Program, names: Mapping[str, Sequence[str]], manifest: Mapp
         )
     n_p, n_r = max(sizes.n_p, 1), max(sizes.n_r, 1)
     members = "".join(
-        f"    {member + ';':<18}/* {comment} */\n"
+        f"    {member + ';':<18}{f'/* {comment} */' if comment else ''}".rstrip() + "\n"
         for member, comment in (
             ("double t", "time"),
             (f"double x[{n_x}]", "state"),
             (f"double p[{n_p}]", f"parameters; call {name}_update after a change"),
             (f"double r[{n_r}]", "values of inputs that are held"),
+            (f"double slope[{n_r}]", "by which held inputs change with time, from `since` on; 0 at first"),
+            ("double since", ""),
             (f"int held[{n_r}]", "whether each input is held, or follows its expression of time"),
         )
     )
@@ -200,7 +202,8 @@ int {name}_update({name} *model);
 int {name}_close({name} *model);
 
 /* One step of length h: the Runge-Kutta method of order 4 (four evaluations) or 8 (twelve), then a projection onto the
- * constraints. Held inputs are constant in it. Its duration does not depend on the state, but for the projection. */
+ * constraints. Held inputs are constant in it, or linear. Its work does not depend on the state, but for the projection.
+ */
 int {name}_step({name} *model, double h, int order);
 
 /* A run to t_end by the method DOP853 with step control, projected onto the constraints after each step. The states at
@@ -270,7 +273,7 @@ def _memory(program: Program) -> int:
         factors = u + c + len(structure.tables()["below"]) + n_jacobian + c
     work = s.n_q + n_mass + 2 * n_jacobian + 2 * u + c + n_l + (u + n_l + s.n_z) * max(n_x, s.n_p, s.n_r) + factors
     work += s.n_z * (u + n_l) + u * (1 + n) + n * (2 + 2 * n + u + c) + n * (u + c + n + 2) + u + c
-    own = s.n_constants + 34 * padded + 2 * n_x + 5 * s.n_r
+    own = s.n_constants + 34 * padded + 2 * n_x + 16 * s.n_r
     constant = 900  # the run with its weights, the problem, and arrays of length 1 instead of 0
     return 8 * (work + own + constant)
 

@@ -139,6 +139,8 @@ def description(fmi: int, manifest: Mapping[str, Any], variables: Sequence[Varia
         ET.SubElement(root, "CoSimulation", able, canHandleVariableCommunicationStepSize="true"),
     ]
     if fmi == 2:
+        kinds[1].set("canInterpolateInputs", "true")
+    if fmi == 2:
         for kind in kinds:
             files = ET.SubElement(kind, "SourceFiles")
             for source in sources_of(name):

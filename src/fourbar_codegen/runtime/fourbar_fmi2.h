@@ -355,11 +355,9 @@ static fmi2Status without(fmi2Component instance, const char *what)
 FMI2_EXPORT fmi2Status fmi2SetRealInputDerivatives(fmi2Component instance, const fmi2ValueReference references[],
                                                    size_t n, const fmi2Integer orders[], const fmi2Real values[])
 {
-    (void)references;
-    (void)n;
-    (void)orders;
-    (void)values;
-    return without(instance, "interpolated inputs");
+    fmu *const f = instance;
+    return fmu_status(fmu_may(f, "fmi2SetRealInputDerivatives", FMU_INITIALIZATION | FMU_STEP) &&
+                      fmu_set_slopes(f, references, n, orders, values));
 }
 
 FMI2_EXPORT fmi2Status fmi2GetRealOutputDerivatives(fmi2Component instance, const fmi2ValueReference references[],

@@ -215,6 +215,7 @@ static int fmu_set(fmu *f, const unsigned *references, const size_t n, const dou
         if (v >= OF_INPUTS && v < OF_OUTPUTS) {
             s->model.r[v - OF_INPUTS] = values[i];
             s->model.held[v - OF_INPUTS] = 1;
+            s->model.slope[v - OF_INPUTS] = 0.0;
         } else if (v >= OF_STATES && v < OF_RATES && is_before)
             s->model.x[v - OF_STATES] = values[i];
         else if (v >= OF_PARAMETERS && v < OF_INPUTS && is_before)
@@ -225,6 +226,23 @@ static int fmu_set(fmu *f, const unsigned *references, const size_t n, const dou
         s->is_open |= is_before;
         s->are_valid = 0;
     }
+    return 1;
+}
+
+/* Inputs that change linearly in the next step of co-simulation. */
+static int fmu_set_slopes(fmu *f, const unsigned *references, const size_t n, const int *orders, const double *values)
+{
+    FB_MODEL *const m = &f->state.model;
+    for (size_t i = 0; i < n; ++i) {
+        if (references[i] < OF_INPUTS || references[i] >= OF_OUTPUTS)
+            return fmu_fail(f, "The variable with the value reference %u is no input.", references[i]);
+        if (orders[i] != 1 || !isfinite(values[i]))
+            return fmu_fail(f, "An input has a finite derivative of order 1, not %g of order %d.", values[i],
+                            orders[i]);
+        m->slope[references[i] - OF_INPUTS] = values[i];
+    }
+    m->since = m->t;
+    f->state.are_valid = 0;
     return 1;
 }
 
@@ -251,6 +269,7 @@ static int fmu_difference(fmu *f, const unsigned unknown, const unsigned *knowns
             else {
                 m->r[knowns[j] - OF_INPUTS] += moved;
                 m->held[knowns[j] - OF_INPUTS] = 1;
+                m->slope[knowns[j] - OF_INPUTS] = 0.0;
             }
         }
         succeeds = fmu_get(f, &unknown, 1, values + side);

@@ -27,6 +27,8 @@ typedef struct fb_own {
     double failed_x[N_X], moved_x[N_X];
     double inputs[FB_AT_LEAST_1(N_R)];
     fb_source sources[FB_AT_LEAST_1(N_R)];
+    fb_table tables[FB_AT_LEAST_1(N_R)];
+    double lines[FB_AT_LEAST_1(N_R)][4]; /* of inputs with a slope: the times, slope and value */
     fb_problem problem;
     fb_run run;
     int prepared; /* the order of the method whose weights the run has */
@@ -60,6 +62,21 @@ static fb_problem *problem_of(FB_MODEL *model)
             source->input = i;
             source->value = model->r[i];
             source->table = NULL;
+            if (model->slope[i] != 0.0) { /* from `since` on, before that the value itself */
+                fb_table *const table = own->tables + i;
+                double *const line = own->lines[i];
+                line[0] = model->since;
+                line[1] = INFINITY;
+                line[2] = model->slope[i];
+                line[3] = model->r[i];
+                table->n_intervals = 1;
+                table->n_coefficients = 2;
+                table->times = line;
+                table->coefficients = line + 2;
+                table->before = table->after = model->r[i];
+                source->table = table;
+                source->interval = 0;
+            }
         }
     problem->called_inputs = NULL;
     problem->status = FB_OK;

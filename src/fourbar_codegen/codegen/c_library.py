@@ -202,7 +202,7 @@ int {name}_update({name} *model);
 int {name}_close({name} *model);
 
 /* One step of length h: the Runge-Kutta method of order 4 (four evaluations) or 8 (twelve), then a projection onto the
- * constraints. Held inputs are constant in it, or linear. Its work does not depend on the state, but for the projection.
+ * constraints. Held inputs are constant in it, or linear. Its work depends on the state only in the projection.
  */
 int {name}_step({name} *model, double h, int order);
 

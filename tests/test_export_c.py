@@ -27,13 +27,39 @@ def parallelogram():
 
 
 def driven():
-    """A crank that is driven with a rate, an input that has no expression, and a kink of another one in time."""
+    """A crank with a trapezoidal profile of its speed, whose acceleration jumps."""
     points = {"O": (0, 0), "A": (0.1, 0.05), "C": (0.4, 0)}
     linkage = fb.Linkage("driven", points=points, ground="O", links=["OA", "AC"], density=1.0)
     linkage.slider("C", along=(1, 0))
-    linkage.drive("O", angle=sm.Symbol("w") * me.dynamicsymbols._t + 0.3, parameters={"w": 2.0})
-    linkage.force("C", "F", along=(1, 0))
+    t = me.dynamicsymbols._t
+    linkage.drive("O", angle=sm.Piecewise((10 * t**2, t < 0.25), (5 * t - 0.625, True)))
     return linkage.model()
+
+
+def falling_rod():
+    """A rod that slides on the ground without friction: the normal force is unknown, and friction would be its part."""
+    q, x, u, v, aux = me.dynamicsymbols("q x u v v_aux")
+    m, length, g, mu, normal = *sm.symbols("m l g mu"), me.dynamicsymbols("N_f")
+    frame, origin, rod = me.ReferenceFrame("N"), me.Point("O"), me.ReferenceFrame("A")
+    foot, center = me.Point("F"), me.Point("C")
+    origin.set_vel(frame, 0)
+    rod.orient_axis(frame, frame.z, q)
+    rod.set_ang_vel(frame, u * frame.z)
+    foot.set_pos(origin, x * frame.x)
+    foot.set_vel(frame, v * frame.x + aux * frame.y)
+    center.set_pos(foot, length / 2 * rod.x)
+    center.v2pt_theory(foot, frame, rod)
+    system = System(frame, origin)
+    inertia = me.inertia(rod, 0, 0, m * length**2 / 12)
+    system.add_bodies(me.RigidBody("rod", center, rod, m, (inertia, center)))
+    system.add_loads(me.Force(center, -m * g * frame.y), me.Force(foot, normal * frame.y - mu * normal * v * frame.x))
+    system.add_coordinates(q, x)
+    system.add_speeds(u, v)
+    system.u_aux = [aux]
+    t = me.dynamicsymbols._t
+    system.add_kdes(u - q.diff(t), v - x.diff(t))
+    values = {"m": 2.0, "l": 0.6, "g": 9.81, "mu": 0.3}
+    return fb.Model(system, name="rod", parameters=values, initial={q: 1.2, x: 0, u: 0, v: 0.2})
 
 
 def kinked():
@@ -68,6 +94,8 @@ MODELS = {
     "spatial": spatial_four_bar,
     "unknown_forces": lambda: closed_by_auxiliary_speeds(unknown_forces=True),
     "kinked": kinked,
+    "driven_by_unknown_forces": falling_rod,
+    "driven": driven,
     "pendulum": lambda: fb.Model(
         pendulum(), name="hanging", parameters={"m": 1.0, "g": 9.81, "l": 0.5}, initial={"q": 0.4}
     ),
@@ -262,6 +290,50 @@ def test_parameters_and_inputs(exported):
     np.testing.assert_allclose(mechanism.x, stepper.x, rtol=0, atol=1e-13)
 
 
+def test_a_speed_that_jumps(tmp_path):
+    """It is refused to pass it, and to stop there: the speeds after it are unknown."""
+    points = {"O": (0, 0), "A": (0.1, 0.05), "C": (0.4, 0)}
+    linkage = fb.Linkage("jumping", points=points, ground="O", links=["OA", "AC"], density=1.0)
+    linkage.slider("C", along=(1, 0))
+    t = me.dynamicsymbols._t
+    linkage.drive("O", angle=sm.Piecewise((0, t < 0.25), (5 * t - 1.25, True)))
+    library = Library(linkage.model(), tmp_path)
+    mechanism = library.new()
+    assert library.call("close", mechanism) == 0
+    assert "jumps" in library.message(library.call("simulate", mechanism, 0.3, 1e-6, 1e-6, None, 0, None))
+    assert "jumps" in library.message(library.call("simulate", mechanism, 0.25, 1e-6, 1e-6, None, 0, None))
+    assert library.call("simulate", mechanism, 0.24, 1e-6, 1e-6, None, 0, None) == 0
+    assert "jumps" in library.message(library.call("step", mechanism, 0.02, 4))
+
+
+@pytest.mark.parametrize("n", [0, 2, 3001])
+def test_a_singular_position_between_samples(exported, n):
+    """However many samples are taken, the run ends there."""
+    compiled, library = exported("slider_crank")
+    mechanism = library.new()
+    for name in ("r", "l"):
+        mechanism.p[compiled.parameters.index(name)] = 0.2
+    library.call("update", mechanism)
+    mechanism.x[0], mechanism.x[3] = 0.5, 2.0
+    assert library.call("close", mechanism) == 0
+    times, states = np.linspace(0.0, 3.0, n), np.zeros((n, 6))
+    status = library.call("simulate", mechanism, 3.0, 1e-8, 1e-8, times if n else None, n, states if n else None)
+    assert "singular position" in library.message(status)
+    assert 1.3 < mechanism.x[0] < 1.58
+    assert not states[int(np.searchsorted(times, mechanism.t)) + 1 :].any()
+
+
+def test_violations_that_are_not_numbers(exported):
+    compiled, library = exported("slider_crank")
+    library.function("relative_violation").restype = ctypes.c_double
+    for k in range(compiled.n_x):
+        mechanism = library.new()
+        library.call("close", mechanism)
+        mechanism.x[k] = np.nan
+        assert np.isnan(library.call("violation", mechanism))
+        assert np.isnan(library.call("relative_violation", mechanism))
+
+
 def test_what_fails_says_why(exported):
     compiled, library = exported("four_bar")
 
@@ -286,6 +358,8 @@ def test_what_fails_says_why(exported):
     assert "outside of its range" in status("step", np.inf, 4)
     assert "outside of its range" in status("simulate", 1.0, 0.0, 1e-9, None, 0, None)
     assert "outside of its range" in status("simulate", 1.0, 1e-6, 1e-9, np.array([0.5, 0.2]), 2, np.zeros((2, 6)))
+    assert "outside of its range" in status("simulate", 1.0, 1e-6, 1e-9, None, 2, np.zeros((2, 6)))
+    assert "outside of its range" in status("simulate", 1.0, 1e-6, 1e-9, np.array([0.5, 0.7]), 2, None)
     assert "singular position" in status("simulate", 6.0, 1e-8, 1e-8, None, 0, None)
     assert library.message(0) == "success"
     assert library.message(99) == "unknown status"
@@ -389,15 +463,19 @@ def test_the_same_text_every_time_and_no_globals(tmp_path):
 def test_what_cannot_be_exported(tmp_path):
     with pytest.raises(fb.ModelError, match="begins with defaults: give m"):
         fb.export_c(fb.Model(pendulum(), name="open", parameters={"g": 9.81, "l": 0.5}), tmp_path / "a")
-    with pytest.raises(fb.ModelError, match="is a word of C"):
+    with pytest.raises(fb.ModelError, match="is a name in C"):
         fb.export_c(fb.Model(pendulum(), name="double", parameters={"m": 1.0, "g": 9.81, "l": 0.5}), tmp_path / "a")
+    for name in ("energy", "fb_kernel", "fourbar_model", "math", "N_X", "template"):
+        with pytest.raises(fb.ModelError, match=f"'{name}' is a name in C"):
+            fb.export_c(fb.Model(pendulum(), name=name, parameters={"m": 1.0, "g": 9.81, "l": 0.5}), tmp_path / "a")
     greek = pendulum(mass=sm.Symbol("μ"))
     with pytest.raises(fb.ModelError, match="is no name in C"):
-        fb.export_c(fb.Model(greek, name="p", parameters={"μ": 1.0, "m": 1.0, "g": 9.81, "l": 0.5}), tmp_path / "a")
+        fb.export_c(fb.Model(greek, name="pend", parameters={"μ": 1.0, "m": 1.0, "g": 9.81, "l": 0.5}), tmp_path / "a")
     twice = pendulum(mass=sm.Symbol("l^") + sm.Symbol("l_"))
     with pytest.raises(fb.ModelError, match="are the same name in C"):
         fb.export_c(
-            fb.Model(twice, name="p", parameters={"l^": 1.0, "l_": 1.0, "m": 1.0, "g": 9.81, "l": 0.5}), tmp_path / "a"
+            fb.Model(twice, name="pend", parameters={"l^": 1.0, "l_": 1.0, "m": 1.0, "g": 9.81, "l": 0.5}),
+            tmp_path / "a",
         )
     with pytest.raises(fb.ModelError, match="A Model is needed"):
         fb.export_c("four_bar", tmp_path / "a")

@@ -100,8 +100,7 @@ def export_fmu(model: Model, path: str | Path, *, fmi: int = 3, platforms: Seque
     Raises
     ------
     ModelError
-        As for `export_c`; if two variables have the same name; if the speed of a prescribed motion jumps; or if there
-        is no such version or platform.
+        As for `export_c`; if two variables have the same name; or if there is no such version or platform.
     BuildError
         If there is no C compiler, or no zig for other platforms; if it fails, with its output; or if the file cannot be
         written.
@@ -123,8 +122,6 @@ def export_fmu(model: Model, path: str | Path, *, fmi: int = 3, platforms: Seque
     with Progress(f"fourbar_codegen: {getattr(model, 'name', '')}") as progress:
         generated = generate_kernel(model, progress)
         manifest = generated.manifest
-        if manifest["n_jumps"]:
-            raise ModelError("The speed of a prescribed motion jumps, and an FMU cannot make the speeds jump with it.")
         from fourbar_codegen.codegen.fmu import (
             FMU_HEADERS,
             build_description,
@@ -164,21 +161,27 @@ def _at_start(model: Model, name: str) -> float:
     expression = next(entry.expression for entry in model.input_entries if entry.name == name)
     if expression is None:
         return float("nan")
-    values = {symbol: parameter.value for symbol, parameter in model.parameter_symbols.items()}
+    import sympy as sm
+
+    values = {symbol: sm.Float(parameter.value) for symbol, parameter in model.parameter_symbols.items()}
     derived = {symbol: each.xreplace(values) for symbol, each in model.derived_parameters.items()}
-    value = expression.xreplace({**values, **derived}).subs(model.mechanism.time, 0)
+    value = sm.sympify(expression).xreplace({**values, **derived}).subs(model.mechanism.time, 0)
     return float(value) if value.is_number and value.is_finite else float("nan")
 
 
 def _library_files(generated: Generated, progress: Progress, more: tuple[str, ...] = ()) -> dict[str, str]:
     """All files of a library, by their paths, with further headers."""
-    from fourbar_codegen.codegen.c_library import FOLDER, HEADERS, library_texts
+    from fourbar_codegen.codegen.c_library import FOLDER, HEADERS, library_texts, names_in
 
     progress.stage("printing the library")
     _, functions = generate_derivatives(generated)
-    texts = library_texts(generated.scheduled, functions, generated.names, generated.manifest, _version())
-    runtime = Path(get_include())
-    return texts | {f"{FOLDER}{name}": (runtime / name).read_text("utf-8") for name in (*HEADERS, *more)}
+    folder = Path(get_include())
+    runtime = {name: (folder / name).read_text("utf-8") for name in (*HEADERS, *more)}
+    taken = names_in(runtime.values()) | {name.removesuffix(".h") for name in runtime}
+    texts = library_texts(
+        generated.scheduled, functions, generated.names, generated.manifest, _version(), frozenset(taken)
+    )
+    return texts | {f"{FOLDER}{name}": text for name, text in runtime.items()}
 
 
 def _version() -> str:

@@ -318,6 +318,8 @@ def calls_of(name: str) -> dict[str, Call]:
         "Model", fb.Model, system=pushed, name="made", parameters={m: sm.Integer(1)}, inputs={force: sm.sin(t)},
         initial={q: 0.1}, potential_energy=m * q, outputs={"o": m * q}, share=0.3,
     )  # fmt: skip
+    calls.add("export_c", fb.export_c, model=of_user, folder=folder / "c", share=0.01)
+    calls.add("export_fmu", fb.export_fmu, model=of_user, path=folder / "a.fmu", fmi=3, platforms=(), share=0.002)
     calls.add("generate_sources", fb.generate_sources, model=of_user, share=0.02)
     calls.add(
         "generate_sources of a force",

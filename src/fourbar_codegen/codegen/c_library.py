@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -12,7 +12,7 @@ from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.lowering.program import Program
 from fourbar_codegen.lowering.schedule import Schedule, ScheduledFunction
 
-__all__ = ["HEADERS", "library_texts"]
+__all__ = ["FOLDER", "HEADERS", "library_texts", "names_in"]
 
 FOLDER = "runtime/"
 """Of the headers that the sources include, beside these."""
@@ -24,12 +24,31 @@ HEADERS = (
 )  # fmt: skip
 """The runtime of a library."""
 
-RESERVED = {
-    "auto", "break", "case", "char", "const", "continue", "default", "do", "double", "else", "enum", "extern", "float",
-    "for", "goto", "if", "inline", "int", "long", "main", "register", "restrict", "return", "short", "signed", "sizeof",
-    "static", "struct", "switch", "typedef", "union", "unsigned", "void", "volatile", "while",
+STATUSES = {
+    "ok": 0, "constraints_dependent": 1, "mass_singular": 2, "not_finite": 3, "not_closed": 4,
+    "constraints_independent": 5, "forces_undetermined": 6, "forces_not_found": 7, "invalid_argument": 20,
+    "step_too_small": 21, "too_many_steps": 22, "singular_position": 23, "speeds_jump": 24,
 }  # fmt: skip
-"""Names that a model cannot have in C."""
+"""As in fourbar_kernel.h and fourbar_close.h."""
+
+RESERVED = {
+    "alignas", "alignof", "and", "asm", "auto", "bool", "break", "case", "catch", "char", "class", "const", "constexpr",
+    "continue", "default", "delete", "do", "double", "else", "enum", "errno", "explicit", "export", "extern", "false",
+    "float", "for", "friend", "goto", "if", "inline", "int", "linux", "long", "main", "mutable", "namespace", "new",
+    "not", "nullptr", "operator", "or", "private", "protected", "public", "register", "restrict", "return", "short",
+    "signed", "sizeof", "static", "struct", "switch", "template", "this", "throw", "true", "try", "typedef", "typename",
+    "union", "unix", "unsigned", "using", "virtual", "void", "volatile", "while", "xor",
+    # names of the standard library, and of targets of CMake
+    "abs", "acos", "acosh", "all", "asin", "asinh", "atan", "atan2", "atanh", "cbrt", "ceil", "clean", "copysign",
+    "cos", "cosh", "ctype", "erf", "erfc", "exit", "exp", "exp2", "expm1", "fabs", "fdim", "floor", "fma", "fmax",
+    "fmin", "fmod", "free", "frexp", "gamma", "help", "hypot", "index", "install", "isnan", "j0", "j1", "jn", "ldexp",
+    "lgamma", "limits", "locale", "log", "log10", "log1p", "log2", "logb", "lrint", "lround", "m", "malloc", "math",
+    "memcpy", "memset", "modf", "nan", "nearbyint", "package", "pow", "printf", "puts", "remainder", "rint", "round",
+    "scalbn", "setjmp", "signal", "sin", "sinh", "sqrt", "stdarg", "stdbool", "stddef", "stderr", "stdin", "stdint",
+    "stdio", "stdlib", "stdout", "string", "strlen", "tan", "tanh", "test", "tgamma", "time", "trunc", "y0", "y1",
+    "yn",
+}  # fmt: skip
+"""Names that a model cannot have in C or C++, besides those in the texts themselves."""
 
 
 def library_texts(
@@ -38,6 +57,7 @@ def library_texts(
     names: Mapping[str, Sequence[str]],
     manifest: Mapping[str, Any],
     version: str,
+    taken: frozenset[str],
 ) -> dict[str, str]:
     """The files of a library, besides the `HEADERS` of its runtime, by their paths.
 
@@ -50,6 +70,8 @@ def library_texts(
     manifest : mapping
     version : str
         Of fourbar_codegen.
+    taken : frozenset of str
+        Names in the runtime.
 
     Returns
     -------
@@ -66,9 +88,9 @@ def library_texts(
         raise ModelError(
             f"A C library begins with defaults: give {', '.join(missing)} values in Model(parameters=...)."
         )
-    if name in RESERVED:
-        raise ModelError(f"{name!r} is a word of C: give the Model another name to export it.")
     scalar = replace(scheduled, has_batches=False)
+    if name in RESERVED | _words(kernel_text(scalar, names).replace(f'"{name}"', "")) | taken:
+        raise ModelError(f"{name!r} is a name in C or of its library: give the Model another name to export it.")
     header = f'#include "{name}.h"\n'
     return {
         f"{name}.h": _header(scheduled.program, names, manifest, version),
@@ -81,6 +103,16 @@ def library_texts(
         "CMakeLists.txt": _cmake(name),
         "README.md": _readme(name, manifest, version),
     }
+
+
+def _words(text: str) -> frozenset[str]:
+    """The names in C text, without comments."""
+    return frozenset(re.findall(r"[A-Za-z_]\w*", re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)))
+
+
+def names_in(texts: Iterable[str]) -> frozenset[str]:
+    """The names in C texts."""
+    return frozenset().union(*map(_words, texts))
 
 
 def _identifiers(prefix: str, names: Sequence[str]) -> list[str]:
@@ -155,6 +187,8 @@ def _header(program: Program, names: Mapping[str, Sequence[str]], manifest: Mapp
             (f"int held[{n_r}]", "whether each input is held, or follows its expression of time"),
         )
     )
+    statuses = "".join(f"    {name}_{word} = {number},\n" for word, number in STATUSES.items())
+    statuses = statuses.rstrip(",\n") + "\n"
     guard = f"{name}_h".upper()
     return f"""\
 /* The mechanism "{name}" as a C library, generated by fourbar_codegen {version}. Do not edit.
@@ -182,6 +216,10 @@ enum {name}_sizes {{
     {name}_n_l = {sizes.n_c + sizes.n_n},
     {name}_n_points = {sizes.n_points}
 }};
+
+/* Statuses; {name}_message explains them. */
+enum {name}_statuses {{
+{statuses}}};
 {enums}
 typedef struct {name} {{
 {members}    union {{
@@ -207,8 +245,8 @@ int {name}_close({name} *model);
 int {name}_step({name} *model, double h, int order);
 
 /* A run to t_end by the method DOP853 with step control, projected onto the constraints after each step. The states at
- * n_times times between, in the order of the run, are stored in rows of `states`; both may be NULL. On failure the
- * mechanism is where the run ended. */
+ * n_times times between, in the order of the run, are stored in rows of `states`. On failure the mechanism is where the
+ * run ended; rows of later times are not written. */
 int {name}_simulate({name} *model, double t_end, double rtol, double atol, const double *times, long n_times,
     double *states);
 
@@ -227,11 +265,19 @@ double {name}_violation({name} *model);
 /* The same relative to the terms of the constraint. */
 double {name}_relative_violation({name} *model);
 
-/* The present value of an input, held or not. */
+/* The present value of an input, held or not; not a number if there is no such input. */
 double {name}_input({name} *model, int number);
 
-/* The next time at which an expression of time has a jump or a kink; infinite if there is none. */
+/* Whether the speed of a prescribed motion jumps at the present time. */
+int {name}_jumps({name} *model);
+
+/* The next time at which a condition in an expression changes, as far as it is linear or quadratic in time; infinite if
+ * there is none. */
 double {name}_next_breakpoint({name} *model);
+
+/* From now on, and until the next run, inputs are evaluated between two discontinuities in time only: at these they are
+ * what they are just after the first, and just before the second. For callers that integrate by themselves. */
+void {name}_between({name} *model, double begin, double end);
 
 /* Moves the state onto the constraints nearby, orthogonally with respect to the mass matrix. */
 int {name}_project({name} *model);
@@ -293,6 +339,8 @@ def _definitions(program: Program, manifest: Mapping[str, Any]) -> str:
     initial = ", ".join(_number(manifest["initial"].get(name, 0.0)) for name in names)
     defaults = ", ".join(_number(entry["default"]) for entry in manifest["parameters"]) or "0.0"
     given = ", ".join(str(int(entry["expression"] is not None)) for entry in manifest["inputs"]) or "0"
+    moving = {entry["of"] for entry in manifest["inputs"] if entry["order"]}
+    moves = ", ".join(str(int(e["of"] in moving and e["order"] < 2)) for e in manifest["inputs"]) or "0"
     return f"""
 enum {{
     N_DEPENDENT_COORDINATES = {manifest["n_dependent_coordinates"]},
@@ -303,6 +351,7 @@ enum {{
 static const double default_parameters[] = {{{defaults}}};
 static const double initial_state[] = {{{initial}}};
 static const int has_expression[] = {{{given}}};
+static const int prescribes[] = {{{moves}}}; /* whether an input is a prescribed position or speed */
 
 #define FB_MODEL {program.name}{_internal(program.name)}#include "{FOLDER}fourbar_library.h"
 """

@@ -36,6 +36,8 @@ class Variable:
         Of a state, whether its start value is kept; others are guesses.
     of : int or None
         Of a rate, the value reference of its state.
+    needs_inputs : bool
+        Of an output, whether it depends on inputs besides those that prescribe motions.
     """
 
     reference: int
@@ -46,6 +48,7 @@ class Variable:
     start: float | None = None
     is_exact: bool = False
     of: int | None = None
+    needs_inputs: bool = True
 
 
 def token_of(manifest: Mapping[str, Any]) -> str:
@@ -98,14 +101,17 @@ def variables_of(manifest: Mapping[str, Any], defaults: Sequence[float]) -> list
     for name in manifest["outputs"]:
         add(name, "", "", "output")
     for kind in ("kinetic", "potential"):
-        add(f"{kind} energy", "", "J", "output")
+        add(f"{kind} energy", "", "J", "output", needs_inputs=False)
+    unknown = len(found) - 1 if not manifest["has_potential_energy"] else None
     for number, point in enumerate(manifest["points"]):
         name = point["name"] or f"point {number}"
         for axis in "xyz":
-            add(f"{name}.{axis}", f"position of {name}", "", "output")
-    if not manifest["has_potential_energy"]:
-        found = [variable for variable in found if variable.name != "potential energy"]
+            add(f"{name}.{axis}", f"position of {name}", "", "output", needs_inputs=False)
+    found = [variable for variable in found if variable.reference != unknown]
     counts = Counter(variable.name for variable in found)
+    controls = [name for name in counts if any(ord(letter) < ord(" ") for letter in name)]
+    if controls:
+        raise ModelError(f"The name {controls[0]!r} has a control character, which XML cannot have: rename it.")
     twice = [name for name, number in counts.items() if number > 1]
     if twice:
         raise ModelError(f"Variables of an FMU have different names, but two are called {twice[0]!r}: rename one.")
@@ -162,18 +168,42 @@ def description(fmi: int, manifest: Mapping[str, Any], variables: Sequence[Varia
     unknown = [
         k for k, v in enumerate(variables) if v.kind in {"rate", "output"} or (v.kind == "state" and not v.is_exact)
     ]
+    depends = _dependencies(manifest, variables)
     if fmi == 2:
         for element, numbers in (("Outputs", outputs), ("Derivatives", rates), ("InitialUnknowns", unknown)):
             group = ET.SubElement(structure, element)
             for number in numbers:
-                ET.SubElement(group, "Unknown", index=str(number + 1))
+                own = {"index": str(number + 1)}
+                if element == "Outputs" and number in depends:
+                    own["dependencies"] = " ".join(str(place + 1) for place in depends[number])
+                ET.SubElement(group, "Unknown", own)
     else:
         for element, numbers in (
             ("Output", outputs), ("ContinuousStateDerivative", rates), ("InitialUnknown", unknown)
         ):  # fmt: skip
             for number in numbers:
-                ET.SubElement(structure, element, valueReference=str(variables[number].reference))
+                own = {"valueReference": str(variables[number].reference)}
+                if element == "Output" and number in depends:
+                    own["dependencies"] = " ".join(str(variables[place].reference) for place in depends[number])
+                ET.SubElement(structure, element, own)
     return _xml(root)
+
+
+def _dependencies(manifest: Mapping[str, Any], variables: Sequence[Variable]) -> dict[int, list[int]]:
+    """For outputs that do not depend on all states and inputs, numbers of those that they depend on.
+
+    Without them, importers would take speeds and positions as functions of the inputs, and see algebraic loops.
+    """
+    moving = {entry["of"] for entry in manifest["inputs"] if entry["order"]}
+    prescribed = {entry["name"] for entry in manifest["inputs"] if entry["of"] in moving}
+    some = [k for k, v in enumerate(variables) if v.kind == "state" or (v.kind == "input" and v.name in prescribed)]
+    found = {}
+    for number, variable in enumerate(variables):
+        if variable.kind == "state":
+            found[number] = [number]
+        elif variable.kind == "output" and not variable.needs_inputs:
+            found[number] = some
+    return found
 
 
 def _common(variable: Variable) -> tuple[dict[str, str], dict[str, str]]:
@@ -193,6 +223,8 @@ def _common(variable: Variable) -> tuple[dict[str, str], dict[str, str]]:
         case kind:
             own |= {"causality": kind}
     value = {"unit": variable.unit} if variable.unit else {}
+    if variable.kind == "state":
+        value["reinit"] = "true"  # at an event, onto the constraints
     if variable.start is not None:
         value["start"] = repr(float(variable.start))
     return own, value
@@ -236,6 +268,8 @@ def fmu_source(fmi: int, manifest: Mapping[str, Any]) -> str:
     """The source of an FMU besides those of its library."""
     name = manifest["name"]
     outputs = "#define FB_OUTPUTS\n" if manifest["outputs"] else ""
+    moving = {entry["of"] for entry in manifest["inputs"] if entry["order"]}
+    has_rates = ", ".join(str(int(not e["order"] and e["of"] in moving)) for e in manifest["inputs"]) or "0"
     return f"""\
 /* The mechanism "{name}" as an FMU, generated by fourbar_codegen. Do not edit.
  *
@@ -244,6 +278,7 @@ def fmu_source(fmi: int, manifest: Mapping[str, Any]) -> str:
 #include "{name}.h"
 
 static const char fmu_token[] = "{token_of(manifest)}";
+static const int fmu_has_rates[] = {{{has_rates}}}; /* whether an input prescribes a motion, and its rates follow */
 
 #define FB_MODEL {name}
 {outputs}#include "{FOLDER}fourbar_fmi{fmi}.h"

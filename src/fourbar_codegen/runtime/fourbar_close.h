@@ -20,7 +20,7 @@ enum FB_CALL {
 };
 
 /* Steps of a run, iterations of Newton's method, and how often a step of it is halved. */
-enum { FB_MAX_STEPS = 1000000, FB_MAX_ITERATIONS = 100, FB_MAX_HALVINGS = 20 };
+enum { FB_RUN_STEPS = 1000000, FB_CLOSE_STEPS = 100, FB_CLOSE_HALVINGS = 20 };
 
 /* Pivots below this fraction of the largest do not determine an unknown. */
 #define FB_DETERMINED 1e-10
@@ -153,7 +153,7 @@ static int fb_close(const double t, double *x, const double *constants, const do
     if (all_finite(x, N_X) != FB_OK)
         return FB_NOT_FINITE;
     double open = N_H > 0 ? fb_open(t, x, constants, r, errors, slopes) : 0.0;
-    for (int i = 0; i < FB_MAX_ITERATIONS && open > FB_CLOSED; ++i) {
+    for (int i = 0; i < FB_CLOSE_STEPS && open > FB_CLOSED; ++i) {
         double begin[FB_AT_LEAST_1(N_DQ)], before = open;
         for (int row = 0; row < N_H; ++row)
             for (int j = 0; j < N_DQ; ++j)
@@ -162,7 +162,7 @@ static int fb_close(const double t, double *x, const double *constants, const do
         fb_eliminate_rows(N_H, N_DQ, matrix, errors, order, change, &last);
         memcpy(begin, x + N_Q - N_DQ, N_DQ * sizeof *begin);
         double length = 1.0;
-        for (int halving = 0; halving <= FB_MAX_HALVINGS; ++halving) {
+        for (int halving = 0; halving <= FB_CLOSE_HALVINGS; ++halving) {
             for (int j = 0; j < N_DQ; ++j)
                 x[N_Q - N_DQ + j] = begin[j] - (unit[j] > 0.0 ? length * change[j] / unit[j] : 0.0);
             open = fb_open(t, x, constants, r, errors, slopes);

@@ -109,9 +109,8 @@ FMI2_EXPORT fmi2Status fmi2SetupExperiment(fmi2Component instance, fmi2Boolean h
                                            fmi2Real begin, fmi2Boolean has_end, fmi2Real end)
 {
     fmu *const f = instance;
-    (void)has_end;
-    (void)end;
-    if (!fmu_may(f, "fmi2SetupExperiment", FMU_INSTANTIATED) || !fmu_begin(f, begin, has_tolerance, tolerance))
+    if (!fmu_may(f, "fmi2SetupExperiment", FMU_INSTANTIATED) ||
+        !fmu_begin(f, begin, has_tolerance, tolerance, has_end, end))
         return fmi2Error;
     f->state.mode = FMU_INSTANTIATED;
     return fmi2OK;
@@ -121,7 +120,7 @@ FMI2_EXPORT fmi2Status fmi2EnterInitializationMode(fmi2Component instance)
 {
     fmu *const f = instance;
     return fmu_status(fmu_may(f, "fmi2EnterInitializationMode", FMU_INSTANTIATED) &&
-                      fmu_begin(f, f->state.model.t, 0, 0.0));
+                      fmu_begin(f, f->state.model.t, 0, 0.0, 0, 0.0));
 }
 
 FMI2_EXPORT fmi2Status fmi2ExitInitializationMode(fmi2Component instance)
@@ -129,7 +128,7 @@ FMI2_EXPORT fmi2Status fmi2ExitInitializationMode(fmi2Component instance)
     fmu *const f = instance;
     if (!fmu_may(f, "fmi2ExitInitializationMode", FMU_INITIALIZATION) || !fmu_close(f))
         return fmi2Error;
-    f->state.mode = f->is_cosimulation ? FMU_STEP : FMU_EVENT;
+    f->state.mode = f->state.is_cosimulation ? FMU_STEP : FMU_EVENT;
     return fmi2OK;
 }
 
@@ -204,10 +203,7 @@ FMI2_EXPORT fmi2Status fmi2GetFMUstate(fmi2Component instance, fmi2FMUstate *sav
 FMI2_EXPORT fmi2Status fmi2SetFMUstate(fmi2Component instance, fmi2FMUstate saved)
 {
     fmu *const f = instance;
-    if (f == NULL || saved == NULL)
-        return fmi2Error;
-    memcpy(&f->state, saved, sizeof f->state);
-    return fmi2OK;
+    return fmu_status(f && saved && fmu_restore(f, saved));
 }
 
 FMI2_EXPORT fmi2Status fmi2FreeFMUstate(fmi2Component instance, fmi2FMUstate *saved)
@@ -290,7 +286,7 @@ FMI2_EXPORT fmi2Status fmi2CompletedIntegratorStep(fmi2Component instance, fmi2B
     (void)no_set;
     if (!fmu_may(f, "fmi2CompletedIntegratorStep", FMU_CONTINUOUS))
         return fmi2Error;
-    *enter_event = FB_PUBLIC(relative_violation)(&f->state.model) > FB_VIOLATED;
+    *enter_event = fmu_is_open(f);
     *terminate = 0;
     return fmi2OK;
 }
@@ -310,8 +306,8 @@ FMI2_EXPORT fmi2Status fmi2SetContinuousStates(fmi2Component instance, const fmi
 FMI2_EXPORT fmi2Status fmi2GetDerivatives(fmi2Component instance, fmi2Real derivatives[], size_t n)
 {
     fmu *const f = instance;
-    if (!fmu_may(f, "fmi2GetDerivatives", FMU_INITIALIZATION | FMU_EVENT | FMU_CONTINUOUS) || !fmu_has_states(f, n) ||
-        !fmu_close(f))
+    if (!fmu_may(f, "fmi2GetDerivatives", FMU_INITIALIZATION | FMU_EVENT | FMU_CONTINUOUS | FMU_TERMINATED) ||
+        !fmu_has_states(f, n) || !fmu_close(f))
         return fmi2Error;
     return fmu_rates(f, derivatives) ? fmi2OK : fmi2Discard; /* the importer may try a shorter step */
 }
@@ -327,7 +323,7 @@ FMI2_EXPORT fmi2Status fmi2GetEventIndicators(fmi2Component instance, fmi2Real i
 FMI2_EXPORT fmi2Status fmi2GetContinuousStates(fmi2Component instance, fmi2Real states[], size_t n)
 {
     fmu *const f = instance;
-    if (!fmu_may(f, "fmi2GetContinuousStates", FMU_INITIALIZATION | FMU_EVENT | FMU_CONTINUOUS) ||
+    if (!fmu_may(f, "fmi2GetContinuousStates", FMU_INITIALIZATION | FMU_EVENT | FMU_CONTINUOUS | FMU_TERMINATED) ||
         !fmu_has_states(f, n) || !fmu_close(f))
         return fmi2Error;
     memcpy(states, f->state.model.x, N_X * sizeof *states);
@@ -337,7 +333,8 @@ FMI2_EXPORT fmi2Status fmi2GetContinuousStates(fmi2Component instance, fmi2Real 
 FMI2_EXPORT fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component instance, fmi2Real nominals[], size_t n)
 {
     fmu *const f = instance;
-    if (!fmu_may(f, "fmi2GetNominalsOfContinuousStates", FMU_EVENT | FMU_CONTINUOUS | FMU_INITIALIZATION) ||
+    if (!fmu_may(f, "fmi2GetNominalsOfContinuousStates",
+                 FMU_INITIALIZATION | FMU_EVENT | FMU_CONTINUOUS | FMU_TERMINATED) ||
         !fmu_has_states(f, n))
         return fmi2Error;
     for (size_t i = 0; i < n; ++i)
@@ -375,7 +372,10 @@ FMI2_EXPORT fmi2Status fmi2DoStep(fmi2Component instance, fmi2Real begin, fmi2Re
     fmu *const f = instance;
     double reached;
     (void)no_set;
-    return fmu_status(fmu_may(f, "fmi2DoStep", FMU_STEP) && fmu_step(f, begin, length, &reached));
+    if (!fmu_may(f, "fmi2DoStep", FMU_STEP))
+        return fmi2Error;
+    const int taken = fmu_step(f, begin, length, &reached);
+    return taken > 0 ? fmi2OK : taken < 0 ? fmi2Discard : fmi2Error;
 }
 
 FMI2_EXPORT fmi2Status fmi2CancelStep(fmi2Component instance)

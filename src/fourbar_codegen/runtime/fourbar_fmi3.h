@@ -134,10 +134,8 @@ FMI3_EXPORT fmi3Status fmi3EnterInitializationMode(fmi3Instance instance, fmi3Bo
                                                    double begin, fmi3Boolean has_end, double end)
 {
     fmu *const f = instance;
-    (void)has_end;
-    (void)end;
     return fmu_status(fmu_may(f, "fmi3EnterInitializationMode", FMU_INSTANTIATED) &&
-                      fmu_begin(f, begin, has_tolerance, tolerance));
+                      fmu_begin(f, begin, has_tolerance, tolerance, has_end, end));
 }
 
 FMI3_EXPORT fmi3Status fmi3ExitInitializationMode(fmi3Instance instance)
@@ -145,7 +143,7 @@ FMI3_EXPORT fmi3Status fmi3ExitInitializationMode(fmi3Instance instance)
     fmu *const f = instance;
     if (!fmu_may(f, "fmi3ExitInitializationMode", FMU_INITIALIZATION) || !fmu_close(f))
         return fmi3Error;
-    f->state.mode = f->is_cosimulation ? FMU_STEP : FMU_EVENT;
+    f->state.mode = f->state.is_cosimulation ? FMU_STEP : FMU_EVENT;
     return fmi3OK;
 }
 
@@ -309,10 +307,7 @@ FMI3_EXPORT fmi3Status fmi3GetFMUState(fmi3Instance instance, fmi3FMUState *save
 FMI3_EXPORT fmi3Status fmi3SetFMUState(fmi3Instance instance, fmi3FMUState saved)
 {
     fmu *const f = instance;
-    if (f == NULL || saved == NULL)
-        return fmi3Error;
-    memcpy(&f->state, saved, sizeof f->state);
-    return fmi3OK;
+    return fmu_status(f && saved && fmu_restore(f, saved));
 }
 
 FMI3_EXPORT fmi3Status fmi3FreeFMUState(fmi3Instance instance, fmi3FMUState *saved)
@@ -469,7 +464,7 @@ FMI3_EXPORT fmi3Status fmi3CompletedIntegratorStep(fmi3Instance instance, fmi3Bo
     (void)no_set;
     if (!fmu_may(f, "fmi3CompletedIntegratorStep", FMU_CONTINUOUS))
         return fmi3Error;
-    *enter_event = FB_PUBLIC(relative_violation)(&f->state.model) > FB_VIOLATED;
+    *enter_event = fmu_is_open(f);
     *terminate = false;
     return fmi3OK;
 }
@@ -489,7 +484,8 @@ FMI3_EXPORT fmi3Status fmi3SetContinuousStates(fmi3Instance instance, const doub
 FMI3_EXPORT fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance instance, double derivatives[], size_t n)
 {
     fmu *const f = instance;
-    if (!fmu_may(f, "fmi3GetContinuousStateDerivatives", FMU_INITIALIZATION | FMU_EVENT | FMU_CONTINUOUS) ||
+    if (!fmu_may(f, "fmi3GetContinuousStateDerivatives",
+                 FMU_INITIALIZATION | FMU_EVENT | FMU_CONTINUOUS | FMU_TERMINATED) ||
         !fmu_has_states(f, n) || !fmu_close(f))
         return fmi3Error;
     return fmu_rates(f, derivatives) ? fmi3OK : fmi3Discard; /* the importer may try a shorter step */
@@ -506,7 +502,7 @@ FMI3_EXPORT fmi3Status fmi3GetEventIndicators(fmi3Instance instance, double indi
 FMI3_EXPORT fmi3Status fmi3GetContinuousStates(fmi3Instance instance, double states[], size_t n)
 {
     fmu *const f = instance;
-    if (!fmu_may(f, "fmi3GetContinuousStates", FMU_INITIALIZATION | FMU_EVENT | FMU_CONTINUOUS) ||
+    if (!fmu_may(f, "fmi3GetContinuousStates", FMU_INITIALIZATION | FMU_EVENT | FMU_CONTINUOUS | FMU_TERMINATED) ||
         !fmu_has_states(f, n) || !fmu_close(f))
         return fmi3Error;
     memcpy(states, f->state.model.x, N_X * sizeof *states);
@@ -516,7 +512,9 @@ FMI3_EXPORT fmi3Status fmi3GetContinuousStates(fmi3Instance instance, double sta
 FMI3_EXPORT fmi3Status fmi3GetNominalsOfContinuousStates(fmi3Instance instance, double nominals[], size_t n)
 {
     fmu *const f = instance;
-    if (!fmu_may(f, "fmi3GetNominalsOfContinuousStates", FMU_EVENT | FMU_CONTINUOUS) || !fmu_has_states(f, n))
+    if (!fmu_may(f, "fmi3GetNominalsOfContinuousStates",
+                 FMU_INITIALIZATION | FMU_EVENT | FMU_CONTINUOUS | FMU_TERMINATED) ||
+        !fmu_has_states(f, n))
         return fmi3Error;
     for (size_t i = 0; i < n; ++i)
         nominals[i] = 1.0;
@@ -563,7 +561,7 @@ FMI3_EXPORT fmi3Status fmi3DoStep(fmi3Instance instance, double begin, double le
     fmu *const f = instance;
     (void)no_set;
     *event_needed = *terminate = *early = false;
-    return fmu_status(fmu_may(f, "fmi3DoStep", FMU_STEP) && fmu_step(f, begin, length, reached));
+    return fmu_status(fmu_may(f, "fmi3DoStep", FMU_STEP) && fmu_step(f, begin, length, reached) > 0);
 }
 
 #endif

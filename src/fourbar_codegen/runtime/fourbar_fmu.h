@@ -1,7 +1,7 @@
 /* What FMUs of both versions of FMI have in common: an instance around a mechanism, its modes, and its variables.
  *
  * Included by fourbar_fmi2.h or fourbar_fmi3.h, in a source that includes the header of the model as a C library, and
- * defines FB_MODEL, FB_POTENTIAL (whether the potential energy is known) and fmu_token. Value references are numbers in
+ * defines FB_MODEL, FB_OUTPUTS if there are any, fmu_token and fmu_has_rates. Value references are numbers in
  * this order: time, states, their derivatives, parameters, inputs, outputs, energies, points.
  *
  * Source: Modelica Association, Functional Mock-up Interface, versions 2.0.5 and 3.0.2, https://fmi-standard.org.
@@ -35,10 +35,14 @@ enum {
     N_VARIABLES = OF_POINTS + 3 * N_POINTS
 };
 
-/* Relative violation of the constraints from which on model exchange asks for a projection, and tolerance of
- * co-simulation unless the importer states one. */
-#define FB_VIOLATED 1e-10
+/* The tolerance of co-simulation unless the importer states one; and the violation of the constraints, relative to
+ * their terms, from which on model exchange asks for a projection. If the importer states a tolerance, it is that: an
+ * integrator begins anew after a projection, so that a smaller violation than its own errors would cost accuracy. */
 #define FB_TOLERANCE 1e-6
+#define FB_VIOLATED 1e-9
+
+/* Groups of values that follow from the state. */
+enum { FMU_RATES = 1, FMU_OUTPUTS = 2, FMU_ENERGIES = 4, FMU_POINTS = 8 };
 
 enum fmu_mode {
     FMU_INSTANTIATED = 1,
@@ -53,17 +57,17 @@ enum fmu_mode {
 /* All that a saved state contains. */
 typedef struct fmu_state {
     FB_MODEL model;
+    int is_cosimulation;
     int mode;
-    int is_open; /* whether loops are to be closed from the independent values, as during initialization */
-    double tolerance;
-    /* values that follow from the state; not valid after a change */
-    int are_valid;
+    int is_open;       /* whether loops are to be closed from the start values, as during initialization */
+    double given[N_X]; /* these: independent values and guesses */
+    double tolerance, start, stop;
+    int valid; /* the groups of values that are those of the present state */
     double rates[N_X], outputs[N_Y > 0 ? N_Y : 1], energies[2], points[N_POINTS > 0 ? 3 * N_POINTS : 1];
 } fmu_state;
 
 typedef struct fmu {
     fmu_state state;
-    int is_cosimulation;
     int logs;
     char *name;
     void *environment;
@@ -114,17 +118,24 @@ static fmu *fmu_new(const char *name, const char *token, const int is_cosimulati
     }
     memcpy(f->name, name ? name : "", length);
     f->name[length] = '\0';
-    f->is_cosimulation = is_cosimulation;
+    f->state.is_cosimulation = is_cosimulation;
     return f;
 }
 
 static void fmu_reset(fmu *f)
 {
+    const int is_cosimulation = f->state.is_cosimulation;
     memset(&f->state, 0, sizeof f->state);
+    f->state.is_cosimulation = is_cosimulation;
     FB_PUBLIC(init)(&f->state.model);
+    memcpy(f->state.given, f->state.model.x, sizeof f->state.given);
+    f->state.stop = INFINITY;
+    for (int k = 0; k < N_R; ++k) /* inputs without an expression start at 0, as the description says */
+        if (f->state.model.r[k] != f->state.model.r[k])
+            f->state.model.r[k] = 0.0;
     f->state.mode = FMU_INSTANTIATED;
     f->state.is_open = 1;
-    f->state.tolerance = FB_TOLERANCE;
+    f->state.tolerance = is_cosimulation ? FB_TOLERANCE : FB_VIOLATED;
 }
 
 static void fmu_free(fmu *f)
@@ -145,6 +156,7 @@ static int fmu_check(fmu *f, const int status)
 static int fmu_close(fmu *f)
 {
     if (f->state.is_open) {
+        memcpy(f->state.model.x, f->state.given, sizeof f->state.given);
         if (!fmu_check(f, FB_PUBLIC(update)(&f->state.model)) || !fmu_check(f, FB_PUBLIC(close)(&f->state.model)))
             return 0;
         f->state.is_open = 0;
@@ -152,24 +164,31 @@ static int fmu_close(fmu *f)
     return 1;
 }
 
-/* The values that follow from the state. */
-static int fmu_evaluate(fmu *f)
+/* Evaluates a group of values. An output may be infinite or not a number: that is a value, too. */
+static int fmu_evaluate(fmu *f, const int group)
 {
     fmu_state *const s = &f->state;
     FB_MODEL *const m = &s->model;
     if (!fmu_close(f))
         return 0;
-    if (s->are_valid)
+    if (s->valid & group)
         return 1;
-    if (!fmu_check(f, FB_PUBLIC(rhs)(m, m->t, m->x, s->rates)))
+    if (group == FMU_RATES && !fmu_check(f, FB_PUBLIC(rhs)(m, m->t, m->x, s->rates)))
         return 0;
 #ifdef FB_OUTPUTS
-    if (!fmu_check(f, FB_PUBLIC(outputs)(m, s->outputs)))
-        return 0;
+    if (group == FMU_OUTPUTS) {
+        for (int i = 0; i < N_Y; ++i)
+            s->outputs[i] = NAN;
+        const int status = FB_PUBLIC(outputs)(m, s->outputs);
+        if (status != 0 && status != FB_PUBLIC(not_finite))
+            return fmu_check(f, status);
+    }
 #endif
-    FB_PUBLIC(energies)(m, s->energies, s->energies + 1);
-    FB_PUBLIC(points)(m, s->points);
-    s->are_valid = 1;
+    if (group == FMU_ENERGIES)
+        FB_PUBLIC(energies)(m, s->energies, s->energies + 1);
+    if (group == FMU_POINTS)
+        FB_PUBLIC(points)(m, s->points);
+    s->valid |= group;
     return 1;
 }
 
@@ -188,10 +207,15 @@ static int fmu_get(fmu *f, const unsigned *references, const size_t n, double *v
             values[i] = s->model.x[v - OF_STATES];
         } else if (v >= OF_PARAMETERS && v < OF_INPUTS)
             values[i] = s->model.p[v - OF_PARAMETERS];
-        else if (v >= OF_INPUTS && v < OF_OUTPUTS)
+        else if (v >= OF_INPUTS && v < OF_OUTPUTS) {
+            if (s->is_open)
+                FB_PUBLIC(update)(&s->model); /* its expression may contain parameters */
             values[i] = FB_PUBLIC(input)(&s->model, (int)(v - OF_INPUTS));
-        else {
-            if (!fmu_evaluate(f))
+        } else {
+            if (!fmu_evaluate(f, v < OF_PARAMETERS ? FMU_RATES
+                                 : v < OF_ENERGIES ? FMU_OUTPUTS
+                                 : v < OF_POINTS   ? FMU_ENERGIES
+                                                   : FMU_POINTS))
                 return 0;
             values[i] = v < OF_PARAMETERS ? s->rates[v - OF_RATES]
                         : v < OF_ENERGIES ? s->outputs[v - OF_OUTPUTS]
@@ -213,18 +237,23 @@ static int fmu_set(fmu *f, const unsigned *references, const size_t n, const dou
         if (!isfinite(values[i]))
             return fmu_fail(f, "The variable with the value reference %u cannot be %g.", v, values[i]);
         if (v >= OF_INPUTS && v < OF_OUTPUTS) {
-            s->model.r[v - OF_INPUTS] = values[i];
-            s->model.held[v - OF_INPUTS] = 1;
-            s->model.slope[v - OF_INPUTS] = 0.0;
+            const int number = (int)(v - OF_INPUTS);
+            s->model.r[number] = values[i];
+            s->model.held[number] = 1;
+            for (int k = 1; k <= 2 && fmu_has_rates[number]; ++k)
+                if (!s->model.held[number + k]) { /* a prescribed motion is at rest unless its rates are set */
+                    s->model.r[number + k] = 0.0;
+                    s->model.held[number + k] = 1;
+                }
         } else if (v >= OF_STATES && v < OF_RATES && is_before)
-            s->model.x[v - OF_STATES] = values[i];
+            s->given[v - OF_STATES] = values[i];
         else if (v >= OF_PARAMETERS && v < OF_INPUTS && is_before)
             s->model.p[v - OF_PARAMETERS] = values[i];
         else
             return fmu_fail(f, "The variable with the value reference %u cannot be set%s.", v,
                             v < OF_RATES || (v >= OF_PARAMETERS && v < OF_INPUTS) ? " after initialization" : "");
         s->is_open |= is_before;
-        s->are_valid = 0;
+        s->valid = 0;
     }
     return 1;
 }
@@ -239,39 +268,47 @@ static int fmu_set_slopes(fmu *f, const unsigned *references, const size_t n, co
         if (orders[i] != 1 || !isfinite(values[i]))
             return fmu_fail(f, "An input has a finite derivative of order 1, not %g of order %d.", values[i],
                             orders[i]);
+        if (!m->held[references[i] - OF_INPUTS])
+            return fmu_fail(f, "The input with the value reference %u has no value yet.", references[i]);
         m->slope[references[i] - OF_INPUTS] = values[i];
     }
     m->since = m->t;
-    f->state.are_valid = 0;
+    f->state.valid = 0;
     return 1;
 }
 
-/* The change of a variable that follows from the state, by central differences along the seed. */
+/* The change of a variable along a seed, by central differences. During initialization, loops are closed anew. */
 static int fmu_difference(fmu *f, const unsigned unknown, const unsigned *knowns, const size_t n, const double *seed,
                           double *change)
 {
     const fmu_state kept = f->state;
-    double values[2], size = 0.0;
+    double values[2], h = 1.0; /* the third root of the precision of double, in units of what is moved least */
     int succeeds = 1;
-    for (size_t j = 0; j < n; ++j)
-        size = fabs(seed[j]) > size ? fabs(seed[j]) : size;
-    const double h = 6e-6 / (size > 0.0 ? size : 1.0); /* the third root of the precision of double */
+    for (size_t j = 0; j < n && succeeds; ++j) {
+        succeeds = fmu_get(f, knowns + j, 1, values);
+        const double size = fabs(values[0]) > 1.0 ? fabs(values[0]) : 1.0;
+        if (seed[j] != 0.0 && !(h <= 6e-6 * size / fabs(seed[j])))
+            h = 6e-6 * size / fabs(seed[j]);
+    }
     for (int side = 0; side < 2 && succeeds; ++side) {
         FB_MODEL *const m = &f->state.model;
         f->state = kept;
-        f->state.are_valid = 0;
-        for (int k = 0; k < N_R; ++k)
-            m->r[k] = FB_PUBLIC(input)(m, k);
+        f->state.valid = 0;
         for (size_t j = 0; j < n; ++j) {
             const double moved = (side ? h : -h) * seed[j];
-            if (knowns[j] < OF_RATES)
+            if (knowns[j] < OF_RATES) {
                 m->x[knowns[j] - OF_STATES] += moved;
+                f->state.given[knowns[j] - OF_STATES] += moved;
+            } else if (knowns[j] < OF_INPUTS)
+                m->p[knowns[j] - OF_PARAMETERS] += moved;
             else {
-                m->r[knowns[j] - OF_INPUTS] += moved;
-                m->held[knowns[j] - OF_INPUTS] = 1;
-                m->slope[knowns[j] - OF_INPUTS] = 0.0;
+                const int k = (int)(knowns[j] - OF_INPUTS);
+                m->r[k] = FB_PUBLIC(input)(m, k) + moved;
+                m->held[k] = 1;
+                m->slope[k] = 0.0;
             }
         }
+        f->state.is_open = kept.mode == FMU_INITIALIZATION;
         succeeds = fmu_get(f, &unknown, 1, values + side);
     }
     f->state = kept;
@@ -279,27 +316,35 @@ static int fmu_difference(fmu *f, const unsigned unknown, const unsigned *knowns
     return succeeds;
 }
 
-/* Derivatives along a seed of states and inputs: of the rates by the Jacobians, of outputs by differences. */
+/* Derivatives along a seed: of the rates by states and inputs by the Jacobians; all others by differences. */
 static int fmu_directional_derivative(fmu *f, const unsigned *unknowns, const size_t n_unknowns, const unsigned *knowns,
                                       const size_t n_knowns, const double *seed, double *result)
 {
     fmu_state *const s = &f->state;
+    const int begins = s->mode == FMU_INITIALIZATION;
     double by_states[N_X * N_X], by_inputs[N_R > 0 ? N_X * N_R : 1];
-    if (!fmu_close(f) || !fmu_check(f, FB_PUBLIC(jacobian)(&s->model, by_states)) ||
-        (N_R > 0 && !fmu_check(f, FB_PUBLIC(input_jacobian)(&s->model, by_inputs))))
+    if (!fmu_close(f) || (!begins && (!fmu_check(f, FB_PUBLIC(jacobian)(&s->model, by_states)) ||
+                                      (N_R > 0 && !fmu_check(f, FB_PUBLIC(input_jacobian)(&s->model, by_inputs))))))
         return 0;
-    for (size_t j = 0; j < n_knowns; ++j)
-        if (!(knowns[j] >= OF_STATES && knowns[j] < OF_RATES) && !(knowns[j] >= OF_INPUTS && knowns[j] < OF_OUTPUTS))
+    for (size_t j = 0; j < n_knowns; ++j) {
+        const int is_state = knowns[j] >= OF_STATES && knowns[j] < OF_RATES;
+        const int is_parameter = knowns[j] >= OF_PARAMETERS && knowns[j] < OF_INPUTS;
+        const int is_input = knowns[j] >= OF_INPUTS && knowns[j] < OF_OUTPUTS;
+        if (!is_state && !is_input && !(begins && is_parameter))
             return fmu_fail(f, "There is no derivative with respect to the variable with the value reference %u.",
                             knowns[j]);
+    }
     for (size_t i = 0; i < n_unknowns; ++i) {
         const unsigned u = unknowns[i];
         if (u < OF_STATES || u >= N_VARIABLES || (u >= OF_PARAMETERS && u < OF_OUTPUTS))
             return fmu_fail(f, "There is no derivative of the variable with the value reference %u.", u);
         result[i] = 0.0;
-        if (u >= OF_OUTPUTS && !fmu_difference(f, u, knowns, n_knowns, seed, result + i))
-            return 0;
-        for (size_t j = 0; j < n_knowns && u < OF_OUTPUTS; ++j) {
+        if (begins || u >= OF_OUTPUTS) {
+            if (!fmu_difference(f, u, knowns, n_knowns, seed, result + i))
+                return 0;
+            continue;
+        }
+        for (size_t j = 0; j < n_knowns; ++j) {
             const unsigned k = knowns[j];
             if (u < OF_RATES)
                 result[i] += u == k ? seed[j] : 0.0;
@@ -311,21 +356,27 @@ static int fmu_directional_derivative(fmu *f, const unsigned *unknowns, const si
     return 1;
 }
 
-/* Advances by a communication step. */
+/* Advances by a communication step; 0 if it must not be taken, -1 if it ends early. */
 static int fmu_step(fmu *f, const double begin, const double length, double *reached)
 {
     fmu_state *const s = &f->state;
     FB_MODEL *const m = &s->model;
+    const double end = begin + length, rounding = 1e-9 * (1.0 + fabs(m->t));
     *reached = m->t;
-    if (!(fabs(begin - m->t) <= 1e-9 * (1.0 + fabs(m->t))))
+    if (!(fabs(begin - m->t) <= rounding))
         return fmu_fail(f, "The step begins at t = %.9g, but the mechanism is at t = %.9g.", begin, m->t);
     if (!(length > 0.0))
         return fmu_fail(f, "The length of a step is %g: it must be positive.", length);
-    const double tolerance = s->tolerance;
-    const int status = FB_PUBLIC(simulate)(m, begin + length, tolerance, tolerance, NULL, 0, NULL);
-    s->are_valid = 0;
+    if (!(end <= s->stop + rounding))
+        return fmu_fail(f, "The step ends at t = %.9g, after the stop time, %.9g.", end, s->stop);
+    const int status = FB_PUBLIC(simulate)(m, end, s->tolerance, s->tolerance, NULL, 0, NULL);
+    for (int k = 0; k < N_R; ++k) { /* derivatives of inputs are those in one step */
+        m->r[k] += m->slope[k] != 0.0 ? m->slope[k] * (m->t - m->since) : 0.0;
+        m->slope[k] = 0.0;
+    }
+    s->valid = 0;
     *reached = m->t;
-    return fmu_check(f, status);
+    return fmu_check(f, status) ? 1 : -1;
 }
 
 static int fmu_has_states(fmu *f, const size_t n)
@@ -338,7 +389,7 @@ static int fmu_set_states(fmu *f, const double *x, const size_t n)
     if (!fmu_has_states(f, n))
         return 0;
     memcpy(f->state.model.x, x, sizeof f->state.model.x);
-    f->state.are_valid = 0;
+    f->state.valid = 0;
     return 1;
 }
 
@@ -347,11 +398,12 @@ static int fmu_set_time(fmu *f, const double t)
     if (!isfinite(t))
         return fmu_fail(f, "The time cannot be %g.", t);
     f->state.model.t = t;
-    f->state.are_valid = 0;
+    f->state.valid = 0;
     return 1;
 }
 
-static int fmu_begin(fmu *f, const double t, const int has_tolerance, const double tolerance)
+static int fmu_begin(fmu *f, const double t, const int has_tolerance, const double tolerance, const int has_stop,
+                     const double stop)
 {
     if (!fmu_set_time(f, t))
         return 0;
@@ -359,6 +411,11 @@ static int fmu_begin(fmu *f, const double t, const int has_tolerance, const doub
         return fmu_fail(f, "The tolerance is %g: it must be positive.", tolerance);
     if (has_tolerance)
         f->state.tolerance = tolerance;
+    if (has_stop && !(stop > t))
+        return fmu_fail(f, "The stop time, %g, is not after the start time, %g.", stop, t);
+    if (has_stop)
+        f->state.stop = stop;
+    f->state.start = t;
     f->state.mode = FMU_INITIALIZATION;
     f->state.is_open = 1;
     return 1;
@@ -367,8 +424,7 @@ static int fmu_begin(fmu *f, const double t, const int has_tolerance, const doub
 /* The derivatives of the states alone: an integrator asks for these often. */
 static int fmu_rates(fmu *f, double *rates)
 {
-    FB_MODEL *const m = &f->state.model;
-    if (!f->state.are_valid && !fmu_check(f, FB_PUBLIC(rhs)(m, m->t, m->x, f->state.rates)))
+    if (!fmu_evaluate(f, FMU_RATES))
         return 0;
     memcpy(rates, f->state.rates, N_X * sizeof *rates);
     return 1;
@@ -405,16 +461,34 @@ static int fmu_deserialize(fmu *f, const void *bytes, const size_t size, void **
     return 1;
 }
 
+/* Whether model exchange needs a projection. */
+static int fmu_is_open(fmu *f)
+{
+    return !(FB_PUBLIC(relative_violation)(&f->state.model) <= f->state.tolerance);
+}
+
+/* A saved state belongs to instances of the same kind. */
+static int fmu_restore(fmu *f, const fmu_state *saved)
+{
+    if (saved->is_cosimulation != f->state.is_cosimulation)
+        return fmu_fail(f, "The state is one of %s.", saved->is_cosimulation ? "co-simulation" : "model exchange");
+    f->state = *saved;
+    return 1;
+}
+
 /* At an event the state is moved onto the constraints. */
 static int fmu_handle_event(fmu *f, int *has_changed, int *has_next, double *next)
 {
     FB_MODEL *const m = &f->state.model;
-    *has_changed = FB_PUBLIC(violation)(m) > 0.0;
+    if (m->t > f->state.start && FB_PUBLIC(jumps)(m))
+        return fmu_check(f, FB_PUBLIC(speeds_jump));
+    *has_changed = fmu_is_open(f);
     if (*has_changed && !fmu_check(f, FB_PUBLIC(project)(m)))
         return 0;
     *next = FB_PUBLIC(next_breakpoint)(m);
     *has_next = *next > m->t && *next < INFINITY;
-    f->state.are_valid = 0;
+    FB_PUBLIC(between)(m, m->t, *next);
+    f->state.valid = 0;
     return 1;
 }
 

@@ -29,6 +29,7 @@ typedef struct fb_own {
     fb_source sources[FB_AT_LEAST_1(N_R)];
     fb_table tables[FB_AT_LEAST_1(N_R)];
     double lines[FB_AT_LEAST_1(N_R)][4]; /* of inputs with a slope: the times, slope and value */
+    fb_clock clock;                      /* the interval between two discontinuities in which an importer integrates */
     fb_problem problem;
     fb_run run;
     int prepared; /* the order of the method whose weights the run has */
@@ -52,7 +53,7 @@ static fb_problem *problem_of(FB_MODEL *model)
     problem->constants = own->constants;
     problem->inputs = own->inputs;
     problem->work = &own->work;
-    problem->clock = fb_all_time;
+    problem->clock = own->clock;
     problem->stabilization = 0.0;
     problem->sources = own->sources;
     problem->n_sources = 0;
@@ -62,7 +63,7 @@ static fb_problem *problem_of(FB_MODEL *model)
             source->input = i;
             source->value = model->r[i];
             source->table = NULL;
-            if (model->slope[i] != 0.0) { /* from `since` on, before that the value itself */
+            if (model->slope[i] != 0.0 && model->since < INFINITY) { /* from `since` on, before that the value itself */
                 fb_table *const table = own->tables + i;
                 double *const line = own->lines[i];
                 line[0] = model->since;
@@ -124,6 +125,12 @@ static void reach(FB_MODEL *model, const fb_run *run, const double t)
     model->t = t;
 }
 
+/* The larger of two; NaN if one is NaN. */
+static double fb_larger(const double a, const double b)
+{
+    return a != a || a > b ? a : b;
+}
+
 int FB_PUBLIC(update)(FB_MODEL *model)
 {
     fb_own *const own = own_of(model);
@@ -137,6 +144,7 @@ void FB_PUBLIC(init)(FB_MODEL *model)
     memset(model, 0, sizeof *model);
     memcpy(model->p, default_parameters, sizeof model->p);
     memcpy(model->x, initial_state, sizeof model->x);
+    own->clock = fb_all_time;
     FB_PUBLIC(update)(model);
     default_inputs(0.0, own->constants, model->r);
     for (int i = 0; i < N_R; ++i)
@@ -146,18 +154,20 @@ void FB_PUBLIC(init)(FB_MODEL *model)
 int FB_PUBLIC(close)(FB_MODEL *model)
 {
     fb_problem *const problem = problem_of(model);
-    fb_fill_inputs(problem, model->t, model->x);
+    const double t = fb_time(&problem->clock, model->t);
+    fb_fill_inputs(problem, t, model->x);
     double x[N_X];
     memcpy(x, model->x, sizeof x);
-    const int status = fb_close(model->t, x, problem->constants, problem->inputs);
+    const int status = fb_close(t, x, problem->constants, problem->inputs);
     if (status == FB_OK)
         memcpy(model->x, x, sizeof x);
     return status;
 }
 
-int FB_PUBLIC(rhs)(FB_MODEL *model, const double t, const double *x, double *rates)
+int FB_PUBLIC(rhs)(FB_MODEL *model, const double time, const double *x, double *rates)
 {
     fb_problem *const problem = problem_of(model);
+    const double t = fb_time(&problem->clock, time);
     fb_fill_inputs(problem, t, x);
     return FB_RHS(t, x, problem->constants, problem->inputs, rates, problem->work);
 }
@@ -165,8 +175,9 @@ int FB_PUBLIC(rhs)(FB_MODEL *model, const double t, const double *x, double *rat
 int FB_PUBLIC(solution)(FB_MODEL *model, double *rates, double *multipliers)
 {
     fb_problem *const problem = problem_of(model);
-    fb_fill_inputs(problem, model->t, model->x);
-    return accelerations(model->t, model->x, problem->constants, problem->inputs, rates, multipliers, problem->work);
+    const double t = fb_time(&problem->clock, model->t);
+    fb_fill_inputs(problem, t, model->x);
+    return accelerations(t, model->x, problem->constants, problem->inputs, rates, multipliers, problem->work);
 }
 
 int FB_PUBLIC(outputs)(FB_MODEL *model, double *outputs)
@@ -176,7 +187,8 @@ int FB_PUBLIC(outputs)(FB_MODEL *model, double *outputs)
     const int status = FB_PUBLIC(solution)(model, rates, multipliers);
     if (status != FB_OK)
         return status;
-    output(model->t, model->x, problem->constants, problem->inputs, rates, multipliers, outputs);
+    output(fb_time(&problem->clock, model->t), model->x, problem->constants, problem->inputs, rates, multipliers,
+           outputs);
     return all_finite(outputs, N_O);
 }
 
@@ -184,8 +196,9 @@ void FB_PUBLIC(energies)(FB_MODEL *model, double *kinetic, double *potential)
 {
     fb_problem *const problem = problem_of(model);
     double found[2];
-    fb_fill_inputs(problem, model->t, model->x);
-    energy(model->t, model->x, problem->constants, problem->inputs, found);
+    const double t = fb_time(&problem->clock, model->t);
+    fb_fill_inputs(problem, t, model->x);
+    energy(t, model->x, problem->constants, problem->inputs, found);
     *kinetic = found[0];
     *potential = found[1];
 }
@@ -194,13 +207,13 @@ double FB_PUBLIC(violation)(FB_MODEL *model)
 {
     fb_problem *const problem = problem_of(model);
     double position_violations[FB_AT_LEAST_1(N_C + N_I)], velocity_violations[FB_AT_LEAST_1(N_C)], largest = 0.0;
-    fb_fill_inputs(problem, model->t, model->x);
-    constraint_violation(model->t, model->x, problem->constants, problem->inputs, position_violations,
-                         velocity_violations);
+    const double t = fb_time(&problem->clock, model->t);
+    fb_fill_inputs(problem, t, model->x);
+    constraint_violation(t, model->x, problem->constants, problem->inputs, position_violations, velocity_violations);
     for (int i = 0; i < N_C + N_I; ++i)
-        largest = fabs(position_violations[i]) <= largest ? largest : fabs(position_violations[i]);
+        largest = fb_larger(largest, fabs(position_violations[i]));
     for (int i = 0; i < N_C; ++i)
-        largest = fabs(velocity_violations[i]) <= largest ? largest : fabs(velocity_violations[i]);
+        largest = fb_larger(largest, fabs(velocity_violations[i]));
     return largest;
 }
 
@@ -209,16 +222,20 @@ double FB_PUBLIC(relative_violation)(FB_MODEL *model)
     fb_problem *const problem = problem_of(model);
     double positions[FB_AT_LEAST_1(N_C + N_I)], velocities[FB_AT_LEAST_1(N_C)], unused[FB_AT_LEAST_1(N_H)];
     double position_scale[FB_AT_LEAST_1(N_C + N_I)], velocity_scale[FB_AT_LEAST_1(N_C)];
-    fb_fill_inputs(problem, model->t, model->x);
-    constraint_violation(model->t, model->x, problem->constants, problem->inputs, positions, velocities);
-    constraint_scale(model->t, model->x, problem->constants, problem->inputs, unused, position_scale, velocity_scale);
-    return fb_max(fb_violation(positions, position_scale, N_C + N_I), fb_violation(velocities, velocity_scale, N_C));
+    const double t = fb_time(&problem->clock, model->t);
+    fb_fill_inputs(problem, t, model->x);
+    constraint_violation(t, model->x, problem->constants, problem->inputs, positions, velocities);
+    constraint_scale(t, model->x, problem->constants, problem->inputs, unused, position_scale, velocity_scale);
+    return fb_larger(fb_violation(positions, position_scale, N_C + N_I), fb_violation(velocities, velocity_scale, N_C));
 }
 
 double FB_PUBLIC(input)(FB_MODEL *model, const int number)
 {
     fb_problem *const problem = problem_of(model);
-    fb_fill_inputs(problem, model->t, model->x);
+    if (number < 0 || number >= N_R)
+        return NAN;
+    const double t = fb_time(&problem->clock, model->t);
+    fb_fill_inputs(problem, t, model->x);
     return problem->inputs[number];
 }
 
@@ -227,18 +244,39 @@ int FB_PUBLIC(project)(FB_MODEL *model)
     return fb_problem_project(problem_of(model), model->t, model->x, 0);
 }
 
-/* The times at which expressions have a jump or a kink. The first N_JUMPS of them are jumps of speeds. */
+/* Whether a prescribed position or speed jumps at a time: the change between neighbouring times is larger than those on
+ * both sides. */
+static int jumps_at(const fb_problem *problem, const double t)
+{
+    const double step = 4.0 * (nextafter(fabs(t), INFINITY) - fabs(t));
+    double values[4][FB_AT_LEAST_1(N_R)];
+    for (int k = 0; k < 4; ++k)
+        default_inputs(t + step * (k < 2 ? k - 2 : k - 1), problem->constants, values[k]);
+    for (int i = 0; i < N_R; ++i) {
+        const double jump = fabs(values[2][i] - values[1][i]), size = fb_max(fabs(values[1][i]), fabs(values[2][i]));
+        const double around = fabs(values[1][i] - values[0][i]) + fabs(values[3][i] - values[2][i]);
+        int held = 0;
+        for (int k = 0; k < problem->n_sources; ++k)
+            held |= problem->sources[k].input == i;
+        if (prescribes[i] && !held && !(jump <= 1e-9 * size + 10.0 * around))
+            return 1;
+    }
+    return 0;
+}
+
+/* Whether it jumps after one time, or at the other one. The speeds after a jump follow from an impulse. */
 static int jumps_between(const fb_problem *problem, const double begin, const double end)
 {
     double times[FB_AT_LEAST_1(N_BREAKPOINTS)];
     breakpoints(problem->constants, times);
     for (int i = 0; i < N_JUMPS; ++i)
-        if (times[i] > fb_min(begin, end) && times[i] < fb_max(begin, end))
+        if (times[i] >= fb_min(begin, end) && times[i] <= fb_max(begin, end) && times[i] != begin &&
+            jumps_at(problem, times[i]))
             return 1;
     return 0;
 }
 
-/* The next of them between two times, or the second time. */
+/* The next time between two others at which expressions have a jump or a kink, or the second one. */
 static double next_breakpoint(const fb_problem *problem, const double begin, const double end)
 {
     double times[FB_AT_LEAST_1(N_BREAKPOINTS)], next = end;
@@ -249,15 +287,34 @@ static double next_breakpoint(const fb_problem *problem, const double begin, con
     return next;
 }
 
+int FB_PUBLIC(jumps)(FB_MODEL *model)
+{
+    const fb_problem *const problem = problem_of(model);
+    const double spacing = 4.0 * (nextafter(fabs(model->t), INFINITY) - fabs(model->t));
+    double times[FB_AT_LEAST_1(N_BREAKPOINTS)];
+    breakpoints(problem->constants, times);
+    for (int i = 0; i < N_JUMPS; ++i)
+        if (fabs(times[i] - model->t) <= spacing && jumps_at(problem, times[i]))
+            return 1;
+    return 0;
+}
+
 double FB_PUBLIC(next_breakpoint)(FB_MODEL *model)
 {
     return next_breakpoint(problem_of(model), model->t, INFINITY);
 }
 
+void FB_PUBLIC(between)(FB_MODEL *model, const double begin, const double end)
+{
+    fb_clock *const clock = &own_of(model)->clock;
+    clock->first = N_BREAKPOINTS > 0 ? nextafter(begin, INFINITY) : -INFINITY;
+    clock->last = N_BREAKPOINTS > 0 ? nextafter(end, -INFINITY) : INFINITY;
+}
+
 int FB_PUBLIC(step)(FB_MODEL *model, const double h, const int order)
 {
     fb_run *const run = run_of(model, order == 8 ? 8 : 4);
-    if (!(order == 4 || order == 8) || !isfinite(h))
+    if (!(order == 4 || order == 8) || !isfinite(h) || !isfinite(model->t))
         return FB_INVALID_ARGUMENT;
     if (N_JUMPS > 0 && jumps_between(run->problem, model->t, model->t + h))
         return FB_SPEEDS_JUMP;
@@ -273,22 +330,22 @@ static int passes_singular_position(fb_run *run, const double typical)
 {
     double low = run->t_old, high = run->t, least = INFINITY;
     for (int turn = 0; turn < 5; ++turn) {
-        const double part = (high - low) / 32.0;
-        int at = 1;
+        const double part = (high - low) / 32.0, begin = low;
+        double smallest = INFINITY;
         for (int i = 1; i < 32; ++i) {
-            const double t = low + i * part;
+            const double t = begin + i * part;
             if (fb_state_at(run, t, run->along) < 0)
                 return 0;
             fb_fill_inputs(run->problem, t, run->along);
             const double pivot =
                 fb_least_pivot(t, run->along, run->problem->constants, run->problem->inputs, run->problem->work);
-            if (pivot < least) {
-                least = pivot;
-                at = i;
+            if (pivot < smallest) {
+                smallest = pivot;
+                low = t - part;
+                high = t + part;
             }
         }
-        high = low + (at + 1) * part;
-        low = low + (at - 1) * part;
+        least = smallest < least ? smallest : least;
     }
     return least < FB_PASSED * typical;
 }
@@ -304,10 +361,13 @@ int FB_PUBLIC(simulate)(FB_MODEL *model, const double t_end, const double rtol, 
                         const long n_times, double *states)
 {
     fb_own *const own = own_of(model);
+    own->clock = fb_all_time;
     fb_run *const run = run_of(model, 8);
     const double begin = model->t;
     double unused, here = begin;
-    if (!isfinite(t_end) || !(rtol > 0.0) || !(atol >= 0.0) || n_times < 0)
+    if (!isfinite(begin) || !isfinite(t_end) || !(rtol > 0.0) || !(atol > 0.0))
+        return FB_INVALID_ARGUMENT;
+    if (n_times < 0 || (n_times > 0 && (times == NULL || states == NULL)))
         return FB_INVALID_ARGUMENT;
     for (long i = 0; i < n_times; ++i)
         if (!(times[i] >= fb_min(begin, t_end) && times[i] <= fb_max(begin, t_end)) ||
@@ -332,6 +392,7 @@ int FB_PUBLIC(simulate)(FB_MODEL *model, const double t_end, const double rtol, 
     int status = run->project ? fb_problem_project(run->problem, begin, run->x, 0) : FB_OK;
     if (status != FB_OK)
         return status;
+    long counted = 0;
     double typical = 0.0, sum = 0.0; /* the geometric mean over the run of the least pivot of J */
     for (int piece = 0; piece <= N_BREAKPOINTS; ++piece) {
         const double until = N_BREAKPOINTS > 0 ? next_breakpoint(run->problem, here, t_end) : t_end;
@@ -341,34 +402,36 @@ int FB_PUBLIC(simulate)(FB_MODEL *model, const double t_end, const double rtol, 
         }
         run->t_bound = run->until = until;
         run->pending = piece == 0;
-        const int failed = piece == 0 ? fb_begin(run) : fb_resume(run);
-        if (failed < 0)
-            return failed;
+        if (piece == 0) {
+            fb_begin(run);
+            typical = least_pivot_of(run);
+        } else
+            fb_resume(run);
         for (;;) {
             const int reason = fb_run_on(run, 1);
-            if (reason == FB_RUN_END)
-                break;
-            if (reason == FB_RUN_FULL) {
-                run->sample_x += N_X;
-                run->n_samples = 0;
-                continue;
-            }
             if (reason == FB_RUN_EVENT && passes_singular_position(run, typical)) {
                 memcpy(run->x, run->x_old, sizeof model->x);
                 reach(model, run, run->t_old);
                 return FB_SINGULAR_POSITION;
             }
-            if (reason == FB_RUN_PAUSED || reason == FB_RUN_EVENT || reason == FB_RUN_COLLAPSED) {
+            if (run->n_steps > counted) {
+                counted = run->n_steps;
                 sum += fabs(run->h) * log(least_pivot_of(run));
                 typical = exp(sum / fabs(run->t - begin));
-                if (run->n_steps < FB_MAX_STEPS)
-                    continue;
             }
+            if (reason == FB_RUN_END)
+                break;
+            if (reason == FB_RUN_FULL) {
+                run->sample_x += N_X;
+                run->n_samples = 0;
+            }
+            if (reason != FB_RUN_TOO_SMALL && reason != FB_RUN_INFINITE && run->n_steps < FB_RUN_STEPS)
+                continue;
             reach(model, run, run->t);
             if (least_pivot_of(run) < FB_NEARBY * typical)
                 return FB_SINGULAR_POSITION;
             return run->problem->status != FB_OK  ? run->problem->status
-                   : run->n_steps >= FB_MAX_STEPS ? FB_TOO_MANY_STEPS
+                   : run->n_steps >= FB_RUN_STEPS ? FB_TOO_MANY_STEPS
                                                   : FB_STEP_TOO_SMALL;
         }
         here = until;
@@ -384,17 +447,19 @@ int FB_PUBLIC(differentiate)(FB_MODEL *model, const fb_derivatives *derivatives,
                              double *matrix)
 {
     fb_problem *const problem = problem_of(model);
-    fb_fill_inputs(problem, model->t, model->x);
-    return differentiate(derivatives, function, n, model->t, model->x, problem->constants, problem->inputs, matrix,
-                         NULL, problem->work);
+    const double t = fb_time(&problem->clock, model->t);
+    fb_fill_inputs(problem, t, model->x);
+    return differentiate(derivatives, function, n, t, model->x, problem->constants, problem->inputs, matrix, NULL,
+                         problem->work);
 }
 
 void FB_PUBLIC(draw)(FB_MODEL *model, const fb_derivatives *derivatives, double *points)
 {
     fb_problem *const problem = problem_of(model);
     double forces[FB_AT_LEAST_1(3 * N_FORCES)];
-    fb_fill_inputs(problem, model->t, model->x);
-    derivatives->drawing(model->t, model->x, problem->constants, problem->inputs, points, forces);
+    const double t = fb_time(&problem->clock, model->t);
+    fb_fill_inputs(problem, t, model->x);
+    derivatives->drawing(t, model->x, problem->constants, problem->inputs, points, forces);
 }
 
 const char *FB_PUBLIC(message)(const int status)
@@ -425,7 +490,8 @@ const char *FB_PUBLIC(message)(const int status)
     case FB_SINGULAR_POSITION:
         return "the mechanism reaches a singular position, where it may go on in more than one way";
     case FB_SPEEDS_JUMP:
-        return "the speed of a prescribed motion jumps within the step or run: end it there";
+        return "the speed of a prescribed motion jumps in the step or run, or at its end: the speeds after it are "
+               "unknown here";
     default:
         return "unknown status";
     }

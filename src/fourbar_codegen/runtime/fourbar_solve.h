@@ -135,7 +135,7 @@ static inline int fb_eliminate(const double *restrict jacobian, fb_factors *rest
  * an evaluation. */
 #if defined(__clang__)
 #define FB_UNROLL _Pragma("unroll(8)")
-#elif defined(__GNUC__)
+#elif defined(__GNUC__) && defined(__OPTIMIZE__)
 #define FB_UNROLL _Pragma("GCC unroll 8")
 #else
 #define FB_UNROLL

@@ -3,6 +3,7 @@
 import ctypes
 import os
 import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -381,6 +382,10 @@ def test_the_folder_is_built_and_run_by_its_readme(tmp_path, four_bar):
         expected += [stepper.x[:3]] if k % 10 == 9 else []
     np.testing.assert_allclose(found[:, 1:], expected, rtol=0, atol=1e-12)
     np.testing.assert_allclose(found[:, 0], np.linspace(0, 1, 101), rtol=0, atol=5e-4)
+    for words in (["-B", "build"], ["--build", "build"]):
+        subprocess.run([sys.executable, "-m", "cmake", *words], cwd=folder, capture_output=True, check=True)
+    built = subprocess.run([folder / "build" / "four_bar_example"], capture_output=True, text=True, check=True).stdout
+    assert built.splitlines()[:2] == printed.splitlines()[:2]
     user = folder / "user.cpp"
     user.write_text('#include "four_bar.h"\nint size() { return four_bar_n_x + four_bar_x_q1 + four_bar_p_l2; }\n')
     subprocess.run(

@@ -4,7 +4,6 @@ import shutil
 import subprocess
 import sys
 import zipfile
-from ctypes import CDLL, c_double, c_uint, c_void_p
 
 import fmpy
 import numpy as np
@@ -427,28 +426,28 @@ def test_what_cannot_be_exported(tmp_path, monkeypatch):
 
 
 def test_with_a_controller_of_someone_else(fmus, tmp_path):
-    """A motor's speed control, written by hand for FMI 2, and the slider-crank: their torque and speed are exchanged
-    every millisecond, and the motion is that of Python's stepper-like run with the torque held."""
-    source = tmp_path / "controller.c"
-    source.write_text(CONTROLLER)
-    library = tmp_path / "controller.so"
-    subprocess.run([require("gcc"), "-shared", "-fPIC", "-O1", source, "-o", library], check=True)
-    controller = CDLL(str(library))
-    controller.fmi2Instantiate.restype = c_void_p
-    own = c_void_p(controller.fmi2Instantiate(b"c", 1, b"{c}", b"", None, 0, 0))
+    """An FMU written by hand, which controls the speed, and the slider-crank: torque and speed are exchanged every
+    millisecond, and the motion is that of runs in Python with the torque held."""
+    folder = tmp_path / "controller"
+    library = folder / "binaries" / fmpy.platform / f"controller{fmpy.sharedLibraryExtension}"
+    library.parent.mkdir(parents=True)
+    (tmp_path / "controller.c").write_text(CONTROLLER)
+    subprocess.run([require("gcc"), "-shared", "-fPIC", tmp_path / "controller.c", "-o", library], check=True)
+    (folder / "modelDescription.xml").write_text(DESCRIPTION)
+    assert fmpy.read_model_description(str(folder)).coSimulation.modelIdentifier == "controller"
+    controller = FMU2Slave(
+        guid="{c}", unzipDirectory=str(folder), modelIdentifier="controller", instanceName="c", requireFunctions=False
+    )
+    controller.instantiate()
     engine = Instance(fmus(2, "slider_crank"), 2, tmp_path / "engine")
-    engine.begin(crank=0.5, crank_rate=0.0)
+    engine.begin(crank=0.5, crank_rate=0.0, load=0.0)
     compiled = fb.compile_model(fb.models.slider_crank())
     x = compiled.initial_state({"crank": 0.5}, {"crank_rate": 0.0})
     for k in range(300):
         t = k * 1e-3
-        speed, torque = c_double(engine.get("crank_rate")[0]), c_double()
-        assert controller.fmi2SetReal(own, (c_uint * 1)(0), 1, (c_double * 1)(speed.value)) == 0
-        assert controller.fmi2DoStep(own, c_double(t), c_double(1e-3), 0) == 0
-        values = (c_double * 1)()
-        assert controller.fmi2GetReal(own, (c_uint * 1)(1), 1, values) == 0
-        torque = values[0]
-        engine.set(torque=torque, load=0.0)
+        controller.setReal([0], engine.get("crank_rate"))
+        controller.doStep(currentCommunicationPoint=t, communicationStepSize=1e-3)
+        engine.set(torque=controller.getReal([1])[0])
         engine.step(t, 1e-3)
         x = compiled.simulate(
             (t, t + 1e-3), x, inputs={"torque": 2.0 * (10.0 - x[3]), "load": 0.0}, rtol=1e-11, atol=1e-11
@@ -456,8 +455,33 @@ def test_with_a_controller_of_someone_else(fmus, tmp_path):
     np.testing.assert_allclose(engine.get(*compiled.states), x, rtol=0, atol=1e-7)
 
 
+DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
+<fmiModelDescription fmiVersion="2.0" modelName="controller" guid="{c}">
+  <CoSimulation modelIdentifier="controller"/>
+  <ModelVariables>
+    <ScalarVariable name="speed" valueReference="0" causality="input"><Real start="0"/></ScalarVariable>
+    <ScalarVariable name="torque" valueReference="1" causality="output"><Real/></ScalarVariable>
+  </ModelVariables>
+  <ModelStructure><Outputs><Unknown index="2"/></Outputs></ModelStructure>
+</fmiModelDescription>
+"""
+
 CONTROLLER = """
 /* torque = 2 (10 - speed), sampled once a step; variables: 0 speed, 1 torque */
+#define OTHER(name) int name(void) { return 3; }
+OTHER(fmi2CancelStep) OTHER(fmi2CompletedIntegratorStep) OTHER(fmi2DeSerializeFMUstate)
+OTHER(fmi2EnterContinuousTimeMode) OTHER(fmi2EnterEventMode) OTHER(fmi2EnterInitializationMode)
+OTHER(fmi2ExitInitializationMode) OTHER(fmi2FreeFMUstate) OTHER(fmi2FreeInstance) OTHER(fmi2GetBoolean)
+OTHER(fmi2GetBooleanStatus) OTHER(fmi2GetContinuousStates) OTHER(fmi2GetDerivatives)
+OTHER(fmi2GetDirectionalDerivative) OTHER(fmi2GetEventIndicators) OTHER(fmi2GetFMUstate) OTHER(fmi2GetInteger)
+OTHER(fmi2GetIntegerStatus) OTHER(fmi2GetNominalsOfContinuousStates) OTHER(fmi2GetRealOutputDerivatives)
+OTHER(fmi2GetRealStatus) OTHER(fmi2GetStatus) OTHER(fmi2GetString) OTHER(fmi2GetStringStatus)
+OTHER(fmi2NewDiscreteStates) OTHER(fmi2Reset) OTHER(fmi2SerializeFMUstate) OTHER(fmi2SerializedFMUstateSize)
+OTHER(fmi2SetBoolean) OTHER(fmi2SetContinuousStates) OTHER(fmi2SetDebugLogging) OTHER(fmi2SetFMUstate)
+OTHER(fmi2SetInteger) OTHER(fmi2SetRealInputDerivatives) OTHER(fmi2SetString) OTHER(fmi2SetTime)
+OTHER(fmi2SetupExperiment) OTHER(fmi2Terminate)
+const char *fmi2GetTypesPlatform(void) { return "default"; }
+const char *fmi2GetVersion(void) { return "2.0"; }
 static double speed, torque;
 void *fmi2Instantiate(const char *n, int k, const char *g, const char *r, const void *f, int v, int l)
 {

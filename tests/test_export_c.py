@@ -13,7 +13,7 @@ import sympy.physics.mechanics as me
 from c_library import STRICT, Library
 from programs import require
 from sympy.physics.mechanics.system import System
-from systems import closed_by_auxiliary_speeds, pendulum, quaternion_top, spatial_four_bar
+from systems import closed_by_auxiliary_speeds, pendulum, quaternion_top, slider, spatial_four_bar
 from test_compilers import zig_cc
 
 import fourbar_codegen as fb
@@ -409,6 +409,12 @@ def test_the_controller_of_the_documentation(tmp_path):
     for _ in range(2000):
         x = stepper.step({"torque": 2.0 * (10.0 - x[3]), "load": 5.0})
     assert float(printed[2]) == pytest.approx(x[3], abs=1e-6)
+
+
+def test_contradictions_are_told(tmp_path):
+    """A velocity that does not follow from the position, as `compile_model` tells."""
+    with pytest.warns(fb.ModelWarning, match="velocity"):
+        fb.export_c(slider("velocity"), tmp_path)
 
 
 def test_two_models_in_one_program(tmp_path):

@@ -416,6 +416,8 @@ def test_binaries_for_other_machines(tmp_path):
 def test_what_cannot_be_exported(tmp_path, monkeypatch):
     with pytest.raises(fb.ModelError, match="2 or 3, not 1"):
         fb.export_fmu(fb.models.four_bar(), tmp_path / "a.fmu", fmi=1)
+    with pytest.raises(fb.ModelError, match="give m values"):
+        fb.export_fmu(fb.Model(_pushed(), name="open", inputs="auto"), tmp_path / "a.fmu")
     (tmp_path / "folder.fmu").mkdir()
     with pytest.raises(fb.BuildError, match="cannot be written"):
         fb.export_fmu(fb.models.four_bar(), tmp_path / "folder.fmu")

@@ -40,6 +40,7 @@ __all__ = [
     "generate_kernel",
     "generate_sources",
     "key_of",
+    "warn",
 ]
 
 
@@ -71,7 +72,7 @@ def generate_sources(model: Model) -> dict[str, str]:
     """
     with Progress(f"fourbar_codegen: {getattr(model, 'name', '')}") as progress:
         equations, _, sources = _generate(model, progress)
-    _warn(equations.warnings, 3)
+    warn(equations.warnings, 3)
     return sources
 
 
@@ -305,11 +306,11 @@ def _build(model: Model, folder: Path, *, check: bool) -> Path:
         progress.stage("compiling")
         compare = _comparison(progress, equations, derivatives) if compares else None
         module = build_extension(model.name, sources, folder, check=compare)
-    _warn(equations.warnings, 4)
+    warn(equations.warnings, 4)
     return module
 
 
-def _warn(sentences: Iterable[str], level: int) -> None:
+def warn(sentences: Iterable[str], level: int) -> None:
     """Warn about inconsistent kinematics, on the caller's line."""
     for sentence in sentences:
         warnings.warn(sentence, ModelWarning, stacklevel=level)
@@ -395,5 +396,5 @@ def compile_model(model: Model, *, check: bool = True) -> CompiledModel:
     if not check and find_cached(model.name, key) is None:
         key = key_of(model, checked=False)
     compiled = CompiledModel.from_loaded(load_cached(lambda: cached(model.name, key, build)))
-    _warn(compiled.manifest["warnings"], 3)
+    warn(compiled.manifest["warnings"], 3)
     return compiled

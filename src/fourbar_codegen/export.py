@@ -11,7 +11,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from fourbar_codegen.building.toolchain import compile_shared, get_include
-from fourbar_codegen.compile import Generated, generate_derivatives, generate_kernel
+from fourbar_codegen.compile import Generated, generate_derivatives, generate_kernel, warn
 from fourbar_codegen.errors import BuildError, ModelError, shown
 from fourbar_codegen.files import path_of, replacing
 from fourbar_codegen.modeling.model import Model
@@ -58,6 +58,11 @@ def export_c(model: Model, folder: str | Path) -> Path:
     BuildError
         If the folder cannot be written.
 
+    Warns
+    -----
+    ModelWarning
+        As for `compile_model`.
+
     Examples
     --------
     >>> import tempfile
@@ -69,7 +74,9 @@ def export_c(model: Model, folder: str | Path) -> Path:
     """
     folder = path_of(folder)
     with Progress(f"fourbar_codegen: {getattr(model, 'name', '')}") as progress:
-        _write(_library_files(generate_kernel(model, progress), progress), folder)
+        generated = generate_kernel(model, progress)
+        _write(_library_files(generated, progress), folder)
+    warn(generated.equations.warnings, 3)
     return folder
 
 
@@ -105,6 +112,11 @@ def export_fmu(model: Model, path: str | Path, *, fmi: int = 3, platforms: Seque
         If there is no C compiler, or no zig for other platforms; if it fails, with its output; or if the file cannot be
         written.
 
+    Warns
+    -----
+    ModelWarning
+        As for `compile_model`.
+
     Source: Modelica Association, Functional Mock-up Interface, versions 2.0.5 and 3.0.2, https://fmi-standard.org.
 
     Examples
@@ -131,9 +143,8 @@ def export_fmu(model: Model, path: str | Path, *, fmi: int = 3, platforms: Seque
             variables_of,
         )
 
+        name, files = manifest["name"], _library_files(generated, progress, FMU_HEADERS)
         variables = variables_of(manifest, [_at_start(model, entry["name"]) for entry in manifest["inputs"]])
-        name = manifest["name"]
-        files = _library_files(generated, progress, FMU_HEADERS)
         sources = {file: text for file, text in files.items() if file.endswith((".c", ".h")) and file != "main.c"}
         sources[f"{name}_fmu.c"] = fmu_source(fmi, manifest)
         progress.stage("compiling")
@@ -153,6 +164,7 @@ def export_fmu(model: Model, path: str | Path, *, fmi: int = 3, platforms: Seque
         texts |= {f"sources/{file}": text for file, text in sources.items()}
         contents = {file: text.encode("utf-8") for file, text in texts.items()}
         _pack(path, contents | binaries)
+    warn(generated.equations.warnings, 3)
     return path
 
 

@@ -307,6 +307,24 @@ def test_a_speed_that_jumps(tmp_path):
     assert "jumps" in library.message(library.call("step", mechanism, 0.02, 4))
 
 
+def test_a_cam_that_returns_to_rest(tmp_path):
+    """A cubic, whose position and speed are zero at its end, but for rounding errors; its acceleration jumps there."""
+    points = {"O": (0, 0), "A": (0.1, 0.05), "C": (0.4, 0)}
+    linkage = fb.Linkage("cam", points=points, ground="O", links=["OA", "AC"], density=1.0)
+    linkage.slider("C", along=(1, 0))
+    h, end, t = *sm.symbols("h T"), me.dynamicsymbols._t
+    angle = sm.Piecewise((h * (1 - 3 * (t / end) ** 2 + 2 * (t / end) ** 3), t < end), (0, True))
+    linkage.drive("O", angle=angle)
+    model = linkage.model(parameters={"T": 0.7, "h": 0.05})
+    library, compiled = Library(model, tmp_path), fb.compile_model(model)
+    mechanism = library.new()
+    assert library.call("close", mechanism) == 0
+    x = np.array(mechanism.x)
+    assert library.call("simulate", mechanism, 1.0, 1e-9, 1e-9, None, 0, None) == 0
+    expected = compiled.simulate((0.0, 1.0), x, rtol=1e-9, atol=1e-9).y[:, -1]
+    np.testing.assert_allclose(mechanism.x, expected, rtol=0, atol=1e-7)
+
+
 @pytest.mark.parametrize("n", [0, 2, 3001])
 def test_a_singular_position_between_samples(exported, n):
     """However many samples are taken, the run ends there."""

@@ -295,6 +295,21 @@ def test_a_drive_with_rates(fmus, tmp_path):
     assert np.abs(other.get(*model.speeds)).max() > 0.1
 
 
+def test_masses_that_drop_out_need_no_value(tmp_path):
+    """Of a wheel on an axle, only the inertia about it counts."""
+    wall, wheel = me.RigidBody("wall"), me.RigidBody("wheel")
+    torque = me.dynamicsymbols("T")
+    system = me.system.System.from_newtonian(wall)
+    system.add_bodies(wheel)
+    system.add_joints(me.PinJoint("axle", wall, wheel, joint_axis=wall.frame.z))
+    system.add_actuators(me.TorqueActuator(torque, wall.frame.z, wheel.frame, wall.frame))
+    system.form_eoms()
+    model = fb.Model(system, name="wheel", parameters={"wheel_izz": 2.0}, inputs={torque: 3.0})
+    instance = Instance(str(fb.export_fmu(model, tmp_path / "wheel.fmu")), 3, tmp_path / "a")
+    instance.begin()
+    assert instance.get("der(u_axle)")[0] == 1.5
+
+
 def test_dependencies(fmus):
     """States are no functions of inputs, so that a controller of the speed is no algebraic loop."""
     description = fmpy.read_model_description(fmus(3, "slider_crank"))

@@ -175,7 +175,8 @@ def _at_start(model: Model, name: str) -> float:
         return float("nan")
     import sympy as sm
 
-    values = {symbol: sm.Float(parameter.value) for symbol, parameter in model.parameter_symbols.items()}
+    known = {symbol: parameter.value for symbol, parameter in model.parameter_symbols.items()}
+    values = {symbol: sm.Float(value) for symbol, value in known.items() if value is not None}
     derived = {symbol: each.xreplace(values) for symbol, each in model.derived_parameters.items()}
     value = sm.sympify(expression).xreplace({**values, **derived}).subs(model.mechanism.time, 0)
     return float(value) if value.is_number and value.is_finite else float("nan")

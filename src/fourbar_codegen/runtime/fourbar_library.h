@@ -249,11 +249,16 @@ int FB_PUBLIC(project)(FB_MODEL *model)
 static int jumps_at(const fb_problem *problem, const double t)
 {
     const double step = 4.0 * (nextafter(fabs(t), INFINITY) - fabs(t));
-    double values[4][FB_AT_LEAST_1(N_R)];
+    double values[4][FB_AT_LEAST_1(N_R)], apart[2][FB_AT_LEAST_1(N_R)];
     for (int k = 0; k < 4; ++k)
         default_inputs(t + step * (k < 2 ? k - 2 : k - 1), problem->constants, values[k]);
+    for (int k = 0; k < 2; ++k) /* for the size of the motion, which may be zero at t itself */
+        default_inputs(t + (k ? 0.1 : -0.1) * fabs(t), problem->constants, apart[k]);
     for (int i = 0; i < N_R; ++i) {
-        const double jump = fabs(values[2][i] - values[1][i]), size = fb_max(fabs(values[1][i]), fabs(values[2][i]));
+        const double jump = fabs(values[2][i] - values[1][i]);
+        double size = fb_max(fabs(values[1][i]), fabs(values[2][i]));
+        for (int k = 0; k < 2; ++k)
+            size = isfinite(apart[k][i]) ? fb_max(size, fabs(apart[k][i])) : size;
         const double around = fabs(values[1][i] - values[0][i]) + fabs(values[3][i] - values[2][i]);
         int held = 0;
         for (int k = 0; k < problem->n_sources; ++k)

@@ -44,8 +44,8 @@ class Library:
     def function(self, name):
         return getattr(self.loaded, f"{self.name}_{name}")
 
-    def new(self, **inputs):
-        """A mechanism with its defaults, and values of inputs by their numbers in C."""
+    def new(self):
+        """A mechanism with its defaults."""
         mechanism = self.Mechanism()
         self.call("init", mechanism)
         return mechanism

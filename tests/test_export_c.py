@@ -152,8 +152,6 @@ def test_the_same_numbers(exported, name, compiler):
     x = state_of(compiled, inputs)
     mechanism.x[:] = x
     mechanism.t = t = 0.37
-    if compiled.n_c:
-        x = x.copy()
     r = compiled.default_inputs(t)
     r[np.isnan(r)] = 0.3
     n = compiled.n_x

@@ -152,23 +152,22 @@ def test_states_are_saved_to_the_bit(fmus, fmi, tmp_path):
     one.begin()
     other.begin()
     one.step(0.0, 0.1)
-    suffix = "FMUState"
-    saved = getattr(one.fmu, f"get{suffix}")()
-    text = getattr(one.fmu, f"serialize{suffix}")(saved)
+    saved = one.fmu.getFMUState()
+    text = one.fmu.serializeFMUState(saved)
     names = [*one.references]
     results = []
     for _ in range(2):
         for k in range(5):
             one.step(0.1 + 0.1 * k, 0.1)
         results.append(one.get(*names).tobytes())
-        getattr(one.fmu, f"set{suffix}")(saved)
-    restored = getattr(other.fmu, f"deserialize{suffix}")(text)
-    getattr(other.fmu, f"set{suffix}")(restored)
+        one.fmu.setFMUState(saved)
+    restored = other.fmu.deserializeFMUState(text)
+    other.fmu.setFMUState(restored)
     for k in range(5):
         other.step(0.1 + 0.1 * k, 0.1)
     results.append(other.get(*names).tobytes())
     assert len(set(results)) == 1
-    getattr(one.fmu, f"free{suffix}")(saved)
+    one.fmu.freeFMUState(saved)
 
 
 @BOTH

@@ -190,7 +190,8 @@ def _library_files(generated: Generated, progress: Progress, more: tuple[str, ..
     _, functions = generate_derivatives(generated)
     folder = Path(get_include())
     runtime = {name: (folder / name).read_text("utf-8") for name in (*HEADERS, *more)}
-    taken = names_in(runtime.values()) | {name.removesuffix(".h") for name in runtime}
+    kernel = generated.sources[f"{generated.manifest['name']}_kernel.c"]
+    taken = names_in((kernel, *runtime.values())) | {name.removesuffix(".h") for name in runtime}
     texts = library_texts(
         generated.scheduled, functions, generated.names, generated.manifest, _version(), frozenset(taken)
     )

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ROUNDING", "Coefficients", "Constraints", "Polynomial", "at", "real_roots", "reduced", "terms_of"]
+__all__ = ["Coefficients", "Constraints", "Polynomial", "at", "real_roots", "reduced", "terms_of"]
 
 DIGITS = 25
 """Digits of a root; a root of multiplicity m has only 1/m of the coefficients' digits."""

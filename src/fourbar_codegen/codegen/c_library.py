@@ -12,7 +12,7 @@ from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.lowering.program import Program
 from fourbar_codegen.lowering.schedule import Schedule, ScheduledFunction
 
-__all__ = ["FOLDER", "HEADERS", "library_texts", "names_in"]
+__all__ = ["FOLDER", "HEADERS", "library_texts", "motions", "names_in"]
 
 FOLDER = "runtime/"
 """Of the headers that the sources include, beside these."""
@@ -71,7 +71,7 @@ def library_texts(
     version : str
         Of fourbar_codegen.
     taken : frozenset of str
-        Names in the runtime.
+        Names in the kernel and in the runtime.
 
     Returns
     -------
@@ -89,7 +89,7 @@ def library_texts(
             f"A C library begins with defaults: give {', '.join(missing)} values in Model(parameters=...)."
         )
     scalar = replace(scheduled, has_batches=False)
-    if name in RESERVED | _words(kernel_text(scalar, names).replace(f'"{name}"', "")) | taken:
+    if name in RESERVED | taken:
         raise ModelError(f"{name!r} is a name in C or of its library: give the Model another name to export it.")
     header = f'#include "{name}.h"\n'
     return {
@@ -333,13 +333,18 @@ void {name}_draw({name} *model, const fb_derivatives *derivatives, double *point
 """
 
 
+def motions(manifest: Mapping[str, Any]) -> set[str]:
+    """The inputs that prescribe motions: their rates are inputs, too."""
+    return {entry["of"] for entry in manifest["inputs"] if entry["order"]}
+
+
 def _definitions(program: Program, manifest: Mapping[str, Any]) -> str:
     """What fourbar_library.h needs."""
     names = [*manifest["coordinates"], *manifest["speeds"], *manifest["auxiliary_states"]]
     initial = ", ".join(_number(manifest["initial"].get(name, 0.0)) for name in names)
     defaults = ", ".join(_number(entry["default"]) for entry in manifest["parameters"]) or "0.0"
     given = ", ".join(str(int(entry["expression"] is not None)) for entry in manifest["inputs"]) or "0"
-    moving = {entry["of"] for entry in manifest["inputs"] if entry["order"]}
+    moving = motions(manifest)
     moves = ", ".join(str(int(e["of"] in moving and e["order"] < 2)) for e in manifest["inputs"]) or "0"
     return f"""
 enum {{

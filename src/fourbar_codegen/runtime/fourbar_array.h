@@ -45,6 +45,20 @@ static inline double fb_violation(const double *restrict violations, const doubl
     return largest;
 }
 
+static inline void fb_swap_double(double *a, double *b)
+{
+    const double c = *a;
+    *a = *b;
+    *b = c;
+}
+
+static inline void fb_swap_int(int *a, int *b)
+{
+    const int c = *a;
+    *a = *b;
+    *b = c;
+}
+
 /* Solves A x = b by Gaussian elimination with partial pivoting; A and b are overwritten. Returns 0 if A is singular:
  * a pivot is no larger than `least`. */
 static inline int fb_eliminate_full(const int n, double *restrict a, double *restrict b, const double least)
@@ -55,14 +69,9 @@ static inline int fb_eliminate_full(const int n, double *restrict a, double *res
             pivot = fabs(a[i * n + k]) > fabs(a[pivot * n + k]) ? i : pivot;
         if (!(fabs(a[pivot * n + k]) > least))
             return 0;
-        for (int j = k; j < n && pivot != k; ++j) {
-            const double other = a[k * n + j];
-            a[k * n + j] = a[pivot * n + j];
-            a[pivot * n + j] = other;
-        }
-        const double other = b[pivot];
-        b[pivot] = b[k];
-        b[k] = other;
+        for (int j = k; j < n && pivot != k; ++j)
+            fb_swap_double(a + k * n + j, a + pivot * n + j);
+        fb_swap_double(b + k, b + pivot);
         for (int i = k + 1; i < n; ++i) {
             const double factor = a[i * n + k] / a[k * n + k];
             for (int j = k + 1; j < n; ++j)

@@ -77,22 +77,12 @@ static inline int fb_eliminate_rows(const int m, const int n, double *restrict a
         *last = fabs(a[row * n + column]);
         if (!(*last > FB_DETERMINED))
             break;
-        for (int j = 0; j < n && row != k; ++j) {
-            const double other = a[k * n + j];
-            a[k * n + j] = a[row * n + j];
-            a[row * n + j] = other;
-        }
-        const double other = b[k];
-        b[k] = b[row];
-        b[row] = other;
-        for (int i = 0; i < m && column != k; ++i) {
-            const double entry = a[i * n + k];
-            a[i * n + k] = a[i * n + column];
-            a[i * n + column] = entry;
-        }
-        const int number = order[k];
-        order[k] = order[column];
-        order[column] = number;
+        for (int j = 0; j < n && row != k; ++j)
+            fb_swap_double(a + k * n + j, a + row * n + j);
+        fb_swap_double(b + k, b + row);
+        for (int i = 0; i < m && column != k; ++i)
+            fb_swap_double(a + i * n + k, a + i * n + column);
+        fb_swap_int(order + k, order + column);
         for (int i = k + 1; i < m; ++i) {
             const double factor = a[i * n + k] / a[k * n + k];
             for (int j = k; j < n; ++j)

@@ -166,28 +166,20 @@ FMI2_EXPORT fmi2Status fmi2SetReal(fmi2Component instance, const fmi2ValueRefere
                       fmu_set(f, references, n, values));
 }
 
-/* All variables are real. */
 #define FB_OTHER_TYPE(name)                                                                                            \
-    static fmi2Status without_##name(fmi2Component instance, const size_t n)                                           \
-    {                                                                                                                  \
-        fmu *const f = instance;                                                                                       \
-        if (f == NULL)                                                                                                 \
-            return fmi2Error;                                                                                          \
-        return fmu_status(n == 0 || fmu_fail(f, "There are no variables of the type %s.", #name));                     \
-    }                                                                                                                  \
     FMI2_EXPORT fmi2Status fmi2Get##name(fmi2Component instance, const fmi2ValueReference references[], size_t n,      \
                                          fmi2##name values[])                                                          \
     {                                                                                                                  \
         (void)references;                                                                                              \
         (void)values;                                                                                                  \
-        return without_##name(instance, n);                                                                            \
+        return fmu_status(fmu_lacks_type(instance, n, #name));                                                         \
     }                                                                                                                  \
     FMI2_EXPORT fmi2Status fmi2Set##name(fmi2Component instance, const fmi2ValueReference references[], size_t n,      \
                                          const fmi2##name values[])                                                    \
     {                                                                                                                  \
         (void)references;                                                                                              \
         (void)values;                                                                                                  \
-        return without_##name(instance, n);                                                                            \
+        return fmu_status(fmu_lacks_type(instance, n, #name));                                                         \
     }
 
 FB_OTHER_TYPE(Integer)
@@ -342,13 +334,6 @@ FMI2_EXPORT fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component instance,
     return fmi2OK;
 }
 
-/* What this FMU does not have, as its description says. */
-static fmi2Status without(fmi2Component instance, const char *what)
-{
-    fmu *const f = instance;
-    return f == NULL ? fmi2Error : fmu_status(fmu_fail(f, "This FMU does not have %s.", what));
-}
-
 FMI2_EXPORT fmi2Status fmi2SetRealInputDerivatives(fmi2Component instance, const fmi2ValueReference references[],
                                                    size_t n, const fmi2Integer orders[], const fmi2Real values[])
 {
@@ -364,7 +349,7 @@ FMI2_EXPORT fmi2Status fmi2GetRealOutputDerivatives(fmi2Component instance, cons
     (void)n;
     (void)orders;
     (void)values;
-    return without(instance, "derivatives of outputs");
+    return fmu_status(fmu_lacks(instance, "derivatives of outputs"));
 }
 
 FMI2_EXPORT fmi2Status fmi2DoStep(fmi2Component instance, fmi2Real begin, fmi2Real length, fmi2Boolean no_set)
@@ -380,21 +365,21 @@ FMI2_EXPORT fmi2Status fmi2DoStep(fmi2Component instance, fmi2Real begin, fmi2Re
 
 FMI2_EXPORT fmi2Status fmi2CancelStep(fmi2Component instance)
 {
-    return without(instance, "asynchronous steps");
+    return fmu_status(fmu_lacks(instance, "asynchronous steps"));
 }
 
 FMI2_EXPORT fmi2Status fmi2GetStatus(fmi2Component instance, const fmi2StatusKind kind, fmi2Status *value)
 {
     (void)kind;
     (void)value;
-    return without(instance, "asynchronous steps");
+    return fmu_status(fmu_lacks(instance, "asynchronous steps"));
 }
 
 FMI2_EXPORT fmi2Status fmi2GetRealStatus(fmi2Component instance, const fmi2StatusKind kind, fmi2Real *value)
 {
     fmu *const f = instance;
     if (f == NULL || kind != fmi2LastSuccessfulTime)
-        return without(instance, "this status");
+        return fmu_status(fmu_lacks(instance, "this status"));
     *value = f->state.model.t;
     return fmi2OK;
 }
@@ -403,14 +388,14 @@ FMI2_EXPORT fmi2Status fmi2GetIntegerStatus(fmi2Component instance, const fmi2St
 {
     (void)kind;
     (void)value;
-    return without(instance, "this status");
+    return fmu_status(fmu_lacks(instance, "this status"));
 }
 
 FMI2_EXPORT fmi2Status fmi2GetBooleanStatus(fmi2Component instance, const fmi2StatusKind kind, fmi2Boolean *value)
 {
     fmu *const f = instance;
     if (f == NULL || kind != fmi2Terminated)
-        return without(instance, "this status");
+        return fmu_status(fmu_lacks(instance, "this status"));
     *value = f->state.mode == FMU_TERMINATED;
     return fmi2OK;
 }
@@ -419,7 +404,7 @@ FMI2_EXPORT fmi2Status fmi2GetStringStatus(fmi2Component instance, const fmi2Sta
 {
     (void)kind;
     (void)value;
-    return without(instance, "asynchronous steps");
+    return fmu_status(fmu_lacks(instance, "asynchronous steps"));
 }
 
 #endif

@@ -195,15 +195,6 @@ FMI3_EXPORT fmi3Status fmi3SetFloat64(fmi3Instance instance, const fmi3ValueRefe
     return fmu_status(fmu_set(f, references, n, values));
 }
 
-/* All variables are of the type Float64. */
-static fmi3Status without_variables(fmi3Instance instance, const size_t n, const char *type)
-{
-    fmu *const f = instance;
-    if (f == NULL)
-        return fmi3Error;
-    return fmu_status(n == 0 || fmu_fail(f, "There are no variables of the type %s.", type));
-}
-
 #define FB_OTHER_TYPE(name, type)                                                                                      \
     FMI3_EXPORT fmi3Status fmi3Get##name(fmi3Instance instance, const fmi3ValueReference references[], size_t n,       \
                                          type values[], size_t n_values)                                               \
@@ -211,7 +202,7 @@ static fmi3Status without_variables(fmi3Instance instance, const size_t n, const
         (void)references;                                                                                              \
         (void)values;                                                                                                  \
         (void)n_values;                                                                                                \
-        return without_variables(instance, n, #name);                                                                  \
+        return fmu_status(fmu_lacks_type(instance, n, #name));                                                         \
     }                                                                                                                  \
     FMI3_EXPORT fmi3Status fmi3Set##name(fmi3Instance instance, const fmi3ValueReference references[], size_t n,       \
                                          const type values[], size_t n_values)                                         \
@@ -219,7 +210,7 @@ static fmi3Status without_variables(fmi3Instance instance, const size_t n, const
         (void)references;                                                                                              \
         (void)values;                                                                                                  \
         (void)n_values;                                                                                                \
-        return without_variables(instance, n, #name);                                                                  \
+        return fmu_status(fmu_lacks_type(instance, n, #name));                                                         \
     }
 
 FB_OTHER_TYPE(Float32, float)
@@ -241,7 +232,7 @@ FMI3_EXPORT fmi3Status fmi3GetBinary(fmi3Instance instance, const fmi3ValueRefer
     (void)sizes;
     (void)values;
     (void)n_values;
-    return without_variables(instance, n, "Binary");
+    return fmu_status(fmu_lacks_type(instance, n, "Binary"));
 }
 
 FMI3_EXPORT fmi3Status fmi3SetBinary(fmi3Instance instance, const fmi3ValueReference references[], size_t n,
@@ -251,7 +242,7 @@ FMI3_EXPORT fmi3Status fmi3SetBinary(fmi3Instance instance, const fmi3ValueRefer
     (void)sizes;
     (void)values;
     (void)n_values;
-    return without_variables(instance, n, "Binary");
+    return fmu_status(fmu_lacks_type(instance, n, "Binary"));
 }
 
 FMI3_EXPORT fmi3Status fmi3GetClock(fmi3Instance instance, const fmi3ValueReference references[], size_t n,
@@ -259,7 +250,7 @@ FMI3_EXPORT fmi3Status fmi3GetClock(fmi3Instance instance, const fmi3ValueRefere
 {
     (void)references;
     (void)values;
-    return without_variables(instance, n, "Clock");
+    return fmu_status(fmu_lacks_type(instance, n, "Clock"));
 }
 
 FMI3_EXPORT fmi3Status fmi3SetClock(fmi3Instance instance, const fmi3ValueReference references[], size_t n,
@@ -267,14 +258,7 @@ FMI3_EXPORT fmi3Status fmi3SetClock(fmi3Instance instance, const fmi3ValueRefere
 {
     (void)references;
     (void)values;
-    return without_variables(instance, n, "Clock");
-}
-
-/* What this FMU does not have, as its description says. */
-static fmi3Status without(fmi3Instance instance, const char *what)
-{
-    fmu *const f = instance;
-    return f == NULL ? fmi3Error : fmu_status(fmu_fail(f, "This FMU does not have %s.", what));
+    return fmu_status(fmu_lacks_type(instance, n, "Clock"));
 }
 
 FMI3_EXPORT fmi3Status fmi3GetNumberOfVariableDependencies(fmi3Instance instance, fmi3ValueReference reference,
@@ -282,7 +266,7 @@ FMI3_EXPORT fmi3Status fmi3GetNumberOfVariableDependencies(fmi3Instance instance
 {
     (void)reference;
     (void)n;
-    return without(instance, "dependencies of single elements");
+    return fmu_status(fmu_lacks(instance, "dependencies of single elements"));
 }
 
 FMI3_EXPORT fmi3Status fmi3GetVariableDependencies(fmi3Instance instance, fmi3ValueReference dependent,
@@ -295,7 +279,7 @@ FMI3_EXPORT fmi3Status fmi3GetVariableDependencies(fmi3Instance instance, fmi3Va
     (void)of_independents;
     (void)kinds;
     (void)n;
-    return without(instance, "dependencies of single elements");
+    return fmu_status(fmu_lacks(instance, "dependencies of single elements"));
 }
 
 FMI3_EXPORT fmi3Status fmi3GetFMUState(fmi3Instance instance, fmi3FMUState *saved)
@@ -369,17 +353,17 @@ FMI3_EXPORT fmi3Status fmi3GetAdjointDerivative(fmi3Instance instance, const fmi
     (void)n_seed;
     (void)sensitivity;
     (void)n_sensitivity;
-    return without(instance, "adjoint derivatives");
+    return fmu_status(fmu_lacks(instance, "adjoint derivatives"));
 }
 
 FMI3_EXPORT fmi3Status fmi3EnterConfigurationMode(fmi3Instance instance)
 {
-    return without(instance, "a configuration mode");
+    return fmu_status(fmu_lacks(instance, "a configuration mode"));
 }
 
 FMI3_EXPORT fmi3Status fmi3ExitConfigurationMode(fmi3Instance instance)
 {
-    return without(instance, "a configuration mode");
+    return fmu_status(fmu_lacks(instance, "a configuration mode"));
 }
 
 #define FB_WITHOUT_CLOCKS(name, ...)                                                                                   \
@@ -390,7 +374,7 @@ FMI3_EXPORT fmi3Status fmi3ExitConfigurationMode(fmi3Instance instance)
         (void)n;                                                                                                       \
         (void)first;                                                                                                   \
         (void)second;                                                                                                  \
-        return without(instance, "clocks");                                                                            \
+        return fmu_status(fmu_lacks(instance, "clocks"));                                                              \
     }
 #define FB_WITHOUT_CLOCKS_1(name, type)                                                                                \
     FMI3_EXPORT fmi3Status fmi3##name(fmi3Instance instance, const fmi3ValueReference references[], size_t n,          \
@@ -399,7 +383,7 @@ FMI3_EXPORT fmi3Status fmi3ExitConfigurationMode(fmi3Instance instance)
         (void)references;                                                                                              \
         (void)n;                                                                                                       \
         (void)values;                                                                                                  \
-        return without(instance, "clocks");                                                                            \
+        return fmu_status(fmu_lacks(instance, "clocks"));                                                              \
     }
 
 FB_WITHOUT_CLOCKS(GetIntervalDecimal, double first[], fmi3IntervalQualifier second[])
@@ -419,14 +403,14 @@ FMI3_EXPORT fmi3Status fmi3GetIntervalFraction(fmi3Instance instance, const fmi3
     (void)counters;
     (void)resolutions;
     (void)qualifiers;
-    return without(instance, "clocks");
+    return fmu_status(fmu_lacks(instance, "clocks"));
 }
 
 FMI3_EXPORT fmi3Status fmi3ActivateModelPartition(fmi3Instance instance, fmi3ValueReference clock, double t)
 {
     (void)clock;
     (void)t;
-    return without(instance, "clocks");
+    return fmu_status(fmu_lacks(instance, "clocks"));
 }
 
 FMI3_EXPORT fmi3Status fmi3EvaluateDiscreteStates(fmi3Instance instance)
@@ -551,7 +535,7 @@ FMI3_EXPORT fmi3Status fmi3GetOutputDerivatives(fmi3Instance instance, const fmi
     (void)orders;
     (void)values;
     (void)n_values;
-    return without(instance, "derivatives of outputs");
+    return fmu_status(fmu_lacks(instance, "derivatives of outputs"));
 }
 
 FMI3_EXPORT fmi3Status fmi3DoStep(fmi3Instance instance, double begin, double length, fmi3Boolean no_set,

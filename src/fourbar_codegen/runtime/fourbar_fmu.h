@@ -88,6 +88,18 @@ static int fmu_fail(fmu *f, const char *format, ...)
     return 0;
 }
 
+/* What this FMU does not have, as its description says. */
+static int fmu_lacks(fmu *f, const char *what)
+{
+    return f != NULL && fmu_fail(f, "This FMU does not have %s.", what);
+}
+
+/* All variables are real: there are none of other types, unless none is asked for. */
+static int fmu_lacks_type(fmu *f, const size_t n, const char *type)
+{
+    return f != NULL && (n == 0 || fmu_fail(f, "There are no variables of the type %s.", type));
+}
+
 /* Whether a function may be called now. */
 static int fmu_may(fmu *f, const char *function, const int modes)
 {

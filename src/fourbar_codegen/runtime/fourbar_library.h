@@ -1,10 +1,10 @@
 /* A model as a C library: closing loops, steps of fixed length, and runs with step control.
  *
  * Included once, after fourbar_model.h, by a source that defines FB_MODEL, the name of the model and of the type that
- * its header declares; N_DEPENDENT_COORDINATES, N_DEPENDENT_SPEEDS and N_JUMPS; and initial_state, default_parameters
- * and has_expression. Public names begin with that of the model. Memory is the caller's, in one piece without pointers,
- * so that a copy of it is a copy of the mechanism in its present state. Every loop ends after a constant number of
- * turns.
+ * its header declares; N_DEPENDENT_COORDINATES, N_DEPENDENT_SPEEDS and N_JUMPS; and initial_state, default_parameters,
+ * has_expression and prescribes. Public names begin with that of the model. Memory is the caller's, in one piece, whose
+ * pointers are set anew in each call, so that a copy of it is a copy of the mechanism in its present state. Every loop
+ * ends after a constant number of turns.
  */
 #ifndef FOURBAR_LIBRARY_H
 #define FOURBAR_LIBRARY_H
@@ -38,6 +38,15 @@ typedef struct fb_own {
 
 /* The memory that the header declares is large enough: otherwise this array has a negative size. */
 typedef char fb_memory_is_large_enough[sizeof(fb_own) <= sizeof(((FB_MODEL *)0)->memory) ? 1 : -1];
+
+/* The header states the same statuses. */
+typedef char fb_statuses_agree[(int)FB_PUBLIC(not_finite) == FB_NOT_FINITE &&
+                                       (int)FB_PUBLIC(not_closed) == FB_NOT_CLOSED &&
+                                       (int)FB_PUBLIC(forces_not_found) == FB_FORCES_NOT_FOUND &&
+                                       (int)FB_PUBLIC(invalid_argument) == FB_INVALID_ARGUMENT &&
+                                       (int)FB_PUBLIC(speeds_jump) == FB_SPEEDS_JUMP
+                                   ? 1
+                                   : -1];
 
 static fb_own *own_of(FB_MODEL *model)
 {
@@ -83,6 +92,15 @@ static fb_problem *problem_of(FB_MODEL *model)
     problem->status = FB_OK;
     problem->failed_x = own->failed_x;
     problem->moved_x = own->moved_x;
+    return problem;
+}
+
+/* The same, with the inputs of the present time, between the discontinuities that an importer stated. */
+static fb_problem *problem_now(FB_MODEL *model, double *t)
+{
+    fb_problem *const problem = problem_of(model);
+    *t = fb_time(&problem->clock, model->t);
+    fb_fill_inputs(problem, *t, model->x);
     return problem;
 }
 
@@ -153,9 +171,8 @@ void FB_PUBLIC(init)(FB_MODEL *model)
 
 int FB_PUBLIC(close)(FB_MODEL *model)
 {
-    fb_problem *const problem = problem_of(model);
-    const double t = fb_time(&problem->clock, model->t);
-    fb_fill_inputs(problem, t, model->x);
+    double t;
+    fb_problem *const problem = problem_now(model, &t);
     double x[N_X];
     memcpy(x, model->x, sizeof x);
     const int status = fb_close(t, x, problem->constants, problem->inputs);
@@ -174,9 +191,8 @@ int FB_PUBLIC(rhs)(FB_MODEL *model, const double time, const double *x, double *
 
 int FB_PUBLIC(solution)(FB_MODEL *model, double *rates, double *multipliers)
 {
-    fb_problem *const problem = problem_of(model);
-    const double t = fb_time(&problem->clock, model->t);
-    fb_fill_inputs(problem, t, model->x);
+    double t;
+    fb_problem *const problem = problem_now(model, &t);
     return accelerations(t, model->x, problem->constants, problem->inputs, rates, multipliers, problem->work);
 }
 
@@ -194,10 +210,9 @@ int FB_PUBLIC(outputs)(FB_MODEL *model, double *outputs)
 
 void FB_PUBLIC(energies)(FB_MODEL *model, double *kinetic, double *potential)
 {
-    fb_problem *const problem = problem_of(model);
+    double t;
+    fb_problem *const problem = problem_now(model, &t);
     double found[2];
-    const double t = fb_time(&problem->clock, model->t);
-    fb_fill_inputs(problem, t, model->x);
     energy(t, model->x, problem->constants, problem->inputs, found);
     *kinetic = found[0];
     *potential = found[1];
@@ -205,10 +220,9 @@ void FB_PUBLIC(energies)(FB_MODEL *model, double *kinetic, double *potential)
 
 double FB_PUBLIC(violation)(FB_MODEL *model)
 {
-    fb_problem *const problem = problem_of(model);
+    double t;
+    fb_problem *const problem = problem_now(model, &t);
     double position_violations[FB_AT_LEAST_1(N_C + N_I)], velocity_violations[FB_AT_LEAST_1(N_C)], largest = 0.0;
-    const double t = fb_time(&problem->clock, model->t);
-    fb_fill_inputs(problem, t, model->x);
     constraint_violation(t, model->x, problem->constants, problem->inputs, position_violations, velocity_violations);
     for (int i = 0; i < N_C + N_I; ++i)
         largest = fb_larger(largest, fabs(position_violations[i]));
@@ -219,11 +233,10 @@ double FB_PUBLIC(violation)(FB_MODEL *model)
 
 double FB_PUBLIC(relative_violation)(FB_MODEL *model)
 {
-    fb_problem *const problem = problem_of(model);
+    double t;
+    fb_problem *const problem = problem_now(model, &t);
     double positions[FB_AT_LEAST_1(N_C + N_I)], velocities[FB_AT_LEAST_1(N_C)], unused[FB_AT_LEAST_1(N_H)];
     double position_scale[FB_AT_LEAST_1(N_C + N_I)], velocity_scale[FB_AT_LEAST_1(N_C)];
-    const double t = fb_time(&problem->clock, model->t);
-    fb_fill_inputs(problem, t, model->x);
     constraint_violation(t, model->x, problem->constants, problem->inputs, positions, velocities);
     constraint_scale(t, model->x, problem->constants, problem->inputs, unused, position_scale, velocity_scale);
     return fb_larger(fb_violation(positions, position_scale, N_C + N_I), fb_violation(velocities, velocity_scale, N_C));
@@ -231,11 +244,10 @@ double FB_PUBLIC(relative_violation)(FB_MODEL *model)
 
 double FB_PUBLIC(input)(FB_MODEL *model, const int number)
 {
-    fb_problem *const problem = problem_of(model);
+    double t;
+    fb_problem *const problem = problem_now(model, &t);
     if (number < 0 || number >= N_R)
         return NAN;
-    const double t = fb_time(&problem->clock, model->t);
-    fb_fill_inputs(problem, t, model->x);
     return problem->inputs[number];
 }
 
@@ -451,19 +463,17 @@ int FB_PUBLIC(simulate)(FB_MODEL *model, const double t_end, const double rtol, 
 int FB_PUBLIC(differentiate)(FB_MODEL *model, const fb_derivatives *derivatives, fb_sensitivity *function, const int n,
                              double *matrix)
 {
-    fb_problem *const problem = problem_of(model);
-    const double t = fb_time(&problem->clock, model->t);
-    fb_fill_inputs(problem, t, model->x);
+    double t;
+    fb_problem *const problem = problem_now(model, &t);
     return differentiate(derivatives, function, n, t, model->x, problem->constants, problem->inputs, matrix, NULL,
                          problem->work);
 }
 
 void FB_PUBLIC(draw)(FB_MODEL *model, const fb_derivatives *derivatives, double *points)
 {
-    fb_problem *const problem = problem_of(model);
+    double t;
+    fb_problem *const problem = problem_now(model, &t);
     double forces[FB_AT_LEAST_1(3 * N_FORCES)];
-    const double t = fb_time(&problem->clock, model->t);
-    fb_fill_inputs(problem, t, model->x);
     derivatives->drawing(t, model->x, problem->constants, problem->inputs, points, forces);
 }
 

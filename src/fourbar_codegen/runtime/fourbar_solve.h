@@ -57,20 +57,6 @@ typedef struct fb_factors {
     double reduced[N_U][N_U];                 /* T^T M T = L D L^T: L below the diagonal, 1/D on it */
 } fb_factors;
 
-static inline void fb_swap_double(double *a, double *b)
-{
-    const double c = *a;
-    *a = *b;
-    *b = c;
-}
-
-static inline void fb_swap_int(int *a, int *b)
-{
-    const int c = *a;
-    *a = *b;
-    *b = c;
-}
-
 #define FB_VALUE double
 #define FB_FACTORS fb_factors
 #define FB_OF(name) name

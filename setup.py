@@ -37,6 +37,10 @@ def extension(name: str, sources: list[Path | str], folder: Path | str) -> Exten
     )
 
 
+def is_model(ext: Extension) -> bool:
+    return ext.name.startswith("fourbar_codegen.prebuilt.")
+
+
 class BuildExtension(build_ext):
     """Flags by the kind of compiler and source, which an Extension alone cannot have."""
 
@@ -45,13 +49,27 @@ class BuildExtension(build_ext):
         if self.compiler.compiler_type == "msvc":
             ext.extra_compile_args = MICROSOFT
         else:
-            is_model = ext.name.startswith("fourbar_codegen.prebuilt.")
-            ext.extra_compile_args, ext.extra_link_args = KERNEL if is_model else WRAPPED, LINK
+            ext.extra_compile_args, ext.extra_link_args = KERNEL if is_model(ext) else WRAPPED, LINK
             # macOS builds may be for two kinds of processors at once.
             if platform.machine() in {"x86_64", "AMD64"} and sys.platform != "darwin":
                 for version, flags in VERSIONS.items():
                     self.compile_version(ext, f"_{version}.c", flags)
         super().build_extension(ext)
+        if is_model(ext):
+            self.copy_sources(Path(self.get_ext_fullpath(ext.name)).parent)
+
+    def copy_extensions_to_source(self) -> None:
+        """For editable installations, by setuptools."""
+        super().copy_extensions_to_source()
+        self.copy_sources(Path(self.get_finalized_command("build_py").get_package_dir("fourbar_codegen.prebuilt")))
+
+    def copy_sources(self, folder: Path) -> None:
+        """Copy what live pages are compiled from, when they are made."""
+        for wrapper in Path("generated").glob("*/*.pyx"):
+            place = folder / f"{wrapper.stem}_sources"
+            self.mkpath(str(place))
+            for suffix in ("_kernel.c", "_kernel.h", "_derivatives.c"):
+                self.copy_file(str(wrapper.with_name(f"{wrapper.stem}{suffix}")), str(place))
 
     def compile_version(self, ext: Extension, suffix: str, flags: list[str]) -> None:
         """Compile the sources of a version apart from the others."""

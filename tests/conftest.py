@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from programs import require
 from tutorial import tutorial_four_bar
 
 import fourbar_codegen as fb
@@ -30,6 +31,18 @@ def four_bar():
 @pytest.fixture(scope="session")
 def tutorial():
     return tutorial_four_bar()
+
+
+@pytest.fixture(scope="module")
+def browser():
+    chromium = require("chromium")
+    from playwright.sync_api import sync_playwright
+
+    options = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-component-update"]
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=options)
+        yield browser
+        browser.close()
 
 
 def pytest_sessionfinish(session, exitstatus):

@@ -17,6 +17,7 @@ PACKAGES = {
     "ffprobe": "ffmpeg",
     "qemu-aarch64": "qemu-user",
     "qemu-x86_64": "qemu-user",
+    "wasm-ld": "lld wasi-libc libclang-rt-dev-wasm32",
 }
 """By whose name Debian installs them."""
 

@@ -14,7 +14,8 @@ import fourbar_codegen
 PACKAGE = Path(fourbar_codegen.__file__).parent
 DRAWING = Path(__file__).parents[1] / "docs" / "folders.svg"
 ROOT = {
-    "errors": "errors", "arguments": "ground", "files": "ground", "progress": "ground", "tables": "ground",
+    "errors": "errors", "arguments": "ground", "definitions": "ground", "files": "ground", "progress": "ground",
+    "tables": "ground",
     "compiled": "compiled", "solvers": "compiled", "compile": "compile", "export": "compile", "verify": "compile",
     "__init__": "cli", "__main__": "cli",
 }  # fmt: skip

@@ -259,18 +259,6 @@ def test_commands(tmp_path):
         assert "must end with" in wrong.output
 
 
-@pytest.fixture(scope="module")
-def browser():
-    chromium = require("chromium")
-    from playwright.sync_api import sync_playwright
-
-    options = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-component-update"]
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=options)
-        yield browser
-        browser.close()
-
-
 @pytest.fixture
 def opened(browser, tmp_path):
     """Opens a trajectory's report from disk; what the page complains of or asks for is noted."""

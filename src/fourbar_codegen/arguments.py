@@ -30,6 +30,7 @@ __all__ = [
     "one_of",
     "positive",
     "sample_times",
+    "slider_range",
     "time_span",
     "tolerance",
 ]
@@ -198,6 +199,16 @@ def positive(value: float, what: str) -> float:
     if known <= 0.0:
         raise ModelError(f"{what} must be positive, not {known}.")
     return known
+
+
+def slider_range(ends: Any, what: str) -> tuple[float, float]:
+    """The two ends of a slider, or a ModelError that names the argument."""
+    if isinstance(ends, str) or not hasattr(ends, "__len__") or len(ends) != 2:
+        raise ModelError(f"The range of {what} is (low, high), not {shown(ends)}.")
+    low, high = (finite_number(end, f"the range of {what}") for end in ends)
+    if not low < high:
+        raise ModelError(f"The range of {what} is (low, high) with low < high, not {shown(ends)}.")
+    return low, high
 
 
 def longest_step(value: float) -> float:

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from fourbar_codegen.results.kinematics import Branch, Kinematics
     from fourbar_codegen.results.trajectory import Trajectory
     from fourbar_codegen.simulation.events import EventLike
+    from fourbar_codegen.tables import Page
 
 __all__ = ["CompiledModel", "load", "load_trajectory"]
 
@@ -659,6 +660,71 @@ class CompiledModel(Kernel):
             max_step=max_step, max_steps=max_steps, formulation=formulation, progress=progress,
         )  # fmt: skip
         return simulate(self, options)
+
+    def page(
+        self,
+        path: str | Path | None = None,
+        *,
+        t_span: Sequence[float] = (0.0, 4.0),
+        x0: ArrayLike | None = None,
+        parameters: Values | None = None,
+        inputs: Mapping[Any, float] | None = None,
+        ranges: Mapping[Any, tuple[float, float]] | None = None,
+        traces: Sequence[str] | None = None,
+        watch: Sequence[tuple[str, str]] | None = None,
+        height: int = 900,
+    ) -> Page:
+        """A live page: one HTML file in which the mechanism is simulated anew while a slider moves.
+
+        It works offline and without Python: it contains the equations of motion, loop closure and DOP853 with
+        projection, compiled to WebAssembly. Sliders change parameters, initial values, inputs and the time span; a link
+        carries all settings. Scripts call ``window.fourbar.simulate``. Needs the extra ``page``, or clang with wasm-ld.
+
+        Parameters
+        ----------
+        path : str or Path, optional
+            The file to write, ``.html``.
+        t_span, x0, parameters : optional
+            Of the run that it begins with, as for `simulate`.
+        inputs : mapping of input to float, optional
+            What inputs begin as; by default their expressions.
+        ranges : mapping of str to (float, float), optional
+            Of the sliders of parameters and independent initial values; by default `Parameter.range`, else from a fifth
+            of the value to its double.
+        traces : sequence of str, optional
+            Names of points with a trace; by default the moving joints, or the mass centres if there are none.
+        watch : sequence of (str, str), optional
+            Figures that are shown with their change: pairs of a statistic ("greatest", "least", "greatest magnitude",
+            "range", "mean", "last") and the name of a quantity, such as ``("greatest magnitude", "lambda1")``.
+        height : int, optional
+            Height in a notebook, pixels.
+
+        Returns
+        -------
+        Page
+            Displayed if it is the last expression of a cell; ``text`` is the HTML.
+
+        Raises
+        ------
+        ModelError
+            If an argument has a wrong name or shape, a parameter has no value, an input is neither a number nor an
+            expression of the model, there is nothing to draw, or the file cannot be written.
+        BuildError
+            If there is no compiler of WebAssembly, or it fails; with its output.
+        AssemblyError, SimulationError
+            As for `simulate`.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> fb.load("four_bar").page(ranges={"l2": (0.3, 0.6)}, traces=["P2"])
+        <Live page of four_bar, 900 pixels high>
+        """
+        from fourbar_codegen.presentation.live_page import TOLERANCE, check_inputs, live_page
+
+        check_inputs(self, inputs)
+        run = self.simulate(t_span, x0, parameters=parameters, inputs=inputs, rtol=TOLERANCE, atol=TOLERANCE)
+        return live_page(run, path, ranges=ranges or {}, traces=traces, watch=watch, height=height)
 
     def rhs_batch(
         self,

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from fourbar_codegen.errors import BuildError
 
-__all__ = ["Compiler", "find_compiler", "program_of", "user_flags"]
+__all__ = ["Compiler", "cross_compiler", "find_compiler", "program_of", "user_flags", "wasm_compiler"]
 
 INSTALL = (
     "Install one (gcc or clang, or pip install 'fourbar_codegen[compiler]'), or name one in CC, in quotes where its "
@@ -108,6 +108,32 @@ def cross_compiler(target: str) -> Compiler:
         portable_flags=(),
         link_flags=("-shared",),
         is_zig=True,
+    )
+
+
+def wasm_compiler() -> Compiler:
+    """A compiler of WebAssembly: the package ziglang, or clang with wasm-ld and a C library for it.
+
+    Raises
+    ------
+    BuildError
+        If there is none.
+    """
+    zig = _ziglang()
+    if zig is None and not (program_of("clang") and program_of("wasm-ld")):
+        raise BuildError(
+            "A page needs a compiler of WebAssembly: pip install 'fourbar_codegen[page]', or install clang, wasm-ld "
+            "and wasi-libc (Debian: apt install clang lld wasi-libc libclang-rt-dev-wasm32)."
+        )
+    return Compiler(
+        (str(zig), "cc") if zig else ("clang",),
+        "the package ziglang" if zig else "the system",
+        flags=("--target=wasm32-wasi", "-mexec-model=reactor", *(("-fno-sanitize=undefined",) if zig else ())),
+        machine_flags=(),
+        portable_flags=(),
+        # JavaScript lays its arrays behind the heap's beginning. Large models have large matrices on the stack.
+        link_flags=("-s", "-Wl,--export=__heap_base", "-Wl,-z,stack-size=8388608"),
+        is_zig=zig is not None,
     )
 
 

@@ -48,7 +48,7 @@ ATTEMPTS = 5
 NUMBERS = ("fingerprint", "initial", "operations", "operations_before_sharing")
 """Keys of a manifest that are not structure; ..."""
 
-PARAMETER_NUMBERS = ("default", "unit", "description")
+PARAMETER_NUMBERS = ("default", "unit", "description", "range")
 """... and those of each of its parameters."""
 
 

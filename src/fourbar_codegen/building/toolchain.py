@@ -18,7 +18,15 @@ from functools import cache, partial
 from pathlib import Path
 
 from fourbar_codegen.building.cache import tool_folder
-from fourbar_codegen.building.compiler import INSTALL, Compiler, cross_compiler, find_compiler, program_of, user_flags
+from fourbar_codegen.building.compiler import (
+    INSTALL,
+    Compiler,
+    cross_compiler,
+    find_compiler,
+    program_of,
+    user_flags,
+    wasm_compiler,
+)
 from fourbar_codegen.errors import BuildError
 from fourbar_codegen.files import replacing
 
@@ -29,12 +37,14 @@ __all__ = [
     "build_extension",
     "compile_library",
     "compile_shared",
+    "compile_wasm",
     "copied",
     "digest_of",
     "generator",
     "get_include",
     "library_toolchain",
     "run_tool",
+    "wasm_toolchain",
     "write_sources",
 ]
 
@@ -303,6 +313,52 @@ def compile_shared(library: Path, folder: Path, sources: Sequence[str], target: 
     own = (*COMMON_FLAGS, *flags, *find_compiler().portable_flags)
     jobs = [partial(_compile, folder / source, own) for source in sources]
     return _link([*_side_by_side(jobs), Path("-lm")], library)
+
+
+WASM_FLAGS = ("-g0", "-O2", "-std=c11", "-fvisibility=hidden")
+
+
+def wasm_toolchain() -> dict[str, object]:
+    """Everything that a module of WebAssembly depends on besides the sources.
+
+    Raises
+    ------
+    BuildError
+        If there is no compiler of WebAssembly.
+    """
+    compiler = wasm_compiler()
+    return {
+        "headers": _headers_digest(),
+        "compiler": compiler.command,
+        "compiler file": _file_identity(program_of(compiler.command[0])),
+        "flags": [WASM_FLAGS, STRICT_FLAGS, compiler.flags, compiler.link_flags],
+    }
+
+
+def compile_wasm(module: Path, folder: Path, source: str) -> Path:
+    """Compile a C source in a folder to a module of WebAssembly that asks for nothing outside of itself.
+
+    Parameters
+    ----------
+    module : Path
+    folder : Path
+    source : str
+        The name of the source.
+
+    Returns
+    -------
+    Path
+        The module.
+
+    Raises
+    ------
+    BuildError
+        If there is no compiler of WebAssembly, or it fails; with its output.
+    """
+    compiler = wasm_compiler()
+    include = [word for place in (str(folder), get_include()) for word in ("-I", place)]
+    words = [*compiler.flags, *WASM_FLAGS, *STRICT_FLAGS, *include, str(folder / source), *compiler.link_flags]
+    return _run_compiler(compiler, words, module)
 
 
 def copied(built: Path, folder: Path) -> Path:

@@ -17,6 +17,7 @@ import fourbar_codegen as fb
 from fourbar_codegen.cli.models import MODEL, MODEL_HELP, compiled_model, source_model
 from fourbar_codegen.cli.options import (
     MOST_MEMBERS,
+    PAGE_OPTIONS,
     RUN_OPTIONS,
     SWEEP_OPTIONS,
     initial_state,
@@ -280,6 +281,33 @@ def report(output: Path, **run: Any) -> None:
 
 @main.command(
     help=_help(
+        "Write a live page: one HTML file in which the mechanism is simulated anew while a slider moves. It needs no "
+        "network; making it needs the extra page.",
+        "page four_bar -o page.html",
+        "page my_model.py:make_model -t 0 10 -r F=0",
+    )
+)
+@with_options(PAGE_OPTIONS)
+@click.option(
+    "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), default=Path("page.html"), show_default=True,
+    help="The file, .html.",
+)  # fmt: skip
+def page(
+    output: Path,
+    model: str,
+    parameters: dict[str, float],
+    initial: dict[str, str],
+    inputs: dict[str, str],
+    t_span: tuple[float, float],
+) -> None:
+    compiled, values, sources = _model_and_inputs(model, initial, inputs, parameters, t_span)
+    x0 = initial_state(compiled, values, t_span[0], parameters, sources)
+    compiled.page(output, t_span=t_span, x0=x0, parameters=parameters, inputs=sources)
+    click.echo(f"Written: {output}")
+
+
+@main.command(
+    help=_help(
         "Simulate a model and write an animation: .gif, or .mp4 with FFmpeg.",
         "animate four_bar -o four_bar.gif",
         "animate whipple_bicycle -i u6=-15 -t 0 2 -o bicycle.mp4",
@@ -296,7 +324,7 @@ def animate(output: Path, **run: Any) -> None:
 
 def _show(output: Path, suffixes: tuple[str, ...], run: dict[str, Any]) -> None:
     """Simulate with a state for each frame, and write the file."""
-    from fourbar_codegen.presentation.report import frame_times
+    from fourbar_codegen.presentation.html_page import frame_times
 
     if output.suffix.lower() not in suffixes:
         raise fb.ModelError(

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 __all__ = [
     "METHODS",
     "MOST_MEMBERS",
+    "PAGE_OPTIONS",
     "RUN_OPTIONS",
     "SWEEP_OPTIONS",
     "initial_state",
@@ -113,8 +114,8 @@ class _Time(click.ParamType):  # type: ignore[type-arg]  # generic in newer vers
             self.fail(f"{value!r} is not a number. Give the first and the last time in s: -t 0 4.", param, ctx)
 
 
-def _common(methods: tuple[str, ...]) -> list[Callable[..., Any]]:
-    """The options that runs and sweeps have in common."""
+def _conditions() -> list[Callable[..., Any]]:
+    """The options that all runs have in common: initial values, inputs and the time."""
     return [
         click.option(
             "-i", "--initial", multiple=True, callback=_pairs, metavar="NAME=VALUE",
@@ -129,8 +130,11 @@ def _common(methods: tuple[str, ...]) -> list[Callable[..., Any]]:
             "-t", "--time", "t_span", nargs=2, type=_Time(), default=(0.0, 4.0), show_default="0 4",
             metavar="FIRST LAST", help="First and last time, s.",
         ),
-        click.option("--method", type=click.Choice(methods), default="DOP853", show_default=True),
     ]  # fmt: skip
+
+
+def _method(methods: tuple[str, ...]) -> Callable[..., Any]:
+    return click.option("--method", type=click.Choice(methods), default="DOP853", show_default=True)
 
 
 def _accuracy(constraints: tuple[str, ...]) -> list[Callable[..., Any]]:
@@ -150,13 +154,18 @@ def _accuracy(constraints: tuple[str, ...]) -> list[Callable[..., Any]]:
     ]  # fmt: skip
 
 
-RUN_OPTIONS = [
+PAGE_OPTIONS = [
     MODEL,
     click.option(
         "-p", "--parameter", "parameters", multiple=True, callback=_numbers, metavar="NAME=VALUE",
         help="Override a parameter, such as -p l2=0.45; repeatable.",
     ),
-    *_common(METHODS),
+    *_conditions(),
+]  # fmt: skip
+
+RUN_OPTIONS = [
+    *PAGE_OPTIONS,
+    _method(METHODS),
     click.option(
         "--formulation", type=click.Choice(["gear-gupta-leimkuhler", "index-1", "index-3"]),
         help="Formulation of IDA; the first is the default.",
@@ -171,7 +180,8 @@ SWEEP_OPTIONS = [
         help="A parameter as FIRST:LAST:N (N equally spaced values), as VALUE,VALUE,... or as a number; repeatable. "
         "With several ranges, all combinations are run.",
     ),
-    *_common(SWEEP_METHODS),
+    *_conditions(),
+    _method(SWEEP_METHODS),
     *_accuracy(("project", "none")),
 ]  # fmt: skip
 

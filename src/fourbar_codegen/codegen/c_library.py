@@ -8,11 +8,12 @@ from dataclasses import replace
 from typing import Any
 
 from fourbar_codegen.codegen.c_source import derivatives_text, header_text, kernel_text
+from fourbar_codegen.definitions import definitions_text
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.lowering.program import Program
 from fourbar_codegen.lowering.schedule import Schedule, ScheduledFunction
 
-__all__ = ["FOLDER", "HEADERS", "library_texts", "motions", "names_in"]
+__all__ = ["FOLDER", "HEADERS", "library_texts", "names_in"]
 
 FOLDER = "runtime/"
 """Of the headers that the sources include, beside these."""
@@ -95,7 +96,11 @@ def library_texts(
     return {
         f"{name}.h": _header(scheduled.program, names, manifest, version),
         f"{name}.c": kernel_text(
-            scalar, names, FOLDER, f"#define FB_LIBRARY\n{header}", _definitions(scheduled.program, manifest)
+            scalar,
+            names,
+            FOLDER,
+            f"#define FB_LIBRARY\n{header}",
+            f'{definitions_text(manifest)}{_internal(name)}#include "{FOLDER}fourbar_library.h"\n',
         ),
         f"{name}_derivatives.c": derivatives_text(name, derivatives, names, FOLDER, header, _derivatives(name)),
         f"{FOLDER}{name}_kernel.h": header_text(scalar, names),
@@ -131,11 +136,6 @@ def _identifiers(prefix: str, names: Sequence[str]) -> list[str]:
             )
         found[words] = name
     return [f"{prefix}_{words}" for words in found]
-
-
-def _number(value: float) -> str:
-    """A double that C reads as the same; NaN without a value."""
-    return "NAN" if value != value else repr(float(value))
 
 
 def _states(names: Mapping[str, Sequence[str]]) -> list[str]:
@@ -330,35 +330,6 @@ def _internal(name: str) -> str:
 int {name}_differentiate({name} *model, const fb_derivatives *derivatives, fb_sensitivity *function, int n,
     double *matrix);
 void {name}_draw({name} *model, const fb_derivatives *derivatives, double *points);
-"""
-
-
-def motions(manifest: Mapping[str, Any]) -> set[str]:
-    """The inputs that prescribe motions: their rates are inputs, too."""
-    return {entry["of"] for entry in manifest["inputs"] if entry["order"]}
-
-
-def _definitions(program: Program, manifest: Mapping[str, Any]) -> str:
-    """What fourbar_library.h needs."""
-    names = [*manifest["coordinates"], *manifest["speeds"], *manifest["auxiliary_states"]]
-    initial = ", ".join(_number(manifest["initial"].get(name, 0.0)) for name in names)
-    defaults = ", ".join(_number(entry["default"]) for entry in manifest["parameters"]) or "0.0"
-    given = ", ".join(str(int(entry["expression"] is not None)) for entry in manifest["inputs"]) or "0"
-    moving = motions(manifest)
-    moves = ", ".join(str(int(e["of"] in moving and e["order"] < 2)) for e in manifest["inputs"]) or "0"
-    return f"""
-enum {{
-    N_DEPENDENT_COORDINATES = {manifest["n_dependent_coordinates"]},
-    N_DEPENDENT_SPEEDS = {manifest["n_dependent_speeds"]},
-    N_JUMPS = {manifest["n_jumps"]}
-}};
-
-static const double default_parameters[] = {{{defaults}}};
-static const double initial_state[] = {{{initial}}};
-static const int has_expression[] = {{{given}}};
-static const int prescribes[] = {{{moves}}}; /* whether an input is a prescribed position or speed */
-
-#define FB_MODEL {program.name}{_internal(program.name)}#include "{FOLDER}fourbar_library.h"
 """
 
 

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from typing import Any
 from xml.etree import ElementTree as ET
 
-from fourbar_codegen.codegen.c_library import FOLDER, motions
+from fourbar_codegen.codegen.c_library import FOLDER
+from fourbar_codegen.definitions import motions
 from fourbar_codegen.errors import ModelError
 
 __all__ = ["FMU_HEADERS", "build_description", "description", "fmu_source", "sources_of", "variables_of"]

@@ -16,7 +16,7 @@ from fourbar_codegen.modeling.model import Model
 
 __all__ = ["manifest_of", "manifest_text", "operations_of"]
 
-MANIFEST_FORMAT = 12
+MANIFEST_FORMAT = 13
 
 
 def manifest_of(
@@ -54,7 +54,7 @@ def manifest_of(
         "n_dependent_coordinates": model.mechanism.n_dependent_coordinates,
         "n_dependent_speeds": model.mechanism.n_dependent_speeds,
         "parameters": [
-            {"name": name, "default": p.value, "unit": p.unit, "description": p.description}
+            {"name": name, "default": p.value, "unit": p.unit, "description": p.description, "range": p.range}
             for name, p in ((name, model.parameters[name]) for name in names["parameters"])
         ],
         "derived_parameters": {symbol.name: str(expr) for symbol, expr in model.derived_parameters.items()},

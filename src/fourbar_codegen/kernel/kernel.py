@@ -24,6 +24,7 @@ from fourbar_codegen.kernel.loading import (
     load_known,
     load_part,
     manifest_beside,
+    shipped_sources,
     sources_beside,
 )
 from fourbar_codegen.progress import Progress
@@ -61,6 +62,7 @@ class Kernel(Evaluator):
             {e["name"]: e["default"] for e in manifest["parameters"]}
         )
         self.units: dict[str, str] = {e["name"]: e["unit"] for e in manifest["parameters"]}
+        self.ranges: dict[str, tuple[float, float] | None] = {e["name"]: e["range"] for e in manifest["parameters"]}
         self.descriptions: dict[str, str] = {e["name"]: e["description"] for e in manifest["parameters"]}
 
     @classmethod
@@ -151,12 +153,11 @@ class Kernel(Evaluator):
         compare: Callable[[Evaluator], None],
     ) -> None:
         """Attach a part from its library, which is built and compared first if it is not in the cache."""
-        sources = self._sources() or {}
-        if any(f"{self.name}{suffix}" not in sources for suffix in PARTS[part][0]):
-            raise ModelError(
-                f"{needed} functions that compile_model builds later, but their sources beside {self.path} were "
-                "missing or damaged: compile the model again. A module of build_model contains them."
-            )
+        sources = self.sources_of(
+            part,
+            f"{needed} functions that compile_model builds later, but their sources beside {self.path} were missing or "
+            "damaged: compile the model again. A module of build_model contains them.",
+        )
         with Progress(f"fourbar_codegen: {self.name}") as progress:
             progress.stage(f"compiling {part.replace('_', ' ')}")
 
@@ -166,6 +167,18 @@ class Kernel(Evaluator):
                 compare(model)
 
             attach(self, load_part(self.name, part, sources, check))
+
+    def sources_of(self, part: str, otherwise: str) -> dict[str, str]:
+        """All sources, if they have those of a part; an error otherwise."""
+        sources = self._sources() or shipped_sources(self.path, self.name) or {}
+        if any(f"{self.name}{suffix}" not in sources for suffix in PARTS[part][0]):
+            raise ModelError(otherwise)
+        return sources
+
+    @property
+    def residual_label(self) -> str:
+        """The title of residuals of the constraints in plots and tables."""
+        return "Constraint residual" if self.manifest["velocity_rows"] else "Loop residual"
 
     def __repr__(self) -> str:
         auxiliary = ", ".join(self.auxiliary_states)

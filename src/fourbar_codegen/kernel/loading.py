@@ -40,6 +40,7 @@ __all__ = [
     "load_named",
     "load_part",
     "manifest_beside",
+    "shipped_sources",
     "sources_beside",
 ]
 
@@ -290,6 +291,11 @@ def sources_beside(path: Path, name: str) -> dict[str, str] | None:
         return None
     files = [file for suffix in SUFFIXES if (file := path.with_name(f"{name}{suffix}")).is_file()]
     return {file.name: file.read_text(encoding="utf-8") for file in files} or None
+
+
+def shipped_sources(path: Path, name: str) -> dict[str, str] | None:
+    """The sources of a model that comes with the package."""
+    return sources_beside(path.parent / f"{name}_sources" / name, name)
 
 
 def load_from_sources(name: str, sources: Mapping[str, str], manifest: Mapping[str, Any]) -> Loaded:

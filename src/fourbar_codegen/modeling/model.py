@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import sympy as sm
 from sympy.core.function import AppliedUndef
 
-from fourbar_codegen.arguments import finite_number, is_mapping, name_of
+from fourbar_codegen.arguments import finite_number, is_mapping, name_of, slider_range
 from fourbar_codegen.errors import ModelError, nearest, shown
 from fourbar_codegen.expressions.convert import is_computable, smooth_sinc, without_impulses
 from fourbar_codegen.modeling.mechanism import Mechanism, walk
@@ -35,7 +35,7 @@ COLUMNS = re.compile(r"kinetic_energy|potential_energy|constraint_residual_\d+|f
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter's default value, unit and description.
+    """A parameter's default value, unit, description and range.
 
     Attributes
     ----------
@@ -45,6 +45,8 @@ class Parameter:
     unit : str
         As shown to users, for example ``"kg m^2"``.
     description : str
+    range : (float, float) or None
+        Of its slider in live pages; by default from a fifth of the value to its double.
 
     Examples
     --------
@@ -55,8 +57,11 @@ class Parameter:
     value: float | sm.Expr | None = None
     unit: str = ""
     description: str = ""
+    range: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
+        if self.range is not None:
+            object.__setattr__(self, "range", slider_range(self.range, "a parameter"))
         if self.value is not None and not getattr(self.value, "free_symbols", None):
             object.__setattr__(self, "value", finite_number(self.value, "a parameter"))
         for name in ("unit", "description"):

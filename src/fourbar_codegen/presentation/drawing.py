@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fourbar_codegen.errors import ModelError
+from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.presentation.scene import Scene, scene
 from fourbar_codegen.results.trajectory import Trajectory
 
-__all__ = ["Drawing", "Panel", "drawing", "equal_times", "panels"]
+__all__ = ["Drawing", "Panel", "drawing", "equal_times", "panel_names", "panels"]
 
 Floats = NDArray[np.float64]
+
+ENERGY = "Energy (J)"
 
 ARROW = 0.25
 """Length of the largest force's arrow, relative to the size of the mechanism."""
@@ -98,28 +101,31 @@ class Panel:
     is_logarithmic: bool = False
 
 
+def panel_names(model: Kernel) -> list[tuple[str, tuple[str, ...], bool]]:
+    """All curves over time: titles, the names of their curves, and whether the axis is logarithmic."""
+    energies = ("kinetic energy", "potential energy", "total energy")
+    return [
+        ("Coordinates (rad or m)", model.coordinates, False),
+        ("Speeds (rad/s or m/s)", model.speeds, False),
+        ("Auxiliary states", model.auxiliary_states, False),
+        ("Inputs", model.inputs, False),
+        ("Outputs", model.outputs, False),
+        (ENERGY, energies, False),
+        ("Multipliers of the constraints", tuple(f"lambda{number + 1}" for number in range(model.n_c)), False),
+        (f"{model.residual_label} (units of the constraints)", ("largest residual",), True),
+    ]
+
+
 def panels(trajectory: Trajectory) -> list[Panel]:
     """All curves of a trajectory over time: states, inputs, outputs, energy, multipliers, residual."""
-    model = trajectory.model
-    energies = {
-        "kinetic": trajectory.kinetic_energy,
-        "potential": trajectory.potential_energy,
-        "sum": trajectory.energy,
-    }
+    residual = np.abs(trajectory.constraint_residual)
+    energies = (trajectory.kinetic_energy, trajectory.potential_energy, trajectory.energy)
+    # Zero is replaced by half the machine epsilon, for the logarithmic axis.
+    largest = [np.maximum(residual.max(axis=0), np.finfo(float).eps / 2)] if len(residual) else []
+    values: list[Sequence[Floats] | Floats] = [trajectory.q, trajectory.u, trajectory.z, trajectory.r]
+    values += [trajectory.outputs, energies, trajectory.multipliers, largest]
     found = [
-        Panel("Coordinates (rad or m)", dict(zip(model.coordinates, trajectory.q, strict=True))),
-        Panel("Speeds (rad/s or m/s)", dict(zip(model.speeds, trajectory.u, strict=True))),
-        Panel("Auxiliary states", dict(zip(model.auxiliary_states, trajectory.z, strict=True))),
-        Panel("Inputs", dict(zip(model.inputs, trajectory.r, strict=True))),
-        Panel("Outputs", dict(zip(model.outputs, trajectory.outputs, strict=True))),
-        Panel("Energy (J)", {name: row for name, row in energies.items() if np.isfinite(row).any()}),
-        Panel(
-            "Multipliers of the constraints",
-            {f"lambda{number}": row for number, row in enumerate(trajectory.multipliers, start=1)},
-        ),
+        Panel(title, {n: row for n, row in zip(names, rows, strict=False) if np.isfinite(row).any()}, is_logarithmic)
+        for (title, names, is_logarithmic), rows in zip(panel_names(trajectory.model), values, strict=True)
     ]
-    if len(trajectory.constraint_residual):
-        # Zero is replaced by half the machine epsilon, for the logarithmic axis.
-        largest = np.maximum(np.abs(trajectory.constraint_residual).max(axis=0), np.finfo(float).eps / 2)
-        found.append(Panel(f"{trajectory.residual_label} (units of the constraints)", {"largest": largest}, True))
     return [panel for panel in found if panel.curves]

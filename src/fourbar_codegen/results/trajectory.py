@@ -147,7 +147,7 @@ class Trajectory:
     @property
     def residual_label(self) -> str:
         """The title of `constraint_residual` in plots and tables."""
-        return "Constraint residual" if self.model.manifest["velocity_rows"] else "Loop residual"
+        return self.model.residual_label
 
     @property
     def velocity_residual(self) -> Floats:

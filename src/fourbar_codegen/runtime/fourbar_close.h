@@ -20,7 +20,10 @@ enum FB_CALL {
 };
 
 /* Steps of a run, iterations of Newton's method, and how often a step of it is halved. */
-enum { FB_RUN_STEPS = 1000000, FB_CLOSE_STEPS = 100, FB_CLOSE_HALVINGS = 20 };
+#ifndef FB_RUN_STEPS
+#define FB_RUN_STEPS 1000000
+#endif
+enum { FB_CLOSE_STEPS = 100, FB_CLOSE_HALVINGS = 20 };
 
 /* Pivots below this fraction of the largest do not determine an unknown. */
 #define FB_DETERMINED 1e-10

@@ -1,10 +1,10 @@
 /* A model as a C library: closing loops, steps of fixed length, and runs with step control.
  *
  * Included once, after fourbar_model.h, by a source that defines FB_MODEL, the name of the model and of the type that
- * its header declares; N_DEPENDENT_COORDINATES, N_DEPENDENT_SPEEDS and N_JUMPS; and initial_state, default_parameters,
- * has_expression and prescribes. Public names begin with that of the model. Memory is the caller's, in one piece, whose
- * pointers are set anew in each call, so that a copy of it is a copy of the mechanism in its present state. Every loop
- * ends after a constant number of turns.
+ * its header declares (FB_WITHOUT_HEADER declares it here); N_DEPENDENT_COORDINATES, N_DEPENDENT_SPEEDS and N_JUMPS;
+ * and initial_state, default_parameters, has_expression and prescribes. Public names begin with that of the model.
+ * Memory is the caller's, in one piece, whose pointers are set anew in each call, so that a copy of it is a copy of the
+ * mechanism in its present state. Every loop ends after a constant number of turns.
  */
 #ifndef FOURBAR_LIBRARY_H
 #define FOURBAR_LIBRARY_H
@@ -15,6 +15,10 @@
 #define FB_JOINED(model, name) model##_##name
 #define FB_NAMED(model, name) FB_JOINED(model, name)
 #define FB_PUBLIC(name) FB_NAMED(FB_MODEL, name)
+
+#ifndef FB_CALLED_INPUTS
+#define FB_CALLED_INPUTS NULL /* or a function that sets the values of sources */
+#endif
 
 enum { N_PADDED = (N_X + FB_BLOCK - 1) / FB_BLOCK * FB_BLOCK, N_ROWS = 32 };
 
@@ -36,6 +40,17 @@ typedef struct fb_own {
     fb_work work;
 } fb_own;
 
+#ifdef FB_WITHOUT_HEADER
+typedef struct FB_MODEL {
+    double t, x[N_X], p[FB_AT_LEAST_1(N_P)], r[FB_AT_LEAST_1(N_R)];
+    double slope[FB_AT_LEAST_1(N_R)], since;
+    int held[FB_AT_LEAST_1(N_R)];
+    union {
+        double alignment;
+        unsigned char bytes[sizeof(fb_own)];
+    } memory;
+} FB_MODEL;
+#else
 /* The memory that the header declares is large enough: otherwise this array has a negative size. */
 typedef char fb_memory_is_large_enough[sizeof(fb_own) <= sizeof(((FB_MODEL *)0)->memory) ? 1 : -1];
 
@@ -47,6 +62,7 @@ typedef char fb_statuses_agree[(int)FB_PUBLIC(not_finite) == FB_NOT_FINITE &&
                                        (int)FB_PUBLIC(speeds_jump) == FB_SPEEDS_JUMP
                                    ? 1
                                    : -1];
+#endif
 
 static fb_own *own_of(FB_MODEL *model)
 {
@@ -88,7 +104,7 @@ static fb_problem *problem_of(FB_MODEL *model)
                 source->interval = 0;
             }
         }
-    problem->called_inputs = NULL;
+    problem->called_inputs = FB_CALLED_INPUTS;
     problem->status = FB_OK;
     problem->failed_x = own->failed_x;
     problem->moved_x = own->moved_x;

@@ -12,7 +12,7 @@
     (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__ > 0)
 #error "Results would be wrong with -ffast-math or -Ofast: leave them out, or let " \
     "-fno-fast-math -fno-finite-math-only -fno-unsafe-math-optimizations follow them."
-#elif defined(__clang__) && !defined(__arm__) /* defines no macros for some such options */
+#elif defined(__clang__) && !defined(__arm__) && !defined(__wasm__) /* defines no macros for some such options */
 #pragma float_control(precise, on)
 #endif
 

@@ -1,0 +1,136 @@
+// Runs of a model that is compiled to WebAssembly, in a worker where there is one; fourbar_page.h has its functions.
+
+// Takes requests {p, x, signals, begin, end, rtol, atol, times, from}: parameters, an initial state whose dependent
+// values are guesses, six numbers for each input; `from` is a closed state {p, x, signals, begin} with other values.
+// This function becomes the text of the worker, so it uses nothing from outside.
+const makeEngine = async bytes => {
+  const OK = 0, DEPTH = 7, NEAR = 1e-6;
+  const {instance: {exports: {_initialize: initialize, __heap_base: heap, ...wasm}}} =
+    await WebAssembly.instantiate(bytes, {});
+  initialize();
+  wasm.reset();
+  const start = Math.ceil(heap.value / 16) * 16;
+  const array = (at, n) => new Float64Array(wasm.memory.buffer, at, n);
+  // Memory for this many numbers behind the heap's beginning.
+  const reserve = n => {
+    const missing = start + 8 * n - wasm.memory.buffer.byteLength;
+    if (missing > 0) wasm.memory.grow(Math.ceil(missing / 65536));
+  };
+  const message = status => {
+    const memory = new Uint8Array(wasm.memory.buffer), at = wasm.message(status);
+    return new TextDecoder().decode(memory.slice(at, memory.indexOf(0, at)));
+  };
+  const set = ({p, x, signals}) => {
+    array(wasm.parameters(), p.length).set(p);
+    array(wasm.state(), x.length).set(x);
+    array(wasm.inputs(), signals.length).set(signals);
+    return wasm.update();
+  };
+  const close = (point, guess) => {
+    const status = set({...point, x: point.x.map((value, i) => point.dependent[i] ? guess[i] : value)});
+    return {status: status || wasm.close_loops(point.begin), x: array(wasm.state(), point.x.length).slice()};
+  };
+  const middle = (a, b) => a.map((value, i) => 0.5 * (value + b[i]));
+  // Continues an assembly mode from one closed state to other values: two ways have to agree, at once and by the
+  // middle; otherwise by shorter steps.
+  const follow = (from, to, depth = 0) => {
+    const direct = close(to, from.x);
+    if (depth === DEPTH) return direct;
+    const between = {...to, p: middle(from.p, to.p), x: middle(from.x, to.x), begin: 0.5 * (from.begin + to.begin),
+      signals: middle(from.signals, to.signals).map((value, i, all) =>
+        i % 6 < 2 || from.signals[i - i % 6] !== to.signals[i - i % 6] ? to.signals[i] : all[i])};
+    const half = close(between, from.x);
+    if (direct.status === OK && half.status === OK) {
+      const again = close(to, half.x);
+      const agree = (value, i) => Math.abs(value - direct.x[i]) <= NEAR * (1 + Math.abs(value));
+      if (again.status === OK && again.x.every(agree)) return again;
+    }
+    const first = follow(from, between, depth + 1);
+    return first.status === OK ? follow({...between, x: first.x}, to, depth + 1) : first;
+  };
+  const run = ({from, begin, end, rtol, atol, times, ...point}) => {
+    const began = performance.now(), n = times.length, width = point.x.length;
+    const to = {...point, begin};
+    // If the mode cannot be followed all the way, the loops may still close.
+    const followed = from ? follow(from, to) : close(to, point.x);
+    const closed = followed.status === OK ? followed : close(to, from ? from.x : point.x);
+    const result = {status: closed.status, closed: closed.status === OK, x0: closed.x, reached: begin, n: 0, length: 0,
+      rows: new Float64Array(0), evaluations: 0};
+    if (result.closed) {
+      set({...point, x: closed.x});
+      result.length = wasm.row_length();
+      reserve(n * (1 + width + result.length));
+      array(start, n).set(times);
+      const states = start + 8 * n, rows = states + 8 * n * width;
+      result.status = wasm.simulate(begin, end, rtol, atol, start, n, states);
+      result.reached = wasm.time_reached();
+      result.evaluations = wasm.evaluations_of_run();
+      const before = t => (t - result.reached) * (end - begin) <= 0;
+      while (result.n < n && (result.status === OK || before(times[result.n]))) ++result.n;
+      wasm.observe(start, states, result.n, rows);
+      result.rows = array(rows, result.n * result.length).slice();
+    }
+    return {...result, message: message(result.status), duration: performance.now() - began};
+  };
+  // Nanoseconds of an evaluation of the equations of motion, for benchmarks.
+  const evaluation = ({p, x, signals, begin}, count) => {
+    set({p, x, signals});
+    reserve(2 * x.length);
+    array(start, x.length).set(x);
+    const began = performance.now();
+    for (let i = 0; i < count; ++i) wasm.evaluate(begin, start, start + 8 * x.length);
+    return (performance.now() - began) * 1e6 / count;
+  };
+  return {run, evaluation, memory: () => wasm.memory.buffer.byteLength};
+};
+
+// Calls the engine: `ask(name, ...arguments)` is a promise of what its function returns. Calls are answered in order;
+// `restart` drops all that are not answered yet, and ends a worker that is busy.
+const engineCaller = bytes => {
+  const serve = `const engine = (${makeEngine})(bytes);
+    onmessage = async ({data: {id, name, given}}) => {
+      try { postMessage({id, value: (await engine)[name](...given)}); }
+      catch (error) { postMessage({id, error: String(error)}); }
+    };`;
+  let waiting = new Map(), worker = null, inside = null, last = 0;
+  const begin = () => {
+    try {
+      const text = `const bytes = Uint8Array.from(atob("${bytes}"), c => c.charCodeAt(0)); ${serve}`;
+      const address = URL.createObjectURL(new Blob([text], {type: "text/javascript"}));
+      worker = new Worker(address);
+      URL.revokeObjectURL(address);
+      worker.addEventListener("message", ({data: {id, value, error}}) => {
+        const {resolve, reject} = waiting.get(id);
+        waiting.delete(id);
+        if (error === undefined) resolve(value); else reject(new Error(error));
+      });
+      worker.addEventListener("error", event => { // where workers are not allowed, the page's own thread does it
+        event.preventDefault();
+        worker = null;
+        for (const [id, {name, given, resolve, reject}] of waiting) {
+          waiting.delete(id);
+          here(name, given).then(resolve, reject);
+        }
+      });
+    } catch { worker = null; }
+  };
+  const here = async (name, given) => {
+    inside ??= makeEngine(bytesOf(bytes));
+    return (await inside)[name](...given);
+  };
+  begin();
+  return {
+    ask: (name, ...given) => worker ? new Promise((resolve, reject) => {
+      waiting.set(++last, {name, given, resolve, reject});
+      worker.postMessage({id: last, name, given});
+    }) : here(name, given),
+    restart() {
+      if (!worker) return;
+      worker.terminate();
+      const dropped = waiting;
+      waiting = new Map();
+      begin();
+      for (const {reject} of dropped.values()) reject(new Error("the run was stopped"));
+    },
+  };
+};

@@ -1,0 +1,336 @@
+"""A model -> a live page: one HTML file that simulates it in the browser, by its equations as WebAssembly."""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourbar_codegen.analysis.initial_state import initial_state, initial_states
+from fourbar_codegen.arguments import finite_number, is_integer, name_of, named, slider_range
+from fourbar_codegen.building.page_module import page_module
+from fourbar_codegen.errors import AssemblyError, ModelError, shown
+from fourbar_codegen.files import save
+from fourbar_codegen.kernel.inputs import by_name
+from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.presentation.drawing import ENERGY, panel_names
+from fourbar_codegen.presentation.html_page import frame_times, html_file, html_text, scene_data
+from fourbar_codegen.presentation.scene import Scene, scene
+from fourbar_codegen.progress import Progress
+from fourbar_codegen.tables import Page
+
+if TYPE_CHECKING:
+    from fourbar_codegen.results.trajectory import Trajectory
+
+__all__ = ["SCRIPTS", "TOLERANCE", "check_inputs", "live_page"]
+
+Floats = NDArray[np.float64]
+
+TOLERANCE = 1e-11
+"""Relative and absolute tolerance of the runs."""
+
+SCRIPTS = ("drawing.js", "engine.js", "settings.js", "page.js", "controls.js", "exchange.js")
+
+NEARBY = 0.03
+"""Relative change of lengths at which it is looked which points stay together, and whether all stay in a plane."""
+
+SAME = 1e-6
+"""Largest difference of two states of the same assembly mode."""
+
+MOST_MODES = 64
+
+STATISTICS = ("greatest", "least", "greatest magnitude", "range", "mean", "last")
+"""Of a quantity over a run, as in page.js."""
+
+
+def live_page(
+    run: Trajectory,
+    path: str | Path | None,
+    *,
+    ranges: Mapping[Any, tuple[float, float]],
+    traces: Sequence[str] | None,
+    watch: Sequence[tuple[str, str]] | None,
+    height: int,
+) -> Page:
+    """The page that begins with a run, written to a file if there is a path; see `CompiledModel.page`."""
+    if not is_integer(height) or height < 1:
+        raise ModelError(f"height must be a positive number of pixels, not {shown(height)}.")
+    title, text = f"Live page of {run.model.name}", _text(run, ranges, traces, watch)
+    if path is not None:
+        save(path, text, {".html": _write}, "A live page")
+    return Page(title, text, int(height))
+
+
+def _write(text: str, file: IO[bytes]) -> None:
+    file.write(text.encode("utf-8"))
+
+
+def check_inputs(model: Kernel, inputs: Mapping[Any, Any] | None) -> None:
+    """Raise a ModelError if an input is not a number."""
+    for name, source in by_name(model, inputs).items():
+        if callable(source) or isinstance(source, tuple | list):
+            kind = "callable" if callable(source) else "table"
+            raise ModelError(
+                f"Input {name_of(name)} of a page is a number or the model's own expression; a {kind} cannot be put "
+                "into a file. Give it a number, or the Model an expression of t and parameters."
+            )
+
+
+def _text(
+    run: Trajectory,
+    ranges: Mapping[Any, tuple[float, float]],
+    traces: Sequence[str] | None,
+    watch: Sequence[tuple[str, str]] | None,
+) -> str:
+    model = run.model
+    parameters = dict(zip(model.parameters, _parameters(run), strict=True))
+    found = _scene(run)
+    names = [name for _, of_panel, _ in panel_names(model) for name in of_panel]
+    modes = _modes(run)
+    guides = [shape["points"] for shape in model.manifest["shapes"] if shape["kind"] == "slider"]
+    forces = model.manifest["forced_points"]
+    n_rows = len(found.positions) + len(forces)
+    arrows = {point: len(found.positions) + number for number, point in enumerate(forces)}
+    pictured = scene_data(found, arrows, found.unit)
+    if traces is not None:
+        unknown = [name for name in traces if name not in model.points]
+        if unknown:
+            raise ModelError(f"There is no point {shown(unknown[0])}; there are {', '.join(model.points)}.")
+        for point in pictured["points"]:
+            point["traced"] = point["name"] in traces
+    initial = _initial(model, modes[0])
+    known = {
+        name: slider_range(ends, name)
+        for name, ends in named(ranges, [*parameters, *dict(initial)], "parameter or initial value").items()
+    }
+    data = {
+        "name": model.name,
+        "states": model.states,
+        "n_q": model.n_q,
+        "n_u": model.n_u,
+        "parameters": [
+            {"name": name, "unit": model.units[name], "description": model.descriptions[name], "value": value}
+            | {"own": model.defaults[name]}
+            | _range(known.get(name) or model.ranges[name] or _around(value, model.units[name], found.size))
+            for name, value in parameters.items()
+        ],
+        "initial": [
+            {"name": name, "value": value} | _range(known.get(name) or _around_initial(model, name, value, found.size))
+            for name, value in initial
+        ],
+        "inputs": _inputs(run),
+        "entries": [{"name": entry["of"], "order": entry["order"]} for entry in model.manifest["inputs"]],
+        "modes": [mode.tolist() for mode in modes],
+        "t_span": [float(time) for time in run.settings["t_span"]],
+        "rtol": run.settings["rtol"],
+        "atol": run.settings["atol"],
+        "columns": names,
+        "panels": _panels(run),
+        "energies": names.index("kinetic energy", model.n_x + model.n_r + model.n_o),
+        "figures": _figures(model, names, watch),
+        "turn": found.view.turn.tolist(),
+        "points": len(model.manifest["points"]),
+        "guides": guides,
+        "forces": forces,
+        "rows": n_rows,
+        "size": found.size,
+        "scene": pictured,
+        "python": _python(model),
+        "wasm": base64.b64encode(_module(model)).decode("ascii"),
+    }
+    return html_text("page.html", model.name, data, SCRIPTS, LAYOUT=html_file("page.css"))
+
+
+def _parameters(run: Trajectory) -> list[float]:
+    values = run.model.defaults.values() if run.parameters is None else run.parameters
+    return [float(value) for value in values if value is not None]
+
+
+def _module(model: Kernel) -> bytes:
+    """The model as WebAssembly."""
+    sources = model.sources_of(
+        "derivatives",
+        f"A page is compiled from the sources of {model.name}, which are not beside {model.path}: compile the model "
+        "again, or load a module of build_model from its folder.",
+    )
+    with Progress(f"fourbar_codegen: {model.name}") as progress:
+        progress.stage("compiling to WebAssembly")
+        return page_module(model.name, sources, model.manifest)
+
+
+def _scene(run: Trajectory) -> Scene:
+    """What is drawn: what stays together in the run, and with lengths that are a little different."""
+    model, start, end = run.model, run.t[0], run.t[-1]
+    frames = run.resample(frame_times(start, end))
+    positions, _ = model.drawing_along(frames.t, frames.y, frames.r, frames.parameters)
+    size = scene(model, positions).size
+    every = [positions, *_neighbours(run, size)]
+    return scene(model, np.concatenate(every, axis=2))
+
+
+def _neighbours(run: Trajectory, size: float) -> list[Floats]:
+    """Positions at the initial state with other lengths, as far as the loops close then."""
+    model = run.model
+    found = []
+    for share in (NEARBY, -NEARBY / 2.0, NEARBY / 8.0):
+        values = dict(zip(model.parameters, _parameters(run), strict=True))
+        for number, name in enumerate(model.manifest["geometry"], start=1):
+            values[name] += share * math.sin(number) * (abs(values[name]) or size)
+        try:
+            x = _closed(run, values)
+        except (AssemblyError, ModelError):
+            continue
+        found.append(model.drawing_along(run.t[:1], x[:, np.newaxis], run.r[:, :1], [*values.values()])[0])
+    return found
+
+
+def _closed(run: Trajectory, values: dict[str, float]) -> Floats:
+    """The initial state of a run with other parameters."""
+    model, x = run.model, run.y[:, 0]
+    n_i = model.n_q - model.manifest["n_dependent_coordinates"]
+    n_u = model.n_u - model.manifest["n_dependent_speeds"]
+    return initial_state(
+        model,
+        x[:n_i],
+        x[model.n_q : model.n_q + n_u],
+        t=float(run.t[0]),
+        guess=x[n_i : model.n_q],
+        parameters=values,
+        inputs=run.inputs,
+        auxiliary_states=x[model.n_q + model.n_u :],
+    )
+
+
+def _modes(run: Trajectory) -> list[Floats]:
+    """The initial state of the run, and those of the other assembly modes."""
+    model, first = run.model, run.y[:, 0]
+    n_i = model.n_q - model.manifest["n_dependent_coordinates"]
+    n_u = model.n_u - model.manifest["n_dependent_speeds"]
+    if n_i == model.n_q:
+        return [first]
+    found = initial_states(
+        model,
+        first[:n_i],
+        first[model.n_q : model.n_q + n_u],
+        t=float(run.t[0]),
+        parameters=dict(zip(model.parameters, _parameters(run), strict=True)),
+        inputs=run.inputs,
+        auxiliary_states=first[model.n_q + model.n_u :],
+    )
+    angles = np.array([name in model.manifest["angles"] for name in model.coordinates])
+    modes = [first]
+    for mode in found if not found.free else ():
+        difference = mode[: model.n_q] - first[: model.n_q]
+        difference = np.where(angles, np.remainder(difference + np.pi, 2.0 * np.pi) - np.pi, difference)
+        if np.isfinite(mode).all() and np.abs(difference).max() > SAME:
+            modes.append(mode)
+    return modes[:MOST_MODES]
+
+
+def _initial(model: Kernel, x: Floats) -> list[tuple[str, float]]:
+    """Independent coordinates and speeds, and auxiliary states, with their initial values."""
+    ends = (model.n_q - model.manifest["n_dependent_coordinates"], model.n_u - model.manifest["n_dependent_speeds"])
+    names = (*model.coordinates[: ends[0]], *model.speeds[: ends[1]], *model.auxiliary_states)
+    return [(name, float(x[model.states.index(name)])) for name in names]
+
+
+def _range(ends: tuple[float, float]) -> dict[str, float]:
+    return {"low": float(ends[0]), "high": float(ends[1])}
+
+
+def _around(value: float, unit: str, size: float) -> tuple[float, float]:
+    """The range of a slider about a value: a fifth to double; both signs if it is zero."""
+    if value == 0.0:
+        half = {"rad": math.pi, "m": _rounded(size / 2.0)}.get(unit, 1.0)
+        return (-half, half)
+    ends = sorted((_rounded(0.2 * value), _rounded(2.0 * value)))
+    return (ends[0], ends[1])
+
+
+def _around_initial(model: Kernel, name: str, value: float, size: float) -> tuple[float, float]:
+    """The range of an initial value: half a turn for angles, the mechanism's size for displacements."""
+    if name in model.manifest["angles"]:
+        half = math.pi
+    elif name in model.coordinates:
+        half = _rounded(size)
+    else:
+        half = _rounded(max(2.0 * abs(value), 5.0 if name in model.speeds else 1.0))
+    middle = 0.0 if abs(value) <= half else value
+    return (middle - half, middle + half)
+
+
+def _rounded(value: float) -> float:
+    """A value with two digits."""
+    return float(f"{value:.1e}")
+
+
+def _inputs(run: Trajectory) -> list[dict[str, Any]]:
+    """Each input: its expression, what it begins as, what it can be, and the size of its values."""
+    model, given = run.model, {} if run.inputs is None else named(run.inputs, run.model.inputs, "input")
+    inputs = []
+    for place, entry in enumerate(model.manifest["inputs"]):
+        if entry["order"]:
+            continue
+        name, source = entry["name"], given.get(entry["name"])
+        kinds = ["constant", "line", "sine"] if name in model.prescribed else ["constant", "sine", "step", "ramp"]
+        if entry["expression"] is not None:
+            kinds.insert(0, "expression")
+        signal: dict[str, Any] = {"kind": "expression", "values": []}
+        if source is not None:
+            signal = {"kind": "constant", "values": [finite_number(source, f"input {name}")]}
+        values = run.r[place][np.isfinite(run.r[place])]
+        scale = _rounded(float(np.abs(values).max(initial=0.0))) or 1.0
+        inputs.append(
+            {
+                "name": name,
+                "expression": entry["expression"],
+                "kinds": kinds,
+                "signal": signal,
+                "scale": scale,
+                "prescribed": name in model.prescribed,
+            }
+        )
+    return inputs
+
+
+def _panels(run: Trajectory) -> list[dict[str, Any]]:
+    """The panels of plots: their curves as numbers of columns, and whether they are shown at first."""
+    model, panels, begin = run.model, list[dict[str, Any]](), 0
+    has_energy = np.nan_to_num(run.kinetic_energy).any()
+    for title, names, is_logarithmic in panel_names(model):
+        columns = list(range(begin, begin + len(names)))
+        begin += len(names)
+        if title == ENERGY and not model.manifest["has_potential_energy"]:
+            columns = columns[:1]
+        if columns and not (is_logarithmic and not model.n_c + len(model.manifest["invariants"])):
+            is_open = not panels or (title == ENERGY and has_energy)
+            panels.append({"title": title, "log": is_logarithmic, "columns": columns, "open": bool(is_open)})
+    return panels
+
+
+def _figures(model: Kernel, names: list[str], watch: Sequence[tuple[str, str]] | None) -> list[list[str]]:
+    """The figures to watch; by default ranges of the first coordinates and magnitudes of the first outputs."""
+    if watch is None:
+        chosen = [("range", name) for name in model.coordinates[:2]]
+        return [list(pair) for pair in (*chosen, *(("greatest magnitude", name) for name in model.outputs[:2]))]
+    figures = []
+    for pair in watch:
+        if isinstance(pair, str) or len(pair) != 2 or pair[0] not in STATISTICS or pair[1] not in names:
+            raise ModelError(
+                f"watch= is a sequence of pairs of a statistic ({', '.join(STATISTICS)}) and the name of a quantity "
+                f"({', '.join(names)}), not {shown(pair)}."
+            )
+        figures.append([str(word) for word in pair])
+    return figures
+
+
+def _python(model: Kernel) -> str:
+    """The line of Python that loads the model."""
+    if model.path.parent.name == "prebuilt":
+        return f'model = fb.load("{model.name}")'
+    return f"model = fb.compile_model(...)  # {model.name}, {model.manifest['fingerprint'][:16]}"

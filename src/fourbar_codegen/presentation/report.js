@@ -1,0 +1,37 @@
+// A report: one run, with its numbers in the page.
+const data = JSON.parse(byId("data").textContent);
+const floats = text => new Float32Array(bytesOf(text).buffer);
+const times = new Float64Array(bytesOf(data.times).buffer), positions = floats(data.positions);
+if (data.scene.planar) byId("turn").remove();
+
+const picture = mechanismPicture(byId("mechanism"), data.scene);
+picture.set(positions, positions.length / 3 / times.length);
+followBox(byId("follow"), picture);
+traceBoxes(byId("traces"), data.scene.points, picture);
+
+for (const [name, value] of data.table) {
+  const row = make("tr", {}, byId("settings"));
+  make("th", {scope: "row"}, row, name);
+  make("td", {}, row, value);
+}
+
+const plots = data.plots.map(({title, log, curves}) => {
+  make("h2", {}, byId("plots"), title);
+  const plot = timePlot(byId("plots"), {title, log, names: curves.map(({name}) => name)}, i => controls.seek(i));
+  plot.set(times, curves.map(({values}) => floats(values)));
+  return plot;
+});
+const controls = player(i => {
+  picture.draw(i);
+  for (const plot of plots) plot.show(i);
+});
+controls.set(times);
+let width = 0;
+const drawPlots = () => {
+  if (byId("plots").clientWidth === width) return;
+  width = byId("plots").clientWidth;
+  for (const plot of plots) plot.draw();
+  controls.show(controls.shown());
+};
+addEventListener("resize", drawPlots);
+drawPlots();

@@ -1,0 +1,203 @@
+/* A model as a module of WebAssembly, for pages in a browser: one mechanism, whose parameters, state and inputs
+ * JavaScript writes into memory, and runs of it at given times.
+ *
+ * Included once, after fourbar_model.h and the model's derivatives, in place of fourbar_library.h, by a source that
+ * defines what that needs. JavaScript provides the memory of times, states and rows, behind `__heap_base`.
+ */
+#ifndef FOURBAR_PAGE_H
+#define FOURBAR_PAGE_H
+
+#define FB_WITHOUT_HEADER
+#define FB_CALLED_INPUTS signal_inputs
+#define FB_RUN_STEPS 50000 /* many for each frame; sliders should not wait for more */
+#define FB_EXPORT(name) __attribute__((export_name(#name))) name
+
+#include "fourbar_close.h"
+#include "fourbar_integrate.h"
+
+/* An input as a function of time, or a derivative of one, with coefficients a, b, c, d. */
+enum FB_SIGNAL {
+    FB_OWN_EXPRESSION = 0,
+    FB_CONSTANT = 1,  /* a */
+    FB_SINE_WAVE = 2, /* a + b sin(2 pi c t + d) */
+    FB_STEP = 3,      /* a before t = c, b from then on */
+    FB_RAMP = 4,      /* a until t = c, b from t = d on, linear between */
+    FB_LINE = 5       /* a + b t */
+};
+
+typedef struct fb_signal {
+    double kind, order, a, b, c, d;
+} fb_signal;
+
+static fb_signal signals[FB_AT_LEAST_1(N_R)];
+
+/* Steps change at the ends of intervals, within which they are what they are inside. */
+static double interval_begin = -INFINITY, interval_end = INFINITY;
+
+static double signal_value(const fb_signal *s, const double t)
+{
+    const double turn = 6.283185307179586477 * s->c;
+    switch ((enum FB_SIGNAL)s->kind) {
+    case FB_SINE_WAVE:
+        return s->order == 0.0   ? s->a + s->b * sin(turn * t + s->d)
+               : s->order == 1.0 ? s->b * turn * cos(turn * t + s->d)
+                                 : -s->b * turn * turn * sin(turn * t + s->d);
+    case FB_STEP:
+        return fb_max(fb_min(t, interval_end), interval_begin) < s->c ? s->a : s->b;
+    case FB_RAMP:
+        return t <= s->c ? s->a : t >= s->d ? s->b : s->a + (s->b - s->a) * ((t - s->c) / (s->d - s->c));
+    case FB_LINE:
+        return s->order == 0.0 ? s->a + s->b * t : s->order == 1.0 ? s->b : 0.0;
+    default:
+        return s->order == 0.0 ? s->a : 0.0;
+    }
+}
+
+static int signal_inputs(fb_problem *problem, const double t, const double *x)
+{
+    (void)x;
+    for (int i = 0; i < problem->n_sources; ++i)
+        problem->sources[i].value = signal_value(signals + problem->sources[i].input, t);
+    return 0;
+}
+
+#include "fourbar_library.h"
+
+static FB_MODEL mechanism;
+static long evaluations;
+
+/* The time between two others at which a signal has a jump or a kink, the nearest to the first one; or the second. */
+static double next_signal_change(const double begin, const double end)
+{
+    double next = end;
+    for (int i = 0; i < N_R; ++i)
+        if (signals[i].kind == FB_STEP || signals[i].kind == FB_RAMP) {
+            const double times[2] = {signals[i].c, signals[i].kind == FB_RAMP ? signals[i].d : signals[i].c};
+            for (int k = 0; k < 2; ++k)
+                if (times[k] > fb_min(begin, next) && times[k] < fb_max(begin, next))
+                    next = times[k];
+        }
+    return next;
+}
+
+/* Takes over parameters and inputs. */
+int FB_EXPORT(update)(void)
+{
+    for (int i = 0; i < N_R; ++i) {
+        mechanism.held[i] = signals[i].kind != FB_OWN_EXPRESSION;
+        mechanism.slope[i] = 0.0;
+    }
+    return FB_PUBLIC(update)(&mechanism);
+}
+
+double *FB_EXPORT(parameters)(void)
+{
+    return mechanism.p;
+}
+
+double *FB_EXPORT(state)(void)
+{
+    return mechanism.x;
+}
+
+fb_signal *FB_EXPORT(inputs)(void)
+{
+    return signals;
+}
+
+/* The numbers of a row of `observe`. */
+int FB_EXPORT(row_length)(void)
+{
+    return N_X + N_R + N_O + 3 + N_C + 1 + 3 * N_POINTS + 3 * N_FORCES;
+}
+
+double FB_EXPORT(time_reached)(void)
+{
+    return mechanism.t;
+}
+
+long FB_EXPORT(evaluations_of_run)(void)
+{
+    return evaluations;
+}
+
+const char *FB_EXPORT(message)(const int status)
+{
+    return FB_PUBLIC(message)(status);
+}
+
+/* Begins anew with the defaults. */
+void FB_EXPORT(reset)(void)
+{
+    FB_PUBLIC(init)(&mechanism);
+}
+
+int FB_EXPORT(close_loops)(const double t)
+{
+    mechanism.t = t;
+    own_of(&mechanism)->clock = fb_all_time;
+    interval_begin = -INFINITY;
+    interval_end = INFINITY;
+    return FB_PUBLIC(close)(&mechanism);
+}
+
+int FB_EXPORT(evaluate)(const double t, const double *x, double *rates)
+{
+    return FB_PUBLIC(rhs)(&mechanism, t, x, rates);
+}
+
+/* A run from the present state, with the states at n times in rows. Where it fails, `time_reached` is the time of the
+ * last state. */
+int FB_EXPORT(simulate)(const double begin, const double end, const double rtol, const double atol, const double *times,
+                        const long n, double *states)
+{
+    long first = 0;
+    int status = FB_OK;
+    evaluations = 0;
+    mechanism.t = begin;
+    do {
+        const double here = mechanism.t, until = next_signal_change(here, end);
+        long last = first;
+        while (last < n && (end >= begin ? times[last] <= until : times[last] >= until))
+            ++last;
+        interval_begin = nextafter(fb_min(here, until), INFINITY);
+        interval_end = nextafter(fb_max(here, until), -INFINITY);
+        status = FB_PUBLIC(simulate)(&mechanism, until, rtol, atol, times + first, last - first, states + first * N_X);
+        evaluations += own_of(&mechanism)->run.n_evaluations;
+        first = last;
+    } while (status == FB_OK && mechanism.t != end);
+    interval_begin = -INFINITY;
+    interval_end = INFINITY;
+    return status;
+}
+
+/* For each of n states: itself, inputs, outputs, kinetic and potential energy and their sum, multipliers, the largest
+ * violation of a constraint, points, and forces; not numbers where they cannot be evaluated. */
+void FB_EXPORT(observe)(const double *times, const double *states, const long n, double *rows)
+{
+    own_of(&mechanism)->clock = fb_all_time;
+    for (long i = 0; i < n; ++i) {
+        double t, rates[N_U], solved[FB_AT_LEAST_1(N_L)], *row = rows + i * row_length();
+        mechanism.t = times[i];
+        memcpy(mechanism.x, states + i * N_X, sizeof mechanism.x);
+        fb_problem *const problem = problem_now(&mechanism, &t);
+        const double *const x = mechanism.x, *const c = problem->constants, *const r = problem->inputs;
+        const int status = accelerations(t, x, c, r, rates, solved, problem->work);
+        for (int k = 0; k < N_X; ++k)
+            *row++ = x[k];
+        for (int k = 0; k < N_R; ++k)
+            *row++ = r[k];
+        output(t, x, c, r, rates, solved, row);
+        for (int k = 0; k < N_O; ++k, ++row)
+            *row = status == FB_OK ? *row : NAN;
+        energy(t, x, c, r, row);
+        row[2] = row[0] + row[1];
+        row += 3;
+        for (int k = 0; k < N_C; ++k)
+            *row++ = status == FB_OK ? solved[k] : NAN;
+        *row++ = FB_PUBLIC(violation)(&mechanism);
+        drawing(t, x, c, r, row, row + 3 * N_POINTS);
+    }
+}
+
+#endif

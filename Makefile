@@ -61,7 +61,7 @@ generate: $(INSTALLED)
 
 $(INSTALLED_RUN): EXTRAS := visual
 $(INSTALLED): EXTRAS := test,visual
-$(INSTALLED_DOCS): EXTRAS := test,visual,docs
+$(INSTALLED_DOCS): EXTRAS := test,visual,docs,page
 # What needs less finds it there as well: each installation compiles the package. Python files are compiled when they
 # are first imported, which are a fraction of them.
 $(INSTALLED_RUN) $(INSTALLED) $(INSTALLED_DOCS): $(SOURCES)
@@ -71,4 +71,4 @@ $(INSTALLED_RUN) $(INSTALLED) $(INSTALLED_DOCS): $(SOURCES)
 	touch $(INSTALLED_RUN) $(if $(findstring test,$(EXTRAS)),$(INSTALLED)) $@
 
 clean:
-	rm -rf $(VENV) build results docs/_build docs/notebooks src/*.egg-info src/fourbar_codegen/*/*.so
+	rm -rf $(VENV) build results docs/_build docs/_live docs/notebooks src/*.egg-info src/fourbar_codegen/*/*.so

@@ -1,5 +1,6 @@
 """How the documentation is built: `make docs`."""
 
+import runpy
 from pathlib import Path
 
 import jupytext
@@ -21,6 +22,7 @@ html_title = f"fourbar_codegen {release}"
 html_static_path = ["_static"]
 html_css_files = ["custom.css"]
 html_js_files = ["focus.js"]
+html_extra_path = ["_live"]
 exclude_patterns = ["_build"]
 # Both with a contrast of 4.5:1 at least.
 pygments_style = "a11y-high-contrast-light"
@@ -31,6 +33,9 @@ default_role = "code"
 for script in sorted((HERE.parent / "examples").glob("0[12]_*.py")):
     (HERE / "notebooks").mkdir(exist_ok=True)
     jupytext.write(jupytext.read(script), HERE / "notebooks" / f"{script.stem}.ipynb")
+
+# Live pages, in the folder `pages` beside the others.
+runpy.run_path(str(HERE / "live_pages.py"))["write"](HERE / "_live" / "pages")
 
 # Pages with code are executed as they are built, and an error ends the build.
 nb_execution_mode = "force"

@@ -68,7 +68,7 @@ def look(page: Page, path: Path, picture: Path | None, *, axe: bool) -> list[str
     page.on("pageerror", lambda error: found.append(str(error)))
     page.goto(path.as_uri())
     page.wait_for_timeout(100)
-    found += [f"loads {url}" for url in loaded if not url.startswith(("file:", "data:", "about:"))]
+    found += [f"loads {url}" for url in loaded if not url.startswith(("file:", "data:", "about:", "blob:"))]
     found += faults(page, axe=axe)
     if picture:
         page.screenshot(path=picture, full_page=page.evaluate("innerWidth") < 1000)

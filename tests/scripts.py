@@ -10,7 +10,8 @@ from fourbar_codegen.presentation.html_page import html_file
 def main(folder):
     folder.mkdir(parents=True, exist_ok=True)
     for page in (report, live_page):
-        (folder / page.SCRIPTS[-1]).write_text("\n".join(map(html_file, page.SCRIPTS)), encoding="utf-8")
+        name = page.__name__.rpartition(".")[2]
+        (folder / f"{name}.js").write_text("\n".join(map(html_file, page.SCRIPTS)), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -129,7 +129,7 @@ const mechanismPicture = (svg, scene) => {
       const whole = extent(0, n, [...Array(m).keys()]);
       if (!Number.isFinite(whole.middle[0])) return;
       const size = [0, 0];
-      for (let i = 0; i < n && follows; ++i) extent(i, i + 1, moving).size.forEach((value, j) => {
+      if (follows) for (let i = 0; i < n; ++i) extent(i, i + 1, moving).size.forEach((value, j) => {
         if (Number.isFinite(value)) size[j] = Math.max(size[j], FOLLOWED * value);
       });
       if (!follows) size.splice(0, 2, ...whole.size);

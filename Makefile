@@ -47,6 +47,7 @@ bench: $(INSTALLED)
 	$(BIN)/python benchmarks/engines.py --output results/engines.json
 	$(BIN)/python benchmarks/scale.py --output results/scale.json
 	$(BIN)/python benchmarks/export.py --output results/export.json
+	$(BIN)/python benchmarks/page.py --output results/page.json
 
 # Hours: 100,000 calls, 1,000 Systems. FUZZ='--calls 1000' does fewer of these, as `python -m fuzz.runner run --help` says.
 fuzz: $(INSTALLED)

@@ -19,10 +19,12 @@ BLOCK = "R0"
 
 
 def four_bar():
+    """The linkage of the SymBRiM tutorial, which the package contains."""
     return fb.load("four_bar").page(traces=["P2", "joint3_link3_joint"], watch=[("range", "q1"), ("greatest", "u1")])
 
 
 def slider_crank():
+    """Turned by a small torque."""
     model = fb.compile_model(fb.models.slider_crank())
     return model.page(t_span=(0.0, 2.0), inputs={"torque": 0.005})
 
@@ -37,10 +39,12 @@ def whipple_bicycle():
 
 
 def chain():
+    """Ten links that fall."""
     return fb.compile_model(fb.models.chain(10)).page(t_span=(0.0, 2.0))
 
 
 def rolling_disc():
+    """On a plane, without slip."""
     return fb.compile_model(fb.models.rolling_disc()).page()
 
 
@@ -59,9 +63,7 @@ def driven(make):
 
 
 PAGES = {make.__name__: make for make in (four_bar, slider_crank, whipple_bicycle, chain, rolling_disc)}
-PAGES |= {
-    f"driven_{make.__name__}": partial(driven, make) for make in MECHANISMS if make.__name__ != "double_wishbone"
-}
+PAGES |= {f"driven_{make.__name__}": partial(driven, make) for make in MECHANISMS if make.__name__ != "double_wishbone"}
 
 
 def write(folder):

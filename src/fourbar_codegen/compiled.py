@@ -724,7 +724,15 @@ class CompiledModel(Kernel):
 
         check_inputs(self, inputs)
         run = self.simulate(t_span, x0, parameters=parameters, inputs=inputs, rtol=TOLERANCE, atol=TOLERANCE)
-        return live_page(run, path, ranges=ranges or {}, traces=traces, watch=watch, height=height)
+        return live_page(
+            run,
+            self._page_module,
+            path,
+            ranges={} if ranges is None else ranges,
+            traces=traces,
+            watch=watch,
+            height=height,
+        )
 
     def rhs_batch(
         self,

@@ -297,6 +297,8 @@ def calls_of(name: str) -> dict[str, Call]:
         calls.add(f"trajectory.save {suffix}", lambda path: trajectory.save(path), path=f"run.{suffix}", share=share)
     calls.add("trajectory.animate", trajectory.animate, fps=30.0, speed=1.0, traces=[model.points[0]], share=0.02)
     calls.add("trajectory.report", trajectory.report, height=500, share=0.05)
+    page = {"t_span": (0.0, 0.1), "x0": x0, "ranges": {"k": (1.0, 2.0)}, "traces": ["P2"], "watch": [("range", "q1")]}
+    calls.add("page", model.page, **page, parameters={"k": 100.0}, inputs={"F": 0.0}, height=500, share=0.05)
     calls.add("trajectory.plot_paths", trajectory.plot_paths, points=[model.points[0]], share=0.02)
     calls.add("load_trajectory", fb.load_trajectory, path=saved, model=model, share=0.5)
     several = model.ensemble((0.0, 0.1), np.tile(x0, (2, 1)))

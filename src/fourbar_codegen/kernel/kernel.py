@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.arguments import Values, is_mapping, name_of, named_array, named_values
 from fourbar_codegen.building.library import PARTS
+from fourbar_codegen.building.page_module import page_module
 from fourbar_codegen.errors import ModelError, SimulationError
 from fourbar_codegen.kernel.comparison import compare_batch_functions, compare_derivatives
 from fourbar_codegen.kernel.dependent import eliminate
@@ -153,7 +154,7 @@ class Kernel(Evaluator):
         compare: Callable[[Evaluator], None],
     ) -> None:
         """Attach a part from its library, which is built and compared first if it is not in the cache."""
-        sources = self.sources_of(
+        sources = self._sources_of(
             part,
             f"{needed} functions that compile_model builds later, but their sources beside {self.path} were missing or "
             "damaged: compile the model again. A module of build_model contains them.",
@@ -168,7 +169,18 @@ class Kernel(Evaluator):
 
             attach(self, load_part(self.name, part, sources, check))
 
-    def sources_of(self, part: str, otherwise: str) -> dict[str, str]:
+    def _page_module(self) -> bytes:
+        """The model as WebAssembly, for live pages; see `building.page_module`."""
+        sources = self._sources_of(
+            "derivatives",
+            f"A page is compiled from the sources of {self.name}, which are not beside {self.path}: compile the model "
+            "again, or load a module of build_model from its folder.",
+        )
+        with Progress(f"fourbar_codegen: {self.name}") as progress:
+            progress.stage("compiling to WebAssembly")
+            return page_module(self.name, sources, self.manifest)
+
+    def _sources_of(self, part: str, otherwise: str) -> dict[str, str]:
         """All sources, if they have those of a part; an error otherwise."""
         sources = self._sources() or shipped_sources(self.path, self.name) or {}
         if any(f"{self.name}{suffix}" not in sources for suffix in PARTS[part][0]):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import io
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from fourbar_codegen.arguments import name_of, positive
 from fourbar_codegen.errors import ModelError, shown
-from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.presentation.drawing import Panel, drawing, equal_times, panels
-from fourbar_codegen.presentation.scene import SYMBOLS, Scene, View, scene, view_of
+from fourbar_codegen.presentation.scene import SYMBOLS, Scene, View, known_points, scene, view_of
 from fourbar_codegen.progress import PATIENCE
 
 if TYPE_CHECKING:
@@ -145,7 +144,7 @@ def _panel(name: str, values: Floats) -> Panel:
 
 def plot_paths(trajectory: Trajectory, points: Sequence[str]) -> Figure:
     """Draw the paths of points and the initial mechanism; see `Trajectory.plot_paths`."""
-    points = _checked(trajectory.model, points)
+    points = known_points(trajectory.model, points)
     drawn = drawing(trajectory, lambda start, end: np.linspace(start, end, SMOOTH if start != end else 1))
     figure, [axes] = _figure(1, drawn.scene.view)
     _draw_paths(axes, drawn.scene, points)
@@ -278,7 +277,7 @@ def plot_kinematics(found: Kinematics, names: Sequence[Any]) -> Figure:
 def plot_branches(branches: Sequence[Branch], points: Sequence[str]) -> Figure:
     """Draw the mechanism in each branch, where it is first closed, with paths; see `Kinematics.plot_paths`."""
     model = branches[0].model
-    chosen = _checked(model, points)
+    chosen = known_points(model, points)
     # A branch between two of the values of the drive has no position at any of them.
     closed = [branch for branch in branches if np.isfinite(branch.q).all(axis=0).any()]
     if not closed:
@@ -345,20 +344,6 @@ def _draw(axes: Any, drawn: Scene, arrows: Mapping[int, int] | None = None) -> C
     return show
 
 
-def _checked(model: Kernel, points: Iterable[str]) -> list[str]:
-    """Names of points of the model."""
-    try:
-        names = [] if isinstance(points, str) else list(points)
-    except TypeError:  # not a sequence
-        names = []
-    if not all(isinstance(name, str) for name in names) or not (names or isinstance(points, list | tuple)):
-        raise ModelError(f"Points are given as a sequence of their names, not {shown(points)}.")
-    unknown = [name for name in names if name not in model.points]
-    if unknown:
-        raise ModelError(f"There is no point {', '.join(map(str, unknown))}; there are {', '.join(model.points)}.")
-    return names
-
-
 def animate(trajectory: Trajectory, *, fps: float, speed: float, traces: Sequence[str] | None) -> FuncAnimation:
     """Animate a trajectory; see `Trajectory.animate`."""
     animations = _imported("matplotlib.animation", "Animations")
@@ -366,7 +351,7 @@ def animate(trajectory: Trajectory, *, fps: float, speed: float, traces: Sequenc
     model = trajectory.model
     positive(fps, "fps")
     positive(speed, "speed")
-    chosen = None if traces is None else _checked(model, traces)
+    chosen = None if traces is None else known_points(model, traces)
     n = abs(np.ptp(trajectory.t)) * fps / speed if len(trajectory.t) else 0.0
     if n > MAX_FRAMES:
         raise ModelError(f"The animation would have {n:.0f} frames, more than {MAX_FRAMES}: use a larger speed.")

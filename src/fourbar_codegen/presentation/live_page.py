@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
@@ -12,16 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourbar_codegen.analysis.initial_state import initial_state, initial_states
-from fourbar_codegen.arguments import finite_number, is_integer, name_of, named, slider_range
-from fourbar_codegen.building.page_module import page_module
+from fourbar_codegen.arguments import finite_number, is_integer, is_mapping, name_of, named, slider_range
 from fourbar_codegen.errors import AssemblyError, ModelError, shown
 from fourbar_codegen.files import save
 from fourbar_codegen.kernel.inputs import by_name
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.presentation.drawing import ENERGY, panel_names
 from fourbar_codegen.presentation.html_page import frame_times, html_file, html_text, scene_data
-from fourbar_codegen.presentation.scene import Scene, scene
-from fourbar_codegen.progress import Progress
+from fourbar_codegen.presentation.scene import Scene, known_points, scene
 from fourbar_codegen.tables import Page
 
 if TYPE_CHECKING:
@@ -50,6 +48,7 @@ STATISTICS = ("greatest", "least", "greatest magnitude", "range", "mean", "last"
 
 def live_page(
     run: Trajectory,
+    module: Callable[[], bytes],
     path: str | Path | None,
     *,
     ranges: Mapping[Any, tuple[float, float]],
@@ -57,10 +56,13 @@ def live_page(
     watch: Sequence[tuple[str, str]] | None,
     height: int,
 ) -> Page:
-    """The page that begins with a run, written to a file if there is a path; see `CompiledModel.page`."""
+    """The page that begins with a run, written to a file if there is a path; see `CompiledModel.page`.
+
+    `module` compiles the model to WebAssembly, when everything else is known to be right.
+    """
     if not is_integer(height) or height < 1:
         raise ModelError(f"height must be a positive number of pixels, not {shown(height)}.")
-    title, text = f"Live page of {run.model.name}", _text(run, ranges, traces, watch)
+    title, text = f"Live page of {run.model.name}", _text(run, module, ranges, traces, watch)
     if path is not None:
         save(path, text, {".html": _write}, "A live page")
     return Page(title, text, int(height))
@@ -83,6 +85,7 @@ def check_inputs(model: Kernel, inputs: Mapping[Any, Any] | None) -> None:
 
 def _text(
     run: Trajectory,
+    module: Callable[[], bytes],
     ranges: Mapping[Any, tuple[float, float]],
     traces: Sequence[str] | None,
     watch: Sequence[tuple[str, str]] | None,
@@ -98,12 +101,12 @@ def _text(
     arrows = {point: len(found.positions) + number for number, point in enumerate(forces)}
     pictured = scene_data(found, arrows, found.unit)
     if traces is not None:
-        unknown = [name for name in traces if name not in model.points]
-        if unknown:
-            raise ModelError(f"There is no point {shown(unknown[0])}; there are {', '.join(model.points)}.")
+        chosen = known_points(model, traces)
         for point in pictured["points"]:
-            point["traced"] = point["name"] in traces
+            point["traced"] = point["name"] in chosen
     initial = _initial(model, modes[0])
+    if not is_mapping(ranges):
+        raise ModelError(f"ranges= is a mapping from names to pairs (low, high), not {shown(ranges)}.")
     known = {
         name: slider_range(ends, name)
         for name, ends in named(ranges, [*parameters, *dict(initial)], "parameter or initial value").items()
@@ -141,7 +144,7 @@ def _text(
         "size": found.size,
         "scene": pictured,
         "python": _python(model),
-        "wasm": base64.b64encode(_module(model)).decode("ascii"),
+        "wasm": base64.b64encode(module()).decode("ascii"),
     }
     return html_text("page.html", model.name, data, SCRIPTS, LAYOUT=html_file("page.css"))
 
@@ -149,18 +152,6 @@ def _text(
 def _parameters(run: Trajectory) -> list[float]:
     values = run.model.defaults.values() if run.parameters is None else run.parameters
     return [float(value) for value in values if value is not None]
-
-
-def _module(model: Kernel) -> bytes:
-    """The model as WebAssembly."""
-    sources = model.sources_of(
-        "derivatives",
-        f"A page is compiled from the sources of {model.name}, which are not beside {model.path}: compile the model "
-        "again, or load a module of build_model from its folder.",
-    )
-    with Progress(f"fourbar_codegen: {model.name}") as progress:
-        progress.stage("compiling to WebAssembly")
-        return page_module(model.name, sources, model.manifest)
 
 
 def _scene(run: Trajectory) -> Scene:
@@ -319,13 +310,14 @@ def _figures(model: Kernel, names: list[str], watch: Sequence[tuple[str, str]] |
         chosen = [("range", name) for name in model.coordinates[:2]]
         return [list(pair) for pair in (*chosen, *(("greatest magnitude", name) for name in model.outputs[:2]))]
     figures = []
-    for pair in watch:
-        if isinstance(pair, str) or len(pair) != 2 or pair[0] not in STATISTICS or pair[1] not in names:
+    for pair in watch if isinstance(watch, list | tuple) else [watch]:
+        words = [name_of(word) for word in pair] if isinstance(pair, list | tuple) else []
+        if len(words) != 2 or words[0] not in STATISTICS or words[1] not in names:
             raise ModelError(
-                f"watch= is a sequence of pairs of a statistic ({', '.join(STATISTICS)}) and the name of a quantity "
+                f"watch= is a list of pairs of a statistic ({', '.join(STATISTICS)}) and the name of a quantity "
                 f"({', '.join(names)}), not {shown(pair)}."
             )
-        figures.append([str(word) for word in pair])
+        figures.append(words)
     return figures
 
 

@@ -180,6 +180,7 @@ const show = run => {
   drawFigures();
   byId("cost").textContent = `${run.evaluations} evaluations, ${run.duration.toFixed(1)} ms`;
   if (!byId("code").hidden) byId("code").textContent = pythonLines();
+  if (isFirst) performance.mark("first picture");
   ++document.documentElement.dataset.runs;
 };
 

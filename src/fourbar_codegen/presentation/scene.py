@@ -7,17 +7,17 @@ from __future__ import annotations
 
 import importlib
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fourbar_codegen.errors import ModelError, ModelWarning
+from fourbar_codegen.errors import ModelError, ModelWarning, shown
 from fourbar_codegen.kernel.kernel import Kernel
 
-__all__ = ["SYMBOLS", "Line", "Scene", "Symbol", "View", "extent", "scene", "view_of"]
+__all__ = ["SYMBOLS", "Line", "Scene", "Symbol", "View", "extent", "known_points", "scene", "view_of"]
 
 Floats = NDArray[np.float64]
 
@@ -295,6 +295,20 @@ def scene(model: Kernel, positions: Floats, view: View | None = None) -> Scene:
     symbols += [Symbol("mass", point) for point in masses if point not in still or len(still) == len(masses)]
     bodies = tuple(entry["body"] for entry in entries[: len(model.points)])
     return Scene(model.points, bodies, np.array(rows), tuple(lines), tuple(symbols), size, view, unit)
+
+
+def known_points(model: Kernel, points: Iterable[str]) -> list[str]:
+    """Names of points of a model, checked."""
+    try:
+        names = [] if isinstance(points, str) else list(points)
+    except TypeError:  # not a sequence
+        names = []
+    if not all(isinstance(name, str) for name in names) or not (names or isinstance(points, list | tuple)):
+        raise ModelError(f"Points are given as a sequence of their names, not {shown(points)}.")
+    unknown = [name for name in names if name not in model.points]
+    if unknown:
+        raise ModelError(f"There is no point {', '.join(map(str, unknown))}; there are {', '.join(model.points)}.")
+    return names
 
 
 def _coincide(positions: Floats, point: int, other: int, tolerance: float) -> bool:

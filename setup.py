@@ -65,6 +65,7 @@ class BuildExtension(build_ext):
 
     def copy_sources(self, folder: Path) -> None:
         """Copy what live pages are compiled from, when they are made."""
+        # Those of the part "derivatives" and the kernel in building/library.py.
         for wrapper in Path("generated").glob("*/*.pyx"):
             place = folder / f"{wrapper.stem}_sources"
             self.mkpath(str(place))

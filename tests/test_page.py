@@ -168,6 +168,9 @@ def test_what_scripts_may_ask(opened, made, four_bar):
         ({"mode": 7}, "There is no assembly mode 7; there are 2"),
         ({"rtol": 0}, "rtol is positive"),
         ({"speed": 2}, 'There is no option "speed"'),
+        ({"mode": "length"}, "There is no assembly mode length"),
+        ({"t_span": None}, "t_span has two times"),
+        ({"parameters": None}, "parameters is an object, not null"),
     ):
         with pytest.raises(Exception, match=re.escape(sentence)):
             simulated(page, **how)
@@ -179,9 +182,14 @@ def test_lines_of_python(opened, made, four_bar):
     move(page, "l3 (m)", 0.95)
     move(page, "u1", -0.3)
     move(page, "End", 1)
-    for kind in ("sine", "step", "ramp", "constant", "expression"):
-        page.locator("#groups select").nth(1).select_option(kind)
+    for kind in ("sine", "step", "step at 0", "ramp", "ramp to 0", "constant", "expression"):
+        page.locator("#groups select").nth(1).select_option(kind.split()[0])
         until(page, "!busy")
+        if kind == "step at 0":
+            move(page, "F, time", 0)
+        if kind == "ramp to 0":  # it ends before it begins
+            move(page, "F, begin", 0.4)
+            move(page, "F, end", 0)
         if page.locator("#code").is_hidden():
             page.locator("#python").click()
         names = {}
@@ -195,7 +203,7 @@ def test_a_link_carries_all_settings(opened, made):
     page = opened(made)
     move(page, "l2 (m)", 0.42)
     move(page, "q1", -0.3)
-    page.locator("#mode, #groups select").first.select_option("1")
+    page.locator("#groups select").first.select_option("1")
     until(page, "!busy")
     page.locator("#groups select").nth(1).select_option("sine")
     until(page, "!busy")
@@ -243,7 +251,8 @@ def test_reset_and_csv(opened, made, four_bar):
                          ("lambda1", run.multipliers[0]), ("lambda2", run.multipliers[1])):  # fmt: skip
         column = table[:, header.index(name)]
         np.testing.assert_allclose(column, values, rtol=0, atol=1e-7 * np.abs(values).max(), err_msg=name)
-    assert table[:, header.index("largest residual")].max() < 1e-12
+    # Both are rounding errors of the same loops, of positions alone.
+    assert table[:, header.index("largest residual")].max() < 10 * np.abs(run.constraint_residual).max()
 
 
 def test_points_and_forces(opened, made, four_bar):
@@ -279,16 +288,123 @@ def test_singular_positions(opened, made):
     assert np.isfinite(y).all()
 
 
-def test_runs_that_take_too_long_are_dropped(opened):
-    """A stiff spring; while the last one runs, moves are dropped, and the page answers."""
-    model = fb.compile_model(fb.models.cartesian_pendulum())
-    page = opened(model.page())
-    page.evaluate("void (settings.t_span[1] = 1e7, update())")
-    for value in (0.5, 0.6, 0.7, 0.8):
-        page.wait_for_timeout(150)
-        page.evaluate(f"settings.t_span[1] = {value}; moved()")
+def test_runs_that_take_too_long_are_dropped(opened, made):
+    """The worker is busy for minutes; a run behind that and the next move wait, until the worker is replaced."""
+    page = opened(made)
+    page.evaluate("void engine.ask('evaluation', closedPoints[0], 1e10).catch(() => {})")
+    page.evaluate("settings.t_span[1] = 0.7; moved()")
+    page.evaluate("settings.t_span[1] = 0.8; moved()")
     until(page, "!busy && !waiting && shownRun.settings.t_span[1] === 0.8")
     assert shown(page)[0][-1] == 0.8
+    assert page.inner_text("#status") == ""
+
+
+def test_without_a_worker(browser, made, tmp_path):
+    """Where these are not allowed, the page's own thread simulates."""
+    path = tmp_path / "page.html"
+    path.write_text(made.text.replace("worker-src blob:", "worker-src 'none'"), encoding="utf-8")
+    page = browser.new_page()
+    page.goto(path.as_uri())
+    until(page, "shownRun !== null && !busy")
+    move(page, "l2 (m)", 0.45)
+    assert page.evaluate("shownRun.settings.parameters.l2") == 0.45
+    page.close()
+
+
+def test_states_that_were_not_computed_are_not_shown(opened, four_bar):
+    """A run that ends by the number of its steps, and one whose prescribed speed jumps before it begins."""
+    model = fb.compile_model(fb.models.cartesian_pendulum())
+    page = opened(model.page())
+    found = simulated(page, t_span=[0, 1e6])
+    assert not found["success"]
+    assert "number of steps" in found["message"]
+    x0 = page.evaluate("data.modes[0]")
+    np.testing.assert_allclose(found["y"][:, 0], x0, rtol=0, atol=1e-12)
+    assert np.abs(np.hypot(found["y"][0], found["y"][1]) - np.hypot(x0[0], x0[1])).max() < 1e-9
+    linkage = fb.Linkage("jumping", points={"A": (0, 0), "B": (1, 0)}, ground="A", links=["AB"], density=1.0)
+    t = me.dynamicsymbols._t
+    linkage.drive("A", angle=sm.Piecewise((t, t < 1), (2 * t - 1, True)))
+    page = opened(fb.compile_model(linkage.model()).page(t_span=(0.0, 0.5)))
+    found = simulated(page, t_span=[0, 2])
+    assert "speed of a prescribed motion jumps" in found["message"]
+    assert found["t"].size == 0
+    assert all(len(row) == 0 for row in found["y"])
+
+
+def test_the_address_has_the_present_guess(opened, made):
+    page = opened(made)
+    box = page.get_by_label("l2 (m), number", exact=True)
+    box.fill("0.7")
+    box.press("Enter")
+    until(page, "!busy && location.hash.includes('0.7')")
+    guess = np.array(page.evaluate("new URLSearchParams(location.hash.slice(1)).get('guess').split(',').map(Number)"))
+    np.testing.assert_allclose(guess, page.evaluate("closedPoints[0].x.filter((_, i) => dependent[i])"), atol=1e-8)
+
+
+def test_a_link_during_a_run(opened, made):
+    """What the old run finds is not the new settings' guess; what the page does not know is said."""
+    page = opened(made)
+    other = page.evaluate("data.modes[1].filter((_, i) => dependent[i]).join()")
+    page.evaluate(f"void (moved(), readLink('p.l2=0.51&p.l9=1&guess={other}'))")
+    until(page, "!busy && !waiting")
+    angles = page.evaluate("[shownRun.x0[2], data.modes[1][2]]")
+    assert np.sin(angles[0]) * np.sin(angles[1]) > 0.0
+    assert "does not know: p.l9" in page.inner_text("#status")
+    page.locator("summary", has_text="Traces").click()
+    page.get_by_label("P44", exact=True).check()
+    page.evaluate("readLink('p.l2=0.5')")
+    until(page, "!busy && !waiting")
+    assert not page.get_by_label("P44", exact=True).is_checked()
+
+
+def test_assembly_modes_do_not_change_without_a_word(opened, made):
+    """The two of a four-bar differ in the sign of sin q3."""
+    page = opened(made)
+    rng = np.random.default_rng(1)
+    lengths = ["l1", "l2", "l3", "l4"]
+    told = closed = 0
+    for _ in range(150):
+        chosen = dict(zip(lengths, rng.uniform(0.3, 1.5, 4).tolist(), strict=True)) | {"q1": float(rng.uniform(-3, 3))}
+        run = page.evaluate(
+            """async ({q1, ...lengths}) => {
+                Object.assign(settings.parameters, lengths);
+                settings.initial.q1 = q1;
+                settings.t_span = [0, 0.01];
+                const before = closedPoints[0].x[2];
+                await update();
+                return [before, shownRun.x0[2], byId("status").textContent];
+            }""",
+            chosen,
+        )
+        if "cannot be assembled" in run[2]:
+            continue
+        closed += 1
+        if np.sin(run[0]) * np.sin(run[1]) < 0.0:
+            told += 1
+            assert "The assembly mode could not be followed" in run[2]
+    assert closed > 50
+    assert told > 0
+
+
+def test_figures(opened, four_bar):
+    names = ["greatest", "least", "greatest magnitude", "range", "mean", "last"]
+    page = opened(four_bar.page(t_span=(0.0, 2.0), watch=[(name, "u1") for name in names]))
+    assert page.evaluate("Object.keys(STATISTICS)") == names
+    t, y = shown(page)
+    u = y[3]
+    mean = ((u[1:] + u[:-1]) / 2 * np.diff(t)).sum() / (t[-1] - t[0])
+    cells = [float(text) for text in page.locator("#figures td:nth-child(2)").all_text_contents()]
+    np.testing.assert_allclose(cells, [u.max(), u.min(), np.abs(u).max(), np.ptp(u), mean, u[-1]], rtol=1e-5)
+
+
+def test_no_alarm_at_rest(opened):
+    """A step in the middle of the run: nothing moves in its first half."""
+    model = fb.compile_model(fb.models.slider_crank())
+    page = opened(model.page(inputs={"torque": 0.0}, t_span=(0.0, 1.0)))
+    page.locator("#groups select").last.select_option("step")
+    until(page, "!busy")
+    assert page.evaluate("columnOf(shownRun, data.energies).slice(-1)[0]") > 0.0
+    assert page.inner_text("#status") == ""
 
 
 def test_moves_leave_nothing_behind(opened, made):
@@ -354,6 +470,15 @@ def test_by_keyboard_alone(opened, made):
     page.keyboard.press("Space")
     until(page, "controls.shown() > 3")
     page.keyboard.press("Space")
+    reach("e.ariaLabel === 'Remove range, q1'")
+    page.keyboard.press("Enter")
+    assert page.evaluate("document.activeElement.ariaLabel") == "Remove range, q2"
+    reach("e.id === 'python'")
+    page.keyboard.press("Enter")
+    reach("e.id === 'code'")
+    frame = page.evaluate("controls.shown()")
+    page.keyboard.press("ArrowRight")
+    assert page.evaluate("controls.shown()") == frame
     reach("e.id === 'reset'")
     page.keyboard.press("Enter")
     until(page, "!busy && settings.parameters.l2 === 0.5")
@@ -512,6 +637,7 @@ def test_what_cannot_be_a_page(four_bar, tmp_path, monkeypatch):
         ({"traces": ["P9"]}, "There is no point P9"),
         ({"watch": [("most", "q1")]}, "watch= is a list of pairs"),
         ({"watch": ["q1"]}, "watch= is a list of pairs"),
+        ({"ranges": ["l2"]}, "ranges= is a mapping"),
         ({"ranges": {"l9": (0, 1)}}, "There is no parameter or initial value 'l9'"),
         ({"height": 0}, "height must be a positive number of pixels"),
         ({"t_span": (0.0, np.nan)}, "t_span"),
@@ -520,6 +646,9 @@ def test_what_cannot_be_a_page(four_bar, tmp_path, monkeypatch):
             four_bar.page(path, **how)
     with pytest.raises(fb.ModelError, match=r"saved as \.html"):
         four_bar.page(tmp_path / "page.txt")
+    taken = fb.Model(pendulum(), name="taken", parameters={M: 1.0, G: 9.81, L: 1.0}, outputs={"kinetic energy": M})
+    with pytest.raises(fb.ModelError, match="names kinetic energy are reserved"):
+        fb.compile_model(taken).page(path, x0=[0.1, 0.0])
     unset = fb.compile_model(fb.Model(pendulum(), name="unset", parameters={M: 1.0, G: 9.81, L: None}))
     with pytest.raises(fb.ModelError, match="no default for its parameters l"):
         unset.page(path)

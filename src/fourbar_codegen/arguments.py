@@ -203,12 +203,10 @@ def positive(value: float, what: str) -> float:
 
 def slider_range(ends: Any, what: str) -> tuple[float, float]:
     """The two ends of a slider, or a ModelError that names the argument."""
-    if isinstance(ends, str) or not hasattr(ends, "__len__") or len(ends) != 2:
-        raise ModelError(f"The range of {what} is (low, high), not {shown(ends)}.")
-    low, high = (finite_number(end, f"the range of {what}") for end in ends)
-    if not low < high:
-        raise ModelError(f"The range of {what} is (low, high) with low < high, not {shown(ends)}.")
-    return low, high
+    values = numbers(ends, f"The range of {what}")
+    if values.shape != (2,) or not is_finite(values) or not values[0] < values[1]:
+        raise ModelError(f"The range of {what} is (low, high) with finite low < high, not {shown(ends)}.")
+    return float(values[0]), float(values[1])
 
 
 def longest_step(value: float) -> float:

@@ -689,13 +689,14 @@ class CompiledModel(Kernel):
         inputs : mapping of input to float, optional
             What inputs begin as; by default their expressions.
         ranges : mapping of str to (float, float), optional
-            Of the sliders of parameters and independent initial values; by default `Parameter.range`, else from a fifth
-            of the value to its double.
+            Of the sliders of parameters and independent initial values. By default, for parameters `Parameter.range`,
+            else from a fifth of the value to its double, or both signs if it is zero; for angles half a turn to both
+            sides.
         traces : sequence of str, optional
             Names of points with a trace; by default the moving joints, or the mass centres if there are none.
         watch : sequence of (str, str), optional
-            Figures that are shown with their change: pairs of a statistic ("greatest", "least", "greatest magnitude",
-            "range", "mean", "last") and the name of a quantity, such as ``("greatest magnitude", "lambda1")``.
+            Figures of the shown frames, with their change: pairs of a statistic ("greatest", "least", "greatest
+            magnitude", "range", "mean", "last") and the name of a quantity, such as ``("range", "q1")``.
         height : int, optional
             Height in a notebook, pixels.
 

@@ -131,8 +131,14 @@ def wasm_compiler() -> Compiler:
         flags=("--target=wasm32-wasi", "-mexec-model=reactor", *(("-fno-sanitize=undefined",) if zig else ())),
         machine_flags=(),
         portable_flags=(),
-        # JavaScript lays its arrays behind the heap's beginning. Large models have large matrices on the stack.
-        link_flags=("-s", "-Wl,--export=__heap_base", "-Wl,-z,stack-size=8388608"),
+        # JavaScript lays its arrays behind the heap's beginning. Large models have large matrices on the stack. It is
+        # first in memory, as zig has it by itself, so that its overflow is an error.
+        link_flags=(
+            "-s",
+            "-Wl,--export=__heap_base",
+            "-Wl,-z,stack-size=8388608",
+            *(() if zig else ("-Wl,--stack-first",)),
+        ),
         is_zig=zig is not None,
     )
 

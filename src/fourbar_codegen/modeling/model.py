@@ -46,7 +46,7 @@ class Parameter:
         As shown to users, for example ``"kg m^2"``.
     description : str
     range : (float, float) or None
-        Of its slider in live pages; by default from a fifth of the value to its double.
+        Of its slider in live pages; by default from a fifth of the value to its double, or both signs for zero.
 
     Examples
     --------

@@ -155,18 +155,19 @@ if (data.inputs.length) {
   shows.push(() => { showEnd(settings.t_span[1]); showBegin(settings.t_span[0]); });
 }
 
+// Everything as the page began. A run that goes on ends with the old closed states, which nobody needs any more.
 const startAnew = () => {
+  before = shownRun;
+  settled = true;
+  unknownWords = "";
   settings = defaults();
   closedPoints = data.modes.map((_, mode) => beginningOf(mode));
-};
-byId("reset").addEventListener("click", () => {
-  before = shownRun;
-  startAnew();
   data.scene.points.forEach(({traced}, k) => { boxes[k].checked = traced; picture.trace(k, traced); });
   for (const {details, isOpenAtFirst} of plots) details.open = isOpenAtFirst;
   setFigures(structuredClone(data.figures));
+};
+byId("reset").addEventListener("click", () => {
+  startAnew();
   showSettings();
-  settled = true;
   update();
-  writeLink();
 });

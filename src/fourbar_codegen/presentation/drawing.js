@@ -358,7 +358,7 @@ const player = show => {
   byId("speed").addEventListener("change", begin);
   document.addEventListener("keydown", event => {
     if (event.ctrlKey || event.altKey || event.metaKey) return;
-    if (["INPUT", "SELECT", "BUTTON", "SUMMARY", "TEXTAREA", "A"].includes(event.target.tagName)) return;
+    if (event.target.closest("input, select, button, summary, a, [tabindex]")) return;
     const moves = {ArrowRight: shown + 1, ArrowLeft: shown - 1, Home: 0, End: times.length - 1};
     if (event.key === " ") controls.play(!playing);
     else if (event.key in moves) controls.seek(moves[event.key]);

@@ -28,14 +28,16 @@ const makeEngine = async bytes => {
   };
   const close = (point, guess) => {
     const status = set({...point, x: point.x.map((value, i) => point.dependent[i] ? guess[i] : value)});
-    return {status: status || wasm.close_loops(point.begin), x: array(wasm.state(), point.x.length).slice()};
+    const closed = status || wasm.close_loops(point.begin);
+    return {status: closed, x: array(wasm.state(), point.x.length).slice(), sign: closed ? 0 : wasm.orientation()};
   };
   const middle = (a, b) => a.map((value, i) => 0.5 * (value + b[i]));
   // Continues an assembly mode from one closed state to other values: two ways have to agree, at once and by the
-  // middle; otherwise by shorter steps.
+  // middle, and the sign of the constraints' determinant is kept; otherwise by shorter steps. The mode is lost if that
+  // does not hold for short ones.
   const follow = (from, to, depth = 0) => {
     const direct = close(to, from.x);
-    if (depth === DEPTH) return direct;
+    if (depth === DEPTH) return {...direct, lost: true};
     const between = {...to, p: middle(from.p, to.p), x: middle(from.x, to.x), begin: 0.5 * (from.begin + to.begin),
       signals: middle(from.signals, to.signals).map((value, i, all) =>
         i % 6 < 2 || from.signals[i - i % 6] !== to.signals[i - i % 6] ? to.signals[i] : all[i])};
@@ -43,19 +45,22 @@ const makeEngine = async bytes => {
     if (direct.status === OK && half.status === OK) {
       const again = close(to, half.x);
       const agree = (value, i) => Math.abs(value - direct.x[i]) <= NEAR * (1 + Math.abs(value));
-      if (again.status === OK && again.x.every(agree)) return again;
+      const kept = [half, again, direct].every(({sign}) => sign * from.sign >= 0);
+      if (again.status === OK && kept && again.x.every(agree)) return again;
     }
     const first = follow(from, between, depth + 1);
-    return first.status === OK ? follow({...between, x: first.x}, to, depth + 1) : first;
+    if (first.status !== OK) return first;
+    const second = follow({...between, x: first.x, sign: first.sign}, to, depth + 1);
+    return {...second, lost: first.lost || second.lost};
   };
   const run = ({from, begin, end, rtol, atol, times, ...point}) => {
     const began = performance.now(), n = times.length, width = point.x.length;
     const to = {...point, begin};
     // If the mode cannot be followed all the way, the loops may still close.
-    const followed = from ? follow(from, to) : close(to, point.x);
-    const closed = followed.status === OK ? followed : close(to, from ? from.x : point.x);
-    const result = {status: closed.status, closed: closed.status === OK, x0: closed.x, reached: begin, n: 0, length: 0,
-      rows: new Float64Array(0), evaluations: 0};
+    const followed = follow({...from, sign: close(from, from.x).sign}, to);
+    const closed = followed.status === OK ? followed : {...close(to, from.x), lost: true};
+    const result = {status: closed.status, closed: closed.status === OK, lost: Boolean(closed.lost), x0: closed.x,
+      reached: begin, n: 0, length: 0, rows: new Float64Array(0), evaluations: 0};
     if (result.closed) {
       set({...point, x: closed.x});
       result.length = wasm.row_length();
@@ -65,14 +70,13 @@ const makeEngine = async bytes => {
       result.status = wasm.simulate(begin, end, rtol, atol, start, n, states);
       result.reached = wasm.time_reached();
       result.evaluations = wasm.evaluations_of_run();
-      const before = t => (t - result.reached) * (end - begin) <= 0;
-      while (result.n < n && (result.status === OK || before(times[result.n]))) ++result.n;
+      result.n = wasm.states_stored();
       wasm.observe(start, states, result.n, rows);
       result.rows = array(rows, result.n * result.length).slice();
     }
     return {...result, message: message(result.status), duration: performance.now() - began};
   };
-  // Nanoseconds of an evaluation of the equations of motion, for benchmarks.
+  // Nanoseconds of an evaluation of the equations of motion, for benchmarks and tests.
   const evaluation = ({p, x, signals, begin}, count) => {
     set({p, x, signals});
     reserve(2 * x.length);
@@ -97,14 +101,17 @@ const engineCaller = bytes => {
     try {
       const text = `const bytes = Uint8Array.from(atob("${bytes}"), c => c.charCodeAt(0)); ${serve}`;
       const address = URL.createObjectURL(new Blob([text], {type: "text/javascript"}));
-      worker = new Worker(address);
+      const own = new Worker(address);
+      worker = own;
       URL.revokeObjectURL(address);
-      worker.addEventListener("message", ({data: {id, value, error}}) => {
+      own.addEventListener("message", ({data: {id, value, error}}) => {
+        if (!waiting.has(id)) return;
         const {resolve, reject} = waiting.get(id);
         waiting.delete(id);
         if (error === undefined) resolve(value); else reject(new Error(error));
       });
-      worker.addEventListener("error", event => { // where workers are not allowed, the page's own thread does it
+      own.addEventListener("error", event => { // where workers are not allowed, the page's own thread does it
+        if (worker !== own) return;
         event.preventDefault();
         worker = null;
         for (const [id, {name, given, resolve, reject}] of waiting) {

@@ -31,7 +31,7 @@ const writeLink = () => {
   written = linkText();
   try {
     history.replaceState(null, "", written ? `#${written}` : location.pathname + location.search);
-  } catch { /* a page in a frame has no address of its own */ }
+  } catch { /* in a frame */ }
 };
 
 const numbersIn = text => text === "" ? [] : text.split(",").map(word => word.trim() === "" ? NaN : Number(word));
@@ -72,7 +72,7 @@ const readWord = (key, value) => {
   return true;
 };
 // Takes over the settings of a link, and runs; what it does not know is left out, and said.
-const readLink = async text => {
+const readLink = text => {
   const words = new URLSearchParams(text);
   startAnew();
   const unknown = [...words].filter(([key, value]) => !readWord(key, value)).map(([key]) => key);
@@ -82,21 +82,18 @@ const readLink = async text => {
     const point = pointOf(settings);
     closedPoints[settings.mode] = {...point, x: point.x.map((value, i) => dependent[i] ? guess[k++] : value)};
   }
+  if (unknown.length) unknownWords = `The link has settings that this page does not know: ${unknown.join(", ")}.`;
   written = text;
   showSettings();
-  settled = true;
-  await update();
-  if (unknown.length) say(`The link has settings that this page does not know: ${unknown.join(", ")}.`);
+  update();
 };
 addEventListener("hashchange", () => {
   const text = location.hash.slice(1);
-  if (text === written) return;
-  before = shownRun;
-  readLink(text);
+  if (text !== written) readLink(text);
 });
 
+byId("link").hidden = location.protocol === "about:"; // a page in a frame has no address of its own
 byId("link").addEventListener("click", async () => {
-  writeLink();
   const address = `${location.href.split("#")[0]}#${written}`;
   try {
     await navigator.clipboard.writeText(address);
@@ -126,18 +123,18 @@ byId("csv").addEventListener("click", () => {
 const pythonLines = () => {
   if (!shownRun) return "";
   const {settings: {parameters, initial, inputs, t_span}, x0} = shownRun, {n_q: q, n_u: u, states} = data;
-  const number = value => Number.isInteger(value) ? `${value}.0` : String(value);
+  const number = value => /[.e]/.test(String(value)) ? String(value) : `${value}.0`;
   const dict = entries => `{${entries.map(([name, text]) => `${JSON.stringify(name)}: ${text}`).join(", ")}}`;
   const values = (from, to, chosen) => dict(states.map((name, i) => [name, i]).slice(from, to)
     .filter(([, i]) => chosen(i)).map(([name, i]) => [name, number(dependent[i] ? x0[i] : initial[name])]));
   const notes = [], sources = [];
   for (const {name, prescribed} of data.inputs) {
-    const {kind, values: given} = inputs[name], [a, b, c, d] = given.map(number);
+    const {kind, values: given} = signalAs(inputs[name]), [a, b, c, d] = given.map(number);
     const sine = module => `${a} + ${b} * ${module}.sin(2 * ${module}.pi * ${c} * t + ${d})`;
     const text = {constant: a, sine: `lambda t, x: ${sine("np")}`, ramp: `([${c}, ${d}], [${a}, ${b}])`,
-      step: `([np.nextafter(${c}, -np.inf), ${c}], [${a}, ${b}])`}[kind];
+      step: `([${number(given[2] - 1e-12 * Math.max(1, Math.abs(given[2])))}, ${c}], [${a}, ${b}])`}[kind];
     if (prescribed && ["sine", "line"].includes(kind)) {
-      notes.push("# Its rates are needed: compile the Model with this expression of t = me.dynamicsymbols._t,",
+      notes.push(`# The rates of ${name} are needed: compile the Model with this expression of t.`,
         `# inputs={${name}: ${kind === "sine" ? sine("sm") : `${a} + ${b} * t`}}`);
     } else if (text) sources.push([name, text]);
   }
@@ -149,8 +146,9 @@ const pythonLines = () => {
     ...states.length > q + u ? [`auxiliary_states=${values(q + u, states.length, () => true)}`] : [], ...given];
   const run = [`(${t_span.map(number).join(", ")})`, "x0", ...given, `rtol=${data.rtol}`, `atol=${data.atol}`];
   const called = (name, words) => [`${name}(`, ...words.map(word => `    ${word},`), ")"];
+  if (notes.length) return [...notes, ""].join("\n");
   return [...sources.some(([, text]) => text.includes("np.")) ? ["import numpy as np", ""] : [],
-    "import fourbar_codegen as fb", "", data.python, ...notes,
+    "import fourbar_codegen as fb", "", data.python,
     ...changed.length ? [`parameters = ${dict(changed)}`] : [], ...sources.length ? [`inputs = ${dict(sources)}`] : [],
     ...called("x0 = model.initial_state", state), ...called("run = model.simulate", run), ""].join("\n");
 };
@@ -182,20 +180,23 @@ const signalFrom = (name, given) => {
     throw new RangeError(`${name} is a number${own}, or an object whose kind is one of ` +
       `${kinds.filter(each => each !== "expression").join(", ")}; not ${kind}.`);
   }
-  checkNames(coefficients, KINDS[kind].fields, `coefficient of a ${kind}`);
-  return {kind, values: KINDS[kind].fields.map(field => finiteNumber(coefficients[field], `${name}, ${field},`))};
+  checkNames(coefficients, KINDS[kind].names, `coefficient of a ${kind}`);
+  return {kind, values: KINDS[kind].names.map(each => finiteNumber(coefficients[each], `${name}, ${each},`))};
 };
 let scriptEngine = null; // its own, so that sliders and scripts do not wait for each other
 const simulate = async ({parameters = {}, initial = {}, inputs = {}, t_span = data.t_span, times = null,
   rtol = data.rtol, atol = data.atol, mode = 0, ...rest} = {}) => {
-  const chosen = {...defaults(), mode, t_span: Array.from(t_span, t => finiteNumber(t, "A time"))};
   checkNames(rest, [], "option");
+  for (const [name, given] of Object.entries({parameters, initial, inputs})) {
+    if (typeof given !== "object" || given === null) throw new TypeError(`${name} is an object, not ${given}.`);
+  }
+  if (!Array.isArray(t_span) || t_span.length !== 2) throw new RangeError("t_span has two times.");
+  const chosen = {...defaults(), mode, t_span: t_span.map(t => finiteNumber(t, "A time"))};
   checkNames(parameters, Object.keys(chosen.parameters), "parameter");
   checkNames(initial, data.states, "state");
   checkNames(inputs, Object.keys(chosen.inputs), "input");
   const n = data.modes.length;
-  if (!data.modes[mode]) throw new RangeError(`There is no assembly mode ${mode}; there are ${n}, from 0.`);
-  if (chosen.t_span.length !== 2) throw new RangeError("t_span has two times.");
+  if (!Number.isInteger(mode) || !data.modes[mode]) throw new RangeError(`There is no assembly mode ${mode}; there are ${n}, from 0.`);
   for (const name in parameters) chosen.parameters[name] = finiteNumber(parameters[name], name);
   for (const name in inputs) chosen.inputs[name] = signalFrom(name, inputs[name]);
   const guess = [...data.modes[mode]];
@@ -222,7 +223,7 @@ const simulate = async ({parameters = {}, initial = {}, inputs = {}, t_span = da
 window.fourbar = Object.freeze({
   name: data.name,
   names: Object.freeze({
-    states: data.states, coordinates: data.states.slice(0, data.n_q),
+    states: [...data.states], coordinates: data.states.slice(0, data.n_q),
     speeds: data.states.slice(data.n_q, data.n_q + data.n_u), independent: data.initial.map(({name}) => name),
     parameters: data.parameters.map(({name}) => name), inputs: data.inputs.map(({name}) => name),
   }),

@@ -14,11 +14,19 @@ from numpy.typing import NDArray
 from fourbar_codegen.analysis.initial_state import initial_state, initial_states
 from fourbar_codegen.arguments import finite_number, is_integer, is_mapping, name_of, named, slider_range
 from fourbar_codegen.errors import AssemblyError, ModelError, shown
-from fourbar_codegen.files import save
+from fourbar_codegen.files import check_free, path_of, save, writer_of
 from fourbar_codegen.kernel.inputs import by_name
 from fourbar_codegen.kernel.kernel import Kernel
-from fourbar_codegen.presentation.drawing import ENERGY, panel_names
-from fourbar_codegen.presentation.html_page import frame_times, html_file, html_text, scene_data
+from fourbar_codegen.presentation.drawing import ARROW, ENERGY, panel_names
+from fourbar_codegen.presentation.html_page import (
+    FRAMES_PER_SECOND,
+    MAX_FRAMES,
+    MIN_FRAMES,
+    frame_times,
+    html_file,
+    html_text,
+    scene_data,
+)
 from fourbar_codegen.presentation.scene import Scene, known_points, scene
 from fourbar_codegen.tables import Page
 
@@ -41,6 +49,7 @@ SAME = 1e-6
 """Largest difference of two states of the same assembly mode."""
 
 MOST_MODES = 64
+"""Assembly modes that a page has; there may be a thousand."""
 
 STATISTICS = ("greatest", "least", "greatest magnitude", "range", "mean", "last")
 """Of a quantity over a run, as in page.js."""
@@ -62,14 +71,19 @@ def live_page(
     """
     if not is_integer(height) or height < 1:
         raise ModelError(f"height must be a positive number of pixels, not {shown(height)}.")
+    if path is not None:
+        writer_of(path_of(path), WRITERS, "A live page")
     title, text = f"Live page of {run.model.name}", _text(run, module, ranges, traces, watch)
     if path is not None:
-        save(path, text, {".html": _write}, "A live page")
+        save(path, text, WRITERS, "A live page")
     return Page(title, text, int(height))
 
 
 def _write(text: str, file: IO[bytes]) -> None:
     file.write(text.encode("utf-8"))
+
+
+WRITERS = {".html": _write}
 
 
 def check_inputs(model: Kernel, inputs: Mapping[Any, Any] | None) -> None:
@@ -94,6 +108,7 @@ def _text(
     parameters = dict(zip(model.parameters, _parameters(run), strict=True))
     found = _scene(run)
     names = [name for _, of_panel, _ in panel_names(model) for name in of_panel]
+    check_free(model.outputs, {*names} - {*model.outputs} | {name for name in names if names.count(name) > 1})
     modes = _modes(run)
     guides = [shape["points"] for shape in model.manifest["shapes"] if shape["kind"] == "slider"]
     forces = model.manifest["forced_points"]
@@ -104,12 +119,12 @@ def _text(
         chosen = known_points(model, traces)
         for point in pictured["points"]:
             point["traced"] = point["name"] in chosen
-    initial = _initial(model, modes[0])
+    initial = {name: value for values in _independent(model, modes[0]).values() for name, value in values.items()}
     if not is_mapping(ranges):
         raise ModelError(f"ranges= is a mapping from names to pairs (low, high), not {shown(ranges)}.")
     known = {
         name: slider_range(ends, name)
-        for name, ends in named(ranges, [*parameters, *dict(initial)], "parameter or initial value").items()
+        for name, ends in named(ranges, [*parameters, *initial], "parameter or initial value").items()
     }
     data = {
         "name": model.name,
@@ -124,11 +139,13 @@ def _text(
         ],
         "initial": [
             {"name": name, "value": value} | _range(known.get(name) or _around_initial(model, name, value, found.size))
-            for name, value in initial
+            for name, value in initial.items()
         ],
         "inputs": _inputs(run),
         "entries": [{"name": entry["of"], "order": entry["order"]} for entry in model.manifest["inputs"]],
         "modes": [mode.tolist() for mode in modes],
+        "frames": {"rate": FRAMES_PER_SECOND, "least": MIN_FRAMES, "most": MAX_FRAMES},
+        "arrow": ARROW,
         "t_span": [float(time) for time in run.settings["t_span"]],
         "rtol": run.settings["rtol"],
         "atol": run.settings["atol"],
@@ -180,38 +197,35 @@ def _neighbours(run: Trajectory, size: float) -> list[Floats]:
     return found
 
 
+def _independent(model: Kernel, x: Floats) -> dict[str, Any]:
+    """The independent coordinates and speeds and the auxiliary states in a state, as `initial_state` takes them."""
+    ends = (model.n_q - model.manifest["n_dependent_coordinates"], model.n_u - model.manifest["n_dependent_speeds"])
+    values = dict(zip(model.states, map(float, x), strict=True))
+    kinds = {
+        "coordinates": model.coordinates[: ends[0]],
+        "speeds": model.speeds[: ends[1]],
+        "auxiliary_states": model.auxiliary_states,
+    }
+    return {kind: {name: values[name] for name in names} for kind, names in kinds.items()}
+
+
 def _closed(run: Trajectory, values: dict[str, float]) -> Floats:
     """The initial state of a run with other parameters."""
     model, x = run.model, run.y[:, 0]
-    n_i = model.n_q - model.manifest["n_dependent_coordinates"]
-    n_u = model.n_u - model.manifest["n_dependent_speeds"]
+    guess = x[model.n_q - model.manifest["n_dependent_coordinates"] : model.n_q]
     return initial_state(
-        model,
-        x[:n_i],
-        x[model.n_q : model.n_q + n_u],
-        t=float(run.t[0]),
-        guess=x[n_i : model.n_q],
-        parameters=values,
-        inputs=run.inputs,
-        auxiliary_states=x[model.n_q + model.n_u :],
+        model, **_independent(model, x), t=float(run.t[0]), guess=guess, parameters=values, inputs=run.inputs
     )
 
 
 def _modes(run: Trajectory) -> list[Floats]:
     """The initial state of the run, and those of the other assembly modes."""
     model, first = run.model, run.y[:, 0]
-    n_i = model.n_q - model.manifest["n_dependent_coordinates"]
-    n_u = model.n_u - model.manifest["n_dependent_speeds"]
-    if n_i == model.n_q:
+    if not model.manifest["n_dependent_coordinates"]:
         return [first]
+    parameters = dict(zip(model.parameters, _parameters(run), strict=True))
     found = initial_states(
-        model,
-        first[:n_i],
-        first[model.n_q : model.n_q + n_u],
-        t=float(run.t[0]),
-        parameters=dict(zip(model.parameters, _parameters(run), strict=True)),
-        inputs=run.inputs,
-        auxiliary_states=first[model.n_q + model.n_u :],
+        model, **_independent(model, first), t=float(run.t[0]), parameters=parameters, inputs=run.inputs
     )
     angles = np.array([name in model.manifest["angles"] for name in model.coordinates])
     modes = [first]
@@ -221,13 +235,6 @@ def _modes(run: Trajectory) -> list[Floats]:
         if np.isfinite(mode).all() and np.abs(difference).max() > SAME:
             modes.append(mode)
     return modes[:MOST_MODES]
-
-
-def _initial(model: Kernel, x: Floats) -> list[tuple[str, float]]:
-    """Independent coordinates and speeds, and auxiliary states, with their initial values."""
-    ends = (model.n_q - model.manifest["n_dependent_coordinates"], model.n_u - model.manifest["n_dependent_speeds"])
-    names = (*model.coordinates[: ends[0]], *model.speeds[: ends[1]], *model.auxiliary_states)
-    return [(name, float(x[model.states.index(name)])) for name in names]
 
 
 def _range(ends: tuple[float, float]) -> dict[str, float]:

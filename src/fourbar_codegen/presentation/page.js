@@ -1,18 +1,21 @@
 // A live page: settings -> a run -> pictures, plots and figures.
 
 let settings = defaults();
+document.documentElement.dataset.runs = 0; // how many have ended, for scripts that wait for one
 // The run that is shown, and the one before the last change, which stays as a ghost.
 let shownRun = null, before = null;
 // No slider is held.
 let settled = true;
-// For each assembly mode the last closed initial state, with its settings.
+// What a link has that the page does not know.
+let unknownWords = "";
+// For each assembly mode a closed initial state with its settings, from which it is followed: the last one.
 let closedPoints = data.modes.map((_, mode) => beginningOf(mode));
 
 // Runs, one at a time; of the moves during a run, only the last one counts.
 
 const PATIENCE = 400, LIMIT = 20000; // ms, for a run that others wait for, and for any
 const engine = engineCaller(data.wasm);
-let busy = false, waiting = false, began = 0, stopped = false;
+let busy = false, waiting = false, stopped = false, began = 0, runs = 0;
 const stop = (text = "") => {
   stopped = true;
   if (text) say(text);
@@ -20,25 +23,29 @@ const stop = (text = "") => {
 };
 const update = async () => {
   if (busy) {
+    const left = Math.max(0, PATIENCE - (performance.now() - began));
+    if (!waiting) setTimeout(number => { if (busy && number === runs) stop(); }, left, runs);
     waiting = true;
-    if (performance.now() - began > PATIENCE) stop();
     return;
   }
   busy = true;
   began = performance.now();
-  const {mode} = settings, request = requestOf(settings, closedPoints[mode]), asked = structuredClone(settings);
+  ++runs;
+  const {mode} = settings, points = closedPoints, request = requestOf(settings, points[mode]);
+  const asked = structuredClone(settings);
   const limit = setTimeout(() => stop(`The run takes longer than ${LIMIT / 1000} s and was stopped: shorten it, or ` +
     "make the equations less stiff."), LIMIT);
   try {
     const run = await engine.ask("run", request);
-    if (run.closed) {
-      closedPoints[mode] = {...pointOf(asked), x: Array.from(run.x0)};
-      show({...run, settings: asked, times: request.times.subarray(0, run.n)});
-    }
-    say(sentence(run));
-    byId("mechanism").classList.toggle("stale", !run.closed);
+    if (run.closed) points[mode] = {...pointOf(asked), x: Array.from(run.x0)};
+    if (run.n) show({...run, settings: asked, times: request.times.subarray(0, run.n)});
+    say([sentence(run), unknownWords].filter(Boolean).join(" "));
+    byId("mechanism").classList.toggle("stale", !run.n);
+    if (settled && !waiting) writeLink();
+    ++document.documentElement.dataset.runs;
   } catch (error) {
     if (!stopped) say(`${error.message}.`);
+    byId("mechanism").classList.toggle("stale", !waiting);
   }
   clearTimeout(limit);
   busy = stopped = false;
@@ -56,27 +63,30 @@ const moved = () => {
 };
 const released = () => {
   settled = true;
-  if (!busy && shownRun) show(shownRun);
+  if (busy) return;
+  if (shownRun) show(shownRun);
   writeLink();
 };
 
 // What the page says about a run that does not end as it should.
 
 const say = text => { if (byId("status").textContent !== text) byId("status").textContent = text; };
-// As for runs in Python: the final kinetic energy is a thousand times both the largest of the first half and the range
-// of the potential energy.
+// As for runs in Python (GROWN in simulation/integrate.py): the final kinetic energy is a thousand times both the largest
+// of the first half and the range of the potential energy.
 const grown = run => {
   const kinetic = columnOf(run, data.energies), potential = columnOf(run, data.energies + 1);
   const early = Math.max(...kinetic.subarray(0, Math.ceil(run.n / 2)));
   const range = Math.max(...potential) - Math.min(...potential) || 0;
-  return run.n > 1 && kinetic[run.n - 1] > 1000 * Math.max(early, range);
+  const size = Math.max(early, range);
+  return size > 0 && kinetic[run.n - 1] > 1000 * size;
 };
 const sentence = run => {
   if (!run.closed) {
     return `The mechanism cannot be assembled with these values: ${run.message}. The picture shows the last values ` +
       "with which it can: move the last one back, or choose another assembly mode.";
   }
-  return [run.status === 0 ? "" : `The run ends at t = ${numberText(run.reached)} s: ${run.message}.`,
+  return [run.lost ? "The assembly mode could not be followed to these values: another one may be shown." : "",
+    run.status === 0 ? "" : `The run ends at t = ${numberText(run.reached)} s: ${run.message}.`,
     grown(run) ? "The energy has grown a thousandfold: loads feed the motion, or integration errors do." : ""]
     .filter(Boolean).join(" ");
 };
@@ -94,14 +104,14 @@ const positionsOf = run => {
     for (let k = 0; k < points; ++k) found.set(given(i, k), 3 * (i * m + k));
   }
   guides.forEach((guide, g) => placeGuide(found, run.n, m, guide, points + 2 * g));
-  // The scale of forces is kept while a slider is held: their greatest is a quarter of the mechanism's size.
+  // The scale of forces is kept while a slider is held: their greatest is a part of the mechanism's size.
   if (settled || !arrowScale) {
     let greatest = 0;
     for (let i = 0; i < run.n; ++i) forces.forEach((_, k) => {
       const size = Math.hypot(...given(i, points + k));
       if (Number.isFinite(size)) greatest = Math.max(greatest, size);
     });
-    arrowScale = greatest > 0 ? 0.25 * data.size / greatest : 0;
+    arrowScale = greatest > 0 ? data.arrow * data.size / greatest : 0;
   }
   for (let i = 0; i < run.n; ++i) forces.forEach((from, k) => {
     const force = given(i, points + k), at = 3 * (i * m + m - forces.length + k);
@@ -166,7 +176,6 @@ addEventListener("resize", () => {
   width = innerWidth;
 });
 
-document.documentElement.dataset.runs = 0; // how many were shown, for scripts that wait for one
 const show = run => {
   const isFirst = shownRun === null;
   shownRun = {...run, positions: positionsOf(run)};
@@ -181,7 +190,6 @@ const show = run => {
   byId("cost").textContent = `${run.evaluations} evaluations, ${run.duration.toFixed(1)} ms`;
   if (!byId("code").hidden) byId("code").textContent = pythonLines();
   if (isFirst) performance.mark("first picture");
-  ++document.documentElement.dataset.runs;
 };
 
 // Figures: a statistic of a quantity over the run, and its change.
@@ -215,7 +223,11 @@ const drawFigures = () => {
       make("td", {}, row);
       make("td", {}, row);
       make("button", {type: "button", "aria-label": `Remove ${text}`}, make("td", {}, row), "\u00d7")
-        .addEventListener("click", () => setFigures(figures.filter(each => each !== figure)));
+        .addEventListener("click", () => {
+          const number = figures.indexOf(figure);
+          setFigures(figures.filter(each => each !== figure));
+          (body.querySelectorAll("button")[number] ?? byId("add")).focus();
+        });
     }
   }
   if (shownRun) figures.forEach((figure, number) => {
@@ -228,7 +240,7 @@ const setFigures = chosen => {
   figures = chosen;
   byId("figures").replaceChildren();
   drawFigures();
-  writeLink();
+  if (!busy) writeLink();
 };
 for (const name in STATISTICS) make("option", {}, byId("statistic"), name);
 for (const name of data.columns) make("option", {}, byId("quantity"), name);

@@ -1,17 +1,19 @@
 // What a run of a live page depends on, and what the engine takes of it.
 const data = JSON.parse(byId("data").textContent);
 
-// Inputs as functions of time, with the numbers and the order of coefficients of fourbar_page.h: their titles, the
-// names of their coefficients, and those for scripts.
+// Inputs as functions of time, with the numbers and the order of coefficients of fourbar_page.h: their titles, and the
+// names of their coefficients.
 const KINDS = {
-  expression: {number: 0, title: "", names: [], fields: []},
-  constant: {number: 1, title: "number", names: ["value"], fields: ["value"]},
-  sine: {number: 2, title: "sine", names: ["mean", "amplitude", "frequency", "phase"],
-    fields: ["mean", "amplitude", "frequency", "phase"]},
-  step: {number: 3, title: "step", names: ["before", "after", "time"], fields: ["before", "after", "time"]},
-  ramp: {number: 4, title: "ramp", names: ["from", "to", "begin", "end"], fields: ["from", "to", "begin", "end"]},
-  line: {number: 5, title: "constant rate", names: ["at t = 0", "rate"], fields: ["value", "rate"]},
+  expression: {number: 0, title: "", names: []},
+  constant: {number: 1, title: "number", names: ["value"]},
+  sine: {number: 2, title: "sine", names: ["mean", "amplitude", "frequency", "phase"]},
+  step: {number: 3, title: "step", names: ["before", "after", "time"]},
+  ramp: {number: 4, title: "ramp", names: ["from", "to", "begin", "end"]},
+  line: {number: 5, title: "constant rate", names: ["value", "rate"]},
 };
+// A ramp that does not end after it begins is a step.
+const signalAs = ({kind, values}) => kind === "ramp" && values[2] >= values[3] ?
+  {kind: "step", values: values.slice(0, 3)} : {kind, values};
 
 // Parameters, initial values of the independent states, inputs, first and last time, and the assembly mode.
 const defaults = () => ({
@@ -29,17 +31,20 @@ const dependent = data.states.map((_, i) => !initialPlaces.includes(i));
 const pointOf = ({parameters, initial, inputs, t_span: [begin], mode}, guess = data.modes[mode]) => {
   const x = [...guess];
   data.initial.forEach(({name}, i) => { x[initialPlaces[i]] = initial[name]; });
-  const signals = data.entries.flatMap(({name, order}) =>
-    [KINDS[inputs[name].kind].number, order, ...inputs[name].values, 0, 0, 0, 0].slice(0, 6));
+  const signals = data.entries.flatMap(({name, order}) => {
+    const {kind, values} = signalAs(inputs[name]);
+    return [KINDS[kind].number, order, ...values, 0, 0, 0, 0].slice(0, 6);
+  });
   return {p: data.parameters.map(({name}) => parameters[name]), x, dependent, begin, signals};
 };
 
 // The closed initial state of an assembly mode, from which it is followed to other settings.
 const beginningOf = mode => ({...pointOf({...defaults(), mode}), x: data.modes[mode]});
 
-// The times that are shown; as many as in the package's reports.
+// The times that are shown.
 const framesBetween = (begin, end) => {
-  const n = begin === end ? 1 : Math.max(241, Math.min(601, Math.round(Math.abs(end - begin) * 60)));
+  const {rate, least, most} = data.frames;
+  const n = begin === end ? 1 : Math.max(least, Math.min(most, Math.round(Math.abs(end - begin) * rate)));
   const step = (end - begin) / (n - 1);
   return Float64Array.from({length: n}, (_, i) => i === n - 1 ? end : begin + i * step);
 };

@@ -16,8 +16,13 @@
 #define FB_NAMED(model, name) FB_JOINED(model, name)
 #define FB_PUBLIC(name) FB_NAMED(FB_MODEL, name)
 
-#ifndef FB_CALLED_INPUTS
-#define FB_CALLED_INPUTS NULL /* or a function that sets the values of sources */
+/* Who includes this may set the values of inputs by a function of its own, and then define FB_CHANGES, the largest
+ * number of their jumps and kinks in time, and next_change, the next of these times between two others, or the second
+ * one. */
+#ifndef FB_CHANGES
+#define FB_CHANGES 0
+#define FB_CALLED_INPUTS NULL
+#define next_change(begin, end) (end)
 #endif
 
 enum { N_PADDED = (N_X + FB_BLOCK - 1) / FB_BLOCK * FB_BLOCK, N_ROWS = 32 };
@@ -317,7 +322,7 @@ static double next_breakpoint(const fb_problem *problem, const double begin, con
     for (int i = 0; i < N_BREAKPOINTS; ++i)
         if (times[i] > fb_min(begin, next) && times[i] < fb_max(begin, next))
             next = times[i];
-    return next;
+    return next_change(begin, next);
 }
 
 int FB_PUBLIC(jumps)(FB_MODEL *model)
@@ -427,9 +432,9 @@ int FB_PUBLIC(simulate)(FB_MODEL *model, const double t_end, const double rtol, 
         return status;
     long counted = 0;
     double typical = 0.0, sum = 0.0; /* the geometric mean over the run of the least pivot of J */
-    for (int piece = 0; piece <= N_BREAKPOINTS; ++piece) {
-        const double until = N_BREAKPOINTS > 0 ? next_breakpoint(run->problem, here, t_end) : t_end;
-        if (N_BREAKPOINTS > 0) { /* Inputs are those between two discontinuities. */
+    for (int piece = 0; piece <= N_BREAKPOINTS + FB_CHANGES; ++piece) {
+        const double until = N_BREAKPOINTS + FB_CHANGES > 0 ? next_breakpoint(run->problem, here, t_end) : t_end;
+        if (N_BREAKPOINTS + FB_CHANGES > 0) { /* Inputs are those between two discontinuities. */
             run->problem->clock.first = nextafter(fb_min(here, until), INFINITY);
             run->problem->clock.last = nextafter(fb_max(here, until), -INFINITY);
         }
@@ -457,9 +462,14 @@ int FB_PUBLIC(simulate)(FB_MODEL *model, const double t_end, const double rtol, 
             if (reason == FB_RUN_FULL) {
                 run->sample_x += N_X;
                 run->n_samples = 0;
+                continue;
             }
             if (reason != FB_RUN_TOO_SMALL && reason != FB_RUN_INFINITE && run->n_steps < FB_RUN_STEPS)
                 continue;
+            if (run->pending) { /* to where the last samples were taken */
+                memcpy(run->x, run->x_old, sizeof model->x);
+                run->t = run->t_old;
+            }
             reach(model, run, run->t);
             if (least_pivot_of(run) < FB_NEARBY * typical)
                 return FB_SINGULAR_POSITION;

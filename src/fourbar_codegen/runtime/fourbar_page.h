@@ -9,6 +9,7 @@
 
 #define FB_WITHOUT_HEADER
 #define FB_CALLED_INPUTS signal_inputs
+#define FB_CHANGES (2 * N_R)
 #define FB_RUN_STEPS 50000 /* many for each frame; sliders should not wait for more */
 #define FB_EXPORT(name) __attribute__((export_name(#name))) name
 
@@ -21,7 +22,7 @@ enum FB_SIGNAL {
     FB_CONSTANT = 1,  /* a */
     FB_SINE_WAVE = 2, /* a + b sin(2 pi c t + d) */
     FB_STEP = 3,      /* a before t = c, b from then on */
-    FB_RAMP = 4,      /* a until t = c, b from t = d on, linear between */
+    FB_RAMP = 4,      /* a until t = c, b from t = d on, linear between; c < d */
     FB_LINE = 5       /* a + b t */
 };
 
@@ -30,9 +31,6 @@ typedef struct fb_signal {
 } fb_signal;
 
 static fb_signal signals[FB_AT_LEAST_1(N_R)];
-
-/* Steps change at the ends of intervals, within which they are what they are inside. */
-static double interval_begin = -INFINITY, interval_end = INFINITY;
 
 static double signal_value(const fb_signal *s, const double t)
 {
@@ -43,7 +41,7 @@ static double signal_value(const fb_signal *s, const double t)
                : s->order == 1.0 ? s->b * turn * cos(turn * t + s->d)
                                  : -s->b * turn * turn * sin(turn * t + s->d);
     case FB_STEP:
-        return fb_max(fb_min(t, interval_end), interval_begin) < s->c ? s->a : s->b;
+        return t < s->c ? s->a : s->b;
     case FB_RAMP:
         return t <= s->c ? s->a : t >= s->d ? s->b : s->a + (s->b - s->a) * ((t - s->c) / (s->d - s->c));
     case FB_LINE:
@@ -61,24 +59,24 @@ static int signal_inputs(fb_problem *problem, const double t, const double *x)
     return 0;
 }
 
+static double next_change(const double begin, const double end)
+{
+    double next = end;
+    for (int i = 0; i < N_R; ++i) {
+        const fb_signal *const s = signals + i;
+        const int changes = s->kind == FB_STEP ? 1 : s->kind == FB_RAMP ? 2 : 0;
+        for (int k = 0; k < changes; ++k) {
+            const double time = k == 0 ? s->c : s->d;
+            if (time > fb_min(begin, next) && time < fb_max(begin, next))
+                next = time;
+        }
+    }
+    return next;
+}
+
 #include "fourbar_library.h"
 
 static FB_MODEL mechanism;
-static long evaluations;
-
-/* The time between two others at which a signal has a jump or a kink, the nearest to the first one; or the second. */
-static double next_signal_change(const double begin, const double end)
-{
-    double next = end;
-    for (int i = 0; i < N_R; ++i)
-        if (signals[i].kind == FB_STEP || signals[i].kind == FB_RAMP) {
-            const double times[2] = {signals[i].c, signals[i].kind == FB_RAMP ? signals[i].d : signals[i].c};
-            for (int k = 0; k < 2; ++k)
-                if (times[k] > fb_min(begin, next) && times[k] < fb_max(begin, next))
-                    next = times[k];
-        }
-    return next;
-}
 
 /* Takes over parameters and inputs. */
 int FB_EXPORT(update)(void)
@@ -116,9 +114,15 @@ double FB_EXPORT(time_reached)(void)
     return mechanism.t;
 }
 
+/* Of the last run: evaluations of the equations of motion, and states that were stored. */
 long FB_EXPORT(evaluations_of_run)(void)
 {
-    return evaluations;
+    return own_of(&mechanism)->run.n_evaluations;
+}
+
+long FB_EXPORT(states_stored)(void)
+{
+    return own_of(&mechanism)->run.next_time;
 }
 
 const char *FB_EXPORT(message)(const int status)
@@ -136,9 +140,36 @@ int FB_EXPORT(close_loops)(const double t)
 {
     mechanism.t = t;
     own_of(&mechanism)->clock = fb_all_time;
-    interval_begin = -INFINITY;
-    interval_end = INFINITY;
     return FB_PUBLIC(close)(&mechanism);
+}
+
+/* The sign of the determinant of the derivatives of the position constraints by the dependent coordinates: an assembly
+ * mode keeps it as long as it is not followed through a singular position. 0 if unknown. */
+int FB_EXPORT(orientation)(void)
+{
+    enum { N = N_DEPENDENT_COORDINATES };
+    double t, errors[FB_AT_LEAST_1(N_H)], slopes[FB_AT_LEAST_1(N_H * N_Q)], matrix[FB_AT_LEAST_1(N * N)];
+    fb_problem *const problem = problem_now(&mechanism, &t);
+    int sign = N == N_H;
+    position(t, mechanism.x, problem->constants, problem->inputs, errors, slopes);
+    for (int i = 0; i < N && sign; ++i)
+        memcpy(matrix + i * N, slopes + i * N_Q + N_Q - N, N * sizeof *matrix);
+    for (int k = 0; k < N && sign; ++k) {
+        int row = k;
+        for (int i = k + 1; i < N; ++i)
+            row = fabs(matrix[i * N + k]) > fabs(matrix[row * N + k]) ? i : row;
+        for (int j = k; j < N && row != k; ++j)
+            fb_swap_double(matrix + k * N + j, matrix + row * N + j);
+        const double pivot = matrix[k * N + k];
+        sign = pivot > 0.0 ? sign : pivot < 0.0 ? -sign : 0;
+        sign = row != k ? -sign : sign;
+        for (int i = k + 1; i < N; ++i) {
+            const double factor = matrix[i * N + k] / pivot;
+            for (int j = k; j < N; ++j)
+                matrix[i * N + j] -= factor * matrix[k * N + j];
+        }
+    }
+    return sign;
 }
 
 int FB_EXPORT(evaluate)(const double t, const double *x, double *rates)
@@ -146,33 +177,32 @@ int FB_EXPORT(evaluate)(const double t, const double *x, double *rates)
     return FB_PUBLIC(rhs)(&mechanism, t, x, rates);
 }
 
-/* A run from the present state, with the states at n times in rows. Where it fails, `time_reached` is the time of the
- * last state. */
+/* A run from the present state, with the states at n times in rows. Where it fails, `time_reached` is where it ended.
+ */
 int FB_EXPORT(simulate)(const double begin, const double end, const double rtol, const double atol, const double *times,
                         const long n, double *states)
 {
-    long first = 0;
-    int status = FB_OK;
-    evaluations = 0;
     mechanism.t = begin;
-    do {
-        const double here = mechanism.t, until = next_signal_change(here, end);
-        long last = first;
-        while (last < n && (end >= begin ? times[last] <= until : times[last] >= until))
-            ++last;
-        interval_begin = nextafter(fb_min(here, until), INFINITY);
-        interval_end = nextafter(fb_max(here, until), -INFINITY);
-        status = FB_PUBLIC(simulate)(&mechanism, until, rtol, atol, times + first, last - first, states + first * N_X);
-        evaluations += own_of(&mechanism)->run.n_evaluations;
-        first = last;
-    } while (status == FB_OK && mechanism.t != end);
-    interval_begin = -INFINITY;
-    interval_end = INFINITY;
-    return status;
+    own_of(&mechanism)->run.next_time = own_of(&mechanism)->run.n_evaluations = 0; /* if it does not begin */
+    return FB_PUBLIC(simulate)(&mechanism, end, rtol, atol, times, n, states);
+}
+
+/* Of the position constraints, and of those of velocity that keep no position, as `Trajectory.constraint_residual`. */
+static double largest_residual(const double t, const double *x, const double *constants, const double *r)
+{
+    double errors[FB_AT_LEAST_1(N_H)], slopes[FB_AT_LEAST_1(N_H * N_Q)], largest = 0.0;
+    double positions[FB_AT_LEAST_1(N_C + N_I)], velocities[FB_AT_LEAST_1(N_C)];
+    position(t, x, constants, r, errors, slopes);
+    constraint_violation(t, x, constants, r, positions, velocities);
+    for (int i = 0; i < N_H; ++i)
+        largest = fb_larger(largest, fabs(errors[i]));
+    for (int i = 0; i < N_VELOCITY_ROWS; ++i)
+        largest = fb_larger(largest, fabs(velocities[velocity_rows[i]]));
+    return largest;
 }
 
 /* For each of n states: itself, inputs, outputs, kinetic and potential energy and their sum, multipliers, the largest
- * violation of a constraint, points, and forces; not numbers where they cannot be evaluated. */
+ * residual of a constraint, points, and forces; not numbers where they cannot be evaluated. */
 void FB_EXPORT(observe)(const double *times, const double *states, const long n, double *rows)
 {
     own_of(&mechanism)->clock = fb_all_time;
@@ -195,7 +225,7 @@ void FB_EXPORT(observe)(const double *times, const double *states, const long n,
         row += 3;
         for (int k = 0; k < N_C; ++k)
             *row++ = status == FB_OK ? solved[k] : NAN;
-        *row++ = FB_PUBLIC(violation)(&mechanism);
+        *row++ = largest_residual(t, x, c, r);
         drawing(t, x, c, r, row, row + 3 * N_POINTS);
     }
 }

@@ -194,6 +194,7 @@ def test_lines_of_python(opened, made, four_bar):
             page.locator("#python").click()
         names = {}
         exec(page.locator("#code").text_content(), names)
+        assert names["model"].name == "four_bar"
         t, y = shown(page)
         assert names["run"].t[-1] == t[-1]
         np.testing.assert_allclose(names["run"].y[:, -1], y[:, -1], rtol=0, atol=1e-9)
@@ -384,6 +385,50 @@ def test_assembly_modes_do_not_change_without_a_word(opened, made):
             assert "The assembly mode could not be followed" in run[2]
     assert closed > 50
     assert told > 0
+
+
+def test_a_crank_rocker_is_followed_round(opened):
+    """It is never singular: the angle between coupler and rocker keeps the sign of its sine, wherever the crank is."""
+    linkage = runpy.run_path(str(EXAMPLES / "11_mechanisms.py"))["crank_rocker"]()
+    linkage.drive("OA", speed=10.0)
+    page = opened(fb.compile_model(linkage.model()).page(t_span=(0.0, 0.1)))
+    signs = []
+    for value in np.linspace(-15.0, 15.0, 61).tolist():
+        for given in (value, {"kind": "line", "value": value, "rate": 2.0}):
+            found = simulated(page, inputs={"drive_OA": given}, times=[0])
+            assert found["success"], found["message"]
+            q = found["y"][:3, 0]
+            signs.append(np.sign(np.sin(q[1] - q[2])))
+    assert len(set(signs)) == 1
+
+
+def test_a_slider_crank_is_followed_from_side_to_side(opened):
+    """By relative angles; its rod is longer than the crank, and the slide stays on its side."""
+    q1, q2, q3, u1, u2, u3 = me.dynamicsymbols("q1:4 u1:4")
+    frame, crank, rod = (me.ReferenceFrame(name) for name in "NAB")
+    crank.orient_axis(frame, frame.z, q1)
+    rod.orient_axis(crank, frame.z, q2)
+    origin = me.Point("O")
+    origin.set_vel(frame, 0)
+    pin = origin.locatenew("P", 0.2 * crank.x)
+    end = pin.locatenew("Q", 0.5 * rod.x)
+    block = origin.locatenew("S", q3 * frame.x)
+    system = me.System(frame, origin)
+    system.add_bodies(me.Particle("end", block, 1))
+    system.add_coordinates(q1, q2, q3, independent=[True, False, False])
+    system.add_speeds(u1, u2, u3, independent=[True, False, False])
+    system.add_kdes(*(u - q.diff() for q, u in ((q1, u1), (q2, u2), (q3, u3))))
+    gap = end.pos_from(block)
+    system.add_holonomic_constraints(gap.dot(frame.x), gap.dot(frame.y))
+    initial = {q1: 0.6, q2: -0.8, q3: 0.6, u1: 0.0}
+    page = opened(fb.compile_model(fb.Model(system, name="crank_and_slide", initial=initial)).page(t_span=(0.0, 0.01)))
+    rng = np.random.default_rng(2)
+    for value in rng.uniform(-3.14, 3.14, 60).tolist():
+        run = page.evaluate("async q1 => { settings.initial.q1 = q1; await update(); return shownRun.x0; }", value)
+        x = np.array([run[str(k)] for k in range(6)] if isinstance(run, dict) else run)
+        assert x[2] == pytest.approx(0.2 * np.cos(value) + np.sqrt(0.25 - (0.2 * np.sin(value)) ** 2), abs=1e-9)
+    found = simulated(page, initial={"q1": 5.5}, times=[0])["y"][2, 0]
+    assert found == pytest.approx(0.2 * np.cos(5.5) + np.sqrt(0.25 - (0.2 * np.sin(5.5)) ** 2), abs=1e-9)
 
 
 def test_figures(opened, four_bar):

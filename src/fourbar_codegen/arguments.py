@@ -204,7 +204,7 @@ def positive(value: float, what: str) -> float:
 def slider_range(ends: Any, what: str) -> tuple[float, float]:
     """The two ends of a slider, or a ModelError that names the argument."""
     values = numbers(ends, f"The range of {what}")
-    if values.shape != (2,) or not is_finite(values) or not values[0] < values[1]:
+    if values.shape != (2,) or not is_finite(values) or not 0.0 < values[1] - values[0] < math.inf:
         raise ModelError(f"The range of {what} is (low, high) with finite low < high, not {shown(ends)}.")
     return float(values[0]), float(values[1])
 

@@ -114,7 +114,11 @@ class _Time(click.ParamType):  # type: ignore[type-arg]  # generic in newer vers
             self.fail(f"{value!r} is not a number. Give the first and the last time in s: -t 0 4.", param, ctx)
 
 
-def _conditions() -> list[Callable[..., Any]]:
+AN_EXPRESSION = 'An input: a number, or an expression in t and parameters such as -r "F=50*sin(2*pi*t)"; repeatable.'
+A_NUMBER = "What an input begins as: a number, such as -r F=0; otherwise the model's own expression. Repeatable."
+
+
+def _conditions(an_input: str = AN_EXPRESSION) -> list[Callable[..., Any]]:
     """The options that all runs have in common: initial values, inputs and the time."""
     return [
         click.option(
@@ -124,7 +128,7 @@ def _conditions() -> list[Callable[..., Any]]:
         ),
         click.option(
             "-r", "--input", "inputs", multiple=True, callback=_pairs, metavar="NAME=EXPRESSION",
-            help='An input: a number, or an expression in t and parameters such as -r "F=50*sin(2*pi*t)"; repeatable.',
+            help=an_input,
         ),
         click.option(
             "-t", "--time", "t_span", nargs=2, type=_Time(), default=(0.0, 4.0), show_default="0 4",
@@ -154,17 +158,19 @@ def _accuracy(constraints: tuple[str, ...]) -> list[Callable[..., Any]]:
     ]  # fmt: skip
 
 
-PAGE_OPTIONS = [
+_MODEL_AND_PARAMETERS = [
     MODEL,
     click.option(
         "-p", "--parameter", "parameters", multiple=True, callback=_numbers, metavar="NAME=VALUE",
         help="Override a parameter, such as -p l2=0.45; repeatable.",
     ),
-    *_conditions(),
 ]  # fmt: skip
 
+PAGE_OPTIONS = [*_MODEL_AND_PARAMETERS, *_conditions(A_NUMBER)]
+
 RUN_OPTIONS = [
-    *PAGE_OPTIONS,
+    *_MODEL_AND_PARAMETERS,
+    *_conditions(),
     _method(METHODS),
     click.option(
         "--formulation", type=click.Choice(["gear-gupta-leimkuhler", "index-1", "index-3"]),

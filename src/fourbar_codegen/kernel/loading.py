@@ -33,6 +33,7 @@ from fourbar_codegen.runtime.evaluator import kernel_at
 __all__ = [
     "Loaded",
     "cache_key",
+    "is_named",
     "load_cached",
     "load_file",
     "load_from_sources",
@@ -296,6 +297,11 @@ def sources_beside(path: Path, name: str) -> dict[str, str] | None:
 def shipped_sources(path: Path, name: str) -> dict[str, str] | None:
     """The sources of a model that comes with the package."""
     return sources_beside(path.parent / f"{name}_sources" / name, name)
+
+
+def is_named(path: Path, name: str, fingerprint: str) -> bool:
+    """Whether `load_named` finds a model by its name: one in the package, or one from a wheel."""
+    return path.parent == Path(__file__).parents[1] / "prebuilt" or _installed(name, fingerprint) is not None
 
 
 def load_from_sources(name: str, sources: Mapping[str, str], manifest: Mapping[str, Any]) -> Loaded:

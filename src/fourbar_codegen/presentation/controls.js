@@ -13,7 +13,9 @@ const slider = (parent, {label, note = "", low, high, value}, set) => {
   title.append(" ");
   make("small", {id: `${id}-note`}, title, note);
   const range = make("input", {type: "range", id, step: "any", "aria-describedby": `${id}-note`}, row);
-  const box = make("input", {type: "number", step: "any", "aria-label": `${label}, number`}, row);
+  // Numbers with few digits, about 500 of them along the slider.
+  const step = 10 ** Math.floor(Math.log10((high - low) / 500));
+  const box = make("input", {type: "number", step, "aria-label": `${label}, number`}, row);
   let current = value;
   const showValue = number => {
     current = number;
@@ -29,8 +31,6 @@ const slider = (parent, {label, note = "", low, high, value}, set) => {
     set(number);
     moved();
   };
-  // Numbers with few digits, about 500 of them along the slider.
-  const step = 10 ** Math.floor(Math.log10((high - low) / 500));
   const rounded = number => Number((Math.round(number / step) * step).toPrecision(12));
   range.addEventListener("input", () => change(rounded(Number(range.value))));
   range.addEventListener("change", () => released());
@@ -74,10 +74,11 @@ const choice = (parent, label, options, set) => {
 };
 
 if (data.modes.length > 1) {
-  const options = data.modes.map((x, mode) => {
-    const values = data.states.slice(0, data.n_q).map((name, i) => dependent[i] ? `${name} = ${x[i].toFixed(2)}` : "");
-    return [mode, `${mode + 1}: ${values.filter(Boolean).slice(0, 2).join(", ")}`];
-  });
+  // With the initial values of two coordinates that tell them apart.
+  const differs = i => data.modes.some(x => Math.abs(x[i] - data.modes[0][i]) > 0.01);
+  const telling = [...dependent.keys()].filter(i => i < data.n_q && dependent[i] && differs(i)).slice(0, 2);
+  const options = data.modes.map((x, mode) =>
+    [mode, `${mode + 1}: ${telling.map(i => `${data.states[i]} = ${x[i].toFixed(2)}`).join(", ")}`]);
   const select = choice(byId("groups"), "Assembly mode", options, value => {
     settings.mode = Number(value);
     closedPoints[settings.mode] = beginningOf(settings.mode);
@@ -117,6 +118,7 @@ const coefficientRange = (name, scale) => {
   const [low, high] = ranges[name] ?? [-2 * scale, 2 * scale];
   return low < high ? [low, high] : [high - length, low + length];
 };
+const showSignals = [];
 const NOTES = {frequency: "1/s", phase: "rad", time: "s", begin: "s", end: "s"};
 if (data.inputs.length) {
   const all = group("Inputs", true);
@@ -140,18 +142,23 @@ if (data.inputs.length) {
       });
     };
     shows.push(showSignal);
+    showSignals.push(showSignal);
     showSignal();
   }
 }
 
 {
+  const setTime = (which, number) => {
+    settings.t_span[which] = number;
+    for (const each of showSignals) each(); // the ranges of times and frequencies follow
+  };
   const parent = group("Time", true), [begin, end] = data.t_span, length = end - begin || 1;
   const [low, high] = [begin + 0.1 * length, begin + 4 * length].toSorted((a, b) => a - b);
   const showEnd = slider(parent, {label: "End", note: "s", low, high, value: end},
-    number => { settings.t_span[1] = number; });
+    number => setTime(1, number));
   const ends = {low: Math.min(begin, end), high: Math.max(begin, end, begin + length)};
   const showBegin = slider(parent, {label: "Begin", note: "s", ...ends, value: begin},
-    number => { settings.t_span[0] = number; });
+    number => setTime(0, number));
   shows.push(() => { showEnd(settings.t_span[1]); showBegin(settings.t_span[0]); });
 }
 

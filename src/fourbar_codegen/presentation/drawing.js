@@ -53,6 +53,9 @@ const mechanismPicture = (svg, scene) => {
     return [WIDTH / 2 + scale * (a - center[0]), HEIGHT / 2 - scale * (b - center[1])];
   };
   const place = (i, k) => placed(positions, i, k, middle);
+  // What is drawn: other rows are points without a symbol, and those that guides are directed to.
+  const drawn = [...new Set([...scene.lines.flatMap(({rows}) => rows), ...scene.symbols.map(({at}) => at),
+    ...scene.arrows.flat(), ...[...scene.points.keys()].filter(k => scene.points[k].traced)])];
   // Middle and size of rows at some times.
   const extent = (begin, end, rows) => {
     const low = [Infinity, Infinity], high = [-Infinity, -Infinity];
@@ -116,7 +119,7 @@ const mechanismPicture = (svg, scene) => {
       n = m ? places.length / 3 / m : 0;
       before = ghost;
       moving = [];
-      for (let k = 0; k < m; ++k) {
+      for (const k of drawn) {
         let moves = false;
         for (let at = 3 * k; at < places.length && !moves; at += 3 * m) {
           moves = [0, 1, 2].some(j => Math.abs(places[at + j] - places[3 * k + j]) > STILL);
@@ -126,7 +129,7 @@ const mechanismPicture = (svg, scene) => {
     },
     // Scale and middle, so that all positions are in the picture.
     fit() {
-      const whole = extent(0, n, [...Array(m).keys()]);
+      const whole = extent(0, n, drawn);
       if (!Number.isFinite(whole.middle[0])) return;
       const size = [0, 0];
       if (follows) for (let i = 0; i < n; ++i) extent(i, i + 1, moving).size.forEach((value, j) => {
@@ -274,7 +277,7 @@ const timePlot = (section, {title, log, names}, seek) => {
       }
       const line = (at, values, style) => {
         const points = [];
-        for (let i = 0; i < at.length; ++i) if (Number.isFinite(values[i])) {
+        for (let i = 0; i < at.length; ++i) if (Number.isFinite(values[i]) && at[i] >= first && at[i] <= last) {
           points.push(`${across(at[i]).toFixed(1)},${Math.max(-99, Math.min(999, up(values[i]))).toFixed(1)}`);
         }
         make("polyline", {...style, points: points.join(" ")}, svg);

@@ -4,16 +4,16 @@
 // values are guesses, six numbers for each input; `from` is a closed state {p, x, signals, begin} with other values.
 // This function becomes the text of the worker, so it uses nothing from outside.
 const makeEngine = async bytes => {
-  const OK = 0, DEPTH = 7, NEAR = 1e-6;
+  const OK = 0, CONSTANT = 1, DEPTH = 8, NEAR = 1e-6, SHORT = 0.5; // SHORT in rad
   const {instance: {exports: {_initialize: initialize, __heap_base: heap, ...wasm}}} =
     await WebAssembly.instantiate(bytes, {});
   initialize();
   wasm.reset();
-  const start = Math.ceil(heap.value / 16) * 16;
+  const base = Math.ceil(heap.value / 16) * 16;
   const array = (at, n) => new Float64Array(wasm.memory.buffer, at, n);
   // Memory for this many numbers behind the heap's beginning.
   const reserve = n => {
-    const missing = start + 8 * n - wasm.memory.buffer.byteLength;
+    const missing = base + 8 * n - wasm.memory.buffer.byteLength;
     if (missing > 0) wasm.memory.grow(Math.ceil(missing / 65536));
   };
   const message = status => {
@@ -26,52 +26,62 @@ const makeEngine = async bytes => {
     array(wasm.inputs(), signals.length).set(signals);
     return wasm.update();
   };
+  // Closes the loops of a point with guesses: the state, the values of the inputs, and the sign of the constraints'
+  // determinant.
   const close = (point, guess) => {
-    const status = set({...point, x: point.x.map((value, i) => point.dependent[i] ? guess[i] : value)});
-    const closed = status || wasm.close_loops(point.begin);
-    return {status: closed, x: array(wasm.state(), point.x.length).slice(), sign: closed ? 0 : wasm.orientation()};
+    const status = set({...point, x: point.x.map((value, i) => point.dependent[i] ? guess[i] : value)}) ||
+      wasm.close_loops(point.begin);
+    const inputs = Array.from({length: point.signals.length / 6}, (_, i) => wasm.input_value(i));
+    return {status, x: array(wasm.state(), point.x.length).slice(), inputs, sign: status ? 0 : wasm.orientation()};
   };
   const middle = (a, b) => a.map((value, i) => 0.5 * (value + b[i]));
   // Continues an assembly mode from one closed state to other values: two ways have to agree, at once and by the
-  // middle, and the sign of the constraints' determinant is kept; otherwise by shorter steps. The mode is lost if that
-  // does not hold for short ones.
+  // middle, angles change little, and the sign of the determinant is kept; otherwise by shorter steps. The mode is lost
+  // if that does not hold for short ones. Between two points, inputs are constant.
   const follow = (from, to, depth = 0) => {
     const direct = close(to, from.x);
     if (depth === DEPTH) return {...direct, lost: true};
+    const inputs = middle(from.inputs, direct.inputs);
     const between = {...to, p: middle(from.p, to.p), x: middle(from.x, to.x), begin: 0.5 * (from.begin + to.begin),
-      signals: middle(from.signals, to.signals).map((value, i, all) =>
-        i % 6 < 2 || from.signals[i - i % 6] !== to.signals[i - i % 6] ? to.signals[i] : all[i])};
+      signals: inputs.flatMap((value, i) => [CONSTANT, to.signals[6 * i + 1], value, 0, 0, 0])};
     const half = close(between, from.x);
     if (direct.status === OK && half.status === OK) {
       const again = close(to, half.x);
       const agree = (value, i) => Math.abs(value - direct.x[i]) <= NEAR * (1 + Math.abs(value));
+      const little = (value, i) => !to.angle[i] || Math.abs(value - from.x[i]) <= SHORT;
       const kept = [half, again, direct].every(({sign}) => sign * from.sign >= 0);
-      if (again.status === OK && kept && again.x.every(agree)) return again;
+      if (again.status === OK && kept && again.x.every(agree) && again.x.every(little)) return again;
     }
     const first = follow(from, between, depth + 1);
     if (first.status !== OK) return first;
-    const second = follow({...between, x: first.x, sign: first.sign}, to, depth + 1);
+    const second = follow({...between, ...first}, to, depth + 1);
     return {...second, lost: first.lost || second.lost};
+  };
+  // If a mode cannot be followed all the way, the loops may still close, within a turn.
+  const nearest = (from, to) => {
+    const near = x => x.map((value, i) => !to.angle[i] || !Number.isFinite(value) ? value :
+      value - 2 * Math.PI * Math.round((value - from.x[i]) / (2 * Math.PI)));
+    const closed = close(to, from.x), again = close(to, near(closed.x));
+    return {...again.status === OK ? again : closed, lost: true};
   };
   const run = ({from, begin, end, rtol, atol, times, ...point}) => {
     const began = performance.now(), n = times.length, width = point.x.length;
     const to = {...point, begin};
-    // If the mode cannot be followed all the way, the loops may still close.
-    const followed = follow({...from, sign: close(from, from.x).sign}, to);
-    const closed = followed.status === OK ? followed : {...close(to, from.x), lost: true};
+    const start = {...from, ...close(from, from.x)}, followed = follow(start, to);
+    const closed = followed.status === OK && !followed.lost ? followed : nearest(start, to);
     const result = {status: closed.status, closed: closed.status === OK, lost: Boolean(closed.lost), x0: closed.x,
       reached: begin, n: 0, length: 0, rows: new Float64Array(0), evaluations: 0};
     if (result.closed) {
       set({...point, x: closed.x});
       result.length = wasm.row_length();
       reserve(n * (1 + width + result.length));
-      array(start, n).set(times);
-      const states = start + 8 * n, rows = states + 8 * n * width;
-      result.status = wasm.simulate(begin, end, rtol, atol, start, n, states);
+      array(base, n).set(times);
+      const states = base + 8 * n, rows = states + 8 * n * width;
+      result.status = wasm.simulate(begin, end, rtol, atol, base, n, states);
       result.reached = wasm.time_reached();
       result.evaluations = wasm.evaluations_of_run();
       result.n = wasm.states_stored();
-      wasm.observe(start, states, result.n, rows);
+      wasm.observe(base, states, result.n, rows);
       result.rows = array(rows, result.n * result.length).slice();
     }
     return {...result, message: message(result.status), duration: performance.now() - began};
@@ -80,9 +90,9 @@ const makeEngine = async bytes => {
   const evaluation = ({p, x, signals, begin}, count) => {
     set({p, x, signals});
     reserve(2 * x.length);
-    array(start, x.length).set(x);
+    array(base, x.length).set(x);
     const began = performance.now();
-    for (let i = 0; i < count; ++i) wasm.evaluate(begin, start, start + 8 * x.length);
+    for (let i = 0; i < count; ++i) wasm.evaluate(begin, base, base + 8 * x.length);
     return (performance.now() - began) * 1e6 / count;
   };
   return {run, evaluation, memory: () => wasm.memory.buffer.byteLength};

@@ -53,7 +53,7 @@ const readWord = (key, value) => {
     if (numbers.length !== 2 || !finite) return false;
     settings.t_span = numbers;
   } else if (key === "mode") {
-    if (!data.modes[numbers[0]]) return false;
+    if (numbers.length !== 1 || !data.modes[numbers[0]]) return false;
     [settings.mode] = numbers;
   } else if (key === "traces") boxes.forEach((box, k) => {
     box.checked = numbers.includes(k);
@@ -65,7 +65,7 @@ const readWord = (key, value) => {
       const known = ([statistic, name_]) => Object.hasOwn(STATISTICS, statistic) && data.columns.includes(name_);
       const given = JSON.parse(value);
       if (!given.every(known)) return false;
-      figures = given;
+      figures = given.filter((each, k) => given.findIndex(other => other.join() === each.join()) === k);
       byId("figures").replaceChildren();
     } catch { return false; }
   } else return key === "guess";
@@ -82,7 +82,8 @@ const readLink = text => {
     const point = pointOf(settings);
     closedPoints[settings.mode] = {...point, x: point.x.map((value, i) => dependent[i] ? guess[k++] : value)};
   }
-  if (unknown.length) unknownWords = `The link has settings that this page does not know: ${unknown.join(", ")}.`;
+  const named = unknown.slice(0, 5).join(", ") + (unknown.length > 5 ? ", ..." : "");
+  if (unknown.length) unknownWords = `The link has settings that this page does not know: ${named}.`;
   written = text;
   showSettings();
   update();
@@ -97,7 +98,8 @@ byId("link").addEventListener("click", async () => {
   const address = `${location.href.split("#")[0]}#${written}`;
   try {
     await navigator.clipboard.writeText(address);
-    say("The link is copied.");
+    byId("link").textContent = "Copied";
+    setTimeout(() => { byId("link").textContent = "Copy link"; }, 1500);
   } catch { prompt("The link:", address); }
 });
 
@@ -184,8 +186,11 @@ const signalFrom = (name, given) => {
   return {kind, values: KINDS[kind].names.map(each => finiteNumber(coefficients[each], `${name}, ${each},`))};
 };
 let scriptEngine = null; // its own, so that sliders and scripts do not wait for each other
-const simulate = async ({parameters = {}, initial = {}, inputs = {}, t_span = data.t_span, times = null,
-  rtol = data.rtol, atol = data.atol, mode = 0, ...rest} = {}) => {
+const MOST_TIMES = 100000;
+const simulate = async (options = {}) => {
+  if (typeof options !== "object" || options === null) throw new TypeError(`Options are an object, not ${options}.`);
+  const {parameters = {}, initial = {}, inputs = {}, t_span = data.t_span, times = null,
+    rtol = data.rtol, atol = data.atol, mode = 0, ...rest} = options;
   checkNames(rest, [], "option");
   for (const [name, given] of Object.entries({parameters, initial, inputs})) {
     if (typeof given !== "object" || given === null) throw new TypeError(`${name} is an object, not ${given}.`);
@@ -205,6 +210,9 @@ const simulate = async ({parameters = {}, initial = {}, inputs = {}, t_span = da
     const i = data.states.indexOf(name), value = finiteNumber(initial[name], name);
     guesses ||= dependent[i];
     if (dependent[i]) guess[i] = value; else chosen.initial[name] = value;
+  }
+  if (times !== null && !((Array.isArray(times) || ArrayBuffer.isView(times)) && times.length <= MOST_TIMES)) {
+    throw new RangeError(`times is an array of ${MOST_TIMES} times at most.`);
   }
   const [begin, end] = chosen.t_span, direction = Math.sign(end - begin);
   const at = times === null ? framesBetween(begin, end) : Float64Array.from(times, t => finiteNumber(t, "A time"));
@@ -231,4 +239,6 @@ window.fourbar = Object.freeze({
   simulate,
 });
 
-readLink(location.hash.slice(1));
+// First as the page was made, so that there is a picture whatever a link asks for.
+const link = location.hash.slice(1);
+update().then(() => { if (link) readLink(link); });

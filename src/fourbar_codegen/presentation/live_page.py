@@ -17,6 +17,7 @@ from fourbar_codegen.errors import AssemblyError, ModelError, shown
 from fourbar_codegen.files import check_free, path_of, save, writer_of
 from fourbar_codegen.kernel.inputs import by_name
 from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.kernel.loading import is_named
 from fourbar_codegen.presentation.drawing import ARROW, ENERGY, panel_names
 from fourbar_codegen.presentation.html_page import (
     FRAMES_PER_SECOND,
@@ -47,6 +48,8 @@ NEARBY = 0.03
 
 SAME = 1e-6
 """Largest difference of two states of the same assembly mode."""
+
+LARGEST = 1e300
 
 MOST_MODES = 64
 """Assembly modes that a page has; there may be a thousand."""
@@ -129,6 +132,7 @@ def _text(
     data = {
         "name": model.name,
         "states": model.states,
+        "angles": model.manifest["angles"],
         "n_q": model.n_q,
         "n_u": model.n_u,
         "parameters": [
@@ -263,8 +267,8 @@ def _around_initial(model: Kernel, name: str, value: float, size: float) -> tupl
 
 
 def _rounded(value: float) -> float:
-    """A value with two digits."""
-    return float(f"{value:.1e}")
+    """A value with two digits; not so large that twice of it is infinite."""
+    return float(f"{min(max(value, -LARGEST), LARGEST):.1e}")
 
 
 def _inputs(run: Trajectory) -> list[dict[str, Any]]:
@@ -330,6 +334,6 @@ def _figures(model: Kernel, names: list[str], watch: Sequence[tuple[str, str]] |
 
 def _python(model: Kernel) -> str:
     """The line of Python that loads the model."""
-    if model.path.parent.name == "prebuilt":
+    if is_named(model.path, model.name, model.manifest["fingerprint"]):
         return f'model = fb.load("{model.name}")'
-    return f"model = fb.compile_model(...)  # {model.name}, {model.manifest['fingerprint'][:16]}"
+    return f"# model is the compiled model {model.name}, fingerprint {model.manifest['fingerprint'][:16]}."

@@ -211,8 +211,11 @@ const valueOf = (run, [statistic, name]) =>
   STATISTICS[statistic](columnOf(run, data.columns.indexOf(name)), run.times);
 const digits = value => Number.isFinite(value) ? String(Number(value.toPrecision(6))) : "";
 const signed = value => `${value < 0 ? "\u2212" : "+"}${Number(Math.abs(value).toPrecision(3))}`;
-const changeText = (value, old) => !Number.isFinite(value - old) || value === old ? "" :
-  `${signed(value - old)}${old ? ` (${signed(100 * (value - old) / Math.abs(old))} %)` : ""}`;
+const changeText = (value, old) => {
+  if (!Number.isFinite(value - old) || value === old) return "";
+  const percent = 100 * (value - old) / Math.abs(old);
+  return signed(value - old) + (Math.abs(percent) < 1000 ? ` (${signed(percent)} %)` : "");
+};
 const drawFigures = () => {
   const body = byId("figures");
   if (body.rows.length !== figures.length) {

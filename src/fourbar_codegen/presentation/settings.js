@@ -26,6 +26,7 @@ const defaults = () => ({
 
 const initialPlaces = data.initial.map(({name}) => data.states.indexOf(name));
 const dependent = data.states.map((_, i) => !initialPlaces.includes(i));
+const angle = data.states.map(name => data.angles.includes(name));
 
 // Settings as the engine takes them; the dependent states are guesses, by default those of the assembly mode.
 const pointOf = ({parameters, initial, inputs, t_span: [begin], mode}, guess = data.modes[mode]) => {
@@ -35,7 +36,7 @@ const pointOf = ({parameters, initial, inputs, t_span: [begin], mode}, guess = d
     const {kind, values} = signalAs(inputs[name]);
     return [KINDS[kind].number, order, ...values, 0, 0, 0, 0].slice(0, 6);
   });
-  return {p: data.parameters.map(({name}) => parameters[name]), x, dependent, begin, signals};
+  return {p: data.parameters.map(({name}) => parameters[name]), x, dependent, angle, begin, signals};
 };
 
 // The closed initial state of an assembly mode, from which it is followed to other settings.

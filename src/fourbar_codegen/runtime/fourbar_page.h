@@ -172,6 +172,12 @@ int FB_EXPORT(orientation)(void)
     return sign;
 }
 
+/* The value of an input at the time of the present state. */
+double FB_EXPORT(input_value)(const int number)
+{
+    return FB_PUBLIC(input)(&mechanism, number);
+}
+
 int FB_EXPORT(evaluate)(const double t, const double *x, double *rates)
 {
     return FB_PUBLIC(rhs)(&mechanism, t, x, rates);

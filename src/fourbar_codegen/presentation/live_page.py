@@ -50,6 +50,7 @@ SAME = 1e-6
 """Largest difference of two states of the same assembly mode."""
 
 LARGEST = 1e300
+"""Of the ends of a slider, so that their difference is finite."""
 
 MOST_MODES = 64
 """Assembly modes that a page has; there may be a thousand."""
@@ -111,7 +112,7 @@ def _text(
     parameters = dict(zip(model.parameters, _parameters(run), strict=True))
     found = _scene(run)
     names = [name for _, of_panel, _ in panel_names(model) for name in of_panel]
-    check_free(model.outputs, {*names} - {*model.outputs} | {name for name in names if names.count(name) > 1})
+    check_free(model.outputs, {name for name in names if names.count(name) > 1})
     modes = _modes(run)
     guides = [shape["points"] for shape in model.manifest["shapes"] if shape["kind"] == "slider"]
     forces = model.manifest["forced_points"]

@@ -385,6 +385,15 @@ def test_assembly_modes_do_not_change_without_a_word(opened, made):
             assert "The assembly mode could not be followed" in run[2]
     assert closed > 50
     assert told > 0
+    begin = page.evaluate("data.modes[0][2]")
+    told = 0
+    for _ in range(100):
+        chosen = dict(zip(lengths, rng.uniform(0.3, 1.5, 4).tolist(), strict=True))
+        found = simulated(page, parameters=chosen, initial={"q1": float(rng.uniform(-3, 3))}, times=[0])
+        if found["success"] and np.sin(begin) * np.sin(found["y"][2, 0]) < 0.0:
+            told += 1
+            assert "The assembly mode could not be followed" in found["message"]
+    assert told > 0
 
 
 def test_a_crank_rocker_is_followed_round(opened):

@@ -226,7 +226,7 @@ const simulate = async (options = {}) => {
   const from = guesses ? {...pointOf(chosen), x: guess} : beginningOf(mode);
   const run = await scriptEngine.ask("run", {...requestOf(chosen, from, at), rtol, atol});
   return {t: Array.from(at.subarray(0, run.n)), y: data.states.map((_, k) => Array.from(columnOf(run, k))),
-    success: run.status === 0, message: run.message, nfev: run.evaluations};
+    success: run.status === 0, message: run.closed && run.lost ? `${run.message}. ${LOST}` : run.message, nfev: run.evaluations};
 };
 window.fourbar = Object.freeze({
   name: data.name,

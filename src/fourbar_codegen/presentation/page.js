@@ -80,12 +80,13 @@ const grown = run => {
   const size = Math.max(early, range);
   return size > 0 && kinetic[run.n - 1] > 1000 * size;
 };
+const LOST = "The assembly mode could not be followed to these values: another one may be shown.";
 const sentence = run => {
   if (!run.closed) {
     return `The mechanism cannot be assembled with these values: ${run.message}. The picture shows the last values ` +
       "with which it can: move the last one back, or choose another assembly mode.";
   }
-  return [run.lost ? "The assembly mode could not be followed to these values: another one may be shown." : "",
+  return [run.lost ? LOST : "",
     run.status === 0 ? "" : `The run ends at t = ${numberText(run.reached)} s: ${run.message}.`,
     grown(run) ? "The energy has grown a thousandfold: loads feed the motion, or integration errors do." : ""]
     .filter(Boolean).join(" ");

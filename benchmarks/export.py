@@ -5,8 +5,6 @@ Every figure is the median of interleaved measurements. All C is compiled by one
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
 import subprocess
 import tempfile
@@ -15,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-from measure import DOCS, call, circumstances, compare, replace_in_page
+from measure import call, circumstances, compare, options_of, publish
 
 import fourbar_codegen as fb
 
@@ -93,20 +91,9 @@ def table(found: dict[str, float]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rounds", type=int, default=15)
-    parser.add_argument("--docs", action="store_true", help="write the table into docs/benchmarks.md")
-    parser.add_argument("--output", type=Path, help="a JSON file")
-    options = parser.parse_args()
+    options = options_of(__doc__)
     report = circumstances() | {"seconds": measurements(options.rounds)}
-    print(table(report["seconds"]))
-    if options.docs:
-        replace_in_page(
-            DOCS / "benchmarks.md", "export", table(report["seconds"]), "python benchmarks/export.py --docs", report
-        )
-    if options.output:
-        options.output.parent.mkdir(parents=True, exist_ok=True)
-        options.output.write_text(json.dumps(report, indent=2))
+    publish(options, "export", table(report["seconds"]), report)
 
 
 if __name__ == "__main__":

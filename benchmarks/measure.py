@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
+import json
 import os
 import platform
 import statistics
@@ -101,6 +103,25 @@ def replace_in_page(page: Path, mark: str, text: str, command: str, report: dict
     before, _, rest = page.read_text().partition(f"<!-- {mark} -->\n")
     _, end, after = rest.partition(f"<!-- end of {mark} -->")
     page.write_text(f"{before}<!-- {mark} -->\n{text}\n\n{written}\n{end}{after}")
+
+
+def options_of(description: str | None) -> argparse.Namespace:
+    """The options of a benchmark that makes one table."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--rounds", type=int, default=15)
+    parser.add_argument("--docs", action="store_true", help="write the table into docs/benchmarks.md")
+    parser.add_argument("--output", type=Path, help="a JSON file")
+    return parser.parse_args()
+
+
+def publish(options: argparse.Namespace, name: str, table: str, report: dict[str, Any]) -> None:
+    """Print the table of benchmarks/{name}.py, and write it and the report where the options say."""
+    print(table)
+    if options.docs:
+        replace_in_page(DOCS / "benchmarks.md", name, table, f"python benchmarks/{name}.py --docs", report)
+    if options.output:
+        options.output.parent.mkdir(parents=True, exist_ok=True)
+        options.output.write_text(json.dumps(report, indent=2))
 
 
 COLORS = (

@@ -6,8 +6,6 @@ is the median of 50, those of others are medians of interleaved measurements.
 
 from __future__ import annotations
 
-import argparse
-import json
 import shutil
 import statistics
 import tempfile
@@ -15,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from measure import DOCS, circumstances, compare, evaluation_inside_c, replace_in_page
+from measure import circumstances, compare, evaluation_inside_c, options_of, publish
 from playwright.sync_api import Browser, Page, sync_playwright
 
 import fourbar_codegen as fb
@@ -133,11 +131,7 @@ def table(found: dict[str, dict[str, float]]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rounds", type=int, default=15)
-    parser.add_argument("--docs", action="store_true", help="write the table into docs/benchmarks.md")
-    parser.add_argument("--output", type=Path, help="a JSON file")
-    options = parser.parse_args()
+    options = options_of(__doc__)
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=OPTIONS)
         found = {
@@ -148,12 +142,7 @@ def main() -> None:
         browser.close()
     report = circumstances() | {"figures": found}
     report["versions"]["chromium"] = chromium
-    print(table(found))
-    if options.docs:
-        replace_in_page(DOCS / "benchmarks.md", "page", table(found), "python benchmarks/page.py --docs", report)
-    if options.output:
-        options.output.parent.mkdir(parents=True, exist_ok=True)
-        options.output.write_text(json.dumps(report, indent=2))
+    publish(options, "page", table(found), report)
 
 
 if __name__ == "__main__":

@@ -262,6 +262,12 @@ def _report_sweep(ensemble: Ensemble, swept: Mapping[str, Any], method: str, sec
     click.echo(f"\n{len(ensemble)} runs, {nfev} evaluations of the right-hand side, {seconds * 1e3:.2f} ms")
 
 
+def _output(default: str, text: str) -> Callable[..., Any]:
+    """The option of the file to write."""
+    kind = click.Path(dir_okay=False, path_type=Path)
+    return click.option("-o", "--output", type=kind, default=Path(default), show_default=True, help=text)
+
+
 @main.command(
     help=_help(
         "Simulate a model and write an interactive report: the moving mechanism, plots and a table, in one HTML file "
@@ -271,10 +277,7 @@ def _report_sweep(ensemble: Ensemble, swept: Mapping[str, Any], method: str, sec
     )
 )
 @with_options(RUN_OPTIONS)
-@click.option(
-    "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), default=Path("report.html"), show_default=True,
-    help="The file, .html.",
-)  # fmt: skip
+@_output("report.html", "The file, .html.")
 def report(output: Path, **run: Any) -> None:
     _show(output, (".html",), run)
 
@@ -288,10 +291,7 @@ def report(output: Path, **run: Any) -> None:
     )
 )
 @with_options(PAGE_OPTIONS)
-@click.option(
-    "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), default=Path("page.html"), show_default=True,
-    help="The file, .html.",
-)  # fmt: skip
+@_output("page.html", "The file, .html.")
 def page(
     output: Path,
     model: str,
@@ -314,10 +314,7 @@ def page(
     )
 )
 @with_options(RUN_OPTIONS)
-@click.option(
-    "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), default=Path("animation.gif"), show_default=True,
-    help="The file, .gif or .mp4.",
-)  # fmt: skip
+@_output("animation.gif", "The file, .gif or .mp4.")
 def animate(output: Path, **run: Any) -> None:
     _show(output, (".gif", ".mp4"), run)
 

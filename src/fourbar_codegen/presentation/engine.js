@@ -1,7 +1,8 @@
 // Runs of a model that is compiled to WebAssembly, in a worker where there is one; fourbar_page.h has its functions.
 
-// Takes requests {p, x, signals, begin, end, rtol, atol, times, from}: parameters, an initial state whose dependent
-// values are guesses, six numbers for each input; `from` is a closed state {p, x, signals, begin} with other values.
+// Takes requests {p, x, dependent, angle, signals, begin, end, rtol, atol, times, from}: parameters, an initial state of
+// which some values are dependent, and guesses, and some are angles, and six numbers for each input; `from` is a closed
+// state {p, x, dependent, angle, signals, begin} with other values.
 // This function becomes the text of the worker, so it uses nothing from outside.
 const makeEngine = async bytes => {
   const OK = 0, CONSTANT = 1, DEPTH = 8, NEAR = 1e-6, SHORT = 0.5; // SHORT in rad

@@ -201,7 +201,9 @@ const simulate = async (options = {}) => {
   checkNames(initial, data.states, "state");
   checkNames(inputs, Object.keys(chosen.inputs), "input");
   const n = data.modes.length;
-  if (!Number.isInteger(mode) || !data.modes[mode]) throw new RangeError(`There is no assembly mode ${mode}; there are ${n}, from 0.`);
+  if (!Number.isInteger(mode) || !data.modes[mode]) {
+    throw new RangeError(`There is no assembly mode ${mode}; there are ${n}, from 0.`);
+  }
   for (const name in parameters) chosen.parameters[name] = finiteNumber(parameters[name], name);
   for (const name in inputs) chosen.inputs[name] = signalFrom(name, inputs[name]);
   const guess = [...data.modes[mode]];
@@ -226,7 +228,8 @@ const simulate = async (options = {}) => {
   const from = guesses ? {...pointOf(chosen), x: guess} : beginningOf(mode);
   const run = await scriptEngine.ask("run", {...requestOf(chosen, from, at), rtol, atol});
   return {t: Array.from(at.subarray(0, run.n)), y: data.states.map((_, k) => Array.from(columnOf(run, k))),
-    success: run.status === 0, message: run.closed && run.lost ? `${run.message}. ${LOST}` : run.message, nfev: run.evaluations};
+    success: run.status === 0, nfev: run.evaluations,
+    message: run.closed && run.lost ? `${run.message}. ${LOST}` : run.message};
 };
 window.fourbar = Object.freeze({
   name: data.name,

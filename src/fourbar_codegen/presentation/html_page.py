@@ -57,7 +57,8 @@ def html_text(template: str, title: str, data: Mapping[str, Any], scripts: Itera
     Parameters
     ----------
     template : str
-        Name of an HTML file in this folder, with ``@TITLE@``, ``@STYLE@``, ``@DATA@`` and ``@SCRIPT@``.
+        Name of an HTML file in this folder, with ``@TITLE@``, ``@STYLE@``, ``@PLAYER@``, ``@DATA@`` and
+        ``@SCRIPT@``.
     title : str
     data : mapping
         Plain data that JSON can hold.
@@ -68,8 +69,8 @@ def html_text(template: str, title: str, data: Mapping[str, Any], scripts: Itera
     """
     # "<" could end the HTML element that contains the data.
     text = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-    page = html_file(template).replace("@STYLE@", html_file("style.css")).replace("@TITLE@", html.escape(title))
-    for name, more in texts.items():
+    page = html_file(template).replace("@TITLE@", html.escape(title))
+    for name, more in {"STYLE": html_file("style.css"), "PLAYER": html_file("player.html"), **texts}.items():
         page = page.replace(f"@{name}@", more)
     return page.replace("@SCRIPT@", "\n".join(map(html_file, scripts))).replace("@DATA@", text)
 

@@ -26,12 +26,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import sympy as sm
-import sympy.physics.mechanics as me
 from measure import DOCS, circumstances, compare, replace_in_page
 from peers import END, Case, aligned, at_error, by_scipy
 from scipy.integrate import solve_ivp
-from sympy.physics.mechanics.system import System
+from trees import LINK, revolute_chain
 from tutorial import Floats
 
 import fourbar_codegen as fb
@@ -68,6 +66,19 @@ void evaluate(int n, const double *x, const double *p, double *accelerations)
     free(rates);
     free(work);
 }
+
+void differentiate(int n, const double *x, const double *p, double *jacobians)
+{
+    const fb_kernel *k = &KERNEL;
+    const int n_x = k->n_x;
+    double *constants = malloc((size_t)(k->n_constants + 1) * sizeof(double));
+    void *work = malloc(k->work_size);
+    k->prepare(p, constants);
+    for (int i = 0; i < n; ++i, x += n_x, jacobians += n_x * n_x)
+        fb_jacobian(k, 0.5, x, constants, 0, jacobians, work);
+    free(constants);
+    free(work);
+}
 """
 
 MUJOCO_SOURCE = r"""
@@ -99,6 +110,7 @@ PINOCCHIO_SOURCE = r"""
 #include <array>
 #include <cmath>
 #include <boost/numeric/odeint.hpp>
+#include <pinocchio/algorithm/aba-derivatives.hpp>
 #include <pinocchio/algorithm/aba.hpp>
 #include <pinocchio/algorithm/constrained-dynamics.hpp>
 #include <pinocchio/algorithm/proximal.hpp>
@@ -215,6 +227,21 @@ extern "C" void aba(Chain *made, int n, const double *x, double *accelerations)
         q = Map<const VectorXd>(x, k);
         u = Map<const VectorXd>(x + k, k);
         Map<VectorXd>(accelerations, k) = pin::aba(made->model, made->data, q, u, tau);
+    }
+}
+
+/* d(accelerations)/dq and d(accelerations)/du, one after the other, column by column. */
+extern "C" void aba_derivatives(Chain *made, int n, const double *x, double *jacobians)
+{
+    const int k = made->model.nv;
+    const VectorXd tau = VectorXd::Zero(k);
+    VectorXd q(k), u(k);
+    for (int i = 0; i < n; ++i, x += 2 * k, jacobians += 2 * k * k) {
+        q = Map<const VectorXd>(x, k);
+        u = Map<const VectorXd>(x + k, k);
+        pin::computeABADerivatives(made->model, made->data, q, u, tau);
+        Map<Eigen::MatrixXd>(jacobians, k, k) = made->data.ddq_dq;
+        Map<Eigen::MatrixXd>(jacobians + k * k, k, k) = made->data.ddq_dv;
     }
 }
 """
@@ -677,37 +704,6 @@ def precision(case: Case, expected: Floats, ways: Mapping[str, Way], rounds: int
 # ---- open chains
 
 
-def revolute_chain(links: int) -> fb.Model:
-    """A chain in space, one link below the other, on pins about x, y, x, y, ... of the link before."""
-    q, u = me.dynamicsymbols(f"q1:{links + 1}"), me.dynamicsymbols(f"u1:{links + 1}")
-    m, length, g = sm.symbols("m l g")
-    inertia = sm.symbols("i_xx i_yy i_zz i_xy i_yz i_zx")
-    ground, joint = me.ReferenceFrame("N"), me.Point("O")
-    joint.set_vel(ground, 0)
-    system = System(ground, joint)
-    parent = ground
-    for i, (angle, rate) in enumerate(zip(q, u, strict=True), start=1):
-        link, center, end = me.ReferenceFrame(f"B{i}"), me.Point(f"C{i}"), me.Point(f"P{i}")
-        axis = parent.x if i % 2 else parent.y
-        link.orient_axis(parent, axis, angle)
-        link.set_ang_vel(parent, rate * axis)
-        for point, distance in ((center, length / 2), (end, length)):
-            point.set_pos(joint, -distance * link.z)
-        system.add_bodies(me.RigidBody(f"link{i}", center, link, m, (me.inertia(link, *inertia), center)))
-        parent, joint = link, end
-    system.apply_uniform_gravity(-g * ground.z)
-    system.add_coordinates(*q)
-    system.add_speeds(*u)
-    system.add_kdes(*(rate - angle.diff() for angle, rate in zip(q, u, strict=True)))
-    return fb.Model(
-        system, name=f"revolute_chain_{links}", parameters=dict(zip((m, length, g, *inertia), LINK, strict=True))
-    )
-
-
-LINK = (1.3, 0.4, 9.81, 0.11, 0.12, 0.03, 0.004, -0.006, 0.005)
-"""Mass, length, gravity, and the inertia about the mass center: xx, yy, zz, xy, yz, zx."""
-
-
 @dataclass(frozen=True)
 class Evaluation:
     """A way to evaluate a chain's forward dynamics.
@@ -748,9 +744,8 @@ def many(function: Callable[[Floats, Floats], object]) -> Evaluation:
     return Evaluation(accelerations, measure)
 
 
-def chain_by_ourselves(links: int) -> dict[str, Evaluation]:
-    model = revolute_chain(links)
-    compiled = fb.compile_model(model)
+def our_functions(model: fb.Model) -> ctypes.CDLL:
+    """Loops in C over a model's kernel."""
     name = f"{model.name}_kernel"
     command = [
         os.environ.get("CC", "cc"),
@@ -760,8 +755,12 @@ def chain_by_ourselves(links: int) -> dict[str, Evaluation]:
         "-include",
         f"{name}.h",
     ]
-    functions = library(OUR_SOURCE, ".c", command, ["-lm"], fb.generate_sources(model))
-    p = np.array(LINK)
+    return library(OUR_SOURCE, ".c", command, ["-lm"], fb.generate_sources(model))
+
+
+def chain_by_ourselves(links: int) -> dict[str, Evaluation]:
+    model = revolute_chain(links)
+    compiled, functions, p = fb.compile_model(model), our_functions(model), np.array(LINK)
 
     def side_by_side(states: Floats) -> Callable[[], float]:
         names = {
@@ -783,6 +782,14 @@ def chain_by_ourselves(links: int) -> dict[str, Evaluation]:
     }
 
 
+def chain_in_pinocchio(functions: ctypes.CDLL, links: int) -> ctypes.c_void_p:
+    """The chain in C++."""
+    m, length, g, xx, yy, zz, xy, yz, zx = LINK
+    inertia = np.array([[xx, xy, zx], [xy, yy, yz], [zx, yz, zz]])
+    numbers = (ctypes.c_double(value) for value in (m, length, g))
+    return ctypes.c_void_p(functions.chain(links, *numbers, address(inertia)))
+
+
 def chain_by_pinocchio(links: int) -> dict[str, Evaluation]:
     import pinocchio as pin
 
@@ -802,8 +809,7 @@ def chain_by_pinocchio(links: int) -> dict[str, Evaluation]:
     }
     functions = pinocchio_functions()
     if functions is not None:
-        numbers = (ctypes.c_double(value) for value in (m, length, g))
-        chain = ctypes.c_void_p(functions.chain(links, *numbers, address(inertia)))
+        chain = chain_in_pinocchio(functions, links)
         found["in C: Pinocchio, `aba`"] = many(
             lambda states, out: functions.aba(chain, len(states), address(states), address(out))
         )

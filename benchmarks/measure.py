@@ -60,6 +60,7 @@ def evaluation_inside_c(
     x: Iterable[float],
     p: Iterable[float],
     flags: Sequence[str],
+    number: int = 200_000,
 ) -> Callable[[], float]:
     """A measure of a model's kernel called in a loop by a C program: `rhs`, or `dynamics`, forming alone."""
     folder = Path(tempfile.mkdtemp())
@@ -70,7 +71,7 @@ def evaluation_inside_c(
     command += ["-I", fb.get_include(), "-I", str(folder), f"-DKERNEL={name}_kernel"]
     command += ["-include", f"{name}_kernel.h", str(Path(__file__).parent / "inside_c.c")]
     subprocess.run([*command, *map(str, folder.glob("*.c")), "-o", str(program), "-lm"], check=True)
-    arguments = [str(program), function, "200000", repr(t), *(repr(float(value)) for value in (*x, *p))]
+    arguments = [str(program), function, str(number), repr(t), *(repr(float(value)) for value in (*x, *p))]
 
     def measure() -> float:
         return float(subprocess.run(arguments, check=True, capture_output=True, text=True).stdout.split()[0])

@@ -16,6 +16,7 @@ PACKAGES = {
     "ffmpeg": "ffmpeg",
     "ffprobe": "ffmpeg",
     "qemu-aarch64": "qemu-user",
+    "qemu-arm": "qemu-user",
     "qemu-x86_64": "qemu-user",
     "wasm-ld": "lld wasi-libc libclang-rt-dev-wasm32",
 }

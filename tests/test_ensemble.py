@@ -10,8 +10,9 @@ import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
 from scipy.integrate import solve_ivp
-from systems import pendulum
+from systems import pendulum, spatial_four_bar
 from terminal import on_terminal
+from trees import revolute_chain
 from tutorial import tutorial_four_bar
 
 import fourbar_codegen as fb
@@ -55,7 +56,10 @@ MODELS = {
     "closed chain": (lambda: fb.models.chain(4, closed=True), True),
     "bicycle": (fb.models.whipple_bicycle, True),
     "functions": (functions_of_the_state, True),
-    "sparse": (lambda: fb.models.n_four_bar(10), False),
+    "sparse": (lambda: fb.models.n_four_bar(10), True),
+    "ten constraints": (lambda: fb.models.n_four_bar(5), True),
+    "recursive": (lambda: revolute_chain(5), True),
+    "redundant": (spatial_four_bar, False),
 }
 
 

@@ -127,8 +127,9 @@ def generate_derivatives(generated: Generated) -> tuple[Derivatives, list[Schedu
     from fourbar_codegen.lowering.lower import lower_derivatives
     from fourbar_codegen.lowering.schedule import schedule_function
 
-    derivatives = form_derivatives(generated.equations)
-    functions = lower_derivatives(generated.scheduled.program, generated.equations, derivatives)
+    program = generated.scheduled.program
+    derivatives = form_derivatives(generated.equations, by_columns=program.form == "recursive")
+    functions = lower_derivatives(program, generated.equations, derivatives)
     return derivatives, [schedule_function(function, inline_angles=False) for function in functions]
 
 

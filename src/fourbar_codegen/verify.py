@@ -70,6 +70,8 @@ def verify(compiled: Kernel, equations: Equations, derivatives: Derivatives | No
     compared = 0
     for _ in range(ATTEMPTS):
         values = _random_values(equations, compiled, generator)
+        for tangent in () if derivatives is None else derivatives.tangents:
+            values.update((leaf, generator.uniform(-1.0, 1.0)) for leaf in tangent.direction)
         if not close(equations.tape, equations.not_orthonormal, equations.coordinates, values):
             continue
         try:
@@ -106,6 +108,8 @@ def _states(e: Equations) -> tuple[Scalar, ...]:
 def _evaluate(e: Equations, d: Derivatives | None, values: Mapping[Scalar, float]) -> dict[str, Floats]:
     formed = (*vars(e).values(), *(() if d is None else vars(d).values()))
     results = [value for value in formed if isinstance(value, Result)]
+    for tangent in () if d is None else d.tangents:
+        results += [tangent.coordinate_rates, tangent.residual]
     numbers = iter(e.tape.evaluate([entry for result in results for entry in result.entries], values))
     return {r.name: np.array([next(numbers) for _ in r.entries]).reshape(r.shape) for r in results}
 
@@ -177,14 +181,25 @@ def _compiled_results(
                 [d.coordinate_accelerations, d.point_velocities, d.point_accelerations],
                 compiled.motion(t, x, accelerations, p, r),
             ),
-            "sensitivity": ([d.coordinate_rate_jacobian, d.residual_jacobian], sensitivities[0:2]),
-            "parameter_sensitivity": (
-                [d.coordinate_rate_parameter_jacobian, d.residual_parameter_jacobian],
-                sensitivities[2:4],
-            ),
-            "input_sensitivity": ([d.coordinate_rate_input_jacobian, d.residual_input_jacobian], sensitivities[4:6]),
+            "sensitivity": _sensitivities(d, values, sensitivities),
         }
     return {function: tuple(zip(results, arrays, strict=True)) for function, (results, arrays) in got.items()}
+
+
+def _sensitivities(
+    d: Derivatives, values: Mapping[Scalar, float], matrices: Sequence[Floats]
+) -> tuple[list[Result], Sequence[Floats]]:
+    """The derivatives of q' and of the residual, or their products with directions, and the compiled ones."""
+    if d.tangents:
+        results = [result for tangent in d.tangents for result in (tangent.coordinate_rates, tangent.residual)]
+        directions = [np.array([values[leaf] for leaf in tangent.direction]) for tangent in d.tangents]
+        return results, [matrix @ directions[i // 2] for i, matrix in enumerate(matrices)]
+    formed = (
+        *(d.coordinate_rate_jacobian, d.residual_jacobian),
+        *(d.coordinate_rate_parameter_jacobian, d.residual_parameter_jacobian),
+        *(d.coordinate_rate_input_jacobian, d.residual_input_jacobian),
+    )
+    return [result for result in formed if result is not None], matrices
 
 
 def _compare(model: str, function: str, result: Result, got: Floats, expected: Floats) -> None:

@@ -34,6 +34,13 @@ if TYPE_CHECKING:
 
 __all__ = ["main"]
 
+FORMS = {
+    "dense": "the mass matrix is formed and factored",
+    "sparse": "the mass matrix and the constraints are factored in a sparse elimination order",
+    "recursive": "solved body by body, without forming the mass matrix",
+}
+"""How accelerations are found."""
+
 
 class _Command(click.Command):
     """Explains -t if it is given only one number."""
@@ -462,6 +469,7 @@ def info(model: str) -> None:
     if compiled.auxiliary_states:
         click.echo(f"auxiliary states: {', '.join(compiled.auxiliary_states)}")
     click.echo(f"constraints: {compiled.n_h} on positions, {compiled.n_c} on velocities")
+    click.echo(f"equations: {manifest['form']}, {FORMS[manifest['form']]}")
     click.echo("parameters:")
     for entry in manifest["parameters"]:
         value = "no default" if entry["default"] is None else f"{entry['default']:g}"

@@ -42,6 +42,9 @@ EXACT = 2**53
 ANGLES = "angles"
 """Name of the variables for sines and cosines that are evaluated together, followed by a number."""
 
+OF_NUMBER = {"fb_real": "fb_number", "fb_many": "fb_all"}
+"""Functions that make vectors of numbers."""
+
 RESERVED = frozenset(
     # C keywords, the macros of <math.h>, and those that compilers define for their system
     "auto break case char const continue default do double else enum extern float for goto if inline int long "
@@ -63,7 +66,7 @@ class Text:
     Parameters
     ----------
     scheduled : ScheduledFunction
-    real : {"fb_real", "double"}, optional
+    real : {"fb_real", "fb_many", "double"}, optional
         The type of its values.
 
     Attributes
@@ -82,7 +85,7 @@ class Text:
     def value(self, line: int) -> str:
         """The right-hand side of a line."""
         operation, text = self.operations[line], self._operation(self.operations[line])[0]
-        if not isinstance(operation, Call) or self.real == "double" or _is_side_by_side(operation):
+        if not isinstance(operation, Call) or self.real != "fb_real" or _is_side_by_side(operation):
             return text
         # C has these functions for double only.
         arguments = [self.names[argument] for argument in operation.arguments]
@@ -92,7 +95,7 @@ class Text:
 
     def number(self, value: Number) -> str:
         """A number as a value of the function's type."""
-        return f"fb_number({_literal(value)})" if self.real == "fb_real" else _literal(value)
+        return _literal(value) if self.real == "double" else f"{OF_NUMBER[self.real]}({_literal(value)})"
 
     def scalar(self, scalar: Scalar) -> str:
         """A result."""
@@ -135,7 +138,7 @@ class Text:
             case Call(expression, arguments):
                 names = {placeholder(i): self._node(argument)[0] for i, argument in enumerate(arguments)}
                 inline = self.inline_angles and (self.real == "double" or _is_side_by_side(operation))
-                return _print(_Printer(names, "fb_" if inline else ""), expression), False
+                return _print(_Printer(names, "fb_" if inline else "", OF_NUMBER.get(self.real, "")), expression), False
         raise TypeError(f"{operation} has no text")
 
     def _term(self, number: Number, node: int) -> str:
@@ -171,13 +174,23 @@ def _literal(value: Number) -> str:
 
 
 class _Printer(C99CodePrinter):
-    """C99 with numbers as literals, placeholders by the text of their arguments, and a prefix for sin, cos and abs."""
+    """C99 with numbers as literals, and placeholders by the text of their arguments.
 
-    def __init__(self, arguments: Mapping[sm.Symbol, str], prefix: str) -> None:
+    Parameters
+    ----------
+    arguments : mapping of Symbol to str
+    prefix : str
+        Of sin, cos and abs.
+    of_number : str
+        The function that makes a branch of a Piecewise of a number, where other branches are vectors.
+    """
+
+    def __init__(self, arguments: Mapping[sm.Symbol, str], prefix: str, of_number: str = "") -> None:
         # No macros such as M_PI: they are not part of C99.
         super().__init__({"strict": True, "math_macros": {}})
-        self.arguments = arguments
+        self.arguments: dict[sm.Symbol, str] = dict(arguments)
         self.prefix = prefix
+        self.of_number = of_number
 
     def _print_sin(self, expr: sm.sin) -> str:
         return f"{self.prefix}sin({self._print(expr.args[0])})"
@@ -210,6 +223,14 @@ class _Printer(C99CodePrinter):
         if expr.args[-1].cond != sm.true:
             # Outside of all conditions, such as beyond the ends of a spline, it has no value.
             expr = sm.Piecewise(*expr.args, (sm.nan, True), evaluate=False)
+        if self.of_number == OF_NUMBER["fb_many"]:
+            # The conditions are those of one state, so that whole vectors are chosen.
+            branches = []
+            for number, (branch, condition) in enumerate(expr.args):
+                symbol = sm.Symbol(f"number{number}")
+                self.arguments[symbol] = f"{self.of_number}({self._print(branch)})"
+                branches.append((symbol if branch.is_number else branch, condition))
+            expr = sm.Piecewise(*branches, evaluate=False)
         return super()._print_Piecewise(expr)  # type: ignore[no-any-return]
 
     def _print_NaN(self, _: sm.Expr) -> str:

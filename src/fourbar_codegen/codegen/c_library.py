@@ -19,9 +19,10 @@ FOLDER = "runtime/"
 """Of the headers that the sources include, beside these."""
 
 HEADERS = (
-    "fourbar_angle.h", "fourbar_array.h", "fourbar_close.h", "fourbar_forces.h", "fourbar_integrate.h",
-    "fourbar_kernel.h", "fourbar_library.h", "fourbar_model.h", "fourbar_pivoted.h", "fourbar_problem.h",
-    "fourbar_real.h", "fourbar_sine.h", "fourbar_solve.h", "fourbar_sparse.h", "fourbar_tableau.h",
+    "fourbar_angle.h", "fourbar_array.h", "fourbar_close.h", "fourbar_columns.h", "fourbar_forces.h",
+    "fourbar_integrate.h", "fourbar_kernel.h", "fourbar_library.h", "fourbar_model.h", "fourbar_normal.h",
+    "fourbar_ordered.h", "fourbar_pivoted.h", "fourbar_problem.h", "fourbar_real.h", "fourbar_recursive.h",
+    "fourbar_sine.h", "fourbar_solve.h", "fourbar_sparse.h", "fourbar_tableau.h",
 )  # fmt: skip
 """The runtime of a library."""
 
@@ -311,7 +312,11 @@ def _memory(program: Program) -> int:
     n_x, n_l, c, u, n = s.n_q + s.n_u + s.n_z, s.n_c + s.n_n, s.n_c, s.n_u, s.n_n
     padded = (n_x + 7) // 8 * 8
     structure = program.structure
-    if structure is None:
+    if program.factors is not None:
+        n_mass, n_jacobian = u + len(program.factors.nodes), c * u
+        lanes = (c + 8) // 8 * 8
+        factors = 4 + (u + c) * lanes + 2 + 4 * c + u + c * u + 2 * u * u
+    elif structure is None:
         n_mass, n_jacobian = u * u, c * u
         factors = 2 + 4 * c + u + c * u + 2 * u * u
     else:

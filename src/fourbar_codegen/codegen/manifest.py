@@ -16,7 +16,7 @@ from fourbar_codegen.modeling.model import Model
 
 __all__ = ["manifest_of", "manifest_text", "operations_of"]
 
-MANIFEST_FORMAT = 13
+MANIFEST_FORMAT = 14
 
 
 def manifest_of(
@@ -90,6 +90,7 @@ def manifest_of(
         "velocity_rows": [row for row, entry in enumerate(violation) if not entry],
         "warnings": list(equations.warnings),
         "has_potential_energy": not energies[1].is_nan,
+        "form": program.form,
     }
 
 

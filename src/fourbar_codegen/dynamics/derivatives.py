@@ -12,7 +12,24 @@ from fourbar_codegen.dynamics.equations import Equations, matrix, vector
 from fourbar_codegen.expressions.derivatives import Jvp, jacobian
 from fourbar_codegen.expressions.tape import Result, Scalar
 
-__all__ = ["Derivatives", "form_derivatives"]
+__all__ = ["Derivatives", "Tangent", "form_derivatives"]
+
+
+@dataclass(frozen=True)
+class Tangent:
+    """Derivatives along one direction.
+
+    Attributes
+    ----------
+    direction : tuple of Scalar
+        The leaves of a direction in the space of the states, the parameters or the inputs.
+    coordinate_rates, residual : Result
+        The derivatives of q' and of `Equations.residual` at fixed u' and multipliers along it.
+    """
+
+    direction: tuple[Scalar, ...]
+    coordinate_rates: Result
+    residual: Result
 
 
 @dataclass(frozen=True)
@@ -21,10 +38,12 @@ class Derivatives:
 
     Attributes
     ----------
-    coordinate_rate_jacobian, coordinate_rate_parameter_jacobian, coordinate_rate_input_jacobian : Result
+    coordinate_rate_jacobian, coordinate_rate_parameter_jacobian, coordinate_rate_input_jacobian : Result or None
         Derivatives of q' with respect to x, p and r, (n_q, n_x), (n_q, n_p) and (n_q, n_r).
-    residual_jacobian, residual_parameter_jacobian, residual_input_jacobian : Result
+    residual_jacobian, residual_parameter_jacobian, residual_input_jacobian : Result or None
         Derivatives of `Equations.residual` at fixed u' and multipliers with respect to x, p and r.
+    tangents : tuple of Tangent
+        Instead of these six matrices, their products with vectors, for x, p and r; empty if there are the matrices.
     state_rate_acceleration_jacobian, state_rate_multiplier_jacobian : Result
         Derivatives of z' with respect to u' and multipliers, (n_z, n_u) and (n_z, n_c + n_n).
     output_jacobian, output_parameter_jacobian, output_input_jacobian : Result
@@ -43,12 +62,13 @@ class Derivatives:
         Of the drawn points, for given u', (n_points, 3). Inputs whose rates are no inputs count as constant.
     """
 
-    coordinate_rate_jacobian: Result
-    coordinate_rate_parameter_jacobian: Result
-    coordinate_rate_input_jacobian: Result
-    residual_jacobian: Result
-    residual_parameter_jacobian: Result
-    residual_input_jacobian: Result
+    coordinate_rate_jacobian: Result | None
+    coordinate_rate_parameter_jacobian: Result | None
+    coordinate_rate_input_jacobian: Result | None
+    residual_jacobian: Result | None
+    residual_parameter_jacobian: Result | None
+    residual_input_jacobian: Result | None
+    tangents: tuple[Tangent, ...]
     state_rate_acceleration_jacobian: Result
     state_rate_multiplier_jacobian: Result
     output_jacobian: Result
@@ -65,12 +85,15 @@ class Derivatives:
     point_accelerations: Result
 
 
-def form_derivatives(equations: Equations) -> Derivatives:
+def form_derivatives(equations: Equations, *, by_columns: bool = False) -> Derivatives:
     """Differentiate the equations of motion of a model.
 
     Parameters
     ----------
     equations : Equations
+    by_columns : bool, optional
+        Whether to form products of the large matrices with vectors instead, whose number of operations grows like that
+        of the equations.
 
     Returns
     -------
@@ -89,13 +112,16 @@ def form_derivatives(equations: Equations) -> Derivatives:
     def backwards(name: str, of: Result, variables: Sequence[Scalar]) -> Result:
         return matrix(name, jacobian(e.tape, of.entries, variables), len(variables))
 
-    formed: dict[str, Result] = {}
+    formed: dict[str, Result | None] = {}
+    tangents = []
     for kind, variables in (("", state), ("_parameter", e.parameters), ("_input", e.inputs)):
+        if by_columns:
+            tangents.append(_tangent(e, kind, variables))
         # Forward mode: all rows of both results share the subexpressions of each direction.
-        directions = [Jvp(e.tape, {variable: e.tape.one}) for variable in variables]
+        directions = [] if by_columns else [Jvp(e.tape, {variable: e.tape.one}) for variable in variables]
         for name, of in (("coordinate_rate", e.coordinate_rates), ("residual", e.residual)):
-            key = f"{name}{kind}_jacobian"
-            formed[key] = matrix(key, [[d(row) for d in directions] for row in of.entries], len(variables))
+            key, rows = f"{name}{kind}_jacobian", [[d(row) for d in directions] for row in of.entries]
+            formed[key] = None if by_columns else matrix(key, rows, len(variables))
     rate = Jvp(
         e.tape,
         {
@@ -121,5 +147,16 @@ def form_derivatives(equations: Equations) -> Derivatives:
         velocity_jacobian=backwards("velocity_jacobian", e.velocity_violation, e.coordinates),
         velocity_input_jacobian=backwards("velocity_input_jacobian", e.velocity_violation, e.inputs),
         position_input_jacobian=backwards("position_input_jacobian", e.position_constraints, e.inputs),
+        tangents=tuple(tangents),
         **formed,
+    )
+
+
+def _tangent(e: Equations, kind: str, variables: Sequence[Scalar]) -> Tangent:
+    direction = tuple(e.tape.leaf("d", f"{kind}{number}") for number in range(len(variables)))
+    along = Jvp(e.tape, dict(zip(variables, direction, strict=True)))
+    return Tangent(
+        direction,
+        vector(f"coordinate_rate{kind}_tangent", map(along, e.coordinate_rates.entries)),
+        vector(f"residual{kind}_tangent", map(along, e.residual.entries)),
     )

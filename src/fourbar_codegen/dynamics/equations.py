@@ -32,6 +32,7 @@ from fourbar_codegen.dynamics.kinematic_equations import solve_kinematics
 from fourbar_codegen.dynamics.kinematics import Kinematics
 from fourbar_codegen.dynamics.picture import Picture, applied_forces, find_picture
 from fourbar_codegen.dynamics.random_states import RandomStates
+from fourbar_codegen.dynamics.recursion import Recursion, form_recursion
 from fourbar_codegen.dynamics.unknown_forces import form_generalized_forces, form_unknown_forces
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.expressions.breakpoints import breakpoints
@@ -96,6 +97,8 @@ class Equations:
         q', (n_q,).
     mass_matrix, forcing : Result
         M, (n_u, n_u), and f, (n_u,), without unknown forces.
+    recursion : Recursion or None
+        f, and products with M and its inverse, without M; None for few speeds, or bodies without mass.
     force_effect, force_effect_jacobian : Result
         F(n), (n_u,), the contribution of unknown forces that drive the motion to f, and dF/dn, (n_u, n_n).
     auxiliary_forcing, auxiliary_forcing_jacobian, auxiliary_mass, auxiliary_constraint_jacobian : Result
@@ -163,6 +166,7 @@ class Equations:
     coordinate_rates: Result
     mass_matrix: Result
     forcing: Result
+    recursion: Recursion | None
     force_effect: Result
     force_effect_jacobian: Result
     auxiliary_forcing: Result
@@ -248,12 +252,17 @@ def form_equations(model: Model) -> Equations:
     generalized = form_generalized_forces(kane, rate, total_rate, v.unknown)
     forcing, balance = generalized.known[: len(v.u)], [*generalized.balance]
     not_orthonormal = kinematics.not_orthonormal()
+    side = tuple(tape.leaf("s", number) for number in range(len(v.u)))
+    recursion = form_recursion(kane, rate, forcing, side, complete=not v.unknown)
+    if recursion is not None and recursion.is_local:
+        balance = kane.generalized_forces(total_rate, local=True)
     if not_orthonormal:
-        # Where quaternions are not normalized, sums formed in other frames differ. Derivatives must be those of M, f.
-        balance[: len(v.u)] = [
-            tape.sum([force, *(-(entry * a) for entry, a in zip(row, v.a, strict=True))])
-            for force, row in zip(forcing, mass_matrix, strict=True)
-        ]
+        # Where quaternions are not normalized, sums formed in other frames differ. All forms of M and f must agree.
+        inertia = [tape.sum([entry * a for entry, a in zip(row, v.a, strict=True)]) for row in mass_matrix]
+        if recursion is not None:
+            forcing, mass_matrix = recursion.forcing.entries, jacobian(tape, recursion.product.entries, side)
+            inertia = [*substitute(tape, recursion.product.entries, dict(zip(side, v.a, strict=True)))]
+        balance[: len(v.u)] = [force - of_u for force, of_u in zip(forcing, inertia, strict=True)]
     if tape.depends([*chain(*mass_matrix), *balance, *generalized.acting], v.aux):
         raise ModelError("Velocities must be linear in the auxiliary speeds.")
 
@@ -384,6 +393,7 @@ def form_equations(model: Model) -> Equations:
         picture=picture,
         forced=tuple(applied),
         not_orthonormal=tuple(not_orthonormal),
+        recursion=recursion,
         warnings=warnings,
         **{result.name: result for result in results},
     )

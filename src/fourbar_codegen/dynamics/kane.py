@@ -9,6 +9,7 @@ import functools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+from fourbar_codegen.dynamics.articulated_bodies import ArticulatedBodies
 from fourbar_codegen.dynamics.composite_bodies import CompositeBodies
 from fourbar_codegen.dynamics.kinematics import (
     INERTIAL,
@@ -136,6 +137,11 @@ class Kane:
             entries = min(entries, apart, key=lambda e: tape.count_operations(e.values()))
         return [[entries[max(r, s), min(r, s)] for s in range(n_u)] for r in range(n_u)]
 
+    def articulated_bodies(self) -> ArticulatedBodies:
+        """The elimination of all speeds, without M; see `ArticulatedBodies`."""
+        inertias = [None if inertia is None else inertia.matrix for inertia in self._inertias]
+        return ArticulatedBodies(self.kinematics, self.speeds, self._masses, inertias)
+
     def _entries_by_bodies(
         self, along: Sequence[Jvp], known: Mapping[tuple[int, int], Scalar]
     ) -> dict[tuple[int, int], Scalar]:
@@ -161,7 +167,7 @@ class Kane:
         return {pair: known.get(pair) or self.tape.sum(entry) for pair, entry in terms.items()}
 
     def generalized_forces(
-        self, rate: Jvp, loads: Sequence[Load] | None = None, *, inertia: bool = True
+        self, rate: Jvp, loads: Sequence[Load] | None = None, *, inertia: bool = True, local: bool = False
     ) -> list[Scalar]:
         """Generalized active and inertia forces, shape (n_u + n_aux,): f, or f - M u' for given u'.
 
@@ -176,6 +182,8 @@ class Kane:
             All of the mechanism's by default.
         inertia : bool, optional
             Whether to include the inertia forces.
+        local : bool, optional
+            Whether accelerations and forces are added up in the points' own frames, as in `Accumulated`.
 
         Source: Kane and Levinson 1985, sections 4.4 (active forces), 4.9 (noncontributing ones) and 4.11 (inertia
         forces). Forces on the bodies beyond a point are added up before they are projected, from the ends of
@@ -183,6 +191,7 @@ class Kane:
         manipulators", *J. Dynamic Systems, Measurement, and Control* 102 (1980).
         """
         kinematics, virtual = self.kinematics, self.virtual
+        express = kinematics.express_stepwise if local else kinematics.express
         forces: list[list[tuple[int, Components]]] = [[] for _ in self.mechanism.points]
         projections: list[tuple[Scalar, Scalar]] = []  # velocities, and forces along them
         for load in self.mechanism.loads if loads is None else loads:
@@ -193,7 +202,7 @@ class Kane:
                 torque = kinematics.express(vector, load.target)
                 projections += zip(virtual.angular_velocity(load.target), torque, strict=True)
 
-        accelerations = Accumulated(kinematics, functools.partial(kinematics.derivative, rate))
+        accelerations = Accumulated(kinematics, functools.partial(kinematics.derivative, rate), local=local)
         bodies = zip(self.mechanism.bodies, self._masses, self._inertias, strict=True)
         for body, mass, central in bodies if inertia else ():
             forces[body.point] += _scaled(-mass, accelerations(body.point))
@@ -211,10 +220,11 @@ class Kane:
                 continue
             base, parts = virtual.step(point)
             if base is not None and virtual.moves(base):
-                total = ((INERTIAL, kinematics.express(total, INERTIAL)),)
-                forces[base] += total
+                here, there = (virtual.home(point), virtual.home(base)) if local else (INERTIAL, INERTIAL)
+                total = ((here, express(total, here)),)
+                forces[base].append((there, express(total, there)))
             for frame, components in parts:
-                projections += zip(components, kinematics.express(total, frame), strict=True)
+                projections += zip(components, express(total, frame), strict=True)
         return vjp(self.tape, projections, (*self.speeds, *self.auxiliary))
 
     def power(self, loads: Sequence[Load] | None = None) -> Scalar:

@@ -97,7 +97,7 @@ class Kinematics:
     convert : Conversion
         Takes the System's symbols to the tape, rates of coordinates included.
     rate : callable
-        Differentiation with respect to time.
+        Differentiation with respect to time, with u' = 0.
     """
 
     def __init__(self, tape: Tape, mechanism: Mechanism, convert: Conversion, rate: Callable[[Scalar], Scalar]) -> None:
@@ -105,7 +105,7 @@ class Kinematics:
         self.mechanism = mechanism
         self.convert = convert
         self.zero: Components = (tape.zero,) * 3
-        self._rate = rate
+        self.rate = rate
         self._rotations: dict[tuple[int, int], Rotation] = {}
         self._in_frame: dict[tuple[int, Components, int], Components] = {}
         self._angular_velocities: dict[int, Components] = {}
@@ -144,6 +144,20 @@ class Kinematics:
             self._rotations[source, target] = known
         return known
 
+    def neighbour(self, frame: int, target: int) -> int:
+        """The next frame on the way from a frame to another one, in the tree of frames."""
+        at = target
+        while at > frame:
+            parent = self.mechanism.frames[at].parent
+            if parent == frame:
+                return at
+            at = parent
+        return self.mechanism.frames[frame].parent
+
+    def turn(self, source: int, target: int) -> Rotation:
+        """The same as `rotation`, for neighbours in the tree of frames."""
+        return self.dcm(target) if target > source else _transpose(self.dcm(source))
+
     def dcm(self, frame: int) -> Rotation:
         """The direction cosines of a frame in its parent; the identity for a frame without orientation."""
         stored_dcm = self.mechanism.frames[frame].dcm
@@ -159,6 +173,20 @@ class Kinematics:
                     components if source == frame else multiply(self.rotation(source, frame), components)
                 )
             parts.append(self._in_frame[key])
+        return add(self.zero, *parts)
+
+    def express_stepwise(self, vector: Vector, frame: int) -> Components:
+        """The same as `express`, from neighbour to neighbour in the tree of frames."""
+        parts = []
+        for source, components in vector:
+            at, here = source, components
+            while at != frame:
+                before, at = at, self.neighbour(at, frame)
+                key = (before, here, at)
+                if key not in self._in_frame:
+                    self._in_frame[key] = multiply(self.turn(before, at), here)
+                here = self._in_frame[key]
+            parts.append(here)
         return add(self.zero, *parts)
 
     def angular_velocity(self, frame: int) -> Components:
@@ -236,6 +264,13 @@ class Kinematics:
         frame = frames.pop() if len(frames) == 1 else INERTIAL
         return dot(self.express(a, frame), self.express(b, frame))
 
+    def home(self, point: int) -> int:
+        """The frame that the last step to a point is written in; the inertial one if there is none."""
+        base, parts = self.step(point)
+        if parts:
+            return parts[-1][0]
+        return INERTIAL if base is None else self.home(base)
+
     def moves(self, point: int) -> bool:
         """Whether the velocity of a point may be nonzero."""
         base, parts = self.step(point)
@@ -290,25 +325,31 @@ class Kinematics:
         return parts if base is None else (*self._path(base), *parts)
 
     def _rate_of_offset(self, offset: stored.Vector) -> Vector:
-        return tuple((frame, self.derivative(self._rate, frame, c)) for frame, c in self.vector(offset))
+        return tuple((frame, self.derivative(self.rate, frame, c)) for frame, c in self.vector(offset))
 
 
 class Accumulated:
     """A vector for each point: that of the preceding point, plus the contribution of the step between both.
 
-    A vector in a single frame stays there. Others are added up in the inertial frame, so that points share the sum over
-    the common part of their paths.
+    A vector in a single frame stays there. Others are added up in the inertial frame, or in the points' own ones, so
+    that points share the sum over the common part of their paths.
 
     Parameters
     ----------
     kinematics : Kinematics
     added : callable
         Takes a frame, and components of a velocity step in it, to the components to add in that frame.
+    local : bool, optional
+        Whether to add up in the points' own frames, `Kinematics.home`. Along chains of joints this takes fewer
+        operations, since a joint turns about one axis.
     """
 
-    def __init__(self, kinematics: Kinematics, added: Callable[[int, Components], Components]) -> None:
+    def __init__(
+        self, kinematics: Kinematics, added: Callable[[int, Components], Components], *, local: bool = False
+    ) -> None:
         self._kinematics = kinematics
         self._added = added
+        self._local = local
         self._known: dict[int, Vector] = {}
 
     def __call__(self, point: int) -> Vector:
@@ -321,8 +362,9 @@ class Accumulated:
             step = merged([(frame, self._added(frame, components)) for frame, components in parts])
             known = merged([*before, *step])
             if len(known) > 1:
-                both = add(kinematics.express(before, INERTIAL), kinematics.express(step, INERTIAL))
-                known = ((INERTIAL, both),)
+                frame = kinematics.home(point) if self._local else INERTIAL
+                express = kinematics.express_stepwise if self._local else kinematics.express
+                known = ((frame, add(express(before, frame), express(step, frame))),)
             self._known[point] = known
         return known
 

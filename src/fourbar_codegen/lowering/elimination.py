@@ -23,11 +23,12 @@ from collections.abc import Sequence
 
 from fourbar_codegen.lowering.program import Entries, PivotOrder, Structure
 
-__all__ = ["MAX_CONSTRAINTS", "find_pivot_order", "find_structure"]
+__all__ = ["MAX_CONSTRAINTS", "find_pivot_order", "find_structure", "recursive_cost", "solution_cost"]
 
 MIN_SPEEDS = 8
-MAX_CONSTRAINTS = 8
-"""Most constraints of dense equations for which a pivot order is fixed at code generation; see fourbar_solve.h."""
+MAX_CONSTRAINTS = 24
+"""Most constraints of dense equations for which a pivot order is fixed at code generation. States side by side need it;
+fourbar_solve.h uses it for fewer."""
 
 GOOD_PIVOT = 0.25
 """Smallest mean ratio of a pivot to the largest entry of its row in a good order; see fourbar_solve.h."""
@@ -37,6 +38,9 @@ TINY = 1e-12
 
 GAIN = 4
 """Sparse elimination must need this many times fewer multiplications, since it looks up indices."""
+
+VECTORS = 4
+"""Columns of M^-1 J^T that take the time of one, side by side in vectors."""
 
 
 def find_structure(n_u: int, n_c: int, mass_entries: Entries, jacobian_entries: Entries) -> Structure | None:
@@ -94,12 +98,57 @@ def find_structure(n_u: int, n_c: int, mass_entries: Entries, jacobian_entries: 
                     ready.add(n_u + row)
     step = {unknown: k for k, unknown in enumerate(order)}
     below = tuple(tuple(sorted(step[unknown] for unknown in column)) for column in columns)
-    sparse = sum(len(rows) * (len(rows) + 3) // 2 for rows in below)
+    structure = Structure(mass_entries, jacobian_entries, tuple(order), below)
+    return structure if solution_cost(n_u, n_c, structure) <= solution_cost(n_u, n_c, None) else None
+
+
+def solution_cost(n_u: int, n_c: int, structure: Structure | None) -> int:
+    """The number of multiplications for one solution, in units of those of dense equations.
+
+    Parameters
+    ----------
+    n_u, n_c : int
+        Numbers of speeds and of constraints.
+    structure : Structure or None
+        A sparse elimination order, or None for dense equations.
+
+    Returns
+    -------
+    int
+
+    Examples
+    --------
+    >>> solution_cost(3, 2, None)
+    38
+    """
+    if structure is not None:
+        return GAIN * sum(len(rows) * (len(rows) + 3) // 2 for rows in structure.below)
     n_i = n_u - n_c
-    dense = n_c**2 * n_u + n_c * n_i * n_u + n_i * n_u**2 // 2 + n_i**3 // 6
-    if GAIN * sparse > dense:
-        return None
-    return Structure(mass_entries, jacobian_entries, tuple(order), below)
+    return n_c**2 * n_u + n_c * n_i * n_u + n_i * n_u**2 // 2 + n_i**3 // 6
+
+
+def recursive_cost(n_u: int, n_c: int, n_jacobian: int, operations: int) -> int:
+    """The same for a recursion, besides the solution for one right-hand side; see fourbar_recursive.h.
+
+    Parameters
+    ----------
+    n_u, n_c : int
+    n_jacobian : int
+        Number of entries of J that are not zero.
+    operations : int
+        Those of M^-1 times a vector.
+
+    Returns
+    -------
+    int
+
+    Examples
+    --------
+    >>> recursive_cost(32, 0, 0, 1000)
+    0
+    """
+    by_vectors = n_c * (operations // 2 + n_jacobian)
+    return by_vectors // VECTORS + n_c**3 // 6 + 2 * (n_c**2 + n_c * n_u + n_jacobian)
 
 
 def find_pivot_order(n_c: int, n_u: int, rank: int, jacobians: Sequence[Sequence[Sequence[float]]]) -> PivotOrder:
@@ -142,7 +191,11 @@ def _pivot(
     matrices = [[list(row) for row in jacobian] for jacobian in jacobians]
     waiting, order, worst = list(itertools.product(range(n_c), speeds)), [], 0.0
     while waiting:
-        shares = {pair: sum(_share(matrix, *pair) for matrix in matrices) for pair in waiting}
+        largest = [[max(map(abs, row)) for row in matrix] for matrix in matrices]
+        shares = {
+            (row, speed): sum(_share(m[row][speed], size[row]) for m, size in zip(matrices, largest, strict=True))
+            for row, speed in waiting
+        }
         pivot = row, speed = max(shares, key=shares.__getitem__)
         worst = min(worst, shares[pivot])
         order.append(pivot)
@@ -154,7 +207,6 @@ def _pivot(
     return order, math.exp(worst / len(matrices))
 
 
-def _share(matrix: Sequence[Sequence[float]], row: int, speed: int) -> float:
+def _share(entry: float, largest: float) -> float:
     """The logarithm of the ratio of an entry to the largest remaining one in its row."""
-    largest = max(abs(entry) for entry in matrix[row])
-    return math.log(max(abs(matrix[row][speed]) / largest, TINY) if largest else TINY)
+    return math.log(max(abs(entry) / largest, TINY) if largest else TINY)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from fourbar_codegen.expressions.tape import ONE, Leaf, Node, Result, operands, operations_of
 
-__all__ = ["Array", "Entries", "Function", "PivotOrder", "Program", "Sizes", "Statements", "Structure"]
+__all__ = ["Array", "Entries", "Factors", "Function", "PivotOrder", "Program", "Sizes", "Statements", "Structure"]
 
 Statements = tuple[tuple[int, Node], ...]
 """Nodes and what they are, in order of evaluation."""
@@ -150,6 +150,19 @@ class Structure:
 
 
 @dataclass(frozen=True)
+class Factors:
+    """Factors of M for the recursive form, in which `dynamics` returns them instead of M.
+
+    Attributes
+    ----------
+    nodes : tuple of int
+        What `mass_solve` and `mass_product` need of a state, besides constants; they follow the pivots.
+    """
+
+    nodes: tuple[int, ...]
+
+
+@dataclass(frozen=True)
 class PivotOrder:
     """A pivot order in which dense constraints are solved for as many speeds.
 
@@ -221,7 +234,9 @@ class Program:
         The order in which the constraints are eliminated from dense equations.
     structure : Structure or None
         The sparse elimination order of the equations in `dynamics`, which then returns only the nonzero entries of M
-        and J; None for dense equations.
+        and J; None for dense or recursive equations.
+    factors : Factors or None
+        For recursive equations, the factors of M in `dynamics`; None for others.
     states_need_solution, states_need_multipliers : bool
         Whether state equations contain u' or multipliers; whether they contain multipliers.
     forces_are_linear : bool
@@ -235,9 +250,17 @@ class Program:
     position_rows: tuple[int | None, ...]
     pivot_order: PivotOrder
     structure: Structure | None
+    factors: Factors | None
     states_need_solution: bool
     states_need_multipliers: bool
     forces_are_linear: bool
+
+    @property
+    def form(self) -> str:
+        """How the equations are solved: "dense", "sparse" or "recursive"."""
+        if self.factors is not None:
+            return "recursive"
+        return "dense" if self.structure is None else "sparse"
 
     @property
     def parameters(self) -> tuple[Leaf, ...]:

@@ -52,6 +52,7 @@ SIDE_BY_SIDE = (
     "prepare",
     "default_inputs",
     "dynamics",
+    "mass_solve",
     "constraint_violation",
     "constraint_scale",
     "coordinate_change",
@@ -179,8 +180,8 @@ class Schedule:
     program : Program
     functions : tuple of ScheduledFunction
     has_batches : bool
-        Whether there are functions for several states side by side. The equations must be dense with a fixed pivot
-        order, x' must not need multipliers or unknown forces, and no function of many arguments may be called.
+        Whether there are functions for several states side by side. There must be a fixed pivot order, x' must not need
+        multipliers or unknown forces, and no function of many arguments may be called.
     is_short : bool
         Whether the equations are inlined into their callers; see fourbar_real.h.
     """
@@ -206,7 +207,7 @@ def schedule(program: Program) -> Schedule:
     sizes, functions = program.sizes, program.functions
     calls = (o for f in functions if f.name in SIDE_BY_SIDE for _, o in f.statements if isinstance(o, Call))
     few_arguments = all(len(call.arguments) <= MAX_ARGUMENTS for call in calls)
-    can_solve = program.structure is None and sizes.rank == sizes.n_c <= MAX_CONSTRAINTS
+    can_solve = sizes.rank == sizes.n_c and (program.form == "sparse" or sizes.n_c <= MAX_CONSTRAINTS)
     return Schedule(
         program=program,
         functions=tuple(schedule_function(f, inline_angles=True) for f in functions),

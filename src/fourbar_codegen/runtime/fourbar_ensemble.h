@@ -15,7 +15,7 @@ typedef struct fb_lanes {
     fb_real first, last; /* of their pieces of time, see fb_clock */
     /* J at the beginning of the step; the orientation of its columns in the static pivot order, see `fb_orientation`,
      * NaN if unknown; the largest one of the run; and the units */
-    fb_real jacobian_before[FB_AT_LEAST_1(N_JACOBIAN)], orientation, largest_orientation;
+    fb_real jacobian_before[FB_AT_LEAST_1(N_JACOBIAN)], orientation, largest_orientation; /* not of sparse equations */
     fb_real column_unit[N_U], row_unit[FB_AT_LEAST_1(N_C)];
     fb_source sources[FB_WIDTH][FB_AT_LEAST_1(N_R)];
     /* for the beginning of a run */
@@ -245,6 +245,7 @@ static inline void fb_enter(fb_lanes *c, const fb_ensemble *e, const int lane)
         fb_put_lane(x, lane, N_X, c->x);
         fb_put_lane(b->stages, lane, N_X, c->stages[0]);
         fb_put_lane(s->lane_constants, lane, N_CONSTANTS, s->constants);
+#ifndef FB_SPARSE
         double jacobian[FB_AT_LEAST_1(N_JACOBIAN)], bias[FB_AT_LEAST_1(N_C)];
         const double t = fb_time(&c->problem.clock, 0.0);
         fb_fill_inputs(&c->problem, t, x);
@@ -256,6 +257,7 @@ static inline void fb_enter(fb_lanes *c, const fb_ensemble *e, const int lane)
             c->column_unit[j][lane] = 0.0;
         for (int i = 0; i < N_C; ++i)
             c->row_unit[i][lane] = 0.0;
+#endif
         while (c->next_time[lane] < e->n_times && e->times[c->next_time[lane]] == 0.0)
             fb_store(c, e, lane, c->x);
         return;
@@ -266,8 +268,9 @@ static inline void fb_enter(fb_lanes *c, const fb_ensemble *e, const int lane)
  * `orientation_changed` of fourbar_model.h. In the requested lanes it is kept for the next step. */
 static inline fb_mask fb_orientation_changed(fb_lanes *c, const fb_mask asked)
 {
-    const fb_side *const s = &c->side;
     fb_mask changed = asked & 0;
+#ifndef FB_SPARSE
+    const fb_side *const s = &c->side;
     fb_real orientation = fb_number(INFINITY), sign = fb_number(1.0);
     if (N_C == 0)
         return changed;
@@ -283,11 +286,13 @@ static inline fb_mask fb_orientation_changed(fb_lanes *c, const fb_mask asked)
             const fb_real share = fb_abs(s->constraint_jacobian[i * N_U + j]) / c->column_unit[j];
             c->row_unit[i] = fb_select(asked, fb_greater(share, c->row_unit[i]), c->row_unit[i]);
         }
+    fb_real pivots[FB_AT_LEAST_1(N_C)];
+    fb_pivots_side_by_side(&s->factors, pivots);
     for (int k = 0; k < N_C; ++k) {
         const fb_real unit = c->column_unit[static_pivot_speed[k]] * c->row_unit[static_pivot_row[k]];
-        const fb_real pivot = fb_abs(s->factors.lu[k][k]) / unit;
+        const fb_real pivot = fb_abs(pivots[k]) / unit;
         orientation = fb_select(pivot < orientation, pivot, orientation);
-        sign = fb_select(s->factors.lu[k][k] < 0.0, -sign, sign);
+        sign = fb_select(pivots[k] < 0.0, -sign, sign);
     }
     orientation = fb_select(s->factors.good, sign * orientation, fb_number(NAN));
     const fb_real both = orientation * c->orientation;
@@ -309,14 +314,17 @@ static inline fb_mask fb_orientation_changed(fb_lanes *c, const fb_mask asked)
                     changed[lane] = -1;
                     continue;
                 }
-                const double at_end = fb_orientation(now, &units, &factors);
-                if (at_end * fb_orientation(before, &units, &factors) < 0.0 ||
+                const double at_end = fb_orientation(now, &units, factors.column);
+                if (at_end * fb_orientation(before, &units, factors.column) < 0.0 ||
                     fabs(at_end) < FB_CLOSE_BY * c->largest_orientation[lane])
                     changed[lane] = -1;
             }
     for (int i = 0; i < N_JACOBIAN; ++i)
         c->jacobian_before[i] = fb_select(asked, s->constraint_jacobian[i], c->jacobian_before[i]);
     c->orientation = fb_select(asked, orientation, c->orientation);
+#else
+    (void)c;
+#endif
     return changed;
 }
 

@@ -8,8 +8,10 @@
 #include "fourbar_array.h"
 #include "fourbar_kernel.h"
 
-#ifdef FB_SPARSE
+#if defined(FB_SPARSE)
 #include "fourbar_sparse.h"
+#elif defined(FB_RECURSIVE)
+#include "fourbar_recursive.h"
 #else
 #include "fourbar_solve.h"
 #endif
@@ -55,7 +57,16 @@ typedef struct fb_work {
     double largest_orientation; /* in all calls, 0 before the first */
 } fb_work;
 
-#ifdef FB_SPARSE
+#if defined(FB_RECURSIVE)
+/* M instead of its factors. */
+static void full_dynamics(double t, const double *x, const double *constants, const double *r, double *coordinate_rates,
+                          double *mass_matrix, double *forcing, double *constraint_jacobian, double *acceleration_bias)
+{
+    double mass[N_MASS];
+    dynamics(t, x, constants, r, coordinate_rates, mass, forcing, constraint_jacobian, acceleration_bias);
+    fb_form_mass(constants, mass + N_U, mass_matrix);
+}
+#elif defined(FB_SPARSE)
 /* The matrices of `dynamics` with their zeros. */
 static void full_dynamics(double t, const double *x, const double *constants, const double *r, double *coordinate_rates,
                           double *mass_matrix, double *forcing, double *constraint_jacobian, double *acceleration_bias)
@@ -80,8 +91,11 @@ static void full_dynamics(double t, const double *x, const double *constants, co
  * are open, which is distinguished from constraints that always were. */
 static inline int factor_at(double t, const double *x, const double *constants, const double *r, fb_work *restrict w)
 {
-    const int status = fb_factor(w->mass_matrix, w->constraint_jacobian, &w->factors);
-#ifndef FB_SPARSE
+#ifdef FB_RECURSIVE
+    w->factors.constants = constants;
+#endif
+    const int status = fb_factor(w->mass_matrix, w->constraint_jacobian, w->forcing, &w->factors);
+#if !defined(FB_SPARSE) && !defined(FB_RECURSIVE)
     if (N_RANK < N_C && status == FB_OK && w->factors.left > FB_REDUNDANT) {
         double positions[FB_AT_LEAST_1(N_H)], slopes[FB_AT_LEAST_1(N_H * N_Q)], scale[FB_AT_LEAST_1(N_H)];
         double unused[2][FB_AT_LEAST_1(N_C + N_I)];
@@ -107,7 +121,7 @@ static inline int solve_factored(double t, const double *restrict x, const doubl
                                 &w->response, rates, w->multipliers);
 #else
     (void)t, (void)x, (void)constants, (void)r;
-    return fb_solve(w->forcing, w->acceleration_bias, &w->factors, rates);
+    return fb_solve_first(w->forcing, w->acceleration_bias, &w->factors, rates);
 #endif
 }
 
@@ -209,6 +223,9 @@ static int project(double t, double *x, const double *constants, const double *r
     double coordinate_changes[FB_AT_LEAST_1(N_Q)], correction[FB_AT_LEAST_1(N_Q)] = {0.0};
     if (N_C + N_I == 0)
         return FB_OK;
+#ifdef FB_RECURSIVE
+    w->factors.constants = constants;
+#endif
     for (int attempt = 0; attempt < MAX_FACTORIZATIONS; ++attempt) {
         int status = FB_OK;
         if (attempt > 0 || !factors_valid) {
@@ -256,14 +273,16 @@ static int orientation_changed(void *work)
 #ifndef FB_SPARSE
     if (N_C > 0 && N_RANK == N_C) {
         fb_note_units(w->constraint_jacobian, &w->units);
-        const double now = fb_orientation(w->constraint_jacobian, &w->units, &w->factors);
+        const int *const columns = fb_dependent_columns(w->constraint_jacobian, &w->factors);
+        if (columns == NULL)
+            return 1;
+        const double now = fb_orientation(w->constraint_jacobian, &w->units, columns);
         result = fabs(now) < FB_CLOSE_BY * w->largest_orientation;
         if (w->largest_orientation > 0.0) {
             /* It is known if both have the static pivot order. */
-            const int known = w->factors.is_static && w->was_static;
+            const int known = fb_is_static(&w->factors) && w->was_static;
             result |=
-                now * (known ? w->orientation_before : fb_orientation(w->jacobian_before, &w->units, &w->factors)) <
-                0.0;
+                now * (known ? w->orientation_before : fb_orientation(w->jacobian_before, &w->units, columns)) < 0.0;
         }
         double changed = 0.0, size = 0.0;
         for (int i = 0; i < N_C; ++i)
@@ -278,7 +297,7 @@ static int orientation_changed(void *work)
             }
         result |= w->largest_orientation > 0.0 && changed > size;
         w->orientation_before = now;
-        w->was_static = w->factors.is_static;
+        w->was_static = fb_is_static(&w->factors);
         w->largest_orientation = fb_max(fabs(now), w->largest_orientation);
     }
 #else
@@ -325,14 +344,26 @@ static int differentiate(const fb_derivatives *derivatives, fb_sensitivity *func
 #else
     (void)derivatives;
 #endif
+#ifdef FB_RECURSIVE
+    if (!w->factors.is_dense) {
+        fb_solve_columns(w->residual_jacobian, n, &w->factors, matrix + N_Q * n);
+        if (N_Z + N_N == 0 && multiplier_jacobian == NULL)
+            return all_finite(matrix, N_X * n);
+    }
+#endif
     for (int j = 0; j < n; ++j) {
         double solution[N_U];
         for (int i = 0; i < N_U; ++i)
             w->forcing[i] = w->residual_jacobian[i * n + j];
         for (int i = 0; i < N_C; ++i)
             w->acceleration_bias[i] = -w->residual_jacobian[(N_U + i) * n + j];
-        /* Redundant rows hold in every direction in which the state can move; the status for others is ignored. */
-        fb_solve(w->forcing, w->acceleration_bias, &w->factors, solution);
+#ifdef FB_RECURSIVE
+        for (int i = 0; i < N_U; ++i)
+            solution[i] = matrix[(N_Q + i) * n + j];
+        if (w->factors.is_dense)
+#endif
+            /* Redundant rows hold in every direction in which the state can move; the status for others is ignored. */
+            fb_solve(w->forcing, w->acceleration_bias, &w->factors, solution);
 #if N_Z + N_N > 0
         fb_multipliers(w->mass_matrix, w->forcing, solution, &w->factors, multipliers);
 #endif

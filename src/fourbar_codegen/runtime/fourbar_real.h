@@ -6,6 +6,7 @@
 
 #include <float.h>
 #include <math.h>
+#include <string.h>
 
 /* NaN must be detected, and rounding is part of the method. */
 #if defined(__FAST_MATH__) || defined(__ASSOCIATIVE_MATH__) ||                                                         \
@@ -42,6 +43,56 @@ typedef char fb_constants_are_of_type_double[sizeof(1.0) == sizeof(double) ? 1 :
 #ifndef FB_SIDE_BY_SIDE
 
 typedef double fb_real;
+
+/* Several right-hand sides of the equations of one state. */
+#if defined(__AVX512F__)
+#define FB_MANY 8
+#elif defined(__AVX__)
+#define FB_MANY 4
+#elif defined(__GNUC__)
+#define FB_MANY 2
+#else
+#define FB_MANY 1
+#endif
+#if FB_MANY > 1
+typedef double fb_many __attribute__((vector_size(FB_MANY * sizeof(double))));
+#define fb_lane(value, lane) (value)[lane]
+#else
+typedef double fb_many;
+#define fb_lane(value, lane) (*((void)(lane), &(value)))
+#endif
+
+static FB_INLINE fb_many fb_all(const double value)
+{
+    return value + (fb_many){0.0};
+}
+
+static FB_INLINE fb_many fb_load_many(const double *from)
+{
+    fb_many value;
+    memcpy(&value, from, sizeof value);
+    return value;
+}
+
+static FB_INLINE void fb_store_many(const fb_many value, double *to)
+{
+    memcpy(to, &value, sizeof value);
+}
+
+/* The same for the first `count` lanes; the others are 0. */
+static FB_INLINE fb_many fb_load_some(const double *from, const int count)
+{
+    fb_many value = fb_all(0.0);
+    for (int lane = 0; lane < count; ++lane)
+        fb_lane(value, lane) = from[lane];
+    return value;
+}
+
+static FB_INLINE void fb_store_some(const fb_many value, const int count, double *to)
+{
+    for (int lane = 0; lane < count; ++lane)
+        to[lane] = fb_lane(value, lane);
+}
 
 #define fb_number(value) (value)
 #define fb_abs(value) fabs(value)

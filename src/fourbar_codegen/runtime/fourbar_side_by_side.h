@@ -1,13 +1,15 @@
 /* The equations of motion of FB_WIDTH states side by side, a state in each SIMD lane of fb_real.
  *
- * Results of a lane are bitwise independent of the other lanes. The equations are solved as in fourbar_solve.h with the
- * static pivot order; a lane with too small pivots is left to the kernel for single states.
+ * Results of a lane are bitwise independent of the other lanes. The equations are solved as for single states, dense
+ * ones with the static pivot order; a lane with too small pivots is left to the kernel for single states.
  */
 #include "fourbar_array.h"
 #include "fourbar_batch.h"
 #include "fourbar_integrate.h"
 #include "fourbar_kernel.h"
+#ifndef FB_SPARSE
 #include "fourbar_solve.h"
+#endif
 
 #include <math.h>
 #include <stdlib.h>
@@ -22,6 +24,101 @@ enum { N_X = N_Q + N_U + N_Z };
  * than in fourbar_solve.h, at the cost of a digit or two, since all lanes wait if one needs other pivots. */
 #define FB_BATCH_PIVOT_TOLERANCE 0.01
 
+#ifdef FB_RECURSIVE
+typedef struct fb_factors_side_by_side {
+    fb_mask good;
+    const fb_real *constants, *mass, *jacobian;
+    fb_real response[FB_AT_LEAST_1(N_U * N_C)];             /* W */
+    fb_real normal[FB_AT_LEAST_1(N_C)][FB_AT_LEAST_1(N_C)]; /* A = L D L^T: L below the diagonal, 1/D on it */
+} fb_factors_side_by_side;
+
+#define FB_VALUE fb_real
+#define FB_FACTORS fb_factors_side_by_side
+#define FB_OF(name) name##_side_by_side
+#define FB_REQUIRE(s, condition) (s)->good &= (condition)
+#define FB_RESPONSE(s, j, i) (s)->response[(j) * N_C + (i)]
+#include "fourbar_normal.h"
+
+static FB_INLINE void fb_factor_side_by_side(const fb_real *restrict constants, const fb_real *restrict mass,
+                                             const fb_real *restrict jacobian, fb_factors_side_by_side *restrict s)
+{
+    s->good = (fb_mask)(fb_bits){0} == 0;
+    s->constants = constants;
+    s->mass = mass;
+    s->jacobian = jacobian;
+    for (int i = 0; i < N_U; ++i)
+        s->good &= mass[i] > 0.0;
+    for (int k = 0; k < N_C; ++k) {
+        fb_real column[N_U];
+        mass_solve(constants, mass + N_U, jacobian + k * N_U, column);
+        for (int j = 0; j < N_U; ++j)
+            s->response[j * N_C + k] = column[j];
+    }
+    for (int i = 0; i < N_C; ++i)
+        for (int k = 0; k <= i; ++k) {
+            s->normal[i][k] = fb_number(0.0);
+            for (int j = 0; j < N_U; ++j)
+                s->normal[i][k] += jacobian[i * N_U + j] * s->response[j * N_C + k];
+        }
+    fb_factor_normal_side_by_side(s);
+}
+
+/* u' for one right-hand side (f, gamma); NULL for f means zeros. */
+static FB_INLINE void fb_solve_side_by_side(const fb_real *restrict forcing, const fb_real *restrict acceleration_bias,
+                                            const fb_factors_side_by_side *restrict s, fb_real *restrict accelerations)
+{
+    if (forcing)
+        mass_solve(s->constants, s->mass + N_U, forcing, accelerations);
+    else
+        for (int j = 0; j < N_U; ++j)
+            accelerations[j] = fb_number(0.0);
+    fb_constrain_side_by_side(acceleration_bias, s, accelerations);
+}
+
+/* The pivots of J in the static pivot order, which is only a way to find its orientation. */
+static inline void fb_pivots_side_by_side(const fb_factors_side_by_side *restrict s, fb_real *restrict pivots)
+{
+    fb_real lu[FB_AT_LEAST_1(N_C)][N_U];
+    for (int i = 0; i < N_C; ++i)
+        for (int j = 0; j < N_U; ++j)
+            lu[i][j] = s->jacobian[static_pivot_row[i] * N_U + static_pivot_speed[j]];
+    for (int k = 0; k < N_C; ++k) {
+        pivots[k] = lu[k][k];
+        for (int i = k + 1; i < N_C; ++i)
+            for (int j = N_U - 1; j >= k; --j)
+                lu[i][j] -= lu[i][k] / pivots[k] * lu[k][j];
+    }
+}
+
+#elif defined(FB_SPARSE)
+enum { N_STEPS = N_U + N_C };
+
+typedef struct fb_factors_side_by_side {
+    fb_mask good;
+    fb_real entries[N_STEPS + N_BELOW]; /* the inverse of D, and L column by column */
+    fb_real jacobian[FB_AT_LEAST_1(N_JACOBIAN)];
+    fb_real weight[FB_AT_LEAST_1(N_C)];
+} fb_factors_side_by_side;
+
+#define FB_VALUE fb_real
+#define FB_FACTORS fb_factors_side_by_side
+#define FB_OF(name) name##_side_by_side
+#define FB_ABS(value) fb_abs(value)
+#define FB_SELECT(condition, yes, no) fb_select(condition, yes, no)
+#define FB_REQUIRE(s, condition, status) (s)->good &= (condition)
+#include "fourbar_ordered.h"
+
+static FB_INLINE void fb_factor_side_by_side(const fb_real *restrict constants, const fb_real *restrict mass_matrix,
+                                             const fb_real *restrict jacobian, fb_factors_side_by_side *restrict s)
+{
+    (void)constants;
+    s->good = (fb_mask)(fb_bits){0} == 0;
+    fb_factor_ordered_side_by_side(mass_matrix, jacobian, s);
+}
+
+#define fb_solve_side_by_side fb_solve_ordered_side_by_side
+
+#else
 typedef struct fb_factors_side_by_side {
     fb_mask good;
     fb_real inverse[FB_AT_LEAST_1(N_C)]; /* 1 / the diagonal of U_d */
@@ -36,9 +133,10 @@ typedef struct fb_factors_side_by_side {
 #define FB_REQUIRE_POSITIVE(s, value) (s)->good &= (value) > 0.0
 #include "fourbar_pivoted.h"
 
-static FB_INLINE void fb_factor_side_by_side(const fb_real *restrict mass_matrix, const fb_real *restrict jacobian,
-                                             fb_factors_side_by_side *restrict s)
+static FB_INLINE void fb_factor_side_by_side(const fb_real *restrict constants, const fb_real *restrict mass_matrix,
+                                             const fb_real *restrict jacobian, fb_factors_side_by_side *restrict s)
 {
+    (void)constants;
     fb_real size[FB_AT_LEAST_1(N_C)], sizes = fb_number(0.0);
     s->good = (fb_mask)(fb_bits){0} == 0;
     for (int i = 0; i < N_C; ++i) {
@@ -73,6 +171,15 @@ static FB_INLINE void fb_solve_side_by_side(const fb_real *restrict forcing, con
     fb_back_side_by_side(forcing, w, s, accelerations, static_pivot_speed);
 }
 
+/* The pivots of J; the factors have them. */
+static FB_INLINE void fb_pivots_side_by_side(const fb_factors_side_by_side *restrict s, fb_real *restrict pivots)
+{
+    for (int k = 0; k < N_C; ++k)
+        pivots[k] = s->lu[k][k];
+}
+
+#endif
+
 /* z', for a solution u'; it needs no multipliers. */
 static FB_INLINE void fb_fill_state_rates(const fb_real t, const fb_real *restrict x, const fb_real *restrict constants,
                                           const fb_real *restrict r, fb_real *restrict rates)
@@ -91,7 +198,7 @@ static FB_INLINE void fb_fill_state_rates(const fb_real t, const fb_real *restri
 typedef struct fb_side {
     const fb_kernel *kernel; /* for one state */
     fb_real constants[FB_AT_LEAST_1(N_CONSTANTS)], inputs[FB_AT_LEAST_1(N_R)];
-    fb_real mass_matrix[N_U * N_U], forcing[N_U];
+    fb_real mass_matrix[N_MASS], forcing[N_U];
     fb_real constraint_jacobian[FB_AT_LEAST_1(N_JACOBIAN)], acceleration_bias[FB_AT_LEAST_1(N_C)];
     fb_factors_side_by_side factors; /* of the last evaluation */
     double lane_x[N_X], lane_constants[FB_AT_LEAST_1(N_CONSTANTS)], lane_inputs[FB_AT_LEAST_1(N_R)], lane_rates[N_X];
@@ -131,7 +238,7 @@ fb_side_equations(fb_side *restrict s, const fb_real t, const fb_real *restrict 
 {
     dynamics(t, x, s->constants, s->inputs, coordinate_rates, s->mass_matrix, s->forcing, s->constraint_jacobian,
              s->acceleration_bias);
-    fb_factor_side_by_side(s->mass_matrix, s->constraint_jacobian, &s->factors);
+    fb_factor_side_by_side(s->constants, s->mass_matrix, s->constraint_jacobian, &s->factors);
 }
 
 /* x' of the requested lanes, for known inputs. */
@@ -236,7 +343,7 @@ static FB_INLINE void fb_batch_of(const fb_batch *b, const long begin, const lon
     int count = FB_WIDTH - (int)(place % FB_WIDTH);
     for (long i = begin; i < end; i += count, count = FB_WIDTH) {
         count = end - i < count ? (int)(end - i) : count;
-        fb_real t, x[N_X], rates[N_X], mass_matrix[N_U * N_U], forcing[N_U];
+        fb_real t, x[N_X], rates[N_X], mass_matrix[N_MASS], forcing[N_U];
         fb_real constraint_jacobian[FB_AT_LEAST_1(N_JACOBIAN)], acceleration_bias[FB_AT_LEAST_1(N_C)];
         fb_factors_side_by_side factors;
         fb_load(&b->t, 1, i, count, &t);
@@ -250,7 +357,7 @@ static FB_INLINE void fb_batch_of(const fb_batch *b, const long begin, const lon
         else
             fb_load(&b->r, N_R, i, count, r);
         dynamics(t, x, constants, r, rates, mass_matrix, forcing, constraint_jacobian, acceleration_bias);
-        fb_factor_side_by_side(mass_matrix, constraint_jacobian, &factors);
+        fb_factor_side_by_side(constants, mass_matrix, constraint_jacobian, &factors);
         fb_solve_side_by_side(forcing, acceleration_bias, &factors, rates + N_Q);
         fb_fill_state_rates(t, x, constants, r, rates);
         fb_real sum = t;

@@ -19,7 +19,10 @@
 
 #include <math.h>
 
-enum { N_MASS = N_U * N_U, N_JACOBIAN = N_C * N_U };
+enum { N_JACOBIAN = N_C * N_U };
+#ifndef FB_RECURSIVE
+enum { N_MASS = N_U * N_U };
+#endif
 
 /* Pivots of J below this fraction of the largest are rounding errors: 1000 times the precision of double. */
 #define FB_RANK_TOLERANCE 2e-13
@@ -31,7 +34,11 @@ enum { N_MASS = N_U * N_U, N_JACOBIAN = N_C * N_U };
 #define FB_NEARLY 1e-12
 
 /* Whether the static pivot order is tried first: with many constraints its code becomes long. */
+#ifdef FB_RECURSIVE /* which comes here only where pivots are small */
+#define FB_TRY_STATIC 0
+#else
 #define FB_TRY_STATIC (N_C > 0 && N_C <= 8 && N_RANK == N_C)
+#endif
 /* It is used if its pivots are at least this fraction of the largest entry in their row, ... */
 #define FB_STATIC_TOLERANCE 0.25
 /* A singular position is nearby if the smallest pivot is below this fraction of its largest value in a run. That is
@@ -209,12 +216,12 @@ static inline void fb_note_units(const double *restrict jacobian, fb_units *rest
 /* The sign of the determinant of the dependent speeds' columns of J, times their smallest pivot, with columns and rows
  * in their units: it passes through or near 0 at a singular position. */
 static inline double fb_orientation(const double *restrict jacobian, const fb_units *restrict units,
-                                    const fb_factors *restrict s)
+                                    const int *restrict columns)
 {
     double a[FB_AT_LEAST_1(N_C)][FB_AT_LEAST_1(N_C)], smallest = INFINITY, sign = 1.0;
     for (int i = 0; i < N_C; ++i)
         for (int j = 0; j < N_C; ++j)
-            a[i][j] = jacobian[i * N_U + s->column[j]] / (units->column[s->column[j]] * units->row[i]);
+            a[i][j] = jacobian[i * N_U + columns[j]] / (units->column[columns[j]] * units->row[i]);
     for (int k = 0; k < N_C; ++k) {
         int pivot = k;
         for (int i = k + 1; i < N_C; ++i)
@@ -235,10 +242,24 @@ static inline double fb_orientation(const double *restrict jacobian, const fb_un
     return sign * smallest;
 }
 
+/* The speeds that the factors take as dependent, first of all; and whether these are those of the static pivot order.
+ */
+static inline const int *fb_dependent_columns(const double *restrict jacobian, fb_factors *restrict s)
+{
+    (void)jacobian;
+    return s->column;
+}
+
+static inline int fb_is_static(const fb_factors *s)
+{
+    return s->is_static;
+}
+
 /* The factors of M and J, for any number of right-hand sides. */
 static inline int fb_factor(const double *restrict mass_matrix, const double *restrict constraint_jacobian,
-                            fb_factors *restrict s)
+                            const double *restrict forcing, fb_factors *restrict s)
 {
+    (void)forcing;
     s->is_static = FB_TRY_STATIC && fb_eliminate_static(constraint_jacobian, s);
     if (s->is_static) {
         const int status = fb_reduce(mass_matrix, s, static_pivot_speed);
@@ -269,6 +290,13 @@ static inline int fb_solve(const double *restrict forcing, const double *restric
         if (!(fabs(w[i]) <= FB_DRIFT_TOLERANCE * size + FB_NEARLY))
             return FB_CONSTRAINTS_DEPENDENT;
     return FB_OK;
+}
+
+/* The same for f as in `fb_factor`. */
+static inline int fb_solve_first(const double *restrict forcing, const double *restrict acceleration_bias,
+                                 const fb_factors *restrict s, double *restrict accelerations)
+{
+    return fb_solve(forcing, acceleration_bias, s, accelerations);
 }
 
 /* The minimum-norm lambda with y = K^T lambda, K = S^-1 P^T L: lambda = K (K^T K)^-1 y. Redundant rows leave lambda
@@ -308,17 +336,13 @@ static inline void fb_shortest(const fb_factors *restrict s, const double *restr
     }
 }
 
-/* The multipliers of J_d^T lambda = (M u' - f)_d; the minimum-norm ones if rows are redundant. */
-static inline void fb_multipliers(const double *restrict mass_matrix, const double *restrict forcing,
-                                  const double *restrict accelerations, const fb_factors *restrict s,
-                                  double *restrict multipliers)
+/* The multipliers of J_d^T lambda = (M u' - f)_d, given the right-hand side; the minimum-norm ones if rows are
+ * redundant. */
+static inline void fb_reactions(const double *restrict side, const fb_factors *restrict s, double *restrict multipliers)
 {
     double y[FB_AT_LEAST_1(N_C)] = {0.0};
     for (int k = 0; k < N_RANK; ++k) {
-        const int j = s->column[k];
-        double sum = -forcing[j];
-        for (int i = 0; i < N_U; ++i)
-            sum += mass_matrix[j * N_U + i] * accelerations[i];
+        double sum = side[s->column[k]];
         for (int i = 0; i < k; ++i)
             sum -= s->lu[i][k] * y[i];
         y[k] = sum * s->inverse[k];
@@ -332,6 +356,21 @@ static inline void fb_multipliers(const double *restrict mass_matrix, const doub
             y[k] -= s->lu[i][k] * y[i];
         multipliers[s->row[k]] = s->scale[k] * y[k];
     }
+}
+
+/* The same, given u'. */
+static inline void fb_multipliers(const double *restrict mass_matrix, const double *restrict forcing,
+                                  const double *restrict accelerations, const fb_factors *restrict s,
+                                  double *restrict multipliers)
+{
+    double side[N_U];
+    for (int k = 0; k < N_RANK; ++k) {
+        const int j = s->column[k];
+        side[j] = -forcing[j];
+        for (int i = 0; i < N_U; ++i)
+            side[j] += mass_matrix[j * N_U + i] * accelerations[i];
+    }
+    fb_reactions(side, s, multipliers);
 }
 
 #endif

@@ -1,0 +1,37 @@
+/* Matrices of derivatives, from their products with directions: FB_MANY columns at once. */
+#ifndef FOURBAR_COLUMNS_H
+#define FOURBAR_COLUMNS_H
+
+#include "fourbar_real.h"
+
+/* Derivatives of q' and of the residual along directions; `factors` are the derivatives' factors at a state. */
+typedef void fb_columns_of(const double *constants, const double *factors, const fb_many *direction, fb_many *rates,
+                           fb_many *residual);
+
+/* Columns from number `begin` on of a matrix with n columns. */
+static inline void fb_store_columns(const fb_many *from, const int rows, const int n, const int begin, double *to)
+{
+    const int count = n - begin < FB_MANY ? n - begin : FB_MANY;
+    for (int i = 0; i < rows; ++i, to += n)
+        if (count == FB_MANY)
+            fb_store_many(from[i], to + begin);
+        else
+            fb_store_some(from[i], count, to + begin);
+}
+
+static inline void fb_fill_columns(fb_columns_of *columns, const double *constants, const double *factors, const int n,
+                                   fb_many *direction, const int n_rates, fb_many *rates, const int n_residual,
+                                   fb_many *residual, double *rate_jacobian, double *residual_jacobian)
+{
+    for (int begin = 0; begin < n; begin += FB_MANY) {
+        for (int i = 0; i < n; ++i)
+            direction[i] = fb_all(0.0);
+        for (int lane = 0; lane < FB_MANY && begin + lane < n; ++lane)
+            fb_lane(direction[begin + lane], lane) = 1.0;
+        columns(constants, factors, direction, rates, residual);
+        fb_store_columns(rates, n_rates, n, begin, rate_jacobian);
+        fb_store_columns(residual, n_residual, n, begin, residual_jacobian);
+    }
+}
+
+#endif

@@ -1,0 +1,240 @@
+/* Solves M u' = f + J^T lambda, J u' + gamma = 0 with products of M and M^-1 instead of M.
+ *
+ * The generated functions mass_solve and mass_product evaluate M^-1 v and M v by recursion over the bodies, with
+ * factors that `dynamics` returns: N_U pivots, then what both functions take. mass_solve_many and mass_product do so
+ * for FB_MANY vectors at once. With W = M^-1 J^T and A = J W,
+ *
+ *     lambda = -A^-1 (J M^-1 f + gamma),     u' = M^-1 f + W lambda,
+ *
+ * where one step of iterative refinement removes the errors of A^-1. The condition of A is the square of that of J. So
+ * nothing about the rank of J is concluded from A: if a pivot of A is small, M is formed, and fourbar_solve.h solves
+ * the dense equations.
+ *
+ * Source: R. Featherstone, Rigid Body Dynamics Algorithms, 2008, chapter 8; iterative refinement: N. J. Higham,
+ * Accuracy and Stability of Numerical Algorithms, 2nd ed. 2002, chapter 12.
+ */
+#ifndef FOURBAR_RECURSIVE_H
+#define FOURBAR_RECURSIVE_H
+
+#include "fourbar_array.h"
+#include "fourbar_kernel.h"
+
+#define fb_factors fb_dense_factors
+#define fb_factor fb_dense_factor
+#define fb_solve fb_dense_solve
+#define fb_solve_first fb_dense_solve_first
+#define fb_multipliers fb_dense_multipliers
+#define fb_reactions fb_dense_reactions
+#define fb_dependent_columns fb_dense_columns
+#define fb_is_static fb_dense_is_static
+#include "fourbar_solve.h"
+#undef fb_factors
+#undef fb_factor
+#undef fb_solve
+#undef fb_solve_first
+#undef fb_multipliers
+#undef fb_reactions
+#undef fb_dependent_columns
+#undef fb_is_static
+
+/* Right-hand sides, those of the constraints and then f, in the lanes of vectors. */
+enum { N_GROUPS = (N_C + FB_MANY) / FB_MANY, N_LANES = N_GROUPS * FB_MANY };
+
+typedef struct fb_factors {
+    const double *constants, *mass, *jacobian;  /* of the state */
+    int is_dense;                               /* whether the dense factors are used */
+    double response[N_U * N_LANES];             /* W and M^-1 f, in rows */
+    double normal[FB_AT_LEAST_1(N_C)][N_LANES]; /* A = L D L^T: L below the diagonal, 1/D on it */
+    fb_dense_factors dense;
+} fb_factors;
+
+#define FB_VALUE double
+#define FB_FACTORS fb_factors
+#define FB_OF(name) name
+#define FB_RESPONSE(s, j, i) (s)->response[(j) * N_LANES + (i)]
+#define FB_REQUIRE(s, condition)                                                                                       \
+    if (!(condition))                                                                                                  \
+    return 0
+#include "fourbar_normal.h"
+
+#if FB_MANY > 1
+#define FB_VALUE fb_many /* right-hand sides */
+#define FB_FACTORS fb_factors
+#define FB_OF(name) name##_many
+#include "fourbar_normal.h"
+#else
+#define fb_constrain_many fb_constrain
+#endif
+
+/* M, several columns at once. */
+static FB_CALLED void fb_form_mass(const double *restrict constants, const double *restrict mass,
+                                   double *restrict mass_matrix)
+{
+    for (int begin = 0; begin < N_U; begin += FB_MANY) {
+        const int count = N_U - begin < FB_MANY ? N_U - begin : FB_MANY;
+        fb_many speeds[N_U], product[N_U];
+        for (int j = 0; j < N_U; ++j)
+            speeds[j] = fb_all(0.0);
+        for (int lane = 0; lane < count; ++lane)
+            fb_lane(speeds[begin + lane], lane) = 1.0;
+        mass_product(constants, mass, speeds, product);
+        for (int j = 0; j < N_U; ++j)
+            fb_store_some(product[j], count, mass_matrix + j * N_U + begin);
+    }
+}
+
+/* W, M^-1 f and A. */
+static FB_CALLED void fb_form_normal(const double *restrict forcing, fb_factors *restrict s)
+{
+    fb_many unit[FB_MANY];
+    for (int lane = 0; lane < FB_MANY; ++lane) {
+        unit[lane] = fb_all(0.0);
+        fb_lane(unit[lane], lane) = 1.0;
+    }
+    for (int group = 0; group < N_GROUPS; ++group) {
+        fb_many side[N_U], solution[N_U];
+        const int begin = group * FB_MANY, last = group == N_GROUPS - 1, n = last ? N_C - begin : FB_MANY;
+        /* Multiples of unit vectors: a load of what has just been stored in pieces would wait. */
+        for (int j = 0; j < N_U; ++j)
+            side[j] = last * forcing[j] * unit[last * n];
+        for (int lane = 0; lane < n; ++lane)
+            for (int j = 0; j < N_U; ++j)
+                side[j] += s->jacobian[(begin + lane) * N_U + j] * unit[lane];
+        mass_solve_many(s->constants, s->mass + N_U, side, solution);
+        for (int j = 0; j < N_U; ++j)
+            fb_store_many(solution[j], s->response + j * N_LANES + begin);
+    }
+    for (int i = 0; i < N_C; ++i)
+        for (int begin = 0; begin <= i; begin += FB_MANY) {
+            fb_many sum = s->jacobian[i * N_U] * fb_load_many(s->response + begin);
+            for (int j = 1; j < N_U; ++j)
+                if (s->jacobian[i * N_U + j] != 0.0) /* a loop of a large tree moves few bodies */
+                    sum += s->jacobian[i * N_U + j] * fb_load_many(s->response + j * N_LANES + begin);
+            fb_store_many(sum, s->normal[i] + begin);
+        }
+}
+
+static inline int fb_factor(const double *restrict mass, const double *restrict jacobian,
+                            const double *restrict forcing, fb_factors *restrict s)
+{
+    int is_positive = 1;
+    s->mass = mass;
+    s->jacobian = jacobian;
+    s->is_dense = 0;
+    for (int i = 0; i < N_U; ++i) {
+        if (mass[i] != mass[i])
+            return FB_NOT_FINITE;
+        is_positive &= mass[i] > 0.0;
+    }
+    if (N_C == 0)
+        return is_positive ? FB_OK : FB_MASS_SINGULAR;
+    if (all_finite(jacobian, N_JACOBIAN) != FB_OK)
+        return FB_NOT_FINITE;
+    /* With constraints, M itself may be singular. */
+    if (is_positive)
+        fb_form_normal(forcing, s);
+    s->is_dense = !(is_positive && fb_factor_normal(s));
+    if (!s->is_dense)
+        return FB_OK;
+    double mass_matrix[N_U * N_U];
+    fb_form_mass(s->constants, mass + N_U, mass_matrix);
+    return fb_dense_factor(mass_matrix, jacobian, forcing, &s->dense);
+}
+
+/* The speeds that complete pivoting of J takes as dependent, first of all; NULL if J has lost rank. */
+static inline const int *fb_dependent_columns(const double *restrict jacobian, fb_factors *restrict s)
+{
+    const int is_known = s->is_dense || fb_eliminate(jacobian, &s->dense) == FB_OK;
+    return is_known ? s->dense.column : NULL;
+}
+
+static inline int fb_is_static(const fb_factors *s)
+{
+    (void)s;
+    return 0;
+}
+
+/* u' for one right-hand side (f, gamma). */
+static inline int fb_solve(const double *restrict forcing, const double *restrict acceleration_bias,
+                           const fb_factors *restrict s, double *restrict accelerations)
+{
+    if (s->is_dense)
+        return fb_dense_solve(forcing, acceleration_bias, &s->dense, accelerations);
+    mass_solve(s->constants, s->mass + N_U, forcing, accelerations);
+    fb_constrain(acceleration_bias, s, accelerations);
+    return FB_OK;
+}
+
+/* The same for f as in `fb_factor`. */
+static inline int fb_solve_first(const double *restrict forcing, const double *restrict acceleration_bias,
+                                 const fb_factors *restrict s, double *restrict accelerations)
+{
+    if (N_C == 0 || s->is_dense)
+        return fb_solve(forcing, acceleration_bias, s, accelerations);
+    for (int j = 0; j < N_U; ++j)
+        accelerations[j] = FB_RESPONSE(s, j, N_C);
+    fb_constrain(acceleration_bias, s, accelerations);
+    return FB_OK;
+}
+
+/* u' for n right-hand sides (f, -gamma) in the columns of a matrix. */
+static FB_CALLED void fb_solve_columns(const double *restrict sides, const int n, const fb_factors *restrict s,
+                                       double *restrict accelerations)
+{
+    for (int begin = 0; begin < n; begin += FB_MANY) {
+        const int count = n - begin < FB_MANY ? n - begin : FB_MANY, is_full = count == FB_MANY;
+        fb_many side[N_U + N_C], solution[N_U];
+        for (int i = 0; i < N_U + N_C; ++i) {
+            const double *const from = sides + i * n + begin;
+            side[i] = is_full ? fb_load_many(from) : fb_load_some(from, count);
+        }
+        mass_solve_many(s->constants, s->mass + N_U, side, solution);
+        for (int i = N_U; i < N_U + N_C; ++i)
+            side[i] = -side[i];
+        fb_constrain_many(side + N_U, s, solution);
+        for (int i = 0; i < N_U; ++i)
+            if (is_full)
+                fb_store_many(solution[i], accelerations + i * n + begin);
+            else
+                fb_store_some(solution[i], count, accelerations + i * n + begin);
+    }
+}
+
+/* The multipliers of J^T lambda = M u' - f: A lambda = W^T (M u' - f). */
+static inline void fb_multipliers(const double *restrict mass, const double *restrict forcing,
+                                  const double *restrict accelerations, const fb_factors *restrict s,
+                                  double *restrict multipliers)
+{
+    double residual[N_U], left[N_U], v[FB_AT_LEAST_1(N_C)];
+    fb_many speeds[N_U], product[N_U];
+    if (N_C == 0)
+        return;
+    for (int j = 0; j < N_U; ++j)
+        speeds[j] = fb_all(accelerations[j]);
+    mass_product(s->constants, mass + N_U, speeds, product);
+    for (int j = 0; j < N_U; ++j)
+        residual[j] = fb_lane(product[j], 0) - forcing[j];
+    if (s->is_dense) {
+        fb_dense_reactions(residual, &s->dense, multipliers);
+        return;
+    }
+    for (int i = 0; i < N_C; ++i)
+        multipliers[i] = 0.0;
+    for (int refinement = 0; refinement < 2; ++refinement) {
+        for (int j = 0; j < N_U; ++j) {
+            left[j] = -residual[j];
+            for (int i = 0; i < N_C; ++i)
+                left[j] += s->jacobian[i * N_U + j] * multipliers[i];
+        }
+        for (int i = 0; i < N_C; ++i) {
+            v[i] = 0.0;
+            for (int j = 0; j < N_U; ++j)
+                v[i] += FB_RESPONSE(s, j, i) * left[j];
+        }
+        fb_solve_normal(s, v);
+        for (int i = 0; i < N_C; ++i)
+            multipliers[i] += v[i];
+    }
+}
+
+#endif

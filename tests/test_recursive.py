@@ -1,0 +1,280 @@
+"""Trees by the articulated-body algorithm: against SymPy's own equations, closed forms, and differences.
+
+Rounding errors of M^-1 f are bounded by the precision times the condition of M, here up to 1e4, relative to the largest
+acceleration; 1e-10 is what equations at scale are to hold (test_scale.py).
+"""
+
+import numpy as np
+import pytest
+import sympy as sm
+import sympy.physics.mechanics as me
+from sympy.physics.mechanics.models import n_link_pendulum_on_cart
+from sympy.physics.mechanics.system import System
+
+import fourbar_codegen as fb
+
+STATES = 100
+T = me.dynamicsymbols._t
+
+
+class Tree:
+    """A System under construction: frames and points that hang on others."""
+
+    def __init__(self, name):
+        self.name = name
+        self.ground, self.origin = me.ReferenceFrame("N"), me.Point("O")
+        self.origin.set_vel(self.ground, 0)
+        self.system = System(self.ground, self.origin)
+        self.q, self.u, self.parameters = [], [], {}
+
+    def symbol(self, name, value):
+        symbol = sm.Symbol(name)
+        self.parameters[symbol] = value
+        return symbol
+
+    def coordinate(self, *, speed=None):
+        n = len(self.q) + 1
+        q, u = me.dynamicsymbols(f"q{n} u{n}")
+        self.q.append(q)
+        self.u.append(u)
+        self.system.add_kdes((u if speed is None else speed(u)) - q.diff(T))
+        return q, u
+
+    def turned(self, parent, axis, name):
+        """A frame that turns about an axis of another one."""
+        q, u = self.coordinate()
+        frame = me.ReferenceFrame(name)
+        frame.orient_axis(parent, axis, q)
+        frame.set_ang_vel(parent, u * axis)
+        return frame
+
+    def point(self, name, base, offset):
+        """A point at an offset, with its velocity, which SymPy would derive from more than one other point."""
+        point = base.locatenew(name, offset)
+        rate = offset.dt(self.ground).subs(dict(zip((q.diff(T) for q in self.q), self.u, strict=True)))
+        point.set_vel(self.ground, base.vel(self.ground) + rate)
+        return point
+
+    def body(self, name, point, frame, mass=1.3, moments=(0.11, 0.12, 0.03), products=(0.0, 0.0, 0.0)):
+        m = self.symbol(f"m_{name}", mass)
+        inertia = me.inertia(frame, *moments, *products)
+        self.system.add_bodies(me.RigidBody(name, point, frame, m, (inertia, point)))
+
+    def model(self, **options):
+        g = self.symbol("g", 9.81)
+        self.system.apply_uniform_gravity(-g * self.ground.z)
+        self.system.add_coordinates(*self.q)
+        self.system.add_speeds(*self.u)
+        return self.system, {"name": self.name, "parameters": self.parameters, **options}
+
+
+def chain(count=5):
+    tree = Tree("chain_in_space")
+    frame, joint = tree.ground, tree.origin
+    for n in range(count):
+        link = tree.turned(frame, (frame.x, frame.y, frame.z)[n % 3], f"B{n}")
+        center = tree.point(f"C{n}", joint, 0.2 * link.x - 0.1 * link.z)
+        tree.body(f"b{n}", center, link, products=(0.004, -0.006, 0.005))
+        frame, joint = link, tree.point(f"P{n}", joint, 0.4 * link.x + 0.1 * link.y)
+    return tree.model()
+
+
+def branched():
+    """A base that turns, with three arms of two links about different axes, with stops and dampers at the elbows."""
+    tree = Tree("branched")
+    base = tree.turned(tree.ground, tree.ground.z, "base")
+    tree.body("base", tree.origin, base)
+    k, c = tree.symbol("k", 3.0), tree.symbol("c", 0.4)
+    for arm, axis in enumerate((base.x, base.y, base.x)):
+        shoulder = tree.point(f"S{arm}", tree.origin, 0.3 * base.x * arm + 0.2 * base.y)
+        upper = tree.turned(base, axis, f"U{arm}")
+        tree.body(f"u{arm}", tree.point(f"CU{arm}", shoulder, -0.2 * upper.z), upper)
+        elbow = tree.point(f"E{arm}", shoulder, -0.4 * upper.z)
+        lower = tree.turned(upper, upper.y, f"L{arm}")
+        tree.body(f"l{arm}", tree.point(f"CL{arm}", elbow, -0.2 * lower.z), lower)
+        angle = tree.q[-1]
+        stop = sm.Piecewise((-k * angle, angle < 0), (sm.sin(angle), angle > 0.5), (0, True))
+        tree.system.add_actuators(me.TorqueActuator(stop - c * tree.u[-1] ** 3, upper.y, lower, upper))
+    return tree.model()
+
+
+def floating():
+    """A body that moves freely, by velocities along its own axes, with a link on a ball joint."""
+    tree = Tree("floating")
+    body = me.ReferenceFrame("A")
+    center = me.Point("C")
+    place = [tree.coordinate(speed=lambda u: u) for _ in range(3)]
+    angles = [me.dynamicsymbols(f"q{n}") for n in (4, 5, 6)]
+    rates = me.dynamicsymbols("u4:7")
+    body.orient_body_fixed(tree.ground, angles, "ZXY")
+    given = body.ang_vel_in(tree.ground).to_matrix(body)
+    solved = sm.solve(given - sm.Matrix(rates), [q.diff(T) for q in angles], dict=True)[0]
+    tree.system.add_kdes(*(solved[q.diff(T)] - q.diff(T) for q in angles))
+    body.set_ang_vel(tree.ground, sum((u * e for u, e in zip(rates, body, strict=True)), me.Vector(0)))
+    tree.q += angles
+    tree.u += rates
+    center.set_pos(tree.origin, sum((q * e for (q, _), e in zip(place, tree.ground, strict=True)), me.Vector(0)))
+    center.set_vel(tree.ground, sum((u * e for (_, u), e in zip(place, tree.ground, strict=True)), me.Vector(0)))
+    tree.body("trunk", center, body, mass=4.0)
+    first = tree.turned(body, body.x, "J1")
+    second = tree.turned(first, first.y, "J2")
+    leg = tree.turned(second, second.z, "J3")
+    hip = tree.point("H", center, 0.1 * body.y - 0.3 * body.z)
+    tree.body("leg", tree.point("CL", hip, -0.2 * leg.z + 0.02 * leg.x), leg)
+    return tree.model()
+
+
+def sliding():
+    """Prismatic joints along axes that turn, and a motion that is prescribed at the root."""
+    tree = Tree("sliding")
+    drive = me.dynamicsymbols("s")
+    root = tree.point("R", tree.origin, drive * tree.ground.x)
+    frame, joint = tree.ground, root
+    for n in range(3):
+        link = tree.turned(frame, frame.y if n % 2 else frame.x, f"B{n}")
+        q, _ = tree.coordinate()
+        joint = tree.point(f"P{n}", joint, (0.3 + q) * link.z + 0.1 * link.x)
+        tree.body(f"b{n}", joint, link)
+        frame = link
+    return tree.model(inputs={drive: sm.sin(3 * T) / 5})
+
+
+def absolute():
+    """SymPy's pendulum of links on a cart, in absolute angles."""
+    kane = n_link_pendulum_on_cart(6, cart_force=False, joint_torques=True)
+    symbols = sorted(kane.mass_matrix_full.free_symbols | kane.forcing_full.free_symbols, key=str)
+    values = {symbol: 0.5 + 0.1 * i for i, symbol in enumerate(s for s in symbols if s != T)}
+    torques = {
+        f: sm.Rational(n + 1, 10) for n, f in enumerate(sorted(me.find_dynamicsymbols(kane.forcing_full), key=str))
+    }
+    torques = {f: value for f, value in torques.items() if f not in {*kane.q, *kane.u}}
+    return kane, {"name": "absolute", "parameters": values, "inputs": torques}
+
+
+def mixed_speeds():
+    """Speeds that are combinations of the joints' rates: u_k = q_1' + ... + q_k' for all joints of a plane chain."""
+    tree = Tree("mixed_speeds")
+    t = T
+    count = 7
+    q, u = me.dynamicsymbols(f"q1:{count + 1}"), me.dynamicsymbols(f"u1:{count + 1}")
+    frame, joint = tree.ground, tree.origin
+    for n in range(count):
+        before = u[n - 1] if n else 0
+        link = me.ReferenceFrame(f"B{n}")
+        link.orient_axis(frame, frame.y, q[n])
+        link.set_ang_vel(frame, (u[n] - before) * frame.y)
+        tree.body(f"b{n}", tree.point(f"C{n}", joint, 0.2 * link.x), link)
+        tree.system.add_kdes(u[n] - before - q[n].diff(t))
+        frame, joint = link, tree.point(f"P{n}", joint, 0.4 * link.x)
+    tree.q, tree.u = [*q], [*u]
+    return tree.model()
+
+
+MODELS = (chain, branched, floating, sliding, absolute, mixed_speeds)
+
+
+def accelerations_by_sympy(system, parameters, inputs=(), t=0.3, **_):
+    """u' of SymPy's own equations, as a function of the state."""
+    kane = system
+    if isinstance(system, System):
+        system.form_eoms()
+        kane = system.eom_method
+    states = dict(zip((*kane.q, *kane.u), sm.symbols(f"x:{len(kane.q) + len(kane.u)}"), strict=True))
+    rates = {f.diff(T, order): e.diff(T, order) for f, e in dict(inputs).items() for order in (2, 1)} | dict(inputs)
+    expressions = [
+        me.msubs(me.msubs(expression, kane.kindiffdict()), rates).xreplace(states).subs({**parameters, T: t})
+        for expression in (kane.mass_matrix, kane.forcing)
+    ]
+    evaluate = sm.lambdify([[*states.values()]], expressions, cse=True)
+    return lambda x: np.linalg.solve(*evaluate(x)).ravel()
+
+
+def random_states(compiled, count=STATES):
+    return np.random.default_rng(7).uniform(-1.0, 1.0, (count, compiled.n_x))
+
+
+@pytest.fixture(scope="module", params=MODELS, ids=[model.__name__ for model in MODELS])
+def case(request):
+    system, options = request.param()
+    return system, options, fb.compile_model(fb.Model(system, **options))
+
+
+def test_is_recursive(case):
+    assert case[2].manifest["form"] == "recursive"
+
+
+def test_accelerations_against_sympy(case):
+    system, options, compiled = case
+    expected = accelerations_by_sympy(system, **options)
+    for x in random_states(compiled):
+        wanted = expected(x)
+        found = compiled.rhs(0.3, x)[compiled.n_q :]
+        np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-10 * np.abs(wanted).max())
+        matrix, forcing = compiled.tree_mass_matrix(0.3, x), compiled.tree_forcing(0.3, x)
+        np.testing.assert_allclose(matrix @ wanted, forcing, rtol=0, atol=1e-10 * np.abs(matrix @ wanted).max())
+
+
+def test_side_by_side(case):
+    *_, compiled = case
+    states = random_states(compiled, 21)
+    together = compiled.rhs_batch(0.3, states.T.copy())
+    for x, column in zip(states, together.T, strict=True):
+        alone = compiled.rhs(0.3, x)
+        np.testing.assert_allclose(column, alone, rtol=0, atol=1e-12 * np.abs(alone).max())
+
+
+def test_derivatives_against_differences(case):
+    """Central differences of order 6, whose errors are near 1e-9 of the largest entry."""
+    *_, compiled = case
+    p = np.array([*compiled.defaults.values()])
+
+    def differences(function, at):
+        h = 1e-3
+        weights = ((1, 45.0), (2, -9.0), (3, 1.0))
+        columns = []
+        for unit in np.eye(len(at)):
+            terms = [w * (function(at + k * h * unit) - function(at - k * h * unit)) for k, w in weights]
+            columns.append(np.sum(terms, axis=0) / (60.0 * h))
+        return np.array(columns).T
+
+    for x in random_states(compiled, 3):
+        by_state = differences(lambda y: compiled.rhs(0.3, y), x)
+        by_parameters = differences(lambda values, x=x: compiled.rhs(0.3, x, values), p)
+        for found, wanted in (
+            (compiled.jacobian(0.3, x), by_state),
+            (compiled.parameter_jacobian(0.3, x), by_parameters),
+        ):
+            np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-7 * np.abs(wanted).max())
+
+
+@pytest.fixture(scope="module")
+def closed():
+    model = fb.compile_model(fb.models.chain(12, closed=True))
+    assert model.manifest["form"] == "recursive"
+    return model
+
+
+def test_closed_members_are_simulations(closed):
+    x0 = closed.initial_state()
+    how = {"t_eval": [0.1, 0.2, 0.3], "rtol": 1e-9, "atol": 1e-9}
+    values = np.linspace(0.9, 1.1, 9)
+    ensemble = closed.ensemble((0.0, 0.3), np.tile(x0, (9, 1)), parameters={"m": values}, **how)
+    assert ensemble.success.all()
+    for i in (0, 4, 8):
+        run = closed.simulate((0.0, 0.3), x0, parameters={"m": values[i]}, **how)
+        np.testing.assert_allclose(ensemble.y[i], run.y, rtol=0, atol=1e-10)
+
+
+def test_constraints_hold_where_they_are_nearly_dependent(closed):
+    """Near a stretched chain J loses rank, so that the dense solution is used; J u' + gamma = 0 holds on both sides."""
+    for bend in (0.3, 1e-2, 1e-4, 1e-6):
+        q = np.zeros(12)
+        q[0::2], q[1::2] = bend, -bend
+        x = np.concatenate((q, np.linspace(-1.0, 1.0, 12)))
+        accelerations, multipliers = closed.accelerations(0.0, x)
+        _, matrix, forcing, jacobian, bias = closed.dynamics(0.0, x)
+        # Rounding errors grow with the condition of J, which is 1 / bend.
+        tolerance = 1e-13 / bend * np.abs(accelerations).max()
+        np.testing.assert_allclose(jacobian @ accelerations, -bias, rtol=0, atol=tolerance * np.abs(jacobian).max())
+        balance = matrix @ accelerations - forcing - jacobian.T @ multipliers
+        np.testing.assert_allclose(balance, 0.0, rtol=0, atol=tolerance * np.abs(matrix).max())

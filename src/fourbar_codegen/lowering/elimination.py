@@ -119,7 +119,7 @@ def solution_cost(n_u: int, n_c: int, structure: Structure | None) -> int:
     Examples
     --------
     >>> solution_cost(3, 2, None)
-    38
+    22
     """
     if structure is not None:
         return GAIN * sum(len(rows) * (len(rows) + 3) // 2 for rows in structure.below)

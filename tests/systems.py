@@ -205,6 +205,14 @@ def spatial_four_bar():
     return fb.Model(system, name="spatial_four_bar", parameters=values, initial={q[0]: -0.5, q[1]: -1.5, q[2]: -1.5})
 
 
+def parallelogram():
+    """With a bar too many: two of six constraints are redundant."""
+    points = {"A": (0, 0), "B": (0, 1), "C": (2, 1), "D": (2, 0), "E": (1, 0), "F": (1, 1)}
+    linkage = fb.Linkage("parallelogram", points=points, ground="AED", links=["AB", "BFC", "CD", "EF"], density=1.0)
+    linkage.torque("A", "M")
+    return linkage.model()
+
+
 def masses_on_a_line(constraints, coordinates):
     """With constraints between their places, or whatever the coordinates are taken for; the first is independent."""
     frame, origin = me.ReferenceFrame("N"), me.Point("O")

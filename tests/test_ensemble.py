@@ -10,7 +10,7 @@ import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
 from scipy.integrate import solve_ivp
-from systems import pendulum, spatial_four_bar
+from systems import parallelogram, pendulum, spatial_four_bar
 from terminal import on_terminal
 from trees import revolute_chain
 from tutorial import tutorial_four_bar
@@ -59,7 +59,7 @@ MODELS = {
     "sparse": (lambda: fb.models.n_four_bar(10), True),
     "ten constraints": (lambda: fb.models.n_four_bar(5), True),
     "recursive": (lambda: revolute_chain(5), True),
-    "redundant": (spatial_four_bar, False),
+    "redundant": (spatial_four_bar, True),
 }
 
 
@@ -87,6 +87,26 @@ def test_batch_is_the_right_hand_side(compiled):
         errors.append(np.abs(rates[:, i] - expected).max() / np.abs(expected).max())
     assert np.median(errors) < 1e-14
     assert max(errors) < 1e-9
+
+
+def test_constraints_that_are_redundant_where_loops_are_closed():
+    compiled = fb.compile_model(parallelogram())
+    compiled.require_batch_functions()
+    assert width(compiled) > 1
+    (angle,), (speed,) = compiled.coordinates[:1], compiled.speeds[:1]
+    x = np.array([compiled.initial_state({angle: q}, {speed: 1.0}) for q in np.linspace(0.3, 1.4, 19)]).T
+    opened = x.copy()
+    opened[1] += 0.1  # where the constraints are independent, which is told from the violation
+    both = np.hstack((x, opened))
+    rates = compiled.rhs_batch(0.0, both)
+    for found, state in zip(rates.T, both.T, strict=True):
+        expected = compiled.rhs(0.0, state)
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+    how = {"t_eval": [0.1, 0.2], "rtol": 1e-9, "atol": 1e-9}
+    together = compiled.ensemble((0.0, 0.2), x.T, **how)
+    for member, state in zip(together.y, x.T, strict=True):
+        run = compiled.simulate((0.0, 0.2), state, **how)
+        np.testing.assert_allclose(member, run.y, rtol=0, atol=1e-9)
 
 
 def test_batch_is_the_same_to_the_bit_in_any_company(compiled):

@@ -13,18 +13,11 @@ import sympy.physics.mechanics as me
 from c_library import STRICT, Library
 from programs import require
 from sympy.physics.mechanics.system import System
-from systems import closed_by_auxiliary_speeds, pendulum, quaternion_top, slider, spatial_four_bar
+from systems import closed_by_auxiliary_speeds, parallelogram, pendulum, quaternion_top, slider, spatial_four_bar
 from test_compilers import zig_cc
+from trees import revolute_chain
 
 import fourbar_codegen as fb
-
-
-def parallelogram():
-    """With a bar too many: two of six constraints are redundant."""
-    points = {"A": (0, 0), "B": (0, 1), "C": (2, 1), "D": (2, 0), "E": (1, 0), "F": (1, 1)}
-    linkage = fb.Linkage("parallelogram", points=points, ground="AED", links=["AB", "BFC", "CD", "EF"], density=1.0)
-    linkage.torque("A", "M")
-    return linkage.model()
 
 
 def driven():
@@ -88,6 +81,8 @@ MODELS = {
     "whipple_bicycle": fb.models.whipple_bicycle,
     "chain": lambda: fb.models.chain(5, closed=True),
     "sparse": lambda: fb.models.n_four_bar(12),
+    "recursive": lambda: revolute_chain(6),
+    "recursive_loop": lambda: fb.models.chain(12, closed=True),
     "redundant": parallelogram,
     "quaternion": lambda: fb.Model(
         quaternion_top(), name="top", initial={"e0": 0.8, "e1": 0.6, "e2": 0, "e3": 0, "w1": 1, "w2": 2, "w3": 3}

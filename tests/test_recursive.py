@@ -10,8 +10,11 @@ import sympy as sm
 import sympy.physics.mechanics as me
 from sympy.physics.mechanics.models import n_link_pendulum_on_cart
 from sympy.physics.mechanics.system import System
+from trees import revolute_chain
 
 import fourbar_codegen as fb
+from fourbar_codegen.dynamics.equations import form_equations
+from fourbar_codegen.lowering.lower import lower
 
 STATES = 100
 T = me.dynamicsymbols._t
@@ -170,7 +173,44 @@ def mixed_speeds():
     return tree.model()
 
 
-MODELS = (chain, branched, floating, sliding, absolute, mixed_speeds)
+def quaternion():
+    """A body on a pin whose orientation is a quaternion, and a chain of three links on it."""
+    tree = Tree("quaternion")
+    body = me.ReferenceFrame("A")
+    parts, rates = me.dynamicsymbols("e0:4"), me.dynamicsymbols("w1:4")
+    e0, e1, e2, e3 = parts
+    body.orient_quaternion(tree.ground, parts)
+    body.set_ang_vel(tree.ground, sum((w * e for w, e in zip(rates, body, strict=True)), me.Vector(0)))
+    w1, w2, w3 = rates
+    slopes = (
+        -e1 * w1 - e2 * w2 - e3 * w3,
+        e0 * w1 - e3 * w2 + e2 * w3,
+        e3 * w1 + e0 * w2 - e1 * w3,
+        -e2 * w1 + e1 * w2 + e0 * w3,
+    )
+    tree.system.add_kdes(*(slope / 2 - e.diff(T) for slope, e in zip(slopes, parts, strict=True)))
+    # Offsets are constant in frames whose angular velocity is known, so that SymPy derives all velocities.
+    tree.q, tree.u = [*parts], [*rates]
+    frame, joint = body, tree.origin
+    for n in range(4):
+        end, center = joint.locatenew(f"P{n}", 0.3 * frame.x), joint.locatenew(f"C{n}", 0.2 * frame.x - 0.1 * frame.y)
+        for point in (center, end):
+            point.v2pt_theory(joint, tree.ground, frame)
+        tree.body(f"b{n}", center, frame)
+        joint = end
+        if n < 3:
+            q, u = me.dynamicsymbols(f"q{n} u{n}")
+            after = me.ReferenceFrame(f"B{n}")
+            after.orient_axis(frame, (frame.x, frame.y, frame.z)[n], q)
+            after.set_ang_vel(frame, u * (frame.x, frame.y, frame.z)[n])
+            tree.system.add_kdes(u - q.diff(T))
+            tree.q.append(q)
+            tree.u.append(u)
+            frame = after
+    return tree.model()
+
+
+MODELS = (chain, branched, floating, sliding, absolute, mixed_speeds, quaternion)
 
 
 def accelerations_by_sympy(system, parameters, inputs=(), t=0.3, **_):
@@ -190,7 +230,10 @@ def accelerations_by_sympy(system, parameters, inputs=(), t=0.3, **_):
 
 
 def random_states(compiled, count=STATES):
-    return np.random.default_rng(7).uniform(-1.0, 1.0, (count, compiled.n_x))
+    states = np.random.default_rng(7).uniform(-1.0, 1.0, (count, compiled.n_x))
+    if compiled.coordinates[0] == "e0":
+        states[:, :4] /= np.linalg.norm(states[:, :4], axis=1, keepdims=True)
+    return states
 
 
 @pytest.fixture(scope="module", params=MODELS, ids=[model.__name__ for model in MODELS])
@@ -201,6 +244,13 @@ def case(request):
 
 def test_is_recursive(case):
     assert case[2].manifest["form"] == "recursive"
+
+
+@pytest.mark.parametrize("links", [8, 32])
+def test_long_chains_are_recursive(links):
+    """M is found regular by random numbers, which need not be the inertia of a body."""
+    model = revolute_chain(links)
+    assert lower(model.name, form_equations(model)).form == "recursive"
 
 
 def test_accelerations_against_sympy(case):
@@ -245,6 +295,33 @@ def test_derivatives_against_differences(case):
             (compiled.parameter_jacobian(0.3, x), by_parameters),
         ):
             np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-7 * np.abs(wanted).max())
+
+
+def test_an_unknown_force_at_the_root():
+    """The force that holds the first joint of a chain, against SymPy's equation of its auxiliary speed."""
+    tree = Tree("held_chain")
+    slip, force = me.dynamicsymbols("w F")
+    root = tree.origin.locatenew("R", 0)
+    root.set_vel(tree.ground, slip * tree.ground.z)
+    tree.system.add_auxiliary_speeds(slip)
+    tree.system.add_loads(me.Force(root, force * tree.ground.z))
+    frame, joint = tree.ground, root
+    for n in range(5):
+        link = tree.turned(frame, frame.y if n % 2 else frame.x, f"B{n}")
+        tree.body(f"b{n}", tree.point(f"C{n}", joint, -0.2 * link.z), link)
+        frame, joint = link, tree.point(f"P{n}", joint, -0.4 * link.z)
+    system, options = tree.model()
+    compiled = fb.compile_model(fb.Model(system, **options))
+    assert compiled.manifest["form"] == "recursive"
+    system.form_eoms()
+    (equation,) = system.eom_method.auxiliary_eqs
+    given = {q.diff(T): u for q, u in zip(tree.q, tree.u, strict=True)} | tree.parameters | {slip: 0}
+    leaves = [*tree.q, *tree.u, *(u.diff(T) for u in tree.u), force]
+    left = sm.lambdify([leaves], me.msubs(equation, given), cse=True)  # linear in the force
+    for x in random_states(compiled, 20):
+        motion = [*x, *compiled.rhs(0.0, x)[5:]]
+        none, one = left([*motion, 0.0]), left([*motion, 1.0])
+        np.testing.assert_allclose(compiled.output(0.0, x), [none / (none - one)], rtol=1e-10)
 
 
 @pytest.fixture(scope="module")

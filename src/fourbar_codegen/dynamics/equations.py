@@ -31,7 +31,7 @@ from fourbar_codegen.dynamics.kane import Kane
 from fourbar_codegen.dynamics.kinematic_equations import solve_kinematics
 from fourbar_codegen.dynamics.kinematics import Kinematics
 from fourbar_codegen.dynamics.picture import Picture, applied_forces, find_picture
-from fourbar_codegen.dynamics.random_states import RandomStates
+from fourbar_codegen.dynamics.random_states import RandomStates, closed_states
 from fourbar_codegen.dynamics.recursion import Recursion, form_recursion
 from fourbar_codegen.dynamics.unknown_forces import form_generalized_forces, form_unknown_forces
 from fourbar_codegen.errors import ModelError
@@ -44,6 +44,9 @@ from fourbar_codegen.expressions.tape import Result, Scalar, Tape
 from fourbar_codegen.modeling.model import InputEntry, Model, multiplier
 
 __all__ = ["Equations", "check_velocity_constraints", "form_equations", "matrix", "vector"]
+
+CLOSED_STATES = 4
+"""States at which redundant constraints are known, for a pivot order."""
 
 MOTIONS = 5
 ROUNDED = 1e-9
@@ -136,6 +139,8 @@ class Equations:
         These forces in the inertial frame, (n_forces, 3).
     not_orthonormal : tuple of Scalar
         Scalars that are zero where direction cosines are orthonormal, but not identically.
+    closed_states : tuple of dict
+        Some states at which the position constraints hold, if fewer speeds are dependent than there are constraints.
     warnings : tuple of str
         A sentence for each inconsistency of the kinematics.
     residual : Result
@@ -195,6 +200,7 @@ class Equations:
     forces: Result
     residual: Result
     not_orthonormal: tuple[Scalar, ...]
+    closed_states: tuple[dict[Scalar, float], ...]
     warnings: tuple[str, ...]
 
     @property
@@ -367,6 +373,10 @@ def form_equations(model: Model) -> Equations:
         for symbol, leaf in zip(model.parameter_symbols, v.p, strict=True)
         if symbol in model.named_parameters or leaf.node in reached
     )
+    closed: Iterator[dict[Scalar, float]] = iter(())
+    if mechanism.n_dependent_speeds < len(lam):
+        zero = [*constraints.positions, *not_orthonormal]
+        closed = closed_states(tape, zero, v.q, v.p, (v.time, *v.u, *v.r), values)
     return Equations(
         tape=tape,
         time=v.time,
@@ -394,6 +404,7 @@ def form_equations(model: Model) -> Equations:
         forced=tuple(applied),
         not_orthonormal=tuple(not_orthonormal),
         recursion=recursion,
+        closed_states=tuple(islice(closed, CLOSED_STATES)),
         warnings=warnings,
         **{result.name: result for result in results},
     )

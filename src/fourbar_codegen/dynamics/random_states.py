@@ -13,7 +13,7 @@ from fourbar_codegen.dynamics.constraints import Constraints
 from fourbar_codegen.expressions.derivatives import jacobian
 from fourbar_codegen.expressions.tape import Leaf, Scalar, Tape
 
-__all__ = ["RandomStates", "close"]
+__all__ = ["RandomStates", "close", "closed_states"]
 
 Floats = NDArray[np.float64]
 Point = dict[Scalar, float]
@@ -124,6 +124,36 @@ def close(tape: Tape, closing: Sequence[Scalar], moved: Sequence[Scalar], point:
         Values of all leaves, changed in place.
     """
     return not closing or _newton(tape, closing, [*chain.from_iterable(jacobian(tape, closing, moved))], moved, point)
+
+
+def closed_states(
+    tape: Tape,
+    closing: Sequence[Scalar],
+    coordinates: Sequence[Scalar],
+    parameters: Sequence[Scalar],
+    others: Sequence[Scalar],
+    values: Mapping[Scalar, float],
+) -> Iterator[Point]:
+    """States of a mechanism with its own parameters at which scalars are zero; none if these have no value.
+
+    Parameters
+    ----------
+    tape : Tape
+    closing : sequence of Scalar
+        The scalars, which are functions of the coordinates.
+    coordinates, parameters, others : sequence of Scalar
+        Leaves to change, from near their given values on; to leave at these; and with any value.
+    values : mapping of Scalar to float
+    """
+    generator = random.Random(0)
+    slopes = [*chain.from_iterable(jacobian(tape, closing, coordinates))]
+    is_given = not tape.depends(closing, [leaf for leaf in parameters if leaf not in values])
+    for number in range(ATTEMPTS if is_given else 0):
+        size = 0.1 if number % 2 else 1.0
+        point = {leaf: generator.uniform(0.1, 1.0) for leaf in (*others, *parameters)} | dict(values)
+        point |= {q: values.get(q, 0.0) + generator.uniform(-size, size) for q in coordinates}
+        if _newton(tape, closing, slopes, coordinates, point):
+            yield point
 
 
 def _newton(

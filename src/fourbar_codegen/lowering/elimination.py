@@ -33,6 +33,9 @@ fourbar_solve.h uses it for fewer."""
 GOOD_PIVOT = 0.25
 """Smallest mean ratio of a pivot to the largest entry of its row in a good order; see fourbar_solve.h."""
 
+NOISE = 1e-9
+"""Rows below this fraction of their size before are rounding errors of redundant ones."""
+
 TINY = 1e-12
 """Ratio of a pivot to the largest entry of its row below which it is only rounding errors."""
 
@@ -156,7 +159,7 @@ def find_pivot_order(n_c: int, n_u: int, rank: int, jacobians: Sequence[Sequence
 
     Each step takes the constraint and the speed with the largest product, over the examples, of the ratios of pivot to
     largest entry in the row. Only dependent speeds, which come last, are candidates, or all speeds if these give small
-    pivots.
+    pivots. Redundant constraints come last.
 
     Parameters
     ----------
@@ -174,24 +177,30 @@ def find_pivot_order(n_c: int, n_u: int, rank: int, jacobians: Sequence[Sequence
     PivotOrder(rows=(0, 1), speeds=(2, 1, 0))
     """
     dependent, order = range(n_u - rank, n_u), list(zip(range(n_c), range(n_u - rank, n_u), strict=False))
-    if rank == n_c and jacobians:  # redundant constraints are pivoted at run time
-        order, worst = _pivot(jacobians, n_c, dependent)
+    if jacobians:
+        order, worst = _pivot(jacobians, n_c, dependent, rank)
         if worst < GOOD_PIVOT:
-            order, _ = _pivot(jacobians, n_c, range(n_u))
-    speeds = [speed for _, speed in order]
+            order, _ = _pivot(jacobians, n_c, range(n_u), rank)
+    rows, speeds = [row for row, _ in order], [speed for _, speed in order]
     return PivotOrder(
-        tuple(row for row, _ in order), (*speeds, *(speed for speed in range(n_u) if speed not in speeds))
+        (*rows, *(row for row in range(n_c) if row not in rows)),
+        (*speeds, *(speed for speed in range(n_u) if speed not in speeds)),
     )
 
 
 def _pivot(
-    jacobians: Sequence[Sequence[Sequence[float]]], n_c: int, speeds: Sequence[int]
+    jacobians: Sequence[Sequence[Sequence[float]]], n_c: int, speeds: Sequence[int], rank: int
 ) -> tuple[list[tuple[int, int]], float]:
     """Pairs of row and speed in pivot order; the smallest pivot ratio of all steps, as a mean over the examples."""
     matrices = [[list(row) for row in jacobian] for jacobian in jacobians]
-    waiting, order, worst = list(itertools.product(range(n_c), speeds)), [], 0.0
-    while waiting:
-        largest = [[max(map(abs, row)) for row in matrix] for matrix in matrices]
+    noise = [[NOISE * max(map(abs, row)) for row in matrix] for matrix in matrices]
+    waiting, worst = list(itertools.product(range(n_c), speeds)), 0.0
+    order: list[tuple[int, int]] = []
+    while waiting and len(order) < rank:
+        largest = [
+            [size if (size := max(map(abs, row))) > least else 0.0 for row, least in zip(*pair, strict=True)]
+            for pair in zip(matrices, noise, strict=True)
+        ]
         shares = {
             (row, speed): sum(_share(m[row][speed], size[row]) for m, size in zip(matrices, largest, strict=True))
             for row, speed in waiting

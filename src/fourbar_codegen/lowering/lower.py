@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import itertools
 import random
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 
 from fourbar_codegen.dynamics.derivatives import Derivatives
 from fourbar_codegen.dynamics.equations import Equations
@@ -380,13 +381,18 @@ def _rank(e: Equations) -> int:
 
 
 def _pivot_order(e: Equations, rank: int, structure: Structure | None) -> PivotOrder:
-    """A pivot order for J at random points, some of them near zero coordinates, where models often start."""
+    """A pivot order for J at random points, some of them near zero coordinates, where models often start.
+
+    Constraints may be redundant only where loops are closed: then it is that at closed states, if any are known.
+    """
     n_u, n_c = len(e.speeds), len(e.velocity_bias.entries)
     if structure is not None or n_c > MAX_CONSTRAINTS:
         return find_pivot_order(n_c, n_u, rank, [])  # it is not used
+    entries = e.constraint_jacobian.entries
+    closed = [*_evaluated(e, entries, e.closed_states if rank < n_c else ())]
     jacobians = [
-        [entries[i : i + n_u] for i in range(0, len(entries), n_u)]
-        for entries in _at_random_points(e, e.constraint_jacobian.entries)
+        [numbers[i : i + n_u] for i in range(0, len(numbers), n_u)]
+        for numbers in closed or _at_random_points(e, entries)
     ]
     return find_pivot_order(n_c, n_u, rank, jacobians)
 
@@ -394,14 +400,21 @@ def _pivot_order(e: Equations, rank: int, structure: Structure | None) -> PivotO
 def _at_random_points(e: Equations, entries: Sequence[Scalar]) -> Iterator[list[float]]:
     """Numbers for scalars at random points, some of them near zero coordinates; where they have no value, none."""
     generator = random.Random(0)
-    for size in (0.05, 1.0) * POINTS:
-        values = {leaf: generator.uniform(0.1, 1.0) for leaf in (e.time, *e.speeds, *e.parameters, *e.inputs)}
-        values.update((leaf, generator.uniform(-size, size)) for leaf in e.coordinates)
-        try:
-            numbers = e.tape.evaluate(entries, values)
-        except (ArithmeticError, ValueError, TypeError):
-            continue  # some expressions have no value there
-        yield numbers
+
+    def points() -> Iterator[dict[Scalar, float]]:
+        for size in (0.05, 1.0) * POINTS:
+            values = {leaf: generator.uniform(0.1, 1.0) for leaf in (e.time, *e.speeds, *e.parameters, *e.inputs)}
+            yield values | {leaf: generator.uniform(-size, size) for leaf in e.coordinates}
+
+    return _evaluated(e, entries, points())
+
+
+def _evaluated(
+    e: Equations, entries: Sequence[Scalar], points: Iterable[Mapping[Scalar, float]]
+) -> Iterator[list[float]]:
+    for values in points:
+        with suppress(ArithmeticError, ValueError, TypeError):  # some expressions have no value there
+            yield e.tape.evaluate(entries, values)
 
 
 def _structure(e: Equations, rank: int) -> Structure | None:
@@ -426,7 +439,7 @@ def _entries(e: Equations, structure: Structure | None) -> tuple[Result, Result]
 def _is_recursive(e: Equations, recursion: Recursion, rank: int, structure: Structure | None) -> bool:
     """Whether the recursive form takes fewer operations than the dense or sparse one."""
     n_u, n_c = len(e.speeds), len(e.velocity_bias.entries)
-    if rank < n_c or not _are_positive(e, recursion):
+    if rank < n_c or not _is_regular(e, recursion):
         return False  # redundant constraints need pivoting, and M must be regular
     common = (*e.coordinate_rates.entries, *e.constraint_jacobian.entries, *e.acceleration_bias.entries)
     count = e.tape.count_operations
@@ -439,8 +452,11 @@ def _is_recursive(e: Equations, recursion: Recursion, rank: int, structure: Stru
     return recursive < RECURSIVE * (formed + ELIMINATION * elimination)
 
 
-def _are_positive(e: Equations, recursion: Recursion) -> bool:
-    """Whether M is regular beyond rounding errors, at random points: constraints may be substituted into velocities."""
+def _is_regular(e: Equations, recursion: Recursion) -> bool:
+    """Whether M is regular beyond rounding errors at random points: constraints may be substituted into velocities.
+
+    Random numbers need not be the inertia of a body, so pivots may be negative.
+    """
     n_u = len(e.speeds)
     diagonal = [e.mass_matrix.entries[i * n_u + i] for i in range(n_u)]
     pairs = [
@@ -448,7 +464,7 @@ def _are_positive(e: Equations, recursion: Recursion) -> bool:
         for numbers in itertools.islice(_at_random_points(e, [*recursion.pivots.entries, *diagonal]), 2)
         for pivot, size in zip(numbers[:n_u], numbers[n_u:], strict=True)
     ]
-    return all(pivot > REGULAR * size for pivot, size in pairs)
+    return all(abs(pivot) > REGULAR * abs(size) for pivot, size in pairs)
 
 
 def _recursive(

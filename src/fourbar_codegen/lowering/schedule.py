@@ -207,7 +207,7 @@ def schedule(program: Program) -> Schedule:
     sizes, functions = program.sizes, program.functions
     calls = (o for f in functions if f.name in SIDE_BY_SIDE for _, o in f.statements if isinstance(o, Call))
     few_arguments = all(len(call.arguments) <= MAX_ARGUMENTS for call in calls)
-    can_solve = sizes.rank == sizes.n_c and (program.form == "sparse" or sizes.n_c <= MAX_CONSTRAINTS)
+    can_solve = program.form == "sparse" or sizes.n_c <= MAX_CONSTRAINTS
     return Schedule(
         program=program,
         functions=tuple(schedule_function(f, inline_angles=True) for f in functions),

@@ -272,7 +272,7 @@ static inline fb_mask fb_orientation_changed(fb_lanes *c, const fb_mask asked)
 #ifndef FB_SPARSE
     const fb_side *const s = &c->side;
     fb_real orientation = fb_number(INFINITY), sign = fb_number(1.0);
-    if (N_C == 0)
+    if (N_C == 0 || N_RANK < N_C)
         return changed;
     /* See fb_note_units. */
     for (int i = 0; i < N_C; ++i)

@@ -121,7 +121,8 @@ static FB_INLINE void fb_factor_side_by_side(const fb_real *restrict constants, 
 #else
 typedef struct fb_factors_side_by_side {
     fb_mask good;
-    fb_real inverse[FB_AT_LEAST_1(N_C)]; /* 1 / the diagonal of U_d */
+    fb_real size[FB_AT_LEAST_1(N_C - N_RANK)]; /* the sums of the redundant rows of J */
+    fb_real inverse[FB_AT_LEAST_1(N_C)];       /* 1 / the diagonal of U_d */
     fb_real lu[FB_AT_LEAST_1(N_C)][N_U]; /* L below the diagonal, U_d on and above it, then A */
     fb_real mass[N_U][N_U];              /* Q^T M Q */
     fb_real reduced[N_U][N_U];           /* T^T M T = L D L^T: L below the diagonal, 1/D on it */
@@ -147,7 +148,7 @@ static FB_INLINE void fb_factor_side_by_side(const fb_real *restrict constants, 
         }
         sizes += size[i];
     }
-    for (int k = 0; k < N_C; ++k) {
+    for (int k = 0; k < N_RANK; ++k) {
         fb_real left = FB_NEAR_DEPENDENCE * size[k];
         s->good &= size[k] > FB_NEAR_DEPENDENCE * sizes;
         for (int j = k; j < N_U; ++j)
@@ -155,20 +156,34 @@ static FB_INLINE void fb_factor_side_by_side(const fb_real *restrict constants, 
         s->good &= fb_abs(s->lu[k][k]) > FB_BATCH_PIVOT_TOLERANCE * left;
         fb_eliminate_below_side_by_side(s->lu, s->inverse, k);
     }
+    /* Whether redundant rows may be larger, since loops are open, is decided for single states. */
+    for (int i = N_RANK; i < N_C; ++i) {
+        s->size[i - N_RANK] = size[i];
+        for (int j = N_RANK; j < N_U; ++j)
+            s->good &= fb_abs(s->lu[i][j]) <= FB_REDUNDANT / N_U * size[i];
+    }
     fb_reduce_side_by_side(mass_matrix, s, static_pivot_speed);
 }
 
-/* u' for one right-hand side (f, gamma); NULL for f means zeros. */
+/* u' for one right-hand side (f, gamma); NULL for f means zeros. A lane is not good if u' does not satisfy the redundant
+ * constraints. */
 static FB_INLINE void fb_solve_side_by_side(const fb_real *restrict forcing, const fb_real *restrict acceleration_bias,
-                                            const fb_factors_side_by_side *restrict s, fb_real *restrict accelerations)
+                                            fb_factors_side_by_side *restrict s, fb_real *restrict accelerations)
 {
     fb_real w[FB_AT_LEAST_1(N_C)];
     for (int i = 0; i < N_C; ++i) {
         w[i] = acceleration_bias[static_pivot_row[i]];
-        for (int k = 0; k < i; ++k)
+        for (int k = 0; k < i && k < N_RANK; ++k)
             w[i] -= s->lu[i][k] * w[k];
     }
     fb_back_side_by_side(forcing, w, s, accelerations, static_pivot_speed);
+    if (N_RANK < N_C && forcing) {
+        fb_real size = fb_number(0.0);
+        for (int i = 0; i < N_U; ++i)
+            size = fb_greater(fb_abs(accelerations[i]), size);
+        for (int i = N_RANK; i < N_C; ++i)
+            s->good &= fb_abs(w[i]) <= FB_DRIFT_TOLERANCE * size * s->size[i - N_RANK] + FB_NEARLY;
+    }
 }
 
 /* The pivots of J; the factors have them. */

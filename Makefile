@@ -45,6 +45,7 @@ bench: $(INSTALLED)
 	$(BIN)/python benchmarks/methods.py --output results/methods.json
 	$(BIN)/python benchmarks/peers.py --output results/peers.json
 	$(BIN)/python benchmarks/engines.py --output results/engines.json
+	$(BIN)/python benchmarks/recursive.py --output results/recursive.json
 	$(BIN)/python benchmarks/scale.py --output results/scale.json
 	$(BIN)/python benchmarks/export.py --output results/export.json
 	$(BIN)/python benchmarks/page.py --output results/page.json

@@ -840,9 +840,9 @@ def chain_by_mujoco(links: int) -> dict[str, Evaluation]:
         return accelerations
 
     functions = mujoco_functions()
-    where = ctypes.c_void_p(model._address), ctypes.c_void_p(data._address)
 
     def all_of_them(states: Floats, out: Floats) -> None:
+        where = ctypes.c_void_p(model._address), ctypes.c_void_p(data._address)
         functions.forward(*where, len(states), address(states), address(out))
 
     return {
@@ -1000,8 +1000,7 @@ def chain_table(rows: list[dict[str, Any]]) -> list[str]:
         "",
         paragraph(
             f"The fastest, {'. The fastest, '.join(sentences)}. From {sizes[-2]} to {sizes[-1]} links, the time in C "
-            f"is multiplied by: {', '.join(growths)}. The engines' recursions grow more slowly "
-            "than our code: long open chains are theirs, and need no compilation there."
+            f"is multiplied by: {', '.join(growths)}. The engines need no compilation."
         ),
         "",
         "| | " + " | ".join(f"n = {n}" for n in sizes) + " |",

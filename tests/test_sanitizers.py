@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import sympy as sm
 from programs import compile_c
+from systems import parallelogram
 from test_state_equations import cartesian, motor
 from test_unknown_forces import MU, model_of, rod
 
@@ -290,6 +291,9 @@ MODELS = {
     "slider_crank": (fb.models.slider_crank, None),
     "rolling_disc": (fb.models.rolling_disc, {"q3": 0.4}),
     "chain": (lambda: fb.models.chain(2), None),
+    "tree": (lambda: fb.models.chain(10), None),
+    "tree with a loop": (lambda: fb.models.chain(10, closed=True), None),
+    "redundant": (parallelogram, {"q_AB": 1.2}),
     "n_four_bar": (lambda: fb.models.n_four_bar(4), {"p0": 0.1}),
     "whipple_bicycle": (fb.models.whipple_bicycle, None),
     "cartesian_pendulum": (fb.models.cartesian_pendulum, {"y": 0.0}),

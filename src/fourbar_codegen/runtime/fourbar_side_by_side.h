@@ -123,9 +123,9 @@ typedef struct fb_factors_side_by_side {
     fb_mask good;
     fb_real size[FB_AT_LEAST_1(N_C - N_RANK)]; /* the sums of the redundant rows of J */
     fb_real inverse[FB_AT_LEAST_1(N_C)];       /* 1 / the diagonal of U_d */
-    fb_real lu[FB_AT_LEAST_1(N_C)][N_U]; /* L below the diagonal, U_d on and above it, then A */
-    fb_real mass[N_U][N_U];              /* Q^T M Q */
-    fb_real reduced[N_U][N_U];           /* T^T M T = L D L^T: L below the diagonal, 1/D on it */
+    fb_real lu[FB_AT_LEAST_1(N_C)][N_U];       /* L below the diagonal, U_d on and above it, then A */
+    fb_real mass[N_U][N_U];                    /* Q^T M Q */
+    fb_real reduced[N_U][N_U];                 /* T^T M T = L D L^T: L below the diagonal, 1/D on it */
 } fb_factors_side_by_side;
 
 #define FB_VALUE fb_real
@@ -165,8 +165,8 @@ static FB_INLINE void fb_factor_side_by_side(const fb_real *restrict constants, 
     fb_reduce_side_by_side(mass_matrix, s, static_pivot_speed);
 }
 
-/* u' for one right-hand side (f, gamma); NULL for f means zeros. A lane is not good if u' does not satisfy the redundant
- * constraints. */
+/* u' for one right-hand side (f, gamma); NULL for f means zeros. A lane is not good if u' does not satisfy the
+ * redundant constraints. */
 static FB_INLINE void fb_solve_side_by_side(const fb_real *restrict forcing, const fb_real *restrict acceleration_bias,
                                             fb_factors_side_by_side *restrict s, fb_real *restrict accelerations)
 {

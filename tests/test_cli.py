@@ -270,6 +270,7 @@ def test_a_broken_pipe_is_silent():
 def test_an_interrupt_while_modules_are_imported_is_one_line(where):
     code = f"""
 import sys, signal
+signal.signal(signal.SIGINT, signal.default_int_handler)  # which a shell has ignored in its background
 class Finder:
     def find_spec(self, name, *_):
         if name == {where!r}:
@@ -286,6 +287,7 @@ main()
 def test_an_interrupt_later_is_one_line():
     code = """
 import os, signal, sys, threading
+signal.signal(signal.SIGINT, signal.default_int_handler)  # as above
 threading.Timer(1.5, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
 sys.argv = ["fourbar", "simulate", "-t", "0", "1e9", "--max-steps", "none", "-p", "c=0"]
 from fourbar_codegen.__main__ import main

@@ -18,7 +18,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import sympy as sm
-from systems import slider, spatial_four_bar
+from systems import slider
+from test_unknown_forces import MU, model_of, rod
 
 import fourbar_codegen as fb
 from fourbar_codegen import compile as pipeline
@@ -383,10 +384,10 @@ def test_a_library_that_vanishes_is_built_again(monkeypatch, tmp_path):
 
 
 def test_another_models_sources_in_the_folder(tmp_path):
-    """Redundant loops are not evaluated side by side; what is left of another model of the same name does not count."""
-    batch = tmp_path / "spatial_four_bar_batch.c"
+    """Unknown forces are not found side by side; what is left of another model of the same name does not count."""
+    batch = tmp_path / "rod_batch.c"
     batch.write_text("of another model")
-    model = fb.load(fb.build_model(spatial_four_bar(), tmp_path))
+    model = fb.load(fb.build_model(model_of(rod(lambda normal: MU * normal, "rod")), tmp_path))
     assert not batch.exists()
     batch.write_text("of another model")
     x = np.full((model.n_x, 2), 0.1)
@@ -933,7 +934,7 @@ import os, sys
 sys.path.insert(0, {str(Path(__file__).parent)!r})
 sys.setdlopenflags(os.RTLD_NOW | os.RTLD_GLOBAL)
 import ctypes, fourbar_codegen as fb
-from systems import slider, spatial_four_bar
+from systems import slider
 ctypes.CDLL({str(module)!r}, mode=ctypes.RTLD_GLOBAL)
 for model in (fb.load({str(module)!r}), fb.compile_model(slider())):
     print(model.rhs(0.0, [0.5, 0.1, 0.2, 0.3]).tolist(), model.jacobian(0.0, [0.5, 0.1, 0.2, 0.3]).tolist())

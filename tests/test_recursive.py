@@ -297,6 +297,34 @@ def test_derivatives_against_differences(case):
             np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-7 * np.abs(wanted).max())
 
 
+def test_a_singular_mass_matrix_is_told():
+    """Six joints that only a particle at the tip resists: M has rank 3, and rounding errors for pivots."""
+    tree = Tree("massless_arm")
+    frame, joint = tree.ground, tree.origin
+    for n in range(6):
+        link = tree.turned(frame, (frame.x, frame.y, frame.z)[n % 3], f"B{n}")
+        share = tree.symbol("share", 1.0)
+        inertia = me.inertia(link, *(share * moment for moment in (0.02, 0.03, 0.04)))
+        center = tree.point(f"C{n}", joint, 0.2 * link.x + 0.05 * link.y)
+        tree.system.add_bodies(me.RigidBody(f"b{n}", center, link, share, (inertia, center)))
+        frame, joint = link, tree.point(f"P{n}", joint, 0.4 * link.x)
+    tree.system.add_bodies(me.Particle("tip", joint, tree.symbol("m", 0.5)))
+    system, options = tree.model()
+    compiled = fb.compile_model(fb.Model(system, **options))
+    assert compiled.manifest["form"] == "recursive"
+    states = random_states(compiled, 40)
+    for x in states:
+        with pytest.raises(fb.SimulationError, match="not positive definite"):
+            compiled.rhs(0.0, x, {"share": 0.0})
+    assert np.isnan(compiled.rhs_batch(0.0, states.T.copy(), {"share": 0.0})).all(axis=0).all()
+    for x in states[:5]:  # light, but regular: M is as ill-conditioned as the links are light
+        found = compiled.rhs(0.0, x, {"share": 1e-6})[6:]
+        matrix = compiled.tree_mass_matrix(0.0, x, {"share": 1e-6})
+        wanted = np.linalg.solve(matrix, compiled.tree_forcing(0.0, x, {"share": 1e-6}))
+        rounding = 1e-14 * np.linalg.cond(matrix)
+        np.testing.assert_allclose(found, wanted, rtol=0, atol=rounding * np.abs(wanted).max())
+
+
 def test_an_unknown_force_at_the_root():
     """The force that holds the first joint of a chain, against SymPy's equation of its auxiliary speed."""
     tree = Tree("held_chain")

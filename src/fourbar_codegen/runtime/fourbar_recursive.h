@@ -83,6 +83,17 @@ static FB_CALLED void fb_form_mass(const double *restrict constants, const doubl
     }
 }
 
+/* Whether the pivots of M are larger than rounding errors of its diagonal, FB_RANK_TOLERANCE. */
+static FB_CALLED int fb_is_regular(const double *restrict constants, const double *restrict mass)
+{
+    double mass_matrix[N_U * N_U];
+    fb_form_mass(constants, mass + N_U, mass_matrix);
+    for (int i = 0; i < N_U; ++i)
+        if (!(mass[i] > FB_RANK_TOLERANCE * mass_matrix[i * N_U + i]))
+            return 0;
+    return 1;
+}
+
 /* W, M^-1 f and A. */
 static FB_CALLED void fb_form_normal(const double *restrict forcing, fb_factors *restrict s)
 {
@@ -117,15 +128,17 @@ static FB_CALLED void fb_form_normal(const double *restrict forcing, fb_factors 
 static inline int fb_factor(const double *restrict mass, const double *restrict jacobian,
                             const double *restrict forcing, fb_factors *restrict s)
 {
-    int is_positive = 1;
+    double smallest = INFINITY, largest = 0.0;
     s->mass = mass;
     s->jacobian = jacobian;
     s->is_dense = 0;
     for (int i = 0; i < N_U; ++i) {
         if (mass[i] != mass[i])
             return FB_NOT_FINITE;
-        is_positive &= mass[i] > 0.0;
+        smallest = mass[i] < smallest ? mass[i] : smallest;
+        largest = fb_max(mass[i], largest);
     }
+    const int is_positive = smallest > FB_SUSPICIOUS * largest || (smallest > 0.0 && fb_is_regular(s->constants, mass));
     if (N_C == 0)
         return is_positive ? FB_OK : FB_MASS_SINGULAR;
     if (all_finite(jacobian, N_JACOBIAN) != FB_OK)

@@ -46,8 +46,11 @@ static FB_INLINE void fb_factor_side_by_side(const fb_real *restrict constants, 
     s->constants = constants;
     s->mass = mass;
     s->jacobian = jacobian;
+    fb_real largest = mass[0];
+    for (int i = 1; i < N_U; ++i)
+        largest = fb_greater(mass[i], largest);
     for (int i = 0; i < N_U; ++i)
-        s->good &= mass[i] > 0.0;
+        s->good &= (mass[i] > 0.0) & (mass[i] > FB_SUSPICIOUS * largest);
     for (int k = 0; k < N_C; ++k) {
         fb_real column[N_U];
         mass_solve(constants, mass + N_U, jacobian + k * N_U, column);

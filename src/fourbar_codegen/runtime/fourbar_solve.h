@@ -53,6 +53,10 @@ enum { N_MASS = N_U * N_U };
 #define FB_REDUNDANT 1e-7
 #define FB_OPENED 1e4
 
+/* Without a mass matrix, a pivot of M below this fraction of the largest one, which may have another unit, is compared
+ * with M: if M is singular, rounding errors decide about the sign of its pivots. */
+#define FB_SUSPICIOUS 1e-9
+
 typedef struct fb_factors {
     double left;                              /* largest entry of the scaled J in redundant rows */
     int is_static;                            /* whether the pivot order is the static one */

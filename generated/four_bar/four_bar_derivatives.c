@@ -10,6 +10,7 @@
  * fourbar_model.h, in four_bar_kernel.c, solves the equations that they set up. Matrices are stored row by row.
  */
 #include "four_bar_kernel.h"
+#include "fourbar_columns.h"
 
 #include <math.h>
 
@@ -598,6 +599,204 @@ static void input_sensitivity(double t, const double *restrict x, const double *
     residual_input_jacobian[4] = 0.0;
 }
 
+/* What variation_columns needs of a state. */
+static void variation_factors(double t, const double *restrict x, const double *restrict constants,
+    const double *restrict r, const double *restrict accelerations, const double *restrict multipliers,
+    double *restrict factors)
+{
+    (void)t;
+    const double q1 = x[0];
+    const double z0 = sin(q1);
+    factors[2] = z0;
+    const double z1 = cos(q1);
+    factors[4] = z1;
+    const double lambda0 = multipliers[0];
+    const double lambda1 = multipliers[1];
+    factors[6] = z1*lambda1 - z0*lambda0;
+    const double l2 = constants[2];
+    const double z2 = l2*l2;
+    factors[7] = l2*z2;
+    factors[8] = 3.0*z2;
+    const double rho = constants[0];
+    const double z3 = rho*l2;
+    factors[13] = z3;
+    const double u1_rate = accelerations[0];
+    const double z4 = l2*u1_rate;
+    factors[11] = z4;
+    const double q2 = x[1];
+    const double z5 = cos(q2);
+    factors[24] = z5;
+    const double z6 = sin(q2);
+    factors[25] = z6;
+    const double z7 = z1*z5 - z0*z6;
+    factors[21] = z7;
+    const double u1 = x[3];
+    const double u2 = x[4];
+    const double z8 = u1 + u2;
+    factors[20] = z8;
+    const double l3 = constants[3];
+    const double z9 = l3*z8;
+    factors[19] = z9;
+    const double z10 = z8*z9;
+    factors[26] = z10;
+    const double z11 = z0*z5 + z1*z6;
+    factors[23] = z11;
+    factors[59] = z7*lambda1 - z11*lambda0;
+    const double u2_rate = accelerations[1];
+    const double z12 = u1_rate + u2_rate;
+    factors[22] = z12;
+    factors[47] = (1.0/12.0)*z12;
+    const double z13 = l3*z12;
+    factors[27] = z13;
+    const double z14 = z7*z10 + z11*z13;
+    const double q3 = x[2];
+    const double z15 = cos(q3);
+    factors[35] = z15;
+    const double z16 = sin(q3);
+    factors[34] = z16;
+    const double z17 = z15*z7 - z16*z11;
+    factors[31] = z17;
+    const double u3 = x[5];
+    const double z18 = u3 + z8;
+    factors[30] = z18;
+    const double l4 = constants[4];
+    const double z19 = l4*z18;
+    factors[29] = z19;
+    const double z20 = z18*z19;
+    factors[36] = z20;
+    const double z21 = z15*z11 + z16*z7;
+    factors[33] = z21;
+    factors[62] = z17*lambda1 - z21*lambda0;
+    const double u3_rate = accelerations[2];
+    const double z22 = u3_rate + z12;
+    factors[32] = z22;
+    factors[50] = (1.0/12.0)*z22;
+    const double z23 = l4*z22;
+    factors[37] = z23;
+    const double z24 = u1*l2;
+    factors[17] = z24;
+    const double z25 = u1*z24;
+    factors[16] = z25;
+    const double z26 = z1*z25 + z0*z4 + (1.0/2.0)*z14;
+    factors[15] = z26;
+    const double z27 = (1.0/2.0)*z14 + (1.0/2.0)*(z17*z20 + z21*z23) + z26;
+    factors[28] = z27;
+    const double k9 = constants[9];
+    const double z28 = k9*z27;
+    factors[52] = z28;
+    const double r_F = r[0];
+    const double z29 = r_F + z28;
+    const double k8 = constants[8];
+    const double z30 = z29 + k8*z26;
+    factors[14] = z30;
+    const double z31 = z11*z10 - z7*z13;
+    const double z32 = z0*z25 - z1*z4 + (1.0/2.0)*z31;
+    factors[41] = z32;
+    const double z33 = (1.0/2.0)*z31 + (1.0/2.0)*(z21*z20 - z17*z23) + z32;
+    factors[43] = z33;
+    const double k16 = constants[16];
+    const double z34 = k16 - k9*z33;
+    factors[51] = z21*z28 + z17*z34;
+    factors[53] = z34;
+    const double k17 = constants[17];
+    const double z35 = k17 + z34 - k8*z32;
+    const double k18 = constants[18];
+    const double z36 = z35 + (k18 + z35);
+    factors[10] = (1.0/2.0)*z3*z4 + 2.0*z0*z30 + z1*z36;
+    factors[38] = z36;
+    const double z37 = l3*l3;
+    factors[45] = l3*z37;
+    factors[46] = 3.0*z37;
+    const double z38 = l4*l4;
+    factors[48] = l4*z38;
+    factors[49] = 3.0*z38;
+    const double z39 = z34 + z35;
+    factors[55] = z39;
+    const double z40 = z29 + z30;
+    factors[54] = z7*z39 + z11*z40;
+    factors[56] = z40;
+    const double z41 = z18*z17;
+    factors[63] = z18*z41 + z21*z22;
+    factors[66] = z41;
+    const double z42 = z8*z7;
+    factors[64] = z8*z42 + z11*z12;
+    factors[67] = z42;
+    const double z43 = u1*z1;
+    factors[65] = u1*z43 + u1_rate*z0;
+    factors[68] = z43;
+    const double z44 = z18*z21;
+    factors[69] = z18*z44 - z17*z22;
+    factors[72] = z44;
+    const double z45 = z8*z11;
+    factors[70] = z8*z45 - z7*z12;
+    factors[73] = z45;
+    const double z46 = u1*z0;
+    factors[0] = u2;
+    factors[1] = q2;
+    factors[3] = l2*lambda1;
+    factors[5] = l2*lambda0;
+    factors[9] = (1.0/12.0)*u1_rate;
+    factors[12] = u1_rate;
+    factors[18] = u1;
+    const double g = constants[7];
+    factors[39] = l3*g;
+    factors[40] = rho*g;
+    factors[42] = l4*g;
+    factors[44] = l2*g;
+    factors[57] = l3*lambda1;
+    factors[58] = l3*lambda0;
+    factors[60] = l4*lambda1;
+    factors[61] = l4*lambda0;
+    factors[71] = u1*z46 - u1_rate*z1;
+    factors[74] = z46;
+}
+
+/* What constraint_variation_columns needs of a state. */
+static void constraint_variation_factors(double t, const double *restrict x, const double *restrict constants,
+    const double *restrict r, double *restrict factors)
+{
+    (void)t;
+    (void)constants;
+    (void)r;
+    const double q3 = x[2];
+    const double z0 = cos(q3);
+    factors[5] = z0;
+    const double q1 = x[0];
+    const double z1 = cos(q1);
+    factors[2] = z1;
+    const double u1 = x[3];
+    factors[18] = u1*z1;
+    const double q2 = x[1];
+    const double z2 = cos(q2);
+    factors[7] = z2;
+    const double z3 = sin(q1);
+    factors[3] = z3;
+    factors[12] = u1*z3;
+    const double z4 = sin(q2);
+    factors[8] = z4;
+    const double z5 = z1*z2 - z3*z4;
+    factors[1] = z5;
+    const double z6 = sin(q3);
+    factors[4] = z6;
+    const double z7 = z3*z2 + z1*z4;
+    factors[6] = z7;
+    const double z8 = z0*z5 - z6*z7;
+    factors[0] = z8;
+    const double z9 = z0*z7 + z6*z5;
+    factors[9] = z9;
+    const double u2 = x[4];
+    const double z10 = u1 + u2;
+    factors[11] = z10*z7;
+    factors[15] = z10;
+    factors[17] = z10*z5;
+    const double u3 = x[5];
+    const double z11 = u3 + z10;
+    factors[10] = z11*z9;
+    factors[13] = u1;
+    factors[14] = z11;
+    factors[16] = z11*z8;
+}
+
 /* d/dp of the inputs' expressions; zero without one. */
 static void default_input_sensitivity(double t, const double *restrict constants,
     double *restrict default_input_jacobian)
@@ -658,6 +857,254 @@ static void constraint_sensitivity(double t, const double *restrict x, const dou
     velocity_input_jacobian[1] = 0.0;
 }
 
+/* q', and f - M u' + J^T lambda and -(J u' + gamma) with u' and lambda held, differentiated along a direction of x, p and r. */
+static void variation_columns(const double *restrict constants, const double *restrict factors,
+    const fb_many *restrict direction, fb_many *restrict coordinate_rate_variation,
+    fb_many *restrict residual_variation)
+{
+    const double factor2 = factors[2];
+    const fb_many v0 = direction[0];
+    const fb_many z0 = factor2*v0;
+    const double factor4 = factors[4];
+    const fb_many z1 = factor4*v0;
+    const double factor12 = factors[12];
+    const fb_many v8 = direction[8];
+    const fb_many z2 = factor12*v8;
+    const double rho = constants[0];
+    const double l3 = constants[3];
+    const fb_many v6 = direction[6];
+    const fb_many v9 = direction[9];
+    const fb_many z3 = l3*v6 + rho*v9;
+    const double factor18 = factors[18];
+    const double l2 = constants[2];
+    const double factor17 = factors[17];
+    const fb_many v3 = direction[3];
+    const fb_many z4 = factor17*v3 + factor18*(l2*v3 + factor18*v8);
+    const fb_many v4 = direction[4];
+    const fb_many z5 = v3 + v4;
+    const double factor20 = factors[20];
+    const double factor19 = factors[19];
+    const fb_many z6 = factor19*z5 + factor20*(factor20*v9 + l3*z5);
+    const double factor22 = factors[22];
+    const fb_many z7 = factor22*v9;
+    const double factor25 = factors[25];
+    const fb_many v1 = direction[1];
+    const fb_many z8 = factor25*v1;
+    const double factor24 = factors[24];
+    const fb_many z9 = factor24*v1;
+    const fb_many z10 = factor24*z0 + factor4*z8 + factor25*z1 + factor2*z9;
+    const fb_many z11 = factor24*z1 - factor2*z8 - factor25*z0 + factor4*z9;
+    const double factor21 = factors[21];
+    const double factor23 = factors[23];
+    const double factor26 = factors[26];
+    const double factor27 = factors[27];
+    const fb_many z12 = factor21*z6 + factor23*z7 - factor26*z10 + factor27*z11;
+    const double factor16 = factors[16];
+    const double factor11 = factors[11];
+    const fb_many z13 = factor16*z0 - factor4*z4 - factor11*z1 - factor2*z2 - (1.0/2.0)*z12;
+    const double l4 = constants[4];
+    const fb_many v10 = direction[10];
+    const fb_many z14 = l4*v6 + rho*v10;
+    const fb_many v5 = direction[5];
+    const fb_many z15 = v5 + z5;
+    const double factor30 = factors[30];
+    const double factor29 = factors[29];
+    const fb_many z16 = factor29*z15 + factor30*(factor30*v10 + l4*z15);
+    const double factor32 = factors[32];
+    const fb_many z17 = factor32*v10;
+    const double factor34 = factors[34];
+    const fb_many v2 = direction[2];
+    const fb_many z18 = factor34*v2;
+    const double factor35 = factors[35];
+    const fb_many z19 = factor35*v2;
+    const fb_many z20 = factor21*z18 + factor23*z19 + factor35*z10 + factor34*z11;
+    const fb_many z21 = factor23*z18 - factor21*z19 - factor35*z11 + factor34*z10;
+    const double factor31 = factors[31];
+    const double factor33 = factors[33];
+    const double factor36 = factors[36];
+    const double factor37 = factors[37];
+    const fb_many z22 = (1.0/2.0)*z12 - z13 + (1.0/2.0)*(factor31*z16 + factor33*z17 - factor36*z20 -
+        factor37*z21);
+    const double k9 = constants[9];
+    const double factor28 = factors[28];
+    const fb_many z23 = factor28*z14 + k9*z22;
+    const fb_many v14 = direction[14];
+    const fb_many z24 = v14 + z23;
+    const double k8 = constants[8];
+    const double factor15 = factors[15];
+    const fb_many z25 = factor15*z3 - k8*z13 + z24;
+    const fb_many z26 = factor23*z6 - factor21*z7 + factor26*z11 + factor27*z10;
+    const fb_many z27 = factor16*z1 + factor2*z4 + factor11*z0 - factor4*z2 + (1.0/2.0)*z26;
+    const fb_many z28 = (1.0/2.0)*z26 + z27 + (1.0/2.0)*(factor33*z16 - factor31*z17 - factor36*z21 +
+        factor37*z20);
+    const double factor43 = factors[43];
+    const double factor40 = factors[40];
+    const double factor42 = factors[42];
+    const fb_many v13 = direction[13];
+    const fb_many z29 = factor42*v6 + factor40*v10 - factor43*z14 + k9*(v13 - z28);
+    const double factor41 = factors[41];
+    const double factor39 = factors[39];
+    const fb_many z30 = factor39*v6 + factor40*v9 - factor41*z3 + k8*(v13 - z27) + z29;
+    const double factor13 = factors[13];
+    const double factor44 = factors[44];
+    const fb_many z31 = factor4*(z30 + (factor44*v6 + factor40*v8 + factor13*v13 + z30));
+    const double factor14 = factors[14];
+    const double factor38 = factors[38];
+    const fb_many z32 = (1.0/2.0)*(factor11*(l2*v6 + rho*v8) + factor13*z2) + 2.0*(factor14*z1 + factor2*z25)
+        - z0*factor38 + z31;
+    const double factor52 = factors[52];
+    const double factor53 = factors[53];
+    const fb_many z33 = l4*(factor52*z21 - factor33*z23 + factor53*z20 - factor31*z29);
+    const double factor48 = factors[48];
+    const double factor51 = factors[51];
+    const double factor50 = factors[50];
+    const double factor49 = factors[49];
+    const fb_many z34 = factor50*(factor48*v6 + rho*v10*factor49) + (1.0/2.0)*(factor51*v10 - z33);
+    const double factor55 = factors[55];
+    const double factor56 = factors[56];
+    const fb_many z35 = factor23*(z24 + z25) - z10*factor55 + z11*factor56 + factor21*(z29 + z30);
+    const double factor45 = factors[45];
+    const double factor54 = factors[54];
+    const double factor47 = factors[47];
+    const double factor46 = factors[46];
+    const fb_many z36 = factor47*(factor45*v6 + rho*v9*factor46) + z34 + (1.0/2.0)*(factor54*v9 + l3*z35);
+    const double factor60 = factors[60];
+    const double factor61 = factors[61];
+    const double factor62 = factors[62];
+    const fb_many z37 = factor60*z20 - factor61*z21 - factor62*v10;
+    residual_variation[2] = -(z34 + z37);
+    const double factor57 = factors[57];
+    const double factor58 = factors[58];
+    const double factor59 = factors[59];
+    const fb_many z38 = z36 + (factor57*z10 + factor58*z11 - factor59*v9 + z37);
+    residual_variation[1] = -z38;
+    const double factor1 = factors[1];
+    const double factor0 = factors[0];
+    const double k_ = constants[5];
+    const double c = constants[6];
+    const double factor7 = factors[7];
+    const double factor10 = factors[10];
+    const double factor3 = factors[3];
+    const double factor5 = factors[5];
+    const double factor6 = factors[6];
+    const fb_many v11 = direction[11];
+    const fb_many v12 = direction[12];
+    const double factor9 = factors[9];
+    const double factor8 = factors[8];
+    const fb_many z39 = c*v4 + factor0*v12 + k_*v1 + factor1*v11 + factor3*z0 + factor5*z1 - factor6*v8 +
+        factor9*(factor7*v6 + rho*v8*factor8) + (1.0/2.0)*(factor10*v8 + l2*z32) + z38;
+    residual_variation[0] = -z39;
+    const double factor66 = factors[66];
+    const fb_many z40 = factor66*z15 + factor30*(factor31*z15 - factor30*z20) - factor32*z21;
+    const double factor67 = factors[67];
+    const fb_many z41 = factor67*z5 + factor20*(factor21*z5 - factor20*z10) + factor22*z11;
+    const double factor68 = factors[68];
+    const fb_many z42 = factor68*v3 + factor18*(factor4*v3 - factor18*z0) + factor12*z1;
+    const double factor65 = factors[65];
+    const double factor64 = factors[64];
+    const double factor63 = factors[63];
+    const fb_many z43 = factor63*v10 + factor64*v9 + factor65*v8 + l4*z40 + l3*z41 + l2*z42;
+    residual_variation[3] = z43;
+    const double factor72 = factors[72];
+    const fb_many z44 = factor72*z15 + factor30*(factor33*z15 - factor30*z21) + factor32*z20;
+    const double factor73 = factors[73];
+    const fb_many z45 = factor73*z5 + factor20*(factor23*z5 + factor20*z11) + factor22*z10;
+    const double factor74 = factors[74];
+    const fb_many z46 = factor74*v3 + factor18*(factor2*v3 + factor18*z1) + factor12*z0;
+    const double factor71 = factors[71];
+    const double factor70 = factors[70];
+    const double factor69 = factors[69];
+    const fb_many z47 = factor69*v10 + factor70*v9 + factor71*v8 + l4*z44 + l3*z45 + l2*z46;
+    coordinate_rate_variation[0] = v3;
+    coordinate_rate_variation[1] = v4;
+    coordinate_rate_variation[2] = v5;
+    residual_variation[4] = z47;
+}
+
+static void variation(double t, const double *restrict x, const double *restrict constants,
+    const double *restrict r, const double *restrict accelerations, const double *restrict multipliers,
+    const double *restrict directions, double *restrict coordinate_rate_variation,
+    double *restrict residual_variation)
+{
+    double factors[75];
+    fb_many direction[15], of_coordinate_rate_variation[3], of_residual_variation[5];
+    variation_factors(t, x, constants, r, accelerations, multipliers, factors);
+    fb_apply_columns(variation_columns, constants, factors, 15, direction, directions, 3,
+        of_coordinate_rate_variation, 5, of_residual_variation, coordinate_rate_variation, residual_variation);
+}
+
+/* The results of constraint_violation differentiated along a direction of x, p and r. */
+static void constraint_variation_columns(const double *restrict constants, const double *restrict factors,
+    const fb_many *restrict direction, fb_many *restrict position_variation,
+    fb_many *restrict velocity_variation)
+{
+    const double factor3 = factors[3];
+    const fb_many v0 = direction[0];
+    const fb_many z0 = factor3*v0;
+    const double factor4 = factors[4];
+    const fb_many v2 = direction[2];
+    const fb_many z1 = factor4*v2;
+    const double factor5 = factors[5];
+    const fb_many z2 = factor5*v2;
+    const double factor8 = factors[8];
+    const fb_many v1 = direction[1];
+    const fb_many z3 = factor8*v1;
+    const double factor2 = factors[2];
+    const fb_many z4 = factor2*v0;
+    const double factor7 = factors[7];
+    const fb_many z5 = factor7*v1;
+    const fb_many z6 = factor7*z0 + factor2*z3 + factor8*z4 + factor3*z5;
+    const fb_many z7 = factor7*z4 - factor3*z3 - factor8*z0 + factor2*z5;
+    const double factor1 = factors[1];
+    const double factor6 = factors[6];
+    const fb_many z8 = factor1*z1 + factor6*z2 + factor5*z6 + factor4*z7;
+    const double l2 = constants[2];
+    const double l3 = constants[3];
+    const double l4 = constants[4];
+    const double factor0 = factors[0];
+    const fb_many v7 = direction[7];
+    const fb_many v8 = direction[8];
+    const fb_many v9 = direction[9];
+    const fb_many v10 = direction[10];
+    const fb_many z9 = v7 + factor0*v10 + factor1*v9 + factor2*v8 - l2*z0 - l4*z8 - l3*z6;
+    position_variation[0] = z9;
+    const fb_many z10 = factor6*z1 - factor1*z2 - factor5*z7 + factor4*z6;
+    const double factor9 = factors[9];
+    const fb_many z11 = factor9*v10 + factor6*v9 + factor3*v8 + l2*z4 - l4*z10 + l3*z7;
+    position_variation[1] = z11;
+    const fb_many v3 = direction[3];
+    const fb_many v4 = direction[4];
+    const fb_many z12 = v3 + v4;
+    const fb_many v5 = direction[5];
+    const fb_many z13 = v5 + z12;
+    const double factor13 = factors[13];
+    const double factor15 = factors[15];
+    const double factor14 = factors[14];
+    const double factor12 = factors[12];
+    const double factor11 = factors[11];
+    const double factor10 = factors[10];
+    const fb_many z14 = factor10*v10 + factor11*v9 + factor12*v8 + l2*(factor3*v3 + factor13*z4) +
+        l4*(factor9*z13 - factor14*z10) + l3*(factor6*z12 + factor15*z7);
+    velocity_variation[0] = -z14;
+    const double factor18 = factors[18];
+    const double factor17 = factors[17];
+    const double factor16 = factors[16];
+    const fb_many z15 = factor16*v10 + factor17*v9 + factor18*v8 + l2*(factor2*v3 - factor13*z0) +
+        l4*(factor0*z13 - factor14*z8) + l3*(factor1*z12 - factor15*z6);
+    velocity_variation[1] = z15;
+}
+
+static void constraint_variation(double t, const double *restrict x, const double *restrict constants,
+    const double *restrict r, const double *restrict directions, double *restrict position_variation,
+    double *restrict velocity_variation)
+{
+    double factors[19];
+    fb_many direction[15], of_position_variation[2], of_velocity_variation[2];
+    constraint_variation_factors(t, x, constants, r, factors);
+    fb_apply_columns(constraint_variation_columns, constants, factors, 15, direction, directions, 2,
+        of_position_variation, 2, of_velocity_variation, position_variation, velocity_variation);
+}
+
 const fb_derivatives four_bar_derivatives = {
     .abi_version = FB_ABI_VERSION,
     .struct_size = sizeof(fb_derivatives),
@@ -668,4 +1115,6 @@ const fb_derivatives four_bar_derivatives = {
     .input_sensitivity = input_sensitivity,
     .default_input_sensitivity = default_input_sensitivity,
     .constraint_sensitivity = constraint_sensitivity,
+    .variation = variation,
+    .constraint_variation = constraint_variation,
 };

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.arguments import Values
+from fourbar_codegen.arguments import Values, flag
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.kernel.loading import load_named
@@ -275,6 +275,36 @@ class CompiledModel(Kernel):
 
         return equilibrium(self, guess, t=t, parameters=parameters, inputs=inputs)
 
+    @overload
+    def initial_state(
+        self,
+        coordinates: Values | None = ...,
+        speeds: Values | None = ...,
+        *,
+        t: float = ...,
+        guess: Values | None = ...,
+        bounds: Mapping[Any, tuple[float, float]] | None = ...,
+        parameters: Values | None = ...,
+        inputs: Mapping[Any, InputSource] | None = ...,
+        auxiliary_states: Values | None = ...,
+        derivatives: Literal[False] = ...,
+    ) -> Floats: ...
+
+    @overload
+    def initial_state(
+        self,
+        coordinates: Values | None = ...,
+        speeds: Values | None = ...,
+        *,
+        t: float = ...,
+        guess: Values | None = ...,
+        bounds: Mapping[Any, tuple[float, float]] | None = ...,
+        parameters: Values | None = ...,
+        inputs: Mapping[Any, InputSource] | None = ...,
+        auxiliary_states: Values | None = ...,
+        derivatives: Literal[True],
+    ) -> tuple[Floats, dict[str, Floats]]: ...
+
     def initial_state(
         self,
         coordinates: Values | None = None,
@@ -286,7 +316,8 @@ class CompiledModel(Kernel):
         parameters: Values | None = None,
         inputs: Mapping[Any, InputSource] | None = None,
         auxiliary_states: Values | None = None,
-    ) -> Floats:
+        derivatives: bool = False,
+    ) -> Floats | tuple[Floats, dict[str, Floats]]:
         """A state that satisfies all constraints, from the independent coordinates and speeds.
 
         The position constraints are solved for the dependent coordinates: by Newton's method as long as each step at
@@ -311,17 +342,22 @@ class CompiledModel(Kernel):
             As for `simulate`; only those that prescribe a motion matter.
         auxiliary_states : array_like or mapping, optional
             Their values; by default the model's initial values.
+        derivatives : bool, optional
+            Whether to return also the derivatives of the state with respect to the independent values and the
+            parameters, by the implicit function theorem.
 
         Returns
         -------
         ndarray, shape (n_x,)
+            With `derivatives`, a tuple of it and a dict of arrays of this shape, by names.
 
         Raises
         ------
         ModelError
             If an argument has a wrong shape or name, or is not finite.
         AssemblyError
-            If the loops do not close, or the dependent speeds are not determined.
+            If the loops do not close, or the dependent speeds are not determined; or if the state has no derivatives,
+            at a singular position.
 
         Examples
         --------
@@ -329,10 +365,14 @@ class CompiledModel(Kernel):
         >>> x0 = fb.load("four_bar").initial_state({"q1": -0.5}, {"u1": -0.1}, guess=[-1.5, -1.5])
         >>> x0.round(6).tolist()
         [-0.5, -2.246416, -1.497827, -0.1, 0.071583, -0.027469]
+        >>> x0, by = fb.load("four_bar").initial_state({"q1": -0.5}, {"u1": -0.1}, derivatives=True)
+        >>> by["l2"][1].round(6).item()  # dq2/dl2
+        -0.826035
         """
+        from fourbar_codegen.analysis.initial_sensitivity import initial_derivatives
         from fourbar_codegen.analysis.initial_state import initial_state
 
-        return initial_state(
+        x0 = initial_state(
             self,
             coordinates,
             speeds,
@@ -343,6 +383,7 @@ class CompiledModel(Kernel):
             inputs=inputs,
             auxiliary_states=auxiliary_states,
         )
+        return (x0, initial_derivatives(self, t, x0, parameters, inputs)) if flag(derivatives, "derivatives") else x0
 
     def initial_states(
         self,
@@ -568,6 +609,8 @@ class CompiledModel(Kernel):
         max_steps: int | Literal["auto"] | None = "auto",
         formulation: str | None = None,
         progress: Callable[[float], object] | Literal[False] | None = None,
+        sensitivities: Any = (),
+        dx0: Mapping[Any, ArrayLike] | None = None,
     ) -> Trajectory:
         """Integrate the equations of motion and keep the loops closed.
 
@@ -628,6 +671,18 @@ class CompiledModel(Kernel):
             A callable is called with the time reached, some times per second. By default, a run that takes longer than
             a second reports its progress on stderr: in one line that is removed at the end on a terminal, otherwise in
             one line per second, and less often after a minute. False turns this off.
+        sensitivities : sequence of str or symbols, optional
+            Parameters, and independent coordinates, speeds and auxiliary states, with respect to whose values (at the
+            beginning) the states are differentiated: ``trajectory.sensitivity``. The steps of DOP853 and RK45 are
+            differentiated as they are taken, with their lengths held; the derivatives are then as accurate as the
+            states. After each projection they are moved onto the constraints' tangent; what that leaves out is
+            proportional to the correction of the state, and below `rtol`. Without `x0`, dependent initial values follow
+            from loop closure; a given `x0` depends on no parameter, except for what keeps it on the constraints. Where
+            forces jump with the state, the change of the time of the jump is left out. Source: H. G. Bock, "Numerical
+            treatment of inverse problems in chemical reaction kinetics", in *Modelling of Chemical Reaction Systems*
+            (1981): internal numerical differentiation.
+        dx0 : mapping from some of these names to arrays of shape (n_x,), optional
+            The derivatives of a given `x0`, such as those of `initial_state`.
 
         Returns
         -------
@@ -641,7 +696,8 @@ class CompiledModel(Kernel):
         Raises
         ------
         ModelError
-            If an argument has a wrong shape or name, or is not finite.
+            If an argument has a wrong shape or name, or is not finite; or if there are no sensitivities: with other
+            methods, callable inputs, dependent values, or parameters on which times of jumps depend.
         AssemblyError
             If `x0` is left out and the loops do not close.
         SimulationError
@@ -653,11 +709,16 @@ class CompiledModel(Kernel):
         >>> trajectory = fb.load("four_bar").simulate((0.0, 4.0), inputs={"F": 0.0}, rtol=1e-8, atol=1e-8)
         >>> bool(abs(trajectory.constraint_residual).max() < 1e-12)
         True
+        >>> run = fb.load("four_bar").simulate((0.0, 1.0), t_eval=[0.0, 1.0], sensitivities=["k", "l2"])
+        >>> by_length = run.sensitivity["l2"]
+        >>> by_length.shape, by_length[1, 0].round(2).item()  # dq2/dl2 of the closed loop
+        ((6, 2), -0.83)
         """
         options = RunOptions.of(
             self, t_span=t_span, x0=x0, method=method, parameters=parameters, inputs=inputs, t_eval=t_eval, rtol=rtol,
             atol=atol, events=events, constraints=constraints, stabilization=stabilization, dense_output=dense_output,
             max_step=max_step, max_steps=max_steps, formulation=formulation, progress=progress,
+            sensitivities=sensitivities, dx0=dx0,
         )  # fmt: skip
         return simulate(self, options)
 

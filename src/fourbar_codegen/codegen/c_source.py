@@ -36,6 +36,8 @@ INSTRUCTION_SETS = {
 LINE = 110
 
 FACTORS, COLUMNS = "_factors", "_columns"
+VARIATION = "variation"
+"""The end of the names of functions that take directions instead of filling a matrix."""
 """Ends of names of functions: products of derivatives with directions, and what they need of a state."""
 
 
@@ -264,12 +266,13 @@ def derivatives_text(
         If an expression has no counterpart in C99.
     """
     texts, entries = [], []
+    factors = {each.function.name: each.function for each in derivatives if each.function.name.endswith(FACTORS)}
     for each in derivatives:
         function = each.function
         by_columns = function.name.endswith(COLUMNS)
         texts.append(_function_text(each, function.name, "static ", "fb_many" if by_columns else "double"))
         if by_columns:
-            texts.append(_columns_text(function))
+            texts.append(_columns_text(function, factors[function.name.removesuffix(COLUMNS) + FACTORS]))
         if not function.name.endswith(FACTORS):
             entries.append(function.name.removesuffix(COLUMNS))
     functions, table = "\n\n".join(texts), "".join(f"    .{entry} = {entry},\n" for entry in entries)
@@ -294,22 +297,34 @@ const fb_derivatives {name}_derivatives = {{
 {after}"""
 
 
-def _columns_text(function: Function) -> str:
-    """The function that fills the matrices of derivatives, from their products with directions."""
-    name = function.name.removesuffix(COLUMNS)
-    [_, factors, direction], [rates, residual] = function.arguments, function.results
-    n, n_factors, n_rates, n_residual = map(len, (direction.nodes, factors.nodes, rates.entries, residual.entries))
-    return f"""\
-static void {name}(double t, const double *restrict x, const double *restrict constants, const double *restrict r,
-    const double *restrict accelerations, const double *restrict multipliers, double *restrict rate_jacobian,
-    double *restrict residual_jacobian)
-{{
-    double factors[{max(n_factors, 1)}];
-    fb_many direction[{max(n, 1)}], rates[{max(n_rates, 1)}], residual[{max(n_residual, 1)}];
-    {name}{FACTORS}(t, x, constants, r, accelerations, multipliers, factors);
-    fb_fill_columns({name}{COLUMNS}, constants, factors, {n}, direction, {n_rates}, rates, {n_residual}, residual,
-        rate_jacobian, residual_jacobian);
-}}"""
+def _columns_text(columns: Function, factors: Function) -> str:
+    """The function that fills matrices of derivatives, or applies them to directions, from products with vectors."""
+    name = columns.name.removesuffix(COLUMNS)
+    [_, nodes, direction], results = columns.arguments, columns.results
+    of_variation = name.endswith(VARIATION)
+    given = [_parameter(array, "double") for array in factors.arguments]
+    given += ["const double *restrict directions"] if of_variation else []
+    given += [f"double *restrict {result.name}" for result in results]
+    sizes = [(array.name, max(length, 1)) for array, length in ((direction, len(direction.nodes)),)]
+    sizes += [(f"of_{result.name}", max(len(result.entries), 1)) for result in results]
+    pairs = ", ".join(f"{len(result.entries)}, of_{result.name}" for result in results)
+    call = ", ".join(
+        [
+            f"{name}{COLUMNS}, constants, factors, {len(direction.nodes)}, direction",
+            *(["directions"] if of_variation else []),
+            pairs,
+            *(result.name for result in results),
+        ]
+    )
+    arguments = ", ".join(array.name for array in factors.arguments)
+    function = "fb_apply_columns" if of_variation else "fb_fill_columns"
+    lines = [
+        f"double factors[{max(len(nodes.nodes), 1)}];",
+        f"fb_many {', '.join(f'{array}[{length}]' for array, length in sizes)};",
+        f"{name}{FACTORS}({arguments}, factors);",
+        f"{function}({call});",
+    ]
+    return "\n".join([*_lines_of_head(f"static void {name}", given), "{", *map(_wrapped, lines), "}"])
 
 
 def header_text(scheduled: Schedule, names: Mapping[str, Sequence[str]]) -> str:
@@ -405,7 +420,10 @@ def _body(part: Part, text: Text) -> list[str]:
 def _head(function: Function, real: str, declared: str, more: Sequence[str]) -> list[str]:
     parameters = [_parameter(array, real) for array in function.arguments]
     parameters += [f"{real} *restrict {result.name}" for result in function.results]
-    parameters += more
+    return _lines_of_head(declared, [*parameters, *more])
+
+
+def _lines_of_head(declared: str, parameters: Sequence[str]) -> list[str]:
     # No line breaks within a parameter: textwrap does not break at non-ASCII spaces.
     text = f"{declared}(".replace(" ", "\xa0") + ", ".join(p.replace(" ", "\xa0") for p in parameters)
     wrapped = textwrap.wrap(f"{text})", LINE, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False)

@@ -246,6 +246,8 @@ def lower_derivatives(program: Program, equations: Equations, derivatives: Deriv
     held = _held(e)
     known = {ONE, *program.constants.nodes}
     sensitivities, columns = _sensitivities(e, d, known.__contains__, residual)
+    variations, more = _variations(e, d, known.__contains__, residual)
+    columns += more
     specifications: list[_Specification] = [
         (
             "drawing",
@@ -262,6 +264,7 @@ def lower_derivatives(program: Program, equations: Equations, derivatives: Deriv
             [d.coordinate_accelerations, d.point_velocities, d.point_accelerations],
         ),
         *sensitivities,
+        *variations,
         (
             "default_input_sensitivity",
             "d/dp of the inputs' expressions; zero without one.",
@@ -329,6 +332,35 @@ def _sensitivities(
         summary = f"q', and {residual} with u' and lambda held, differentiated along a direction of {variables}."
         function = (f"{name}_columns", summary, [tangent.coordinate_rates, tangent.residual])
         product, nodes = _products(e.tape, is_constant, [function], _array("direction", tangent.direction))
+        columns += product
+        factors = Result("factors", (len(nodes),), tuple(Scalar(e.tape, 1, node) for node in nodes))
+        specifications.append((f"{name}_factors", f"What {name}_columns needs of a state.", before, after, [factors]))
+    return specifications, columns
+
+
+def _variations(
+    e: Equations, d: Derivatives, is_constant: Callable[[int], bool], residual: str
+) -> tuple[list[_Specification], list[_Lowered]]:
+    """The functions for products with directions of x, p and r together; those that take directions are lowered."""
+    v, before = d.variation, [_array("t", (e.time,)), _array("x", (*e.coordinates, *e.speeds, *e.auxiliary_states))]
+    direction = _array("direction", v.direction)
+    specifications: list[_Specification] = []
+    columns: list[_Lowered] = []
+    for name, summary, after, results in (
+        (
+            "variation",
+            f"q', and {residual} with u' and lambda held, differentiated along a direction of x, p and r.",
+            _held(e),
+            [v.coordinate_rates, v.residual],
+        ),
+        (
+            "constraint_variation",
+            "The results of constraint_violation differentiated along a direction of x, p and r.",
+            (_array("r", e.inputs),),
+            [v.positions, v.velocities],
+        ),
+    ):
+        product, nodes = _products(e.tape, is_constant, [(f"{name}_columns", summary, results)], direction)
         columns += product
         factors = Result("factors", (len(nodes),), tuple(Scalar(e.tape, 1, node) for node in nodes))
         specifications.append((f"{name}_factors", f"What {name}_columns needs of a state.", before, after, [factors]))

@@ -64,6 +64,8 @@ class Trajectory:
         Arguments of the run: method, t_span, rtol, atol, constraints and others that were given.
     inputs : mapping or None
         Copies of the given sources of inputs; None if the run was read from a file.
+    sensitivity : mapping of str to ndarray, shape (n_x, n_t), or None
+        Derivatives of the states with respect to parameters and initial values, with ``sensitivities=`` of `simulate`.
 
     Examples
     --------
@@ -89,6 +91,7 @@ class Trajectory:
     message: str
     settings: Mapping[str, Any]
     inputs: Mapping[Any, Any] | None
+    sensitivity: Mapping[str, Floats] | None = None
 
     @property
     def q(self) -> Floats:

@@ -6,6 +6,7 @@ cimport numpy as cnp
 cdef extern from "fourbar_kernel.h":
     const int FB_ABI_VERSION
     const char *FB_CAPSULE_NAME
+    int FB_DIRECTIONS
     int FB_OK
     int FB_CONSTRAINTS_DEPENDENT
     int FB_MASS_SINGULAR
@@ -26,6 +27,10 @@ cdef extern from "fourbar_kernel.h":
         fb_sensitivity *sensitivity
         fb_sensitivity *parameter_sensitivity
         fb_sensitivity *input_sensitivity
+        void (*variation)(double, const double *, const double *, const double *, const double *, const double *,
+                          const double *, double *, double *) noexcept nogil
+        void (*constraint_variation)(double, const double *, const double *, const double *, const double *, double *,
+                                     double *) noexcept nogil
         void (*default_input_sensitivity)(double, const double *, double *) noexcept nogil
         void (*constraint_sensitivity)(double, const double *, const double *, const double *, double *, double *,
                                        double *) noexcept nogil
@@ -54,6 +59,10 @@ cdef extern from "fourbar_kernel.h":
                           void *) noexcept nogil
         int (*differentiate)(const fb_derivatives *, fb_sensitivity *, int, double, const double *, const double *,
                              const double *, double *, double *, void *) noexcept nogil
+        int (*vary)(const fb_derivatives *, double, const double *, const double *, const double *, const double *,
+                    double *, void *) noexcept nogil
+        int (*vary_closed)(const fb_derivatives *, double, const double *, const double *, const double *, double *,
+                           void *) noexcept nogil
         int (*accelerations)(double, const double *, const double *, const double *, double *, double *,
                              void *) noexcept nogil
         void (*state_rates)(double, const double *, const double *, const double *, const double *, const double *,

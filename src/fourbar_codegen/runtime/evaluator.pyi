@@ -103,6 +103,9 @@ class Evaluator:
     def constraint_sensitivity(
         self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None
     ) -> tuple[Floats, Floats, Floats]: ...
+    def constraint_variation(
+        self, t: float, x: ArrayLike, directions: Floats, p: Values | None = None, r: Values | None = None
+    ) -> tuple[Floats, Floats]: ...
     def drawing(
         self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None
     ) -> tuple[Floats, Floats]: ...

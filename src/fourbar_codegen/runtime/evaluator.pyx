@@ -895,6 +895,34 @@ cdef class Evaluator:
                                            data(by_coordinates), data(positions), data(velocities))
         return by_coordinates, positions, velocities
 
+    def constraint_variation(self, t, x, directions, p=None, r=None):
+        """The derivatives of the constraint violations along directions of (x, p), shape (n_x + n_p, n).
+
+        Two arrays, of shapes (n_c + n_i, n) and (n_c, n). Inputs whose expressions are in force follow the parameters.
+        """
+        t = time_of(t)
+        cdef cnp.ndarray parameters = self._parameters(p)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_motions)
+        cdef cnp.ndarray state = self._state(t, x, self.n_x)
+        cdef int i, n = np.shape(directions)[1], n_i = self.kernel.n_i
+        cdef const fb_derivatives *derivatives = self.derivatives()
+        by_parameters = self.default_input_sensitivity(t, p) * np.array(self.defaults_in_force(r), dtype=bool)[:, None]
+        given = np.vstack((directions, by_parameters @ directions[self.n_x:]))
+        cdef cnp.ndarray block, position, velocity
+        cdef const double *constants = self._prepare(parameters)
+        cdef const double *filled = self._fill(t, constants, inputs)
+        positions, velocities = np.empty((self.n_c + n_i, n)), np.empty((self.n_c, n))
+        for i in range(0, n, FB_DIRECTIONS):
+            columns = given[:, i:i + FB_DIRECTIONS]
+            block = np.zeros((given.shape[0], FB_DIRECTIONS))
+            block[:, :columns.shape[1]] = columns
+            position, velocity = new_array(self.n_c + n_i, FB_DIRECTIONS), new_array(self.n_c, FB_DIRECTIONS)
+            derivatives.constraint_variation(t, data(state), constants, filled, data(block), data(position),
+                                             data(velocity))
+            positions[:, i:i + FB_DIRECTIONS] = position[:, :columns.shape[1]]
+            velocities[:, i:i + FB_DIRECTIONS] = velocity[:, :columns.shape[1]]
+        return positions, velocities
+
     def energy(self, t, x, p=None, r=None):
         """Kinetic and potential energy, shape (2,)."""
         t = time_of(t)

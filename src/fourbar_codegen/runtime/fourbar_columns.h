@@ -1,7 +1,8 @@
-/* Matrices of derivatives, from their products with directions: FB_MANY columns at once. */
+/* Matrices of derivatives, and products with given directions, FB_MANY of them at once. */
 #ifndef FOURBAR_COLUMNS_H
 #define FOURBAR_COLUMNS_H
 
+#include "fourbar_kernel.h"
 #include "fourbar_real.h"
 
 /* Derivatives of q' and of the residual along directions; `factors` are the derivatives' factors at a state. */
@@ -31,6 +32,23 @@ static inline void fb_fill_columns(fb_columns_of *columns, const double *constan
         columns(constants, factors, direction, rates, residual);
         fb_store_columns(rates, n_rates, n, begin, rate_jacobian);
         fb_store_columns(residual, n_residual, n, begin, residual_jacobian);
+    }
+}
+
+/* The products of FB_DIRECTIONS directions, the columns of `directions` and of the results. */
+static inline void fb_apply_columns(fb_columns_of *columns, const double *constants, const double *factors, const int n,
+                                    fb_many *direction, const double *directions, const int n_rates, fb_many *rates,
+                                    const int n_residual, fb_many *residual, double *rate_changes,
+                                    double *residual_changes)
+{
+    for (int begin = 0; begin < FB_DIRECTIONS; begin += FB_MANY) {
+        for (int i = 0; i < n; ++i)
+            direction[i] = fb_load_many(directions + i * FB_DIRECTIONS + begin);
+        columns(constants, factors, direction, rates, residual);
+        for (int i = 0; i < n_rates; ++i)
+            fb_store_many(rates[i], rate_changes + i * FB_DIRECTIONS + begin);
+        for (int i = 0; i < n_residual; ++i)
+            fb_store_many(residual[i], residual_changes + i * FB_DIRECTIONS + begin);
     }
 }
 

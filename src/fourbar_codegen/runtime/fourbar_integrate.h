@@ -47,6 +47,7 @@ typedef struct fb_weights {
 } fb_weights;
 
 struct fb_augmented;
+struct fb_forward;
 
 typedef struct fb_run fb_run;
 
@@ -55,6 +56,10 @@ struct fb_run {
     const fb_tableau *method;
     int (*step)(fb_run *run);       /* one accepted step: FB_RUN_PAUSED, or the reason of failure */
     struct fb_augmented *augmented; /* for fourbar_augmented.h, or NULL */
+    /* sensitivities, by fourbar_forward.h, or NULL: them, and what is done after a step and for a sample at t, x */
+    struct fb_forward *forward;
+    int (*vary)(fb_run *run);
+    int (*vary_sample)(fb_run *run, double t, const double *x);
     fb_weights stage[FB_MAX_STAGES], error[2], more[4], dense[4];
     int n, padded;
     double direction, t_bound, max_step;
@@ -421,6 +426,11 @@ static inline int fb_sample(fb_run *s)
             return FB_RUN_FULL;
         s->sample_t[s->n_samples] = s->t;
         memcpy(s->sample_x + s->n_samples * s->n, s->x, (size_t)s->n * sizeof *s->x);
+        if (s->forward) {
+            const int status = s->vary_sample(s, s->t, s->x);
+            if (status < 0)
+                return status;
+        }
         s->n_samples += 1;
     } else {
         while (s->next_time < s->n_times) {
@@ -429,7 +439,10 @@ static inline int fb_sample(fb_run *s)
                 break;
             if (s->n_samples == s->room)
                 return FB_RUN_FULL;
-            const int status = fb_state_at(s, t, s->sample_x + s->n_samples * s->n);
+            double *const x = s->sample_x + s->n_samples * s->n;
+            int status = fb_state_at(s, t, x);
+            if (status == 0 && s->forward)
+                status = s->vary_sample(s, t, x);
             if (status < 0)
                 return status;
             s->sample_t[s->n_samples++] = t;
@@ -512,6 +525,11 @@ static inline int fb_run_on(fb_run *s, long n)
         int status = s->step(s);
         if (status != FB_RUN_PAUSED)
             return status;
+        if (s->forward) {
+            status = s->vary(s);
+            if (status < 0)
+                return status;
+        }
         /* Methods that pass singular positions need not detect them. */
         s->orientation_changed = s->augmented ? 0 : s->problem->kernel->orientation_changed(s->problem->work);
         if (s->orientation_changed)

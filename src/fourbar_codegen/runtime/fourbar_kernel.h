@@ -13,7 +13,7 @@
 
 #include <stddef.h>
 
-#define FB_ABI_VERSION 15
+#define FB_ABI_VERSION 16
 #define FB_CAPSULE_NAME "fourbar_codegen.kernel"
 
 /* Long functions are printed in parts, which the compiler must not inline. */
@@ -22,6 +22,9 @@
 #else
 #define FB_PART
 #endif
+
+/* Directions that variations take at once: the columns of their arguments and results, stored row by row. */
+enum { FB_DIRECTIONS = 8 };
 
 /* The instruction set that a kernel was compiled for, beyond the baseline of its architecture. */
 enum FB_INSTRUCTION_SET { FB_BASELINE = 0, FB_AVX2 = 1, FB_AVX512 = 2 };
@@ -56,6 +59,13 @@ typedef struct fb_derivatives {
     int abi_version;
     size_t struct_size;
     fb_sensitivity *sensitivity, *parameter_sensitivity, *input_sensitivity; /* with respect to x, p and r */
+    /* The same derivatives along FB_DIRECTIONS directions of (x, p, r); ... */
+    void (*variation)(double t, const double *x, const double *constants, const double *r, const double *accelerations,
+                      const double *multipliers, const double *directions, double *coordinate_rate_variation,
+                      double *residual_variation);
+    /* ... and those of the results of constraint_violation */
+    void (*constraint_variation)(double t, const double *x, const double *constants, const double *r,
+                                 const double *directions, double *position_variation, double *velocity_variation);
     /* dr/dp of the default inputs, n_r by n_p */
     void (*default_input_sensitivity)(double t, const double *constants, double *default_input_jacobian);
     /* d(J u + b)/dq, dPhi/dr and d(J u + b)/dr */
@@ -114,6 +124,12 @@ typedef struct fb_kernel {
     int (*differentiate)(const fb_derivatives *derivatives, fb_sensitivity *sensitivity, int n, double t,
                          const double *x, const double *constants, const double *r, double *matrix,
                          double *multiplier_jacobian, void *work);
+    /* the changes of x' along FB_DIRECTIONS directions of (x, p, r) */
+    int (*vary)(const fb_derivatives *derivatives, double t, const double *x, const double *constants, const double *r,
+                const double *directions, double *rates, void *work);
+    /* moves the directions' rows of coordinates and speeds onto the constraints' tangent, mass-orthogonally */
+    int (*vary_closed)(const fb_derivatives *derivatives, double t, const double *x, const double *constants,
+                       const double *r, double *directions, void *work);
     /* u' and the multipliers lambda of M u' = f + J^T lambda */
     int (*accelerations)(double t, const double *x, const double *constants, const double *r, double *accelerations,
                          double *multipliers, void *work);

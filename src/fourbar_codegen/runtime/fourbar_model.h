@@ -42,6 +42,9 @@ typedef struct fb_work {
     double accelerations[N_U];
     double multipliers[FB_AT_LEAST_1(N_L)];
     double residual_jacobian[(N_U + N_L + N_Z) * N_COLUMNS];
+#ifndef FB_LIBRARY
+    double residual_variation[(N_U + N_L + N_Z) * FB_DIRECTIONS];
+#endif
 #if N_Z > 0
     double state_rate_acceleration_jacobian[N_Z * N_U], state_rate_multiplier_jacobian[FB_AT_LEAST_1(N_Z * N_L)];
 #endif
@@ -318,17 +321,13 @@ FB_PART static void store_multipliers(const fb_work *w, const double *accelerati
 #endif
 
 /* Differentiating M u' = f + J^T lambda and J u' + gamma = 0 in some direction gives equations for the changes of u'
- * and lambda with the same matrices; the right-hand sides are the n columns of residual_jacobian. The rows of z' there
- * are completed with these changes. */
-static int differentiate(const fb_derivatives *derivatives, fb_sensitivity *function, int n, double t, const double *x,
-                         const double *constants, const double *r, double *matrix, double *multiplier_jacobian,
-                         void *work)
+ * and lambda with the same matrices; the right-hand sides are the n columns of `residual`. The rows of z' there are
+ * completed with these changes. The equations are those of the last call of `accelerations`. */
+static int solve_columns(const fb_derivatives *derivatives, const int n, double t, const double *x,
+                         const double *constants, const double *r, const double *residual, double *matrix,
+                         double *multiplier_jacobian, fb_work *w)
 {
-    fb_work *const w = work;
-    const int status = accelerations(t, x, constants, r, w->accelerations, w->multipliers, work);
-    if (status != FB_OK)
-        return status;
-    function(t, x, constants, r, w->accelerations, w->multipliers, matrix, w->residual_jacobian);
+    (void)t, (void)x, (void)constants, (void)r; /* used with unknown forces and state equations */
 #if N_N > 0
     fb_response *const s = &w->response;
     if (!fb_evaluate_forces(t, x, constants, r, w->multipliers + N_C, s))
@@ -346,7 +345,7 @@ static int differentiate(const fb_derivatives *derivatives, fb_sensitivity *func
 #endif
 #ifdef FB_RECURSIVE
     if (!w->factors.is_dense) {
-        fb_solve_columns(w->residual_jacobian, n, &w->factors, matrix + N_Q * n);
+        fb_solve_columns(residual, n, &w->factors, matrix + N_Q * n);
         if (N_Z + N_N == 0 && multiplier_jacobian == NULL)
             return all_finite(matrix, N_X * n);
     }
@@ -354,9 +353,9 @@ static int differentiate(const fb_derivatives *derivatives, fb_sensitivity *func
     for (int j = 0; j < n; ++j) {
         double solution[N_U];
         for (int i = 0; i < N_U; ++i)
-            w->forcing[i] = w->residual_jacobian[i * n + j];
+            w->forcing[i] = residual[i * n + j];
         for (int i = 0; i < N_C; ++i)
-            w->acceleration_bias[i] = -w->residual_jacobian[(N_U + i) * n + j];
+            w->acceleration_bias[i] = -residual[(N_U + i) * n + j];
 #ifdef FB_RECURSIVE
         for (int i = 0; i < N_U; ++i)
             solution[i] = matrix[(N_Q + i) * n + j];
@@ -370,8 +369,7 @@ static int differentiate(const fb_derivatives *derivatives, fb_sensitivity *func
 #if N_N > 0
         double unused = 0.0, *const forces = multipliers + N_C;
         for (int i = 0; i < N_N; ++i)
-            forces[i] =
-                fb_auxiliary_row(s, i, w->residual_jacobian[(N_U + N_C + i) * n + j], solution, multipliers, &unused);
+            forces[i] = fb_auxiliary_row(s, i, residual[(N_U + N_C + i) * n + j], solution, multipliers, &unused);
         const int found = fb_respond(s, forces, solution, multipliers);
         if (found != FB_OK)
             return found;
@@ -387,7 +385,7 @@ static int differentiate(const fb_derivatives *derivatives, fb_sensitivity *func
             matrix[(N_Q + i) * n + j] = solution[i];
 #if N_Z > 0
         for (int i = 0; i < N_Z; ++i) {
-            double sum = w->residual_jacobian[(N_U + N_L + i) * n + j];
+            double sum = residual[(N_U + N_L + i) * n + j];
             for (int k = 0; k < N_U; ++k)
                 sum += w->state_rate_acceleration_jacobian[i * N_U + k] * solution[k];
             for (int k = 0; k < N_L; ++k)
@@ -398,6 +396,77 @@ static int differentiate(const fb_derivatives *derivatives, fb_sensitivity *func
     }
     return all_finite(matrix, N_X * n);
 }
+
+static int differentiate(const fb_derivatives *derivatives, fb_sensitivity *function, int n, double t, const double *x,
+                         const double *constants, const double *r, double *matrix, double *multiplier_jacobian,
+                         void *work)
+{
+    fb_work *const w = work;
+    const int status = accelerations(t, x, constants, r, w->accelerations, w->multipliers, work);
+    if (status != FB_OK)
+        return status;
+    function(t, x, constants, r, w->accelerations, w->multipliers, matrix, w->residual_jacobian);
+    return solve_columns(derivatives, n, t, x, constants, r, w->residual_jacobian, matrix, multiplier_jacobian, w);
+}
+
+#ifndef FB_LIBRARY
+static int vary(const fb_derivatives *derivatives, double t, const double *x, const double *constants, const double *r,
+                const double *directions, double *rates, void *work)
+{
+    fb_work *const w = work;
+    const int status = accelerations(t, x, constants, r, w->accelerations, w->multipliers, work);
+    if (status != FB_OK)
+        return status;
+    derivatives->variation(t, x, constants, r, w->accelerations, w->multipliers, directions, rates,
+                           w->residual_variation);
+#if !defined(FB_SPARSE) && !defined(FB_RECURSIVE) && N_Z + N_N == 0
+    fb_solve_directions(w->residual_variation, &w->factors, rates + N_Q * FB_DIRECTIONS);
+    return all_finite(rates, N_X * FB_DIRECTIONS);
+#else
+    return solve_columns(derivatives, FB_DIRECTIONS, t, x, constants, r, w->residual_variation, rates, NULL, w);
+#endif
+}
+
+/* The changes of coordinates and speeds that lead along directions onto the constraints' tangent: those of `project`
+ * for the derivatives of the violations, by the same orthogonality. */
+static int vary_closed(const fb_derivatives *derivatives, double t, const double *x, const double *constants,
+                       const double *r, double *directions, void *work)
+{
+    fb_work *const w = work;
+    static const double at_rest[N_U] = {0.0};
+    double positions[FB_AT_LEAST_1(N_C + N_I)][FB_DIRECTIONS], velocities[FB_AT_LEAST_1(N_C)][FB_DIRECTIONS];
+    double column[FB_AT_LEAST_1(N_C + N_I)], change[N_U], coordinate_changes[FB_AT_LEAST_1(N_Q)];
+    if (N_C + N_I == 0)
+        return FB_OK;
+#ifdef FB_RECURSIVE
+    w->factors.constants = constants;
+#endif
+    dynamics(t, x, constants, r, w->coordinate_rates, w->mass_matrix, w->forcing, w->constraint_jacobian,
+             w->acceleration_bias);
+    const int status = factor_at(t, x, constants, r, w);
+    if (status != FB_OK)
+        return status;
+    derivatives->constraint_variation(t, x, constants, r, directions, positions[0], velocities[0]);
+    for (int j = 0; j < FB_DIRECTIONS; ++j) {
+        for (int i = 0; i < N_C; ++i)
+            column[i] = positions[i][j];
+        fb_solve(at_rest, column, &w->factors, change);
+        coordinate_change(t, x, constants, r, change, coordinate_changes);
+        for (int i = 0; i < N_Q; ++i)
+            directions[i * FB_DIRECTIONS + j] += coordinate_changes[i];
+    }
+    /* The speeds' constraints depend on the coordinates as well. */
+    derivatives->constraint_variation(t, x, constants, r, directions, positions[0], velocities[0]);
+    for (int j = 0; j < FB_DIRECTIONS; ++j) {
+        for (int i = 0; i < N_C; ++i)
+            column[i] = velocities[i][j];
+        fb_solve(at_rest, column, &w->factors, change);
+        for (int i = 0; i < N_U; ++i)
+            directions[(N_Q + i) * FB_DIRECTIONS + j] += change[i];
+    }
+    return FB_OK;
+}
+#endif
 
 const fb_kernel FB_TABLE(kernel) = {
     .abi_version = FB_ABI_VERSION,
@@ -425,6 +494,10 @@ const fb_kernel FB_TABLE(kernel) = {
     .rhs = FB_RHS,
     .stabilized = stabilized,
     .differentiate = differentiate,
+#ifndef FB_LIBRARY
+    .vary = vary,
+    .vary_closed = vary_closed,
+#endif
     .accelerations = accelerations,
 #if N_Z > 0
     .state_rates = state_rates,

@@ -1,9 +1,13 @@
 /* The part of fourbar_solve.h after the choice of a pivot order, common to single states and states side by side:
  * FB_VALUE is a double or a vector of them, FB_FACTORS the type of the factors, FB_OF(name) the name of a function.
- * FB_REQUIRE_POSITIVE(s, value), defined before inclusion, handles values that are not positive.
+ * FB_REQUIRE_POSITIVE(s, value), defined before inclusion, handles values that are not positive. If FB_SIDE is defined,
+ * only `fb_back` is, for right-hand sides of this type.
  *
  * `order` is the static pivot order, so that indices are known at compile time, or one that was found at run time.
  */
+
+#ifndef FB_SIDE
+#define FB_SIDE FB_VALUE
 
 /* Row k below the diagonal of U_d, by a pivot that is not zero. */
 static FB_INLINE void FB_OF(fb_eliminate_below)(FB_VALUE lu[][N_U], FB_VALUE *restrict inverse, const int k)
@@ -56,24 +60,26 @@ static FB_INLINE int FB_OF(fb_reduce)(const FB_VALUE *restrict mass_matrix, FB_F
     return FB_OK;
 }
 
+#endif
+
 /* u' from f (zeros if NULL) and w = L^-1 P S gamma. */
-static FB_INLINE void FB_OF(fb_back)(const FB_VALUE *restrict forcing, const FB_VALUE *restrict w,
-                                     const FB_FACTORS *restrict s, FB_VALUE *restrict accelerations, const int *order)
+static FB_INLINE void FB_OF(fb_back)(const FB_SIDE *restrict forcing, const FB_SIDE *restrict w,
+                                     const FB_FACTORS *restrict s, FB_SIDE *restrict accelerations, const int *order)
 {
-    FB_VALUE v[N_U], g[N_U];
+    FB_SIDE v[N_U], g[N_U];
     for (int k = N_RANK - 1; k >= 0; --k) {
-        FB_VALUE sum = -w[k];
+        FB_SIDE sum = -w[k];
         for (int i = k + 1; i < N_RANK; ++i)
             sum -= s->lu[k][i] * v[i];
         v[k] = sum * s->inverse[k];
     }
     for (int i = 0; i < N_U; ++i) {
-        g[i] = forcing ? forcing[order[i]] : (FB_VALUE){0.0};
+        g[i] = forcing ? forcing[order[i]] : (FB_SIDE){0.0};
         for (int d = 0; d < N_RANK; ++d)
             g[i] -= s->mass[i][d] * v[d];
     }
     for (int a = N_RANK; a < N_U; ++a) {
-        FB_VALUE sum = g[a];
+        FB_SIDE sum = g[a];
         for (int d = 0; d < N_RANK; ++d)
             sum += s->lu[d][a] * g[d];
         for (int c = N_RANK; c < a; ++c)
@@ -93,6 +99,7 @@ static FB_INLINE void FB_OF(fb_back)(const FB_VALUE *restrict forcing, const FB_
 }
 
 #undef FB_VALUE
+#undef FB_SIDE
 #undef FB_FACTORS
 #undef FB_OF
 #undef FB_REQUIRE_POSITIVE

@@ -16,6 +16,7 @@
 
 #include "fourbar_array.h"
 #include "fourbar_kernel.h"
+#include "fourbar_real.h"
 
 #include <math.h>
 
@@ -295,6 +296,34 @@ static inline int fb_solve(const double *restrict forcing, const double *restric
             return FB_CONSTRAINTS_DEPENDENT;
     return FB_OK;
 }
+
+#if !defined(FB_SIDE_BY_SIDE) && !defined(FB_LIBRARY)
+#define FB_VALUE double
+#define FB_SIDE fb_many
+#define FB_FACTORS fb_factors
+#define FB_OF(name) name##_many
+#include "fourbar_pivoted.h"
+
+/* u' for FB_DIRECTIONS right-hand sides (f, -gamma) in the columns of a matrix. Redundant rows hold in every direction
+ * in which the state can move. */
+static FB_CALLED void fb_solve_directions(const double *restrict sides, const fb_factors *restrict s,
+                                          double *restrict accelerations)
+{
+    for (int begin = 0; begin < FB_DIRECTIONS; begin += FB_MANY) {
+        fb_many forcing[N_U], w[FB_AT_LEAST_1(N_C)], solution[N_U];
+        for (int i = 0; i < N_U; ++i)
+            forcing[i] = fb_load_many(sides + i * FB_DIRECTIONS + begin);
+        for (int i = 0; i < N_C; ++i) {
+            w[i] = s->scale[i] * -fb_load_many(sides + (N_U + s->row[i]) * FB_DIRECTIONS + begin);
+            for (int k = 0; k < i && k < N_RANK; ++k)
+                w[i] -= s->lu[i][k] * w[k];
+        }
+        fb_back_many(forcing, w, s, solution, s->column);
+        for (int i = 0; i < N_U; ++i)
+            fb_store_many(solution[i], accelerations + i * FB_DIRECTIONS + begin);
+    }
+}
+#endif
 
 /* The same for f as in `fb_factor`. */
 static inline int fb_solve_first(const double *restrict forcing, const double *restrict acceleration_bias,

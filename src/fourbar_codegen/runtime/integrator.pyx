@@ -8,7 +8,7 @@ from libc.math cimport INFINITY
 from libc.string cimport memcpy
 
 from fourbar_codegen.runtime.evaluator cimport (
-    FB_OK, Evaluator, data, fb_all_time, fb_clock, fb_fill_inputs, fb_finite, fb_kernel,
+    FB_OK, Evaluator, data, fb_all_time, fb_clock, fb_derivatives, fb_fill_inputs, fb_finite, fb_kernel,
     fb_problem, fb_problem_jacobian, fb_problem_project, fb_problem_rates, fb_source, fb_table, fb_time,
     new_array, number, numbers, rows, time_of, vector)
 
@@ -21,6 +21,21 @@ cnp.import_array()
 cdef extern from "fourbar_augmented.h":
     ctypedef struct fb_augmented:
         long n_jacobians, n_factorizations
+
+cdef extern from "fourbar_forward.h":
+    int FB_DIRECTIONS
+    ctypedef struct fb_forward:
+        const fb_derivatives *derivatives
+        int n_blocks, size, fsal
+        double *directions
+        double *s
+        double *s_old
+        double *samples
+    int fb_forward_step(fb_run *) noexcept nogil
+    int fb_forward_sample(fb_run *, double, const double *) noexcept nogil
+    int fb_forward_at(fb_run *, double, const double *, double *) noexcept nogil
+    int fb_forward_close(fb_run *, double, const double *, double *) noexcept nogil
+    size_t fb_place_forward(const fb_run *, int, fb_forward *, double *) noexcept nogil
 
 cdef extern from "fourbar_integrate.h":
     int FB_BLOCK
@@ -37,6 +52,9 @@ cdef extern from "fourbar_integrate.h":
         const fb_tableau *method
         int (*step)(fb_run *) noexcept nogil
         fb_augmented *augmented
+        fb_forward *forward
+        int (*vary)(fb_run *) noexcept nogil
+        int (*vary_sample)(fb_run *, double, const double *) noexcept nogil
         int n, padded
         double direction, t_bound, max_step
         const double *rtol
@@ -604,6 +622,10 @@ cdef class Run:
     cdef long n_taken
     cdef cnp.ndarray kept_t
     cdef cnp.ndarray kept_x
+    cdef fb_forward forward
+    cdef int n_directions
+    cdef cnp.ndarray kept_s
+    cdef list varied
 
     # In C, times are relative to the beginning, so that their resolution does not depend on it; outside, absolute.
 
@@ -644,6 +666,35 @@ cdef class Run:
             fb_place_augmented(ode.evaluator.kernel, &self.augmented, <double *>self._keep(matrices))
         self._make_room(run.n_times if times is not None else 256)
 
+    def vary(self, directions):
+        """Also integrate derivatives along directions of (x, p), shape (n_x + n_p, n), before `begin`."""
+        cdef fb_kernel *kernel = <fb_kernel *>self.ode.evaluator.kernel
+        cdef int n_x = kernel.n_x, n_p = kernel.n_p, n = np.shape(directions)[1]
+        cdef int n_blocks = (n + FB_DIRECTIONS - 1) // FB_DIRECTIONS
+        cdef cnp.ndarray memory = np.zeros(fb_place_forward(&self.run, n_blocks, &self.forward, NULL))
+        cdef double *filled = <double *>self._keep(memory)
+        fb_place_forward(&self.run, n_blocks, &self.forward, filled)
+        self.forward.derivatives = self.ode.evaluator.derivatives()
+        padded = np.zeros((n_blocks, n_x + n_p + kernel.n_r, FB_DIRECTIONS))
+        for block in range(n_blocks):
+            columns = directions[:, block * FB_DIRECTIONS:(block + 1) * FB_DIRECTIONS]
+            padded[block, :n_x + n_p, :columns.shape[1]] = columns
+        memory[:padded.size] = padded.ravel()
+        first = np.ascontiguousarray(padded[:, :n_x])
+        memcpy(self.forward.s, data(first), self.forward.size * sizeof(double))
+        self.run.forward, self.run.vary, self.run.vary_sample = &self.forward, fb_forward_step, fb_forward_sample
+        self.n_directions, self.varied = n, []
+        if self.run.project:
+            self.ode.check(fb_forward_close(&self.run, self.run.t, self.run.x, self.forward.s))
+        self._make_room(self.run.room)
+
+    @property
+    def sensitivities(self):
+        """The derivatives at all samples taken, shape (n, n_x, n_t)."""
+        n_x = self.ode.evaluator.n_x
+        blocks = np.concatenate(self.varied).reshape(-1, self.forward.n_blocks, n_x, FB_DIRECTIONS)
+        return blocks.transpose(1, 3, 2, 0).reshape(-1, n_x, blocks.shape[0])[:self.n_directions]
+
     cdef void *_keep(self, cnp.ndarray array):
         self.kept.append(array)
         return cnp.PyArray_DATA(array)
@@ -662,6 +713,8 @@ cdef class Run:
         states = new_array(n, self.run.n)
         memcpy(data(states), self.run.sample_x, n * self.run.n * sizeof(double))
         samples = (times, states)
+        if self.run.forward:
+            self.varied.append(self.kept_s[:n].copy())
         if n == self.run.room:
             self._make_room(2 * n)
         self.run.n_samples = 0
@@ -670,6 +723,9 @@ cdef class Run:
     cdef int _make_room(self, long room) except -1:
         self.kept_t, self.kept_x = new_array(room), new_array(room, self.run.n)
         self.run.sample_t, self.run.sample_x, self.run.room = data(self.kept_t), data(self.kept_x), room
+        if self.run.forward:
+            self.kept_s = new_array(room, self.forward.size)
+            self.forward.samples = data(self.kept_s)
         return 0
 
     def begin(self):
@@ -700,6 +756,10 @@ cdef class Run:
             run.pending = 1
             if run.project and self.ode.check(fb_problem_project(run.problem, run.t, run.x, 0)) != FB_OK:
                 return False
+        if run.forward:
+            self.forward.fsal = 0
+            if x is not None and run.project:
+                self.ode.check(fb_forward_close(run, run.t, run.x, self.forward.s))
         self.ode.check(fb_augmented_begin(run) if run.augmented else fb_resume(run))
         if run.n_events:
             memcpy(run.event_old, run.event_value, run.n_events * sizeof(double))
@@ -746,10 +806,14 @@ cdef class Run:
 
     def stop_within(self, double share):
         """End the run at a fraction of the last step: the state there is the last one, with no samples after it."""
-        cdef cnp.ndarray x = self.state_within(share)
+        cdef cnp.ndarray x = self.state_within(share), s
         t = self.time_within(share)
         self.run.until = self.run.t_bound = self._within(share)
         self.t_bound = t
+        if self.run.forward and self.run.times == NULL:
+            s = new_array(self.forward.size)
+            self.ode.check(fb_forward_at(&self.run, self.run.until, data(x), data(s)))
+            memcpy(self.forward.s, data(s), self.forward.size * sizeof(double))
         if self.run.times == NULL:
             memcpy(self.run.x, data(x), self.run.n * sizeof(double))
             self.run.t = self.run.until
@@ -757,6 +821,8 @@ cdef class Run:
     def discard(self):
         """Discard the last step; the run ends before it."""
         memcpy(self.run.x, self.run.x_old, self.run.n * sizeof(double))
+        if self.run.forward:
+            memcpy(self.forward.s, self.forward.s_old, self.forward.size * sizeof(double))
         self.run.t, self.run.pending = self.run.t_old, 0
 
     def dense_output(self):

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fourbar_codegen.analysis.initial_sensitivity import Directions
 from fourbar_codegen.errors import SimulationError
 from fourbar_codegen.kernel.consistency import consistent, left
 from fourbar_codegen.kernel.kernel import Kernel
@@ -52,7 +53,12 @@ SAMPLES = 100
 
 
 def integrate(
-    model: Kernel, ode: Ode, x0: Floats, options: RunOptions, progress: Callable[[float], object] | None
+    model: Kernel,
+    ode: Ode,
+    x0: Floats,
+    options: RunOptions,
+    progress: Callable[[float], object] | None,
+    directions: Directions | None = None,
 ) -> Trajectory:
     """Integrate from one time to another.
 
@@ -64,6 +70,8 @@ def integrate(
     x0 : ndarray, shape (n_x,)
     options : RunOptions
     progress : callable of the time, or None
+    directions : Directions, optional
+        Of sensitivities, at the beginning.
 
     Returns
     -------
@@ -88,6 +96,8 @@ def integrate(
     else:
         look = options.dense_output or (watch is not None and bool(watch.callables))
         run = Run(ode, method, t_begin, start, t_bound, max_step, rtol, atol, options.project, t_eval, outputs, look)
+        if directions is not None:
+            run.vary(directions.matrix)
     run.begin()
     if watch:
         watch.begin(run)
@@ -179,6 +189,9 @@ def integrate(
         message=message + COORDINATES_ALONE if options.formulation == "index-3" else message,
         settings=options.settings(),
         inputs=options.inputs or {},
+        sensitivity=dict(zip(directions.names, run.sensitivities[..., : t.size], strict=True))
+        if directions is not None and isinstance(run, Run)
+        else None,
     )
 
 

@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 from fourbar_codegen.arguments import (
     flag,
     is_integer,
+    is_mapping,
     longest_step,
     name_of,
+    named,
     named_array,
     one_of,
     positive,
@@ -75,6 +77,8 @@ class RunOptions(NamedTuple):
     max_steps: int | None
     formulation: str | None
     progress: Callable[[float], object] | Literal[False] | None
+    sensitivities: tuple[str, ...]
+    dx0: Mapping[str, Floats]
     project: bool
 
     @classmethod
@@ -98,6 +102,8 @@ class RunOptions(NamedTuple):
         dense_output: bool = False,
         formulation: str | None = None,
         progress: Any = None,
+        sensitivities: Any = (),
+        dx0: Any = None,
     ) -> RunOptions:
         """Check the given arguments.
 
@@ -138,6 +144,8 @@ class RunOptions(NamedTuple):
             _max_steps(max_steps, method, span, max_step),
             formulation,
             progress,
+            names := _sensitivities(sensitivities, method, constraints),
+            {} if dx0 is None else _start(model, dx0, x0, names),
             project,
         )
 
@@ -157,6 +165,32 @@ class RunOptions(NamedTuple):
         if self.formulation is not None:
             settings["formulation"] = self.formulation
         return settings
+
+
+def _sensitivities(given: Any, method: str, constraints: str) -> tuple[str, ...]:
+    if is_mapping(given):
+        raise ModelError(f"sensitivities must be names of parameters and initial values, not {shown(given)}.")
+    try:
+        names = (given,) if isinstance(given, str) else tuple(given)
+    except TypeError:
+        names = (given,)
+    if names and method not in METHODS:
+        raise ModelError(f"{method} has no sensitivities: use {' or '.join(METHODS)}.")
+    if names and constraints == "baumgarte":
+        raise ModelError('There are no sensitivities with constraints="baumgarte": use "project" or "none".')
+    return tuple(map(name_of, names))
+
+
+def _start(model: Kernel, given: Any, x0: Any, names: tuple[str, ...]) -> dict[str, Floats]:
+    """The derivatives of an initial state, by names."""
+    if x0 is None:
+        raise ModelError("dx0 are the derivatives of x0, which is not given: leave both out, or give both.")
+    if not is_mapping(given):
+        raise ModelError(f"dx0 must be a mapping from names to arrays of shape ({model.n_x},), not {shown(given)}.")
+    return {
+        name: named_array(value, model.states, {}, f"derivative with respect to {name} of state")
+        for name, value in named(given, names, "name in sensitivities").items()
+    }
 
 
 def _max_steps(given: object, method: str, span: tuple[float, float], max_step: float) -> int | None:

@@ -1,0 +1,213 @@
+/* Forward sensitivities of a run: the derivatives S of the state along directions of initial values and parameters.
+ *
+ * The Runge-Kutta steps are differentiated as they were taken, with their lengths held (internal numerical
+ * differentiation: H. G. Bock, "Numerical treatment of inverse problems in chemical reaction kinetics", 1981). With
+ * K_j = f_x S_j + f_p P at the states of the stages,
+ *
+ *     S_k = S + h sum_j a_kj K_j,     S_new = S + h sum_j b_j K_j.
+ *
+ * After a projection S is moved onto the constraints' tangent by the same orthogonal projection. What is left out is
+ * proportional to the correction of the state, which is below the tolerance of the step.
+ */
+#ifndef FOURBAR_FORWARD_H
+#define FOURBAR_FORWARD_H
+
+#include "fourbar_integrate.h"
+
+typedef struct fb_forward {
+    const fb_derivatives *derivatives;
+    int n_blocks; /* of FB_DIRECTIONS directions */
+    int size;     /* of a row: n_blocks * n_x * FB_DIRECTIONS */
+    /* (n_blocks, n_x + n_p + n_r, FB_DIRECTIONS): the rows of p are given, those of the others are filled */
+    double *directions;
+    double *input_jacobian;       /* (n_r, n_p), dr/dp of the inputs' expressions */
+    double *s, *s_old, *scratch;  /* (size,) */
+    double *stages, *interpolant; /* as in fb_run, with rows of `size` */
+    double *samples;              /* (room, size) */
+    int fsal, interpolant_valid;
+} fb_forward;
+
+static inline void fb_forward_combine(const fb_forward *f, const fb_weights *w, const double factor, const double *base,
+                                      double *restrict result)
+{
+    for (int i = 0; i < f->size; i += FB_BLOCK) {
+        double sum[FB_BLOCK] = {0.0};
+        for (int j = 0; j < w->n; ++j) {
+            const double *const stage = f->stages + w->stage[j] * f->size + i;
+            const double weight = w->weight[j];
+            for (int k = 0; k < FB_BLOCK; ++k)
+                sum[k] += weight * stage[k];
+        }
+        for (int k = 0; k < FB_BLOCK; ++k)
+            result[i + k] = (base ? base[i + k] : 0.0) + factor * sum[k];
+    }
+}
+
+/* The directions of a block, whose rows of x are given; the rows of r follow from those of p. */
+static inline double *fb_forward_directions(fb_run *run, const int block, const double t, const double *s)
+{
+    fb_forward *const f = run->forward;
+    fb_problem *const p = run->problem;
+    const fb_kernel *const k = p->kernel;
+    const int n_x = k->n_x, n_p = k->n_p, n_r = k->n_r;
+    double *const directions = f->directions + block * (n_x + n_p + n_r) * FB_DIRECTIONS;
+    memcpy(directions, s + block * n_x * FB_DIRECTIONS, (size_t)(n_x * FB_DIRECTIONS) * sizeof *s);
+    if (n_r > 0 && block == 0) {
+        f->derivatives->default_input_sensitivity(t, p->constants, f->input_jacobian);
+        for (int i = 0; i < p->n_sources; ++i)
+            memset(f->input_jacobian + p->sources[i].input * n_p, 0, (size_t)n_p * sizeof *s);
+    }
+    for (int i = 0; i < n_r; ++i)
+        for (int j = 0; j < FB_DIRECTIONS; ++j) {
+            double sum = 0.0;
+            for (int l = 0; l < n_p; ++l)
+                sum += f->input_jacobian[i * n_p + l] * directions[(n_x + l) * FB_DIRECTIONS + j];
+            directions[(n_x + n_p + i) * FB_DIRECTIONS + j] = sum;
+        }
+    return directions;
+}
+
+/* f_x S + f_p P at a state; NaN where the equations cannot be differentiated. */
+static inline int fb_forward_rates(fb_run *run, const double since, const double *x, const double *s, double *rates)
+{
+    fb_forward *const f = run->forward;
+    fb_problem *const p = run->problem;
+    const double t = fb_time(&p->clock, since);
+    const int called = fb_fill_inputs(p, t, x);
+    if (called < 0)
+        return called;
+    for (int block = 0; block < f->n_blocks; ++block) {
+        const int n = p->kernel->n_x * FB_DIRECTIONS;
+        const double *const directions = fb_forward_directions(run, block, t, s);
+        if (p->kernel->vary(f->derivatives, t, x, p->constants, p->inputs, directions, rates + block * n, p->work) !=
+            FB_OK)
+            for (int i = 0; i < n; ++i)
+                rates[block * n + i] = NAN;
+    }
+    return 0;
+}
+
+/* Moves S at a state that satisfies the constraints onto their tangent. */
+static inline int fb_forward_close(fb_run *run, const double since, const double *x, double *s)
+{
+    fb_forward *const f = run->forward;
+    fb_problem *const p = run->problem;
+    const double t = fb_time(&p->clock, since);
+    const int called = fb_fill_inputs(p, t, x);
+    if (called < 0)
+        return called;
+    for (int block = 0; block < f->n_blocks; ++block) {
+        const int n = p->kernel->n_x * FB_DIRECTIONS;
+        double *const directions = fb_forward_directions(run, block, t, s);
+        if (p->kernel->vary_closed(f->derivatives, t, x, p->constants, p->inputs, directions, p->work) == FB_OK)
+            memcpy(s + block * n, directions, (size_t)n * sizeof *s);
+        else
+            for (int i = 0; i < n; ++i)
+                s[block * n + i] = NAN;
+    }
+    return 0;
+}
+
+/* S along the last accepted step. */
+static inline int fb_forward_step(fb_run *run)
+{
+    fb_forward *const f = run->forward;
+    const fb_tableau *const m = run->method;
+    double *const end = f->stages + m->n_stages * f->size;
+    int status = 0;
+    double *const s_old = f->s;
+    f->s = f->s_old;
+    f->s_old = s_old;
+    f->interpolant_valid = 0;
+    if (f->fsal)
+        memcpy(f->stages, end, (size_t)f->size * sizeof *end);
+    else
+        status = fb_forward_rates(run, run->t_old, run->x_old, s_old, f->stages);
+    for (int k = 1; k <= m->n_stages && status == 0; ++k) {
+        fb_forward_combine(f, run->stage + k, run->h, s_old, f->s);
+        if (k < m->n_stages) {
+            fb_combine(run, run->stage + k, run->h, run->x_old, run->scratch);
+            status = fb_forward_rates(run, run->t_old + m->c[k] * run->h, run->scratch, f->s, f->stages + k * f->size);
+        }
+    }
+    if (status == 0 && run->project)
+        status = fb_forward_close(run, run->t, run->x, f->s);
+    if (status == 0)
+        status = fb_forward_rates(run, run->t, run->x, f->s, end);
+    f->fsal = 1;
+    return status;
+}
+
+static inline int fb_forward_prepare_interpolant(fb_run *run)
+{
+    fb_forward *const f = run->forward;
+    const fb_tableau *const m = run->method;
+    int status = fb_prepare_interpolant(run);
+    if (f->interpolant_valid || status < 0)
+        return status;
+    if (!m->hermite) {
+        for (int i = 0; i < m->n_dense; ++i)
+            fb_forward_combine(f, run->dense + i, run->h, NULL, f->interpolant + i * f->size);
+    } else {
+        for (int i = 0; i < m->n_extra; ++i) {
+            const int row = m->n_stages + 1 + i;
+            fb_combine(run, run->more + i, run->h, run->x_old, run->scratch);
+            fb_forward_combine(f, run->more + i, run->h, f->s_old, f->scratch);
+            status = fb_forward_rates(run, run->t_old + m->c_extra[i] * run->h, run->scratch, f->scratch,
+                                      f->stages + row * f->size);
+            if (status < 0)
+                return status;
+        }
+        const double *const k_old = f->stages, *const k = f->stages + m->n_stages * f->size;
+        for (int i = 0; i < f->size; ++i) {
+            const double change = f->s[i] - f->s_old[i];
+            f->interpolant[i] = change;
+            f->interpolant[f->size + i] = run->h * k_old[i] - change;
+            f->interpolant[2 * f->size + i] = 2.0 * change - run->h * (k[i] + k_old[i]);
+        }
+        for (int i = 0; i < m->n_dense; ++i)
+            fb_forward_combine(f, run->dense + i, run->h, NULL, f->interpolant + (3 + i) * f->size);
+    }
+    f->interpolant_valid = 1;
+    return 0;
+}
+
+/* S at a time in the last step, at which the state is x. */
+static inline int fb_forward_at(fb_run *run, const double t, const double *x, double *s)
+{
+    fb_forward *const f = run->forward;
+    if (t == run->t || !f->fsal) {
+        memcpy(s, f->s, (size_t)f->size * sizeof *s);
+        return 0;
+    }
+    const int status = fb_forward_prepare_interpolant(run);
+    if (status < 0)
+        return status;
+    fb_interpolate(run->method, f->interpolant, f->size, f->size, f->s_old, (t - run->t_old) / run->h, s);
+    return run->project ? fb_forward_close(run, t, x, s) : 0;
+}
+
+static inline int fb_forward_sample(fb_run *run, const double t, const double *x)
+{
+    return fb_forward_at(run, t, x, run->forward->samples + run->n_samples * run->forward->size);
+}
+
+/* The memory of sensitivities, of which the first part is used without a run; returns the number of doubles. */
+static inline size_t fb_place_forward(const fb_run *run, const int n_blocks, fb_forward *f, double *memory)
+{
+    const fb_kernel *const k = run->problem->kernel;
+    const int n_directions = n_blocks * (k->n_x + k->n_p + k->n_r) * FB_DIRECTIONS;
+    const int n_rows = run->method->n_stages + 1 + run->method->n_extra, n_dense = run->method->n_dense + 3;
+    f->n_blocks = n_blocks;
+    f->size = n_blocks * k->n_x * FB_DIRECTIONS;
+    f->directions = memory;
+    f->input_jacobian = f->directions + n_directions;
+    f->s = f->input_jacobian + k->n_r * k->n_p;
+    f->s_old = f->s + f->size;
+    f->scratch = f->s_old + f->size;
+    f->stages = f->scratch + f->size;
+    f->interpolant = f->stages + n_rows * f->size;
+    return (size_t)(n_directions + k->n_r * k->n_p + (3 + n_rows + n_dense) * f->size);
+}
+
+#endif

@@ -1,0 +1,203 @@
+"""Sensitivities of simulations: against closed forms, and differences of runs whose constraints are not projected.
+
+Differences are of order 6. Their rounding errors are those of runs at 1e-13, divided by the change of the parameter:
+about 1e-10 of the derivative, and more where it is small beside the state.
+"""
+
+import numpy as np
+import pytest
+import sympy as sm
+import sympy.physics.mechanics as me
+from systems import parallelogram
+from trees import revolute_chain
+
+import fourbar_codegen as fb
+
+STEPS = {"closed_chain_8": 3e-4}
+"""Of differences, relative, where the error of the order is larger than with the usual 1e-3."""
+
+AT = (0.1, 0.3)
+WEIGHTS = ((1, 45.0), (2, -9.0), (3, 1.0))
+
+
+def oscillator():
+    """A mass on a spring, x = a cos(w t) with w^2 = k / m."""
+    q, u = me.dynamicsymbols("x v")
+    m, k = sm.symbols("m k")
+    frame, origin, point = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
+    origin.set_vel(frame, 0)
+    point.set_pos(origin, q * frame.x)
+    point.set_vel(frame, u * frame.x)
+    system = me.System(frame, origin)
+    system.add_coordinates(q)
+    system.add_speeds(u)
+    system.add_kdes(u - q.diff())
+    system.add_bodies(me.Particle("mass", point, m))
+    system.add_loads(me.Force(point, -k * q * frame.x))
+    return fb.Model(system, name="oscillator", parameters={m: 2.0, k: 8.0}, initial={q: 0.3, u: 0.0})
+
+
+MODELS = {
+    "four_bar": (fb.models.four_bar, {}, {}, ("k", "l2", "l3", "rho", "q1", "u1")),
+    "slider_crank": (fb.models.slider_crank, {}, {}, ("r", "l", "m_crank")),
+    "rolling disc": (fb.models.rolling_disc, {}, {}, ("r", "g")),
+    "bicycle": (fb.models.whipple_bicycle, {"q4": 0.05}, {"u6": -6.0}, ("mc", "ic11", "u6", "q4")),
+    "closed chain of 8": (lambda: fb.models.chain(8, closed=True), {}, {}, ("l", "g")),
+    "redundant": (parallelogram, {"q_AB": 1.2}, {"u_AB": 2.0}, ("q_AB", "u_AB")),
+    "recursive": (lambda: revolute_chain(5), dict.fromkeys(("q1", "q2", "q3", "q4", "q5"), 0.3),
+                  dict.fromkeys(("u1", "u2", "u3", "u4", "u5"), 0.5), ("m", "l", "i_xy", "q3", "u2")),
+    "sparse": (lambda: fb.models.n_four_bar(10), {}, {}, ("l", "g")),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module", params=MODELS)
+def case(request):
+    make, coordinates, speeds, names = MODELS[request.param]
+    return fb.compile_model(make()), coordinates, speeds, names
+
+
+def start(model, coordinates, speeds, changes=()):
+    changes = dict(changes)
+    initial = model.manifest["initial"]
+    n_qi, n_ui = model.n_q - model.manifest["n_dependent_coordinates"], model.n_u - model.manifest["n_dependent_speeds"]
+
+    def given(names, own):
+        return {n: changes.get(n, own.get(n, initial.get(n, 0.0))) for n in names}
+
+    parameters = {n: changes.get(n, value) for n, value in model.defaults.items()}
+    q, u = given(model.coordinates[:n_qi], coordinates), given(model.speeds[:n_ui], speeds)
+    return {"coordinates": q, "speeds": u, "parameters": parameters}
+
+
+def value_of(model, name, coordinates, speeds):
+    known = {**model.manifest["initial"], **coordinates, **speeds, **model.defaults}
+    return known.get(name, 0.0)
+
+
+def differences(function, value, step):
+    h = step * max(abs(value), 0.1)
+    return sum(w * (function(value + k * h) - function(value - k * h)) for k, w in WEIGHTS) / (60.0 * h)
+
+
+def test_against_differences_of_runs(case):
+    model, coordinates, speeds, names = case
+    tight = {"t_eval": AT, "rtol": 1e-13, "atol": 1e-13, "constraints": "none"}
+    given = start(model, coordinates, speeds)
+    x0, by = model.initial_state(**given, derivatives=True)
+
+    def run(name, value):
+        changed = start(model, coordinates, speeds, {name: value})
+        return model.simulate(
+            (0.0, AT[-1]), model.initial_state(**changed), parameters=changed["parameters"], **tight
+        ).y
+
+    for name in names:
+        value = value_of(model, name, coordinates, speeds)
+        wanted = differences(lambda v, name=name: run(name, v), value, STEPS.get(model.name, 1e-3))
+        # Dependent initial values follow as in the run that begins without x0.
+        found = model.simulate((0.0, AT[-1]), x0, sensitivities=[name], dx0={name: by[name]}, **tight)
+        size = np.abs(wanted).max()
+        np.testing.assert_allclose(found.sensitivity[name], wanted, rtol=0, atol=1e-8 * size)
+
+
+def test_projected_runs_are_tangent_to_the_constraints(case):
+    model, coordinates, speeds, names = case
+    given = start(model, coordinates, speeds)
+    x0, by = model.initial_state(**given, derivatives=True)
+    dx0 = {name: by[name] for name in names}
+    how = {"t_eval": AT, "rtol": 1e-10, "atol": 1e-10}
+    run = model.simulate((0.0, AT[-1]), x0, sensitivities=names, dx0=dx0, **how)
+    free = model.simulate((0.0, AT[-1]), x0, sensitivities=names, dx0=dx0, constraints="none", **how)
+    for name in names:
+        wanted = free.sensitivity[name]
+        np.testing.assert_allclose(run.sensitivity[name], wanted, rtol=0, atol=1e-6 * np.abs(wanted).max())
+    for place, t in enumerate(AT):
+        x = run.y[:, place]
+        directions = np.zeros((model.n_x + model.n_p, len(names)))
+        for k, name in enumerate(names):
+            directions[: model.n_x, k] = run.sensitivity[name][:, place]
+            if name in model.parameters:
+                directions[model.n_x + model.parameters.index(name), k] = 1.0
+        size = np.abs(directions).max(initial=1.0) * max(1.0, np.abs(x).max())
+        for left in model.constraint_variation(t, x, directions):
+            assert np.abs(left).max(initial=0.0) <= 1e-11 * size
+
+
+def test_an_oscillator():
+    # x = a cos(w t): dx/dk = -a t sin(w t) / (2 m w), dx/dm = a w t sin(w t) / (2 m), dx/da = cos(w t).
+    model = fb.compile_model(oscillator())
+    times = np.linspace(0.0, 5.0, 11)
+    m, k, a = 2.0, 8.0, 0.3
+    w = np.sqrt(k / m)
+    wanted = {
+        "k": -a * times * np.sin(w * times) / (2.0 * m * w),
+        "m": a * w * times * np.sin(w * times) / (2.0 * m),
+        "x": np.cos(w * times),
+        "v": np.sin(w * times) / w,
+    }
+    for method in ("DOP853", "RK45"):
+        run = model.simulate((0.0, 5.0), method=method, t_eval=times, rtol=1e-11, atol=1e-11, sensitivities=[*wanted])
+        for name, values in wanted.items():
+            np.testing.assert_allclose(run.sensitivity[name][0], values, rtol=0, atol=1e-9)
+
+
+def test_more_directions_than_a_block_and_samples_after_each_step(four_bar):
+    names = [*four_bar.parameters, "q1", "u1"]
+    run = four_bar.simulate((0.0, 1.0), sensitivities=names, rtol=1e-10, atol=1e-10)
+    assert all(run.sensitivity[name].shape == run.y.shape for name in names)
+    one = four_bar.simulate((0.0, 1.0), sensitivities="u1", rtol=1e-10, atol=1e-10)
+    np.testing.assert_array_equal(one.y, run.y)
+    np.testing.assert_allclose(one.sensitivity["u1"], run.sensitivity["u1"], rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(four_bar.simulate((0.0, 1.0), rtol=1e-10, atol=1e-10).y, run.y)
+
+
+def test_dependent_initial_values(four_bar):
+    x0, by = four_bar.initial_state(derivatives=True)
+    run = four_bar.simulate((0.0, 0.1), t_eval=[0.0], sensitivities=["l2", "q1", "k"])
+    for name in ("l2", "q1", "k"):
+        np.testing.assert_allclose(run.sensitivity[name][:, 0], by[name], rtol=0, atol=1e-13)
+    assert by["l2"][1] == pytest.approx(-0.826035, abs=1e-6)
+    held = four_bar.simulate((0.0, 0.1), x0, t_eval=[0.0], sensitivities=["k"])
+    np.testing.assert_array_equal(held.sensitivity["k"][:, 0], 0.0)
+
+
+def test_an_input_given_as_an_expression_of_parameters():
+    model = oscillator()
+    system, amplitude = model.system, sm.Symbol("F_0")
+    t = me.dynamicsymbols._t
+    force = me.dynamicsymbols("F")
+    point = system.bodies[0].masscenter
+    system.add_loads(me.Force(point, force * system.frame.x))
+    driven = fb.Model(
+        system, name="driven", parameters={"m": 2.0, "k": 8.0, "F_0": 3.0}, initial={"x": 0.0, "v": 0.0},
+        inputs={force: amplitude * sm.sin(3 * t)},
+    )  # fmt: skip
+    compiled = fb.compile_model(driven)
+    times = np.linspace(0.0, 4.0, 9)
+    run = compiled.simulate((0.0, 4.0), t_eval=times, rtol=1e-11, atol=1e-11, sensitivities=["F_0"])
+    np.testing.assert_allclose(run.sensitivity["F_0"], run.y / 3.0, rtol=0, atol=1e-10)  # it is linear
+    table = compiled.simulate((0.0, 4.0), t_eval=times, inputs={"F": ([0.0, 4.0], [1.0, 2.0])}, sensitivities=["F_0"])
+    np.testing.assert_array_equal(table.sensitivity["F_0"], 0.0)
+
+
+def test_bad_input(four_bar):
+    def refused(sentence, **how):
+        with pytest.raises(fb.ModelError, match=sentence):
+            four_bar.simulate((0.0, 1.0), **how)
+
+    refused("no parameter and no initial value 'kk'. Did you mean k", sensitivities=["kk"])
+    refused("'q2' is dependent", sensitivities=["q2"])
+    refused("given twice", sensitivities=["k", "k"])
+    refused("Radau has no sensitivities: use DOP853 or RK45", sensitivities=["k"], method="Radau")
+    refused("baumgarte", sensitivities=["k"], constraints="baumgarte")
+    refused("callable, whose derivatives are not known", sensitivities=["k"], inputs={"F": lambda t, x: 1.0})
+    refused("x0, which is not given", sensitivities=["k"], dx0={"k": np.zeros(6)})
+    x0 = four_bar.initial_state()
+    refused("must have shape", x0=x0, sensitivities=["k"], dx0={"k": np.zeros(5)})
+    refused("no name in sensitivities 'c'", x0=x0, sensitivities=["k"], dx0={"c": np.zeros(6)})
+
+
+def test_no_derivative_at_a_singular_position():
+    chain = fb.compile_model(parallelogram())
+    with pytest.raises(fb.AssemblyError):
+        chain.initial_state({"q_AB": 0.0}, {"u_AB": 0.0}, derivatives=True)

@@ -226,7 +226,7 @@ def test_folder_in_the_cache_holds_sources_library_and_numbers_only(monkeypatch,
     model = fb.compile_model(slider())
     names = sorted(path.name for path in model.path.parent.iterdir())
     assert names == ["checksum", "slider_batch.c", "slider_derivatives.c", "slider_kernel.c", "slider_kernel.h",
-                     "slider_kernel.so", "slider_numbers.json"]  # fmt: skip
+                     "slider_kernel.so", "slider_numbers.json", "slider_variations.c"]  # fmt: skip
 
 
 def test_a_library_without_its_numbers(tmp_path):
@@ -279,6 +279,9 @@ def test_derivatives_are_compiled_when_they_are_needed(monkeypatch, tmp_path):
         ("derivatives", r"(residual_jacobian\[1\] = )", r"\g<1>0.1 + ", "derivative dx'/dx"),
         ("derivatives", r"(parameter_jacobian\[1\] = )", r"\g<1>0.1 + ", "derivative"),
         ("derivatives", r"(velocity_jacobian\[0\] = )", r"\g<1>0.1 + ", r"derivative d\(J u \+ b\)/dq"),
+        ("variations", r"(residual_variation\[1\] = )", r"\g<1>0.1 + ", "along a direction"),
+        ("variations", r"(gradient\[2\] = )", r"\g<1>0.1 + ", "product gradient of"),
+        ("variations", r"(velocity_variation\[0\] = )", r"\g<1>0.1 + ", "product constraint violations"),
         ("batch", r"(forcing\[1\] = )", r"\g<1>1.1*", "for several states side by side"),
     ],
 )
@@ -294,8 +297,9 @@ def test_a_defect_of_a_part_is_found_when_it_is_built(monkeypatch, tmp_path, par
     model = fb.compile_model(slider())
     for _ in range(2):
         with pytest.raises(fb.BuildError, match=message):
-            (model.require_derivatives if part == "derivatives" else model.require_batch_functions)()
-    assert entries(tmp_path) == ["slider", "slider_kernel"]
+            getattr(model, f"require_{'batch_functions' if part == 'batch' else part}")()
+    needed = ["slider_derivatives"] if part == "variations" else []
+    assert entries(tmp_path) == ["slider", *needed, "slider_kernel"]
 
 
 def entries(folder):

@@ -37,6 +37,7 @@ NAMES = [
     "four_bar_kernel.h",
     "four_bar_kernel_avx2.c",
     "four_bar_kernel_avx512.c",
+    "four_bar_variations.c",
     "manifest.json",
 ]
 

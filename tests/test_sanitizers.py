@@ -89,10 +89,13 @@ static double evaluate(const fb_kernel *k, const double *p)
     if (n_n > 0)
         k->unknown_forces(0.5, x, c, r, l + k->n_c, force, by_n, row, row_by_n, row_m, row_j);
     double *directions = doubles((n_x + k->n_p + k->n_r) * FB_DIRECTIONS), *varied = doubles(n_x * FB_DIRECTIONS);
-    k->vary(d, 0.5, x, c, r, directions, varied, work);
-    k->vary_closed(d, 0.5, x, c, r, directions, work);
-    sum += varied[0] + directions[0];
-    free(directions), free(varied);
+    double *weights = doubles(n_x + k->n_l), *gradient = doubles(n_x + k->n_p + k->n_r);
+    k->vary(d, k->variations, 0.5, x, c, r, directions, varied, work);
+    k->vary_closed(d, k->variations, 0.5, x, c, r, directions, work);
+    k->pull_back(d, k->variations, 0.5, x, c, r, weights, gradient, work);
+    k->pull_back_closed(d, k->variations, 0.5, x, c, r, gradient, work);
+    sum += varied[0] + directions[0] + gradient[0];
+    free(directions), free(varied), free(weights), free(gradient);
     k->orientation_changed(work);
     k->project(0.5, x, c, r, 0, work);
     sum += rates[0] + e[0];

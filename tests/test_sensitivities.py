@@ -4,10 +4,14 @@ Differences are of order 6. Their rounding errors are those of runs at 1e-13, di
 about 1e-10 of the derivative, and more where it is small beside the state.
 """
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
+from scipy.integrate import quad
+from scipy.interpolate import make_interp_spline
 from systems import parallelogram
 from trees import revolute_chain
 
@@ -123,6 +127,74 @@ def test_projected_runs_are_tangent_to_the_constraints(case):
             assert np.abs(left).max(initial=0.0) <= 1e-11 * size
 
 
+def test_gradients_are_those_of_forward_mode(case):
+    model, coordinates, speeds, names = case
+    given = start(model, coordinates, speeds)
+    x0 = model.initial_state(**given)
+    generator = np.random.default_rng(0)
+    for method, constraints in (("DOP853", "project"), ("RK45", "project"), ("DOP853", "none")):
+        how = {"method": method, "constraints": constraints, "rtol": 1e-8, "atol": 1e-8, "gradient": True}
+        for t_eval in (np.linspace(0.0, AT[-1], 7), None):  # on the interpolant, and after each step
+            run = model.simulate((0.0, AT[-1]), x0, sensitivities=names, t_eval=t_eval, **how)
+            cost = generator.normal(size=run.y.shape)
+            wanted = {name: (cost * run.sensitivity[name]).sum() for name in names}
+            gradient = run.gradient(cost)
+            assert {*names, *model.parameters} <= set(gradient)
+            size = max(map(abs, wanted.values()))
+            assert [gradient[n] for n in names] == pytest.approx([wanted[n] for n in names], rel=0, abs=1e-11 * size)
+
+
+def test_gradients_of_outputs(four_bar):
+    names = [*four_bar.parameters, "q1", "u1"]
+    how = {"t_eval": np.linspace(0.0, 1.0, 11), "rtol": 1e-10, "atol": 1e-10}
+    run = four_bar.simulate((0.0, 1.0), sensitivities=names, gradient=True, **how)
+    generator = np.random.default_rng(0)
+    cost = {name: generator.normal(size=11) for name in (*four_bar.outputs, "u2")}
+    gradient = run.gradient(cost)
+    wanted = dict.fromkeys(names, 0.0)
+    for place, (t, x) in enumerate(zip(run.t, run.y.T, strict=True)):
+        by_state, by_parameters = four_bar.output_jacobian(t, x), four_bar.output_parameter_jacobian(t, x)
+        for name in names:
+            changes = run.sensitivity[name][:, place]
+            by_name = by_state @ changes
+            if name in four_bar.parameters:
+                by_name = by_name + by_parameters[:, four_bar.parameters.index(name)]
+            wanted[name] += sum(cost[o][place] * by_name[i] for i, o in enumerate(four_bar.outputs))
+            wanted[name] += cost["u2"][place] * changes[four_bar.states.index("u2")]
+    size = max(map(abs, wanted.values()))
+    assert [gradient[n] for n in names] == pytest.approx([wanted[n] for n in names], rel=0, abs=1e-11 * size)
+
+
+def test_gradients_by_inputs():
+    """Of a mass on a spring that a force drives: x(T) is the integral of h(T - s) F(s), h = sin(w t) / (m w)."""
+    model = fb.compile_model(driven_oscillator())
+    times, end, (m, k) = np.linspace(0.0, 3.0, 16), 2.9, (2.0, 8.0)
+    w = np.sqrt(k / m)
+    values = np.cos(1.7 * times)
+    how = {"t_eval": [end], "rtol": 1e-11, "atol": 1e-11, "gradient": True}
+    run = model.simulate((0.0, end), inputs={"F": 2.0}, **how)
+    gradient = run.gradient({"x": [1.0]})
+    assert gradient["F"] == pytest.approx((1.0 - np.cos(w * end)) / k, rel=1e-9)
+    for kind, degree in (("linear", 1), ("cubic", 3)):
+        basis = make_interp_spline(times, np.eye(16), k=degree)
+        run = model.simulate((0.0, end), inputs={"F": (times, values, kind)}, **how)
+        by_values = run.gradient({"x": [1.0]})["F"]
+        wanted = [
+            sum(
+                quad(
+                    lambda s, j=j, basis=basis: np.sin(w * (end - s)) / (m * w) * basis(s)[j],
+                    a,
+                    min(b, end),
+                    epsabs=1e-13,
+                )[0]
+                for a, b in pairwise(times)
+            )
+            for j in range(16)
+        ]
+        np.testing.assert_allclose(by_values, wanted, rtol=0, atol=1e-9)
+    assert "F" not in model.simulate((0.0, end), inputs={"F": (times, values, "pchip")}, **how).gradient({"x": [1.0]})
+
+
 def test_an_oscillator():
     # x = a cos(w t): dx/dk = -a t sin(w t) / (2 m w), dx/dm = a w t sin(w t) / (2 m), dx/da = cos(w t).
     model = fb.compile_model(oscillator())
@@ -161,23 +233,48 @@ def test_dependent_initial_values(four_bar):
     np.testing.assert_array_equal(held.sensitivity["k"][:, 0], 0.0)
 
 
-def test_an_input_given_as_an_expression_of_parameters():
+def driven_oscillator(**more):
     model = oscillator()
-    system, amplitude = model.system, sm.Symbol("F_0")
-    t = me.dynamicsymbols._t
-    force = me.dynamicsymbols("F")
-    point = system.bodies[0].masscenter
-    system.add_loads(me.Force(point, force * system.frame.x))
-    driven = fb.Model(
-        system, name="driven", parameters={"m": 2.0, "k": 8.0, "F_0": 3.0}, initial={"x": 0.0, "v": 0.0},
-        inputs={force: amplitude * sm.sin(3 * t)},
+    system, force = model.system, me.dynamicsymbols("F")
+    system.add_loads(me.Force(system.bodies[0].masscenter, force * system.frame.x))
+    parameters = {"m": 2.0, "k": 8.0, **more.pop("parameters", {})}
+    inputs = {force: more.pop("force", None)}
+    return fb.Model(
+        system, name="driven", parameters=parameters, initial={"x": 0.0, "v": 0.0}, inputs=inputs, **more
     )  # fmt: skip
+
+
+def test_an_input_given_as_an_expression_of_parameters():
+    t = me.dynamicsymbols._t
+    driven = driven_oscillator(parameters={"F_0": 3.0}, force=sm.Symbol("F_0") * sm.sin(3 * t))
     compiled = fb.compile_model(driven)
     times = np.linspace(0.0, 4.0, 9)
-    run = compiled.simulate((0.0, 4.0), t_eval=times, rtol=1e-11, atol=1e-11, sensitivities=["F_0"])
+    how = {"t_eval": times, "rtol": 1e-11, "atol": 1e-11, "sensitivities": ["F_0"], "gradient": True}
+    run = compiled.simulate((0.0, 4.0), **how)
     np.testing.assert_allclose(run.sensitivity["F_0"], run.y / 3.0, rtol=0, atol=1e-10)  # it is linear
-    table = compiled.simulate((0.0, 4.0), t_eval=times, inputs={"F": ([0.0, 4.0], [1.0, 2.0])}, sensitivities=["F_0"])
+    assert run.gradient({"x": 1.0})["F_0"] == pytest.approx(run["x"].sum() / 3.0, abs=1e-9)
+    table = compiled.simulate((0.0, 4.0), inputs={"F": ([0.0, 4.0], [1.0, 2.0])}, **how)
     np.testing.assert_array_equal(table.sensitivity["F_0"], 0.0)
+    assert table.gradient({"x": 1.0})["F_0"] == 0.0
+
+
+def test_gradients_that_there_are_not(four_bar):
+    run = four_bar.simulate((0.0, 0.1), t_eval=[0.0, 0.1])
+    with pytest.raises(fb.ModelError, match="gradient=True"):
+        run.gradient({"q1": 1.0})
+    kept = four_bar.simulate((0.0, 0.1), t_eval=[0.0, 0.1], gradient=True)
+    for cost, sentence in (
+        (np.ones((2, 6)), r"must have the shape \(6, 2\)"),
+        ({"q1": [1.0, 2.0, 3.0]}, r"must have the shape \(2,\), not \(3,\)"),
+        ({"qq": 1.0}, "no state or output 'qq'"),
+        ({"q1": [np.nan, 1.0]}, "must be finite"),
+    ):
+        with pytest.raises(fb.ModelError, match=sentence):
+            kept.gradient(cost)
+    with pytest.raises(fb.ModelError, match="CVODE has no gradient: use DOP853 or RK45"):
+        four_bar.simulate((0.0, 0.1), method="CVODE", gradient=True)
+    with pytest.raises(fb.ModelError, match="gradient=True"):
+        kept.resample([0.05]).gradient({"q1": 1.0})
 
 
 def test_bad_input(four_bar):

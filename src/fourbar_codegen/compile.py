@@ -68,7 +68,7 @@ def generate_sources(model: Model) -> dict[str, str]:
     >>> sources = fb.generate_sources(fb.models.four_bar())
     >>> sorted(name for name in sources if "avx" not in name)
     ['four_bar.pyx', 'four_bar_batch.c', 'four_bar_derivatives.c', 'four_bar_kernel.c',
-     'four_bar_kernel.h', 'manifest.json']
+     'four_bar_kernel.h', 'four_bar_variations.c', 'manifest.json']
     """
     with Progress(f"fourbar_codegen: {getattr(model, 'name', '')}") as progress:
         equations, _, sources = _generate(model, progress)
@@ -134,15 +134,22 @@ def generate_derivatives(generated: Generated) -> tuple[Derivatives, list[Schedu
 
 
 def _generate_rest(generated: Generated) -> tuple[Derivatives, dict[str, str], dict[str, Any]]:
-    """The derivatives, their source, and the operation counts of the manifest."""
-    from fourbar_codegen.codegen.c_source import derivatives_text
+    """The derivatives, their sources, and the operation counts of the manifest."""
+    from fourbar_codegen.codegen.c_source import derivatives_text, variations_text
     from fourbar_codegen.codegen.manifest import operations_of
+    from fourbar_codegen.dynamics.variations import form_variations
+    from fourbar_codegen.lowering.lower import lower_variations
+    from fourbar_codegen.lowering.schedule import schedule_function
 
-    program = generated.scheduled.program
+    program, equations = generated.scheduled.program, generated.equations
     derivatives, scheduled = generate_derivatives(generated)
-    text = derivatives_text(program.name, scheduled, generated.names)
-    operations = operations_of((*program.functions, *(each.function for each in scheduled)))
-    return derivatives, {f"{program.name}_derivatives.c": text}, operations
+    functions = lower_variations(program, equations, form_variations(equations))
+    varied = [schedule_function(function, inline_angles=False) for function in functions]
+    texts = {
+        f"{program.name}_derivatives.c": derivatives_text(program.name, scheduled, generated.names),
+        f"{program.name}_variations.c": variations_text(program.name, varied, generated.names),
+    }
+    return derivatives, texts, operations_of((*program.functions, *(f.function for f in (*scheduled, *varied))))
 
 
 def _generate(model: Model, progress: Progress) -> tuple[Equations, Derivatives, dict[str, str]]:

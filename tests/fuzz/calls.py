@@ -175,10 +175,11 @@ class Calls:
 
 
 NOT_FOR_USERS = {
-    "breakpoints", "capsule", "default_input_sensitivity", "defaults_in_force", "failure", "find", "from_file",
-    "from_loaded", "has_inputs", "input_values", "lacks_batch_functions", "lacks_derivatives", "missing",
-    "parameter_values", "rates_at_rest", "require_batch_functions", "require_derivatives",
-    "require_output_derivatives", "too_few_dependent",
+    "breakpoints", "capsule", "constraint_pullback", "constraint_variation", "default_input_sensitivity",
+    "defaults_in_force", "failure", "find", "from_file", "from_loaded", "has_inputs", "input_values",
+    "lacks_batch_functions", "lacks_derivatives", "lacks_variations", "missing", "parameter_values",
+    "rates_at_rest", "require_batch_functions", "require_derivatives", "require_output_derivatives",
+    "require_variations", "too_few_dependent",
 }  # fmt: skip
 """Names of `CompiledModel` by which parts of the package speak to each other."""
 
@@ -204,6 +205,8 @@ def calls_of(name: str) -> dict[str, Call]:
         "constraint_sensitivity",
     ):  # fmt: skip
         calls.add(function, getattr(model, function), **state, **values, may_be_nan=True)
+    calls.add("jvp", model.jvp, **state, dx=np.ones(model.n_x), dp=np.ones(model.n_p), dr=np.ones(model.n_r), **values)
+    calls.add("vjp", model.vjp, **state, weights=np.ones(model.n_x), **values)
     calls.add("rhs into", model.rhs, **state, **values, out=np.empty(model.n_x))
     for function in ("mass_matrix", "tree_mass_matrix"):
         calls.add(function, getattr(model, function), **state, p=p)
@@ -289,6 +292,8 @@ def calls_of(name: str) -> dict[str, Call]:
     trajectory = model.simulate((0.0, 0.1), x0, dense_output=True)
     folder = Path(tempfile.mkdtemp(prefix="fuzz-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    kept = model.simulate((0.0, 0.1), x0, t_eval=[0.05, 0.1], gradient=True)
+    calls.add("trajectory.gradient", kept.gradient, cost=np.ones((model.n_x, 2)))
     saved = trajectory.save(folder / "run.npz")
     calls.add("trajectory[]", trajectory.__getitem__, name=first)
     calls.add("trajectory.sol", trajectory.sol, t=times)

@@ -1,9 +1,9 @@
 """Sources -> shared libraries for this machine, for `compile_model`: only C, without Python.
 
-A model consists of parts. A simulation needs the kernel; derivatives and the functions for several states side by side
-are compiled at their first use. The kernel's library contains the model's structure: names, order, formulas. Its
-numbers are in a file beside it (defaults, units, initial values, also the fingerprint and operation counts), so models
-that differ only in these share a library.
+A model consists of parts. A simulation needs the kernel; derivatives, their products with vectors and the functions for
+several states side by side are compiled at their first use. The kernel's library contains the model's structure: names,
+order, formulas. Its numbers are in a file beside it (defaults, units, initial values, also the fingerprint and
+operation counts), so models that differ only in these share a library.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ __all__ = ["PARTS", "SUFFIXES", "build_part", "install", "manifest_of", "numbers
 PARTS = {
     "kernel": (("_kernel.c", "_kernel.h"), KERNEL_FLAGS),
     "derivatives": (("_derivatives.c", "_kernel.h"), DERIVATIVES_FLAGS),
+    "variations": (("_variations.c", "_kernel.h"), DERIVATIVES_FLAGS),
     "batch_functions": (("_batch.c", "_kernel.c", "_kernel.h"), KERNEL_FLAGS),
 }
 """The sources of each part by their suffixes, first the one to compile, and the flags."""
@@ -69,7 +70,7 @@ def build_part(
     ----------
     name : str
         The model's.
-    part : {"kernel", "derivatives", "batch_functions"}
+    part : {"kernel", "derivatives", "variations", "batch_functions"}
     sources : mapping of str to str
         Text by file name.
     structure : mapping, optional
@@ -83,7 +84,7 @@ def build_part(
     -------
     Path
         A shared library with the part's table: ``{name}_kernel`` (and ``fourbar_library``, if a structure is given),
-        ``{name}_derivatives``, ``{name}_batch_functions``.
+        ``{name}_derivatives``, ``{name}_variations``, ``{name}_batch_functions``.
 
     Raises
     ------

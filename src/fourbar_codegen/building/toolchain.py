@@ -112,6 +112,7 @@ UNITS = {
     "_kernel_avx512.c": AVX512_FLAGS,
     "_batch_avx512.c": AVX512_FLAGS,
     "_derivatives.c": DERIVATIVES_FLAGS,
+    "_variations.c": DERIVATIVES_FLAGS,
 }
 """The sources of an extension module besides its wrapper, by the suffixes of their names, and their flags."""
 # The wrapper only passes pointers on, so short compilation counts.

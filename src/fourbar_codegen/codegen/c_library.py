@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from fourbar_codegen.codegen.c_source import VARIATION, derivatives_text, header_text, kernel_text
+from fourbar_codegen.codegen.c_source import derivatives_text, header_text, kernel_text
 from fourbar_codegen.definitions import definitions_text
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.lowering.program import Program
@@ -94,7 +94,6 @@ def library_texts(
     if name in RESERVED | taken:
         raise ModelError(f"{name!r} is a name in C or of its library: give the Model another name to export it.")
     header = f'#include "{name}.h"\n'
-    derivatives = [each for each in derivatives if VARIATION not in each.function.name]  # nothing there calls them
     return {
         f"{name}.h": _header(scheduled.program, names, manifest, version),
         f"{name}.c": kernel_text(

@@ -12,7 +12,7 @@ from fourbar_codegen.dynamics.equations import Equations, matrix, vector
 from fourbar_codegen.expressions.derivatives import Jvp, jacobian
 from fourbar_codegen.expressions.tape import Result, Scalar
 
-__all__ = ["Derivatives", "Tangent", "Variation", "form_derivatives"]
+__all__ = ["Derivatives", "Tangent", "form_derivatives"]
 
 
 @dataclass(frozen=True)
@@ -33,27 +33,6 @@ class Tangent:
 
 
 @dataclass(frozen=True)
-class Variation:
-    """Derivatives along one direction in the space of states, parameters and inputs together.
-
-    Attributes
-    ----------
-    direction : tuple of Scalar
-        The leaves of the direction, in the order x, p, r.
-    coordinate_rates, residual : Result
-        As in `Tangent`.
-    positions, velocities : Result
-        The derivatives of `Equations.position_violation`, (n_c + n_i,), and of J u + b, (n_c,).
-    """
-
-    direction: tuple[Scalar, ...]
-    coordinate_rates: Result
-    residual: Result
-    positions: Result
-    velocities: Result
-
-
-@dataclass(frozen=True)
 class Derivatives:
     """Derivatives of a mechanism's equations, on their tape.
 
@@ -65,8 +44,6 @@ class Derivatives:
         Derivatives of `Equations.residual` at fixed u' and multipliers with respect to x, p and r.
     tangents : tuple of Tangent
         Instead of these six matrices, their products with vectors, for x, p and r; empty if there are the matrices.
-    variation : Variation
-        The products of all three of each with a vector.
     state_rate_acceleration_jacobian, state_rate_multiplier_jacobian : Result
         Derivatives of z' with respect to u' and multipliers, (n_z, n_u) and (n_z, n_c + n_n).
     output_jacobian, output_parameter_jacobian, output_input_jacobian : Result
@@ -92,7 +69,6 @@ class Derivatives:
     residual_parameter_jacobian: Result | None
     residual_input_jacobian: Result | None
     tangents: tuple[Tangent, ...]
-    variation: Variation
     state_rate_acceleration_jacobian: Result
     state_rate_multiplier_jacobian: Result
     output_jacobian: Result
@@ -172,29 +148,13 @@ def form_derivatives(equations: Equations, *, by_columns: bool = False) -> Deriv
         velocity_input_jacobian=backwards("velocity_input_jacobian", e.velocity_violation, e.inputs),
         position_input_jacobian=backwards("position_input_jacobian", e.position_constraints, e.inputs),
         tangents=tuple(tangents),
-        variation=_variation(e, (*state, *e.parameters, *e.inputs)),
         **formed,
     )
 
 
-def _variation(e: Equations, leaves: Sequence[Scalar]) -> Variation:
-    direction, along = _along(e, "v", leaves)
-    return Variation(
-        direction,
-        vector("coordinate_rate_variation", map(along, e.coordinate_rates.entries)),
-        vector("residual_variation", map(along, e.residual.entries)),
-        vector("position_variation", map(along, e.position_violation.entries)),
-        vector("velocity_variation", map(along, e.velocity_violation.entries)),
-    )
-
-
-def _along(e: Equations, kind: str, variables: Sequence[Scalar]) -> tuple[tuple[Scalar, ...], Jvp]:
-    direction = tuple(e.tape.leaf("d", f"{kind}{number}") for number in range(len(variables)))
-    return direction, Jvp(e.tape, dict(zip(variables, direction, strict=True)))
-
-
 def _tangent(e: Equations, kind: str, variables: Sequence[Scalar]) -> Tangent:
-    direction, along = _along(e, kind, variables)
+    direction = tuple(e.tape.leaf("d", f"{kind}{number}") for number in range(len(variables)))
+    along = Jvp(e.tape, dict(zip(variables, direction, strict=True)))
     return Tangent(
         direction,
         vector(f"coordinate_rate{kind}_tangent", map(along, e.coordinate_rates.entries)),

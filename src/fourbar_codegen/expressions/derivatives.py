@@ -6,7 +6,7 @@ cost a small multiple of what they differentiate.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import sympy as sm
 
@@ -146,10 +146,9 @@ def vjp(tape: Tape, scalars: Sequence[tuple[Scalar, Scalar]], leaves: Sequence[S
     """
     nodes = tape.reach([scalar for scalar, _ in scalars])
     dependent = tape.dependent(nodes, leaves)
-    if any(_is_piecewise(tape.nodes[node]) for node in dependent):
-        # A reverse pass would multiply the derivative of a branch that is not taken, which may be NaN, by zero.
-        directions = [Jvp(tape, {leaf: tape.one}) for leaf in leaves]
-        return [tape.sum([weight * d(scalar) for scalar, weight in scalars]) for d in directions]
+    # What only branches of Piecewise contain may have a derivative of NaN where these are not taken.
+    branches = [n for node in nodes if _is_piecewise(tape.nodes[node]) for n in operands(tape.nodes[node])]
+    conditional = set(tape.reach([Scalar(tape, 1, node) for node in branches])) if branches else set()
     parts: dict[int, list[Scalar]] = {}
     for scalar, weight in scalars:
         if scalar.node in dependent and weight:
@@ -161,9 +160,18 @@ def vjp(tape: Tape, scalars: Sequence[tuple[Scalar, Scalar]], leaves: Sequence[S
         parts[node] = [adjoint]
         if not adjoint:
             continue
+        operation = tape.nodes[node]
+        if isinstance(operation, Call) and _is_piecewise(operation):
+            for operand, part in _piecewise_parts(tape, operation, adjoint):
+                if operand in dependent:
+                    parts.setdefault(operand, []).append(part)
+            continue
         for operand, partial in _partials(tape, node):
             if operand in dependent:
-                parts.setdefault(operand, []).append(partial * adjoint)
+                part = partial * adjoint
+                if node in conditional and not isinstance(operation, Sum):
+                    part = _unless_zero(tape, part, adjoint)
+                parts.setdefault(operand, []).append(part)
     return [tape.sum(parts.get(leaf.node, ())) for leaf in leaves]
 
 
@@ -211,6 +219,24 @@ def _piecewise_rate(tape: Tape, call: Call, rates: Sequence[Scalar]) -> Scalar:
         else:
             branches.append((sm.S.Zero, condition))
     return apply(tape, sm.Piecewise(*branches), [*arguments, *rates])
+
+
+def _piecewise_parts(tape: Tape, call: Call, adjoint: Scalar) -> Iterator[tuple[int, Scalar]]:
+    """The adjoint of a Piecewise for the operand of each branch, 0 where another branch is taken."""
+    arguments = [Scalar(tape, 1, argument) for argument in call.arguments]
+    symbols = [placeholder(i) for i in range(len(arguments) + 1)]
+    for place, argument in enumerate(call.arguments):
+        branches = [
+            (expression.diff(symbols[place]) * symbols[-1], condition) for expression, condition in call.expression.args
+        ]
+        if any(branch for branch, _ in branches):
+            yield argument, apply(tape, sm.Piecewise(*branches), [*arguments, adjoint])
+
+
+def _unless_zero(tape: Tape, part: Scalar, adjoint: Scalar) -> Scalar:
+    """A product with an adjoint, or 0 if that is 0, even if the other factor is NaN."""
+    condition = sm.Ne(placeholder(1), 0)
+    return apply(tape, sm.Piecewise((placeholder(0), condition), (0, True)), [part, adjoint])
 
 
 def _derivative(expression: sm.Expr, symbol: sm.Symbol) -> sm.Expr:

@@ -17,7 +17,7 @@ from fourbar_codegen.errors import BuildError, SimulationError
 from fourbar_codegen.runtime.batch import Batch, width
 from fourbar_codegen.runtime.evaluator import Evaluator
 
-__all__ = ["compare_batch_functions", "compare_derivatives"]
+__all__ = ["compare_batch_functions", "compare_derivatives", "compare_variations"]
 
 Floats = NDArray[np.float64]
 
@@ -59,19 +59,70 @@ def compare_derivatives(model: Evaluator) -> None:
     Source: L. F. Richardson, "The approximate arithmetical solution by finite differences of physical problems",
     *Philosophical Transactions of the Royal Society A* 210 (1911).
     """
+    _compare(model, _compare_derivatives_at)
+
+
+def compare_variations(model: Evaluator) -> None:
+    """Compare products of derivatives with random vectors: with matrices, differences, and reverse with forward mode.
+
+    Parameters
+    ----------
+    model : Evaluator
+        With derivatives and variations attached.
+
+    Raises
+    ------
+    BuildError
+        If one differs.
+    """
+    _compare(model, _compare_variations_at)
+
+
+def _compare(model: Evaluator, at: Callable[[Evaluator, float, Floats, Floats, Floats], None]) -> None:
     generator, compared = random.Random(0), 0
     for _ in range(ATTEMPTS):
         t, x, p, r = _arguments(model, generator)
         try:
             with np.errstate(all="ignore"):
-                compared += _compare_at(model, t, x, p, r)
+                at(model, t, x, p, r)
         except SimulationError:  # the equations have no value there
             continue
+        compared += 1
         if compared >= STATES:
             return
 
 
-def _compare_at(model: Evaluator, t: float, x: Floats, p: Floats, r: Floats) -> bool:
+def _compare_variations_at(model: Evaluator, t: float, x: Floats, p: Floats, r: Floats) -> None:
+    generator = np.random.default_rng(0)
+    sizes = (model.n_x, model.n_p, model.n_r)
+    dx, dp, dr = (generator.uniform(-1.0, 1.0, size) for size in sizes)
+    w, v = generator.uniform(-1.0, 1.0, model.n_x), generator.uniform(-1.0, 1.0, 2 * model.n_c + model.n_i)
+
+    def violations(s: Floats) -> Floats:
+        return np.concatenate(model.constraint_violation(t, x + s * dx, p + s * dp, r))
+
+    matrices = (model.jacobian(t, x, p, r), model.parameter_jacobian(t, x, p, r), model.input_jacobian(t, x, p, r))
+    rates = model.jvp(t, x, dx, dp, dr, p, r)
+    products = [matrix * part for matrix, part in zip(matrices, (dx, dp, dr), strict=True)]
+    gradient = np.concatenate([w @ matrix for matrix in matrices])
+    changes = np.concatenate(model.constraint_variation(t, x, np.concatenate((dx, dp))[:, np.newaxis], p, r))[:, 0]
+    pulled = model.constraint_pullback(t, x, v, p, r)[: model.n_x + model.n_p]
+    expected, sure = _differences(violations, np.zeros(1))
+    for what, got, wanted, size in (
+        ("dx' along a direction", rates, sum(part.sum(axis=1) for part in products), np.hstack(products)),
+        ("gradient of weights times x'", np.concatenate(model.vjp(t, x, w, p, r)), gradient, gradient),
+        ("constraint violations along a direction", changes[sure[:, 0]], expected[sure], expected),
+        ("gradient of constraint violations", pulled @ np.concatenate((dx, dp)), v @ changes, changes),
+    ):
+        largest = np.abs(size[np.isfinite(size)]).max(initial=0.0)
+        if not (np.abs(got - wanted) <= TOLERANCE * (1.0 + largest))[np.isfinite(wanted)].all():
+            raise BuildError(
+                f"The compiled product {what} of the model {model.manifest['name']} is\n{got}\nat a random state, "
+                f"where it should be\n{wanted}\n{DEFECT}"
+            )
+
+
+def _compare_derivatives_at(model: Evaluator, t: float, x: Floats, p: Floats, r: Floats) -> None:
     n_q, n_u = model.n_q, model.n_u
 
     def velocities(x: Floats, r: Floats) -> Floats:
@@ -109,7 +160,6 @@ def _compare_at(model: Evaluator, t: float, x: Floats, p: Floats, r: Floats) -> 
                 f"The compiled derivative {what} of the model {model.manifest['name']} is\n{got}\nat a random state, "
                 f"where differences give\n{expected}\n{DEFECT}"
             )
-    return True
 
 
 def _differences(function: Callable[[Floats], Floats], point: Floats) -> tuple[Floats, NDArray[np.bool_]]:

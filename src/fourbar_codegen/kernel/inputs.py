@@ -19,6 +19,7 @@ __all__ = [
     "bind",
     "by_member",
     "by_name",
+    "by_values",
     "input_sources",
     "inputs_at",
     "inputs_of",
@@ -162,6 +163,59 @@ def _interpolants(times: Floats, values: Floats, kind: str, orders: int) -> Iter
         derivative = coefficients[:-1] * powers[:, np.newaxis]
         coefficients = derivative if len(powers) else np.zeros((1, len(times) - 1))
         before = after = 0.0
+
+
+def by_values(
+    model: Kernel, inputs: Mapping[Any, InputSource], by_sources: Sequence[Floats | None]
+) -> dict[str, float | Floats]:
+    """The derivatives by the values of sources, from those by the coefficients of their interpolants.
+
+    Parameters
+    ----------
+    model : Kernel
+    inputs : mapping
+        As for `CompiledModel.simulate`.
+    by_sources : sequence of length n_r
+        As `Steps.gradient` returns them.
+
+    Returns
+    -------
+    dict of str to float or ndarray
+        A number for a number, an array for a table; none for a monotone interpolant, which is not linear in its values.
+    """
+    found: dict[str, float | Floats] = {}
+    entries = model.manifest["inputs"]
+    for key, given in inputs.items():
+        name = name_of(key)
+        source = own_source(name, given)
+        parts = [part for entry, part in zip(entries, by_sources, strict=True) if entry["of"] == name]
+        if not isinstance(source, tuple):
+            assert parts[0] is not None
+            found[name] = float(parts[0][0])
+            continue
+        kind = source[2] if len(source) == 3 else "linear" if len(parts) == 1 else "cubic"
+        if kind != "pchip":
+            found[name] = _by_table(source[0], kind, [part for part in parts if part is not None])
+    return found
+
+
+def _by_table(times: Floats, kind: str, parts: Sequence[Floats]) -> Floats:
+    """The derivatives by a table's values, which its interpolant and the rates of this are linear in."""
+    n = len(times)
+    if kind == "linear":
+        slopes = np.diff(np.eye(n), axis=0) / np.diff(times)[:, np.newaxis]
+        basis = np.array([slopes, np.eye(n)[:-1]])  # (powers, intervals, values)
+    else:
+        from scipy.interpolate import CubicSpline
+
+        basis = CubicSpline(times, np.eye(n)).c
+    result = np.zeros(n)
+    result[0], result[-1] = parts[0][-2:]
+    for part in parts:
+        result += np.einsum("ik,kij->j", part[:-2].reshape(n - 1, -1), basis)
+        basis = basis[:-1] * np.arange(len(basis) - 1, 0, -1)[:, np.newaxis, np.newaxis]
+        basis = basis if len(basis) else np.zeros((1, n - 1, n))
+    return result
 
 
 def inputs_at(model: Kernel, t: float, p: Floats | None, inputs: Mapping[Any, InputSource] | None) -> Floats | None:

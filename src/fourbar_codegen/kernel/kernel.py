@@ -16,7 +16,7 @@ from fourbar_codegen.arguments import Values, is_mapping, name_of, named_array, 
 from fourbar_codegen.building.library import PARTS
 from fourbar_codegen.building.page_module import page_module
 from fourbar_codegen.errors import ModelError, SimulationError
-from fourbar_codegen.kernel.comparison import compare_batch_functions, compare_derivatives
+from fourbar_codegen.kernel.comparison import compare_batch_functions, compare_derivatives, compare_variations
 from fourbar_codegen.kernel.dependent import eliminate
 from fourbar_codegen.kernel.loading import (
     Loaded,
@@ -146,6 +146,24 @@ class Kernel(Evaluator):
             attach, compare = type(self)._attach_derivatives, compare_derivatives
             self._require("derivatives", "Derivatives and pictures need", attach, compare)
 
+    def require_variations(self) -> None:
+        """Build and load products of derivatives with vectors, if the model was built without them.
+
+        As `require_derivatives`, which it also calls: the first sensitivities or gradients of a run call this method.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> four_bar = fb.load("four_bar")
+        >>> four_bar.require_variations()
+        >>> four_bar.lacks_variations
+        False
+        """
+        self.require_derivatives()
+        if self.lacks_variations:
+            attach, compare = type(self)._attach_variations, compare_variations
+            self._require("variations", "Sensitivities and gradients need", attach, compare)
+
     def _require(
         self,
         part: str,
@@ -164,6 +182,7 @@ class Kernel(Evaluator):
 
             def check(address: int) -> None:
                 model = type(self)(self.capsule, self.manifest)
+                model._attach_parts_of(self)
                 attach(model, address)
                 compare(model)
 

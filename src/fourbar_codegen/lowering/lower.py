@@ -14,6 +14,7 @@ from contextlib import suppress
 from fourbar_codegen.dynamics.derivatives import Derivatives
 from fourbar_codegen.dynamics.equations import Equations
 from fourbar_codegen.dynamics.recursion import Recursion
+from fourbar_codegen.dynamics.variations import Variations
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.expressions.identities import rank as find_rank
 from fourbar_codegen.expressions.tape import ONE, Leaf, Result, Scalar, Tape, operands, operations_of
@@ -28,7 +29,7 @@ from fourbar_codegen.lowering.elimination import (
 )
 from fourbar_codegen.lowering.program import Array, Factors, Function, PivotOrder, Program, Sizes, Statements, Structure
 
-__all__ = ["lower", "lower_derivatives"]
+__all__ = ["lower", "lower_derivatives", "lower_variations"]
 
 REGULAR = 1e-9
 """Smallest pivot of M relative to its diagonal; that of the first link of a chain is of the order 1 / n^3."""
@@ -237,17 +238,10 @@ def lower_derivatives(program: Program, equations: Equations, derivatives: Deriv
     e, d = equations, derivatives
     time, inputs = _array("t", (e.time,)), _array("r", e.inputs)
     state = _array("x", (*e.coordinates, *e.speeds, *e.auxiliary_states))
-    rows = ["f - M u' + J^T lambda", "-(J u' + gamma)"]
-    if e.auxiliary_forcing.entries:
-        rows = ["f + F - M u' + J^T lambda", "-(J u' + gamma)", "Q - M_a u' + J_a^T lambda"]
-    if e.auxiliary_states:
-        rows.append("z'")
-    residual = f"{', '.join(rows[:-1])} and {rows[-1]}"
+    residual = _residual(e)
     held = _held(e)
     known = {ONE, *program.constants.nodes}
     sensitivities, columns = _sensitivities(e, d, known.__contains__, residual)
-    variations, more = _variations(e, d, known.__contains__, residual)
-    columns += more
     specifications: list[_Specification] = [
         (
             "drawing",
@@ -264,7 +258,6 @@ def lower_derivatives(program: Program, equations: Equations, derivatives: Deriv
             [d.coordinate_accelerations, d.point_velocities, d.point_accelerations],
         ),
         *sensitivities,
-        *variations,
         (
             "default_input_sensitivity",
             "d/dp of the inputs' expressions; zero without one.",
@@ -338,33 +331,76 @@ def _sensitivities(
     return specifications, columns
 
 
-def _variations(
-    e: Equations, d: Derivatives, is_constant: Callable[[int], bool], residual: str
-) -> tuple[list[_Specification], list[_Lowered]]:
-    """The functions for products with directions of x, p and r together; those that take directions are lowered."""
-    v, before = d.variation, [_array("t", (e.time,)), _array("x", (*e.coordinates, *e.speeds, *e.auxiliary_states))]
-    direction = _array("direction", v.direction)
-    specifications: list[_Specification] = []
+def lower_variations(program: Program, equations: Equations, variations: Variations) -> tuple[Function, ...]:
+    """Lower products of derivatives with vectors, which derivatives of simulations need.
+
+    Parameters and result are as for `lower_derivatives`.
+
+    Examples
+    --------
+    >>> from fourbar_codegen.dynamics.equations import form_equations
+    >>> from fourbar_codegen.dynamics.variations import form_variations
+    >>> from fourbar_codegen.models import four_bar
+    >>> equations = form_equations(four_bar())
+    >>> functions = lower_variations(lower("four_bar", equations), equations, form_variations(equations))
+    >>> [f.name for f in functions][:2]
+    ['pullback', 'constraint_pullback']
+    """
+    e, v, residual = equations, variations.variation, _residual(equations)
+    before = [_array("t", (e.time,)), _array("x", (*e.coordinates, *e.speeds, *e.auxiliary_states))]
+    inputs, held = _array("r", e.inputs), _held(e)
+    known = {ONE, *program.constants.nodes}
+    pulled, closed = variations.pullback, variations.constraint_pullback
+    specifications: list[_Specification] = [
+        (
+            "pullback",
+            f"The gradient by x, p and r of the weighted sum of q', and {residual} with u' and lambda held.",
+            before,
+            [*held, _array("weights", pulled.weights)],
+            [pulled.gradient],
+        ),
+        (
+            "constraint_pullback",
+            "The gradient by x, p and r of the weighted sum of the results of constraint_violation.",
+            before,
+            [inputs, _array("weights", closed.weights)],
+            [closed.gradient],
+        ),
+    ]
     columns: list[_Lowered] = []
+    direction = _array("direction", v.direction)
     for name, summary, after, results in (
         (
             "variation",
             f"q', and {residual} with u' and lambda held, differentiated along a direction of x, p and r.",
-            _held(e),
+            held,
             [v.coordinate_rates, v.residual],
         ),
         (
             "constraint_variation",
             "The results of constraint_violation differentiated along a direction of x, p and r.",
-            (_array("r", e.inputs),),
+            (inputs,),
             [v.positions, v.velocities],
         ),
     ):
-        product, nodes = _products(e.tape, is_constant, [(f"{name}_columns", summary, results)], direction)
+        product, nodes = _products(e.tape, known.__contains__, [(f"{name}_columns", summary, results)], direction)
         columns += product
         factors = Result("factors", (len(nodes),), tuple(Scalar(e.tape, 1, node) for node in nodes))
         specifications.append((f"{name}_factors", f"What {name}_columns needs of a state.", before, after, [factors]))
-    return specifications, columns
+    lowered = _lowered(e.tape, specifications, known.__contains__)
+    specifications += [specification for specification, _ in columns]
+    lowered += [statements for _, statements in columns]
+    return _functions(e.tape, specifications, lowered, program.constants)
+
+
+def _residual(e: Equations) -> str:
+    """What the rows of the residual are."""
+    rows = ["f - M u' + J^T lambda", "-(J u' + gamma)"]
+    if e.auxiliary_forcing.entries:
+        rows = ["f + F - M u' + J^T lambda", "-(J u' + gamma)", "Q - M_a u' + J_a^T lambda"]
+    if e.auxiliary_states:
+        rows.append("z'")
+    return f"{', '.join(rows[:-1])} and {rows[-1]}"
 
 
 def _held(e: Equations) -> tuple[Array, ...]:

@@ -18,6 +18,7 @@ from fourbar_codegen.arguments import is_integer, name_of, sample_times
 from fourbar_codegen.errors import ModelError, ModelWarning, shown
 from fourbar_codegen.files import save
 from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.results.gradient import KeptSteps
 from fourbar_codegen.tables import Page, table
 
 if TYPE_CHECKING:
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.animation import FuncAnimation
     from matplotlib.figure import Figure
+
+    from fourbar_codegen.results.gradient import KeptSteps
 
 __all__ = ["WRITERS", "Trajectory", "make_trajectory"]
 
@@ -66,6 +69,8 @@ class Trajectory:
         Copies of the given sources of inputs; None if the run was read from a file.
     sensitivity : mapping of str to ndarray, shape (n_x, n_t), or None
         Derivatives of the states with respect to parameters and initial values, with ``sensitivities=`` of `simulate`.
+    steps : KeptSteps or None
+        The steps taken, for `gradient`, with ``gradient=True``.
 
     Examples
     --------
@@ -92,6 +97,7 @@ class Trajectory:
     settings: Mapping[str, Any]
     inputs: Mapping[Any, Any] | None
     sensitivity: Mapping[str, Floats] | None = None
+    steps: KeptSteps | None = None
 
     @property
     def q(self) -> Floats:
@@ -253,7 +259,55 @@ class Trajectory:
             _warn_of_gaps(self.model.states, ode, stored, self.y[:, places], rates)
         if self.settings["constraints"] == "project" and not prescribed:
             states = np.reshape([ode.project(t, x) for t, x in zip(times, states.T, strict=True)], states.T.shape).T
-        return replace(self, t=times, y=states, r=ode.inputs_along(times, states))
+        r = ode.inputs_along(times, states)
+        return replace(self, t=times, y=states, r=r, sensitivity=None, steps=None)
+
+    def gradient(self, cost: ArrayLike | Mapping[Any, ArrayLike]) -> dict[str, Any]:
+        """The gradient of a cost of the samples, by one sweep backwards over the steps of the run.
+
+        Its time does not grow with the number of parameters: about three times that of the run. An integral over time
+        is a cost of the last sample, if the integrand is the rate of an auxiliary state.
+
+        Parameters
+        ----------
+        cost : array_like, shape (n_x, n_t), or mapping
+            The derivatives of the cost by the states at ``t``; or from names of states and outputs to the derivatives
+            by these, each of shape (n_t,), or a number for all samples.
+
+        Returns
+        -------
+        dict of str to float or ndarray
+            The derivatives by parameters; by initial values of the independent coordinates and speeds and of the
+            auxiliary states, where the others follow from loop closure; and by given inputs: a number, or an array with
+            an entry for each value of a table. A given ``x0`` depends on no parameter. Left out are parameters on which
+            times of jumps depend, and tables of kind "pchip", which are not linear in their values.
+
+        Raises
+        ------
+        ModelError
+            If the run was not made with ``gradient=True``, or failed; if the cost has another shape or an unknown
+            name, or is not finite.
+        SimulationError
+            If the equations have no derivative at a state of the run.
+
+        Source: A. Walther, "Automatic differentiation of explicit Runge-Kutta methods for optimal control",
+        *Computational Optimization and Applications* 36 (2007).
+
+        Examples
+        --------
+        The cost q2(1 s)^2 by stiffness and length:
+
+        >>> import fourbar_codegen as fb
+        >>> run = fb.load("four_bar").simulate((0.0, 1.0), t_eval=[1.0], gradient=True)
+        >>> gradient = run.gradient({"q2": 2 * run["q2"]})
+        >>> round(gradient["k"], 4), round(gradient["l2"], 4)
+        (0.0095, -1.5698)
+        """
+        if self.steps is None:
+            raise ModelError("The steps of this run are not known: simulate(..., gradient=True) keeps them.")
+        if not self.success:
+            raise ModelError(f"There is no gradient of a run that failed. {self.message}")
+        return self.steps.gradient(cost)
 
     def columns(self) -> dict[str, Floats]:
         """All scalar quantities over time by name, each of shape (n_t,).

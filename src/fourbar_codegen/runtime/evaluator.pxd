@@ -27,10 +27,6 @@ cdef extern from "fourbar_kernel.h":
         fb_sensitivity *sensitivity
         fb_sensitivity *parameter_sensitivity
         fb_sensitivity *input_sensitivity
-        void (*variation)(double, const double *, const double *, const double *, const double *, const double *,
-                          const double *, double *, double *) noexcept nogil
-        void (*constraint_variation)(double, const double *, const double *, const double *, const double *, double *,
-                                     double *) noexcept nogil
         void (*default_input_sensitivity)(double, const double *, double *) noexcept nogil
         void (*constraint_sensitivity)(double, const double *, const double *, const double *, double *, double *,
                                        double *) noexcept nogil
@@ -44,6 +40,17 @@ cdef extern from "fourbar_kernel.h":
         void (*drawing)(double, const double *, const double *, const double *, double *, double *) noexcept nogil
         void (*motion)(double, const double *, const double *, const double *, const double *, double *, double *,
                        double *) noexcept nogil
+    ctypedef struct fb_variations:
+        int abi_version
+        size_t struct_size
+        void (*variation)(double, const double *, const double *, const double *, const double *, const double *,
+                          const double *, double *, double *) noexcept nogil
+        void (*constraint_variation)(double, const double *, const double *, const double *, const double *, double *,
+                                     double *) noexcept nogil
+        void (*pullback)(double, const double *, const double *, const double *, const double *, const double *,
+                         const double *, double *) noexcept nogil
+        void (*constraint_pullback)(double, const double *, const double *, const double *, const double *,
+                                    double *) noexcept nogil
     ctypedef struct fb_kernel:
         int abi_version
         size_t struct_size
@@ -59,10 +66,14 @@ cdef extern from "fourbar_kernel.h":
                           void *) noexcept nogil
         int (*differentiate)(const fb_derivatives *, fb_sensitivity *, int, double, const double *, const double *,
                              const double *, double *, double *, void *) noexcept nogil
-        int (*vary)(const fb_derivatives *, double, const double *, const double *, const double *, const double *,
-                    double *, void *) noexcept nogil
-        int (*vary_closed)(const fb_derivatives *, double, const double *, const double *, const double *, double *,
-                           void *) noexcept nogil
+        int (*vary)(const fb_derivatives *, const fb_variations *, double, const double *, const double *,
+                    const double *, const double *, double *, void *) noexcept nogil
+        int (*vary_closed)(const fb_derivatives *, const fb_variations *, double, const double *, const double *,
+                           const double *, double *, void *) noexcept nogil
+        int (*pull_back)(const fb_derivatives *, const fb_variations *, double, const double *, const double *,
+                         const double *, const double *, double *, void *) noexcept nogil
+        int (*pull_back_closed)(const fb_derivatives *, const fb_variations *, double, const double *, const double *,
+                                const double *, double *, void *) noexcept nogil
         int (*accelerations)(double, const double *, const double *, const double *, double *, double *,
                              void *) noexcept nogil
         void (*state_rates)(double, const double *, const double *, const double *, const double *, const double *,
@@ -86,6 +97,7 @@ cdef extern from "fourbar_kernel.h":
         void (*output)(double, const double *, const double *, const double *, const double *, const double *,
                        double *) noexcept nogil
         const fb_derivatives *derivatives
+        const fb_variations *variations
         const fb_batch_functions *batch_functions
         int batch_functions_apart
         int one_machine
@@ -166,6 +178,7 @@ cdef class Evaluator:
     cdef int _check_columns(self, cnp.ndarray t, cnp.ndarray x, cnp.ndarray r) except -1
     cdef cnp.ndarray _output(self, object out, cnp.ndarray state, cnp.ndarray parameters, cnp.ndarray inputs)
     cdef const fb_derivatives *derivatives(self) except NULL
+    cdef const fb_variations *variations(self) except NULL
     cdef cnp.ndarray _differentiate(self, fb_sensitivity *function, int columns, double t, x, p, r)
     cdef cnp.ndarray _differentiate_outputs(
         self, fb_sensitivity *function, fb_output_sensitivity *outputs, int columns, double t, x, p, r)

@@ -27,9 +27,9 @@ cdef object _other_layout(manifest):
         f"interface is {FB_ABI_VERSION}), and its data have another layout: build it again.")
 
 
-cdef bint _agree(const fb_derivatives *derivatives) noexcept:
-    """Whether derivatives were built with these headers."""
-    return derivatives.abi_version == FB_ABI_VERSION and derivatives.struct_size == sizeof(fb_derivatives)
+cdef bint _agree(int abi_version, size_t size, size_t expected) noexcept:
+    """Whether a table was built with these headers."""
+    return abi_version == FB_ABI_VERSION and size == expected
 
 
 cdef cnp.ndarray new_array(int rows, int columns=-1):
@@ -220,11 +220,13 @@ cdef class Evaluator:
             raise _other_layout(manifest)
         if kernel.batch_functions != NULL and not fb_batch_functions_agree(kernel.batch_functions):
             raise _other_layout(manifest)
-        if kernel.derivatives != NULL and not _agree(kernel.derivatives):
-            raise _other_layout(manifest)
         self.own = kernel[0]  # a copy, to which parts that are built separately are attached
         self.kernel = &self.own
         self.capsule, self.manifest = capsule, manifest
+        if kernel.derivatives != NULL:
+            self._attach_derivatives(<size_t>kernel.derivatives)
+        if kernel.variations != NULL:
+            self._attach_variations(<size_t>kernel.variations)
         self.n_q, self.n_u, self.n_p, self.n_r = kernel.n_q, kernel.n_u, kernel.n_p, kernel.n_r
         self.n_h, self.n_c, self.n_l, self.n_i, self.n_o = kernel.n_h, kernel.n_c, kernel.n_l, kernel.n_i, kernel.n_o
         self.n_z, self.n_x, self.states_need_solution = kernel.n_z, kernel.n_x, kernel.states_need_solution
@@ -258,6 +260,11 @@ cdef class Evaluator:
         return self.kernel.derivatives == NULL
 
     @property
+    def lacks_variations(self):
+        """Whether products of derivatives with vectors are in a library that is not attached yet."""
+        return self.kernel.variations == NULL
+
+    @property
     def is_portable(self):
         """Whether it runs on other machines, and was not built for the processor of one machine."""
         return self.kernel.one_machine == 0
@@ -283,9 +290,17 @@ cdef class Evaluator:
 
     def _attach_derivatives(self, size_t address):
         """Attach an ``fb_derivatives``."""
-        if not _agree(<const fb_derivatives *>address):
+        cdef const fb_derivatives *table = <const fb_derivatives *>address
+        if not _agree(table.abi_version, table.struct_size, sizeof(fb_derivatives)):
             raise _other_layout(self.manifest)
-        self.own.derivatives = <const fb_derivatives *>address
+        self.own.derivatives = table
+
+    def _attach_variations(self, size_t address):
+        """Attach an ``fb_variations``."""
+        cdef const fb_variations *table = <const fb_variations *>address
+        if not _agree(table.abi_version, table.struct_size, sizeof(fb_variations)):
+            raise _other_layout(self.manifest)
+        self.own.variations = table
 
     def require_derivatives(self):
         """Attach the derivatives; a subclass that has their sources builds them."""
@@ -296,6 +311,20 @@ cdef class Evaluator:
         if self.kernel.derivatives == NULL:
             self.require_derivatives()
         return self.kernel.derivatives
+
+    def _attach_parts_of(self, Evaluator other not None):
+        """Attach the parts that another evaluator of the same kernel has."""
+        self.own.derivatives, self.own.variations = other.own.derivatives, other.own.variations
+
+    def require_variations(self):
+        """Attach the products of derivatives with vectors; a subclass that has their sources builds them."""
+        raise ModelError("The products of derivatives with vectors are in a library of their own: attach it.")
+
+    cdef const fb_variations *variations(self) except NULL:
+        """The products of derivatives with vectors, built first if necessary."""
+        if self.kernel.variations == NULL:
+            self.require_variations()
+        return self.kernel.variations
 
     def parameter_values(self, p):
         """All parameter values in order; a subclass that knows their names also takes mappings."""
@@ -725,6 +754,130 @@ cdef class Evaluator:
         t = time_of(t)
         return self._differentiate(self.derivatives().input_sensitivity, self.n_r, t, x, p, r)
 
+    def jvp(self, t, x, dx=None, dp=None, dr=None, p=None, r=None):
+        """The derivatives of the right-hand side along directions: products of its Jacobians with vectors.
+
+        Parameters
+        ----------
+        t : float
+        x : array_like, shape (n_x,)
+        dx, dp, dr : array_like, shape (n_x,), (n_p,), (n_r,), or with n columns, optional
+            The direction in states, parameters and inputs; 0 for what is left out.
+        p, r
+            As for `rhs`. Inputs whose expressions are in force change with the parameters, in addition to `dr`.
+
+        Returns
+        -------
+        ndarray, shape (n_x,) or (n_x, n)
+
+        Raises
+        ------
+        ModelError
+            If an argument has a wrong shape.
+        SimulationError
+            If the equations have no derivative there, as at a singular position.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> import numpy as np
+        >>> four_bar = fb.load("four_bar")
+        >>> x, dx = four_bar.initial_state(), np.ones(6)
+        >>> bool(np.allclose(four_bar.jvp(0.0, x, dx), four_bar.jacobian(0.0, x) @ dx))
+        True
+        """
+        t = time_of(t)
+        given = [None if part is None else numbers(part, "A direction") for part in (dx, dp, dr)]
+        counts = {np.shape(part)[1:] for part in given if part is not None} or {()}
+        if len(counts) > 1 or any(len(count) > 1 for count in counts):
+            raise ModelError(
+                f"Directions have the shapes {[np.shape(part) for part in given if part is not None]}: they must be "
+                "vectors, or matrices with as many columns as each other.")
+        count = counts.pop()
+        cdef int i, n = count[0] if count else 1
+        filled_in = []
+        for part, size, what in zip(given, (self.n_x, self.n_p, self.n_r), ("states", "parameters", "inputs")):
+            if part is not None and np.shape(part)[0] != size:
+                raise ModelError(f"A direction in the {what} has {size} rows, not the shape {np.shape(part)}.")
+            filled_in.append(np.zeros((size, n)) if part is None else np.reshape(part, (size, n)))
+        blocks = self._blocks(t, np.vstack(filled_in[:2]), p, r)
+        cdef cnp.ndarray parameters = self._parameters(p)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
+        cdef cnp.ndarray state = self._state(t, x, self.n_x)
+        cdef cnp.ndarray block, rates
+        cdef const fb_derivatives *derivatives = self.derivatives()
+        cdef const fb_variations *variations = self.variations()
+        cdef const double *constants = self._prepare(parameters)
+        cdef const double *filled = self._fill(t, constants, inputs)
+        cdef int status
+        result = np.empty((self.n_x, n))
+        for i in range(0, n, FB_DIRECTIONS):
+            block, rates = blocks[i // FB_DIRECTIONS], new_array(self.n_x, FB_DIRECTIONS)
+            block[self.n_x + self.n_p:, :n - i] += filled_in[2][:, i:i + FB_DIRECTIONS]
+            status = self.kernel.vary(derivatives, variations, t, data(state), constants, filled, data(block),
+                                      data(rates), self.work)
+            if status != FB_OK:
+                raise SimulationError(self.failure(status, t, x))
+            result[:, i:i + FB_DIRECTIONS] = rates[:, :n - i]
+        return result if count else result[:, 0]
+
+    def vjp(self, t, x, weights, p=None, r=None):
+        """The gradient of weights times the right-hand side: the products of a vector with its Jacobians.
+
+        It takes a small multiple of the time of the right-hand side, however many parameters there are.
+
+        Parameters
+        ----------
+        t : float
+        x : array_like, shape (n_x,)
+        weights : array_like, shape (n_x,)
+        p, r
+            As for `rhs`.
+
+        Returns
+        -------
+        by_state : ndarray, shape (n_x,)
+        by_parameters : ndarray, shape (n_p,)
+            Including the parameters' effect through inputs whose expressions are in force.
+        by_inputs : ndarray, shape (n_r,)
+
+        Raises
+        ------
+        ModelError
+            If an argument has a wrong shape.
+        SimulationError
+            If the equations have no derivative there, as at a singular position.
+
+        Source: A. Griewank, A. Walther, *Evaluating Derivatives*, 2nd ed., SIAM 2008, section 3.2 (reverse mode).
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> import numpy as np
+        >>> four_bar = fb.load("four_bar")
+        >>> x, w = four_bar.initial_state(), np.ones(6)
+        >>> bool(np.allclose(four_bar.vjp(0.0, x, w)[0], w @ four_bar.jacobian(0.0, x)))
+        True
+        """
+        t = time_of(t)
+        cdef cnp.ndarray parameters = self._parameters(p)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
+        cdef cnp.ndarray state = self._state(t, x, self.n_x)
+        cdef cnp.ndarray given = np.concatenate((vector(weights, self.n_x, "The weights"), np.zeros(self.n_l)))
+        cdef cnp.ndarray gradient = new_array(self.n_x + self.n_p + self.n_r)
+        cdef const fb_derivatives *derivatives = self.derivatives()
+        cdef const fb_variations *variations = self.variations()
+        in_force = np.array(self.defaults_in_force(r), dtype=bool)
+        by_parameters = self.default_input_sensitivity(t, p) * in_force[:, None]
+        cdef const double *constants = self._prepare(parameters)
+        cdef int status = self.kernel.pull_back(
+            derivatives, variations, t, data(state), constants, self._fill(t, constants, inputs), data(given),
+            data(gradient), self.work)
+        if status != FB_OK:
+            raise SimulationError(self.failure(status, t, x))
+        by_state, by_p, by_inputs = np.split(gradient, (self.n_x, self.n_x + self.n_p))
+        return by_state, by_p + by_inputs @ by_parameters, by_inputs
+
     cdef cnp.ndarray _differentiate(self, fb_sensitivity *function, int columns, double t, x, p, r):
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
@@ -904,24 +1057,49 @@ cdef class Evaluator:
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_motions)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
-        cdef int i, n = np.shape(directions)[1], n_i = self.kernel.n_i
-        cdef const fb_derivatives *derivatives = self.derivatives()
-        by_parameters = self.default_input_sensitivity(t, p) * np.array(self.defaults_in_force(r), dtype=bool)[:, None]
-        given = np.vstack((directions, by_parameters @ directions[self.n_x:]))
+        cdef int i, n = np.shape(directions)[1]
         cdef cnp.ndarray block, position, velocity
+        cdef const fb_variations *variations = self.variations()
+        blocks = self._blocks(t, directions, p, r)
+        positions, velocities = np.empty((self.n_c + self.n_i, n)), np.empty((self.n_c, n))
         cdef const double *constants = self._prepare(parameters)
         cdef const double *filled = self._fill(t, constants, inputs)
-        positions, velocities = np.empty((self.n_c + n_i, n)), np.empty((self.n_c, n))
         for i in range(0, n, FB_DIRECTIONS):
-            columns = given[:, i:i + FB_DIRECTIONS]
-            block = np.zeros((given.shape[0], FB_DIRECTIONS))
-            block[:, :columns.shape[1]] = columns
-            position, velocity = new_array(self.n_c + n_i, FB_DIRECTIONS), new_array(self.n_c, FB_DIRECTIONS)
-            derivatives.constraint_variation(t, data(state), constants, filled, data(block), data(position),
-                                             data(velocity))
-            positions[:, i:i + FB_DIRECTIONS] = position[:, :columns.shape[1]]
-            velocities[:, i:i + FB_DIRECTIONS] = velocity[:, :columns.shape[1]]
+            block = blocks[i // FB_DIRECTIONS]
+            position, velocity = new_array(self.n_c + self.n_i, FB_DIRECTIONS), new_array(self.n_c, FB_DIRECTIONS)
+            variations.constraint_variation(t, data(state), constants, filled, data(block), data(position),
+                                            data(velocity))
+            positions[:, i:i + FB_DIRECTIONS] = position[:, :n - i]
+            velocities[:, i:i + FB_DIRECTIONS] = velocity[:, :n - i]
         return positions, velocities
+
+    def constraint_pullback(self, t, x, weights, p=None, r=None):
+        """The gradient by x, p and r, shape (n_x + n_p + n_r,), of weights times the constraint violations.
+
+        Weights have the shape (2 n_c + n_i,), for both results of `constraint_violation`. Inputs do not follow the
+        parameters.
+        """
+        t = time_of(t)
+        cdef cnp.ndarray parameters = self._parameters(p)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_motions)
+        cdef cnp.ndarray state = self._state(t, x, self.n_x)
+        cdef cnp.ndarray given = vector(weights, 2 * self.n_c + self.n_i, "The weights")
+        cdef cnp.ndarray gradient = new_array(self.n_x + self.n_p + self.n_r)
+        cdef const fb_variations *variations = self.variations()
+        cdef const double *constants = self._prepare(parameters)
+        variations.constraint_pullback(t, data(state), constants, self._fill(t, constants, inputs), data(given),
+                                       data(gradient))
+        return gradient
+
+    def _blocks(self, t, directions, p, r):
+        """Directions of (x, p), shape (n_x + n_p, n), as blocks of (x, p, r) with FB_DIRECTIONS columns."""
+        n = np.shape(directions)[1]
+        blocks = np.zeros(((n + FB_DIRECTIONS - 1) // FB_DIRECTIONS, self.n_x + self.n_p + self.n_r, FB_DIRECTIONS))
+        by_parameters = self.default_input_sensitivity(t, p) * np.array(self.defaults_in_force(r), dtype=bool)[:, None]
+        given = np.vstack((directions, by_parameters @ directions[self.n_x:]))
+        for i in range(n):
+            blocks[i // FB_DIRECTIONS, :, i % FB_DIRECTIONS] = given[:, i]
+        return blocks
 
     def energy(self, t, x, p=None, r=None):
         """Kinetic and potential energy, shape (2,)."""

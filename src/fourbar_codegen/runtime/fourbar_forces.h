@@ -107,6 +107,36 @@ static inline int fb_respond(const fb_response *s, double *restrict rest, double
     return FB_OK;
 }
 
+#ifndef FB_LIBRARY
+/* From weights of u', lambda and n, the weights of the auxiliary speeds' rows, and those of u' and lambda for held n.
+ */
+static inline int fb_pull_back_forces(const fb_response *s, double *restrict of_accelerations,
+                                      double *restrict of_multipliers, double *restrict rows)
+{
+    double transposed[N_N * N_N];
+    for (int j = 0; j < N_N; ++j) {
+        double sum = of_multipliers[N_C + j];
+        for (int i = 0; i < N_U; ++i)
+            sum += s->by_accelerations[j * N_U + i] * of_accelerations[i];
+        for (int i = 0; i < N_C; ++i)
+            sum += s->by_multipliers[j * N_C + i] * of_multipliers[i];
+        rows[j] = -s->column_unit[j] * sum;
+        for (int i = 0; i < N_N; ++i)
+            transposed[j * N_N + i] = s->matrix[i * N_N + j];
+    }
+    if (!fb_eliminate_full(N_N, transposed, rows, FB_UNDETERMINED))
+        return all_finite(transposed, N_N * N_N) == FB_OK ? FB_FORCES_UNDETERMINED : FB_NOT_FINITE;
+    for (int j = 0; j < N_N; ++j) {
+        rows[j] *= s->row_unit[j];
+        for (int i = 0; i < N_U; ++i)
+            of_accelerations[i] -= s->auxiliary_mass[j * N_U + i] * rows[j];
+        for (int i = 0; i < N_C; ++i)
+            of_multipliers[i] += s->auxiliary_constraint_jacobian[j * N_C + i] * rows[j];
+    }
+    return FB_OK;
+}
+#endif
+
 /* F, Q and their derivatives at forces n; whether they are finite. */
 static inline int fb_evaluate_forces(double t, const double *x, const double *constants, const double *r,
                                      const double *forces, fb_response *restrict s)

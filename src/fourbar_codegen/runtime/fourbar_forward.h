@@ -16,6 +16,7 @@
 
 typedef struct fb_forward {
     const fb_derivatives *derivatives;
+    const fb_variations *variations;
     int n_blocks; /* of FB_DIRECTIONS directions */
     int size;     /* of a row: n_blocks * n_x * FB_DIRECTIONS */
     /* (n_blocks, n_x + n_p + n_r, FB_DIRECTIONS): the rows of p are given, those of the others are filled */
@@ -79,8 +80,8 @@ static inline int fb_forward_rates(fb_run *run, const double since, const double
     for (int block = 0; block < f->n_blocks; ++block) {
         const int n = p->kernel->n_x * FB_DIRECTIONS;
         const double *const directions = fb_forward_directions(run, block, t, s);
-        if (p->kernel->vary(f->derivatives, t, x, p->constants, p->inputs, directions, rates + block * n, p->work) !=
-            FB_OK)
+        if (p->kernel->vary(f->derivatives, f->variations, t, x, p->constants, p->inputs, directions, rates + block * n,
+                            p->work) != FB_OK)
             for (int i = 0; i < n; ++i)
                 rates[block * n + i] = NAN;
     }
@@ -99,7 +100,8 @@ static inline int fb_forward_close(fb_run *run, const double since, const double
     for (int block = 0; block < f->n_blocks; ++block) {
         const int n = p->kernel->n_x * FB_DIRECTIONS;
         double *const directions = fb_forward_directions(run, block, t, s);
-        if (p->kernel->vary_closed(f->derivatives, t, x, p->constants, p->inputs, directions, p->work) == FB_OK)
+        if (p->kernel->vary_closed(f->derivatives, f->variations, t, x, p->constants, p->inputs, directions, p->work) ==
+            FB_OK)
             memcpy(s + block * n, directions, (size_t)n * sizeof *s);
         else
             for (int i = 0; i < n; ++i)

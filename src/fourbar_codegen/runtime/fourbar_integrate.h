@@ -30,7 +30,7 @@ enum { FB_LOOKS = 8 };
 enum FB_RUN {
     FB_RUN_END = 0,       /* t_bound is reached */
     FB_RUN_PAUSED = 1,    /* as many steps as asked for */
-    FB_RUN_FULL = 2,      /* no room for another sample */
+    FB_RUN_FULL = 2,      /* no room for another sample, or for another step to keep */
     FB_RUN_EVENT = 3,     /* a step to examine before its samples are taken: an event function changed its sign, or the
                              constraints their orientation */
     FB_RUN_TOO_SMALL = 4, /* the step control asks for less than the spacing of doubles */
@@ -46,6 +46,15 @@ typedef struct fb_weights {
     double weight[FB_MAX_STAGES];
 } fb_weights;
 
+/* The steps taken, from which fourbar_adjoint.h goes backwards. A row has the time at the end of a step, its length and
+ * the state; the length is 0 where the run begins, or continues from another state. */
+typedef struct fb_steps {
+    long n, room;
+    double *rows;     /* (room, 2 + n_x) */
+    long *sample_row; /* for each sample in the room of fb_run: the number of the last row, and the time */
+    double *sample_t;
+} fb_steps;
+
 struct fb_augmented;
 struct fb_forward;
 
@@ -60,6 +69,7 @@ struct fb_run {
     struct fb_forward *forward;
     int (*vary)(fb_run *run);
     int (*vary_sample)(fb_run *run, double t, const double *x);
+    fb_steps *steps; /* or NULL */
     fb_weights stage[FB_MAX_STAGES], error[2], more[4], dense[4];
     int n, padded;
     double direction, t_bound, max_step;
@@ -418,6 +428,25 @@ static inline int fb_state_at(fb_run *s, const double t, double *x)
     return fb_project_sample(s->problem, t, x);
 }
 
+/* Keeps the state reached by a step of length h. */
+static inline void fb_keep_step(fb_run *s, const double h)
+{
+    double *const row = s->steps->rows + s->steps->n++ * (2 + s->n);
+    row[0] = s->t;
+    row[1] = h;
+    memcpy(row + 2, s->x, (size_t)s->n * sizeof *row);
+}
+
+/* Notes where a sample lies among the steps, and its derivatives. */
+static inline int fb_note_sample(fb_run *s, const double t, const double *x)
+{
+    if (s->steps) {
+        s->steps->sample_row[s->n_samples] = s->steps->n - 1;
+        s->steps->sample_t[s->n_samples] = t;
+    }
+    return s->forward ? s->vary_sample(s, t, x) : 0;
+}
+
 /* The samples of the last step; FB_RUN_FULL if there is no room for them. */
 static inline int fb_sample(fb_run *s)
 {
@@ -426,11 +455,9 @@ static inline int fb_sample(fb_run *s)
             return FB_RUN_FULL;
         s->sample_t[s->n_samples] = s->t;
         memcpy(s->sample_x + s->n_samples * s->n, s->x, (size_t)s->n * sizeof *s->x);
-        if (s->forward) {
-            const int status = s->vary_sample(s, s->t, s->x);
-            if (status < 0)
-                return status;
-        }
+        const int status = fb_note_sample(s, s->t, s->x);
+        if (status < 0)
+            return status;
         s->n_samples += 1;
     } else {
         while (s->next_time < s->n_times) {
@@ -441,8 +468,8 @@ static inline int fb_sample(fb_run *s)
                 return FB_RUN_FULL;
             double *const x = s->sample_x + s->n_samples * s->n;
             int status = fb_state_at(s, t, x);
-            if (status == 0 && s->forward)
-                status = s->vary_sample(s, t, x);
+            if (status == 0)
+                status = fb_note_sample(s, t, x);
             if (status < 0)
                 return status;
             s->sample_t[s->n_samples++] = t;
@@ -514,6 +541,8 @@ static inline int fb_run_on(fb_run *s, long n)
             return FB_RUN_END;
         if (n-- <= 0)
             return FB_RUN_PAUSED;
+        if (s->steps && s->steps->n == s->steps->room)
+            return FB_RUN_FULL;
         /* Reported once for each collapse. */
         const double share = s->n_steps > 9 ? s->h_abs * s->n_steps / fabs(s->t - s->t_begin) : 1.0;
         if (share < FB_COLLAPSE && !s->collapsed) {
@@ -525,6 +554,8 @@ static inline int fb_run_on(fb_run *s, long n)
         int status = s->step(s);
         if (status != FB_RUN_PAUSED)
             return status;
+        if (s->steps)
+            fb_keep_step(s, s->h);
         if (s->forward) {
             status = s->vary(s);
             if (status < 0)

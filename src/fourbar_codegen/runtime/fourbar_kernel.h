@@ -13,7 +13,7 @@
 
 #include <stddef.h>
 
-#define FB_ABI_VERSION 16
+#define FB_ABI_VERSION 17
 #define FB_CAPSULE_NAME "fourbar_codegen.kernel"
 
 /* Long functions are printed in parts, which the compiler must not inline. */
@@ -59,13 +59,6 @@ typedef struct fb_derivatives {
     int abi_version;
     size_t struct_size;
     fb_sensitivity *sensitivity, *parameter_sensitivity, *input_sensitivity; /* with respect to x, p and r */
-    /* The same derivatives along FB_DIRECTIONS directions of (x, p, r); ... */
-    void (*variation)(double t, const double *x, const double *constants, const double *r, const double *accelerations,
-                      const double *multipliers, const double *directions, double *coordinate_rate_variation,
-                      double *residual_variation);
-    /* ... and those of the results of constraint_violation */
-    void (*constraint_variation)(double t, const double *x, const double *constants, const double *r,
-                                 const double *directions, double *position_variation, double *velocity_variation);
     /* dr/dp of the default inputs, n_r by n_p */
     void (*default_input_sensitivity)(double t, const double *constants, double *default_input_jacobian);
     /* d(J u + b)/dq, dPhi/dr and d(J u + b)/dr */
@@ -88,6 +81,25 @@ typedef struct fb_derivatives {
     void (*motion)(double t, const double *x, const double *constants, const double *r, const double *accelerations,
                    double *coordinate_accelerations, double *point_velocities, double *point_accelerations);
 } fb_derivatives;
+
+/* Products of derivatives with directions and weights, which derivatives of simulations need. */
+typedef struct fb_variations {
+    int abi_version;
+    size_t struct_size;
+    /* Those of fb_sensitivity along FB_DIRECTIONS directions of (x, p, r); ... */
+    void (*variation)(double t, const double *x, const double *constants, const double *r, const double *accelerations,
+                      const double *multipliers, const double *directions, double *coordinate_rate_variation,
+                      double *residual_variation);
+    /* ... and those of the results of constraint_violation */
+    void (*constraint_variation)(double t, const double *x, const double *constants, const double *r,
+                                 const double *directions, double *position_variation, double *velocity_variation);
+    /* For reverse derivatives: the gradient by (x, p, r) of the sum of weights times q' and the residual, ... */
+    void (*pullback)(double t, const double *x, const double *constants, const double *r, const double *accelerations,
+                     const double *multipliers, const double *weights, double *gradient);
+    /* ... and of weights times the results of constraint_violation */
+    void (*constraint_pullback)(double t, const double *x, const double *constants, const double *r,
+                                const double *weights, double *gradient);
+} fb_variations;
 
 typedef struct fb_batch_functions fb_batch_functions; /* fourbar_batch.h */
 
@@ -125,11 +137,18 @@ typedef struct fb_kernel {
                          const double *x, const double *constants, const double *r, double *matrix,
                          double *multiplier_jacobian, void *work);
     /* the changes of x' along FB_DIRECTIONS directions of (x, p, r) */
-    int (*vary)(const fb_derivatives *derivatives, double t, const double *x, const double *constants, const double *r,
-                const double *directions, double *rates, void *work);
+    int (*vary)(const fb_derivatives *derivatives, const fb_variations *variations, double t, const double *x,
+                const double *constants, const double *r, const double *directions, double *rates, void *work);
     /* moves the directions' rows of coordinates and speeds onto the constraints' tangent, mass-orthogonally */
-    int (*vary_closed)(const fb_derivatives *derivatives, double t, const double *x, const double *constants,
-                       const double *r, double *directions, void *work);
+    int (*vary_closed)(const fb_derivatives *derivatives, const fb_variations *variations, double t, const double *x,
+                       const double *constants, const double *r, double *directions, void *work);
+    /* The transposes of both. The gradient by (x, p, r) of the sum of weights times x', n_x, then times the
+     * multipliers, n_l; ... */
+    int (*pull_back)(const fb_derivatives *derivatives, const fb_variations *variations, double t, const double *x,
+                     const double *constants, const double *r, const double *weights, double *gradient, void *work);
+    /* ... and from a gradient by (x, p, r) where x is on the tangent, the one where x is any direction */
+    int (*pull_back_closed)(const fb_derivatives *derivatives, const fb_variations *variations, double t,
+                            const double *x, const double *constants, const double *r, double *gradient, void *work);
     /* u' and the multipliers lambda of M u' = f + J^T lambda */
     int (*accelerations)(double t, const double *x, const double *constants, const double *r, double *accelerations,
                          double *multipliers, void *work);
@@ -180,7 +199,8 @@ typedef struct fb_kernel {
     /* the outputs, for given u' and lambda */
     void (*output)(double t, const double *x, const double *constants, const double *r, const double *accelerations,
                    const double *multipliers, double *outputs);
-    const fb_derivatives *derivatives;         /* or NULL, if they are in a library of their own */
+    const fb_derivatives *derivatives;         /* or NULL, if they are in a library of their own; ... */
+    const fb_variations *variations;           /* ... likewise */
     const fb_batch_functions *batch_functions; /* the same for several states side by side, or NULL */
     int batch_functions_apart;                 /* whether they are in a library of their own */
     int one_machine;                /* whether it was compiled for the processor of one machine; else it is portable */

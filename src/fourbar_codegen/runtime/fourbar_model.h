@@ -43,7 +43,7 @@ typedef struct fb_work {
     double multipliers[FB_AT_LEAST_1(N_L)];
     double residual_jacobian[(N_U + N_L + N_Z) * N_COLUMNS];
 #ifndef FB_LIBRARY
-    double residual_variation[(N_U + N_L + N_Z) * FB_DIRECTIONS];
+    double residual_variation[(N_U + N_L + N_Z) * FB_DIRECTIONS], gradient[N_X + N_P + N_R];
 #endif
 #if N_Z > 0
     double state_rate_acceleration_jacobian[N_Z * N_U], state_rate_multiplier_jacobian[FB_AT_LEAST_1(N_Z * N_L)];
@@ -410,15 +410,16 @@ static int differentiate(const fb_derivatives *derivatives, fb_sensitivity *func
 }
 
 #ifndef FB_LIBRARY
-static int vary(const fb_derivatives *derivatives, double t, const double *x, const double *constants, const double *r,
-                const double *directions, double *rates, void *work)
+static int vary(const fb_derivatives *derivatives, const fb_variations *variations, double t, const double *x,
+                const double *constants, const double *r, const double *directions, double *rates, void *work)
 {
     fb_work *const w = work;
+    (void)derivatives; /* used with state equations */
     const int status = accelerations(t, x, constants, r, w->accelerations, w->multipliers, work);
     if (status != FB_OK)
         return status;
-    derivatives->variation(t, x, constants, r, w->accelerations, w->multipliers, directions, rates,
-                           w->residual_variation);
+    variations->variation(t, x, constants, r, w->accelerations, w->multipliers, directions, rates,
+                          w->residual_variation);
 #if !defined(FB_SPARSE) && !defined(FB_RECURSIVE) && N_Z + N_N == 0
     fb_solve_directions(w->residual_variation, &w->factors, rates + N_Q * FB_DIRECTIONS);
     return all_finite(rates, N_X * FB_DIRECTIONS);
@@ -429,13 +430,14 @@ static int vary(const fb_derivatives *derivatives, double t, const double *x, co
 
 /* The changes of coordinates and speeds that lead along directions onto the constraints' tangent: those of `project`
  * for the derivatives of the violations, by the same orthogonality. */
-static int vary_closed(const fb_derivatives *derivatives, double t, const double *x, const double *constants,
-                       const double *r, double *directions, void *work)
+static int vary_closed(const fb_derivatives *derivatives, const fb_variations *variations, double t, const double *x,
+                       const double *constants, const double *r, double *directions, void *work)
 {
     fb_work *const w = work;
     static const double at_rest[N_U] = {0.0};
     double positions[FB_AT_LEAST_1(N_C + N_I)][FB_DIRECTIONS], velocities[FB_AT_LEAST_1(N_C)][FB_DIRECTIONS];
     double column[FB_AT_LEAST_1(N_C + N_I)], change[N_U], coordinate_changes[FB_AT_LEAST_1(N_Q)];
+    (void)derivatives;
     if (N_C + N_I == 0)
         return FB_OK;
 #ifdef FB_RECURSIVE
@@ -446,7 +448,7 @@ static int vary_closed(const fb_derivatives *derivatives, double t, const double
     const int status = factor_at(t, x, constants, r, w);
     if (status != FB_OK)
         return status;
-    derivatives->constraint_variation(t, x, constants, r, directions, positions[0], velocities[0]);
+    variations->constraint_variation(t, x, constants, r, directions, positions[0], velocities[0]);
     for (int j = 0; j < FB_DIRECTIONS; ++j) {
         for (int i = 0; i < N_C; ++i)
             column[i] = positions[i][j];
@@ -456,7 +458,7 @@ static int vary_closed(const fb_derivatives *derivatives, double t, const double
             directions[i * FB_DIRECTIONS + j] += coordinate_changes[i];
     }
     /* The speeds' constraints depend on the coordinates as well. */
-    derivatives->constraint_variation(t, x, constants, r, directions, positions[0], velocities[0]);
+    variations->constraint_variation(t, x, constants, r, directions, positions[0], velocities[0]);
     for (int j = 0; j < FB_DIRECTIONS; ++j) {
         for (int i = 0; i < N_C; ++i)
             column[i] = velocities[i][j];
@@ -465,6 +467,94 @@ static int vary_closed(const fb_derivatives *derivatives, double t, const double
             directions[(N_Q + i) * FB_DIRECTIONS + j] += change[i];
     }
     return FB_OK;
+}
+
+/* With the changes of u' and lambda as in `solve_columns`, and weights a of u' and l of lambda, the weighted sum is
+ * that of the residual's rows with weights v and m that solve the transposed equations, M v + J^T m = a, -J v = l.
+ * These are the equations of motion with f = a, gamma = l and lambda = -m. Unknown forces n: from G dn = -(their rows).
+ */
+static int pull_back(const fb_derivatives *derivatives, const fb_variations *variations, double t, const double *x,
+                     const double *constants, const double *r, const double *weights, double *gradient, void *work)
+{
+    fb_work *const w = work;
+    (void)derivatives; /* used with state equations */
+    const int status = accelerations(t, x, constants, r, w->accelerations, w->multipliers, work);
+    if (status != FB_OK)
+        return status;
+    double of_accelerations[N_U], of_multipliers[FB_AT_LEAST_1(N_L)], rows[N_Q + N_U + N_L + N_Z];
+    double *const of_residual = rows + N_Q;
+    for (int i = 0; i < N_Q; ++i)
+        rows[i] = weights[i];
+    for (int i = 0; i < N_U; ++i)
+        of_accelerations[i] = weights[N_Q + i];
+    for (int i = 0; i < N_L; ++i)
+        of_multipliers[i] = weights[N_X + i];
+#if N_Z > 0
+    derivatives->state_rate_sensitivity(t, x, constants, r, w->accelerations, w->multipliers,
+                                        w->state_rate_acceleration_jacobian, w->state_rate_multiplier_jacobian);
+    for (int k = 0; k < N_Z; ++k) {
+        const double weight = of_residual[N_U + N_L + k] = weights[N_Q + N_U + k];
+        for (int i = 0; i < N_U; ++i)
+            of_accelerations[i] += w->state_rate_acceleration_jacobian[k * N_U + i] * weight;
+        for (int i = 0; i < N_L; ++i)
+            of_multipliers[i] += w->state_rate_multiplier_jacobian[k * N_L + i] * weight;
+    }
+#endif
+#if N_N > 0
+    fb_response *const s = &w->response;
+    if (!fb_evaluate_forces(t, x, constants, r, w->multipliers + N_C, s))
+        return FB_NOT_FINITE;
+    fb_form_response(w->mass_matrix, &w->factors, s);
+    const int found = fb_pull_back_forces(s, of_accelerations, of_multipliers, of_residual + N_U + N_C);
+    if (found != FB_OK)
+        return found;
+#endif
+    /* Redundant rows: gradients along the tangent do not depend on which of their multipliers are taken. */
+    fb_solve(of_accelerations, of_multipliers, &w->factors, of_residual);
+    fb_multipliers(w->mass_matrix, of_accelerations, of_residual, &w->factors, of_residual + N_U);
+    for (int i = 0; i < N_C; ++i)
+        of_residual[N_U + i] *= -1.0;
+    variations->pullback(t, x, constants, r, w->accelerations, w->multipliers, rows, gradient);
+    return all_finite(gradient, N_X + N_P + N_R);
+}
+
+/* The weighted sum of changes v with M v = J^T lambda, J v + w = 0, with weights a, is that of the rows of w with the
+ * multipliers of the equations of motion for f = a, gamma = 0. */
+static int pull_back_closed(const fb_derivatives *derivatives, const fb_variations *variations, double t,
+                            const double *x, const double *constants, const double *r, double *gradient, void *work)
+{
+    fb_work *const w = work;
+    static const double at_rest[N_U + N_L + 1] = {0.0};
+    double rows[FB_AT_LEAST_1(2 * N_C + N_I)] = {0.0}, of_dynamics[N_Q + N_U + N_L + N_Z] = {0.0}, change[N_U];
+    (void)derivatives;
+    if (N_C + N_I == 0)
+        return FB_OK;
+#ifdef FB_RECURSIVE
+    w->factors.constants = constants;
+#endif
+    dynamics(t, x, constants, r, w->coordinate_rates, w->mass_matrix, w->forcing, w->constraint_jacobian,
+             w->acceleration_bias);
+    const int status = factor_at(t, x, constants, r, w);
+    if (status != FB_OK)
+        return status;
+    /* the speeds, which vary_closed moves last */
+    fb_solve(gradient + N_Q, at_rest, &w->factors, change);
+    fb_multipliers(w->mass_matrix, gradient + N_Q, change, &w->factors, rows + N_C + N_I);
+    variations->constraint_pullback(t, x, constants, r, rows, w->gradient);
+    for (int i = 0; i < N_X + N_P + N_R; ++i)
+        gradient[i] += w->gradient[i];
+    /* the coordinates: q' = K u + k, so K^T is in the derivatives of q' by u */
+    for (int i = 0; i < N_Q; ++i)
+        of_dynamics[i] = gradient[i];
+    variations->pullback(t, x, constants, r, at_rest, at_rest, of_dynamics, w->gradient);
+    fb_solve(w->gradient + N_Q, at_rest, &w->factors, change);
+    for (int i = 0; i < 2 * N_C + N_I; ++i)
+        rows[i] = 0.0;
+    fb_multipliers(w->mass_matrix, w->gradient + N_Q, change, &w->factors, rows);
+    variations->constraint_pullback(t, x, constants, r, rows, w->gradient);
+    for (int i = 0; i < N_X + N_P + N_R; ++i)
+        gradient[i] += w->gradient[i];
+    return all_finite(gradient, N_X + N_P + N_R);
 }
 #endif
 
@@ -497,6 +587,8 @@ const fb_kernel FB_TABLE(kernel) = {
 #ifndef FB_LIBRARY
     .vary = vary,
     .vary_closed = vary_closed,
+    .pull_back = pull_back,
+    .pull_back_closed = pull_back_closed,
 #endif
     .accelerations = accelerations,
 #if N_Z > 0
@@ -527,6 +619,7 @@ const fb_kernel FB_TABLE(kernel) = {
 #endif
 #else
     .derivatives = &FB_DERIVATIVES,
+    .variations = &FB_VARIATIONS,
 #ifdef FB_HAS_BATCH_FUNCTIONS
     .batch_functions = &FB_TABLE(batch_functions),
     .instructions = FB_INSTRUCTIONS,

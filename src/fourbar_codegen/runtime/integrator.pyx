@@ -5,11 +5,11 @@ cimport cython
 cimport numpy as cnp
 from cpython.mem cimport PyMem_Calloc, PyMem_Free
 from libc.math cimport INFINITY
-from libc.string cimport memcpy
+from libc.string cimport memcpy, memset
 
 from fourbar_codegen.runtime.evaluator cimport (
     FB_OK, Evaluator, data, fb_all_time, fb_clock, fb_derivatives, fb_fill_inputs, fb_finite, fb_kernel,
-    fb_problem, fb_problem_jacobian, fb_problem_project, fb_problem_rates, fb_source, fb_table, fb_time,
+    fb_problem, fb_problem_jacobian, fb_problem_project, fb_problem_rates, fb_source, fb_table, fb_time, fb_variations,
     new_array, number, numbers, rows, time_of, vector)
 
 import numpy as np
@@ -26,6 +26,7 @@ cdef extern from "fourbar_forward.h":
     int FB_DIRECTIONS
     ctypedef struct fb_forward:
         const fb_derivatives *derivatives
+        const fb_variations *variations
         int n_blocks, size, fsal
         double *directions
         double *s
@@ -47,6 +48,11 @@ cdef extern from "fourbar_integrate.h":
     int FB_RUN_INFINITE
     int FB_RUN_COLLAPSED
     int FB_RUN_DIVERGED
+    ctypedef struct fb_steps:
+        long n, room
+        double *rows
+        long *sample_row
+        double *sample_t
     ctypedef struct fb_run:
         fb_problem *problem
         const fb_tableau *method
@@ -55,6 +61,7 @@ cdef extern from "fourbar_integrate.h":
         fb_forward *forward
         int (*vary)(fb_run *) noexcept nogil
         int (*vary_sample)(fb_run *, double, const double *) noexcept nogil
+        fb_steps *steps
         int n, padded
         double direction, t_bound, max_step
         const double *rtol
@@ -90,11 +97,28 @@ cdef extern from "fourbar_integrate.h":
     double fb_fixed_time(const fb_run *, double, long) noexcept nogil
     int fb_fixed_step(fb_run *, double) noexcept nogil
     int fb_run_on(fb_run *, long) noexcept nogil
+    void fb_keep_step(fb_run *, double) noexcept nogil
     int fb_project_sample(fb_problem *, double, double *) noexcept nogil
     int fb_state_at(fb_run *, double, double *) noexcept nogil
     int fb_prepare_interpolant(fb_run *) noexcept nogil
     void fb_interpolate(const fb_tableau *, const double *, int, int, const double *, double, double *) noexcept nogil
     int fb_event_values(fb_run *, double, const double *, double *) noexcept nogil
+
+
+cdef extern from "fourbar_adjoint.h":
+    ctypedef struct fb_adjoint:
+        const fb_derivatives *derivatives
+        const fb_variations *variations
+        const double *rows
+        const long *sample_row
+        const double *sample_t
+        const double *by_states
+        const double *by_outputs
+        double *by_state
+        double *by_parameters
+        double **by_source
+    int fb_pull_back_step(fb_run *, fb_adjoint *, long, long *) noexcept nogil
+    size_t fb_place_adjoint(const fb_run *, fb_adjoint *, double *) noexcept nogil
 
 
 cdef extern from "fourbar_augmented.h":
@@ -626,6 +650,12 @@ cdef class Run:
     cdef int n_directions
     cdef cnp.ndarray kept_s
     cdef list varied
+    cdef fb_steps steps
+    cdef cnp.ndarray kept_rows
+    cdef cnp.ndarray kept_places
+    cdef cnp.ndarray kept_since
+    cdef list places
+    cdef list clocks
 
     # In C, times are relative to the beginning, so that their resolution does not depend on it; outside, absolute.
 
@@ -675,6 +705,7 @@ cdef class Run:
         cdef double *filled = <double *>self._keep(memory)
         fb_place_forward(&self.run, n_blocks, &self.forward, filled)
         self.forward.derivatives = self.ode.evaluator.derivatives()
+        self.forward.variations = self.ode.evaluator.variations()
         padded = np.zeros((n_blocks, n_x + n_p + kernel.n_r, FB_DIRECTIONS))
         for block in range(n_blocks):
             columns = directions[:, block * FB_DIRECTIONS:(block + 1) * FB_DIRECTIONS]
@@ -687,6 +718,29 @@ cdef class Run:
         if self.run.project:
             self.ode.check(fb_forward_close(&self.run, self.run.t, self.run.x, self.forward.s))
         self._make_room(self.run.room)
+
+    def keep_steps(self):
+        """Also keep the steps, for `Steps`, before `begin`."""
+        self.run.steps, self.places, self.clocks = &self.steps, [], [(0, -INFINITY, INFINITY)]
+        self.kept_rows = new_array(256, 2 + self.run.n)
+        self.steps.rows, self.steps.room = data(self.kept_rows), 256
+        self._make_room(self.run.room)
+        fb_keep_step(&self.run, 0.0)
+
+    cdef int _make_room_for_steps(self) except -1:
+        cdef cnp.ndarray larger
+        if self.steps.n == self.steps.room:
+            larger = new_array(2 * self.steps.room, 2 + self.run.n)
+            memcpy(data(larger), self.steps.rows, self.steps.n * (2 + self.run.n) * sizeof(double))
+            self.kept_rows = larger
+            self.steps.rows, self.steps.room = data(larger), 2 * self.steps.room
+        return 0
+
+    def steps_kept(self, long n):
+        """The steps, and the first n samples."""
+        places, times = (np.concatenate(parts)[:n] for parts in zip(*self.places))
+        return Steps(self.ode, self.method, bool(self.run.project), self.ode.problem.clock.origin,
+                     self.kept_rows[:self.steps.n].copy(), places, times, self.clocks)
 
     @property
     def sensitivities(self):
@@ -715,6 +769,9 @@ cdef class Run:
         samples = (times, states)
         if self.run.forward:
             self.varied.append(self.kept_s[:n].copy())
+        if self.run.steps:
+            self.places.append((self.kept_places[:n].copy(), self.kept_since[:n].copy()))
+            self._make_room_for_steps()
         if n == self.run.room:
             self._make_room(2 * n)
         self.run.n_samples = 0
@@ -726,6 +783,10 @@ cdef class Run:
         if self.run.forward:
             self.kept_s = new_array(room, self.forward.size)
             self.forward.samples = data(self.kept_s)
+        if self.run.steps:
+            self.kept_places, self.kept_since = np.empty(room, dtype="l"), new_array(room)
+            self.steps.sample_row = <long *>cnp.PyArray_DATA(self.kept_places)
+            self.steps.sample_t = data(self.kept_since)
         return 0
 
     def begin(self):
@@ -760,6 +821,11 @@ cdef class Run:
             self.forward.fsal = 0
             if x is not None and run.project:
                 self.ode.check(fb_forward_close(run, run.t, run.x, self.forward.s))
+        if run.steps:
+            self.clocks.append((self.steps.n, min(first, last), max(first, last)))
+            if x is not None:
+                self._make_room_for_steps()
+                fb_keep_step(run, 0.0)
         self.ode.check(fb_augmented_begin(run) if run.augmented else fb_resume(run))
         if run.n_events:
             memcpy(run.event_old, run.event_value, run.n_events * sizeof(double))
@@ -823,6 +889,8 @@ cdef class Run:
         memcpy(self.run.x, self.run.x_old, self.run.n * sizeof(double))
         if self.run.forward:
             memcpy(self.forward.s, self.forward.s_old, self.forward.size * sizeof(double))
+        if self.run.steps:
+            self.steps.n -= 1
         self.run.t, self.run.pending = self.run.t_old, 0
 
     def dense_output(self):
@@ -875,6 +943,116 @@ cdef class Run:
         cdef int i
         return ([self.run.event_old[i] for i in range(self.run.n_events)],
                 [self.run.event_value[i] for i in range(self.run.n_events)])
+
+
+cdef class Steps:
+    """The steps of a run, to differentiate costs of its samples backwards: see ``fourbar_adjoint.h``.
+
+    Parameters
+    ----------
+    ode : Ode
+    method : {"RK45", "DOP853"}
+    project : bool
+    origin : float
+        The beginning of the run, to which times are relative.
+    ends : ndarray, shape (n, 2 + n_x)
+        Time and state at the ends of steps, and their lengths before the state; the length is 0 where the run begins,
+        or continues from another state.
+    places : ndarray of int, shape (n_t,)
+        For each sample the number of the row whose step contains it.
+    times : ndarray, shape (n_t,)
+        Of the samples.
+    clocks : list of (int, float, float)
+        The first row of each piece between discontinuities, and the first and last time at which inputs are evaluated.
+    """
+
+    cdef Ode ode
+    cdef str method
+    cdef bint project
+    cdef double origin
+    cdef cnp.ndarray ends
+    cdef cnp.ndarray places
+    cdef cnp.ndarray times
+    cdef list clocks
+
+    def __cinit__(self, Ode ode not None, str method, bint project, double origin, ends, places, times, list clocks):
+        self.ode, self.method, self.project, self.origin = ode, method, project, origin
+        self.ends, self.places, self.times, self.clocks = ends, places, times, clocks
+
+    def __reduce__(self):
+        return Steps, (self.ode, self.method, bool(self.project), self.origin, self.ends, self.places, self.times,
+                       self.clocks)
+
+    @property
+    def start(self):
+        """The initial state, shape (n_x,)."""
+        return np.array(self.ends[0, 2:])
+
+    def gradient(self, by_states, by_outputs=None):
+        """The gradient of a cost from its derivatives by the samples' states, (n_t, n_x), and outputs, (n_t, n_o).
+
+        Returns
+        -------
+        by_start : ndarray, shape (n_x,)
+            By the initial state.
+        by_parameters : ndarray, shape (n_p,)
+        by_sources : list of ndarray
+            For each input by its value, shape (1,); or by the coefficients of its table, interval by interval, then its
+            values before and after; None without a source.
+
+        Raises
+        ------
+        SimulationError
+            If the equations have no derivative at a state of the run.
+        """
+        cdef Ode ode = _ode(*self.ode.__reduce__()[1])  # with buffers of its own
+        cdef fb_run run
+        cdef fb_adjoint adjoint
+        cdef cnp.ndarray state_seeds = np.ascontiguousarray(by_states, dtype=np.float64), output_seeds
+        cdef cnp.ndarray memory, small, part
+        cdef long row, sample = np.size(self.times), until
+        cdef int status = FB_OK, n_stages, n_dense
+        memset(&run, 0, sizeof(run))
+        memset(&adjoint, 0, sizeof(adjoint))
+        _prepare(&run, ode, tableau_of(self.method))
+        run.project = self.project
+        n_stages, n_dense = run.method.n_stages + 1 + run.method.n_extra, run.method.n_dense + 3
+        small = _zeros(5 + n_stages + n_dense, run.padded)
+        run.x, run.x_old, run.scratch = data(small), data(small) + run.padded, data(small) + 2 * run.padded
+        run.along, run.stages = data(small) + 3 * run.padded, data(small) + 5 * run.padded
+        run.interpolant = run.stages + n_stages * run.padded
+        memory = np.zeros(fb_place_adjoint(&run, &adjoint, NULL))
+        fb_place_adjoint(&run, &adjoint, data(memory))
+        adjoint.derivatives, adjoint.variations = ode.evaluator.derivatives(), ode.evaluator.variations()
+        adjoint.rows = data(self.ends)
+        adjoint.sample_row, adjoint.sample_t = <const long *>cnp.PyArray_DATA(self.places), data(self.times)
+        adjoint.by_states = data(state_seeds)
+        if by_outputs is not None:
+            output_seeds = np.ascontiguousarray(by_outputs, dtype=np.float64)
+            adjoint.by_outputs = data(output_seeds)
+        by_sources = [None if source is None else np.zeros(
+            np.size((<Table>source).coefficients) + 2 if type(source) is Table else 1) for source in ode.sources]
+        cdef cnp.ndarray addresses = np.array([part.ctypes.data for part in by_sources if part is not None] or [0],
+                                              dtype=np.uintp)
+        adjoint.by_source = <double **>cnp.PyArray_DATA(addresses)
+        row = np.shape(self.ends)[0] - 1
+        for first_row, first, last in reversed(self.clocks):
+            ode.problem.clock = fb_clock(origin=self.origin, first=first, last=last)
+            while row >= first_row and status == FB_OK:
+                until = max(first_row, row - 1000)  # then interrupts are possible
+                with nogil:
+                    while row >= until and status == FB_OK:
+                        status = fb_pull_back_step(&run, &adjoint, row, &sample)
+                        row -= 1
+        if status != FB_OK:
+            raise SimulationError(
+                f"There is no gradient: {ode.evaluator.failure(status, self.origin + run.t, _state_of(&run))}")
+        start, by_parameters = new_array(run.n), new_array(ode.evaluator.n_p)
+        part = start
+        memcpy(data(part), adjoint.by_state, run.n * sizeof(double))
+        part = by_parameters
+        memcpy(data(part), adjoint.by_parameters, ode.evaluator.n_p * sizeof(double))
+        return start, by_parameters, by_sources
 
 
 @cython.final

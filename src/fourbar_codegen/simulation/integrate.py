@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fourbar_codegen.analysis.initial_sensitivity import Directions
 from fourbar_codegen.errors import SimulationError
 from fourbar_codegen.kernel.consistency import consistent, left
 from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.kernel.sensitivity import Directions
+from fourbar_codegen.results.gradient import KeptSteps
 from fourbar_codegen.results.trajectory import Trajectory, make_trajectory
 from fourbar_codegen.runtime.integrator import Ode, Run
 from fourbar_codegen.simulation.discontinuities import Pieces, discontinuities
@@ -98,6 +99,8 @@ def integrate(
         run = Run(ode, method, t_begin, start, t_bound, max_step, rtol, atol, options.project, t_eval, outputs, look)
         if directions is not None:
             run.vary(directions.matrix)
+        if options.gradient:
+            run.keep_steps()
     run.begin()
     if watch:
         watch.begin(run)
@@ -191,6 +194,17 @@ def integrate(
         inputs=options.inputs or {},
         sensitivity=dict(zip(directions.names, run.sensitivities[..., : t.size], strict=True))
         if directions is not None and isinstance(run, Run)
+        else None,
+        steps=KeptSteps(
+            model=model,
+            steps=run.steps_kept(t.size),
+            t=t_begin,
+            n_t=t.size,
+            parameters=options.parameters,
+            inputs=options.inputs or {},
+            starts_from_x0=options.x0 is not None,
+        )
+        if options.gradient and isinstance(run, Run)
         else None,
     )
 

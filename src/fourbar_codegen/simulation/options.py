@@ -79,6 +79,7 @@ class RunOptions(NamedTuple):
     progress: Callable[[float], object] | Literal[False] | None
     sensitivities: tuple[str, ...]
     dx0: Mapping[str, Floats]
+    gradient: bool
     project: bool
 
     @classmethod
@@ -104,6 +105,7 @@ class RunOptions(NamedTuple):
         progress: Any = None,
         sensitivities: Any = (),
         dx0: Any = None,
+        gradient: bool = False,
     ) -> RunOptions:
         """Check the given arguments.
 
@@ -144,8 +146,9 @@ class RunOptions(NamedTuple):
             _max_steps(max_steps, method, span, max_step),
             formulation,
             progress,
-            names := _sensitivities(sensitivities, method, constraints),
+            names := _sensitivities(sensitivities, gradient, method, constraints),
             {} if dx0 is None else _start(model, dx0, x0, names),
+            flag(gradient, "gradient"),
             project,
         )
 
@@ -167,17 +170,18 @@ class RunOptions(NamedTuple):
         return settings
 
 
-def _sensitivities(given: Any, method: str, constraints: str) -> tuple[str, ...]:
+def _sensitivities(given: Any, gradient: bool, method: str, constraints: str) -> tuple[str, ...]:
     if is_mapping(given):
         raise ModelError(f"sensitivities must be names of parameters and initial values, not {shown(given)}.")
     try:
         names = (given,) if isinstance(given, str) else tuple(given)
     except TypeError:
         names = (given,)
-    if names and method not in METHODS:
-        raise ModelError(f"{method} has no sensitivities: use {' or '.join(METHODS)}.")
-    if names and constraints == "baumgarte":
-        raise ModelError('There are no sensitivities with constraints="baumgarte": use "project" or "none".')
+    what = "sensitivities" if names else "gradient"
+    if (names or gradient) and method not in METHODS:
+        raise ModelError(f"{method} has no {what}: use {' or '.join(METHODS)}.")
+    if (names or gradient) and constraints == "baumgarte":
+        raise ModelError(f'There are no {what} with constraints="baumgarte": use "project" or "none".')
     return tuple(map(name_of, names))
 
 

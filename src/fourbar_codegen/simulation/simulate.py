@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.analysis.initial_sensitivity import Directions, directions_of, follow
 from fourbar_codegen.analysis.initial_state import initial_state
 from fourbar_codegen.arguments import Values, finite_number, name_of, named_array
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.kernel.consistency import check_start, consistent, projects
 from fourbar_codegen.kernel.inputs import InputSource, bind
 from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.kernel.sensitivity import Directions, directions_of, follow, moving_breakpoints
 from fourbar_codegen.progress import PATIENCE, Progress
 from fourbar_codegen.results.trajectory import Trajectory
 from fourbar_codegen.runtime.integrator import Stepper
@@ -41,6 +41,8 @@ def simulate(model: Kernel, options: RunOptions) -> Trajectory:
     if options.stabilization is not None:
         ode.stabilization = options.stabilization
     check_start(model, ode, start, state, p, passes=options.method == FIXED_STEP)
+    if options.sensitivities or options.gradient:
+        _check_differentiable(options)
     directions = _directions(model, options, state) if options.sensitivities else None
     if report is not None:
         return integrate(model, ode, state, options, report or None, directions)
@@ -52,18 +54,20 @@ def simulate(model: Kernel, options: RunOptions) -> Trajectory:
         return integrate(model, ode, state, options, told, directions)
 
 
-def _directions(model: Kernel, options: RunOptions, state: Floats) -> Directions:
-    """The directions of sensitivities at the beginning."""
-    found = directions_of(model, options.sensitivities)
+def _check_differentiable(options: RunOptions) -> None:
     for key, source in (options.inputs or {}).items():
         if callable(source):
             raise ModelError(f"Input {name_of(key)} is a callable, whose derivatives are not known: use a table.")
-    for name in found.names:
-        if name in model.parameters and _moves_breakpoints(model, options.parameters, name):
-            raise ModelError(
-                f"Expressions of the model have a jump or a kink at times that depend on {name}: there are no "
-                "sensitivities with respect to it."
-            )
+
+
+def _directions(model: Kernel, options: RunOptions, state: Floats) -> Directions:
+    """The directions of sensitivities at the beginning."""
+    found = directions_of(model, options.sensitivities)
+    for name in moving_breakpoints(model, options.parameters, [n for n in found.names if n in model.parameters]):
+        raise ModelError(
+            f"Expressions of the model have a jump or a kink at times that depend on {name}: there are no "
+            "sensitivities with respect to it."
+        )
     # Parameters do not move a given initial state, except onto the constraints.
     moved = np.full(len(found.names), True) if options.x0 is None else found.matrix[: model.n_x].any(axis=0)
     moved = moved & np.array([name not in options.dx0 for name in found.names])
@@ -72,13 +76,6 @@ def _directions(model: Kernel, options: RunOptions, state: Floats) -> Directions
         matrix[: model.n_x, found.names.index(name)] = derivative
     matrix[:, moved] = follow(model, options.t_span[0], state, matrix[:, moved], options.parameters, options.inputs)
     return Directions(found.names, matrix)
-
-
-def _moves_breakpoints(model: Kernel, parameters: Floats | None, name: str) -> bool:
-    p = np.array([*model.defaults.values()], dtype=float) if parameters is None else parameters
-    changed, place = p.copy(), model.parameters.index(name)
-    changed[place] += 1e-6 * (abs(p[place]) or 1.0)
-    return not np.array_equal(model.breakpoints(p), model.breakpoints(changed), equal_nan=True)
 
 
 def make_stepper(

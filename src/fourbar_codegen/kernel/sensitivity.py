@@ -1,4 +1,4 @@
-"""Derivatives of initial states: dependent coordinates and speeds follow from loop closure."""
+"""What a run can be differentiated by: parameters, and initial values, from which dependent ones follow."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fourbar_codegen.errors import AssemblyError, ModelError, meant
 from fourbar_codegen.kernel.inputs import InputSource, inputs_at
 from fourbar_codegen.kernel.kernel import Kernel
 
-__all__ = ["Directions", "directions_of", "follow", "initial_derivatives"]
+__all__ = ["Directions", "directions_of", "follow", "initial_derivatives", "moving_breakpoints"]
 
 Floats = NDArray[np.float64]
 
@@ -130,6 +130,18 @@ def initial_derivatives(
     directions = directions_of(model, names)
     found = follow(model, t, x, directions.matrix, parameters, inputs)
     return dict(zip(names, found[: model.n_x].T, strict=True))
+
+
+def moving_breakpoints(model: Kernel, parameters: Floats | None, names: Sequence[str]) -> list[str]:
+    """The parameters on which the times of jumps and kinks of the model's expressions depend."""
+    p = np.array([*model.defaults.values()], dtype=float) if parameters is None else parameters
+    before, found = model.breakpoints(p), []
+    for name in names if before.size else ():
+        changed, place = p.copy(), model.parameters.index(name)
+        changed[place] += 1e-6 * (abs(p[place]) or 1.0)
+        if not np.array_equal(before, model.breakpoints(changed), equal_nan=True):
+            found.append(name)
+    return found
 
 
 def _independent(model: Kernel) -> tuple[str, ...]:

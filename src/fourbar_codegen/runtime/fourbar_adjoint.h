@@ -1,0 +1,323 @@
+/* The gradient of a cost of a run's samples, by one sweep backwards over its steps.
+ *
+ * The Runge-Kutta steps are differentiated as they were taken, with their lengths held: the discrete adjoint. With l,
+ * the gradient by the state at the end of a step, and stages k_j = f(X_j), X_j = x + h sum_i a_ji k_i,
+ *
+ *     g_j = h (b_j l + sum_i>j a_ij f_x(X_i)^T g_i),     l_old = l + sum_j f_x(X_j)^T g_j,
+ *
+ * and f_p(X_j)^T g_j is added to the gradient by parameters. Before it, l is pulled back through the projection, as
+ * fourbar_forward.h differentiates it. The states at the ends of steps are the checkpoints: stages are evaluated again.
+ *
+ * Source: A. Walther, "Automatic differentiation of explicit Runge-Kutta methods for optimal control", Computational
+ * Optimization and Applications 36 (2007).
+ */
+#ifndef FOURBAR_ADJOINT_H
+#define FOURBAR_ADJOINT_H
+
+#include "fourbar_integrate.h"
+
+typedef struct fb_adjoint {
+    const fb_derivatives *derivatives;
+    const fb_variations *variations;
+    const double *rows; /* (n_rows, 2 + n_x), as `fb_steps` */
+    /* the samples: the row whose step contains each, and its time; cost's derivatives by states and outputs there */
+    long n_samples;
+    const long *sample_row;
+    const double *sample_t, *by_states, *by_outputs; /* the latter (n_samples, n_o), or NULL */
+    /* the results: by the state where the sweep has arrived, by parameters, and for each source of an input by its
+     * value or its table's coefficients, then its values before and after */
+    double *by_state, *by_parameters, **by_source;
+    /* scratch */
+    double *gradient;                  /* (n_x + n_p + n_r,) */
+    double *weights;                   /* (n_x + n_l,) */
+    double *by_stages, *by_pieces;     /* (n_rows of stages or interpolant, padded) */
+    double *by_start, *by_end, *at;    /* (padded,) */
+    double *jacobian, *input_jacobian; /* (n_o, n_x, n_p, n_r or n_u + n_l), (n_r, n_p) */
+    double *solution;                  /* (n_u + n_l,) */
+} fb_adjoint;
+
+/* A gradient by inputs is one by what they are made of. */
+static inline void fb_pull_back_inputs(const fb_problem *p, fb_adjoint *a, const double t, double *by_inputs)
+{
+    const fb_kernel *const k = p->kernel;
+    for (int i = 0; i < p->n_sources; ++i) {
+        const fb_source *const source = p->sources + i;
+        const double by_input = by_inputs[source->input];
+        double *const to = a->by_source[i];
+        by_inputs[source->input] = 0.0;
+        if (source->table == NULL) {
+            to[0] += by_input;
+            continue;
+        }
+        const fb_table *const table = source->table;
+        const int n = table->n_coefficients, size = table->n_intervals * n;
+        if (t < table->times[0])
+            to[size] += by_input;
+        else if (t > table->times[table->n_intervals])
+            to[size + 1] += by_input;
+        else {
+            double power = by_input;
+            for (int j = n - 1; j >= 0; --j, power *= t - table->times[source->interval])
+                to[source->interval * n + j] += power;
+        }
+    }
+    if (p->n_sources == k->n_r)
+        return;
+    a->derivatives->default_input_sensitivity(t, p->constants, a->input_jacobian);
+    for (int i = 0; i < k->n_r; ++i)
+        for (int j = 0; j < k->n_p && by_inputs[i] != 0.0; ++j)
+            a->by_parameters[j] += a->input_jacobian[i * k->n_p + j] * by_inputs[i];
+}
+
+/* Takes what the kernel has put into `gradient`: the part of x is added to `by_state`. */
+static inline void fb_take_gradient(const fb_problem *p, fb_adjoint *a, const double t, double *by_state)
+{
+    const fb_kernel *const k = p->kernel;
+    for (int i = 0; i < k->n_x; ++i)
+        by_state[i] += a->gradient[i];
+    for (int i = 0; i < k->n_p; ++i)
+        a->by_parameters[i] += a->gradient[k->n_x + i];
+    if (k->n_r > 0)
+        fb_pull_back_inputs(p, a, t, a->gradient + k->n_x + k->n_p);
+}
+
+/* Adds f_x^T g to `by_state`. */
+static inline int fb_pull_back_rates(fb_problem *p, fb_adjoint *a, const double since, const double *x,
+                                     const double *by_rates, double *by_state)
+{
+    const fb_kernel *const k = p->kernel;
+    const double t = fb_time(&p->clock, since);
+    fb_fill_inputs(p, t, x);
+    memcpy(a->weights, by_rates, (size_t)k->n_x * sizeof *by_rates);
+    memset(a->weights + k->n_x, 0, (size_t)k->n_l * sizeof *by_rates);
+    const int status =
+        k->pull_back(a->derivatives, a->variations, t, x, p->constants, p->inputs, a->weights, a->gradient, p->work);
+    if (status == FB_OK)
+        fb_take_gradient(p, a, t, by_state);
+    return status;
+}
+
+/* A gradient at a state that satisfies the constraints, before the state was projected. */
+static inline int fb_pull_back_projection(fb_problem *p, fb_adjoint *a, const double since, const double *x,
+                                          double *by_state)
+{
+    const fb_kernel *const k = p->kernel;
+    const double t = fb_time(&p->clock, since);
+    fb_fill_inputs(p, t, x);
+    memcpy(a->gradient, by_state, (size_t)k->n_x * sizeof *by_state);
+    memset(a->gradient + k->n_x, 0, (size_t)(k->n_p + k->n_r) * sizeof *by_state);
+    memset(by_state, 0, (size_t)k->n_x * sizeof *by_state);
+    const int status =
+        k->pull_back_closed(a->derivatives, a->variations, t, x, p->constants, p->inputs, a->gradient, p->work);
+    if (status == FB_OK)
+        fb_take_gradient(p, a, t, by_state);
+    return status;
+}
+
+static inline void fb_add_products(const double *matrix, const double *weights, const int rows, const int columns,
+                                   double *sums)
+{
+    for (int i = 0; i < rows; ++i)
+        for (int j = 0; j < columns && weights[i] != 0.0; ++j)
+            sums[j] += weights[i] * matrix[i * columns + j];
+}
+
+/* Adds the gradient by x of weighted outputs to `by_state`. */
+static inline int fb_pull_back_outputs(fb_problem *p, fb_adjoint *a, const double since, const double *x,
+                                       const double *by_outputs, double *by_state)
+{
+    const fb_kernel *const k = p->kernel;
+    const fb_derivatives *const d = a->derivatives;
+    const double t = fb_time(&p->clock, since);
+    const int n_x = k->n_x, n_p = k->n_p, n_r = k->n_r, n_o = k->n_o;
+    double *const u = a->solution, *const l = a->solution + k->n_u, *const c = p->constants, *const g = a->gradient;
+    fb_fill_inputs(p, t, x);
+    int status = k->accelerations(t, x, c, p->inputs, u, l, p->work);
+    if (status != FB_OK)
+        return status;
+    memset(g, 0, (size_t)(n_x + n_p + n_r) * sizeof *g);
+    d->output_sensitivity(t, x, c, p->inputs, u, l, a->jacobian);
+    fb_add_products(a->jacobian, by_outputs, n_o, n_x, g);
+    d->output_parameter_sensitivity(t, x, c, p->inputs, u, l, a->jacobian);
+    fb_add_products(a->jacobian, by_outputs, n_o, n_p, g + n_x);
+    d->output_input_sensitivity(t, x, c, p->inputs, u, l, a->jacobian);
+    fb_add_products(a->jacobian, by_outputs, n_o, n_r, g + n_x + n_p);
+    fb_take_gradient(p, a, t, by_state);
+    d->output_solution_sensitivity(t, x, c, p->inputs, u, l, a->jacobian, a->jacobian + n_o * k->n_u);
+    memset(a->weights, 0, (size_t)(n_x + k->n_l) * sizeof *g);
+    fb_add_products(a->jacobian, by_outputs, n_o, k->n_u, a->weights + k->n_q);
+    fb_add_products(a->jacobian + n_o * k->n_u, by_outputs, n_o, k->n_l, a->weights + n_x);
+    status = k->pull_back(d, a->variations, t, x, c, p->inputs, a->weights, g, p->work);
+    if (status == FB_OK)
+        fb_take_gradient(p, a, t, by_state);
+    return status;
+}
+
+/* The cost's derivative by the state at a sample. */
+static inline int fb_pull_back_sample(fb_problem *p, fb_adjoint *a, const long sample, const double *x,
+                                      double *by_state)
+{
+    const int n_x = p->kernel->n_x, n_o = p->kernel->n_o;
+    for (int i = 0; i < n_x; ++i)
+        by_state[i] += a->by_states[sample * n_x + i];
+    if (a->by_outputs == NULL)
+        return FB_OK;
+    return fb_pull_back_outputs(p, a, a->sample_t[sample], x, a->by_outputs + sample * n_o, by_state);
+}
+
+static inline void fb_add_scaled(const int n, const double factor, const double *from, double *to)
+{
+    for (int i = 0; i < n; ++i)
+        to[i] += factor * from[i];
+}
+
+/* Adds the weighted gradient by a combination of stages to those by the stages. */
+static inline void fb_spread(const fb_run *s, const fb_weights *w, const double factor, const double *from,
+                             fb_adjoint *a)
+{
+    for (int j = 0; j < w->n; ++j)
+        fb_add_scaled(s->n, factor * w->weight[j], from, a->by_stages + w->stage[j] * s->padded);
+}
+
+/* Gradients by the interpolant's coefficients, its start and its end become those by its stages. */
+static inline int fb_pull_back_interpolant(fb_run *s, fb_adjoint *a)
+{
+    const fb_tableau *const m = s->method;
+    const int n = s->n, padded = s->padded, end = m->n_stages;
+    int status = FB_OK;
+    const double *pieces = a->by_pieces;
+    if (m->hermite) {
+        const double *const p0 = pieces, *const p1 = pieces + padded, *const p2 = pieces + 2 * padded;
+        for (int i = 0; i < n; ++i) {
+            const double by_change = p0[i] - p1[i] + 2.0 * p2[i];
+            a->by_end[i] += by_change;
+            a->by_start[i] -= by_change;
+            a->by_stages[i] += s->h * (p1[i] - p2[i]);
+            a->by_stages[end * padded + i] -= s->h * p2[i];
+        }
+        pieces += 3 * padded;
+    }
+    for (int i = 0; i < m->n_dense; ++i)
+        fb_spread(s, s->dense + i, s->h, pieces + i * padded, a);
+    for (int i = m->n_extra - 1; i >= 0 && status == FB_OK; --i) {
+        fb_combine(s, s->more + i, s->h, s->x_old, s->scratch);
+        memset(a->at, 0, (size_t)n * sizeof *a->at);
+        status = fb_pull_back_rates(s->problem, a, s->t_old + m->c_extra[i] * s->h, s->scratch,
+                                    a->by_stages + (end + 1 + i) * padded, a->at);
+        fb_add_scaled(n, 1.0, a->at, a->by_start);
+        fb_spread(s, s->more + i, s->h, a->at, a);
+    }
+    if (status == FB_OK)
+        status = fb_pull_back_rates(s->problem, a, s->t, s->x, a->by_stages + end * padded, a->by_end);
+    return status;
+}
+
+/* The samples within a step, at states that the interpolant gives. */
+static inline int fb_pull_back_samples_within(fb_run *s, fb_adjoint *a, const long first, const long end)
+{
+    const fb_tableau *const m = s->method;
+    const int n = s->n, top = m->n_dense + (m->hermite ? 3 : 0);
+    int status = fb_evaluate(s, s->t, s->x, s->stages + m->n_stages * s->padded);
+    memset(a->by_pieces, 0, (size_t)(top * s->padded) * sizeof *a->by_pieces);
+    for (long sample = first; sample < end && status == FB_OK; ++sample) {
+        double *const at = a->at, *const by_sample = s->along;
+        status = fb_state_at(s, a->sample_t[sample], at);
+        memset(by_sample, 0, (size_t)n * sizeof *by_sample);
+        if (status == FB_OK)
+            status = fb_pull_back_sample(s->problem, a, sample, at, by_sample);
+        if (status == FB_OK && s->project)
+            status = fb_pull_back_projection(s->problem, a, a->sample_t[sample], at, by_sample);
+        /* the factors of fb_interpolate */
+        const double y = (a->sample_t[sample] - s->t_old) / s->h;
+        double factor = 1.0;
+        for (int k = 0; k < top; ++k) {
+            factor *= m->hermite && (top - 1 - k) % 2 ? 1.0 - y : y;
+            fb_add_scaled(n, factor, by_sample, a->by_pieces + k * s->padded);
+        }
+        fb_add_scaled(n, 1.0, by_sample, a->by_start);
+    }
+    return status == FB_OK ? fb_pull_back_interpolant(s, a) : status;
+}
+
+/* From the end of the step of a row to its beginning; the samples before number `*sample` belong to it. */
+static inline int fb_pull_back_step(fb_run *s, fb_adjoint *a, const long row, long *sample)
+{
+    const fb_tableau *const m = s->method;
+    const int n = s->n, width = 2 + n, n_stages = m->n_stages;
+    const double *const to = a->rows + row * width;
+    int status = FB_OK;
+    s->t = to[0];
+    memcpy(s->x, to + 2, (size_t)n * sizeof *to);
+    while (*sample > 0 && a->sample_row[*sample - 1] == row && a->sample_t[*sample - 1] == s->t && status == FB_OK)
+        status = fb_pull_back_sample(s->problem, a, --*sample, s->x, a->by_state);
+    if (status != FB_OK)
+        return status;
+    if (to[1] == 0.0) /* where the run begins or continues from another state */
+        return s->project ? fb_pull_back_projection(s->problem, a, s->t, s->x, a->by_state) : FB_OK;
+    const long last = *sample;
+    while (*sample > 0 && a->sample_row[*sample - 1] == row)
+        --*sample;
+    /* the stages again */
+    const double *const from = to - width;
+    memcpy(s->x_old, from + 2, (size_t)n * sizeof *to);
+    double *const x = s->x;
+    s->t_old = s->t = from[0];
+    s->x = s->x_old;
+    s->h = to[1];
+    s->fsal = 1;
+    s->interpolant_valid = 0;
+    status = fb_evaluate(s, s->t, s->x, s->stages);
+    if (status == 0)
+        status = fb_stages(s, s->h);
+    s->x = x;
+    s->t = to[0];
+    memset(a->by_stages, 0, (size_t)((n_stages + 1 + m->n_extra) * s->padded) * sizeof *a->by_stages);
+    memset(a->by_start, 0, (size_t)n * sizeof *a->by_start);
+    memcpy(a->by_end, a->by_state, (size_t)n * sizeof *a->by_end);
+    if (status == FB_OK && *sample < last)
+        status = fb_pull_back_samples_within(s, a, *sample, last);
+    if (status == FB_OK && s->project)
+        status = fb_pull_back_projection(s->problem, a, s->t, s->x, a->by_end);
+    fb_add_scaled(n, 1.0, a->by_end, a->by_start);
+    fb_spread(s, s->stage + n_stages, s->h, a->by_end, a);
+    for (int k = n_stages - 1; k >= 0 && status == FB_OK; --k) {
+        if (k > 0)
+            fb_combine(s, s->stage + k, s->h, s->x_old, s->scratch);
+        else
+            memcpy(s->scratch, s->x_old, (size_t)n * sizeof *to);
+        memset(a->at, 0, (size_t)n * sizeof *a->at);
+        status = fb_pull_back_rates(s->problem, a, s->t_old + m->c[k] * s->h, s->scratch, a->by_stages + k * s->padded,
+                                    a->at);
+        fb_add_scaled(n, 1.0, a->at, a->by_start);
+        if (k > 0)
+            fb_spread(s, s->stage + k, s->h, a->at, a);
+    }
+    memcpy(a->by_state, a->by_start, (size_t)n * sizeof *a->by_state);
+    return status;
+}
+
+/* Places the results and the scratch memory; returns the number of doubles. */
+static inline size_t fb_place_adjoint(const fb_run *run, fb_adjoint *a, double *memory)
+{
+    const fb_kernel *const k = run->problem->kernel;
+    const int n_rows = run->method->n_stages + 1 + run->method->n_extra, n_dense = run->method->n_dense + 3;
+    int widest = k->n_x > k->n_p ? k->n_x : k->n_p;
+    widest = widest > k->n_r ? widest : k->n_r;
+    widest = widest > k->n_u + k->n_l ? widest : k->n_u + k->n_l;
+    a->by_stages = memory;
+    a->by_pieces = a->by_stages + n_rows * run->padded;
+    a->by_start = a->by_pieces + n_dense * run->padded;
+    a->by_end = a->by_start + run->padded;
+    a->at = a->by_end + run->padded;
+    a->by_state = a->at + run->padded;
+    a->by_parameters = a->by_state + run->padded;
+    a->gradient = a->by_parameters + k->n_p;
+    a->weights = a->gradient + k->n_x + k->n_p + k->n_r;
+    a->solution = a->weights + k->n_x + k->n_l;
+    a->input_jacobian = a->solution + k->n_u + k->n_l;
+    a->jacobian = a->input_jacobian + k->n_r * k->n_p;
+    return (size_t)((n_rows + n_dense + 4) * run->padded + 2 * k->n_p + 2 * k->n_x + k->n_r + k->n_u + 2 * k->n_l +
+                    k->n_r * k->n_p + k->n_o * widest);
+}
+
+#endif

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from scipy.optimize import least_squares
 
 import fourbar_codegen as fb
 
@@ -16,25 +15,15 @@ NOISE = 0.01  # rad
 def main() -> None:
     four_bar = fb.load("four_bar")
     times = np.linspace(0.0, 4.0, 201)
-    x0 = four_bar.initial_state()
-    runs = 0
-
-    def angle(k: float, c: float) -> np.ndarray:
-        nonlocal runs
-        runs += 1
-        run = four_bar.simulate((0.0, 4.0), x0, parameters={"k": k, "c": c}, t_eval=times, rtol=1e-9, atol=1e-9)
-        return run["q1"]
-
-    measured = angle(**TRUE) + np.random.default_rng(1).normal(0.0, NOISE, times.size)
-    runs = 0
+    run = four_bar.simulate((0.0, 4.0), parameters=TRUE, t_eval=times, rtol=1e-9, atol=1e-9)
+    measured = run["q1"] + np.random.default_rng(1).normal(0.0, NOISE, times.size)
     begin = time.perf_counter()
-    fit = least_squares(lambda p: (angle(*p) - measured) / NOISE, [80.0, 15.0], x_scale=[100.0, 10.0])
+    fit = fb.fit(four_bar, {"t": times, "q1": measured}, {"k": 80.0, "c": 15.0}, sigma={"q1": NOISE})
     seconds = time.perf_counter() - begin
-    deviations = np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac)))
-    for name, value, deviation in zip(TRUE, fit.x, deviations, strict=True):
-        print(f"{name} = {value:.3f} +- {deviation:.3f}, measured with {TRUE[name]}")
+    for name, value in fit.values.items():
+        print(f"{name} = {value:.3f} +- {fit.stderr[name]:.3f}, measured with {TRUE[name]}")
     print(f"chi^2 = {2 * fit.cost / (times.size - 2):.2f} per degree of freedom")
-    print(f"{runs} simulations in {1e3 * seconds:.0f} ms")
+    print(f"{fit.nfev} simulations with derivatives in {1e3 * seconds:.0f} ms")
 
 
 if __name__ == "__main__":

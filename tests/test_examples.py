@@ -81,6 +81,14 @@ def test_the_fit(said):
         assert abs(float(value) - float(true)) < 3 * float(deviation)
 
 
+def test_the_path_synthesis(said):
+    """Lengths that the problem allows, a path within 1e-3 of its five points, from several starts."""
+    text = said("12_path_synthesis")
+    squares = numbers(text, r"sum of squares (\S+) after")
+    assert sum(each < 1e-6 for each in squares) > 2
+    assert all(0.1 <= length <= 50.0 for length in numbers(text, r"l\d = (\S+),"))
+
+
 def test_the_controller(said):
     text = said("06_feedback_control")
     [error] = numbers(text, r"is (\S+) rad from upright")

@@ -16,7 +16,8 @@ DRAWING = Path(__file__).parents[1] / "docs" / "folders.svg"
 ROOT = {
     "errors": "errors", "arguments": "ground", "definitions": "ground", "files": "ground", "progress": "ground",
     "tables": "ground",
-    "compiled": "compiled", "solvers": "compiled", "compile": "compile", "export": "compile", "verify": "compile",
+    "compiled": "compiled", "solvers": "compiled", "fitting": "compiled", "differentiable": "compiled",
+    "compile": "compile", "export": "compile", "verify": "compile",
     "__init__": "cli", "__main__": "cli",
 }  # fmt: skip
 """The layers of the files that are in no folder; that of the others is their folder."""

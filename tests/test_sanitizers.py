@@ -14,14 +14,18 @@ from test_unknown_forces import MU, model_of, rod
 
 import fourbar_codegen as fb
 
-# All functions of a kernel, a projected run by each method with interpolated samples, steps of one length, the
+# All functions of a kernel, a projected run by each method with interpolated samples, and its derivatives forwards and
+# backwards, Jacobians at several states, steps of one length, the
 # equations for implicit solvers, and, side by side on three threads, more states than there are lanes, more runs, with
 # samples, a table and an input held, and none at all.
 PROGRAM = """
+#include "fourbar_adjoint.h"
 #include "fourbar_augmented.h"
 #include "fourbar_batch.h"
+#include "fourbar_forward.h"
 #include "fourbar_implicit.h"
 #include "fourbar_integrate.h"
+#include "fourbar_jacobians.h"
 #include <pthread.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -143,6 +147,20 @@ static double run(const fb_kernel *k, const double *p, const double *x0, const f
         fb_run_on(&s, 10000);
         free(memory);
     } else {
+        fb_forward forward;
+        double *const varied = doubles((int)fb_place_forward(&s, 2, &forward, NULL));
+        fb_place_forward(&s, 2, &forward, varied);
+        forward.derivatives = k->derivatives;
+        forward.variations = k->variations;
+        forward.samples = doubles(50 * forward.size);
+        forward.fsal = forward.interpolant_valid = 0;
+        fb_steps steps = {.room = 10000, .rows = doubles(10000 * (2 + n)), .sample_t = doubles(50),
+                          .sample_row = calloc(50, sizeof(long))};
+        s.forward = &forward;
+        s.vary = fb_forward_step;
+        s.vary_sample = fb_forward_sample;
+        s.steps = &steps;
+        fb_keep_step(&s, 0.0);
         fb_begin(&s);
         if (by_table) { /* in two pieces */
             s.t_bound = s.until = table_times[1];
@@ -154,6 +172,26 @@ static double run(const fb_kernel *k, const double *p, const double *x0, const f
             fb_resume(&s);
         }
         fb_run_on(&s, 10000);
+        fb_adjoint adjoint;
+        double *const memory = doubles((int)fb_place_adjoint(&s, &adjoint, NULL));
+        double *const weights = doubles(50 * k->n_o), *by_source = doubles(6);
+        fb_place_adjoint(&s, &adjoint, memory);
+        adjoint.derivatives = k->derivatives;
+        adjoint.variations = k->variations;
+        adjoint.rows = steps.rows;
+        adjoint.sample_row = steps.sample_row;
+        adjoint.sample_t = steps.sample_t;
+        adjoint.by_states = samples;
+        adjoint.by_outputs = k->n_o ? weights : NULL;
+        adjoint.by_source = &by_source;
+        long sample = s.n_samples;
+        const double reached = s.x[0];
+        problem.clock = fb_all_time;
+        for (long row = steps.n - 1; row >= 0; --row)
+            fb_pull_back_step(&s, &adjoint, row, &sample);
+        free(varied), free(forward.samples), free(steps.rows), free(steps.sample_t), free(steps.sample_row);
+        free(memory), free(weights), free(by_source);
+        s.x[0] = reached;
     }
     const double end = s.x[0];
     free(problem.constants), free(problem.inputs), free(problem.work), free(problem.failed_x), free(problem.moved_x);
@@ -180,6 +218,37 @@ static double implicit(const fb_kernel *k, const double *p, const double *x0)
         sum += f[0] + matrix[0];
         free(problem.constants), free(problem.inputs), free(memory), free(z), free(rate), free(f), free(matrix);
     }
+    return sum;
+}
+
+static double jacobians(const fb_kernel *k, const double *p, const double *x0)
+{
+    enum { N = 3 };
+    const int n_y = k->n_x + k->n_l, sizes[3] = {k->n_x, k->n_p, k->n_r};
+    double *const x = doubles(N * k->n_x), *const zero = doubles(N * (n_y + 1)), *const f = doubles(N * n_y);
+    double *const by_x = doubles(N * n_y * n_y), *const by_rate = doubles(N * n_y * n_y), t[N] = {0.0, 0.1, 0.2};
+    double *const by_p = doubles(N * n_y * k->n_p), *const by_r = doubles(N * n_y * k->n_r), sum = 0.0;
+    char *const in_force = calloc((size_t)k->n_r + 1, 1);
+    for (int i = 0; i < k->n_x; ++i)
+        for (int j = 0; j < N; ++j)
+            x[i * N + j] = x0[i] + 0.01 * j;
+    fb_jacobians b = {.kernel = k, .n = N, .t = {t, N}, .x = {x, N}, .p = {p, 0}, .rates = {zero, N},
+                      .multipliers = {zero, N}, .in_force = in_force};
+    for (int i = 0; i < k->n_r; ++i)
+        in_force[i] = 1;
+    for (int i = 0; i < 3; ++i) {
+        b.variables = i;
+        b.of_rates = doubles(N * k->n_x * sizes[i]);
+        b.of_outputs = doubles(N * k->n_o * sizes[i]);
+        fb_evaluate_jacobians(&b, 0, N);
+        sum += sizes[i] ? b.of_rates[0] : 0.0;
+        free(b.of_rates), free(b.of_outputs);
+    }
+    b.residual = f, b.by_state = by_x, b.by_rate = by_rate, b.by_parameters = by_p, b.by_inputs = by_r;
+    for (b.formulation = FB_INDEX_1; b.formulation <= FB_INDEX_3; b.formulation += FB_INDEX_3 - FB_INDEX_1)
+        fb_evaluate_jacobians(&b, 0, N);
+    sum += f[0] + by_x[0];
+    free(x), free(zero), free(f), free(by_x), free(by_rate), free(by_p), free(by_r), free(in_force);
     return sum;
 }
 
@@ -278,7 +347,7 @@ int main(int argc, char **argv)
     printf("%.17g", evaluate(k, p));
     printf(" %.17g %.17g %.17g", run(k, p, x0, &fb_rk4, 0), run(k, p, x0, &fb_rk45, 0), run(k, p, x0, &fb_dop853, 0));
     printf(" %.17g %.17g", run(k, p, x0, &fb_trapezoid, 0), run(k, p, x0, &fb_rk45, 1));
-    printf(" %.17g\\n", implicit(k, p, x0));
+    printf(" %.17g %.17g\\n", implicit(k, p, x0), jacobians(k, p, x0));
     printf("%.17g %.17g\\n", together(k, p, x0, &fb_rk45), together(k, p, x0, &fb_dop853));
     free(p), free(x0);
     return 0;
@@ -361,7 +430,7 @@ def test_kernel_and_runs_under_sanitizers(tmp_path, name):
     for flags in WIDTHS:
         numbers = program.run(flags, arguments(compiled, x0))
     # The same runs by the package, built without sanitizers; rounding differs with the flags.
-    _, _, *ends, by_table, _, _, _ = numbers
+    _, _, *ends, by_table, _, _, _, _ = numbers
     table = {name: ([0.0, 0.2, 0.5], [0.0, 3.0, -3.0]) for name in compiled.inputs[:1]}
     for method, end, inputs in zip(
         ("RK45", "DOP853", "ALI3P", "RK45"), (*ends, by_table), (*3 * [None], table), strict=True

@@ -233,6 +233,48 @@ def test_dependent_initial_values(four_bar):
     np.testing.assert_array_equal(held.sensitivity["k"][:, 0], 0.0)
 
 
+@pytest.mark.parametrize("t_eval", [None, [0.5, 1.0, 2.4]])
+def test_events(t_eval):
+    """An oscillator passes x = 0.1 at cos(w t) = 0.1 / a, where x depends on nothing, and v^2 = w^2 (a^2 - 0.01)."""
+    model = oscillator()
+    (x,), (v,) = model.system.q, model.system.u
+    level = fb.Model(
+        model.system, name="level", parameters={"m": 2.0, "k": 8.0}, initial={"x": 0.3, "v": 0.0},
+        outputs={"above": x - sm.Rational(1, 10), "speed": v},
+    )  # fmt: skip
+    names = ["k", "m", "x"]
+    run = fb.compile_model(level).simulate(
+        (0.0, 3.0), events=[fb.Event("above", terminal=2), "speed"], sensitivities=names, t_eval=t_eval, rtol=1e-11,
+        atol=1e-12,
+    )  # fmt: skip
+    times, (found, at_rest) = run.t_events[0], run.event_sensitivity
+    w, a, m, speed = 2.0, 0.3, 2.0, 2.0 * np.sqrt(0.09 - 0.01)
+    np.testing.assert_allclose(found["k"].t, -times / (2.0 * m * w**2), rtol=1e-8)
+    np.testing.assert_allclose(found["m"].t, times / (2.0 * m), rtol=1e-8)
+    np.testing.assert_allclose(found["x"].t[0], 0.1 / (a**2 * w * np.sqrt(1.0 - 1.0 / 9.0)), rtol=1e-8)
+    signs = np.array([-1.0, 1.0])
+    for name, wanted in (("k", speed / (2.0 * m * w**2)), ("x", w**2 * a / speed)):
+        np.testing.assert_allclose(found[name].y, [[0.0, 0.0], signs * wanted], rtol=1e-8, atol=1e-9)
+    np.testing.assert_allclose(at_rest["x"].y[:, -1], [-1.0, 0.0], atol=1e-8)
+
+
+def test_events_of_a_closed_loop(four_bar):
+    """Against differences of order 6 of the times of runs at 1e-13: rounding errors divided by the change."""
+    compiled = fb.compile_model(fb.models.slider_crank())
+    how = {"events": ["pin_x"], "rtol": 1e-13, "atol": 1e-13}
+
+    def times(length):
+        x0 = compiled.initial_state(speeds={"crank_rate": 10.0}, parameters={"l": length})
+        return compiled.simulate((0.0, 0.5), x0, parameters={"l": length}, **how).t_events[0][:3]
+
+    x0, dx0 = compiled.initial_state(speeds={"crank_rate": 10.0}, derivatives=True)
+    run = compiled.simulate((0.0, 0.5), x0, sensitivities=["l"], dx0={"l": dx0["l"]}, **how)
+    wanted = differences(times, compiled.defaults["l"], 1e-3)
+    np.testing.assert_allclose(run.event_sensitivity[0]["l"].t[:3], wanted, rtol=1e-6)
+    with pytest.raises(fb.ModelError, match="Events by callables have no derivatives"):
+        four_bar.simulate((0.0, 1.0), events=lambda t, x: x[0], sensitivities=["k"])
+
+
 def driven_oscillator(**more):
     model = oscillator()
     system, force = model.system, me.dynamicsymbols("F")
@@ -291,7 +333,7 @@ def test_bad_input(four_bar):
     refused("x0, which is not given", sensitivities=["k"], dx0={"k": np.zeros(6)})
     x0 = four_bar.initial_state()
     refused("must have shape", x0=x0, sensitivities=["k"], dx0={"k": np.zeros(5)})
-    refused("no name in sensitivities 'c'", x0=x0, sensitivities=["k"], dx0={"c": np.zeros(6)})
+    refused("no name to differentiate by 'c'", x0=x0, sensitivities=["k"], dx0={"c": np.zeros(6)})
 
 
 def test_no_derivative_at_a_singular_position():

@@ -25,7 +25,9 @@ if TYPE_CHECKING:
     from fourbar_codegen.building.toolchain import get_include
     from fourbar_codegen.compile import build_model, build_wheel, compile_model, generate_sources
     from fourbar_codegen.compiled import CompiledModel, load, load_trajectory
+    from fourbar_codegen.differentiable import JaxModel, to_jax
     from fourbar_codegen.export import export_c, export_fmu
+    from fourbar_codegen.fitting import Experiment, Fit, fit
     from fourbar_codegen.linkage.linkage import Linkage
     from fourbar_codegen.modeling.model import Model, Parameter, joint_force, multiplier
     from fourbar_codegen.results.ensemble import Ensemble
@@ -42,7 +44,10 @@ __all__ = [
     "CompiledModel",
     "Ensemble",
     "Event",
+    "Experiment",
+    "Fit",
     "FourbarError",
+    "JaxModel",
     "Kinematics",
     "Linkage",
     "Model",
@@ -56,6 +61,7 @@ __all__ = [
     "compile_model",
     "export_c",
     "export_fmu",
+    "fit",
     "generate_sources",
     "get_include",
     "joint_force",
@@ -64,6 +70,7 @@ __all__ = [
     "models",
     "multiplier",
     "solvers",
+    "to_jax",
 ]
 
 _HOME = {
@@ -72,6 +79,9 @@ _HOME = {
     "CompiledModel": "compiled",
     "Ensemble": "results.ensemble",
     "Event": "simulation.events",
+    "Experiment": "fitting",
+    "Fit": "fitting",
+    "JaxModel": "differentiable",
     "Kinematics": "results.kinematics",
     "Linkage": "linkage.linkage",
     "Model": "modeling.model",
@@ -82,12 +92,14 @@ _HOME = {
     "compile_model": "compile",
     "export_c": "export",
     "export_fmu": "export",
+    "fit": "fitting",
     "generate_sources": "compile",
     "get_include": "building.toolchain",
     "joint_force": "modeling.model",
     "load": "compiled",
     "load_trajectory": "compiled",
     "multiplier": "modeling.model",
+    "to_jax": "differentiable",
 }
 
 

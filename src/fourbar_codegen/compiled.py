@@ -679,11 +679,12 @@ class CompiledModel(Kernel):
             states. After each projection they are moved onto the constraints' tangent; what that leaves out is
             proportional to the correction of the state, and below `rtol`. Without `x0`, dependent initial values follow
             from loop closure; a given `x0` depends on no parameter, except for what keeps it on the constraints. Where
-            forces jump with the state, the change of the time of the jump is left out. Source: H. G. Bock, "Numerical
+            forces jump with the state, the change of the time of the jump is left out, with a warning. Times of events
+            by outputs are differentiated as well: ``trajectory.event_sensitivity``. Source: H. G. Bock, "Numerical
             treatment of inverse problems in chemical reaction kinetics", in *Modelling of Chemical Reaction Systems*
             (1981): internal numerical differentiation.
         dx0 : mapping from some of these names to arrays of shape (n_x,), optional
-            The derivatives of a given `x0`, such as those of `initial_state`.
+            The derivatives of a given `x0`, such as those of `initial_state`; with `gradient` by any of these names.
         gradient : bool, optional
             Whether to keep the steps for `Trajectory.gradient`: 8 (n_x + 2) bytes each. For DOP853 and RK45.
 
@@ -848,6 +849,233 @@ class CompiledModel(Kernel):
         from fourbar_codegen.simulation.batch import evaluate
 
         return evaluate(self, t, x, p, r, out=out, workers=workers)
+
+    def jacobian_batch(
+        self,
+        t: ArrayLike,
+        x: ArrayLike,
+        p: Values | None = None,
+        r: Values | None = None,
+        *,
+        workers: int | None = 1,
+    ) -> Floats:
+        """The derivatives of the right-hand side with respect to the state, at many states.
+
+        Parameters
+        ----------
+        t, x, p, r, workers
+            As for `rhs_batch`.
+
+        Returns
+        -------
+        ndarray, shape (n_x, n_x, n)
+            dx'/dx, with NaN for states at which the equations cannot be evaluated.
+
+        Raises
+        ------
+        ModelError
+            If an argument has a wrong shape or name.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import fourbar_codegen as fb
+        >>> four_bar = fb.load("four_bar")
+        >>> states = np.tile(four_bar.initial_state(), (1000, 1)).T
+        >>> four_bar.jacobian_batch(0.0, states).shape
+        (6, 6, 1000)
+        """
+        from fourbar_codegen.simulation.batch import differentiate
+
+        return differentiate(self, "state", t, x, p, r, outputs=False, workers=workers)[0]
+
+    def parameter_jacobian_batch(
+        self,
+        t: ArrayLike,
+        x: ArrayLike,
+        p: Values | None = None,
+        r: Values | None = None,
+        *,
+        workers: int | None = 1,
+    ) -> Floats:
+        """The derivatives of the right-hand side with respect to the parameters, at many states.
+
+        Total derivatives, as `parameter_jacobian` has them; parameters, shape and errors are those of `jacobian_batch`.
+
+        Returns
+        -------
+        ndarray, shape (n_x, n_p, n)
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import fourbar_codegen as fb
+        >>> four_bar = fb.load("four_bar")
+        >>> states = np.tile(four_bar.initial_state(), (1000, 1)).T
+        >>> four_bar.parameter_jacobian_batch(0.0, states).shape
+        (6, 8, 1000)
+        """
+        from fourbar_codegen.simulation.batch import differentiate
+
+        return differentiate(self, "parameters", t, x, p, r, outputs=False, workers=workers)[0]
+
+    def input_jacobian_batch(
+        self,
+        t: ArrayLike,
+        x: ArrayLike,
+        p: Values | None = None,
+        r: Values | None = None,
+        *,
+        workers: int | None = 1,
+    ) -> Floats:
+        """The derivatives of the right-hand side with respect to the inputs, at many states.
+
+        Parameters, shape and errors are those of `jacobian_batch`.
+
+        Returns
+        -------
+        ndarray, shape (n_x, n_r, n)
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import fourbar_codegen as fb
+        >>> four_bar = fb.load("four_bar")
+        >>> states = np.tile(four_bar.initial_state(), (1000, 1)).T
+        >>> four_bar.input_jacobian_batch(0.0, states).shape
+        (6, 1, 1000)
+        """
+        from fourbar_codegen.simulation.batch import differentiate
+
+        return differentiate(self, "inputs", t, x, p, r, outputs=False, workers=workers)[0]
+
+    def residual_batch(
+        self,
+        t: ArrayLike,
+        x: ArrayLike,
+        rates: ArrayLike,
+        multipliers: ArrayLike | None = None,
+        p: Values | None = None,
+        r: Values | None = None,
+        *,
+        formulation: str = "index-3",
+        workers: int | None = 1,
+    ) -> Floats:
+        """The residual of the equations of motion at many states, for direct collocation.
+
+        Its rows are q' - K u - k; M u' - f - J^T lambda; z' minus its expression; then for each constraint "index-3"
+        Phi, or J u + b if it is nonholonomic, and for "index-1" J u' + gamma; then the rows of unknown forces that
+        drive the motion. No matrix is inverted, so that singular positions and massless parts do no harm.
+
+        Parameters
+        ----------
+        t : float or array_like, shape (n,)
+        x, rates : array_like, shape (n_x, n)
+            States, and their rates x', such as differences between neighbours.
+        multipliers : array_like, shape (n_l, n), optional
+            Lagrange multipliers of the constraints, then unknown forces; may be left out if there are none.
+        p, r, workers
+            As for `rhs_batch`.
+        formulation : {"index-3", "index-1"}, optional
+
+        Returns
+        -------
+        ndarray, shape (n_x + n_l, n)
+
+        Raises
+        ------
+        ModelError
+            If an argument has a wrong shape or name.
+
+        Source: J. T. Betts, *Practical Methods for Optimal Control and Estimation Using Nonlinear Programming*, 2nd
+        ed., SIAM 2010, chapter 4.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import fourbar_codegen as fb
+        >>> four_bar = fb.load("four_bar")
+        >>> x = four_bar.initial_state()
+        >>> rates, multipliers = four_bar.rhs(0.0, x), four_bar.multipliers(0.0, x)
+        >>> residual = four_bar.residual_batch(0.0, x[:, None], rates[:, None], multipliers[:, None])
+        >>> residual.shape, bool(np.abs(residual).max() < 1e-12)
+        ((8, 1), True)
+        """
+        from fourbar_codegen.simulation.batch import residual
+
+        return residual(
+            self, t, x, rates, multipliers, p, r, formulation=formulation, jacobians=False, workers=workers
+        )[0]  # fmt: skip
+
+    def residual_jacobian_batch(
+        self,
+        t: ArrayLike,
+        x: ArrayLike,
+        rates: ArrayLike,
+        multipliers: ArrayLike | None = None,
+        p: Values | None = None,
+        r: Values | None = None,
+        *,
+        formulation: str = "index-3",
+        workers: int | None = 1,
+    ) -> dict[str, Floats]:
+        """The Jacobians of `residual_batch`, which has the same parameters and errors.
+
+        `residual_sparsity` tells which entries are always 0.
+
+        Returns
+        -------
+        dict of str to ndarray, shape (n_x + n_l, m, n)
+            By "x", "rates", "multipliers", "p" (also through inputs whose expressions are in force) and "r".
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> four_bar = fb.load("four_bar")
+        >>> x = four_bar.initial_state()[:, None]
+        >>> found = four_bar.residual_jacobian_batch(0.0, x, 0.0 * x, [[1.0], [2.0]])
+        >>> {name: jacobian.shape for name, jacobian in found.items()}
+        {'x': (8, 6, 1), 'rates': (8, 6, 1), 'multipliers': (8, 2, 1), 'p': (8, 8, 1), 'r': (8, 1, 1)}
+        """
+        from fourbar_codegen.simulation.batch import residual
+
+        _, by_all, by_rates, by_parameters, by_inputs = residual(
+            self, t, x, rates, multipliers, p, r, formulation=formulation, jacobians=True, workers=workers
+        )
+        return {
+            "x": by_all[:, : self.n_x],
+            "rates": by_rates[:, : self.n_x],
+            "multipliers": by_all[:, self.n_x :],
+            "p": by_parameters,
+            "r": by_inputs,
+        }
+
+    def residual_sparsity(self, formulation: str = "index-3") -> dict[str, NDArray[np.bool_]]:
+        """Which entries of the Jacobians of `residual_batch` may differ from 0.
+
+        Parameters
+        ----------
+        formulation : {"index-3", "index-1"}, optional
+
+        Returns
+        -------
+        dict of str to ndarray of bool, shape (n_x + n_l, m)
+            By the names of `residual_jacobian_batch`.
+
+        Raises
+        ------
+        ModelError
+            If there is no such formulation.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> fb.load("four_bar").residual_sparsity()["r"].ravel().tolist()  # a force on two links
+        [False, False, False, True, True, False, False, False]
+        """
+        from fourbar_codegen.simulation.batch import residual_sparsity
+
+        return residual_sparsity(self, formulation)
 
     def ensemble(
         self,

@@ -236,6 +236,21 @@ def calls_of(name: str) -> dict[str, Call]:
         calls.add(function, along, times=np.linspace(0.0, 1.0, 3), states=states, inputs=inputs, p=p, may_be_nan=True)
     batch = {"t": np.linspace(0.0, 1.0, 3), "x": states, "p": np.tile(p[:, np.newaxis], 3), "r": inputs}
     calls.add("rhs_batch", model.rhs_batch, **batch, workers=2, may_be_nan=True)
+    for function in ("jacobian_batch", "parameter_jacobian_batch", "input_jacobian_batch"):
+        calls.add(function, getattr(model, function), **batch, workers=2, may_be_nan=True)
+    for function in ("residual_batch", "residual_jacobian_batch"):
+        calls.add(
+            function, getattr(model, function), **batch, rates=np.ones((model.n_x, 3)),
+            multipliers=np.ones((model.n_l, 3)), formulation="index-1", workers=2, may_be_nan=True,
+        )  # fmt: skip
+    calls.add("residual_sparsity", model.residual_sparsity, formulation="index-1")
+    times, first, unknown = np.linspace(0.0, 0.1, 5), model.states[0], model.parameters[0]
+    measured = {"t": times, first: model.simulate((0.0, 0.1), x0, t_eval=times)[first]}
+    calls.add(
+        "fit", fb.fit, model=model, data=measured, parameters=[unknown], outputs=[first], bounds={unknown: (0.0, 1e3)},
+        sigma={first: 0.1}, loss="linear", max_nfev=3, method="DOP853", rtol=1e-6, atol=1e-8, constraints="project",
+        share=0.2,
+    )  # fmt: skip
     calls.add("rhs_batch into", model.rhs_batch, **batch, out=np.empty((model.n_x, 3)), may_be_nan=True)
 
     first, speed, source = model.coordinates[0], model.speeds[0], model.inputs[0]
@@ -419,7 +434,8 @@ def missing() -> set[str]:
     }
     doors = {f"trajectory.{name}" for name in ("plot", "columns", "to_xarray", "to_dataframe")}
     without_arguments = {*doors, "get_include"}
-    return public - called - without_arguments
+    elsewhere = {"to_jax"}  # tests/test_jax.py: JAX has settings of its own
+    return public - called - without_arguments - elsewhere
 
 
 def case(generator: np.random.Generator, say: Callable[[str], None]) -> None:

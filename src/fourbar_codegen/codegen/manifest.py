@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from functools import reduce
+from operator import or_
 from typing import Any
 
 import sympy as sm
 
 from fourbar_codegen.dynamics.equations import Equations
-from fourbar_codegen.expressions.tape import Call, Scalar
+from fourbar_codegen.dynamics.jumps import jumps
+from fourbar_codegen.expressions.tape import Call, Scalar, operands
 from fourbar_codegen.lowering.program import Function, Program
 from fourbar_codegen.modeling.gravity import gravity
 from fourbar_codegen.modeling.model import Model
 
 __all__ = ["manifest_of", "manifest_text", "operations_of"]
 
-MANIFEST_FORMAT = 14
+MANIFEST_FORMAT = 15
 
 
 def manifest_of(
@@ -91,7 +94,37 @@ def manifest_of(
         "warnings": list(equations.warnings),
         "has_potential_energy": not energies[1].is_nan,
         "form": program.form,
+        "jumps": _jumps(model, equations, names),
+        "dependencies": _dependencies(equations),
     }
+
+
+def _jumps(model: Model, equations: Equations, names: Mapping[str, Sequence[str]]) -> list[str]:
+    """What jumps with the state."""
+    values = {}
+    for leaf, name in zip(equations.parameters, names["parameters"], strict=True):
+        value = model.parameters[name].value
+        if value is not None:
+            values[leaf] = value
+    return jumps(equations, (*names["coordinates"], *names["speeds"], *names["auxiliary_states"]), values)
+
+
+def _dependencies(equations: Equations) -> dict[str, list[str]]:
+    """For each row, what it depends on: a hexadecimal number with bits for x, p, r, u' and the multipliers."""
+    e, tape = equations, equations.tape
+    leaves = (*e.coordinates, *e.speeds, *e.auxiliary_states, *e.parameters, *e.inputs, *e.accelerations)
+    masks = {leaf.node: 1 << place for place, leaf in enumerate((*leaves, *e.multipliers))}
+    rows = {
+        "coordinate_rates": e.coordinate_rates.entries,
+        "residual": e.residual.entries,
+        "position_violation": e.position_violation.entries,
+        "velocity_violation": e.velocity_violation.entries,
+        "default_inputs": e.default_inputs.entries,
+    }
+    for node in tape.reach(entry for entries in rows.values() for entry in entries):
+        if node not in masks:
+            masks[node] = reduce(or_, (masks.get(operand, 0) for operand in operands(tape.nodes[node])), 0)
+    return {name: [hex(masks.get(entry.node, 0)) for entry in entries] for name, entries in rows.items()}
 
 
 def _values(model: Model) -> dict[sm.Basic, Any]:

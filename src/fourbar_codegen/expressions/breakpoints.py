@@ -16,7 +16,7 @@ from fourbar_codegen.expressions.convert import apply, substitute
 from fourbar_codegen.expressions.derivatives import Jvp
 from fourbar_codegen.expressions.tape import Call, Leaf, Scalar, Tape, placeholder
 
-__all__ = ["breakpoints"]
+__all__ = ["breakpoints", "sides"]
 
 MAX_ALTERNATIVES = 64
 """Most alternatives of an expression with nested conditions."""
@@ -58,7 +58,7 @@ def breakpoints(tape: Tape, time: Scalar, scalars: Iterable[Scalar]) -> tuple[li
         operation = tape.nodes[node]
         if isinstance(operation, Call):
             arguments = [Scalar(tape, 1, argument) for argument in operation.arguments]
-            for side in _sides(operation.expression) if _is_of_time(tape, time, *arguments) else ():
+            for side in sides(operation.expression) if _is_of_time(tape, time, *arguments) else ():
                 for boundary in _alternatives(tape, time, apply(tape, side, arguments)):
                     roots = _roots(tape, time, boundary, derivative)
                     times |= dict.fromkeys(roots or ())
@@ -69,7 +69,7 @@ def breakpoints(tape: Tape, time: Scalar, scalars: Iterable[Scalar]) -> tuple[li
     return list(times), is_complete
 
 
-def _sides(function: sm.Expr) -> Iterator[sm.Expr]:
+def sides(function: sm.Expr) -> Iterator[sm.Expr]:
     """Expressions in the function's placeholders that change sign where the function may have a jump or a kink."""
     if isinstance(function, sm.Abs | sm.sign | sm.Heaviside):
         yield function.args[0]

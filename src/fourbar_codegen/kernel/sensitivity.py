@@ -14,7 +14,15 @@ from fourbar_codegen.errors import AssemblyError, ModelError, meant
 from fourbar_codegen.kernel.inputs import InputSource, inputs_at
 from fourbar_codegen.kernel.kernel import Kernel
 
-__all__ = ["Directions", "directions_of", "follow", "initial_derivatives", "moving_breakpoints"]
+__all__ = [
+    "Directions",
+    "differentiable",
+    "directions_of",
+    "follow",
+    "independent_states",
+    "initial_derivatives",
+    "moving_breakpoints",
+]
 
 Floats = NDArray[np.float64]
 
@@ -124,9 +132,10 @@ def initial_derivatives(
     x: Floats,
     parameters: Values | None,
     inputs: Mapping[Any, InputSource] | None,
+    names: Sequence[str] | None = None,
 ) -> dict[str, Floats]:
-    """The derivatives of an initial state with respect to independent values and parameters, by names."""
-    names = (*_independent(model), *model.parameters)
+    """The derivatives of an initial state with respect to names, by default all of `differentiable`."""
+    names = differentiable(model) if names is None else names
     directions = directions_of(model, names)
     found = follow(model, t, x, directions.matrix, parameters, inputs)
     return dict(zip(names, found[: model.n_x].T, strict=True))
@@ -144,8 +153,19 @@ def moving_breakpoints(model: Kernel, parameters: Floats | None, names: Sequence
     return found
 
 
-def _independent(model: Kernel) -> tuple[str, ...]:
+def independent_states(model: Kernel) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
     """The names of the independent coordinates and speeds, and of the auxiliary states."""
     manifest = model.manifest
     n_qi, n_ui = model.n_q - manifest["n_dependent_coordinates"], model.n_u - manifest["n_dependent_speeds"]
-    return (*model.coordinates[:n_qi], *model.speeds[:n_ui], *model.auxiliary_states)
+    return model.coordinates[:n_qi], model.speeds[:n_ui], model.auxiliary_states
+
+
+def differentiable(model: Kernel) -> tuple[str, ...]:
+    """The names of independent and auxiliary states, and of parameters."""
+    return (*_independent(model), *model.parameters)
+
+
+def _independent(model: Kernel) -> tuple[str, ...]:
+    """The names of `independent_states` in one."""
+    q, u, z = independent_states(model)
+    return (*q, *u, *z)

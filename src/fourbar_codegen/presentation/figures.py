@@ -116,6 +116,37 @@ def plot_trajectory(trajectory: Trajectory, names: str | Sequence[Any]) -> Figur
     return figure
 
 
+def plot_fit(runs: Sequence[Trajectory], measured: Sequence[Mapping[str, Floats]]) -> Figure:
+    """Plot measurements, as dots, and fitted runs over time, in a panel for each measured quantity.
+
+    Parameters
+    ----------
+    runs : sequence of Trajectory
+    measured : sequence of mapping of name to ndarray
+        For each run, at its times.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    ModelError
+        If Matplotlib is not installed.
+    """
+    names = list(dict.fromkeys(name for columns in measured for name in columns))
+    figure, cells = _stacked(names, 2.2, "time (s)")
+    for axes, name in zip(cells, names, strict=True):
+        for number, (run, columns) in enumerate(zip(runs, measured, strict=True)):
+            if name in columns:
+                label = "" if len(runs) == 1 else f" {number + 1}"
+                axes.plot(run.t, columns[name], ".", color=f"C{number}", alpha=0.5, label=f"measured{label}")
+                axes.plot(run.t, run[name], color=f"C{number}", label=f"fitted{label}")
+        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    figure.suptitle(f"Fit of {runs[0].model.name}")
+    return figure
+
+
 def _stacked(titles: Sequence[str], height: float, label: str) -> tuple[Figure, list[Any]]:
     """A figure with axes one below the other, of a height in inches, and the label of their common horizontal axis."""
     figure: Figure = _imported("matplotlib.figure", "Plots").Figure(

@@ -18,7 +18,7 @@ from fourbar_codegen.arguments import is_integer, name_of, sample_times
 from fourbar_codegen.errors import ModelError, ModelWarning, shown
 from fourbar_codegen.files import save
 from fourbar_codegen.kernel.kernel import Kernel
-from fourbar_codegen.results.gradient import KeptSteps
+from fourbar_codegen.results.gradient import EventSensitivity, KeptSteps, output_sensitivity
 from fourbar_codegen.tables import Page, table
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
     from matplotlib.figure import Figure
 
-    from fourbar_codegen.results.gradient import KeptSteps
+    from fourbar_codegen.results.gradient import EventSensitivity, KeptSteps, output_sensitivity
 
 __all__ = ["WRITERS", "Trajectory", "make_trajectory"]
 
@@ -69,6 +69,8 @@ class Trajectory:
         Copies of the given sources of inputs; None if the run was read from a file.
     sensitivity : mapping of str to ndarray, shape (n_x, n_t), or None
         Derivatives of the states with respect to parameters and initial values, with ``sensitivities=`` of `simulate`.
+    event_sensitivity : list of mapping of str to (t, y), or None
+        For each event, derivatives of its times, ``t``, and of the states at these times, ``y``, like `sensitivity`.
     steps : KeptSteps or None
         The steps taken, for `gradient`, with ``gradient=True``.
 
@@ -97,6 +99,7 @@ class Trajectory:
     settings: Mapping[str, Any]
     inputs: Mapping[Any, Any] | None
     sensitivity: Mapping[str, Floats] | None = None
+    event_sensitivity: list[dict[str, EventSensitivity]] | None = None
     steps: KeptSteps | None = None
 
     @property
@@ -261,6 +264,21 @@ class Trajectory:
             states = np.reshape([ode.project(t, x) for t, x in zip(times, states.T, strict=True)], states.T.shape).T
         r = ode.inputs_along(times, states)
         return replace(self, t=times, y=states, r=r, sensitivity=None, steps=None)
+
+    @cached_property
+    def output_sensitivity(self) -> dict[str, Floats]:
+        """Derivatives of the outputs with respect to the names of `sensitivity`, each of shape (n_o, n_t).
+
+        Raises
+        ------
+        ModelError
+            If the run was made without ``sensitivities=``, or redundant constraints leave outputs undetermined.
+        """
+        if self.sensitivity is None:
+            raise ModelError("The run has no sensitivities: simulate(..., sensitivities=[...]) finds them.")
+        return output_sensitivity(
+            self.model, self.t, self.y, self.r, self.parameters, self.inputs or {}, self.sensitivity
+        )
 
     def gradient(self, cost: ArrayLike | Mapping[Any, ArrayLike]) -> dict[str, Any]:
         """The gradient of a cost of the samples, by one sweep backwards over the steps of the run.

@@ -55,6 +55,25 @@ cdef extern from "fourbar_batch.h":
         int (*batch)(const fb_batch *, long, long) noexcept nogil
         int (*run)(const fb_ensemble *) noexcept nogil
 
+cdef extern from "fourbar_jacobians.h":
+    const int FB_INDEX_1
+    const int FB_INDEX_3
+    ctypedef struct fb_jacobians:
+        const fb_kernel *kernel
+        long n
+        fb_columns t, x, p, r, rates, multipliers
+        const char *in_force
+        int variables
+        double *of_rates
+        double *of_outputs
+        int formulation
+        double *residual
+        double *by_state
+        double *by_rate
+        double *by_parameters
+        double *by_inputs
+    int fb_evaluate_jacobians(const fb_jacobians *, long, long) noexcept nogil
+
 DONE = FB_MEMBER_DONE
 
 
@@ -113,6 +132,81 @@ cdef class Batch:
                 status = functions.batch(&self.batch, begin, end)
             else:
                 status = fb_batch_one_by_one(&self.batch, begin, end)
+        if status:
+            raise MemoryError
+
+
+@cython.final
+cdef class Jacobians:
+    """Jacobians at many states; arrays are of double and contiguous, see `Batch`.
+
+    Parameters
+    ----------
+    evaluator : Evaluator
+    t, x, p, r
+        As for `Batch`.
+    in_force : ndarray of bool, shape (n_r,)
+        The inputs that follow the parameters by their expressions.
+
+    Attributes
+    ----------
+    results : list of ndarray
+        Of `differentiate`: the Jacobians of x', (n, n_x, m), and of the outputs, (n, n_o, m). Of `form`: the residual,
+        (n, n_x + n_l), and its Jacobians by x and multipliers, by x', by p and by r.
+    """
+
+    cdef fb_jacobians batch
+    cdef Evaluator evaluator
+    cdef list kept
+    cdef readonly list results
+
+    def __cinit__(self, Evaluator evaluator not None, t, x, p, r, cnp.ndarray in_force not None):
+        self.evaluator, self.kept = evaluator, [t, x, p, r, in_force]
+        evaluator.derivatives()
+        self.batch.kernel, self.batch.n = evaluator.kernel, np.shape(x)[1]
+        self.batch.t, self.batch.x, self.batch.p = _columns(t, 1), _columns(x, 2), _columns(p, 2)
+        self.batch.in_force = <const char *>cnp.PyArray_DATA(in_force)
+        if r is not None:
+            self.batch.r = _columns(r, 2)
+
+    def differentiate(self, str variables, bint outputs):
+        """Prepare derivatives by "state", "parameters" or "inputs"."""
+        cdef int places = ("state", "parameters", "inputs").index(variables)
+        cdef Evaluator e = self.evaluator
+        cdef int m = (e.n_x, e.n_p, e.n_r)[places]
+        cdef cnp.ndarray rates = np.empty((self.batch.n, e.n_x, m)), of_outputs
+        self.batch.variables, self.batch.of_rates, self.results = places, data(rates), [rates]
+        if outputs:
+            of_outputs = np.empty((self.batch.n, e.n_o, m))
+            self.batch.of_outputs = data(of_outputs)
+            self.results.append(of_outputs)
+
+    def form(self, rates, multipliers, str formulation, bint jacobians):
+        """Prepare the residual, for x' and multipliers in columns."""
+        cdef Evaluator e = self.evaluator
+        cdef int n_y = e.n_x + e.n_l
+        cdef cnp.ndarray residual = np.empty((self.batch.n, n_y)), part
+        e.variations()
+        self.kept += [rates, multipliers]
+        self.batch.rates, self.batch.multipliers = _columns(rates, 2), _columns(multipliers, 2)
+        self.batch.formulation = FB_INDEX_1 if formulation == "index-1" else FB_INDEX_3
+        self.batch.residual, self.results = data(residual), [residual]
+        if jacobians:
+            self.results += [np.zeros((self.batch.n, n_y, m)) for m in (n_y, n_y, e.n_p, e.n_r)]
+            part = self.results[1]
+            self.batch.by_state = data(part)
+            part = self.results[2]
+            self.batch.by_rate = data(part)
+            part = self.results[3]
+            self.batch.by_parameters = data(part)
+            part = self.results[4]
+            self.batch.by_inputs = data(part)
+
+    def evaluate(self, long begin, long end):
+        """Evaluate the states from begin to end; other threads may evaluate others at the same time."""
+        cdef int status
+        with nogil:
+            status = fb_evaluate_jacobians(&self.batch, begin, end)
         if status:
             raise MemoryError
 

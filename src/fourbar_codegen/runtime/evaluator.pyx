@@ -788,18 +788,20 @@ cdef class Evaluator:
         """
         t = time_of(t)
         given = [None if part is None else numbers(part, "A direction") for part in (dx, dp, dr)]
+        sizes = ((self.n_x, "states"), (self.n_p, "parameters"), (self.n_r, "inputs"))
+        for part, (size, what) in zip(given, sizes):
+            if part is not None and (np.ndim(part) not in (1, 2) or len(part) != size):
+                raise ModelError(
+                    f"A direction in the {what} has the shape ({size},) or ({size}, n), not {np.shape(part)}.")
         counts = {np.shape(part)[1:] for part in given if part is not None} or {()}
-        if len(counts) > 1 or any(len(count) > 1 for count in counts):
+        if len(counts) > 1:
             raise ModelError(
-                f"Directions have the shapes {[np.shape(part) for part in given if part is not None]}: they must be "
-                "vectors, or matrices with as many columns as each other.")
+                "Directions must all be vectors, or matrices with as many columns as each other, not of the shapes "
+                f"{[np.shape(part) for part in given if part is not None]}.")
         count = counts.pop()
         cdef int i, n = count[0] if count else 1
-        filled_in = []
-        for part, size, what in zip(given, (self.n_x, self.n_p, self.n_r), ("states", "parameters", "inputs")):
-            if part is not None and np.shape(part)[0] != size:
-                raise ModelError(f"A direction in the {what} has {size} rows, not the shape {np.shape(part)}.")
-            filled_in.append(np.zeros((size, n)) if part is None else np.reshape(part, (size, n)))
+        filled_in = [np.zeros((size, n)) if part is None else np.reshape(part, (size, n))
+                     for part, (size, _) in zip(given, sizes)]
         blocks = self._blocks(t, np.vstack(filled_in[:2]), p, r)
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)

@@ -21,7 +21,6 @@ typedef struct fb_adjoint {
     const fb_variations *variations;
     const double *rows; /* (n_rows, 2 + n_x), as `fb_steps` */
     /* the samples: the row whose step contains each, and its time; cost's derivatives by states and outputs there */
-    long n_samples;
     const long *sample_row;
     const double *sample_t, *by_states, *by_outputs; /* the latter (n_samples, n_o), or NULL */
     /* the results: by the state where the sweep has arrived, by parameters, and for each source of an input by its
@@ -216,9 +215,9 @@ static inline int fb_pull_back_interpolant(fb_run *s, fb_adjoint *a)
 static inline int fb_pull_back_samples_within(fb_run *s, fb_adjoint *a, const long first, const long end)
 {
     const fb_tableau *const m = s->method;
-    const int n = s->n, top = m->n_dense + (m->hermite ? 3 : 0);
+    const int n = s->n, n_pieces = m->n_dense + (m->hermite ? 3 : 0);
     int status = fb_evaluate(s, s->t, s->x, s->stages + m->n_stages * s->padded);
-    memset(a->by_pieces, 0, (size_t)(top * s->padded) * sizeof *a->by_pieces);
+    memset(a->by_pieces, 0, (size_t)(n_pieces * s->padded) * sizeof *a->by_pieces);
     for (long sample = first; sample < end && status == FB_OK; ++sample) {
         double *const at = a->at, *const by_sample = s->along;
         status = fb_state_at(s, a->sample_t[sample], at);
@@ -230,8 +229,8 @@ static inline int fb_pull_back_samples_within(fb_run *s, fb_adjoint *a, const lo
         /* the factors of fb_interpolate */
         const double y = (a->sample_t[sample] - s->t_old) / s->h;
         double factor = 1.0;
-        for (int k = 0; k < top; ++k) {
-            factor *= m->hermite && (top - 1 - k) % 2 ? 1.0 - y : y;
+        for (int k = 0; k < n_pieces; ++k) {
+            factor *= m->hermite && (n_pieces - 1 - k) % 2 ? 1.0 - y : y;
             fb_add_scaled(n, factor, by_sample, a->by_pieces + k * s->padded);
         }
         fb_add_scaled(n, 1.0, by_sample, a->by_start);
@@ -296,28 +295,27 @@ static inline int fb_pull_back_step(fb_run *s, fb_adjoint *a, const long row, lo
     return status;
 }
 
-/* Places the results and the scratch memory; returns the number of doubles. */
+/* Places the results and the scratch memory, unless that is NULL; returns the number of doubles. */
 static inline size_t fb_place_adjoint(const fb_run *run, fb_adjoint *a, double *memory)
 {
     const fb_kernel *const k = run->problem->kernel;
-    const int n_rows = run->method->n_stages + 1 + run->method->n_extra, n_dense = run->method->n_dense + 3;
-    int widest = k->n_x > k->n_p ? k->n_x : k->n_p;
-    widest = widest > k->n_r ? widest : k->n_r;
-    widest = widest > k->n_u + k->n_l ? widest : k->n_u + k->n_l;
-    a->by_stages = memory;
-    a->by_pieces = a->by_stages + n_rows * run->padded;
-    a->by_start = a->by_pieces + n_dense * run->padded;
-    a->by_end = a->by_start + run->padded;
-    a->at = a->by_end + run->padded;
-    a->by_state = a->at + run->padded;
-    a->by_parameters = a->by_state + run->padded;
-    a->gradient = a->by_parameters + k->n_p;
-    a->weights = a->gradient + k->n_x + k->n_p + k->n_r;
-    a->solution = a->weights + k->n_x + k->n_l;
-    a->input_jacobian = a->solution + k->n_u + k->n_l;
-    a->jacobian = a->input_jacobian + k->n_r * k->n_p;
-    return (size_t)((n_rows + n_dense + 4) * run->padded + 2 * k->n_p + 2 * k->n_x + k->n_r + k->n_u + 2 * k->n_l +
-                    k->n_r * k->n_p + k->n_o * widest);
+    const int x = k->n_x, p = k->n_p, r = k->n_r, u = k->n_u, l = k->n_l, padded = run->padded;
+    const int of_variables = x > p ? (x > r ? x : r) : (p > r ? p : r);
+    const fb_place places[] = {
+        {&a->by_stages, (run->method->n_stages + 1 + run->method->n_extra) * padded},
+        {&a->by_pieces, (run->method->n_dense + 3) * padded},
+        {&a->by_start, padded},
+        {&a->by_end, padded},
+        {&a->at, padded},
+        {&a->by_state, padded},
+        {&a->by_parameters, p},
+        {&a->gradient, x + p + r},
+        {&a->weights, x + l},
+        {&a->solution, u + l},
+        {&a->input_jacobian, r * p},
+        {&a->jacobian, k->n_o * (of_variables > u + l ? of_variables : u + l)},
+    };
+    return fb_place_all(places, sizeof places / sizeof *places, memory);
 }
 
 #endif

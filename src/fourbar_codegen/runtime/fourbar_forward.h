@@ -194,22 +194,23 @@ static inline int fb_forward_sample(fb_run *run, const double t, const double *x
     return fb_forward_at(run, t, x, run->forward->samples + run->n_samples * run->forward->size);
 }
 
-/* The memory of sensitivities, of which the first part is used without a run; returns the number of doubles. */
+/* Places the arrays in memory, the directions first, unless that is NULL; returns their number of doubles. */
 static inline size_t fb_place_forward(const fb_run *run, const int n_blocks, fb_forward *f, double *memory)
 {
     const fb_kernel *const k = run->problem->kernel;
-    const int n_directions = n_blocks * (k->n_x + k->n_p + k->n_r) * FB_DIRECTIONS;
-    const int n_rows = run->method->n_stages + 1 + run->method->n_extra, n_dense = run->method->n_dense + 3;
+    const int size = n_blocks * k->n_x * FB_DIRECTIONS;
+    const fb_place places[] = {
+        {&f->directions, n_blocks * (k->n_x + k->n_p + k->n_r) * FB_DIRECTIONS},
+        {&f->input_jacobian, k->n_r * k->n_p},
+        {&f->s, size},
+        {&f->s_old, size},
+        {&f->scratch, size},
+        {&f->stages, (run->method->n_stages + 1 + run->method->n_extra) * size},
+        {&f->interpolant, (run->method->n_dense + 3) * size},
+    };
     f->n_blocks = n_blocks;
-    f->size = n_blocks * k->n_x * FB_DIRECTIONS;
-    f->directions = memory;
-    f->input_jacobian = f->directions + n_directions;
-    f->s = f->input_jacobian + k->n_r * k->n_p;
-    f->s_old = f->s + f->size;
-    f->scratch = f->s_old + f->size;
-    f->stages = f->scratch + f->size;
-    f->interpolant = f->stages + n_rows * f->size;
-    return (size_t)(n_directions + k->n_r * k->n_p + (3 + n_rows + n_dense) * f->size);
+    f->size = size;
+    return fb_place_all(places, sizeof places / sizeof *places, memory);
 }
 
 #endif

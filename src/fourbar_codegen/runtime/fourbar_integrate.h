@@ -388,17 +388,17 @@ static inline int fb_prepare_interpolant(fb_run *s)
 static inline void fb_interpolate(const fb_tableau *m, const double *coefficients, const int n, const int padded,
                                   const double *x_old, const double y, double *restrict x)
 {
-    for (int i = 0; i < n; ++i) {
-        double sum = 0.0;
-        if (!m->hermite) {
-            for (int k = m->n_dense - 1; k >= 0; --k)
-                sum = (sum + coefficients[k * padded + i]) * y;
-        } else {
-            for (int k = m->n_dense + 2, turn = 0; k >= 0; --k, turn = !turn)
-                sum = (sum + coefficients[k * padded + i]) * (turn ? 1.0 - y : y);
-        }
-        x[i] = x_old[i] + sum;
+    const int last = m->n_dense - 1 + (m->hermite ? 3 : 0);
+    for (int i = 0; i < n; ++i)
+        x[i] = 0.0;
+    for (int k = last; k >= 0; --k) {
+        const double *const row = coefficients + k * padded;
+        const double factor = m->hermite && (last - k) % 2 ? 1.0 - y : y;
+        for (int i = 0; i < n; ++i)
+            x[i] = (x[i] + row[i]) * factor;
     }
+    for (int i = 0; i < n; ++i)
+        x[i] += x_old[i];
 }
 
 /* Projects an interpolant onto the constraints. It is unchanged if no state nearby satisfies them, and NaN where they

@@ -428,15 +428,41 @@ static int vary(const fb_derivatives *derivatives, const fb_variations *variatio
 #endif
 }
 
+/* u' for FB_DIRECTIONS right-hand sides (f, -gamma) in the columns of a matrix. */
+static void solve_directions(const double *sides, const fb_work *w, double *solutions)
+{
+#ifdef FB_RECURSIVE
+    if (!w->factors.is_dense) {
+        fb_solve_columns(sides, FB_DIRECTIONS, &w->factors, solutions);
+        return;
+    }
+#endif
+#if !defined(FB_SPARSE) && !defined(FB_RECURSIVE)
+    fb_solve_directions(sides, &w->factors, solutions);
+#else
+    for (int j = 0; j < FB_DIRECTIONS; ++j) {
+        double forcing[N_U], bias[FB_AT_LEAST_1(N_C)], solution[N_U];
+        for (int i = 0; i < N_U; ++i)
+            forcing[i] = sides[i * FB_DIRECTIONS + j];
+        for (int i = 0; i < N_C; ++i)
+            bias[i] = -sides[(N_U + i) * FB_DIRECTIONS + j];
+        fb_solve(forcing, bias, &w->factors, solution);
+        for (int i = 0; i < N_U; ++i)
+            solutions[i * FB_DIRECTIONS + j] = solution[i];
+    }
+#endif
+}
+
 /* The changes of coordinates and speeds that lead along directions onto the constraints' tangent: those of `project`
  * for the derivatives of the violations, by the same orthogonality. */
 static int vary_closed(const fb_derivatives *derivatives, const fb_variations *variations, double t, const double *x,
                        const double *constants, const double *r, double *directions, void *work)
 {
     fb_work *const w = work;
-    static const double at_rest[N_U] = {0.0};
-    double positions[FB_AT_LEAST_1(N_C + N_I)][FB_DIRECTIONS], velocities[FB_AT_LEAST_1(N_C)][FB_DIRECTIONS];
-    double column[FB_AT_LEAST_1(N_C + N_I)], change[N_U], coordinate_changes[FB_AT_LEAST_1(N_Q)];
+    /* f = 0, then the violations: in solutions for -gamma, signs are reversed */
+    double sides[(N_U + FB_AT_LEAST_1(N_C + N_I)) * FB_DIRECTIONS] = {0.0}, unused[FB_AT_LEAST_1(N_C) * FB_DIRECTIONS];
+    double *const violations = sides + N_U * FB_DIRECTIONS;
+    double changes[N_U * FB_DIRECTIONS], change[N_U], coordinate_changes[FB_AT_LEAST_1(N_Q)];
     (void)derivatives;
     if (N_C + N_I == 0)
         return FB_OK;
@@ -448,24 +474,21 @@ static int vary_closed(const fb_derivatives *derivatives, const fb_variations *v
     const int status = factor_at(t, x, constants, r, w);
     if (status != FB_OK)
         return status;
-    variations->constraint_variation(t, x, constants, r, directions, positions[0], velocities[0]);
+    variations->constraint_variation(t, x, constants, r, directions, violations, unused);
+    solve_directions(sides, w, changes);
     for (int j = 0; j < FB_DIRECTIONS; ++j) {
-        for (int i = 0; i < N_C; ++i)
-            column[i] = positions[i][j];
-        fb_solve(at_rest, column, &w->factors, change);
+        for (int i = 0; i < N_U; ++i)
+            change[i] = changes[i * FB_DIRECTIONS + j];
         coordinate_change(t, x, constants, r, change, coordinate_changes);
         for (int i = 0; i < N_Q; ++i)
-            directions[i * FB_DIRECTIONS + j] += coordinate_changes[i];
+            directions[i * FB_DIRECTIONS + j] -= coordinate_changes[i];
     }
     /* The speeds' constraints depend on the coordinates as well. */
-    variations->constraint_variation(t, x, constants, r, directions, positions[0], velocities[0]);
-    for (int j = 0; j < FB_DIRECTIONS; ++j) {
-        for (int i = 0; i < N_C; ++i)
-            column[i] = velocities[i][j];
-        fb_solve(at_rest, column, &w->factors, change);
-        for (int i = 0; i < N_U; ++i)
-            directions[(N_Q + i) * FB_DIRECTIONS + j] += change[i];
-    }
+    double positions[FB_AT_LEAST_1(N_C + N_I) * FB_DIRECTIONS];
+    variations->constraint_variation(t, x, constants, r, directions, positions, violations);
+    solve_directions(sides, w, changes);
+    for (int i = 0; i < N_U * FB_DIRECTIONS; ++i)
+        directions[N_Q * FB_DIRECTIONS + i] -= changes[i];
     return FB_OK;
 }
 

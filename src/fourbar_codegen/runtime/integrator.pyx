@@ -863,6 +863,13 @@ cdef class Run:
         self.ode.check(fb_state_at(&self.run, self._within(share), data(x)))
         return x
 
+    def sensitivity_within(self, double share):
+        """The derivatives at a fraction of the last step, shape (n_x, n)."""
+        cdef cnp.ndarray x = self.state_within(share), s = new_array(self.forward.size)
+        self.ode.check(fb_forward_at(&self.run, self._within(share), data(x), data(s)))
+        blocks = s.reshape(self.forward.n_blocks, self.run.n, FB_DIRECTIONS)
+        return np.concatenate(list(blocks), axis=1)[:, :self.n_directions]
+
     def event_values_within(self, double share):
         """The event functions at a fraction of the last step, shape (n_events,)."""
         cdef cnp.ndarray x = self.state_within(share)
@@ -911,6 +918,11 @@ cdef class Run:
     def t_old(self):
         """The beginning of the last step."""
         return self._at(self.run.t_old)
+
+    @property
+    def h(self):
+        """The length of the last step."""
+        return self.run.h
 
     @property
     def n_steps(self):

@@ -1,4 +1,4 @@
-"""The right-hand side at many states, in SIMD batches and on all cores."""
+"""The right-hand side, its Jacobians and the residual at many states, in batches and on all cores."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.arguments import Values, is_integer, is_mapping, named, named_columns, numbers
+from fourbar_codegen.arguments import Values, is_integer, is_mapping, named, named_columns, numbers, one_of
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.kernel.kernel import Kernel
-from fourbar_codegen.runtime.batch import Batch
+from fourbar_codegen.runtime.batch import Batch, Jacobians
 
-__all__ = ["BLOCK", "evaluate", "n_workers"]
+__all__ = ["BLOCK", "differentiate", "evaluate", "n_workers", "residual", "residual_sparsity"]
 
 Floats = NDArray[np.float64]
 
@@ -32,6 +32,117 @@ def evaluate(
     workers: int | None,
 ) -> Floats:
     """The right-hand side at many states; see `CompiledModel.rhs_batch`."""
+    times, states, parameters, inputs = given = _arguments(model, t, x, p, r)
+    if out is None:
+        out = np.empty(states.shape)
+    elif not (isinstance(out, np.ndarray) and out.shape == states.shape and out.dtype == float and out.flags.carray):
+        raise ModelError(f"out must be a contiguous, writable array of double of the shape {states.shape}.")
+    # For contiguous arrays, as these are, the bounds are sufficient.
+    elif any(np.may_share_memory(out, array) for array in given if array is not None):
+        raise ModelError("out must not share memory with t, x, p or r.")
+    model.require_batch_functions()
+    _in_threads(Batch(model, times, states, parameters, inputs, out), states.shape[1], workers)
+    return out
+
+
+def differentiate(
+    model: Kernel,
+    variables: str,
+    t: ArrayLike,
+    x: ArrayLike,
+    p: Values | None,
+    r: Values | None,
+    *,
+    outputs: bool,
+    workers: int | None,
+) -> list[Floats]:
+    """The Jacobians of x', and of the outputs, at many states, each of shape (rows, m, n).
+
+    By "state", "parameters" or "inputs"; see `CompiledModel.jacobian_batch`.
+    """
+    times, states, parameters, inputs = _arguments(model, t, x, p, r)
+    jacobians = Jacobians(model, times, states, parameters, inputs, np.array(model.defaults_in_force(r), dtype=bool))
+    jacobians.differentiate(variables, outputs)
+    _in_threads(jacobians, states.shape[1], workers)
+    return [np.moveaxis(result, 0, -1) for result in jacobians.results]
+
+
+def residual(
+    model: Kernel,
+    t: ArrayLike,
+    x: ArrayLike,
+    rates: ArrayLike,
+    multipliers: ArrayLike | None,
+    p: Values | None,
+    r: Values | None,
+    *,
+    formulation: str,
+    jacobians: bool,
+    workers: int | None,
+) -> list[Floats]:
+    """The residual of the equations of motion at many states, and its Jacobians; see `CompiledModel.residual_batch`."""
+    times, states, parameters, inputs = _arguments(model, t, x, p, r)
+    n = states.shape[1]
+    one_of(formulation, ("index-1", "index-3"), "formulation")
+    if multipliers is None:
+        if model.n_l:
+            raise ModelError(
+                f"The model has {model.n_l} multipliers: give them, as an array of shape ({model.n_l}, n)."
+            )
+        multipliers = np.zeros((0, n))
+    arrays: list[Floats] = []
+    for values, rows, what in ((rates, model.n_x, "rates of the states"), (multipliers, model.n_l, "multipliers")):
+        array = np.ascontiguousarray(numbers(values, f"The {what}"))
+        if array.shape != (rows, n):
+            raise ModelError(f"The {what} must have shape ({rows}, {n}), like {n} states, not {array.shape}.")
+        arrays.append(array)
+    batch = Jacobians(model, times, states, parameters, inputs, np.array(model.defaults_in_force(r), dtype=bool))
+    batch.form(arrays[0], arrays[1], formulation, jacobians)
+    _in_threads(batch, n, workers)
+    return [np.moveaxis(result, 0, -1) for result in batch.results]
+
+
+def residual_sparsity(model: Kernel, formulation: str) -> dict[str, NDArray[np.bool_]]:
+    """Which entries of the residual's Jacobians may differ from 0; see `CompiledModel.residual_sparsity`."""
+    one_of(formulation, ("index-1", "index-3"), "formulation")
+    n_q, n_u, n_z, n_x, n_c, n_l = model.n_q, model.n_u, model.n_z, model.n_x, model.n_c, model.n_l
+    n_p, n_r = model.n_p, model.n_r
+    sizes = (n_x, n_p, n_r, n_u, n_l)
+
+    def bits(name: str) -> NDArray[np.bool_]:
+        """The rows of a result by all variables."""
+        rows = [int(mask, 16) for mask in model.manifest["dependencies"][name]]
+        return np.array([[mask >> place & 1 for place in range(sum(sizes))] for mask in rows], dtype=bool).reshape(
+            -1, sum(sizes)
+        )
+
+    residual, positions, velocities = bits("residual"), bits("position_violation"), bits("velocity_violation")
+    closed = residual[n_u : n_u + n_c]
+    if formulation == "index-3":
+        kept = [row in model.manifest["position_rows"] for row in range(n_c)]
+        closed = np.where(np.array(kept, dtype=bool)[:, np.newaxis], positions[:n_c], velocities)
+    rows = np.vstack(
+        (bits("coordinate_rates"), residual[:n_u], residual[n_u + n_l :], closed, residual[n_u + n_c : n_u + n_l])
+    )
+    by_state, by_parameters, by_inputs, by_accelerations, by_multipliers = np.split(rows, np.cumsum(sizes)[:-1], axis=1)
+    by_rates = np.zeros((n_x + n_l, n_x), dtype=bool)
+    by_rates[:, n_q : n_q + n_u] = by_accelerations
+    own = [*range(n_q), *range(n_q + n_u, n_q + n_u + n_z)]
+    by_rates[own, own] = True
+    through_inputs = by_inputs @ bits("default_inputs")[:, n_x : n_x + n_p]
+    return {
+        "x": by_state,
+        "rates": by_rates,
+        "multipliers": by_multipliers,
+        "p": by_parameters | through_inputs,
+        "r": by_inputs,
+    }
+
+
+def _arguments(
+    model: Kernel, t: ArrayLike, x: ArrayLike, p: Values | None, r: Values | None
+) -> tuple[Floats, Floats, Floats, Floats | None]:
+    """Times, states, parameters and inputs as contiguous arrays."""
     states = named_columns(x, model.states, {}, "state")
     if states.ndim != 2:
         raise ModelError(f"The states must have shape ({model.n_x}, n), not {states.shape}.")
@@ -49,22 +160,16 @@ def evaluate(
         inputs = named_columns(_with_defaults(model, times, parameters, r, n), model.inputs, {}, "input", n)
     elif any(entry["expression"] is None for entry in model.manifest["inputs"]):
         raise ModelError(model.missing())
-    if out is None:
-        out = np.empty(states.shape)
-    elif not (isinstance(out, np.ndarray) and out.shape == states.shape and out.dtype == float and out.flags.carray):
-        raise ModelError(f"out must be a contiguous, writable array of double of the shape {states.shape}.")
-    # For contiguous arrays, as these are, the bounds are sufficient.
-    elif any(np.may_share_memory(out, given) for given in (times, states, parameters, inputs) if given is not None):
-        raise ModelError("out must not share memory with t, x, p or r.")
-    model.require_batch_functions()
-    batch = Batch(model, times, states, parameters, inputs, out)
+    return times, states, parameters, inputs
+
+
+def _in_threads(batch: Batch | Jacobians, n: int, workers: int | None) -> None:
     n_threads = min(n_workers(workers), -(-n // BLOCK))
     if n_threads < 2:
         batch.evaluate(0, n)
     else:
         with ThreadPoolExecutor(n_threads) as pool:
             list(pool.map(lambda begin: batch.evaluate(begin, min(begin + BLOCK, n)), range(0, n, BLOCK)))
-    return out
 
 
 def _with_defaults(model: Kernel, times: Floats, parameters: Floats, r: Values, n: int) -> Values:

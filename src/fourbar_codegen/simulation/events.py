@@ -13,7 +13,11 @@ from numpy.typing import NDArray
 from fourbar_codegen.arguments import finite_number, name_of, number, of_time_and_state
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.runtime.integrator import Run
 from fourbar_codegen.simulation.run_protocol import Integration
+
+SPACING = 0.01
+"""Of the values from which the slope of an event function is found, in fractions of the step."""
 
 __all__ = ["Event", "EventLike", "Watch", "events_of"]
 
@@ -75,8 +79,10 @@ def events_of(model: Kernel, events: object) -> list[Event] | None:
 class Watch:
     """Event detection as in ``solve_ivp``: in each step, with Brent's method on the interpolant."""
 
-    def __init__(self, model: Kernel, events: Sequence[Event]) -> None:
-        self.events = events
+    def __init__(self, model: Kernel, events: Sequence[Event], *, differentiates: bool = False) -> None:
+        self.events, self.differentiates = events, differentiates
+        self.derivatives: list[list[tuple[Floats, float]]] = [[] for _ in events]
+        """For each event, the derivatives of the state at a held time, (n_x, n), and the function's slope over time."""
         self.times: list[Any] = [[] for _ in events]
         self.states: list[Any] = [[] for _ in events]
         self.callables = [(i, e.function) for i, e in enumerate(events) if callable(e.function)]
@@ -104,6 +110,8 @@ class Watch:
         for share, i in sorted((self._root(run, i, before[i]), i) for i in self._changed(before)):
             if share == 0.0 and self.times[i] and self.times[i][-1] == self.went_on == run.time_within(share):
                 continue  # already found at the end of the previous piece
+            if self.differentiates and isinstance(run, Run):
+                self.derivatives[i].append((run.sensitivity_within(share), self._slope(run, i, share)))
             if self._note(i, run.time_within(share), run.state_within(share)):
                 return share
         return None
@@ -113,7 +121,19 @@ class Watch:
         before, self.went_on = self._move_on(run), run.t
         changed = [i for i in self._changed(before) if before[i] != self.values[i]]
         ends = [self._note(i, run.t, run.x) for i in changed]
+        if self.differentiates and isinstance(run, Run):
+            for i in changed:  # at a time that depends on nothing
+                self.derivatives[i].append((run.sensitivity_within(1.0), math.inf))
         return any(ends)
+
+    def _slope(self, run: Run, i: int, share: float) -> float:
+        """The derivative of an event function over time, by a difference of order 4 along the interpolant."""
+        place = self.named.index(i)
+        far, near = (
+            float(run.event_values_within(share + distance)[place] - run.event_values_within(share - distance)[place])
+            for distance in (2.0 * SPACING, SPACING)
+        )
+        return (8.0 * near - far) / (12.0 * SPACING * run.h)
 
     def _move_on(self, run: Integration) -> list[float]:
         """Evaluate the functions at the current state; returns their previous values."""

@@ -13,7 +13,7 @@ from fourbar_codegen.errors import SimulationError
 from fourbar_codegen.kernel.consistency import consistent, left
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.kernel.sensitivity import Directions
-from fourbar_codegen.results.gradient import KeptSteps
+from fourbar_codegen.results.gradient import EventSensitivity, KeptSteps, output_sensitivity
 from fourbar_codegen.results.trajectory import Trajectory, make_trajectory
 from fourbar_codegen.runtime.integrator import Ode, Run
 from fourbar_codegen.simulation.discontinuities import Pieces, discontinuities
@@ -79,7 +79,7 @@ def integrate(
     Trajectory
     """
     span, method, max_steps, t_eval = options.t_span, options.method, options.max_steps, options.t_eval
-    watch = Watch(model, options.events) if options.events else None
+    watch = Watch(model, options.events, differentiates=directions is not None) if options.events else None
     # ALI3P satisfies the position constraints by itself, with or without projection.
     closes = options.project or method == FIXED_STEP
     start = consistent(ode, span[0], x0) if closes else x0
@@ -192,6 +192,7 @@ def integrate(
         message=message + COORDINATES_ALONE if options.formulation == "index-3" else message,
         settings=options.settings(),
         inputs=options.inputs or {},
+        event_sensitivity=_of_events(model, ode, watch, directions) if watch and directions is not None else None,
         sensitivity=dict(zip(directions.names, run.sensitivities[..., : t.size], strict=True))
         if directions is not None and isinstance(run, Run)
         else None,
@@ -203,10 +204,41 @@ def integrate(
             parameters=options.parameters,
             inputs=options.inputs or {},
             starts_from_x0=options.x0 is not None,
+            dx0=options.dx0,
         )
         if options.gradient and isinstance(run, Run)
         else None,
     )
+
+
+def _of_events(model: Kernel, ode: Ode, watch: Watch, directions: Directions) -> list[dict[str, EventSensitivity]]:
+    """The derivatives of times and states of events, by names.
+
+    An event function g(t, x, p) = 0 holds: dt/dp = -(g_x S + g_p) / (dg/dt along the motion), and the state at that
+    time changes by S + x' dt/dp.
+    """
+    found = []
+    for place, event in enumerate(watch.events):
+        times, states = watch.times[place], watch.states[place]
+        of_times, of_states = np.zeros((len(directions.names), len(times))), []
+        for i, (t, x, (s, slope)) in enumerate(zip(times, states, watch.derivatives[place], strict=True)):
+            by_name = dict(zip(directions.names, s.T[..., np.newaxis], strict=True))
+            r = ode.input_values(t, x)[:, np.newaxis]
+            outputs = output_sensitivity(
+                model, np.array([t]), x[:, np.newaxis], r, ode.parameters, dict.fromkeys(_given(model, ode)), by_name
+            )
+            row = model.outputs.index(str(event.function))
+            of_times[:, i] = [-changes[row, 0] / slope for changes in outputs.values()]
+            of_states.append(s + np.outer(ode(t, x), of_times[:, i]))
+        columns = np.array(of_states).reshape(len(times), model.n_x, len(directions.names))
+        found.append({n: EventSensitivity(of_times[k], columns[:, :, k].T) for k, n in enumerate(directions.names)})
+    return found
+
+
+def _given(model: Kernel, ode: Ode) -> list[str]:
+    """The inputs that have sources."""
+    entries = zip(model.manifest["inputs"], ode.sources, strict=True)
+    return [entry["of"] for entry, source in entries if source is not None]
 
 
 def _growth(ode: Ode, t: Floats, y: Floats, run: Integration, *, by_steps: bool) -> str:

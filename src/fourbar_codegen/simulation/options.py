@@ -28,6 +28,7 @@ from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.kernel.consistency import projects
 from fourbar_codegen.kernel.inputs import by_name, own_source
 from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.kernel.sensitivity import differentiable
 from fourbar_codegen.simulation.events import Event, events_of
 
 __all__ = ["FIXED_STEP", "METHODS", "SOLVERS", "RunOptions"]
@@ -147,7 +148,7 @@ class RunOptions(NamedTuple):
             formulation,
             progress,
             names := _sensitivities(sensitivities, gradient, method, constraints),
-            {} if dx0 is None else _start(model, dx0, x0, names),
+            {} if dx0 is None else _start(model, dx0, x0, names or differentiable(model)),
             flag(gradient, "gradient"),
             project,
         )
@@ -193,7 +194,7 @@ def _start(model: Kernel, given: Any, x0: Any, names: tuple[str, ...]) -> dict[s
         raise ModelError(f"dx0 must be a mapping from names to arrays of shape ({model.n_x},), not {shown(given)}.")
     return {
         name: named_array(value, model.states, {}, f"derivative with respect to {name} of state")
-        for name, value in named(given, names, "name in sensitivities").items()
+        for name, value in named(given, names, "name to differentiate by").items()
     }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
 from typing import Any
 
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.analysis.initial_state import initial_state
 from fourbar_codegen.arguments import Values, finite_number, name_of, named_array
-from fourbar_codegen.errors import ModelError
+from fourbar_codegen.errors import ModelError, ModelWarning
 from fourbar_codegen.kernel.consistency import check_start, consistent, projects
 from fourbar_codegen.kernel.inputs import InputSource, bind
 from fourbar_codegen.kernel.kernel import Kernel
@@ -42,7 +43,7 @@ def simulate(model: Kernel, options: RunOptions) -> Trajectory:
         ode.stabilization = options.stabilization
     check_start(model, ode, start, state, p, passes=options.method == FIXED_STEP)
     if options.sensitivities or options.gradient:
-        _check_differentiable(options)
+        _check_differentiable(model, options)
     directions = _directions(model, options, state) if options.sensitivities else None
     if report is not None:
         return integrate(model, ode, state, options, report or None, directions)
@@ -54,7 +55,17 @@ def simulate(model: Kernel, options: RunOptions) -> Trajectory:
         return integrate(model, ode, state, options, told, directions)
 
 
-def _check_differentiable(options: RunOptions) -> None:
+def _check_differentiable(model: Kernel, options: RunOptions) -> None:
+    if model.manifest["jumps"]:
+        warnings.warn(
+            f"The equations of {model.name} jump with the state ({'; '.join(model.manifest['jumps'])}). If the run "
+            "passes a jump, its derivatives leave out the change of the time of the jump: make forces continuous, for "
+            "instance by tanh instead of sign.",
+            ModelWarning,
+            stacklevel=4,
+        )
+    if options.sensitivities and any(callable(event.function) for event in options.events or ()):
+        raise ModelError("Events by callables have no derivatives: make the function an output of the model.")
     for key, source in (options.inputs or {}).items():
         if callable(source):
             raise ModelError(f"Input {name_of(key)} is a callable, whose derivatives are not known: use a table.")
@@ -74,7 +85,8 @@ def _directions(model: Kernel, options: RunOptions, state: Floats) -> Directions
     matrix = found.matrix.copy()
     for name, derivative in options.dx0.items():
         matrix[: model.n_x, found.names.index(name)] = derivative
-    matrix[:, moved] = follow(model, options.t_span[0], state, matrix[:, moved], options.parameters, options.inputs)
+    if moved.any():
+        matrix[:, moved] = follow(model, options.t_span[0], state, matrix[:, moved], options.parameters, options.inputs)
     return Directions(found.names, matrix)
 
 

@@ -1,0 +1,408 @@
+"""A compiled model in JAX: its right-hand side and simulations as functions that JAX differentiates.
+
+Needs the extra ``jax``.
+
+Source: JAX documentation, "Custom derivative rules for JAX-transformable Python functions" and "External callbacks",
+https://docs.jax.dev.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fourbar_codegen.arguments import flag, is_mapping, name_of, named, sample_times, time_span
+from fourbar_codegen.compiled import CompiledModel
+from fourbar_codegen.errors import AssemblyError, ModelError, SimulationError, shown
+from fourbar_codegen.kernel.inputs import InputSource, own_source
+from fourbar_codegen.kernel.sensitivity import independent_states, moving_breakpoints
+from fourbar_codegen.results.trajectory import Trajectory
+
+__all__ = ["JaxModel", "to_jax"]
+
+Floats = NDArray[np.float64]
+Arrays = Mapping[str, Any]
+
+
+def to_jax(model: CompiledModel) -> JaxModel:
+    """A model whose functions JAX can call, differentiate, compile and vectorize; needs the extra ``jax``.
+
+    Parameters
+    ----------
+    model : CompiledModel
+
+    Returns
+    -------
+    JaxModel
+
+    Raises
+    ------
+    ModelError
+        If JAX is not installed, or computes in single precision: ``jax.config.update("jax_enable_x64", True)``.
+
+    Examples
+    --------
+    >>> import jax
+    >>> import fourbar_codegen as fb
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> four_bar = fb.to_jax(fb.load("four_bar"))
+    >>> simulate = four_bar.simulation((0.0, 1.0), [0.5, 1.0])
+    >>> loss = lambda parameters: (simulate(parameters)["q2"] ** 2).sum()
+    >>> round(float(jax.grad(loss)({"k": 2.0})["k"]), 4)
+    0.0149
+    """
+    if not isinstance(model, CompiledModel):
+        raise ModelError(f"to_jax takes a compiled model, as compile_model and load return it, not {shown(model)}.")
+    try:
+        import jax
+    except ImportError as error:
+        raise ModelError("JAX is not installed: pip install 'fourbar_codegen[jax]'.") from error
+    if not jax.config.jax_enable_x64:
+        raise ModelError(
+            "JAX computes in single precision, which is not enough for a mechanism: call "
+            'jax.config.update("jax_enable_x64", True) at the beginning of the program.'
+        )
+    return JaxModel(model)
+
+
+@dataclass(frozen=True)
+class JaxModel:
+    """Functions of a compiled model for JAX, made by `to_jax`.
+
+    They run on the CPU, by callbacks. Where the equations cannot be evaluated, results are NaN.
+
+    Attributes
+    ----------
+    model : CompiledModel
+    """
+
+    model: CompiledModel
+
+    def rhs(self, t: Any, x: Any, p: Any = None, r: Any = None) -> Any:
+        """The right-hand side x' = f(t, x, p, r), with derivatives in forward and reverse mode, and `jax.vmap`.
+
+        Derivatives are by x, p and r; time has none.
+
+        Parameters
+        ----------
+        t : scalar
+        x : array, shape (n_x,)
+        p : array, shape (n_p,), optional
+            The model's values otherwise.
+        r : array, shape (n_r,), optional
+            Inputs; the values of their expressions at the parameters' own values otherwise.
+
+        Returns
+        -------
+        array, shape (n_x,)
+
+        Raises
+        ------
+        ModelError
+            If a parameter or an input has no value.
+
+        Examples
+        --------
+        >>> import jax
+        >>> import fourbar_codegen as fb
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> four_bar = fb.load("four_bar")
+        >>> x = four_bar.initial_state()
+        >>> by_state = jax.jacobian(lambda x: fb.to_jax(four_bar).rhs(0.0, x))(x)
+        >>> bool(abs(by_state - four_bar.jacobian(0.0, x)).max() == 0.0)
+        True
+        """
+        import jax
+        import jax.numpy as jnp
+
+        model = self.model
+        if p is None:
+            model.parameter_vector(None)  # raises if one has no value
+            p = np.array([*model.defaults.values()], dtype=float)
+        if r is None:
+            if not model.has_inputs:
+                raise ModelError(model.missing())
+            shape = jax.ShapeDtypeStruct((model.n_r,), float)
+            r = jax.pure_callback(_inputs(model), shape, t, p, vmap_method="sequential") if model.n_r else jnp.zeros(0)
+        return _rhs(model)(jnp.asarray(t, float), jnp.asarray(x, float), jnp.asarray(p, float), jnp.asarray(r, float))
+
+    def simulation(
+        self,
+        t_span: Sequence[float],
+        t_eval: ArrayLike,
+        *,
+        inputs: Mapping[Any, InputSource] | None = None,
+        outputs: Sequence[Any] = (),
+        forward: bool = False,
+        method: str = "DOP853",
+        rtol: float = 1e-8,
+        atol: float = 1e-10,
+        constraints: str = "project",
+    ) -> Callable[..., dict[str, Any]]:
+        """A simulation as a function of parameters, initial values and values of input tables.
+
+        The function ``simulate(parameters={}, initial={}, inputs={})`` takes mappings from names to scalars, and for
+        inputs to the values of their tables. What is not named has the model's value; dependent initial values follow.
+        It returns a dict of the states and the given outputs over time, each of shape (n_t,), NaN where the simulation
+        failed.
+
+        Parameters
+        ----------
+        t_span, t_eval, inputs, method, rtol, atol, constraints
+            As for `CompiledModel.simulate`. An input to be differentiated is a table ``(times, values)`` here, whose
+            values the function may replace.
+        outputs : sequence of names, optional
+        forward : bool, optional
+            Whether derivatives are found in forward mode: faster for few unknowns and many results, as for a Jacobian.
+            Otherwise they are found by the discrete adjoint, which is faster for gradients; `jax.jvp` is then refused
+            by JAX.
+
+        Returns
+        -------
+        callable
+
+        Raises
+        ------
+        ModelError
+            If an argument has a wrong name or shape.
+
+        Examples
+        --------
+        >>> import jax
+        >>> import fourbar_codegen as fb
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> simulate = fb.to_jax(fb.load("four_bar")).simulation((0.0, 1.0), [0.5, 1.0], forward=True)
+        >>> jax.jacobian(lambda l2: simulate({"l2": l2})["q2"])(0.6).shape
+        (2,)
+        """
+        return _Simulation.of(
+            self.model,
+            time_span(t_span),
+            sample_times(t_eval, *time_span(t_span)),
+            inputs or {},
+            outputs,
+            {"method": method, "rtol": rtol, "atol": atol, "constraints": constraints, "progress": False},
+        ).function(forward=flag(forward, "forward"))
+
+
+def _inputs(model: CompiledModel) -> Callable[..., Floats]:
+    def evaluate(t: Any, p: Any) -> Floats:
+        return model.default_inputs(float(t), np.asarray(p))
+
+    return evaluate
+
+
+def _rhs(model: CompiledModel) -> Callable[..., Any]:
+    import jax
+
+    n_x, n_p, n_r = model.n_x, model.n_p, model.n_r
+
+    def columns(t: Any, x: Any, p: Any, r: Any) -> tuple[Any, ...]:
+        """States in columns, of any leading axes that `vmap` has added."""
+        shape = np.shape(x)[:-1]
+        flat = [np.ascontiguousarray(np.reshape(a, (-1, n)).T) for a, n in ((x, n_x), (p, n_p), (r, n_r))]
+        return shape, np.ravel(np.broadcast_to(t, shape)), *flat
+
+    def evaluate(t: Any, x: Any, p: Any, r: Any) -> Floats:
+        shape, times, *flat = columns(t, x, p, r)
+        return np.ascontiguousarray(model.rhs_batch(times, *flat).T).reshape(*shape, n_x)
+
+    def differentiate(t: Any, x: Any, p: Any, r: Any) -> tuple[Floats, ...]:
+        shape, times, *flat = columns(t, x, p, r)
+        functions = (model.jacobian_batch, model.parameter_jacobian_batch, model.input_jacobian_batch)
+        found = [np.moveaxis(function(times, *flat), -1, 0) for function in functions]
+        return tuple(np.ascontiguousarray(each).reshape(*shape, *each.shape[1:]) for each in found)
+
+    def call(t: Any, x: Any, p: Any, r: Any) -> Any:
+        shape = jax.ShapeDtypeStruct((n_x,), float)
+        return jax.pure_callback(evaluate, shape, t, x, p, r, vmap_method="broadcast_all")
+
+    rhs = jax.custom_jvp(call)
+
+    def jvp(primals: Any, tangents: Any) -> Any:
+        shapes = [jax.ShapeDtypeStruct((n_x, n), float) for n in (n_x, n_p, n_r)]
+        matrices = jax.pure_callback(differentiate, tuple(shapes), *primals, vmap_method="broadcast_all")
+        return rhs(*primals), sum(matrix @ part for matrix, part in zip(matrices, tangents[1:], strict=True))
+
+    rhs.defjvp(jvp)
+    return rhs  # type: ignore[no-any-return]
+
+
+@dataclass(frozen=True)
+class _Simulation:
+    """Simulations with the same times, as functions of three vectors: parameters, initial values, input values."""
+
+    model: CompiledModel
+    t_span: tuple[float, float]
+    t_eval: Floats
+    sources: dict[str, Any]
+    tables: tuple[str, ...]
+    initial: tuple[str, ...]
+    outputs: tuple[str, ...]
+    how: dict[str, Any]
+
+    @classmethod
+    def of(
+        cls,
+        model: CompiledModel,
+        t_span: tuple[float, float],
+        t_eval: Floats,
+        inputs: Mapping[Any, InputSource],
+        outputs: Sequence[Any],
+        how: dict[str, Any],
+    ) -> _Simulation:
+        sources = {name_of(key): own_source(name_of(key), source) for key, source in inputs.items()}
+        names = tuple(named(dict.fromkeys(outputs), model.outputs, "output"))
+        tables = tuple(name for name, source in sources.items() if isinstance(source, tuple))
+        q, u, z = independent_states(model)
+        return cls(model, t_span, t_eval, sources, tables, (*q, *u, *z), names, how)
+
+    def function(self, *, forward: bool) -> Callable[..., dict[str, Any]]:
+        import jax
+        import jax.numpy as jnp
+
+        model, names = self.model, (*self.model.states, *self.outputs)
+        shape = jax.ShapeDtypeStruct((len(names), len(self.t_eval)), float)
+        solve = (_forward if forward else _reverse)(self, shape)
+        start = {**dict.fromkeys(self.initial, 0.0), **model.manifest["initial"]}
+
+        def simulate(parameters: Arrays = {}, initial: Arrays = {}, inputs: Arrays = {}) -> dict[str, Any]:  # noqa: B006
+            if forward and inputs:
+                raise ModelError("With forward=True there are no derivatives by tables of inputs: use forward=False.")
+            p, x, r = (
+                _vector(given, known, kind)
+                for given, known, kind in (
+                    (parameters, model.defaults, "parameter"),
+                    (initial, {name: start[name] for name in self.initial}, "initial value"),
+                    (inputs, {name: self.sources[name][1] for name in self.tables}, "input with a table"),
+                )
+            )
+            found = solve(p, x, r)
+            return dict(zip(names, jnp.unstack(found), strict=True))
+
+        return simulate
+
+    def run(self, p: Any, x: Any, r: Any, **more: Any) -> Trajectory | None:
+        """The run from a consistent initial state, or None where it fails."""
+        model, p = self.model, np.asarray(p)
+        values = dict(zip(self.initial, np.asarray(x).tolist(), strict=True))
+        given = [{name: values[name] for name in part} or None for part in independent_states(model)]
+        sources, begin = dict(self.sources), 0
+        for name in self.tables:
+            times, old, *kind = sources[name]
+            sources[name] = (times, np.asarray(r)[begin : begin + len(old)], *kind)
+            begin += len(old)
+        try:
+            x0, dx0 = model.initial_state(
+                given[0],
+                given[1],
+                auxiliary_states=given[2],
+                t=self.t_span[0],
+                parameters=p,
+                inputs=sources,
+                derivatives=True,
+            )
+            if more:
+                more["dx0"] = dx0
+            run = model.simulate(self.t_span, x0, parameters=p, inputs=sources, t_eval=self.t_eval, **self.how, **more)
+        except (AssemblyError, SimulationError):
+            return None
+        return run if run.success else None
+
+    def results(self, p: Any, x: Any, r: Any) -> Floats:
+        """The states and outputs over time, in rows; NaN where the run fails."""
+        run = self.run(p, x, r)
+        if run is None:
+            return np.full((self.model.n_x + len(self.outputs), len(self.t_eval)), np.nan)
+        return np.vstack((run.y, *(run[name] for name in self.outputs)))
+
+
+def _vector(given: Arrays, known: Mapping[str, Any], kind: str) -> Any:
+    """The values of all known names as one vector."""
+    import jax.numpy as jnp
+
+    if not is_mapping(given):
+        raise ModelError(f"Values of each {kind} are given as a mapping from names, not {type(given).__name__}.")
+    parts = {**known, **named(given, [*known], kind)}
+    for name, value in parts.items():
+        if value is None:
+            raise ModelError(f"The {kind} {name} has no value in the model: give one.")
+        if jnp.shape(value) != jnp.shape(known[name]) and known[name] is not None:
+            raise ModelError(f"The {kind} {name} has the shape {jnp.shape(known[name])}, not {jnp.shape(value)}.")
+    return jnp.concatenate([jnp.ravel(jnp.asarray(value, float)) for value in parts.values()] or [jnp.zeros(0)])
+
+
+def _reverse(simulation: _Simulation, shape: Any) -> Callable[..., Any]:
+    import jax
+
+    model, names = simulation.model, (*simulation.model.states, *simulation.outputs)
+
+    def gradient(p: Any, x: Any, r: Any, weights: Any) -> tuple[Floats, ...]:
+        run = simulation.run(p, x, r, gradient=True)
+        if run is None:
+            return tuple(np.full(np.shape(part), np.nan) for part in (p, x, r))
+        by_name = run.gradient(dict(zip(names, np.asarray(weights), strict=True)))
+        return (
+            np.array([by_name.get(name, np.nan) for name in model.parameters]),
+            np.array([by_name[name] for name in simulation.initial]),
+            np.concatenate([np.zeros(0), *(np.ravel(_known(by_name, name)) for name in simulation.tables)]),
+        )
+
+    def call(p: Any, x: Any, r: Any) -> Any:
+        return jax.pure_callback(simulation.results, shape, p, x, r, vmap_method="sequential")
+
+    solve = jax.custom_vjp(call)
+
+    def forward(p: Any, x: Any, r: Any) -> Any:
+        return solve(p, x, r), (p, x, r)
+
+    def backward(given: Any, weights: Any) -> Any:
+        shapes = tuple(jax.ShapeDtypeStruct(part.shape, float) for part in given)
+        return jax.pure_callback(gradient, shapes, *given, weights, vmap_method="sequential")
+
+    solve.defvjp(forward, backward)
+    return solve  # type: ignore[no-any-return]
+
+
+def _forward(simulation: _Simulation, shape: Any) -> Callable[..., Any]:
+    import jax
+
+    model = simulation.model
+    unknowns = (*model.parameters, *simulation.initial)
+    # Parameters that move the times of jumps have no sensitivity: NaN.
+    left_out = moving_breakpoints(model, None, model.parameters)
+    known = [name for name in unknowns if name not in left_out]
+
+    def matrix(p: Any, x: Any, r: Any) -> Floats:
+        found = np.full((*shape.shape, len(unknowns)), np.nan)
+        run = simulation.run(p, x, r, sensitivities=known)
+        if run is not None and run.sensitivity is not None:
+            for name in known:
+                rows = [run.sensitivity[name]]
+                rows += [run.output_sensitivity[name][[model.outputs.index(o)]] for o in simulation.outputs]
+                found[..., unknowns.index(name)] = np.vstack(rows)
+        return found
+
+    def call(p: Any, x: Any, r: Any) -> Any:
+        return jax.pure_callback(simulation.results, shape, p, x, r, vmap_method="sequential")
+
+    solve = jax.custom_jvp(call)
+
+    def jvp(primals: Any, tangents: Any) -> Any:
+        of_all = jax.ShapeDtypeStruct((*shape.shape, len(unknowns)), float)
+        by_all = jax.pure_callback(matrix, of_all, *primals, vmap_method="sequential")
+        by_parameters, by_initial = by_all[..., : model.n_p], by_all[..., model.n_p :]
+        return solve(*primals), by_parameters @ tangents[0] + by_initial @ tangents[1]
+
+    solve.defjvp(jvp)
+    return solve  # type: ignore[no-any-return]
+
+
+def _known(by_name: Mapping[str, Any], name: str) -> Any:
+    if name not in by_name:
+        raise ModelError(f"Input {name} is a table of kind 'pchip', which has no derivatives by its values.")
+    return by_name[name]

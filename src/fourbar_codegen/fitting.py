@@ -1,0 +1,549 @@
+"""Parameters and initial values of a mechanism from measurements, by least squares with exact derivatives."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fourbar_codegen.arguments import Values, is_integer, is_mapping, name_of, named, numbers, one_of, positive
+from fourbar_codegen.compiled import CompiledModel
+from fourbar_codegen.errors import AssemblyError, ModelError, SimulationError, meant, shown
+from fourbar_codegen.kernel.inputs import InputSource
+from fourbar_codegen.kernel.sensitivity import directions_of, follow, independent_states
+from fourbar_codegen.progress import PATIENCE, Progress
+from fourbar_codegen.results.trajectory import Trajectory
+from fourbar_codegen.tables import table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Experiment", "Fit", "fit"]
+
+Floats = NDArray[np.float64]
+
+UNDETERMINED = 1e-10
+"""Singular values of the scaled Jacobian below this fraction of the largest leave parameters undetermined."""
+
+
+LOSSES = ("linear", "soft_l1", "huber", "cauchy", "arctan")
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Measurements of one motion, and how it was made.
+
+    Attributes
+    ----------
+    t : array_like, shape (n,)
+        Times of the measurements, increasing, s.
+    measured : mapping of name or symbol to array_like, shape (n,)
+        Measured states and outputs.
+    start : float, optional
+        The time at which the motion begins; by default the first measurement's.
+    coordinates, speeds, auxiliary_states : optional
+        Known initial values, as for `CompiledModel.initial_state`; by default the model's.
+    parameters : mapping, optional
+        Known parameters of this experiment, such as a load; by default the model's.
+    inputs : mapping, optional
+        Sources of inputs, as for `CompiledModel.simulate`.
+    """
+
+    t: ArrayLike
+    measured: Mapping[Any, ArrayLike]
+    start: float | None = None
+    coordinates: Mapping[Any, float] = field(default_factory=dict)
+    speeds: Mapping[Any, float] = field(default_factory=dict)
+    auxiliary_states: Mapping[Any, float] = field(default_factory=dict)
+    parameters: Mapping[Any, float] = field(default_factory=dict)
+    inputs: Mapping[Any, InputSource] | None = None
+
+
+@dataclass(frozen=True, repr=False)
+class Fit:
+    """The result of `fit`.
+
+    Attributes
+    ----------
+    values : dict of str to float
+        Estimates, by the names of the unknowns. Initial values of several experiments have the experiment's number
+        appended, as in ``"q1 (2)"``.
+    stderr : dict of str to float
+        Their standard errors; infinite for those that the measurements do not determine.
+    covariance : ndarray, shape (m, m)
+        Of the estimates, in the order of `values`.
+    residuals : tuple of dict of str to ndarray
+        For each experiment, what was simulated minus what was measured, in the quantities' units.
+    runs : tuple of Trajectory
+        The fitted motion of each experiment at the times of its measurements.
+    experiments : tuple of Experiment
+    cost : float
+        Half the weighted sum of squares of the residuals, or of the loss.
+    success : bool
+    message : str
+        Why the search ended, and which unknowns are not determined.
+    nfev, njev : int
+        Numbers of simulations of all experiments, without and with derivatives.
+    """
+
+    values: dict[str, float]
+    stderr: dict[str, float]
+    covariance: Floats
+    residuals: tuple[dict[str, Floats], ...]
+    runs: tuple[Trajectory, ...]
+    experiments: tuple[Experiment, ...]
+    cost: float
+    success: bool
+    message: str
+    nfev: int
+    njev: int
+
+    def plot(self) -> Figure:
+        """Plot measurements and the fitted motion over time; needs the extra ``visual``.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+
+        Raises
+        ------
+        ModelError
+            If the extra is not installed.
+        """
+        from fourbar_codegen.presentation.figures import plot_fit
+
+        measured = [
+            {name: self.runs[i][name] - left for name, left in residuals.items()}
+            for i, residuals in enumerate(self.residuals)
+        ]
+        return plot_fit(self.runs, measured)
+
+    def __repr__(self) -> str:
+        rows = [f"{name} = {value:.6g} +- {self.stderr[name]:.2g}" for name, value in self.values.items()]
+        return f"<Fit: {', '.join(rows)}; {self.message}>"
+
+    def _repr_html_(self) -> str:
+        rows = [(name, f"{value:.6g}", f"{self.stderr[name]:.2g}") for name, value in self.values.items()]
+        return table(self.message, ("unknown", "estimate", "standard error"), rows)
+
+
+def fit(
+    model: CompiledModel,
+    data: Any,
+    parameters: Sequence[Any] | Mapping[Any, float],
+    *,
+    outputs: Sequence[Any] | None = None,
+    bounds: Mapping[Any, tuple[float, float]] | None = None,
+    sigma: Mapping[Any, ArrayLike] | None = None,
+    loss: str = "linear",
+    max_nfev: int | None = None,
+    method: str = "DOP853",
+    rtol: float = 1e-8,
+    atol: float = 1e-10,
+    constraints: str = "project",
+) -> Fit:
+    """Fit parameters and initial values to measurements, by nonlinear least squares with exact derivatives.
+
+    Parameters
+    ----------
+    model : CompiledModel
+    data : mapping, pandas.DataFrame, Experiment, or sequence of these
+        One experiment or several. Of a mapping or DataFrame, ``"t"`` are the times (for a DataFrame the index, if there
+        is no such column), and all other names those of measured states and outputs.
+    parameters : sequence of names or symbols, or mapping to first guesses
+        The unknowns: parameters, common to all experiments; and initial values of independent coordinates, speeds and
+        auxiliary states, one for each experiment. Guesses are otherwise the model's values.
+    outputs : sequence of names, optional
+        The measured quantities to compare; by default all.
+    bounds : mapping of name to (float, float), optional
+        Lower and upper bound of unknowns.
+    sigma : mapping of name to float or array_like, optional
+        Standard deviations of the measurements, by which residuals are divided. By default 1, and the covariance
+        follows from the scatter of the residuals.
+    loss : {"linear", "soft_l1", "huber", "cauchy", "arctan"}, optional
+        As for `scipy.optimize.least_squares`, such as "soft_l1" against outliers.
+    max_nfev : int, optional
+        As for `scipy.optimize.least_squares`.
+    method, rtol, atol, constraints
+        As for `CompiledModel.simulate`.
+
+    Returns
+    -------
+    Fit
+
+    Raises
+    ------
+    ModelError
+        If a name is unknown, a dependent state or an expression of others is to be fitted, measurements are not finite
+        or of different lengths, there are fewer of them than unknowns, or a guess is outside of its bounds.
+    SimulationError, AssemblyError
+        If the first guess cannot be simulated.
+
+    Source: K. Schittkowski, *Numerical Data Fitting in Dynamical Systems*, Kluwer 2002; trust region: M. A. Branch, T.
+    F. Coleman, Y. Li, *SIAM Journal on Scientific Computing* 21 (1999), by SciPy.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import fourbar_codegen as fb
+    >>> four_bar, t = fb.load("four_bar"), np.linspace(0.0, 2.0, 101)
+    >>> measured = four_bar.simulate((0.0, 2.0), t_eval=t, parameters={"k": 3.0, "c": 1.5})
+    >>> found = fb.fit(four_bar, {"t": t, "q2": measured["q2"]}, {"k": 1.0, "c": 0.5})
+    >>> {name: round(value, 4) for name, value in found.values.items()}
+    {'k': 3.0, 'c': 1.5}
+    """
+    from scipy.optimize import least_squares
+
+    if not isinstance(model, CompiledModel):
+        raise ModelError(f"A compiled model is fitted, as compile_model and load return it, not {shown(model)}.")
+    one_of(loss, LOSSES, "loss")
+    if max_nfev is not None and (not is_integer(max_nfev) or max_nfev < 1):
+        raise ModelError(f"max_nfev must be a positive integer or None, not {shown(max_nfev)}.")
+    experiments = _experiments(data)
+    problem = _Problem.of(model, experiments, parameters, outputs, sigma, method, rtol, atol, constraints)
+    low, high = _bounds(problem, bounds)
+    first = problem.simulated(problem.guess)
+    if problem.failure:
+        raise SimulationError(f"The first guess cannot be simulated: {problem.failure}")
+    if len(first[0]) < len(problem.guess):
+        raise ModelError(f"{len(first[0])} measurements do not determine {len(problem.guess)} unknowns.")
+    with Progress(f"{model.name}: fit", unwatched=PATIENCE) as progress:
+
+        def residual(unknowns: Floats) -> Floats:
+            found = problem.simulated(unknowns)[0]
+            progress.stage(f"sum of squares {found @ found:.6g}")
+            return found
+
+        found = least_squares(
+            residual,
+            problem.guess,
+            jac=lambda unknowns: problem.simulated(unknowns)[1],
+            bounds=(low, high),
+            x_scale="jac",
+            loss=loss,
+            max_nfev=max_nfev,
+        )
+    covariance, open_names = _covariance(problem, found, absolute=sigma is not None)
+    message = found.message
+    if open_names:
+        message += f" The measurements do not determine {', '.join(open_names)}."
+    problem.simulated(found.x)
+    runs = problem.runs
+    return Fit(
+        values=dict(zip(problem.names, found.x.tolist(), strict=True)),
+        stderr=dict(zip(problem.names, np.sqrt(np.diag(covariance)).tolist(), strict=True)),
+        covariance=covariance,
+        residuals=tuple(
+            {name: run[name] - values for name, values in measured.items()}
+            for run, measured in zip(runs, problem.measured, strict=True)
+        ),
+        runs=runs,
+        experiments=experiments,
+        cost=float(found.cost),
+        success=bool(found.success),
+        message=message,
+        nfev=problem.n_runs,
+        njev=found.njev,
+    )
+
+
+def _experiments(data: Any) -> tuple[Experiment, ...]:
+    if isinstance(data, Experiment):
+        return (data,)
+    if hasattr(data, "columns") and hasattr(data, "index"):  # a DataFrame
+        columns = {name: data[name].to_numpy() for name in data.columns}
+        times = columns.pop("t") if "t" in columns else data.index.to_numpy()
+        return (Experiment(times, columns),)
+    if is_mapping(data):
+        columns = {name_of(key): values for key, values in data.items()}
+        if "t" not in columns:
+            raise ModelError(f"The data have no times: give them as 't', beside {', '.join(columns) or 'nothing'}.")
+        return (Experiment(columns.pop("t"), columns),)
+    if isinstance(data, Sequence) and not isinstance(data, str) and data:
+        return tuple(experiment for each in data for experiment in _experiments(each))
+    raise ModelError(
+        "Data are a mapping with 't' and measured quantities, a DataFrame, an Experiment, or a sequence of these, not "
+        f"{shown(data)}."
+    )
+
+
+@dataclass
+class _Problem:
+    """The residuals as a function of the unknowns, with the runs of the last call."""
+
+    model: CompiledModel
+    experiments: tuple[Experiment, ...]
+    times: tuple[Floats, ...]
+    measured: tuple[dict[str, Floats], ...]
+    weights: tuple[dict[str, Floats], ...]
+    names: tuple[str, ...]
+    guess: Floats
+    own: tuple[str, ...]
+    """The names of the unknowns of one experiment: parameters, then initial values."""
+    n_parameters: int
+    directions: Floats
+    how: dict[str, Any]
+    runs: tuple[Trajectory, ...] = ()
+    last: tuple[Floats, Floats, Floats] | None = None
+    starts: list[Floats | None] = field(default_factory=list)
+    failure: str = ""
+    n_runs: int = 0
+
+    @classmethod
+    def of(
+        cls,
+        model: CompiledModel,
+        experiments: tuple[Experiment, ...],
+        unknowns: Any,
+        outputs: Sequence[Any] | None,
+        sigma: Mapping[Any, ArrayLike] | None,
+        method: str,
+        rtol: float,
+        atol: float,
+        constraints: str,
+    ) -> _Problem:
+        names = _names(unknowns, "parameters")
+        directions_of(model, names)  # refuses unknown, dependent and repeated names
+        guesses = {name_of(key): value for key, value in unknowns.items()} if is_mapping(unknowns) else {}
+        parameters = [name for name in names if name in model.parameters]
+        initial = [name for name in names if name not in model.parameters]
+        if not names:
+            raise ModelError("There is nothing to fit: name parameters or initial values.")
+        n = len(experiments)
+        all_names = (*parameters, *(name if n == 1 else f"{name} ({i + 1})" for i in range(n) for name in initial))
+        values = [_number(name, guesses.get(name, model.defaults.get(name)), "parameter") for name in parameters]
+        known = [(*e.coordinates.items(), *e.speeds.items(), *e.auxiliary_states.items()) for e in experiments]
+        for i in range(n):
+            start = {**model.manifest["initial"], **{name_of(key): value for key, value in known[i]}}
+            values += [_number(name, guesses.get(name, start.get(name, 0.0)), "initial value") for name in initial]
+        measured = [_measured(model, i, e, outputs) for i, e in enumerate(experiments)]
+        deviations = (
+            {} if sigma is None else named(_mapping(sigma, "sigma"), (*model.states, *model.outputs), "state or output")
+        )
+        weights = []
+        for _, columns in measured:
+            weight = {}
+            for name, column in columns.items():
+                deviation = numbers(deviations.get(name, 1.0), f"sigma of {name}")
+                if deviation.shape not in ((), column.shape) or not (np.isfinite(deviation) & (deviation > 0)).all():
+                    raise ModelError(
+                        f"sigma of {name} must be a positive number, or an array of the shape of its data."
+                    )
+                weight[name] = np.broadcast_to(1.0 / deviation, column.shape)
+            weights.append(weight)
+        how = {
+            "method": method,
+            "rtol": positive(rtol, "rtol"),
+            "atol": positive(atol, "atol"),
+            "constraints": constraints,
+            "progress": False,
+        }
+        return cls(
+            model,
+            experiments,
+            tuple(times for times, _ in measured),
+            tuple(columns for _, columns in measured),
+            tuple(weights),
+            all_names,
+            np.array(values),
+            (*parameters, *initial),
+            len(parameters),
+            directions_of(model, (*parameters, *initial)).matrix,
+            how,
+            starts=[None] * n,
+        )
+
+    def simulated(self, unknowns: Floats) -> tuple[Floats, Floats]:
+        """The weighted residuals and their Jacobian; NaN where a motion cannot be simulated."""
+        if self.last is not None and np.array_equal(self.last[0], unknowns):
+            return self.last[1:]
+        residuals, rows, runs = [], [], []
+        self.failure = ""
+        n_initial = len(self.own) - self.n_parameters
+        for i in range(len(self.experiments)):
+            begin = self.n_parameters + i * n_initial
+            own = [*range(self.n_parameters), *range(begin, begin + n_initial)]
+            n = sum(map(len, self.measured[i].values()))
+            found, part = np.full(n, math.nan), np.full((n, len(own)), math.nan)
+            try:
+                run = self._run(i, dict(zip(self.own, unknowns[own].tolist(), strict=True)))
+            except (AssemblyError, SimulationError) as error:
+                self.failure = self.failure or str(error)
+            else:
+                if not run.success:
+                    self.failure = self.failure or run.message
+                else:
+                    found, part = self._compared(i, run)
+                runs.append(run)
+            row = np.zeros((n, len(unknowns)))
+            row[:, own] = part
+            residuals.append(found)
+            rows.append(row)
+        self.runs = tuple(runs)
+        self.last = unknowns.copy(), np.concatenate(residuals), np.vstack(rows)
+        return self.last[1:]
+
+    def _run(self, i: int, values: dict[str, float]) -> Trajectory:
+        model, experiment, times = self.model, self.experiments[i], self.times[i]
+        start = float(times[0] if experiment.start is None else experiment.start)
+        parameters: Values = {
+            **{name_of(key): value for key, value in experiment.parameters.items()},
+            **{name: value for name, value in values.items() if name in model.parameters},
+        }
+        q_i, u_i, z = independent_states(model)
+        initial: list[dict[str, float]] = []
+        for names, given in (
+            (q_i, experiment.coordinates),
+            (u_i, experiment.speeds),
+            (z, experiment.auxiliary_states),
+        ):
+            known = {name_of(key): value for key, value in given.items()}
+            initial.append(known | {name: values[name] for name in names if name in values})
+        self.n_runs += 1
+        x0 = model.initial_state(
+            initial[0] or None,
+            initial[1] or None,
+            auxiliary_states=initial[2] or None,
+            t=start,
+            guess=self.starts[i],
+            parameters=parameters,
+            inputs=experiment.inputs,
+        )
+        self.starts[i] = x0[len(q_i) : model.n_q] if model.n_q > len(q_i) else None
+        p = model.parameter_vector(parameters)
+        matrix = follow(model, start, x0, self.directions, p, experiment.inputs)
+        return model.simulate(
+            (start, float(times[-1])),
+            x0,
+            parameters=parameters,
+            inputs=experiment.inputs,
+            t_eval=times,
+            sensitivities=self.own,
+            dx0=dict(zip(self.own, matrix[: model.n_x].T, strict=True)),
+            **self.how,
+        )
+
+    def _compared(self, i: int, run: Trajectory) -> tuple[Floats, Floats]:
+        model, residuals, rows = self.model, [], []
+        assert run.sensitivity is not None
+        for name, values in self.measured[i].items():
+            weight = self.weights[i][name]
+            residuals.append((run[name] - values) * weight)
+            if name in model.states:
+                of, place = run.sensitivity, model.states.index(name)
+            else:
+                of, place = run.output_sensitivity, model.outputs.index(name)
+            rows.append(np.array([of[own][place] * weight for own in self.own]).T)
+        return np.concatenate(residuals), np.vstack(rows)
+
+
+def _names(given: Any, what: str) -> list[str]:
+    """Names of one or several things."""
+    several = [given] if isinstance(given, str) or hasattr(given, "name") else given
+    if not isinstance(several, Sequence) and not is_mapping(several):
+        raise ModelError(f"{what} must be a sequence of names, or a mapping from them, not {shown(given)}.")
+    return [name_of(key) for key in several]
+
+
+def _mapping(given: Any, what: str) -> Mapping[Any, Any]:
+    if not is_mapping(given):
+        raise ModelError(f"{what} must be a mapping from names, not {shown(given)}.")
+    return given
+
+
+def _number(name: str, value: Any, kind: str) -> float:
+    if value is None:
+        raise ModelError(f"The {kind} {name} has no value in the model: give a first guess, as in {{{name!r}: 1.0}}.")
+    number = numbers(value, f"The first guess of {name}")
+    if number.shape or not np.isfinite(number):
+        raise ModelError(f"The first guess of {name} must be a finite number, not {shown(value)}.")
+    return float(number)
+
+
+def _measured(
+    model: CompiledModel, i: int, experiment: Experiment, outputs: Sequence[Any] | None
+) -> tuple[Floats, dict[str, Floats]]:
+    """The times and the measurements to compare of an experiment, checked."""
+    which = f"experiment {i + 1}"
+    times = numbers(experiment.t, f"The times of {which}")
+    if times.ndim != 1 or len(times) < 2 or not np.isfinite(times).all() or not (np.diff(times) > 0).all():
+        raise ModelError(f"The times of {which} must be finite and increasing, and at least two.")
+    columns = named(
+        _mapping(experiment.measured, f"The measurements of {which}"),
+        (*model.states, *model.outputs),
+        "state or output",
+    )
+    if outputs is not None:
+        wanted = _names(outputs, "outputs")
+        for name in wanted:
+            if name not in columns:
+                raise ModelError(f"Nothing was measured of {name!r} in {which}.{meant(name, columns)}")
+        columns = {name: columns[name] for name in wanted}
+    if not columns:
+        raise ModelError(f"In {which} nothing was measured: name states or outputs of the model.")
+    found = {}
+    for name, values in columns.items():
+        column = numbers(values, f"The measurements of {name}")
+        if column.shape != times.shape:
+            raise ModelError(
+                f"In {which} there are {len(times)} times, and measurements of {name} of shape {column.shape}."
+            )
+        if not np.isfinite(column).all():
+            places = np.flatnonzero(~np.isfinite(column))
+            raise ModelError(
+                f"The measurement of {name} in {which} at t = {times[places[0]]:g} is {column[places[0]]} "
+                f"({len(places)} of {len(times)} are not finite): leave such times out."
+            )
+        found[name] = column
+    return times, found
+
+
+def _bounds(problem: _Problem, bounds: Mapping[Any, tuple[float, float]] | None) -> tuple[Floats, Floats]:
+    low, high = np.full(len(problem.guess), -math.inf), np.full(len(problem.guess), math.inf)
+    if bounds is None:
+        return low, high
+    known = dict.fromkeys((*problem.names, *problem.own))
+    for name, pair in named(_mapping(bounds, "bounds"), [*known], "unknown").items():
+        ends = numbers(pair, f"The bounds of {name}")
+        if ends.shape != (2,) or not ends[0] < ends[1]:
+            raise ModelError(f"The bounds of {name} must be two increasing numbers, not {shown(pair)}.")
+        for place, own in enumerate(problem.names):
+            if own == name or own.rpartition(" (")[0] == name:
+                low[place], high[place] = ends
+                if not ends[0] <= problem.guess[place] <= ends[1]:
+                    raise ModelError(
+                        f"The first guess {own} = {problem.guess[place]:g} is outside of its bounds {ends.tolist()}."
+                    )
+    return low, high
+
+
+def _covariance(problem: _Problem, found: Any, *, absolute: bool) -> tuple[Floats, list[str]]:
+    """The covariance (J^T J)^-1 s^2, and the unknowns that are not determined.
+
+    Source: J. Nocedal, S. Wright, *Numerical Optimization*, 2nd ed., Springer 2006, chapter 10.
+    """
+    residuals, jacobian = problem.simulated(found.x)
+    m, n = jacobian.shape
+    size = np.sqrt((jacobian**2).sum(axis=0))
+    simulated = residuals + np.concatenate(
+        [
+            w[name] * values
+            for w, of in zip(problem.weights, problem.measured, strict=True)
+            for name, values in of.items()
+        ]
+    )
+    # An unknown of which all of its value has an effect below the simulation's error is not determined.
+    jacobian = np.where(size * np.abs(found.x) <= problem.how["rtol"] * np.linalg.norm(simulated), 0.0, jacobian)
+    scale = np.where(size > 0.0, size, 1.0)
+    _, singular, directions = np.linalg.svd(jacobian / scale, full_matrices=False)
+    known = singular > UNDETERMINED * singular.max(initial=0.0)
+    variance = 1.0 if absolute else float(residuals @ residuals) / (m - n) if m > n else math.inf
+    inverse = (directions[known].T / singular[known] ** 2) @ directions[known]
+    covariance = inverse / np.outer(scale, scale) * variance
+    open_places = np.flatnonzero((np.abs(directions[~known]) > 1e-6).any(axis=0))
+    covariance[open_places, :] = covariance[:, open_places] = math.inf
+    return covariance, [problem.names[place] for place in open_places]

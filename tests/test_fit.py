@@ -1,0 +1,149 @@
+"""Fits: against SciPy's curve_fit on closed forms, and measurements that the model made."""
+
+import numpy as np
+import pytest
+import sympy as sm
+from scipy.optimize import curve_fit
+from test_sensitivities import oscillator
+
+import fourbar_codegen as fb
+
+TRUE = {"k": 3.0, "c": 1.5, "l2": 0.45, "q1": -0.4}
+GUESS = {"k": 2.0, "c": 1.0, "l2": 0.47, "q1": -0.45}
+
+
+@pytest.fixture(scope="module")
+def noisy():
+    """An oscillator, x = a cos(w t), measured with errors."""
+    t = np.linspace(0.0, 6.0, 121)
+    model = fb.compile_model(oscillator())
+    return model, t, 0.3 * np.cos(2.1 * t) + 0.01 * np.random.default_rng(1).normal(size=t.size)
+
+
+def closed_form(t, k, x):
+    return x * np.cos(np.sqrt(k / 2.0) * t)
+
+
+@pytest.mark.parametrize("sigma", [None, 0.02])
+def test_estimates_and_covariance_are_those_of_curve_fit(noisy, sigma):
+    model, t, x = noisy
+    of_scipy = {} if sigma is None else {"sigma": np.full(t.size, sigma), "absolute_sigma": True}
+    expected, covariance = curve_fit(closed_form, t, x, [8.0, 0.2], xtol=1e-12, ftol=1e-12, **of_scipy)
+    found = fb.fit(
+        model, {"t": t, "x": x}, {"k": 8.0, "x": 0.2}, sigma=None if sigma is None else {"x": sigma}, rtol=1e-10
+    )
+    assert found.success
+    assert [*found.values.values()] == pytest.approx(expected, rel=1e-6)  # where both iterations end
+    np.testing.assert_allclose(found.covariance, covariance, rtol=1e-4)  # curve_fit's Jacobian is of differences
+    assert [*found.stderr.values()] == pytest.approx(np.sqrt(np.diag(covariance)), rel=1e-4)
+    np.testing.assert_allclose(found.residuals[0]["x"], closed_form(t, *expected) - x, rtol=0, atol=1e-7)
+    assert found.runs[0].t.tolist() == t.tolist()
+
+
+def test_a_loss_against_outliers(noisy):
+    model, t, x = noisy
+    spoiled = x.copy()
+    spoiled[::20] += 1.0
+    how = {"f_scale": 1.0}
+    expected, _ = curve_fit(closed_form, t, spoiled, [8.0, 0.2], method="trf", loss="soft_l1", xtol=1e-12, **how)
+    found = fb.fit(model, {"t": t, "x": spoiled}, {"k": 8.0, "x": 0.2}, loss="soft_l1")
+    assert [*found.values.values()] == pytest.approx(expected, rel=1e-5)
+
+
+def measured(model, t, values, speeds, **how):
+    p = {name: value for name, value in values.items() if name in model.parameters}
+    x0 = model.initial_state({"q1": values["q1"]}, speeds, parameters=p)
+    return model.simulate((t[0], t[-1]), x0, parameters=p, t_eval=t, rtol=1e-11, atol=1e-12, **how)
+
+
+def test_several_experiments_with_initial_values_of_their_own(four_bar):
+    t, later = np.linspace(0.0, 2.0, 81), np.linspace(1.0, 2.0, 31)
+    first = measured(four_bar, t, TRUE, {"u1": -0.1})
+    second = measured(four_bar, later, TRUE | {"q1": -0.2}, {"u1": 0.1}, inputs={"F": 0.5})
+    found = fb.fit(
+        four_bar,
+        [
+            fb.Experiment(t, {"q2": first["q2"], "u3": first["u3"]}, speeds={"u1": -0.1}),
+            fb.Experiment(later, {"q3": second["q3"]}, speeds={"u1": 0.1}, inputs={"F": 0.5}),
+        ],
+        GUESS,
+        bounds={"l2": (0.3, 0.6), "q1": (-1.0, 0.0)},
+    )
+    wanted = {"k": 3.0, "c": 1.5, "l2": 0.45, "q1 (1)": -0.4, "q1 (2)": -0.2}
+    assert list(found.values) == list(wanted)
+    assert [*found.values.values()] == pytest.approx([*wanted.values()], abs=1e-6)
+    assert max(np.abs(left).max() for each in found.residuals for left in each.values()) < 1e-7
+
+
+def test_outputs_are_fitted_with_their_derivatives(noisy):
+    _, t, _ = noisy
+    model = oscillator()
+    k, (x,) = sm.Symbol("k"), model.system.q
+    spring = fb.compile_model(
+        fb.Model(
+            model.system,
+            name="spring",
+            parameters={"m": 2.0, "k": 8.0},
+            initial={"x": 0.3, "v": 0.0},
+            outputs={"force": -k * x},
+        )
+    )
+    force = -9.0 * 0.3 * np.cos(np.sqrt(9.0 / 2.0) * t)
+    found = fb.fit(spring, {"t": t, "force": force}, ["k", "x"])
+    assert found.values == pytest.approx({"k": 9.0, "x": 0.3}, rel=1e-6)
+
+
+def test_unknowns_that_the_measurements_do_not_determine(noisy):
+    model, t, x = noisy
+    found = fb.fit(model, {"t": t, "x": x}, {"k": 8.0, "m": 2.0, "x": 0.3})  # only k / m matters
+    assert "do not determine k, m." in found.message
+    assert [np.isinf(found.stderr[name]) for name in ("k", "m", "x")] == [True, True, False]
+
+
+def test_a_data_frame(noisy):
+    pandas = pytest.importorskip("pandas")
+    model, t, x = noisy
+    by_column = fb.fit(model, pandas.DataFrame({"t": t, "x": x}), ["k", "x"])
+    by_index = fb.fit(model, pandas.DataFrame({"x": x}, index=t), ["k", "x"])
+    assert by_column.values == by_index.values == fb.fit(model, {"t": t, "x": x}, ["k", "x"]).values
+
+
+def test_plot_and_tables(noisy):
+    pytest.importorskip("matplotlib")
+    model, t, x = noisy
+    found = fb.fit(model, {"t": t, "x": x}, ["k", "x"])
+    dots, line = found.plot().axes[0].lines
+    np.testing.assert_allclose(dots.get_ydata(), x, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(line.get_ydata(), found.runs[0]["x"])
+    assert "k = " in repr(found)
+    assert "<table" in found._repr_html_()
+
+
+def test_bad_input(four_bar):
+    t = np.linspace(0.0, 1.0, 11)
+    good = {"t": t, "q2": t}
+
+    def refused(sentence, data=good, unknowns=("k",), error=fb.ModelError, **how):
+        with pytest.raises(error, match=sentence):
+            fb.fit(four_bar, data, unknowns, **how)
+
+    refused(r"11 times, and measurements of q2 of shape \(10,\)", {"t": t, "q2": t[1:]})
+    refused("at t = 0.5 is nan", {"t": t, "q2": np.where(t == 0.5, np.nan, t)})
+    refused("no times: give them as 't', beside q2", {"q2": t})
+    refused("no state or output 'qq'", {"t": t, "qq": t})
+    refused("increasing", {"t": t[::-1], "q2": t})
+    refused("not 3", 3)
+    refused("'q2' is dependent", unknowns=["q2"])
+    refused("no parameter and no initial value 'kk'. Did you mean k", unknowns=["kk"])
+    refused("nothing to fit", unknowns=[])
+    refused("outside of its bounds", unknowns={"k": -1.0}, bounds={"k": (0.0, 1.0)})
+    refused("two increasing numbers", bounds={"k": (1.0, 0.0)})
+    refused("sigma of q2 must be a positive", sigma={"q2": 0.0})
+    refused("Nothing was measured of 'q3'", outputs=["q3"])
+    refused("no loss 'none'", loss="none")
+    refused("max_nfev must be a positive integer", max_nfev=0)
+    refused("must be a mapping from names", bounds=[(0.0, 1.0)])
+    refused("CVODE has no sensitivities", method="CVODE")
+    refused("2 measurements do not determine 3 unknowns", {"t": t[:2], "q2": t[:2]}, ["k", "c", "g"])
+    refused("The first guess cannot be simulated: The loops do not close", unknowns={"l2": 50.0},
+            error=fb.SimulationError)  # fmt: skip

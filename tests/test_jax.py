@@ -1,0 +1,117 @@
+"""The model in JAX: against the model's own derivatives, closed forms, and both modes against one another."""
+
+import numpy as np
+import pytest
+from test_sensitivities import driven_oscillator, oscillator
+
+import fourbar_codegen as fb
+
+jax = pytest.importorskip("jax")
+jnp = pytest.importorskip("jax.numpy")
+
+TIMES = np.linspace(0.0, 1.0, 11)
+
+
+@pytest.fixture(autouse=True)
+def double_precision():
+    jax.config.update("jax_enable_x64", True)
+    yield
+    jax.config.update("jax_enable_x64", False)
+
+
+def test_single_precision_is_refused(four_bar):
+    jax.config.update("jax_enable_x64", False)
+    with pytest.raises(fb.ModelError, match="jax_enable_x64"):
+        fb.to_jax(four_bar)
+
+
+def test_derivatives_of_the_right_hand_side(four_bar):
+    rhs, x = fb.to_jax(four_bar).rhs, four_bar.initial_state()
+    p, r = np.array([*four_bar.defaults.values()]), four_bar.default_inputs(0.0)
+    for mode in (jax.jacfwd, jax.jacrev):
+        found = mode(rhs, argnums=(1, 2, 3))(0.0, x, p, r)
+        np.testing.assert_array_equal(found[0], four_bar.jacobian(0.0, x, p, r))
+        np.testing.assert_array_equal(found[1], four_bar.parameter_jacobian(0.0, x, p, r))
+        np.testing.assert_array_equal(found[2], four_bar.input_jacobian(0.0, x, p, r))
+    states = np.tile(x, (7, 1)) * np.linspace(0.9, 1.1, 7)[:, np.newaxis]
+    expected = four_bar.rhs_batch(0.0, states.T).T
+    np.testing.assert_array_equal(jax.vmap(lambda x: rhs(0.0, x))(states), expected)
+    np.testing.assert_array_equal(jax.jit(jax.vmap(lambda x: rhs(0.0, x)))(states), expected)
+
+
+@pytest.mark.parametrize("forward", [False, True])
+def test_an_oscillator(forward):
+    # x = a cos(w t): dx/dk = -a t sin(w t) / (2 m w), dx/da = cos(w t)
+    simulate = fb.to_jax(fb.compile_model(oscillator())).simulation((0.0, 1.0), TIMES, forward=forward, rtol=1e-11)
+    w, a = 2.0, 0.3
+    by_k, by_a = jax.jacrev(lambda k, x: simulate({"k": k}, {"x": x})["x"], argnums=(0, 1))(8.0, a)
+    np.testing.assert_allclose(by_k, -a * TIMES * np.sin(w * TIMES) / (4.0 * w), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(by_a, np.cos(w * TIMES), rtol=0, atol=1e-9)
+
+
+def test_both_modes_and_the_closed_loop(four_bar):
+    """Dependent initial values follow from the lengths: differences of runs from consistent states."""
+    model = fb.to_jax(four_bar)
+
+    def loss(simulate):
+        return lambda parameters, initial: (simulate(parameters, initial)["q2"] ** 2).sum()
+
+    given = {"k": 2.0, "l2": 0.6}, {"q1": -0.5, "u1": -0.1}
+    reverse = loss(model.simulation((0.0, 1.0), TIMES))
+    found = jax.jit(jax.grad(reverse, argnums=(0, 1)))(*given)
+    forward = jax.grad(loss(model.simulation((0.0, 1.0), TIMES, forward=True)), argnums=(0, 1))(*given)
+    for place, values in enumerate(given):
+        for name, value in values.items():
+            # h^2 / 6 times a third derivative; the runs' errors of 1e-8 divided by h
+            after, before = (
+                reverse(*(each | {name: value + h} if i == place else each for i, each in enumerate(given)))
+                for h in (1e-4, -1e-4)
+            )
+            assert float(found[place][name]) == pytest.approx(float(after - before) / 2e-4, rel=1e-4)
+            assert float(found[place][name]) == pytest.approx(float(forward[place][name]), rel=1e-9)
+    tangent = jax.jvp(lambda k: model.simulation((0.0, 1.0), TIMES, forward=True)({"k": k})["q2"], (2.0,), (1.0,))[1]
+    expected = four_bar.simulate(
+        (0.0, 1.0), t_eval=TIMES, parameters={"k": 2.0}, sensitivities=["k"], rtol=1e-8, atol=1e-10
+    ).sensitivity["k"]
+    np.testing.assert_allclose(tangent, expected[1], rtol=0, atol=1e-8)
+
+
+def test_a_control_in_a_loss():
+    """Values of a table, by gradient descent: the work of a force that brings a mass to rest elsewhere falls."""
+    model = fb.compile_model(driven_oscillator(parameters={"k": 0.0}))
+    simulate = fb.to_jax(model).simulation((0.0, 1.0), [1.0], inputs={"F": (TIMES, np.zeros(11))})
+
+    def loss(force):
+        end = simulate(inputs={"F": force})
+        return (end["x"][0] - 0.1) ** 2 + 0.1 * end["v"][0] ** 2 + 1e-3 * (force**2).mean()
+
+    # Linear in the force, so that the loss is quadratic: Newton's method with the Hessian from gradients is exact.
+    gradient = jax.grad(loss)
+    zero = jnp.zeros(11)
+    hessian = np.array([gradient(zero.at[i].set(1.0)) - gradient(zero) for i in range(11)])
+    best = -np.linalg.solve(hessian, gradient(zero))
+    assert np.abs(gradient(best)).max() < 1e-9
+    assert loss(best) < loss(zero)
+
+
+def test_where_there_is_no_motion_results_are_nan(four_bar):
+    simulate = fb.to_jax(four_bar).simulation((0.0, 1.0), TIMES)
+    assert np.isnan(simulate({"l2": 50.0})["q1"]).all()
+    assert np.isnan(jax.grad(lambda l2: simulate({"l2": l2})["q1"].sum())(50.0))
+
+
+def test_bad_input(four_bar):
+    model = fb.to_jax(four_bar)
+    simulate = model.simulation((0.0, 1.0), TIMES, inputs={"F": ([0.0, 1.0], [1.0, 2.0])})
+    forward = model.simulation((0.0, 1.0), TIMES, inputs={"F": ([0.0, 1.0], [1.0, 2.0])}, forward=True)
+    for sentence, call in (
+        ("no parameter 'kk'. Did you mean k", lambda: simulate({"kk": 1.0})),
+        ("no initial value 'q2'", lambda: simulate({}, {"q2": 1.0})),
+        (r"parameter k has the shape \(\), not \(2,\)", lambda: simulate({"k": np.ones(2)})),
+        (r"F has the shape \(2,\), not \(3,\)", lambda: simulate(inputs={"F": np.ones(3)})),
+        ("no derivatives by tables", lambda: forward(inputs={"F": np.ones(2)})),
+        ("no output 'zz'", lambda: model.simulation((0.0, 1.0), TIMES, outputs=["zz"])),
+        ("a mapping from names, not list", lambda: simulate([1.0])),
+    ):
+        with pytest.raises(fb.ModelError, match=sentence):
+            call()

@@ -100,6 +100,13 @@ def test_unknowns_that_the_measurements_do_not_determine(noisy):
     assert [np.isinf(found.stderr[name]) for name in ("k", "m", "x")] == [True, True, False]
 
 
+def test_unknowns_at_their_bounds_are_named(noisy):
+    model, t, x = noisy
+    found = fb.fit(model, {"t": t, "x": x}, ["k", "x"], bounds={"k": (7.0, 8.5)})  # it is 9
+    assert "At a bound: k." in found.message
+    assert found.values["k"] == pytest.approx(8.5, rel=1e-6)
+
+
 def test_a_data_frame(noisy):
     pandas = pytest.importorskip("pandas")
     model, t, x = noisy
@@ -134,8 +141,9 @@ def test_bad_input(four_bar):
     refused("increasing", {"t": t[::-1], "q2": t})
     refused("not 3", 3)
     refused("'q2' is dependent", unknowns=["q2"])
-    refused("no parameter and no initial value 'kk'. Did you mean k", unknowns=["kk"])
+    refused("no parameter, initial value or given input 'kk'. Did you mean k", unknowns=["kk"])
     refused("nothing to fit", unknowns=[])
+    refused("'F' is an input: give its expression a parameter, and fit this", unknowns=["F"])
     refused("outside of its bounds", unknowns={"k": -1.0}, bounds={"k": (0.0, 1.0)})
     refused("two increasing numbers", bounds={"k": (1.0, 0.0)})
     refused("sigma of q2 must be a positive", sigma={"q2": 0.0})

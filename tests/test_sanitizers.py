@@ -153,6 +153,12 @@ static double run(const fb_kernel *k, const double *p, const double *x0, const f
         forward.derivatives = k->derivatives;
         forward.variations = k->variations;
         forward.samples = doubles(50 * forward.size);
+        double *const changes = doubles(6 * 2 * FB_DIRECTIONS);
+        const double *of_sources[1] = {changes};
+        forward.source_changes = of_sources;
+        int *const rate = calloc((size_t)k->n_r + 1, sizeof(int));
+        for (int i = 0; i < k->n_r; ++i)
+            rate[i] = i == 2 ? 1 : -1;
         forward.fsal = forward.interpolant_valid = 0;
         fb_steps steps = {.room = 10000, .rows = doubles(10000 * (2 + n)), .sample_t = doubles(50),
                           .sample_row = calloc(50, sizeof(long))};
@@ -171,11 +177,20 @@ static double run(const fb_kernel *k, const double *p, const double *x0, const f
             s.t_bound = s.until = 0.5;
             fb_resume(&s);
         }
-        fb_run_on(&s, 10000);
         fb_adjoint adjoint;
         double *const memory = doubles((int)fb_place_adjoint(&s, &adjoint, NULL));
         double *const weights = doubles(50 * k->n_o), *by_source = doubles(6);
+        double *const of_speeds = doubles(k->n_u), *const scratch = doubles(k->n_u + k->n_l);
         fb_place_adjoint(&s, &adjoint, memory);
+        adjoint.jump.t_before = nextafter(table_times[1], 0.0);
+        adjoint.jump.t_after = nextafter(table_times[1], 1.0);
+        adjoint.jump.rate = rate;
+        if (by_table) {
+            fb_speed_jump(&problem, &adjoint.jump, s.x, of_speeds, scratch);
+            fb_forward_jump(&s, &adjoint.jump, s.x, forward.s);
+            fb_keep_step(&s, 0.0);
+        }
+        fb_run_on(&s, 10000);
         adjoint.derivatives = k->derivatives;
         adjoint.variations = k->variations;
         adjoint.rows = steps.rows;
@@ -190,7 +205,7 @@ static double run(const fb_kernel *k, const double *p, const double *x0, const f
         for (long row = steps.n - 1; row >= 0; --row)
             fb_pull_back_step(&s, &adjoint, row, &sample);
         free(varied), free(forward.samples), free(steps.rows), free(steps.sample_t), free(steps.sample_row);
-        free(memory), free(weights), free(by_source);
+        free(memory), free(weights), free(by_source), free(changes), free(rate), free(of_speeds), free(scratch);
         s.x[0] = reached;
     }
     const double end = s.x[0];
@@ -244,6 +259,7 @@ static double jacobians(const fb_kernel *k, const double *p, const double *x0)
         sum += sizes[i] ? b.of_rates[0] : 0.0;
         free(b.of_rates), free(b.of_outputs);
     }
+    b.of_rates = NULL;
     b.residual = f, b.by_state = by_x, b.by_rate = by_rate, b.by_parameters = by_p, b.by_inputs = by_r;
     for (b.formulation = FB_INDEX_1; b.formulation <= FB_INDEX_3; b.formulation += FB_INDEX_3 - FB_INDEX_1)
         fb_evaluate_jacobians(&b, 0, N);

@@ -4,6 +4,7 @@ Differences are of order 6. Their rounding errors are those of runs at 1e-13, di
 about 1e-10 of the derivative, and more where it is small beside the state.
 """
 
+import pickle
 from itertools import pairwise
 
 import numpy as np
@@ -12,7 +13,9 @@ import sympy as sm
 import sympy.physics.mechanics as me
 from scipy.integrate import quad
 from scipy.interpolate import make_interp_spline
+from scipy.special import ellipe, ellipk
 from systems import parallelogram
+from test_prescribed import driven_pendulum, driven_slider_crank
 from trees import revolute_chain
 
 import fourbar_codegen as fb
@@ -144,25 +147,29 @@ def test_gradients_are_those_of_forward_mode(case):
             assert [gradient[n] for n in names] == pytest.approx([wanted[n] for n in names], rel=0, abs=1e-11 * size)
 
 
-def test_gradients_of_outputs(four_bar):
-    names = [*four_bar.parameters, "q1", "u1"]
-    how = {"t_eval": np.linspace(0.0, 1.0, 11), "rtol": 1e-10, "atol": 1e-10}
-    run = four_bar.simulate((0.0, 1.0), sensitivities=names, gradient=True, **how)
+def test_gradients_of_outputs():
+    """Of joint forces, by all parameters, initial values and inputs, against the chain rule and forward mode."""
+    model = fb.compile_model(fb.models.slider_crank())
+    crank, rate = model.coordinates[0], model.speeds[0]
+    inputs = {"torque": 2.0, "load": ([0.0, 0.2, 1.0], [1.0, -3.0, 2.0])}
+    names, parameters = (*model.parameters, crank, rate, *inputs), (*model.parameters, crank, rate)
+    how = {"t_eval": np.linspace(0.0, 0.5, 11), "rtol": 1e-10, "atol": 1e-10, "inputs": inputs}
+    run = model.simulate((0.0, 0.5), sensitivities=names, gradient=True, **how)
     generator = np.random.default_rng(0)
-    cost = {name: generator.normal(size=11) for name in (*four_bar.outputs, "u2")}
-    gradient = run.gradient(cost)
-    wanted = dict.fromkeys(names, 0.0)
-    for place, (t, x) in enumerate(zip(run.t, run.y.T, strict=True)):
-        by_state, by_parameters = four_bar.output_jacobian(t, x), four_bar.output_parameter_jacobian(t, x)
-        for name in names:
-            changes = run.sensitivity[name][:, place]
-            by_name = by_state @ changes
-            if name in four_bar.parameters:
-                by_name = by_name + by_parameters[:, four_bar.parameters.index(name)]
-            wanted[name] += sum(cost[o][place] * by_name[i] for i, o in enumerate(four_bar.outputs))
-            wanted[name] += cost["u2"][place] * changes[four_bar.states.index("u2")]
-    size = max(map(abs, wanted.values()))
-    assert [gradient[n] for n in names] == pytest.approx([wanted[n] for n in names], rel=0, abs=1e-11 * size)
+    cost = {name: generator.normal(size=11) for name in (*model.outputs, model.states[1])}
+    gradient, of_outputs = run.gradient(cost), run.output_sensitivity
+    for name in names:
+        wanted = (cost[model.states[1]] * run.sensitivity[name][..., 1, :]).sum(axis=-1)
+        for row, output in enumerate(model.outputs):
+            wanted = wanted + (cost[output] * of_outputs[name][..., row, :]).sum(axis=-1)
+        np.testing.assert_allclose(gradient[name], wanted, rtol=0, atol=1e-11 * max(1.0, np.abs(wanted).max()))
+    for place, (t, x, r) in enumerate(zip(run.t, run.y.T, run.r.T, strict=True)):
+        by_state, by_parameters = model.output_jacobian(t, x, r=r), model.output_parameter_jacobian(t, x, r=r)
+        for name in parameters:
+            wanted = by_state @ run.sensitivity[name][:, place]
+            if name in model.parameters:
+                wanted = wanted + by_parameters[:, model.parameters.index(name)]
+            np.testing.assert_allclose(of_outputs[name][:, place], wanted, rtol=1e-9, atol=1e-9)
 
 
 def test_gradients_by_inputs():
@@ -171,14 +178,16 @@ def test_gradients_by_inputs():
     times, end, (m, k) = np.linspace(0.0, 3.0, 16), 2.9, (2.0, 8.0)
     w = np.sqrt(k / m)
     values = np.cos(1.7 * times)
-    how = {"t_eval": [end], "rtol": 1e-11, "atol": 1e-11, "gradient": True}
+    how = {"t_eval": [end], "rtol": 1e-11, "atol": 1e-11, "gradient": True, "sensitivities": ["F"]}
     run = model.simulate((0.0, end), inputs={"F": 2.0}, **how)
-    gradient = run.gradient({"x": [1.0]})
-    assert gradient["F"] == pytest.approx((1.0 - np.cos(w * end)) / k, rel=1e-9)
+    for found in (run.gradient({"x": [1.0]})["F"], run.sensitivity["F"][0, 0]):
+        assert found == pytest.approx((1.0 - np.cos(w * end)) / k, rel=1e-9)
     for kind, degree in (("linear", 1), ("cubic", 3)):
         basis = make_interp_spline(times, np.eye(16), k=degree)
         run = model.simulate((0.0, end), inputs={"F": (times, values, kind)}, **how)
         by_values = run.gradient({"x": [1.0]})["F"]
+        assert run.sensitivity["F"].shape == (16, 2, 1)
+        np.testing.assert_allclose(run.sensitivity["F"][:, 0, 0], by_values, rtol=0, atol=1e-11)
         wanted = [
             sum(
                 quad(
@@ -192,7 +201,6 @@ def test_gradients_by_inputs():
             for j in range(16)
         ]
         np.testing.assert_allclose(by_values, wanted, rtol=0, atol=1e-9)
-    assert "F" not in model.simulate((0.0, end), inputs={"F": (times, values, "pchip")}, **how).gradient({"x": [1.0]})
 
 
 def test_an_oscillator():
@@ -286,6 +294,197 @@ def driven_oscillator(**more):
     )  # fmt: skip
 
 
+@pytest.mark.parametrize("values", [[0.0, 1.0, 1.5, 1.4, 2.0, 2.6], [0.0, 0.1, 2.0, 2.0, -1.0, 3.0], [0.5, 2.0]])
+def test_values_of_a_monotone_interpolant(values):
+    """Between extrema, where an interpolant has slopes by the harmonic mean; its kinks are at equal values."""
+    model, at = fb.compile_model(driven_oscillator()), np.linspace(0.0, 3.0, len(values))
+    times = np.array([1.0, 2.9, 3.4])
+    how = {"t_eval": times, "rtol": 1e-12, "atol": 1e-12}
+    run = model.simulate((0.0, 3.4), inputs={"F": (at, values, "pchip")}, sensitivities="F", gradient=True, **how)
+    for place in (i for i in range(len(values)) if values.count(values[i]) == 1):
+
+        def of(value, place=place):
+            changed = np.array(values)
+            changed[place] = value
+            return model.simulate((0.0, 3.4), inputs={"F": (at, changed, "pchip")}, **how).y
+
+        if 2.0 in (values[place - 1 : place] + values[place + 1 : place + 2]) and values.count(2.0) > 1:
+            continue  # it has a neighbour at a kink
+        wanted = differences(of, values[place], 1e-3)
+        np.testing.assert_allclose(run.sensitivity["F"][place], wanted, rtol=0, atol=1e-8 * np.abs(wanted).max())
+    cost = np.array([[1.0, -2.0, 0.5], [0.3, 1.0, 2.0]])
+    forward = (run.sensitivity["F"] * cost).sum(axis=(1, 2))
+    np.testing.assert_allclose(run.gradient(cost)["F"], forward, rtol=0, atol=1e-11 * np.abs(forward).max())
+
+
+DRIVEN = {
+    "pendulum": (lambda: driven_pendulum(None), {"coordinates": {"q": 0.4}, "speeds": {"u": -0.7}}),
+    "slider-crank": (lambda: driven_slider_crank(None), {"guess": [0.5, -0.4]}),
+}
+KINDS = {"cubic": 1e-8, "pchip": 1e-8, "linear": 1e-7}
+"""Of tables, and tolerances: with linear ones, runs end a step at each of the jumps of the speeds."""
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", DRIVEN)
+def test_prescribed_motions(name, kind):
+    """The initial state follows the motion, and speeds jump with its rate where it is linear."""
+    make, more = DRIVEN[name]
+    model = fb.compile_model(make())
+    at = np.array([0.0, 0.11, 0.3, 0.42, 0.6])
+    values = 0.3 + 0.1 * np.array([0.0, 0.2, 0.5, 0.55, 0.9])
+    times = [0.05, 0.2, 0.3, 0.5]
+    how = {"t_eval": times, "rtol": 1e-12, "atol": 1e-12}
+    names = ["s", *model.parameters]
+
+    def run(changed, parameters=None, **extra):
+        inputs = {"s": (at, changed, kind)}
+        x0, dx0 = model.initial_state(inputs=inputs, parameters=parameters, derivatives=True, **more)
+        if extra:
+            extra["dx0"] = {key: dx0[key] for key in names}
+        return model.simulate((0.0, 0.5), x0, inputs=inputs, parameters=parameters, **how, **extra)
+
+    found = run(values, sensitivities=names, gradient=True)
+    assert found.sensitivity["s"].shape == (5, model.n_x, 4)
+    for place in range(5):
+
+        def of(value, place=place):
+            return run(np.where(np.arange(5) == place, value, values)).y
+
+        wanted = differences(of, values[place], 1e-3)
+        size = np.abs(wanted).max()
+        np.testing.assert_allclose(found.sensitivity["s"][place], wanted, rtol=0, atol=KINDS[kind] * size)
+    for key in model.parameters:
+        wanted = differences(lambda v, key=key: run(values, {key: v}).y, model.defaults[key], 1e-3)
+        size = max(np.abs(wanted).max(), 1e-3)
+        np.testing.assert_allclose(found.sensitivity[key], wanted, rtol=0, atol=KINDS[kind] * size)
+    cost = np.random.default_rng(0).normal(size=found.y.shape)
+    gradient = found.gradient(cost)
+    for key in names:
+        forward = (found.sensitivity[key] * cost).sum(axis=(-2, -1))
+        size = np.abs([(part * cost).sum(axis=(-2, -1)).max() for part in found.sensitivity.values()]).max()
+        np.testing.assert_allclose(gradient[key], forward, rtol=0, atol=1e-10 * size)
+
+
+def test_a_motion_prescribed_by_an_expression_of_parameters():
+    """Its rate w moves the initial state of a driven crank; the crank's angle is w t + w / 10."""
+    w = sm.Symbol("w")
+    model = fb.compile_model(driven_slider_crank(w * (me.dynamicsymbols._t + sm.Rational(1, 10))))
+    parameters = {"w": 4.0}
+    x0, by = model.initial_state(parameters=parameters, guess=[0.4, 0.9], derivatives=True)
+    angle, rod = 0.4, np.sqrt(0.49 - 0.04 * np.sin(0.4) ** 2)
+    slope = -0.2 * np.sin(angle) - 0.04 * np.sin(angle) * np.cos(angle) / rod  # of the slider's place by the angle
+    np.testing.assert_allclose(by["w"][:3], [0.1, 0.1 * slope, 1.0], rtol=1e-12)
+    run = model.simulate(
+        (0.0, 1.0), x0, parameters=parameters, sensitivities="w", dx0={"w": by["w"]}, t_eval=[0.5, 1.0], gradient=True
+    )
+    np.testing.assert_allclose(run.sensitivity["w"][:1], [run.t + 0.1], rtol=1e-9)
+    assert run.gradient({"x": 1.0})["w"] == pytest.approx(run.sensitivity["w"][1].sum(), rel=1e-9)
+
+
+def test_jumps_of_speeds_by_expressions():
+    """Where the rate of a pivot's motion jumps from 0 to a, the speed jumps by -a cos(q) / l, which by a is known."""
+    t, a = me.dynamicsymbols._t, sm.Symbol("a")
+    motion = a * sm.Piecewise((0, t < sm.Rational(1, 2)), (t - sm.Rational(1, 2), True))
+    given = {"sensitivities": ["a"], "t_eval": [0.5 + 1e-12], "rtol": 1e-12, "atol": 1e-12, "parameters": {"a": 0.1}}
+    system, s = driven_pendulum(None).system, me.dynamicsymbols("s")
+    values = {"m": 2.0, "l": 0.5, "g": 9.81, "a": 0.1}
+    by_input = fb.compile_model(fb.Model(system, name="moved", parameters=values, inputs={s: motion}))
+    run = by_input.simulate((0.0, 1.0), [0.4, 0.0], gradient=True, **given)
+    assert run.success
+    assert run.sensitivity["a"][1, 0] == pytest.approx(-np.cos(run["q"][0]) / 0.5, rel=1e-10)
+    assert run.gradient({"u": 1.0})["a"] == pytest.approx(run.sensitivity["a"][1, 0], rel=1e-11)
+    of_time = fb.compile_model(fb.Model(driven_pendulum(None, s=motion).system, name="of_time", parameters=values))
+    failed = of_time.simulate((0.0, 1.0), [0.4, 0.0], **given)
+    assert not failed.success
+    assert "by an expression of time in the model, which has no derivatives: prescribe the motion" in failed.message
+
+
+def test_samples_beside_a_jump():
+    """A sample within rounding errors of a jump does not hide the others before it."""
+    model, at = fb.compile_model(driven_pendulum(None)), 0.3
+    inputs = {"s": ([0.0, at, 1.0], [0.0, 0.1, 0.1], "linear")}
+    for near in (np.nextafter(at, 0.0), at, np.nextafter(at, 1.0)):
+        run = model.simulate(
+            (0.0, 0.5), [0.4, 0.0], inputs=inputs, t_eval=[0.1, 0.2, near, 0.4], sensitivities=["l", "s"], gradient=True
+        )
+        gradient = run.gradient({"q": 1.0})
+        assert gradient["l"] == pytest.approx(run.sensitivity["l"][0].sum(), rel=1e-11)
+        np.testing.assert_allclose(gradient["s"], run.sensitivity["s"][:, 0].sum(axis=1), rtol=1e-11)
+
+
+def test_between_the_samples(four_bar):
+    """The interpolant's derivatives: at the samples those of the samples, between them those of another run."""
+    table = {"F": (np.linspace(0.0, 1.0, 5), np.arange(5.0))}
+    how = {"inputs": table, "sensitivities": ["k", "l2", "F", "q1"], "rtol": 1e-9, "atol": 1e-9}
+    times = np.linspace(0.0, 1.0, 23)
+    for method in ("DOP853", "RK45"):
+        run = four_bar.simulate((0.0, 1.0), dense_output=True, method=method, **how)
+        other = four_bar.simulate((0.0, 1.0), t_eval=times, method=method, **how)
+        at_samples, between, coarse = run.sol.sensitivity(run.t), run.sol.sensitivity(times), run.resample(times)
+        for name, values in other.sensitivity.items():
+            size = np.abs(values).max()
+            np.testing.assert_allclose(at_samples[name], run.sensitivity[name], rtol=0, atol=1e-12 * size)
+            np.testing.assert_allclose(between[name], values, rtol=0, atol=1e-12 * size)
+            np.testing.assert_array_equal(coarse.sensitivity[name], between[name])
+            np.testing.assert_array_equal(run.sol.sensitivity(times[3])[name], between[name][..., 3])
+    restored = pickle.loads(pickle.dumps(run.sol))
+    np.testing.assert_array_equal(restored.sensitivity(0.3)["F"], run.sol.sensitivity(0.3)["F"])
+    with pytest.raises(fb.ModelError, match="The run has no sensitivities"):
+        four_bar.simulate((0.0, 1.0), dense_output=True).sol.sensitivity(0.5)
+    with pytest.raises(fb.ModelError, match="it has no states at the times"):
+        run.sol.sensitivity(2.0)
+
+
+def test_outputs_by_inputs():
+    """Joint forces by a torque that drives a crank, against differences of order 6."""
+    model = fb.compile_model(fb.models.slider_crank())
+    how = {"t_eval": [0.1, 0.2], "rtol": 1e-13, "atol": 1e-13}
+
+    def outputs(torque):
+        return model.simulate((0.0, 0.2), inputs={"torque": torque}, **how).outputs
+
+    run = model.simulate((0.0, 0.2), inputs={"torque": 3.0}, sensitivities=["torque"], **how)
+    wanted = differences(outputs, 3.0, 1e-3)
+    np.testing.assert_allclose(run.output_sensitivity["torque"], wanted, rtol=0, atol=1e-8 * np.abs(wanted).max())
+    at, values = [0.0, 0.15, 0.4], np.array([3.0, 1.0, -2.0])
+    run = model.simulate((0.0, 0.2), inputs={"torque": (at, values)}, sensitivities=["torque"], **how)
+    for place in range(3):
+
+        def of(value, place=place):
+            return outputs((at, np.where(np.arange(3) == place, value, values)))
+
+        wanted = differences(of, values[place], 1e-3)
+        found = run.output_sensitivity["torque"][place]
+        np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-8 * np.abs(wanted).max())
+
+
+def test_the_period_of_a_pendulum():
+    """T = 4 sqrt(l / g) K(k), k = sin(a / 2), by the length, gravity and amplitude a: with K the elliptic integral."""
+    model, a, length, g = fb.compile_model(swinging_pendulum()), 2.0, 0.5, 9.81
+    run = model.simulate(
+        (0.0, 9.0), {"q": a, "u": 0.0}, events=fb.Event("angle", terminal=True, direction=1), t_eval=[9.0],
+        sensitivities=["l", "g", "m", "q"], rtol=1e-12, atol=1e-12,
+    )  # fmt: skip
+    # From rest at the amplitude, the first upward passage is at three quarters of a period.
+    k2 = np.sin(a / 2.0) ** 2
+    period = 4.0 * np.sqrt(length / g) * ellipk(k2)
+    assert run.t_events[0][0] == pytest.approx(0.75 * period, rel=1e-10)
+    # dK/d(k^2) = (E - (1 - k^2) K) / (2 k^2 (1 - k^2)), d(k^2)/da = sin(a) / 2
+    slope = (ellipe(k2) - (1.0 - k2) * ellipk(k2)) / (2.0 * k2 * (1.0 - k2)) * np.sin(a) / 2.0
+    wanted = {"l": period / (2.0 * length), "g": -period / (2.0 * g), "m": 0.0, "q": 4.0 * np.sqrt(length / g) * slope}
+    for name, value in wanted.items():
+        found = run.event_sensitivity[0][name].t[0]
+        assert found == pytest.approx(0.75 * value, rel=1e-8, abs=1e-10)
+        assert run.sensitivity[name].shape == (2, 0)
+
+
+def swinging_pendulum():
+    model = driven_pendulum(None, s=sm.Integer(0))
+    (q,) = model.system.q
+    return fb.Model(model.system, name="swinging", parameters={"m": 2.0, "l": 0.5, "g": 9.81}, outputs={"angle": q})
+
+
 def test_an_input_given_as_an_expression_of_parameters():
     t = me.dynamicsymbols._t
     driven = driven_oscillator(parameters={"F_0": 3.0}, force=sm.Symbol("F_0") * sm.sin(3 * t))
@@ -324,9 +523,11 @@ def test_bad_input(four_bar):
         with pytest.raises(fb.ModelError, match=sentence):
             four_bar.simulate((0.0, 1.0), **how)
 
-    refused("no parameter and no initial value 'kk'. Did you mean k", sensitivities=["kk"])
+    refused("no parameter, initial value or given input 'kk'. Did you mean k", sensitivities=["kk"])
     refused("'q2' is dependent", sensitivities=["q2"])
     refused("given twice", sensitivities=["k", "k"])
+    refused("Input 'F' is given by its expression", sensitivities=["F"])
+    refused("given twice", sensitivities=["F", "F"], inputs={"F": 1.0})
     refused("Radau has no sensitivities: use DOP853 or RK45", sensitivities=["k"], method="Radau")
     refused("baumgarte", sensitivities=["k"], constraints="baumgarte")
     refused("callable, whose derivatives are not known", sensitivities=["k"], inputs={"F": lambda t, x: 1.0})
@@ -334,6 +535,8 @@ def test_bad_input(four_bar):
     x0 = four_bar.initial_state()
     refused("must have shape", x0=x0, sensitivities=["k"], dx0={"k": np.zeros(5)})
     refused("no name to differentiate by 'c'", x0=x0, sensitivities=["k"], dx0={"c": np.zeros(6)})
+    table = {"F": ([0.0, 1.0], [1.0, 2.0])}
+    refused(r"of the shape \(2, 6\), not \(6,\)", x0=x0, sensitivities=["F"], inputs=table, dx0={"F": np.zeros(6)})
 
 
 def test_no_derivative_at_a_singular_position():

@@ -271,8 +271,6 @@ class _Simulation:
         start = {**dict.fromkeys(self.initial, 0.0), **model.manifest["initial"]}
 
         def simulate(parameters: Arrays = {}, initial: Arrays = {}, inputs: Arrays = {}) -> dict[str, Any]:  # noqa: B006
-            if forward and inputs:
-                raise ModelError("With forward=True there are no derivatives by tables of inputs: use forward=False.")
             p, x, r = (
                 _vector(given, known, kind)
                 for given, known, kind in (
@@ -349,7 +347,7 @@ def _reverse(simulation: _Simulation, shape: Any) -> Callable[..., Any]:
         return (
             np.array([by_name.get(name, np.nan) for name in model.parameters]),
             np.array([by_name[name] for name in simulation.initial]),
-            np.concatenate([np.zeros(0), *(np.ravel(_known(by_name, name)) for name in simulation.tables)]),
+            np.concatenate([np.zeros(0), *(by_name[name] for name in simulation.tables)]),
         )
 
     def call(p: Any, x: Any, r: Any) -> Any:
@@ -370,21 +368,29 @@ def _reverse(simulation: _Simulation, shape: Any) -> Callable[..., Any]:
 
 def _forward(simulation: _Simulation, shape: Any) -> Callable[..., Any]:
     import jax
+    import jax.numpy as jnp
 
     model = simulation.model
     unknowns = (*model.parameters, *simulation.initial)
     # Parameters that move the times of jumps have no sensitivity: NaN.
     left_out = moving_breakpoints(model, None, model.parameters)
-    known = [name for name in unknowns if name not in left_out]
+    places: dict[str, int | slice] = {name: i for i, name in enumerate(unknowns) if name not in left_out}
+    n = len(unknowns)
+    for name in simulation.tables:
+        begin, n = n, n + len(simulation.sources[name][1])
+        places[name] = slice(begin, n)
+    rows = [model.outputs.index(name) for name in simulation.outputs]
 
     def matrix(p: Any, x: Any, r: Any) -> Floats:
-        found = np.full((*shape.shape, len(unknowns)), np.nan)
-        run = simulation.run(p, x, r, sensitivities=known)
+        found = np.full((*shape.shape, n), np.nan)
+        run = simulation.run(p, x, r, sensitivities=[*places])
         if run is not None and run.sensitivity is not None:
-            for name in known:
-                rows = [run.sensitivity[name]]
-                rows += [run.output_sensitivity[name][[model.outputs.index(o)]] for o in simulation.outputs]
-                found[..., unknowns.index(name)] = np.vstack(rows)
+            for name, place in places.items():
+                parts = [run.sensitivity[name]]
+                if rows:
+                    parts.append(run.output_sensitivity[name][..., rows, :])
+                both = np.concatenate(parts, axis=-2)
+                found[..., place] = np.moveaxis(both, 0, -1) if isinstance(place, slice) else both
         return found
 
     def call(p: Any, x: Any, r: Any) -> Any:
@@ -393,16 +399,9 @@ def _forward(simulation: _Simulation, shape: Any) -> Callable[..., Any]:
     solve = jax.custom_jvp(call)
 
     def jvp(primals: Any, tangents: Any) -> Any:
-        of_all = jax.ShapeDtypeStruct((*shape.shape, len(unknowns)), float)
+        of_all = jax.ShapeDtypeStruct((*shape.shape, n), float)
         by_all = jax.pure_callback(matrix, of_all, *primals, vmap_method="sequential")
-        by_parameters, by_initial = by_all[..., : model.n_p], by_all[..., model.n_p :]
-        return solve(*primals), by_parameters @ tangents[0] + by_initial @ tangents[1]
+        return solve(*primals), by_all @ jnp.concatenate(tangents)
 
     solve.defjvp(jvp)
     return solve  # type: ignore[no-any-return]
-
-
-def _known(by_name: Mapping[str, Any], name: str) -> Any:
-    if name not in by_name:
-        raise ModelError(f"Input {name} is a table of kind 'pchip', which has no derivatives by its values.")
-    return by_name[name]

@@ -14,7 +14,7 @@ from fourbar_codegen.arguments import Values, is_integer, is_mapping, name_of, n
 from fourbar_codegen.compiled import CompiledModel
 from fourbar_codegen.errors import AssemblyError, ModelError, SimulationError, meant, shown
 from fourbar_codegen.kernel.inputs import InputSource
-from fourbar_codegen.kernel.sensitivity import directions_of, follow, independent_states
+from fourbar_codegen.kernel.sensitivity import Directions, directions_of, follow, independent_states
 from fourbar_codegen.progress import PATIENCE, Progress
 from fourbar_codegen.results.trajectory import Trajectory
 from fourbar_codegen.tables import table
@@ -231,6 +231,9 @@ def fit(
     message = found.message
     if open_names:
         message += f" The measurements do not determine {', '.join(open_names)}."
+    at_bounds = [name for name, active in zip(problem.names, found.active_mask, strict=True) if active]
+    if at_bounds:
+        message += f" At a bound: {', '.join(at_bounds)}."
     problem.simulated(found.x)
     runs = problem.runs
     return Fit(
@@ -285,7 +288,7 @@ class _Problem:
     own: tuple[str, ...]
     """The names of the unknowns of one experiment: parameters, then initial values."""
     n_parameters: int
-    directions: Floats
+    directions: Directions
     how: dict[str, Any]
     runs: tuple[Trajectory, ...] = ()
     last: tuple[Floats, Floats, Floats] | None = None
@@ -307,6 +310,9 @@ class _Problem:
         constraints: str,
     ) -> _Problem:
         names = _names(unknowns, "parameters")
+        for name in names:
+            if name in model.inputs:
+                raise ModelError(f"{name!r} is an input: give its expression a parameter, and fit this.")
         directions_of(model, names)  # refuses unknown, dependent and repeated names
         guesses = {name_of(key): value for key, value in unknowns.items()} if is_mapping(unknowns) else {}
         parameters = [name for name in names if name in model.parameters]
@@ -352,7 +358,7 @@ class _Problem:
             np.array(values),
             (*parameters, *initial),
             len(parameters),
-            directions_of(model, (*parameters, *initial)).matrix,
+            directions_of(model, (*parameters, *initial)),
             how,
             starts=[None] * n,
         )

@@ -20,11 +20,13 @@ __all__ = [
     "by_member",
     "by_name",
     "by_values",
+    "changes_at",
     "input_sources",
     "inputs_at",
     "inputs_of",
     "is_by_member",
     "own_source",
+    "source_changes",
 ]
 
 Floats = NDArray[np.float64]
@@ -100,8 +102,7 @@ def input_sources(model: Kernel, inputs: Mapping[Any, InputSource] | None) -> li
                 )
             of_orders = [source]
         elif isinstance(source, tuple):
-            kind = source[2] if len(source) == 3 else "linear" if len(orders) == 1 else "cubic"
-            of_orders = list(_interpolants(source[0], source[1], kind, len(orders)))
+            of_orders = list(_interpolants(source[0], source[1], _kind(source, len(orders)), len(orders)))
         else:
             of_orders = [0.0 if order else source for order in orders]
         sources[first : first + len(orders)] = of_orders
@@ -139,6 +140,11 @@ def _table(name: str, source: Sequence[Any]) -> InterpolationTable:
     return (times, values, str(source[2])) if len(source) == 3 else (times, values)
 
 
+def _kind(source: InterpolationTable, n_orders: int) -> str:
+    """The kind of interpolation of a table; where rates are needed, a spline by default."""
+    return source[2] if len(source) == 3 else "linear" if n_orders == 1 else "cubic"
+
+
 def _linear(times: Floats, values: Floats) -> Table:
     [table] = _interpolants(times, values, "linear", 1)
     return table
@@ -159,63 +165,136 @@ def _interpolants(times: Floats, values: Floats, kind: str, orders: int) -> Iter
     before, after = values[0], values[-1]
     for _ in range(orders):
         yield Table(times, coefficients, before, after)
-        powers = np.arange(len(coefficients) - 1, 0, -1)
-        derivative = coefficients[:-1] * powers[:, np.newaxis]
-        coefficients = derivative if len(powers) else np.zeros((1, len(times) - 1))
+        coefficients = _rate(coefficients)
         before = after = 0.0
 
 
-def by_values(
-    model: Kernel, inputs: Mapping[Any, InputSource], by_sources: Sequence[Floats | None]
-) -> dict[str, float | Floats]:
-    """The derivatives by the values of sources, from those by the coefficients of their interpolants.
+def _rate(coefficients: Floats) -> Floats:
+    """The derivative over time of polynomials with these coefficients, the highest power first."""
+    powers = np.arange(len(coefficients) - 1, 0, -1).reshape(-1, *(1,) * (coefficients.ndim - 1))
+    rates: Floats = coefficients[:-1] * powers if len(powers) else np.zeros((1, *coefficients.shape[1:]))
+    return rates
+
+
+def source_changes(model: Kernel, name: str, source: float | InterpolationTable) -> dict[int, Floats]:
+    """The derivatives of an input's sources by its value, or by the values of its table.
 
     Parameters
     ----------
     model : Kernel
-    inputs : mapping
-        As for `CompiledModel.simulate`.
-    by_sources : sequence of length n_r
-        As `Steps.gradient` returns them.
+    name : str
+    source : float or tuple
+        As `own_source` returns it.
 
     Returns
     -------
-    dict of str to float or ndarray
-        A number for a number, an array for a table; none for a monotone interpolant, which is not linear in its values.
+    dict of int to ndarray, shape (m, n)
+        For each entry of the inputs r that is made of it. Rows are for the source's value; or for the coefficients of
+        its `Table`, interval by interval, then for its values before and after. Columns are for the n given values.
     """
-    found: dict[str, float | Floats] = {}
-    entries = model.manifest["inputs"]
-    for key, given in inputs.items():
-        name = name_of(key)
-        source = own_source(name, given)
-        parts = [part for entry, part in zip(entries, by_sources, strict=True) if entry["of"] == name]
-        if not isinstance(source, tuple):
-            assert parts[0] is not None
-            found[name] = float(parts[0][0])
-            continue
-        kind = source[2] if len(source) == 3 else "linear" if len(parts) == 1 else "cubic"
-        if kind != "pchip":
-            found[name] = _by_table(source[0], kind, [part for part in parts if part is not None])
+    first = model.inputs.index(name)
+    orders = [entry["order"] for entry in model.manifest["inputs"] if entry["of"] == name]
+    if not isinstance(source, tuple):
+        return {first + order: np.array([[0.0 if order else 1.0]]) for order in orders}
+    n, found = len(source[0]), {}
+    basis, outside = _value_basis(source[0], source[1], _kind(source, len(orders))), np.eye(n)[[0, -1]]
+    for order in orders:
+        found[first + order] = np.vstack((np.swapaxes(basis, 0, 1).reshape(-1, n), outside))
+        basis, outside = _rate(basis), np.zeros((2, n))
     return found
 
 
-def _by_table(times: Floats, kind: str, parts: Sequence[Floats]) -> Floats:
-    """The derivatives by a table's values, which its interpolant and the rates of this are linear in."""
+def by_values(
+    model: Kernel, name: str, source: float | InterpolationTable, by_sources: Sequence[Floats | None]
+) -> float | Floats:
+    """The derivatives by an input's value, or by the values of its table, shape (n,), from those by its sources.
+
+    Parameters
+    ----------
+    model : Kernel
+    name : str
+    source : float or tuple
+        As `own_source` returns it.
+    by_sources : sequence of length n_r
+        As `Steps.gradient` returns them.
+    """
+    first = model.inputs.index(name)
+    pairs = zip(model.manifest["inputs"], by_sources, strict=True)
+    parts = [part for entry, part in pairs if entry["of"] == name and part is not None]
+    if isinstance(source, tuple) and _kind(source, len(parts)) == "linear":  # of thousands of values, perhaps
+        found = np.zeros(len(source[0]))
+        for order, part in enumerate(parts[:2]):
+            weights = part[:-2].reshape(len(found) - 1, -1)
+            slopes = weights[:, 0] / np.diff(source[0])
+            found[1:] += slopes
+            found[:-1] -= slopes
+            if not order:
+                found[:-1] += weights[:, 1]
+                found[[0, -1]] += part[-2:]
+        return found
+    changes = source_changes(model, name, source)
+    summed: Floats = np.sum([part @ changes[first + order] for order, part in enumerate(parts)], axis=0)
+    return summed if isinstance(source, tuple) else float(summed[0])
+
+
+def changes_at(source: object, changes: Floats, times: Floats) -> Floats:
+    """The derivatives of an input at times, shape (n, n_t), from those of its source by `source_changes`."""
+    if not isinstance(source, Table):
+        return np.repeat(changes.T, len(times), axis=1)
+    ends, n = source.times, changes.shape[1]
+    place = np.clip(np.searchsorted(ends, times, side="right") - 1, 0, len(ends) - 2)
+    pieces = changes[:-2].reshape(len(ends) - 1, -1, n)[place]
+    powers = (times - ends[place])[:, np.newaxis] ** np.arange(pieces.shape[1] - 1, -1, -1)
+    found: Floats = np.einsum("tk,tkn->nt", powers, pieces)
+    found[:, times < ends[0]], found[:, times > ends[-1]] = changes[-2][:, np.newaxis], changes[-1][:, np.newaxis]
+    return found
+
+
+def _value_basis(times: Floats, values: Floats, kind: str) -> Floats:
+    """The derivatives of a table's coefficients by its values, shape (powers, intervals, values)."""
     n = len(times)
-    if kind == "linear":
-        slopes = np.diff(np.eye(n), axis=0) / np.diff(times)[:, np.newaxis]
-        basis = np.array([slopes, np.eye(n)[:-1]])  # (powers, intervals, values)
-    else:
+    if kind == "cubic":
         from scipy.interpolate import CubicSpline
 
-        basis = CubicSpline(times, np.eye(n)).c
-    result = np.zeros(n)
-    result[0], result[-1] = parts[0][-2:]
-    for part in parts:
-        result += np.einsum("ik,kij->j", part[:-2].reshape(n - 1, -1), basis)
-        basis = basis[:-1] * np.arange(len(basis) - 1, 0, -1)[:, np.newaxis, np.newaxis]
-        basis = basis if len(basis) else np.zeros((1, n - 1, n))
-    return result
+        basis: Floats = CubicSpline(times, np.eye(n)).c
+        return basis
+    lengths = np.diff(times)[:, np.newaxis]
+    slopes: Floats = np.diff(np.eye(n), axis=0) / lengths
+    if kind == "linear":
+        return np.array([slopes, np.eye(n)[:-1]])
+    rates = _monotone_rates(times, values)
+    begin, end = rates[:-1], rates[1:]
+    cubic, square = (begin + end - 2.0 * slopes) / lengths**2, (3.0 * slopes - 2.0 * begin - end) / lengths
+    return np.array([cubic, square, begin, np.eye(n)[:-1]])
+
+
+def _monotone_rates(times: Floats, values: Floats) -> Floats:
+    """The derivatives of a monotone interpolant's slopes at its points by its values, shape (n, n).
+
+    With differences m_k over lengths h_k, the slope between two of the same sign is their weighted harmonic mean d:
+    (w + v) / d = w / m_(k-1) + v / m_k, w = 2 h_k + h_(k-1), v = h_k + 2 h_(k-1); otherwise 0. At the ends it is that
+    of the parabola through three points, within limits.
+    """
+    n, h = len(times), np.diff(times)
+    slopes = np.diff(np.eye(n), axis=0) / h[:, np.newaxis]
+    if n == 2:
+        return np.repeat(slopes, 2, axis=0)
+    m, rates = np.diff(values) / h, np.zeros((n, n))
+    for k in range(1, n - 1):
+        if m[k - 1] * m[k] > 0.0:
+            w, v = 2.0 * h[k] + h[k - 1], h[k] + 2.0 * h[k - 1]
+            d = (w + v) / (w / m[k - 1] + v / m[k])
+            rates[k] = d**2 / (w + v) * (w / m[k - 1] ** 2 * slopes[k - 1] + v / m[k] ** 2 * slopes[k])
+    for end, first, second in ((0, 0, 1), (n - 1, n - 2, n - 3)):
+        near, far = (2.0 * h[first] + h[second]) / (h[first] + h[second]), h[first] / (h[first] + h[second])
+        at_end = near * m[first] - far * m[second]
+        if at_end * m[first] <= 0.0:
+            continue
+        if m[first] * m[second] < 0.0 and abs(at_end) > 3.0 * abs(m[first]):
+            rates[end] = 3.0 * slopes[first]
+        else:
+            rates[end] = near * slopes[first] - far * slopes[second]
+    return rates
 
 
 def inputs_at(model: Kernel, t: float, p: Floats | None, inputs: Mapping[Any, InputSource] | None) -> Floats | None:
@@ -223,7 +302,7 @@ def inputs_at(model: Kernel, t: float, p: Floats | None, inputs: Mapping[Any, In
 
     A callable may depend on the state, which is not known yet. It cannot prescribe a motion, so it is replaced by 0.
     """
-    if inputs is None:
+    if not inputs:
         return None  # the expressions
     sources = [0.0 if callable(source) else source for source in input_sources(model, inputs)]
     r = Ode(model, p, sources).input_values(t, np.zeros(model.n_x))

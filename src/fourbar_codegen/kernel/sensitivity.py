@@ -1,4 +1,4 @@
-"""What a run can be differentiated by: parameters, and initial values, from which dependent ones follow."""
+"""What a run can be differentiated by: parameters, inputs, and initial values, from which dependent ones follow."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fourbar_codegen.arguments import Values, name_of
 from fourbar_codegen.errors import AssemblyError, ModelError, meant
-from fourbar_codegen.kernel.inputs import InputSource, inputs_at
+from fourbar_codegen.kernel.inputs import InputSource, changes_at, input_sources, inputs_at, own_source, source_changes
 from fourbar_codegen.kernel.kernel import Kernel
 
 __all__ = [
@@ -32,59 +32,108 @@ SINGULAR = 1e-9
 
 @dataclass(frozen=True)
 class Directions:
-    """Directions of initial states and parameters.
+    """Directions of initial states, parameters and inputs.
 
     Attributes
     ----------
-    names : tuple of str
+    places : mapping of str to int or slice
+        For each name, the column of its direction; for a table of an input, those of its values.
     matrix : ndarray, shape (n_x + n_p, n)
         In columns.
+    sources : sequence of length n_r
+        For each input None, or the changes of its source, as `source_changes` has them, in n columns.
     """
 
-    names: tuple[str, ...]
+    places: Mapping[str, int | slice]
     matrix: Floats
+    sources: Sequence[Floats | None]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What these are the directions of."""
+        return tuple(self.places)
+
+    def by_name(self, derivatives: Floats) -> dict[str, Floats]:
+        """Derivatives along the directions, one after the other in the first axis, by names."""
+        return {name: derivatives[place] for name, place in self.places.items()}
+
+    def of_inputs(self, model: Kernel, times: Floats, p: Floats | None, inputs: Mapping[Any, InputSource]) -> Floats:
+        """The directions of the inputs at times, shape (n_r, n, n_t)."""
+        found = np.zeros((model.n_r, self.matrix.shape[1], len(times)))
+        masks = [int(mask, 16) >> model.n_x for mask in model.manifest["dependencies"]["default_inputs"]]
+        if any(mask % (1 << model.n_p) for mask in masks):  # expressions of parameters
+            of_parameters, given = self.matrix[model.n_x :], input_sources(model, inputs)
+            for place, t in enumerate(times):
+                found[..., place] = model.default_input_sensitivity(t, p) @ of_parameters
+            found[[source is not None for source in given]] = 0.0
+        if any(changes is not None for changes in self.sources):
+            for row, (source, changes) in enumerate(zip(input_sources(model, inputs), self.sources, strict=True)):
+                if changes is not None:
+                    found[row] = changes_at(source, changes, times)
+        return found
 
 
-def directions_of(model: Kernel, names: Sequence[Any]) -> Directions:
-    """The unit directions of parameters and of independent states.
+def directions_of(model: Kernel, names: Sequence[Any], inputs: Mapping[Any, InputSource] | None = None) -> Directions:
+    """The unit directions of parameters, of independent states, and of given inputs.
 
     Raises
     ------
     ModelError
-        If a name is unknown, that of a dependent state, or repeated.
+        If a name is unknown, that of a dependent state or of an input that is not given, or repeated.
     """
-    independent = _independent(model)
-    known = (*model.states, *model.parameters)
-    given = tuple(map(name_of, names))
-    for name in given:
+    independent, given = _independent(model), _given(inputs)
+    known, wanted = (*model.states, *model.parameters), tuple(map(name_of, names))
+    own = {entry["name"]: entry["expression"] for entry in model.manifest["inputs"] if not entry["order"]}
+    places: dict[str, int | slice] = {}
+    n, changes = 0, {}
+    for name in wanted:
+        if name in places:
+            raise ModelError(f"{name!r} is given twice.")
+        if name in given:
+            changes[name] = source_changes(model, name, given[name])
+            width = next(iter(changes[name].values())).shape[1]
+            places[name] = slice(n, n + width) if isinstance(given[name], tuple) else n
+            n += width
+            continue
         if name in model.states and name not in independent:
             raise ModelError(
                 f"{name!r} is dependent: its initial value follows from {', '.join((*independent, 'the parameters'))}."
             )
+        if name in own:
+            is_own = f"is given by its expression, {own[name]}" if own[name] else "has no source"
+            raise ModelError(f"Input {name!r} {is_own}: give a number or a table of it in inputs=.")
         if name not in known:
             raise ModelError(
-                f"There is no parameter and no initial value {name!r}.{meant(name, known)} There are "
-                f"{', '.join((*independent, *model.parameters))}."
+                f"There is no parameter, initial value or given input {name!r}.{meant(name, (*known, *own))} There are "
+                f"{', '.join((*independent, *model.parameters, *given))}."
             )
-        if given.count(name) > 1:
-            raise ModelError(f"{name!r} is given twice.")
-    directions = np.zeros((len(known), len(given)))
-    directions[[known.index(name) for name in given], range(len(given))] = 1.0
-    return Directions(given, directions)
+        places[name] = n
+        n += 1
+    matrix = np.zeros((len(known), n))
+    sources: list[Floats | None] = [None] * model.n_r
+    for name, place in places.items():
+        if name not in changes:
+            matrix[known.index(name), place] = 1.0
+            continue
+        for row, of_source in changes[name].items():
+            columns = np.zeros((len(of_source), n))
+            columns[:, place if isinstance(place, slice) else [place]] = of_source
+            sources[row] = columns
+    return Directions(places, matrix, sources)
 
 
 def follow(
     model: Kernel,
     t: float,
     x: Floats,
-    directions: Floats,
+    directions: Directions,
     parameters: Values | None,
     inputs: Mapping[Any, InputSource] | None,
 ) -> Floats:
     """Directions of (x, p) whose dependent coordinates and speeds follow, by the implicit function theorem.
 
-    With dPhi/dq_d dq_d = -(dPhi/dq_i dq_i + dPhi/dp dp), and the same for the speeds by J u + b = 0. Redundant
-    constraints are satisfied as well.
+    With dPhi/dq_d dq_d = -(dPhi/dq_i dq_i + dPhi/dp dp + dPhi/dr dr), and the same for the speeds by J u + b = 0.
+    Redundant constraints are satisfied as well.
 
     Parameters
     ----------
@@ -92,38 +141,52 @@ def follow(
     t : float
     x : ndarray, shape (n_x,)
         A state that satisfies the constraints.
-    directions : ndarray, shape (n_x + n_p, n)
+    directions : Directions
         Zero in the rows of dependent coordinates and speeds.
     parameters, inputs
         As for `CompiledModel.simulate`.
+
+    Returns
+    -------
+    ndarray, shape (n_x + n_p, n)
 
     Raises
     ------
     AssemblyError
         If the dependent values cannot be differentiated, at a singular position.
     """
-    manifest, n_q, n_u = model.manifest, model.n_q, model.n_u
-    found, r = directions.copy(), inputs_at(model, t, model.parameter_vector(parameters), inputs)
-    for rows, which, kind in (
-        (range(n_q - manifest["n_dependent_coordinates"], n_q), 0, "coordinates"),
-        (range(n_q + n_u - manifest["n_dependent_speeds"], n_q + n_u), 1, "speeds"),
-    ):
-        if not rows:
-            continue
-        units = np.zeros((len(found), len(rows)))
-        units[rows, range(len(rows))] = 1.0
-        both = model.constraint_variation(t, x, np.hstack((units, found)), parameters, r)[which]
-        size = np.abs(both).max(axis=1, keepdims=True)
-        both = both / np.where(size > 0.0, size, 1.0)
-        by_dependent, by_others = both[:, : len(rows)], both[:, len(rows) :]
-        changes, _, rank, _ = np.linalg.lstsq(by_dependent, -by_others, rcond=SINGULAR)
-        if rank < len(rows):
-            raise AssemblyError(
-                f"The dependent {kind} have no derivative at the initial state, which is a singular position: start "
-                "from another one, or choose other independent values."
-            )
-        found[rows] = changes
+    n_q, n_u = model.n_q, model.n_u
+    n_qd, n_ud = model.manifest["n_dependent_coordinates"], model.manifest["n_dependent_speeds"]
+    found = directions.matrix.copy()
+    if not n_qd + n_ud:
+        return found
+    p = model.parameter_vector(parameters)
+    of_inputs = directions.of_inputs(model, np.array([t]), p, inputs or {})[..., 0]
+    every = np.zeros((len(found) + model.n_r, n_qd + n_ud + found.shape[1]))
+    every[n_q - n_qd : n_q, :n_qd], every[n_q + n_u - n_ud : n_q + n_u, n_qd : n_qd + n_ud] = np.eye(n_qd), np.eye(n_ud)
+    every[: len(found), n_qd + n_ud :], every[len(found) :, n_qd + n_ud :] = found, of_inputs
+    positions, velocities = model.constraint_variation(t, x, every, p, inputs_at(model, t, p, inputs))
+    if n_qd:
+        changes = _dependent(positions[:, :n_qd], positions[:, n_qd + n_ud :], "coordinates")
+        found[n_q - n_qd : n_q] = changes
+        velocities[:, n_qd + n_ud :] += velocities[:, :n_qd] @ changes
+    if n_ud:
+        by_dependent, by_others = velocities[:, n_qd : n_qd + n_ud], velocities[:, n_qd + n_ud :]
+        found[n_q + n_u - n_ud : n_q + n_u] = _dependent(by_dependent, by_others, "speeds")
     return found
+
+
+def _dependent(by_dependent: Floats, by_others: Floats, kind: str) -> Floats:
+    """The changes of dependent values that keep linearized constraints, of which some may be redundant."""
+    size = np.maximum(np.abs(by_dependent).max(axis=1), np.abs(by_others).max(axis=1, initial=0.0))
+    size = np.where(size > 0.0, size, 1.0)[:, np.newaxis]
+    changes, _, rank, _ = np.linalg.lstsq(by_dependent / size, -by_others / size, rcond=SINGULAR)
+    if rank < by_dependent.shape[1]:
+        raise AssemblyError(
+            f"The dependent {kind} have no derivative at the initial state, which is a singular position: start from "
+            "another one, or choose other independent values."
+        )
+    return np.asarray(changes, dtype=float)
 
 
 def initial_derivatives(
@@ -134,11 +197,23 @@ def initial_derivatives(
     inputs: Mapping[Any, InputSource] | None,
     names: Sequence[str] | None = None,
 ) -> dict[str, Floats]:
-    """The derivatives of an initial state with respect to names, by default all of `differentiable`."""
-    names = differentiable(model) if names is None else names
-    directions = directions_of(model, names)
-    found = follow(model, t, x, directions.matrix, parameters, inputs)
-    return dict(zip(names, found[: model.n_x].T, strict=True))
+    """The derivatives of an initial state with respect to names, by default all of `differentiable`.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (n_x,), or (n, n_x) for the n values of a table
+    """
+    names = differentiable(model, inputs) if names is None else names
+    entries, given = model.manifest["inputs"], _given(inputs)
+    moving = {entries[place]["of"] for place in model.manifest["moving_inputs"]}
+    none = {  # no state depends on a force
+        name: np.zeros((len(source[0]), model.n_x) if isinstance(source, tuple) else model.n_x)
+        for name, source in given.items()
+        if name not in moving
+    }
+    directions = directions_of(model, [name for name in names if name not in none], inputs)
+    found = directions.by_name(follow(model, t, x, directions, parameters, inputs)[: model.n_x].T)
+    return {name: none[name] if name in none else found[name] for name in names}
 
 
 def moving_breakpoints(model: Kernel, parameters: Floats | None, names: Sequence[str]) -> list[str]:
@@ -160,9 +235,15 @@ def independent_states(model: Kernel) -> tuple[tuple[str, ...], tuple[str, ...],
     return model.coordinates[:n_qi], model.speeds[:n_ui], model.auxiliary_states
 
 
-def differentiable(model: Kernel) -> tuple[str, ...]:
-    """The names of independent and auxiliary states, and of parameters."""
-    return (*_independent(model), *model.parameters)
+def differentiable(model: Kernel, inputs: Mapping[Any, InputSource] | None = None) -> tuple[str, ...]:
+    """The names of independent and auxiliary states, of parameters, and of inputs given as numbers or tables."""
+    return (*_independent(model), *model.parameters, *_given(inputs))
+
+
+def _given(inputs: Mapping[Any, InputSource] | None) -> dict[str, Any]:
+    """The inputs given as numbers or tables, by name, checked."""
+    sources = {name_of(key): own_source(name_of(key), source) for key, source in (inputs or {}).items()}
+    return {name: source for name, source in sources.items() if not callable(source)}
 
 
 def _independent(model: Kernel) -> tuple[str, ...]:

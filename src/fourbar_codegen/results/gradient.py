@@ -13,7 +13,7 @@ from fourbar_codegen.arguments import is_mapping, name_of, named, numbers
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.kernel.inputs import by_values
 from fourbar_codegen.kernel.kernel import Kernel
-from fourbar_codegen.kernel.sensitivity import differentiable, initial_derivatives, moving_breakpoints
+from fourbar_codegen.kernel.sensitivity import Directions, differentiable, initial_derivatives, moving_breakpoints
 from fourbar_codegen.runtime.batch import Jacobians
 from fourbar_codegen.runtime.integrator import Steps
 
@@ -31,6 +31,8 @@ class EventSensitivity(NamedTuple):
         Of the times at which it occurs.
     y : ndarray, shape (n_x, n)
         Of the states at these times.
+
+    For the values of a table, these are the last axes.
     """
 
     t: Floats
@@ -53,7 +55,7 @@ class KeptSteps:
         As for `CompiledModel.simulate`.
     starts_from_x0 : bool
         Whether the initial state was given, and depends on no parameter.
-    dx0 : mapping of str to ndarray, shape (n_x,)
+    dx0 : mapping of str to ndarray, shape (n_x,) or (n, n_x)
         Its derivatives, where these are given.
     """
 
@@ -71,15 +73,18 @@ class KeptSteps:
         model, parameters = self.model, self.parameters
         start, by_parameters, by_sources = self.steps.gradient(*self._by_samples(cost))
         found: dict[str, Any] = dict(zip(model.parameters, by_parameters.tolist(), strict=True))
-        # A given state depends on no parameter, except as dx0 says.
-        names = [n for n in differentiable(model) if n not in self.dx0]
-        moved = [n for n in names if not (self.starts_from_x0 and n in model.parameters)]
+        for key, source in self.inputs.items():
+            found[name_of(key)] = by_values(model, name_of(key), source, by_sources)
+        # A given state depends on no parameter and no input, except as dx0 says.
+        names = [n for n in differentiable(model, self.inputs) if n not in self.dx0]
+        moved = [n for n in names if n in model.states or not self.starts_from_x0]
         followed = initial_derivatives(model, self.t, self.steps.start, parameters, self.inputs, moved)
         for name, derivative in (followed | dict(self.dx0)).items():
-            found[name] = found.get(name, 0.0) + float(start @ derivative)
+            by_start = derivative @ start
+            found[name] = found.get(name, 0.0) + (by_start if by_start.shape else float(by_start))
         for name in moving_breakpoints(model, parameters, model.parameters):
             del found[name]
-        return found | by_values(model, self.inputs, by_sources)
+        return found
 
     def _by_samples(self, cost: Any) -> tuple[Floats, Floats | None]:
         """The cost's derivatives by the samples' states and outputs, a row for each sample."""
@@ -114,23 +119,32 @@ def output_sensitivity(
     r: Floats,
     parameters: Floats | None,
     inputs: Mapping[Any, Any],
-    sensitivity: Mapping[str, Floats],
-) -> dict[str, Floats]:
-    """The derivatives of the outputs at samples, (n_o, n_t), from those of the states; by names."""
+    directions: Directions,
+    sensitivity: Floats,
+) -> Floats:
+    """The derivatives of the outputs at samples along directions, shape (n, n_o, n_t).
+
+    Parameters
+    ----------
+    model : Kernel
+    t, y, r, parameters, inputs
+        As in `Trajectory`.
+    directions : Directions
+    sensitivity : ndarray, shape (n, n_x, n_t)
+        The derivatives of the states.
+    """
     model.require_output_derivatives(model.outputs)
-    given = {name_of(key) for key in inputs}
-    in_force = np.array([entry["of"] not in given for entry in model.manifest["inputs"]], dtype=bool)
     p = np.array([*model.defaults.values()], dtype=float) if parameters is None else parameters
-    jacobians = Jacobians(model, t, np.ascontiguousarray(y), p, np.ascontiguousarray(r), in_force)
-    by_variables = []
-    for variables in ("state", "parameters"):
-        jacobians.differentiate(variables, True)
-        jacobians.evaluate(0, len(t))
-        by_variables.append(jacobians.results[1])
-    by_state, by_parameters = by_variables
-    found = {}
-    for name, changes in sensitivity.items():
-        found[name] = np.einsum("nox,xn->on", by_state, changes)
-        if name in model.parameters:
-            found[name] += by_parameters[:, :, model.parameters.index(name)].T
-    return found
+    held = np.zeros(model.n_r, dtype=bool)  # that inputs follow parameters is in the directions
+    jacobians = Jacobians(model, t, np.ascontiguousarray(y), p, np.ascontiguousarray(r), held)
+    found = np.zeros((len(t), model.n_o, len(sensitivity)))
+    for variables, changes in (
+        ("state", sensitivity.transpose(2, 1, 0)),
+        ("parameters", directions.matrix[model.n_x :]),
+        ("inputs", directions.of_inputs(model, t, p, inputs).transpose(2, 0, 1)),
+    ):
+        if changes.any():
+            jacobians.differentiate(variables, True)
+            jacobians.evaluate(0, len(t))
+            found += jacobians.results[1] @ changes
+    return found.transpose(2, 1, 0)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
     from matplotlib.figure import Figure
 
-    from fourbar_codegen.results.gradient import EventSensitivity, KeptSteps, output_sensitivity
+    from fourbar_codegen.kernel.sensitivity import Directions
 
 __all__ = ["WRITERS", "Trajectory", "make_trajectory"]
 
@@ -68,9 +68,13 @@ class Trajectory:
     inputs : mapping or None
         Copies of the given sources of inputs; None if the run was read from a file.
     sensitivity : mapping of str to ndarray, shape (n_x, n_t), or None
-        Derivatives of the states with respect to parameters and initial values, with ``sensitivities=`` of `simulate`.
+        Derivatives of the states with respect to parameters, initial values and inputs, with ``sensitivities=`` of
+        `simulate`; of shape (n, n_x, n_t) for the n values of a table. At other times they are
+        ``sol.sensitivity(t)``, with ``dense_output=True``.
     event_sensitivity : list of mapping of str to (t, y), or None
         For each event, derivatives of its times, ``t``, and of the states at these times, ``y``, like `sensitivity`.
+    directions : Directions or None
+        What `sensitivity` is with respect to.
     steps : KeptSteps or None
         The steps taken, for `gradient`, with ``gradient=True``.
 
@@ -80,6 +84,9 @@ class Trajectory:
     >>> trajectory = fb.load("four_bar").simulate((0.0, 1.0), t_eval=[0.0, 0.5, 1.0])
     >>> trajectory["q1"].shape, trajectory.q.shape, trajectory.energy.shape
     ((3,), (3, 3), (3,))
+    >>> run = fb.load("four_bar").simulate((0.0, 1.0), sensitivities=["k"], dense_output=True)
+    >>> run.sol.sensitivity([0.25, 0.5])["k"].shape
+    (6, 2)
     """
 
     model: Kernel
@@ -87,7 +94,7 @@ class Trajectory:
     t: Floats
     y: Floats
     r: Floats
-    sol: Callable[[Any], Floats] | None
+    sol: Any
     t_events: list[Floats] | None
     y_events: list[Floats] | None
     nfev: int
@@ -100,6 +107,7 @@ class Trajectory:
     inputs: Mapping[Any, Any] | None
     sensitivity: Mapping[str, Floats] | None = None
     event_sensitivity: list[dict[str, EventSensitivity]] | None = None
+    directions: Directions | None = None
     steps: KeptSteps | None = None
 
     @property
@@ -218,7 +226,8 @@ class Trajectory:
 
         States are interpolated with ``sol`` if it exists, otherwise with cubic Hermite polynomials through the stored
         states and their rates, whose error is proportional to the fourth power of the distance between stored states.
-        They are projected onto the constraints if the run was. Inputs are evaluated from their sources. For a run that
+        They are projected onto the constraints if the run was. Inputs are evaluated from their sources. Sensitivities
+        are kept if there is ``sol``. For a run that
         was read from a file, inputs that are not their default expressions are interpolated linearly; if one of these
         prescribes a motion, states are not projected.
 
@@ -263,22 +272,27 @@ class Trajectory:
         if self.settings["constraints"] == "project" and not prescribed:
             states = np.reshape([ode.project(t, x) for t, x in zip(times, states.T, strict=True)], states.T.shape).T
         r = ode.inputs_along(times, states)
-        return replace(self, t=times, y=states, r=r, sensitivity=None, steps=None)
+        derivatives = None if self.sensitivity is None or self.sol is None else self.sol.sensitivity(times)
+        return replace(self, t=times, y=states, r=r, sensitivity=derivatives, steps=None)
 
     @cached_property
     def output_sensitivity(self) -> dict[str, Floats]:
         """Derivatives of the outputs with respect to the names of `sensitivity`, each of shape (n_o, n_t).
+
+        Of shape (n, n_o, n_t) for the n values of a table.
 
         Raises
         ------
         ModelError
             If the run was made without ``sensitivities=``, or redundant constraints leave outputs undetermined.
         """
-        if self.sensitivity is None:
+        if self.sensitivity is None or self.directions is None:
             raise ModelError("The run has no sensitivities: simulate(..., sensitivities=[...]) finds them.")
-        return output_sensitivity(
-            self.model, self.t, self.y, self.r, self.parameters, self.inputs or {}, self.sensitivity
+        of_states = np.concatenate([part.reshape(-1, *self.y.shape) for part in self.sensitivity.values()])
+        found = output_sensitivity(
+            self.model, self.t, self.y, self.r, self.parameters, self.inputs or {}, self.directions, of_states
         )
+        return self.directions.by_name(found)
 
     def gradient(self, cost: ArrayLike | Mapping[Any, ArrayLike]) -> dict[str, Any]:
         """The gradient of a cost of the samples, by one sweep backwards over the steps of the run.
@@ -297,8 +311,8 @@ class Trajectory:
         dict of str to float or ndarray
             The derivatives by parameters; by initial values of the independent coordinates and speeds and of the
             auxiliary states, where the others follow from loop closure; and by given inputs: a number, or an array with
-            an entry for each value of a table. A given ``x0`` depends on no parameter. Left out are parameters on which
-            times of jumps depend, and tables of kind "pchip", which are not linear in their values.
+            an entry for each value of a table. A given ``x0`` depends on no parameter and no input. Left out are
+            parameters on which times of jumps depend.
 
         Raises
         ------

@@ -1051,9 +1051,10 @@ cdef class Evaluator:
         return by_coordinates, positions, velocities
 
     def constraint_variation(self, t, x, directions, p=None, r=None):
-        """The derivatives of the constraint violations along directions of (x, p), shape (n_x + n_p, n).
+        """The derivatives of the constraint violations along directions of (x, p, r), shape (n_x + n_p + n_r, n).
 
-        Two arrays, of shapes (n_c + n_i, n) and (n_c, n). Inputs whose expressions are in force follow the parameters.
+        Two arrays, of shapes (n_c + n_i, n) and (n_c, n). Without rows of r, inputs whose expressions are in force
+        follow the parameters.
         """
         t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
@@ -1094,11 +1095,14 @@ cdef class Evaluator:
         return gradient
 
     def _blocks(self, t, directions, p, r):
-        """Directions of (x, p), shape (n_x + n_p, n), as blocks of (x, p, r) with FB_DIRECTIONS columns."""
-        n = np.shape(directions)[1]
+        """Directions of (x, p, r), shape (n_x + n_p + n_r, n), as blocks with FB_DIRECTIONS columns."""
+        rows, n = np.shape(directions)
         blocks = np.zeros(((n + FB_DIRECTIONS - 1) // FB_DIRECTIONS, self.n_x + self.n_p + self.n_r, FB_DIRECTIONS))
-        by_parameters = self.default_input_sensitivity(t, p) * np.array(self.defaults_in_force(r), dtype=bool)[:, None]
-        given = np.vstack((directions, by_parameters @ directions[self.n_x:]))
+        given = directions
+        if rows < self.n_x + self.n_p + self.n_r:
+            in_force = np.array(self.defaults_in_force(r), dtype=bool)[:, None]
+            of_inputs = (self.default_input_sensitivity(t, p) * in_force) @ directions[self.n_x:]
+            given = np.vstack((directions, of_inputs))
         for i in range(n):
             blocks[i // FB_DIRECTIONS, :, i % FB_DIRECTIONS] = given[:, i]
         return blocks

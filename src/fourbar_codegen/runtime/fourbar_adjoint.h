@@ -15,11 +15,13 @@
 #define FOURBAR_ADJOINT_H
 
 #include "fourbar_integrate.h"
+#include "fourbar_jumps.h"
 
 typedef struct fb_adjoint {
     const fb_derivatives *derivatives;
     const fb_variations *variations;
     const double *rows; /* (n_rows, 2 + n_x), as `fb_steps` */
+    fb_jump jump;       /* at the beginning of the present piece */
     /* the samples: the row whose step contains each, and its time; cost's derivatives by states and outputs there */
     const long *sample_row;
     const double *sample_t, *by_states, *by_outputs; /* the latter (n_samples, n_o), or NULL */
@@ -27,7 +29,7 @@ typedef struct fb_adjoint {
      * value or its table's coefficients, then its values before and after */
     double *by_state, *by_parameters, **by_source;
     /* scratch */
-    double *gradient;                  /* (n_x + n_p + n_r,) */
+    double *gradient, *other;          /* (n_x + n_p + n_r,) */
     double *weights;                   /* (n_x + n_l,) */
     double *by_stages, *by_pieces;     /* (n_rows of stages or interpolant, padded) */
     double *by_start, *by_end, *at;    /* (padded,) */
@@ -111,6 +113,45 @@ static inline int fb_pull_back_projection(fb_problem *p, fb_adjoint *a, const do
     if (status == FB_OK)
         fb_take_gradient(p, a, t, by_state);
     return status;
+}
+
+/* A gradient after a jump of the speeds becomes one before it, where the state is x: du and its derivatives as in
+ * fourbar_jumps.h. */
+static inline int fb_pull_back_jump(fb_problem *p, fb_adjoint *a, const double *x, double *by_state)
+{
+    const fb_kernel *const k = p->kernel;
+    fb_jump *const jump = &a->jump;
+    const int n_x = k->n_x, n_p = k->n_p, n_r = k->n_r;
+    double *const g = a->gradient, *const by_inputs = g + n_x + n_p, *const of_rates = a->other + n_x + n_p;
+    memset(a->weights, 0, (size_t)(n_x + k->n_l) * sizeof *g);
+    memcpy(a->weights + k->n_q, by_state + k->n_q, (size_t)k->n_u * sizeof *g);
+    fb_fill_jump(p, jump, x);
+    fb_take_jump(p, jump, 0);
+    int status = k->pull_back(a->derivatives, a->variations, jump->t_after, x, p->constants, p->inputs, a->weights,
+                              a->other, p->work);
+    fb_take_jump(p, jump, 1);
+    if (status == FB_OK)
+        status = k->pull_back(a->derivatives, a->variations, jump->t_after, x, p->constants, p->inputs, a->weights, g,
+                              p->work);
+    if (status != FB_OK)
+        return status;
+    for (int i = 0; i < n_x + n_p; ++i)
+        g[i] -= a->other[i];
+    /* the derivatives by second derivatives are those by the rates after, and minus those before */
+    for (int i = 0; i < n_r; ++i)
+        if (jump->rate[i] < 0)
+            by_inputs[i] -= of_rates[i];
+    memset(of_rates, 0, (size_t)n_r * sizeof *g);
+    for (int i = 0; i < n_r; ++i)
+        if (jump->rate[i] >= 0) {
+            of_rates[jump->rate[i]] -= by_inputs[i];
+            by_inputs[jump->rate[i]] += by_inputs[i];
+            by_inputs[i] = 0.0;
+        }
+    fb_take_gradient(p, a, jump->t_after, by_state);
+    fb_fill_inputs(p, jump->t_before, x);
+    fb_pull_back_inputs(p, a, jump->t_before, of_rates);
+    return FB_OK;
 }
 
 static inline void fb_add_products(const double *matrix, const double *weights, const int rows, const int columns,
@@ -247,12 +288,16 @@ static inline int fb_pull_back_step(fb_run *s, fb_adjoint *a, const long row, lo
     int status = FB_OK;
     s->t = to[0];
     memcpy(s->x, to + 2, (size_t)n * sizeof *to);
-    while (*sample > 0 && a->sample_row[*sample - 1] == row && a->sample_t[*sample - 1] == s->t && status == FB_OK)
+    const int begins = to[1] == 0.0; /* the run, or a piece of it after a jump: samples differ by rounding errors */
+    while (*sample > 0 && a->sample_row[*sample - 1] == row && (begins || a->sample_t[*sample - 1] == s->t) &&
+           status == FB_OK)
         status = fb_pull_back_sample(s->problem, a, --*sample, s->x, a->by_state);
-    if (status != FB_OK)
+    if (status == FB_OK && begins && s->project)
+        status = fb_pull_back_projection(s->problem, a, s->t, s->x, a->by_state);
+    if (status == FB_OK && begins && row > 0)
+        status = fb_pull_back_jump(s->problem, a, to - width + 2, a->by_state);
+    if (status != FB_OK || begins)
         return status;
-    if (to[1] == 0.0) /* where the run begins or continues from another state */
-        return s->project ? fb_pull_back_projection(s->problem, a, s->t, s->x, a->by_state) : FB_OK;
     const long last = *sample;
     while (*sample > 0 && a->sample_row[*sample - 1] == row)
         --*sample;
@@ -310,6 +355,9 @@ static inline size_t fb_place_adjoint(const fb_run *run, fb_adjoint *a, double *
         {&a->by_state, padded},
         {&a->by_parameters, p},
         {&a->gradient, x + p + r},
+        {&a->other, x + p + r},
+        {&a->jump.before, r},
+        {&a->jump.change, r},
         {&a->weights, x + l},
         {&a->solution, u + l},
         {&a->input_jacobian, r * p},

@@ -1,4 +1,5 @@
-/* Forward sensitivities of a run: the derivatives S of the state along directions of initial values and parameters.
+/* Forward sensitivities of a run: the derivatives S of the state along directions of initial values, parameters and
+ * inputs.
  *
  * The Runge-Kutta steps are differentiated as they were taken, with their lengths held (internal numerical
  * differentiation: H. G. Bock, "Numerical treatment of inverse problems in chemical reaction kinetics", 1981). With
@@ -7,12 +8,14 @@
  *     S_k = S + h sum_j a_kj K_j,     S_new = S + h sum_j b_j K_j.
  *
  * After a projection S is moved onto the constraints' tangent by the same orthogonal projection. What is left out is
- * proportional to the correction of the state, which is below the tolerance of the step.
+ * proportional to the correction of the state, which is below the tolerance of the step. Directions of inputs are those
+ * of their tables' coefficients, which do not depend on the state.
  */
 #ifndef FOURBAR_FORWARD_H
 #define FOURBAR_FORWARD_H
 
 #include "fourbar_integrate.h"
+#include "fourbar_jumps.h"
 
 typedef struct fb_forward {
     const fb_derivatives *derivatives;
@@ -21,7 +24,11 @@ typedef struct fb_forward {
     int size;     /* of a row: n_blocks * n_x * FB_DIRECTIONS */
     /* (n_blocks, n_x + n_p + n_r, FB_DIRECTIONS): the rows of p are given, those of the others are filled */
     double *directions;
+    /* for each source of an input NULL, or the changes of its value, or of its table's coefficients, interval by
+     * interval, and then of its values before and after; rows of n_blocks * FB_DIRECTIONS */
+    const double **source_changes;
     double *input_jacobian;       /* (n_r, n_p), dr/dp of the inputs' expressions */
+    double *before;               /* (n_blocks, n_r, FB_DIRECTIONS): of the inputs before a jump */
     double *s, *s_old, *scratch;  /* (size,) */
     double *stages, *interpolant; /* as in fb_run, with rows of `size` */
     double *samples;              /* (room, size) */
@@ -44,7 +51,46 @@ static inline void fb_forward_combine(const fb_forward *f, const fb_weights *w, 
     }
 }
 
-/* The directions of a block, whose rows of x are given; the rows of r follow from those of p. */
+/* dr/dp of the inputs at a time; 0 for those with a source. */
+static inline void fb_forward_inputs(fb_run *run, const double t)
+{
+    fb_forward *const f = run->forward;
+    fb_problem *const p = run->problem;
+    const int n_p = p->kernel->n_p;
+    if (p->kernel->n_r == 0)
+        return;
+    f->derivatives->default_input_sensitivity(t, p->constants, f->input_jacobian);
+    for (int i = 0; i < p->n_sources; ++i)
+        memset(f->input_jacobian + p->sources[i].input * n_p, 0, (size_t)n_p * sizeof *f->input_jacobian);
+}
+
+/* The directions of an input in a block, by those of its source. */
+static inline void fb_source_direction(const fb_forward *f, const fb_source *source, const double *changes,
+                                       const int block, const double t, double *direction)
+{
+    const int width = f->n_blocks * FB_DIRECTIONS;
+    const double *row = changes + block * FB_DIRECTIONS;
+    const fb_table *const table = source->table;
+    int n = 1;
+    double since = 0.0;
+    if (table && t < table->times[0])
+        row += table->n_intervals * table->n_coefficients * width;
+    else if (table && t > table->times[table->n_intervals])
+        row += (table->n_intervals * table->n_coefficients + 1) * width;
+    else if (table) {
+        n = table->n_coefficients;
+        row += source->interval * n * width;
+        since = t - table->times[source->interval];
+    }
+    for (int j = 0; j < FB_DIRECTIONS; ++j)
+        direction[j] = row[j];
+    for (int i = 1; i < n; ++i)
+        for (int j = 0; j < FB_DIRECTIONS; ++j)
+            direction[j] = direction[j] * since + row[i * width + j];
+}
+
+/* The directions of a block, whose rows of x are given. Those of r follow from p, or from the sources, whose values at
+ * this time were the last ones. */
 static inline double *fb_forward_directions(fb_run *run, const int block, const double t, const double *s)
 {
     fb_forward *const f = run->forward;
@@ -52,23 +98,23 @@ static inline double *fb_forward_directions(fb_run *run, const int block, const 
     const fb_kernel *const k = p->kernel;
     const int n_x = k->n_x, n_p = k->n_p, n_r = k->n_r;
     double *const directions = f->directions + block * (n_x + n_p + n_r) * FB_DIRECTIONS;
+    double *const of_inputs = directions + (n_x + n_p) * FB_DIRECTIONS;
     memcpy(directions, s + block * n_x * FB_DIRECTIONS, (size_t)(n_x * FB_DIRECTIONS) * sizeof *s);
-    if (n_r > 0 && block == 0) {
-        f->derivatives->default_input_sensitivity(t, p->constants, f->input_jacobian);
-        for (int i = 0; i < p->n_sources; ++i)
-            memset(f->input_jacobian + p->sources[i].input * n_p, 0, (size_t)n_p * sizeof *s);
-    }
     for (int i = 0; i < n_r; ++i)
         for (int j = 0; j < FB_DIRECTIONS; ++j) {
             double sum = 0.0;
             for (int l = 0; l < n_p; ++l)
                 sum += f->input_jacobian[i * n_p + l] * directions[(n_x + l) * FB_DIRECTIONS + j];
-            directions[(n_x + n_p + i) * FB_DIRECTIONS + j] = sum;
+            of_inputs[i * FB_DIRECTIONS + j] = sum;
         }
+    for (int i = 0; i < p->n_sources; ++i)
+        if (f->source_changes[i])
+            fb_source_direction(f, p->sources + i, f->source_changes[i], block, t,
+                                of_inputs + p->sources[i].input * FB_DIRECTIONS);
     return directions;
 }
 
-/* f_x S + f_p P at a state; NaN where the equations cannot be differentiated. */
+/* f_x S + f_p P + f_r R at a state; NaN where the equations cannot be differentiated. */
 static inline int fb_forward_rates(fb_run *run, const double since, const double *x, const double *s, double *rates)
 {
     fb_forward *const f = run->forward;
@@ -77,6 +123,7 @@ static inline int fb_forward_rates(fb_run *run, const double since, const double
     const int called = fb_fill_inputs(p, t, x);
     if (called < 0)
         return called;
+    fb_forward_inputs(run, t);
     for (int block = 0; block < f->n_blocks; ++block) {
         const int n = p->kernel->n_x * FB_DIRECTIONS;
         const double *const directions = fb_forward_directions(run, block, t, s);
@@ -88,6 +135,43 @@ static inline int fb_forward_rates(fb_run *run, const double since, const double
     return 0;
 }
 
+/* S after a jump of the speeds, for the state before it: the jump's derivatives are added. */
+static inline int fb_forward_jump(fb_run *run, fb_jump *jump, const double *x, double *s)
+{
+    fb_forward *const f = run->forward;
+    fb_problem *const p = run->problem;
+    const fb_kernel *const k = p->kernel;
+    const int n_r = k->n_r, first = (k->n_x + k->n_p) * FB_DIRECTIONS, n = k->n_x * FB_DIRECTIONS;
+    const size_t size = (size_t)(n_r * FB_DIRECTIONS) * sizeof *s;
+    int status = FB_OK;
+    fb_fill_inputs(p, jump->t_before, x);
+    fb_forward_inputs(run, jump->t_before);
+    for (int block = 0; block < f->n_blocks; ++block)
+        memcpy(f->before + block * n_r * FB_DIRECTIONS, fb_forward_directions(run, block, jump->t_before, s) + first,
+               size);
+    fb_fill_jump(p, jump, x);
+    fb_forward_inputs(run, jump->t_after);
+    for (int block = 0; block < f->n_blocks && status == FB_OK; ++block) {
+        double *const directions = fb_forward_directions(run, block, jump->t_after, s);
+        double *const of_inputs = directions + first;
+        const double *const before = f->before + block * n_r * FB_DIRECTIONS;
+        double *const rates = f->scratch + block * n, *const others = f->s_old + block * n;
+        for (int jumps = 1; jumps >= 0 && status == FB_OK; --jumps) {
+            fb_take_jump(p, jump, jumps);
+            for (int i = 0; i < n_r; ++i)
+                for (int j = 0; j < FB_DIRECTIONS && jump->rate[i] >= 0; ++j) {
+                    const int place = jump->rate[i] * FB_DIRECTIONS + j;
+                    of_inputs[i * FB_DIRECTIONS + j] = jumps ? of_inputs[place] - before[place] : 0.0;
+                }
+            status = k->vary(f->derivatives, f->variations, jump->t_after, x, p->constants, p->inputs, directions,
+                             jumps ? rates : others, p->work);
+        }
+        for (int i = k->n_q * FB_DIRECTIONS; i < (k->n_q + k->n_u) * FB_DIRECTIONS; ++i)
+            s[block * n + i] += rates[i] - others[i];
+    }
+    return status;
+}
+
 /* Moves S at a state that satisfies the constraints onto their tangent. */
 static inline int fb_forward_close(fb_run *run, const double since, const double *x, double *s)
 {
@@ -97,6 +181,7 @@ static inline int fb_forward_close(fb_run *run, const double since, const double
     const int called = fb_fill_inputs(p, t, x);
     if (called < 0)
         return called;
+    fb_forward_inputs(run, t);
     for (int block = 0; block < f->n_blocks; ++block) {
         const int n = p->kernel->n_x * FB_DIRECTIONS;
         double *const directions = fb_forward_directions(run, block, t, s);
@@ -202,6 +287,7 @@ static inline size_t fb_place_forward(const fb_run *run, const int n_blocks, fb_
     const fb_place places[] = {
         {&f->directions, n_blocks * (k->n_x + k->n_p + k->n_r) * FB_DIRECTIONS},
         {&f->input_jacobian, k->n_r * k->n_p},
+        {&f->before, n_blocks * k->n_r * FB_DIRECTIONS},
         {&f->s, size},
         {&f->s_old, size},
         {&f->scratch, size},

@@ -4,7 +4,7 @@
 cimport cython
 cimport numpy as cnp
 from cpython.mem cimport PyMem_Calloc, PyMem_Free
-from libc.math cimport INFINITY
+from libc.math cimport INFINITY, NAN
 from libc.string cimport memcpy, memset
 
 from fourbar_codegen.runtime.evaluator cimport (
@@ -22,6 +22,14 @@ cdef extern from "fourbar_augmented.h":
     ctypedef struct fb_augmented:
         long n_jacobians, n_factorizations
 
+cdef extern from "fourbar_jumps.h":
+    ctypedef struct fb_jump:
+        double t_before, t_after
+        const int *rate
+        double *before
+        double *change
+    int fb_speed_jump(fb_problem *, fb_jump *, const double *, double *, double *) noexcept nogil
+
 cdef extern from "fourbar_forward.h":
     int FB_DIRECTIONS
     ctypedef struct fb_forward:
@@ -29,6 +37,8 @@ cdef extern from "fourbar_forward.h":
         const fb_variations *variations
         int n_blocks, size, fsal
         double *directions
+        const double **source_changes
+        double *interpolant
         double *s
         double *s_old
         double *samples
@@ -36,6 +46,8 @@ cdef extern from "fourbar_forward.h":
     int fb_forward_sample(fb_run *, double, const double *) noexcept nogil
     int fb_forward_at(fb_run *, double, const double *, double *) noexcept nogil
     int fb_forward_close(fb_run *, double, const double *, double *) noexcept nogil
+    int fb_forward_jump(fb_run *, fb_jump *, const double *, double *) noexcept nogil
+    int fb_forward_prepare_interpolant(fb_run *) noexcept nogil
     size_t fb_place_forward(const fb_run *, int, fb_forward *, double *) noexcept nogil
 
 cdef extern from "fourbar_integrate.h":
@@ -110,6 +122,7 @@ cdef extern from "fourbar_adjoint.h":
         const fb_derivatives *derivatives
         const fb_variations *variations
         const double *rows
+        fb_jump jump
         const long *sample_row
         const double *sample_t
         const double *by_states
@@ -603,6 +616,51 @@ cdef cnp.ndarray _state_of(const fb_run *run):
     return x
 
 
+cdef int _prepare_forward(fb_run *run, fb_forward *forward, Ode ode, directions, list kept) except -1:
+    """Set a run's derivatives, at its beginning; `kept` holds their memory."""
+    cdef const fb_kernel *kernel = ode.evaluator.kernel
+    cdef int n_x = kernel.n_x, n_p = kernel.n_p, n = np.shape(directions.matrix)[1]
+    cdef int n_blocks = (n + FB_DIRECTIONS - 1) // FB_DIRECTIONS
+    cdef cnp.ndarray memory = np.zeros(fb_place_forward(run, n_blocks, forward, NULL)), first, changes
+    cdef cnp.ndarray places = np.zeros(kernel.n_r + 1, dtype=np.uintp)
+    fb_place_forward(run, n_blocks, forward, data(memory))
+    forward.derivatives, forward.variations = ode.evaluator.derivatives(), ode.evaluator.variations()
+    padded = np.zeros((n_blocks, n_x + n_p + kernel.n_r, FB_DIRECTIONS))
+    for block in range(n_blocks):
+        columns = directions.matrix[:, block * FB_DIRECTIONS:(block + 1) * FB_DIRECTIONS]
+        padded[block, :n_x + n_p, :columns.shape[1]] = columns
+    memory[:padded.size] = padded.ravel()
+    first = np.ascontiguousarray(padded[:, :n_x])
+    memcpy(forward.s, data(first), forward.size * sizeof(double))
+    kept += [memory, places]
+    given = [changes for source, changes in zip(ode.sources, directions.sources) if source is not None]
+    for i, of_source in enumerate(given):
+        if of_source is not None:
+            changes = np.zeros((len(of_source), n_blocks * FB_DIRECTIONS))
+            changes[:, :n] = of_source
+            places[i] = changes.ctypes.data
+            kept.append(changes)
+    forward.source_changes = <const double **>cnp.PyArray_DATA(places)
+    run.forward = forward
+    return 0
+
+
+def _by_directions(samples, int n_x, directions):
+    """Rows of samples of derivatives as an array of shape (n, n_x, n_t)."""
+    n_t, n_blocks = len(samples), samples.shape[1] // (n_x * FB_DIRECTIONS)
+    blocks = samples.reshape(n_t, n_blocks, n_x, FB_DIRECTIONS)
+    derivatives = blocks.transpose(1, 3, 2, 0).reshape(n_blocks * FB_DIRECTIONS, n_x, n_t)
+    return derivatives[:directions.matrix.shape[1]]
+
+
+def _rates_of(Ode ode):
+    """For each input that is a second derivative the place of the rate, otherwise -1."""
+    entries = ode.evaluator.manifest["inputs"]
+    places = {(entry["of"], entry["order"]): place for place, entry in enumerate(entries)}
+    rates = [places.get((entry["of"], 1), -1) if entry["order"] == 2 else -1 for entry in entries]
+    return np.array([*rates, -1], dtype=np.intc)
+
+
 _REASONS = {FB_RUN_END: "end", FB_RUN_PAUSED: "paused", FB_RUN_FULL: "full", FB_RUN_EVENT: "event",
             FB_RUN_TOO_SMALL: "too small", FB_RUN_INFINITE: "infinite", FB_RUN_COLLAPSED: "collapsed",
             FB_RUN_DIVERGED: "diverged"}
@@ -647,7 +705,7 @@ cdef class Run:
     cdef cnp.ndarray kept_t
     cdef cnp.ndarray kept_x
     cdef fb_forward forward
-    cdef int n_directions
+    cdef object directions
     cdef cnp.ndarray kept_s
     cdef list varied
     cdef fb_steps steps
@@ -697,31 +755,18 @@ cdef class Run:
         self._make_room(run.n_times if times is not None else 256)
 
     def vary(self, directions):
-        """Also integrate derivatives along directions of (x, p), shape (n_x + n_p, n), before `begin`."""
-        cdef fb_kernel *kernel = <fb_kernel *>self.ode.evaluator.kernel
-        cdef int n_x = kernel.n_x, n_p = kernel.n_p, n = np.shape(directions)[1]
-        cdef int n_blocks = (n + FB_DIRECTIONS - 1) // FB_DIRECTIONS
-        cdef cnp.ndarray memory = np.zeros(fb_place_forward(&self.run, n_blocks, &self.forward, NULL))
-        cdef double *filled = <double *>self._keep(memory)
-        fb_place_forward(&self.run, n_blocks, &self.forward, filled)
-        self.forward.derivatives = self.ode.evaluator.derivatives()
-        self.forward.variations = self.ode.evaluator.variations()
-        padded = np.zeros((n_blocks, n_x + n_p + kernel.n_r, FB_DIRECTIONS))
-        for block in range(n_blocks):
-            columns = directions[:, block * FB_DIRECTIONS:(block + 1) * FB_DIRECTIONS]
-            padded[block, :n_x + n_p, :columns.shape[1]] = columns
-        memory[:padded.size] = padded.ravel()
-        first = np.ascontiguousarray(padded[:, :n_x])
-        memcpy(self.forward.s, data(first), self.forward.size * sizeof(double))
-        self.run.forward, self.run.vary, self.run.vary_sample = &self.forward, fb_forward_step, fb_forward_sample
-        self.n_directions, self.varied = n, []
+        """Also integrate derivatives along directions of (x, p) and of inputs, before `begin`."""
+        self.directions = directions
+        _prepare_forward(&self.run, &self.forward, self.ode, directions, self.kept)
+        self.run.vary, self.run.vary_sample = fb_forward_step, fb_forward_sample
+        self.varied = []
         if self.run.project:
             self.ode.check(fb_forward_close(&self.run, self.run.t, self.run.x, self.forward.s))
         self._make_room(self.run.room)
 
     def keep_steps(self):
         """Also keep the steps, for `Steps`, before `begin`."""
-        self.run.steps, self.places, self.clocks = &self.steps, [], [(0, -INFINITY, INFINITY)]
+        self.run.steps, self.places, self.clocks = &self.steps, [], [(0, -INFINITY, INFINITY, 0.0, 0.0)]
         self.kept_rows = new_array(256, 2 + self.run.n)
         self.steps.rows, self.steps.room = data(self.kept_rows), 256
         self._make_room(self.run.room)
@@ -745,9 +790,7 @@ cdef class Run:
     @property
     def sensitivities(self):
         """The derivatives at all samples taken, shape (n, n_x, n_t)."""
-        n_x = self.ode.evaluator.n_x
-        blocks = np.concatenate(self.varied).reshape(-1, self.forward.n_blocks, n_x, FB_DIRECTIONS)
-        return blocks.transpose(1, 3, 2, 0).reshape(-1, n_x, blocks.shape[0])[:self.n_directions]
+        return _by_directions(np.concatenate(self.varied), self.run.n, self.directions)
 
     cdef void *_keep(self, cnp.ndarray array):
         self.kept.append(array)
@@ -804,7 +847,11 @@ cdef class Run:
         """
         cdef fb_run *run = &self.run
         cdef cnp.ndarray state
-        cdef double origin = self.ode.problem.clock.origin
+        cdef double origin, earliest, latest
+        origin, earliest, latest = self.ode.clock
+        cdef double before = latest if run.direction > 0.0 else earliest
+        if x is not None and (run.forward or run.steps):
+            self._pass_jump(before, first, vector(x, run.n, "The state x"))
         self.ode.clock = origin, min(first, last), max(first, last)
         run.t, run.t_bound = t - origin, t_bound - origin
         self.t_begin, self.since_begin, self.t_bound = t, run.t, t_bound
@@ -822,7 +869,7 @@ cdef class Run:
             if x is not None and run.project:
                 self.ode.check(fb_forward_close(run, run.t, run.x, self.forward.s))
         if run.steps:
-            self.clocks.append((self.steps.n, min(first, last), max(first, last)))
+            self.clocks.append((self.steps.n, min(first, last), max(first, last), before, first))
             if x is not None:
                 self._make_room_for_steps()
                 fb_keep_step(run, 0.0)
@@ -831,6 +878,30 @@ cdef class Run:
             memcpy(run.event_old, run.event_value, run.n_events * sizeof(double))
             self.ode.check(fb_event_values(run, run.t, run.x, run.event_value))
         return True
+
+    cdef int _pass_jump(self, double before, double after, cnp.ndarray x) except -1:
+        """The derivatives after a jump of the speeds to a state x."""
+        cdef fb_run *run = &self.run
+        cdef int i, n_q = self.ode.evaluator.n_q, n_u = self.ode.evaluator.n_u
+        cdef fb_jump jump
+        cdef cnp.ndarray memory = np.zeros((2, self.ode.evaluator.n_r + 1)), places = _rates_of(self.ode)
+        cdef cnp.ndarray speeds = np.zeros(n_u), scratch = np.zeros(n_u + self.ode.evaluator.n_l)
+        cdef int status
+        jump.t_before, jump.t_after, jump.rate = before, after, <const int *>cnp.PyArray_DATA(places)
+        jump.before, jump.change = data(memory), data(memory) + self.ode.evaluator.n_r + 1
+        status = fb_speed_jump(run.problem, &jump, run.x, data(speeds), data(scratch))
+        if status != FB_OK:
+            raise SimulationError(self.ode.evaluator.failure(status, after, _state_of(run)))
+        change = (x - _state_of(run))[n_q:n_q + n_u]
+        size = np.abs(change).max(initial=0.0) + np.abs(speeds).max(initial=0.0)
+        if not np.abs(change - speeds).max(initial=0.0) <= 1e-6 * size + 1e-9:
+            raise SimulationError(
+                f"The speeds jump at t = {after:.9g} by an expression of time in the model, which has no derivatives: "
+                "prescribe the motion by an input.")
+        if run.forward and fb_forward_jump(run, &jump, run.x, self.forward.s) != FB_OK:
+            for i in range(self.forward.size):
+                self.forward.s[i] = NAN
+        return 0
 
     def on(self, long steps):
         """Take up to this number of steps; returns the reason of the stop: "end", "paused", "full", "event",
@@ -867,8 +938,7 @@ cdef class Run:
         """The derivatives at a fraction of the last step, shape (n_x, n)."""
         cdef cnp.ndarray x = self.state_within(share), s = new_array(self.forward.size)
         self.ode.check(fb_forward_at(&self.run, self._within(share), data(x), data(s)))
-        blocks = s.reshape(self.forward.n_blocks, self.run.n, FB_DIRECTIONS)
-        return np.concatenate(list(blocks), axis=1)[:, :self.n_directions]
+        return _by_directions(s[np.newaxis], self.run.n, self.directions)[..., 0].T
 
     def event_values_within(self, double share):
         """The event functions at a fraction of the last step, shape (n_events,)."""
@@ -902,7 +972,8 @@ cdef class Run:
 
     def dense_output(self):
         """An empty dense output from the present time on, to which steps are added."""
-        return DenseOutput(self.ode, self.method, self.run.direction, self.run.project, [self.t], [self.run.t], [])
+        return DenseOutput(self.ode, self.method, self.run.direction, self.run.project, [self.t], [self.run.t], [],
+                           self.directions)
 
     @property
     def orientation_changed(self):
@@ -974,8 +1045,9 @@ cdef class Steps:
         For each sample the number of the row whose step contains it.
     times : ndarray, shape (n_t,)
         Of the samples.
-    clocks : list of (int, float, float)
-        The first row of each piece between discontinuities, and the first and last time at which inputs are evaluated.
+    clocks : list of (int, float, float, float, float)
+        The first row of each piece between discontinuities; the first and last time at which inputs are evaluated; the
+        last time of the piece before in the direction of the run, and the first one of this piece.
     """
 
     cdef Ode ode
@@ -1021,7 +1093,7 @@ cdef class Steps:
         cdef fb_run run
         cdef fb_adjoint adjoint
         cdef cnp.ndarray state_seeds = np.ascontiguousarray(by_states, dtype=np.float64), output_seeds
-        cdef cnp.ndarray memory, small, part
+        cdef cnp.ndarray memory, small, part, rates
         cdef long row, sample = np.size(self.times), until
         cdef int status = FB_OK, n_stages, n_dense
         memset(&run, 0, sizeof(run))
@@ -1047,9 +1119,12 @@ cdef class Steps:
         cdef cnp.ndarray addresses = np.array([part.ctypes.data for part in by_sources if part is not None] or [0],
                                               dtype=np.uintp)
         adjoint.by_source = <double **>cnp.PyArray_DATA(addresses)
+        rates = _rates_of(ode)
+        adjoint.jump.rate = <const int *>cnp.PyArray_DATA(rates)
         row = np.shape(self.ends)[0] - 1
-        for first_row, first, last in reversed(self.clocks):
+        for first_row, first, last, before, after in reversed(self.clocks):
             ode.problem.clock = fb_clock(origin=self.origin, first=first, last=last)
+            adjoint.jump.t_before, adjoint.jump.t_after = before, after
             while row >= first_row and status == FB_OK:
                 until = max(first_row, row - 1000)  # then interrupts are possible
                 with nogil:
@@ -1197,6 +1272,10 @@ cdef class DenseOutput:
     steps : list of ndarray
         For each step, the interpolant's coefficients, the state at its beginning, its beginning relative to that of the
         run, and its length.
+    directions : Directions, optional
+        Along which there are derivatives.
+    varied : list of ndarray, optional
+        For each step, the coefficients of the derivatives' interpolant, and the derivatives at its beginning.
     """
 
     cdef Ode ode
@@ -1208,17 +1287,21 @@ cdef class DenseOutput:
     cdef list times
     cdef list ends
     cdef list steps
+    cdef object directions
+    cdef list varied
 
     def __cinit__(self, Ode ode not None, str method, double direction, bint project, list times, list ends,
-                  list steps):
+                  list steps, directions=None, varied=()):
         self.ode, self.method, self.direction, self.project = ode, method, direction, project
         self.times, self.ends, self.steps = times, ends, steps
+        self.directions, self.varied = directions, list(varied)
         self.tableau, self.padded = tableau_of(method), _padded_size(ode.evaluator.n_x)
         self.rows = self.tableau.n_dense + (3 if self.tableau.hermite else 0)
 
     def __reduce__(self):
         return DenseOutput, (
-            self.ode, self.method, self.direction, bool(self.project), self.times, self.ends, self.steps)
+            self.ode, self.method, self.direction, bool(self.project), self.times, self.ends, self.steps,
+            self.directions, self.varied)
 
     def __len__(self):
         return len(self.steps)
@@ -1234,6 +1317,12 @@ cdef class DenseOutput:
         self.times.append(last.t)
         self.ends.append(run.t)
         self.steps.append(step)
+        if run.forward:
+            last.ode.check(fb_forward_prepare_interpolant(run))
+            step = new_array(self.rows + 1, last.forward.size)
+            memcpy(data(step), last.forward.interpolant, self.rows * last.forward.size * sizeof(double))
+            memcpy(data(step) + self.rows * last.forward.size, last.forward.s_old, last.forward.size * sizeof(double))
+            self.varied.append(step)
 
     def __call__(self, t):
         """The state at times t: shape (n_x,) for a number, (n_x, n) for n of them.
@@ -1243,23 +1332,75 @@ cdef class DenseOutput:
         ModelError
             If a time is outside of the run, since the interpolants are not valid there.
         """
-        cdef cnp.ndarray at = np.atleast_1d(numbers(t, "The times"))
+        cdef cnp.ndarray at = self._checked(t)
         cdef int i, n = self.ode.evaluator.n_x
-        cdef double origin = self.times[0]
         cdef cnp.ndarray x = np.empty((np.size(at), n))
-        cdef cnp.ndarray step
-        cdef double *end
-        if np.ndim(at) != 1:
-            raise ModelError(f"Times must be a number or an array of one dimension, not of shape {np.shape(t)}.")
-        check_within(at, origin, self.times[len(self.times) - 1])  # without wraparound
         places = steps_at(at, self.direction, self.times, self.ends)
         for i in range(np.size(at)):
-            step = self.steps[places[i]]
-            end = data(step) + (self.rows + 1) * self.padded
-            fb_interpolate(self.tableau, data(step), n, self.padded, data(step) + self.rows * self.padded,
-                           (data(at)[i] - origin - end[0]) / end[1], data(x) + i * n)
-            if self.project:
-                # At the absolute time, since the relative one may be on the other side of a jump.
-                self.ode.clock = data(at)[i], -INFINITY, INFINITY
-                self.ode.check(fb_project_sample(&self.ode.problem, 0.0, data(x) + i * n))
+            self._state_at(data(at)[i], places[i], data(x) + i * n)
         return np.array(x.T) if np.ndim(t) else x[0]
+
+    def sensitivity(self, t):
+        """The derivatives of the state at times t, as `Trajectory.sensitivity` has them.
+
+        Parameters
+        ----------
+        t : float or array_like, shape (n_t,)
+
+        Returns
+        -------
+        dict of str to ndarray, shape (n_x,) for a number, (n_x, n_t) for n_t of them
+            With a leading axis for the values of a table.
+
+        Raises
+        ------
+        ModelError
+            If a time is outside of the run, or the run has no sensitivities.
+        """
+        if self.directions is None:
+            raise ModelError("The run has no sensitivities: simulate(..., sensitivities=[...]) finds them.")
+        cdef cnp.ndarray at = self._checked(t)
+        cdef Ode ode = self.ode
+        cdef int i, n = ode.evaluator.n_x
+        cdef cnp.ndarray x = np.empty((np.size(at), n)), s, step
+        cdef fb_run run
+        cdef fb_forward forward
+        cdef double *end
+        cdef list kept = []
+        memset(&run, 0, sizeof(run))
+        memset(&forward, 0, sizeof(forward))
+        _prepare(&run, ode, self.tableau)
+        _prepare_forward(&run, &forward, ode, self.directions, kept)
+        s = np.empty((np.size(at), forward.size))
+        places = steps_at(at, self.direction, self.times, self.ends)
+        for i in range(np.size(at)):
+            end = self._state_at(data(at)[i], places[i], data(x) + i * n)
+            step = self.varied[places[i]]
+            fb_interpolate(self.tableau, data(step), forward.size, forward.size, data(step) + self.rows * forward.size,
+                           (data(at)[i] - self.times[0] - end[0]) / end[1], data(s) + i * forward.size)
+            if self.project:
+                ode.check(fb_forward_close(&run, 0.0, data(x) + i * n, data(s) + i * forward.size))
+        derivatives = _by_directions(s, n, self.directions)
+        return self.directions.by_name(derivatives if np.ndim(t) else derivatives[..., 0])
+
+    cdef cnp.ndarray _checked(self, t):
+        """Times within the run, as an array of one dimension."""
+        cdef cnp.ndarray at = np.atleast_1d(numbers(t, "The times"))
+        if np.ndim(at) != 1:
+            raise ModelError(f"Times must be a number or an array of one dimension, not of shape {np.shape(t)}.")
+        check_within(at, self.times[0], self.times[len(self.times) - 1])  # without wraparound
+        return at
+
+    cdef double *_state_at(self, double t, long place, double *x) except NULL:
+        """The state at a time in a step; returns the step's beginning and length."""
+        cdef cnp.ndarray step = self.steps[place]
+        cdef int n = self.ode.evaluator.n_x
+        cdef double origin = self.times[0]
+        cdef double *end = data(step) + (self.rows + 1) * self.padded
+        fb_interpolate(self.tableau, data(step), n, self.padded, data(step) + self.rows * self.padded,
+                       (t - origin - end[0]) / end[1], x)
+        # At the absolute time, since the relative one may be on the other side of a jump.
+        self.ode.clock = t, -INFINITY, INFINITY
+        if self.project:
+            self.ode.check(fb_project_sample(&self.ode.problem, 0.0, x))
+        return end

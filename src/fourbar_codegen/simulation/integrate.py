@@ -98,7 +98,7 @@ def integrate(
         look = options.dense_output or (watch is not None and bool(watch.callables))
         run = Run(ode, method, t_begin, start, t_bound, max_step, rtol, atol, options.project, t_eval, outputs, look)
         if directions is not None:
-            run.vary(directions.matrix)
+            run.vary(directions)
         if options.gradient:
             run.keep_steps()
     run.begin()
@@ -192,10 +192,13 @@ def integrate(
         message=message + COORDINATES_ALONE if options.formulation == "index-3" else message,
         settings=options.settings(),
         inputs=options.inputs or {},
-        event_sensitivity=_of_events(model, ode, watch, directions) if watch and directions is not None else None,
-        sensitivity=dict(zip(directions.names, run.sensitivities[..., : t.size], strict=True))
+        event_sensitivity=_of_events(model, ode, watch, directions, options)
+        if watch and directions is not None
+        else None,
+        sensitivity=directions.by_name(run.sensitivities[..., : t.size])
         if directions is not None and isinstance(run, Run)
         else None,
+        directions=directions,
         steps=KeptSteps(
             model=model,
             steps=run.steps_kept(t.size),
@@ -211,34 +214,28 @@ def integrate(
     )
 
 
-def _of_events(model: Kernel, ode: Ode, watch: Watch, directions: Directions) -> list[dict[str, EventSensitivity]]:
+def _of_events(
+    model: Kernel, ode: Ode, watch: Watch, directions: Directions, options: RunOptions
+) -> list[dict[str, EventSensitivity]]:
     """The derivatives of times and states of events, by names.
 
     An event function g(t, x, p) = 0 holds: dt/dp = -(g_x S + g_p) / (dg/dt along the motion), and the state at that
     time changes by S + x' dt/dp.
     """
+    n, p, inputs = directions.matrix.shape[1], options.parameters, options.inputs or {}
     found = []
     for place, event in enumerate(watch.events):
         times, states = watch.times[place], watch.states[place]
-        of_times, of_states = np.zeros((len(directions.names), len(times))), []
+        of_times, of_states = np.zeros((n, len(times))), np.zeros((n, model.n_x, len(times)))
+        row = model.outputs.index(str(event.function))
         for i, (t, x, (s, slope)) in enumerate(zip(times, states, watch.derivatives[place], strict=True)):
-            by_name = dict(zip(directions.names, s.T[..., np.newaxis], strict=True))
-            r = ode.input_values(t, x)[:, np.newaxis]
-            outputs = output_sensitivity(
-                model, np.array([t]), x[:, np.newaxis], r, ode.parameters, dict.fromkeys(_given(model, ode)), by_name
-            )
-            row = model.outputs.index(str(event.function))
-            of_times[:, i] = [-changes[row, 0] / slope for changes in outputs.values()]
-            of_states.append(s + np.outer(ode(t, x), of_times[:, i]))
-        columns = np.array(of_states).reshape(len(times), model.n_x, len(directions.names))
-        found.append({n: EventSensitivity(of_times[k], columns[:, :, k].T) for k, n in enumerate(directions.names)})
+            r, at = ode.input_values(t, x)[:, np.newaxis], np.array([t])
+            changes = output_sensitivity(model, at, x[:, np.newaxis], r, p, inputs, directions, s.T[..., np.newaxis])
+            of_times[:, i] = -changes[:, row, 0] / slope
+            of_states[..., i] = s.T + np.outer(of_times[:, i], ode(t, x))
+        by_names = zip(directions.by_name(of_times).items(), directions.by_name(of_states).values(), strict=True)
+        found.append({name: EventSensitivity(of_time, of_state) for (name, of_time), of_state in by_names})
     return found
-
-
-def _given(model: Kernel, ode: Ode) -> list[str]:
-    """The inputs that have sources."""
-    entries = zip(model.manifest["inputs"], ode.sources, strict=True)
-    return [entry["of"] for entry, source in entries if source is not None]
 
 
 def _growth(ode: Ode, t: Floats, y: Floats, run: Integration, *, by_steps: bool) -> str:

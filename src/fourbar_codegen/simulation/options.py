@@ -18,6 +18,7 @@ from fourbar_codegen.arguments import (
     name_of,
     named,
     named_array,
+    numbers,
     one_of,
     positive,
     sample_times,
@@ -148,7 +149,7 @@ class RunOptions(NamedTuple):
             formulation,
             progress,
             names := _sensitivities(sensitivities, gradient, method, constraints),
-            {} if dx0 is None else _start(model, dx0, x0, names or differentiable(model)),
+            {} if dx0 is None else _start(model, dx0, x0, names or differentiable(model, inputs), inputs or {}),
             flag(gradient, "gradient"),
             project,
         )
@@ -173,7 +174,7 @@ class RunOptions(NamedTuple):
 
 def _sensitivities(given: Any, gradient: bool, method: str, constraints: str) -> tuple[str, ...]:
     if is_mapping(given):
-        raise ModelError(f"sensitivities must be names of parameters and initial values, not {shown(given)}.")
+        raise ModelError(f"sensitivities must be names of parameters, initial values and inputs, not {shown(given)}.")
     try:
         names = (given,) if isinstance(given, str) else tuple(given)
     except TypeError:
@@ -186,16 +187,26 @@ def _sensitivities(given: Any, gradient: bool, method: str, constraints: str) ->
     return tuple(map(name_of, names))
 
 
-def _start(model: Kernel, given: Any, x0: Any, names: tuple[str, ...]) -> dict[str, Floats]:
+def _start(model: Kernel, given: Any, x0: Any, names: tuple[str, ...], inputs: Mapping[Any, Any]) -> dict[str, Floats]:
     """The derivatives of an initial state, by names."""
     if x0 is None:
         raise ModelError("dx0 are the derivatives of x0, which is not given: leave both out, or give both.")
     if not is_mapping(given):
         raise ModelError(f"dx0 must be a mapping from names to arrays of shape ({model.n_x},), not {shown(given)}.")
-    return {
-        name: named_array(value, model.states, {}, f"derivative with respect to {name} of state")
-        for name, value in named(given, names, "name to differentiate by").items()
-    }
+    tables = {name_of(key): len(source[0]) for key, source in inputs.items() if isinstance(source, tuple)}
+    found = {}
+    for name, value in named(given, names, "name to differentiate by").items():
+        what = f"derivative with respect to {name} of state"
+        if name not in tables:
+            found[name] = named_array(value, model.states, {}, what)
+            continue
+        found[name] = numbers(value, f"The {what}")
+        if found[name].shape != (tables[name], model.n_x) or not np.isfinite(found[name]).all():
+            raise ModelError(
+                f"dx0 of the table {name} must be finite, of the shape ({tables[name]}, {model.n_x}), not "
+                f"{found[name].shape}."
+            )
+    return found
 
 
 def _max_steps(given: object, method: str, span: tuple[float, float], max_step: float) -> int | None:

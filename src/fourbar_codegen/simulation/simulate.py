@@ -73,21 +73,25 @@ def _check_differentiable(model: Kernel, options: RunOptions) -> None:
 
 def _directions(model: Kernel, options: RunOptions, state: Floats) -> Directions:
     """The directions of sensitivities at the beginning."""
-    found = directions_of(model, options.sensitivities)
+    found = directions_of(model, options.sensitivities, options.inputs)
     for name in moving_breakpoints(model, options.parameters, [n for n in found.names if n in model.parameters]):
         raise ModelError(
             f"Expressions of the model have a jump or a kink at times that depend on {name}: there are no "
             "sensitivities with respect to it."
         )
-    # Parameters do not move a given initial state, except onto the constraints.
-    moved = np.full(len(found.names), True) if options.x0 is None else found.matrix[: model.n_x].any(axis=0)
-    moved = moved & np.array([name not in options.dx0 for name in found.names])
+    # Parameters and inputs do not move a given initial state, except onto the constraints.
+    held = np.zeros(found.matrix.shape[1], dtype=bool)
+    if options.x0 is not None:
+        held[:] = ~found.matrix[: model.n_x].any(axis=0)
+    for name in options.dx0:
+        held[found.places[name]] = True
     matrix = found.matrix.copy()
+    if not held.all():
+        followed = follow(model, options.t_span[0], state, found, options.parameters, options.inputs)
+        matrix[:, ~held] = followed[:, ~held]
     for name, derivative in options.dx0.items():
-        matrix[: model.n_x, found.names.index(name)] = derivative
-    if moved.any():
-        matrix[:, moved] = follow(model, options.t_span[0], state, matrix[:, moved], options.parameters, options.inputs)
-    return Directions(found.names, matrix)
+        matrix[: model.n_x, found.places[name]] = derivative.T
+    return Directions(found.places, matrix, found.sources)
 
 
 def make_stepper(

@@ -47,6 +47,7 @@ bench: $(INSTALLED)
 	$(BIN)/python benchmarks/engines.py --output results/engines.json
 	$(BIN)/python benchmarks/recursive.py --output results/recursive.json
 	$(BIN)/python benchmarks/sensitivities.py --output results/sensitivities.json
+	$(BIN)/python benchmarks/collocation.py --output results/collocation.json
 	$(BIN)/python benchmarks/pins.py --output results/pins.json
 	$(BIN)/python benchmarks/scale.py --output results/scale.json
 	$(BIN)/python benchmarks/export.py --output results/export.json

@@ -55,6 +55,11 @@ def test_jacobians_are_those_of_single_states(points):
 def test_jacobians_of_the_residual_against_differences(points, formulation):
     model, t, arguments = points
     found = model.residual_jacobian_batch(t, **arguments, formulation=formulation)
+    for wrt in ("x", ("p", "rates"), ("r", "multipliers")):
+        some = model.residual_jacobian_batch(t, **arguments, formulation=formulation, wrt=wrt)
+        assert tuple(some) == ((wrt,) if wrt == "x" else wrt)
+        for name, values in some.items():
+            np.testing.assert_array_equal(values, found[name])
     sparsity = model.residual_sparsity(formulation)
     for name, values in arguments.items():
         size = np.abs(found[name]).max(initial=1.0)
@@ -118,6 +123,8 @@ def test_bad_input(four_bar):
         ("has 2 multipliers", lambda: four_bar.residual_batch(0.0, x, x)),
         ("formulation", lambda: four_bar.residual_batch(0.0, x, x, x[:2], formulation="index-2")),
         ("formulation", lambda: four_bar.residual_sparsity("index-2")),
+        ("wrt", lambda: four_bar.residual_jacobian_batch(0.0, x, x, x[:2], wrt=["x", "u"])),
+        ("wrt names nothing", lambda: four_bar.residual_jacobian_batch(0.0, x, x, x[:2], wrt=())),
         ("must have shape", lambda: four_bar.jacobian_batch(0.0, x[:, 0])),
         (r"has the shape \(6,\) or \(6, n\), not \(5,\)", lambda: four_bar.jvp(0.0, x[:, 0], np.ones(5))),
         (r"has the shape \(1,\) or \(1, n\), not \(\)", lambda: four_bar.jvp(0.0, x[:, 0], dr=0.1)),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.arguments import Values, flag
+from fourbar_codegen.arguments import Values, flag, one_of
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.kernel.loading import load_named
@@ -343,13 +343,14 @@ class CompiledModel(Kernel):
         auxiliary_states : array_like or mapping, optional
             Their values; by default the model's initial values.
         derivatives : bool, optional
-            Whether to return also the derivatives of the state with respect to the independent values and the
-            parameters, by the implicit function theorem.
+            Whether to return also the derivatives of the state with respect to the independent values, the parameters
+            and the given inputs, by the implicit function theorem.
 
         Returns
         -------
         ndarray, shape (n_x,)
-            With `derivatives`, a tuple of it and a dict of arrays of this shape, by names.
+            With `derivatives`, a tuple of it and a dict of arrays of this shape, by names; of the shape (n, n_x) for
+            the n values of a table.
 
         Raises
         ------
@@ -673,17 +674,19 @@ class CompiledModel(Kernel):
             a second reports its progress on stderr: in one line that is removed at the end on a terminal, otherwise in
             one line per second, and less often after a minute. False turns this off.
         sensitivities : sequence of str or symbols, optional
-            Parameters, and independent coordinates, speeds and auxiliary states, with respect to whose values (at the
-            beginning) the states are differentiated: ``trajectory.sensitivity``. The steps of DOP853 and RK45 are
+            Parameters; independent coordinates, speeds and auxiliary states, at the beginning; and inputs given as
+            numbers or tables, with respect to whose values the states are differentiated: ``trajectory.sensitivity``,
+            and ``trajectory.sol.sensitivity(t)`` with `dense_output`. The steps of DOP853 and RK45 are
             differentiated as they are taken, with their lengths held; the derivatives are then as accurate as the
             states. After each projection they are moved onto the constraints' tangent; what that leaves out is
             proportional to the correction of the state, and below `rtol`. Without `x0`, dependent initial values follow
-            from loop closure; a given `x0` depends on no parameter, except for what keeps it on the constraints. Where
+            from loop closure; a given `x0` depends on no parameter and no input, except for what keeps it on the
+            constraints. Where
             forces jump with the state, the change of the time of the jump is left out, with a warning. Times of events
             by outputs are differentiated as well: ``trajectory.event_sensitivity``. Source: H. G. Bock, "Numerical
             treatment of inverse problems in chemical reaction kinetics", in *Modelling of Chemical Reaction Systems*
             (1981): internal numerical differentiation.
-        dx0 : mapping from some of these names to arrays of shape (n_x,), optional
+        dx0 : mapping from some of these names to arrays of shape (n_x,), or (n, n_x) for n values of a table, optional
             The derivatives of a given `x0`, such as those of `initial_state`; with `gradient` by any of these names.
         gradient : bool, optional
             Whether to keep the steps for `Trajectory.gradient`: 8 (n_x + 2) bytes each. For DOP853 and RK45.
@@ -1003,9 +1006,7 @@ class CompiledModel(Kernel):
         """
         from fourbar_codegen.simulation.batch import residual
 
-        return residual(
-            self, t, x, rates, multipliers, p, r, formulation=formulation, jacobians=False, workers=workers
-        )[0]  # fmt: skip
+        return residual(self, t, x, rates, multipliers, p, r, formulation=formulation, workers=workers)[0]
 
     def residual_jacobian_batch(
         self,
@@ -1017,16 +1018,22 @@ class CompiledModel(Kernel):
         r: Values | None = None,
         *,
         formulation: str = "index-3",
+        wrt: Sequence[str] = ("x", "rates", "multipliers", "p", "r"),
         workers: int | None = 1,
     ) -> dict[str, Floats]:
-        """The Jacobians of `residual_batch`, which has the same parameters and errors.
+        """The Jacobians of `residual_batch`, which has the same other parameters and errors.
 
         `residual_sparsity` tells which entries are always 0.
+
+        Parameters
+        ----------
+        wrt : sequence of {"x", "rates", "multipliers", "p", "r"}, optional
+            What to differentiate by; by default all, of which parameters take most of the time.
 
         Returns
         -------
         dict of str to ndarray, shape (n_x + n_l, m, n)
-            By "x", "rates", "multipliers", "p" (also through inputs whose expressions are in force) and "r".
+            By each of `wrt`; by "p" also through inputs whose expressions are in force.
 
         Examples
         --------
@@ -1039,16 +1046,24 @@ class CompiledModel(Kernel):
         """
         from fourbar_codegen.simulation.batch import residual
 
-        _, by_all, by_rates, by_parameters, by_inputs = residual(
-            self, t, x, rates, multipliers, p, r, formulation=formulation, jacobians=True, workers=workers
+        names = (wrt,) if isinstance(wrt, str) else tuple(wrt)
+        for name in names:
+            one_of(name, ("x", "rates", "multipliers", "p", "r"), "wrt")
+        together = [*dict.fromkeys("y" if name in ("x", "multipliers") else name for name in names)]
+        if not together:
+            raise ModelError("wrt names nothing to differentiate by.")
+        by = dict(
+            zip(
+                together,
+                residual(self, t, x, rates, multipliers, p, r, formulation=formulation, workers=workers, wrt=together),
+                strict=True,
+            )
         )
-        return {
-            "x": by_all[:, : self.n_x],
-            "rates": by_rates[:, : self.n_x],
-            "multipliers": by_all[:, self.n_x :],
-            "p": by_parameters,
-            "r": by_inputs,
-        }
+        if "y" in by:
+            by |= {"x": by["y"][:, : self.n_x], "multipliers": by["y"][:, self.n_x :]}
+        if "rates" in by:
+            by["rates"] = by["rates"][:, : self.n_x]
+        return {name: by[name] for name in names}
 
     def residual_sparsity(self, formulation: str = "index-3") -> dict[str, NDArray[np.bool_]]:
         """Which entries of the Jacobians of `residual_batch` may differ from 0.

@@ -152,7 +152,7 @@ cdef class Jacobians:
     ----------
     results : list of ndarray
         Of `differentiate`: the Jacobians of x', (n, n_x, m), and of the outputs, (n, n_o, m). Of `form`: the residual,
-        (n, n_x + n_l), and its Jacobians by x and multipliers, by x', by p and by r.
+        (n, n_x + n_l), or its Jacobians, in the order asked for.
     """
 
     cdef fb_jacobians batch
@@ -181,26 +181,36 @@ cdef class Jacobians:
             self.batch.of_outputs = data(of_outputs)
             self.results.append(of_outputs)
 
-    def form(self, rates, multipliers, str formulation, bint jacobians):
-        """Prepare the residual, for x' and multipliers in columns."""
+    def form(self, rates, multipliers, str formulation, wrt):
+        """Prepare the residual, for x' and multipliers in columns, or its Jacobians.
+
+        They are by "y" for (x, multipliers), "rates", "p" or "r". Without any of these, it is the residual.
+        """
         cdef Evaluator e = self.evaluator
         cdef int n_y = e.n_x + e.n_l
-        cdef cnp.ndarray residual = np.empty((self.batch.n, n_y)), part
+        cdef cnp.ndarray part
+        cdef double *result
         e.variations()
         self.kept += [rates, multipliers]
         self.batch.rates, self.batch.multipliers = _columns(rates, 2), _columns(multipliers, 2)
         self.batch.formulation = FB_INDEX_1 if formulation == "index-1" else FB_INDEX_3
-        self.batch.residual, self.results = data(residual), [residual]
-        if jacobians:
-            self.results += [np.zeros((self.batch.n, n_y, m)) for m in (n_y, n_y, e.n_p, e.n_r)]
-            part = self.results[1]
-            self.batch.by_state = data(part)
-            part = self.results[2]
-            self.batch.by_rate = data(part)
-            part = self.results[3]
-            self.batch.by_parameters = data(part)
-            part = self.results[4]
-            self.batch.by_inputs = data(part)
+        self.results = []
+        if not wrt:
+            part = np.empty((self.batch.n, n_y))
+            self.batch.residual = data(part)
+            self.results.append(part)
+        for name in wrt:
+            part = np.zeros((self.batch.n, n_y, {"y": n_y, "rates": n_y, "p": e.n_p, "r": e.n_r}[name]))
+            result = data(part)
+            self.results.append(part)
+            if name == "y":
+                self.batch.by_state = result
+            elif name == "rates":
+                self.batch.by_rate = result
+            elif name == "p":
+                self.batch.by_parameters = result
+            else:
+                self.batch.by_inputs = result
 
     def evaluate(self, long begin, long end):
         """Evaluate the states from begin to end; other threads may evaluate others at the same time."""

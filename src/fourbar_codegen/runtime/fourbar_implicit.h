@@ -180,8 +180,32 @@ static inline int fb_implicit_residual(fb_implicit *s, const double since, const
     return called;
 }
 
-/* dF/dy + c dF/dy', row by row, (n_y, n_y), without the derivative of J^T mu with respect to q, since mu vanishes. */
-static inline int fb_implicit_derivative(fb_implicit *s, const double t, const double c, const double *restrict y,
+/* Adds c dF/dy' to a matrix, after `fb_implicit_derivative` at the same state. */
+static inline void fb_implicit_add_rates(const fb_implicit *s, const double c, double *restrict matrix)
+{
+    const fb_kernel *const k = s->problem->kernel;
+    const int n_q = k->n_q, n_u = k->n_u, n_z = k->n_z, n_x = k->n_x, n_c = k->n_c, n = s->n_y;
+    for (int i = 0; i < n_q; ++i)
+        matrix[i * n + i] += c;
+    for (int i = 0; i < n_u; ++i)
+        for (int j = 0; j < n_u; ++j)
+            matrix[(n_q + i) * n + n_q + j] += c * s->mass_matrix[i * n_u + j];
+    for (int i = 0; i < k->n_l - n_c; ++i)
+        for (int j = 0; j < n_u; ++j)
+            matrix[(n_x + n_c + i) * n + n_q + j] -= c * s->auxiliary_mass[i * n_u + j];
+    for (int i = 0; i < n_z; ++i) {
+        double *const row = matrix + (n_x - n_z + i) * n;
+        row[n_x - n_z + i] += c;
+        for (int j = 0; j < n_u; ++j)
+            row[n_q + j] -= c * s->by_accelerations[i * n_u + j];
+    }
+    for (int i = 0; i < n_c && s->formulation == FB_INDEX_1; ++i)
+        for (int j = 0; j < n_u; ++j)
+            matrix[(n_x + i) * n + n_q + j] += c * s->jacobian[i * n_u + j];
+}
+
+/* dF/dy, row by row, (n_y, n_y), without the derivative of J^T mu with respect to q, since mu vanishes. */
+static inline int fb_implicit_derivative(fb_implicit *s, const double t, const double *restrict y,
                                          const double *restrict y_rate, double *restrict matrix)
 {
     fb_problem *const p = s->problem;
@@ -194,17 +218,13 @@ static inline int fb_implicit_derivative(fb_implicit *s, const double t, const d
     k->derivatives->sensitivity(t, y, p->constants, p->inputs, y_rate + n_q, y + n_x, s->rate_jacobian,
                                 s->residual_jacobian);
     memset(matrix, 0, (size_t)(n * n) * sizeof *matrix);
-    for (int i = 0; i < n_q; ++i) {
+    for (int i = 0; i < n_q; ++i)
         for (int j = 0; j < n_x; ++j)
             matrix[i * n + j] = -s->rate_jacobian[i * n_x + j];
-        matrix[i * n + i] += c;
-    }
     for (int i = 0; i < n_u; ++i) {
         double *const row = matrix + (n_q + i) * n;
         for (int j = 0; j < n_x; ++j)
             row[j] = -s->residual_jacobian[i * n_x + j];
-        for (int j = 0; j < n_u; ++j)
-            row[n_q + j] += c * s->mass_matrix[i * n_u + j];
         for (int j = 0; j < n_c; ++j)
             row[n_x + j] = -s->jacobian[j * n_u + i];
         for (int j = 0; j < n_n; ++j)
@@ -213,8 +233,6 @@ static inline int fb_implicit_derivative(fb_implicit *s, const double t, const d
     for (int i = 0; i < n_n; ++i) {
         double *const row = matrix + (n_x + n_c + i) * n;
         memcpy(row, s->residual_jacobian + (n_u + n_c + i) * n_x, (size_t)n_x * sizeof *row);
-        for (int j = 0; j < n_u; ++j)
-            row[n_q + j] -= c * s->auxiliary_mass[i * n_u + j];
         memcpy(row + n_x, s->auxiliary_constraint_jacobian + i * n_c, (size_t)n_c * sizeof *row);
         memcpy(row + n_x + n_c, s->auxiliary_forcing_jacobian + i * n_n, (size_t)n_n * sizeof *row);
     }
@@ -225,9 +243,6 @@ static inline int fb_implicit_derivative(fb_implicit *s, const double t, const d
         double *const row = matrix + (n_x - n_z + i) * n;
         for (int j = 0; j < n_x; ++j)
             row[j] = -s->residual_jacobian[(n_u + n_l + i) * n_x + j];
-        row[n_x - n_z + i] += c;
-        for (int j = 0; j < n_u; ++j)
-            row[n_q + j] -= c * s->by_accelerations[i * n_u + j];
         for (int j = 0; j < n_l; ++j)
             row[n_x + j] = -s->by_multipliers[i * n_l + j];
     }
@@ -236,8 +251,6 @@ static inline int fb_implicit_derivative(fb_implicit *s, const double t, const d
             double *const row = matrix + (n_x + i) * n;
             for (int j = 0; j < n_x; ++j)
                 row[j] = -s->residual_jacobian[(n_u + i) * n_x + j];
-            for (int j = 0; j < n_u; ++j)
-                row[n_q + j] += c * s->jacobian[i * n_u + j];
         }
         return 0;
     }
@@ -270,7 +283,9 @@ static inline int fb_implicit_derivative(fb_implicit *s, const double t, const d
 static inline int fb_implicit_jacobian(fb_implicit *s, const double since, const double c, const double *restrict y,
                                        const double *restrict y_rate, double *restrict matrix)
 {
-    const int called = fb_implicit_derivative(s, fb_time(&s->problem->clock, since), c, y, y_rate, matrix);
+    const int called = fb_implicit_derivative(s, fb_time(&s->problem->clock, since), y, y_rate, matrix);
+    if (called == 0)
+        fb_implicit_add_rates(s, c, matrix);
     for (int i = 0; i < s->n_y && called == 0; ++i)
         for (int j = 0; j < s->n_y; ++j)
             matrix[i * s->n_y + j] *= s->row[i];
@@ -287,7 +302,9 @@ static inline int fb_implicit_scale(fb_implicit *s, const double since, const do
     const double t = fb_time(&s->problem->clock, since);
     for (int j = 0; j < n_u; ++j)
         s->metric[j] = metric[j];
-    const int called = fb_implicit_derivative(s, t, c, y, y_rate, matrix);
+    const int called = fb_implicit_derivative(s, t, y, y_rate, matrix);
+    if (called == 0)
+        fb_implicit_add_rates(s, c, matrix);
     for (int i = 0; i < s->n_y; ++i) {
         double size = 0.0;
         for (int j = 0; j < n_x && called == 0; ++j)

@@ -15,7 +15,7 @@ typedef struct fb_jacobians {
     fb_columns rates, multipliers;     /* (n_x, n), (n_l, n), for the residual */
     const char *in_force;              /* (n_r,): whether an input follows the parameters by its expression */
     int variables;                     /* FB_VARIABLES, of the first two results */
-    double *of_rates, *of_outputs;     /* (n, n_x, m), (n, n_o, m); NaN where there are none, or NULL */
+    double *of_rates, *of_outputs;     /* (n, n_x, m), (n, n_o, m); NaN where there are none; NULL for the residual */
     int formulation;                   /* FB_FORMULATION of the residual */
     double *residual;                  /* (n, n_y), or NULL */
     double *by_state, *by_rate;        /* (n, n_y, n_y) and (n, n_y, n_y), by (x, lambda) and x'; or NULL */
@@ -24,7 +24,7 @@ typedef struct fb_jacobians {
 
 typedef struct fb_jacobian_work {
     double *x, *rates, *p, *r, *constants, *accelerations, *multipliers, *of_multipliers, *more;
-    double *input_jacobian, *partial, *by_accelerations, *by_multipliers, *directions, *changes;
+    double *input_jacobian, *partial, *by_accelerations, *by_multipliers, *directions, *changes, *by_state, *by_inputs;
     void *work;
 } fb_jacobian_work;
 
@@ -121,6 +121,8 @@ static inline size_t fb_place_jacobians(const fb_kernel *k, fb_jacobian_work *w,
         {&w->partial, (x + l) * widest},
         {&w->directions, (x + p + r) * FB_DIRECTIONS},
         {&w->changes, (k->n_c + k->n_i + k->n_c) * FB_DIRECTIONS},
+        {&w->by_state, (x + l) * (x + l)},
+        {&w->by_inputs, (x + l) * r},
     };
     return fb_place_all(places, sizeof places / sizeof *places, memory);
 }
@@ -165,27 +167,27 @@ static inline void fb_residual_by(const fb_jacobians *b, fb_jacobian_work *w, co
     }
 }
 
-/* The residual and its Jacobians. */
+/* The residual and those of its Jacobians that are asked for. */
 static inline void fb_residual_at(const fb_jacobians *b, fb_jacobian_work *w, fb_implicit *s, const long i,
                                   const double t)
 {
     const fb_kernel *const k = b->kernel;
     const int n_p = k->n_p, n = s->n_y;
-    fb_implicit_form(s, t, w->x, w->rates, b->residual + i * n);
-    if (b->by_state == NULL)
-        return;
-    double *const by_state = b->by_state + i * n * n, *const by_rate = b->by_rate + i * n * n;
-    fb_implicit_derivative(s, t, 0.0, w->x, w->rates, by_state);
-    fb_implicit_derivative(s, t, 1.0, w->x, w->rates, by_rate);
-    for (int j = 0; j < n * n; ++j)
-        by_rate[j] -= by_state[j];
-    double *const by_parameters = b->by_parameters + i * n * n_p, *const by_inputs = b->by_inputs + i * n * k->n_r;
-    fb_residual_by(b, w, FB_BY_PARAMETERS, t, by_parameters);
-    if (k->n_r == 0)
-        return;
-    fb_residual_by(b, w, FB_BY_INPUTS, t, by_inputs);
-    k->derivatives->default_input_sensitivity(t, w->constants, w->input_jacobian);
-    fb_add_through_inputs(b, w, n, by_inputs, by_parameters);
+    if (b->residual)
+        fb_implicit_form(s, t, w->x, w->rates, b->residual + i * n);
+    if (b->by_state || b->by_rate)
+        fb_implicit_derivative(s, t, w->x, w->rates, b->by_state ? b->by_state + i * n * n : w->by_state);
+    if (b->by_rate)
+        fb_implicit_add_rates(s, 1.0, b->by_rate + i * n * n);
+    if (b->by_parameters)
+        fb_residual_by(b, w, FB_BY_PARAMETERS, t, b->by_parameters + i * n * n_p);
+    double *const by_inputs = b->by_inputs ? b->by_inputs + i * n * k->n_r : w->by_inputs;
+    if (k->n_r > 0 && (b->by_inputs || b->by_parameters))
+        fb_residual_by(b, w, FB_BY_INPUTS, t, by_inputs);
+    if (k->n_r > 0 && b->by_parameters) {
+        k->derivatives->default_input_sensitivity(t, w->constants, w->input_jacobian);
+        fb_add_through_inputs(b, w, n, by_inputs, b->by_parameters + i * n * n_p);
+    }
 }
 
 /* The states from begin to end; returns 0, or -1 without memory. Other threads may evaluate others. */
@@ -198,7 +200,7 @@ static inline int fb_evaluate_jacobians(const fb_jacobians *b, const long begin,
     fb_problem problem = {.kernel = k};
     memset(&w, 0, sizeof w);
     const size_t size = fb_place_jacobians(k, &w, NULL);
-    const size_t more = b->residual ? fb_place_implicit(&problem, b->formulation, &implicit, NULL) : 0;
+    const size_t more = b->of_rates == NULL ? fb_place_implicit(&problem, b->formulation, &implicit, NULL) : 0;
     double *const memory = calloc(size + more + 1, sizeof(double));
     fb_source *const sources = calloc((size_t)k->n_r + 1, sizeof(fb_source));
     w.work = calloc(1, k->work_size);
@@ -207,7 +209,7 @@ static inline int fb_evaluate_jacobians(const fb_jacobians *b, const long begin,
         return -1;
     }
     fb_place_jacobians(k, &w, memory);
-    if (b->residual)
+    if (b->of_rates == NULL)
         fb_place_implicit(&problem, b->formulation, &implicit, memory + size);
     for (int j = 0; j < k->n_r; ++j)
         sources[j].input = j;
@@ -227,7 +229,7 @@ static inline int fb_evaluate_jacobians(const fb_jacobians *b, const long begin,
         else
             for (int j = 0; j < k->n_r; ++j)
                 w.r[j] = fb_entry(&b->r, j, i);
-        if (b->residual) {
+        if (b->of_rates == NULL) {
             for (int j = 0; j < k->n_x; ++j)
                 w.rates[j] = fb_entry(&b->rates, j, i);
             for (int j = 0; j < k->n_l; ++j)

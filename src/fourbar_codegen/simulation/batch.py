@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -77,10 +78,13 @@ def residual(
     r: Values | None,
     *,
     formulation: str,
-    jacobians: bool,
     workers: int | None,
+    wrt: Sequence[str] = (),
 ) -> list[Floats]:
-    """The residual of the equations of motion at many states, and its Jacobians; see `CompiledModel.residual_batch`."""
+    """The residual of the equations of motion at many states, or its Jacobians; see `CompiledModel.residual_batch`.
+
+    Jacobians are by "y" for (x, multipliers), "rates", "p" and "r", each of shape (n_x + n_l, m, n).
+    """
     times, states, parameters, inputs = _arguments(model, t, x, p, r)
     n = states.shape[1]
     one_of(formulation, ("index-1", "index-3"), "formulation")
@@ -97,7 +101,7 @@ def residual(
             raise ModelError(f"The {what} must have shape ({rows}, {n}), like {n} states, not {array.shape}.")
         arrays.append(array)
     batch = Jacobians(model, times, states, parameters, inputs, np.array(model.defaults_in_force(r), dtype=bool))
-    batch.form(arrays[0], arrays[1], formulation, jacobians)
+    batch.form(arrays[0], arrays[1], formulation, wrt)
     _in_threads(batch, n, workers)
     return [np.moveaxis(result, 0, -1) for result in batch.results]
 

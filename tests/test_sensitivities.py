@@ -118,6 +118,14 @@ def test_projected_runs_are_tangent_to_the_constraints(case):
     for name in names:
         wanted = free.sensitivity[name]
         np.testing.assert_allclose(run.sensitivity[name], wanted, rtol=0, atol=1e-6 * np.abs(wanted).max())
+
+    def projected(value):
+        changed = start(model, coordinates, speeds, {names[0]: value})
+        return model.simulate((0.0, AT[-1]), model.initial_state(**changed), parameters=changed["parameters"], **how).y
+
+    # Of runs at 1e-10, so that rounding of their steps shows in the differences as 1e-10 / 1e-3.
+    wanted = differences(projected, value_of(model, names[0], coordinates, speeds), 1e-3)
+    np.testing.assert_allclose(run.sensitivity[names[0]], wanted, rtol=0, atol=1e-6 * np.abs(wanted).max())
     for place, t in enumerate(AT):
         x = run.y[:, place]
         directions = np.zeros((model.n_x + model.n_p, len(names)))
@@ -539,7 +547,13 @@ def test_bad_input(four_bar):
     refused(r"of the shape \(2, 6\), not \(6,\)", x0=x0, sensitivities=["F"], inputs=table, dx0={"F": np.zeros(6)})
 
 
-def test_no_derivative_at_a_singular_position():
+def test_no_derivative_at_a_singular_position(four_bar):
+    for how in ({"sensitivities": ["k"]}, {"gradient": True}):
+        run = four_bar.simulate((0.0, 8.0), rtol=1e-8, atol=1e-8, **how)
+        assert not run.success
+        assert run.message.endswith("The motion has no derivative there, and ALI3P no sensitivities.")
+    with pytest.raises(fb.ModelError, match="There is no gradient of a run that failed"):
+        run.gradient({"q1": 1.0})
     chain = fb.compile_model(parallelogram())
     with pytest.raises(fb.AssemblyError):
         chain.initial_state({"q_AB": 0.0}, {"u_AB": 0.0}, derivatives=True)

@@ -42,6 +42,7 @@ FAILED = {
     "infinite": "The step size is not finite: give a finite end, or max_step.",
     "open": "After a step the constraint violation is too large to be corrected: use smaller tolerances.",
 }
+NO_DERIVATIVE = " The motion has no derivative there, and ALI3P no sensitivities."
 COORDINATES_ALONE = " In index 3 the tolerance applies to the coordinates only; the speeds are less accurate."
 
 GROWN = 1e3
@@ -111,6 +112,7 @@ def integrate(
     dense: Any = run.dense_output() if options.dense_output else None  # stores steps of this kind of run
     samples: list[tuple[Floats, Floats]] = []
     outcome: tuple[int, str] | None = None
+    singular = ""
     steps, noted = 16, time.perf_counter()
     while outcome is None:
         begin = time.perf_counter()
@@ -167,6 +169,8 @@ def integrate(
         pieces.end(run)
     if status < 0:
         message = f"The integration stopped at t = {run.t:.9g}: {message}"
+        if singular and (directions is not None or options.gradient):
+            message += NO_DERIVATIVE
     t, y = samples[0] if len(samples) == 1 else map(np.concatenate, zip(*samples, strict=True))
     y = y.T
     if dense is not None and t_eval is None and t.size > 1 and t[-1] == t[-2]:

@@ -1399,8 +1399,8 @@ cdef class DenseOutput:
         cdef double *end = data(step) + (self.rows + 1) * self.padded
         fb_interpolate(self.tableau, data(step), n, self.padded, data(step) + self.rows * self.padded,
                        (t - origin - end[0]) / end[1], x)
-        # At the absolute time, since the relative one may be on the other side of a jump.
-        self.ode.clock = t, -INFINITY, INFINITY
         if self.project:
+            # At the absolute time, since the relative one may be on the other side of a jump.
+            self.ode.clock = t, -INFINITY, INFINITY
             self.ode.check(fb_project_sample(&self.ode.problem, 0.0, x))
         return end

@@ -43,18 +43,20 @@ NEAR = 0.05
 AT_LIMIT = 1e-9
 """Largest distance of a value from a dead point that is at it."""
 
-SINGULAR = 0.005
+SINGULAR = 0.0025
 """Ratio of singular values, of the constraints with the drive held, near a change point."""
 
-BESIDE = (0.01, 0.013, 0.003, 0.001)
+BESIDE = (0.02, 0.026, 0.006, 0.002)
 """Distances of positions on a branch from which the one at a change point between them is interpolated, tried in turn:
-there may be another change point at one of them, or the branch may be curved too much."""
+there may be another change point at one of them, or the branch may be curved too much. Rounding errors of accelerations
+grow with the inverse third power of the distance from a change point, so the first is well beyond that of `SINGULAR`.
+"""
 
 INTERPOLATED = 1e-11
 """Largest residual of the scaled constraints at an interpolated position."""
 
-WEIGHTS = ((-3, 0.05), (-2, -0.3), (-1, 0.75), (1, 0.75), (2, -0.3), (3, 0.05))
-"""Of values at multiples of that distance h. The error is 0.05 h^6 times the sixth derivative."""
+WEIGHTS = tuple((side * step, w) for step, w in enumerate((4 / 5, -2 / 5, 4 / 35, -1 / 70), 1) for side in (-1, 1))
+"""Of values at multiples of that distance h. The error is h^8 / 70 times the eighth derivative."""
 
 
 def kinematics(
@@ -268,7 +270,7 @@ def _motion(path: Drive, part: Floats, s: float, number: int) -> list[Floats]:
         near = part[0 if s - low < high - s else -1]
     if path.curves is None and (near is None or _singularity(path, near) < SINGULAR):
         for length in BESIDE:
-            if low + 3 * length <= s <= high - 3 * length:
+            if low + 4 * length <= s <= high - 4 * length:
                 beside = [(weight, s + step * length) for step, weight in WEIGHTS]
                 found = [
                     (w, _motion_at(path, solve_at(path.function, _between(part, z), z), number)) for w, z in beside

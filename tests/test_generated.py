@@ -38,6 +38,8 @@ NAMES = [
     "four_bar_kernel_avx2.c",
     "four_bar_kernel_avx512.c",
     "four_bar_variations.c",
+    "four_bar_variations_avx2.c",
+    "four_bar_variations_avx512.c",
     "manifest.json",
 ]
 

@@ -32,7 +32,6 @@ enum {
     N_CONSTANTS = 33
 };
 #define FB_DERIVATIVES four_bar_derivatives
-#define FB_VARIATIONS four_bar_variations
 #define FB_HAS_BATCH_FUNCTIONS
 #ifndef FB_TABLE /* as in the versions for processors with more instructions */
 #define FB_TABLE(name) four_bar_##name

@@ -9,6 +9,9 @@
  *
  * fourbar_model.h, in four_bar_kernel.c, solves the equations that they set up. Matrices are stored row by row.
  */
+#ifndef FB_TABLE /* as in the versions for processors with more instructions */
+#define FB_TABLE(name) four_bar_##name
+#endif
 #include "four_bar_kernel.h"
 #include "fourbar_columns.h"
 
@@ -702,7 +705,7 @@ static void constraint_variation(double t, const double *restrict x, const doubl
         of_position_variation, 2, of_velocity_variation, position_variation, velocity_variation);
 }
 
-const fb_variations four_bar_variations = {
+const fb_variations FB_TABLE(variations) = {
     .abi_version = FB_ABI_VERSION,
     .struct_size = sizeof(fb_variations),
     .pullback = pullback,

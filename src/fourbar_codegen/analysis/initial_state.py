@@ -241,9 +241,10 @@ def _speeds_at(loops: Loops, q: Floats, u_i: Floats) -> tuple[Floats, float]:
         return u_i, 1.0
     size = row_sizes(jacobian)
     jacobian, bias = jacobian / size, bias / size[:, 0]
-    rank = int(np.linalg.matrix_rank(jacobian, rtol=INDEPENDENT))
-    if rank > model.n_u - n_i:
-        raise AssemblyError(model.too_few_dependent(f"at {_named(model.coordinates, q)}", rank))
+    if model.n_c > model.n_u - n_i:
+        rank = int(np.linalg.matrix_rank(jacobian, rtol=INDEPENDENT))
+        if rank > model.n_u - n_i:
+            raise AssemblyError(model.too_few_dependent(f"at {_named(model.coordinates, q)}", rank))
     known = jacobian[:, :n_i] @ u_i + bias
     u_d, determined = solve_dependent(jacobian, n_i, known, DEAD)
     error = np.abs(jacobian[:, n_i:] @ u_d + known).max()

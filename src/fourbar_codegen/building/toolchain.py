@@ -102,17 +102,13 @@ STRICT_LINK_FLAGS = ("-O2", *STRICT_FLAGS)
 # Versions of a kernel for instruction sets. When a module is loaded, the fastest that the processor can run is chosen.
 # Other processor-specific flags made no measurable difference.
 _X86 = platform.machine() in {"x86_64", "AMD64"}
-AVX2_FLAGS = (*KERNEL_FLAGS, *(("-mavx2", "-mfma") if _X86 else ()))
-AVX512_FLAGS = (*AVX2_FLAGS, *(("-mavx512f", "-mavx512dq", "-mavx512vl") if _X86 else ()))
+_AVX2 = ("-mavx2", "-mfma") if _X86 else ()
+_AVX512 = (*_AVX2, "-mavx512f", "-mavx512dq", "-mavx512vl") if _X86 else ()
+_VERSIONS = {"": (), "_avx2": _AVX2, "_avx512": _AVX512}
+_IN_VERSIONS = {"_kernel": KERNEL_FLAGS, "_batch": KERNEL_FLAGS, "_variations": DERIVATIVES_FLAGS}
 UNITS = {
-    "_kernel.c": KERNEL_FLAGS,
-    "_batch.c": KERNEL_FLAGS,
-    "_kernel_avx2.c": AVX2_FLAGS,
-    "_batch_avx2.c": AVX2_FLAGS,
-    "_kernel_avx512.c": AVX512_FLAGS,
-    "_batch_avx512.c": AVX512_FLAGS,
+    **{f"{p}{v}.c": (*flags, *more) for p, flags in _IN_VERSIONS.items() for v, more in _VERSIONS.items()},
     "_derivatives.c": DERIVATIVES_FLAGS,
-    "_variations.c": DERIVATIVES_FLAGS,
 }
 """The sources of an extension module besides its wrapper, by the suffixes of their names, and their flags."""
 # The wrapper only passes pointers on, so short compilation counts.

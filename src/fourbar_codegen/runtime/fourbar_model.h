@@ -642,7 +642,7 @@ const fb_kernel FB_TABLE(kernel) = {
 #endif
 #else
     .derivatives = &FB_DERIVATIVES,
-    .variations = &FB_VARIATIONS,
+    .variations = &FB_TABLE(variations),
 #ifdef FB_HAS_BATCH_FUNCTIONS
     .batch_functions = &FB_TABLE(batch_functions),
     .instructions = FB_INSTRUCTIONS,

@@ -136,20 +136,27 @@ def test_all_versions_that_the_processor_can_run(four_bar, tutorial, tmp_path, b
         np.testing.assert_allclose(model.rhs(0.3, states[:, 0]), expected[:, 0], **ROUNDING)
 
 
-def test_a_version_that_differs_from_the_equations_is_not_built(monkeypatch, tmp_path):
+@pytest.mark.parametrize(
+    ("part", "entry", "message"),
+    [
+        ("kernel", r"forcing\[1\] = ", "function dynamics, result forcing"),
+        ("variations", r"residual_variation\[0\] = ", "product dx' along a direction"),
+    ],
+)
+def test_a_version_that_differs_from_the_equations_is_not_built(monkeypatch, tmp_path, part, entry, message):
     """Not only the version that this machine would take is compared."""
     if len(versions(load_file(fb.load("four_bar").path).kernel)) == 1:
         pytest.skip("this processor has no AVX2")
     original = fourbar_codegen.compile.build_extension
 
     def damaged(name, sources, *arguments, **options):
-        text, count = re.subn(r"(forcing\[1\] = )", r"\g<1>1.001*", sources["slider_kernel.c"], count=1)
+        text, count = re.subn(f"({entry})", r"\g<1>1.001*", sources[f"slider_{part}.c"], count=1)
         assert count == 1
-        version = sources["slider_kernel_avx2.c"].replace('#include "slider_kernel.c"', text)
-        return original(name, {**sources, "slider_kernel_avx2.c": version}, *arguments, **options)
+        version = sources[f"slider_{part}_avx2.c"].replace(f'#include "slider_{part}.c"', text)
+        return original(name, {**sources, f"slider_{part}_avx2.c": version}, *arguments, **options)
 
     monkeypatch.setattr(fourbar_codegen.compile, "build_extension", damaged)
-    with pytest.raises(fb.BuildError, match="function dynamics, result forcing"):
+    with pytest.raises(fb.BuildError, match=message):
         fb.build_model(slider(), tmp_path)
 
 

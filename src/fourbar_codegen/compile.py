@@ -330,7 +330,7 @@ def _comparison(
     """A function that compares a compiled model with its equations."""
 
     def compare(module: Path) -> None:
-        from fourbar_codegen.kernel.comparison import compare_batch_functions
+        from fourbar_codegen.kernel.comparison import compare_batch_functions, compare_variations
         from fourbar_codegen.verify import verify
 
         progress.stage("checking")
@@ -340,6 +340,8 @@ def _comparison(
             verify(model, equations, derivatives)
             if not model.lacks_batch_functions:
                 compare_batch_functions(model)
+            if not model.lacks_variations:
+                compare_variations(model)
 
     return compare
 

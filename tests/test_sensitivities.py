@@ -115,17 +115,17 @@ def test_projected_runs_are_tangent_to_the_constraints(case):
     how = {"t_eval": AT, "rtol": 1e-10, "atol": 1e-10}
     run = model.simulate((0.0, AT[-1]), x0, sensitivities=names, dx0=dx0, **how)
     free = model.simulate((0.0, AT[-1]), x0, sensitivities=names, dx0=dx0, constraints="none", **how)
-    for name in names:
-        wanted = free.sensitivity[name]
-        np.testing.assert_allclose(run.sensitivity[name], wanted, rtol=0, atol=1e-6 * np.abs(wanted).max())
 
-    def projected(value):
-        changed = start(model, coordinates, speeds, {names[0]: value})
+    def projected(name, value):
+        changed = start(model, coordinates, speeds, {name: value})
         return model.simulate((0.0, AT[-1]), model.initial_state(**changed), parameters=changed["parameters"], **how).y
 
-    # Of runs at 1e-10, so that rounding of their steps shows in the differences as 1e-10 / 1e-3.
-    wanted = differences(projected, value_of(model, names[0], coordinates, speeds), 1e-3)
-    np.testing.assert_allclose(run.sensitivity[names[0]], wanted, rtol=0, atol=1e-6 * np.abs(wanted).max())
+    for name in names:
+        # Differences of runs at 1e-10, so that rounding of their steps shows as 1e-10 / 1e-3.
+        value = value_of(model, name, coordinates, speeds)
+        of_runs = differences(lambda v, name=name: projected(name, v), value, 1e-3)
+        for wanted in (free.sensitivity[name], of_runs):
+            np.testing.assert_allclose(run.sensitivity[name], wanted, rtol=0, atol=1e-6 * np.abs(wanted).max())
     for place, t in enumerate(AT):
         x = run.y[:, place]
         directions = np.zeros((model.n_x + model.n_p, len(names)))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.arguments import Values, flag, one_of
+from fourbar_codegen.arguments import Values, flag
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.kernel.loading import load_named
@@ -1005,7 +1005,7 @@ class CompiledModel(Kernel):
         """
         from fourbar_codegen.simulation.batch import residual
 
-        return residual(self, t, x, rates, multipliers, p, r, formulation=formulation, workers=workers)[0]
+        return residual(self, t, x, rates, multipliers, p, r, formulation=formulation, workers=workers)
 
     def residual_jacobian_batch(
         self,
@@ -1043,26 +1043,11 @@ class CompiledModel(Kernel):
         >>> {name: jacobian.shape for name, jacobian in found.items()}
         {'x': (8, 6, 1), 'rates': (8, 6, 1), 'multipliers': (8, 2, 1), 'p': (8, 8, 1), 'r': (8, 1, 1)}
         """
-        from fourbar_codegen.simulation.batch import residual
+        from fourbar_codegen.simulation.batch import residual_jacobians
 
-        names = (wrt,) if isinstance(wrt, str) else tuple(wrt)
-        for name in names:
-            one_of(name, ("x", "rates", "multipliers", "p", "r"), "wrt")
-        together = [*dict.fromkeys("y" if name in ("x", "multipliers") else name for name in names)]
-        if not together:
-            raise ModelError("wrt names nothing to differentiate by.")
-        by = dict(
-            zip(
-                together,
-                residual(self, t, x, rates, multipliers, p, r, formulation=formulation, workers=workers, wrt=together),
-                strict=True,
-            )
+        return residual_jacobians(
+            self, t, x, rates, multipliers, p, r, formulation=formulation, workers=workers, wrt=wrt
         )
-        if "y" in by:
-            by |= {"x": by["y"][:, : self.n_x], "multipliers": by["y"][:, self.n_x :]}
-        if "rates" in by:
-            by["rates"] = by["rates"][:, : self.n_x]
-        return {name: by[name] for name in names}
 
     def residual_sparsity(self, formulation: str = "index-3") -> dict[str, NDArray[np.bool_]]:
         """Which entries of the Jacobians of `residual_batch` may differ from 0.

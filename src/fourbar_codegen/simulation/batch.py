@@ -14,7 +14,7 @@ from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.runtime.batch import Batch, Jacobians
 
-__all__ = ["BLOCK", "differentiate", "evaluate", "n_workers", "residual", "residual_sparsity"]
+__all__ = ["BLOCK", "differentiate", "evaluate", "n_workers", "residual", "residual_jacobians", "residual_sparsity"]
 
 Floats = NDArray[np.float64]
 
@@ -79,12 +79,53 @@ def residual(
     *,
     formulation: str,
     workers: int | None,
-    wrt: Sequence[str] = (),
-) -> list[Floats]:
-    """The residual of the equations of motion at many states, or its Jacobians; see `CompiledModel.residual_batch`.
+) -> Floats:
+    """The residual of the equations of motion at many states; see `CompiledModel.residual_batch`."""
+    return _residual(model, t, x, rates, multipliers, p, r, formulation, workers, ())[0]
 
-    Jacobians are by "y" for (x, multipliers), "rates", "p" and "r", each of shape (n_x + n_l, m, n).
-    """
+
+def residual_jacobians(
+    model: Kernel,
+    t: ArrayLike,
+    x: ArrayLike,
+    rates: ArrayLike,
+    multipliers: ArrayLike | None,
+    p: Values | None,
+    r: Values | None,
+    *,
+    formulation: str,
+    workers: int | None,
+    wrt: Sequence[str],
+) -> dict[str, Floats]:
+    """The residual's Jacobians at many states, by name; see `CompiledModel.residual_jacobian_batch`."""
+    names = (wrt,) if isinstance(wrt, str) else tuple(wrt)
+    for name in names:
+        one_of(name, ("x", "rates", "multipliers", "p", "r"), "wrt")
+    together = [*dict.fromkeys("y" if name in ("x", "multipliers") else name for name in names)]
+    if not together:
+        raise ModelError("wrt names nothing to differentiate by.")
+    found = _residual(model, t, x, rates, multipliers, p, r, formulation, workers, together)
+    by = dict(zip(together, found, strict=True))
+    if "y" in by:
+        by |= {"x": by["y"][:, : model.n_x], "multipliers": by["y"][:, model.n_x :]}
+    if "rates" in by:
+        by["rates"] = by["rates"][:, : model.n_x]
+    return {name: by[name] for name in names}
+
+
+def _residual(
+    model: Kernel,
+    t: ArrayLike,
+    x: ArrayLike,
+    rates: ArrayLike,
+    multipliers: ArrayLike | None,
+    p: Values | None,
+    r: Values | None,
+    formulation: str,
+    workers: int | None,
+    wrt: Sequence[str],
+) -> list[Floats]:
+    """The residual, or its Jacobians by "y" for (x, multipliers), "rates", "p" and "r", of shape (n_x + n_l, m, n)."""
     times, states, parameters, inputs = _arguments(model, t, x, p, r)
     n = states.shape[1]
     one_of(formulation, ("index-1", "index-3"), "formulation")

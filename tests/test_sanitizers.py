@@ -92,14 +92,18 @@ static double evaluate(const fb_kernel *k, const double *p)
         d->output_solution_sensitivity(0.5, x, c, r, a, l, ya, yl);
     if (n_n > 0)
         k->unknown_forces(0.5, x, c, r, l + k->n_c, force, by_n, row, row_by_n, row_m, row_j);
-    double *directions = doubles((n_x + k->n_p + k->n_r) * FB_DIRECTIONS), *varied = doubles(n_x * FB_DIRECTIONS);
     double *weights = doubles(n_x + k->n_l), *gradient = doubles(n_x + k->n_p + k->n_r);
-    k->vary(d, k->variations, 0.5, x, c, r, directions, varied, work);
-    k->vary_closed(d, k->variations, 0.5, x, c, r, directions, work);
+    for (int n = 1; n <= FB_DIRECTIONS; ++n) {
+        double *directions = doubles((n_x + k->n_p + k->n_r) * n), *varied = doubles(n_x * n);
+        k->vary(d, k->variations, 0.5, x, c, r, n, directions, varied, work);
+        k->vary_closed(d, k->variations, 0.5, x, c, r, n, directions, work);
+        sum += varied[0] + directions[0];
+        free(directions), free(varied);
+    }
     k->pull_back(d, k->variations, 0.5, x, c, r, weights, gradient, work);
     k->pull_back_closed(d, k->variations, 0.5, x, c, r, gradient, work);
-    sum += varied[0] + directions[0] + gradient[0];
-    free(directions), free(varied), free(weights), free(gradient);
+    sum += gradient[0];
+    free(weights), free(gradient);
     k->orientation_changed(work);
     k->project(0.5, x, c, r, 0, work);
     sum += rates[0] + e[0];
@@ -148,12 +152,13 @@ static double run(const fb_kernel *k, const double *p, const double *x0, const f
         free(memory);
     } else {
         fb_forward forward;
-        double *const varied = doubles((int)fb_place_forward(&s, 2, &forward, NULL));
-        fb_place_forward(&s, 2, &forward, varied);
+        const int n_directions = by_table ? 3 : FB_DIRECTIONS + 1;
+        double *const varied = doubles((int)fb_place_forward(&s, n_directions, &forward, NULL));
+        fb_place_forward(&s, n_directions, &forward, varied);
         forward.derivatives = k->derivatives;
         forward.variations = k->variations;
         forward.samples = doubles(50 * forward.size);
-        double *const changes = doubles(6 * 2 * FB_DIRECTIONS);
+        double *const changes = doubles(6 * forward.n_blocks * forward.width);
         const double *of_sources[1] = {changes};
         forward.source_changes = of_sources;
         int *const rate = calloc((size_t)k->n_r + 1, sizeof(int));

@@ -138,6 +138,18 @@ def test_projected_runs_are_tangent_to_the_constraints(case):
             assert np.abs(left).max(initial=0.0) <= 1e-11 * size
 
 
+@pytest.mark.parametrize("n", [1, 2, 4, 5, 8])
+def test_few_directions_are_those_of_many(four_bar, n):
+    """Blocks are four or eight directions wide; the last of several is filled with zeros."""
+    names = (*four_bar.parameters, "q1", "u1")
+    how = {"t_eval": AT, "rtol": 1e-8, "atol": 1e-10}
+    many = four_bar.simulate((0.0, AT[-1]), sensitivities=names, **how)
+    few = four_bar.simulate((0.0, AT[-1]), sensitivities=names[-n:], **how)
+    for name in names[-n:]:
+        # The same operations, in registers of other widths.
+        np.testing.assert_allclose(few.sensitivity[name], many.sensitivity[name], rtol=1e-12, atol=1e-12)
+
+
 def test_gradients_are_those_of_forward_mode(case):
     model, coordinates, speeds, names = case
     given = start(model, coordinates, speeds)

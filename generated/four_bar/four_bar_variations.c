@@ -622,14 +622,14 @@ static void variation_columns(const double *restrict constants, const double *re
 }
 
 static void variation(double t, const double *restrict x, const double *restrict constants,
-    const double *restrict r, const double *restrict accelerations, const double *restrict multipliers,
+    const double *restrict r, const double *restrict accelerations, const double *restrict multipliers, int n,
     const double *restrict directions, double *restrict coordinate_rate_variation,
     double *restrict residual_variation)
 {
     double factors[75];
     fb_many direction[15], of_coordinate_rate_variation[3], of_residual_variation[5];
     variation_factors(t, x, constants, r, accelerations, multipliers, factors);
-    fb_apply_columns(variation_columns, constants, factors, 15, direction, directions, 3,
+    fb_apply_columns(variation_columns, constants, factors, 15, direction, n, directions, 3,
         of_coordinate_rate_variation, 5, of_residual_variation, coordinate_rate_variation, residual_variation);
 }
 
@@ -695,13 +695,13 @@ static void constraint_variation_columns(const double *restrict constants, const
 }
 
 static void constraint_variation(double t, const double *restrict x, const double *restrict constants,
-    const double *restrict r, const double *restrict directions, double *restrict position_variation,
+    const double *restrict r, int n, const double *restrict directions, double *restrict position_variation,
     double *restrict velocity_variation)
 {
     double factors[19];
     fb_many direction[15], of_position_variation[2], of_velocity_variation[2];
     constraint_variation_factors(t, x, constants, r, factors);
-    fb_apply_columns(constraint_variation_columns, constants, factors, 15, direction, directions, 2,
+    fb_apply_columns(constraint_variation_columns, constants, factors, 15, direction, n, directions, 2,
         of_position_variation, 2, of_velocity_variation, position_variation, velocity_variation);
 }
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.arguments import Values, is_integer, is_mapping, name_of, named, numbers, one_of, positive
+from fourbar_codegen.arguments import is_integer, is_mapping, name_of, named, numbers, one_of, positive
 from fourbar_codegen.compiled import CompiledModel
 from fourbar_codegen.errors import AssemblyError, ModelError, SimulationError, meant, shown
 from fourbar_codegen.kernel.inputs import InputSource
@@ -396,10 +396,12 @@ class _Problem:
     def _run(self, i: int, values: dict[str, float]) -> Trajectory:
         model, experiment, times = self.model, self.experiments[i], self.times[i]
         start = float(times[0] if experiment.start is None else experiment.start)
-        parameters: Values = {
-            **{name_of(key): value for key, value in experiment.parameters.items()},
-            **{name: value for name, value in values.items() if name in model.parameters},
-        }
+        p = model.parameter_vector(
+            {
+                **{name_of(key): value for key, value in experiment.parameters.items()},
+                **{name: value for name, value in values.items() if name in model.parameters},
+            }
+        )
         q_i, u_i, z = independent_states(model)
         initial: list[dict[str, float]] = []
         for names, given in (
@@ -416,16 +418,15 @@ class _Problem:
             auxiliary_states=initial[2] or None,
             t=start,
             guess=self.starts[i],
-            parameters=parameters,
+            parameters=p,
             inputs=experiment.inputs,
         )
         self.starts[i] = x0[len(q_i) : model.n_q] if model.n_q > len(q_i) else None
-        p = model.parameter_vector(parameters)
         matrix = follow(model, start, x0, self.directions, p, experiment.inputs)
         return model.simulate(
             (start, float(times[-1])),
             x0,
-            parameters=parameters,
+            parameters=p,
             inputs=experiment.inputs,
             t_eval=times,
             sensitivities=self.own,

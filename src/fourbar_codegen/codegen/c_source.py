@@ -334,7 +334,7 @@ def _columns_text(columns: Function, factors: Function) -> str:
     [_, nodes, direction], results = columns.arguments, columns.results
     of_variation = name.endswith(VARIATION)
     given = [_parameter(array, "double") for array in factors.arguments]
-    given += ["const double *restrict directions"] if of_variation else []
+    given += ["int n", "const double *restrict directions"] if of_variation else []
     given += [f"double *restrict {result.name}" for result in results]
     sizes = [(array.name, max(length, 1)) for array, length in ((direction, len(direction.nodes)),)]
     sizes += [(f"of_{result.name}", max(len(result.entries), 1)) for result in results]
@@ -342,7 +342,7 @@ def _columns_text(columns: Function, factors: Function) -> str:
     call = ", ".join(
         [
             f"{name}{COLUMNS}, constants, factors, {len(direction.nodes)}, direction",
-            *(["directions"] if of_variation else []),
+            *(["n, directions"] if of_variation else []),
             pairs,
             *(result.name for result in results),
         ]

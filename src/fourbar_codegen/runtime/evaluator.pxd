@@ -43,10 +43,10 @@ cdef extern from "fourbar_kernel.h":
     ctypedef struct fb_variations:
         int abi_version
         size_t struct_size
-        void (*variation)(double, const double *, const double *, const double *, const double *, const double *,
+        void (*variation)(double, const double *, const double *, const double *, const double *, const double *, int,
                           const double *, double *, double *) noexcept nogil
-        void (*constraint_variation)(double, const double *, const double *, const double *, const double *, double *,
-                                     double *) noexcept nogil
+        void (*constraint_variation)(double, const double *, const double *, const double *, int, const double *,
+                                     double *, double *) noexcept nogil
         void (*pullback)(double, const double *, const double *, const double *, const double *, const double *,
                          const double *, double *) noexcept nogil
         void (*constraint_pullback)(double, const double *, const double *, const double *, const double *,
@@ -67,9 +67,9 @@ cdef extern from "fourbar_kernel.h":
         int (*differentiate)(const fb_derivatives *, fb_sensitivity *, int, double, const double *, const double *,
                              const double *, double *, double *, void *) noexcept nogil
         int (*vary)(const fb_derivatives *, const fb_variations *, double, const double *, const double *,
-                    const double *, const double *, double *, void *) noexcept nogil
+                    const double *, int, const double *, double *, void *) noexcept nogil
         int (*vary_closed)(const fb_derivatives *, const fb_variations *, double, const double *, const double *,
-                           const double *, double *, void *) noexcept nogil
+                           const double *, int, double *, void *) noexcept nogil
         int (*pull_back)(const fb_derivatives *, const fb_variations *, double, const double *, const double *,
                          const double *, const double *, double *, void *) noexcept nogil
         int (*pull_back_closed)(const fb_derivatives *, const fb_variations *, double, const double *, const double *,

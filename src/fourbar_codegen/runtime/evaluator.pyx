@@ -816,8 +816,8 @@ cdef class Evaluator:
         for i in range(0, n, FB_DIRECTIONS):
             block, rates = blocks[i // FB_DIRECTIONS], new_array(self.n_x, FB_DIRECTIONS)
             block[self.n_x + self.n_p:, :n - i] += filled_in[2][:, i:i + FB_DIRECTIONS]
-            status = self.kernel.vary(derivatives, variations, t, data(state), constants, filled, data(block),
-                                      data(rates), self.work)
+            status = self.kernel.vary(derivatives, variations, t, data(state), constants, filled, FB_DIRECTIONS,
+                                      data(block), data(rates), self.work)
             if status != FB_OK:
                 raise SimulationError(self.failure(status, t, x))
             result[:, i:i + FB_DIRECTIONS] = rates[:, :n - i]
@@ -1070,8 +1070,8 @@ cdef class Evaluator:
         for i in range(0, n, FB_DIRECTIONS):
             block = blocks[i // FB_DIRECTIONS]
             position, velocity = new_array(self.n_c + self.n_i, FB_DIRECTIONS), new_array(self.n_c, FB_DIRECTIONS)
-            variations.constraint_variation(t, data(state), constants, filled, data(block), data(position),
-                                            data(velocity))
+            variations.constraint_variation(t, data(state), constants, filled, FB_DIRECTIONS, data(block),
+                                            data(position), data(velocity))
             positions[:, i:i + FB_DIRECTIONS] = position[:, :n - i]
             velocities[:, i:i + FB_DIRECTIONS] = velocity[:, :n - i]
         return positions, velocities

@@ -9,7 +9,15 @@
 typedef void fb_columns_of(const double *constants, const double *factors, const fb_many *direction, fb_many *rates,
                            fb_many *residual);
 
-/* Columns from number `begin` on of a matrix with n columns. */
+/* FB_MANY columns from number `begin` on of a matrix with n columns, as far as it has them. */
+static inline void fb_load_columns(const double *from, const int rows, const int n, const int begin, fb_many *to)
+{
+    const int count = n - begin < FB_MANY ? n - begin : FB_MANY;
+    for (int i = 0; i < rows; ++i, from += n)
+        to[i] = count == FB_MANY ? fb_load_many(from + begin) : fb_load_some(from + begin, count);
+}
+
+/* The same the other way round. */
 static inline void fb_store_columns(const fb_many *from, const int rows, const int n, const int begin, double *to)
 {
     const int count = n - begin < FB_MANY ? n - begin : FB_MANY;
@@ -35,20 +43,17 @@ static inline void fb_fill_columns(fb_columns_of *columns, const double *constan
     }
 }
 
-/* The products of FB_DIRECTIONS directions, the columns of `directions` and of the results. */
-static inline void fb_apply_columns(fb_columns_of *columns, const double *constants, const double *factors, const int n,
-                                    fb_many *direction, const double *directions, const int n_rates, fb_many *rates,
-                                    const int n_residual, fb_many *residual, double *rate_changes,
-                                    double *residual_changes)
+/* The products of n directions, the columns of `directions` and of the results. */
+static inline void fb_apply_columns(fb_columns_of *columns, const double *constants, const double *factors,
+                                    const int size, fb_many *direction, const int n, const double *directions,
+                                    const int n_rates, fb_many *rates, const int n_residual, fb_many *residual,
+                                    double *rate_changes, double *residual_changes)
 {
-    for (int begin = 0; begin < FB_DIRECTIONS; begin += FB_MANY) {
-        for (int i = 0; i < n; ++i)
-            direction[i] = fb_load_many(directions + i * FB_DIRECTIONS + begin);
+    for (int begin = 0; begin < n; begin += FB_MANY) {
+        fb_load_columns(directions, size, n, begin, direction);
         columns(constants, factors, direction, rates, residual);
-        for (int i = 0; i < n_rates; ++i)
-            fb_store_many(rates[i], rate_changes + i * FB_DIRECTIONS + begin);
-        for (int i = 0; i < n_residual; ++i)
-            fb_store_many(residual[i], residual_changes + i * FB_DIRECTIONS + begin);
+        fb_store_columns(rates, n_rates, n, begin, rate_changes);
+        fb_store_columns(residual, n_residual, n, begin, residual_changes);
     }
 }
 

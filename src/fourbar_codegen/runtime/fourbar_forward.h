@@ -20,15 +20,15 @@
 typedef struct fb_forward {
     const fb_derivatives *derivatives;
     const fb_variations *variations;
-    int n_blocks; /* of FB_DIRECTIONS directions */
-    int size;     /* of a row: n_blocks * n_x * FB_DIRECTIONS */
-    /* (n_blocks, n_x + n_p + n_r, FB_DIRECTIONS): the rows of p are given, those of the others are filled */
+    int n_blocks, width; /* blocks of so many directions: FB_DIRECTIONS, or FB_FEW_DIRECTIONS if these are enough */
+    int size;            /* of a row: (n_blocks, n_x, width), padded to whole FB_BLOCKs */
+    /* (n_blocks, n_x + n_p + n_r, width): the rows of p are given, those of the others are filled */
     double *directions;
     /* for each source of an input NULL, or the changes of its value, or of its table's coefficients, interval by
-     * interval, and then of its values before and after; rows of n_blocks * FB_DIRECTIONS */
+     * interval, and then of its values before and after; rows of n_blocks * width */
     const double **source_changes;
     double *input_jacobian;       /* (n_r, n_p), dr/dp of the inputs' expressions */
-    double *before;               /* (n_blocks, n_r, FB_DIRECTIONS): of the inputs before a jump */
+    double *before;               /* (n_blocks, n_r, width): of the inputs before a jump */
     double *s, *s_old, *scratch;  /* (size,) */
     double *stages, *interpolant; /* as in fb_run, with rows of `size` */
     double *samples;              /* (room, size) */
@@ -68,8 +68,8 @@ static inline void fb_forward_inputs(fb_run *run, const double t)
 static inline void fb_source_direction(const fb_forward *f, const fb_source *source, const double *changes,
                                        const int block, const double t, double *direction)
 {
-    const int width = f->n_blocks * FB_DIRECTIONS;
-    const double *row = changes + block * FB_DIRECTIONS;
+    const int width = f->n_blocks * f->width;
+    const double *row = changes + block * f->width;
     const fb_table *const table = source->table;
     int n = 1;
     double since = 0.0;
@@ -82,10 +82,10 @@ static inline void fb_source_direction(const fb_forward *f, const fb_source *sou
         row += source->interval * n * width;
         since = t - table->times[source->interval];
     }
-    for (int j = 0; j < FB_DIRECTIONS; ++j)
+    for (int j = 0; j < f->width; ++j)
         direction[j] = row[j];
     for (int i = 1; i < n; ++i)
-        for (int j = 0; j < FB_DIRECTIONS; ++j)
+        for (int j = 0; j < f->width; ++j)
             direction[j] = direction[j] * since + row[i * width + j];
 }
 
@@ -97,20 +97,20 @@ static inline double *fb_forward_directions(fb_run *run, const int block, const 
     fb_problem *const p = run->problem;
     const fb_kernel *const k = p->kernel;
     const int n_x = k->n_x, n_p = k->n_p, n_r = k->n_r;
-    double *const directions = f->directions + block * (n_x + n_p + n_r) * FB_DIRECTIONS;
-    double *const of_inputs = directions + (n_x + n_p) * FB_DIRECTIONS;
-    memcpy(directions, s + block * n_x * FB_DIRECTIONS, (size_t)(n_x * FB_DIRECTIONS) * sizeof *s);
+    double *const directions = f->directions + block * (n_x + n_p + n_r) * f->width;
+    double *const of_inputs = directions + (n_x + n_p) * f->width;
+    memcpy(directions, s + block * n_x * f->width, (size_t)(n_x * f->width) * sizeof *s);
     for (int i = 0; i < n_r; ++i)
-        for (int j = 0; j < FB_DIRECTIONS; ++j) {
+        for (int j = 0; j < f->width; ++j) {
             double sum = 0.0;
             for (int l = 0; l < n_p; ++l)
-                sum += f->input_jacobian[i * n_p + l] * directions[(n_x + l) * FB_DIRECTIONS + j];
-            of_inputs[i * FB_DIRECTIONS + j] = sum;
+                sum += f->input_jacobian[i * n_p + l] * directions[(n_x + l) * f->width + j];
+            of_inputs[i * f->width + j] = sum;
         }
     for (int i = 0; i < p->n_sources; ++i)
         if (f->source_changes[i])
             fb_source_direction(f, p->sources + i, f->source_changes[i], block, t,
-                                of_inputs + p->sources[i].input * FB_DIRECTIONS);
+                                of_inputs + p->sources[i].input * f->width);
     return directions;
 }
 
@@ -125,10 +125,10 @@ static inline int fb_forward_rates(fb_run *run, const double since, const double
         return called;
     fb_forward_inputs(run, t);
     for (int block = 0; block < f->n_blocks; ++block) {
-        const int n = p->kernel->n_x * FB_DIRECTIONS;
+        const int n = p->kernel->n_x * f->width;
         const double *const directions = fb_forward_directions(run, block, t, s);
-        if (p->kernel->vary(f->derivatives, f->variations, t, x, p->constants, p->inputs, directions, rates + block * n,
-                            p->work) != FB_OK)
+        if (p->kernel->vary(f->derivatives, f->variations, t, x, p->constants, p->inputs, f->width, directions,
+                            rates + block * n, p->work) != FB_OK)
             for (int i = 0; i < n; ++i)
                 rates[block * n + i] = NAN;
     }
@@ -141,32 +141,31 @@ static inline int fb_forward_jump(fb_run *run, fb_jump *jump, const double *x, d
     fb_forward *const f = run->forward;
     fb_problem *const p = run->problem;
     const fb_kernel *const k = p->kernel;
-    const int n_r = k->n_r, first = (k->n_x + k->n_p) * FB_DIRECTIONS, n = k->n_x * FB_DIRECTIONS;
-    const size_t size = (size_t)(n_r * FB_DIRECTIONS) * sizeof *s;
+    const int n_r = k->n_r, first = (k->n_x + k->n_p) * f->width, n = k->n_x * f->width;
+    const size_t size = (size_t)(n_r * f->width) * sizeof *s;
     int status = FB_OK;
     fb_fill_inputs(p, jump->t_before, x);
     fb_forward_inputs(run, jump->t_before);
     for (int block = 0; block < f->n_blocks; ++block)
-        memcpy(f->before + block * n_r * FB_DIRECTIONS, fb_forward_directions(run, block, jump->t_before, s) + first,
-               size);
+        memcpy(f->before + block * n_r * f->width, fb_forward_directions(run, block, jump->t_before, s) + first, size);
     fb_fill_jump(p, jump, x);
     fb_forward_inputs(run, jump->t_after);
     for (int block = 0; block < f->n_blocks && status == FB_OK; ++block) {
         double *const directions = fb_forward_directions(run, block, jump->t_after, s);
         double *const of_inputs = directions + first;
-        const double *const before = f->before + block * n_r * FB_DIRECTIONS;
+        const double *const before = f->before + block * n_r * f->width;
         double *const rates = f->scratch + block * n, *const others = f->s_old + block * n;
         for (int jumps = 1; jumps >= 0 && status == FB_OK; --jumps) {
             fb_take_jump(p, jump, jumps);
             for (int i = 0; i < n_r; ++i)
-                for (int j = 0; j < FB_DIRECTIONS && jump->rate[i] >= 0; ++j) {
-                    const int place = jump->rate[i] * FB_DIRECTIONS + j;
-                    of_inputs[i * FB_DIRECTIONS + j] = jumps ? of_inputs[place] - before[place] : 0.0;
+                for (int j = 0; j < f->width && jump->rate[i] >= 0; ++j) {
+                    const int place = jump->rate[i] * f->width + j;
+                    of_inputs[i * f->width + j] = jumps ? of_inputs[place] - before[place] : 0.0;
                 }
-            status = k->vary(f->derivatives, f->variations, jump->t_after, x, p->constants, p->inputs, directions,
-                             jumps ? rates : others, p->work);
+            status = k->vary(f->derivatives, f->variations, jump->t_after, x, p->constants, p->inputs, f->width,
+                             directions, jumps ? rates : others, p->work);
         }
-        for (int i = k->n_q * FB_DIRECTIONS; i < (k->n_q + k->n_u) * FB_DIRECTIONS; ++i)
+        for (int i = k->n_q * f->width; i < (k->n_q + k->n_u) * f->width; ++i)
             s[block * n + i] += rates[i] - others[i];
     }
     return status;
@@ -183,10 +182,10 @@ static inline int fb_forward_close(fb_run *run, const double since, const double
         return called;
     fb_forward_inputs(run, t);
     for (int block = 0; block < f->n_blocks; ++block) {
-        const int n = p->kernel->n_x * FB_DIRECTIONS;
+        const int n = p->kernel->n_x * f->width;
         double *const directions = fb_forward_directions(run, block, t, s);
-        if (p->kernel->vary_closed(f->derivatives, f->variations, t, x, p->constants, p->inputs, directions, p->work) ==
-            FB_OK)
+        if (p->kernel->vary_closed(f->derivatives, f->variations, t, x, p->constants, p->inputs, f->width, directions,
+                                   p->work) == FB_OK)
             memcpy(s + block * n, directions, (size_t)n * sizeof *s);
         else
             for (int i = 0; i < n; ++i)
@@ -279,23 +278,25 @@ static inline int fb_forward_sample(fb_run *run, const double t, const double *x
     return fb_forward_at(run, t, x, run->forward->samples + run->n_samples * run->forward->size);
 }
 
-/* Places the arrays in memory, the directions first, unless that is NULL; returns their number of doubles. */
-static inline size_t fb_place_forward(const fb_run *run, const int n_blocks, fb_forward *f, double *memory)
+/* Places the arrays for n directions in memory, the directions first, unless that is NULL; returns their number of
+ * doubles. */
+static inline size_t fb_place_forward(const fb_run *run, const int n, fb_forward *f, double *memory)
 {
     const fb_kernel *const k = run->problem->kernel;
-    const int size = n_blocks * k->n_x * FB_DIRECTIONS;
+    f->width = n <= FB_FEW_DIRECTIONS ? FB_FEW_DIRECTIONS : FB_DIRECTIONS;
+    f->n_blocks = (n + f->width - 1) / f->width;
+    f->size = (f->n_blocks * k->n_x * f->width + FB_BLOCK - 1) / FB_BLOCK * FB_BLOCK;
+    const int n_blocks = f->n_blocks, size = f->size;
     const fb_place places[] = {
-        {&f->directions, n_blocks * (k->n_x + k->n_p + k->n_r) * FB_DIRECTIONS},
+        {&f->directions, n_blocks * (k->n_x + k->n_p + k->n_r) * f->width},
         {&f->input_jacobian, k->n_r * k->n_p},
-        {&f->before, n_blocks * k->n_r * FB_DIRECTIONS},
+        {&f->before, n_blocks * k->n_r * f->width},
         {&f->s, size},
         {&f->s_old, size},
         {&f->scratch, size},
         {&f->stages, (run->method->n_stages + 1 + run->method->n_extra) * size},
         {&f->interpolant, (run->method->n_dense + 3) * size},
     };
-    f->n_blocks = n_blocks;
-    f->size = size;
     return fb_place_all(places, sizeof places / sizeof *places, memory);
 }
 

@@ -157,7 +157,8 @@ static inline void fb_residual_by(const fb_jacobians *b, fb_jacobian_work *w, co
         memset(w->directions, 0, (size_t)((n_x + k->n_p + k->n_r) * FB_DIRECTIONS) * sizeof(double));
         for (int j = 0; j < count; ++j)
             w->directions[(first + begin + j) * FB_DIRECTIONS + j] = 1.0;
-        k->variations->constraint_variation(t, w->x, w->constants, w->r, w->directions, positions, velocities);
+        k->variations->constraint_variation(t, w->x, w->constants, w->r, FB_DIRECTIONS, w->directions, positions,
+                                            velocities);
         for (int row = 0; row < n_c; ++row)
             for (int j = 0; j < count; ++j)
                 result[(n_x + row) * m + begin + j] = velocities[row * FB_DIRECTIONS + j];

@@ -13,7 +13,7 @@
 
 #include <stddef.h>
 
-#define FB_ABI_VERSION 17
+#define FB_ABI_VERSION 18
 #define FB_CAPSULE_NAME "fourbar_codegen.kernel"
 
 /* Long functions are printed in parts, which the compiler must not inline. */
@@ -23,8 +23,9 @@
 #define FB_PART
 #endif
 
-/* Directions that variations take at once: the columns of their arguments and results, stored row by row. */
-enum { FB_DIRECTIONS = 8 };
+/* Directions that variations take at once: the columns of their arguments and results, stored row by row. At most, and
+ * as many as are worth while if there are few. */
+enum { FB_DIRECTIONS = 8, FB_FEW_DIRECTIONS = 4 };
 
 /* The instruction set that a kernel was compiled for, beyond the baseline of its architecture. */
 enum FB_INSTRUCTION_SET { FB_BASELINE = 0, FB_AVX2 = 1, FB_AVX512 = 2 };
@@ -86,12 +87,12 @@ typedef struct fb_derivatives {
 typedef struct fb_variations {
     int abi_version;
     size_t struct_size;
-    /* Those of fb_sensitivity along FB_DIRECTIONS directions of (x, p, r); ... */
+    /* Those of fb_sensitivity along n <= FB_DIRECTIONS directions of (x, p, r); ... */
     void (*variation)(double t, const double *x, const double *constants, const double *r, const double *accelerations,
-                      const double *multipliers, const double *directions, double *coordinate_rate_variation,
+                      const double *multipliers, int n, const double *directions, double *coordinate_rate_variation,
                       double *residual_variation);
     /* ... and those of the results of constraint_violation */
-    void (*constraint_variation)(double t, const double *x, const double *constants, const double *r,
+    void (*constraint_variation)(double t, const double *x, const double *constants, const double *r, int n,
                                  const double *directions, double *position_variation, double *velocity_variation);
     /* For reverse derivatives: the gradient by (x, p, r) of the sum of weights times q' and the residual, ... */
     void (*pullback)(double t, const double *x, const double *constants, const double *r, const double *accelerations,
@@ -136,12 +137,12 @@ typedef struct fb_kernel {
     int (*differentiate)(const fb_derivatives *derivatives, fb_sensitivity *sensitivity, int n, double t,
                          const double *x, const double *constants, const double *r, double *matrix,
                          double *multiplier_jacobian, void *work);
-    /* the changes of x' along FB_DIRECTIONS directions of (x, p, r) */
+    /* the changes of x' along n <= FB_DIRECTIONS directions of (x, p, r) */
     int (*vary)(const fb_derivatives *derivatives, const fb_variations *variations, double t, const double *x,
-                const double *constants, const double *r, const double *directions, double *rates, void *work);
+                const double *constants, const double *r, int n, const double *directions, double *rates, void *work);
     /* moves the directions' rows of coordinates and speeds onto the constraints' tangent, mass-orthogonally */
     int (*vary_closed)(const fb_derivatives *derivatives, const fb_variations *variations, double t, const double *x,
-                       const double *constants, const double *r, double *directions, void *work);
+                       const double *constants, const double *r, int n, double *directions, void *work);
     /* The transposes of both. The gradient by (x, p, r) of the sum of weights times x', n_x, then times the
      * multipliers, n_l; ... */
     int (*pull_back)(const fb_derivatives *derivatives, const fb_variations *variations, double t, const double *x,

@@ -411,44 +411,44 @@ static int differentiate(const fb_derivatives *derivatives, fb_sensitivity *func
 
 #ifndef FB_LIBRARY
 static int vary(const fb_derivatives *derivatives, const fb_variations *variations, double t, const double *x,
-                const double *constants, const double *r, const double *directions, double *rates, void *work)
+                const double *constants, const double *r, int n, const double *directions, double *rates, void *work)
 {
     fb_work *const w = work;
     (void)derivatives; /* used with state equations */
     const int status = accelerations(t, x, constants, r, w->accelerations, w->multipliers, work);
     if (status != FB_OK)
         return status;
-    variations->variation(t, x, constants, r, w->accelerations, w->multipliers, directions, rates,
+    variations->variation(t, x, constants, r, w->accelerations, w->multipliers, n, directions, rates,
                           w->residual_variation);
 #if !defined(FB_SPARSE) && !defined(FB_RECURSIVE) && N_Z + N_N == 0
-    fb_solve_directions(w->residual_variation, &w->factors, rates + N_Q * FB_DIRECTIONS);
-    return all_finite(rates, N_X * FB_DIRECTIONS);
+    fb_solve_directions(n, w->residual_variation, &w->factors, rates + N_Q * n);
+    return all_finite(rates, N_X * n);
 #else
-    return solve_columns(derivatives, FB_DIRECTIONS, t, x, constants, r, w->residual_variation, rates, NULL, w);
+    return solve_columns(derivatives, n, t, x, constants, r, w->residual_variation, rates, NULL, w);
 #endif
 }
 
-/* u' for FB_DIRECTIONS right-hand sides (f, -gamma) in the columns of a matrix. */
-static void solve_directions(const double *sides, const fb_work *w, double *solutions)
+/* u' for n right-hand sides (f, -gamma) in the columns of a matrix. */
+static void solve_directions(int n, const double *sides, const fb_work *w, double *solutions)
 {
 #ifdef FB_RECURSIVE
     if (!w->factors.is_dense) {
-        fb_solve_columns(sides, FB_DIRECTIONS, &w->factors, solutions);
+        fb_solve_columns(sides, n, &w->factors, solutions);
         return;
     }
 #endif
 #if !defined(FB_SPARSE) && !defined(FB_RECURSIVE)
-    fb_solve_directions(sides, &w->factors, solutions);
+    fb_solve_directions(n, sides, &w->factors, solutions);
 #else
-    for (int j = 0; j < FB_DIRECTIONS; ++j) {
+    for (int j = 0; j < n; ++j) {
         double forcing[N_U], bias[FB_AT_LEAST_1(N_C)], solution[N_U];
         for (int i = 0; i < N_U; ++i)
-            forcing[i] = sides[i * FB_DIRECTIONS + j];
+            forcing[i] = sides[i * n + j];
         for (int i = 0; i < N_C; ++i)
-            bias[i] = -sides[(N_U + i) * FB_DIRECTIONS + j];
+            bias[i] = -sides[(N_U + i) * n + j];
         fb_solve(forcing, bias, &w->factors, solution);
         for (int i = 0; i < N_U; ++i)
-            solutions[i * FB_DIRECTIONS + j] = solution[i];
+            solutions[i * n + j] = solution[i];
     }
 #endif
 }
@@ -456,12 +456,12 @@ static void solve_directions(const double *sides, const fb_work *w, double *solu
 /* The changes of coordinates and speeds that lead along directions onto the constraints' tangent: those of `project`
  * for the derivatives of the violations, by the same orthogonality. */
 static int vary_closed(const fb_derivatives *derivatives, const fb_variations *variations, double t, const double *x,
-                       const double *constants, const double *r, double *directions, void *work)
+                       const double *constants, const double *r, int n, double *directions, void *work)
 {
     fb_work *const w = work;
     /* f = 0, then the violations: in solutions for -gamma, signs are reversed */
     double sides[(N_U + FB_AT_LEAST_1(N_C + N_I)) * FB_DIRECTIONS] = {0.0}, unused[FB_AT_LEAST_1(N_C) * FB_DIRECTIONS];
-    double *const violations = sides + N_U * FB_DIRECTIONS;
+    double *const violations = sides + N_U * n;
     double changes[N_U * FB_DIRECTIONS], change[N_U], coordinate_changes[FB_AT_LEAST_1(N_Q)];
     (void)derivatives;
     if (N_C + N_I == 0)
@@ -474,21 +474,21 @@ static int vary_closed(const fb_derivatives *derivatives, const fb_variations *v
     const int status = factor_at(t, x, constants, r, w);
     if (status != FB_OK)
         return status;
-    variations->constraint_variation(t, x, constants, r, directions, violations, unused);
-    solve_directions(sides, w, changes);
-    for (int j = 0; j < FB_DIRECTIONS; ++j) {
+    variations->constraint_variation(t, x, constants, r, n, directions, violations, unused);
+    solve_directions(n, sides, w, changes);
+    for (int j = 0; j < n; ++j) {
         for (int i = 0; i < N_U; ++i)
-            change[i] = changes[i * FB_DIRECTIONS + j];
+            change[i] = changes[i * n + j];
         coordinate_change(t, x, constants, r, change, coordinate_changes);
         for (int i = 0; i < N_Q; ++i)
-            directions[i * FB_DIRECTIONS + j] -= coordinate_changes[i];
+            directions[i * n + j] -= coordinate_changes[i];
     }
     /* The speeds' constraints depend on the coordinates as well. */
     double positions[FB_AT_LEAST_1(N_C + N_I) * FB_DIRECTIONS];
-    variations->constraint_variation(t, x, constants, r, directions, positions, violations);
-    solve_directions(sides, w, changes);
-    for (int i = 0; i < N_U * FB_DIRECTIONS; ++i)
-        directions[N_Q * FB_DIRECTIONS + i] -= changes[i];
+    variations->constraint_variation(t, x, constants, r, n, directions, positions, violations);
+    solve_directions(n, sides, w, changes);
+    for (int i = 0; i < N_U * n; ++i)
+        directions[N_Q * n + i] -= changes[i];
     return FB_OK;
 }
 

@@ -298,29 +298,29 @@ static inline int fb_solve(const double *restrict forcing, const double *restric
 }
 
 #if !defined(FB_SIDE_BY_SIDE) && !defined(FB_LIBRARY)
+#include "fourbar_columns.h"
 #define FB_VALUE double
 #define FB_SIDE fb_many
 #define FB_FACTORS fb_factors
 #define FB_OF(name) name##_many
 #include "fourbar_pivoted.h"
 
-/* u' for FB_DIRECTIONS right-hand sides (f, -gamma) in the columns of a matrix. Redundant rows hold in every direction
- * in which the state can move. */
-static FB_CALLED void fb_solve_directions(const double *restrict sides, const fb_factors *restrict s,
+/* u' for n right-hand sides (f, -gamma) in the columns of a matrix. Redundant rows hold in every direction in which the
+ * state can move. */
+static FB_CALLED void fb_solve_directions(const int n, const double *restrict sides, const fb_factors *restrict s,
                                           double *restrict accelerations)
 {
-    for (int begin = 0; begin < FB_DIRECTIONS; begin += FB_MANY) {
-        fb_many forcing[N_U], w[FB_AT_LEAST_1(N_C)], solution[N_U];
-        for (int i = 0; i < N_U; ++i)
-            forcing[i] = fb_load_many(sides + i * FB_DIRECTIONS + begin);
+    for (int begin = 0; begin < n; begin += FB_MANY) {
+        fb_many forcing[N_U], given[FB_AT_LEAST_1(N_C)], w[FB_AT_LEAST_1(N_C)], solution[N_U];
+        fb_load_columns(sides, N_U, n, begin, forcing);
+        fb_load_columns(sides + N_U * n, N_C, n, begin, given);
         for (int i = 0; i < N_C; ++i) {
-            w[i] = s->scale[i] * -fb_load_many(sides + (N_U + s->row[i]) * FB_DIRECTIONS + begin);
+            w[i] = s->scale[i] * -given[s->row[i]];
             for (int k = 0; k < i && k < N_RANK; ++k)
                 w[i] -= s->lu[i][k] * w[k];
         }
         fb_back_many(forcing, w, s, solution, s->column);
-        for (int i = 0; i < N_U; ++i)
-            fb_store_many(solution[i], accelerations + i * FB_DIRECTIONS + begin);
+        fb_store_columns(solution, N_U, n, begin, accelerations);
     }
 }
 #endif

@@ -31,11 +31,10 @@ cdef extern from "fourbar_jumps.h":
     int fb_speed_jump(fb_problem *, fb_jump *, const double *, double *, double *) noexcept nogil
 
 cdef extern from "fourbar_forward.h":
-    int FB_DIRECTIONS
     ctypedef struct fb_forward:
         const fb_derivatives *derivatives
         const fb_variations *variations
-        int n_blocks, size, fsal
+        int n_blocks, width, size, fsal
         double *directions
         const double **source_changes
         double *interpolant
@@ -620,23 +619,23 @@ cdef int _prepare_forward(fb_run *run, fb_forward *forward, Ode ode, directions,
     """Set a run's derivatives, at its beginning; `kept` holds their memory."""
     cdef const fb_kernel *kernel = ode.evaluator.kernel
     cdef int n_x = kernel.n_x, n_p = kernel.n_p, n = np.shape(directions.matrix)[1]
-    cdef int n_blocks = (n + FB_DIRECTIONS - 1) // FB_DIRECTIONS
-    cdef cnp.ndarray memory = np.zeros(fb_place_forward(run, n_blocks, forward, NULL)), first, changes
+    cdef cnp.ndarray memory = np.zeros(fb_place_forward(run, n, forward, NULL)), first, changes
     cdef cnp.ndarray places = np.zeros(kernel.n_r + 1, dtype=np.uintp)
-    fb_place_forward(run, n_blocks, forward, data(memory))
+    cdef int width = forward.width
+    fb_place_forward(run, n, forward, data(memory))
     forward.derivatives, forward.variations = ode.evaluator.derivatives(), ode.evaluator.variations()
-    padded = np.zeros((n_blocks, n_x + n_p + kernel.n_r, FB_DIRECTIONS))
-    for block in range(n_blocks):
-        columns = directions.matrix[:, block * FB_DIRECTIONS:(block + 1) * FB_DIRECTIONS]
+    padded = np.zeros((forward.n_blocks, n_x + n_p + kernel.n_r, width))
+    for block in range(forward.n_blocks):
+        columns = directions.matrix[:, block * width:(block + 1) * width]
         padded[block, :n_x + n_p, :columns.shape[1]] = columns
     memory[:padded.size] = padded.ravel()
     first = np.ascontiguousarray(padded[:, :n_x])
-    memcpy(forward.s, data(first), forward.size * sizeof(double))
+    memcpy(forward.s, data(first), first.size * sizeof(double))
     kept += [memory, places]
     given = [changes for source, changes in zip(ode.sources, directions.sources) if source is not None]
     for i, of_source in enumerate(given):
         if of_source is not None:
-            changes = np.zeros((len(of_source), n_blocks * FB_DIRECTIONS))
+            changes = np.zeros((len(of_source), forward.n_blocks * width))
             changes[:, :n] = of_source
             places[i] = changes.ctypes.data
             kept.append(changes)
@@ -645,11 +644,11 @@ cdef int _prepare_forward(fb_run *run, fb_forward *forward, Ode ode, directions,
     return 0
 
 
-def _by_directions(samples, int n_x, directions):
+cdef _by_directions(samples, const fb_forward *forward, int n_x, directions):
     """Rows of samples of derivatives as an array of shape (n, n_x, n_t)."""
-    n_t, n_blocks = len(samples), samples.shape[1] // (n_x * FB_DIRECTIONS)
-    blocks = samples.reshape(n_t, n_blocks, n_x, FB_DIRECTIONS)
-    derivatives = blocks.transpose(1, 3, 2, 0).reshape(n_blocks * FB_DIRECTIONS, n_x, n_t)
+    cdef int n_blocks = forward.n_blocks, width = forward.width
+    blocks = samples[:, :n_blocks * n_x * width].reshape(len(samples), n_blocks, n_x, width)
+    derivatives = blocks.transpose(1, 3, 2, 0).reshape(n_blocks * width, n_x, len(samples))
     return derivatives[:directions.matrix.shape[1]]
 
 
@@ -790,7 +789,7 @@ cdef class Run:
     @property
     def sensitivities(self):
         """The derivatives at all samples taken, shape (n, n_x, n_t)."""
-        return _by_directions(np.concatenate(self.varied), self.run.n, self.directions)
+        return _by_directions(np.concatenate(self.varied), &self.forward, self.run.n, self.directions)
 
     cdef void *_keep(self, cnp.ndarray array):
         self.kept.append(array)
@@ -938,7 +937,7 @@ cdef class Run:
         """The derivatives at a fraction of the last step, shape (n_x, n)."""
         cdef cnp.ndarray x = self.state_within(share), s = new_array(self.forward.size)
         self.ode.check(fb_forward_at(&self.run, self._within(share), data(x), data(s)))
-        return _by_directions(s[np.newaxis], self.run.n, self.directions)[..., 0].T
+        return _by_directions(s[np.newaxis], &self.forward, self.run.n, self.directions)[..., 0].T
 
     def event_values_within(self, double share):
         """The event functions at a fraction of the last step, shape (n_events,)."""
@@ -1380,7 +1379,7 @@ cdef class DenseOutput:
                            (data(at)[i] - self.times[0] - end[0]) / end[1], data(s) + i * forward.size)
             if self.project:
                 ode.check(fb_forward_close(&run, 0.0, data(x) + i * n, data(s) + i * forward.size))
-        derivatives = _by_directions(s, n, self.directions)
+        derivatives = _by_directions(s, &forward, n, self.directions)
         return self.directions.by_name(derivatives if np.ndim(t) else derivatives[..., 0])
 
     cdef cnp.ndarray _checked(self, t):

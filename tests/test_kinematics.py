@@ -222,6 +222,27 @@ def test_change_points(offset):
     np.testing.assert_allclose(torque[known], 3 * 9.81 * cosine[known], rtol=0, atol=1e-5)
 
 
+@pytest.mark.parametrize("ground", [1.3, 1.1, 1.03, 1.01])
+def test_branches_that_bend_at_a_change_point(ground):
+    """Nearly a rhombus: the antiparallel branch turns within ground - 1 rad, (d^2 - 1) / (d - 1)^2 times as fast.
+
+    Its position is an odd function of the distance, which any interpolation meets.
+    """
+    points = {"A": (0, 0), "B": (0, 1), "C": (ground, 1), "D": (ground, 0)}
+    model = fb.compile_model(fb.Linkage("rhombus", points=points, ground="AD", links=["AB", "BC", "CD"]).model())
+    angles = np.array([0.0, 1e-4, 4e-3, 1.0, pi, 2 * pi])
+    along, across = model.kinematics({"q_AB": angles})
+    np.testing.assert_allclose(along["u_CD"], 1.0, rtol=0, atol=1e-10)
+    squares = ground**2 + 1.0 - 2.0 * ground * np.cos(angles)
+    speed = -(ground**2 - 1.0) / squares
+    # With nth derivatives of n! / R^n, six positions err by 36 (h / R)^6 <= 1e-6, and eight by 576 (h / R)^8 = 5e-8.
+    np.testing.assert_allclose(across["u_CD"], speed, rtol=5e-8)
+    acceleration = 2.0 * ground * np.sin(angles) * -speed / squares
+    size = np.abs(speed).max() ** 2
+    # The same of accelerations and squares of speeds, which are as large.
+    np.testing.assert_allclose(across.ud[model.speeds.index("u_CD")], acceleration, rtol=0, atol=1e-7 * size)
+
+
 @pytest.mark.parametrize("longer", [1e-9, 1e-7, 5e-6, 1e-4])
 def test_beside_a_change_point(longer):
     """A rod that is longer than the crank by little: the slider goes on on its side, by Pythagoras."""

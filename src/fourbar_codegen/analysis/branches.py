@@ -46,7 +46,7 @@ AT_LIMIT = 1e-9
 SINGULAR = 0.0025
 """Ratio of singular values, of the constraints with the drive held, near a change point."""
 
-BESIDE = (0.02, 0.026, 0.006, 0.002)
+BESIDE = (0.02, 0.026, 0.006, 0.002, 0.0006, 0.0002)
 """Distances of positions on a branch from which the one at a change point between them is interpolated, tried in turn:
 there may be another change point at one of them, or the branch may be curved too much. Rounding errors of accelerations
 grow with the inverse third power of the distance from a change point, so the first is well beyond that of `SINGULAR`.
@@ -55,8 +55,15 @@ grow with the inverse third power of the distance from a change point, so the fi
 INTERPOLATED = 1e-11
 """Largest residual of the scaled constraints at an interpolated position."""
 
-WEIGHTS = tuple((side * step, w) for step, w in enumerate((4 / 5, -2 / 5, 4 / 35, -1 / 70), 1) for side in (-1, 1))
-"""Of values at multiples of that distance h. The error is h^8 / 70 times the eighth derivative."""
+STEPS = np.array([-4, -3, -2, -1, 1, 2, 3, 4])
+WEIGHTS = np.array([-1 / 70, 4 / 35, -2 / 5, 4 / 5, 4 / 5, -2 / 5, 4 / 35, -1 / 70])
+"""Of values at multiples of that distance h. The error is h^8 / 70 times the eighth derivative, ..."""
+
+FEWER = np.array([0, 1 / 20, -3 / 10, 3 / 4, 3 / 4, -3 / 10, 1 / 20, 0])
+"""... and, without the outermost, h^6 / 20 times the sixth: the difference is an estimate of the larger error."""
+
+SMOOTH = 1e-6
+"""Largest difference, relative to speeds v, and to accelerations and v^2."""
 
 
 def kinematics(
@@ -271,14 +278,26 @@ def _motion(path: Drive, part: Floats, s: float, number: int) -> list[Floats]:
     if path.curves is None and (near is None or _singularity(path, near) < SINGULAR):
         for length in BESIDE:
             if low + 4 * length <= s <= high - 4 * length:
-                beside = [(weight, s + step * length) for step, weight in WEIGHTS]
-                found = [
-                    (w, _motion_at(path, solve_at(path.function, _between(part, z), z), number)) for w, z in beside
-                ]
-                rows = [np.asarray(sum(weight * values[row] for weight, values in found)) for row in range(5)]
-                if all(np.isfinite(row).all() for row in rows) and _is_on_curve(path, rows[0], s, near):
-                    return rows
+                places = s + length * STEPS
+                beside = [_motion_at(path, solve_at(path.function, _between(part, z), z), number) for z in places]
+                rows = [np.array(values) for values in zip(*beside, strict=True)]
+                found = [WEIGHTS @ row for row in rows]
+                is_known = all(np.isfinite(row).all() for row in found)
+                if is_known and _is_smooth(rows) and _is_on_curve(path, found[0], s, near):
+                    return found
     return _motion_at(path, near, number)
+
+
+def _is_smooth(rows: Sequence[Floats]) -> bool:
+    """Whether velocities and accelerations beside a change point can be interpolated.
+
+    That the position closes the loops does not tell: where it is an odd function, it is exact for any distance.
+    """
+    _, u, ud, qd, qdd = rows
+    speed = max(np.abs(u).max(initial=0.0), np.abs(qd).max(initial=0.0))
+    acceleration = max(np.abs(ud).max(initial=0.0), np.abs(qdd).max(initial=0.0)) + speed**2
+    errors = [np.abs((WEIGHTS - FEWER) @ row).max(initial=0.0) for row in (u, qd, ud, qdd)]
+    return bool(max(errors[:2]) <= SMOOTH * speed and max(errors[2:]) <= SMOOTH * acceleration)
 
 
 def _is_on_curve(path: Drive, q: Floats, s: float, near: Floats | None) -> bool:

@@ -20,7 +20,7 @@
 typedef struct fb_forward {
     const fb_derivatives *derivatives;
     const fb_variations *variations;
-    int n_blocks, width; /* blocks of so many directions: FB_DIRECTIONS, or FB_FEW_DIRECTIONS if these are enough */
+    int n_blocks, width; /* of blocks: FB_DIRECTIONS, or FB_FEW_DIRECTIONS if these are enough */
     int size;            /* of a row: (n_blocks, n_x, width), padded to whole FB_BLOCKs */
     /* (n_blocks, n_x + n_p + n_r, width): the rows of p are given, those of the others are filled */
     double *directions;
@@ -68,25 +68,25 @@ static inline void fb_forward_inputs(fb_run *run, const double t)
 static inline void fb_source_direction(const fb_forward *f, const fb_source *source, const double *changes,
                                        const int block, const double t, double *direction)
 {
-    const int width = f->n_blocks * f->width;
+    const int columns = f->n_blocks * f->width;
     const double *row = changes + block * f->width;
     const fb_table *const table = source->table;
     int n = 1;
     double since = 0.0;
     if (table && t < table->times[0])
-        row += table->n_intervals * table->n_coefficients * width;
+        row += table->n_intervals * table->n_coefficients * columns;
     else if (table && t > table->times[table->n_intervals])
-        row += (table->n_intervals * table->n_coefficients + 1) * width;
+        row += (table->n_intervals * table->n_coefficients + 1) * columns;
     else if (table) {
         n = table->n_coefficients;
-        row += source->interval * n * width;
+        row += source->interval * n * columns;
         since = t - table->times[source->interval];
     }
     for (int j = 0; j < f->width; ++j)
         direction[j] = row[j];
     for (int i = 1; i < n; ++i)
         for (int j = 0; j < f->width; ++j)
-            direction[j] = direction[j] * since + row[i * width + j];
+            direction[j] = direction[j] * since + row[i * columns + j];
 }
 
 /* The directions of a block, whose rows of x are given. Those of r follow from p, or from the sources, whose values at

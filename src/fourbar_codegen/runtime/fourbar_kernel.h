@@ -23,8 +23,8 @@
 #define FB_PART
 #endif
 
-/* Directions that variations take at once: the columns of their arguments and results, stored row by row. At most, and
- * as many as are worth while if there are few. */
+/* The most directions that variations take at once, the columns of their arguments and results, which are stored row by
+ * row; and as many as runs give them if these are enough. */
 enum { FB_DIRECTIONS = 8, FB_FEW_DIRECTIONS = 4 };
 
 /* The instruction set that a kernel was compiled for, beyond the baseline of its architecture. */

@@ -1005,7 +1005,8 @@ class CompiledModel(Kernel):
         """
         from fourbar_codegen.simulation.batch import residual
 
-        return residual(self, t, x, rates, multipliers, p, r, formulation=formulation, workers=workers)
+        found = residual(self, t, x, rates, multipliers, p, r, formulation=formulation, workers=workers)
+        return found["residual"]
 
     def residual_jacobian_batch(
         self,
@@ -1043,11 +1044,9 @@ class CompiledModel(Kernel):
         >>> {name: jacobian.shape for name, jacobian in found.items()}
         {'x': (8, 6, 1), 'rates': (8, 6, 1), 'multipliers': (8, 2, 1), 'p': (8, 8, 1), 'r': (8, 1, 1)}
         """
-        from fourbar_codegen.simulation.batch import residual_jacobians
+        from fourbar_codegen.simulation.batch import residual
 
-        return residual_jacobians(
-            self, t, x, rates, multipliers, p, r, formulation=formulation, workers=workers, wrt=wrt
-        )
+        return residual(self, t, x, rates, multipliers, p, r, formulation=formulation, workers=workers, wrt=wrt)
 
     def residual_sparsity(self, formulation: str = "index-3") -> dict[str, NDArray[np.bool_]]:
         """Which entries of the Jacobians of `residual_batch` may differ from 0.

@@ -17,6 +17,9 @@
 #include "fourbar_integrate.h"
 #include "fourbar_jumps.h"
 
+/* Blocks are so wide if that is enough. */
+enum { FB_FEW_DIRECTIONS = 4 };
+
 typedef struct fb_forward {
     const fb_derivatives *derivatives;
     const fb_variations *variations;

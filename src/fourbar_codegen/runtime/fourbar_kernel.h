@@ -23,9 +23,8 @@
 #define FB_PART
 #endif
 
-/* The most directions that variations take at once, the columns of their arguments and results, which are stored row by
- * row; and as many as runs give them if these are enough. */
-enum { FB_DIRECTIONS = 8, FB_FEW_DIRECTIONS = 4 };
+/* The most directions that variations take at once: the columns of their arguments and results, stored row by row. */
+enum { FB_DIRECTIONS = 8 };
 
 /* The instruction set that a kernel was compiled for, beyond the baseline of its architecture. */
 enum FB_INSTRUCTION_SET { FB_BASELINE = 0, FB_AVX2 = 1, FB_AVX512 = 2 };

@@ -17,6 +17,7 @@
 #define FOURBAR_RECURSIVE_H
 
 #include "fourbar_array.h"
+#include "fourbar_columns.h"
 #include "fourbar_kernel.h"
 
 #define fb_factors fb_dense_factors
@@ -78,8 +79,7 @@ static FB_CALLED void fb_form_mass(const double *restrict constants, const doubl
         for (int lane = 0; lane < count; ++lane)
             fb_lane(speeds[begin + lane], lane) = 1.0;
         mass_product(constants, mass, speeds, product);
-        for (int j = 0; j < N_U; ++j)
-            fb_store_some(product[j], count, mass_matrix + j * N_U + begin);
+        fb_store_columns(product, N_U, N_U, begin, mass_matrix);
     }
 }
 
@@ -195,21 +195,13 @@ static FB_CALLED void fb_solve_columns(const double *restrict sides, const int n
                                        double *restrict accelerations)
 {
     for (int begin = 0; begin < n; begin += FB_MANY) {
-        const int count = n - begin < FB_MANY ? n - begin : FB_MANY, is_full = count == FB_MANY;
         fb_many side[N_U + N_C], solution[N_U];
-        for (int i = 0; i < N_U + N_C; ++i) {
-            const double *const from = sides + i * n + begin;
-            side[i] = is_full ? fb_load_many(from) : fb_load_some(from, count);
-        }
+        fb_load_columns(sides, N_U + N_C, n, begin, side);
         mass_solve_many(s->constants, s->mass + N_U, side, solution);
         for (int i = N_U; i < N_U + N_C; ++i)
             side[i] = -side[i];
         fb_constrain_many(side + N_U, s, solution);
-        for (int i = 0; i < N_U; ++i)
-            if (is_full)
-                fb_store_many(solution[i], accelerations + i * n + begin);
-            else
-                fb_store_some(solution[i], count, accelerations + i * n + begin);
+        fb_store_columns(solution, N_U, n, begin, accelerations);
     }
 }
 

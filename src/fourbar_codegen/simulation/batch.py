@@ -14,7 +14,7 @@ from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.runtime.batch import Batch, Jacobians
 
-__all__ = ["BLOCK", "differentiate", "evaluate", "n_workers", "residual", "residual_jacobians", "residual_sparsity"]
+__all__ = ["BLOCK", "differentiate", "evaluate", "n_workers", "residual", "residual_sparsity"]
 
 Floats = NDArray[np.float64]
 
@@ -79,53 +79,19 @@ def residual(
     *,
     formulation: str,
     workers: int | None,
-) -> Floats:
-    """The residual of the equations of motion at many states; see `CompiledModel.residual_batch`."""
-    return _residual(model, t, x, rates, multipliers, p, r, formulation, workers, ())[0]
-
-
-def residual_jacobians(
-    model: Kernel,
-    t: ArrayLike,
-    x: ArrayLike,
-    rates: ArrayLike,
-    multipliers: ArrayLike | None,
-    p: Values | None,
-    r: Values | None,
-    *,
-    formulation: str,
-    workers: int | None,
-    wrt: Sequence[str],
+    wrt: str | Sequence[str] | None = None,
 ) -> dict[str, Floats]:
-    """The residual's Jacobians at many states, by name; see `CompiledModel.residual_jacobian_batch`."""
-    names = (wrt,) if isinstance(wrt, str) else tuple(wrt)
+    """The "residual" of the equations of motion at many states, or its Jacobians by the names of `wrt`.
+
+    See `CompiledModel.residual_batch` and `CompiledModel.residual_jacobian_batch`.
+    """
+    names = (wrt,) if isinstance(wrt, str) else () if wrt is None else tuple(wrt)
     for name in names:
         one_of(name, ("x", "rates", "multipliers", "p", "r"), "wrt")
-    together = [*dict.fromkeys("y" if name in ("x", "multipliers") else name for name in names)]
-    if not together:
+    if wrt is not None and not names:
         raise ModelError("wrt names nothing to differentiate by.")
-    found = _residual(model, t, x, rates, multipliers, p, r, formulation, workers, together)
-    by = dict(zip(together, found, strict=True))
-    if "y" in by:
-        by |= {"x": by["y"][:, : model.n_x], "multipliers": by["y"][:, model.n_x :]}
-    if "rates" in by:
-        by["rates"] = by["rates"][:, : model.n_x]
-    return {name: by[name] for name in names}
-
-
-def _residual(
-    model: Kernel,
-    t: ArrayLike,
-    x: ArrayLike,
-    rates: ArrayLike,
-    multipliers: ArrayLike | None,
-    p: Values | None,
-    r: Values | None,
-    formulation: str,
-    workers: int | None,
-    wrt: Sequence[str],
-) -> list[Floats]:
-    """The residual, or its Jacobians by "y" for (x, multipliers), "rates", "p" and "r", of shape (n_x + n_l, m, n)."""
+    # Those by x and the multipliers are found together.
+    together = [*dict.fromkeys("y" if name in ("x", "multipliers") else name for name in names)]
     times, states, parameters, inputs = _arguments(model, t, x, p, r)
     n = states.shape[1]
     one_of(formulation, ("index-1", "index-3"), "formulation")
@@ -142,9 +108,17 @@ def _residual(
             raise ModelError(f"The {what} must have shape ({rows}, {n}), like {n} states, not {array.shape}.")
         arrays.append(array)
     batch = Jacobians(model, times, states, parameters, inputs, np.array(model.defaults_in_force(r), dtype=bool))
-    batch.form(arrays[0], arrays[1], formulation, wrt)
+    batch.form(arrays[0], arrays[1], formulation, together)
     _in_threads(batch, n, workers)
-    return [np.moveaxis(result, 0, -1) for result in batch.results]
+    results = [np.moveaxis(result, 0, -1) for result in batch.results]
+    if wrt is None:
+        return {"residual": results[0]}
+    by = dict(zip(together, results, strict=True))
+    if "y" in by:
+        by |= {"x": by["y"][:, : model.n_x], "multipliers": by["y"][:, model.n_x :]}
+    if "rates" in by:
+        by["rates"] = by["rates"][:, : model.n_x]
+    return {name: by[name] for name in names}
 
 
 def residual_sparsity(model: Kernel, formulation: str) -> dict[str, NDArray[np.bool_]]:

@@ -3,20 +3,30 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fourbar_codegen.analysis.initial_state import nearby_state
 from fourbar_codegen.arguments import is_integer, is_mapping, name_of, named, numbers, one_of, positive
 from fourbar_codegen.compiled import CompiledModel
 from fourbar_codegen.errors import AssemblyError, ModelError, SimulationError, meant, shown
 from fourbar_codegen.kernel.inputs import InputSource
-from fourbar_codegen.kernel.sensitivity import Directions, directions_of, follow, independent_states
+from fourbar_codegen.kernel.sensitivity import (
+    Directions,
+    directions_of,
+    follow,
+    independent_states,
+    require_fixed_breakpoints,
+)
 from fourbar_codegen.progress import PATIENCE, Progress
 from fourbar_codegen.results.trajectory import Trajectory
+from fourbar_codegen.simulation.options import RunOptions
+from fourbar_codegen.simulation.simulate import simulate
 from fourbar_codegen.tables import table
 
 if TYPE_CHECKING:
@@ -29,6 +39,9 @@ Floats = NDArray[np.float64]
 UNDETERMINED = 1e-10
 """Singular values of the scaled Jacobian below this fraction of the largest leave parameters undetermined."""
 
+
+QUICK = 0.1
+"""A fit that takes less, in s, reports no progress."""
 
 LOSSES = ("linear", "soft_l1", "huber", "cauchy", "arctan")
 
@@ -206,6 +219,7 @@ def fit(
     experiments = _experiments(data)
     problem = _Problem.of(model, experiments, parameters, outputs, sigma, method, rtol, atol, constraints)
     low, high = _bounds(problem, bounds)
+    begin = time.monotonic()
     first = problem.simulated(problem.guess)
     if problem.failure:
         raise SimulationError(f"The first guess cannot be simulated: {problem.failure}")
@@ -215,7 +229,8 @@ def fit(
 
         def residual(unknowns: Floats) -> Floats:
             found = problem.simulated(unknowns)[0]
-            progress.stage(f"sum of squares {found @ found:.6g}")
+            if time.monotonic() - begin > QUICK:
+                progress.stage(f"sum of squares {found @ found:.6g}")
             return found
 
         found = least_squares(
@@ -287,12 +302,15 @@ class _Problem:
     guess: Floats
     own: tuple[str, ...]
     """The names of the unknowns of one experiment: parameters, then initial values."""
+    places: list[int]
+    """Theirs among states and parameters."""
     n_parameters: int
     directions: Directions
     how: dict[str, Any]
+    options: list[RunOptions | None]
+    """Those of the last run of each experiment, which have been checked."""
     runs: tuple[Trajectory, ...] = ()
     last: tuple[Floats, Floats, Floats] | None = None
-    starts: list[Floats | None] = field(default_factory=list)
     failure: str = ""
     n_runs: int = 0
 
@@ -346,7 +364,6 @@ class _Problem:
             "rtol": positive(rtol, "rtol"),
             "atol": positive(atol, "atol"),
             "constraints": constraints,
-            "progress": False,
         }
         return cls(
             model,
@@ -357,10 +374,11 @@ class _Problem:
             all_names,
             np.array(values),
             (*parameters, *initial),
+            [(*model.states, *model.parameters).index(name) for name in (*parameters, *initial)],
             len(parameters),
             directions_of(model, (*parameters, *initial)),
             how,
-            starts=[None] * n,
+            [None] * n,
         )
 
     def simulated(self, unknowns: Floats) -> tuple[Floats, Floats]:
@@ -376,7 +394,7 @@ class _Problem:
             n = sum(map(len, self.measured[i].values()))
             found, part = np.full(n, math.nan), np.full((n, len(own)), math.nan)
             try:
-                run = self._run(i, dict(zip(self.own, unknowns[own].tolist(), strict=True)))
+                run = self._run(i, unknowns[own])
             except (AssemblyError, SimulationError) as error:
                 self.failure = self.failure or str(error)
             else:
@@ -393,46 +411,66 @@ class _Problem:
         self.last = unknowns.copy(), np.concatenate(residuals), np.vstack(rows)
         return self.last[1:]
 
-    def _run(self, i: int, values: dict[str, float]) -> Trajectory:
+    def _run(self, i: int, values: Floats) -> Trajectory:
+        """A run of an experiment, from the state that follows from values of its unknowns."""
+        model = self.model
+        self.n_runs += 1
+        last = self.options[i]
+        options = self._first(i, values) if last is None else self._next(last, values)
+        self.options[i] = options
+        assert options.x0 is not None
+        matrix = follow(model, options.t_span[0], options.x0, self.directions, options.parameters, options.inputs)
+        return simulate(model, options, replace(self.directions, matrix=matrix))
+
+    def _first(self, i: int, values: Floats) -> RunOptions:
+        """The options of the first run of an experiment."""
         model, experiment, times = self.model, self.experiments[i], self.times[i]
         start = float(times[0] if experiment.start is None else experiment.start)
-        p = model.parameter_vector(
-            {
-                **{name_of(key): value for key, value in experiment.parameters.items()},
-                **{name: value for name, value in values.items() if name in model.parameters},
-            }
-        )
-        q_i, u_i, z = independent_states(model)
-        initial: list[dict[str, float]] = []
-        for names, given in (
-            (q_i, experiment.coordinates),
-            (u_i, experiment.speeds),
-            (z, experiment.auxiliary_states),
-        ):
-            known = {name_of(key): value for key, value in given.items()}
-            initial.append(known | {name: values[name] for name in names if name in values})
-        self.n_runs += 1
+        own = dict(zip(self.own, values.tolist(), strict=True))
+        known = {name_of(key): value for key, value in experiment.parameters.items()}
+        p = model.parameter_vector(known | {name: own[name] for name in self.own[: self.n_parameters]})
+        require_fixed_breakpoints(model, p, self.own[: self.n_parameters])
+        initial = [
+            {name_of(key): value for key, value in given.items()} | {name: own[name] for name in names if name in own}
+            for names, given in zip(
+                independent_states(model),
+                (experiment.coordinates, experiment.speeds, experiment.auxiliary_states),
+                strict=True,
+            )
+        ]
+        coordinates, speeds, auxiliary_states = (given or None for given in initial)
         x0 = model.initial_state(
-            initial[0] or None,
-            initial[1] or None,
-            auxiliary_states=initial[2] or None,
+            coordinates,
+            speeds,
+            auxiliary_states=auxiliary_states,
             t=start,
-            guess=self.starts[i],
             parameters=p,
             inputs=experiment.inputs,
         )
-        self.starts[i] = x0[len(q_i) : model.n_q] if model.n_q > len(q_i) else None
-        matrix = follow(model, start, x0, self.directions, p, experiment.inputs)
-        return model.simulate(
-            (start, float(times[-1])),
-            x0,
+        return RunOptions.of(
+            model,
+            t_span=(start, float(times[-1])),
+            x0=x0,
             parameters=p,
             inputs=experiment.inputs,
             t_eval=times,
+            max_step=math.inf,
+            max_steps="auto",
+            progress=False,
             sensitivities=self.own,
-            dx0=dict(zip(self.own, matrix[: model.n_x].T, strict=True)),
             **self.how,
         )
+
+    def _next(self, last: RunOptions, values: Floats) -> RunOptions:
+        """The options of the next run, with loops closed near the state from which the last one started."""
+        model, n_x = self.model, self.model.n_x
+        assert last.x0 is not None
+        assert last.parameters is not None
+        known = np.concatenate((last.x0, last.parameters))
+        known[self.places] = values
+        p = known[n_x:]
+        x0 = nearby_state(model, known[:n_x], t=last.t_span[0], parameters=p, inputs=last.inputs)
+        return last._replace(x0=x0, parameters=p)
 
     def _compared(self, i: int, run: Trajectory) -> tuple[Floats, Floats]:
         model, residuals, rows = self.model, [], []

@@ -23,7 +23,7 @@ from fourbar_codegen.runtime.evaluator import numbers
 if TYPE_CHECKING:
     from fourbar_codegen.analysis.assembly_modes import AssemblyModes
 
-__all__ = ["initial_state", "initial_states"]
+__all__ = ["initial_state", "initial_states", "nearby_state"]
 
 Floats = NDArray[np.float64]
 
@@ -63,8 +63,31 @@ def initial_state(
     if coordinates is not None:
         _warn_of_degrees(model, loops.q_i)
     limits = _limits(bounds, model.coordinates[len(loops.q_i) :])
-    q = loops.coordinates(_close(loops, start, guess is not None, limits) if model.n_h else start)
-    return np.concatenate((q, _dependent_speeds(loops, q, u_i), _auxiliary_values(model, auxiliary_states)))
+    return _state(loops, start, guess is not None, limits, u_i, _auxiliary_values(model, auxiliary_states))
+
+
+def nearby_state(
+    model: Kernel, x: Floats, *, t: float, parameters: Floats, inputs: Mapping[Any, InputSource] | None
+) -> Floats:
+    """A state that satisfies all constraints, with the independent values of x, and its dependent coordinates as guess.
+
+    Raises
+    ------
+    AssemblyError
+        As `initial_state`.
+    """
+    n_qi = model.n_q - model.manifest["n_dependent_coordinates"]
+    n_ui = model.n_u - model.manifest["n_dependent_speeds"]
+    q, u, z = x[: model.n_q], x[model.n_q : model.n_q + model.n_u], x[model.n_q + model.n_u :]
+    loops = Loops(model, t, q[:n_qi], parameters, inputs_at(model, t, parameters, inputs))
+    return _state(loops, q[n_qi:], True, None, u[:n_ui], z)
+
+
+def _state(
+    loops: Loops, guess: Floats, is_given: bool, limits: tuple[Floats, Floats] | None, u_i: Floats, z: Floats
+) -> Floats:
+    q = loops.coordinates(_close(loops, guess, is_given, limits) if loops.model.n_h else guess)
+    return np.concatenate((q, _dependent_speeds(loops, q, u_i), z))
 
 
 def initial_states(

@@ -22,6 +22,7 @@ __all__ = [
     "independent_states",
     "initial_derivatives",
     "moving_breakpoints",
+    "require_fixed_breakpoints",
 ]
 
 Floats = NDArray[np.float64]
@@ -226,6 +227,15 @@ def moving_breakpoints(model: Kernel, parameters: Floats | None, names: Sequence
         if not np.array_equal(before, model.breakpoints(changed), equal_nan=True):
             found.append(name)
     return found
+
+
+def require_fixed_breakpoints(model: Kernel, parameters: Floats | None, names: Sequence[str]) -> None:
+    """Raise a ModelError if times of jumps and kinks depend on one of these parameters."""
+    for name in moving_breakpoints(model, parameters, names):
+        raise ModelError(
+            f"Expressions of the model have a jump or a kink at times that depend on {name}: there are no "
+            "sensitivities with respect to it."
+        )
 
 
 def independent_states(model: Kernel) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:

@@ -16,7 +16,7 @@ from fourbar_codegen.errors import ModelError, ModelWarning
 from fourbar_codegen.kernel.consistency import check_start, consistent, projects
 from fourbar_codegen.kernel.inputs import InputSource, bind
 from fourbar_codegen.kernel.kernel import Kernel
-from fourbar_codegen.kernel.sensitivity import Directions, directions_of, follow, moving_breakpoints
+from fourbar_codegen.kernel.sensitivity import Directions, directions_of, follow, require_fixed_breakpoints
 from fourbar_codegen.progress import PATIENCE, Progress
 from fourbar_codegen.results.trajectory import Trajectory
 from fourbar_codegen.runtime.integrator import Stepper
@@ -29,8 +29,11 @@ __all__ = ["make_stepper", "simulate"]
 Floats = NDArray[np.float64]
 
 
-def simulate(model: Kernel, options: RunOptions) -> Trajectory:
-    """Integrate the equations of motion; see `CompiledModel.simulate`."""
+def simulate(model: Kernel, options: RunOptions, directions: Directions | None = None) -> Trajectory:
+    """Integrate the equations of motion; see `CompiledModel.simulate`.
+
+    Directions are those of the sensitivities at the beginning, if they are known.
+    """
     if options.method == FIXED_STEP and model.n_l > model.n_c:
         names = ", ".join(model.outputs[: model.n_l - model.n_c])
         raise ModelError(
@@ -44,7 +47,8 @@ def simulate(model: Kernel, options: RunOptions) -> Trajectory:
     check_start(model, ode, start, state, p, passes=options.method == FIXED_STEP)
     if options.sensitivities or options.gradient:
         _check_differentiable(model, options)
-    directions = _directions(model, options, state) if options.sensitivities else None
+    if options.sensitivities and directions is None:
+        directions = _directions(model, options, state)
     if report is not None:
         return integrate(model, ode, state, options, report or None, directions)
     with Progress(model.name, unwatched=PATIENCE) as progress:
@@ -74,11 +78,7 @@ def _check_differentiable(model: Kernel, options: RunOptions) -> None:
 def _directions(model: Kernel, options: RunOptions, state: Floats) -> Directions:
     """The directions of sensitivities at the beginning."""
     found = directions_of(model, options.sensitivities, options.inputs)
-    for name in moving_breakpoints(model, options.parameters, [n for n in found.names if n in model.parameters]):
-        raise ModelError(
-            f"Expressions of the model have a jump or a kink at times that depend on {name}: there are no "
-            "sensitivities with respect to it."
-        )
+    require_fixed_breakpoints(model, options.parameters, [n for n in found.names if n in model.parameters])
     # Parameters and inputs do not move a given initial state, except onto the constraints.
     held = np.zeros(found.matrix.shape[1], dtype=bool)
     if options.x0 is not None:

@@ -14,14 +14,15 @@ from test_unknown_forces import MU, model_of, rod
 
 import fourbar_codegen as fb
 
-# All functions of a kernel, a projected run by each method with interpolated samples, and its derivatives forwards and
-# backwards, Jacobians at several states, steps of one length, the
-# equations for implicit solvers, and, side by side on three threads, more states than there are lanes, more runs, with
-# samples, a table and an input held, and none at all.
+# All functions of a kernel, what follows from independent values, a projected run by each method with interpolated
+# samples, and its derivatives forwards and backwards, Jacobians at several states, steps of one length, the equations
+# for implicit solvers, and, side by side on three threads, more states than there are lanes, more runs, with samples, a
+# table and an input held, and none at all.
 PROGRAM = """
 #include "fourbar_adjoint.h"
 #include "fourbar_augmented.h"
 #include "fourbar_batch.h"
+#include "fourbar_follow.h"
 #include "fourbar_forward.h"
 #include "fourbar_implicit.h"
 #include "fourbar_integrate.h"
@@ -95,8 +96,11 @@ static double evaluate(const fb_kernel *k, const double *p)
     double *weights = doubles(n_x + k->n_l), *gradient = doubles(n_x + k->n_p + k->n_r);
     for (int n = 1; n <= FB_DIRECTIONS; ++n) {
         double *directions = doubles((n_x + k->n_p + k->n_r) * n), *varied = doubles(n_x * n);
-        k->vary(d, k->variations, 0.5, x, c, r, n, directions, varied, work);
-        k->vary_closed(d, k->variations, 0.5, x, c, r, n, directions, work);
+        k->vary(d, k->variations, 0.5, x, c, r, NULL, n, directions, varied, work);
+        k->rhs(0.5, x, c, r, rates, work);
+        k->vary(d, k->variations, 0.5, x, c, r, rates + k->n_q, n, directions, varied, work);
+        k->vary_closed(d, k->variations, 0.5, x, c, r, 1, n, directions, work);
+        k->vary_closed(d, k->variations, 0.5, x, c, r, 0, n, directions, work);
         sum += varied[0] + directions[0];
         free(directions), free(varied);
     }
@@ -104,6 +108,11 @@ static double evaluate(const fb_kernel *k, const double *p)
     k->pull_back_closed(d, k->variations, 0.5, x, c, r, gradient, work);
     sum += gradient[0];
     free(weights), free(gradient);
+    fb_follow follow = {.n_qd = k->n_q > 1, .n_ud = k->n_u > 1, .n = FB_DIRECTIONS};
+    double *const memory = doubles((int)fb_place_follow(k, &follow, NULL));
+    fb_place_follow(k, &follow, memory);
+    sum += fb_follow_at(k, k->variations, 0.5, x, c, r, &follow) + follow.corrections[0] + follow.directions[0];
+    free(memory);
     k->orientation_changed(work);
     k->project(0.5, x, c, r, 0, work);
     sum += rates[0] + e[0];

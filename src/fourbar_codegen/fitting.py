@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +18,7 @@ from fourbar_codegen.errors import AssemblyError, ModelError, SimulationError, m
 from fourbar_codegen.kernel.inputs import InputSource
 from fourbar_codegen.kernel.sensitivity import (
     Directions,
+    corrected,
     directions_of,
     follow,
     independent_states,
@@ -289,6 +290,13 @@ def _experiments(data: Any) -> tuple[Experiment, ...]:
     )
 
 
+class _Start(NamedTuple):
+    """The options of a run, and the derivatives of its initial state and parameters, shape (n_x + n_p, n)."""
+
+    options: RunOptions
+    matrix: Floats
+
+
 @dataclass
 class _Problem:
     """The residuals as a function of the unknowns, with the runs of the last call."""
@@ -307,8 +315,8 @@ class _Problem:
     n_parameters: int
     directions: Directions
     how: dict[str, Any]
-    options: list[RunOptions | None]
-    """Those of the last run of each experiment, which have been checked."""
+    starts: list[_Start | None]
+    """Those of the last run of each experiment."""
     runs: tuple[Trajectory, ...] = ()
     last: tuple[Floats, Floats, Floats] | None = None
     failure: str = ""
@@ -413,17 +421,13 @@ class _Problem:
 
     def _run(self, i: int, values: Floats) -> Trajectory:
         """A run of an experiment, from the state that follows from values of its unknowns."""
-        model = self.model
         self.n_runs += 1
-        last = self.options[i]
-        options = self._first(i, values) if last is None else self._next(last, values)
-        self.options[i] = options
-        assert options.x0 is not None
-        matrix = follow(model, options.t_span[0], options.x0, self.directions, options.parameters, options.inputs)
-        return simulate(model, options, replace(self.directions, matrix=matrix))
+        start = self.starts[i]
+        start = self.starts[i] = self._first(i, values) if start is None else self._next(start, values)
+        return simulate(self.model, start.options, replace(self.directions, matrix=start.matrix))
 
-    def _first(self, i: int, values: Floats) -> RunOptions:
-        """The options of the first run of an experiment."""
+    def _first(self, i: int, values: Floats) -> _Start:
+        """The start of the first run of an experiment, whose arguments are checked."""
         model, experiment, times = self.model, self.experiments[i], self.times[i]
         start = float(times[0] if experiment.start is None else experiment.start)
         own = dict(zip(self.own, values.tolist(), strict=True))
@@ -447,7 +451,7 @@ class _Problem:
             parameters=p,
             inputs=experiment.inputs,
         )
-        return RunOptions.of(
+        options = RunOptions.of(
             model,
             t_span=(start, float(times[-1])),
             x0=x0,
@@ -460,17 +464,22 @@ class _Problem:
             sensitivities=self.own,
             **self.how,
         )
+        return _Start(options, follow(model, start, x0, self.directions, p, options.inputs))
 
-    def _next(self, last: RunOptions, values: Floats) -> RunOptions:
-        """The options of the next run, with loops closed near the state from which the last one started."""
-        model, n_x = self.model, self.model.n_x
-        assert last.x0 is not None
-        assert last.parameters is not None
-        known = np.concatenate((last.x0, last.parameters))
-        known[self.places] = values
-        p = known[n_x:]
-        x0 = nearby_state(model, known[:n_x], t=last.t_span[0], parameters=p, inputs=last.inputs)
-        return last._replace(x0=x0, parameters=p)
+    def _next(self, last: _Start, values: Floats) -> _Start:
+        """The start of the next run: the state is predicted by the derivatives of the last one."""
+        model, options, n_x = self.model, last.options, self.model.n_x
+        assert options.x0 is not None
+        assert options.parameters is not None
+        held = np.concatenate((options.x0, options.parameters))
+        predicted = held + last.matrix @ (values - held[self.places])
+        held[self.places] = predicted[self.places] = values
+        p, t, inputs = held[n_x:], options.t_span[0], options.inputs
+        found = corrected(model, t, predicted[:n_x], self.directions, p, inputs)
+        if found is None:
+            x0 = nearby_state(model, held[:n_x], t=t, parameters=p, inputs=inputs)
+            found = x0, follow(model, t, x0, self.directions, p, inputs)
+        return _Start(options._replace(x0=found[0], parameters=p), found[1])
 
     def _compared(self, i: int, run: Trajectory) -> tuple[Floats, Floats]:
         model, residuals, rows = self.model, [], []

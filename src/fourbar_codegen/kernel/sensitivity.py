@@ -16,6 +16,7 @@ from fourbar_codegen.kernel.kernel import Kernel
 
 __all__ = [
     "Directions",
+    "corrected",
     "differentiable",
     "directions_of",
     "follow",
@@ -27,8 +28,15 @@ __all__ = [
 
 Floats = NDArray[np.float64]
 
-SINGULAR = 1e-9
-"""Singular values of the constraints' derivatives below this fraction of the largest one count as zero."""
+CORRECTIONS = 6
+"""Steps of Newton's method from a predicted state."""
+
+CORRECTED = 1e-10
+"""A step that changes no value by more than this, relative to 1 or the largest value, is the last one: the next one
+would change it by the square of this."""
+
+REGULAR = 1e-3
+"""Pivots of the constraints' derivatives, relative to the largest, below which a singular position may be nearby."""
 
 
 @dataclass(frozen=True)
@@ -156,38 +164,66 @@ def follow(
     AssemblyError
         If the dependent values cannot be differentiated, at a singular position.
     """
-    n_q, n_u = model.n_q, model.n_u
-    n_qd, n_ud = model.manifest["n_dependent_coordinates"], model.manifest["n_dependent_speeds"]
-    found = directions.matrix.copy()
-    if not n_qd + n_ud:
-        return found
+    if not _n_dependent(model):
+        return directions.matrix.copy()
     p = model.parameter_vector(parameters)
-    of_inputs = directions.of_inputs(model, np.array([t]), p, inputs or {})[..., 0]
-    every = np.zeros((len(found) + model.n_r, n_qd + n_ud + found.shape[1]))
-    every[n_q - n_qd : n_q, :n_qd], every[n_q + n_u - n_ud : n_q + n_u, n_qd : n_qd + n_ud] = np.eye(n_qd), np.eye(n_ud)
-    every[: len(found), n_qd + n_ud :], every[len(found) :, n_qd + n_ud :] = found, of_inputs
-    positions, velocities = model.constraint_variation(t, x, every, p, inputs_at(model, t, p, inputs))
-    if n_qd:
-        changes = _dependent(positions[:, :n_qd], positions[:, n_qd + n_ud :], "coordinates")
-        found[n_q - n_qd : n_q] = changes
-        velocities[:, n_qd + n_ud :] += velocities[:, :n_qd] @ changes
-    if n_ud:
-        by_dependent, by_others = velocities[:, n_qd : n_qd + n_ud], velocities[:, n_qd + n_ud :]
-        found[n_q + n_u - n_ud : n_q + n_u] = _dependent(by_dependent, by_others, "speeds")
+    missing, found, _, _ = _followed(model, t, x, directions, p, inputs)
+    if missing:
+        raise AssemblyError(
+            f"The dependent {missing} have no derivative at the initial state, which is a singular position: start "
+            "from another one, or choose other independent values."
+        )
     return found
 
 
-def _dependent(by_dependent: Floats, by_others: Floats, kind: str) -> Floats:
-    """The changes of dependent values that keep linearized constraints, of which some may be redundant."""
-    size = np.maximum(np.abs(by_dependent).max(axis=1), np.abs(by_others).max(axis=1, initial=0.0))
-    size = np.where(size > 0.0, size, 1.0)[:, np.newaxis]
-    changes, _, rank, _ = np.linalg.lstsq(by_dependent / size, -by_others / size, rcond=SINGULAR)
-    if rank < by_dependent.shape[1]:
-        raise AssemblyError(
-            f"The dependent {kind} have no derivative at the initial state, which is a singular position: start from "
-            "another one, or choose other independent values."
-        )
-    return np.asarray(changes, dtype=float)
+def corrected(
+    model: Kernel,
+    t: float,
+    x: Floats,
+    directions: Directions,
+    parameters: Floats,
+    inputs: Mapping[Any, InputSource] | None,
+) -> tuple[Floats, Floats] | None:
+    """A state near a predicted one that satisfies the constraints, and what `follow` finds there.
+
+    By Newton's method for the dependent values, whose matrices are those of `follow`.
+
+    Returns
+    -------
+    tuple of ndarray, shapes (n_x,) and (n_x + n_p, n), or None
+        None unless it converges quadratically, away from singular positions.
+    """
+    size = np.inf
+    for _ in range(CORRECTIONS):
+        missing, found, change, pivot = _followed(model, t, x, directions, parameters, inputs)
+        last, size = size, np.abs(change).max(initial=0.0)
+        if missing or pivot < REGULAR or not size <= 0.5 * last:
+            return None
+        x = x + change
+        if size <= CORRECTED * (1.0 + np.abs(x).max(initial=0.0)):
+            return x, found
+    return None
+
+
+def _n_dependent(model: Kernel) -> int:
+    return int(model.manifest["n_dependent_coordinates"] + model.manifest["n_dependent_speeds"])
+
+
+def _followed(
+    model: Kernel,
+    t: float,
+    x: Floats,
+    directions: Directions,
+    p: Floats | None,
+    inputs: Mapping[Any, InputSource] | None,
+) -> tuple[str, Floats, Floats, float]:
+    """As `Evaluator.follow`, without rows of the inputs."""
+    manifest, n = model.manifest, len(directions.matrix)
+    of_inputs = directions.of_inputs(model, np.array([t]), p, inputs or {})[..., 0]
+    given, r = np.concatenate((directions.matrix, of_inputs)), inputs_at(model, t, p, inputs)
+    n_qd, n_ud = manifest["n_dependent_coordinates"], manifest["n_dependent_speeds"]
+    missing, found, change, pivot = model.follow(t, x, given, n_qd, n_ud, p, r)
+    return missing, found[:n], change, pivot
 
 
 def initial_derivatives(

@@ -67,9 +67,9 @@ cdef extern from "fourbar_kernel.h":
         int (*differentiate)(const fb_derivatives *, fb_sensitivity *, int, double, const double *, const double *,
                              const double *, double *, double *, void *) noexcept nogil
         int (*vary)(const fb_derivatives *, const fb_variations *, double, const double *, const double *,
-                    const double *, int, const double *, double *, void *) noexcept nogil
+                    const double *, const double *, int, const double *, double *, void *) noexcept nogil
         int (*vary_closed)(const fb_derivatives *, const fb_variations *, double, const double *, const double *,
-                           const double *, int, double *, void *) noexcept nogil
+                           const double *, int, int, double *, void *) noexcept nogil
         int (*pull_back)(const fb_derivatives *, const fb_variations *, double, const double *, const double *,
                          const double *, const double *, double *, void *) noexcept nogil
         int (*pull_back_closed)(const fb_derivatives *, const fb_variations *, double, const double *, const double *,

@@ -127,6 +127,16 @@ class Evaluator:
     def constraint_variation(
         self, t: float, x: ArrayLike, directions: Floats, p: Values | None = None, r: Values | None = None
     ) -> tuple[Floats, Floats]: ...
+    def follow(
+        self,
+        t: float,
+        x: Floats,
+        directions: Floats,
+        n_qd: int,
+        n_ud: int,
+        p: Values | None = None,
+        r: Values | None = None,
+    ) -> tuple[str, Floats, Floats, float]: ...
     def drawing(
         self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None
     ) -> tuple[Floats, Floats]: ...

@@ -15,8 +15,23 @@ from fourbar_codegen.errors import ModelError, SimulationError, shown
 
 cnp.import_array()
 
+cdef extern from "fourbar_follow.h":
+    int FB_FOLLOWS
+    int FB_COORDINATES_DO_NOT
+    int FB_SPEEDS_DO_NOT
+    ctypedef struct fb_follow:
+        int n_qd, n_ud, n
+        double *directions
+        double *corrections
+        double pivot
+    size_t fb_place_follow(const fb_kernel *, fb_follow *, double *) noexcept nogil
+    int fb_follow_at(const fb_kernel *, const fb_variations *, double, const double *, const double *, const double *,
+                     fb_follow *) noexcept nogil
+
 cdef extern from "fourbar_batch.h":
     int fb_batch_functions_agree(const fb_batch_functions *) noexcept nogil
+
+_FOLLOWS = {FB_FOLLOWS: "", FB_COORDINATES_DO_NOT: "coordinates", FB_SPEEDS_DO_NOT: "speeds"}
 
 OK, NOT_CLOSED, NOT_FINITE = FB_OK, FB_NOT_CLOSED, FB_NOT_FINITE
 
@@ -816,7 +831,7 @@ cdef class Evaluator:
         for i in range(0, n, FB_DIRECTIONS):
             block, rates = blocks[i // FB_DIRECTIONS], new_array(self.n_x, FB_DIRECTIONS)
             block[self.n_x + self.n_p:, :n - i] += filled_in[2][:, i:i + FB_DIRECTIONS]
-            status = self.kernel.vary(derivatives, variations, t, data(state), constants, filled, FB_DIRECTIONS,
+            status = self.kernel.vary(derivatives, variations, t, data(state), constants, filled, NULL, FB_DIRECTIONS,
                                       data(block), data(rates), self.work)
             if status != FB_OK:
                 raise SimulationError(self.failure(status, t, x))
@@ -1075,6 +1090,51 @@ cdef class Evaluator:
             positions[:, i:i + FB_DIRECTIONS] = position[:, :n - i]
             velocities[:, i:i + FB_DIRECTIONS] = velocity[:, :n - i]
         return positions, velocities
+
+    def follow(self, t, x, directions, int n_qd, int n_ud, p=None, r=None):
+        """How dependent coordinates and speeds follow, see ``fourbar_follow.h``.
+
+        Parameters
+        ----------
+        t : float
+        x : ndarray, shape (n_x,)
+        directions : ndarray, shape (n_x + n_p + n_r, n)
+            Of (x, p, r).
+        n_qd, n_ud : int
+            The numbers of dependent coordinates and speeds, which are the last ones.
+
+        Returns
+        -------
+        str
+            What does not follow, "coordinates" or "speeds", or "".
+        ndarray, shape (n_x + n_p + n_r, n)
+            The directions with dependent rows filled.
+        ndarray, shape (n_x,)
+            The change of x by a step of Newton's method.
+        float
+            The least pivot, as a fraction of the largest.
+        """
+        t = time_of(t)
+        cdef cnp.ndarray parameters = self._parameters(p)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_motions)
+        cdef cnp.ndarray state = self._state(t, x, self.n_x), given = numbers(directions, "The directions")
+        cdef cnp.ndarray correction = np.zeros(self.n_x), followed = given.copy(), memory
+        cdef const fb_variations *variations = self.variations()
+        cdef const double *constants = self._prepare(parameters)
+        cdef fb_follow f
+        cdef int i, rows = self.n_x + self.n_p + self.n_r, n_d = n_qd + n_ud, found
+        f.n_qd, f.n_ud, f.n = n_qd, n_ud, cnp.PyArray_DIM(given, 1)
+        memory = new_array(fb_place_follow(self.kernel, &f, NULL))
+        fb_place_follow(self.kernel, &f, data(memory))
+        for i in range(rows):
+            memcpy(f.directions + i * (n_d + f.n) + n_d, data(given) + i * f.n, f.n * sizeof(double))
+        found = fb_follow_at(
+            self.kernel, variations, t, data(state), constants, self._fill(t, constants, inputs), &f)
+        for i in range(rows):
+            memcpy(data(followed) + i * f.n, f.directions + i * (n_d + f.n) + n_d, f.n * sizeof(double))
+        memcpy(data(correction) + self.n_q - n_qd, f.corrections, n_qd * sizeof(double))
+        memcpy(data(correction) + self.n_q + self.n_u - n_ud, f.corrections + n_qd, n_ud * sizeof(double))
+        return _FOLLOWS[found], followed, correction, f.pivot
 
     def constraint_pullback(self, t, x, weights, p=None, r=None):
         """The gradient by x, p and r, shape (n_x + n_p + n_r,), of weights times the constraint violations.

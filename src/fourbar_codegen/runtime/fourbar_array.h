@@ -16,6 +16,8 @@ enum { MAX_CORRECTIONS = 8, MAX_FACTORIZATIONS = 3 };
 #define FB_CLOSED 1e-14
 /* ... and the tolerance if rounding errors prevent further progress. */
 #define FB_NEARLY_CLOSED 1e-9
+/* Pivots below this fraction of the largest do not determine an unknown. */
+#define FB_DETERMINED 1e-10
 
 /* Not fmax, which is a library call since it has to skip NaN. */
 static inline double fb_max(double a, double b)
@@ -85,6 +87,55 @@ static inline int fb_eliminate_full(const int n, double *restrict a, double *res
         b[k] /= a[k * n + k];
     }
     return 1;
+}
+
+/* Gaussian elimination with complete pivoting of m rows and n columns with k right-hand sides. Stops after n pivots, or
+ * at one that is not above FB_DETERMINED, and returns their number; the last one is stored. The unknowns, of shape
+ * (n, k), solve the rows of the pivots; others are 0. */
+static inline int fb_eliminate_rows(const int m, const int n, const int k, double *restrict a, double *restrict b,
+                                    int *restrict order, double *restrict solution, double *last)
+{
+    for (int j = 0; j < n; ++j)
+        order[j] = j;
+    for (int j = 0; j < n * k; ++j)
+        solution[j] = 0.0;
+    int rank = 0;
+    *last = n > 0 ? 0.0 : 1.0;
+    for (int p = 0; p < n && p < m; ++p) {
+        int row = p, column = p;
+        for (int i = p; i < m; ++i)
+            for (int j = p; j < n; ++j)
+                if (fabs(a[i * n + j]) > fabs(a[row * n + column])) {
+                    row = i;
+                    column = j;
+                }
+        *last = fabs(a[row * n + column]);
+        if (!(*last > FB_DETERMINED))
+            break;
+        for (int j = 0; j < n && row != p; ++j)
+            fb_swap_double(a + p * n + j, a + row * n + j);
+        for (int j = 0; j < k && row != p; ++j)
+            fb_swap_double(b + p * k + j, b + row * k + j);
+        for (int i = 0; i < m && column != p; ++i)
+            fb_swap_double(a + i * n + p, a + i * n + column);
+        fb_swap_int(order + p, order + column);
+        for (int i = p + 1; i < m; ++i) {
+            const double factor = a[i * n + p] / a[p * n + p];
+            for (int j = p; j < n; ++j)
+                a[i * n + j] -= factor * a[p * n + j];
+            for (int j = 0; j < k; ++j)
+                b[i * k + j] -= factor * b[p * k + j];
+        }
+        rank = p + 1;
+    }
+    for (int p = rank - 1; p >= 0; --p)
+        for (int j = 0; j < k; ++j) {
+            double sum = b[p * k + j];
+            for (int i = p + 1; i < rank; ++i)
+                sum -= a[p * n + i] * solution[order[i] * k + j];
+            solution[order[p] * k + j] = sum / a[p * n + p];
+        }
+    return rank;
 }
 
 /* An array and its length. */

@@ -25,8 +25,6 @@ enum FB_CALL {
 #endif
 enum { FB_CLOSE_STEPS = 100, FB_CLOSE_HALVINGS = 20 };
 
-/* Pivots below this fraction of the largest do not determine an unknown. */
-#define FB_DETERMINED 1e-10
 /* A position is singular if the least pivot of J is below this fraction of its mean over a run: within a step after
  * which the orientation of the constraints is another one, and where a step fails. */
 #define FB_PASSED 1e-4
@@ -57,52 +55,6 @@ static inline void fb_balance(const int m, const int n, double *restrict a, doub
     }
 }
 
-/* Gaussian elimination with complete pivoting of m rows and n columns with a right-hand side. Stops after n pivots, or
- * at one that is not above FB_DETERMINED, and returns their number; the last one is stored. The unknowns solve the rows
- * of the pivots; others are 0. */
-static inline int fb_eliminate_rows(const int m, const int n, double *restrict a, double *restrict b,
-                                    int *restrict order, double *restrict solution, double *last)
-{
-    for (int j = 0; j < n; ++j) {
-        order[j] = j;
-        solution[j] = 0.0;
-    }
-    int rank = 0;
-    *last = n > 0 ? 0.0 : 1.0;
-    for (int k = 0; k < n && k < m; ++k) {
-        int row = k, column = k;
-        for (int i = k; i < m; ++i)
-            for (int j = k; j < n; ++j)
-                if (fabs(a[i * n + j]) > fabs(a[row * n + column])) {
-                    row = i;
-                    column = j;
-                }
-        *last = fabs(a[row * n + column]);
-        if (!(*last > FB_DETERMINED))
-            break;
-        for (int j = 0; j < n && row != k; ++j)
-            fb_swap_double(a + k * n + j, a + row * n + j);
-        fb_swap_double(b + k, b + row);
-        for (int i = 0; i < m && column != k; ++i)
-            fb_swap_double(a + i * n + k, a + i * n + column);
-        fb_swap_int(order + k, order + column);
-        for (int i = k + 1; i < m; ++i) {
-            const double factor = a[i * n + k] / a[k * n + k];
-            for (int j = k; j < n; ++j)
-                a[i * n + j] -= factor * a[k * n + j];
-            b[i] -= factor * b[k];
-        }
-        rank = k + 1;
-    }
-    for (int k = rank - 1; k >= 0; --k) {
-        double sum = b[k];
-        for (int j = k + 1; j < rank; ++j)
-            sum -= a[k * n + j] * solution[order[j]];
-        solution[order[k]] = sum / a[k * n + k];
-    }
-    return rank;
-}
-
 /* The least pivot of J, in the units of its rows and columns in a run: zero where it loses rank. */
 static double fb_least_pivot(const double t, const double *x, const double *constants, const double *r,
                              const fb_work *work)
@@ -122,7 +74,7 @@ static double fb_least_pivot(const double t, const double *x, const double *cons
         }
 #endif
     /* Pivots beyond the rank are rounding errors. */
-    return fb_eliminate_rows(N_C, N_U, jacobian, none, order, solution, &last) < N_RANK ? 0.0 : last;
+    return fb_eliminate_rows(N_C, N_U, 1, jacobian, none, order, solution, &last) < N_RANK ? 0.0 : last;
 }
 
 /* Violations of the position constraints, relative to their scales. */
@@ -152,7 +104,7 @@ static int fb_close(const double t, double *x, const double *constants, const do
             for (int j = 0; j < N_DQ; ++j)
                 matrix[row * N_DQ + j] = slopes[row * N_Q + N_Q - N_DQ + j];
         fb_balance(N_H, N_DQ, matrix, errors, unit);
-        fb_eliminate_rows(N_H, N_DQ, matrix, errors, order, change, &last);
+        fb_eliminate_rows(N_H, N_DQ, 1, matrix, errors, order, change, &last);
         memcpy(begin, x + N_Q - N_DQ, N_DQ * sizeof *begin);
         double length = 1.0;
         for (int halving = 0; halving <= FB_CLOSE_HALVINGS; ++halving) {
@@ -184,7 +136,7 @@ static int fb_close(const double t, double *x, const double *constants, const do
             of_speeds[i * N_DU + j] = jacobian[i * N_U + N_U - N_DU + j];
     }
     fb_balance(N_C, N_DU, of_speeds, bias, speed_unit);
-    if (fb_eliminate_rows(N_C, N_DU, of_speeds, bias, speed_order, speeds, &last) < N_DU)
+    if (fb_eliminate_rows(N_C, N_DU, 1, of_speeds, bias, speed_order, speeds, &last) < N_DU)
         return FB_CONSTRAINTS_DEPENDENT;
     for (int j = 0; j < N_DU; ++j)
         x[N_Q + N_U - N_DU + j] = -speeds[j] / speed_unit[j];

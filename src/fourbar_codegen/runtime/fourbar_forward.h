@@ -35,6 +35,7 @@ typedef struct fb_forward {
     double *s, *s_old, *scratch;  /* (size,) */
     double *stages, *interpolant; /* as in fb_run, with rows of `size` */
     double *samples;              /* (room, size) */
+    fb_kept kept[FB_MAX_STAGES];  /* those of fb_run */
     int fsal, interpolant_valid;
 } fb_forward;
 
@@ -117,25 +118,40 @@ static inline double *fb_forward_directions(fb_run *run, const int block, const 
     return directions;
 }
 
-/* f_x S + f_p P + f_r R at a state; NaN where the equations cannot be differentiated. */
-static inline int fb_forward_rates(fb_run *run, const double since, const double *x, const double *s, double *rates)
+/* A row of the derivatives' stages, f_x S + f_p P + f_r R at the state x of a row of the run's stages; NaN where the
+ * equations cannot be differentiated. `is_known`: the problem's inputs and workspace are those of that row. */
+static inline int fb_forward_rates(fb_run *run, const int row, const int is_known, const double since, const double *x,
+                                   const double *s)
 {
     fb_forward *const f = run->forward;
     fb_problem *const p = run->problem;
     const double t = fb_time(&p->clock, since);
-    const int called = fb_fill_inputs(p, t, x);
+    const double *const known = is_known ? run->stages + row * run->padded + p->kernel->n_q : NULL;
+    double *const rates = f->stages + row * f->size;
+    /* The intervals of tables are those of the last call. */
+    const int called = is_known && p->n_sources == 0 ? 0 : fb_fill_inputs(p, t, x);
     if (called < 0)
         return called;
     fb_forward_inputs(run, t);
     for (int block = 0; block < f->n_blocks; ++block) {
         const int n = p->kernel->n_x * f->width;
         const double *const directions = fb_forward_directions(run, block, t, s);
-        if (p->kernel->vary(f->derivatives, f->variations, t, x, p->constants, p->inputs, f->width, directions,
+        if (p->kernel->vary(f->derivatives, f->variations, t, x, p->constants, p->inputs, known, f->width, directions,
                             rates + block * n, p->work) != FB_OK)
             for (int i = 0; i < n; ++i)
                 rates[block * n + i] = NAN;
     }
     return 0;
+}
+
+/* The same with the workspace of a kept row, in which its evaluation is, or is repeated. */
+static inline int fb_forward_row(fb_run *run, const int row, const int is_known, const double since, const double *x,
+                                 const double *s)
+{
+    fb_swap_kept(run->problem, run->kept + row);
+    const int status = fb_forward_rates(run, row, is_known, since, x, s);
+    fb_swap_kept(run->problem, run->kept + row);
+    return status;
 }
 
 /* S after a jump of the speeds, for the state before it: the jump's derivatives are added. */
@@ -165,7 +181,7 @@ static inline int fb_forward_jump(fb_run *run, fb_jump *jump, const double *x, d
                     const int place = jump->rate[i] * f->width + j;
                     of_inputs[i * f->width + j] = jumps ? of_inputs[place] - before[place] : 0.0;
                 }
-            status = k->vary(f->derivatives, f->variations, jump->t_after, x, p->constants, p->inputs, f->width,
+            status = k->vary(f->derivatives, f->variations, jump->t_after, x, p->constants, p->inputs, NULL, f->width,
                              directions, jumps ? rates : others, p->work);
         }
         for (int i = k->n_q * f->width; i < (k->n_q + k->n_u) * f->width; ++i)
@@ -174,21 +190,23 @@ static inline int fb_forward_jump(fb_run *run, fb_jump *jump, const double *x, d
     return status;
 }
 
-/* Moves S at a state that satisfies the constraints onto their tangent. */
-static inline int fb_forward_close(fb_run *run, const double since, const double *x, double *s)
+/* Moves S at a state that satisfies the constraints onto their tangent. `is_filled`: the problem's inputs are those of
+ * this time; `is_known`: its workspace is that of x' at this state. */
+static inline int fb_forward_close(fb_run *run, const double since, const int is_filled, const int is_known,
+                                   const double *x, double *s)
 {
     fb_forward *const f = run->forward;
     fb_problem *const p = run->problem;
     const double t = fb_time(&p->clock, since);
-    const int called = fb_fill_inputs(p, t, x);
+    const int called = is_filled && p->n_sources == 0 ? 0 : fb_fill_inputs(p, t, x);
     if (called < 0)
         return called;
     fb_forward_inputs(run, t);
     for (int block = 0; block < f->n_blocks; ++block) {
         const int n = p->kernel->n_x * f->width;
         double *const directions = fb_forward_directions(run, block, t, s);
-        if (p->kernel->vary_closed(f->derivatives, f->variations, t, x, p->constants, p->inputs, f->width, directions,
-                                   p->work) == FB_OK)
+        if (p->kernel->vary_closed(f->derivatives, f->variations, t, x, p->constants, p->inputs, is_known, f->width,
+                                   directions, p->work) == FB_OK)
             memcpy(s + block * n, directions, (size_t)n * sizeof *s);
         else
             for (int i = 0; i < n; ++i)
@@ -197,7 +215,7 @@ static inline int fb_forward_close(fb_run *run, const double since, const double
     return 0;
 }
 
-/* S along the last accepted step. */
+/* S along the last accepted step, right after it. */
 static inline int fb_forward_step(fb_run *run)
 {
     fb_forward *const f = run->forward;
@@ -211,18 +229,20 @@ static inline int fb_forward_step(fb_run *run)
     if (f->fsal)
         memcpy(f->stages, end, (size_t)f->size * sizeof *end);
     else
-        status = fb_forward_rates(run, run->t_old, run->x_old, s_old, f->stages);
-    for (int k = 1; k <= m->n_stages && status == 0; ++k) {
+        status = fb_forward_row(run, 0, 0, run->t_old, run->x_old, s_old);
+    for (int k = 1; k < m->n_stages && status == 0; ++k) {
+        const int is_known = k < m->n_stages - 1;
+        if (!is_known)
+            fb_combine(run, run->stage + k, run->h, run->x_old, run->kept[k].x);
         fb_forward_combine(f, run->stage + k, run->h, s_old, f->s);
-        if (k < m->n_stages) {
-            fb_combine(run, run->stage + k, run->h, run->x_old, run->scratch);
-            status = fb_forward_rates(run, run->t_old + m->c[k] * run->h, run->scratch, f->s, f->stages + k * f->size);
-        }
+        status = fb_forward_row(run, k, is_known, run->t_old + m->c[k] * run->h, run->kept[k].x, f->s);
     }
+    fb_forward_combine(f, run->stage + m->n_stages, run->h, s_old, f->s);
+    /* The last evaluation was that of x' at the end. */
     if (status == 0 && run->project)
-        status = fb_forward_close(run, run->t, run->x, f->s);
+        status = fb_forward_close(run, run->t, 1, 1, run->x, f->s);
     if (status == 0)
-        status = fb_forward_rates(run, run->t, run->x, f->s, end);
+        status = fb_forward_rates(run, m->n_stages, 1, run->t, run->x, f->s);
     f->fsal = 1;
     return status;
 }
@@ -240,10 +260,8 @@ static inline int fb_forward_prepare_interpolant(fb_run *run)
     } else {
         for (int i = 0; i < m->n_extra; ++i) {
             const int row = m->n_stages + 1 + i;
-            fb_combine(run, run->more + i, run->h, run->x_old, run->scratch);
             fb_forward_combine(f, run->more + i, run->h, f->s_old, f->scratch);
-            status = fb_forward_rates(run, run->t_old + m->c_extra[i] * run->h, run->scratch, f->scratch,
-                                      f->stages + row * f->size);
+            status = fb_forward_row(run, row, 1, run->t_old + m->c_extra[i] * run->h, run->kept[row].x, f->scratch);
             if (status < 0)
                 return status;
         }
@@ -261,8 +279,8 @@ static inline int fb_forward_prepare_interpolant(fb_run *run)
     return 0;
 }
 
-/* S at a time in the last step, at which the state is x. */
-static inline int fb_forward_at(fb_run *run, const double t, const double *x, double *s)
+/* S at a time in the last step, at which the state is x; `is_filled` as above. */
+static inline int fb_forward_at(fb_run *run, const double t, const int is_filled, const double *x, double *s)
 {
     fb_forward *const f = run->forward;
     if (t == run->t || !f->fsal) {
@@ -273,17 +291,18 @@ static inline int fb_forward_at(fb_run *run, const double t, const double *x, do
     if (status < 0)
         return status;
     fb_interpolate(run->method, f->interpolant, f->size, f->size, f->s_old, (t - run->t_old) / run->h, s);
-    return run->project ? fb_forward_close(run, t, x, s) : 0;
+    return run->project ? fb_forward_close(run, t, is_filled, 0, x, s) : 0;
 }
 
 static inline int fb_forward_sample(fb_run *run, const double t, const double *x)
 {
-    return fb_forward_at(run, t, x, run->forward->samples + run->n_samples * run->forward->size);
+    /* The last evaluation was the projection of x, if that is in the step and not at its end. */
+    return fb_forward_at(run, t, 1, x, run->forward->samples + run->n_samples * run->forward->size);
 }
 
-/* Places the arrays for n directions in memory, the directions first, unless that is NULL; returns their number of
- * doubles. */
-static inline size_t fb_place_forward(const fb_run *run, const int n, fb_forward *f, double *memory)
+/* Places the arrays for n directions in memory, the directions first, unless that is NULL, and makes the run keep the
+ * evaluations of its steps there; returns their number of doubles. */
+static inline size_t fb_place_forward(fb_run *run, const int n, fb_forward *f, double *memory)
 {
     const fb_kernel *const k = run->problem->kernel;
     f->width = n <= FB_FEW_DIRECTIONS ? FB_FEW_DIRECTIONS : FB_DIRECTIONS;
@@ -300,7 +319,15 @@ static inline size_t fb_place_forward(const fb_run *run, const int n, fb_forward
         {&f->stages, (run->method->n_stages + 1 + run->method->n_extra) * size},
         {&f->interpolant, (run->method->n_dense + 3) * size},
     };
-    return fb_place_all(places, sizeof places / sizeof *places, memory);
+    size_t length = fb_place_all(places, sizeof places / sizeof *places, memory);
+    const int work_size = (int)((k->work_size + sizeof(double) - 1) / sizeof(double));
+    for (int row = 0; row <= run->method->n_stages + run->method->n_extra; ++row) {
+        fb_kept *const kept = f->kept + row;
+        const fb_place of_row[] = {{&kept->x, run->padded}, {&kept->inputs, k->n_r}, {&kept->work, work_size}};
+        length += fb_place_all(of_row, sizeof of_row / sizeof *of_row, memory ? memory + length : NULL);
+    }
+    run->kept = f->kept;
+    return length;
 }
 
 #endif

@@ -55,6 +55,13 @@ typedef struct fb_steps {
     double *sample_t;
 } fb_steps;
 
+/* An evaluation of x' that is needed again: its state, and the inputs and workspace that it leaves. */
+typedef struct fb_kept {
+    double *x;      /* (padded,) */
+    double *inputs; /* (n_r,) */
+    double *work;
+} fb_kept;
+
 struct fb_augmented;
 struct fb_forward;
 
@@ -69,6 +76,7 @@ struct fb_run {
     struct fb_forward *forward;
     int (*vary)(fb_run *run);
     int (*vary_sample)(fb_run *run, double t, const double *x);
+    fb_kept *kept;   /* for each row of `stages`, or NULL */
     fb_steps *steps; /* or NULL */
     fb_weights stage[FB_MAX_STAGES], error[2], more[4], dense[4];
     int n, padded;
@@ -150,6 +158,30 @@ static inline int fb_evaluate(fb_run *s, const double t, const double *x, double
     return fb_problem_rates(s->problem, t, x, rates);
 }
 
+/* Makes a problem use the inputs and the workspace of a kept evaluation; a second call takes that back. */
+static inline void fb_swap_kept(fb_problem *p, fb_kept *kept)
+{
+    double *const inputs = p->inputs, *const work = p->work;
+    p->inputs = kept->inputs;
+    p->work = kept->work;
+    kept->inputs = inputs;
+    kept->work = work;
+}
+
+/* Evaluates a row of `stages`, and keeps the evaluation if that is asked for. */
+static inline int fb_evaluate_row(fb_run *s, const int row, const double t, const double *x)
+{
+    double *const rates = s->stages + row * s->padded;
+    if (!s->kept)
+        return fb_evaluate(s, t, x, rates);
+    fb_kept *const kept = s->kept + row;
+    memcpy(kept->x, x, (size_t)s->n * sizeof *x);
+    fb_swap_kept(s->problem, kept);
+    const int status = fb_evaluate(s, t, x, rates);
+    fb_swap_kept(s->problem, kept);
+    return status;
+}
+
 /* The root mean square of the error estimate in units of the tolerances. */
 static inline double fb_error_of(const fb_run *s, const double h, const double *x, const double *x_new,
                                  double *restrict error, double *restrict error3)
@@ -209,14 +241,18 @@ static inline int fb_begin(fb_run *s)
     return 0;
 }
 
-/* The stages of a step of length h, and x at its end in `scratch`. */
+/* The stages of a step of length h, and x at its end in `scratch`. The projection there needs the workspace of the last
+ * stage, which is not kept. */
 static inline int fb_stages(fb_run *s, const double h)
 {
     const fb_tableau *const m = s->method;
     for (int k = 1; k <= m->n_stages; ++k) {
         fb_combine(s, s->stage + k, h, s->x, s->scratch);
         if (k < m->n_stages) {
-            const int status = fb_evaluate(s, s->t + m->c[k] * h, s->scratch, s->stages + k * s->padded);
+            const double t = s->t + m->c[k] * h;
+            const int is_last = k == m->n_stages - 1;
+            const int status = is_last ? fb_evaluate(s, t, s->scratch, s->stages + k * s->padded)
+                                       : fb_evaluate_row(s, k, t, s->scratch);
             if (status < 0)
                 return status;
         }
@@ -364,9 +400,8 @@ static inline int fb_prepare_interpolant(fb_run *s)
             fb_combine(s, s->dense + i, s->h, NULL, s->interpolant + i * s->padded);
     } else {
         for (int i = 0; i < m->n_extra; ++i) {
-            double *const stage = s->stages + (m->n_stages + 1 + i) * s->padded;
             fb_combine(s, s->more + i, s->h, s->x_old, s->scratch);
-            const int status = fb_evaluate(s, s->t_old + m->c_extra[i] * s->h, s->scratch, stage);
+            const int status = fb_evaluate_row(s, m->n_stages + 1 + i, s->t_old + m->c_extra[i] * s->h, s->scratch);
             if (status < 0)
                 return status;
         }

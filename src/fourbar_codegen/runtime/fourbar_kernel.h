@@ -13,7 +13,7 @@
 
 #include <stddef.h>
 
-#define FB_ABI_VERSION 18
+#define FB_ABI_VERSION 19
 #define FB_CAPSULE_NAME "fourbar_codegen.kernel"
 
 /* Long functions are printed in parts, which the compiler must not inline. */
@@ -136,12 +136,15 @@ typedef struct fb_kernel {
     int (*differentiate)(const fb_derivatives *derivatives, fb_sensitivity *sensitivity, int n, double t,
                          const double *x, const double *constants, const double *r, double *matrix,
                          double *multiplier_jacobian, void *work);
-    /* the changes of x' along n <= FB_DIRECTIONS directions of (x, p, r) */
+    /* the changes of x' along n <= FB_DIRECTIONS directions of (x, p, r); `known` is NULL, or the u' of the last rhs
+     * with the same `work`, at the same state */
     int (*vary)(const fb_derivatives *derivatives, const fb_variations *variations, double t, const double *x,
-                const double *constants, const double *r, int n, const double *directions, double *rates, void *work);
-    /* moves the directions' rows of coordinates and speeds onto the constraints' tangent, mass-orthogonally */
+                const double *constants, const double *r, const double *known, int n, const double *directions,
+                double *rates, void *work);
+    /* moves the directions' rows of coordinates and speeds onto the constraints' tangent, mass-orthogonally;
+     * `is_known`: the last rhs with the same `work` was at the same state */
     int (*vary_closed)(const fb_derivatives *derivatives, const fb_variations *variations, double t, const double *x,
-                       const double *constants, const double *r, int n, double *directions, void *work);
+                       const double *constants, const double *r, int is_known, int n, double *directions, void *work);
     /* The transposes of both. The gradient by (x, p, r) of the sum of weights times x', n_x, then times the
      * multipliers, n_l; ... */
     int (*pull_back)(const fb_derivatives *derivatives, const fb_variations *variations, double t, const double *x,

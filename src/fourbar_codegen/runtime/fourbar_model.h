@@ -311,10 +311,11 @@ static int orientation_changed(void *work)
 
 #if N_Z + N_N == 0
 /* A column of the multipliers' derivatives, for one of the accelerations'. Not inline, since it is rarely needed. */
-FB_PART static void store_multipliers(const fb_work *w, const double *accelerations, const int n, double *column)
+FB_PART static void store_multipliers(const fb_work *w, const double *forcing, const double *accelerations, const int n,
+                                      double *column)
 {
     double multipliers[FB_AT_LEAST_1(N_C)];
-    fb_multipliers(w->mass_matrix, w->forcing, accelerations, &w->factors, multipliers);
+    fb_multipliers(w->mass_matrix, forcing, accelerations, &w->factors, multipliers);
     for (int i = 0; i < N_C; ++i)
         column[i * n] = multipliers[i];
 }
@@ -351,20 +352,20 @@ static int solve_columns(const fb_derivatives *derivatives, const int n, double 
     }
 #endif
     for (int j = 0; j < n; ++j) {
-        double solution[N_U];
+        double forcing[N_U], bias[FB_AT_LEAST_1(N_C)], solution[N_U];
         for (int i = 0; i < N_U; ++i)
-            w->forcing[i] = residual[i * n + j];
+            forcing[i] = residual[i * n + j];
         for (int i = 0; i < N_C; ++i)
-            w->acceleration_bias[i] = -residual[(N_U + i) * n + j];
+            bias[i] = -residual[(N_U + i) * n + j];
 #ifdef FB_RECURSIVE
         for (int i = 0; i < N_U; ++i)
             solution[i] = matrix[(N_Q + i) * n + j];
         if (w->factors.is_dense)
 #endif
             /* Redundant rows hold in every direction in which the state can move; the status for others is ignored. */
-            fb_solve(w->forcing, w->acceleration_bias, &w->factors, solution);
+            fb_solve(forcing, bias, &w->factors, solution);
 #if N_Z + N_N > 0
-        fb_multipliers(w->mass_matrix, w->forcing, solution, &w->factors, multipliers);
+        fb_multipliers(w->mass_matrix, forcing, solution, &w->factors, multipliers);
 #endif
 #if N_N > 0
         double unused = 0.0, *const forces = multipliers + N_C;
@@ -379,7 +380,7 @@ static int solve_columns(const fb_derivatives *derivatives, const int n, double 
             multiplier_jacobian[i * n + j] = multipliers[i];
 #else
         if (multiplier_jacobian)
-            store_multipliers(w, solution, n, multiplier_jacobian + j);
+            store_multipliers(w, forcing, solution, n, multiplier_jacobian + j);
 #endif
         for (int i = 0; i < N_U; ++i)
             matrix[(N_Q + i) * n + j] = solution[i];
@@ -411,13 +412,22 @@ static int differentiate(const fb_derivatives *derivatives, fb_sensitivity *func
 
 #ifndef FB_LIBRARY
 static int vary(const fb_derivatives *derivatives, const fb_variations *variations, double t, const double *x,
-                const double *constants, const double *r, int n, const double *directions, double *rates, void *work)
+                const double *constants, const double *r, const double *known, int n, const double *directions,
+                double *rates, void *work)
 {
     fb_work *const w = work;
     (void)derivatives; /* used with state equations */
-    const int status = accelerations(t, x, constants, r, w->accelerations, w->multipliers, work);
-    if (status != FB_OK)
-        return status;
+    if (known == NULL) {
+        const int status = accelerations(t, x, constants, r, w->accelerations, w->multipliers, work);
+        if (status != FB_OK)
+            return status;
+    } else {
+        for (int i = 0; i < N_U; ++i)
+            w->accelerations[i] = known[i];
+#if N_N == 0
+        fb_multipliers(w->mass_matrix, w->forcing, known, &w->factors, w->multipliers);
+#endif
+    }
     variations->variation(t, x, constants, r, w->accelerations, w->multipliers, n, directions, rates,
                           w->residual_variation);
 #if !defined(FB_SPARSE) && !defined(FB_RECURSIVE) && N_Z + N_N == 0
@@ -456,7 +466,7 @@ static void solve_directions(int n, const double *sides, const fb_work *w, doubl
 /* The changes of coordinates and speeds that lead along directions onto the constraints' tangent: those of `project`
  * for the derivatives of the violations, by the same orthogonality. */
 static int vary_closed(const fb_derivatives *derivatives, const fb_variations *variations, double t, const double *x,
-                       const double *constants, const double *r, int n, double *directions, void *work)
+                       const double *constants, const double *r, int is_known, int n, double *directions, void *work)
 {
     fb_work *const w = work;
     /* f = 0, then the violations: in solutions for -gamma, signs are reversed */
@@ -466,14 +476,13 @@ static int vary_closed(const fb_derivatives *derivatives, const fb_variations *v
     (void)derivatives;
     if (N_C + N_I == 0)
         return FB_OK;
-#ifdef FB_RECURSIVE
-    w->factors.constants = constants;
-#endif
-    dynamics(t, x, constants, r, w->coordinate_rates, w->mass_matrix, w->forcing, w->constraint_jacobian,
-             w->acceleration_bias);
-    const int status = factor_at(t, x, constants, r, w);
-    if (status != FB_OK)
-        return status;
+    if (!is_known) {
+        dynamics(t, x, constants, r, w->coordinate_rates, w->mass_matrix, w->forcing, w->constraint_jacobian,
+                 w->acceleration_bias);
+        const int status = factor_at(t, x, constants, r, w);
+        if (status != FB_OK)
+            return status;
+    }
     variations->constraint_variation(t, x, constants, r, n, directions, violations, unused);
     solve_directions(n, sides, w, changes);
     for (int j = 0; j < n; ++j) {

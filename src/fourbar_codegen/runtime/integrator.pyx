@@ -43,11 +43,11 @@ cdef extern from "fourbar_forward.h":
         double *samples
     int fb_forward_step(fb_run *) noexcept nogil
     int fb_forward_sample(fb_run *, double, const double *) noexcept nogil
-    int fb_forward_at(fb_run *, double, const double *, double *) noexcept nogil
-    int fb_forward_close(fb_run *, double, const double *, double *) noexcept nogil
+    int fb_forward_at(fb_run *, double, int, const double *, double *) noexcept nogil
+    int fb_forward_close(fb_run *, double, int, int, const double *, double *) noexcept nogil
     int fb_forward_jump(fb_run *, fb_jump *, const double *, double *) noexcept nogil
     int fb_forward_prepare_interpolant(fb_run *) noexcept nogil
-    size_t fb_place_forward(const fb_run *, int, fb_forward *, double *) noexcept nogil
+    size_t fb_place_forward(fb_run *, int, fb_forward *, double *) noexcept nogil
 
 cdef extern from "fourbar_integrate.h":
     int FB_BLOCK
@@ -760,7 +760,7 @@ cdef class Run:
         self.run.vary, self.run.vary_sample = fb_forward_step, fb_forward_sample
         self.varied = []
         if self.run.project:
-            self.ode.check(fb_forward_close(&self.run, self.run.t, self.run.x, self.forward.s))
+            self.ode.check(fb_forward_close(&self.run, self.run.t, 0, 0, self.run.x, self.forward.s))
         self._make_room(self.run.room)
 
     def keep_steps(self):
@@ -866,7 +866,7 @@ cdef class Run:
         if run.forward:
             self.forward.fsal = 0
             if x is not None and run.project:
-                self.ode.check(fb_forward_close(run, run.t, run.x, self.forward.s))
+                self.ode.check(fb_forward_close(run, run.t, 0, 0, run.x, self.forward.s))
         if run.steps:
             self.clocks.append((self.steps.n, min(first, last), max(first, last), before, first))
             if x is not None:
@@ -936,7 +936,7 @@ cdef class Run:
     def sensitivity_within(self, double share):
         """The derivatives at a fraction of the last step, shape (n_x, n)."""
         cdef cnp.ndarray x = self.state_within(share), s = new_array(self.forward.size)
-        self.ode.check(fb_forward_at(&self.run, self._within(share), data(x), data(s)))
+        self.ode.check(fb_forward_at(&self.run, self._within(share), 0, data(x), data(s)))
         return _by_directions(s[np.newaxis], &self.forward, self.run.n, self.directions)[..., 0].T
 
     def event_values_within(self, double share):
@@ -954,7 +954,7 @@ cdef class Run:
         self.t_bound = t
         if self.run.forward and self.run.times == NULL:
             s = new_array(self.forward.size)
-            self.ode.check(fb_forward_at(&self.run, self.run.until, data(x), data(s)))
+            self.ode.check(fb_forward_at(&self.run, self.run.until, 0, data(x), data(s)))
             memcpy(self.forward.s, data(s), self.forward.size * sizeof(double))
         if self.run.times == NULL:
             memcpy(self.run.x, data(x), self.run.n * sizeof(double))
@@ -1378,7 +1378,7 @@ cdef class DenseOutput:
             fb_interpolate(self.tableau, data(step), forward.size, forward.size, data(step) + self.rows * forward.size,
                            (data(at)[i] - self.times[0] - end[0]) / end[1], data(s) + i * forward.size)
             if self.project:
-                ode.check(fb_forward_close(&run, 0.0, data(x) + i * n, data(s) + i * forward.size))
+                ode.check(fb_forward_close(&run, 0.0, 0, 0, data(x) + i * n, data(s) + i * forward.size))
         derivatives = _by_directions(s, &forward, n, self.directions)
         return self.directions.by_name(derivatives if np.ndim(t) else derivatives[..., 0])
 

@@ -99,8 +99,8 @@ static double evaluate(const fb_kernel *k, const double *p)
         k->vary(d, k->variations, 0.5, x, c, r, NULL, n, directions, varied, work);
         k->rhs(0.5, x, c, r, rates, work);
         k->vary(d, k->variations, 0.5, x, c, r, rates + k->n_q, n, directions, varied, work);
-        k->vary_closed(d, k->variations, 0.5, x, c, r, 1, n, directions, work);
-        k->vary_closed(d, k->variations, 0.5, x, c, r, 0, n, directions, work);
+        k->vary_closed(d, k->variations, 0.5, x, c, r, FB_LAST_RHS, n, directions, work);
+        k->vary_closed(d, k->variations, 0.5, x, c, r, FB_LAST_ANY, n, directions, work);
         sum += varied[0] + directions[0];
         free(directions), free(varied);
     }

@@ -393,30 +393,30 @@ class _Problem:
         """The weighted residuals and their Jacobian; NaN where a motion cannot be simulated."""
         if self.last is not None and np.array_equal(self.last[0], unknowns):
             return self.last[1:]
-        residuals, rows, runs = [], [], []
+        counts = [sum(map(len, columns.values())) for columns in self.measured]
+        residuals, jacobian = np.full(sum(counts), math.nan), np.zeros((sum(counts), len(unknowns)))
+        runs: list[Trajectory] = []
         self.failure = ""
         n_initial = len(self.own) - self.n_parameters
-        for i in range(len(self.experiments)):
+        end = 0
+        for i, count in enumerate(counts):
+            rows = slice(end, end := end + count)
             begin = self.n_parameters + i * n_initial
             own = [*range(self.n_parameters), *range(begin, begin + n_initial)]
-            n = sum(map(len, self.measured[i].values()))
-            found, part = np.full(n, math.nan), np.full((n, len(own)), math.nan)
             try:
                 run = self._run(i, unknowns[own])
             except (AssemblyError, SimulationError) as error:
-                self.failure = self.failure or str(error)
+                why = str(error)
             else:
-                if not run.success:
-                    self.failure = self.failure or run.message
-                else:
-                    found, part = self._compared(i, run)
+                why = "" if run.success else run.message
                 runs.append(run)
-            row = np.zeros((n, len(unknowns)))
-            row[:, own] = part
-            residuals.append(found)
-            rows.append(row)
+            if why:
+                jacobian[rows, own] = math.nan
+                self.failure = self.failure or why
+            else:
+                residuals[rows], jacobian[rows, own] = self._compared(i, run)
         self.runs = tuple(runs)
-        self.last = unknowns.copy(), np.concatenate(residuals), np.vstack(rows)
+        self.last = unknowns.copy(), residuals, jacobian
         return self.last[1:]
 
     def _run(self, i: int, values: Floats) -> Trajectory:
@@ -482,7 +482,8 @@ class _Problem:
         return _Start(options._replace(x0=found[0], parameters=p), found[1])
 
     def _compared(self, i: int, run: Trajectory) -> tuple[Floats, Floats]:
-        model, residuals, rows = self.model, [], []
+        """The weighted residuals of an experiment, and their Jacobian."""
+        model, residuals, columns = self.model, [], []
         assert run.sensitivity is not None
         for name, values in self.measured[i].items():
             weight = self.weights[i][name]
@@ -491,8 +492,8 @@ class _Problem:
                 of, place = run.sensitivity, model.states.index(name)
             else:
                 of, place = run.output_sensitivity, model.outputs.index(name)
-            rows.append(np.array([of[own][place] * weight for own in self.own]).T)
-        return np.concatenate(residuals), np.vstack(rows)
+            columns.append(np.array([of[own][place] for own in self.own]) * weight)
+        return np.concatenate(residuals), np.hstack(columns).T
 
 
 def _names(given: Any, what: str) -> list[str]:

@@ -15,6 +15,8 @@ cdef extern from "fourbar_kernel.h":
     int FB_CONSTRAINTS_INDEPENDENT
     int FB_FORCES_UNDETERMINED
     int FB_FORCES_NOT_FOUND
+    enum FB_LAST:
+        FB_LAST_ANY
     ctypedef struct fb_batch_functions
     ctypedef int fb_evaluation(double, const double *, const double *, const double *, double *, void *) noexcept nogil
     ctypedef void fb_sensitivity(double, const double *, const double *, const double *, const double *,
@@ -69,7 +71,7 @@ cdef extern from "fourbar_kernel.h":
         int (*vary)(const fb_derivatives *, const fb_variations *, double, const double *, const double *,
                     const double *, const double *, int, const double *, double *, void *) noexcept nogil
         int (*vary_closed)(const fb_derivatives *, const fb_variations *, double, const double *, const double *,
-                           const double *, int, int, double *, void *) noexcept nogil
+                           const double *, FB_LAST, int, double *, void *) noexcept nogil
         int (*pull_back)(const fb_derivatives *, const fb_variations *, double, const double *, const double *,
                          const double *, const double *, double *, void *) noexcept nogil
         int (*pull_back_closed)(const fb_derivatives *, const fb_variations *, double, const double *, const double *,

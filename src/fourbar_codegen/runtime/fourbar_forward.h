@@ -37,22 +37,16 @@ typedef struct fb_forward {
     double *samples;              /* (room, size) */
     fb_kept kept[FB_MAX_STAGES];  /* those of fb_run */
     int fsal, interpolant_valid;
+    int has_avx2; /* whether the processor has these instructions */
 } fb_forward;
 
 static inline void fb_forward_combine(const fb_forward *f, const fb_weights *w, const double factor, const double *base,
                                       double *restrict result)
 {
-    for (int i = 0; i < f->size; i += FB_BLOCK) {
-        double sum[FB_BLOCK] = {0.0};
-        for (int j = 0; j < w->n; ++j) {
-            const double *const stage = f->stages + w->stage[j] * f->size + i;
-            const double weight = w->weight[j];
-            for (int k = 0; k < FB_BLOCK; ++k)
-                sum[k] += weight * stage[k];
-        }
-        for (int k = 0; k < FB_BLOCK; ++k)
-            result[i + k] = (base ? base[i + k] : 0.0) + factor * sum[k];
-    }
+    if (f->has_avx2)
+        fb_combine_avx2(f->stages, f->size, w, factor, base, result);
+    else
+        fb_combine_rows(f->stages, f->size, w, factor, base, result);
 }
 
 /* dr/dp of the inputs at a time; 0 for those with a source. */
@@ -190,22 +184,20 @@ static inline int fb_forward_jump(fb_run *run, fb_jump *jump, const double *x, d
     return status;
 }
 
-/* Moves S at a state that satisfies the constraints onto their tangent. `is_filled`: the problem's inputs are those of
- * this time; `is_known`: its workspace is that of x' at this state. */
-static inline int fb_forward_close(fb_run *run, const double since, const int is_filled, const int is_known,
-                                   const double *x, double *s)
+/* Moves S at a state that satisfies the constraints onto their tangent; `last` is the last call with the problem. */
+static inline int fb_forward_close(fb_run *run, const double since, const enum FB_LAST last, const double *x, double *s)
 {
     fb_forward *const f = run->forward;
     fb_problem *const p = run->problem;
     const double t = fb_time(&p->clock, since);
-    const int called = is_filled && p->n_sources == 0 ? 0 : fb_fill_inputs(p, t, x);
+    const int called = last != FB_LAST_ANY && p->n_sources == 0 ? 0 : fb_fill_inputs(p, t, x);
     if (called < 0)
         return called;
     fb_forward_inputs(run, t);
     for (int block = 0; block < f->n_blocks; ++block) {
         const int n = p->kernel->n_x * f->width;
         double *const directions = fb_forward_directions(run, block, t, s);
-        if (p->kernel->vary_closed(f->derivatives, f->variations, t, x, p->constants, p->inputs, is_known, f->width,
+        if (p->kernel->vary_closed(f->derivatives, f->variations, t, x, p->constants, p->inputs, last, f->width,
                                    directions, p->work) == FB_OK)
             memcpy(s + block * n, directions, (size_t)n * sizeof *s);
         else
@@ -240,7 +232,7 @@ static inline int fb_forward_step(fb_run *run)
     fb_forward_combine(f, run->stage + m->n_stages, run->h, s_old, f->s);
     /* The last evaluation was that of x' at the end. */
     if (status == 0 && run->project)
-        status = fb_forward_close(run, run->t, 1, 1, run->x, f->s);
+        status = fb_forward_close(run, run->t, FB_LAST_RHS, run->x, f->s);
     if (status == 0)
         status = fb_forward_rates(run, m->n_stages, 1, run->t, run->x, f->s);
     f->fsal = 1;
@@ -279,8 +271,8 @@ static inline int fb_forward_prepare_interpolant(fb_run *run)
     return 0;
 }
 
-/* S at a time in the last step, at which the state is x; `is_filled` as above. */
-static inline int fb_forward_at(fb_run *run, const double t, const int is_filled, const double *x, double *s)
+/* S at a time in the last step, at which the state is x; `last` as above. */
+static inline int fb_forward_at(fb_run *run, const double t, const enum FB_LAST last, const double *x, double *s)
 {
     fb_forward *const f = run->forward;
     if (t == run->t || !f->fsal) {
@@ -290,14 +282,18 @@ static inline int fb_forward_at(fb_run *run, const double t, const int is_filled
     const int status = fb_forward_prepare_interpolant(run);
     if (status < 0)
         return status;
-    fb_interpolate(run->method, f->interpolant, f->size, f->size, f->s_old, (t - run->t_old) / run->h, s);
-    return run->project ? fb_forward_close(run, t, is_filled, 0, x, s) : 0;
+    const double share = (t - run->t_old) / run->h;
+    if (f->has_avx2)
+        fb_interpolate_avx2(run->method, f->interpolant, f->size, f->size, f->s_old, share, s);
+    else
+        fb_interpolate(run->method, f->interpolant, f->size, f->size, f->s_old, share, s);
+    return run->project ? fb_forward_close(run, t, last, x, s) : 0;
 }
 
 static inline int fb_forward_sample(fb_run *run, const double t, const double *x)
 {
-    /* The last evaluation was the projection of x, if that is in the step and not at its end. */
-    return fb_forward_at(run, t, 1, x, run->forward->samples + run->n_samples * run->forward->size);
+    /* Within a step, x was projected. */
+    return fb_forward_at(run, t, FB_LAST_PROJECT, x, run->forward->samples + run->n_samples * run->forward->size);
 }
 
 /* Places the arrays for n directions in memory, the directions first, unless that is NULL, and makes the run keep the
@@ -327,6 +323,7 @@ static inline size_t fb_place_forward(fb_run *run, const int n, fb_forward *f, d
         length += fb_place_all(of_row, sizeof of_row / sizeof *of_row, memory ? memory + length : NULL);
     }
     run->kept = f->kept;
+    f->has_avx2 = fb_has_avx2();
     return length;
 }
 

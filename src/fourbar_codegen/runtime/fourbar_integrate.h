@@ -8,6 +8,7 @@
 #define FOURBAR_INTEGRATE_H
 
 #include "fourbar_problem.h"
+#include "fourbar_real.h"
 #include "fourbar_tableau.h"
 
 #include <math.h>
@@ -135,21 +136,27 @@ static inline void fb_prepare_method(fb_run *s)
         fb_weights_of(m->dense + i * (n + 1 + m->n_extra), n + 1 + m->n_extra, s->dense + i);
 }
 
-/* base + factor times the weighted sum of stages; base may be NULL. */
-static inline void fb_combine(const fb_run *s, const fb_weights *w, const double factor, const double *base,
-                              double *restrict result)
+/* base + factor times the weighted sum of rows of length n, whole blocks; base may be NULL. */
+static FB_INLINE void fb_combine_rows(const double *rows, const int n, const fb_weights *w, const double factor,
+                                      const double *base, double *restrict result)
 {
-    for (int i = 0; i < s->padded; i += FB_BLOCK) {
+    for (int i = 0; i < n; i += FB_BLOCK) {
         double sum[FB_BLOCK] = {0.0};
         for (int j = 0; j < w->n; ++j) {
-            const double *const stage = s->stages + w->stage[j] * s->padded + i;
+            const double *const row = rows + w->stage[j] * n + i;
             const double weight = w->weight[j];
             for (int k = 0; k < FB_BLOCK; ++k)
-                sum[k] += weight * stage[k];
+                sum[k] += weight * row[k];
         }
         for (int k = 0; k < FB_BLOCK; ++k)
             result[i + k] = (base ? base[i + k] : 0.0) + factor * sum[k];
     }
+}
+
+static inline void fb_combine(const fb_run *s, const fb_weights *w, const double factor, const double *base,
+                              double *restrict result)
+{
+    fb_combine_rows(s->stages, s->padded, w, factor, base, result);
 }
 
 static inline int fb_evaluate(fb_run *s, const double t, const double *x, double *rates)
@@ -420,8 +427,8 @@ static inline int fb_prepare_interpolant(fb_run *s)
 }
 
 /* The interpolant: rows of coefficients for t in (t_old, t_old + h). */
-static inline void fb_interpolate(const fb_tableau *m, const double *coefficients, const int n, const int padded,
-                                  const double *x_old, const double y, double *restrict x)
+static FB_INLINE void fb_interpolate(const fb_tableau *m, const double *coefficients, const int n, const int padded,
+                                     const double *x_old, const double y, double *restrict x)
 {
     const int last = m->n_dense - 1 + (m->hermite ? 3 : 0);
     for (int i = 0; i < n; ++i)
@@ -434,6 +441,34 @@ static inline void fb_interpolate(const fb_tableau *m, const double *coefficient
     }
     for (int i = 0; i < n; ++i)
         x[i] += x_old[i];
+}
+
+/* For long rows, if the processor has AVX2: the same compiled for it. */
+#if defined(__x86_64__) && defined(__GNUC__)
+#define FB_AVX2_FUNCTION __attribute__((target("avx2,fma")))
+static inline int fb_has_avx2(void)
+{
+    return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
+}
+#else
+#define FB_AVX2_FUNCTION
+static inline int fb_has_avx2(void)
+{
+    return 0;
+}
+#endif
+
+FB_AVX2_FUNCTION static inline void fb_combine_avx2(const double *rows, const int n, const fb_weights *w,
+                                                    const double factor, const double *base, double *restrict result)
+{
+    fb_combine_rows(rows, n, w, factor, base, result);
+}
+
+FB_AVX2_FUNCTION static inline void fb_interpolate_avx2(const fb_tableau *m, const double *coefficients, const int n,
+                                                        const int padded, const double *x_old, const double y,
+                                                        double *restrict x)
+{
+    fb_interpolate(m, coefficients, n, padded, x_old, y, x);
 }
 
 /* Projects an interpolant onto the constraints. It is unchanged if no state nearby satisfies them, and NaN where they

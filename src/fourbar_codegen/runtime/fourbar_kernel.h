@@ -101,6 +101,9 @@ typedef struct fb_variations {
                                 const double *weights, double *gradient);
 } fb_variations;
 
+/* The last call with the same `work`, if that helps: rhs at the same state, or project, which led there. */
+enum FB_LAST { FB_LAST_ANY = 0, FB_LAST_RHS = 1, FB_LAST_PROJECT = 2 };
+
 typedef struct fb_batch_functions fb_batch_functions; /* fourbar_batch.h */
 
 typedef struct fb_kernel {
@@ -141,10 +144,10 @@ typedef struct fb_kernel {
     int (*vary)(const fb_derivatives *derivatives, const fb_variations *variations, double t, const double *x,
                 const double *constants, const double *r, const double *known, int n, const double *directions,
                 double *rates, void *work);
-    /* moves the directions' rows of coordinates and speeds onto the constraints' tangent, mass-orthogonally;
-     * `is_known`: the last rhs with the same `work` was at the same state */
+    /* moves the directions' rows of coordinates and speeds onto the constraints' tangent, mass-orthogonally */
     int (*vary_closed)(const fb_derivatives *derivatives, const fb_variations *variations, double t, const double *x,
-                       const double *constants, const double *r, int is_known, int n, double *directions, void *work);
+                       const double *constants, const double *r, enum FB_LAST last, int n, double *directions,
+                       void *work);
     /* The transposes of both. The gradient by (x, p, r) of the sum of weights times x', n_x, then times the
      * multipliers, n_l; ... */
     int (*pull_back)(const fb_derivatives *derivatives, const fb_variations *variations, double t, const double *x,

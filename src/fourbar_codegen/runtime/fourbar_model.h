@@ -58,7 +58,12 @@ typedef struct fb_work {
     int was_static;
 #endif
     double largest_orientation; /* in all calls, 0 before the first */
+    double drift;               /* the relative constraint violation where the last projection took its factors */
 } fb_work;
+
+/* Factors of a state with a smaller violation serve for the tangent of the closed one: what they leave of a direction's
+ * violation is this fraction of it. */
+#define FB_SLIGHT 1e-9
 
 #if defined(FB_RECURSIVE)
 /* M instead of its factors. */
@@ -229,6 +234,7 @@ static int project(double t, double *x, const double *constants, const double *r
 #ifdef FB_RECURSIVE
     w->factors.constants = constants;
 #endif
+    w->drift = INFINITY;
     for (int attempt = 0; attempt < MAX_FACTORIZATIONS; ++attempt) {
         int status = FB_OK;
         if (attempt > 0 || !factors_valid) {
@@ -245,6 +251,8 @@ static int project(double t, double *x, const double *constants, const double *r
             if (position != position || velocity != velocity)
                 return FB_NOT_FINITE;
             const double size = fb_max(position, velocity);
+            if (i == 0 && status == FB_OK && (attempt > 0 || !factors_valid))
+                w->drift = size;
             /* The first correction of the positions may increase the violation of velocities. */
             const int stagnates = i > 1 && !(size < 0.5 * last);
             if (size <= FB_CLOSED || (size <= FB_NEARLY_CLOSED && stagnates))
@@ -466,7 +474,8 @@ static void solve_directions(int n, const double *sides, const fb_work *w, doubl
 /* The changes of coordinates and speeds that lead along directions onto the constraints' tangent: those of `project`
  * for the derivatives of the violations, by the same orthogonality. */
 static int vary_closed(const fb_derivatives *derivatives, const fb_variations *variations, double t, const double *x,
-                       const double *constants, const double *r, int is_known, int n, double *directions, void *work)
+                       const double *constants, const double *r, enum FB_LAST last, int n, double *directions,
+                       void *work)
 {
     fb_work *const w = work;
     /* f = 0, then the violations: in solutions for -gamma, signs are reversed */
@@ -476,7 +485,7 @@ static int vary_closed(const fb_derivatives *derivatives, const fb_variations *v
     (void)derivatives;
     if (N_C + N_I == 0)
         return FB_OK;
-    if (!is_known) {
+    if (!(last == FB_LAST_RHS || (last == FB_LAST_PROJECT && w->drift <= FB_SLIGHT))) {
         dynamics(t, x, constants, r, w->coordinate_rates, w->mass_matrix, w->forcing, w->constraint_jacobian,
                  w->acceleration_bias);
         const int status = factor_at(t, x, constants, r, w);

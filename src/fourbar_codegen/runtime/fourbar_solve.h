@@ -305,21 +305,33 @@ static inline int fb_solve(const double *restrict forcing, const double *restric
 #define FB_OF(name) name##_many
 #include "fourbar_pivoted.h"
 
-/* u' for n right-hand sides (f, -gamma) in the columns of a matrix. Redundant rows hold in every direction in which the
- * state can move. */
+/* u' for right-hand sides f, -gamma by a pivot order; redundant rows hold in every direction in which the state can
+ * move. */
+static FB_INLINE void fb_solve_many(const fb_many *restrict forcing, const fb_many *restrict given,
+                                    const fb_factors *restrict s, fb_many *restrict solution, const int *rows,
+                                    const int *columns)
+{
+    fb_many w[FB_AT_LEAST_1(N_C)];
+    for (int i = 0; i < N_C; ++i) {
+        w[i] = s->scale[i] * -given[rows[i]];
+        for (int k = 0; k < i && k < N_RANK; ++k)
+            w[i] -= s->lu[i][k] * w[k];
+    }
+    fb_back_many(forcing, w, s, solution, columns);
+}
+
+/* The same in n columns of matrices. */
 static FB_CALLED void fb_solve_directions(const int n, const double *restrict sides, const fb_factors *restrict s,
                                           double *restrict accelerations)
 {
     for (int begin = 0; begin < n; begin += FB_MANY) {
-        fb_many forcing[N_U], given[FB_AT_LEAST_1(N_C)], w[FB_AT_LEAST_1(N_C)], solution[N_U];
+        fb_many forcing[N_U], given[FB_AT_LEAST_1(N_C)], solution[N_U];
         fb_load_columns(sides, N_U, n, begin, forcing);
         fb_load_columns(sides + N_U * n, N_C, n, begin, given);
-        for (int i = 0; i < N_C; ++i) {
-            w[i] = s->scale[i] * -given[s->row[i]];
-            for (int k = 0; k < i && k < N_RANK; ++k)
-                w[i] -= s->lu[i][k] * w[k];
-        }
-        fb_back_many(forcing, w, s, solution, s->column);
+        if (FB_TRY_STATIC && s->is_static)
+            fb_solve_many(forcing, given, s, solution, static_pivot_row, static_pivot_speed);
+        else
+            fb_solve_many(forcing, given, s, solution, s->row, s->column);
         fb_store_columns(solution, N_U, n, begin, accelerations);
     }
 }

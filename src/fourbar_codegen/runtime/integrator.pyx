@@ -8,9 +8,9 @@ from libc.math cimport INFINITY, NAN
 from libc.string cimport memcpy, memset
 
 from fourbar_codegen.runtime.evaluator cimport (
-    FB_OK, Evaluator, data, fb_all_time, fb_clock, fb_derivatives, fb_fill_inputs, fb_finite, fb_kernel,
-    fb_problem, fb_problem_jacobian, fb_problem_project, fb_problem_rates, fb_source, fb_table, fb_time, fb_variations,
-    new_array, number, numbers, rows, time_of, vector)
+    FB_LAST, FB_LAST_ANY, FB_OK, Evaluator, data, fb_all_time, fb_clock, fb_derivatives, fb_fill_inputs, fb_finite,
+    fb_kernel, fb_problem, fb_problem_jacobian, fb_problem_project, fb_problem_rates, fb_source, fb_table, fb_time,
+    fb_variations, new_array, number, numbers, rows, time_of, vector)
 
 import numpy as np
 
@@ -43,8 +43,8 @@ cdef extern from "fourbar_forward.h":
         double *samples
     int fb_forward_step(fb_run *) noexcept nogil
     int fb_forward_sample(fb_run *, double, const double *) noexcept nogil
-    int fb_forward_at(fb_run *, double, int, const double *, double *) noexcept nogil
-    int fb_forward_close(fb_run *, double, int, int, const double *, double *) noexcept nogil
+    int fb_forward_at(fb_run *, double, FB_LAST, const double *, double *) noexcept nogil
+    int fb_forward_close(fb_run *, double, FB_LAST, const double *, double *) noexcept nogil
     int fb_forward_jump(fb_run *, fb_jump *, const double *, double *) noexcept nogil
     int fb_forward_prepare_interpolant(fb_run *) noexcept nogil
     size_t fb_place_forward(fb_run *, int, fb_forward *, double *) noexcept nogil
@@ -760,7 +760,7 @@ cdef class Run:
         self.run.vary, self.run.vary_sample = fb_forward_step, fb_forward_sample
         self.varied = []
         if self.run.project:
-            self.ode.check(fb_forward_close(&self.run, self.run.t, 0, 0, self.run.x, self.forward.s))
+            self.ode.check(fb_forward_close(&self.run, self.run.t, FB_LAST_ANY, self.run.x, self.forward.s))
         self._make_room(self.run.room)
 
     def keep_steps(self):
@@ -789,7 +789,8 @@ cdef class Run:
     @property
     def sensitivities(self):
         """The derivatives at all samples taken, shape (n, n_x, n_t)."""
-        return _by_directions(np.concatenate(self.varied), &self.forward, self.run.n, self.directions)
+        samples = self.varied[0] if len(self.varied) == 1 else np.concatenate(self.varied)
+        return _by_directions(samples, &self.forward, self.run.n, self.directions)
 
     cdef void *_keep(self, cnp.ndarray array):
         self.kept.append(array)
@@ -809,12 +810,13 @@ cdef class Run:
         states = new_array(n, self.run.n)
         memcpy(data(states), self.run.sample_x, n * self.run.n * sizeof(double))
         samples = (times, states)
+        is_last = self.times is not None and self.n_taken == len(self.times)
         if self.run.forward:
-            self.varied.append(self.kept_s[:n].copy())
+            self.varied.append(self.kept_s[:n] if is_last else self.kept_s[:n].copy())
         if self.run.steps:
             self.places.append((self.kept_places[:n].copy(), self.kept_since[:n].copy()))
             self._make_room_for_steps()
-        if n == self.run.room:
+        if n == self.run.room and not is_last:
             self._make_room(2 * n)
         self.run.n_samples = 0
         return samples
@@ -866,7 +868,7 @@ cdef class Run:
         if run.forward:
             self.forward.fsal = 0
             if x is not None and run.project:
-                self.ode.check(fb_forward_close(run, run.t, 0, 0, run.x, self.forward.s))
+                self.ode.check(fb_forward_close(run, run.t, FB_LAST_ANY, run.x, self.forward.s))
         if run.steps:
             self.clocks.append((self.steps.n, min(first, last), max(first, last), before, first))
             if x is not None:
@@ -936,7 +938,7 @@ cdef class Run:
     def sensitivity_within(self, double share):
         """The derivatives at a fraction of the last step, shape (n_x, n)."""
         cdef cnp.ndarray x = self.state_within(share), s = new_array(self.forward.size)
-        self.ode.check(fb_forward_at(&self.run, self._within(share), 0, data(x), data(s)))
+        self.ode.check(fb_forward_at(&self.run, self._within(share), FB_LAST_ANY, data(x), data(s)))
         return _by_directions(s[np.newaxis], &self.forward, self.run.n, self.directions)[..., 0].T
 
     def event_values_within(self, double share):
@@ -954,7 +956,7 @@ cdef class Run:
         self.t_bound = t
         if self.run.forward and self.run.times == NULL:
             s = new_array(self.forward.size)
-            self.ode.check(fb_forward_at(&self.run, self.run.until, 0, data(x), data(s)))
+            self.ode.check(fb_forward_at(&self.run, self.run.until, FB_LAST_ANY, data(x), data(s)))
             memcpy(self.forward.s, data(s), self.forward.size * sizeof(double))
         if self.run.times == NULL:
             memcpy(self.run.x, data(x), self.run.n * sizeof(double))
@@ -1378,7 +1380,7 @@ cdef class DenseOutput:
             fb_interpolate(self.tableau, data(step), forward.size, forward.size, data(step) + self.rows * forward.size,
                            (data(at)[i] - self.times[0] - end[0]) / end[1], data(s) + i * forward.size)
             if self.project:
-                ode.check(fb_forward_close(&run, 0.0, 0, 0, data(x) + i * n, data(s) + i * forward.size))
+                ode.check(fb_forward_close(&run, 0.0, FB_LAST_ANY, data(x) + i * n, data(s) + i * forward.size))
         derivatives = _by_directions(s, &forward, n, self.directions)
         return self.directions.by_name(derivatives if np.ndim(t) else derivatives[..., 0])
 

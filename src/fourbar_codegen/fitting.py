@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -318,7 +318,7 @@ class _Problem:
     starts: list[_Start | None]
     """Those of the last run of each experiment."""
     runs: tuple[Trajectory, ...] = ()
-    last: tuple[Floats, Floats, Floats] | None = None
+    last: tuple[bytes, Floats, Floats] | None = None
     failure: str = ""
     n_runs: int = 0
 
@@ -339,10 +339,10 @@ class _Problem:
         for name in names:
             if name in model.inputs:
                 raise ModelError(f"{name!r} is an input: give its expression a parameter, and fit this.")
-        directions_of(model, names)  # refuses unknown, dependent and repeated names
-        guesses = {name_of(key): value for key, value in unknowns.items()} if is_mapping(unknowns) else {}
         parameters = [name for name in names if name in model.parameters]
         initial = [name for name in names if name not in model.parameters]
+        directions = directions_of(model, (*parameters, *initial))  # refuses unknown, dependent and repeated names
+        guesses = {name_of(key): value for key, value in unknowns.items()} if is_mapping(unknowns) else {}
         if not names:
             raise ModelError("There is nothing to fit: name parameters or initial values.")
         n = len(experiments)
@@ -384,14 +384,15 @@ class _Problem:
             (*parameters, *initial),
             [(*model.states, *model.parameters).index(name) for name in (*parameters, *initial)],
             len(parameters),
-            directions_of(model, (*parameters, *initial)),
+            directions,
             how,
             [None] * n,
         )
 
     def simulated(self, unknowns: Floats) -> tuple[Floats, Floats]:
         """The weighted residuals and their Jacobian; NaN where a motion cannot be simulated."""
-        if self.last is not None and np.array_equal(self.last[0], unknowns):
+        key = unknowns.tobytes()
+        if self.last is not None and self.last[0] == key:
             return self.last[1:]
         counts = [sum(map(len, columns.values())) for columns in self.measured]
         residuals, jacobian = np.full(sum(counts), math.nan), np.zeros((sum(counts), len(unknowns)))
@@ -416,7 +417,7 @@ class _Problem:
             else:
                 residuals[rows], jacobian[rows, own] = self._compared(i, run)
         self.runs = tuple(runs)
-        self.last = unknowns.copy(), residuals, jacobian
+        self.last = key, residuals, jacobian
         return self.last[1:]
 
     def _run(self, i: int, values: Floats) -> Trajectory:
@@ -424,7 +425,8 @@ class _Problem:
         self.n_runs += 1
         start = self.starts[i]
         start = self.starts[i] = self._first(i, values) if start is None else self._next(start, values)
-        return simulate(self.model, start.options, replace(self.directions, matrix=start.matrix))
+        directions = Directions(self.directions.places, start.matrix, self.directions.sources)
+        return simulate(self.model, start.options, directions)
 
     def _first(self, i: int, values: Floats) -> _Start:
         """The start of the first run of an experiment, whose arguments are checked."""

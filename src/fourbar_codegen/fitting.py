@@ -585,7 +585,7 @@ def _covariance(problem: _Problem, found: Any, *, absolute: bool) -> tuple[Float
     """
     residuals, jacobian = problem.simulated(found.x)
     m, n = jacobian.shape
-    size = np.sqrt((jacobian**2).sum(axis=0))
+    size = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
     simulated = residuals + np.concatenate(
         [
             w[name] * values
@@ -594,9 +594,9 @@ def _covariance(problem: _Problem, found: Any, *, absolute: bool) -> tuple[Float
         ]
     )
     # An unknown of which all of its value has an effect below the simulation's error is not determined.
-    jacobian = np.where(size * np.abs(found.x) <= problem.how["rtol"] * np.linalg.norm(simulated), 0.0, jacobian)
+    is_known = size * np.abs(found.x) > problem.how["rtol"] * np.linalg.norm(simulated)
     scale = np.where(size > 0.0, size, 1.0)
-    _, singular, directions = np.linalg.svd(jacobian / scale, full_matrices=False)
+    _, singular, directions = np.linalg.svd(jacobian * (is_known / scale), full_matrices=False)
     known = singular > UNDETERMINED * singular.max(initial=0.0)
     variance = 1.0 if absolute else float(residuals @ residuals) / (m - n) if m > n else math.inf
     inverse = (directions[known].T / singular[known] ** 2) @ directions[known]

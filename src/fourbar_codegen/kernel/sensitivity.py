@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -167,7 +167,7 @@ def follow(
     if not _n_dependent(model):
         return directions.matrix.copy()
     p = model.parameter_vector(parameters)
-    missing, found, _, _ = _followed(model, t, x, directions, p, inputs)
+    missing, found, _, _ = _Dependent.of(model, t, directions, p, inputs).at(x)
     if missing:
         raise AssemblyError(
             f"The dependent {missing} have no derivative at the initial state, which is a singular position: start "
@@ -193,9 +193,9 @@ def corrected(
     tuple of ndarray, shapes (n_x,) and (n_x + n_p, n), or None
         None unless it converges quadratically, away from singular positions.
     """
-    size = np.inf
+    dependent, size = _Dependent.of(model, t, directions, parameters, inputs), np.inf
     for _ in range(CORRECTIONS):
-        missing, found, change, pivot = _followed(model, t, x, directions, parameters, inputs)
+        missing, found, change, pivot = dependent.at(x)
         last, size = size, np.abs(change).max(initial=0.0)
         if missing or pivot < REGULAR or not size <= 0.5 * last:
             return None
@@ -209,21 +209,34 @@ def _n_dependent(model: Kernel) -> int:
     return int(model.manifest["n_dependent_coordinates"] + model.manifest["n_dependent_speeds"])
 
 
-def _followed(
-    model: Kernel,
-    t: float,
-    x: Floats,
-    directions: Directions,
-    p: Floats | None,
-    inputs: Mapping[Any, InputSource] | None,
-) -> tuple[str, Floats, Floats, float]:
-    """As `Evaluator.follow`, without rows of the inputs."""
-    manifest, n = model.manifest, len(directions.matrix)
-    of_inputs = directions.of_inputs(model, np.array([t]), p, inputs or {})[..., 0]
-    given, r = np.concatenate((directions.matrix, of_inputs)), inputs_at(model, t, p, inputs)
-    n_qd, n_ud = manifest["n_dependent_coordinates"], manifest["n_dependent_speeds"]
-    missing, found, change, pivot = model.follow(t, x, given, n_qd, n_ud, p, r)
-    return missing, found[:n], change, pivot
+class _Dependent(NamedTuple):
+    """What dependent values follow from, but for the state."""
+
+    model: Kernel
+    t: float
+    directions: Floats
+    """Of (x, p, r)."""
+    p: Floats | None
+    r: Floats | None
+
+    @classmethod
+    def of(
+        cls,
+        model: Kernel,
+        t: float,
+        directions: Directions,
+        p: Floats | None,
+        inputs: Mapping[Any, InputSource] | None,
+    ) -> _Dependent:
+        of_inputs = directions.of_inputs(model, np.array([t]), p, inputs or {})[..., 0]
+        return cls(model, t, np.concatenate((directions.matrix, of_inputs)), p, inputs_at(model, t, p, inputs))
+
+    def at(self, x: Floats) -> tuple[str, Floats, Floats, float]:
+        """As `Evaluator.follow`, without rows of the inputs."""
+        model, manifest = self.model, self.model.manifest
+        n_qd, n_ud = manifest["n_dependent_coordinates"], manifest["n_dependent_speeds"]
+        missing, found, change, pivot = model.follow(self.t, x, self.directions, n_qd, n_ud, self.p, self.r)
+        return missing, found[: model.n_x + model.n_p], change, pivot
 
 
 def initial_derivatives(

@@ -13,6 +13,7 @@
 #define FB_TABLE(name) four_bar_##name
 #endif
 #include "four_bar_kernel.h"
+#include "fourbar_angle.h"
 #include "fourbar_columns.h"
 
 #include <math.h>
@@ -24,16 +25,18 @@ static void pullback(double t, const double *restrict x, const double *restrict 
 {
     (void)t;
     const double q1 = x[0];
-    const double z0 = cos(q1);
+    const double q2 = x[1];
+    const double q3 = x[2];
+    const fb_angles angles0 = fb_angles_of(q1, q2, q3, 0.0);
+    const double z0 = angles0.cos[0];
     const double l2 = constants[2];
     const double dynamics6 = weights[6];
     const double z1 = l2*dynamics6;
     const double u1_rate = accelerations[0];
     const double z2 = l2*u1_rate;
-    const double z3 = sin(q1);
-    const double q2 = x[1];
-    const double z4 = cos(q2);
-    const double z5 = sin(q2);
+    const double z3 = angles0.sin[0];
+    const double z4 = angles0.cos[1];
+    const double z5 = angles0.sin[1];
     const double z6 = z3*z4 + z0*z5;
     const double dynamics3 = weights[3];
     const double dynamics4 = weights[4];
@@ -45,9 +48,8 @@ static void pullback(double t, const double *restrict x, const double *restrict 
     const double z11 = z3*z10 + (1.0/2.0)*z9;
     const double z12 = (1.0/2.0)*z9 + z11;
     gradient[14] = -z12;
-    const double q3 = x[2];
-    const double z13 = cos(q3);
-    const double z14 = sin(q3);
+    const double z13 = angles0.cos[2];
+    const double z14 = angles0.sin[2];
     const double z15 = z0*z4 - z3*z5;
     const double z16 = z13*z6 + z14*z15;
     const double dynamics5 = weights[5];
@@ -199,11 +201,12 @@ static void constraint_pullback(double t, const double *restrict x, const double
     (void)t;
     (void)r;
     const double q1 = x[0];
-    const double z0 = cos(q1);
     const double q2 = x[1];
-    const double z1 = cos(q2);
     const double q3 = x[2];
-    const double z2 = cos(q3);
+    const fb_angles angles0 = fb_angles_of(q1, q2, q3, 0.0);
+    const double z0 = angles0.cos[0];
+    const double z1 = angles0.cos[1];
+    const double z2 = angles0.cos[2];
     const double u1 = x[3];
     const double u2 = x[4];
     const double z3 = u1 + u2;
@@ -214,7 +217,7 @@ static void constraint_pullback(double t, const double *restrict x, const double
     const double z5 = l4*constraints2;
     const double constraints1 = weights[1];
     const double z6 = l4*constraints1 - z4*z5;
-    const double z7 = sin(q3);
+    const double z7 = angles0.sin[2];
     const double constraints3 = weights[3];
     const double z8 = l4*constraints3;
     const double constraints0 = weights[0];
@@ -222,13 +225,13 @@ static void constraint_pullback(double t, const double *restrict x, const double
     const double l3 = constants[3];
     const double z10 = l3*constraints2;
     const double z11 = l3*constraints1 + z2*z6 - z7*z9 - z3*z10;
-    const double z12 = sin(q2);
+    const double z12 = angles0.sin[1];
     const double z13 = l3*constraints3;
     const double z14 = l3*constraints0 + z7*z6 + z2*z9 + z3*z13;
     const double l2 = constants[2];
     const double z15 = l2*constraints2;
     const double z16 = z0*(l2*constraints1 + z1*z11 - z12*z14 - u1*z15);
-    const double z17 = sin(q1);
+    const double z17 = angles0.sin[0];
     const double z18 = l2*constraints3;
     const double z19 = z17*(l2*constraints0 + z12*z11 + z1*z14 + u1*z18);
     gradient[0] = z16 - z19;
@@ -266,9 +269,12 @@ static void variation_factors(double t, const double *restrict x, const double *
 {
     (void)t;
     const double q1 = x[0];
-    const double z0 = sin(q1);
+    const double q2 = x[1];
+    const double q3 = x[2];
+    const fb_angles angles0 = fb_angles_of(q1, q2, q3, 0.0);
+    const double z0 = angles0.sin[0];
     factors[2] = z0;
-    const double z1 = cos(q1);
+    const double z1 = angles0.cos[0];
     factors[4] = z1;
     const double lambda0 = multipliers[0];
     const double lambda1 = multipliers[1];
@@ -283,10 +289,9 @@ static void variation_factors(double t, const double *restrict x, const double *
     const double u1_rate = accelerations[0];
     const double z4 = l2*u1_rate;
     factors[11] = z4;
-    const double q2 = x[1];
-    const double z5 = cos(q2);
+    const double z5 = angles0.cos[1];
     factors[24] = z5;
-    const double z6 = sin(q2);
+    const double z6 = angles0.sin[1];
     factors[25] = z6;
     const double z7 = z1*z5 - z0*z6;
     factors[21] = z7;
@@ -309,10 +314,9 @@ static void variation_factors(double t, const double *restrict x, const double *
     const double z13 = l3*z12;
     factors[27] = z13;
     const double z14 = z7*z10 + z11*z13;
-    const double q3 = x[2];
-    const double z15 = cos(q3);
+    const double z15 = angles0.cos[2];
     factors[35] = z15;
-    const double z16 = sin(q3);
+    const double z16 = angles0.sin[2];
     factors[34] = z16;
     const double z17 = z15*z7 - z16*z11;
     factors[31] = z17;
@@ -418,25 +422,26 @@ static void constraint_variation_factors(double t, const double *restrict x, con
     (void)t;
     (void)constants;
     (void)r;
-    const double q3 = x[2];
-    const double z0 = cos(q3);
-    factors[5] = z0;
     const double q1 = x[0];
-    const double z1 = cos(q1);
+    const double q2 = x[1];
+    const double q3 = x[2];
+    const fb_angles angles0 = fb_angles_of(q3, q1, q2, 0.0);
+    const double z0 = angles0.cos[0];
+    factors[5] = z0;
+    const double z1 = angles0.cos[1];
     factors[2] = z1;
     const double u1 = x[3];
     factors[18] = u1*z1;
-    const double q2 = x[1];
-    const double z2 = cos(q2);
+    const double z2 = angles0.cos[2];
     factors[7] = z2;
-    const double z3 = sin(q1);
+    const double z3 = angles0.sin[1];
     factors[3] = z3;
     factors[12] = u1*z3;
-    const double z4 = sin(q2);
+    const double z4 = angles0.sin[2];
     factors[8] = z4;
     const double z5 = z1*z2 - z3*z4;
     factors[1] = z5;
-    const double z6 = sin(q3);
+    const double z6 = angles0.sin[0];
     factors[4] = z6;
     const double z7 = z3*z2 + z1*z4;
     factors[6] = z7;

@@ -144,7 +144,7 @@ def _generate_rest(generated: Generated) -> tuple[Derivatives, dict[str, str], d
     program, equations = generated.scheduled.program, generated.equations
     derivatives, scheduled = generate_derivatives(generated)
     functions = lower_variations(program, equations, form_variations(equations))
-    varied = [schedule_function(function, inline_angles=False) for function in functions]
+    varied = [schedule_function(function, inline_angles=True) for function in functions]
     texts = {
         f"{program.name}_derivatives.c": derivatives_text(program.name, scheduled, generated.names),
         f"{program.name}_variations.c": variations_text(program.name, varied, generated.names),

@@ -19,6 +19,7 @@ from test_prescribed import driven_pendulum, driven_slider_crank
 from trees import revolute_chain
 
 import fourbar_codegen as fb
+from fourbar_codegen.kernel.sensitivity import corrected, directions_of, follow
 
 STEPS = {"closed_chain_8": 3e-4}
 """Of differences, relative, where the error of the order is larger than with the usual 1e-3."""
@@ -138,6 +139,55 @@ def test_projected_runs_are_tangent_to_the_constraints(case):
             assert np.abs(left).max(initial=0.0) <= 1e-11 * size
 
 
+@pytest.mark.parametrize("rtol", [1e-2, 1e-4, 1e-8])
+def test_samples_are_tangent_to_the_constraints(case, rtol):
+    """Also where the projections' factors serve for derivatives, and where interpolants are too far away for that."""
+    model, coordinates, speeds, names = case
+    x0 = model.initial_state(**start(model, coordinates, speeds))
+    how = {"t_eval": np.linspace(0.0, AT[-1], 51), "rtol": rtol, "atol": 1e-2 * rtol}
+    run = model.simulate((0.0, AT[-1]), x0, sensitivities=names, **how)
+    assert run.success
+    directions = np.concatenate((np.zeros((model.n_x, len(names))), directions_of(model, names).matrix[model.n_x :]))
+    for place, t in enumerate(run.t):
+        directions[: model.n_x] = np.array([run.sensitivity[name][:, place] for name in names]).T
+        size = np.abs(directions).max(initial=1.0) * max(1.0, np.abs(run.y[:, place]).max())
+        for left in model.constraint_variation(t, run.y[:, place], directions):
+            assert np.abs(left).max(initial=0.0) <= 1e-11 * size
+
+
+def test_initial_states_of_changed_values_are_predicted_and_corrected(case):
+    """The same as by `initial_state`, which finds it by other methods."""
+    model, coordinates, speeds, names = case
+    given = start(model, coordinates, speeds)
+    directions, p = directions_of(model, names), model.parameter_vector(given["parameters"])
+    x0 = model.initial_state(**given)
+    matrix = follow(model, 0.0, x0, directions, p, None)
+    n_qi = model.n_q - model.manifest["n_dependent_coordinates"]
+    for k, name in enumerate(names):
+        change = 1e-2 * (value_of(model, name, coordinates, speeds) or 1.0)
+        changed = start(model, coordinates, speeds, {name: value_of(model, name, coordinates, speeds) + change})
+        predicted = np.concatenate((x0, p)) + matrix[:, k] * change
+        x, p_there = predicted[: model.n_x], predicted[model.n_x :]
+        wanted, by = model.initial_state(**changed, guess=x[n_qi : model.n_q], derivatives=True)
+        found, followed = corrected(model, 0.0, x, directions, p_there, None)
+        np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-12 * np.abs(wanted).max())
+        expected = np.array([by[own] for own in names]).T
+        # The matrices are those before the last step, of up to 1e-10.
+        size = max(1.0, np.abs(expected).max())
+        np.testing.assert_allclose(followed[: model.n_x], expected, rtol=0, atol=1e-9 * size)
+
+
+def test_states_near_singular_positions_are_not_predicted(four_bar):
+    """Where coupler and rocker cover each other, the crank can go no further, and their motion does not follow."""
+    p = four_bar.parameter_vector({"l4": 0.6})
+    ground, crank, coupler, rocker = (dict(zip(four_bar.parameters, p, strict=True))[f"l{i}"] for i in (1, 2, 3, 4))
+    limit = np.pi - np.arccos((ground**2 + crank**2 - (coupler - rocker) ** 2) / (2.0 * ground * crank))
+    for before, is_regular in ((1e-8, False), (0.1, True)):
+        for x in four_bar.initial_states({"q1": limit - before}, parameters=p).x:
+            found = corrected(four_bar, 0.0, x, directions_of(four_bar, ["l2"]), p, None)
+            assert (found is not None) is is_regular
+
+
 @pytest.mark.parametrize("n", [1, 2, 4, 5, 8])
 def test_few_directions_are_those_of_many(four_bar, n):
     """Blocks are four or eight directions wide; the last of several is filled with zeros."""
@@ -162,7 +212,8 @@ def test_gradients_are_those_of_forward_mode(case):
             cost = generator.normal(size=run.y.shape)
             wanted = {name: (cost * run.sensitivity[name]).sum() for name in names}
             gradient = run.gradient(cost)
-            assert {*names, *model.parameters} <= set(gradient)
+            locked = model.parameters if model.name == "parallelogram" else ()  # by redundant constraints
+            assert {*names, *model.parameters} - {*locked} <= set(gradient)
             size = max(map(abs, wanted.values()))
             assert [gradient[n] for n in names] == pytest.approx([wanted[n] for n in names], rel=0, abs=1e-11 * size)
 
@@ -536,6 +587,26 @@ def test_gradients_that_there_are_not(four_bar):
         four_bar.simulate((0.0, 0.1), method="CVODE", gradient=True)
     with pytest.raises(fb.ModelError, match="gradient=True"):
         kept.resample([0.05]).gradient({"q1": 1.0})
+
+
+def test_parameters_that_redundant_constraints_lock():
+    """With a bar too many, loops close only if all bars have the same length, and are where they are."""
+    model = fb.compile_model(parallelogram())
+    given = {"coordinates": {"q_AB": 1.2}, "speeds": {"u_AB": 2.0}}
+    with pytest.raises(fb.AssemblyError, match="do not close"):
+        model.initial_state(**given, parameters={"l_AB": 1.001})
+    x0, by = model.initial_state(**given, derivatives=True)
+    assert {*by} == {"q_AB", "u_AB", "rho"}
+    for start in (None, x0):
+        for name in ("l_AB", "y_E", "x_A"):  # by x_A at rest, where the bars are upright, it is only of second order
+            if start is not None or name != "x_A":
+                with pytest.raises(fb.AssemblyError, match=f"not stay satisfied if {name} alone changes"):
+                    model.simulate((0.0, 0.3), start, sensitivities=[name])
+    assert model.simulate((0.0, 0.3), x0, sensitivities=["rho", "u_AB"]).success
+    assert {*model.simulate((0.0, 0.3), x0, gradient=True).gradient({"q_AB": 1.0})} == {"q_AB", "u_AB", "rho"}
+    t = np.linspace(0.0, 0.3, 31)
+    with pytest.raises(fb.SimulationError, match="if l_AB alone changes"):
+        fb.fit(model, {"t": t, "q_AB": 1.2 + 2.0 * t}, ["l_AB", "u_AB"])
 
 
 def test_bad_input(four_bar):

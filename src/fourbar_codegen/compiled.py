@@ -350,7 +350,8 @@ class CompiledModel(Kernel):
         -------
         ndarray, shape (n_x,)
             With `derivatives`, a tuple of it and a dict of arrays of this shape, by names; of the shape (n, n_x) for
-            the n values of a table.
+            the n values of a table. Parameters are left out that redundant constraints do not let change alone, such as
+            one of the lengths of a parallelogram with a bar too many.
 
         Raises
         ------
@@ -705,7 +706,8 @@ class CompiledModel(Kernel):
             If an argument has a wrong shape or name, or is not finite; or if there are no sensitivities: with other
             methods, callable inputs, dependent values, or parameters on which times of jumps depend.
         AssemblyError
-            If `x0` is left out and the loops do not close.
+            If `x0` is left out and the loops do not close; or if redundant constraints would be violated by a change of
+            one of the parameters in `sensitivities`.
         SimulationError
             If the equations cannot be evaluated at the initial state.
 

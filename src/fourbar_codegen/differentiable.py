@@ -8,6 +8,7 @@ https://docs.jax.dev.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -267,7 +268,8 @@ class _Simulation:
 
         model, names = self.model, (*self.model.states, *self.outputs)
         shape = jax.ShapeDtypeStruct((len(names), len(self.t_eval)), float)
-        solve = (_forward if forward else _reverse)(self, shape)
+        # Forwards, only what a call gives is differentiated by: others may have no derivative, and NaN times 0 is NaN.
+        solve = functools.cache(functools.partial(_forward if forward else _reverse, self, shape))
         start = {**dict.fromkeys(self.initial, 0.0), **model.manifest["initial"]}
 
         def simulate(parameters: Arrays = {}, initial: Arrays = {}, inputs: Arrays = {}) -> dict[str, Any]:  # noqa: B006
@@ -279,7 +281,8 @@ class _Simulation:
                     (inputs, {name: self.sources[name][1] for name in self.tables}, "input with a table"),
                 )
             )
-            found = solve(p, x, r)
+            given = [name_of(key) for part in (parameters, initial, inputs) for key in part] if forward else []
+            found = solve(tuple(given))(p, x, r)
             return dict(zip(names, jnp.unstack(found), strict=True))
 
         return simulate
@@ -304,6 +307,9 @@ class _Simulation:
                 inputs=sources,
                 derivatives=True,
             )
+            if "sensitivities" in more:  # without parameters that redundant constraints lock
+                more["sensitivities"] = [name for name in more["sensitivities"] if name in dx0]
+                dx0 = {name: dx0[name] for name in more["sensitivities"]}
             if more:
                 more["dx0"] = dx0
             run = model.simulate(self.t_span, x0, parameters=p, inputs=sources, t_eval=self.t_eval, **self.how, **more)
@@ -334,7 +340,7 @@ def _vector(given: Arrays, known: Mapping[str, Any], kind: str) -> Any:
     return jnp.concatenate([jnp.ravel(jnp.asarray(value, float)) for value in parts.values()] or [jnp.zeros(0)])
 
 
-def _reverse(simulation: _Simulation, shape: Any) -> Callable[..., Any]:
+def _reverse(simulation: _Simulation, shape: Any, _: tuple[str, ...]) -> Callable[..., Any]:
     import jax
 
     model, names = simulation.model, (*simulation.model.states, *simulation.outputs)
@@ -366,27 +372,30 @@ def _reverse(simulation: _Simulation, shape: Any) -> Callable[..., Any]:
     return solve  # type: ignore[no-any-return]
 
 
-def _forward(simulation: _Simulation, shape: Any) -> Callable[..., Any]:
+def _forward(simulation: _Simulation, shape: Any, given: tuple[str, ...]) -> Callable[..., Any]:
     import jax
     import jax.numpy as jnp
 
     model = simulation.model
     unknowns = (*model.parameters, *simulation.initial)
-    # Parameters that move the times of jumps have no sensitivity: NaN.
-    left_out = moving_breakpoints(model, None, model.parameters)
-    places: dict[str, int | slice] = {name: i for i, name in enumerate(unknowns) if name not in left_out}
+    places: dict[str, int | slice] = {name: i for i, name in enumerate(unknowns)}
     n = len(unknowns)
     for name in simulation.tables:
         begin, n = n, n + len(simulation.sources[name][1])
         places[name] = slice(begin, n)
+    # Parameters that move the times of jumps have no sensitivity: NaN.
+    left_out = moving_breakpoints(model, None, model.parameters)
+    wanted = [name for name in given if name not in left_out]
     rows = [model.outputs.index(name) for name in simulation.outputs]
 
     def matrix(p: Any, x: Any, r: Any) -> Floats:
-        found = np.full((*shape.shape, n), np.nan)
-        run = simulation.run(p, x, r, sensitivities=[*places])
+        found = np.zeros((*shape.shape, n))
+        for name in given:
+            found[..., places[name]] = np.nan
+        run = simulation.run(p, x, r, sensitivities=wanted)
         if run is not None and run.sensitivity is not None:
-            for name, place in places.items():
-                parts = [run.sensitivity[name]]
+            for name in run.sensitivity:
+                place, parts = places[name], [run.sensitivity[name]]
                 if rows:
                     parts.append(run.output_sensitivity[name][..., rows, :])
                 both = np.concatenate(parts, axis=-2)

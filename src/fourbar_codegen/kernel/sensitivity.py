@@ -22,11 +22,16 @@ __all__ = [
     "follow",
     "independent_states",
     "initial_derivatives",
+    "locked_parameters",
     "moving_breakpoints",
+    "require_derivatives",
     "require_fixed_breakpoints",
 ]
 
 Floats = NDArray[np.float64]
+
+REDUNDANT = 1e-7
+"""Redundant constraints are satisfied to this fraction of their terms; as FB_REDUNDANT in fourbar_solve.h."""
 
 CORRECTIONS = 6
 """Steps of Newton's method from a predicted state."""
@@ -162,18 +167,63 @@ def follow(
     Raises
     ------
     AssemblyError
-        If the dependent values cannot be differentiated, at a singular position.
+        If the dependent values cannot be differentiated: at a singular position, or since redundant constraints do not
+        stay satisfied.
     """
-    if not _n_dependent(model):
-        return directions.matrix.copy()
+    found, locked = _followed(model, t, x, directions, parameters, inputs)
+    require_derivatives(locked)
+    return found
+
+
+def require_derivatives(locked: Sequence[str]) -> None:
+    """Raise an AssemblyError if redundant constraints lock something; see `locked_parameters`."""
+    if locked:
+        raise AssemblyError(
+            f"Redundant constraints do not stay satisfied if {' or '.join(locked)} alone changes: there are no "
+            "derivatives with respect to it."
+        )
+
+
+def _followed(
+    model: Kernel,
+    t: float,
+    x: Floats,
+    directions: Directions,
+    parameters: Values | None,
+    inputs: Mapping[Any, InputSource] | None,
+) -> tuple[Floats, list[str]]:
+    """What `follow` returns, and the names of directions in which redundant constraints do not stay satisfied."""
+    if not model.manifest["n_dependent_coordinates"] + model.manifest["n_dependent_speeds"]:
+        return directions.matrix.copy(), []
     p = model.parameter_vector(parameters)
-    missing, found, _, _ = _Dependent.of(model, t, directions, p, inputs).at(x)
+    missing, found, _, _, left = _Dependent.of(model, t, directions, p, inputs).at(x)
     if missing:
         raise AssemblyError(
             f"The dependent {missing} have no derivative at the initial state, which is a singular position: start "
             "from another one, or choose other independent values."
         )
-    return found
+    return found, _locked(directions, left)
+
+
+def locked_parameters(
+    model: Kernel,
+    states: Sequence[tuple[float, Floats]],
+    parameters: Values | None,
+    inputs: Mapping[Any, InputSource] | None,
+) -> set[str]:
+    """The parameters that redundant constraints do not let change alone, such as a length in a parallelogram with a bar
+    too many: at one of these times and states they would be violated.
+    """
+    if model.n_c <= model.manifest["n_dependent_speeds"]:
+        return set()
+    directions, p = directions_of(model, model.parameters), model.parameter_vector(parameters)
+    lefts = (_Dependent.of(model, t, directions, p, inputs).at(x)[-1] for t, x in states if np.isfinite(x).all())
+    return {name for left in lefts for name in _locked(directions, left)}
+
+
+def _locked(directions: Directions, left: Floats) -> list[str]:
+    """The names of directions for which redundant constraints are left violated."""
+    return [name for name, place in directions.places.items() if np.max(left[place], initial=0.0) > REDUNDANT]
 
 
 def corrected(
@@ -195,18 +245,14 @@ def corrected(
     """
     dependent, size = _Dependent.of(model, t, directions, parameters, inputs), np.inf
     for _ in range(CORRECTIONS):
-        missing, found, change, pivot = dependent.at(x)
+        missing, found, change, pivot, left = dependent.at(x)
         last, size = size, np.abs(change).max(initial=0.0)
         if missing or pivot < REGULAR or not size <= 0.5 * last:
             return None
         x = x + change
         if size <= CORRECTED * (1.0 + np.abs(x).max(initial=0.0)):
-            return x, found
+            return (x, found) if left.max() <= REDUNDANT else None
     return None
-
-
-def _n_dependent(model: Kernel) -> int:
-    return int(model.manifest["n_dependent_coordinates"] + model.manifest["n_dependent_speeds"])
 
 
 class _Dependent(NamedTuple):
@@ -231,12 +277,12 @@ class _Dependent(NamedTuple):
         of_inputs = directions.of_inputs(model, np.array([t]), p, inputs or {})[..., 0]
         return cls(model, t, np.concatenate((directions.matrix, of_inputs)), p, inputs_at(model, t, p, inputs))
 
-    def at(self, x: Floats) -> tuple[str, Floats, Floats, float]:
+    def at(self, x: Floats) -> tuple[str, Floats, Floats, float, Floats]:
         """As `Evaluator.follow`, without rows of the inputs."""
         model, manifest = self.model, self.model.manifest
         n_qd, n_ud = manifest["n_dependent_coordinates"], manifest["n_dependent_speeds"]
-        missing, found, change, pivot = model.follow(self.t, x, self.directions, n_qd, n_ud, self.p, self.r)
-        return missing, found[: model.n_x + model.n_p], change, pivot
+        missing, found, change, pivot, left = model.follow(self.t, x, self.directions, n_qd, n_ud, self.p, self.r)
+        return missing, found[: model.n_x + model.n_p], change, pivot, left
 
 
 def initial_derivatives(
@@ -252,6 +298,7 @@ def initial_derivatives(
     Returns
     -------
     dict of str to ndarray, shape (n_x,), or (n, n_x) for the n values of a table
+        Without those for which redundant constraints do not stay satisfied.
     """
     names = differentiable(model, inputs) if names is None else names
     entries, given = model.manifest["inputs"], _given(inputs)
@@ -262,8 +309,9 @@ def initial_derivatives(
         if name not in moving
     }
     directions = directions_of(model, [name for name in names if name not in none], inputs)
-    found = directions.by_name(follow(model, t, x, directions, parameters, inputs)[: model.n_x].T)
-    return {name: none[name] if name in none else found[name] for name in names}
+    followed, locked = _followed(model, t, x, directions, parameters, inputs)
+    found = none | directions.by_name(followed[: model.n_x].T)
+    return {name: found[name] for name in names if name not in locked}
 
 
 def moving_breakpoints(model: Kernel, parameters: Floats | None, names: Sequence[str]) -> list[str]:

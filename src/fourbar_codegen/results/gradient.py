@@ -13,7 +13,13 @@ from fourbar_codegen.arguments import is_mapping, name_of, named, numbers
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.kernel.inputs import by_values
 from fourbar_codegen.kernel.kernel import Kernel
-from fourbar_codegen.kernel.sensitivity import Directions, differentiable, initial_derivatives, moving_breakpoints
+from fourbar_codegen.kernel.sensitivity import (
+    Directions,
+    differentiable,
+    initial_derivatives,
+    locked_parameters,
+    moving_breakpoints,
+)
 from fourbar_codegen.runtime.batch import Jacobians
 from fourbar_codegen.runtime.integrator import Steps
 
@@ -82,7 +88,10 @@ class KeptSteps:
         for name, derivative in (followed | dict(self.dx0)).items():
             by_start = derivative @ start
             found[name] = found.get(name, 0.0) + (by_start if by_start.shape else float(by_start))
-        for name in moving_breakpoints(model, parameters, model.parameters):
+        end, duration = self.steps.end
+        states = [(self.t, self.steps.start), (self.t + duration, end)]
+        locked = locked_parameters(model, states, parameters, self.inputs)
+        for name in locked.union(moving_breakpoints(model, parameters, model.parameters)):
             del found[name]
         return found
 

@@ -23,6 +23,7 @@ cdef extern from "fourbar_follow.h":
         int n_qd, n_ud, n
         double *directions
         double *corrections
+        double *left
         double pivot
     size_t fb_place_follow(const fb_kernel *, fb_follow *, double *) noexcept nogil
     int fb_follow_at(const fb_kernel *, const fb_variations *, double, const double *, const double *, const double *,
@@ -1113,12 +1114,14 @@ cdef class Evaluator:
             The change of x by a step of Newton's method.
         float
             The least pivot, as a fraction of the largest.
+        ndarray, shape (n + 1,)
+            What redundant constraints do not follow, for each direction and for the step, relative to their entries.
         """
         t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_motions)
         cdef cnp.ndarray state = self._state(t, x, self.n_x), given = numbers(directions, "The directions")
-        cdef cnp.ndarray correction = np.zeros(self.n_x), followed = given.copy(), memory
+        cdef cnp.ndarray correction = np.zeros(self.n_x), followed = given.copy(), memory, left
         cdef const fb_variations *variations = self.variations()
         cdef const double *constants = self._prepare(parameters)
         cdef fb_follow f
@@ -1134,7 +1137,9 @@ cdef class Evaluator:
             memcpy(data(followed) + i * f.n, f.directions + i * (n_d + f.n) + n_d, f.n * sizeof(double))
         memcpy(data(correction) + self.n_q - n_qd, f.corrections, n_qd * sizeof(double))
         memcpy(data(correction) + self.n_q + self.n_u - n_ud, f.corrections + n_qd, n_ud * sizeof(double))
-        return _FOLLOWS[found], followed, correction, f.pivot
+        left = new_array(f.n + 1)
+        memcpy(data(left), f.left, (f.n + 1) * sizeof(double))
+        return _FOLLOWS[found], followed, correction, f.pivot, left
 
     def constraint_pullback(self, t, x, weights, p=None, r=None):
         """The gradient by x, p and r, shape (n_x + n_p + n_r,), of weights times the constraint violations.

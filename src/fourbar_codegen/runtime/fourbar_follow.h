@@ -29,6 +29,7 @@ typedef struct fb_follow {
     double *directions;
     double *corrections; /* (n_qd + n_ud,): c */
     double pivot;        /* the least one, as a fraction of the largest */
+    double *left;        /* (n + 1,): the largest of what redundant rows violate, relative to their entries */
     /* scratch, for n_d the larger number of dependent values: */
     double *block;    /* (n_x + n_p + n_r, FB_DIRECTIONS) */
     double *of_block; /* (2 n_c + n_i, FB_DIRECTIONS) */
@@ -48,6 +49,7 @@ static inline size_t fb_place_follow(const fb_kernel *k, fb_follow *f, double *m
     const fb_place places[] = {
         {&f->directions, rows * columns},
         {&f->corrections, f->n_qd + f->n_ud},
+        {&f->left, f->n + 1},
         {&f->block, rows * FB_DIRECTIONS},
         {&f->of_block, (n_p + k->n_c) * FB_DIRECTIONS},
         {&f->changes, (n_p + k->n_c) * (columns + 1)},
@@ -61,8 +63,8 @@ static inline size_t fb_place_follow(const fb_kernel *k, fb_follow *f, double *m
 }
 
 /* The dependent values' changes in `solution`, for the rows of `changes` from `first` on, whose unknowns are n_d
- * columns from `column` on; whether they are determined. Rows are scaled by their largest entries, but for those of
- * rounding errors. */
+ * columns from `column` on; whether they are determined. Rows are scaled by their largest entries; rows of rounding
+ * errors are left out. */
 static inline int fb_follow_solve(fb_follow *f, const int first, const int n_rows, const int column, const int n_d)
 {
     const int columns = f->n_qd + f->n_ud + f->n + 1, n = f->n + 1;
@@ -92,6 +94,9 @@ static inline int fb_follow_solve(fb_follow *f, const int first, const int n_row
     f->pivot = last < f->pivot ? last : f->pivot;
     for (int i = 0; i < n_d * n; ++i)
         f->solution[i] /= largest;
+    for (int i = n_d; i < n_rows; ++i)
+        for (int j = 0; j < n; ++j)
+            f->left[j] = fb_max(f->left[j], fabs(f->sides[i * n + j]));
     return rank == n_d && last > FB_FOLLOWING && all_finite(f->solution, n_d * n) == FB_OK;
 }
 
@@ -115,6 +120,7 @@ static inline int fb_follow_at(const fb_kernel *k, const fb_variations *variatio
     double *const of_block = f->of_block, *const velocities = of_block + n_p * FB_DIRECTIONS;
     f->pivot = 1.0;
     memset(f->corrections, 0, (size_t)(f->n_qd + f->n_ud) * sizeof(double));
+    memset(f->left, 0, (size_t)(f->n + 1) * sizeof(double));
     for (int i = 0; i < rows; ++i)
         memset(f->directions + i * columns, 0, (size_t)(f->n_qd + f->n_ud) * sizeof(double));
     for (int i = 0; i < f->n_qd; ++i)

@@ -40,6 +40,34 @@ typedef struct fb_forward {
     int has_avx2; /* whether the processor has these instructions */
 } fb_forward;
 
+/* Derivatives have long rows: combinations and interpolants are compiled for AVX2 too, if the compiler can. */
+#if defined(__x86_64__) && defined(__GNUC__)
+#define FB_AVX2_FUNCTION __attribute__((target("avx2,fma")))
+static inline int fb_has_avx2(void)
+{
+    return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
+}
+#else
+#define FB_AVX2_FUNCTION
+static inline int fb_has_avx2(void)
+{
+    return 0;
+}
+#endif
+
+FB_AVX2_FUNCTION static inline void fb_combine_avx2(const double *rows, const int n, const fb_weights *w,
+                                                    const double factor, const double *base, double *restrict result)
+{
+    fb_combine_rows(rows, n, w, factor, base, result);
+}
+
+FB_AVX2_FUNCTION static inline void fb_interpolate_avx2(const fb_tableau *m, const double *coefficients, const int n,
+                                                        const int padded, const double *x_old, const double y,
+                                                        double *restrict x)
+{
+    fb_interpolate(m, coefficients, n, padded, x_old, y, x);
+}
+
 static inline void fb_forward_combine(const fb_forward *f, const fb_weights *w, const double factor, const double *base,
                                       double *restrict result)
 {

@@ -443,34 +443,6 @@ static FB_INLINE void fb_interpolate(const fb_tableau *m, const double *coeffici
         x[i] += x_old[i];
 }
 
-/* For long rows, if the processor has AVX2: the same compiled for it. */
-#if defined(__x86_64__) && defined(__GNUC__)
-#define FB_AVX2_FUNCTION __attribute__((target("avx2,fma")))
-static inline int fb_has_avx2(void)
-{
-    return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
-}
-#else
-#define FB_AVX2_FUNCTION
-static inline int fb_has_avx2(void)
-{
-    return 0;
-}
-#endif
-
-FB_AVX2_FUNCTION static inline void fb_combine_avx2(const double *rows, const int n, const fb_weights *w,
-                                                    const double factor, const double *base, double *restrict result)
-{
-    fb_combine_rows(rows, n, w, factor, base, result);
-}
-
-FB_AVX2_FUNCTION static inline void fb_interpolate_avx2(const fb_tableau *m, const double *coefficients, const int n,
-                                                        const int padded, const double *x_old, const double y,
-                                                        double *restrict x)
-{
-    fb_interpolate(m, coefficients, n, padded, x_old, y, x);
-}
-
 /* Projects an interpolant onto the constraints. It is unchanged if no state nearby satisfies them, and NaN where they
  * have no value. */
 static inline int fb_project_sample(fb_problem *p, const double t, double *x)

@@ -1073,6 +1073,12 @@ cdef class Steps:
         """The initial state, shape (n_x,)."""
         return np.array(self.ends[0, 2:])
 
+    @property
+    def end(self):
+        """The last state, shape (n_x,), and its time since the beginning."""
+        cdef long last = len(self.ends) - 1
+        return np.array(self.ends[last, 2:]), float(self.ends[last, 0])
+
     def gradient(self, by_states, by_outputs=None):
         """The gradient of a cost from its derivatives by the samples' states, (n_t, n_x), and outputs, (n_t, n_o).
 

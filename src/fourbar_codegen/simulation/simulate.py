@@ -16,7 +16,14 @@ from fourbar_codegen.errors import ModelError, ModelWarning
 from fourbar_codegen.kernel.consistency import check_start, consistent, projects
 from fourbar_codegen.kernel.inputs import InputSource, bind
 from fourbar_codegen.kernel.kernel import Kernel
-from fourbar_codegen.kernel.sensitivity import Directions, directions_of, follow, require_fixed_breakpoints
+from fourbar_codegen.kernel.sensitivity import (
+    Directions,
+    directions_of,
+    follow,
+    locked_parameters,
+    require_derivatives,
+    require_fixed_breakpoints,
+)
 from fourbar_codegen.progress import PATIENCE, Progress
 from fourbar_codegen.results.trajectory import Trajectory
 from fourbar_codegen.runtime.integrator import Stepper
@@ -50,13 +57,19 @@ def simulate(model: Kernel, options: RunOptions, directions: Directions | None =
     if options.sensitivities and directions is None:
         directions = _directions(model, options, state)
     if report is not None:
-        return integrate(model, ode, state, options, report or None, directions)
-    with Progress(model.name, unwatched=PATIENCE) as progress:
+        run = integrate(model, ode, state, options, report or None, directions)
+    else:
+        with Progress(model.name, unwatched=PATIENCE) as progress:
 
-        def told(t: float) -> None:
-            progress.stage(f"simulating, t = {t:.6g} of {end:g} s")
+            def told(t: float) -> None:
+                progress.stage(f"simulating, t = {t:.6g} of {end:g} s")
 
-        return integrate(model, ode, state, options, told, directions)
+            run = integrate(model, ode, state, options, told, directions)
+    if directions is not None:
+        states = [(start, state), *zip(run.t[-1:].tolist(), run.y[:, -1:].T, strict=True)]
+        locked = locked_parameters(model, states, p, inputs)
+        require_derivatives([name for name in directions.names if name in locked])
+    return run
 
 
 def _check_differentiable(model: Kernel, options: RunOptions) -> None:
@@ -87,8 +100,7 @@ def _directions(model: Kernel, options: RunOptions, state: Floats) -> Directions
         held[found.places[name]] = True
     matrix = found.matrix.copy()
     if not held.all():
-        followed = follow(model, options.t_span[0], state, found, options.parameters, options.inputs)
-        matrix[:, ~held] = followed[:, ~held]
+        matrix[:, ~held] = follow(model, options.t_span[0], state, found, options.parameters, options.inputs)[:, ~held]
     for name, derivative in options.dx0.items():
         matrix[: model.n_x, found.places[name]] = derivative.T
     return Directions(found.places, matrix, found.sources)

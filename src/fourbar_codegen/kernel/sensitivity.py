@@ -31,7 +31,10 @@ __all__ = [
 Floats = NDArray[np.float64]
 
 REDUNDANT = 1e-7
-"""Redundant constraints are satisfied to this fraction of their terms; as FB_REDUNDANT in fourbar_solve.h."""
+"""Redundant constraints are satisfied to this fraction of their terms, as FB_REDUNDANT in fourbar_solve.h; ..."""
+
+OPENED = 100.0
+"""... and to this multiple of the violation of the state, since they may be redundant only where loops are closed."""
 
 CORRECTIONS = 6
 """Steps of Newton's method from a predicted state."""
@@ -196,13 +199,13 @@ def _followed(
     if not model.manifest["n_dependent_coordinates"] + model.manifest["n_dependent_speeds"]:
         return directions.matrix.copy(), []
     p = model.parameter_vector(parameters)
-    missing, found, _, _, left = _Dependent.of(model, t, directions, p, inputs).at(x)
+    missing, found, change, _, left = _Dependent.of(model, t, directions, p, inputs).at(x)
     if missing:
         raise AssemblyError(
             f"The dependent {missing} have no derivative at the initial state, which is a singular position: start "
             "from another one, or choose other independent values."
         )
-    return found, _locked(directions, left)
+    return found, _locked(directions, change, left)
 
 
 def locked_parameters(
@@ -217,13 +220,18 @@ def locked_parameters(
     if model.n_c <= model.manifest["n_dependent_speeds"]:
         return set()
     directions, p = directions_of(model, model.parameters), model.parameter_vector(parameters)
-    lefts = (_Dependent.of(model, t, directions, p, inputs).at(x)[-1] for t, x in states if np.isfinite(x).all())
-    return {name for left in lefts for name in _locked(directions, left)}
+    found: set[str] = set()
+    for t, x in states:
+        if np.isfinite(x).all():
+            _, _, change, _, left = _Dependent.of(model, t, directions, p, inputs).at(x)
+            found.update(_locked(directions, change, left))
+    return found
 
 
-def _locked(directions: Directions, left: Floats) -> list[str]:
-    """The names of directions for which redundant constraints are left violated."""
-    return [name for name, place in directions.places.items() if np.max(left[place], initial=0.0) > REDUNDANT]
+def _locked(directions: Directions, change: Floats, left: Floats) -> list[str]:
+    """The names of directions for which redundant constraints are left violated, for results of `_Dependent.at`."""
+    allowed = REDUNDANT + OPENED * max(np.abs(change).max(initial=0.0), left[-1])
+    return [name for name, place in directions.places.items() if np.max(left[place], initial=0.0) > allowed]
 
 
 def corrected(

@@ -13,6 +13,7 @@ from fourbar_codegen.arguments import Values, name_of
 from fourbar_codegen.errors import AssemblyError, ModelError, meant
 from fourbar_codegen.kernel.inputs import InputSource, changes_at, input_sources, inputs_at, own_source, source_changes
 from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.runtime.evaluator import dependent_changes
 
 __all__ = [
     "Directions",
@@ -286,11 +287,12 @@ class _Dependent(NamedTuple):
         return cls(model, t, np.concatenate((directions.matrix, of_inputs)), p, inputs_at(model, t, p, inputs))
 
     def at(self, x: Floats) -> tuple[str, Floats, Floats, float, Floats]:
-        """As `Evaluator.follow`, without rows of the inputs."""
+        """As `dependent_changes`, without rows of the inputs."""
         model, manifest = self.model, self.model.manifest
         n_qd, n_ud = manifest["n_dependent_coordinates"], manifest["n_dependent_speeds"]
-        missing, found, change, pivot, left = model.follow(self.t, x, self.directions, n_qd, n_ud, self.p, self.r)
-        return missing, found[: model.n_x + model.n_p], change, pivot, left
+        found = dependent_changes(model, self.t, x, self.directions, n_qd, n_ud, self.p, self.r)
+        missing, followed, change, pivot, left = found
+        return missing, followed[: model.n_x + model.n_p], change, pivot, left
 
 
 def initial_derivatives(

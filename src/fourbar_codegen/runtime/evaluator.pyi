@@ -127,16 +127,6 @@ class Evaluator:
     def constraint_variation(
         self, t: float, x: ArrayLike, directions: Floats, p: Values | None = None, r: Values | None = None
     ) -> tuple[Floats, Floats]: ...
-    def follow(
-        self,
-        t: float,
-        x: Floats,
-        directions: Floats,
-        n_qd: int,
-        n_ud: int,
-        p: Values | None = None,
-        r: Values | None = None,
-    ) -> tuple[str, Floats, Floats, float, Floats]: ...
     def drawing(
         self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None
     ) -> tuple[Floats, Floats]: ...
@@ -208,3 +198,14 @@ class Evaluator:
     def along(
         self, times: ArrayLike, states: ArrayLike, inputs: ArrayLike, p: Values | None = None
     ) -> tuple[Floats, Floats, Floats, Floats, Floats]: ...
+
+def dependent_changes(
+    evaluator: Evaluator,
+    t: float,
+    x: Floats,
+    directions: Floats,
+    n_qd: int,
+    n_ud: int,
+    p: Values | None,
+    r: Values | None,
+) -> tuple[str, Floats, Floats, float, Floats]: ...

@@ -1092,55 +1092,6 @@ cdef class Evaluator:
             velocities[:, i:i + FB_DIRECTIONS] = velocity[:, :n - i]
         return positions, velocities
 
-    def follow(self, t, x, directions, int n_qd, int n_ud, p=None, r=None):
-        """How dependent coordinates and speeds follow, see ``fourbar_follow.h``.
-
-        Parameters
-        ----------
-        t : float
-        x : ndarray, shape (n_x,)
-        directions : ndarray, shape (n_x + n_p + n_r, n)
-            Of (x, p, r).
-        n_qd, n_ud : int
-            The numbers of dependent coordinates and speeds, which are the last ones.
-
-        Returns
-        -------
-        str
-            What does not follow, "coordinates" or "speeds", or "".
-        ndarray, shape (n_x + n_p + n_r, n)
-            The directions with dependent rows filled.
-        ndarray, shape (n_x,)
-            The change of x by a step of Newton's method.
-        float
-            The least pivot, as a fraction of the largest.
-        ndarray, shape (n + 1,)
-            What redundant constraints do not follow, for each direction and for the step, relative to their entries.
-        """
-        t = time_of(t)
-        cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_motions)
-        cdef cnp.ndarray state = self._state(t, x, self.n_x), given = numbers(directions, "The directions")
-        cdef cnp.ndarray correction = np.zeros(self.n_x), followed = given.copy(), memory, left
-        cdef const fb_variations *variations = self.variations()
-        cdef const double *constants = self._prepare(parameters)
-        cdef fb_follow f
-        cdef int i, rows = self.n_x + self.n_p + self.n_r, n_d = n_qd + n_ud, found
-        f.n_qd, f.n_ud, f.n = n_qd, n_ud, cnp.PyArray_DIM(given, 1)
-        memory = new_array(fb_place_follow(self.kernel, &f, NULL))
-        fb_place_follow(self.kernel, &f, data(memory))
-        for i in range(rows):
-            memcpy(f.directions + i * (n_d + f.n) + n_d, data(given) + i * f.n, f.n * sizeof(double))
-        found = fb_follow_at(
-            self.kernel, variations, t, data(state), constants, self._fill(t, constants, inputs), &f)
-        for i in range(rows):
-            memcpy(data(followed) + i * f.n, f.directions + i * (n_d + f.n) + n_d, f.n * sizeof(double))
-        memcpy(data(correction) + self.n_q - n_qd, f.corrections, n_qd * sizeof(double))
-        memcpy(data(correction) + self.n_q + self.n_u - n_ud, f.corrections + n_qd, n_ud * sizeof(double))
-        left = new_array(f.n + 1)
-        memcpy(data(left), f.left, (f.n + 1) * sizeof(double))
-        return _FOLLOWS[found], followed, correction, f.pivot, left
-
     def constraint_pullback(self, t, x, weights, p=None, r=None):
         """The gradient by x, p and r, shape (n_x + n_p + n_r,), of weights times the constraint violations.
 
@@ -1406,3 +1357,54 @@ cdef class Evaluator:
                 self.kernel.output(t_i, x_i, constants, r_i, data(accelerations), lambda_i,
                                    data(outputs) + i * self.n_o)
         return constraints.T, velocities.T, energies.T, multipliers[:, :self.n_c].T, outputs.T
+
+
+def dependent_changes(Evaluator evaluator not None, t, x, directions, int n_qd, int n_ud, p, r):
+    """How dependent coordinates and speeds follow, see ``fourbar_follow.h``.
+
+    Parameters
+    ----------
+    evaluator : Evaluator
+    t : float
+    x : ndarray, shape (n_x,)
+    directions : ndarray, shape (n_x + n_p + n_r, n)
+        Of (x, p, r).
+    n_qd, n_ud : int
+        The numbers of dependent coordinates and speeds, which are the last ones.
+
+    Returns
+    -------
+    str
+        What does not follow, "coordinates" or "speeds", or "".
+    ndarray, shape (n_x + n_p + n_r, n)
+        The directions with dependent rows filled.
+    ndarray, shape (n_x,)
+        The change of x by a step of Newton's method.
+    float
+        The least pivot, as a fraction of the largest.
+    ndarray, shape (n + 1,)
+        What redundant constraints do not follow, for each direction and for the step, relative to their entries.
+    """
+    t = time_of(t)
+    cdef cnp.ndarray parameters = evaluator._parameters(p)
+    cdef cnp.ndarray inputs = evaluator._inputs(t, parameters, r, evaluator.has_motions)
+    cdef cnp.ndarray state = evaluator._state(t, x, evaluator.n_x), given = numbers(directions, "The directions")
+    cdef cnp.ndarray correction = np.zeros(evaluator.n_x), followed = given.copy(), memory, left
+    cdef const fb_variations *variations = evaluator.variations()
+    cdef const double *constants = evaluator._prepare(parameters)
+    cdef fb_follow f
+    cdef int i, rows = evaluator.n_x + evaluator.n_p + evaluator.n_r, n_d = n_qd + n_ud, found
+    f.n_qd, f.n_ud, f.n = n_qd, n_ud, cnp.PyArray_DIM(given, 1)
+    memory = new_array(fb_place_follow(evaluator.kernel, &f, NULL))
+    fb_place_follow(evaluator.kernel, &f, data(memory))
+    for i in range(rows):
+        memcpy(f.directions + i * (n_d + f.n) + n_d, data(given) + i * f.n, f.n * sizeof(double))
+    found = fb_follow_at(
+        evaluator.kernel, variations, t, data(state), constants, evaluator._fill(t, constants, inputs), &f)
+    for i in range(rows):
+        memcpy(data(followed) + i * f.n, f.directions + i * (n_d + f.n) + n_d, f.n * sizeof(double))
+    memcpy(data(correction) + evaluator.n_q - n_qd, f.corrections, n_qd * sizeof(double))
+    memcpy(data(correction) + evaluator.n_q + evaluator.n_u - n_ud, f.corrections + n_qd, n_ud * sizeof(double))
+    left = new_array(f.n + 1)
+    memcpy(data(left), f.left, (f.n + 1) * sizeof(double))
+    return _FOLLOWS[found], followed, correction, f.pivot, left

@@ -679,7 +679,8 @@ class CompiledModel(Kernel):
             numbers or tables, with respect to whose values the states are differentiated: ``trajectory.sensitivity``,
             and ``trajectory.sol.sensitivity(t)`` with `dense_output`. The steps of DOP853 and RK45 are
             differentiated as they are taken, with their lengths held; the derivatives are then as accurate as the
-            states. After each projection they are moved onto the constraints' tangent; what that leaves out is
+            states, if these move: steps are chosen for the states alone, and at rest or in a steady motion they need
+            `max_step`. After each projection they are moved onto the constraints' tangent; what that leaves out is
             proportional to the correction of the state, and below `rtol`. Without `x0`, dependent initial values follow
             from loop closure; a given `x0` depends on no parameter and no input, except for what keeps it on the
             constraints. Where forces jump with the state, the change of the time of the jump is left out, with a

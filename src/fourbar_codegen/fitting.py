@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.analysis.initial_state import nearby_state
-from fourbar_codegen.arguments import is_integer, is_mapping, name_of, named, numbers, one_of, positive
+from fourbar_codegen.arguments import finite_number, is_integer, is_mapping, name_of, named, numbers, one_of, positive
 from fourbar_codegen.compiled import CompiledModel
 from fourbar_codegen.errors import AssemblyError, ModelError, SimulationError, meant, shown
 from fourbar_codegen.kernel.inputs import InputSource
@@ -59,8 +59,9 @@ class Experiment:
         Measured states and outputs.
     start : float, optional
         The time at which the motion begins; by default the first measurement's.
-    coordinates, speeds, auxiliary_states : optional
-        Known initial values, as for `CompiledModel.initial_state`; by default the model's.
+    coordinates, speeds, auxiliary_states : mapping, optional
+        Known initial values of independent ones, by names or symbols; by default the model's. Those of unknowns are
+        first guesses.
     parameters : mapping, optional
         Known parameters of this experiment, such as a load; by default the model's.
     inputs : mapping, optional
@@ -176,7 +177,7 @@ def fit(
     bounds : mapping of name to (float, float), optional
         Lower and upper bound of unknowns.
     sigma : mapping of name to float or array_like, optional
-        Standard deviations of the measurements, by which residuals are divided. By default 1, and the covariance
+        Standard deviations of all measured quantities, by which residuals are divided. By default 1, and the covariance
         follows from the scatter of the residuals.
     loss : {"linear", "soft_l1", "huber", "cauchy", "arctan"}, optional
         As for `scipy.optimize.least_squares`, such as "soft_l1" against outliers.
@@ -193,7 +194,8 @@ def fit(
     ------
     ModelError
         If a name is unknown, a dependent state or an expression of others is to be fitted, measurements are not finite
-        or of different lengths, there are fewer of them than unknowns, or a guess is outside of its bounds.
+        or of different lengths, there are fewer of them than unknowns, `sigma` leaves one out, or a guess is outside of
+        its bounds.
     SimulationError, AssemblyError
         If the first guess cannot be simulated.
 
@@ -347,12 +349,18 @@ class _Problem:
             raise ModelError("There is nothing to fit: name parameters or initial values.")
         n = len(experiments)
         all_names = (*parameters, *(name if n == 1 else f"{name} ({i + 1})" for i in range(n) for name in initial))
+        measured = [_measured(model, i, e, outputs) for i, e in enumerate(experiments)]
+        for i, each in enumerate(experiments):
+            for name in map(name_of, each.parameters):
+                if name in parameters:
+                    raise ModelError(
+                        f"{name} is an unknown, and has a known value in experiment {i + 1}: leave one out."
+                    )
         values = [_number(name, guesses.get(name, model.defaults.get(name)), "parameter") for name in parameters]
         known = [(*e.coordinates.items(), *e.speeds.items(), *e.auxiliary_states.items()) for e in experiments]
         for i in range(n):
             start = {**model.manifest["initial"], **{name_of(key): value for key, value in known[i]}}
             values += [_number(name, guesses.get(name, start.get(name, 0.0)), "initial value") for name in initial]
-        measured = [_measured(model, i, e, outputs) for i, e in enumerate(experiments)]
         deviations = (
             {} if sigma is None else named(_mapping(sigma, "sigma"), (*model.states, *model.outputs), "state or output")
         )
@@ -360,6 +368,10 @@ class _Problem:
         for _, columns in measured:
             weight = {}
             for name, column in columns.items():
+                if sigma is not None and name not in deviations:
+                    raise ModelError(
+                        f"sigma has no standard deviation of {name}: give those of all measured quantities."
+                    )
                 deviation = numbers(deviations.get(name, 1.0), f"sigma of {name}")
                 if deviation.shape not in ((), column.shape) or not (np.isfinite(deviation) & (deviation > 0)).all():
                     raise ModelError(
@@ -526,9 +538,13 @@ def _measured(
 ) -> tuple[Floats, dict[str, Floats]]:
     """The times and the measurements to compare of an experiment, checked."""
     which = f"experiment {i + 1}"
+    for part in ("coordinates", "speeds", "auxiliary_states", "parameters"):
+        _mapping(getattr(experiment, part), f"The {part.replace('_', ' ')} of {which}")
     times = numbers(experiment.t, f"The times of {which}")
     if times.ndim != 1 or len(times) < 2 or not np.isfinite(times).all() or not (np.diff(times) > 0).all():
         raise ModelError(f"The times of {which} must be finite and increasing, and at least two.")
+    if experiment.start is not None and finite_number(experiment.start, f"start of {which}") > times[0]:
+        raise ModelError(f"The start of {which}, {experiment.start:g}, is after its first measurement, {times[0]:g}.")
     columns = named(
         _mapping(experiment.measured, f"The measurements of {which}"),
         (*model.states, *model.outputs),

@@ -156,7 +156,10 @@ def test_samples_are_tangent_to_the_constraints(case, rtol):
 
 
 def test_initial_states_of_changed_values_are_predicted_and_corrected(case):
-    """The same as by `initial_state`, which finds it by other methods."""
+    """The states are those of `initial_state`, which finds them by other methods.
+
+    Its derivatives, by which they are predicted, are compared with differences above.
+    """
     model, coordinates, speeds, names = case
     given = start(model, coordinates, speeds)
     directions, p = directions_of(model, names), model.parameter_vector(given["parameters"])

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import sympy as sm
+from scipy.linalg import expm
 from scipy.optimize import curve_fit
 from test_sensitivities import oscillator
 
@@ -18,6 +19,18 @@ def noisy():
     t = np.linspace(0.0, 6.0, 121)
     model = fb.compile_model(oscillator())
     return model, t, 0.3 * np.cos(2.1 * t) + 0.01 * np.random.default_rng(1).normal(size=t.size)
+
+
+def test_errors_of_estimates_at_a_steady_motion():
+    """Where x' does not change, S = exp(f_x t) S0, and the error of one estimate is sigma / |S|."""
+    model, t = fb.compile_model(fb.models.whipple_bicycle()), np.linspace(0.0, 2.0, 41)
+    x0, by = model.initial_state(derivatives=True)
+    roll = [(expm(model.jacobian(0.0, x0) * time) @ by["u7"])[model.states.index("q4")] for time in t]
+    measured = 1e-3 * np.random.default_rng(0).normal(size=t.size)
+    found = fb.fit(model, {"t": t, "q4": measured}, {"u7": 0.0}, sigma={"q4": 1e-3})
+    # the motion near the estimate is linear to the square of roll rates of 1e-3
+    assert found.stderr["u7"] == pytest.approx(1e-3 / np.linalg.norm(roll), rel=1e-4)
+    assert found.values["u7"] == pytest.approx(measured @ roll / (np.transpose(roll) @ roll), rel=1e-3)
 
 
 def closed_form(t, k, x):

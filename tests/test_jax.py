@@ -57,12 +57,13 @@ def test_both_modes_and_the_closed_loop(four_bar):
         return lambda parameters, initial: (simulate(parameters, initial)["q2"] ** 2).sum()
 
     given = {"k": 2.0, "l2": 0.6}, {"q1": -0.5, "u1": -0.1}
-    reverse = loss(model.simulation((0.0, 1.0), TIMES))
+    tight = {"rtol": 1e-12, "atol": 1e-12}  # the two modes take different steps
+    reverse = loss(model.simulation((0.0, 1.0), TIMES, **tight))
     found = jax.jit(jax.grad(reverse, argnums=(0, 1)))(*given)
-    forward = jax.grad(loss(model.simulation((0.0, 1.0), TIMES, forward=True)), argnums=(0, 1))(*given)
+    forward = jax.grad(loss(model.simulation((0.0, 1.0), TIMES, forward=True, **tight)), argnums=(0, 1))(*given)
     for place, values in enumerate(given):
         for name, value in values.items():
-            # h^2 / 6 times a third derivative; the runs' errors of 1e-8 divided by h
+            # h^2 / 6 times a third derivative; the runs' errors of 1e-12 divided by h
             after, before = (
                 reverse(*(each | {name: value + h} if i == place else each for i, each in enumerate(given)))
                 for h in (1e-4, -1e-4)

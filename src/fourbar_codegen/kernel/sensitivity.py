@@ -27,6 +27,7 @@ __all__ = [
     "moving_breakpoints",
     "require_derivatives",
     "require_fixed_breakpoints",
+    "with_probes",
 ]
 
 Floats = NDArray[np.float64]
@@ -43,6 +44,9 @@ CORRECTIONS = 6
 CORRECTED = 1e-10
 """A step that changes no value by more than this, relative to 1 or the largest value, is the last one: the next one
 would change it by the square of this."""
+
+PROBES = 4
+"""Arbitrary directions that choose the steps of runs with gradients: as many as are varied at once."""
 
 REGULAR = 1e-3
 """Pivots of the constraints' derivatives, relative to the largest, below which a singular position may be nearby."""
@@ -138,6 +142,20 @@ def directions_of(model: Kernel, names: Sequence[Any], inputs: Mapping[Any, Inpu
             columns[:, place if isinstance(place, slice) else [place]] = of_source
             sources[row] = columns
     return Directions(places, matrix, sources)
+
+
+def with_probes(model: Kernel, directions: Directions | None) -> Directions:
+    """Directions with further ones, without names, in which all initial states change.
+
+    Arbitrary directions have a part in each mode of the motion: steps that are short enough for the derivatives along
+    them are so for all derivatives.
+    """
+    probes = np.zeros((model.n_x + model.n_p, PROBES))
+    probes[: model.n_x] = np.random.default_rng(0).standard_normal((model.n_x, PROBES))
+    if directions is None:
+        return Directions({}, probes, [None] * model.n_r)
+    sources = [None if each is None else np.pad(each, ((0, 0), (0, PROBES))) for each in directions.sources]
+    return Directions(directions.places, np.hstack((directions.matrix, probes)), sources)
 
 
 def follow(

@@ -168,6 +168,7 @@ cdef class Evaluator:
     cdef double *constants
     cdef double *inputs
     cdef void *work
+    cdef cnp.ndarray default_parameters
     cdef bint has_defaults
     cdef readonly bint has_inputs
     cdef readonly bint states_need_solution

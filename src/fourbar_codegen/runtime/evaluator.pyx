@@ -253,11 +253,11 @@ cdef class Evaluator:
         if not (self.default_constants and self.constants and self.inputs and self.work):
             raise MemoryError
         values = [NAN if entry["default"] is None else entry["default"] for entry in manifest["parameters"]]
-        cdef cnp.ndarray defaults = vector(values, self.n_p, "The default parameters")
-        self.has_defaults = fb_finite(data(defaults), self.n_p)
+        self.default_parameters = vector(values, self.n_p, "The default parameters")
+        self.has_defaults = fb_finite(data(self.default_parameters), self.n_p)
         unknown = {place for place, entry in enumerate(manifest["inputs"]) if entry["expression"] is None}
         self.has_inputs, self.has_motions = not unknown, not unknown & set(manifest["moving_inputs"])
-        kernel.prepare(data(defaults), self.default_constants)
+        kernel.prepare(data(self.default_parameters), self.default_constants)
 
     def __dealloc__(self):
         PyMem_Free(self.default_constants)

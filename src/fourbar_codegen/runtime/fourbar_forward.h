@@ -8,14 +8,22 @@
  *     S_k = S + h sum_j a_kj K_j,     S_new = S + h sum_j b_j K_j.
  *
  * After a projection S is moved onto the constraints' tangent by the same orthogonal projection. What is left out is
- * proportional to the correction of the state, which is below the tolerance of the step. Directions of inputs are those
- * of their tables' coefficients, which do not depend on the state.
+ * proportional to the correction of the state, which is below the tolerance of the step. The embedded error estimates
+ * of S limit the steps, with ten times the tolerances: where the state rests, or moves steadily, its own do not.
+ * Directions of inputs are those of their tables' coefficients, which do not depend on the state.
  */
 #ifndef FOURBAR_FORWARD_H
 #define FOURBAR_FORWARD_H
 
 #include "fourbar_integrate.h"
 #include "fourbar_jumps.h"
+
+#include <float.h>
+
+/* The tolerances of derivatives are so many times those of states; relative ones have an upper and a lower limit. */
+#define FB_FORWARD_SHARE 10.0
+#define FB_MOST_FORWARD_RTOL 1e-2
+#define FB_LEAST_FORWARD_RTOL 1e-11
 
 /* Blocks are so wide if that is enough. */
 enum { FB_FEW_DIRECTIONS = 4 };
@@ -32,6 +40,8 @@ typedef struct fb_forward {
     const double **source_changes;
     double *input_jacobian;       /* (n_r, n_p), dr/dp of the inputs' expressions */
     double *before;               /* (n_blocks, n_r, width): of the inputs before a jump */
+    double *relative;             /* (n_blocks * width,): directions' relative changes of what is varied */
+    double *largest;              /* (size,): of S in the run, before the last step */
     double *s, *s_old, *scratch;  /* (size,) */
     double *stages, *interpolant; /* as in fb_run, with rows of `size` */
     double *samples;              /* (room, size) */
@@ -235,8 +245,42 @@ static inline int fb_forward_close(fb_run *run, const double since, const enum F
     return 0;
 }
 
-/* S along the last accepted step, right after it. */
-static inline int fb_forward_step(fb_run *run)
+/* The error estimate of S in units of its tolerances, for the direction in which it is largest. Derivatives pass
+ * through zero more often than states: each is compared with the largest value that it has had. */
+static inline double fb_forward_error(fb_run *run)
+{
+    fb_forward *const f = run->forward;
+    const int two = run->method->n_errors == 2, width = f->width;
+    double *const error = f->scratch, *const error3 = f->interpolant;
+    double greatest = 0.0;
+    fb_forward_combine(f, run->error, two ? 1.0 : run->h, NULL, error);
+    if (two)
+        fb_forward_combine(f, run->error + 1, 1.0, NULL, error3);
+    for (int block = 0; block < f->n_blocks; ++block) {
+        double sum[FB_DIRECTIONS] = {0.0}, sum3[FB_DIRECTIONS] = {0.0};
+        for (int i = 0; i < run->n; ++i) {
+            const int row = (block * run->n + i) * width;
+            const double rtol =
+                fmin(fmax(FB_FORWARD_SHARE * run->rtol[i], FB_LEAST_FORWARD_RTOL), FB_MOST_FORWARD_RTOL);
+            const double atol = FB_FORWARD_SHARE * run->atol[i];
+            for (int j = 0; j < width; ++j) {
+                const double size = fabs(f->s[row + j]), before = f->largest[row + j];
+                const double scale =
+                    atol * f->relative[block * width + j] + rtol * (size > before ? size : before) + DBL_MIN;
+                sum[j] += (error[row + j] / scale) * (error[row + j] / scale);
+                if (two)
+                    sum3[j] += (error3[row + j] / scale) * (error3[row + j] / scale);
+            }
+        }
+        /* Without those that are NaN. */
+        for (int j = 0; j < width; ++j)
+            greatest = fmax(greatest, fb_error_norm(run, run->h, sum[j], sum3[j]));
+    }
+    return greatest;
+}
+
+/* S along the last accepted step, right after it, and its error; S is that before the step unless this is below 1. */
+static inline int fb_forward_step(fb_run *run, double *step_error)
 {
     fb_forward *const f = run->forward;
     const fb_tableau *const m = run->method;
@@ -246,6 +290,8 @@ static inline int fb_forward_step(fb_run *run)
     f->s = f->s_old;
     f->s_old = s_old;
     f->interpolant_valid = 0;
+    for (int i = 0; i < f->size; ++i)
+        f->largest[i] = fabs(s_old[i]) > f->largest[i] ? fabs(s_old[i]) : f->largest[i];
     if (f->fsal)
         memcpy(f->stages, end, (size_t)f->size * sizeof *end);
     else
@@ -263,7 +309,14 @@ static inline int fb_forward_step(fb_run *run)
         status = fb_forward_close(run, run->t, FB_LAST_RHS, run->x, f->s);
     if (status == 0)
         status = fb_forward_rates(run, m->n_stages, 1, run->t, run->x, f->s);
-    f->fsal = 1;
+    if (status < 0)
+        return status;
+    *step_error = fb_forward_error(run);
+    f->fsal = !(*step_error >= 1.0);
+    if (!f->fsal) {
+        f->s_old = f->s;
+        f->s = s_old;
+    }
     return status;
 }
 
@@ -337,6 +390,8 @@ static inline size_t fb_place_forward(fb_run *run, const int n, fb_forward *f, d
         {&f->directions, n_blocks * (k->n_x + k->n_p + k->n_r) * f->width},
         {&f->input_jacobian, k->n_r * k->n_p},
         {&f->before, n_blocks * k->n_r * f->width},
+        {&f->relative, n_blocks * f->width},
+        {&f->largest, size},
         {&f->s, size},
         {&f->s_old, size},
         {&f->scratch, size},

@@ -73,9 +73,10 @@ struct fb_run {
     const fb_tableau *method;
     int (*step)(fb_run *run);       /* one accepted step: FB_RUN_PAUSED, or the reason of failure */
     struct fb_augmented *augmented; /* for fourbar_augmented.h, or NULL */
-    /* sensitivities, by fourbar_forward.h, or NULL: them, and what is done after a step and for a sample at t, x */
+    /* sensitivities, by fourbar_forward.h, or NULL: them, and what is done after a step, which is repeated with a
+     * shorter one unless the error is below 1, and, if not NULL, for a sample at t, x */
     struct fb_forward *forward;
-    int (*vary)(fb_run *run);
+    int (*vary)(fb_run *run, double *error);
     int (*vary_sample)(fb_run *run, double t, const double *x);
     fb_kept *kept;   /* for each row of `stages`, or NULL */
     fb_steps *steps; /* or NULL */
@@ -189,6 +190,14 @@ static inline int fb_evaluate_row(fb_run *s, const int row, const double t, cons
     return status;
 }
 
+/* The error estimate of a step from sums of squares of its parts in units of the tolerances. */
+static inline double fb_error_norm(const fb_run *s, const double h, const double sum, const double sum3)
+{
+    if (s->method->n_errors < 2)
+        return sqrt(sum / s->n);
+    return sum == 0.0 && sum3 == 0.0 ? 0.0 : fabs(h) * sum / sqrt((sum + 0.01 * sum3) * s->n);
+}
+
 /* The root mean square of the error estimate in units of the tolerances. */
 static inline double fb_error_of(const fb_run *s, const double h, const double *x, const double *x_new,
                                  double *restrict error, double *restrict error3)
@@ -205,9 +214,7 @@ static inline double fb_error_of(const fb_run *s, const double h, const double *
         if (two)
             sum3 += (error3[i] / scale) * (error3[i] / scale);
     }
-    if (!two)
-        return sqrt(sum / s->n);
-    return sum == 0.0 && sum3 == 0.0 ? 0.0 : fabs(h) * sum / sqrt((sum + 0.01 * sum3) * s->n);
+    return fb_error_norm(s, h, sum, sum3);
 }
 
 static inline double fb_rms(const fb_run *s, const double *x, const double *y, const double *scale_by)
@@ -283,6 +290,20 @@ static inline void fb_accept(fb_run *s, const double t_new)
     s->pending = 1;
 }
 
+/* Takes the last step back, to be repeated with another length. x' at its beginning is still in the first row. */
+static inline void fb_take_back(fb_run *s, const double h_abs)
+{
+    double *const x_new = s->x;
+    s->x = s->x_old;
+    s->x_old = s->scratch;
+    s->scratch = x_new;
+    s->t = s->t_old;
+    s->n_steps -= 1;
+    s->fsal = 0;
+    s->pending = 0;
+    s->h_abs = h_abs;
+}
+
 /* x' where a run continues after a breakpoint, with unchanged step length. */
 static inline int fb_resume(fb_run *s)
 {
@@ -309,6 +330,12 @@ static inline double fb_change(const double factor, const int taken, const int r
         return factor > FB_MIN_FACTOR ? factor : FB_MIN_FACTOR;
     const double largest = rejected ? 1.0 : FB_MAX_FACTOR;
     return factor < largest ? factor : largest;
+}
+
+/* The factor of a step's length by which the error estimate would become 1, but for the safety factor. */
+static inline double fb_step_factor(const fb_run *s, const double error)
+{
+    return error == 0.0 ? FB_MAX_FACTOR : FB_SAFETY * pow(error, -1.0 / (s->method->order + 1.0));
 }
 
 /* One accepted step; an FB_RUN, or negative from the callback of inputs. */
@@ -358,8 +385,7 @@ static inline int fb_step_on(fb_run *s)
         }
         if (error_norm < 1.0 && !fb_finite(end, s->n))
             error_norm = NAN;
-        const double factor = error_norm == 0.0 ? FB_MAX_FACTOR : FB_SAFETY * pow(error_norm, -1.0 / (m->order + 1.0));
-        h_abs *= fb_change(factor, error_norm < 1.0, rejected);
+        h_abs *= fb_change(fb_step_factor(s, error_norm), error_norm < 1.0, rejected);
         if (error_norm < 1.0) {
             s->h_abs = h_abs > proposed ? h_abs : proposed;
             fb_accept(s, t_new);
@@ -486,7 +512,7 @@ static inline int fb_note_sample(fb_run *s, const double t, const double *x)
         s->steps->sample_row[s->n_samples] = s->steps->n - 1;
         s->steps->sample_t[s->n_samples] = t;
     }
-    return s->forward ? s->vary_sample(s, t, x) : 0;
+    return s->vary_sample ? s->vary_sample(s, t, x) : 0;
 }
 
 /* The samples of the last step; FB_RUN_FULL if there is no room for them. */
@@ -570,6 +596,31 @@ static inline int fb_orientation_changed_within(fb_run *s)
     return orientation_changed;
 }
 
+/* One accepted step, and its derivatives, whose errors may ask for shorter ones: where the state rests, or moves
+ * steadily, its own errors do not limit the steps at all. */
+static inline int fb_varied_step_on(fb_run *s)
+{
+    for (;;) {
+        int status = s->step(s);
+        if (status != FB_RUN_PAUSED || !s->forward)
+            return status;
+        double error = 0.0;
+        status = s->vary(s, &error);
+        if (status < 0)
+            return status;
+        /* Derivatives that are not finite ask for nothing. */
+        const double factor = fb_step_factor(s, error), length = fabs(s->h) * fb_change(factor, error < 1.0, 0);
+        if (!(error >= 1.0)) {
+            if (factor < FB_MAX_FACTOR && length < s->h_abs)
+                s->h_abs = length;
+            return FB_RUN_PAUSED;
+        }
+        fb_take_back(s, length);
+        if (length < fb_least_step(s->t, s->direction))
+            return FB_RUN_TOO_SMALL;
+    }
+}
+
 /* Up to n steps; returns an FB_RUN, or negative from the callback of inputs. */
 static inline int fb_run_on(fb_run *s, long n)
 {
@@ -593,16 +644,11 @@ static inline int fb_run_on(fb_run *s, long n)
         }
         if (share > FB_RECOVERY)
             s->collapsed = 0;
-        int status = s->step(s);
+        int status = fb_varied_step_on(s);
         if (status != FB_RUN_PAUSED)
             return status;
         if (s->steps)
             fb_keep_step(s, s->h);
-        if (s->forward) {
-            status = s->vary(s);
-            if (status < 0)
-                return status;
-        }
         /* Methods that pass singular positions need not detect them. */
         s->orientation_changed = s->augmented ? 0 : s->problem->kernel->orientation_changed(s->problem->work);
         if (s->orientation_changed)

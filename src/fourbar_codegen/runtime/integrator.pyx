@@ -4,7 +4,7 @@
 cimport cython
 cimport numpy as cnp
 from cpython.mem cimport PyMem_Calloc, PyMem_Free
-from libc.math cimport INFINITY, NAN
+from libc.math cimport INFINITY, NAN, fabs, fmax
 from libc.string cimport memcpy, memset
 
 from fourbar_codegen.runtime.evaluator cimport (
@@ -37,11 +37,12 @@ cdef extern from "fourbar_forward.h":
         int n_blocks, width, size, fsal
         double *directions
         const double **source_changes
+        double *relative
         double *interpolant
         double *s
         double *s_old
         double *samples
-    int fb_forward_step(fb_run *) noexcept nogil
+    int fb_forward_step(fb_run *, double *) noexcept nogil
     int fb_forward_sample(fb_run *, double, const double *) noexcept nogil
     int fb_forward_at(fb_run *, double, FB_LAST, const double *, double *) noexcept nogil
     int fb_forward_close(fb_run *, double, FB_LAST, const double *, double *) noexcept nogil
@@ -70,7 +71,7 @@ cdef extern from "fourbar_integrate.h":
         int (*step)(fb_run *) noexcept nogil
         fb_augmented *augmented
         fb_forward *forward
-        int (*vary)(fb_run *) noexcept nogil
+        int (*vary)(fb_run *, double *) noexcept nogil
         int (*vary_sample)(fb_run *, double, const double *) noexcept nogil
         fb_steps *steps
         int n, padded
@@ -640,7 +641,31 @@ cdef int _prepare_forward(fb_run *run, fb_forward *forward, Ode ode, directions,
             places[i] = changes.ctypes.data
             kept.append(changes)
     forward.source_changes = <const double **>cnp.PyArray_DATA(places)
+    _fill_relative_changes(forward, ode, directions)
     run.forward = forward
+    return 0
+
+
+cdef int _fill_relative_changes(fb_forward *forward, Ode ode, directions) except -1:
+    """The relative change along each direction: of a parameter, or of the values of an input; 1 for initial values and
+    for what is 0. CVODES scales the absolute tolerances of sensitivities by typical values of parameters."""
+    cdef const fb_kernel *kernel = ode.evaluator.kernel
+    cdef cnp.ndarray parameters = ode.evaluator.default_parameters if ode.parameters is None else ode.parameters
+    cdef const double *p = data(parameters)
+    cdef const double *changes
+    cdef int block, i, j, width = forward.width, length = kernel.n_x + kernel.n_p + kernel.n_r
+    cdef double largest
+    for block in range(forward.n_blocks):
+        for j in range(width):
+            changes, largest = forward.directions + (block * length + kernel.n_x) * width + j, 0.0
+            for i in range(kernel.n_p):
+                largest = fmax(largest, fabs(changes[i * width]) / (fabs(p[i]) if p[i] != 0.0 else 1.0))
+            forward.relative[block * width + j] = largest if largest > 0.0 else 1.0
+    for source, of_source in zip(ode.sources, directions.sources):
+        if of_source is not None:
+            values = (<Table>source).coefficients[:, -1] if isinstance(source, Table) else source
+            for j in np.flatnonzero(of_source.any(axis=0)):
+                forward.relative[j] = 1.0 / (np.abs(values).max() or 1.0)
     return 0
 
 
@@ -754,11 +779,12 @@ cdef class Run:
         self._make_room(run.n_times if times is not None else 256)
 
     def vary(self, directions):
-        """Also integrate derivatives along directions of (x, p) and of inputs, before `begin`."""
-        self.directions = directions
+        """Also integrate derivatives along directions of (x, p) and of inputs, before `begin`. Without names they are
+        not kept: they only make the steps short enough for derivatives."""
         _prepare_forward(&self.run, &self.forward, self.ode, directions, self.kept)
-        self.run.vary, self.run.vary_sample = fb_forward_step, fb_forward_sample
-        self.varied = []
+        self.run.vary = fb_forward_step
+        if directions.places:
+            self.directions, self.varied, self.run.vary_sample = directions, [], fb_forward_sample
         if self.run.project:
             self.ode.check(fb_forward_close(&self.run, self.run.t, FB_LAST_ANY, self.run.x, self.forward.s))
         self._make_room(self.run.room)
@@ -811,7 +837,7 @@ cdef class Run:
         memcpy(data(states), self.run.sample_x, n * self.run.n * sizeof(double))
         samples = (times, states)
         is_last = self.times is not None and self.n_taken == len(self.times)
-        if self.run.forward:
+        if self.run.vary_sample:
             self.varied.append(self.kept_s[:n] if is_last else self.kept_s[:n].copy())
         if self.run.steps:
             self.places.append((self.kept_places[:n].copy(), self.kept_since[:n].copy()))
@@ -824,7 +850,7 @@ cdef class Run:
     cdef int _make_room(self, long room) except -1:
         self.kept_t, self.kept_x = new_array(room), new_array(room, self.run.n)
         self.run.sample_t, self.run.sample_x, self.run.room = data(self.kept_t), data(self.kept_x), room
-        if self.run.forward:
+        if self.run.vary_sample:
             self.kept_s = new_array(room, self.forward.size)
             self.forward.samples = data(self.kept_s)
         if self.run.steps:
@@ -1324,7 +1350,7 @@ cdef class DenseOutput:
         self.times.append(last.t)
         self.ends.append(run.t)
         self.steps.append(step)
-        if run.forward:
+        if self.directions is not None:
             last.ode.check(fb_forward_prepare_interpolant(run))
             step = new_array(self.rows + 1, last.forward.size)
             memcpy(data(step), last.forward.interpolant, self.rows * last.forward.size * sizeof(double))

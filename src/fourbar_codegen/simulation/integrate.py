@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fourbar_codegen.errors import SimulationError
 from fourbar_codegen.kernel.consistency import consistent, left
 from fourbar_codegen.kernel.kernel import Kernel
-from fourbar_codegen.kernel.sensitivity import Directions
+from fourbar_codegen.kernel.sensitivity import Directions, with_probes
 from fourbar_codegen.results.gradient import EventSensitivity, KeptSteps, output_sensitivity
 from fourbar_codegen.results.trajectory import Trajectory, make_trajectory
 from fourbar_codegen.runtime.integrator import Ode, Run
@@ -98,10 +98,11 @@ def integrate(
     else:
         look = options.dense_output or (watch is not None and bool(watch.callables))
         run = Run(ode, method, t_begin, start, t_bound, max_step, rtol, atol, options.project, t_eval, outputs, look)
-        if directions is not None:
-            run.vary(directions)
         if options.gradient:
             run.keep_steps()
+        varied = with_probes(model, directions) if options.gradient else directions
+        if varied is not None:
+            run.vary(varied)
     run.begin()
     if watch:
         watch.begin(run)
@@ -234,9 +235,10 @@ def _of_events(
         row = model.outputs.index(str(event.function))
         for i, (t, x, (s, slope)) in enumerate(zip(times, states, watch.derivatives[place], strict=True)):
             r, at = ode.input_values(t, x)[:, np.newaxis], np.array([t])
-            changes = output_sensitivity(model, at, x[:, np.newaxis], r, p, inputs, directions, s.T[..., np.newaxis])
+            by = s.T[:n]  # without probes
+            changes = output_sensitivity(model, at, x[:, np.newaxis], r, p, inputs, directions, by[..., np.newaxis])
             of_times[:, i] = -changes[:, row, 0] / slope
-            of_states[..., i] = s.T + np.outer(of_times[:, i], ode(t, x))
+            of_states[..., i] = by + np.outer(of_times[:, i], ode(t, x))
         by_names = zip(directions.by_name(of_times).items(), directions.by_name(of_states).values(), strict=True)
         found.append({name: EventSensitivity(of_time, of_state) for (name, of_time), of_state in by_names})
     return found

@@ -5,6 +5,7 @@ about 1e-10 of the derivative, and more where it is small beside the state.
 """
 
 import pickle
+import warnings
 from itertools import pairwise
 
 import numpy as np
@@ -678,3 +679,15 @@ def test_no_derivative_at_a_singular_position(four_bar):
     chain = fb.compile_model(parallelogram())
     with pytest.raises(fb.AssemblyError):
         chain.initial_state({"q_AB": 0.0}, {"u_AB": 0.0}, derivatives=True)
+    with pytest.raises(fb.AssemblyError, match="singular position"):  # all links on a line: 0.8 + 0.9 = 1 + 0.7
+        four_bar.initial_state({"q1": 0.0}, {"u1": 0.7}, parameters={"l2": 0.9}, derivatives=True)
+
+
+def test_an_output_that_is_always_zero_has_events_without_derivatives():
+    model = fb.compile_model(fb.models.slider_crank())
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        run = model.simulate((0.0, 0.1), t_eval=[0.1], events=["pin_z"], sensitivities=["r"])
+    assert run.t_events[0].size > 0  # one in each step, by the rule of solve_ivp
+    assert np.isnan(run.event_sensitivity[0]["r"].t).all()
+    assert np.isnan(run.event_sensitivity[0]["r"].y).any()

@@ -38,7 +38,7 @@ class EventSensitivity(NamedTuple):
     y : ndarray, shape (n_x, n)
         Of the states at these times.
 
-    For the values of a table, these are the last axes.
+    For the values of a table, these are the last axes. NaN where the event function does not change with time.
     """
 
     t: Floats

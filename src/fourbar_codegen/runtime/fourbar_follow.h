@@ -17,8 +17,10 @@
 
 enum FB_FOLLOW { FB_FOLLOWS = 0, FB_COORDINATES_DO_NOT = 1, FB_SPEEDS_DO_NOT = 2 };
 
-/* Pivots below this fraction of the largest leave dependent values undetermined. */
-#define FB_FOLLOWING 1e-9
+/* Pivots below this fraction of the largest leave dependent values undetermined. At a singular position the constraints
+ * are squares of the coordinates, which are then known to the root of the precision of double, 1.5e-8, and so are the
+ * pivots. */
+#define FB_FOLLOWING 1e-7
 /* Rows below this fraction of the largest are rounding errors: 1000 times the precision of double. */
 #define FB_FOLLOW_ROUNDING 2e-13
 

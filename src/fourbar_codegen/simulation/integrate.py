@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -237,7 +238,7 @@ def _of_events(
             r, at = ode.input_values(t, x)[:, np.newaxis], np.array([t])
             by = s.T[:n]  # without probes
             changes = output_sensitivity(model, at, x[:, np.newaxis], r, p, inputs, directions, by[..., np.newaxis])
-            of_times[:, i] = -changes[:, row, 0] / slope
+            of_times[:, i] = -changes[:, row, 0] / (slope or math.nan)  # 0 for an output that is constantly zero
             of_states[..., i] = by + np.outer(of_times[:, i], ode(t, x))
         by_names = zip(directions.by_name(of_times).items(), directions.by_name(of_states).values(), strict=True)
         found.append({name: EventSensitivity(of_time, of_state) for (name, of_time), of_state in by_names})

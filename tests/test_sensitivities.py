@@ -609,6 +609,29 @@ def test_an_input_given_as_an_expression_of_parameters():
     assert table.gradient({"x": 1.0})["F_0"] == 0.0
 
 
+@pytest.mark.parametrize("is_input", [False, True])
+def test_derivatives_by_the_amplitude_of_a_force_that_is_zero(is_input):
+    """m x'' = A sin(w t) - k x from rest, dx/dA = (sin(w t) - w / w0 sin(w0 t)) / (m (w0^2 - w^2)) with w0^2 = k / m.
+
+    Only the derivative follows the force, over 120 steps whose errors may be ten times rtol.
+    """
+    t, w, w0, model = me.dynamicsymbols._t, 20.0, 2.0, oscillator()
+    system, amplitude = model.system, me.dynamicsymbols("A") if is_input else sm.Symbol("A")
+    system.add_loads(me.Force(system.bodies[0].masscenter, amplitude * sm.sin(20 * t) * system.frame.x))
+    inputs, parameters = ({amplitude: None}, {}) if is_input else ({}, {"A": 0.0})
+    given = {"parameters": {"m": 2.0, "k": 8.0, **parameters}, "initial": {"x": 0.0, "v": 0.0}, "inputs": inputs}
+    model = fb.compile_model(fb.Model(system, name="shaken", **given))
+    times = np.linspace(0.0, 10.0, 6)
+    wanted = (np.sin(w * times) - w / w0 * np.sin(w0 * times)) / (2.0 * (w0**2 - w**2))
+    how = {"t_eval": times, "rtol": 1e-8, "atol": 1e-8, "inputs": {"A": 0.0} if is_input else {}}
+    near = {"rtol": 0, "atol": 1e-5 * np.abs(wanted).max()}
+    run = model.simulate((0.0, 10.0), sensitivities=["A"], **how)
+    np.testing.assert_array_equal(run.y, 0.0)
+    np.testing.assert_allclose(run.sensitivity["A"][0], wanted, **near)
+    run = model.simulate((0.0, 10.0), gradient=True, **how)
+    np.testing.assert_allclose([run.gradient({"x": unit})["A"] for unit in np.eye(6)], wanted, **near)
+
+
 def test_gradients_that_there_are_not(four_bar):
     run = four_bar.simulate((0.0, 0.1), t_eval=[0.0, 0.1])
     with pytest.raises(fb.ModelError, match="gradient=True"):

@@ -24,7 +24,7 @@ kernel = PyCapsule_New(<void *>&four_bar_kernel, FB_CAPSULE_NAME, NULL)
 
 manifest = (
     '{\n'
-    '  "format": 15,\n'
+    '  "format": 16,\n'
     '  "name": "four_bar",\n'
     '  "fingerprint": "c41b4c347f2327ba5577ed82f4166042c8256765b5e7c096e60e2b9ead81fb68",\n'
     '  "coordinates": [\n'
@@ -544,6 +544,7 @@ manifest = (
     '      "0x0"\n'
     '    ]\n'
     '  },\n'
+    '  "timed": [],\n'
     '  "operations_before_sharing": {\n'
     '    "prepare": 0,\n'
     '    "default_inputs": 3,\n'

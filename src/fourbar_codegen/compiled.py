@@ -679,19 +679,20 @@ class CompiledModel(Kernel):
             numbers or tables, with respect to whose values the states are differentiated: ``trajectory.sensitivity``,
             and ``trajectory.sol.sensitivity(t)`` with `dense_output`. The steps of DOP853 and RK45 are
             differentiated as they are taken, with their lengths held. Errors of derivatives limit these as those of
-            states do, with ten times the tolerances: relative to the largest value of each derivative, and absolute by
-            ``atol`` divided by the parameter. After each projection they are moved onto the constraints' tangent; what
-            that leaves out is proportional to the correction of the state, and below `rtol`. Without `x0`, dependent
-            initial values follow from loop closure; a given `x0` depends on no parameter and no input, except for what
-            keeps it on the constraints. Where forces jump with the state, the change of the time of the jump is left
-            out, with a warning. Times of events by outputs are differentiated as well:
-            ``trajectory.event_sensitivity``. Source: H. G. Bock, "Numerical treatment of inverse problems in chemical
-            reaction kinetics", in *Modelling of Chemical Reaction Systems* (1981): internal numerical differentiation.
+            states do, with ten times the relative tolerances; `atol` counts only for rounding errors. After each
+            projection they are moved onto the constraints' tangent; what that leaves out is proportional to the
+            correction of the state, and below `rtol`. Without `x0`, dependent initial values follow from loop closure;
+            a given `x0` depends on no parameter and no input, except for what keeps it on the constraints. Where forces
+            jump with the state, the change of the time of the jump is left out, with a warning. Times of events by
+            outputs are differentiated as well: ``trajectory.event_sensitivity``. Source: H. G. Bock, "Numerical
+            treatment of inverse problems in chemical reaction kinetics", in *Modelling of Chemical Reaction Systems*
+            (1981): internal numerical differentiation.
         dx0 : mapping from some of these names to arrays of shape (n_x,), or (n, n_x) for n values of a table, optional
             The derivatives of a given `x0`, such as those of `initial_state`; with `gradient` by any of these names.
         gradient : bool, optional
             Whether to keep the steps for `Trajectory.gradient`: 8 (n_x + 2) bytes each. For DOP853 and RK45. Their
-            lengths are limited by the errors of derivatives along four arbitrary directions of initial states.
+            lengths are limited by errors of derivatives along arbitrary directions of initial states, and by parameters
+            and inputs in terms that depend on time explicitly.
 
         Returns
         -------

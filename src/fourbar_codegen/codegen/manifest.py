@@ -12,14 +12,14 @@ import sympy as sm
 
 from fourbar_codegen.dynamics.equations import Equations
 from fourbar_codegen.dynamics.jumps import jumps
-from fourbar_codegen.expressions.tape import Call, Scalar, operands
+from fourbar_codegen.expressions.tape import Call, Scalar, Sum, operands
 from fourbar_codegen.lowering.program import Function, Program
 from fourbar_codegen.modeling.gravity import gravity
 from fourbar_codegen.modeling.model import Model
 
 __all__ = ["manifest_of", "manifest_text", "operations_of"]
 
-MANIFEST_FORMAT = 15
+MANIFEST_FORMAT = 16
 
 
 def manifest_of(
@@ -96,6 +96,7 @@ def manifest_of(
         "form": program.form,
         "jumps": _jumps(model, equations, names),
         "dependencies": _dependencies(equations),
+        "timed": _timed(model, equations, names),
     }
 
 
@@ -125,6 +126,28 @@ def _dependencies(equations: Equations) -> dict[str, list[str]]:
         if node not in masks:
             masks[node] = reduce(or_, (masks.get(operand, 0) for operand in operands(tape.nodes[node])), 0)
     return {name: [hex(masks.get(entry.node, 0)) for entry in entries] for name, entries in rows.items()}
+
+
+def _timed(model: Model, equations: Equations, names: Mapping[str, Sequence[str]]) -> list[str]:
+    """The parameters and inputs in terms that depend on time explicitly, such as the amplitude of a force."""
+    e, tape = equations, equations.tape
+    results = (e.coordinate_rates, e.residual, e.position_violation, e.velocity_violation, e.default_inputs)
+    entries = [entry for result in results for entry in result.entries]
+    of_time = tape.dependent(tape.reach(entries), [e.time])
+    found, ahead, seen = set(), [entry.node for entry in entries], set()
+    while ahead:
+        node = ahead.pop()
+        if node in seen or node not in of_time:
+            continue
+        seen.add(node)
+        if isinstance(tape.nodes[node], Sum):
+            ahead.extend(operands(tape.nodes[node]))
+        else:
+            found.update(tape.reach([Scalar(tape, 1, node)]))
+    of = {entry.name: entry.of for entry in model.input_entries}
+    inputs = [of[name] for name in names["inputs"]]
+    leaves = zip((*names["parameters"], *inputs), (*e.parameters, *e.inputs), strict=True)
+    return list(dict.fromkeys(name for name, leaf in leaves if leaf.node in found))
 
 
 def _values(model: Model) -> dict[sm.Basic, Any]:

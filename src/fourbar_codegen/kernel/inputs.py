@@ -16,6 +16,7 @@ from fourbar_codegen.runtime.integrator import Ode, Table
 __all__ = [
     "InputSource",
     "along",
+    "arbitrary_changes",
     "bind",
     "by_member",
     "by_name",
@@ -91,7 +92,7 @@ def input_sources(model: Kernel, inputs: Mapping[Any, InputSource] | None) -> li
     sources: list[object] = [None] * len(entries)
     for name, given in named(by_name(model, inputs), names, "input").items():
         first = model.inputs.index(name)
-        orders = [entry["order"] for entry in entries if entry["of"] == name]  # one after the other, from 0 on
+        orders = _orders(model, name)
         source = own_source(name, given)
         of_orders: list[object]
         if callable(source):
@@ -151,22 +152,28 @@ def _linear(times: Floats, values: Floats) -> Table:
 
 
 def _interpolants(times: Floats, values: Floats, kind: str, orders: int) -> Iterator[Table]:
-    """The interpolant of a table, and its derivatives; constant outside of the table.
-
-    Source: F. N. Fritsch, J. Butland, "A method for constructing local monotone piecewise cubic interpolants", *SIAM
-    Journal on Scientific and Statistical Computing* 5 (1984), as ``scipy.interpolate.PchipInterpolator`` has it.
-    """
-    if kind == "linear":
-        coefficients = np.array([np.diff(values) / np.diff(times), values[:-1]])
-    else:
-        from scipy.interpolate import CubicSpline, PchipInterpolator
-
-        coefficients = (CubicSpline if kind == "cubic" else PchipInterpolator)(times, values).c
+    """The interpolant of a table, and its derivatives; constant outside of the table."""
+    coefficients = _coefficients(times, values, kind)
     before, after = values[0], values[-1]
     for _ in range(orders):
         yield Table(times, coefficients, before, after)
         coefficients = _rate(coefficients)
         before = after = 0.0
+
+
+def _coefficients(times: Floats, values: Floats, kind: str) -> Floats:
+    """The polynomials of an interpolant of values, shape (n_t, ...), the highest power first, and then the intervals.
+
+    Source: F. N. Fritsch, J. Butland, "A method for constructing local monotone piecewise cubic interpolants", *SIAM
+    Journal on Scientific and Statistical Computing* 5 (1984), as ``scipy.interpolate.PchipInterpolator`` has it.
+    """
+    if kind == "linear":
+        lengths = np.diff(times).reshape(-1, *(1,) * (values.ndim - 1))
+        return np.array([np.diff(values, axis=0) / lengths, values[:-1]])
+    from scipy.interpolate import CubicSpline, PchipInterpolator
+
+    coefficients: Floats = (CubicSpline if kind == "cubic" else PchipInterpolator)(times, values).c
+    return coefficients
 
 
 def _rate(coefficients: Floats) -> Floats:
@@ -192,15 +199,37 @@ def source_changes(model: Kernel, name: str, source: float | InterpolationTable)
         For each entry of the inputs r that is made of it. Rows are for the source's value; or for the coefficients of
         its `Table`, interval by interval, then for its values before and after. Columns are for the n given values.
     """
-    first = model.inputs.index(name)
-    orders = [entry["order"] for entry in model.manifest["inputs"] if entry["of"] == name]
     if not isinstance(source, tuple):
-        return {first + order: np.array([[0.0 if order else 1.0]]) for order in orders}
-    n, found = len(source[0]), {}
-    basis, outside = _value_basis(source[0], source[1], _kind(source, len(orders))), np.eye(n)[[0, -1]]
-    for order in orders:
-        found[first + order] = np.vstack((np.swapaxes(basis, 0, 1).reshape(-1, n), outside))
-        basis, outside = _rate(basis), np.zeros((2, n))
+        return _changes(model, name, np.ones((1, 1, 1)))
+    basis = _value_basis(source[0], source[1], _kind(source, len(_orders(model, name))))
+    return _changes(model, name, basis, np.eye(len(source[0]))[[0, -1]])
+
+
+def arbitrary_changes(model: Kernel, name: str, source: Any, generator: np.random.Generator) -> dict[int, Floats]:
+    """Changes of an input's sources, as those of `source_changes`, by arbitrary values: shapes (m, 1)."""
+    own = own_source(name, source)
+    if not isinstance(own, tuple):
+        return source_changes(model, name, finite_number(own, name))
+    values = generator.standard_normal((len(own[0]), 1))
+    coefficients = _coefficients(own[0], values, _kind(own, len(_orders(model, name))))
+    return _changes(model, name, coefficients, values[[0, -1]])
+
+
+def _orders(model: Kernel, name: str) -> list[int]:
+    """The orders of the entries of r that an input makes, one after the other from 0 on."""
+    return [entry["order"] for entry in model.manifest["inputs"] if entry["of"] == name]
+
+
+def _changes(model: Kernel, name: str, coefficients: Floats, outside: Floats | None = None) -> dict[int, Floats]:
+    """Changes of an input's source and of its rates, from those of its coefficients, shape (powers, intervals, n), and
+    of its values before and after.
+    """
+    first, found = model.inputs.index(name), {}
+    for order in _orders(model, name):
+        rows = np.swapaxes(coefficients, 0, 1).reshape(-1, coefficients.shape[2])
+        found[first + order] = rows if outside is None else np.vstack((rows, outside))
+        coefficients = _rate(coefficients)
+        outside = None if outside is None else np.zeros_like(outside)
     return found
 
 
@@ -253,15 +282,10 @@ def changes_at(source: object, changes: Floats, times: Floats) -> Floats:
 def _value_basis(times: Floats, values: Floats, kind: str) -> Floats:
     """The derivatives of a table's coefficients by its values, shape (powers, intervals, values)."""
     n = len(times)
-    if kind == "cubic":
-        from scipy.interpolate import CubicSpline
-
-        basis: Floats = CubicSpline(times, np.eye(n)).c
-        return basis
+    if kind != "pchip":  # they are linear in the values
+        return _coefficients(times, np.eye(n), kind)
     lengths = np.diff(times)[:, np.newaxis]
     slopes: Floats = np.diff(np.eye(n), axis=0) / lengths
-    if kind == "linear":
-        return np.array([slopes, np.eye(n)[:-1]])
     rates = _monotone_rates(times, values)
     begin, end = rates[:-1], rates[1:]
     cubic, square = (begin + end - 2.0 * slopes) / lengths**2, (3.0 * slopes - 2.0 * begin - end) / lengths

@@ -11,7 +11,15 @@ from numpy.typing import NDArray
 
 from fourbar_codegen.arguments import Values, name_of
 from fourbar_codegen.errors import AssemblyError, ModelError, meant
-from fourbar_codegen.kernel.inputs import InputSource, changes_at, input_sources, inputs_at, own_source, source_changes
+from fourbar_codegen.kernel.inputs import (
+    InputSource,
+    arbitrary_changes,
+    changes_at,
+    input_sources,
+    inputs_at,
+    own_source,
+    source_changes,
+)
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.runtime.evaluator import dependent_changes
 
@@ -25,6 +33,7 @@ __all__ = [
     "initial_derivatives",
     "locked_parameters",
     "moving_breakpoints",
+    "parameter_array",
     "require_derivatives",
     "require_fixed_breakpoints",
     "with_probes",
@@ -45,8 +54,8 @@ CORRECTED = 1e-10
 """A step that changes no value by more than this, relative to 1 or the largest value, is the last one: the next one
 would change it by the square of this."""
 
-PROBES = 4
-"""Arbitrary directions that choose the steps of runs with gradients: as many as are varied at once."""
+PROBES = 2
+"""Arbitrary directions of initial states that choose the steps of runs with gradients."""
 
 REGULAR = 1e-3
 """Pivots of the constraints' derivatives, relative to the largest, below which a singular position may be nearby."""
@@ -144,18 +153,34 @@ def directions_of(model: Kernel, names: Sequence[Any], inputs: Mapping[Any, Inpu
     return Directions(places, matrix, sources)
 
 
-def with_probes(model: Kernel, directions: Directions | None) -> Directions:
-    """Directions with further ones, without names, in which all initial states change.
+def with_probes(model: Kernel, directions: Directions | None, inputs: Mapping[Any, InputSource] | None) -> Directions:
+    """Directions with further ones, without names, that ask for steps short enough for all derivatives.
 
-    Arbitrary directions have a part in each mode of the motion: steps that are short enough for the derivatives along
-    them are so for all derivatives.
+    Arbitrary directions of initial states have a part in each mode of the motion. Terms that depend on time explicitly
+    may vary where the motion does not, if their amplitude is zero or small: each of their parameters and inputs is a
+    direction as well.
     """
-    probes = np.zeros((model.n_x + model.n_p, PROBES))
-    probes[: model.n_x] = np.random.default_rng(0).standard_normal((model.n_x, PROBES))
-    if directions is None:
-        return Directions({}, probes, [None] * model.n_r)
-    sources = [None if each is None else np.pad(each, ((0, 0), (0, PROBES))) for each in directions.sources]
-    return Directions(directions.places, np.hstack((directions.matrix, probes)), sources)
+    generator, timed = np.random.default_rng(0), set(model.manifest["timed"])
+    states = np.zeros((model.n_x + model.n_p, PROBES))
+    states[: model.n_x] = generator.standard_normal((model.n_x, PROBES))
+    parameters = np.eye(model.n_x + model.n_p)[:, [model.n_x + i for i, n in enumerate(model.parameters) if n in timed]]
+    none: Sequence[Floats | None] = [None] * model.n_r
+    parts = [] if directions is None else [(directions.matrix, directions.sources)]
+    parts += [(states, none), (parameters, none)]
+    for key, source in (inputs or {}).items():
+        if name_of(key) in timed:
+            changes = arbitrary_changes(model, name_of(key), source, generator)
+            parts.append((np.zeros((len(states), 1)), [changes.get(place) for place in range(model.n_r)]))
+    sources: list[Floats | None] = []
+    for of_parts in zip(*(each for _, each in parts), strict=True):
+        rows = max((len(changes) for changes in of_parts if changes is not None), default=0)
+        columns = [
+            np.zeros((rows, matrix.shape[1])) if changes is None else changes
+            for changes, (matrix, _) in zip(of_parts, parts, strict=True)
+        ]
+        sources.append(np.hstack(columns) if rows else None)
+    places = {} if directions is None else directions.places
+    return Directions(places, np.hstack([matrix for matrix, _ in parts]), sources)
 
 
 def follow(
@@ -344,7 +369,7 @@ def initial_derivatives(
 
 def moving_breakpoints(model: Kernel, parameters: Floats | None, names: Sequence[str]) -> list[str]:
     """The parameters on which the times of jumps and kinks of the model's expressions depend."""
-    p = np.array([*model.defaults.values()], dtype=float) if parameters is None else parameters
+    p = parameter_array(model, parameters)
     before, found = model.breakpoints(p), []
     for name in names if before.size else ():
         changed, place = p.copy(), model.parameters.index(name)
@@ -361,6 +386,11 @@ def require_fixed_breakpoints(model: Kernel, parameters: Floats | None, names: S
             f"Expressions of the model have a jump or a kink at times that depend on {name}: there are no "
             "sensitivities with respect to it."
         )
+
+
+def parameter_array(model: Kernel, parameters: Floats | None) -> Floats:
+    """Parameters, or the defaults for None, shape (n_p,)."""
+    return np.array([*model.defaults.values()], dtype=float) if parameters is None else parameters
 
 
 def independent_states(model: Kernel) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:

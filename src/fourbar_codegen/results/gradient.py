@@ -19,6 +19,7 @@ from fourbar_codegen.kernel.sensitivity import (
     initial_derivatives,
     locked_parameters,
     moving_breakpoints,
+    parameter_array,
 )
 from fourbar_codegen.runtime.batch import Jacobians
 from fourbar_codegen.runtime.integrator import Steps
@@ -143,7 +144,7 @@ def output_sensitivity(
         The derivatives of the states.
     """
     model.require_output_derivatives(model.outputs)
-    p = np.array([*model.defaults.values()], dtype=float) if parameters is None else parameters
+    p = parameter_array(model, parameters)
     held = np.zeros(model.n_r, dtype=bool)  # that inputs follow parameters is in the directions
     jacobians = Jacobians(model, t, np.ascontiguousarray(y), p, np.ascontiguousarray(r), held)
     found = np.zeros((len(t), model.n_o, len(sensitivity)))

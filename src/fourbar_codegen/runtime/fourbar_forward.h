@@ -20,10 +20,15 @@
 
 #include <float.h>
 
-/* The tolerances of derivatives are so many times those of states; relative ones have an upper and a lower limit. */
+/* Relative tolerances of derivatives are so many times those of states, between limits; ... */
 #define FB_FORWARD_SHARE 10.0
 #define FB_MOST_FORWARD_RTOL 1e-2
 #define FB_LEAST_FORWARD_RTOL 1e-11
+/* ... absolute ones, for which there is no natural size, are for rounding errors of what is zero; ... */
+#define FB_FORWARD_ATOL 1e-5
+#define FB_FORWARD_ROUNDING 1e-13
+/* ... and sizes before the last step count less from step to step. */
+#define FB_FORWARD_FADING 0.8
 
 /* Blocks are so wide if that is enough. */
 enum { FB_FEW_DIRECTIONS = 4 };
@@ -41,7 +46,7 @@ typedef struct fb_forward {
     double *input_jacobian;       /* (n_r, n_p), dr/dp of the inputs' expressions */
     double *before;               /* (n_blocks, n_r, width): of the inputs before a jump */
     double *relative;             /* (n_blocks * width,): directions' relative changes of what is varied */
-    double *largest;              /* (size,): of S in the run, before the last step */
+    double *lately;               /* (size,): the largest |S| of the last steps, fading */
     double *s, *s_old, *scratch;  /* (size,) */
     double *stages, *interpolant; /* as in fb_run, with rows of `size` */
     double *samples;              /* (room, size) */
@@ -246,27 +251,35 @@ static inline int fb_forward_close(fb_run *run, const double since, const enum F
 }
 
 /* The error estimate of S in units of its tolerances, for the direction in which it is largest. Derivatives pass
- * through zero more often than states: each is compared with the largest value that it has had. */
+ * through zero more often than states: each is compared with the largest value that it has had lately. */
 static inline double fb_forward_error(fb_run *run)
 {
     fb_forward *const f = run->forward;
     const int two = run->method->n_errors == 2, width = f->width;
     double *const error = f->scratch, *const error3 = f->interpolant;
-    double greatest = 0.0;
+    double largest_x = 0.0, worst = 0.0;
     fb_forward_combine(f, run->error, two ? 1.0 : run->h, NULL, error);
     if (two)
         fb_forward_combine(f, run->error + 1, 1.0, NULL, error3);
+    for (int i = 0; i < run->n; ++i)
+        largest_x = fmax(largest_x, fabs(run->x[i]));
     for (int block = 0; block < f->n_blocks; ++block) {
-        double sum[FB_DIRECTIONS] = {0.0}, sum3[FB_DIRECTIONS] = {0.0};
+        double sum[FB_DIRECTIONS] = {0.0}, sum3[FB_DIRECTIONS] = {0.0}, largest[FB_DIRECTIONS] = {0.0};
+        for (int i = 0; i < run->n; ++i)
+            for (int j = 0; j < width; ++j) {
+                const double size = fabs(f->s[(block * run->n + i) * width + j]);
+                largest[j] = size > largest[j] ? size : largest[j];
+            }
         for (int i = 0; i < run->n; ++i) {
             const int row = (block * run->n + i) * width;
             const double rtol =
                 fmin(fmax(FB_FORWARD_SHARE * run->rtol[i], FB_LEAST_FORWARD_RTOL), FB_MOST_FORWARD_RTOL);
-            const double atol = FB_FORWARD_SHARE * run->atol[i];
+            const double atol = FB_FORWARD_ATOL * run->atol[i] + FB_FORWARD_ROUNDING * largest_x;
             for (int j = 0; j < width; ++j) {
-                const double size = fabs(f->s[row + j]), before = f->largest[row + j];
-                const double scale =
-                    atol * f->relative[block * width + j] + rtol * (size > before ? size : before) + DBL_MIN;
+                const double now = fabs(f->s[row + j]), before = fabs(f->s_old[row + j]);
+                const double since = f->lately[row + j], last = now > before ? now : before;
+                const double scale = rtol * (last > since ? last : since) + FB_FORWARD_ROUNDING * largest[j] +
+                                     atol * f->relative[block * width + j] + DBL_MIN;
                 sum[j] += (error[row + j] / scale) * (error[row + j] / scale);
                 if (two)
                     sum3[j] += (error3[row + j] / scale) * (error3[row + j] / scale);
@@ -274,9 +287,9 @@ static inline double fb_forward_error(fb_run *run)
         }
         /* Without those that are NaN. */
         for (int j = 0; j < width; ++j)
-            greatest = fmax(greatest, fb_error_norm(run, run->h, sum[j], sum3[j]));
+            worst = fmax(worst, fb_error_norm(run, run->h, sum[j], sum3[j]));
     }
-    return greatest;
+    return worst;
 }
 
 /* S along the last accepted step, right after it, and its error; S is that before the step unless this is below 1. */
@@ -290,8 +303,6 @@ static inline int fb_forward_step(fb_run *run, double *step_error)
     f->s = f->s_old;
     f->s_old = s_old;
     f->interpolant_valid = 0;
-    for (int i = 0; i < f->size; ++i)
-        f->largest[i] = fabs(s_old[i]) > f->largest[i] ? fabs(s_old[i]) : f->largest[i];
     if (f->fsal)
         memcpy(f->stages, end, (size_t)f->size * sizeof *end);
     else
@@ -316,6 +327,10 @@ static inline int fb_forward_step(fb_run *run, double *step_error)
     if (!f->fsal) {
         f->s_old = f->s;
         f->s = s_old;
+    }
+    for (int i = 0; i < f->size && f->fsal; ++i) {
+        const double size = fabs(f->s[i]), faded = FB_FORWARD_FADING * f->lately[i];
+        f->lately[i] = size > faded ? size : faded;
     }
     return status;
 }
@@ -391,7 +406,7 @@ static inline size_t fb_place_forward(fb_run *run, const int n, fb_forward *f, d
         {&f->input_jacobian, k->n_r * k->n_p},
         {&f->before, n_blocks * k->n_r * f->width},
         {&f->relative, n_blocks * f->width},
-        {&f->largest, size},
+        {&f->lately, size},
         {&f->s, size},
         {&f->s_old, size},
         {&f->scratch, size},

@@ -648,7 +648,8 @@ cdef int _prepare_forward(fb_run *run, fb_forward *forward, Ode ode, directions,
 
 cdef int _fill_relative_changes(fb_forward *forward, Ode ode, directions) except -1:
     """The relative change along each direction: of a parameter, or of the values of an input; 1 for initial values and
-    for what is 0. CVODES scales the absolute tolerances of sensitivities by typical values of parameters."""
+    for what is below 1, since it may be small only now. CVODES scales the absolute tolerances of sensitivities by typical
+    values of parameters."""
     cdef const fb_kernel *kernel = ode.evaluator.kernel
     cdef cnp.ndarray parameters = ode.evaluator.default_parameters if ode.parameters is None else ode.parameters
     cdef const double *p = data(parameters)
@@ -660,12 +661,19 @@ cdef int _fill_relative_changes(fb_forward *forward, Ode ode, directions) except
             changes, largest = forward.directions + (block * length + kernel.n_x) * width + j, 0.0
             for i in range(kernel.n_p):
                 largest = fmax(largest, fabs(changes[i * width]) / (fabs(p[i]) if p[i] != 0.0 else 1.0))
-            forward.relative[block * width + j] = largest if largest > 0.0 else 1.0
+            forward.relative[block * width + j] = largest
     for source, of_source in zip(ode.sources, directions.sources):
         if of_source is not None:
-            values = (<Table>source).coefficients[:, -1] if isinstance(source, Table) else source
-            for j in np.flatnonzero(of_source.any(axis=0)):
-                forward.relative[j] = 1.0 / (np.abs(values).max() or 1.0)
+            values = [source]
+            if isinstance(source, Table):  # at the beginning of each interval, before and after
+                i = (<Table>source).table.n_coefficients
+                values = (<Table>source).coefficients[:, i - 1]
+                of_source = np.vstack((of_source[i - 1:len(of_source) - 2:i], of_source[len(of_source) - 2:]))
+            for j, change in enumerate(np.abs(of_source).max(axis=0) / (np.abs(values).max() or 1.0)):
+                forward.relative[j] = fmax(forward.relative[j], change)
+    for j in range(forward.n_blocks * width):
+        if not 0.0 < forward.relative[j] < 1.0:
+            forward.relative[j] = 1.0
     return 0
 
 

@@ -99,9 +99,10 @@ def integrate(
     else:
         look = options.dense_output or (watch is not None and bool(watch.callables))
         run = Run(ode, method, t_begin, start, t_bound, max_step, rtol, atol, options.project, t_eval, outputs, look)
+        varied = directions
         if options.gradient:
             run.keep_steps()
-        varied = with_probes(model, directions) if options.gradient else directions
+            varied = with_probes(model, directions, options.inputs)
         if varied is not None:
             run.vary(varied)
     run.begin()

@@ -5,7 +5,7 @@ import pytest
 import sympy as sm
 from scipy.linalg import expm
 from scipy.optimize import curve_fit
-from test_sensitivities import oscillator
+from test_sensitivities import driven_oscillator, oscillator
 
 import fourbar_codegen as fb
 
@@ -31,6 +31,19 @@ def test_errors_of_estimates_at_a_steady_motion():
     # the motion near the estimate is linear to the square of roll rates of 1e-3
     assert found.stderr["u7"] == pytest.approx(1e-3 / np.linalg.norm(roll), rel=1e-4)
     assert found.values["u7"] == pytest.approx(measured @ roll / (np.transpose(roll) @ roll), rel=1e-3)
+
+
+def test_a_tiny_guess():
+    """The first trust region of SciPy has the size of the guess, below which no change counted as progress."""
+    model, t = (
+        fb.compile_model(driven_oscillator(parameters={"F_0": 0.0}, force=sm.Symbol("F_0"))),
+        np.linspace(0, 5, 51),
+    )
+    measured = (1.0 - np.cos(2.0 * t)) * 0.2 / 8.0  # x = (F_0 / k) (1 - cos(w t))
+    for guess in (0.0, 1e-12, -1e-9, 1e-3):
+        found = fb.fit(model, {"t": t, "x": measured}, {"F_0": guess})
+        assert found.success
+        assert found.values["F_0"] == pytest.approx(0.2, rel=1e-6)  # the runs' tolerance of 1e-8, accumulated
 
 
 def closed_form(t, k, x):

@@ -492,11 +492,31 @@ def test_a_motion_prescribed_by_an_expression_of_parameters():
     assert run.gradient({"x": 1.0})["w"] == pytest.approx(run.sensitivity["w"][1].sum(), rel=1e-9)
 
 
-def test_jumps_of_speeds_by_expressions():
+@pytest.mark.parametrize("forwards", [True, False])
+@pytest.mark.parametrize("kind", ["linear", "cubic"])
+def test_jumps_of_a_motion_that_rests(kind, forwards):
+    """Where a pivot rests, its rate does not jump, but the derivatives of its rate do."""
+    model, at = fb.compile_model(driven_pendulum(None)), np.array([0.0, 1.0, 2.0])
+    span = (-0.5, 2.5) if forwards else (2.5, -0.5)
+    how = {"t_eval": [span[1]], "rtol": 1e-12, "atol": 1e-12}
+
+    def run(values, **more):
+        return model.simulate(span, [0.1, 0.0], inputs={"s": (at, values, kind)}, **how, **more)
+
+    found = run(np.zeros(3), sensitivities=["s"], gradient=True)
+    for place, unit in enumerate(np.eye(3)):
+        wanted = differences(lambda value, unit=unit: run(value * unit).y, 0.0, 1e-3)
+        np.testing.assert_allclose(found.sensitivity["s"][place], wanted, rtol=0, atol=1e-8 * np.abs(wanted).max())
+    for i, name in enumerate(model.states):
+        np.testing.assert_allclose(found.gradient({name: 1.0})["s"], found.sensitivity["s"][:, i, 0], rtol=1e-11)
+
+
+@pytest.mark.parametrize("rate", [0.1, 0.0])
+def test_jumps_of_speeds_by_expressions(rate):
     """Where the rate of a pivot's motion jumps from 0 to a, the speed jumps by -a cos(q) / l, which by a is known."""
     t, a = me.dynamicsymbols._t, sm.Symbol("a")
     motion = a * sm.Piecewise((0, t < sm.Rational(1, 2)), (t - sm.Rational(1, 2), True))
-    given = {"sensitivities": ["a"], "t_eval": [0.5 + 1e-12], "rtol": 1e-12, "atol": 1e-12, "parameters": {"a": 0.1}}
+    given = {"sensitivities": ["a"], "t_eval": [0.5 + 1e-12], "rtol": 1e-12, "atol": 1e-12, "parameters": {"a": rate}}
     system, s = driven_pendulum(None).system, me.dynamicsymbols("s")
     values = {"m": 2.0, "l": 0.5, "g": 9.81, "a": 0.1}
     by_input = fb.compile_model(fb.Model(system, name="moved", parameters=values, inputs={s: motion}))
@@ -505,7 +525,7 @@ def test_jumps_of_speeds_by_expressions():
     assert run.sensitivity["a"][1, 0] == pytest.approx(-np.cos(run["q"][0]) / 0.5, rel=1e-10)
     assert run.gradient({"u": 1.0})["a"] == pytest.approx(run.sensitivity["a"][1, 0], rel=1e-11)
     of_time = fb.compile_model(fb.Model(driven_pendulum(None, s=motion).system, name="of_time", parameters=values))
-    failed = of_time.simulate((0.0, 1.0), [0.4, 0.0], **given)
+    failed = of_time.simulate((0.0, 1.0), [0.4, 0.0], **given | {"parameters": {"a": 0.1}})
     assert not failed.success
     assert "by an expression of time in the model, which has no derivatives: prescribe the motion" in failed.message
 

@@ -41,6 +41,9 @@ UNDETERMINED = 1e-10
 """Singular values of the scaled Jacobian below this fraction of the largest leave parameters undetermined."""
 
 
+SMALL = 1e-3
+"""Of residuals: a trust region of this size is too small to begin with."""
+
 QUICK = 0.1
 """A fit that takes less, in s, reports no progress."""
 
@@ -228,23 +231,25 @@ def fit(
         raise SimulationError(f"The first guess cannot be simulated: {problem.failure}")
     if len(first[0]) < len(problem.guess):
         raise ModelError(f"{len(first[0])} measurements do not determine {len(problem.guess)} unknowns.")
+    origin = _origin(problem.guess, *first)
     with Progress(f"{model.name}: fit", unwatched=PATIENCE) as progress:
 
-        def residual(unknowns: Floats) -> Floats:
-            found = problem.simulated(unknowns)[0]
+        def residual(changes: Floats) -> Floats:
+            found = problem.simulated(origin + changes)[0]
             if time.monotonic() - begin > QUICK:
                 progress.stage(f"sum of squares {found @ found:.6g}")
             return found
 
         found = least_squares(
             residual,
-            problem.guess,
-            jac=lambda unknowns: problem.simulated(unknowns)[1],
-            bounds=(low, high),
+            problem.guess - origin,
+            jac=lambda changes: problem.simulated(origin + changes)[1],
+            bounds=(low - origin, high - origin),
             x_scale="jac",
             loss=loss,
             max_nfev=max_nfev,
         )
+    found.x += origin
     covariance, open_names = _covariance(problem, found, absolute=sigma is not None)
     message = found.message
     if open_names:
@@ -270,6 +275,20 @@ def fit(
         nfev=problem.n_runs,
         njev=found.njev,
     )
+
+
+def _origin(guess: Floats, residuals: Floats, jacobian: Floats) -> Floats:
+    """From where unknowns are measured: SciPy's first trust region is as large as the guess, in units of its effect.
+
+    If that is much less than the residuals, as for a guess of 1e-9, the fit could end there; the region is then as
+    large as the residuals.
+    """
+    effect = np.linalg.norm(jacobian, axis=0)
+    size, wanted = np.linalg.norm(guess * effect), np.linalg.norm(residuals)
+    if not 0.0 < size < SMALL * wanted:
+        return np.zeros_like(guess)
+    changes: Floats = wanted / math.sqrt(len(guess)) / np.where(effect > 0.0, effect, math.inf)
+    return guess - changes
 
 
 def _experiments(data: Any) -> tuple[Experiment, ...]:

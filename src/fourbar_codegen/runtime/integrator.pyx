@@ -181,8 +181,10 @@ cdef class Table:
             n_intervals=cnp.PyArray_DIM(self.coefficients, 0), n_coefficients=cnp.PyArray_DIM(self.coefficients, 1),
             times=data(self.times), coefficients=data(self.coefficients), before=before, after=after)
 
-    def jumps(self):
-        """Whether it jumps at each of its times, shape (n,)."""
+    def jumps(self, bint varied=False):
+        """Whether it jumps at each of its times, shape (n,); or, varied, would jump there with other values."""
+        if varied:
+            return np.isin(np.arange(len(self.times)), [0, len(self.times) - 1]) | (self.table.n_coefficients == 1)
         lengths = np.diff(self.times)
         ends = np.zeros_like(lengths)
         for coefficients in self.coefficients.T:
@@ -648,8 +650,8 @@ cdef int _prepare_forward(fb_run *run, fb_forward *forward, Ode ode, directions,
 
 cdef int _fill_relative_changes(fb_forward *forward, Ode ode, directions) except -1:
     """The relative change along each direction: of a parameter, or of the values of an input; 1 for initial values and
-    for what is below 1, since it may be small only now. CVODES scales the absolute tolerances of sensitivities by typical
-    values of parameters."""
+    for what is below 1, since it may be small only now. CVODES scales the absolute tolerances of sensitivities by
+    typical values of parameters."""
     cdef const fb_kernel *kernel = ode.evaluator.kernel
     cdef cnp.ndarray parameters = ode.evaluator.default_parameters if ode.parameters is None else ode.parameters
     cdef const double *p = data(parameters)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,12 +46,16 @@ class Discontinuity:
         Whether a position or velocity may jump; otherwise only forces, and speeds are continuous.
     rounding : float
         Rounding error of the time in conditions.
+    varied : bool
+        Whether a velocity that does not jump is treated as one that does, since its derivatives may jump: those of a
+        prescribed motion whose amplitude is zero, for instance.
     """
 
     t: float
     until: float
     moves: bool
     rounding: float
+    varied: bool = False
 
 
 @dataclass(frozen=True)
@@ -72,7 +76,7 @@ class Boundary:
     first: float
 
 
-def discontinuities(ode: Ode, begin: float, end: float) -> list[Discontinuity]:
+def discontinuities(ode: Ode, begin: float, end: float, *, varied: bool = False) -> list[Discontinuity]:
     """The discontinuities between two times, both included, in the order of the run.
 
     Parameters
@@ -80,6 +84,9 @@ def discontinuities(ode: Ode, begin: float, end: float) -> list[Discontinuity]:
     ode : Ode
         With parameters and inputs bound.
     begin, end : float
+    varied : bool, optional
+        Whether the run is differentiated: velocities then count as jumping that jump with other values of parameters
+        and inputs, unless that is at the end of the run.
 
     Returns
     -------
@@ -91,7 +98,7 @@ def discontinuities(ode: Ode, begin: float, end: float) -> list[Discontinuity]:
     known = {t: number < n_moves for number, t in reversed(list(enumerate(ode.breakpoints().tolist())))}
     for entry, source in zip(ode.manifest["inputs"], ode.sources, strict=True):
         if isinstance(source, Table):
-            moves = source.jumps() if entry["order"] == 1 else np.zeros(len(source.times), dtype=bool)
+            moves = source.jumps(varied) if entry["order"] == 1 else np.zeros(len(source.times), dtype=bool)
             for t, jumps in zip(source.times.tolist(), moves.tolist(), strict=True):
                 known[t] = known.get(t, False) or jumps
     low, high = min(begin, end), max(begin, end)
@@ -104,7 +111,7 @@ def discontinuities(ode: Ode, begin: float, end: float) -> list[Discontinuity]:
             found[-1] = Discontinuity(found[-1].t, t, found[-1].moves or known[t], same)
         else:
             found.append(Discontinuity(t, t, known[t], same))
-    return found
+    return [replace(at, varied=varied and at.moves and end not in (at.t, at.until)) for at in found]
 
 
 def boundary(ode: Ode, at: Discontinuity, towards: float, x: Floats) -> Boundary:
@@ -139,7 +146,7 @@ def boundary(ode: Ode, at: Discontinuity, towards: float, x: Floats) -> Boundary
                 end = at.t if to_left < JUMP * to_right else before
                 begin = at.until if to_right < JUMP * to_left else after
                 return Boundary(end, begin, before, after)
-    return Boundary(at.t, at.until, before, after)
+    return Boundary(at.t, after if at.varied else at.until, before, after)
 
 
 def speeds_after(ode: Ode, at: Boundary, x: Floats) -> Floats | None:
@@ -259,14 +266,23 @@ class _Prescribed:
         moving = {entry["of"] for entry in entries if entry["order"]}
         places = [place for place, entry in enumerate(entries) if entry["name"] in moving]
 
+        tables = [place for place, source in enumerate(self.ode.sources) if isinstance(source, Table)]
+        held = self.inputs(before)[tables]
+
+        def inputs(t: float) -> Floats:
+            """With tables held, which are continuous: where they pass zero, rounding errors would look like jumps."""
+            r = self.inputs(t)
+            r[tables] = held
+            return r
+
         def motions(t: float) -> Floats:
-            return self.inputs(t)[places]
+            return inputs(t)[places]
 
         def constraints(t: float) -> Floats:
-            return self.model.position(t, q, self.p, self.inputs(t))[0]
+            return self.model.position(t, q, self.p, inputs(t))[0]
 
         def points(t: float) -> Floats:
-            return self.model.drawing(t, self.x, self.p, self.inputs(t))[0].ravel()
+            return self.model.drawing(t, self.x, self.p, inputs(t))[0].ravel()
 
         jumped = _jumped(motions, np.abs(motions(before)) + np.abs(motions(after)), before, after)
         names = [f"Input {entries[places[i]]['name']}" for i in np.flatnonzero(jumped)]

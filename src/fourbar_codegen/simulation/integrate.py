@@ -43,6 +43,11 @@ FAILED = {
     "infinite": "The step size is not finite: give a finite end, or max_step.",
     "open": "After a step the constraint violation is too large to be corrected: use smaller tolerances.",
 }
+NOT_FINITE = (
+    " Sensitivities are not finite from t = {:.9g} on: they have outgrown the range of numbers, as in long chaotic "
+    "motions, or the equations cannot be differentiated there."
+)
+
 NO_DERIVATIVE = " The motion has no derivative there, and ALI3P no sensitivities."
 COORDINATES_ALONE = " In index 3 the tolerance applies to the coordinates only; the speeds are less accurate."
 
@@ -108,7 +113,7 @@ def integrate(
     run.begin()
     if watch:
         watch.begin(run)
-    later = discontinuities(ode, *span)
+    later = discontinuities(ode, *span, varied=options.gradient or directions is not None)
     pieces = Pieces(ode, span, later) if later else None
     if pieces:
         pieces.begin(run)
@@ -182,6 +187,12 @@ def integrate(
         sentence = left(model, ode, t, y, options.parameters)
         status, message = (-1, sentence) if sentence else (status, message)
     message += _growth(ode, t, y, run, by_steps=t_eval is None)
+    sensitivity = None
+    if directions is not None and isinstance(run, Run):
+        derivatives = run.sensitivities[: directions.matrix.shape[1], :, : t.size]
+        sensitivity = directions.by_name(derivatives)
+        if t.size and status >= 0 and not np.isfinite(derivatives[..., -1]).all():  # they do not become finite again
+            message += NOT_FINITE.format(t[np.flatnonzero(~np.isfinite(derivatives).all(axis=(0, 1)))[0]])
     return make_trajectory(
         model=model,
         parameters=options.parameters,
@@ -202,9 +213,7 @@ def integrate(
         event_sensitivity=_of_events(model, ode, watch, directions, options)
         if watch and directions is not None
         else None,
-        sensitivity=directions.by_name(run.sensitivities[..., : t.size])
-        if directions is not None and isinstance(run, Run)
-        else None,
+        sensitivity=sensitivity,
         directions=directions,
         steps=KeptSteps(
             model=model,

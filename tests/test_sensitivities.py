@@ -726,6 +726,15 @@ def test_no_derivative_at_a_singular_position(four_bar):
         four_bar.initial_state({"q1": 0.0}, {"u1": 0.7}, parameters={"l2": 0.9}, derivatives=True)
 
 
+def test_derivatives_that_outgrow_numbers_are_said():
+    """A chaotic motion: they grow by e in about a second, up to 1e308."""
+    model = fb.compile_model(fb.models.chain(2))
+    run = model.simulate((0.0, 1000.0), sensitivities=["q1"], t_eval=[1.0, 500.0, 1000.0])
+    assert run.success
+    assert np.isfinite(run.sensitivity["q1"]).all(axis=0).tolist() == [True, True, False]
+    assert "Sensitivities are not finite from t = 1000 on" in run.message
+
+
 def test_an_output_that_is_always_zero_has_events_without_derivatives():
     model = fb.compile_model(fb.models.slider_crank())
     with warnings.catch_warnings():

@@ -250,46 +250,67 @@ static inline int fb_forward_close(fb_run *run, const double since, const enum F
     return 0;
 }
 
+/* The largest error norm of the directions in `FB_FEW_DIRECTIONS` columns from `first` on. */
+static FB_INLINE double fb_forward_error_of(const fb_run *run, const double *error, const double *error3,
+                                            const double largest_x, const int first, const double *relative)
+{
+    const fb_forward *const f = run->forward;
+    double sum[FB_FEW_DIRECTIONS] = {0.0}, sum3[FB_FEW_DIRECTIONS] = {0.0}, largest[FB_FEW_DIRECTIONS] = {0.0};
+    double worst = 0.0;
+    for (int i = 0; i < run->n; ++i) {
+        const double *const s = f->s + first + i * f->width;
+        for (int j = 0; j < FB_FEW_DIRECTIONS; ++j)
+            largest[j] = fb_max(fabs(s[j]), largest[j]);
+    }
+    for (int i = 0; i < run->n; ++i) {
+        const int row = first + i * f->width;
+        const double own = FB_FORWARD_SHARE * run->rtol[i];
+        const double rtol = own < FB_LEAST_FORWARD_RTOL  ? FB_LEAST_FORWARD_RTOL
+                            : own > FB_MOST_FORWARD_RTOL ? FB_MOST_FORWARD_RTOL
+                                                         : own;
+        const double atol = FB_FORWARD_ATOL * run->atol[i] + FB_FORWARD_ROUNDING * largest_x;
+        for (int j = 0; j < FB_FEW_DIRECTIONS; ++j) {
+            const double now = fabs(f->s[row + j]), before = fabs(f->s_old[row + j]);
+            const double size = fb_max(fb_max(now, before), f->lately[row + j]);
+            const double scale = rtol * size + FB_FORWARD_ROUNDING * largest[j] + atol * relative[j] + DBL_MIN;
+            const double part = error[row + j] / scale, part3 = error3[row + j] / scale;
+            sum[j] += part * part;
+            sum3[j] += part3 * part3;
+        }
+    }
+    for (int j = 0; j < FB_FEW_DIRECTIONS; ++j) /* without those that are NaN */
+        worst = fmax(worst, fb_error_norm(run, run->h, sum[j], sum3[j]));
+    return worst;
+}
+
 /* The error estimate of S in units of its tolerances, for the direction in which it is largest. Derivatives pass
  * through zero more often than states: each is compared with the largest value that it has had lately. */
-static inline double fb_forward_error(fb_run *run)
+static FB_INLINE double fb_forward_error_with(fb_run *run)
 {
     fb_forward *const f = run->forward;
-    const int two = run->method->n_errors == 2, width = f->width;
+    const int two = run->method->n_errors == 2;
     double *const error = f->scratch, *const error3 = f->interpolant;
     double largest_x = 0.0, worst = 0.0;
-    fb_forward_combine(f, run->error, two ? 1.0 : run->h, NULL, error);
+    fb_combine_rows(f->stages, f->size, run->error, two ? 1.0 : run->h, NULL, error);
     if (two)
-        fb_forward_combine(f, run->error + 1, 1.0, NULL, error3);
+        fb_combine_rows(f->stages, f->size, run->error + 1, 1.0, NULL, error3);
     for (int i = 0; i < run->n; ++i)
-        largest_x = fmax(largest_x, fabs(run->x[i]));
-    for (int block = 0; block < f->n_blocks; ++block) {
-        double sum[FB_DIRECTIONS] = {0.0}, sum3[FB_DIRECTIONS] = {0.0}, largest[FB_DIRECTIONS] = {0.0};
-        for (int i = 0; i < run->n; ++i)
-            for (int j = 0; j < width; ++j) {
-                const double size = fabs(f->s[(block * run->n + i) * width + j]);
-                largest[j] = size > largest[j] ? size : largest[j];
-            }
-        for (int i = 0; i < run->n; ++i) {
-            const int row = (block * run->n + i) * width;
-            const double rtol =
-                fmin(fmax(FB_FORWARD_SHARE * run->rtol[i], FB_LEAST_FORWARD_RTOL), FB_MOST_FORWARD_RTOL);
-            const double atol = FB_FORWARD_ATOL * run->atol[i] + FB_FORWARD_ROUNDING * largest_x;
-            for (int j = 0; j < width; ++j) {
-                const double now = fabs(f->s[row + j]), before = fabs(f->s_old[row + j]);
-                const double since = f->lately[row + j], last = now > before ? now : before;
-                const double scale = rtol * (last > since ? last : since) + FB_FORWARD_ROUNDING * largest[j] +
-                                     atol * f->relative[block * width + j] + DBL_MIN;
-                sum[j] += (error[row + j] / scale) * (error[row + j] / scale);
-                if (two)
-                    sum3[j] += (error3[row + j] / scale) * (error3[row + j] / scale);
-            }
-        }
-        /* Without those that are NaN. */
-        for (int j = 0; j < width; ++j)
-            worst = fmax(worst, fb_error_norm(run, run->h, sum[j], sum3[j]));
-    }
+        largest_x = fb_max(fabs(run->x[i]), largest_x);
+    for (int block = 0; block < f->n_blocks; ++block)
+        for (int j = 0; j < f->width; j += FB_FEW_DIRECTIONS)
+            worst = fmax(worst, fb_forward_error_of(run, error, two ? error3 : error, largest_x,
+                                                    block * run->n * f->width + j, f->relative + block * f->width + j));
     return worst;
+}
+
+FB_AVX2_FUNCTION static inline double fb_forward_error_avx2(fb_run *run)
+{
+    return fb_forward_error_with(run);
+}
+
+static inline double fb_forward_error(fb_run *run)
+{
+    return run->forward->has_avx2 ? fb_forward_error_avx2(run) : fb_forward_error_with(run);
 }
 
 /* S along the last accepted step, right after it, and its error; S is that before the step unless this is below 1. */

@@ -40,10 +40,28 @@ def test_a_tiny_guess():
         np.linspace(0, 5, 51),
     )
     measured = (1.0 - np.cos(2.0 * t)) * 0.2 / 8.0  # x = (F_0 / k) (1 - cos(w t))
-    for guess in (0.0, 1e-12, -1e-9, 1e-3):
-        found = fb.fit(model, {"t": t, "x": measured}, {"F_0": guess})
+    for guess, bounds in ((0.0, None), (1e-12, None), (-1e-9, None), (1e-3, None), (0.0, (0.0, 20.0)), (20.0, (0, 20))):
+        how = {} if bounds is None else {"bounds": {"F_0": bounds}}
+        found = fb.fit(model, {"t": t, "x": measured}, {"F_0": guess}, **how)
         assert found.success
         assert found.values["F_0"] == pytest.approx(0.2, rel=1e-6)  # the runs' tolerance of 1e-8, accumulated
+
+
+def test_units_of_measurements_and_unknowns():
+    """The gradient of the sum of squares has units: SciPy's limit of 1e-8 for it left guesses as they were."""
+    t = np.linspace(0.0, 6.0, 121)
+    small = fb.compile_model(oscillator())
+    measured = 1e-6 * np.cos(2.1 * t)  # metres; k = m w^2 = 8.82
+    found = fb.fit(small, {"t": t, "x": measured}, {"k": 8.0, "x": 2e-6}, atol=1e-15)
+    assert found.values == pytest.approx({"k": 2.0 * 2.1**2, "x": 1e-6}, rel=1e-6)
+
+
+def test_an_estimate_of_zero_is_determined():
+    t = np.linspace(0.0, 6.0, 121)
+    found = fb.fit(fb.compile_model(oscillator()), {"t": t, "v": -0.2 * np.sin(2.0 * t)}, {"x": 0.1, "v": 0.3})
+    assert found.values["v"] == pytest.approx(0.0, abs=1e-6)
+    assert np.isfinite([*found.stderr.values()]).all()
+    assert "do not determine" not in found.message
 
 
 def closed_form(t, k, x):

@@ -691,8 +691,8 @@ class CompiledModel(Kernel):
             The derivatives of a given `x0`, such as those of `initial_state`; with `gradient` by any of these names.
         gradient : bool, optional
             Whether to keep the steps for `Trajectory.gradient`: 8 (n_x + 2) bytes each. For DOP853 and RK45. Their
-            lengths are limited by errors of derivatives along arbitrary directions of initial states, and by parameters
-            and inputs in terms that depend on time explicitly.
+            lengths are limited by errors of derivatives along arbitrary directions of initial states, parameters and
+            inputs.
 
         Returns
         -------

@@ -231,25 +231,32 @@ def fit(
         raise SimulationError(f"The first guess cannot be simulated: {problem.failure}")
     if len(first[0]) < len(problem.guess):
         raise ModelError(f"{len(first[0])} measurements do not determine {len(problem.guess)} unknowns.")
-    origin = _origin(problem.guess, *first)
     with Progress(f"{model.name}: fit", unwatched=PATIENCE) as progress:
 
-        def residual(changes: Floats) -> Floats:
-            found = problem.simulated(origin + changes)[0]
+        def residual(unknowns: Floats) -> Floats:
+            found = problem.simulated(unknowns)[0]
             if time.monotonic() - begin > QUICK:
                 progress.stage(f"sum of squares {found @ found:.6g}")
             return found
 
-        found = least_squares(
-            residual,
-            problem.guess - origin,
-            jac=lambda changes: problem.simulated(origin + changes)[1],
-            bounds=(low - origin, high - origin),
-            x_scale="jac",
-            loss=loss,
-            max_nfev=max_nfev,
-        )
-    found.x += origin
+        def solve(guess: Floats, origin: Floats | float = 0.0) -> Any:
+            """A local minimum, with unknowns measured from an origin."""
+            return least_squares(
+                lambda changes: residual(origin + changes),
+                guess - origin,
+                jac=lambda changes: problem.simulated(origin + changes)[1],
+                bounds=(low - origin, high - origin),
+                x_scale="jac",
+                gtol=None,  # it has the units of the measurements
+                loss=loss,
+                max_nfev=max_nfev,
+            )
+
+        origin = _origin(problem.guess, *first)
+        if origin is None:
+            found = solve(problem.guess)
+        else:
+            found = solve(np.clip(solve(problem.guess, origin).x + origin, low, high))
     covariance, open_names = _covariance(problem, found, absolute=sigma is not None)
     message = found.message
     if open_names:
@@ -277,16 +284,18 @@ def fit(
     )
 
 
-def _origin(guess: Floats, residuals: Floats, jacobian: Floats) -> Floats:
-    """From where unknowns are measured: SciPy's first trust region is as large as the guess, in units of its effect.
+def _origin(guess: Floats, residuals: Floats, jacobian: Floats) -> Floats | None:
+    """From where unknowns are measured at first, or None for 0.
 
-    If that is much less than the residuals, as for a guess of 1e-9, the fit could end there; the region is then as
-    large as the residuals.
+    SciPy's first trust region is as large as the guess, in units of its effect. If that is much less than the
+    residuals, as for a guess of 1e-9, or of 0 at a bound, the fit could end there. Measured from the origin, the region
+    is as large as the residuals; from where that ends, the fit is repeated without it, for criteria of convergence that
+    are relative to the unknowns.
     """
     effect = np.linalg.norm(jacobian, axis=0)
-    size, wanted = np.linalg.norm(guess * effect), np.linalg.norm(residuals)
-    if not 0.0 < size < SMALL * wanted:
-        return np.zeros_like(guess)
+    wanted = float(np.linalg.norm(residuals))
+    if np.linalg.norm(guess * effect) >= SMALL * wanted:
+        return None
     changes: Floats = wanted / math.sqrt(len(guess)) / np.where(effect > 0.0, effect, math.inf)
     return guess - changes
 
@@ -453,6 +462,8 @@ class _Problem:
 
     def _run(self, i: int, values: Floats) -> Trajectory:
         """A run of an experiment, from the state that follows from values of its unknowns."""
+        if not np.isfinite(values).all():  # where SciPy divides by a Jacobian of zeros
+            raise SimulationError(f"The unknowns {', '.join(self.own)} are not finite: {shown(values)}.")
         self.n_runs += 1
         start = self.starts[i]
         start = self.starts[i] = self._first(i, values) if start is None else self._next(start, values)
@@ -628,8 +639,9 @@ def _covariance(problem: _Problem, found: Any, *, absolute: bool) -> tuple[Float
             for name, values in of.items()
         ]
     )
-    # An unknown of which all of its value has an effect below the simulation's error is not determined.
-    is_known = size * np.abs(found.x) > problem.how["rtol"] * np.linalg.norm(simulated)
+    # An unknown is not determined if all of its value, or of its guess, changes less than the simulation's error.
+    typical = np.maximum(np.abs(found.x), np.abs(np.where(problem.guess == 0.0, 1.0, problem.guess)))
+    is_known = size * typical > problem.how["rtol"] * np.linalg.norm(simulated)
     scale = np.where(size > 0.0, size, 1.0)
     _, singular, directions = np.linalg.svd(jacobian * (is_known / scale), full_matrices=False)
     known = singular > UNDETERMINED * singular.max(initial=0.0)

@@ -12,7 +12,7 @@ import sympy as sm
 
 from fourbar_codegen.dynamics.equations import Equations
 from fourbar_codegen.dynamics.jumps import jumps
-from fourbar_codegen.expressions.tape import Call, Scalar, Sum, operands
+from fourbar_codegen.expressions.tape import Call, Product, Scalar, Sum, operands
 from fourbar_codegen.lowering.program import Function, Program
 from fourbar_codegen.modeling.gravity import gravity
 from fourbar_codegen.modeling.model import Model
@@ -96,7 +96,7 @@ def manifest_of(
         "form": program.form,
         "jumps": _jumps(model, equations, names),
         "dependencies": _dependencies(equations),
-        "timed": _timed(model, equations, names),
+        **_timed(model, equations, names),
     }
 
 
@@ -128,26 +128,43 @@ def _dependencies(equations: Equations) -> dict[str, list[str]]:
     return {name: [hex(masks.get(entry.node, 0)) for entry in entries] for name, entries in rows.items()}
 
 
-def _timed(model: Model, equations: Equations, names: Mapping[str, Sequence[str]]) -> list[str]:
-    """The parameters and inputs in terms that depend on time explicitly, such as the amplitude of a force."""
+def _timed(model: Model, equations: Equations, names: Mapping[str, Sequence[str]]) -> dict[str, Any]:
+    """The parameters and inputs in terms that depend on time explicitly, or by an input's expression, such as the
+    amplitude of a force; and those in terms that depend on each input, which may be given as a table of time.
+    """
     e, tape = equations, equations.tape
-    results = (e.coordinate_rates, e.residual, e.position_violation, e.velocity_violation, e.default_inputs)
-    entries = [entry for result in results for entry in result.entries]
-    of_time = tape.dependent(tape.reach(entries), [e.time])
-    found, ahead, seen = set(), [entry.node for entry in entries], set()
-    while ahead:
-        node = ahead.pop()
-        if node in seen or node not in of_time:
-            continue
-        seen.add(node)
-        if isinstance(tape.nodes[node], Sum):
-            ahead.extend(operands(tape.nodes[node]))
-        else:
-            found.update(tape.reach([Scalar(tape, 1, node)]))
     of = {entry.name: entry.of for entry in model.input_entries}
     inputs = [of[name] for name in names["inputs"]]
-    leaves = zip((*names["parameters"], *inputs), (*e.parameters, *e.inputs), strict=True)
-    return list(dict.fromkeys(name for name, leaf in leaves if leaf.node in found))
+    named = list(zip((*names["parameters"], *inputs), (*e.parameters, *e.inputs), strict=True))
+    results = (e.coordinate_rates, e.residual, e.position_violation, e.velocity_violation, e.default_inputs)
+    entries = [entry for result in results for entry in result.entries]
+    nodes = tape.reach(entries)
+    everything = {leaf.node: 1 << place for place, (_, leaf) in enumerate(named)}  # what a node depends on
+    for node in nodes:
+        if node not in everything:
+            everything[node] = reduce(or_, (everything.get(of, 0) for of in operands(tape.nodes[node])), 0)
+
+    def beside(leaves: Sequence[Scalar]) -> list[str]:
+        """What is in terms with these leaves: of a sum only those, of a product all factors, or terms of a factor."""
+        dependent = tape.dependent(nodes, leaves)
+        masks = {leaf.node: everything.get(leaf.node, 0) for leaf in leaves}
+        for node in nodes:
+            if node in dependent and node not in masks:
+                operation, mask = tape.nodes[node], 0
+                if isinstance(operation, Sum | Product):
+                    for each in operands(operation):
+                        is_factor = isinstance(operation, Product) and each not in dependent
+                        mask |= masks.get(each, 0) | (everything.get(each, 0) if is_factor else 0)
+                else:
+                    mask = everything[node]
+                masks[node] = mask
+        found = reduce(or_, (masks.get(entry.node, 0) for entry in entries), 0)
+        return list(dict.fromkeys(name for place, (name, _) in enumerate(named) if found >> place & 1))
+
+    pairs = list(zip(inputs, e.inputs, e.default_inputs.entries, strict=True))
+    driven = [leaf for _, leaf, default in pairs if tape.depends([default], [e.time])]
+    by_input = {name: beside([leaf for other, leaf, _ in pairs if other == name]) for name in dict.fromkeys(inputs)}
+    return {"timed": beside([e.time, *driven]), "timed_by": by_input}
 
 
 def _values(model: Model) -> dict[sm.Basic, Any]:

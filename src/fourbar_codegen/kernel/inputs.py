@@ -205,12 +205,15 @@ def source_changes(model: Kernel, name: str, source: float | InterpolationTable)
     return _changes(model, name, basis, np.eye(len(source[0]))[[0, -1]])
 
 
-def arbitrary_changes(model: Kernel, name: str, source: Any, generator: np.random.Generator) -> dict[int, Floats]:
-    """Changes of an input's sources, as those of `source_changes`, by arbitrary values: shapes (m, 1)."""
+def arbitrary_changes(
+    model: Kernel, name: str, source: Any, n: int, generator: np.random.Generator
+) -> dict[int, Floats]:
+    """Changes of an input's sources, as those of `source_changes`, by n arbitrary values of the size of its own."""
     own = own_source(name, source)
+    given: Any = own[1] if isinstance(own, tuple) else [own]
+    values = (np.abs(given).max() or 1.0) * generator.standard_normal((len(given), n))
     if not isinstance(own, tuple):
-        return source_changes(model, name, finite_number(own, name))
-    values = generator.standard_normal((len(own[0]), 1))
+        return _changes(model, name, values[np.newaxis])
     coefficients = _coefficients(own[0], values, _kind(own, len(_orders(model, name))))
     return _changes(model, name, coefficients, values[[0, -1]])
 

@@ -55,7 +55,13 @@ CORRECTED = 1e-10
 would change it by the square of this."""
 
 PROBES = 2
-"""Arbitrary directions of initial states that choose the steps of runs with gradients."""
+"""Arbitrary directions of initial states, and as many of parameters and inputs, that choose steps for gradients."""
+
+SMALL = 1e-3
+"""Amplitudes of terms that depend on time are small below this fraction of the largest parameter or input; ..."""
+
+SINGLES = 4
+"""... so many of them are directions of their own: eight directions are varied at once."""
 
 REGULAR = 1e-3
 """Pivots of the constraints' derivatives, relative to the largest, below which a singular position may be nearby."""
@@ -153,30 +159,46 @@ def directions_of(model: Kernel, names: Sequence[Any], inputs: Mapping[Any, Inpu
     return Directions(places, matrix, sources)
 
 
-def with_probes(model: Kernel, directions: Directions | None, inputs: Mapping[Any, InputSource] | None) -> Directions:
+def with_probes(
+    model: Kernel,
+    directions: Directions | None,
+    parameters: Floats | None,
+    inputs: Mapping[Any, InputSource] | None,
+) -> Directions:
     """Directions with further ones, without names, that ask for steps short enough for all derivatives.
 
-    Arbitrary directions of initial states have a part in each mode of the motion. Terms that depend on time explicitly
-    may vary where the motion does not, if their amplitude is zero or small: each of their parameters and inputs is a
-    direction as well.
+    In the first, all initial states change: arbitrary directions have a part in each mode of the motion. In the next,
+    all parameters and inputs change, by their size. Terms that depend on time may vary where the motion does not, if
+    their amplitude is zero or small: the smallest of their parameters and inputs are directions of their own.
     """
-    generator, timed = np.random.default_rng(0), set(model.manifest["timed"])
-    states = np.zeros((model.n_x + model.n_p, PROBES))
-    states[: model.n_x] = generator.standard_normal((model.n_x, PROBES))
-    parameters = np.eye(model.n_x + model.n_p)[:, [model.n_x + i for i, n in enumerate(model.parameters) if n in timed]]
-    none: Sequence[Floats | None] = [None] * model.n_r
+    generator, p = np.random.default_rng(0), parameter_array(model, parameters)
+    n_x, n_r = model.n_x, model.n_r
+    given = {name_of(key): own_source(name_of(key), source) for key, source in (inputs or {}).items()}
+    tables = [name for name, source in given.items() if isinstance(source, tuple)]
+    of_time = {*model.manifest["timed"]}.union(*(model.manifest["timed_by"][name] for name in tables))
+    changes = {name: arbitrary_changes(model, name, source, PROBES, generator) for name, source in given.items()}
+    together = {place: change for of_name in changes.values() for place, change in of_name.items()}
+    states, others = np.zeros((2, n_x + model.n_p, PROBES))
+    states[:n_x] = generator.standard_normal((n_x, PROBES))
+    others[n_x:] = np.where(p == 0.0, 1.0, p)[:, np.newaxis] * generator.standard_normal((model.n_p, PROBES))
     parts = [] if directions is None else [(directions.matrix, directions.sources)]
-    parts += [(states, none), (parameters, none)]
-    for key, source in (inputs or {}).items():
-        if name_of(key) in timed:
-            changes = arbitrary_changes(model, name_of(key), source, generator)
-            parts.append((np.zeros((len(states), 1)), [changes.get(place) for place in range(model.n_r)]))
+    parts += [(states, [None] * n_r), (others, [together.get(place) for place in range(n_r)])]
+    sizes = dict(zip(model.parameters, np.abs(p).tolist(), strict=True)) | {
+        name: float(np.abs(source[1] if isinstance(source, tuple) else source).max())  # type: ignore[arg-type]
+        for name, source in given.items()
+    }
+    small = [name for name in sizes if name in of_time and sizes[name] <= SMALL * max(sizes.values())]
+    for name in sorted(small, key=sizes.__getitem__)[:SINGLES]:
+        unit, own = np.zeros((n_x + model.n_p, 1)), changes.get(name, {})
+        if name not in given:
+            unit[n_x + model.parameters.index(name)] = 1.0
+        parts.append((unit, [own[place][:, :1] if place in own else None for place in range(n_r)]))
     sources: list[Floats | None] = []
     for of_parts in zip(*(each for _, each in parts), strict=True):
-        rows = max((len(changes) for changes in of_parts if changes is not None), default=0)
+        rows = max((len(change) for change in of_parts if change is not None), default=0)
         columns = [
-            np.zeros((rows, matrix.shape[1])) if changes is None else changes
-            for changes, (matrix, _) in zip(of_parts, parts, strict=True)
+            np.zeros((rows, matrix.shape[1])) if change is None else change
+            for change, (matrix, _) in zip(of_parts, parts, strict=True)
         ]
         sources.append(np.hstack(columns) if rows else None)
     places = {} if directions is None else directions.places

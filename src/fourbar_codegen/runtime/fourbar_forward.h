@@ -27,6 +27,7 @@
 /* ... absolute ones, for which there is no natural size, are for rounding errors of what is zero; ... */
 #define FB_FORWARD_ATOL 1e-5
 #define FB_FORWARD_ROUNDING 1e-13
+#define FB_FORWARD_NOISE 1e-14
 /* ... and sizes before the last step count less from step to step. */
 #define FB_FORWARD_FADING 0.8
 
@@ -268,7 +269,7 @@ static FB_INLINE double fb_forward_error_of(const fb_run *run, const double *err
         const double rtol = own < FB_LEAST_FORWARD_RTOL  ? FB_LEAST_FORWARD_RTOL
                             : own > FB_MOST_FORWARD_RTOL ? FB_MOST_FORWARD_RTOL
                                                          : own;
-        const double atol = FB_FORWARD_ATOL * run->atol[i] + FB_FORWARD_ROUNDING * largest_x;
+        const double atol = FB_FORWARD_ATOL * run->atol[i] + FB_FORWARD_NOISE * largest_x;
         for (int j = 0; j < FB_FEW_DIRECTIONS; ++j) {
             const double now = fabs(f->s[row + j]), before = fabs(f->s_old[row + j]);
             const double size = fb_max(fb_max(now, before), f->lately[row + j]);

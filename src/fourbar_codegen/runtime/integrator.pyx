@@ -193,6 +193,12 @@ cdef class Table:
         right = np.append(self.coefficients[:, np.shape(self.coefficients)[1] - 1], self.table.after)
         return np.abs(right - left) > 1e-9 * (np.abs(right) + np.abs(left))
 
+    def interval(self, double t):
+        """The number of the interval that gives the value at a time: -1 before, n - 1 after."""
+        if t > self.times[len(self.times) - 1]:
+            return len(self.times) - 1
+        return min(np.searchsorted(self.times, t, side="right") - 1, len(self.times) - 2)
+
     def __reduce__(self):
         return Table, (self.times, np.transpose(self.coefficients), self.table.before, self.table.after)
 

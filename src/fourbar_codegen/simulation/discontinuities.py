@@ -137,7 +137,10 @@ def boundary(ode: Ode, at: Discontinuity, towards: float, x: Floats) -> Boundary
     before, after = at.t - rounding, at.until + rounding
     if at.moves:
         prescribed = _Prescribed(ode, x)
-        for value, jumped in prescribed.velocities(before, after):
+        jumping = prescribed.velocities(before, after)
+        if at.varied:
+            jumping.append(prescribed.derivatives(before, after))
+        for value, jumped in jumping:
             if jumped.any():
                 if not np.isfinite(prescribed.inputs(at.t)).all():  # such as the derivative of a square root at zero
                     return Boundary(before, after, before, after)
@@ -146,7 +149,7 @@ def boundary(ode: Ode, at: Discontinuity, towards: float, x: Floats) -> Boundary
                 end = at.t if to_left < JUMP * to_right else before
                 begin = at.until if to_right < JUMP * to_left else after
                 return Boundary(end, begin, before, after)
-    return Boundary(at.t, after if at.varied else at.until, before, after)
+    return Boundary(at.t, at.until, before, after)
 
 
 def speeds_after(ode: Ode, at: Boundary, x: Floats) -> Floats | None:
@@ -259,6 +262,17 @@ class _Prescribed:
         measure = self.model.constraint_scale(after, self.x, self.p, self.inputs(after))[2]
         sizes = ((momentum, mass * speeds), (self.bias, measure))
         return [(value, _jumped(value, size, before, after)) for value, size in sizes]
+
+    def derivatives(self, before: float, after: float) -> tuple[OfTime, NDArray[np.bool_]]:
+        """What the rates' derivatives jump with: those by parameters, and intervals of tables."""
+        tables = [source for source in self.ode.sources if isinstance(source, Table)]
+
+        def value(t: float) -> Floats:
+            intervals = [table.interval(t) for table in tables]
+            return np.append(self.model.default_input_sensitivity(t, self.p), intervals)
+
+        size = np.abs(value(before)) + np.abs(value(after))
+        return value, _jumped(value, size, before, after)
 
     def jumping_positions(self, before: float, after: float) -> list[str]:
         """Names of the motions, constraints and points that jump."""

@@ -107,7 +107,7 @@ def integrate(
         varied = directions
         if options.gradient:
             run.keep_steps()
-            varied = with_probes(model, directions, options.inputs)
+            varied = with_probes(model, directions, options.parameters, options.inputs)
         if varied is not None:
             run.vary(varied)
     run.begin()

@@ -35,10 +35,8 @@ def test_errors_of_estimates_at_a_steady_motion():
 
 def test_a_tiny_guess():
     """The first trust region of SciPy has the size of the guess, below which no change counted as progress."""
-    model, t = (
-        fb.compile_model(driven_oscillator(parameters={"F_0": 0.0}, force=sm.Symbol("F_0"))),
-        np.linspace(0, 5, 51),
-    )
+    model = fb.compile_model(driven_oscillator(parameters={"F_0": 0.0}, force=sm.Symbol("F_0")))
+    t = np.linspace(0.0, 5.0, 51)
     measured = (1.0 - np.cos(2.0 * t)) * 0.2 / 8.0  # x = (F_0 / k) (1 - cos(w t))
     for guess, bounds in ((0.0, None), (1e-12, None), (-1e-9, None), (1e-3, None), (0.0, (0.0, 20.0)), (20.0, (0, 20))):
         how = {} if bounds is None else {"bounds": {"F_0": bounds}}

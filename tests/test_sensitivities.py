@@ -528,7 +528,15 @@ def test_jumps_of_speeds_by_expressions(rate):
     of_time = fb.compile_model(fb.Model(driven_pendulum(None, s=motion).system, name="of_time", parameters=values))
     failed = of_time.simulate((0.0, 1.0), [0.4, 0.0], **given | {"parameters": {"a": 0.1}})
     assert not failed.success
-    assert "by an expression of time in the model, which has no derivatives: prescribe the motion" in failed.message
+    refused = "by an expression of time in the model, which has no derivatives: prescribe the motion"
+    assert refused in failed.message
+    failed = of_time.simulate((0.0, 1.0), [0.4, 0.0], **given | {"parameters": {"a": 0.0}})
+    assert not failed.success
+    assert f"With another value of a the speeds would jump {refused}" in failed.message
+    others = {**given, "parameters": {"a": 0.0}, "sensitivities": ["l"], "gradient": True}
+    run = of_time.simulate((0.0, 1.0), [0.4, 0.0], **others)
+    assert set(run.gradient({"u": 1.0})) == {"q", "u", "m", "l", "g"}
+    assert run.gradient({"u": 1.0})["l"] == pytest.approx(run.sensitivity["l"][1, 0], rel=1e-11)
 
 
 def test_samples_beside_a_jump():

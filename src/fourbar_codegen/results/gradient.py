@@ -64,6 +64,8 @@ class KeptSteps:
         Whether the initial state was given, and depends on no parameter.
     dx0 : mapping of str to ndarray, shape (n_x,) or (n, n_x)
         Its derivatives, where these are given.
+    unknown : frozenset of str
+        Parameters with respect to which there are no derivatives.
     """
 
     model: Kernel
@@ -74,6 +76,7 @@ class KeptSteps:
     inputs: Mapping[Any, Any]
     starts_from_x0: bool
     dx0: Mapping[str, Floats]
+    unknown: frozenset[str]
 
     def gradient(self, cost: Any) -> dict[str, Any]:
         """The gradient of a cost; see `Trajectory.gradient`."""
@@ -92,7 +95,7 @@ class KeptSteps:
         end, duration = self.steps.end
         states = [(self.t, self.steps.start), (self.t + duration, end)]
         locked = locked_parameters(model, states, parameters, self.inputs)
-        for name in locked.union(moving_breakpoints(model, parameters, model.parameters)):
+        for name in locked.union(moving_breakpoints(model, parameters, model.parameters), self.unknown):
             del found[name]
         return found
 

@@ -312,7 +312,8 @@ class Trajectory:
             The derivatives by parameters; by initial values of the independent coordinates and speeds and of the
             auxiliary states, where the others follow from loop closure; and by given inputs: a number, or an array with
             an entry for each value of a table. A given ``x0`` depends on no parameter and no input. Left out are
-            parameters on which times of jumps depend, and those that redundant constraints do not let change alone.
+            parameters on which times of jumps depend, those with other values of which speeds would jump by an
+            expression of time in the model, and those that redundant constraints do not let change alone.
 
         Raises
         ------

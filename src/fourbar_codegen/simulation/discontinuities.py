@@ -8,8 +8,9 @@ impulse acts through the constraints, and through the bodies that the motion car
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -205,6 +206,12 @@ def speeds_after(ode: Ode, at: Boundary, x: Floats) -> Floats | None:
     return found
 
 
+def _jump_by_the_model(ode: Ode, at: Boundary, x: Floats) -> bool:
+    """Whether speeds jump by an expression of time in the model, other than by inputs."""
+    velocities = _Prescribed(ode, x, held=at.last).velocities(at.last, at.first)
+    return any(jumped.any() for _, jumped in velocities)
+
+
 def _positive(values: Floats) -> Floats:
     return np.where(values > 0.0, values, 1.0)
 
@@ -223,12 +230,13 @@ def _jumped(value: OfTime, size: Floats | float, before: float, after: float) ->
 class _Prescribed:
     """Prescribed motions at a state, as functions of time."""
 
-    def __init__(self, ode: Ode, x: Floats) -> None:
-        self.ode, self.model, self.p, self.x = ode, ode.evaluator, ode.parameters, x
+    def __init__(self, ode: Ode, x: Floats, held: float | None = None) -> None:
+        """With the inputs of each time, or held at those of one."""
+        self.ode, self.model, self.p, self.x, self.held = ode, ode.evaluator, ode.parameters, x, held
         self.at_rest = np.concatenate([x[: ode.n_q], np.zeros(ode.n_x - ode.n_q)])
 
     def inputs(self, t: float) -> Floats:
-        return self.ode.input_values(t, self.x)
+        return self.ode.input_values(t if self.held is None else self.held, self.x)
 
     def matrices(self, t: float) -> tuple[Floats, Floats]:
         """M and J."""
@@ -317,10 +325,25 @@ class Pieces:
     span : (float, float)
     later : list of Discontinuity
         The discontinuities in the span, at least one.
+    varied : mapping of str to Ode, optional
+        For parameters with respect to which the run is differentiated, the right-hand side with another value.
+
+    Attributes
+    ----------
+    unknown : set of str
+        Those of `varied` that would have made speeds jump, where they do not, by an expression of time in the model:
+        derivatives with respect to them leave this out.
     """
 
-    def __init__(self, ode: Ode, span: tuple[float, float], later: list[Discontinuity]) -> None:
-        self._ode, self._span = ode, span
+    def __init__(
+        self,
+        ode: Ode,
+        span: tuple[float, float],
+        later: list[Discontinuity],
+        varied: Mapping[str, Ode] = MappingProxyType({}),
+    ) -> None:
+        self._ode, self._span, self._varied = ode, span, varied
+        self.unknown: set[str] = set()
         self._towards = math.copysign(math.inf, span[1] - span[0])
         self._later = later
         self._next: tuple[Discontinuity, Boundary] | None = None
@@ -357,7 +380,9 @@ class Pieces:
         x, t, jumps = run.x, here.begin, here.begin != here.end
         if at.moves:
             speeds = speeds_after(self._ode, here, x)
-            if speeds is not None:
+            if speeds is None:
+                self.unknown.update(name for name, ode in self._varied.items() if _jump_by_the_model(ode, here, x))
+            else:
                 x[self._ode.n_q : self._ode.n_q + self._ode.n_u] = speeds
                 if not jumps:  # detected only at this state, not at the start of the piece
                     t, jumps = here.first, True

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from fourbar_codegen.errors import SimulationError
 from fourbar_codegen.kernel.consistency import consistent, left
+from fourbar_codegen.kernel.inputs import bind
 from fourbar_codegen.kernel.kernel import Kernel
-from fourbar_codegen.kernel.sensitivity import Directions, with_probes
+from fourbar_codegen.kernel.sensitivity import Directions, parameter_array, with_probes
 from fourbar_codegen.results.gradient import EventSensitivity, KeptSteps, output_sensitivity
 from fourbar_codegen.results.trajectory import Trajectory, make_trajectory
 from fourbar_codegen.runtime.integrator import Ode, Run
@@ -48,6 +49,10 @@ NOT_FINITE = (
     "motions, or the equations cannot be differentiated there."
 )
 
+UNKNOWN_JUMP = (
+    "With another value of {} the speeds would jump by an expression of time in the model, which has no derivatives: "
+    "prescribe the motion by an input."
+)
 NO_DERIVATIVE = " The motion has no derivative there, and ALI3P no sensitivities."
 COORDINATES_ALONE = " In index 3 the tolerance applies to the coordinates only; the speeds are less accurate."
 
@@ -114,7 +119,8 @@ def integrate(
     if watch:
         watch.begin(run)
     later = discontinuities(ode, *span, varied=options.gradient or directions is not None)
-    pieces = Pieces(ode, span, later) if later else None
+    others = _other_values(model, options, directions) if later else {}
+    pieces = Pieces(ode, span, later, others) if later else None
     if pieces:
         pieces.begin(run)
     dense: Any = run.dense_output() if options.dense_output else None  # stores steps of this kind of run
@@ -161,6 +167,9 @@ def integrate(
             else:
                 ends = watch is not None and watch.across(run)
                 outcome = (1, TERMINATED) if ends else None if closed else (-1, FAILED["open"])
+                unknown = pieces.unknown.intersection(directions.names if directions else ())
+                if unknown:
+                    outcome = -1, UNKNOWN_JUMP.format(", ".join(sorted(unknown)))
         elif reason == "diverged":
             outcome = -1, run.ode.failure or DIVERGED.format(options.max_step / 10.0)
         else:
@@ -224,10 +233,26 @@ def integrate(
             inputs=options.inputs or {},
             starts_from_x0=options.x0 is not None,
             dx0=options.dx0,
+            unknown=frozenset(pieces.unknown if pieces else ()),
         )
         if options.gradient and isinstance(run, Run)
         else None,
     )
+
+
+def _other_values(model: Kernel, options: RunOptions, directions: Directions | None) -> dict[str, Ode]:
+    """For each parameter of derivatives of a model with jumps, the right-hand side with another value of it."""
+    if not model.manifest["n_jumps"]:
+        return {}
+    p = parameter_array(model, options.parameters)
+    names = model.parameters if options.gradient else directions.names if directions else ()
+    found = {}
+    for name in names:
+        if name in model.parameters:
+            place, other = model.parameters.index(name), p.copy()
+            other[place] += abs(p[place]) or 1.0
+            found[name] = bind(model, other, options.inputs)
+    return found
 
 
 def _of_events(

@@ -20,6 +20,7 @@ from fourbar_codegen.arguments import flag, is_mapping, name_of, named, sample_t
 from fourbar_codegen.compiled import CompiledModel
 from fourbar_codegen.errors import AssemblyError, ModelError, SimulationError, shown
 from fourbar_codegen.kernel.inputs import InputSource, own_source
+from fourbar_codegen.kernel.kernel import parameter_array
 from fourbar_codegen.kernel.sensitivity import independent_states, moving_breakpoints
 from fourbar_codegen.results.trajectory import Trajectory
 
@@ -122,8 +123,7 @@ class JaxModel:
 
         model = self.model
         if p is None:
-            model.parameter_vector(None)  # raises if one has no value
-            p = np.array([*model.defaults.values()], dtype=float)
+            p = parameter_array(model, model.parameter_vector(None))  # raises if one has no value
         if r is None:
             if not model.has_inputs:
                 raise ModelError(model.missing())

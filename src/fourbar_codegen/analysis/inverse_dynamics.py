@@ -25,7 +25,7 @@ from fourbar_codegen.arguments import Values, is_mapping, name_of, named, named_
 from fourbar_codegen.errors import ModelError, SimulationError, meant, shown
 from fourbar_codegen.kernel.dependent import solve_redundant
 from fourbar_codegen.kernel.inputs import InputSource, bind, by_name
-from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.kernel.kernel import Kernel, parameter_array
 from fourbar_codegen.results.kinematics import Branch
 from fourbar_codegen.results.trajectory import Trajectory
 
@@ -210,7 +210,7 @@ def _read_result(model: Kernel, motion: Any) -> _Motion:
         missing = [*model.auxiliary_states]
     else:
         times, states, missing = motion.t, motion.y, []
-        p = np.array([*source.defaults.values()]) if motion.parameters is None else motion.parameters
+        p = parameter_array(source, motion.parameters)
         rates = np.zeros((source.n_u, len(times)))
         for k, (t, x, r) in enumerate(zip(times, states.T, motion.r.T, strict=True)):
             rates[:, k] = source.rhs(t, x, p, r)[source.n_q : source.n_q + source.n_u]

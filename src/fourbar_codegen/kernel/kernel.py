@@ -31,7 +31,7 @@ from fourbar_codegen.kernel.loading import (
 from fourbar_codegen.progress import Progress
 from fourbar_codegen.runtime.evaluator import NOT_FINITE, Evaluator, is_finite, versions
 
-__all__ = ["Kernel"]
+__all__ = ["Kernel", "parameter_array"]
 
 Floats = NDArray[np.float64]
 
@@ -540,6 +540,11 @@ class Kernel(Evaluator):
         if r is None and math.isnan(energy) and any(e["expression"] is None for e in self.manifest["inputs"]):
             raise ModelError(self.missing())
         return float(self._finite(np.array([energy]), t, x)[0])
+
+
+def parameter_array(model: Kernel, parameters: Floats | None) -> Floats:
+    """Parameters, or the defaults for None, shape (n_p,)."""
+    return np.array([*model.defaults.values()], dtype=float) if parameters is None else parameters
 
 
 def _prescribed(manifest: Mapping[str, Any]) -> tuple[str, ...]:

@@ -20,7 +20,7 @@ from fourbar_codegen.kernel.inputs import (
     own_source,
     source_changes,
 )
-from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.kernel.kernel import Kernel, parameter_array
 from fourbar_codegen.runtime.evaluator import dependent_changes
 
 __all__ = [
@@ -33,7 +33,6 @@ __all__ = [
     "initial_derivatives",
     "locked_parameters",
     "moving_breakpoints",
-    "parameter_array",
     "require_derivatives",
     "require_fixed_breakpoints",
     "with_probes",
@@ -408,11 +407,6 @@ def require_fixed_breakpoints(model: Kernel, parameters: Floats | None, names: S
             f"Expressions of the model have a jump or a kink at times that depend on {name}: there are no "
             "sensitivities with respect to it."
         )
-
-
-def parameter_array(model: Kernel, parameters: Floats | None) -> Floats:
-    """Parameters, or the defaults for None, shape (n_p,)."""
-    return np.array([*model.defaults.values()], dtype=float) if parameters is None else parameters
 
 
 def independent_states(model: Kernel) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from fourbar_codegen.errors import FourbarError, ModelError
 from fourbar_codegen.files import check_free, path_of
-from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.kernel.kernel import Kernel, parameter_array
 from fourbar_codegen.results.ensemble import Ensemble
 from fourbar_codegen.results.trajectory import Trajectory
 
@@ -78,10 +78,9 @@ def _origin(model: Kernel, settings: Mapping[str, Any]) -> dict[str, Any]:
 def attributes(trajectory: Trajectory) -> dict[str, Any]:
     """The information to repeat a run, and how it ended."""
     model = trajectory.model
-    values = list(model.defaults.values()) if trajectory.parameters is None else trajectory.parameters.tolist()
     return {
         **_origin(model, trajectory.settings),
-        "parameters": dict(zip(model.parameters, values, strict=True)),
+        "parameters": dict(zip(model.parameters, parameter_array(model, trajectory.parameters).tolist(), strict=True)),
         **{name: getattr(trajectory, name) for name in ("nfev", "njev", "nlu", "status", "success", "message")},
     }
 

@@ -12,14 +12,13 @@ from numpy.typing import NDArray
 from fourbar_codegen.arguments import is_mapping, name_of, named, numbers
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.kernel.inputs import by_values
-from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.kernel.kernel import Kernel, parameter_array
 from fourbar_codegen.kernel.sensitivity import (
     Directions,
     differentiable,
     initial_derivatives,
     locked_parameters,
     moving_breakpoints,
-    parameter_array,
 )
 from fourbar_codegen.runtime.batch import Jacobians
 from fourbar_codegen.runtime.integrator import Steps

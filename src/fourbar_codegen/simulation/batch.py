@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.arguments import Values, is_integer, is_mapping, named, named_columns, numbers, one_of
 from fourbar_codegen.errors import ModelError, shown
-from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.kernel.kernel import Kernel, parameter_array
 from fourbar_codegen.runtime.batch import Batch, Jacobians
 
 __all__ = ["BLOCK", "differentiate", "evaluate", "n_workers", "residual", "residual_sparsity"]
@@ -170,8 +170,7 @@ def _arguments(
     if times.shape not in {(), (n,)}:
         raise ModelError(f"The times must be a number or have shape ({n},), not {times.shape}.")
     if p is None:
-        model.parameter_vector(None)  # raises if a parameter has no default
-        parameters = np.array(list(model.defaults.values()), dtype=float)
+        parameters = parameter_array(model, model.parameter_vector(None))  # raises if a parameter has no default
     else:
         parameters = named_columns(p, model.parameters, model.defaults, "parameter", n)
     inputs = None

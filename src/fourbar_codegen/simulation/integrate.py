@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from fourbar_codegen.errors import SimulationError
 from fourbar_codegen.kernel.consistency import consistent, left
 from fourbar_codegen.kernel.inputs import bind
-from fourbar_codegen.kernel.kernel import Kernel
-from fourbar_codegen.kernel.sensitivity import Directions, parameter_array, with_probes
+from fourbar_codegen.kernel.kernel import Kernel, parameter_array
+from fourbar_codegen.kernel.sensitivity import Directions, with_probes
 from fourbar_codegen.results.gradient import EventSensitivity, KeptSteps, output_sensitivity
 from fourbar_codegen.results.trajectory import Trajectory, make_trajectory
 from fourbar_codegen.runtime.integrator import Ode, Run

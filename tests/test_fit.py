@@ -82,14 +82,29 @@ def test_estimates_and_covariance_are_those_of_curve_fit(noisy, sigma):
     assert found.runs[0].t.tolist() == t.tolist()
 
 
-def test_a_loss_against_outliers(noisy):
+@pytest.mark.parametrize("loss", ["soft_l1", "huber", "cauchy", "arctan"])
+def test_a_loss_against_outliers(noisy, loss):
     model, t, x = noisy
     spoiled = x.copy()
     spoiled[::20] += 1.0
-    how = {"f_scale": 1.0}
-    expected, _ = curve_fit(closed_form, t, spoiled, [8.0, 0.2], method="trf", loss="soft_l1", xtol=1e-12, **how)
-    found = fb.fit(model, {"t": t, "x": spoiled}, {"k": 8.0, "x": 0.2}, loss="soft_l1")
+    how = {"sigma": np.full(t.size, 0.01), "method": "trf", "loss": loss, "xtol": 1e-12, "ftol": 1e-12}
+    expected, _ = curve_fit(closed_form, t, spoiled, [8.0, 0.2], **how)
+    found = fb.fit(model, {"t": t, "x": spoiled}, {"k": 8.0, "x": 0.2}, loss=loss, sigma={"x": 0.01})
     assert [*found.values.values()] == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.parametrize("loss", ["soft_l1", "huber", "cauchy"])
+def test_errors_beside_outliers_are_the_scatter_of_estimates(noisy, loss):
+    model, t, _ = noisy
+    generator, estimates, errors = np.random.default_rng(2), [], []
+    for _ in range(200):
+        x = closed_form(t, 8.82, 0.3) + 0.01 * generator.normal(size=t.size)
+        x[generator.random(t.size) < 0.05] += 0.3
+        found = fb.fit(model, {"t": t, "x": x}, {"k": 8.8, "x": 0.3}, loss=loss, sigma={"x": 0.01})
+        estimates.append([*found.values.values()])
+        errors.append([*found.stderr.values()])
+    # a standard deviation of 200 values is uncertain by 5 %
+    np.testing.assert_allclose(np.mean(errors, axis=0), np.std(estimates, axis=0), rtol=0.15)
 
 
 def measured(model, t, values, speeds, **how):
@@ -189,6 +204,7 @@ def test_bad_input(four_bar):
     refused("outside of its bounds", unknowns={"k": -1.0}, bounds={"k": (0.0, 1.0)})
     refused("two increasing numbers", bounds={"k": (1.0, 0.0)})
     refused("sigma of q2 must be a positive", sigma={"q2": 0.0})
+    refused("tells outliers by their residuals in units of sigma: give sigma", loss="huber")
     refused("sigma has no standard deviation of q2", sigma={})
     refused("sigma has no standard deviation of q2", sigma={"q3": 0.1})
     refused("coordinates of experiment 1 must be a mapping", fb.Experiment(t, {"q2": t}, coordinates=[-0.4]))

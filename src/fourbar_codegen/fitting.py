@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -47,7 +47,16 @@ SMALL = 1e-3
 QUICK = 0.1
 """A fit that takes less, in s, reports no progress."""
 
-LOSSES = ("linear", "soft_l1", "huber", "cauchy", "arctan")
+Slopes = Callable[[Floats], tuple[Floats, Floats]]
+
+LOSSES: dict[str, Slopes | None] = {
+    "linear": None,
+    "soft_l1": lambda z: ((1.0 + z) ** -0.5, -0.5 * (1.0 + z) ** -1.5),
+    "huber": lambda z: (np.maximum(z, 1.0) ** -0.5, np.where(z > 1.0, -0.5 * np.maximum(z, 1.0) ** -1.5, 0.0)),
+    "cauchy": lambda z: (1.0 / (1.0 + z), -((1.0 + z) ** -2)),
+    "arctan": lambda z: (1.0 / (1.0 + z**2), -2.0 * z * (1.0 + z**2) ** -2),
+}
+"""First and second derivatives of `scipy.optimize.least_squares`'s functions of squared residuals."""
 
 
 @dataclass(frozen=True)
@@ -183,7 +192,8 @@ def fit(
         Standard deviations of all measured quantities, by which residuals are divided. By default 1, and the covariance
         follows from the scatter of the residuals.
     loss : {"linear", "soft_l1", "huber", "cauchy", "arctan"}, optional
-        As for `scipy.optimize.least_squares`, such as "soft_l1" against outliers.
+        As for `scipy.optimize.least_squares`, such as "soft_l1" against outliers: residuals above `sigma`, which is
+        needed for all but "linear", count less. The covariance then follows from the scatter of those below.
     max_nfev : int, optional
         As for `scipy.optimize.least_squares`.
     method, rtol, atol, constraints
@@ -197,8 +207,8 @@ def fit(
     ------
     ModelError
         If a name is unknown, a dependent state or an expression of others is to be fitted, measurements are not finite
-        or of different lengths, there are fewer of them than unknowns, `sigma` leaves one out, or a guess is outside of
-        its bounds.
+        or of different lengths, there are fewer of them than unknowns, `sigma` leaves one out or is missing for a
+        loss, or a guess is outside of its bounds.
     SimulationError, AssemblyError
         If the first guess cannot be simulated.
 
@@ -220,6 +230,8 @@ def fit(
     if not isinstance(model, CompiledModel):
         raise ModelError(f"A compiled model is fitted, as compile_model and load return it, not {shown(model)}.")
     one_of(loss, LOSSES, "loss")
+    if loss != "linear" and sigma is None:
+        raise ModelError(f"loss={loss!r} tells outliers by their residuals in units of sigma: give sigma.")
     if max_nfev is not None and (not is_integer(max_nfev) or max_nfev < 1):
         raise ModelError(f"max_nfev must be a positive integer or None, not {shown(max_nfev)}.")
     experiments = _experiments(data)
@@ -257,7 +269,7 @@ def fit(
             found = solve(problem.guess)
         else:
             found = solve(np.clip(solve(problem.guess, origin).x + origin, low, high))
-    covariance, open_names = _covariance(problem, found, absolute=sigma is not None)
+    covariance, open_names = _covariance(problem, found.x, LOSSES[loss], absolute=sigma is not None)
     message = found.message
     if open_names:
         message += f" The measurements do not determine {', '.join(open_names)}."
@@ -624,12 +636,14 @@ def _bounds(problem: _Problem, bounds: Mapping[Any, tuple[float, float]] | None)
     return low, high
 
 
-def _covariance(problem: _Problem, found: Any, *, absolute: bool) -> tuple[Floats, list[str]]:
+def _covariance(
+    problem: _Problem, estimate: Floats, slopes: Slopes | None, *, absolute: bool
+) -> tuple[Floats, list[str]]:
     """The covariance (J^T J)^-1 s^2, and the unknowns that are not determined.
 
     Source: J. Nocedal, S. Wright, *Numerical Optimization*, 2nd ed., Springer 2006, chapter 10.
     """
-    residuals, jacobian = problem.simulated(found.x)
+    residuals, jacobian = problem.simulated(estimate)
     m, n = jacobian.shape
     size = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
     simulated = residuals + np.concatenate(
@@ -640,14 +654,34 @@ def _covariance(problem: _Problem, found: Any, *, absolute: bool) -> tuple[Float
         ]
     )
     # An unknown is not determined if all of its value, or of its guess, changes less than the simulation's error.
-    typical = np.maximum(np.abs(found.x), np.abs(np.where(problem.guess == 0.0, 1.0, problem.guess)))
+    typical = np.maximum(np.abs(estimate), np.abs(np.where(problem.guess == 0.0, 1.0, problem.guess)))
     is_known = size * typical > problem.how["rtol"] * np.linalg.norm(simulated)
     scale = np.where(size > 0.0, size, 1.0)
     _, singular, directions = np.linalg.svd(jacobian * (is_known / scale), full_matrices=False)
     known = singular > UNDETERMINED * singular.max(initial=0.0)
-    variance = 1.0 if absolute else float(residuals @ residuals) / (m - n) if m > n else math.inf
+    if slopes is not None:
+        variance = _robust_variance(residuals, n, slopes)
+    else:
+        variance = 1.0 if absolute else float(residuals @ residuals) / (m - n) if m > n else math.inf
     inverse = (directions[known].T / singular[known] ** 2) @ directions[known]
     covariance = inverse / np.outer(scale, scale) * variance
     open_places = np.flatnonzero((np.abs(directions[~known]) > 1e-6).any(axis=0))
     covariance[open_places, :] = covariance[:, open_places] = math.inf
     return covariance, [problem.names[place] for place in open_places]
+
+
+def _robust_variance(residuals: Floats, n: int, slopes: Slopes) -> float:
+    """The variance s^2 of n estimates by a loss rho(f^2) of residuals f.
+
+    With psi = rho' f, and psi' = rho' + 2 rho'' f^2, whose mean is a and variance v:
+    s^2 = (1 + n v / (m a^2))^2 (sum psi^2 / (m - n)) / a^2.
+
+    Source: P. J. Huber, *Robust Statistics*, Wiley 1981, section 7.6.
+    """
+    m, z = len(residuals), residuals**2
+    first, second = slopes(z)
+    psi, curvature = first * residuals, first + 2.0 * second * z
+    mean = float(curvature.mean())
+    if m <= n or mean <= 0.0:
+        return math.inf
+    return float((1.0 + n * curvature.var() / (m * mean**2)) ** 2 * (psi @ psi) / ((m - n) * mean**2))

@@ -673,6 +673,19 @@ def test_derivatives_by_the_amplitude_of_a_force_that_is_zero(of):
     np.testing.assert_allclose([run.gradient({"x": unit})["A"] for unit in np.eye(6)], wanted, **near)
 
 
+def test_gradients_by_many_small_amplitudes():
+    """The same with a sum of forces, over 380 periods of the fastest, whose errors may be ten times rtol."""
+    w0, frequencies, amplitudes = 2.0, np.array([*range(1, 10), 100, 200, 340]), sm.symbols("a1:13")
+    force = sum(a * sm.sin(int(w) * me.dynamicsymbols._t) for a, w in zip(amplitudes, frequencies, strict=True))
+    frequencies = frequencies + 1e-9 * (frequencies == w0)  # its limit at resonance
+    model = fb.compile_model(driven_oscillator(parameters={str(a): 1e-9 for a in amplitudes}, force=force))
+    run = model.simulate((0.0, 7.0), t_eval=[7.0], gradient=True)
+    gradient = run.gradient({"x": 1.0})
+    wanted = np.sin(frequencies * 7.0) - frequencies / w0 * np.sin(w0 * 7.0)
+    wanted /= 2.0 * (w0**2 - frequencies**2)
+    np.testing.assert_allclose([gradient[str(a)] for a in amplitudes], wanted, rtol=10 * 1e-6 * 380)
+
+
 def test_gradients_that_there_are_not(four_bar):
     run = four_bar.simulate((0.0, 0.1), t_eval=[0.0, 0.1])
     with pytest.raises(fb.ModelError, match="gradient=True"):

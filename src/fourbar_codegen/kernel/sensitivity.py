@@ -59,8 +59,8 @@ PROBES = 2
 SMALL = 1e-3
 """Amplitudes of terms that depend on time are small below this fraction of the largest parameter or input; ..."""
 
-SINGLES = 4
-"""... so many of them are directions of their own: eight directions are varied at once."""
+FOR_SMALL = 4
+"""... so many directions are for them, since eight directions are varied at once."""
 
 REGULAR = 1e-3
 """Pivots of the constraints' derivatives, relative to the largest, below which a singular position may be nearby."""
@@ -168,7 +168,8 @@ def with_probes(
 
     In the first, all initial states change: arbitrary directions have a part in each mode of the motion. In the next,
     all parameters and inputs change, by their size. Terms that depend on time may vary where the motion does not, if
-    their amplitude is zero or small: the smallest of their parameters and inputs are directions of their own.
+    their amplitude is zero or small: the smallest of their parameters and inputs are directions of their own, and the
+    other small ones change together.
     """
     generator, p = np.random.default_rng(0), parameter_array(model, parameters)
     n_x, n_r = model.n_x, model.n_r
@@ -187,10 +188,13 @@ def with_probes(
         for name, source in given.items()
     }
     small = [name for name in sizes if name in of_time and sizes[name] <= SMALL * max(sizes.values())]
-    for name in sorted(small, key=sizes.__getitem__)[:SINGLES]:
-        unit, own = np.zeros((n_x + model.n_p, 1)), changes.get(name, {})
-        if name not in given:
-            unit[n_x + model.parameters.index(name)] = 1.0
+    small.sort(key=sizes.__getitem__)
+    for group in filter(None, (*([name] for name in small[: FOR_SMALL - 1]), small[FOR_SMALL - 1 :])):
+        unit, own = np.zeros((n_x + model.n_p, 1)), {}
+        for name in group:
+            own.update(changes.get(name, {}))
+            if name not in given:
+                unit[n_x + model.parameters.index(name)] = generator.choice([-1.0, 1.0])
         parts.append((unit, [own[place][:, :1] if place in own else None for place in range(n_r)]))
     sources: list[Floats | None] = []
     for of_parts in zip(*(each for _, each in parts), strict=True):

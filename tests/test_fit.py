@@ -132,6 +132,17 @@ def test_several_experiments_with_initial_values_of_their_own(four_bar):
     assert max(np.abs(left).max() for each in found.residuals for left in each.values()) < 1e-7
 
 
+def test_the_other_assembly_mode(four_bar):
+    t, (_, other) = np.linspace(0.0, 2.0, 81), four_bar.initial_states({"q1": -0.4}, {"u1": -0.1}).x
+    run = four_bar.simulate((0.0, 2.0), other, t_eval=t, parameters={"k": 3.0}, rtol=1e-11, atol=1e-12)
+    how = {"coordinates": {"q1": -0.4}, "speeds": {"u1": -0.1}}
+    given = dict(zip(four_bar.coordinates[1:], other[1:3] + 0.2, strict=True))
+    found = fb.fit(four_bar, fb.Experiment(t, {"q2": run["q2"]}, guess=given, **how), {"k": 2.0})
+    assert found.values["k"] == pytest.approx(3.0, rel=1e-6)
+    np.testing.assert_allclose(found.residuals[0]["q2"], 0.0, rtol=0, atol=1e-7)
+    assert fb.fit(four_bar, fb.Experiment(t, {"q2": run["q2"]}, **how), {"k": 2.0}).cost > 1.0
+
+
 def test_outputs_are_fitted_with_their_derivatives(noisy):
     _, t, _ = noisy
     model = oscillator()

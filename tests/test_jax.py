@@ -77,6 +77,15 @@ def test_both_modes_and_the_closed_loop(four_bar):
     np.testing.assert_allclose(tangent, expected[1], rtol=0, atol=1e-8)
 
 
+def test_the_other_assembly_mode(four_bar):
+    _, other = four_bar.initial_states({"q1": -0.5}, {"u1": -0.1}).x
+    run = four_bar.simulate((0.0, 0.5), other, t_eval=TIMES[:5], rtol=1e-8, atol=1e-10)
+    simulate = fb.to_jax(four_bar).simulation((0.0, 0.5), TIMES[:5], guess=other[1:3])
+    np.testing.assert_allclose(simulate(initial={"q1": -0.5, "u1": -0.1})["q2"], run["q2"], rtol=0, atol=1e-8)
+    with pytest.raises(fb.ModelError, match="dependent coordinate"):
+        fb.to_jax(four_bar).simulation((0.0, 1.0), TIMES, guess={"k": 1.0})
+
+
 def test_a_control_in_a_loss():
     """Values of a table, by gradient descent: the work of a force that brings a mass to rest elsewhere falls."""
     model = fb.compile_model(driven_oscillator(parameters={"k": 0.0}))

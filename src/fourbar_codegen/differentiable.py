@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.arguments import flag, is_mapping, name_of, named, sample_times, time_span
+from fourbar_codegen.arguments import Values, flag, is_mapping, name_of, named, named_array, sample_times, time_span
 from fourbar_codegen.compiled import CompiledModel
 from fourbar_codegen.errors import AssemblyError, ModelError, SimulationError, shown
 from fourbar_codegen.kernel.inputs import InputSource, own_source
@@ -136,6 +136,7 @@ class JaxModel:
         t_span: Sequence[float],
         t_eval: ArrayLike,
         *,
+        guess: Values | None = None,
         inputs: Mapping[Any, InputSource] | None = None,
         outputs: Sequence[Any] = (),
         forward: bool = False,
@@ -156,6 +157,9 @@ class JaxModel:
         t_span, t_eval, inputs, method, rtol, atol, constraints
             As for `CompiledModel.simulate`. An input to be differentiated is a table ``(times, values)`` here, whose
             values the function may replace.
+        guess : array_like or mapping, optional
+            Starting values of the dependent coordinates, which decide the assembly mode, as for
+            `CompiledModel.initial_state`.
         outputs : sequence of names, optional
         forward : bool, optional
             Whether derivatives are found in forward mode: faster for few unknowns and many results, as for a Jacobian.
@@ -184,6 +188,7 @@ class JaxModel:
             self.model,
             time_span(t_span),
             sample_times(t_eval, *time_span(t_span)),
+            guess,
             inputs or {},
             outputs,
             {"method": method, "rtol": rtol, "atol": atol, "constraints": constraints, "progress": False},
@@ -240,6 +245,7 @@ class _Simulation:
     model: CompiledModel
     t_span: tuple[float, float]
     t_eval: Floats
+    guess: Floats | None
     sources: dict[str, Any]
     tables: tuple[str, ...]
     initial: tuple[str, ...]
@@ -252,6 +258,7 @@ class _Simulation:
         model: CompiledModel,
         t_span: tuple[float, float],
         t_eval: Floats,
+        guess: Values | None,
         inputs: Mapping[Any, InputSource],
         outputs: Sequence[Any],
         how: dict[str, Any],
@@ -260,7 +267,11 @@ class _Simulation:
         names = tuple(named(dict.fromkeys(outputs), model.outputs, "output"))
         tables = tuple(name for name, source in sources.items() if isinstance(source, tuple))
         q, u, z = independent_states(model)
-        return cls(model, t_span, t_eval, sources, tables, (*q, *u, *z), names, how)
+        if guess is not None:
+            dependent = model.coordinates[len(q) :]
+            known = {**dict.fromkeys(dependent, 0.0), **model.manifest["initial"]}
+            guess = named_array(guess, dependent, known, "dependent coordinate")
+        return cls(model, t_span, t_eval, guess, sources, tables, (*q, *u, *z), names, how)
 
     def function(self, *, forward: bool) -> Callable[..., dict[str, Any]]:
         import jax
@@ -303,6 +314,7 @@ class _Simulation:
                 given[1],
                 auxiliary_states=given[2],
                 t=self.t_span[0],
+                guess=self.guess,
                 parameters=p,
                 inputs=sources,
                 derivatives=True,

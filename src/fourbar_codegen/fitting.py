@@ -74,6 +74,8 @@ class Experiment:
     coordinates, speeds, auxiliary_states : mapping, optional
         Known initial values of independent ones, by names or symbols; by default the model's. Those of unknowns are
         first guesses.
+    guess : mapping, optional
+        Starting values of dependent coordinates, which decide the assembly mode, as for `CompiledModel.initial_state`.
     parameters : mapping, optional
         Known parameters of this experiment, such as a load; by default the model's.
     inputs : mapping, optional
@@ -86,6 +88,7 @@ class Experiment:
     coordinates: Mapping[Any, float] = field(default_factory=dict)
     speeds: Mapping[Any, float] = field(default_factory=dict)
     auxiliary_states: Mapping[Any, float] = field(default_factory=dict)
+    guess: Mapping[Any, float] | None = None
     parameters: Mapping[Any, float] = field(default_factory=dict)
     inputs: Mapping[Any, InputSource] | None = None
 
@@ -504,6 +507,7 @@ class _Problem:
             speeds,
             auxiliary_states=auxiliary_states,
             t=start,
+            guess=experiment.guess,
             parameters=p,
             inputs=experiment.inputs,
         )

@@ -209,7 +209,7 @@ static double run(const fb_kernel *k, const double *p, const double *x0, const f
         adjoint.variations = k->variations;
         adjoint.rows = steps.rows;
         adjoint.sample_row = steps.sample_row;
-        adjoint.sample_t = steps.sample_t;
+        adjoint.sample_t = adjoint.output_t = steps.sample_t;
         adjoint.by_states = samples;
         adjoint.by_outputs = k->n_o ? weights : NULL;
         adjoint.by_source = &by_source;

@@ -376,6 +376,36 @@ def test_events(t_eval):
     np.testing.assert_allclose(at_rest["x"].y[:, -1], [-1.0, 0.0], atol=1e-8)
 
 
+@pytest.mark.parametrize("kind", ["linear", "cubic"])
+@pytest.mark.parametrize("before", [0.0, 1e-12, 1e-6, 1e-3, 1e-2])
+def test_events_at_the_points_of_a_table(kind, before):
+    """F rises in a straight line, and is 2 at a point or shortly before it: dt/dF_i is minus the weight over the slope.
+
+    Linear weights are those of the two values beside; those of a cubic interpolant have the same sum.
+    """
+    model = fb.compile_model(driven_oscillator(outputs={"load": me.dynamicsymbols("F") - 2}))
+    at, slope = np.array([0.0, 0.5, 0.75, 1.5, 2.0]), 8.0 / 3.0
+    inputs = {"F": (at, 2.0 + slope * (at - 0.75 + before), kind)}
+    run = model.simulate((0.0, 2.0), [0.1, 0.0], events=["load"], inputs=inputs, sensitivities=["F"])
+    [time] = run.t_events[0]
+    assert time == pytest.approx(0.75 - before, abs=1e-14)
+    [by_values] = run.event_sensitivity[0]["F"].t.T
+    assert by_values.sum() == pytest.approx(-1.0 / slope, rel=1e-8)  # of a difference over hundredths of a step
+    if kind == "linear":
+        share = 1.0 - before / 0.25
+        np.testing.assert_allclose(by_values, -np.array([0.0, 1.0 - share, share, 0.0, 0.0]) / slope, atol=1e-8)
+
+
+def test_an_event_where_a_function_touches_zero():
+    """A triple root, at t = 1 for a speed of 0.2: the time is found, and has no derivative."""
+    outputs = {"cube": (me.dynamicsymbols("x") - sm.Rational(1, 5)) ** 3}
+    parameters = {"m": 2.0, "k": 0.0}
+    model = fb.compile_model(fb.Model(oscillator().system, name="free", parameters=parameters, outputs=outputs))
+    run = model.simulate((0.0, 2.0), [0.0, 0.2], events=["cube"], sensitivities=["v"])
+    assert run.t_events[0] == pytest.approx([1.0], abs=1e-5)  # the cube is below 1e-16 there
+    assert np.isnan(run.event_sensitivity[0]["v"].t).all()
+
+
 def test_events_of_a_closed_loop(four_bar):
     """Against differences of order 6 of the times of runs at 1e-13: rounding errors divided by the change."""
     compiled = fb.compile_model(fb.models.slider_crank())
@@ -510,6 +540,37 @@ def test_jumps_of_a_motion_that_rests(kind, forwards):
     for i, name in enumerate(model.states):
         wanted = found.sensitivity["s"][:, i].sum(axis=1)
         np.testing.assert_allclose(found.gradient({name: 1.0})["s"], wanted, rtol=1e-10)
+
+
+@pytest.mark.parametrize("size", [0.0, 0.1])
+def test_runs_that_end_where_a_rate_jumps(size):
+    """The last sample is the state after the jump, and so are its derivatives, also of a pivot that rests."""
+    model, at = fb.compile_model(driven_pendulum(None)), np.array([0.0, 1.0, 2.0, 3.0])
+    values = size * np.array([0.0, 1.0, 0.0, 2.0])
+
+    def run(values, **more):
+        how = {"t_eval": [1.5, 2.0], "rtol": 1e-12, "atol": 1e-12, "inputs": {"s": (at, values)}}
+        return model.simulate((0.0, 2.0), [0.1, 0.0], **how, **more)
+
+    found = run(values, sensitivities=["s"], gradient=True)
+    for place, unit in enumerate(np.eye(4)):
+        wanted = differences(lambda value, unit=unit: run(values + value * unit).y, 0.0, 1e-3)
+        np.testing.assert_allclose(found.sensitivity["s"][place], wanted, rtol=0, atol=1e-8 * np.abs(wanted).max())
+    np.testing.assert_allclose(found.gradient({"u": [0.0, 1.0]})["s"], found.sensitivity["s"][:, 1, 1], rtol=1e-10)
+
+
+@pytest.mark.parametrize("forwards", [True, False])
+def test_outputs_where_a_force_jumps(forwards):
+    """A sample there has the force after the jump in time: d(force)/dA = 1 before 1 s, and 2 from then on."""
+    t, a, force, x = me.dynamicsymbols._t, sm.Symbol("A"), *me.dynamicsymbols("F x")
+    steps, outputs = a * sm.Piecewise((1, t < 1), (2, True)), {"load": force, "both": force - 8 * x}
+    model = fb.compile_model(driven_oscillator(parameters={"A": 1.0}, force=steps, outputs=outputs))
+    times = np.array([0.0, 0.5, 1.0, 1.5])[:: 1 if forwards else -1]
+    run = model.simulate(times[[0, -1]], [0.1, 0.0], t_eval=times, sensitivities=["A"], gradient=True)
+    for unit, load in zip(np.eye(4), np.where(times < 1.0, 1.0, 2.0), strict=True):
+        assert run.gradient({"load": unit})["A"] == pytest.approx(load)
+        wanted = (run.output_sensitivity["A"][1] * unit).sum()
+        assert run.gradient({"both": unit})["A"] == pytest.approx(wanted, rel=1e-11)
 
 
 @pytest.mark.parametrize("rate", [0.1, 0.0])

@@ -25,6 +25,7 @@ typedef struct fb_adjoint {
     /* the samples: the row whose step contains each, and its time; cost's derivatives by states and outputs there */
     const long *sample_row;
     const double *sample_t, *by_states, *by_outputs; /* the latter (n_samples, n_o), or NULL */
+    const double *output_t; /* their absolute times: at the end of a piece, outputs may be those after it */
     /* the results: by the state where the sweep has arrived, by parameters, and for each source of an input by its
      * value or its table's coefficients, then its values before and after */
     double *by_state, *by_parameters, **by_source;
@@ -163,12 +164,11 @@ static inline void fb_add_products(const double *matrix, const double *weights, 
 }
 
 /* Adds the gradient by x of weighted outputs to `by_state`. */
-static inline int fb_pull_back_outputs(fb_problem *p, fb_adjoint *a, const double since, const double *x,
+static inline int fb_pull_back_outputs(fb_problem *p, fb_adjoint *a, const double t, const double *x,
                                        const double *by_outputs, double *by_state)
 {
     const fb_kernel *const k = p->kernel;
     const fb_derivatives *const d = a->derivatives;
-    const double t = fb_time(&p->clock, since);
     const int n_x = k->n_x, n_p = k->n_p, n_r = k->n_r, n_o = k->n_o;
     double *const u = a->solution, *const l = a->solution + k->n_u, *const c = p->constants, *const g = a->gradient;
     fb_fill_inputs(p, t, x);
@@ -202,7 +202,7 @@ static inline int fb_pull_back_sample(fb_problem *p, fb_adjoint *a, const long s
         by_state[i] += a->by_states[sample * n_x + i];
     if (a->by_outputs == NULL)
         return FB_OK;
-    return fb_pull_back_outputs(p, a, a->sample_t[sample], x, a->by_outputs + sample * n_o, by_state);
+    return fb_pull_back_outputs(p, a, a->output_t[sample], x, a->by_outputs + sample * n_o, by_state);
 }
 
 static inline void fb_add_scaled(const int n, const double factor, const double *from, double *to)

@@ -127,6 +127,7 @@ cdef extern from "fourbar_adjoint.h":
         const double *sample_t
         const double *by_states
         const double *by_outputs
+        const double *output_t
         double *by_state
         double *by_parameters
         double **by_source
@@ -822,11 +823,11 @@ cdef class Run:
             self.steps.rows, self.steps.room = data(larger), 2 * self.steps.room
         return 0
 
-    def steps_kept(self, long n):
-        """The steps, and the first n samples."""
-        places, times = (np.concatenate(parts)[:n] for parts in zip(*self.places))
+    def steps_kept(self, t):
+        """The steps, and the samples up to the number of their absolute times."""
+        places, times = (np.concatenate(parts)[:len(t)] for parts in zip(*self.places))
         return Steps(self.ode, self.method, bool(self.run.project), self.ode.problem.clock.origin,
-                     self.kept_rows[:self.steps.n].copy(), places, times, self.clocks)
+                     self.kept_rows[:self.steps.n].copy(), places, times, t, self.clocks)
 
     @property
     def sensitivities(self):
@@ -1086,7 +1087,7 @@ cdef class Steps:
         or continues from another state.
     places : ndarray of int, shape (n_t,)
         For each sample the number of the row whose step contains it.
-    times : ndarray, shape (n_t,)
+    times, absolute_times : ndarray, shape (n_t,)
         Of the samples.
     clocks : list of (int, float, float, float, float)
         The first row of each piece between discontinuities; the first and last time at which inputs are evaluated; the
@@ -1100,15 +1101,18 @@ cdef class Steps:
     cdef cnp.ndarray ends
     cdef cnp.ndarray places
     cdef cnp.ndarray times
+    cdef cnp.ndarray absolute_times
     cdef list clocks
 
-    def __cinit__(self, Ode ode not None, str method, bint project, double origin, ends, places, times, list clocks):
+    def __cinit__(self, Ode ode not None, str method, bint project, double origin, ends, places, times,
+                  absolute_times, list clocks):
         self.ode, self.method, self.project, self.origin = ode, method, project, origin
         self.ends, self.places, self.times, self.clocks = ends, places, times, clocks
+        self.absolute_times = absolute_times
 
     def __reduce__(self):
         return Steps, (self.ode, self.method, bool(self.project), self.origin, self.ends, self.places, self.times,
-                       self.clocks)
+                       self.absolute_times, self.clocks)
 
     @property
     def start(self):
@@ -1162,7 +1166,7 @@ cdef class Steps:
         adjoint.by_states = data(state_seeds)
         if by_outputs is not None:
             output_seeds = np.ascontiguousarray(by_outputs, dtype=np.float64)
-            adjoint.by_outputs = data(output_seeds)
+            adjoint.by_outputs, adjoint.output_t = data(output_seeds), data(self.absolute_times)
         by_sources = [None if source is None else np.zeros(
             np.size((<Table>source).coefficients) + 2 if type(source) is Table else 1) for source in ode.sources]
         cdef cnp.ndarray addresses = np.array([part.ctypes.data for part in by_sources if part is not None] or [0],

@@ -87,7 +87,7 @@ def discontinuities(ode: Ode, begin: float, end: float, *, varied: bool = False)
     begin, end : float
     varied : bool, optional
         Whether the run is differentiated: velocities then count as jumping that jump with other values of parameters
-        and inputs, unless that is at the end of the run.
+        and inputs.
 
     Returns
     -------
@@ -112,7 +112,7 @@ def discontinuities(ode: Ode, begin: float, end: float, *, varied: bool = False)
             found[-1] = Discontinuity(found[-1].t, t, found[-1].moves or known[t], same)
         else:
             found.append(Discontinuity(t, t, known[t], same))
-    return [replace(at, varied=varied and at.moves and end not in (at.t, at.until)) for at in found]
+    return [replace(at, varied=varied and at.moves) for at in found]
 
 
 def boundary(ode: Ode, at: Discontinuity, towards: float, x: Floats) -> Boundary:

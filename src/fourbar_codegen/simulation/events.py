@@ -19,6 +19,15 @@ from fourbar_codegen.simulation.run_protocol import Integration
 SPACING = 0.01
 """Of the values from which the slope of an event function is found, in fractions of the step."""
 
+CONTINUOUS = 1e-9
+"""Of the change over the last step: a smaller one at a discontinuity is a rounding error."""
+
+TOUCHING = 1e-6
+"""Of the values next to an event: with a lower slope, a function touches zero, and the time has no derivative."""
+
+MOST_ITERATIONS = 10_000
+"""Of Brent's method, which needs thousands at a triple root."""
+
 __all__ = ["Event", "EventLike", "Watch", "events_of"]
 
 Floats = NDArray[np.float64]
@@ -93,6 +102,10 @@ class Watch:
         self.values = [0.0] * len(events)
         self.went_on = math.nan
         """Start of the current piece of the run, after a discontinuity."""
+        self.changes = [0.0] * len(events)
+        """Over the last step of the piece before, of functions that are outputs."""
+        self.at_end: list[tuple[Floats, float]] = []
+        """As `derivatives`, at the end of that step, for functions that are outputs."""
 
     def begin(self, run: Integration) -> None:
         """Evaluate the functions at the start."""
@@ -116,24 +129,41 @@ class Watch:
                 return share
         return None
 
-    def across(self, run: Integration) -> bool:
-        """Store the events of a jump of the state; returns whether one of them is terminal."""
-        before, self.went_on = self._move_on(run), run.t
-        changed = [i for i in self._changed(before) if before[i] != self.values[i]]
-        ends = [self._note(i, run.t, run.x) for i in changed]
+    def leave(self, run: Integration) -> None:
+        """Keep what `across` needs of the last step before a discontinuity."""
+        for i, start, end in zip(self.named, *run.event_values, strict=True):
+            self.changes[i] = abs(end - start)
         if self.differentiates and isinstance(run, Run):
-            for i in changed:  # at a time that depends on nothing
-                self.derivatives[i].append((run.sensitivity_within(1.0), math.inf))
-        return any(ends)
+            self.at_end = [(run.sensitivity_within(1.0), self._slope(run, i, 1.0)) for i in self.named]
+
+    def across(self, run: Integration) -> bool:
+        """Store the events at a discontinuity, after it; returns whether one of them is terminal."""
+        before, self.went_on = self._move_on(run), run.t
+        terminal = False
+        for i in self._changed(before):
+            change = abs(self.values[i] - before[i])
+            is_continuous = change <= CONTINUOUS * self.changes[i]
+            if change == 0.0 or (is_continuous and self.times[i] and self.times[i][-1] == run.t):
+                continue  # found in the step before, or found in the next one
+            if self.differentiates and isinstance(run, Run):
+                at = self.at_end[self.named.index(i)]
+                # a jump is at a time that depends on nothing
+                self.derivatives[i].append(at if is_continuous else (run.sensitivity_within(1.0), math.inf))
+            terminal |= self._note(i, run.t, run.x)
+        return terminal
 
     def _slope(self, run: Run, i: int, share: float) -> float:
-        """The derivative of an event function over time, by a difference of order 4 along the interpolant."""
+        """The derivative of an event function over time, by a difference of order 4 along the interpolant.
+
+        Within the step: at its ends, inputs may have discontinuities.
+        """
         place = self.named.index(i)
-        far, near = (
-            float(run.event_values_within(share + distance)[place] - run.event_values_within(share - distance)[place])
-            for distance in (2.0 * SPACING, SPACING)
-        )
-        return (8.0 * near - far) / (12.0 * SPACING * run.h)
+        middle = min(max(share, 2.0 * SPACING), 1.0 - 2.0 * SPACING)
+        at = middle + SPACING * np.arange(-2, 3)
+        values = [run.event_values_within(each)[place] for each in at]
+        # the polynomial through the values, in units of the spacing from the event
+        slope = float(np.linalg.solve(np.vander((at - share) / SPACING), values)[-2])
+        return slope / (SPACING * run.h) if abs(slope) > TOUCHING * np.abs(values).max() else 0.0
 
     def _move_on(self, run: Integration) -> list[float]:
         """Evaluate the functions at the current state; returns their previous values."""
@@ -174,4 +204,4 @@ class Watch:
             return self._call(function, run.time_within(share), run.state_within(share))
 
         precision = 4 * np.finfo(float).eps
-        return float(brentq(value, 0.0, 1.0, xtol=precision, rtol=precision))
+        return float(brentq(value, 0.0, 1.0, xtol=precision, rtol=precision, maxiter=MOST_ITERATIONS))

@@ -160,6 +160,8 @@ def integrate(
                 outcome = 0, REACHED_END
                 continue
             samples.append(run.take_samples())
+            if watch is not None:
+                watch.leave(run)
             try:
                 closed = pieces.go_on(run)
             except SimulationError as error:
@@ -226,7 +228,7 @@ def integrate(
         directions=directions,
         steps=KeptSteps(
             model=model,
-            steps=run.steps_kept(t.size),
+            steps=run.steps_kept(t),
             t=t_begin,
             n_t=t.size,
             parameters=options.parameters,

@@ -747,6 +747,90 @@ def test_gradients_by_many_small_amplitudes():
     np.testing.assert_allclose([gradient[str(a)] for a in amplitudes], wanted, rtol=10 * 1e-6 * 380)
 
 
+def loaded(load, inputs=None):
+    """The oscillator with another force, by its state, time and symbols with the value 0.5."""
+    model, (x, v) = oscillator(), me.dynamicsymbols("x v")
+    load = load(x, v, me.dynamicsymbols._t)
+    symbols = load.free_symbols - {me.dynamicsymbols._t}
+    model.system.add_loads(me.Force(model.system.bodies[0].masscenter, load * model.system.frame.x))
+    parameters = {"m": 2.0, "k": 8.0, **dict.fromkeys(sorted(map(str, symbols)), 0.5)}
+    initial = {"x": 0.3, "v": 0.0}
+    return fb.compile_model(
+        fb.Model(model.system, name="loaded", parameters=parameters, initial=initial, inputs=inputs)
+    )
+
+
+A, B, S = sm.symbols("a b s")
+F = me.dynamicsymbols("F")
+JUMPING = [
+    ("sign of v", lambda x, v, t: -A * sm.sign(v)),
+    ("sign of v", lambda x, v, t: -1e-7 * sm.sign(v)),
+    ("Abs of v", lambda x, v, t: -A * v / sm.Abs(v)),
+    ("Abs of v", lambda x, v, t: -A * v / sm.sqrt(v**2)),
+    ("Piecewise of x", lambda x, v, t: sm.Piecewise((A, x > 50), (0, True))),
+    ("Piecewise of x", lambda x, v, t: sm.Piecewise((-A * (x - B) - S * v, x > B), (0, True))),
+    ("Piecewise of x, t", lambda x, v, t: sm.Piecewise((A, t > x + 4), (0, True))),
+    ("atan2 of x", lambda x, v, t: A * sm.atan2(x, v)),
+    ("Heaviside of t", lambda x, v, t: A * sm.Heaviside(sm.sin(S * t) - B)),
+    ("floor of t", lambda x, v, t: A * (S * t - sm.floor(S * t))),
+    ("Heaviside of F", lambda x, v, t: A * sm.Heaviside(F - B)),
+]
+STEADY = {
+    "a stop": lambda x, v, t: -A * sm.Max(0, x - B),
+    "drag": lambda x, v, t: -A * v * sm.Abs(v),
+    "a root": lambda x, v, t: -A * sm.sqrt(sm.Abs(x)) * sm.sign(x),
+    "a triangular wave": lambda x, v, t: A * sm.Abs(S * t - sm.floor(S * t) - sm.Rational(1, 2)),
+    "a known time": lambda x, v, t: A * sm.Heaviside(t - 1),
+}
+
+
+@pytest.mark.parametrize(("function", "load"), JUMPING)
+def test_jumps_at_times_that_are_not_known(function, load):
+    """By the time of such a jump states have derivatives that are left out: a warning names the function."""
+    model = loaded(load, {F: 0.0} if function.endswith("F") else None)
+    with pytest.warns(fb.ModelWarning, match=f"not known beforehand \\({function}\\).*leave out the change"):
+        model.simulate((0.0, 0.1), [0.3, 0.1], sensitivities=["k"])
+
+
+@pytest.mark.parametrize("name", STEADY)
+def test_forces_that_do_not_jump_at_unknown_times(name):
+    model = loaded(STEADY[name])
+    assert model.simulate((0.0, 0.1), sensitivities=["k"]).success
+
+
+def test_jumps_of_an_input_count_unless_it_is_given():
+    model = fb.compile_model(driven_oscillator(force=sm.sign(sm.sin(5 * me.dynamicsymbols._t))))
+    with pytest.warns(fb.ModelWarning, match="sign of t"):
+        model.simulate((0.0, 0.1), [0.3, 0.1], sensitivities=["k"])
+    assert model.simulate((0.0, 0.1), sensitivities=["k"], inputs={"F": 1.0}).success
+
+
+@pytest.mark.parametrize(
+    "load",
+    [
+        lambda x, v, t: A * sm.Max(0, -v) ** (1 + B),  # by the exponent, x^b log(x) at 0
+        lambda x, v, t: -A * sm.Abs(v) ** (1 + B) * sm.sign(v),
+        lambda x, v, t: -A * v * sm.sqrt(v**2),
+    ],
+)
+def test_powers_of_what_is_zero(load):
+    """From rest, where derivatives of powers are limits."""
+    model, h = loaded(load), 1e-5
+    names = [name for name in ("a", "b", "x") if name in (*model.parameters, "x")]
+    how = {"t_eval": [1.0], "rtol": 1e-10, "atol": 1e-10}
+    run = model.simulate((0.0, 1.0), [0.3, 0.0], sensitivities=names, gradient=True, **how)
+    for name in names:
+
+        def at(value, name=name):
+            x0 = [value, 0.0] if name == "x" else [0.3, 0.0]
+            return model.simulate((0.0, 1.0), x0, parameters={} if name == "x" else {name: value}, **how).y[0, 0]
+
+        value = 0.3 if name == "x" else 0.5
+        wanted = (at(value + h) - at(value - h)) / (2.0 * h)
+        assert run.sensitivity[name][0, 0] == pytest.approx(wanted, rel=1e-5, abs=1e-7)  # errors of 1e-11 over h
+        assert run.gradient({"x": 1.0})[name] == pytest.approx(run.sensitivity[name][0, 0], rel=1e-10)
+
+
 def test_gradients_that_there_are_not(four_bar):
     run = four_bar.simulate((0.0, 0.1), t_eval=[0.0, 0.1])
     with pytest.raises(fb.ModelError, match="gradient=True"):

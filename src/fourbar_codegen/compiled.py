@@ -683,10 +683,10 @@ class CompiledModel(Kernel):
             projection they are moved onto the constraints' tangent; what that leaves out is proportional to the
             correction of the state, and below `rtol`. Without `x0`, dependent initial values follow from loop closure;
             a given `x0` depends on no parameter and no input, except for what keeps it on the constraints. Where forces
-            jump with the state, the change of the time of the jump is left out, with a warning. Times of events by
-            outputs are differentiated as well: ``trajectory.event_sensitivity``. Source: H. G. Bock, "Numerical
-            treatment of inverse problems in chemical reaction kinetics", in *Modelling of Chemical Reaction Systems*
-            (1981): internal numerical differentiation.
+            jump at times that are not known beforehand, as with the state, the change of the time of the jump is left
+            out, with a warning. Times of events by outputs are differentiated as well: ``trajectory.event_sensitivity``.
+            Source: H. G. Bock, "Numerical treatment of inverse problems in chemical reaction kinetics", in *Modelling
+            of Chemical Reaction Systems* (1981): internal numerical differentiation.
         dx0 : mapping from some of these names to arrays of shape (n_x,), or (n, n_x) for n values of a table, optional
             The derivatives of a given `x0`, such as those of `initial_state`; with `gradient` by any of these names.
         gradient : bool, optional

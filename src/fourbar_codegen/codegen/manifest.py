@@ -19,7 +19,7 @@ from fourbar_codegen.modeling.model import Model
 
 __all__ = ["manifest_of", "manifest_text", "operations_of"]
 
-MANIFEST_FORMAT = 16
+MANIFEST_FORMAT = 17
 
 
 def manifest_of(
@@ -100,14 +100,16 @@ def manifest_of(
     }
 
 
-def _jumps(model: Model, equations: Equations, names: Mapping[str, Sequence[str]]) -> list[str]:
-    """What jumps with the state."""
+def _jumps(model: Model, equations: Equations, names: Mapping[str, Sequence[str]]) -> list[dict[str, str]]:
+    """What jumps at times that are not known beforehand, in the equations or in the expression of an input."""
     values = {}
     for leaf, name in zip(equations.parameters, names["parameters"], strict=True):
         value = model.parameters[name].value
         if value is not None:
             values[leaf] = value
-    return jumps(equations, (*names["coordinates"], *names["speeds"], *names["auxiliary_states"]), values)
+    states = (*names["coordinates"], *names["speeds"], *names["auxiliary_states"])
+    found = jumps(equations, states, _base_names(model, names["inputs"]), values)
+    return [{"function": function, "input": of} for function, of in found]
 
 
 def _dependencies(equations: Equations) -> dict[str, list[str]]:
@@ -133,13 +135,18 @@ def _spread(tape: Tape, nodes: Sequence[int], masks: dict[int, int]) -> None:
             masks[node] = reduce(or_, (masks.get(operand, 0) for operand in operands(tape.nodes[node])), 0)
 
 
+def _base_names(model: Model, inputs: Sequence[str]) -> list[str]:
+    """The names of the inputs of which these are, or are rates."""
+    of = {entry.name: entry.of for entry in model.input_entries}
+    return [of[name] for name in inputs]
+
+
 def _timed(model: Model, equations: Equations, names: Mapping[str, Sequence[str]]) -> dict[str, Any]:
     """The parameters and inputs in terms that depend on time explicitly, or by an input's expression, such as the
     amplitude of a force; and those in terms that depend on each input, which may be given as a table of time.
     """
     e, tape = equations, equations.tape
-    of = {entry.name: entry.of for entry in model.input_entries}
-    inputs = [of[name] for name in names["inputs"]]
+    inputs = _base_names(model, names["inputs"])
     named = list(zip((*names["parameters"], *inputs), (*e.parameters, *e.inputs), strict=True))
     results = (e.coordinate_rates, e.residual, e.position_violation, e.velocity_violation, e.default_inputs)
     entries = [entry for result in results for entry in result.entries]

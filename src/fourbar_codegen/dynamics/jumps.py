@@ -1,91 +1,135 @@
-"""Where the equations of motion jump with the state, as with dry friction: found numerically at random states."""
+"""Where the equations of motion jump at times that are not known beforehand, as with dry friction; numerically."""
 
 from __future__ import annotations
 
+import itertools
 import random
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import sympy as sm
 
 from fourbar_codegen.dynamics.equations import Equations
-from fourbar_codegen.expressions.breakpoints import sides
+from fourbar_codegen.expressions.breakpoints import are_known, sides
 from fourbar_codegen.expressions.convert import apply
 from fourbar_codegen.expressions.tape import Call, Leaf, Scalar
 
 __all__ = ["jumps"]
 
-ATTEMPTS = 40
-"""Pairs of random states between which a condition may switch."""
+ATTEMPTS = 12
+"""Random lines along which a condition may switch."""
 
-HALVINGS = 60
-"""Of the line between them, down to neighbouring numbers."""
+DISTANCES = sorted([0.0, *(sign * 10.0**k for k in range(-6, 7) for sign in (1.0, -1.0))], key=abs)
+"""Along a line, for conditions in any units."""
 
-JUMP = 1e-6
-"""Smallest jump, relative to the largest row; a square root differs by 1e-8 there."""
+HALVINGS = 70
+"""Of the line between two of these, down to neighbouring numbers."""
+
+NEAR, NEXT = 1e-12, 1e-9
+"""Relative distances from a condition, beyond its rounding errors, of values on both sides and of the next ones, which
+show how rows change there: a square root differs by 1e-6 and 3e-5."""
+
+STEADY = 10.0
+"""A jump is larger than so many of these changes, ..."""
+
+ROUNDING = 1e-12
+"""... and than this fraction of the row's values."""
 
 
-def jumps(equations: Equations, names: Sequence[str], parameters: Mapping[Scalar, float]) -> list[str]:
-    """The functions with a jump at which q' or the residual of the equations of motion jumps.
+def jumps(
+    equations: Equations, states: Sequence[str], inputs: Sequence[str], parameters: Mapping[Scalar, float]
+) -> list[tuple[str, str]]:
+    """The functions at which q', the residual of the equations of motion, or the expression of an input jumps.
+
+    Without those that jump at times that follow from parameters alone.
 
     Parameters
     ----------
     equations : Equations
-    names : sequence of str
-        Of the states.
+    states, inputs : sequence of str
+        Their names.
     parameters : mapping of Scalar to float
-        Values of parameters' leaves, where these are known.
+        Values of parameters' leaves, where these are known. Instead of 0, which hides terms, others are taken.
 
     Returns
     -------
-    list of str
-        Such as "sign of u1".
+    list of (str, str)
+        Such as "sign of u1", and the name of the input in whose expression it stands, or "".
     """
     e, tape = equations, equations.tape
-    states = (*e.coordinates, *e.speeds, *e.auxiliary_states)
-    rows = (*e.coordinate_rates.entries, *e.residual.entries)
-    nodes = tape.reach(rows)
-    moving = tape.dependent(nodes, states)
-    found: dict[str, None] = {}
-    for node in nodes:
-        operation = tape.nodes[node]
-        if not isinstance(operation, Call) or node not in moving:
-            continue
-        expression = operation.expression
-        if not isinstance(expression, sm.sign | sm.Heaviside | sm.Piecewise | sm.floor | sm.ceiling):
-            continue
-        arguments = [Scalar(tape, 1, argument) for argument in operation.arguments]
-        rounds = isinstance(expression, sm.floor | sm.ceiling)
-        boundaries = [expression.args[0] - sm.Rational(1, 2)] if rounds else sides(expression)
-        for boundary in (apply(tape, side, arguments) for side in boundaries):
-            if rounds or _jumps_at(e, boundary, rows, parameters):
-                of = [name for name, leaf in zip(names, states, strict=True) if tape.depends([boundary], [leaf])]
-                found[f"{type(expression).__name__} of {', '.join(of)}"] = None
+    leaves = (*e.coordinates, *e.speeds, *e.auxiliary_states, *e.inputs, e.time)
+    names = (*states, *inputs, "t")
+    equations_of_motion = [("", (*e.coordinate_rates.entries, *e.residual.entries))]
+    found: dict[tuple[str, str], None] = {}
+    for of, rows in (*equations_of_motion, *((n, (d,)) for n, d in zip(inputs, e.default_inputs.entries, strict=True))):
+        nodes = tape.reach(rows)
+        moving = tape.dependent(nodes, leaves)
+        for node in nodes:
+            operation = tape.nodes[node]
+            if not isinstance(operation, Call) or node not in moving:
+                continue
+            arguments = [Scalar(tape, 1, argument) for argument in operation.arguments]
+            affected = [row for row in rows if tape.depends([row], [Scalar(tape, 1, node)])]
+            for boundary in (apply(tape, side, arguments) for side in _boundaries(operation.expression)):
+                by = [name for name, leaf in zip(names, leaves, strict=True) if tape.depends([boundary], [leaf])]
+                if by and not are_known(tape, e.time, boundary) and _jumps_at(e, boundary, affected, parameters):
+                    found[f"{type(operation.expression).__name__} of {', '.join(by)}", of] = None
     return list(found)
 
 
+def _boundaries(function: sm.Expr) -> Iterator[sm.Expr]:
+    """Expressions that change sign where a function may jump."""
+    yield from sides(function)
+    if isinstance(function, sm.floor | sm.ceiling):
+        yield sm.sin(sm.pi * function.args[0])
+    elif isinstance(function, sm.atan2):
+        yield function.args[0]
+
+
 def _jumps_at(e: Equations, boundary: Scalar, rows: Sequence[Scalar], parameters: Mapping[Scalar, float]) -> bool:
-    """Whether the rows differ on both sides of a sign change of a scalar between random states."""
+    """Whether the rows jump at a sign change of a scalar on one of several random lines."""
     tape, generator = e.tape, random.Random(0)
     leaves = [Scalar(tape, 1, n) for n in tape.reach([boundary, *rows]) if isinstance(tape.nodes[n], Leaf)]
     for _ in range(ATTEMPTS):
-        known = {leaf: parameters.get(leaf, generator.uniform(0.5, 1.5)) for leaf in e.parameters}
-        ends = [{leaf: known.get(leaf, generator.uniform(-1.0, 1.0)) for leaf in leaves} for _ in range(2)]
+        known = {leaf: parameters.get(leaf, 0.0) or generator.uniform(0.5, 1.5) for leaf in e.parameters}
+        line = [(leaf, generator.uniform(-1.0, 1.0), generator.uniform(-1.0, 1.0)) for leaf in leaves]
 
-        def at(share: float, ends: Sequence[Mapping[Scalar, float]] = ends) -> dict[Scalar, float]:
-            return {leaf: value + share * (ends[1][leaf] - value) for leaf, value in ends[0].items()}
+        def values(
+            share: float,
+            of: Sequence[Scalar],
+            known: Mapping[Scalar, float] = known,
+            line: Sequence[tuple[Scalar, float, float]] = line,
+        ) -> list[float]:
+            return tape.evaluate(of, {leaf: known.get(leaf, start + share * way) for leaf, start, way in line})
 
-        try:
-            low, high = 0.0, 1.0
-            [before], [after] = (tape.evaluate([boundary], at(share)) for share in (low, high))
-            if (before > 0.0) == (after > 0.0):
-                continue
-            for _ in range(HALVINGS):
-                middle = (low + high) / 2.0
-                [value] = tape.evaluate([boundary], at(middle))
-                low, high = (middle, high) if (value > 0.0) == (before > 0.0) else (low, middle)
-            first, second = (tape.evaluate(rows, at(share)) for share in (low, high))
-        except (ArithmeticError, ValueError, TypeError):  # there it has no value
+        def is_positive(share: float) -> bool | None:
+            try:
+                return values(share, [boundary])[0] > 0.0
+            except (ArithmeticError, ValueError, TypeError):  # there it has no value
+                return None
+
+        ends = _switch({share: is_positive(share) for share in DISTANCES})
+        if ends is None:
             continue
-        if max(abs(a - b) for a, b in zip(first, second, strict=True)) > JUMP * (1.0 + max(map(abs, first))):
-            return True
+        low, high = ends
+        before = is_positive(low)
+        for _ in range(HALVINGS):
+            middle = (low + high) / 2.0
+            low, high = (middle, high) if is_positive(middle) == before else (low, middle)
+        size = max(abs(low), abs(high))
+        places = (ends[0], low - NEXT * size, low - NEAR * size, high + NEAR * size, high + NEXT * size, ends[1])
+        try:
+            of_all = [values(share, rows) for share in places]
+        except (ArithmeticError, ValueError, TypeError):
+            continue
+        for first, earlier, last, then, later, end in zip(*of_all, strict=True):
+            steady = STEADY * (abs(last - earlier) + abs(later - then))
+            if abs(then - last) > steady + ROUNDING * max(map(abs, (first, earlier, last, then, later, end))):
+                return True
     return False
+
+
+def _switch(signs: Mapping[float, bool | None]) -> tuple[float, float] | None:
+    """The places next to zero between which a sign changes."""
+    pairs = itertools.pairwise(sorted(signs))
+    found = [(a, b) for a, b in pairs if None not in (signs[a], signs[b]) and signs[a] != signs[b]]
+    return min(found, key=lambda pair: min(map(abs, pair)), default=None)

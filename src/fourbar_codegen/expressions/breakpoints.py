@@ -16,7 +16,7 @@ from fourbar_codegen.expressions.convert import apply, substitute
 from fourbar_codegen.expressions.derivatives import Jvp
 from fourbar_codegen.expressions.tape import Call, Leaf, Scalar, Tape, placeholder
 
-__all__ = ["breakpoints", "sides"]
+__all__ = ["are_known", "breakpoints", "sides"]
 
 MAX_ALTERNATIVES = 64
 """Most alternatives of an expression with nested conditions."""
@@ -51,7 +51,7 @@ def breakpoints(tape: Tape, time: Scalar, scalars: Iterable[Scalar]) -> tuple[li
     >>> sorted(tape.evaluate(found, {leaves[end]: 3.0})), is_complete
     ([1.0, 3.0], True)
     """
-    derivative = Jvp(tape, {time: tape.one})
+    derivative = _along(tape, time)
     times: dict[Scalar, None] = {}
     is_complete = True
     for node in tape.reach(scalars):
@@ -77,6 +77,16 @@ def sides(function: sm.Expr) -> Iterator[sm.Expr]:
         yield function.base
     for condition in sorted(function.atoms(Relational), key=sm.default_sort_key):
         yield condition.lhs - condition.rhs
+
+
+def are_known(tape: Tape, time: Scalar, boundary: Scalar) -> bool:
+    """Whether a scalar changes sign at times that can be derived from parameters."""
+    parts = _alternatives(tape, time, boundary)
+    return all(_is_prescribed(part) and _roots(tape, time, part, _along(tape, time)) is not None for part in parts)
+
+
+def _along(tape: Tape, time: Scalar) -> Jvp:
+    return Jvp(tape, {time: tape.one})
 
 
 def _alternatives(tape: Tape, time: Scalar, scalar: Scalar) -> list[Scalar]:

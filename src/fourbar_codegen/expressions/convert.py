@@ -102,6 +102,10 @@ class Conversion:
             base, exponent = node.args
             if exponent.is_Integer:
                 return tape.power(known[base], int(exponent))
+            if _is_even_power(base) and (base.exp * exponent).is_Integer:
+                # of real numbers: the derivative of (x^2)^(1/2) is NaN where x is 0
+                size = apply(tape, sm.Abs(placeholder(0)), [known[base.base]])
+                return tape.power(size, int(base.exp * exponent))
             if exponent.is_Rational and exponent < 0:
                 # A normalized vector and its rates have E^(-1/2), E^(-3/2), ...: powers of one square root. Positive
                 # powers stay, since the derivative of E^(3/2) is 0 where E is 0, but that of the root is not.
@@ -193,6 +197,10 @@ def make_again(tape: Tape, operation: Node, value: Callable[[int], Scalar]) -> S
 def expression_of(value: Number) -> sm.Expr:
     """A number as a SymPy expression."""
     return sm.Rational(value.numerator, value.denominator) if isinstance(value, Fraction) else sm.sympify(value)
+
+
+def _is_even_power(expression: sm.Expr) -> bool:
+    return bool(expression.is_Pow and expression.exp.is_Integer and expression.exp.is_even)
 
 
 def _number(expression: sm.Expr) -> Number:

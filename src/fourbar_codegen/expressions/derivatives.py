@@ -246,6 +246,10 @@ def _derivative(expression: sm.Expr, symbol: sm.Symbol) -> sm.Expr:
         # SymPy's n x**n / x is NaN at x = 0.
         base, exponent = expression.args
         return exponent * base ** (exponent - 1) * base.diff(symbol)
+    if expression.is_Pow and symbol not in expression.base.free_symbols:
+        # x**n log(x) is NaN at x = 0, where x**n is 0 for every n > 0.
+        base, exponent = expression.args
+        return exponent.diff(symbol) * sm.Piecewise((expression * sm.log(base), base > 0), (0, True))
     derivative = expression.diff(symbol)
     if derivative.has(sm.Derivative, sm.Subs):
         raise ModelError(f"The model contains {type(expression).__name__}, whose derivative C99 does not have.")

@@ -73,11 +73,13 @@ def simulate(model: Kernel, options: RunOptions, directions: Directions | None =
 
 
 def _check_differentiable(model: Kernel, options: RunOptions) -> None:
-    if model.manifest["jumps"]:
+    given = {name_of(key) for key in options.inputs or ()}
+    jumps = [entry["function"] for entry in model.manifest["jumps"] if entry["input"] not in given]
+    if jumps:
         warnings.warn(
-            f"The equations of {model.name} jump with the state ({'; '.join(model.manifest['jumps'])}). If the run "
-            "passes a jump, its derivatives leave out the change of the time of the jump: make forces continuous, for "
-            "instance by tanh instead of sign.",
+            f"The equations of {model.name} jump at times that are not known beforehand ({'; '.join(jumps)}). If the "
+            "run passes a jump, its derivatives leave out the change of the time of the jump: make forces continuous, "
+            "for instance by tanh instead of sign.",
             ModelWarning,
             stacklevel=4,
         )

@@ -684,7 +684,7 @@ class CompiledModel(Kernel):
             correction of the state, and below `rtol`. Without `x0`, dependent initial values follow from loop closure;
             a given `x0` depends on no parameter and no input, except for what keeps it on the constraints. Where forces
             jump at times that are not known beforehand, as with the state, the change of the time of the jump is left
-            out, with a warning. Times of events by outputs are differentiated as well: ``trajectory.event_sensitivity``.
+            out, with a warning. Times of events by outputs are differentiated: ``trajectory.event_sensitivity``.
             Source: H. G. Bock, "Numerical treatment of inverse problems in chemical reaction kinetics", in *Modelling
             of Chemical Reaction Systems* (1981): internal numerical differentiation.
         dx0 : mapping from some of these names to arrays of shape (n_x,), or (n, n_x) for n values of a table, optional

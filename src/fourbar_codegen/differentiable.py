@@ -29,6 +29,9 @@ __all__ = ["JaxModel", "to_jax"]
 Floats = NDArray[np.float64]
 Arrays = Mapping[str, Any]
 
+STEP = 1e-5
+"""Of differences by time, relative to times above 1 s."""
+
 
 def to_jax(model: CompiledModel) -> JaxModel:
     """A model whose functions JAX can call, differentiate, compile and vectorize; needs the extra ``jax``.
@@ -87,7 +90,7 @@ class JaxModel:
     def rhs(self, t: Any, x: Any, p: Any = None, r: Any = None) -> Any:
         """The right-hand side x' = f(t, x, p, r), with derivatives in forward and reverse mode, and `jax.vmap`.
 
-        Derivatives are by x, p and r; time has none.
+        Derivatives are by x, p and r, also through the expressions of inputs; those by t are central differences.
 
         Parameters
         ----------
@@ -96,7 +99,7 @@ class JaxModel:
         p : array, shape (n_p,), optional
             The model's values otherwise.
         r : array, shape (n_r,), optional
-            Inputs; the values of their expressions at the parameters' own values otherwise.
+            Inputs; the values of their expressions otherwise.
 
         Returns
         -------
@@ -118,7 +121,6 @@ class JaxModel:
         >>> bool(abs(by_state - four_bar.jacobian(0.0, x)).max() == 0.0)
         True
         """
-        import jax
         import jax.numpy as jnp
 
         model = self.model
@@ -127,8 +129,7 @@ class JaxModel:
         if r is None:
             if not model.has_inputs:
                 raise ModelError(model.missing())
-            shape = jax.ShapeDtypeStruct((model.n_r,), float)
-            r = jax.pure_callback(_inputs(model), shape, t, p, vmap_method="sequential") if model.n_r else jnp.zeros(0)
+            r = _inputs(model)(jnp.asarray(t, float), jnp.asarray(p, float)) if model.n_r else jnp.zeros(0)
         return _rhs(model)(jnp.asarray(t, float), jnp.asarray(x, float), jnp.asarray(p, float), jnp.asarray(r, float))
 
     def simulation(
@@ -195,15 +196,51 @@ class JaxModel:
         ).function(forward=flag(forward, "forward"))
 
 
-def _inputs(model: CompiledModel) -> Callable[..., Floats]:
+def _inputs(model: CompiledModel) -> Callable[..., Any]:
+    """The values of inputs' expressions at a time and parameters."""
+    import jax
+    from jax.custom_derivatives import SymbolicZero
+
+    n_r = model.n_r
+
     def evaluate(t: Any, p: Any) -> Floats:
         return model.default_inputs(float(t), np.asarray(p))
 
-    return evaluate
+    def by_time(t: Any, p: Any) -> Floats:
+        return _difference(lambda time: evaluate(time, p), float(t))
+
+    def by_parameters(t: Any, p: Any) -> Floats:
+        return model.default_input_sensitivity(float(t), np.asarray(p))
+
+    def call(t: Any, p: Any) -> Any:
+        return jax.pure_callback(evaluate, jax.ShapeDtypeStruct((n_r,), float), t, p, vmap_method="sequential")
+
+    inputs = jax.custom_jvp(call)
+
+    def jvp(primals: Any, tangents: Any) -> Any:
+        rate, change = jax.numpy.zeros(n_r), tangents[1]
+        if not isinstance(tangents[0], SymbolicZero):
+            shape = jax.ShapeDtypeStruct((n_r,), float)
+            rate = tangents[0] * jax.pure_callback(by_time, shape, *primals, vmap_method="sequential")
+        if not isinstance(change, SymbolicZero):
+            shape = jax.ShapeDtypeStruct((n_r, model.n_p), float)
+            rate += jax.pure_callback(by_parameters, shape, *primals, vmap_method="sequential") @ change
+        return inputs(*primals), rate
+
+    inputs.defjvp(jvp, symbolic_zeros=True)
+    return inputs  # type: ignore[no-any-return]
+
+
+def _difference(function: Callable[[Any], Floats], t: Any) -> Floats:
+    """The derivative by time, of order 2: other derivatives are exact."""
+    h = STEP * np.maximum(1.0, np.abs(t))
+    rate: Floats = (function(t + h) - function(t - h)) / (2.0 * h)
+    return rate
 
 
 def _rhs(model: CompiledModel) -> Callable[..., Any]:
     import jax
+    from jax.custom_derivatives import SymbolicZero
 
     n_x, n_p, n_r = model.n_x, model.n_p, model.n_r
 
@@ -223,6 +260,11 @@ def _rhs(model: CompiledModel) -> Callable[..., Any]:
         found = [np.moveaxis(function(times, *flat), -1, 0) for function in functions]
         return tuple(np.ascontiguousarray(each).reshape(*shape, *each.shape[1:]) for each in found)
 
+    def by_time(t: Any, x: Any, p: Any, r: Any) -> Floats:
+        shape, times, *flat = columns(t, x, p, r)
+        rates = _difference(lambda time: model.rhs_batch(time, *flat), times)
+        return np.ascontiguousarray(rates.T).reshape(*shape, n_x)
+
     def call(t: Any, x: Any, p: Any, r: Any) -> Any:
         shape = jax.ShapeDtypeStruct((n_x,), float)
         return jax.pure_callback(evaluate, shape, t, x, p, r, vmap_method="broadcast_all")
@@ -232,9 +274,14 @@ def _rhs(model: CompiledModel) -> Callable[..., Any]:
     def jvp(primals: Any, tangents: Any) -> Any:
         shapes = [jax.ShapeDtypeStruct((n_x, n), float) for n in (n_x, n_p, n_r)]
         matrices = jax.pure_callback(differentiate, tuple(shapes), *primals, vmap_method="broadcast_all")
-        return rhs(*primals), sum(matrix @ part for matrix, part in zip(matrices, tangents[1:], strict=True))
+        pairs = zip(matrices, tangents[1:], strict=True)
+        rate = sum((a @ part for a, part in pairs if not isinstance(part, SymbolicZero)), start=jax.numpy.zeros(n_x))
+        if not isinstance(tangents[0], SymbolicZero):
+            shape = jax.ShapeDtypeStruct((n_x,), float)
+            rate += tangents[0] * jax.pure_callback(by_time, shape, *primals, vmap_method="broadcast_all")
+        return rhs(*primals), rate
 
-    rhs.defjvp(jvp)
+    rhs.defjvp(jvp, symbolic_zeros=True)
     return rhs  # type: ignore[no-any-return]
 
 
@@ -301,6 +348,8 @@ class _Simulation:
     def run(self, p: Any, x: Any, r: Any, **more: Any) -> Trajectory | None:
         """The run from a consistent initial state, or None where it fails."""
         model, p = self.model, np.asarray(p)
+        if not all(np.isfinite(part).all() for part in (p, x, r)):
+            return None
         values = dict(zip(self.initial, np.asarray(x).tolist(), strict=True))
         given = [{name: values[name] for name in part} or None for part in independent_states(model)]
         sources, begin = dict(self.sources), 0

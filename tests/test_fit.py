@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 import sympy as sm
+import sympy.physics.mechanics as me
 from scipy.linalg import expm
 from scipy.optimize import curve_fit
-from test_sensitivities import driven_oscillator, oscillator
+from test_sensitivities import driven_oscillator, loaded, oscillator
 
 import fourbar_codegen as fb
 
@@ -60,6 +61,30 @@ def test_an_estimate_of_zero_is_determined():
     assert found.values["v"] == pytest.approx(0.0, abs=1e-6)
     assert np.isfinite([*found.stderr.values()]).all()
     assert "do not determine" not in found.message
+
+
+@pytest.mark.parametrize("guess", [0.0, 1e-12, 1e-9, 0.1])
+def test_an_estimate_of_zero_from_any_guess(guess):
+    """Also beside a constant that is large: where an oscillator is on a line, with a standard deviation of 0.01."""
+    offset, t, x = 1e6, np.linspace(0.0, 6.0, 121), me.dynamicsymbols("x")
+    given = {"parameters": {"m": 2.0, "k": 8.0}, "initial": {"x": 0.0, "v": 0.0}, "outputs": {"place": offset + x}}
+    model = fb.compile_model(fb.Model(oscillator().system, name="far", **given))
+    noise = 0.01 * np.random.default_rng(0).normal(size=t.size)
+    by_speed = np.sin(2.0 * t) / 2.0
+    found = fb.fit(
+        model, fb.Experiment(t, {"place": offset + noise}), {"v": guess}, bounds={"v": (0, 1)}, sigma={"place": 0.01}
+    )
+    assert found.values["v"] == pytest.approx(max(by_speed @ noise / (by_speed @ by_speed), 0.0), abs=1e-6)
+    assert found.stderr["v"] == pytest.approx(0.01 / np.linalg.norm(by_speed), rel=1e-6)
+
+
+def test_where_the_first_guess_has_no_effect_or_no_derivative():
+    t, load = np.linspace(0.0, 1.0, 11), lambda x, v, _: -sm.Symbol("a") * sm.sqrt(x**2 + v**2)
+    model = fb.compile_model(oscillator())
+    with pytest.raises(fb.ModelError, match="the measured quantities do not change with k: give another guess"):
+        fb.fit(model, fb.Experiment(t, {"x": t}, coordinates={"x": 0.0}), ["k"])
+    with pytest.raises(fb.SimulationError, match=r"have no derivatives there\..*not finite from t = "):
+        fb.fit(loaded(load), {"t": t, "x": 0.0 * t}, {"a": 1.0, "x": 0.0, "v": 0.0})
 
 
 def closed_form(t, k, x):
@@ -224,9 +249,12 @@ def test_bad_input(four_bar):
     refused("k is an unknown, and has a known value", fb.Experiment(t, {"q2": t}, parameters={"k": 1.0}))
     refused("Nothing was measured of 'q3'", outputs=["q3"])
     refused("no loss 'none'", loss="none")
+    refused("no option constraints= of a fit 'baumgarte'; there are project, none", constraints="baumgarte")
+    refused("'note'", {**good, "note": ["a"] * 11})
+    assert fb.fit(four_bar, {**good, "note": ["a"] * 11}, ["k"], outputs=["q2"], max_nfev=1).nfev == 1
     refused("max_nfev must be a positive integer", max_nfev=0)
     refused("must be a mapping from names", bounds=[(0.0, 1.0)])
     refused("CVODE has no sensitivities", method="CVODE")
     refused("2 measurements do not determine 3 unknowns", {"t": t[:2], "q2": t[:2]}, ["k", "c", "g"])
-    refused("The first guess cannot be simulated: The loops do not close", unknowns={"l2": 50.0},
+    refused("The first guess cannot be used: The loops do not close", unknowns={"l2": 50.0},
             error=fb.SimulationError)  # fmt: skip

@@ -44,6 +44,9 @@ UNDETERMINED = 1e-10
 SMALL = 1e-3
 """Of residuals: a trust region of this size is too small to begin with."""
 
+ROUNDING = 1e-11
+"""Of simulated values: relative changes of an unknown that change them less are rounding errors of derivatives."""
+
 QUICK = 0.1
 """A fit that takes less, in s, reports no progress."""
 
@@ -200,7 +203,7 @@ def fit(
     max_nfev : int, optional
         As for `scipy.optimize.least_squares`.
     method, rtol, atol, constraints
-        As for `CompiledModel.simulate`.
+        As for `CompiledModel.simulate` with sensitivities: ``constraints`` is "project" or "none".
 
     Returns
     -------
@@ -211,9 +214,9 @@ def fit(
     ModelError
         If a name is unknown, a dependent state or an expression of others is to be fitted, measurements are not finite
         or of different lengths, there are fewer of them than unknowns, `sigma` leaves one out or is missing for a
-        loss, or a guess is outside of its bounds.
+        loss, a guess is outside of its bounds, or no unknown changes anything there.
     SimulationError, AssemblyError
-        If the first guess cannot be simulated.
+        If the first guess cannot be simulated, or has no derivatives.
 
     Source: K. Schittkowski, *Numerical Data Fitting in Dynamical Systems*, Kluwer 2002; trust region: M. A. Branch, T.
     F. Coleman, Y. Li, *SIAM Journal on Scientific Computing* 21 (1999), by SciPy.
@@ -233,6 +236,7 @@ def fit(
     if not isinstance(model, CompiledModel):
         raise ModelError(f"A compiled model is fitted, as compile_model and load return it, not {shown(model)}.")
     one_of(loss, LOSSES, "loss")
+    one_of(constraints, ("project", "none"), "option constraints= of a fit")
     if loss != "linear" and sigma is None:
         raise ModelError(f"loss={loss!r} tells outliers by their residuals in units of sigma: give sigma.")
     if max_nfev is not None and (not is_integer(max_nfev) or max_nfev < 1):
@@ -243,7 +247,12 @@ def fit(
     begin = time.monotonic()
     first = problem.simulated(problem.guess)
     if problem.failure:
-        raise SimulationError(f"The first guess cannot be simulated: {problem.failure}")
+        raise SimulationError(f"The first guess cannot be used: {problem.failure}")
+    if not first[1].any():
+        raise ModelError(
+            f"At the first guess, the measured quantities do not change with {', '.join(problem.names)}: give another "
+            "guess, or other measurements."
+        )
     if len(first[0]) < len(problem.guess):
         raise ModelError(f"{len(first[0])} measurements do not determine {len(problem.guess)} unknowns.")
     with Progress(f"{model.name}: fit", unwatched=PATIENCE) as progress:
@@ -471,6 +480,9 @@ class _Problem:
                 self.failure = self.failure or why
             else:
                 residuals[rows], jacobian[rows, own] = self._compared(i, run)
+                if not np.isfinite(jacobian[rows]).all():
+                    residuals[rows] = math.nan
+                    self.failure = f"The measured quantities have no derivatives there. {run.message}"
         self.runs = tuple(runs)
         self.last = key, residuals, jacobian
         return self.last[1:]
@@ -591,17 +603,14 @@ def _measured(
         raise ModelError(f"The times of {which} must be finite and increasing, and at least two.")
     if experiment.start is not None and finite_number(experiment.start, f"start of {which}") > times[0]:
         raise ModelError(f"The start of {which}, {experiment.start:g}, is after its first measurement, {times[0]:g}.")
-    columns = named(
-        _mapping(experiment.measured, f"The measurements of {which}"),
-        (*model.states, *model.outputs),
-        "state or output",
-    )
+    columns = _mapping(experiment.measured, f"The measurements of {which}")
     if outputs is not None:
-        wanted = _names(outputs, "outputs")
+        wanted, given = _names(outputs, "outputs"), {name_of(key): values for key, values in columns.items()}
         for name in wanted:
-            if name not in columns:
-                raise ModelError(f"Nothing was measured of {name!r} in {which}.{meant(name, columns)}")
-        columns = {name: columns[name] for name in wanted}
+            if name not in given:
+                raise ModelError(f"Nothing was measured of {name!r} in {which}.{meant(name, given)}")
+        columns = {name: given[name] for name in wanted}
+    columns = named(columns, (*model.states, *model.outputs), "state or output")
     if not columns:
         raise ModelError(f"In {which} nothing was measured: name states or outputs of the model.")
     found = {}
@@ -657,9 +666,11 @@ def _covariance(
             for name, values in of.items()
         ]
     )
-    # An unknown is not determined if all of its value, or of its guess, changes less than the simulation's error.
-    typical = np.maximum(np.abs(estimate), np.abs(np.where(problem.guess == 0.0, 1.0, problem.guess)))
-    is_known = size * typical > problem.how["rtol"] * np.linalg.norm(simulated)
+    # An unknown is not determined if all of its value changes less than rounding errors. What came from far away has no
+    # typical value, as an estimate of zero.
+    typical = np.maximum(np.abs(estimate), np.abs(problem.guess))
+    is_typical = (typical > 0.0) & (np.abs(estimate - problem.guess) <= 0.5 * typical)
+    is_known = size * np.where(is_typical, typical, np.maximum(typical, 1.0)) > ROUNDING * np.linalg.norm(simulated)
     scale = np.where(size > 0.0, size, 1.0)
     _, singular, directions = np.linalg.svd(jacobian * (is_known / scale), full_matrices=False)
     known = singular > UNDETERMINED * singular.max(initial=0.0)

@@ -475,14 +475,13 @@ class _Problem:
             else:
                 why = "" if run.success else run.message
                 runs.append(run)
-            if why:
-                jacobian[rows, own] = math.nan
-                self.failure = self.failure or why
-            else:
+            if not why:
                 residuals[rows], jacobian[rows, own] = self._compared(i, run)
                 if not np.isfinite(jacobian[rows]).all():
-                    residuals[rows] = math.nan
-                    self.failure = f"The measured quantities have no derivatives there. {run.message}"
+                    why = f"The measured quantities have no derivatives there. {run.message}"
+            if why:
+                residuals[rows] = jacobian[rows, own] = math.nan
+                self.failure = self.failure or why
         self.runs = tuple(runs)
         self.last = key, residuals, jacobian
         return self.last[1:]

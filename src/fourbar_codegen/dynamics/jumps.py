@@ -15,10 +15,13 @@ from fourbar_codegen.expressions.tape import Call, Leaf, Scalar
 
 __all__ = ["jumps"]
 
-ATTEMPTS = 12
-"""Random lines along which a condition may switch."""
+ATTEMPTS = 24
+"""Random lines along which a condition may switch, ..."""
 
-DISTANCES = sorted([0.0, *(sign * 10.0**k for k in range(-6, 7) for sign in (1.0, -1.0))], key=abs)
+ORDERS = 3
+"""... every other one with variables of different orders of magnitude, up to this power of ten."""
+
+DISTANCES = sorted([0.0, *(sign * 10.0**k for k in range(-6, 7) for sign in (1.0, -1.0))])
 """Along a line, for conditions in any units."""
 
 HALVINGS = 70
@@ -89,9 +92,13 @@ def _jumps_at(e: Equations, boundary: Scalar, rows: Sequence[Scalar], parameters
     """Whether the rows jump at a sign change of a scalar on one of several random lines."""
     tape, generator = e.tape, random.Random(0)
     leaves = [Scalar(tape, 1, n) for n in tape.reach([boundary, *rows]) if isinstance(tape.nodes[n], Leaf)]
-    for _ in range(ATTEMPTS):
+    for attempt in range(ATTEMPTS):
         known = {leaf: parameters.get(leaf, 0.0) or generator.uniform(0.5, 1.5) for leaf in e.parameters}
-        line = [(leaf, generator.uniform(-1.0, 1.0), generator.uniform(-1.0, 1.0)) for leaf in leaves]
+        sizes = [10.0 ** generator.uniform(-ORDERS, ORDERS) if attempt % 2 else 1.0 for _ in leaves]
+        line = [
+            (leaf, size * generator.uniform(-1.0, 1.0), size * generator.uniform(-1.0, 1.0))
+            for leaf, size in zip(leaves, sizes, strict=True)
+        ]
 
         def values(
             share: float,
@@ -115,8 +122,8 @@ def _jumps_at(e: Equations, boundary: Scalar, rows: Sequence[Scalar], parameters
         for _ in range(HALVINGS):
             middle = (low + high) / 2.0
             low, high = (middle, high) if is_positive(middle) == before else (low, middle)
-        size = max(abs(low), abs(high))
-        places = (ends[0], low - NEXT * size, low - NEAR * size, high + NEAR * size, high + NEXT * size, ends[1])
+        far = max(abs(low), abs(high))
+        places = (ends[0], low - NEXT * far, low - NEAR * far, high + NEAR * far, high + NEXT * far, ends[1])
         try:
             of_all = [values(share, rows) for share in places]
         except (ArithmeticError, ValueError, TypeError):
@@ -130,6 +137,6 @@ def _jumps_at(e: Equations, boundary: Scalar, rows: Sequence[Scalar], parameters
 
 def _switch(signs: Mapping[float, bool | None]) -> tuple[float, float] | None:
     """The places next to zero between which a sign changes."""
-    pairs = itertools.pairwise(sorted(signs))
+    pairs = itertools.pairwise(signs)
     found = [(a, b) for a, b in pairs if None not in (signs[a], signs[b]) and signs[a] != signs[b]]
     return min(found, key=lambda pair: min(map(abs, pair)), default=None)

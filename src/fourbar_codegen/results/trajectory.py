@@ -298,8 +298,8 @@ class Trajectory:
         """The gradient of a cost of the samples, by one sweep backwards over the steps of the run.
 
         Its time does not grow with the number of parameters: about three times that of the run. An integral over time
-        is a cost of the last sample, if the integrand is the rate of an auxiliary state. Times of samples are held, also
-        that of the end by an event; `event_sensitivity` has the derivatives of this time, and of the state there.
+        is a cost of the last sample, if the integrand is the rate of an auxiliary state. Times of samples are held,
+        also that of the end by an event; `event_sensitivity` has the derivatives of this time, and of the state there.
 
         Parameters
         ----------

@@ -106,6 +106,8 @@ class Watch:
         """Over the last step of the piece before, of functions that are outputs."""
         self.at_end: list[tuple[Floats, float]] = []
         """As `derivatives`, at the end of that step, for functions that are outputs."""
+        self.left = math.nan
+        """The time of that end."""
 
     def begin(self, run: Integration) -> None:
         """Evaluate the functions at the start."""
@@ -131,6 +133,7 @@ class Watch:
 
     def leave(self, run: Integration) -> None:
         """Keep what `across` needs of the last step before a discontinuity."""
+        self.left = run.t
         for i, start, end in zip(self.named, *run.event_values, strict=True):
             self.changes[i] = abs(end - start)
         if self.differentiates and isinstance(run, Run):
@@ -143,8 +146,8 @@ class Watch:
         for i in self._changed(before):
             change = abs(self.values[i] - before[i])
             is_continuous = change <= CONTINUOUS * self.changes[i]
-            if change == 0.0 or (is_continuous and self.times[i] and self.times[i][-1] == run.t):
-                continue  # found in the step before, or found in the next one
+            if change == 0.0 or (is_continuous and self.times[i] and self.times[i][-1] == self.left):
+                continue  # found in the step before
             if self.differentiates and isinstance(run, Run):
                 at = self.at_end[self.named.index(i)]
                 # a jump is at a time that depends on nothing

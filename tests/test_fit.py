@@ -78,6 +78,28 @@ def test_an_estimate_of_zero_from_any_guess(guess):
     assert found.stderr["v"] == pytest.approx(0.01 / np.linalg.norm(by_speed), rel=1e-6)
 
 
+def test_an_unknown_without_effect_beside_one_with(four_bar):
+    """Without spring, damper and force, the density does not matter: its derivatives are rounding errors."""
+    known = {"parameters": {"k": 0.0, "c": 0.0}, "inputs": {"F": 0.0}}
+    t = np.linspace(0.0, 2.0, 101)
+    falling = four_bar.simulate((0.0, 2.0), t_eval=t, rtol=1e-10, atol=1e-12, **known)
+    found = fb.fit(four_bar, fb.Experiment(t, {"q1": falling["q1"]}, **known), {"g": 9.0, "rho": 2.0})
+    assert found.values == pytest.approx({"g": 9.81, "rho": 2.0}, rel=1e-6)
+    assert found.stderr["rho"] == np.inf
+    assert found.stderr["g"] < 1e-5
+    assert "do not determine rho" in found.message
+
+
+def test_only_a_ratio_is_determined(noisy):
+    """An oscillator's mass and stiffness: the ratio is that of a fit of one of them."""
+    model, t, x = noisy
+    both = fb.fit(model, {"t": t, "x": x}, {"m": 2.5, "k": 7.0, "x": 0.2})
+    one = fb.fit(model, {"t": t, "x": x}, {"k": 7.0, "x": 0.2})
+    assert both.values["k"] / both.values["m"] == pytest.approx(one.values["k"] / 2.0, rel=1e-6)
+    assert both.stderr["k"] == both.stderr["m"] == np.inf
+    assert both.stderr["x"] == pytest.approx(one.stderr["x"], rel=1e-2)  # m - n is one less
+
+
 def test_where_the_first_guess_has_no_effect_or_no_derivative():
     t, load = np.linspace(0.0, 1.0, 11), lambda x, v, _: -sm.Symbol("a") * sm.sqrt(x**2 + v**2)
     model = fb.compile_model(oscillator())

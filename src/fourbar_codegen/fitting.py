@@ -362,6 +362,8 @@ class _Problem:
     weights: tuple[dict[str, Floats], ...]
     names: tuple[str, ...]
     guess: Floats
+    natural: Floats
+    """Sizes of the model's own values, or 1 for zero: guesses and estimates may be far smaller."""
     own: tuple[str, ...]
     """The names of the unknowns of one experiment: parameters, then initial values."""
     places: list[int]
@@ -413,6 +415,10 @@ class _Problem:
         for i in range(n):
             start = {**model.manifest["initial"], **{name_of(key): value for key, value in known[i]}}
             values += [_number(name, guesses.get(name, start.get(name, 0.0)), "initial value") for name in initial]
+        own = [
+            *(model.defaults[name] for name in parameters),
+            *n * [model.manifest["initial"].get(name) for name in initial],
+        ]
         deviations = (
             {} if sigma is None else named(_mapping(sigma, "sigma"), (*model.states, *model.outputs), "state or output")
         )
@@ -445,6 +451,7 @@ class _Problem:
             tuple(weights),
             all_names,
             np.array(values),
+            np.array([abs(value or 0.0) or 1.0 for value in own]),
             (*parameters, *initial),
             [(*model.states, *model.parameters).index(name) for name in (*parameters, *initial)],
             len(parameters),
@@ -483,8 +490,20 @@ class _Problem:
                 residuals[rows] = jacobian[rows, own] = math.nan
                 self.failure = self.failure or why
         self.runs = tuple(runs)
+        if not self.failure:
+            jacobian[:, self._have_no_effect(unknowns, residuals, jacobian)] = 0.0
         self.last = key, residuals, jacobian
         return self.last[1:]
+
+    def _have_no_effect(self, unknowns: Floats, residuals: Floats, jacobian: Floats) -> NDArray[np.bool_]:
+        """Which unknowns have derivatives that are rounding errors: all of their value changes nothing."""
+        size = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
+        change = size * np.maximum(np.maximum(np.abs(unknowns), np.abs(self.guess)), self.natural)
+        simulated = residuals + np.concatenate(
+            [w[name] * values for w, of in zip(self.weights, self.measured, strict=True) for name, values in of.items()]
+        )
+        found: NDArray[np.bool_] = change <= ROUNDING * np.linalg.norm(simulated)
+        return found
 
     def _run(self, i: int, values: Floats) -> Trajectory:
         """A run of an experiment, from the state that follows from values of its unknowns."""
@@ -658,20 +677,8 @@ def _covariance(
     residuals, jacobian = problem.simulated(estimate)
     m, n = jacobian.shape
     size = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
-    simulated = residuals + np.concatenate(
-        [
-            w[name] * values
-            for w, of in zip(problem.weights, problem.measured, strict=True)
-            for name, values in of.items()
-        ]
-    )
-    # An unknown is not determined if all of its value changes less than rounding errors. What came from far away has no
-    # typical value, as an estimate of zero.
-    typical = np.maximum(np.abs(estimate), np.abs(problem.guess))
-    is_typical = (typical > 0.0) & (np.abs(estimate - problem.guess) <= 0.5 * typical)
-    is_known = size * np.where(is_typical, typical, np.maximum(typical, 1.0)) > ROUNDING * np.linalg.norm(simulated)
     scale = np.where(size > 0.0, size, 1.0)
-    _, singular, directions = np.linalg.svd(jacobian * (is_known / scale), full_matrices=False)
+    _, singular, directions = np.linalg.svd(jacobian / scale, full_matrices=False)
     known = singular > UNDETERMINED * singular.max(initial=0.0)
     if slopes is not None:
         variance = _robust_variance(residuals, n, slopes)

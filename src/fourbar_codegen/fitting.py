@@ -360,6 +360,8 @@ class _Problem:
     times: tuple[Floats, ...]
     measured: tuple[dict[str, Floats], ...]
     weights: tuple[dict[str, Floats], ...]
+    weighted: Floats
+    """All measurements times their weights."""
     names: tuple[str, ...]
     guess: Floats
     natural: Floats
@@ -449,6 +451,9 @@ class _Problem:
             tuple(times for times, _ in measured),
             tuple(columns for _, columns in measured),
             tuple(weights),
+            np.concatenate(
+                [w[name] * column for w, (_, of) in zip(weights, measured, strict=True) for name, column in of.items()]
+            ),
             all_names,
             np.array(values),
             np.array([abs(value or 0.0) or 1.0 for value in own]),
@@ -499,10 +504,7 @@ class _Problem:
         """Which unknowns have derivatives that are rounding errors: all of their value changes nothing."""
         size = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
         change = size * np.maximum(np.maximum(np.abs(unknowns), np.abs(self.guess)), self.natural)
-        simulated = residuals + np.concatenate(
-            [w[name] * values for w, of in zip(self.weights, self.measured, strict=True) for name, values in of.items()]
-        )
-        found: NDArray[np.bool_] = change <= ROUNDING * np.linalg.norm(simulated)
+        found: NDArray[np.bool_] = change <= ROUNDING * np.linalg.norm(residuals + self.weighted)
         return found
 
     def _run(self, i: int, values: Floats) -> Trajectory:

@@ -44,6 +44,17 @@ def test_derivatives_of_the_right_hand_side(four_bar):
     np.testing.assert_array_equal(jax.jit(jax.vmap(lambda x: rhs(0.0, x)))(states), expected)
 
 
+def test_what_the_right_hand_side_refuses(four_bar):
+    rhs, x = fb.to_jax(four_bar).rhs, four_bar.initial_state()
+    for given in ({"x": x[:3]}, {"x": x[np.newaxis]}, {"x": x, "p": np.ones((8, 1))}, {"x": x, "t": np.zeros(2)}):
+        with pytest.raises(fb.ModelError, match=r"must have the shape \(.*use jax\.vmap"):
+            rhs(**{"t": 0.0, **given})
+    simulate = fb.to_jax(four_bar).simulation((0.0, 0.1), [0.1])
+    for function, at in ((lambda x: rhs(0.0, x).sum(), x), (lambda k: simulate({"k": k})["q1"][0], 2.0)):
+        with pytest.raises(fb.ModelError, match="no second derivatives"):
+            jax.grad(lambda at, function=function: jax.grad(function)(at).sum())(at)
+
+
 def test_derivatives_through_the_expression_of_an_input():
     a, t = sm.Symbol("a"), me.dynamicsymbols._t
     model = fb.compile_model(driven_oscillator(parameters={"a": 3.0}, force=a * sm.sin(2 * t)))

@@ -773,6 +773,9 @@ JUMPING = [
     ("atan2 of x", lambda x, v, t: A * sm.atan2(x, v)),
     ("Heaviside of t", lambda x, v, t: A * sm.Heaviside(sm.sin(S * t) - B)),
     ("floor of t", lambda x, v, t: A * (S * t - sm.floor(S * t))),
+    ("Heaviside of x", lambda x, v, t: 1e7 * A * sm.Heaviside(x - 2e7)),
+    ("acot of x", lambda x, v, t: A * sm.acot(x / B)),
+    ("atan of x", lambda x, v, t: A * sm.atan(B / x)),
     ("Heaviside of F", lambda x, v, t: A * sm.Heaviside(F - B)),
 ]
 STEADY = {
@@ -790,6 +793,43 @@ def test_jumps_at_times_that_are_not_known(function, load):
     model = loaded(load, {F: 0.0} if function.endswith("F") else None)
     with pytest.warns(fb.ModelWarning, match=f"not known beforehand \\({function}\\).*leave out the change"):
         model.simulate((0.0, 0.1), [0.3, 0.1], sensitivities=["k"])
+
+
+def test_jumps_with_other_values_than_the_defaults():
+    """With equal defaults nothing jumps."""
+    model = loaded(lambda x, v, t: sm.Piecewise((A, x < S), (B, True)))
+    assert model.simulate((0.0, 0.1), sensitivities=["k"]).success
+    with pytest.warns(fb.ModelWarning, match="Piecewise of x"):
+        model.simulate((0.0, 0.1), sensitivities=["k"], parameters={"a": 1.0})
+
+
+@pytest.mark.parametrize("stiffness", [1e5, 1e6])
+def test_derivatives_through_a_contact(stiffness):
+    """A fall from rest onto a spring, y + g / w^2 = R cos(w t - phase), and up again with the same speed.
+
+    A derivative that is zero in the fall, of the speed by the height, grows from the kink on. At default tolerances,
+    its error is ten times rtol times its size in the contact, w, and a few steps.
+    """
+    g, k = sm.symbols("g k")
+    y, model = me.dynamicsymbols("x"), oscillator()
+    load = -g + k * y + k * sm.Max(-y, 0)  # instead of the spring
+    model.system.add_loads(me.Force(model.system.bodies[0].masscenter, load * model.system.frame.x))
+    given = {"parameters": {"m": 1.0, "k": stiffness, "g": 9.81}, "initial": {"x": 0.1, "v": 0.0}}
+    model = fb.compile_model(fb.Model(model.system, name="ball", **given))
+
+    def speed(height):
+        fall, w = np.sqrt(2.0 * height / 9.81), np.sqrt(stiffness)
+        phase = np.arctan2(9.81 * fall / w, 9.81 / w**2)
+        return 9.81 * fall - 9.81 * (0.25 - fall - 2.0 * (np.pi - phase) / w)
+
+    h = 1e-4
+    wanted = (speed(0.1 + h) - speed(0.1 - h)) / (2.0 * h)  # to 1e-6
+    how = {"t_eval": [0.25], "sensitivities": ["x"]}
+    run = model.simulate((0.0, 0.25), rtol=1e-10, atol=1e-12, **how)
+    assert run["v"][0] == pytest.approx(speed(0.1), rel=1e-7)
+    assert run.sensitivity["x"][1, 0] == pytest.approx(wanted, rel=1e-5)
+    run = model.simulate((0.0, 0.25), **how)
+    assert run.sensitivity["x"][1, 0] == pytest.approx(wanted, abs=10 * 1e-5 * np.sqrt(stiffness))
 
 
 @pytest.mark.parametrize("name", STEADY)

@@ -24,7 +24,7 @@ kernel = PyCapsule_New(<void *>&four_bar_kernel, FB_CAPSULE_NAME, NULL)
 
 manifest = (
     '{\n'
-    '  "format": 17,\n'
+    '  "format": 18,\n'
     '  "name": "four_bar",\n'
     '  "fingerprint": "c41b4c347f2327ba5577ed82f4166042c8256765b5e7c096e60e2b9ead81fb68",\n'
     '  "coordinates": [\n'

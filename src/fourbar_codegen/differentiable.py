@@ -108,7 +108,7 @@ class JaxModel:
         Raises
         ------
         ModelError
-            If a parameter or an input has no value.
+            If a parameter or an input has no value, or an argument a wrong shape; and for second derivatives.
 
         Examples
         --------
@@ -126,11 +126,18 @@ class JaxModel:
         model = self.model
         if p is None:
             p = parameter_array(model, model.parameter_vector(None))  # raises if one has no value
+        if r is None and not model.has_inputs:
+            raise ModelError(model.missing())
+        known = {"t": ((), t), "x": ((model.n_x,), x), "p": ((model.n_p,), p), "r": ((model.n_r,), r)}
+        given = {name: jnp.asarray(value, float) for name, (_, value) in known.items() if value is not None}
+        for name, value in given.items():
+            if value.shape != known[name][0]:
+                raise ModelError(
+                    f"{name} must have the shape {known[name][0]}, not {value.shape}; for several, use jax.vmap."
+                )
         if r is None:
-            if not model.has_inputs:
-                raise ModelError(model.missing())
-            r = _inputs(model)(jnp.asarray(t, float), jnp.asarray(p, float)) if model.n_r else jnp.zeros(0)
-        return _rhs(model)(jnp.asarray(t, float), jnp.asarray(x, float), jnp.asarray(p, float), jnp.asarray(r, float))
+            given["r"] = _inputs(model)(given["t"], given["p"]) if model.n_r else jnp.zeros(0)
+        return _rhs(model)(*given.values())
 
     def simulation(
         self,
@@ -221,14 +228,29 @@ def _inputs(model: CompiledModel) -> Callable[..., Any]:
         rate, change = jax.numpy.zeros(n_r), tangents[1]
         if not isinstance(tangents[0], SymbolicZero):
             shape = jax.ShapeDtypeStruct((n_r,), float)
-            rate = tangents[0] * jax.pure_callback(by_time, shape, *primals, vmap_method="sequential")
+            rate = tangents[0] * _called(by_time, shape, "sequential")(*primals)
         if not isinstance(change, SymbolicZero):
             shape = jax.ShapeDtypeStruct((n_r, model.n_p), float)
-            rate += jax.pure_callback(by_parameters, shape, *primals, vmap_method="sequential") @ change
+            rate += _called(by_parameters, shape, "sequential")(*primals) @ change
         return inputs(*primals), rate
 
     inputs.defjvp(jvp, symbolic_zeros=True)
     return inputs  # type: ignore[no-any-return]
+
+
+def _called(function: Callable[..., Any], shapes: Any, vmap_method: str) -> Callable[..., Any]:
+    """Derivatives by a callback: they have no derivatives themselves."""
+    import jax
+
+    def call(*arguments: Any) -> Any:
+        return jax.pure_callback(function, shapes, *arguments, vmap_method=vmap_method)
+
+    def refuse(*_: Any) -> Any:
+        raise ModelError("A compiled model has no second derivatives: use a method that needs first derivatives alone.")
+
+    called = jax.custom_jvp(call)
+    called.defjvp(refuse)
+    return called  # type: ignore[no-any-return]
 
 
 def _difference(function: Callable[[Any], Floats], t: Any) -> Floats:
@@ -273,12 +295,12 @@ def _rhs(model: CompiledModel) -> Callable[..., Any]:
 
     def jvp(primals: Any, tangents: Any) -> Any:
         shapes = [jax.ShapeDtypeStruct((n_x, n), float) for n in (n_x, n_p, n_r)]
-        matrices = jax.pure_callback(differentiate, tuple(shapes), *primals, vmap_method="broadcast_all")
+        matrices = _called(differentiate, tuple(shapes), "broadcast_all")(*primals)
         pairs = zip(matrices, tangents[1:], strict=True)
         rate = sum((a @ part for a, part in pairs if not isinstance(part, SymbolicZero)), start=jax.numpy.zeros(n_x))
         if not isinstance(tangents[0], SymbolicZero):
             shape = jax.ShapeDtypeStruct((n_x,), float)
-            rate += tangents[0] * jax.pure_callback(by_time, shape, *primals, vmap_method="broadcast_all")
+            rate += tangents[0] * _called(by_time, shape, "broadcast_all")(*primals)
         return rhs(*primals), rate
 
     rhs.defjvp(jvp, symbolic_zeros=True)
@@ -427,7 +449,7 @@ def _reverse(simulation: _Simulation, shape: Any, _: tuple[str, ...]) -> Callabl
 
     def backward(given: Any, weights: Any) -> Any:
         shapes = tuple(jax.ShapeDtypeStruct(part.shape, float) for part in given)
-        return jax.pure_callback(gradient, shapes, *given, weights, vmap_method="sequential")
+        return _called(gradient, shapes, "sequential")(*given, weights)
 
     solve.defvjp(forward, backward)
     return solve  # type: ignore[no-any-return]
@@ -470,7 +492,7 @@ def _forward(simulation: _Simulation, shape: Any, given: tuple[str, ...]) -> Cal
 
     def jvp(primals: Any, tangents: Any) -> Any:
         of_all = jax.ShapeDtypeStruct((*shape.shape, n), float)
-        by_all = jax.pure_callback(matrix, of_all, *primals, vmap_method="sequential")
+        by_all = _called(matrix, of_all, "sequential")(*primals)
         return solve(*primals), by_all @ jnp.concatenate(tangents)
 
     solve.defjvp(jvp)

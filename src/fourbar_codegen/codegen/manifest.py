@@ -19,7 +19,7 @@ from fourbar_codegen.modeling.model import Model
 
 __all__ = ["manifest_of", "manifest_text", "operations_of"]
 
-MANIFEST_FORMAT = 17
+MANIFEST_FORMAT = 18
 
 
 def manifest_of(
@@ -100,7 +100,7 @@ def manifest_of(
     }
 
 
-def _jumps(model: Model, equations: Equations, names: Mapping[str, Sequence[str]]) -> list[dict[str, str]]:
+def _jumps(model: Model, equations: Equations, names: Mapping[str, Sequence[str]]) -> list[dict[str, Any]]:
     """What jumps at times that are not known beforehand, in the equations or in the expression of an input."""
     values = {}
     for leaf, name in zip(equations.parameters, names["parameters"], strict=True):
@@ -109,7 +109,7 @@ def _jumps(model: Model, equations: Equations, names: Mapping[str, Sequence[str]
             values[leaf] = value
     states = (*names["coordinates"], *names["speeds"], *names["auxiliary_states"])
     found = jumps(equations, states, _base_names(model, names["inputs"]), values)
-    return [{"function": function, "input": of} for function, of in found]
+    return [{"function": function, "input": of, "by_default": by_default} for function, of, by_default in found]
 
 
 def _dependencies(equations: Equations) -> dict[str, list[str]]:

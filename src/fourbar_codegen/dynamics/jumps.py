@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import itertools
 import random
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 
 import sympy as sm
 
 from fourbar_codegen.dynamics.equations import Equations
 from fourbar_codegen.expressions.breakpoints import are_known, sides
 from fourbar_codegen.expressions.convert import apply
-from fourbar_codegen.expressions.tape import Call, Leaf, Scalar
+from fourbar_codegen.expressions.tape import Call, Leaf, Reciprocal, Scalar, Tape
 
 __all__ = ["jumps"]
 
@@ -21,7 +21,7 @@ ATTEMPTS = 24
 ORDERS = 3
 """... every other one with variables of different orders of magnitude, up to this power of ten."""
 
-DISTANCES = sorted([0.0, *(sign * 10.0**k for k in range(-6, 7) for sign in (1.0, -1.0))])
+DISTANCES = sorted([0.0, *(sign * 10.0**k for k in range(-6, 13) for sign in (1.0, -1.0))])
 """Along a line, for conditions in any units."""
 
 HALVINGS = 70
@@ -40,7 +40,7 @@ ROUNDING = 1e-12
 
 def jumps(
     equations: Equations, states: Sequence[str], inputs: Sequence[str], parameters: Mapping[Scalar, float]
-) -> list[tuple[str, str]]:
+) -> list[tuple[str, str, bool]]:
     """The functions at which q', the residual of the equations of motion, or the expression of an input jumps.
 
     Without those that jump at times that follow from parameters alone.
@@ -51,18 +51,19 @@ def jumps(
     states, inputs : sequence of str
         Their names.
     parameters : mapping of Scalar to float
-        Values of parameters' leaves, where these are known. Instead of 0, which hides terms, others are taken.
+        Values of parameters' leaves, where these are known.
 
     Returns
     -------
-    list of (str, str)
-        Such as "sign of u1", and the name of the input in whose expression it stands, or "".
+    list of (str, str, bool)
+        Such as "sign of u1"; the name of the input in whose expression it stands, or ""; and whether it jumps with
+        these values of parameters, not only with others.
     """
     e, tape = equations, equations.tape
     leaves = (*e.coordinates, *e.speeds, *e.auxiliary_states, *e.inputs, e.time)
     names = (*states, *inputs, "t")
     equations_of_motion = [("", (*e.coordinate_rates.entries, *e.residual.entries))]
-    found: dict[tuple[str, str], None] = {}
+    found: dict[tuple[str, str], bool] = {}
     for of, rows in (*equations_of_motion, *((n, (d,)) for n, d in zip(inputs, e.default_inputs.entries, strict=True))):
         nodes = tape.reach(rows)
         moving = tape.dependent(nodes, leaves)
@@ -72,20 +73,36 @@ def jumps(
                 continue
             arguments = [Scalar(tape, 1, argument) for argument in operation.arguments]
             affected = [row for row in rows if tape.depends([row], [Scalar(tape, 1, node)])]
-            for boundary in (apply(tape, side, arguments) for side in _boundaries(operation.expression)):
+            has_poles = _has_poles(tape, arguments, moving)
+            for boundary in (apply(tape, side, arguments) for side in _boundaries(operation.expression, has_poles)):
                 by = [name for name, leaf in zip(names, leaves, strict=True) if tape.depends([boundary], [leaf])]
-                if by and not are_known(tape, e.time, boundary) and _jumps_at(e, boundary, affected, parameters):
-                    found[f"{type(operation.expression).__name__} of {', '.join(by)}", of] = None
-    return list(found)
+                if not by or are_known(tape, e.time, boundary):
+                    continue
+                key = f"{type(operation.expression).__name__} of {', '.join(by)}", of
+                if _jumps_at(e, boundary, affected, parameters):
+                    found[key] = True
+                elif _jumps_at(e, boundary, affected, {}):
+                    found.setdefault(key, False)
+    return [(*key, by_these) for key, by_these in found.items()]
 
 
-def _boundaries(function: sm.Expr) -> Iterator[sm.Expr]:
+def _has_poles(tape: Tape, arguments: Sequence[Scalar], moving: Collection[int]) -> bool:
+    """Whether arguments have poles in what moves."""
+    operations = (tape.nodes[node] for node in tape.reach(arguments) if node in moving)
+    return any(
+        isinstance(o, Reciprocal) or (isinstance(o, Call) and isinstance(o.expression, sm.tan)) for o in operations
+    )
+
+
+def _boundaries(function: sm.Expr, has_poles: bool) -> Iterator[sm.Expr]:
     """Expressions that change sign where a function may jump."""
     yield from sides(function)
     if isinstance(function, sm.floor | sm.ceiling):
         yield sm.sin(sm.pi * function.args[0])
-    elif isinstance(function, sm.atan2):
+    elif isinstance(function, sm.atan2 | sm.acot):
         yield function.args[0]
+    elif has_poles and isinstance(function, sm.atan | sm.tanh | sm.erf):
+        yield 1 / function.args[0]
 
 
 def _jumps_at(e: Equations, boundary: Scalar, rows: Sequence[Scalar], parameters: Mapping[Scalar, float]) -> bool:
@@ -93,7 +110,7 @@ def _jumps_at(e: Equations, boundary: Scalar, rows: Sequence[Scalar], parameters
     tape, generator = e.tape, random.Random(0)
     leaves = [Scalar(tape, 1, n) for n in tape.reach([boundary, *rows]) if isinstance(tape.nodes[n], Leaf)]
     for attempt in range(ATTEMPTS):
-        known = {leaf: parameters.get(leaf, 0.0) or generator.uniform(0.5, 1.5) for leaf in e.parameters}
+        known = {leaf: parameters[leaf] if leaf in parameters else generator.uniform(0.5, 1.5) for leaf in e.parameters}
         sizes = [10.0 ** generator.uniform(-ORDERS, ORDERS) if attempt % 2 else 1.0 for _ in leaves]
         line = [
             (leaf, size * generator.uniform(-1.0, 1.0), size * generator.uniform(-1.0, 1.0))

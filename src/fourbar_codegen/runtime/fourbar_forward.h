@@ -253,9 +253,11 @@ static inline int fb_forward_close(fb_run *run, const double since, const enum F
 
 /* The largest error norm of the directions in `FB_FEW_DIRECTIONS` columns from `first` on. */
 static FB_INLINE double fb_forward_error_of(const fb_run *run, const double *error, const double *error3,
-                                            const double largest_x, const int first, const double *relative)
+                                            const double largest_x, const double soon, const int first,
+                                            const double *relative)
 {
     const fb_forward *const f = run->forward;
+    const double *const rates_old = f->stages, *const rates = f->stages + run->method->n_stages * f->size;
     double sum[FB_FEW_DIRECTIONS] = {0.0}, sum3[FB_FEW_DIRECTIONS] = {0.0}, largest[FB_FEW_DIRECTIONS] = {0.0};
     double worst = 0.0;
     for (int i = 0; i < run->n; ++i) {
@@ -272,7 +274,8 @@ static FB_INLINE double fb_forward_error_of(const fb_run *run, const double *err
         const double atol = FB_FORWARD_ATOL * run->atol[i] + FB_FORWARD_NOISE * largest_x;
         for (int j = 0; j < FB_FEW_DIRECTIONS; ++j) {
             const double now = fabs(f->s[row + j]), before = fabs(f->s_old[row + j]);
-            const double size = fb_max(fb_max(now, before), f->lately[row + j]);
+            const double rate = fb_max(fabs(rates_old[row + j]), fabs(rates[row + j]));
+            const double size = fb_max(fb_max(fb_max(now, before), f->lately[row + j]), soon * rate);
             const double scale = rtol * size + FB_FORWARD_ROUNDING * largest[j] + atol * relative[j] + DBL_MIN;
             const double part = error[row + j] / scale, part3 = error3[row + j] / scale;
             sum[j] += part * part;
@@ -286,7 +289,7 @@ static FB_INLINE double fb_forward_error_of(const fb_run *run, const double *err
 
 /* The error estimate of S in units of its tolerances, for the direction in which it is largest. Derivatives pass
  * through zero more often than states: each is compared with the largest value that it has had lately. */
-static FB_INLINE double fb_forward_error_with(fb_run *run)
+static FB_INLINE double fb_forward_error_with(fb_run *run, const double soon)
 {
     fb_forward *const f = run->forward;
     const int two = run->method->n_errors == 2;
@@ -299,23 +302,24 @@ static FB_INLINE double fb_forward_error_with(fb_run *run)
         largest_x = fb_max(fabs(run->x[i]), largest_x);
     for (int block = 0; block < f->n_blocks; ++block)
         for (int j = 0; j < f->width; j += FB_FEW_DIRECTIONS)
-            worst = fmax(worst, fb_forward_error_of(run, error, two ? error3 : error, largest_x,
+            worst = fmax(worst, fb_forward_error_of(run, error, two ? error3 : error, largest_x, soon,
                                                     block * run->n * f->width + j, f->relative + block * f->width + j));
     return worst;
 }
 
-FB_AVX2_FUNCTION static inline double fb_forward_error_avx2(fb_run *run)
+FB_AVX2_FUNCTION static inline double fb_forward_error_avx2(fb_run *run, const double soon)
 {
-    return fb_forward_error_with(run);
+    return fb_forward_error_with(run, soon);
 }
 
-static inline double fb_forward_error(fb_run *run)
+static inline double fb_forward_error(fb_run *run, const double soon)
 {
-    return run->forward->has_avx2 ? fb_forward_error_avx2(run) : fb_forward_error_with(run);
+    return run->forward->has_avx2 ? fb_forward_error_avx2(run, soon) : fb_forward_error_with(run, soon);
 }
 
-/* S along the last accepted step, right after it, and its error; S is that before the step unless this is below 1. */
-static inline int fb_forward_step(fb_run *run, double *step_error)
+/* S along the last accepted step, right after it, and its error; S is that before the step unless this is below 1.
+ * Sizes are at least those of rates within `soon`; any error is accepted if that is infinite. */
+static inline int fb_forward_step(fb_run *run, const double soon, double *step_error)
 {
     fb_forward *const f = run->forward;
     const fb_tableau *const m = run->method;
@@ -344,7 +348,7 @@ static inline int fb_forward_step(fb_run *run, double *step_error)
         status = fb_forward_rates(run, m->n_stages, 1, run->t, run->x, f->s);
     if (status < 0)
         return status;
-    *step_error = fb_forward_error(run);
+    *step_error = isfinite(soon) ? fb_forward_error(run, soon) : 0.0;
     f->fsal = !(*step_error >= 1.0);
     if (!f->fsal) {
         f->s_old = f->s;

@@ -19,6 +19,11 @@
 #define FB_MIN_FACTOR 0.2
 #define FB_MAX_FACTOR 10.0
 
+/* Attempts at a step that errors of derivatives may usually need, and the fraction of the first one's length in which
+ * derivatives grow to the size with which errors of further attempts are compared. */
+#define FB_USUAL_ATTEMPTS 3
+#define FB_SOON 1e-2
+
 /* Fractions of the average step below which the steps have collapsed, and above which they have recovered. */
 #define FB_COLLAPSE 1e-9
 #define FB_RECOVERY 1e-3
@@ -76,7 +81,7 @@ struct fb_run {
     /* sensitivities, by fourbar_forward.h, or NULL: them, and what is done after a step, which is repeated with a
      * shorter one unless the error is below 1, and, if not NULL, for a sample at t, x */
     struct fb_forward *forward;
-    int (*vary)(fb_run *run, double *error);
+    int (*vary)(fb_run *run, double soon, double *error);
     int (*vary_sample)(fb_run *run, double t, const double *x);
     fb_kept *kept;   /* for each row of `stages`, or NULL */
     fb_steps *steps; /* or NULL */
@@ -597,15 +602,21 @@ static inline int fb_orientation_changed_within(fb_run *s)
 }
 
 /* One accepted step, and its derivatives, whose errors may ask for shorter ones: where the state rests, or moves
- * steadily, its own errors do not limit the steps at all. */
+ * steadily, its own errors do not limit the steps at all. At a kink of a force, a derivative that was zero before may
+ * have an error of its own size at any length of the step: after some attempts, it is compared with the size that it
+ * reaches within a fraction of the first of them. */
 static inline int fb_varied_step_on(fb_run *s)
 {
-    for (;;) {
+    double soon = 0.0;
+    for (int attempt = 0;; ++attempt) {
         int status = s->step(s);
         if (status != FB_RUN_PAUSED || !s->forward)
             return status;
+        if (attempt == 0)
+            soon = FB_SOON * fabs(s->h);
+        const int is_least = fabs(s->h) * FB_MIN_FACTOR < fb_least_step(s->t_old, s->direction);
         double error = 0.0;
-        status = s->vary(s, &error);
+        status = s->vary(s, is_least ? INFINITY : attempt < FB_USUAL_ATTEMPTS ? 0.0 : soon, &error);
         if (status < 0)
             return status;
         /* Derivatives that are not finite ask for nothing. */
@@ -616,8 +627,6 @@ static inline int fb_varied_step_on(fb_run *s)
             return FB_RUN_PAUSED;
         }
         fb_take_back(s, length);
-        if (length < fb_least_step(s->t, s->direction))
-            return FB_RUN_TOO_SMALL;
     }
 }
 

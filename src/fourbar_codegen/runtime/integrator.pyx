@@ -42,7 +42,7 @@ cdef extern from "fourbar_forward.h":
         double *s
         double *s_old
         double *samples
-    int fb_forward_step(fb_run *, double *) noexcept nogil
+    int fb_forward_step(fb_run *, double, double *) noexcept nogil
     int fb_forward_sample(fb_run *, double, const double *) noexcept nogil
     int fb_forward_at(fb_run *, double, FB_LAST, const double *, double *) noexcept nogil
     int fb_forward_close(fb_run *, double, FB_LAST, const double *, double *) noexcept nogil
@@ -71,7 +71,7 @@ cdef extern from "fourbar_integrate.h":
         int (*step)(fb_run *) noexcept nogil
         fb_augmented *augmented
         fb_forward *forward
-        int (*vary)(fb_run *, double *) noexcept nogil
+        int (*vary)(fb_run *, double, double *) noexcept nogil
         int (*vary_sample)(fb_run *, double, const double *) noexcept nogil
         fb_steps *steps
         int n, padded

@@ -15,7 +15,7 @@ from fourbar_codegen.arguments import Values, finite_number, name_of, named_arra
 from fourbar_codegen.errors import ModelError, ModelWarning
 from fourbar_codegen.kernel.consistency import check_start, consistent, projects
 from fourbar_codegen.kernel.inputs import InputSource, bind
-from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.kernel.kernel import Kernel, parameter_array
 from fourbar_codegen.kernel.sensitivity import (
     Directions,
     directions_of,
@@ -74,12 +74,18 @@ def simulate(model: Kernel, options: RunOptions, directions: Directions | None =
 
 def _check_differentiable(model: Kernel, options: RunOptions) -> None:
     given = {name_of(key) for key in options.inputs or ()}
-    jumps = [entry["function"] for entry in model.manifest["jumps"] if entry["input"] not in given]
-    if jumps:
+    p, defaults = options.parameters, parameter_array(model, None)
+    has_others = p is not None and not np.array_equal(p, defaults, equal_nan=True)
+    functions = [
+        entry["function"]
+        for entry in model.manifest["jumps"]
+        if entry["input"] not in given and (entry["by_default"] or has_others)
+    ]
+    if functions:
         warnings.warn(
-            f"The equations of {model.name} jump at times that are not known beforehand ({'; '.join(jumps)}). If the "
-            "run passes a jump, its derivatives leave out the change of the time of the jump: make forces continuous, "
-            "for instance by tanh instead of sign.",
+            f"The equations of {model.name} jump at times that are not known beforehand ({'; '.join(functions)}). If "
+            "the run passes a jump, its derivatives leave out the change of the time of the jump: make forces "
+            "continuous, for instance by tanh instead of sign.",
             ModelWarning,
             stacklevel=4,
         )

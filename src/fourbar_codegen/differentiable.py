@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.arguments import Values, flag, is_mapping, name_of, named, named_array, sample_times, time_span
+from fourbar_codegen.analysis.initial_state import dependent_guess
+from fourbar_codegen.arguments import Values, flag, is_mapping, name_of, named, sample_times, time_span
 from fourbar_codegen.compiled import CompiledModel
 from fourbar_codegen.errors import AssemblyError, ModelError, SimulationError, shown
 from fourbar_codegen.kernel.inputs import InputSource, own_source
@@ -128,16 +129,10 @@ class JaxModel:
             p = parameter_array(model, model.parameter_vector(None))  # raises if one has no value
         if r is None and not model.has_inputs:
             raise ModelError(model.missing())
-        known = {"t": ((), t), "x": ((model.n_x,), x), "p": ((model.n_p,), p), "r": ((model.n_r,), r)}
-        given = {name: jnp.asarray(value, float) for name, (_, value) in known.items() if value is not None}
-        for name, value in given.items():
-            if value.shape != known[name][0]:
-                raise ModelError(
-                    f"{name} must have the shape {known[name][0]}, not {value.shape}; for several, use jax.vmap."
-                )
+        t, x, p = _shaped("t", t, ()), _shaped("x", x, (model.n_x,)), _shaped("p", p, (model.n_p,))
         if r is None:
-            given["r"] = _inputs(model)(given["t"], given["p"]) if model.n_r else jnp.zeros(0)
-        return _rhs(model)(*given.values())
+            r = _inputs(model)(t, p) if model.n_r else jnp.zeros(0)
+        return _rhs(model)(t, x, p, _shaped("r", r, (model.n_r,)))
 
     def simulation(
         self,
@@ -203,12 +198,17 @@ class JaxModel:
         ).function(forward=flag(forward, "forward"))
 
 
+def _shaped(name: str, value: Any, shape: tuple[int, ...]) -> Any:
+    import jax.numpy as jnp
+
+    array = jnp.asarray(value, float)
+    if array.shape != shape:
+        raise ModelError(f"{name} must have the shape {shape}, not {array.shape}; for several, use jax.vmap.")
+    return array
+
+
 def _inputs(model: CompiledModel) -> Callable[..., Any]:
     """The values of inputs' expressions at a time and parameters."""
-    import jax
-    from jax.custom_derivatives import SymbolicZero
-
-    n_r = model.n_r
 
     def evaluate(t: Any, p: Any) -> Floats:
         return model.default_inputs(float(t), np.asarray(p))
@@ -216,26 +216,43 @@ def _inputs(model: CompiledModel) -> Callable[..., Any]:
     def by_time(t: Any, p: Any) -> Floats:
         return _difference(lambda time: evaluate(time, p), float(t))
 
-    def by_parameters(t: Any, p: Any) -> Floats:
-        return model.default_input_sensitivity(float(t), np.asarray(p))
+    def differentiate(t: Any, p: Any) -> tuple[Floats, ...]:
+        return (model.default_input_sensitivity(float(t), np.asarray(p)),)
 
-    def call(t: Any, p: Any) -> Any:
-        return jax.pure_callback(evaluate, jax.ShapeDtypeStruct((n_r,), float), t, p, vmap_method="sequential")
+    return _function(evaluate, by_time, differentiate, model.n_r, (model.n_p,), "sequential")
 
-    inputs = jax.custom_jvp(call)
+
+def _function(
+    evaluate: Callable[..., Floats],
+    by_time: Callable[..., Floats],
+    differentiate: Callable[..., tuple[Floats, ...]],
+    n: int,
+    widths: Sequence[int],
+    vmap_method: str,
+) -> Callable[..., Any]:
+    """A function of time and vectors of these widths, of n values, with its derivatives."""
+    import jax
+    from jax.custom_derivatives import SymbolicZero
+
+    shape = jax.ShapeDtypeStruct((n,), float)
+    shapes = tuple(jax.ShapeDtypeStruct((n, width), float) for width in widths)
+
+    def call(*arguments: Any) -> Any:
+        return jax.pure_callback(evaluate, shape, *arguments, vmap_method=vmap_method)
+
+    function = jax.custom_jvp(call)
 
     def jvp(primals: Any, tangents: Any) -> Any:
-        rate, change = jax.numpy.zeros(n_r), tangents[1]
-        if not isinstance(tangents[0], SymbolicZero):
-            shape = jax.ShapeDtypeStruct((n_r,), float)
-            rate = tangents[0] * _called(by_time, shape, "sequential")(*primals)
-        if not isinstance(change, SymbolicZero):
-            shape = jax.ShapeDtypeStruct((n_r, model.n_p), float)
-            rate += _called(by_parameters, shape, "sequential")(*primals) @ change
-        return inputs(*primals), rate
+        rate, (of_time, *others) = jax.numpy.zeros(n), tangents
+        if not isinstance(of_time, SymbolicZero):
+            rate += of_time * _called(by_time, shape, vmap_method)(*primals)
+        if not all(isinstance(change, SymbolicZero) for change in others):
+            for matrix, change in zip(_called(differentiate, shapes, vmap_method)(*primals), others, strict=True):
+                rate += 0.0 if isinstance(change, SymbolicZero) else matrix @ change
+        return function(*primals), rate
 
-    inputs.defjvp(jvp, symbolic_zeros=True)
-    return inputs  # type: ignore[no-any-return]
+    function.defjvp(jvp, symbolic_zeros=True)
+    return function  # type: ignore[no-any-return]
 
 
 def _called(function: Callable[..., Any], shapes: Any, vmap_method: str) -> Callable[..., Any]:
@@ -261,9 +278,6 @@ def _difference(function: Callable[[Any], Floats], t: Any) -> Floats:
 
 
 def _rhs(model: CompiledModel) -> Callable[..., Any]:
-    import jax
-    from jax.custom_derivatives import SymbolicZero
-
     n_x, n_p, n_r = model.n_x, model.n_p, model.n_r
 
     def columns(t: Any, x: Any, p: Any, r: Any) -> tuple[Any, ...]:
@@ -287,24 +301,7 @@ def _rhs(model: CompiledModel) -> Callable[..., Any]:
         rates = _difference(lambda time: model.rhs_batch(time, *flat), times)
         return np.ascontiguousarray(rates.T).reshape(*shape, n_x)
 
-    def call(t: Any, x: Any, p: Any, r: Any) -> Any:
-        shape = jax.ShapeDtypeStruct((n_x,), float)
-        return jax.pure_callback(evaluate, shape, t, x, p, r, vmap_method="broadcast_all")
-
-    rhs = jax.custom_jvp(call)
-
-    def jvp(primals: Any, tangents: Any) -> Any:
-        shapes = [jax.ShapeDtypeStruct((n_x, n), float) for n in (n_x, n_p, n_r)]
-        matrices = _called(differentiate, tuple(shapes), "broadcast_all")(*primals)
-        pairs = zip(matrices, tangents[1:], strict=True)
-        rate = sum((a @ part for a, part in pairs if not isinstance(part, SymbolicZero)), start=jax.numpy.zeros(n_x))
-        if not isinstance(tangents[0], SymbolicZero):
-            shape = jax.ShapeDtypeStruct((n_x,), float)
-            rate += tangents[0] * _called(by_time, shape, "broadcast_all")(*primals)
-        return rhs(*primals), rate
-
-    rhs.defjvp(jvp, symbolic_zeros=True)
-    return rhs  # type: ignore[no-any-return]
+    return _function(evaluate, by_time, differentiate, n_x, (n_x, n_p, n_r), "broadcast_all")
 
 
 @dataclass(frozen=True)
@@ -336,11 +333,8 @@ class _Simulation:
         names = tuple(named(dict.fromkeys(outputs), model.outputs, "output"))
         tables = tuple(name for name, source in sources.items() if isinstance(source, tuple))
         q, u, z = independent_states(model)
-        if guess is not None:
-            dependent = model.coordinates[len(q) :]
-            known = {**dict.fromkeys(dependent, 0.0), **model.manifest["initial"]}
-            guess = named_array(guess, dependent, known, "dependent coordinate")
-        return cls(model, t_span, t_eval, guess, sources, tables, (*q, *u, *z), names, how)
+        start = None if guess is None else dependent_guess(model, guess)
+        return cls(model, t_span, t_eval, start, sources, tables, (*q, *u, *z), names, how)
 
     def function(self, *, forward: bool) -> Callable[..., dict[str, Any]]:
         import jax

@@ -502,8 +502,9 @@ class _Problem:
 
     def _have_no_effect(self, unknowns: Floats, residuals: Floats, jacobian: Floats) -> NDArray[np.bool_]:
         """Which unknowns have derivatives that are rounding errors: all of their value changes nothing."""
-        size = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
-        change = size * np.maximum(np.maximum(np.abs(unknowns), np.abs(self.guess)), self.natural)
+        change = np.linalg.norm(jacobian, axis=0) * np.maximum(
+            np.maximum(np.abs(unknowns), np.abs(self.guess)), self.natural
+        )
         found: NDArray[np.bool_] = change <= ROUNDING * np.linalg.norm(residuals + self.weighted)
         return found
 
@@ -678,7 +679,7 @@ def _covariance(
     """
     residuals, jacobian = problem.simulated(estimate)
     m, n = jacobian.shape
-    size = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
+    size = np.linalg.norm(jacobian, axis=0)
     scale = np.where(size > 0.0, size, 1.0)
     _, singular, directions = np.linalg.svd(jacobian / scale, full_matrices=False)
     known = singular > UNDETERMINED * singular.max(initial=0.0)

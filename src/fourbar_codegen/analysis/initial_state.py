@@ -159,9 +159,14 @@ def _given(
         )
     q_i = named_array(coordinates, model.coordinates[:n_qi], initial, "independent coordinate")
     u_i = named_array(speeds, model.speeds[:n_ui], initial, "independent speed")
-    dependent = model.coordinates[n_qi:]
-    start = named_array(guess, dependent, {**dict.fromkeys(dependent, 0.0), **initial}, "dependent coordinate")
-    return Loops(model, t, q_i, p, inputs_at(model, t, p, inputs)), u_i, start
+    return Loops(model, t, q_i, p, inputs_at(model, t, p, inputs)), u_i, dependent_guess(model, guess)
+
+
+def dependent_guess(model: Kernel, guess: Values | None) -> Floats:
+    """Starting values of the dependent coordinates, from those given, of the model, or 0."""
+    dependent = model.coordinates[model.n_q - model.manifest["n_dependent_coordinates"] :]
+    known = {**dict.fromkeys(dependent, 0.0), **model.manifest["initial"]}
+    return named_array(guess, dependent, known, "dependent coordinate")
 
 
 def _limits(bounds: Mapping[Any, tuple[float, float]] | None, names: Sequence[str]) -> tuple[Floats, Floats] | None:

@@ -112,44 +112,46 @@ def _jumps_at(e: Equations, boundary: Scalar, rows: Sequence[Scalar], parameters
     for attempt in range(ATTEMPTS):
         known = {leaf: parameters[leaf] if leaf in parameters else generator.uniform(0.5, 1.5) for leaf in e.parameters}
         sizes = [10.0 ** generator.uniform(-ORDERS, ORDERS) if attempt % 2 else 1.0 for _ in leaves]
-        line = [
-            (leaf, size * generator.uniform(-1.0, 1.0), size * generator.uniform(-1.0, 1.0))
+        line = {
+            leaf: (size * generator.uniform(-1.0, 1.0), size * generator.uniform(-1.0, 1.0))
             for leaf, size in zip(leaves, sizes, strict=True)
-        ]
-
-        def values(
-            share: float,
-            of: Sequence[Scalar],
-            known: Mapping[Scalar, float] = known,
-            line: Sequence[tuple[Scalar, float, float]] = line,
-        ) -> list[float]:
-            return tape.evaluate(of, {leaf: known.get(leaf, start + share * way) for leaf, start, way in line})
-
-        def is_positive(share: float) -> bool | None:
-            try:
-                return values(share, [boundary])[0] > 0.0
-            except (ArithmeticError, ValueError, TypeError):  # there it has no value
-                return None
-
-        ends = _switch({share: is_positive(share) for share in DISTANCES})
+        }
+        line |= {leaf: (value, 0.0) for leaf, value in known.items()}
+        ends = _switch({share: _is_positive(boundary, line, share) for share in DISTANCES})
         if ends is None:
             continue
         low, high = ends
-        before = is_positive(low)
+        before = _is_positive(boundary, line, low)
         for _ in range(HALVINGS):
             middle = (low + high) / 2.0
-            low, high = (middle, high) if is_positive(middle) == before else (low, middle)
+            low, high = (middle, high) if _is_positive(boundary, line, middle) == before else (low, middle)
         far = max(abs(low), abs(high))
         places = (ends[0], low - NEXT * far, low - NEAR * far, high + NEAR * far, high + NEXT * far, ends[1])
-        try:
-            of_all = [values(share, rows) for share in places]
-        except (ArithmeticError, ValueError, TypeError):
+        of_all = [_values(rows, line, share) for share in places]
+        if None in of_all:
             continue
-        for first, earlier, last, then, later, end in zip(*of_all, strict=True):
+        for first, earlier, last, then, later, end in zip(*filter(None, of_all), strict=True):
             steady = STEADY * (abs(last - earlier) + abs(later - then))
             if abs(then - last) > steady + ROUNDING * max(map(abs, (first, earlier, last, then, later, end))):
                 return True
     return False
+
+
+Line = Mapping[Scalar, tuple[float, float]]
+"""For each leaf its value at the origin of a line, and its change along it."""
+
+
+def _values(scalars: Sequence[Scalar], line: Line, share: float) -> list[float] | None:
+    """Values at a place of a line, or None where they have none."""
+    try:
+        return scalars[0].tape.evaluate(scalars, {leaf: start + share * way for leaf, (start, way) in line.items()})
+    except (ArithmeticError, ValueError, TypeError):
+        return None
+
+
+def _is_positive(boundary: Scalar, line: Line, share: float) -> bool | None:
+    values = _values([boundary], line, share)
+    return None if values is None else values[0] > 0.0
 
 
 def _switch(signs: Mapping[float, bool | None]) -> tuple[float, float] | None:

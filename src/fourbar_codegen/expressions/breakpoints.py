@@ -51,7 +51,7 @@ def breakpoints(tape: Tape, time: Scalar, scalars: Iterable[Scalar]) -> tuple[li
     >>> sorted(tape.evaluate(found, {leaves[end]: 3.0})), is_complete
     ([1.0, 3.0], True)
     """
-    derivative = _along(tape, time)
+    derivative = Jvp(tape, {time: tape.one})
     times: dict[Scalar, None] = {}
     is_complete = True
     for node in tape.reach(scalars):
@@ -81,12 +81,8 @@ def sides(function: sm.Expr) -> Iterator[sm.Expr]:
 
 def are_known(tape: Tape, time: Scalar, boundary: Scalar) -> bool:
     """Whether a scalar changes sign at times that can be derived from parameters."""
-    parts = _alternatives(tape, time, boundary)
-    return all(_is_prescribed(part) and _roots(tape, time, part, _along(tape, time)) is not None for part in parts)
-
-
-def _along(tape: Tape, time: Scalar) -> Jvp:
-    return Jvp(tape, {time: tape.one})
+    parts, derivative = _alternatives(tape, time, boundary), Jvp(tape, {time: tape.one})
+    return all(_is_prescribed(part) and _roots(tape, time, part, derivative) is not None for part in parts)
 
 
 def _alternatives(tape: Tape, time: Scalar, scalar: Scalar) -> list[Scalar]:

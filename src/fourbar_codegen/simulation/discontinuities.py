@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -325,7 +324,7 @@ class Pieces:
     span : (float, float)
     later : list of Discontinuity
         The discontinuities in the span, at least one.
-    varied : mapping of str to Ode, optional
+    varied : mapping of str to Ode
         For parameters with respect to which the run is differentiated, the right-hand side with another value.
 
     Attributes
@@ -340,7 +339,7 @@ class Pieces:
         ode: Ode,
         span: tuple[float, float],
         later: list[Discontinuity],
-        varied: Mapping[str, Ode] = MappingProxyType({}),
+        varied: Mapping[str, Ode],
     ) -> None:
         self._ode, self._span, self._varied = ode, span, varied
         self.unknown: set[str] = set()

@@ -73,14 +73,7 @@ def simulate(model: Kernel, options: RunOptions, directions: Directions | None =
 
 
 def _check_differentiable(model: Kernel, options: RunOptions) -> None:
-    given = {name_of(key) for key in options.inputs or ()}
-    p, defaults = options.parameters, parameter_array(model, None)
-    has_others = p is not None and not np.array_equal(p, defaults, equal_nan=True)
-    functions = [
-        entry["function"]
-        for entry in model.manifest["jumps"]
-        if entry["input"] not in given and (entry["by_default"] or has_others)
-    ]
+    functions = _jumping(model, options) if model.manifest["jumps"] else []
     if functions:
         warnings.warn(
             f"The equations of {model.name} jump at times that are not known beforehand ({'; '.join(functions)}). If "
@@ -94,6 +87,18 @@ def _check_differentiable(model: Kernel, options: RunOptions) -> None:
     for key, source in (options.inputs or {}).items():
         if callable(source):
             raise ModelError(f"Input {name_of(key)} is a callable, whose derivatives are not known: use a table.")
+
+
+def _jumping(model: Kernel, options: RunOptions) -> list[str]:
+    """The functions at which the equations may jump with these parameters and inputs."""
+    given = {name_of(key) for key in options.inputs or ()}
+    p, defaults = options.parameters, parameter_array(model, None)
+    has_others = p is not None and not np.array_equal(p, defaults, equal_nan=True)
+    return [
+        entry["function"]
+        for entry in model.manifest["jumps"]
+        if entry["input"] not in given and (entry["by_default"] or has_others)
+    ]
 
 
 def _directions(model: Kernel, options: RunOptions, state: Floats) -> Directions:

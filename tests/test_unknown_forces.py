@@ -503,3 +503,120 @@ def test_a_ball_that_slides_on_a_spinning_disc():
 def test_symbrims_tyres_with_normal_forces(name):
     case = next(case for case in LONG if case.name == name)
     assert run(case).disagreement(case) == ""
+
+
+def elbow(kind, *, opposite=False, friction=False):
+    """A double pendulum of particles, absolute angles; the joint between the rods is opened by auxiliary speeds."""
+    q1, q2, u1, u2, ax, ay, fx, fy = me.dynamicsymbols("q1 q2 u1 u2 ax ay fx fy")
+    ground, upper, lower = (me.ReferenceFrame(name) for name in "NAB")
+    upper.orient_axis(ground, ground.z, q1)
+    lower.orient_axis(ground, ground.z, q2)
+    upper.set_ang_vel(ground, u1 * ground.z)
+    lower.set_ang_vel(ground, u2 * ground.z)
+    origin, bob, pivot, end = (me.Point(name) for name in ("O", "P1", "P", "P2"))
+    origin.set_vel(ground, 0)
+    bob.set_pos(origin, -L * upper.y)
+    bob.v2pt_theory(origin, ground, upper)
+    pivot.set_pos(origin, -L * upper.y)
+    pivot.set_vel(ground, bob.vel(ground) + ax * ground.x + ay * ground.y)
+    end.set_pos(pivot, -L * lower.y)
+    end.v2pt_theory(pivot, ground, lower)
+    force = fx * ground.x + fy * ground.y
+    loads = [(bob, -M * G * ground.y), (end, -M * G * ground.y), (pivot, force)]
+    loads += [(bob, -force)] if opposite else []
+    if friction:
+        torque = -MU * sm.sqrt(fx**2 + fy**2) * sm.tanh(10 * (u2 - u1)) * ground.z
+        loads += [(lower, torque), (upper, -torque)]
+    bodies, kdes = [me.Particle("b1", bob, M), me.Particle("b2", end, M)], [u1 - q1.diff(T), u2 - q2.diff(T)]
+    if kind == "KanesMethod":
+        system = me.KanesMethod(
+            ground, [q1, q2], [u1, u2], kd_eqs=kdes, u_auxiliary=[ax, ay], bodies=bodies, forcelist=loads
+        )
+    else:
+        system = System(ground, origin)
+        system.add_bodies(*bodies)
+        system.add_loads(*loads)
+        system.add_coordinates(q1, q2)
+        system.add_speeds(u1, u2)
+        system.add_auxiliary_speeds(ax, ay)
+        system.add_kdes(*kdes)
+    values = {M: 1.0, L: 1.0, G: 9.81} | ({MU: 0.2} if friction else {})
+    return system, values, {q1: 1.0, q2: 0.5, u1: 0.0, u2: 0.0}, "elbow"
+
+
+def elbows_rates(state, mu=0.0):
+    """x' and the force on the lower rod, from Newton's and Euler's laws for each rod."""
+    q, u = np.array(state[:2]), np.array(state[2:])
+    s, c = np.sin(q), np.cos(q)
+
+    def left(turns, force, torque):
+        (x1, x2), (y1, y2) = np.cumsum(c * turns - s * u**2), np.cumsum(s * turns + c * u**2)
+        return np.array([
+            x2 - force[0],
+            y2 + 9.81 - force[1],
+            c[1] * x2 + s[1] * (y2 + 9.81) - torque,
+            c[0] * (x1 + force[0]) + s[0] * (y1 + 9.81 + force[1]) + torque,
+        ])  # fmt: skip
+
+    force = np.zeros(2)
+    for _ in range(100):  # a contraction, since the friction is weak
+        torque = -mu * np.hypot(*force) * np.tanh(10 * (u[1] - u[0]))
+        rest = left(np.zeros(2), np.zeros(2), torque)
+        matrix = np.transpose([left(e[:2], e[2:], torque) - rest for e in np.eye(4)])
+        solution = np.linalg.solve(matrix, -rest)
+        force = solution[2:]
+    return [*u, *solution[:2]], force
+
+
+@pytest.mark.parametrize(("kind", "reactions"), [("System", ["fx", "fy"]), ("KanesMethod", "all")])
+def test_a_joint_force_on_one_body_is_a_reaction_if_named(kind, reactions):
+    made = elbow(kind)
+    with pytest.warns(fb.ModelWarning, match=r"fx, fy \(force at point P\).*reactions=\['fx', 'fy'\]"):
+        driven = compiled(made)
+    run = driven.simulate((0.0, 2.0), rtol=1e-11, atol=1e-11)
+    assert run["q2"][-1] == pytest.approx(-2.2268685, abs=1e-7)
+    joined = compiled(made, reactions=reactions)
+    run = joined.simulate((0.0, 2.0), rtol=1e-11, atol=1e-11)
+    assert run["q2"][-1] == pytest.approx(0.0521971909, abs=1e-9)
+    np.testing.assert_allclose(run["energy"], run["energy"][0], rtol=1e-10)
+    for state in run.y.T[:: run.t.size // 5]:
+        rates, force = elbows_rates(state)
+        np.testing.assert_allclose(joined.rhs(0.0, state), rates, rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(joined.output(0.0, state), force, rtol=1e-12, atol=1e-12)
+
+
+def test_a_joint_force_on_both_bodies_needs_no_name():
+    state = [1.0, 0.5, 0.3, -0.7]
+    model = compiled(elbow("System", opposite=True))
+    rates, force = elbows_rates(state)
+    np.testing.assert_allclose(model.rhs(0.0, state), rates, rtol=1e-12)
+    np.testing.assert_allclose(model.output(0.0, state), force, rtol=1e-12)
+    named = fb.compile_model(model_of(elbow("System", opposite=True), reactions="all"))
+    np.testing.assert_allclose(named.rhs(0.0, state), rates, rtol=1e-9)
+
+
+def test_friction_in_a_joint_by_its_reaction():
+    """The joint force is named, so the torque that depends on it is all that drives the motion."""
+    made = elbow("System", friction=True)
+    f, g = me.dynamicsymbols("fx fy")
+    model = compiled(made, reactions=[f, g])
+    for state in ([1.0, 0.5, 0.3, -0.7], [2.0, -0.5, 1.3, 0.4]):
+        rates, force = elbows_rates(state, mu=0.2)
+        np.testing.assert_allclose(model.rhs(0.0, state), rates, rtol=1e-12)
+        np.testing.assert_allclose(model.output(0.0, state), force, rtol=1e-12)
+
+
+def test_reactions_that_are_none():
+    made = elbow("System")
+    compiled(made, reactions=[])  # says that they drive the motion, without a warning
+    for reactions in (["fz"], [me.dynamicsymbols("q1")], [3], "fx", 3):
+        with pytest.raises(fb.ModelError, match="reactions="):
+            model_of(made, reactions=reactions)
+    system, values, initial, name = box(lambda n, u: -MU * n)
+    with pytest.raises(fb.ModelError, match="unknown forces along auxiliary speeds: N"):
+        fb.Model(system, name=name, parameters=values, initial=initial, reactions=["mu"])
+    with pytest.raises(fb.ModelError, match="the model has none"):
+        fb.Model(system, parameters=values, initial=initial, inputs={"N": 0}, reactions=["N"])
+    system.loads = [me.Force(system.bodies[0].masscenter, MU * me.dynamicsymbols("N") * system.frame.y)]
+    with pytest.raises(fb.ModelError, match=r"N in reactions= acts along no auxiliary speed: .* in laws only"):
+        fb.generate_sources(fb.Model(system, parameters=values, initial=initial, reactions=["N"], extra="ignore"))

@@ -26,7 +26,7 @@ manifest = (
     '{\n'
     '  "format": 18,\n'
     '  "name": "four_bar",\n'
-    '  "fingerprint": "c41b4c347f2327ba5577ed82f4166042c8256765b5e7c096e60e2b9ead81fb68",\n'
+    '  "fingerprint": "418c24a8b65509184aa6a7fb16a910a599e907b1f49a0925977fb21290e5df2f",\n'
     '  "coordinates": [\n'
     '    "q1",\n'
     '    "q2",\n'

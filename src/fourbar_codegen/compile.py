@@ -194,6 +194,7 @@ def _described(model: Model) -> tuple[object, ...]:
         model.input_expressions,
         model.derived_parameters,
         model.initial,
+        model.reactions,
         model.potential_energy,
         model.output_expressions,
         model.state_equations,

@@ -33,7 +33,11 @@ from fourbar_codegen.dynamics.kinematics import Kinematics
 from fourbar_codegen.dynamics.picture import Picture, applied_forces, find_picture
 from fourbar_codegen.dynamics.random_states import RandomStates, closed_states
 from fourbar_codegen.dynamics.recursion import Recursion, form_recursion
-from fourbar_codegen.dynamics.unknown_forces import form_generalized_forces, form_unknown_forces
+from fourbar_codegen.dynamics.unknown_forces import (
+    find_forces_at_moving_points,
+    form_generalized_forces,
+    form_unknown_forces,
+)
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.expressions.breakpoints import breakpoints
 from fourbar_codegen.expressions.convert import Conversion, substitute
@@ -251,7 +255,8 @@ def form_equations(model: Model) -> Equations:
     if v.aux:
         convert_virtual = Conversion(tape, {**leaves, **dict(zip(mechanism.auxiliary_speeds, v.aux, strict=True))})
         virtual = Kinematics(tape, mechanism, convert_virtual, rate)
-    kane = Kane(tape, kinematics, virtual, v.u, v.aux, rate)
+    reactions = [leaf for f, leaf in zip(model.noncontributing, v.unknown, strict=True) if f in (model.reactions or ())]
+    kane = Kane(tape, kinematics, virtual, v.u, v.aux, rate, reactions)
     kane.use_poisson_rates([rate, total_rate])
     mass_matrix = kane.mass_matrix()
     # f, and f - M u' with the rows of the auxiliary speeds last.
@@ -276,11 +281,11 @@ def form_equations(model: Model) -> Equations:
     constraints = form_constraints(tape, mechanism, convert, convert_virtual, v.q, v.u, v.aux, rate, formed)
     lam = tuple(tape.leaf("l", number) for number in range(len(constraints.velocities)))
     # f - M u' + J^T lambda; and -(J u' + gamma), the rate of the constraints for given u'.
-    reactions = vjp(tape, list(zip(constraints.virtual_velocities, lam, strict=True)), (*v.u, *v.aux))
-    dynamic = [row + reaction for row, reaction in zip(balance[: len(v.u)], reactions, strict=False)]
+    of_constraints = vjp(tape, list(zip(constraints.virtual_velocities, lam, strict=True)), (*v.u, *v.aux))
+    dynamic = [row + reaction for row, reaction in zip(balance[: len(v.u)], of_constraints, strict=False)]
     kinematic = [-total_rate(expr) for expr in constraints.velocities]
 
-    forces = form_unknown_forces(tape, model, v.unknown, v.a, constraints, generalized, reactions)
+    forces = form_unknown_forces(tape, model, v.unknown, v.a, constraints, generalized, of_constraints)
     # From here on, unknown forces that do not drive the motion are replaced by their solution.
     leaves.update(zip(model.noncontributing, forces.values, strict=False))
     dynamic = [row + force for row, force in zip(dynamic, forces.effect, strict=True)]
@@ -311,6 +316,8 @@ def form_equations(model: Model) -> Equations:
     warnings = find_contradictions(
         kinematics, constraints, rate, total_rate, with_rates, v.u, v.a, values, not_orthonormal
     )
+    if model.reactions is None and v.unknown:
+        warnings += find_forces_at_moving_points(kane, model, rate, v.unknown, constraints, states)
     n_q, n_u, n_n = len(v.q), len(v.u), len(forces.driving)
     picture = find_picture(mechanism, kinematics)
     points = picture.positions

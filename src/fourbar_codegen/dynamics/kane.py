@@ -18,6 +18,7 @@ from fourbar_codegen.dynamics.kinematics import (
     Kinematics,
     Rotation,
     Vector,
+    add,
     cross,
     differentiate,
     dot,
@@ -26,12 +27,14 @@ from fourbar_codegen.dynamics.kinematics import (
     negative,
     scale,
 )
+from fourbar_codegen.errors import ModelError
+from fourbar_codegen.expressions.convert import substitute
 from fourbar_codegen.expressions.derivatives import Jvp, vjp
 from fourbar_codegen.expressions.identities import is_zero
-from fourbar_codegen.expressions.tape import Scalar, Tape
+from fourbar_codegen.expressions.tape import Leaf, Scalar, Tape
 from fourbar_codegen.modeling.mechanism import Body, Load, Mechanism
 
-__all__ = ["Kane", "loads_power"]
+__all__ = ["AppliedLoad", "Kane", "loads_power", "projection"]
 
 MIN_COMPOSITE = 8
 """If the largest composite has this many bodies, composites take fewer operations than the sum over bodies; with fewer
@@ -56,6 +59,23 @@ class _Inertia:
     momentum: Components
 
 
+@dataclass(frozen=True)
+class AppliedLoad:
+    """A load on the tape.
+
+    Attributes
+    ----------
+    load : Load
+    vector : Vector
+    in_motion : Vector
+        Without reactions, which stand in the rows of the auxiliary speeds alone.
+    """
+
+    load: Load
+    vector: Vector
+    in_motion: Vector
+
+
 class Kane:
     """The kinetics of a mechanism on a tape.
 
@@ -68,6 +88,8 @@ class Kane:
         The leaves of the generalized speeds, and of the auxiliary ones.
     rate : Jvp
         Differentiation with respect to time, with u' = 0.
+    reactions : sequence of Scalar, optional
+        The leaves of forces that act between the two bodies of a joint.
     """
 
     def __init__(
@@ -78,6 +100,7 @@ class Kane:
         speeds: Sequence[Scalar],
         auxiliary: Sequence[Scalar],
         rate: Jvp,
+        reactions: Sequence[Scalar] = (),
     ) -> None:
         self.tape = tape
         self.kinematics = kinematics
@@ -88,6 +111,26 @@ class Kane:
         self.rate = rate
         self._masses = [kinematics.convert(body.mass) for body in self.mechanism.bodies]
         self._inertias = [self._inertia(body) for body in self.mechanism.bodies]
+        self._reactions = tuple(reactions)
+
+    @functools.cached_property
+    def _directions(self) -> dict[Scalar, dict[str, list[Components]]]:
+        """Of the reactions."""
+        directions = {force: self.auxiliary_directions(force) for force in self._reactions}
+        for force, of_kinds in directions.items():
+            if not any(of_kinds.values()):
+                leaf = self.tape.nodes[force.node]
+                assert isinstance(leaf, Leaf)
+                raise ModelError(
+                    f"{leaf.name} in reactions= acts along no auxiliary speed: the loads contain it in laws only, such "
+                    "as friction, or at points that auxiliary speeds do not move."
+                )
+        return directions
+
+    @functools.cached_property
+    def loads(self) -> tuple[AppliedLoad, ...]:
+        """The mechanism's loads."""
+        return tuple(map(self._applied, self.mechanism.loads))
 
     def use_poisson_rates(self, rates: Iterable[Jvp]) -> None:
         """Let derivatives with respect to time take the rates of direction cosines from the angular velocities.
@@ -167,7 +210,7 @@ class Kane:
         return {pair: known.get(pair) or self.tape.sum(entry) for pair, entry in terms.items()}
 
     def generalized_forces(
-        self, rate: Jvp, loads: Sequence[Load] | None = None, *, inertia: bool = True, local: bool = False
+        self, rate: Jvp, loads: Sequence[AppliedLoad] | None = None, *, inertia: bool = True, local: bool = False
     ) -> list[Scalar]:
         """Generalized active and inertia forces, shape (n_u + n_aux,): f, or f - M u' for given u'.
 
@@ -178,7 +221,7 @@ class Kane:
         ----------
         rate : Jvp
             Differentiation with respect to time: with u' = 0, or given u'.
-        loads : sequence of Load, optional
+        loads : sequence of AppliedLoad, optional
             All of the mechanism's by default.
         inertia : bool, optional
             Whether to include the inertia forces.
@@ -190,12 +233,20 @@ class Kane:
         the chains inwards, as by Luh, Walker and Paul, "On-line computational scheme for mechanical
         manipulators", *J. Dynamic Systems, Measurement, and Control* 102 (1980).
         """
+        loads = self.loads if loads is None else loads
+        rows = self._rows(rate, [(applied.load, applied.vector) for applied in loads], inertia, local)
+        if any(applied.in_motion is not applied.vector for applied in loads):
+            moving = self._rows(rate, [(applied.load, applied.in_motion) for applied in loads], inertia, local)
+            rows[: len(self.speeds)] = moving[: len(self.speeds)]
+        return rows
+
+    def _rows(self, rate: Jvp, loads: Sequence[tuple[Load, Vector]], inertia: bool, local: bool) -> list[Scalar]:
+        """The rows of all speeds for loads with given vectors."""
         kinematics, virtual = self.kinematics, self.virtual
         express = kinematics.express_stepwise if local else kinematics.express
         forces: list[list[tuple[int, Components]]] = [[] for _ in self.mechanism.points]
         projections: list[tuple[Scalar, Scalar]] = []  # velocities, and forces along them
-        for load in self.mechanism.loads if loads is None else loads:
-            vector = kinematics.vector(load.vector)
+        for load, vector in loads:
             if load.kind == "force":
                 forces[load.target] += vector
             else:
@@ -227,7 +278,78 @@ class Kane:
                 projections += zip(components, express(total, frame), strict=True)
         return vjp(self.tape, projections, (*self.speeds, *self.auxiliary))
 
-    def power(self, loads: Sequence[Load] | None = None) -> Scalar:
+    def direction(self, vector: Vector, force: Scalar) -> Vector:
+        """The vector e of a load's term n e in an unknown force n, with e a function of position and time alone.
+
+        Laws of the force have none, such as friction mu n, or |n|.
+        """
+        slope = Jvp(self.tape, {force: self.tape.one})
+
+        def entry(component: Scalar) -> Scalar:
+            rate = slope(component)
+            operations = [self.tape.nodes[node] for node in self.tape.reach([rate])]
+            is_law = any(isinstance(leaf, Leaf) and leaf.kind not in ("t", "q") for leaf in operations)
+            return self.tape.zero if is_law else rate
+
+        return merged([(frame, differentiate(entry, components)) for frame, components in merged(vector)])
+
+    def auxiliary_directions(self, force: Scalar) -> dict[str, list[Components]]:
+        """Where auxiliary speeds move the points that an unknown force acts on, or turn the frames.
+
+        Parameters
+        ----------
+        force : Scalar
+            The leaf of the unknown force.
+
+        Returns
+        -------
+        dict of str to list of Components
+            For the kinds of loads, orthogonal vectors along inertial axes; they span the partial velocities.
+        """
+        virtual, tape = self.virtual, self.tape
+        directions: dict[str, list[Components]] = {"force": [], "torque": []}
+        for load in self.mechanism.loads:
+            if not self.direction(self.kinematics.vector(load.vector), force):
+                continue
+            velocity = (
+                virtual.velocity(load.target)
+                if load.kind == "force"
+                else ((load.target, virtual.angular_velocity(load.target)),)
+            )
+            rows = [vjp(tape, [(v, tape.one)], self.auxiliary) for v in virtual.express(velocity, INERTIAL)]
+            for x, y, z in zip(*rows, strict=True):
+                # Gram and Schmidt.
+                rest = add((x, y, z), negative(projection((x, y, z), directions[load.kind])))
+                if not all(is_zero(tape, rest)):
+                    directions[load.kind].append(rest)
+        return directions
+
+    def _applied(self, load: Load) -> AppliedLoad:
+        vector = in_motion = self.kinematics.vector(load.vector)
+        for force, directions in self._directions.items():
+            in_motion = self._without_reaction(in_motion, force, directions[load.kind])
+        return AppliedLoad(load, vector, in_motion)
+
+    def _without_reaction(self, vector: Vector, force: Scalar, directions: Sequence[Components]) -> Vector:
+        """A load without the part of its term n e that acts along given directions."""
+        tape, kinematics = self.tape, self.kinematics
+        direction = dict(self.direction(vector, force))
+        if not direction:
+            return vector
+        whole = kinematics.express(tuple(direction.items()), INERTIAL)
+        across = add(whole, negative(projection(whole, directions)))
+        x, y, z = (
+            tape.zero if zero else force * entry for entry, zero in zip(across, is_zero(tape, across), strict=True)
+        )
+        left = [(INERTIAL, (x, y, z))]
+        for frame, components in merged(vector):
+            slopes = direction.get(frame, (tape.zero,) * 3)
+            without = substitute(tape, components, {force: tape.zero}) if any(slopes) else components
+            x, y, z = (w if s else c for c, w, s in zip(components, without, slopes, strict=True))
+            left.append((frame, (x, y, z)))
+        return merged(left)
+
+    def power(self, loads: Sequence[AppliedLoad] | None = None) -> Scalar:
         """The sum of F . v + T . w over all or some loads; NaN if the kinetic energy also changes otherwise.
 
         This is the case if a mass varies, an angular velocity does not follow from the frame's orientation, or a
@@ -238,7 +360,8 @@ class Kane:
         is_consistent = len(kinematics.turning_as_oriented) == len(self.mechanism.frames)
         if not (within and is_consistent) or any(map(self.rate, self._masses)):
             return self.tape.number(float("nan"))
-        return loads_power(kinematics, self.mechanism.loads if loads is None else loads)
+        pairs = [(applied.load, applied.vector) for applied in (self.loads if loads is None else loads)]
+        return loads_power(kinematics, pairs)
 
     def kinetic_energy(self) -> Scalar:
         """The sum of m v.v / 2 + w.I.w / 2 over the bodies."""
@@ -298,17 +421,22 @@ class Kane:
         return _Inertia(body.inertia_frame, matrix, angular_velocity, multiply(matrix, angular_velocity))
 
 
-def loads_power(kinematics: Kinematics, loads: Sequence[Load]) -> Scalar:
-    """The sum of F . v + T . w over loads."""
+def loads_power(kinematics: Kinematics, loads: Iterable[tuple[Load, Vector]]) -> Scalar:
+    """The sum of F . v + T . w over loads with their vectors."""
     terms = []
-    for load in loads:
-        vector = kinematics.vector(load.vector)
+    for load, vector in loads:
         if load.kind == "force":
             terms.append(kinematics.dot(vector, kinematics.velocity(load.target)))
         else:
             torque = ((load.target, kinematics.express(vector, load.target)),)
             terms.append(kinematics.dot(torque, ((load.target, kinematics.angular_velocity(load.target)),)))
     return kinematics.tape.sum(terms)
+
+
+def projection(vector: Components, directions: Sequence[Components]) -> Components:
+    """The component of a vector in the space of orthogonal vectors, all in one frame."""
+    zero = vector[0].tape.zero
+    return add((zero,) * 3, *(scale(dot(vector, e) / dot(e, e), e) for e in directions))
 
 
 def _scaled(factor: Scalar, vector: Vector) -> Vector:

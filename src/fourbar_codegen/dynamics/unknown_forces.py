@@ -9,16 +9,18 @@ Source: T. R. Kane and D. A. Levinson, *Dynamics: Theory and Applications*, 1985
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import chain
+from itertools import chain, islice
 
+import numpy as np
 import sympy as sm
 from sympy.core.function import AppliedUndef
 
 from fourbar_codegen.dynamics.constraints import Constraints
-from fourbar_codegen.dynamics.kane import Kane, loads_power
-from fourbar_codegen.dynamics.kinematics import Kinematics
+from fourbar_codegen.dynamics.kane import AppliedLoad, Kane, loads_power, projection
+from fourbar_codegen.dynamics.kinematics import INERTIAL, Kinematics
+from fourbar_codegen.dynamics.random_states import RandomStates
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.expressions.convert import Conversion, substitute
 from fourbar_codegen.expressions.derivatives import Jvp, jacobian
@@ -31,10 +33,15 @@ from fourbar_codegen.modeling.model import Model
 __all__ = [
     "GeneralizedForces",
     "UnknownForces",
+    "find_forces_at_moving_points",
     "forces_along_auxiliary_speeds",
     "form_generalized_forces",
     "form_unknown_forces",
 ]
+
+STATES = 5
+ALIKE = 1e-6
+"""Components below this fraction of a vector are rounding errors."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +95,8 @@ def forces_along_auxiliary_speeds(mechanism: Mechanism, candidates: Sequence[sm.
     rates = {leaves[q]: leaves[q.diff(t)] for q in mechanism.coordinates}
     kinematics = Kinematics(tape, mechanism, Conversion(tape, leaves), Jvp(tape, {leaves[t]: tape.one, **rates}))
     auxiliary = [leaves[w] for w in mechanism.auxiliary_speeds if w in leaves]
-    [gradient] = jacobian(tape, [loads_power(kinematics, mechanism.loads)], auxiliary)
+    loads = ((load, kinematics.vector(load.vector)) for load in mechanism.loads)
+    [gradient] = jacobian(tape, [loads_power(kinematics, loads)], auxiliary)
     return tuple(f for f in candidates if tape.depends(gradient, [leaves[f]]))
 
 
@@ -131,7 +139,7 @@ def form_generalized_forces(kane: Kane, rate: Jvp, total_rate: Jvp, unknown: Seq
     unknown : sequence of Scalar
         The leaves of the unknown forces.
     """
-    tape, kinematics = kane.tape, kane.kinematics
+    tape = kane.tape
     rows, moving = kane.generalized_forces(rate), kane.generalized_forces(total_rate)
     if not unknown:
         return GeneralizedForces(tuple(rows), tuple(moving), (tape.zero,) * len(rows), kane.power(), True)
@@ -144,19 +152,85 @@ def form_generalized_forces(kane: Kane, rate: Jvp, total_rate: Jvp, unknown: Seq
         known, balance = substitute(tape, rows, none), substitute(tape, moving, none)
         [power] = substitute(tape, [kane.power()], none)
         return GeneralizedForces(tuple(known), tuple(balance), tuple(acting), power, True)
-    loads = kane.mechanism.loads
-    of_unknown = [
-        tape.depends([e for _, components in kinematics.vector(load.vector) for e in components], unknown)
-        for load in loads
-    ]
-    others = [load for load, depends in zip(loads, of_unknown, strict=True) if not depends]
-    those = [load for load, depends in zip(loads, of_unknown, strict=True) if depends]
+    of_unknown = [tape.depends([e for _, entries in load.vector for e in entries], unknown) for load in kane.loads]
+    others = [load for load, depends in zip(kane.loads, of_unknown, strict=True) if not depends]
+    those = [load for load, depends in zip(kane.loads, of_unknown, strict=True) if depends]
     return GeneralizedForces(
         tuple(kane.generalized_forces(rate, others)),
         tuple(kane.generalized_forces(total_rate, others)),
         tuple(kane.generalized_forces(rate, those, inertia=False)),
         kane.power(others),
         False,
+    )
+
+
+def find_forces_at_moving_points(
+    kane: Kane,
+    model: Model,
+    rate: Jvp,
+    unknown: Sequence[Scalar],
+    constraints: Constraints,
+    states: Callable[[Sequence[Scalar]], RandomStates],
+) -> tuple[str, ...]:
+    """Find unknown forces along directions in which their point moves without the auxiliary speeds, too.
+
+    Such a force may drive the motion. If it is meant as the force between the two bodies of a joint, the opposite force
+    on the other body is missing.
+
+    Parameters
+    ----------
+    kane : Kane
+    model : Model
+    rate : Jvp
+        Differentiation with respect to time, with u' = 0.
+    unknown : sequence of Scalar
+        The leaves of the unknown forces.
+    constraints : Constraints
+    states : callable
+        Random states, of the scalars to be evaluated there.
+
+    Returns
+    -------
+    tuple of str
+        A sentence if there are any.
+    """
+    tape, n_u, n_c = kane.tape, len(kane.speeds), len(constraints.jacobian)
+    columns, places = [], []
+    for force in unknown:
+        directions, loads = kane.auxiliary_directions(force), []
+        for applied in kane.loads:
+            direction = kane.kinematics.express(kane.direction(applied.vector, force), INERTIAL)
+            along = projection(direction, directions[applied.load.kind])
+            if not all(is_zero(tape, along)):
+                vector = ((INERTIAL, along),)
+                loads.append(AppliedLoad(applied.load, vector, vector))
+        columns.append(kane.generalized_forces(rate, loads, inertia=False)[:n_u])
+        places.append([applied.load.name for applied in loads])
+    moving = [number for number, column in enumerate(columns) if not all(is_zero(tape, column))]
+    if not moving:
+        return ()
+    scalars = [*chain.from_iterable(columns[number] for number in moving), *chain.from_iterable(constraints.jacobian)]
+    found: set[int] = set()
+    drawn = [*islice(states(scalars).closed(), STATES)]
+    for values in drawn:
+        rows, matrix = values[: n_u * len(moving)].reshape(-1, n_u), values[n_u * len(moving) :].reshape(n_c, n_u)
+        # What a constraint J u = 0 does not keep from moving: the part of the column orthogonal to the rows of J.
+        left = rows.T - matrix.T @ np.linalg.lstsq(matrix.T, rows.T, rcond=None)[0] if n_c else rows.T
+        sizes = np.linalg.norm(rows, axis=1)
+        found.update(np.flatnonzero(np.linalg.norm(left, axis=0) > ALIKE * sizes).tolist())
+    if not found and drawn:
+        return ()
+    those = [moving[number] for number in sorted(found)] or moving
+    names = [str(model.noncontributing[number].func) for number in those]
+    where = ", ".join(dict.fromkeys(chain.from_iterable(places[number] for number in those)))
+    return (
+        (
+            f"The unknown forces {', '.join(names)} ({where}) act along directions in which the motion itself moves "
+            "their point, too. They are taken for forces on this one body, which drive the motion. If they are the "
+            "forces between the two bodies of a joint, the opposite ones are missing: name them in "
+            f"Model(reactions={names!r}), so that they stand in the equations of the auxiliary speeds alone. If they "
+            "do drive the motion, Model(reactions=[]) says so."
+        ),
     )
 
 

@@ -199,6 +199,11 @@ class Model:
     initial : mapping of coordinate, speed or auxiliary state to float, optional
         Default initial values of the independent coordinates and speeds and of auxiliary states, and guesses of the
         dependent coordinates. Dependent speeds follow from the others.
+    reactions : iterable of Expr or str, or "all", optional
+        Unknown forces, or their names, that act between the two bodies of a joint, although the loads have them on one
+        body only. Their components along auxiliary speeds stand in the equations of these alone, as if they were zero
+        in the equations of motion. By default a `ModelWarning` names unknown forces at points that move along their
+        auxiliary speed in the motion, too; these then drive the motion. An empty list says that they do.
     potential_energy : Expr, optional
         In terms of coordinates, parameters and time. By default the sum of the bodies' ``potential_energy`` and of the
         potentials of all forces that are constant in the System's frame, such as gravity, unless the former include
@@ -253,6 +258,7 @@ class Model:
         parameters: Mapping[sm.Symbol, float | sm.Expr | Parameter] | None = None,
         inputs: Mapping[sm.Expr, sm.Expr | float | None] | Literal["auto"] | None = None,
         initial: Mapping[sm.Expr, float] | None = None,
+        reactions: Iterable[sm.Expr | str] | Literal["all"] | None = None,
         potential_energy: sm.Expr | None = None,
         outputs: Mapping[str, sm.Expr] | None = None,
         state_equations: Mapping[sm.Expr, sm.Expr] | None = None,
@@ -292,6 +298,7 @@ class Model:
         others = {symbol.name: symbol for value in values for symbol in getattr(value, "free_symbols", ())}
         parameters = _by_symbol(parameters, others | self._symbols())
         self.noncontributing: tuple[sm.Expr, ...] = self._find_noncontributing()
+        self.reactions = self._read_reactions(reactions)
         self._check_appearance(extra)
         undeclared = self._find_undeclared()
         if is_automatic:
@@ -438,6 +445,24 @@ class Model:
                 "forces in inputs=."
             )
         return tuple(sorted(found, key=_name))
+
+    def _read_reactions(self, given: Iterable[sm.Expr | str] | str | None) -> tuple[sm.Expr, ...] | None:
+        if given is None:
+            return None
+        if isinstance(given, str) and given == "all":
+            return self.noncontributing
+        if isinstance(given, str) or not isinstance(given, Iterable):
+            raise ModelError(f"reactions= is 'all' or a list of unknown forces or their names, not {shown(given)}.")
+        unknown = {_name(f): f for f in self.noncontributing}
+        found = []
+        for item in given:
+            found.append(unknown.get(item) if isinstance(item, str) else item)
+            if found[-1] not in self.noncontributing:
+                raise ModelError(
+                    f"{shown(item)} in reactions= is none of the unknown forces along auxiliary speeds: "
+                    f"{', '.join(unknown) or 'the model has none'}. A force that inputs= names is known."
+                )
+        return tuple(f for f in self.noncontributing if f in found)
 
     def _functions(self) -> dict[sm.Expr, str]:
         """Functions of time in all expressions, sorted by name, each with the first place where it appears."""

@@ -289,3 +289,18 @@ def test_rows_of_very_different_size_are_kept_alike(factor):
     ]
     assert errors[1] < 1e-4
     assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.2)
+
+
+def test_a_drive_that_locks_is_said():
+    """A rocker driven to its end, where crank and coupler are in line: by the law of cosines."""
+    points = {"O": (0, 0), "A": (0.1, 0), "B": (0.22, 0.35), "R": (0.4, 0)}
+    linkage = fb.Linkage("locked", points=points, ground="OR", links=["OA", "AB", "BR"], density=2.0)
+    linkage.drive("BR", speed=1.0)
+    run = fb.compile_model(linkage.model()).simulate((0.0, 5.0), rtol=1e-8, atol=1e-8)
+    assert not run.success
+    a, b, c, d = 0.1, np.hypot(0.12, 0.35), np.hypot(0.18, 0.35), 0.4
+    start, end = (np.arccos((c**2 + d**2 - e**2) / (2 * c * d)) for e in (np.hypot(0.22, 0.35), b - a))
+    # Near a dead centre the position's error is the square root of the step's, and it stops there.
+    assert run.t[-1] == pytest.approx(start - end, abs=1e-4)
+    assert "The prescribed motion cannot go on from there" in run.message
+    assert "ALI3P" not in run.message

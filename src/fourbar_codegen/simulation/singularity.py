@@ -30,6 +30,10 @@ JUMPED = 1e-3
 """The states within a step jump if, after five refinements of 32 intervals each, the largest change between neighbours
 exceeds this fraction of that in the first refinement."""
 
+LOCKED = 0.05
+"""A prescribed motion cannot go on if the velocity that it prescribes has this share along the direction in which the
+Jacobian loses rank; where a mechanism passes such a position, the share vanishes with the singular value."""
+
 PASSING = 'method="ALI3P" with max_step=1e-3 passes it (fourbar: --method ALI3P --max-step 1e-3).'
 """Advice in messages."""
 
@@ -63,11 +67,22 @@ class Singular:
             column[column == 0.0] = 1.0
             row = np.abs(jacobians / column).max(axis=(0, 2))
             row[row == 0.0] = 1.0
-            self.size = row[:, np.newaxis] * column
+            self.row, self.size = row, row[:, np.newaxis] * column
             self.median = float(np.median([self._least(jacobian) for jacobian in jacobians]))
 
+    def _velocity_constraints(self, t: float, x: Floats) -> tuple[Floats, Floats]:
+        """J and b of J u + b = 0."""
+        return self.model.velocity(t, x, self.ode.parameters, self.ode.input_values(t, x))
+
     def _jacobian(self, t: float, x: Floats) -> Floats:
-        return self.model.velocity(t, x, self.ode.parameters, self.ode.input_values(t, x))[0]
+        return self._velocity_constraints(t, x)[0]
+
+    def _is_locked(self, t: float, x: Floats) -> bool:
+        """Whether no speeds satisfy the constraints: b has a component along n, where n^T J = 0."""
+        jacobian, bias = self._velocity_constraints(t, x)
+        lost = np.linalg.svd(jacobian / self.size, full_matrices=False)[0][:, self.rank - 1]
+        scaled = bias / self.row
+        return bool(abs(lost @ scaled) > LOCKED * np.linalg.norm(scaled))
 
     def _least(self, jacobian: Floats) -> float:
         return float(np.linalg.svd(jacobian / self.size, compute_uv=False)[self.rank - 1])
@@ -117,10 +132,18 @@ class Singular:
         ratio = self._ratio(t, x)
         if not ratio < threshold:
             return ""
-        passes = self.model.n_l == self.model.n_c  # ALI3P does not support unknown forces that drive the motion
+        if self._is_locked(t, x):
+            verb, more, advice = (
+                "reaches",
+                "",
+                " The prescribed motion cannot go on from there: no speeds satisfy the constraints.",
+            )
+        elif self.model.n_l == self.model.n_c:  # ALI3P does not support unknown forces that drive the motion
+            advice = f" {PASSING}"
+        else:
+            advice = ""
         where = ", ".join(f"{name} = {value:.6g}" for name, value in zip(self.model.coordinates, x, strict=False))
         return (
             f"The mechanism {verb} a singular position at t = {t:.6g}, {where}: the constraints' Jacobian loses rank "
-            f"(its smallest singular value is {ratio:.1e} of its median over the run){more}."
-            + (f" {PASSING}" if passes else "")
+            f"(its smallest singular value is {ratio:.1e} of its median over the run){more}.{advice}"
         )

@@ -15,6 +15,7 @@ import sympy.physics.mechanics as me
 from scipy.integrate import quad
 from scipy.interpolate import make_interp_spline
 from scipy.linalg import expm
+from scipy.optimize import brentq
 from scipy.special import ellipe, ellipk
 from systems import parallelogram
 from test_prescribed import driven_pendulum, driven_slider_crank
@@ -374,6 +375,34 @@ def test_events(t_eval):
     for name, wanted in (("k", speed / (2.0 * m * w**2)), ("x", w**2 * a / speed)):
         np.testing.assert_allclose(found[name].y, [[0.0, 0.0], signs * wanted], rtol=1e-8, atol=1e-9)
     np.testing.assert_allclose(at_rest["x"].y[:, -1], [-1.0, 0.0], atol=1e-8)
+
+
+@pytest.mark.parametrize("t_0", [-3.0, 4.0, 1e6])
+def test_the_state_at_an_event_of_a_driven_run_that_begins_later(t_0):
+    """By Duhamel's integral, x = c at S_x + v dt/dF_0 = 0, where v changes by S_v + v' dt/dF_0, m v' = F - k x.
+
+    Up to the spacing of times, and the root of an interpolant.
+    """
+    t, (x, *_) = me.dynamicsymbols._t, me.dynamicsymbols("x v")
+    force = sm.Symbol("F_0") * sm.sin(3 * t)
+    model = fb.compile_model(driven_oscillator(parameters={"F_0": 3.0}, force=force, outputs={"above": x - 0.2}))
+    w, m, k, f_0, level = 2.0, 2.0, 8.0, 3.0, 0.2
+
+    def of_force(until, response):
+        return quad(lambda s: response(w * (until - s)) * np.sin(3.0 * (t_0 + s)) / m, 0.0, until, epsabs=1e-13)[0]
+
+    def by_force(until):  # S_x, S_v
+        return of_force(until, lambda angle: np.sin(angle) / w), of_force(until, np.cos)
+
+    at_rest, once = [0.0, 0.0], fb.Event("above", terminal=True)
+    run = model.simulate((t_0, t_0 + 3.0), at_rest, events=once, sensitivities=["F_0"], rtol=1e-11, atol=1e-12)
+    near = run.t_events[0][0] - t_0
+    until = brentq(lambda s: f_0 * by_force(s)[0] - level, near - 0.01, near + 0.01)
+    s_x, s_v = by_force(until)
+    found = run.event_sensitivity[0]["F_0"]
+    assert found.t == pytest.approx(-s_x / (f_0 * s_v), rel=1e-7)
+    rate = (f_0 * np.sin(3.0 * (t_0 + until)) - k * level) / m
+    np.testing.assert_allclose(found.y[:, 0], [0.0, s_v - rate * s_x / (f_0 * s_v)], rtol=1e-7, atol=1e-7)
 
 
 @pytest.mark.parametrize("kind", ["linear", "cubic"])

@@ -368,3 +368,22 @@ def test_what_the_motion_does_not_keep_where_it_goes():
     assert right.success
     # Energy: as fast behind the bump as before it.
     assert right["u"][-1] == pytest.approx(4.0, abs=1e-6)
+
+
+def test_rates_are_those_of_the_time_of_a_run_that_begins_later():
+    """A bead on a straight wire, whose speed u is relative to a belt: x' = u + cos t. It slides down as without one."""
+    x, y, u, v = me.dynamicsymbols("x y u v")
+    ground, origin, bob = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
+    origin.set_vel(ground, 0)
+    bob.set_pos(origin, x * ground.x + y * ground.y)
+    bob.set_vel(ground, (u + sm.cos(T)) * ground.x + v * ground.y)
+    kane = me.KanesMethod(
+        ground, [x], [u], kd_eqs=[u + sm.cos(T) - x.diff(T), v - y.diff(T)], q_dependent=[y], u_dependent=[v],
+        configuration_constraints=[y - x], velocity_constraints=[v - u - sm.cos(T)],
+        bodies=[me.Particle("bob", bob, sm.Symbol("m"))], forcelist=[(bob, -9.81 * sm.Symbol("m") * ground.y)],
+    )  # fmt: skip
+    model = fb.compile_model(fb.Model(kane, name="belt", parameters={sm.Symbol("m"): 1.0}))
+    x0 = model.initial_state({"x": 0.0}, {"u": 1.0 - np.cos(2.0)}, t=2.0)
+    run = model.simulate((2.0, 5.0), x0, rtol=1e-10, atol=1e-10)
+    assert run.success, run.message
+    assert run["x"][-1] == pytest.approx(3.0 - 9.81 / 4.0 * 9.0, abs=1e-8)

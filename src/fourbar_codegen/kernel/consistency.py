@@ -59,6 +59,7 @@ def consistent(ode: Ode, t: float, x0: Floats) -> Floats:
     ----------
     ode : Ode
     t : float
+        The time of its clock.
     x0 : ndarray, shape (n_x,)
 
     Returns
@@ -75,6 +76,7 @@ def consistent(ode: Ode, t: float, x0: Floats) -> Floats:
     status, x = ode.closest(t, x0)
     if status == OK and largest_difference(x, x0) <= FLOOR:
         return x
+    t += ode.clock[0]
     if status == NOT_CLOSED or not is_rounded(ode.n_q, ode.n_u, x0, x):
         raise ModelError(
             f"The state x0 = {np.array2string(x0, precision=6, separator=', ')} violates the constraints on "

@@ -739,7 +739,7 @@ cdef class Run:
     cdef readonly Ode ode
     cdef str method
     cdef list kept
-    cdef double t_begin, t_bound
+    cdef double origin, t_begin, t_bound
     cdef double since_begin
     cdef object times
     cdef long n_taken
@@ -769,7 +769,7 @@ cdef class Run:
         n_stages, n_dense = run.method.n_stages + 1 + run.method.n_extra, run.method.n_dense + 3
         self.ode, self.method, self.kept = ode, method, []
         ode.problem.clock = fb_clock(origin=t, first=-INFINITY, last=INFINITY)
-        self.t_begin, self.since_begin, self.t_bound, self.times = t, 0.0, t_bound, times
+        self.origin, self.t_begin, self.since_begin, self.t_bound, self.times = t, t, 0.0, t_bound, times
         run.direction, run.t_bound, run.max_step = 1.0 if t_bound > t else -1.0, t_bound - t, max_step
         run.project, run.until = project, run.t_bound
         run.x = <double *>self._keep(_zeros(7 + n_stages + n_dense, run.padded))
@@ -826,7 +826,7 @@ cdef class Run:
     def steps_kept(self, t):
         """The steps, and the samples up to the number of their absolute times."""
         places, times = (np.concatenate(parts)[:len(t)] for parts in zip(*self.places))
-        return Steps(self.ode, self.method, bool(self.run.project), self.ode.problem.clock.origin,
+        return Steps(self.ode, self.method, bool(self.run.project), self.origin,
                      self.kept_rows[:self.steps.n].copy(), places, times, t, self.clocks)
 
     @property
@@ -891,13 +891,12 @@ cdef class Run:
         """
         cdef fb_run *run = &self.run
         cdef cnp.ndarray state
-        cdef double origin, earliest, latest
-        origin, earliest, latest = self.ode.clock
-        cdef double before = latest if run.direction > 0.0 else earliest
+        cdef fb_clock *clock = &self.ode.problem.clock
+        cdef double before = clock.last if run.direction > 0.0 else clock.first
         if x is not None and (run.forward or run.steps):
             self._pass_jump(before, first, vector(x, run.n, "The state x"))
-        self.ode.clock = origin, min(first, last), max(first, last)
-        run.t, run.t_bound = t - origin, t_bound - origin
+        clock.first, clock.last = min(first, last), max(first, last)
+        run.t, run.t_bound = t - self.origin, t_bound - self.origin
         self.t_begin, self.since_begin, self.t_bound = t, run.t, t_bound
         run.until = run.t_bound
         if self.times is not None:  # absolute times, since relative ones may be equal on both sides of a jump
@@ -961,7 +960,7 @@ cdef class Run:
             return self.t_bound
         if since == self.since_begin:
             return self.t_begin
-        cdef double t = self.ode.problem.clock.origin + since
+        cdef double t = self.origin + since
         return min(max(t, min(self.t_begin, self.t_bound)), max(self.t_begin, self.t_bound))
 
     cdef double _within(self, double share):
@@ -977,6 +976,10 @@ cdef class Run:
         cdef cnp.ndarray x = new_array(self.run.n)
         self.ode.check(fb_state_at(&self.run, self._within(share), data(x)))
         return x
+
+    def rates_within(self, double share):
+        """x' at a fraction of the last step, shape (n_x,): at its ends, that on the side of the step."""
+        return self.ode(self._within(share), self.state_within(share))
 
     def sensitivity_within(self, double share):
         """The derivatives at a fraction of the last step, shape (n_x, n)."""

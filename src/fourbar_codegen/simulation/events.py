@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,13 +85,23 @@ def events_of(model: Kernel, events: object) -> list[Event] | None:
     return watched
 
 
+class _Slopes(NamedTuple):
+    """What changes where an event occurs."""
+
+    sensitivity: Floats
+    """The derivatives of the state at a held time, shape (n_x, n)."""
+    slope: float
+    """Of the event function, over time."""
+    rates: Floats
+    """x', shape (n_x,): within the piece of the run that ends there, since it may jump."""
+
+
 class Watch:
     """Event detection as in ``solve_ivp``: in each step, with Brent's method on the interpolant."""
 
     def __init__(self, model: Kernel, events: Sequence[Event], *, differentiates: bool = False) -> None:
         self.events, self.differentiates = events, differentiates
-        self.derivatives: list[list[tuple[Floats, float]]] = [[] for _ in events]
-        """For each event, the derivatives of the state at a held time, (n_x, n), and the function's slope over time."""
+        self.derivatives: list[list[_Slopes]] = [[] for _ in events]
         self.times: list[Any] = [[] for _ in events]
         self.states: list[Any] = [[] for _ in events]
         self.callables = [(i, e.function) for i, e in enumerate(events) if callable(e.function)]
@@ -104,8 +114,8 @@ class Watch:
         """Start of the current piece of the run, after a discontinuity."""
         self.changes = [0.0] * len(events)
         """Over the last step of the piece before, of functions that are outputs."""
-        self.at_end: list[tuple[Floats, float]] = []
-        """As `derivatives`, at the end of that step, for functions that are outputs."""
+        self.at_end: list[_Slopes] = []
+        """At the end of that step, for functions that are outputs."""
         self.left = math.nan
         """The time of that end."""
 
@@ -126,7 +136,7 @@ class Watch:
             if share == 0.0 and self.times[i] and self.times[i][-1] == self.went_on == run.time_within(share):
                 continue  # already found at the end of the previous piece
             if self.differentiates and isinstance(run, Run):
-                self.derivatives[i].append((run.sensitivity_within(share), self._slope(run, i, share)))
+                self.derivatives[i].append(self._slopes(run, i, share))
             if self._note(i, run.time_within(share), run.state_within(share)):
                 return share
         return None
@@ -137,7 +147,7 @@ class Watch:
         for i, start, end in zip(self.named, *run.event_values, strict=True):
             self.changes[i] = abs(end - start)
         if self.differentiates and isinstance(run, Run):
-            self.at_end = [(run.sensitivity_within(1.0), self._slope(run, i, 1.0)) for i in self.named]
+            self.at_end = [self._slopes(run, i, 1.0) for i in self.named]
 
     def across(self, run: Integration) -> bool:
         """Store the events at a discontinuity, after it; returns whether one of them is terminal."""
@@ -151,9 +161,13 @@ class Watch:
             if self.differentiates and isinstance(run, Run):
                 at = self.at_end[self.named.index(i)]
                 # a jump is at a time that depends on nothing
-                self.derivatives[i].append(at if is_continuous else (run.sensitivity_within(1.0), math.inf))
+                jump = _Slopes(run.sensitivity_within(1.0), math.inf, run.rates_within(1.0))
+                self.derivatives[i].append(at if is_continuous else jump)
             terminal |= self._note(i, run.t, run.x)
         return terminal
+
+    def _slopes(self, run: Run, i: int, share: float) -> _Slopes:
+        return _Slopes(run.sensitivity_within(share), self._slope(run, i, share), run.rates_within(share))
 
     def _slope(self, run: Run, i: int, share: float) -> float:
         """The derivative of an event function over time, by a difference of order 4 along the interpolant.

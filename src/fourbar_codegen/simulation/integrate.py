@@ -56,6 +56,9 @@ UNKNOWN_JUMP = (
 NO_DERIVATIVE = " The motion has no derivative there, and ALI3P no sensitivities."
 COORDINATES_ALONE = " In index 3 the tolerance applies to the coordinates only; the speeds are less accurate."
 
+ALL_TIME = (0.0, -math.inf, math.inf)
+"""The clock of a right-hand side of absolute times, without discontinuities at which inputs are held."""
+
 GROWN = 1e3
 """The energy of a run has grown suspiciously if the final kinetic energy exceeds this many times both the largest
 kinetic energy of the first half and the range of the potential energy. With a constant force the factor is 4, with a
@@ -184,8 +187,7 @@ def integrate(
     while run.on(0) == "full":
         samples.append(run.take_samples())
     samples.append(run.take_samples())
-    if pieces:
-        pieces.end(run)
+    ode.clock = ALL_TIME  # from here on, its times are absolute
     if status < 0:
         message = f"The integration stopped at t = {run.t:.9g}: {message}"
         if singular and (directions is not None or options.gradient):
@@ -271,12 +273,12 @@ def _of_events(
         times, states = watch.times[place], watch.states[place]
         of_times, of_states = np.zeros((n, len(times))), np.zeros((n, model.n_x, len(times)))
         row = model.outputs.index(str(event.function))
-        for i, (t, x, (s, slope)) in enumerate(zip(times, states, watch.derivatives[place], strict=True)):
+        for i, (t, x, (s, slope, rates)) in enumerate(zip(times, states, watch.derivatives[place], strict=True)):
             r, at = ode.input_values(t, x)[:, np.newaxis], np.array([t])
             by = s.T[:n]  # without probes
             changes = output_sensitivity(model, at, x[:, np.newaxis], r, p, inputs, directions, by[..., np.newaxis])
             of_times[:, i] = -changes[:, row, 0] / (slope or math.nan)  # 0 for an output that is constantly zero
-            of_states[..., i] = by + np.outer(of_times[:, i], ode(t, x))
+            of_states[..., i] = by + np.outer(of_times[:, i], rates)
         by_names = zip(directions.by_name(of_times).items(), directions.by_name(of_states).values(), strict=True)
         found.append({name: EventSensitivity(of_time, of_state) for (name, of_time), of_state in by_names})
     return found

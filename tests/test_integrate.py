@@ -583,6 +583,79 @@ def test_stepper_holds_inputs_in_the_place_of_callables(four_bar):
     assert called
 
 
+def carried_pendulum():
+    """A pendulum of 1 kg and 0.5 m in Cartesian coordinates, at whose bob f pulls along x, below a support at s(t)."""
+    x, y, u, v, s, f = me.dynamicsymbols("x y u v s f")
+    ground, origin, bob = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
+    origin.set_vel(ground, 0)
+    bob.set_pos(origin, x * ground.x + y * ground.y)
+    bob.set_vel(ground, u * ground.x + v * ground.y)
+    system = me.System(ground, origin)
+    system.add_bodies(me.Particle("bob", bob, 1.0))
+    system.add_loads(me.Force(bob, f * ground.x - 9.81 * ground.y))
+    system.add_holonomic_constraints((x - s) ** 2 + y**2 - sm.Rational(1, 4))
+    system.q_ind, system.q_dep, system.u_ind, system.u_dep = [x], [y], [u], [v]
+    system.add_kdes(u - x.diff(), v - y.diff())
+    t = me.dynamicsymbols._t
+    return fb.Model(system, name="carried", inputs={s: sm.sin(3 * t) / 5, f: None})
+
+
+def test_inputs_that_a_step_does_not_name_come_from_their_sources():
+    """The force of a sampled controller; l a'' = -g sin a + (f - s'') cos a by SciPy, from sample to sample."""
+    model, period = fb.compile_model(carried_pendulum()), 0.02
+    x0 = model.initial_state({"x": 0.0}, {"u": 0.6}, guess=[-0.5])
+    forces = 3.0 * np.cos(np.arange(50.0))
+
+    def swing(time, state, force):
+        angle, rate = state
+        moved = -1.8 * np.sin(3.0 * time)
+        return rate, (-9.81 * np.sin(angle) + (force - moved) * np.cos(angle)) / 0.5
+
+    state = (0.0, 0.0)  # u = s'
+    for i, force in enumerate(forces):
+        span = (period * i, period * (i + 1))
+        state = solve_ivp(swing, span, state, method="DOP853", rtol=1e-12, atol=1e-12, args=(force,)).y[:, -1]
+    errors = []
+    for more in (1, 2):  # steps in each period
+        stepper = model.stepper(period / more, x0, inputs={"f": 0.0})
+        for force in np.repeat(forces, more):
+            x = stepper.step({"f": force})
+            positions, velocities = model.constraint_violation(stepper.t, x)
+            assert max(np.abs(positions).max(), np.abs(velocities).max()) < 1e-12
+        errors.append(abs(x[0] - np.sin(3.0 * stepper.t) / 5.0 - 0.5 * np.sin(state[0])))
+    assert errors[1] < 1e-7
+    assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.5)  # of order 4
+    # The same by a callable that knows the samples, a table of the support, and steps that name nothing.
+    table = (np.linspace(0.0, 1.0, 6), np.linspace(0.0, 0.3, 6))
+    start = model.initial_state({"x": 0.0}, {"u": 0.3}, guess=[-0.5], inputs={"s": table})
+    named = model.stepper(period, start, inputs={"s": table, "f": 0.0})
+    own = model.stepper(period, start, inputs={"s": table, "f": lambda t, x: force})
+    without = model.stepper(period, start, inputs={"s": table, "f": lambda t, x: force})
+    for force in forces[:10]:
+        wanted = named.step({"f": force})
+        np.testing.assert_array_equal(own.step(), wanted)
+        np.testing.assert_array_equal(without.step({}), wanted)
+    # A support that is named rests, as everywhere.
+    held = model.stepper(period, [0.0, -0.5, 0.0, 0.0], inputs={"f": lambda t, x: 9.81})
+    for _ in range(100):
+        x = held.step({"s": 0.0})
+    assert x[0] ** 2 + x[1] ** 2 == pytest.approx(0.25, rel=1e-12)
+    # Energy, with f and m g along the axes; each of 100 steps loses about (w h)^6 / 144 of it, with w^2 = 28 / s^2.
+    assert (x[2] ** 2 + x[3] ** 2) / 2.0 == pytest.approx(9.81 * (x[0] - x[1] - 0.5), rel=1e-4)
+
+
+def test_a_step_passes_jumps_of_motions_that_it_holds():
+    """A support that starts to move at t = 0.05 makes speeds jump, unless it is held."""
+    model, x0 = fb.compile_model(carried_pendulum()), [0.3, -0.4, 0.0, 0.0]
+    table = {"s": ([0.05, 1.0], [0.0, 1.0], "linear"), "f": 0.0}
+    stepper, at_rest = model.stepper(0.1, x0, inputs=table), model.stepper(0.1, x0, inputs={"s": 0.0, "f": 0.0})
+    for request in (None, {}, {"f": 1.0}):
+        with pytest.raises(fb.SimulationError, match=r"jumps at t = 0\.05"):
+            stepper.step(request)
+    assert stepper.t == 0.0
+    np.testing.assert_array_equal(stepper.step({"s": 0.0}), at_rest.step())
+
+
 def test_stepper_is_one_run(four_bar):
     # A callable input runs Python in the middle of a step: it may ask for another one, or let another thread in.
     asking = False

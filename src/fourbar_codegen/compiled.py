@@ -1180,7 +1180,7 @@ class CompiledModel(Kernel):
         parameters : array_like or mapping, optional
             The defaults otherwise.
         inputs : mapping, optional
-            As for `simulate`; ``step(r)`` overrides them for a step.
+            As for `simulate`; ``step(r)`` holds those that it names for a step.
         constraints : {"project", "none"}, optional
             As for `simulate`.
 

@@ -12,7 +12,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.arguments import Values, is_mapping, name_of, named_array, named_values
+from fourbar_codegen.arguments import Values, finite_number, is_mapping, name_of, named, named_array, named_values
 from fourbar_codegen.building.library import PARTS
 from fourbar_codegen.building.page_module import page_module
 from fourbar_codegen.errors import ModelError, SimulationError
@@ -245,6 +245,17 @@ class Kernel(Evaluator):
         """Rates of 0 for inputs that r gives without their rates: such an input is at rest."""
         in_force = zip(self.manifest["inputs"], self.defaults_in_force(r), strict=True)
         return {entry["name"]: 0.0 for entry, expression in in_force if entry["order"] and not expression}
+
+    def held_inputs(self, r: Values) -> list[tuple[int, float]] | None:
+        """Places and values of the inputs that a mapping names, and of their rates, which are 0 unless it names them.
+
+        None for an array of all inputs.
+        """
+        if not is_mapping(r):
+            return None
+        given = {name: finite_number(value, f"input {name}") for name, value in named(r, self.inputs, "input").items()}
+        held = self.rates_at_rest(r) | given
+        return [(place, held[name]) for place, name in enumerate(self.inputs) if name in held]
 
     def defaults_in_force(self, r: Values | None) -> list[bool]:
         """For each input, whether its expression is used: r names neither it nor the input that it is a rate of."""

@@ -350,6 +350,10 @@ cdef class Evaluator:
         """All input values in order; a subclass also takes mappings, with the expressions' values as defaults."""
         return r
 
+    def held_inputs(self, r):
+        """Places and values of the inputs that a mapping names; None for an array of all. A subclass takes mappings."""
+        return None
+
     def defaults_in_force(self, r):
         """For each input, whether its expression is used, for the argument r of a call; a subclass takes mappings."""
         return [r is None] * self.n_r

@@ -156,7 +156,7 @@ class Stepper:
         x: ArrayLike,
         project: bool,
         n_steps: int = 0,
-        jumps: Sequence[tuple[float, float]] = (),
+        jumps: Sequence[tuple[float, float, Sequence[int]]] = (),
     ) -> None: ...
     def step(self, r: Values | None = None) -> Floats: ...
 

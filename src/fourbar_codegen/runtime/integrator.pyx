@@ -1217,14 +1217,14 @@ cdef class Stepper:
 
     cdef Ode ode
     cdef fb_run run
-    cdef fb_source *held
+    cdef fb_source *sources
     cdef double h
     cdef tuple jumps
     cdef cnp.ndarray kept
     cdef bint busy
 
     def __cinit__(self, Ode ode not None, double h, double t, x, bint project, long n_steps=0, jumps=()):
-        cdef int i, n = ode.evaluator.n_x
+        cdef int n = ode.evaluator.n_x
         cdef cnp.ndarray state = vector(x, n, "The state x")
         cdef fb_run *run = &self.run
         self.ode, self.h, self.jumps = ode, h, tuple(jumps)
@@ -1235,18 +1235,16 @@ cdef class Stepper:
         run.x, run.x_old, run.scratch = data(self.kept), data(self.kept) + run.padded, data(self.kept) + 2 * run.padded
         run.stages = data(self.kept) + 3 * run.padded
         memcpy(run.x, data(state), n * sizeof(double))
-        self.held = <fb_source *>PyMem_Calloc(ode.evaluator.n_r + 1, sizeof(fb_source))
-        if not self.held:
+        self.sources = <fb_source *>PyMem_Calloc(2 * ode.evaluator.n_r + 1, sizeof(fb_source))
+        if not self.sources:
             raise MemoryError
-        for i in range(ode.evaluator.n_r):
-            self.held[i].input = i
 
     def __reduce__(self):
         run = (self.run.t_begin, self.x, bool(self.run.project), self.run.n_steps, self.jumps)
         return Stepper, (self.ode, self.h, *run)
 
     def __dealloc__(self):
-        PyMem_Free(self.held)
+        PyMem_Free(self.sources)
 
     def step(self, r=None):
         """Advance by one step.
@@ -1254,7 +1252,9 @@ cdef class Stepper:
         Parameters
         ----------
         r : array_like, shape (n_r,), or mapping, optional
-            Inputs to hold constant during the step; by default, those of the stepper's sources.
+            Inputs to hold constant during the step: all in order, or some by name. The others come from the stepper's
+            sources, or from the model's expressions, at the time of each stage, as all do by default. The rates of an
+            input that is given by name are 0 unless they are given too.
 
         Returns
         -------
@@ -1270,31 +1270,66 @@ cdef class Stepper:
             the step, with the rate of a prescribed motion; or if a step is under way already, in another thread, or
             because a callable input requests one. The state does not change then.
         """
+        cdef Evaluator evaluator = self.ode.evaluator
         cdef fb_problem *problem = &self.ode.problem
         cdef fb_problem own = problem[0]
-        cdef cnp.ndarray values
-        cdef int i, status
+        cdef list callables = self.ode.callables, held = None
+        cdef cnp.ndarray values = None  # of all inputs
+        cdef int status
         if r is not None:
-            values = self.ode.evaluator._inputs(self.run.t, self.ode.parameters, r, True)
-        elif self.jumps:
-            self._check_jumps()
+            held = None if type(r) is np.ndarray else evaluator.held_inputs(r)
+            if held is None:
+                values = evaluator._inputs(self.run.t, self.ode.parameters, r, True)
+        if self.jumps:
+            self._check_jumps({place for place, _ in held or ()} if values is None else set(range(evaluator.n_r)))
         _enter(&self.busy)
-        if r is not None:
-            for i in range(self.ode.evaluator.n_r):
-                self.held[i].value = data(values)[i]
-            problem.sources, problem.n_sources, problem.called_inputs = self.held, self.ode.evaluator.n_r, NULL
+        if values is not None:
+            self._hold_all(values)
+        elif held:
+            self._hold(held)
         problem.status = FB_OK
         status = fb_fixed_step(&self.run, self.h)
+        if held:  # the tables' intervals
+            memcpy(own.sources, self.sources, own.n_sources * sizeof(fb_source))
         problem.sources, problem.n_sources, problem.called_inputs = own.sources, own.n_sources, own.called_inputs
+        self.ode.callables = callables
         self.busy = False
         self.ode.check(status)
         if status != FB_OK:
-            raise SimulationError(self.ode.failure or self.ode.evaluator.failure(status, self.run.t, self.x))
+            raise SimulationError(self.ode.failure or evaluator.failure(status, self.run.t, self.x))
         return _state_of(&self.run)
 
-    def _check_jumps(self):
+    cdef int _hold_all(self, cnp.ndarray values) except -1:
+        cdef fb_problem *problem = &self.ode.problem
+        cdef int i
+        for i in range(self.ode.evaluator.n_r):
+            self.sources[i] = fb_source(input=i, value=data(values)[i], table=NULL, interval=0)
+        problem.sources, problem.n_sources, problem.called_inputs = self.sources, self.ode.evaluator.n_r, NULL
+        return 0
+
+    cdef int _hold(self, list held) except -1:
+        """Hold some inputs: of several sources of an input, the last one counts."""
+        cdef fb_problem *problem = &self.ode.problem
+        cdef int place
+        memcpy(self.sources, problem.sources, problem.n_sources * sizeof(fb_source))
+        if problem.called_inputs:
+            places = {place for place, _ in held}
+            self.ode.callables = [
+                given for given in self.ode.callables if self.sources[<int>given[0]].input not in places]
+            if not self.ode.callables:
+                problem.called_inputs = NULL
+        for place, value in held:
+            self.sources[problem.n_sources] = fb_source(input=place, value=value, table=NULL, interval=0)
+            problem.n_sources += 1
+        problem.sources = self.sources
+        return 0
+
+    def _check_jumps(self, held):
+        """Raise if speeds jump within the next step by something else than inputs that are held, a set of places."""
         cdef double next_time = fb_fixed_time(&self.run, self.h, self.run.n_steps + 1)
-        for end, begin in self.jumps:
+        for end, begin, inputs in self.jumps:
+            if inputs and held.issuperset(inputs):
+                continue
             if min(self.run.t, next_time) < max(end, begin) and max(self.run.t, next_time) > min(end, begin):
                 raise SimulationError(
                     f"The rate of a prescribed motion jumps at t = {begin:.9g}, and speeds with it, within the step "

@@ -18,7 +18,16 @@ from fourbar_codegen.errors import SimulationError
 from fourbar_codegen.runtime.integrator import Ode, Table
 from fourbar_codegen.simulation.run_protocol import Integration
 
-__all__ = ["Boundary", "Discontinuity", "Pieces", "boundary", "discontinuities", "jumps", "speeds_after"]
+__all__ = [
+    "Boundary",
+    "Discontinuity",
+    "Pieces",
+    "boundary",
+    "discontinuities",
+    "jumping_inputs",
+    "jumps",
+    "speeds_after",
+]
 
 Floats = NDArray[np.float64]
 
@@ -203,6 +212,20 @@ def speeds_after(ode: Ode, at: Boundary, x: Floats) -> Floats | None:
         )
     found: Floats = x[ode.n_q : ode.n_q + ode.n_u] + speed * change
     return found
+
+
+def jumping_inputs(ode: Ode, at: Boundary, x: Floats) -> tuple[int, ...]:
+    """The inputs that make speeds jump; none if an expression of time in the model does so too."""
+    if _jump_by_the_model(ode, at, x):
+        return ()
+    moving = np.array(ode.manifest["moving_inputs"], dtype=int)
+
+    def inputs(t: float) -> Floats:
+        found: Floats = ode.input_values(t, x)[moving]
+        return found
+
+    jumped = _jumped(inputs, np.abs(inputs(at.last)) + np.abs(inputs(at.first)), at.last, at.first)
+    return tuple(moving[jumped].tolist())
 
 
 def _jump_by_the_model(ode: Ode, at: Boundary, x: Floats) -> bool:
@@ -396,10 +419,6 @@ class Pieces:
             if here.end != self._span[1]:
                 self._next, end = (at, here), here.end
         return run.enter(t, end, first, last, x if jumps else None)
-
-    def end(self, run: Integration) -> None:
-        """Allow values at all times again."""
-        run.ode.clock = self._span[0], -math.inf, math.inf
 
 
 def jumps(ode: Ode, begin: float, end: float, x: Floats) -> list[Boundary]:

@@ -27,7 +27,7 @@ from fourbar_codegen.kernel.sensitivity import (
 from fourbar_codegen.progress import PATIENCE, Progress
 from fourbar_codegen.results.trajectory import Trajectory
 from fourbar_codegen.runtime.integrator import Stepper
-from fourbar_codegen.simulation.discontinuities import jumps
+from fourbar_codegen.simulation.discontinuities import jumping_inputs, jumps
 from fourbar_codegen.simulation.integrate import integrate
 from fourbar_codegen.simulation.options import FIXED_STEP, RunOptions
 
@@ -143,4 +143,5 @@ def make_stepper(
     check_start(model, ode, t, state, p)
     start = consistent(ode, t, state) if closes else state
     boundaries = jumps(ode, t, math.copysign(math.inf, h), start)
-    return Stepper(ode, h, t, start, closes, jumps=[(at.end, at.begin) for at in boundaries])
+    ends = [(at.end, at.begin, jumping_inputs(ode, at, start)) for at in boundaries]
+    return Stepper(ode, h, t, start, closes, jumps=ends)

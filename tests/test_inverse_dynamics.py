@@ -160,6 +160,41 @@ def test_other_inputs_have_sources():
     np.testing.assert_allclose(load[~dead], -5.0 / piston(ANGLES[~dead])[0], rtol=1e-11)
 
 
+def test_a_load_that_changes_along_a_branch():
+    """The array, the callable of the position, and the table of a motion in time are one load.
+
+    Power balance: T = m w^2 x' x'' - cut x', with x' and x'' by the crank's angle.
+    """
+    linkage = slider_crank()
+    linkage.force("C", ("cut", 0))
+    model = fb.compile_model(linkage.model())
+    branch = model.kinematics({"q_OA": ANGLES}, rates={"q_OA": RATE})[0]
+    cut, times = -40.0 * np.sin(ANGLES) ** 2, ANGLES / RATE
+    motion = (times, np.vstack((branch.q, branch.u)), branch.ud)
+    first, second = piston(ANGLES)
+    for how, load in (
+        (branch, cut),
+        (branch, lambda _, x: -40.0 * np.sin(x[0]) ** 2),
+        (motion, (times, cut)),
+        (motion, cut),
+    ):
+        torque = model.inverse_dynamics(how, "torque", inputs={"cut": load})["torque"]
+        # Terms of the equations are as large as m w^2 r^2 = 200 N m.
+        np.testing.assert_allclose(torque, (200.0 * second - cut) * first, rtol=0, atol=1e-12 * 200)
+    ways = "an array with a value for each position, a callable of .t, x. .* the motion as .t, x, accelerations."
+    with pytest.raises(fb.ModelError, match=f"cut is a table of time, but .* at its time, t = 0 s. Give {ways}"):
+        model.inverse_dynamics(branch, "torque", inputs={"cut": (times, cut)})
+    with pytest.warns(fb.ModelWarning, match="cut depends on time"):
+        model.inverse_dynamics(branch, "torque", inputs={"cut": lambda t, _: -40.0 * t})
+    for load, message in ((cut[:5], r"shape is \(73,\), not \(5,\)"), (np.where(cut < -39, np.nan, cut), "be finite")):
+        with pytest.raises(fb.ModelError, match=message):
+            model.inverse_dynamics(branch, "torque", inputs={"cut": load})
+    # A position alone has the time at which it was found.
+    place = model.kinematics({"q_OA": ANGLES[9]}, rates={"q_OA": RATE}, t=times[9])[0]
+    torque = model.inverse_dynamics(place, "torque", inputs={"cut": (times, cut)})["torque"]
+    assert torque == pytest.approx((200.0 * second[9] - cut[9]) * first[9], rel=1e-12)
+
+
 def particles(*loads, place=0, mass=2, **options):
     """Particles on the x axis, each with a force, and a motion of the axis that is added to all positions."""
     n = len(loads)
@@ -248,6 +283,19 @@ def test_inputs_of_a_branch():
     found = model.kinematics({"q1": [0.0]}, accelerations={"q1": 4.0})[0]
     with pytest.raises(fb.ModelError, match="G has no source"):
         model.inverse_dynamics(found, "F")
+
+
+def test_a_load_of_time_on_a_branch():
+    """All positions are at the branch's time, which is said, since it may not be meant."""
+    model = particles(F + G, inputs={F: 0.0, G: 3 * T})
+    found = model.kinematics({"q1": [0.0, 1.0]}, accelerations={"q1": 4.0}, t=2.0)[0]
+    with pytest.warns(fb.ModelWarning, match="G depends on time, but all positions .* at its time, t = 2 s"):
+        np.testing.assert_allclose(model.inverse_dynamics(found, "F")["F"], [2.0, 2.0])
+    np.testing.assert_allclose(model.inverse_dynamics(found, "F", inputs={"G": np.array([1.0, 5.0])})["F"], [7.0, 3.0])
+    with pytest.raises(fb.ModelError, match="A prescribes a motion: an array does not tell its rates"):
+        particles(F, place=A, inputs={A: 0, F: 0}).inverse_dynamics(
+            (0.0, np.zeros((2, 2)), [0.0]), "F", inputs={"A": np.zeros(2)}
+        )
 
 
 def test_one_state_with_several_accelerations():

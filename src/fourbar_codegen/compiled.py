@@ -505,7 +505,7 @@ class CompiledModel(Kernel):
         find: str | Sequence[Any] | None = None,
         *,
         parameters: Values | None = None,
-        inputs: Mapping[Any, InputSource] | None = None,
+        inputs: Mapping[Any, InputSource | Floats] | None = None,
     ) -> dict[str, Floats]:
         """The inputs, such as motor torques, that a given motion needs.
 
@@ -524,7 +524,9 @@ class CompiledModel(Kernel):
         parameters : array_like or mapping, optional
             By default those of the branch or run, otherwise the model's.
         inputs : mapping, optional
-            Sources of the other inputs, as for `simulate`.
+            Sources of the other inputs, as for `simulate`, or arrays of shape (n,) with a value for each state. All
+            positions of a branch are at its one time: a load that changes along it is an array or a callable of (t, x)
+            that depends on x, not a table; where another load depends on time, a ModelWarning says so.
 
         Returns
         -------

@@ -12,6 +12,7 @@ chapter 6.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Container, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -22,9 +23,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.analysis.loop_closure import require_closed, row_scales
 from fourbar_codegen.arguments import Values, is_mapping, name_of, named, named_columns, numbers
-from fourbar_codegen.errors import ModelError, SimulationError, meant, shown
+from fourbar_codegen.errors import ModelError, ModelWarning, SimulationError, meant, shown
 from fourbar_codegen.kernel.dependent import solve_redundant
-from fourbar_codegen.kernel.inputs import InputSource, bind, by_name
+from fourbar_codegen.kernel.inputs import InputSource, bind, by_name, is_by_member
 from fourbar_codegen.kernel.kernel import Kernel, parameter_array
 from fourbar_codegen.results.kinematics import Branch
 from fourbar_codegen.results.trajectory import Trajectory
@@ -54,13 +55,16 @@ ROUNDED = 1e-13
 
 MAX_ITERATIONS = 30
 
+LATER = np.array([0.0, 0.0137, 0.7391, 23.17])
+"""Further times, s, at which it is looked whether an input depends on time."""
+
 
 def inverse_dynamics(
     model: Kernel,
     motion: Branch | Trajectory | tuple[ArrayLike, Any, Any],
     find: Any,
     parameters: Values | None,
-    inputs: Mapping[Any, InputSource] | None,
+    inputs: Mapping[Any, InputSource | Floats] | None,
 ) -> dict[str, Floats]:
     """Inputs that a motion needs; see `CompiledModel.inverse_dynamics`."""
     without_rates = _names(model)
@@ -70,9 +74,11 @@ def inverse_dynamics(
     if parameters is None or is_mapping(parameters):
         parameters = given.parameters | named(parameters or {}, model.parameters, "parameter")
     p = model.parameter_vector(parameters)
-    carried = _carried(model, given, {*sources, *names})
+    carried = _carried(model, given, {*sources, *names}) | _by_instant(model, given, sources)
     set_below = [name for name in without_rates if name in names or name in carried]
-    ode = bind(model, p, {**dict.fromkeys(set_below, 0.0), **sources})
+    ode = bind(model, p, {**sources, **dict.fromkeys(set_below, 0.0)})
+    if isinstance(motion, Branch) and given.shape != (1,):
+        _check_time(model, given, p, sources, carried)
     rows, others = ([model.inputs.index(name) for name in group] for group in (names, carried))
     guesses = np.array([given.inputs.get(name, np.full(given.shape, np.nan)) for name in names])
     found, sizes = np.full((len(names), *given.shape), np.nan), None
@@ -151,7 +157,7 @@ def _names(model: Kernel) -> list[str]:
     return [entry["name"] for entry in model.manifest["inputs"] if not entry["order"]]
 
 
-def _unknown(model: Kernel, find: Any, given: Mapping[str, InputSource]) -> list[str]:
+def _unknown(model: Kernel, find: Any, given: Mapping[str, InputSource | Floats]) -> list[str]:
     """The names of the inputs to find, as many as there are degrees of freedom."""
     freedom = model.n_u - model.manifest["n_dependent_speeds"]
     forces = [name for name in _names(model) if name not in model.prescribed]
@@ -196,6 +202,62 @@ def _carried(model: Kernel, given: _Motion, others: Container[str]) -> dict[str,
                 f"{entry['of']} in inputs=."
             )
     return carried
+
+
+def _by_instant(model: Kernel, given: _Motion, sources: Mapping[str, InputSource | Floats]) -> dict[str, Floats]:
+    """The values of inputs that are given as arrays, one for each state of the motion."""
+    found: dict[str, Floats] = {}
+    for name, source in sources.items():
+        if not is_by_member(source):
+            continue
+        values = np.array(numbers(source, f"The values of input {name}"))
+        if name in model.prescribed:
+            raise ModelError(f"Input {name} prescribes a motion: an array does not tell its rates, which are needed.")
+        if values.shape != given.shape:
+            raise ModelError(
+                f"An array for input {name} has a value for each state of the motion, so its shape is {given.shape}, "
+                f"not {values.shape}."
+            )
+        if not np.isfinite(values[np.isfinite(given.states).all(axis=0)]).all():
+            raise ModelError(f"The values of input {name} must be finite.")
+        found[name] = values
+    return found
+
+
+def _check_time(
+    model: Kernel,
+    given: _Motion,
+    p: Floats | None,
+    sources: Mapping[str, InputSource | Floats],
+    carried: Mapping[str, Floats],
+) -> None:
+    """Refuse tables for a branch, and warn of other loads that depend on time.
+
+    All positions of a branch are at one time, although the mechanism passes them one after the other.
+    """
+    t = float(given.times[0])
+    ways = (
+        f"all positions of a Branch are at its time, t = {t:g} s. Give an array with a value for each position, a "
+        "callable of (t, x) that depends on x alone, or the motion as (t, x, accelerations) with the time of each "
+        "position"
+    )
+    tables = [name for name, source in sources.items() if isinstance(source, tuple | list)]
+    if tables:
+        raise ModelError(f"Input {', '.join(tables)} is a table of time, but {ways}.")
+    known = given.states[:, np.isfinite(given.states).all(axis=0)]
+    expressions = np.array([model.default_inputs(time, p) for time in t + LATER])
+    varying = []
+    for place, name in enumerate(model.inputs):
+        values, source = expressions[:, place], sources.get(name)
+        if callable(source) and known.size:
+            values = np.array([source(time, known[:, 0].copy()) for time in t + LATER])
+        elif source is not None or name not in carried or carried[name][0] != values[0]:
+            continue
+        if (values != values[0]).any():
+            varying.append(name)
+    loads = [name for name in varying if name in _names(model) and name not in model.prescribed]
+    if loads:
+        warnings.warn(f"Input {', '.join(loads)} depends on time, but {ways}.", ModelWarning, stacklevel=4)
 
 
 def _read_result(model: Kernel, motion: Any) -> _Motion:

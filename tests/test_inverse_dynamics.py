@@ -15,13 +15,13 @@ RATE = 10.0
 ANGLES = np.linspace(0.0, 2 * pi, 73)
 
 
-def slider_crank(rod_mass=None, piston=2.0):
+def slider_crank(rod_mass=None, piston=2.0, torque="torque"):
     """Crank of 1 m, rod of 3 m."""
     points = {"O": (0, 0), "A": (0, 1), "C": (sqrt(8), 0)}
     linkage = fb.Linkage("engine", points=points, ground="O", links=["OA"])
     linkage.bar("A", "C", mass=rod_mass)
     linkage.slider("C", along=(1, 0), mass=piston)
-    linkage.torque("O", "torque")
+    linkage.torque("O", torque)
     return linkage
 
 
@@ -227,6 +227,59 @@ def test_inputs_that_enter_nonlinearly(law, force):
     model = particles(law, inputs={F: 0.0})
     found = model.inverse_dynamics((0.0, [0.0, 0.0], [force / 2.0]))["F"]
     assert float(law.subs(F, found)) == pytest.approx(force, rel=1e-8)
+
+
+@pytest.mark.parametrize("law", [F**3, F * sm.Abs(F), sm.sqrt(F), sm.sign(F) * sm.sqrt(sm.Abs(F)), F**2])
+def test_a_zero_load_of_inputs_that_enter_nonlinearly(law):
+    """0 is the solution, although the derivative there is 0 or infinite."""
+    model = particles(law, inputs={F: 2.0})
+    assert model.inverse_dynamics((0.0, [0.0, 0.0], [0.0]))["F"] == 0.0
+
+
+@pytest.mark.parametrize("law", [1 / F, sm.exp(F)])
+def test_a_zero_load_that_no_input_brings_about(law):
+    model = particles(law, inputs={F: 0.0})
+    with pytest.raises(fb.SimulationError, match="F cannot bring about this motion"):
+        model.inverse_dynamics((0.0, [0.0, 0.0], [0.0]))
+
+
+def test_a_weight_on_a_spring_at_rest():
+    """m g = (k (s - h) - F) q / s on a spring of length s, across a gap h: F is a small difference, down to 0."""
+    q = me.dynamicsymbols("q1")
+    k, g, h = sm.symbols("k g h")
+    s = sm.sqrt(q**2 + h**2)
+    law = (F - k * (s - h)) * q / s + 2 * g
+    model = particles(law, inputs={F: 0.0}, parameters={k: 200.0, g: 9.81, h: 0.37})
+    generator = np.random.default_rng(0)
+    for place in generator.uniform(0.2, 1.2, 40):
+        length = np.hypot(place, 0.37)
+        stiffness = 2 * 9.81 * length / place / (length - 0.37)
+        places = place * (1 + np.arange(-3, 4) * 2.0**-52)
+        force = model.inverse_dynamics((0.0, [places, 0 * places], [0.0]), parameters={"k": stiffness})["F"]
+        # Rounding errors of the spring's force and of its change over the distances of the places.
+        np.testing.assert_allclose(force, 0.0, rtol=0, atol=20 * 2.0**-52 * stiffness)
+
+
+def test_a_balanced_arm():
+    """A spring without free length balances an arm in all positions if k a b = m g l; its free length is the input."""
+    points = {"O": (0, 0), "A": (0.6, 0), "B": (1, 0), "C": (0, 0.5)}
+    linkage = fb.Linkage("balanced", points=points, ground=["O", "C"], gravity=9.81)
+    linkage.plate("O", "A", "B", mass=3.0, center=(1, 0), inertia=0)
+    linkage.spring("C", "A", 3.0 * 9.81 / (0.6 * 0.5), length="free")
+    model = fb.compile_model(linkage.model())
+    angles = np.linspace(-1.5, 1.5, 31)
+    free = model.inverse_dynamics((0.0, [angles, 0 * angles], [0.0]))["free"]
+    np.testing.assert_allclose(free, 0.0, rtol=0, atol=1e-14)
+
+
+def test_a_torque_that_passes_zero():
+    """A torque of 3 V |V|, as of a fan or an orifice: at the dead points no torque is needed, so V = 0."""
+    V = me.dynamicsymbols("V")
+    model = fb.compile_model(slider_crank(torque=3 * V * sm.Abs(V)).model(inputs={V: 0.0}))
+    branch = model.kinematics({"q_OA": ANGLES}, rates={"q_OA": RATE})[0]
+    first, second = piston(ANGLES)
+    V = model.inverse_dynamics(branch)["V"]
+    np.testing.assert_allclose(3.0 * V * np.abs(V), 2.0 * RATE**2 * first * second, rtol=0, atol=1e-12 * 200)
 
 
 def test_each_equation_is_balanced_by_itself():

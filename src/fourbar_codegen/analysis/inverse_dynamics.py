@@ -15,7 +15,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Container, Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -380,64 +380,126 @@ def _balance(at: _Instant, accelerations: Floats, rows: list[int], guess: Floats
     """The inputs in these rows for which the equations hold; NaN if they are not found.
 
     Newton's method begins at the guess and the default, if these are known, then at 0 and at 1, since of inputs that
-    enter nonlinearly the derivative may vanish or be infinite there.
+    enter nonlinearly the derivative may vanish or be infinite there. That may be at the solution, as at n = 0 of
+    n^3 = 0; so at last these values themselves are tried.
     """
     model, n = at.model, len(rows)
-    for begin in (guess, model.default_inputs(at.t, at.p)[rows], np.zeros(n), np.ones(n)):
-        if np.isfinite(begin).all():
-            forces = np.zeros(model.n_l)
-            if model.n_l > model.n_c:
-                with suppress(SimulationError):
-                    forces = model.accelerations(at.t, at.x, at.p, at.inputs(rows, begin))[1]
-            with np.errstate(all="ignore"):
-                found = _newton(at, accelerations, rows, np.concatenate((begin, forces)))
-            if found is not None:
-                return found
+    candidates = (guess, model.default_inputs(at.t, at.p)[rows], np.zeros(n), np.ones(n))
+    begins = [inputs for inputs in candidates if np.isfinite(inputs).all()]
+    with np.errstate(all="ignore"):
+        for method in (_newton, _as_given):
+            for inputs in begins:
+                found = method(at, accelerations, rows, np.concatenate((inputs, _guessed_reactions(at, rows, inputs))))
+                if found is not None:
+                    return found
     return np.full(n, np.nan)
+
+
+def _guessed_reactions(at: _Instant, rows: list[int], inputs: Floats) -> Floats:
+    """The multipliers, of which 0 is guess enough, and the unknown forces of a motion with these inputs."""
+    if at.model.n_l > at.model.n_c:
+        with suppress(SimulationError):
+            return at.model.accelerations(at.t, at.x, at.p, at.inputs(rows, inputs))[1]
+    return np.zeros(at.model.n_l)
+
+
+@dataclass(frozen=True)
+class _Equations:
+    """What is left of the equations, with inputs and reactions that are given.
+
+    Attributes
+    ----------
+    residual : ndarray, shape (n,)
+    by_inputs, by_reactions : ndarray, shape (n, ...)
+        Its derivatives.
+    terms : ndarray, shape (n,)
+        Sizes of the terms.
+    rounding : ndarray, shape (n,)
+        Bounds of rounding errors: changes of all states, parameters, inputs and reactions by some of theirs. Forces
+        that balance each other, such as a weight and its spring, are as large as one of them by these alone.
+    """
+
+    residual: Floats
+    by_inputs: Floats
+    by_reactions: Floats
+    terms: Floats
+    rounding: Floats
+
+    @property
+    def are_finite(self) -> bool:
+        return all(np.isfinite(part).all() for part in (self.residual, self.by_inputs, self.by_reactions))
+
+    @property
+    def error(self) -> float:
+        """The largest residual, relative to the terms."""
+        return float((np.abs(self.residual) / np.where(self.terms > 0.0, self.terms, 1.0)).max(initial=0.0))
+
+    @property
+    def are_rounded(self) -> bool:
+        """Whether the residual may be rounding errors."""
+        return self.error <= NEARLY_BALANCED or bool((np.abs(self.residual) <= self.rounding).all())
+
+
+def _equations(at: _Instant, accelerations: Floats, rows: list[int], unknown: Floats) -> _Equations:
+    """The equations, with inputs, multipliers and unknown forces."""
+    model, t, x = at.model, at.t, at.x
+    n_u, n_c, k = model.n_u, model.n_c, len(rows)
+    multipliers, forces, r = unknown[k : k + n_c], unknown[k + n_c :], at.inputs(rows, unknown[:k])
+    _, mass, forcing, jacobian, _ = model.dynamics(t, x, at.p, r)
+    effect, by_forces, rest, rest_by_forces, other_mass, other_jacobian = model.unknown_forces(t, x, forces, at.p, r)
+    by_reactions = np.block([[jacobian.T, by_forces], [other_jacobian, rest_by_forces]])
+    known, inertial = np.concatenate((forcing + effect, rest)), np.vstack((mass, other_mass)) @ accelerations
+    derivatives = model.sensitivities(t, x, accelerations, unknown[k:], at.p, r)[1::2]
+    by_data = np.hstack(derivatives)[[*range(n_u), *range(n_u + n_c, n_u + model.n_l)]]
+    by_inputs = by_data[:, by_data.shape[1] - model.n_r :][:, rows]
+    data = np.abs(np.concatenate((x, parameter_array(model, at.p), r)))
+    # Inputs may balance other forces within `forcing`.
+    terms = np.abs(known) + np.abs(inertial) + np.abs(np.hstack((by_inputs, by_reactions))) @ np.abs(unknown)
+    rounding = np.maximum(np.nan_to_num(np.abs(by_data) * data, posinf=0.0).sum(axis=1), terms.max(initial=0.0))
+    return _Equations(
+        known + by_reactions[:, :n_c] @ multipliers - inertial, by_inputs, by_reactions, terms, ROUNDED * rounding
+    )
 
 
 def _newton(at: _Instant, accelerations: Floats, rows: list[int], unknown: Floats) -> Floats | None:
     """The inputs, from a guess of them, the multipliers and the unknown forces."""
-    model, t, x, p = at.model, at.t, at.x, at.p
-    n_u, n_c, k = model.n_u, model.n_c, len(rows)
-    equations = [*range(n_u), *range(n_u + n_c, n_u + model.n_l)]
     before = np.inf
     for iteration in range(MAX_ITERATIONS):
-        multipliers, forces = unknown[k : k + n_c], unknown[k + n_c :]
-        r = at.inputs(rows, unknown[:k])
-        _, mass, forcing, jacobian, _ = model.dynamics(t, x, p, r)
-        effect, by_forces, rest, rest_by_forces, other_mass, other_jacobian = model.unknown_forces(t, x, forces, p, r)
-        by_inputs = model.sensitivities(t, x, accelerations, unknown[k:], p, r)[5][equations][:, rows]
-        reactions = np.block([[jacobian.T, by_forces], [other_jacobian, rest_by_forces]])
-        known, inertial = np.concatenate((forcing + effect, rest)), np.vstack((mass, other_mass)) @ accelerations
-        residual = known + reactions[:, :n_c] @ multipliers - inertial
-        if not (np.isfinite(residual).all() and np.isfinite(by_inputs).all() and np.isfinite(reactions).all()):
+        equations = _equations(at, accelerations, rows, unknown)
+        if not equations.are_finite:
             return None
-        # Inputs may balance other forces within `forcing`.
-        terms = np.abs(known) + np.abs(inertial) + np.abs(np.hstack((by_inputs, reactions))) @ np.abs(unknown)
-        error = float((np.abs(residual) / np.where(terms > 0.0, terms, 1.0)).max(initial=0.0))
-        is_rounded = error <= NEARLY_BALANCED or (np.abs(residual) <= ROUNDED * terms.max(initial=0.0)).all()
-        if iteration and (error <= BALANCED or (error > 0.5 * before and is_rounded)):
-            return unknown[:k]
-        step, before = _step(by_inputs, reactions, residual), error
+        error = equations.error
+        if iteration and (error <= BALANCED or (error > 0.5 * before and equations.are_rounded)):
+            return unknown[: len(rows)]
+        step, before = _step(equations), error
         if step is None:
             return None
         unknown = unknown + step
     return None
 
 
-def _step(by_inputs: Floats, reactions: Floats, residual: Floats) -> Floats | None:
+def _as_given(at: _Instant, accelerations: Floats, rows: list[int], unknown: Floats) -> Floats | None:
+    """The inputs that are given, if the equations hold with these, and others beside them are determined."""
+    inputs, reactions = unknown[: len(rows)], unknown[len(rows) :]
+    beside = _equations(at, accelerations, rows, np.concatenate((inputs + 1.0, reactions)))
+    if not beside.are_finite or _step(beside) is None:
+        return None
+    held = replace(at, r=at.inputs(rows, inputs))
+    return None if _newton(held, accelerations, [], reactions) is None else inputs
+
+
+def _step(equations: _Equations) -> Floats | None:
     """The change of inputs and reactions that balances the residual; None if inputs are not determined.
 
     They are if no combination of their columns is one of the reactions' columns. Reactions of redundant constraints are
     those of minimum norm.
     """
-    matrix, k = np.hstack((by_inputs, reactions)), by_inputs.shape[1]
+    matrix, k = np.hstack((equations.by_inputs, equations.by_reactions)), equations.by_inputs.shape[1]
     rows = np.abs(matrix).max(axis=1, initial=0.0)
     rows[rows == 0.0] = 1.0
     columns = np.maximum(np.abs(matrix / rows[:, None]).max(axis=0, initial=0.0), SMALL)
     scaled = matrix / rows[:, None] / columns
-    step, _, rank, _ = np.linalg.lstsq(scaled, -residual / rows, rcond=RANK)
+    step, _, rank, _ = np.linalg.lstsq(scaled, -equations.residual / rows, rcond=RANK)
     if rank < k + np.linalg.matrix_rank(scaled[:, k:], rtol=RANK):
         return None
     return np.asarray(step / columns)

@@ -422,6 +422,20 @@ def test_the_controller_of_the_documentation(tmp_path):
     assert float(printed[2]) == pytest.approx(x[3], abs=1e-6)
 
 
+def test_the_program_of_the_user_is_left(tmp_path):
+    """The page says to save one's controller as main.c: the next export replaces all but it."""
+    folder = fb.export_c(fb.models.slider_crank(), tmp_path)
+    example = (folder / "main.c").read_text()
+    for name in ("main.c", "slider_crank.c"):
+        (folder / name).write_text("mine")
+    fb.export_c(fb.models.slider_crank(), folder)
+    assert (folder / "main.c").read_text() == "mine"
+    assert (folder / "slider_crank.c").read_text() != "mine"
+    (folder / "main.c").unlink()
+    fb.export_c(fb.models.slider_crank(), folder)
+    assert (folder / "main.c").read_text() == example
+
+
 def test_contradictions_are_told(tmp_path):
     """A velocity that does not follow from the position, as `compile_model` tells."""
     with pytest.warns(fb.ModelWarning, match="velocity"):

@@ -147,27 +147,68 @@ def test_compiled_from_its_own_sources(fmus, fmi, tmp_path):
 
 
 @BOTH
-def test_states_are_saved_to_the_bit(fmus, fmi, tmp_path):
-    one, other = (Instance(fmus(fmi), fmi, tmp_path / str(k)) for k in range(2))
+@pytest.mark.parametrize("name", ["four_bar", "kinked"])
+def test_states_are_saved_to_the_bit(fmus, fmi, name, tmp_path):
+    """Of `kinked`, just before the time of the push, at the end of a step."""
+    one, other = (Instance(fmus(fmi, name), fmi, tmp_path / str(k)) for k in range(2))
     one.begin()
     other.begin()
-    one.step(0.0, 0.1)
+    one.step(0.0, 0.35)
     saved = one.fmu.getFMUState()
     text = one.fmu.serializeFMUState(saved)
     names = [*one.references]
     results = []
-    for _ in range(2):
+
+    def go_on(instance):
+        before = instance.get(*names)
         for k in range(5):
-            one.step(0.1 + 0.1 * k, 0.1)
-        results.append(one.get(*names).tobytes())
+            instance.step(0.35 + 0.1 * k, 0.1)
+        results.append(np.array([before, instance.get(*names)]).tobytes())
+
+    for _ in range(2):
+        go_on(one)
         one.fmu.setFMUState(saved)
     restored = other.fmu.deserializeFMUState(text)
     other.fmu.setFMUState(restored)
-    for k in range(5):
-        other.step(0.1 + 0.1 * k, 0.1)
-    results.append(other.get(*names).tobytes())
+    assert other.fmu.serializeFMUState(restored) == text
+    go_on(other)
     assert len(set(results)) == 1
     one.fmu.freeFMUState(saved)
+
+
+@BOTH
+def test_serialized_states_of_others_are_refused(fmus, fmi, tmp_path):
+    instance, foreign = (Instance(fmus(fmi, name), fmi, tmp_path / name) for name in ("four_bar", "slider_crank"))
+    texts = []
+    for each in (instance, foreign):
+        each.begin()
+        saved = each.fmu.getFMUState()
+        texts.append(bytes(each.fmu.serializeFMUState(saved)))
+        each.fmu.freeFMUState(saved)
+    whole, other = texts
+    assert whole.startswith(b"fourbar state 1\0")
+    generator = np.random.default_rng(0)
+    damaged = []
+    for _ in range(300):
+        bytes_of = bytearray(whole)
+        for place in generator.integers(len(whole), size=generator.integers(1, 4)):
+            bytes_of[place] ^= int(generator.integers(1, 256))
+        damaged += [bytes(bytes_of)] if bytes_of != whole else []
+    cut = [whole[:n] for n in range(1, len(whole), 7)]
+    noise = [generator.bytes(n) for n in (1, 15, 16, 60, len(whole), 50000)]
+    cases = [
+        (other, "one of another model"),
+        (whole.replace(b"state 1", b"state 0"), "do not begin with"),
+        (whole + b"\0", f"has {len(whole)} bytes, not {len(whole) + 1}"),
+        (whole[:-1] + bytes([whole[-1] ^ 1]), "damaged"),
+        *((text, "serialized state") for text in (*damaged, *cut, *noise)),
+    ]
+    for text, words in cases:
+        instance.messages.clear()
+        with pytest.raises(Exception, match="status 3"):
+            instance.fmu.deserializeFMUState(text)
+        assert words in instance.messages[-1]
+    instance.step(0.0, 0.1)
 
 
 @BOTH
@@ -330,15 +371,15 @@ def test_an_input_that_nobody_sets_is_zero(tmp_path):
     assert instance.get("q")[0] == pytest.approx(1.0, abs=1e-9)
 
 
-def _pushed(**more):
+def _pushed(mass="m", point="P"):
     """A mass on a line, pushed by F."""
     q, u, force = me.dynamicsymbols("q u F")
     system = me.system.System(me.ReferenceFrame("N"), me.Point("O"))
-    point = me.Point(more.get("point", "P"))
+    point = me.Point(point)
     point.set_pos(system.fixed_point, q * system.frame.x)
     point.set_vel(system.frame, u * system.frame.x)
     system.fixed_point.set_vel(system.frame, 0)
-    system.add_bodies(me.Particle("a", point, sm.Symbol("m")))
+    system.add_bodies(me.Particle("a", point, sm.Symbol(mass)))
     system.add_loads(me.Force(point, force * system.frame.x))
     system.add_coordinates(q)
     system.add_speeds(u)
@@ -532,6 +573,33 @@ def test_names_that_meet(tmp_path):
     model = fb.Model(_pushed(), name="twice", parameters={"m": 1.0}, inputs="auto", outputs={"kinetic energy": u**2})
     with pytest.raises(fb.ModelError, match="two are called 'kinetic energy'"):
         fb.export_fmu(model, tmp_path / "twice.fmu")
-    model = fb.Model(_pushed(point="B\nC"), name="broken", parameters={"m": 1.0}, inputs="auto")
-    with pytest.raises(fb.ModelError, match="control character"):
-        fb.export_fmu(model, tmp_path / "broken.fmu")
+
+
+def test_characters_that_xml_cannot_have(tmp_path):
+    """Refused with their place; all others are read back as they were (XML 1.0, https://www.w3.org/TR/xml/#charsets)."""
+
+    def exported(name="m", unit="kg", description="", point="P"):
+        mass = {name: fb.Parameter(1.0, unit, description)}
+        model = fb.Model(_pushed(name, point), name="marked", parameters=mass, inputs="auto")
+        return str(fb.export_fmu(model, tmp_path / "marked.fmu"))
+
+    for letter in ("\x00", "\x0b", "\x1f", "\ufffe", "\uffff", "\ud800", "\udfff"):
+        code = rf"U\+{ord(letter):04X}"
+        with pytest.raises(fb.ModelError, match=f"description of 'm' has the character {code}"):
+            exported(description=f"a{letter}b")
+        with pytest.raises(fb.ModelError, match=f"unit of 'm' has the character {code}"):
+            exported(unit=f"k{letter}g")
+        with pytest.raises(fb.ModelError, match=f"name has the character {code}"):
+            exported(point=f"B{letter}C")
+    for letter in "\t\n\r":
+        with pytest.raises(fb.ModelError, match="name has the character"):
+            exported(point=f"B{letter}C")
+        with pytest.raises(fb.ModelError, match="unit of 'm' has the character"):
+            exported(unit=f"k{letter}g")
+    assert not (tmp_path / "marked.fmu").exists()
+    description, unit = "\"<one>\" & 'two',\tthree\r\nlines \x7f\x85\u2028\ud7ff\ue000\ufffd\U0001f9be", 'µg·<m>&"'
+    path = exported(description=description, unit=unit, point="P₁ <μ>")
+    assert validate_fmu(path) == []
+    variables = {v.name: v for v in fmpy.read_model_description(path).modelVariables}
+    assert (variables["m"].description, variables["m"].unit) == (description, unit)
+    assert "P₁ <μ>.x" in variables

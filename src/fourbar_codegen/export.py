@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import platform
 import sys
 import tempfile
@@ -44,7 +45,8 @@ def export_c(model: Model, folder: str | Path) -> Path:
     ----------
     model : Model
     folder : str or Path
-        Created if it does not exist; files of these names are replaced, all or none.
+        Created if it does not exist; files of these names are replaced, all or none. Only ``main.c`` is left as it is,
+        if there is one: the example stands for your program.
 
     Returns
     -------
@@ -75,7 +77,10 @@ def export_c(model: Model, folder: str | Path) -> Path:
     folder = path_of(folder)
     with Progress(f"fourbar_codegen: {getattr(model, 'name', '')}") as progress:
         generated = generate_kernel(model, progress)
-        _write(_library_files(generated, progress), folder)
+        texts = _library_files(generated, progress)
+        if os.path.lexists(folder / "main.c"):
+            del texts["main.c"]
+        _write(texts, folder)
     warn(generated.equations.warnings, 3)
     return folder
 

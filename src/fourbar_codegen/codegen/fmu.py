@@ -5,6 +5,7 @@ Source: Modelica Association, Functional Mock-up Interface, versions 2.0.5 and 3
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,9 +14,12 @@ from xml.etree import ElementTree as ET
 
 from fourbar_codegen.codegen.c_library import FOLDER
 from fourbar_codegen.definitions import motions
-from fourbar_codegen.errors import ModelError
+from fourbar_codegen.errors import ModelError, shown
 
 __all__ = ["FMU_HEADERS", "build_description", "description", "fmu_source", "sources_of", "variables_of"]
+
+XML_CHARACTERS = "\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff"
+"""Those of XML 1.0 (https://www.w3.org/TR/xml/#charsets), besides the ends of lines and tabulators."""
 
 FMU_HEADERS = ("fourbar_fmu.h", "fourbar_fmi2.h", "fourbar_fmi3.h")
 """The runtime of an FMU, besides that of its library."""
@@ -69,7 +73,7 @@ def variables_of(manifest: Mapping[str, Any], defaults: Sequence[float]) -> list
     Raises
     ------
     ModelError
-        If two variables have the same name.
+        If two variables have the same name, or texts have characters that XML cannot have.
     """
     coordinates, speeds = manifest["coordinates"], manifest["speeds"]
     states = [*coordinates, *speeds, *manifest["auxiliary_states"]]
@@ -110,13 +114,28 @@ def variables_of(manifest: Mapping[str, Any], defaults: Sequence[float]) -> list
             add(f"{name}.{axis}", f"position of {name}", "", "output", needs_inputs=False)
     found = [variable for variable in found if variable.reference != unknown]
     counts = Counter(variable.name for variable in found)
-    controls = [name for name in counts if any(ord(letter) < ord(" ") for letter in name)]
-    if controls:
-        raise ModelError(f"The name {controls[0]!r} has a control character, which XML cannot have: rename it.")
+    for variable in found:
+        _check(variable)
     twice = [name for name, number in counts.items() if number > 1]
     if twice:
         raise ModelError(f"Variables of an FMU have different names, but two are called {twice[0]!r}: rename one.")
     return found
+
+
+def _check(variable: Variable) -> None:
+    """Raise if a text of a variable has characters that XML cannot have; only descriptions may be of several lines."""
+    for what, text, allowed in (
+        ("name", variable.name, ""),
+        ("unit", variable.unit, ""),
+        ("description", variable.description, "\t\n\r"),
+    ):
+        wrong = re.search(f"[^{allowed}{XML_CHARACTERS}]", text)
+        if wrong:
+            of = "" if what == "name" else f" of {shown(variable.name)}"
+            raise ModelError(
+                f"The {what}{of} has the character U+{ord(wrong[0]):04X}, which the XML of an FMU cannot have: change "
+                f"{shown(text)}."
+            )
 
 
 def description(fmi: int, manifest: Mapping[str, Any], variables: Sequence[Variable], version: str) -> str:

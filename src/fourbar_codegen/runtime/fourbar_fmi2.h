@@ -213,7 +213,7 @@ FMI2_EXPORT fmi2Status fmi2SerializedFMUstateSize(fmi2Component instance, fmi2FM
     (void)saved;
     if (instance == NULL || size == NULL)
         return fmi2Error;
-    *size = sizeof(fmu_state);
+    *size = sizeof(fmu_record);
     return fmi2OK;
 }
 

@@ -309,7 +309,7 @@ FMI3_EXPORT fmi3Status fmi3SerializedFMUStateSize(fmi3Instance instance, fmi3FMU
     (void)saved;
     if (instance == NULL || size == NULL)
         return fmi3Error;
-    *size = sizeof(fmu_state);
+    *size = sizeof(fmu_record);
     return fmi3OK;
 }
 

@@ -11,6 +11,8 @@
 
 #include <math.h>
 #include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -41,6 +43,14 @@ enum {
 #define FB_TOLERANCE 1e-6
 #define FB_VIOLATED 1e-9
 
+/* How serialized states begin; the number changes with their contents. */
+#define FMU_KIND "fourbar state 1"
+#define FMU_AT_LEAST_1(n) ((n) > 0 ? (n) : 1)
+
+/* The interval of `between`, in fourbar_library.h. */
+void FB_PUBLIC(get_interval)(const FB_MODEL *model, double *interval);
+void FB_PUBLIC(set_interval)(FB_MODEL *model, const double *interval);
+
 /* Groups of values that follow from the state. */
 enum { FMU_RATES = 1, FMU_OUTPUTS = 2, FMU_ENERGIES = 4, FMU_POINTS = 8 };
 
@@ -63,7 +73,7 @@ typedef struct fmu_state {
     double given[N_X]; /* these: independent values and guesses */
     double tolerance, start, stop;
     int valid; /* the groups of values that are those of the present state */
-    double rates[N_X], outputs[N_Y > 0 ? N_Y : 1], energies[2], points[N_POINTS > 0 ? 3 * N_POINTS : 1];
+    double rates[N_X], outputs[FMU_AT_LEAST_1(N_Y)], energies[2], points[FMU_AT_LEAST_1(3 * N_POINTS)];
 } fmu_state;
 
 typedef struct fmu {
@@ -334,7 +344,7 @@ static int fmu_directional_derivative(fmu *f, const unsigned *unknowns, const si
 {
     fmu_state *const s = &f->state;
     const int begins = s->mode == FMU_INITIALIZATION;
-    double by_states[N_X * N_X], by_inputs[N_R > 0 ? N_X * N_R : 1];
+    double by_states[N_X * N_X], by_inputs[FMU_AT_LEAST_1(N_X * N_R)];
     if (!fmu_close(f) || (!begins && (!fmu_check(f, FB_PUBLIC(jacobian)(&s->model, by_states)) ||
                                       (N_R > 0 && !fmu_check(f, FB_PUBLIC(input_jacobian)(&s->model, by_inputs))))))
         return 0;
@@ -452,24 +462,98 @@ static int fmu_save(fmu *f, void **saved)
     return 1;
 }
 
-/* Pointers in a saved state are set anew before they are used, so that its bytes mean the same in another process. */
-static int fmu_serialize(fmu *f, const void *saved, void *bytes, const size_t size)
+/* A serialized state: what tells that it is one of this model, whole; then all from which the rest follows. Its
+ * numbers are no pointers and no places in arrays, so that none of them can do harm. */
+typedef struct fmu_record {
+    char kind[sizeof FMU_KIND], model[sizeof fmu_token];
+    uint64_t size, sum; /* of the record; of its other bytes */
+    double t, since, tolerance, start, stop, interval[2];
+    double x[N_X], given[N_X], p[FMU_AT_LEAST_1(N_P)], r[FMU_AT_LEAST_1(N_R)], slope[FMU_AT_LEAST_1(N_R)];
+    int32_t held[FMU_AT_LEAST_1(N_R)], is_cosimulation, mode, is_open;
+} fmu_record;
+
+/* Source: G. Fowler, L. C. Noll, K.-P. Vo, D. Eastlake, "The FNV Non-Cryptographic Hash Algorithm", FNV-1a, 64 bits. */
+static uint64_t fmu_sum(const fmu_record *record)
 {
-    if (size < sizeof(fmu_state))
-        return fmu_fail(f, "A serialized state has %d bytes, not %d.", (int)sizeof(fmu_state), (int)size);
-    memcpy(bytes, saved, sizeof(fmu_state));
+    const size_t place = offsetof(fmu_record, sum);
+    uint64_t sum = 14695981039346656037u;
+    for (size_t i = 0; i < sizeof *record; ++i) {
+        const int is_summed = i < place || i >= place + sizeof record->sum;
+        sum = (sum ^ (is_summed ? ((const unsigned char *)record)[i] : 0u)) * 1099511628211u;
+    }
+    return sum;
+}
+
+static int fmu_serialize(fmu *f, const fmu_state *saved, void *bytes, const size_t size)
+{
+    const FB_MODEL *const m = &saved->model;
+    fmu_record record;
+    if (size < sizeof record)
+        return fmu_fail(f, "A serialized state has %d bytes, not %d.", (int)sizeof record, (int)size);
+    memset(&record, 0, sizeof record); /* and what is between its members */
+    memcpy(record.kind, FMU_KIND, sizeof record.kind);
+    memcpy(record.model, fmu_token, sizeof record.model);
+    record.size = sizeof record;
+    record.t = m->t;
+    record.since = m->since;
+    record.tolerance = saved->tolerance;
+    record.start = saved->start;
+    record.stop = saved->stop;
+    FB_PUBLIC(get_interval)(m, record.interval);
+    memcpy(record.x, m->x, sizeof record.x);
+    memcpy(record.given, saved->given, sizeof record.given);
+    memcpy(record.p, m->p, sizeof record.p);
+    memcpy(record.r, m->r, sizeof record.r);
+    memcpy(record.slope, m->slope, sizeof record.slope);
+    for (int k = 0; k < N_R; ++k)
+        record.held[k] = m->held[k];
+    record.is_cosimulation = saved->is_cosimulation;
+    record.mode = saved->mode;
+    record.is_open = saved->is_open;
+    record.sum = fmu_sum(&record);
+    memcpy(bytes, &record, sizeof record);
     return 1;
 }
 
 static int fmu_deserialize(fmu *f, const void *bytes, const size_t size, void **saved)
 {
-    if (size != sizeof(fmu_state))
-        return fmu_fail(f, "A serialized state has %d bytes, not %d.", (int)sizeof(fmu_state), (int)size);
+    fmu_record record;
+    if (bytes == NULL || size < sizeof record.kind || memcmp(bytes, FMU_KIND, sizeof record.kind) != 0)
+        return fmu_fail(f, "The %d bytes are no serialized state of this version: they do not begin with \"%s\".",
+                        (int)size, FMU_KIND);
+    memset(&record, 0, sizeof record);
+    memcpy(&record, bytes, size < sizeof record ? size : sizeof record);
+    if (memcmp(record.model, fmu_token, sizeof record.model) != 0)
+        return fmu_fail(f, "The serialized state is one of another model than %s.", fmu_token);
+    if (size != sizeof record || record.size != sizeof record)
+        return fmu_fail(f, "A serialized state has %d bytes, not %d.", (int)sizeof record, (int)size);
+    if (record.sum != fmu_sum(&record))
+        return fmu_fail(f, "The serialized state is damaged: its bytes have another sum than it says.");
     if (*saved == NULL)
-        *saved = malloc(size);
+        *saved = malloc(sizeof(fmu_state));
     if (*saved == NULL)
         return fmu_fail(f, "There is no memory for a copy of the state.");
-    memcpy(*saved, bytes, size);
+    fmu_state *const s = *saved;
+    FB_MODEL *const m = &s->model;
+    memset(s, 0, sizeof *s);
+    FB_PUBLIC(init)(m);
+    memcpy(m->p, record.p, sizeof record.p);
+    FB_PUBLIC(update)(m);
+    m->t = record.t;
+    m->since = record.since;
+    s->tolerance = record.tolerance;
+    s->start = record.start;
+    s->stop = record.stop;
+    FB_PUBLIC(set_interval)(m, record.interval);
+    memcpy(m->x, record.x, sizeof record.x);
+    memcpy(s->given, record.given, sizeof record.given);
+    memcpy(m->r, record.r, sizeof record.r);
+    memcpy(m->slope, record.slope, sizeof record.slope);
+    for (int k = 0; k < N_R; ++k)
+        m->held[k] = record.held[k];
+    s->is_cosimulation = record.is_cosimulation;
+    s->mode = record.mode;
+    s->is_open = record.is_open;
     return 1;
 }
 

@@ -349,6 +349,21 @@ void FB_PUBLIC(between)(FB_MODEL *model, const double begin, const double end)
     clock->last = N_BREAKPOINTS > 0 ? nextafter(end, -INFINITY) : INFINITY;
 }
 
+/* The ends of that interval as they are kept, for those who store a mechanism. */
+void FB_PUBLIC(get_interval)(const FB_MODEL *model, double *interval)
+{
+    const fb_clock *const clock = &((const fb_own *)(const void *)model->memory.bytes)->clock;
+    interval[0] = clock->first;
+    interval[1] = clock->last;
+}
+
+void FB_PUBLIC(set_interval)(FB_MODEL *model, const double *interval)
+{
+    fb_clock *const clock = &own_of(model)->clock;
+    clock->first = interval[0];
+    clock->last = interval[1];
+}
+
 int FB_PUBLIC(step)(FB_MODEL *model, const double h, const int order)
 {
     fb_run *const run = run_of(model, order == 8 ? 8 : 4);

@@ -266,11 +266,16 @@ def test_sides_of_a_condition_whose_rounding_is_not_its_times():
 
 @pytest.mark.parametrize("jump", [sm.Heaviside(t - T), (1 + sm.sign(t - T)) / 2, sm.Piecewise((0, t < T), (1, True))])
 def test_steps_of_forces_by_other_functions(jump):
-    run = pushed(1e3 * (jump - jump.subs(T, T + sm.Rational(1, 1000)))).simulate((0.0, 1.0), [0.0, 0.0])
-    assert run["u"][-1] == pytest.approx(1.0, rel=1e-12)
-    kinked = pushed(sm.Abs(t - T) - t + T).simulate((0.0, 1.0), [0.0, 0.0])
-    assert kinked["u"][-1] == pytest.approx(0.09, rel=1e-12)
-    assert 0.3 in kinked.t
+    pulsed, kinked = pushed(1e3 * (jump - jump.subs(T, T + sm.Rational(1, 1000)))), pushed(sm.Abs(t - T) - t + T)
+    assert pulsed.simulate((0.0, 1.0), [0.0, 0.0])["u"][-1] == pytest.approx(1.0, rel=1e-12)
+    run = kinked.simulate((0.0, 1.0), [0.0, 0.0])
+    assert run["u"][-1] == pytest.approx(0.09, rel=1e-12)
+    assert 0.3 in run.t
+    for model, end in ((pulsed, 1.0), (kinked, 0.09)):
+        stepper = model.stepper(0.1, [0.0, 0.0])
+        for _ in range(10):
+            stepper.step()
+        assert stepper.x[1] == pytest.approx(end, rel=1e-12)
 
 
 def test_events_of_a_jump():

@@ -640,8 +640,9 @@ class CompiledModel(Kernel):
         inputs : mapping of input to source, optional
             For each input a number, a table ``(times, values)`` or ``(times, values, kind)``, which is held constant
             outside its range, or a callable of (t, x); by default its expression. The kind is "linear", "pchip"
-            (monotone cubic, without overshoot) or "cubic" (cubic spline). The default is "linear"; for prescribed
-            motions, whose rates are needed, it is "cubic", and callables are refused.
+            (monotone cubic, without overshoot), "cubic" (cubic spline) or "hold" (zero-order hold: value i holds from
+            times[i], included, until times[i + 1]). The default is "linear"; for prescribed motions, whose rates are
+            needed, it is "cubic", and "hold" and callables are refused.
         t_eval : array_like, optional
             Times at which to store the state.
         rtol, atol : float, optional
@@ -1182,7 +1183,8 @@ class CompiledModel(Kernel):
         parameters : array_like or mapping, optional
             The defaults otherwise.
         inputs : mapping, optional
-            As for `simulate`; ``step(r)`` holds those that it names for a step.
+            As for `simulate`; ``step(r)`` holds those that it names for a step. A step in which a force jumps, or a
+            table has a point, is made of several that end there.
         constraints : {"project", "none"}, optional
             As for `simulate`.
 

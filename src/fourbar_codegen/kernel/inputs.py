@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ __all__ = [
     "by_name",
     "by_values",
     "changes_at",
+    "held_inputs",
     "input_sources",
     "inputs_at",
     "inputs_of",
@@ -35,8 +36,9 @@ Floats = NDArray[np.float64]
 InputSource = float | tuple[ArrayLike, ArrayLike] | tuple[ArrayLike, ArrayLike, str] | Callable[[float, Floats], float]
 InterpolationTable = tuple[Floats, Floats] | tuple[Floats, Floats, str]
 
-KINDS = ("linear", "pchip", "cubic")
-"""Interpolation of a table: linear; monotone PCHIP cubics, which do not overshoot; a cubic spline."""
+KINDS = ("linear", "pchip", "cubic", "hold")
+"""Interpolation of a table: linear; monotone PCHIP cubics, which do not overshoot; a cubic spline; a zero-order hold of
+the value of the last time that is not later."""
 
 
 def bind(model: Kernel, parameters: Values | None, inputs: Mapping[Any, InputSource] | None) -> Ode:
@@ -54,12 +56,17 @@ def bind(model: Kernel, parameters: Values | None, inputs: Mapping[Any, InputSou
 
 
 def along(
-    model: Kernel, parameters: Values | None, t: Floats, r: Floats, inputs: Mapping[Any, InputSource] | None
+    model: Kernel,
+    parameters: Values | None,
+    t: Floats,
+    r: Floats,
+    inputs: Mapping[Any, InputSource] | None,
+    held: Collection[str],
 ) -> tuple[Ode, bool]:
     """The right-hand side with the inputs of a run, and whether an input that prescribes a motion is interpolated.
 
     Inputs come from their sources. If these are unknown, an input is given by its expression if that agrees with its
-    values r, in columns at times t; otherwise r is interpolated linearly.
+    values r, in columns at times t; otherwise r is interpolated linearly, or held, as the names say.
     """
     if inputs is not None:
         return bind(model, parameters, inputs), False
@@ -67,11 +74,13 @@ def along(
     r = r[:, forward]
     expressions = np.reshape([model.default_inputs(time, parameters) for time in t], r.T.shape).T
     sources: list[object] = []
-    for values, expected in zip(r, expressions, strict=True):
+    for name, values, expected in zip(model.inputs, r, expressions, strict=True):
         if np.array_equal(values, expected):
             sources.append(None)
+        elif len(t) == 1:
+            sources.append(float(values[0]))
         else:
-            sources.append(float(values[0]) if len(t) == 1 else _linear(t, values))
+            sources += _interpolants(t, values, "hold" if name in held else "linear", 1)
     entries = model.manifest["inputs"]
     interpolated = {entry["of"] for entry, source in zip(entries, sources, strict=True) if source is not None}
     return Ode(model, parameters, sources), not interpolated.isdisjoint(model.prescribed)
@@ -103,7 +112,13 @@ def input_sources(model: Kernel, inputs: Mapping[Any, InputSource] | None) -> li
                 )
             of_orders = [source]
         elif isinstance(source, tuple):
-            of_orders = list(_interpolants(source[0], source[1], _kind(source, len(orders)), len(orders)))
+            kind = _kind(source, len(orders))
+            if kind == "hold" and len(orders) > 1:
+                raise ModelError(
+                    f"Input {name} prescribes a motion, which cannot jump from value to value: a table of it is of the "
+                    "kind linear, pchip or cubic, not hold."
+                )
+            of_orders = list(_interpolants(source[0], source[1], kind, len(orders)))
         else:
             of_orders = [0.0 if order else source for order in orders]
         sources[first : first + len(orders)] = of_orders
@@ -146,17 +161,20 @@ def _kind(source: InterpolationTable, n_orders: int) -> str:
     return source[2] if len(source) == 3 else "linear" if n_orders == 1 else "cubic"
 
 
-def _linear(times: Floats, values: Floats) -> Table:
-    [table] = _interpolants(times, values, "linear", 1)
-    return table
+def held_inputs(inputs: Mapping[Any, Any] | None) -> list[str]:
+    """The names of inputs whose sources are tables of the kind "hold"."""
+    return [
+        name_of(key) for key, source in (inputs or {}).items() if isinstance(source, tuple) and source[2:] == ("hold",)
+    ]
 
 
 def _interpolants(times: Floats, values: Floats, kind: str, orders: int) -> Iterator[Table]:
     """The interpolant of a table, and its derivatives; constant outside of the table."""
     coefficients = _coefficients(times, values, kind)
     before, after = values[0], values[-1]
+    ends = np.append(times, np.inf) if kind == "hold" else times
     for _ in range(orders):
-        yield Table(times, coefficients, before, after)
+        yield Table(ends, coefficients, before, after)
         coefficients = _rate(coefficients)
         before = after = 0.0
 
@@ -170,6 +188,8 @@ def _coefficients(times: Floats, values: Floats, kind: str) -> Floats:
     if kind == "linear":
         lengths = np.diff(times).reshape(-1, *(1,) * (values.ndim - 1))
         return np.array([np.diff(values, axis=0) / lengths, values[:-1]])
+    if kind == "hold":  # the last interval has no end
+        return values[np.newaxis]
     from scipy.interpolate import CubicSpline, PchipInterpolator
 
     coefficients: Floats = (CubicSpline if kind == "cubic" else PchipInterpolator)(times, values).c
@@ -253,7 +273,13 @@ def by_values(
     first = model.inputs.index(name)
     pairs = zip(model.manifest["inputs"], by_sources, strict=True)
     parts = [part for entry, part in pairs if entry["of"] == name and part is not None]
-    if isinstance(source, tuple) and _kind(source, len(parts)) == "linear":  # of thousands of values, perhaps
+    # Of thousands of values, perhaps.
+    kind = _kind(source, len(parts)) if isinstance(source, tuple) else None
+    if kind == "hold":
+        held: Floats = parts[0][:-2].copy()
+        held[[0, -1]] += parts[0][-2:]
+        return held
+    if isinstance(source, tuple) and kind == "linear":
         found = np.zeros(len(source[0]))
         for order, part in enumerate(parts[:2]):
             weights = part[:-2].reshape(len(found) - 1, -1)

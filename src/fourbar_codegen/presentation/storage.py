@@ -288,6 +288,7 @@ def _trajectory(model: Kernel, attributes: Mapping[str, Any], columns: Mapping[s
         raise ValueError("its times are not finite, or do not go in one direction")
     parameters, settings = (_entry(attributes, key, dict) for key in ("parameters", "settings"))
     _entry(settings, "constraints", str)
+    _entry({"held": [], **settings}, "held", list)
     values = [_number(parameters, name) for name in model.parameters]
     rows = {name: _column(columns, name) for name in (*model.states, *model.inputs)}
     for name, row in rows.items():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -227,9 +228,9 @@ class Trajectory:
         States are interpolated with ``sol`` if it exists, otherwise with cubic Hermite polynomials through the stored
         states and their rates, whose error is proportional to the fourth power of the distance between stored states.
         They are projected onto the constraints if the run was. Inputs are evaluated from their sources. Sensitivities
-        are kept if there is ``sol``. For a run that
-        was read from a file, inputs that are not their default expressions are interpolated linearly; if one of these
-        prescribes a motion, states are not projected.
+        are kept if there is ``sol``. For a run that was read from a file, inputs that are not their default expressions
+        are held, if they were tables of the kind "hold", or interpolated linearly; if one of these prescribes a motion,
+        states are not projected.
 
         Parameters
         ----------
@@ -257,7 +258,8 @@ class Trajectory:
         if not len(self.t):
             raise ModelError("The run has no states.")
         times = sample_times(times, self.t[0], self.t[-1], "times")
-        ode, prescribed = along(self.model, self.parameters, self.t, self.r, self.inputs)
+        held = self.settings.get("held", ())
+        ode, prescribed = along(self.model, self.parameters, self.t, self.r, self.inputs, held)
         stored, places = np.unique(self.t, return_index=True)  # an event at the start is stored in addition to it
         if self.sol is not None:
             states = np.asarray(self.sol(times))
@@ -266,7 +268,7 @@ class Trajectory:
         elif not np.isfinite(self.y).all():
             raise ModelError("Some of the states are not numbers: there is nothing to interpolate between.")
         else:
-            rates = np.transpose([ode(t, x) for t, x in zip(stored, self.y.T[places], strict=True)])
+            rates = _rates(ode, stored, self.y.T[places])
             states = _hermite(stored, self.y[:, places], rates, times)
             _warn_of_gaps(self.model.states, ode, stored, self.y[:, places], rates)
         if self.settings["constraints"] == "project" and not prescribed:
@@ -571,6 +573,22 @@ class Trajectory:
         return table("Trajectory", (), run_rows(self))
 
 
+def _rates(ode: Any, t: Floats, y: Floats) -> Floats:
+    """The rates of states in rows at the beginnings and ends of the intervals between them, shape (2, n_x, n_t - 1).
+
+    At a jump of an input, they are those on the interval's own side.
+    """
+    if not (ode.n_breakpoints or ode.has_tables):
+        rates = np.transpose([ode(time, x) for time, x in zip(t, y, strict=True)])
+        return np.stack([rates[:, :-1], rates[:, 1:]])
+    found, rounding = np.empty((2, y.shape[1], len(t) - 1)), 4.0 * np.spacing(np.abs(t).max())
+    for i in range(len(t) - 1):
+        ode.clock = 0.0, t[i] + rounding, t[i + 1] - rounding
+        found[:, :, i] = ode(t[i], y[i]), ode(t[i + 1], y[i + 1])
+    ode.clock = 0.0, -math.inf, math.inf
+    return found
+
+
 def _hermite(t: Floats, y: Floats, rates: Floats, times: Floats) -> Floats:
     """Cubic Hermite interpolation of states in columns; importing SciPy's class would take half a second."""
     i = np.clip(np.searchsorted(t, times, side="right") - 1, 0, len(t) - 2)
@@ -579,7 +597,7 @@ def _hermite(t: Floats, y: Floats, rates: Floats, times: Floats) -> Floats:
     values: Floats = (
         (1.0 + 2.0 * s) * (1.0 - s) ** 2 * y[:, i]
         + s**2 * (3.0 - 2.0 * s) * y[:, i + 1]
-        + step * s * (1.0 - s) * ((1.0 - s) * rates[:, i] - s * rates[:, i + 1])
+        + step * s * (1.0 - s) * ((1.0 - s) * rates[0][:, i] - s * rates[1][:, i])
     )
     return values
 
@@ -592,7 +610,7 @@ def _warn_of_gaps(names: Sequence[str], ode: Any, t: Floats, y: Floats, rates: F
     """
     h = np.diff(t)
     quarters = _hermite(t, y, rates, t[:-1] + h / 4.0)
-    slopes = 1.125 * np.diff(y) / h + 0.1875 * rates[:, :-1] - 0.3125 * rates[:, 1:]
+    slopes = 1.125 * np.diff(y) / h + 0.1875 * rates[0] - 0.3125 * rates[1]
     exact = np.transpose([ode(time, x) for time, x in zip(t[:-1] + h / 4.0, quarters.T, strict=True)])
     errors = np.nan_to_num(np.abs(slopes - exact) * h / 3.0).max(axis=1)
     share = errors / np.maximum(np.ptp(y, axis=1), ROUGH)

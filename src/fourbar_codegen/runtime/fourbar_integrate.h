@@ -406,11 +406,10 @@ static inline double fb_fixed_time(const fb_run *s, const double h, const long n
     return s->t_begin + (double)n * h;
 }
 
-/* A step of length h by a method without an error estimate; the status of the kernel if it fails. */
-static inline int fb_fixed_step(fb_run *s, const double h)
+/* A step of length h to t_new by a method without an error estimate; the status of the kernel if it fails. */
+static inline int fb_step_to(fb_run *s, const double h, const double t_new)
 {
     fb_problem *const p = s->problem;
-    const double t_new = fb_fixed_time(s, h, s->n_steps + 1);
     int status = fb_evaluate(s, s->t, s->x, s->stages);
     if (status == 0)
         status = fb_stages(s, h);
@@ -425,6 +424,11 @@ static inline int fb_fixed_step(fb_run *s, const double h)
     }
     fb_accept(s, t_new);
     return FB_OK;
+}
+
+static inline int fb_fixed_step(fb_run *s, const double h)
+{
+    return fb_step_to(s, h, fb_fixed_time(s, h, s->n_steps + 1));
 }
 
 /* The coefficients of the last step's interpolant. */

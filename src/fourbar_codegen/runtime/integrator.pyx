@@ -107,6 +107,7 @@ cdef extern from "fourbar_integrate.h":
     int fb_resume(fb_run *) noexcept nogil
     int fb_step_on(fb_run *) noexcept nogil
     double fb_fixed_time(const fb_run *, double, long) noexcept nogil
+    int fb_step_to(fb_run *, double, double) noexcept nogil
     int fb_fixed_step(fb_run *, double) noexcept nogil
     int fb_run_on(fb_run *, long) noexcept nogil
     void fb_keep_step(fb_run *, double) noexcept nogil
@@ -166,7 +167,7 @@ cdef class Table:
     Parameters
     ----------
     times : ndarray, shape (n,)
-        Strictly increasing.
+        Strictly increasing; the last one may be infinite, if the last polynomial is constant.
     coefficients : ndarray, shape (k + 1, n - 1)
         For the powers k to 0 of the time since the beginning of each interval, as in ``scipy.interpolate.PPoly``.
     before, after : float
@@ -193,6 +194,12 @@ cdef class Table:
         left = np.append(self.table.before, ends)
         right = np.append(self.coefficients[:, np.shape(self.coefficients)[1] - 1], self.table.after)
         return np.abs(right - left) > 1e-9 * (np.abs(right) + np.abs(left))
+
+    def bends(self, bint varied=False):
+        """Whether it may jump or have a kink at each of its times, shape (n,); varied, with any values."""
+        if varied or self.table.n_coefficients > 1:
+            return np.ones(len(self.times), dtype=bool)
+        return np.diff(np.concatenate(([self.table.before], self.coefficients[:, 0], [self.table.after]))) != 0.0
 
     def interval(self, double t):
         """The number of the interval that gives the value at a time: -1 before, n - 1 after."""
@@ -1203,7 +1210,8 @@ cdef class Stepper:
     """Advances a mechanism by fixed steps, for control loops and real time.
 
     Each step is one of the classical Runge-Kutta method (four evaluations, no error control), followed by a projection
-    of the state onto the constraints. It is one run: each thread needs a stepper of its own.
+    of the state onto the constraints; or several, which end at the jumps and kinks in time of forces and tables. It is
+    one run: each thread needs a stepper of its own.
 
     Attributes
     ----------
@@ -1220,14 +1228,20 @@ cdef class Stepper:
     cdef fb_source *sources
     cdef double h
     cdef tuple jumps
+    cdef cnp.ndarray breaks
+    cdef long n_breaks, n_passed
     cdef cnp.ndarray kept
     cdef bint busy
 
-    def __cinit__(self, Ode ode not None, double h, double t, x, bint project, long n_steps=0, jumps=()):
+    # The rows of breaks are the time of a jump or kink of x', the last time before it, and the first one after it.
+
+    def __cinit__(self, Ode ode not None, double h, double t, x, bint project, long n_steps=0, jumps=(), breaks=()):
         cdef int n = ode.evaluator.n_x
         cdef cnp.ndarray state = vector(x, n, "The state x")
         cdef fb_run *run = &self.run
         self.ode, self.h, self.jumps = ode, h, tuple(jumps)
+        self.breaks = np.array(breaks, dtype=np.float64, order="C").reshape(-1, 3)
+        self.n_breaks = len(self.breaks)
         _prepare(run, ode, &fb_rk4)
         run.project, run.t_begin, run.n_steps = project, t, n_steps
         run.t = fb_fixed_time(run, h, n_steps)
@@ -1240,7 +1254,7 @@ cdef class Stepper:
             raise MemoryError
 
     def __reduce__(self):
-        run = (self.run.t_begin, self.x, bool(self.run.project), self.run.n_steps, self.jumps)
+        run = (self.run.t_begin, self.x, bool(self.run.project), self.run.n_steps, self.jumps, self.breaks)
         return Stepper, (self.ode, self.h, *run)
 
     def __dealloc__(self):
@@ -1288,7 +1302,7 @@ cdef class Stepper:
         elif held:
             self._hold(held)
         problem.status = FB_OK
-        status = fb_fixed_step(&self.run, self.h)
+        status = self._pass_breaks() if self.n_breaks else fb_fixed_step(&self.run, self.h)
         if held:  # the tables' intervals
             memcpy(own.sources, self.sources, own.n_sources * sizeof(fb_source))
         problem.sources, problem.n_sources, problem.called_inputs = own.sources, own.n_sources, own.called_inputs
@@ -1323,6 +1337,33 @@ cdef class Stepper:
             problem.n_sources += 1
         problem.sources = self.sources
         return 0
+
+    cdef int _pass_breaks(self) noexcept:
+        """A step in pieces between breaks, each with the inputs on its own side of these; the kernel's status."""
+        cdef fb_run *run = &self.run
+        cdef fb_clock *clock = &run.problem.clock
+        cdef const double *breaks = data(self.breaks)
+        cdef cnp.ndarray start = _state_of(run)
+        cdef double t_old = run.t, t_new = fb_fixed_time(run, self.h, run.n_steps + 1), t = t_old
+        cdef double direction = 1.0 if self.h > 0.0 else -1.0, before, after
+        cdef long n_steps = run.n_steps, k = self.n_passed
+        cdef int status = FB_OK
+        while status == FB_OK and t != t_new:
+            while k < self.n_breaks and direction * t >= direction * breaks[3 * k + 1]:
+                k += 1
+            after = breaks[3 * k - 1] if k > 0 else -direction * INFINITY
+            before = breaks[3 * k + 1] if k < self.n_breaks else direction * INFINITY
+            clock.first, clock.last = min(after, before), max(after, before)
+            t = breaks[3 * k] if k < self.n_breaks and direction * t_new > direction * breaks[3 * k + 2] else t_new
+            status = fb_step_to(run, self.h if t_old == run.t and t == t_new else t - run.t, t)
+        clock.first, clock.last = -INFINITY, INFINITY
+        if status == FB_OK:
+            self.n_passed = k
+        else:  # as it was
+            memcpy(run.x, data(start), run.n * sizeof(double))
+            run.t = t_old
+        run.n_steps = n_steps + (status == FB_OK)
+        return status
 
     def _check_jumps(self, held):
         """Raise if speeds jump within the next step by something else than inputs that are held, a set of places."""

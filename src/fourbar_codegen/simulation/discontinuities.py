@@ -22,10 +22,10 @@ __all__ = [
     "Boundary",
     "Discontinuity",
     "Pieces",
+    "boundaries",
     "boundary",
     "discontinuities",
     "jumping_inputs",
-    "jumps",
     "speeds_after",
 ]
 
@@ -108,7 +108,8 @@ def discontinuities(ode: Ode, begin: float, end: float, *, varied: bool = False)
     for entry, source in zip(ode.manifest["inputs"], ode.sources, strict=True):
         if isinstance(source, Table):
             moves = source.jumps(varied) if entry["order"] == 1 else np.zeros(len(source.times), dtype=bool)
-            for t, jumps in zip(source.times.tolist(), moves.tolist(), strict=True):
+            bends = source.bends(varied)
+            for t, jumps in zip(source.times[bends].tolist(), moves[bends].tolist(), strict=True):
                 known[t] = known.get(t, False) or jumps
     low, high = min(begin, end), max(begin, end)
     within = sorted((t for t in known if low <= t <= high), reverse=end < begin)
@@ -120,7 +121,7 @@ def discontinuities(ode: Ode, begin: float, end: float, *, varied: bool = False)
             found[-1] = Discontinuity(found[-1].t, t, found[-1].moves or known[t], same)
         else:
             found.append(Discontinuity(t, t, known[t], same))
-    return [replace(at, varied=varied and at.moves) for at in found]
+    return [replace(at, varied=at.moves) for at in found] if varied else found
 
 
 def boundary(ode: Ode, at: Discontinuity, towards: float, x: Floats) -> Boundary:
@@ -421,9 +422,17 @@ class Pieces:
         return run.enter(t, end, first, last, x if jumps else None)
 
 
-def jumps(ode: Ode, begin: float, end: float, x: Floats) -> list[Boundary]:
-    """Boundaries where speeds jump between two times, for other integrators; x is a state at the first time."""
-    found = discontinuities(ode, begin, end)
+def boundaries(ode: Ode, begin: float, end: float, x: Floats) -> tuple[list[Boundary], list[Boundary]]:
+    """Where speeds jump between two times, and where they only have a kink, for other integrators.
+
+    The second ones include those at both times. x is a state at the first time.
+    """
     towards = math.copysign(math.inf, end - begin)
-    boundaries = [boundary(ode, at, towards, x) for at in found if at.moves]
-    return [at for at in boundaries if at.begin != at.end and end not in {at.end, at.begin} and begin != at.begin]
+    jumps, kinks = [], []
+    for mark in discontinuities(ode, begin, end):
+        at = boundary(ode, mark, towards, x)
+        if not (mark.moves and at.begin != at.end):
+            kinks.append(at)
+        elif end not in {at.end, at.begin} and begin != at.begin:
+            jumps.append(at)
+    return jumps, kinks

@@ -27,7 +27,7 @@ from fourbar_codegen.arguments import (
 )
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.kernel.consistency import projects
-from fourbar_codegen.kernel.inputs import by_name, own_source
+from fourbar_codegen.kernel.inputs import by_name, held_inputs, own_source
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.kernel.sensitivity import differentiable
 from fourbar_codegen.simulation.events import Event, events_of
@@ -169,6 +169,8 @@ class RunOptions(NamedTuple):
             settings["max_step"] = self.max_step
         if self.formulation is not None:
             settings["formulation"] = self.formulation
+        if held := held_inputs(self.inputs):
+            settings["held"] = held
         return settings
 
 

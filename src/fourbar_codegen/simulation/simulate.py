@@ -27,7 +27,7 @@ from fourbar_codegen.kernel.sensitivity import (
 from fourbar_codegen.progress import PATIENCE, Progress
 from fourbar_codegen.results.trajectory import Trajectory
 from fourbar_codegen.runtime.integrator import Stepper
-from fourbar_codegen.simulation.discontinuities import jumping_inputs, jumps
+from fourbar_codegen.simulation.discontinuities import boundaries, jumping_inputs
 from fourbar_codegen.simulation.integrate import integrate
 from fourbar_codegen.simulation.options import FIXED_STEP, RunOptions
 
@@ -142,6 +142,6 @@ def make_stepper(
     ode = bind(model, p, inputs)
     check_start(model, ode, t, state, p)
     start = consistent(ode, t, state) if closes else state
-    boundaries = jumps(ode, t, math.copysign(math.inf, h), start)
-    ends = [(at.end, at.begin, jumping_inputs(ode, at, start)) for at in boundaries]
-    return Stepper(ode, h, t, start, closes, jumps=ends)
+    jumps, kinks = boundaries(ode, t, math.copysign(math.inf, h), start)
+    jumping = [(at.end, at.begin, jumping_inputs(ode, at, start)) for at in jumps]
+    return Stepper(ode, h, t, start, closes, jumps=jumping, breaks=[(at.end, at.last, at.first) for at in kinks])

@@ -35,7 +35,7 @@ from fourbar_codegen.kernel.consistency import consistent
 from fourbar_codegen.runtime.evaluator import is_finite
 from fourbar_codegen.runtime.implicit import FORMULATIONS, Rates, Residual
 from fourbar_codegen.runtime.integrator import EmbeddedSteps, Ode
-from fourbar_codegen.simulation.discontinuities import jumps
+from fourbar_codegen.simulation.discontinuities import boundaries
 
 __all__ = ["BDF", "CVODE", "DOP853", "IDA", "LSODA", "RK23", "RK45", "Radau"]
 
@@ -83,7 +83,7 @@ class _Compiled(scipy.integrate.OdeSolver):
         if math.isnan(t_bound):
             raise ModelError("The end t_bound must be a number or infinite, not nan.")
         if not fun.in_pieces:
-            for at in jumps(fun, t0, t_bound, y0):
+            for at in boundaries(fun, t0, t_bound, y0)[0]:
                 raise ModelError(
                     f"The rate of a prescribed motion jumps at t = {at.begin:.9g}, and so do the speeds: use "
                     "CompiledModel.simulate, which passes the jump, or end the run there."

@@ -254,6 +254,39 @@ def test_a_kink_in_time(exported):
     np.testing.assert_allclose(states[:, 0], expected, rtol=0, atol=1e-11)
 
 
+@pytest.mark.parametrize("h", [0.05, 0.04])
+def test_steps_with_a_jump_in_time(exported, h):
+    """A step that ends at t = 0.35 has the force before it in its last stage; one that passes it is made of two.
+
+    The error of order 8 is below (w h)^9 / 9!, over 20 steps 1e-12.
+    """
+    _, library = exported("kinked")
+    mechanism = library.new()
+    while mechanism.t < 0.99:
+        assert library.call("step", mechanism, h, 8) == 0
+    angle = 3 * (mechanism.t - 0.35)
+    np.testing.assert_allclose(mechanism.x[:2], [(1 - np.cos(angle)) / 9, np.sin(angle) / 3], rtol=0, atol=1e-11)
+
+
+def test_a_recorded_control_loop_is_replayed(exported):
+    """A controller of 1 kHz in C, by steps of order 8, and its forces as a table in Python."""
+    compiled, library = exported("four_bar")
+    mechanism = library.new()
+    assert library.call("close", mechanism) == 0
+    start, force, rate = np.array(mechanism.x), compiled.inputs.index("F"), compiled.states.index("u1")
+    times, forces, states = [], [], []
+    mechanism.held[force] = 1
+    for _ in range(500):
+        mechanism.r[force] = -50.0 * mechanism.x[rate]
+        times.append(mechanism.t)
+        forces.append(mechanism.r[force])
+        states.append([*mechanism.x])
+        assert library.call("step", mechanism, 1e-3, 8) == 0
+    inputs = {"F": (times, forces, "hold")}
+    run = compiled.simulate((0.0, times[-1]), start, inputs=inputs, t_eval=times, rtol=1e-13, atol=1e-13)
+    np.testing.assert_allclose(run.y, np.transpose(states), rtol=0, atol=1e-12)
+
+
 def test_a_copy_is_the_mechanism_in_its_state(exported):
     _, library = exported("four_bar")
     mechanism = library.new()

@@ -266,6 +266,22 @@ def test_inputs_with_derivatives(fmus, tmp_path, four_bar):
 
 
 @BOTH
+def test_an_input_of_each_step_is_a_hold(fmus, fmi, tmp_path, four_bar):
+    """A controller of 1 kHz beside the FMU, and its forces as a table in Python; each step is exact to 1e-13."""
+    instance, times, forces, states = Instance(fmus(fmi), fmi, tmp_path), [], [], []
+    instance.begin(tolerance=1e-13)
+    for k in range(200):
+        states.append(instance.get(*four_bar.states))
+        times.append(1e-3 * k)
+        forces.append(-50.0 * states[-1][3])
+        instance.set(F=forces[-1])
+        instance.step(times[-1], 1e-3)
+    inputs = {"F": (times, forces, "hold")}
+    run = four_bar.simulate((0.0, times[-1]), inputs=inputs, t_eval=times, rtol=1e-13, atol=1e-13)
+    np.testing.assert_allclose(run.y, np.transpose(states), rtol=0, atol=1e-12)
+
+
+@BOTH
 def test_mistakes_are_told(fmus, fmi, tmp_path):
     instance = Instance(fmus(fmi), fmi, tmp_path)
 

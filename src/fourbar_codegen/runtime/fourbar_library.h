@@ -325,6 +325,17 @@ static double next_breakpoint(const fb_problem *problem, const double begin, con
     return next_change(begin, next);
 }
 
+/* The end of the piece from one time towards another: inputs are those between two discontinuities. */
+static double begin_piece(fb_problem *problem, const double begin, const double end)
+{
+    if (N_BREAKPOINTS + FB_CHANGES == 0)
+        return end;
+    const double until = next_breakpoint(problem, begin, end);
+    problem->clock.first = nextafter(fb_min(begin, until), INFINITY);
+    problem->clock.last = nextafter(fb_max(begin, until), -INFINITY);
+    return until;
+}
+
 int FB_PUBLIC(jumps)(FB_MODEL *model)
 {
     const fb_problem *const problem = problem_of(model);
@@ -371,9 +382,14 @@ int FB_PUBLIC(step)(FB_MODEL *model, const double h, const int order)
         return FB_INVALID_ARGUMENT;
     if (N_JUMPS > 0 && jumps_between(run->problem, model->t, model->t + h))
         return FB_SPEEDS_JUMP;
-    const int status = fb_fixed_step(run, h);
+    const double t_end = model->t + h;
+    int status = FB_OK;
+    for (int piece = 0; piece <= N_BREAKPOINTS + FB_CHANGES && status == FB_OK && run->t != t_end; ++piece) {
+        const double until = begin_piece(run->problem, run->t, t_end);
+        status = fb_step_to(run, piece == 0 && until == t_end ? h : until - run->t, until);
+    }
     if (status == FB_OK)
-        reach(model, run, run->t);
+        reach(model, run, t_end);
     return status;
 }
 
@@ -448,11 +464,7 @@ int FB_PUBLIC(simulate)(FB_MODEL *model, const double t_end, const double rtol, 
     long counted = 0;
     double typical = 0.0, sum = 0.0; /* the geometric mean over the run of the least pivot of J */
     for (int piece = 0; piece <= N_BREAKPOINTS + FB_CHANGES; ++piece) {
-        const double until = N_BREAKPOINTS + FB_CHANGES > 0 ? next_breakpoint(run->problem, here, t_end) : t_end;
-        if (N_BREAKPOINTS + FB_CHANGES > 0) { /* Inputs are those between two discontinuities. */
-            run->problem->clock.first = nextafter(fb_min(here, until), INFINITY);
-            run->problem->clock.last = nextafter(fb_max(here, until), -INFINITY);
-        }
+        const double until = begin_piece(run->problem, here, t_end);
         run->t_bound = run->until = until;
         run->pending = piece == 0;
         if (piece == 0) {

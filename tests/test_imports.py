@@ -60,6 +60,7 @@ DOORS = {
     ("results.ensemble", "presentation.figures"),
     ("analysis.assembly_modes", "presentation.figures"),
     ("results.kinematics", "presentation.figures"),
+    ("results.kinematics", "presentation.storage"),
     ("modeling.model", "dynamics.equations"),
     ("modeling.model", "dynamics.unknown_forces"),
 }

@@ -1,5 +1,6 @@
 """Positions along a drive: known curves, limits and velocities of mechanisms, and what cannot be driven."""
 
+import json
 import sys
 from itertools import product
 from math import acos, pi, radians, sqrt
@@ -123,6 +124,38 @@ def test_velocities_and_accelerations_of_a_slider():
     np.testing.assert_allclose(found[0].velocities["C"][0], 3 * first, rtol=0, atol=1e-12)
     np.testing.assert_allclose(found[0].accelerations["C"][0], 9 * second + 2 * first, rtol=0, atol=1e-11)
     assert len(found) == 2
+
+
+def test_files_of_a_branch(tmp_path):
+    """The slider's place, rate and acceleration in closed form, as above; a value at which the loop does not close."""
+    angles = np.linspace(0.1, 6.0, 40)
+    found = found_of(mechanisms.slider_crank, angles, rates={"q_OA": 3.0}, accelerations={"q_OA": 2.0})
+    s = np.sqrt(9 - np.sin(angles) ** 2)
+    first = -np.sin(angles) * (1 + np.cos(angles) / s)
+    second = -np.cos(angles) - np.cos(2 * angles) / s - np.sin(2 * angles) ** 2 / (4 * s**3)
+    path = found[0].save(tmp_path / "folder" / "branch.csv")
+    header = path.read_text().splitlines()[0].split(",")
+    rows = dict(zip(header, np.loadtxt(path, delimiter=",", skiprows=1).T, strict=True))
+    archive = np.load(found[0].save(tmp_path / "branch.npz"))
+    for file in (rows, archive):
+        np.testing.assert_array_equal(file["q_OA"], angles)
+        np.testing.assert_allclose(file["q_OA''"], 2.0, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(file["C.x"], np.cos(angles) + s, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(file["C.x'"], 3 * first, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(file["C.x''"], 9 * second + 2 * first, rtol=0, atol=1e-11)
+        np.testing.assert_allclose(file["u_OA"], 3.0, rtol=0, atol=1e-12)
+    assert header == [name for name in archive.files if name != "run_attributes"]
+    about = json.loads(str(archive["run_attributes"]))
+    assert about["limits"]["q_OA"] == [0.1, 6.0]
+    assert about["fingerprint"] == found.model.manifest["fingerprint"]
+    with pytest.raises(fb.ModelError, match=r"A branch is saved as \.csv, \.npz"):
+        found[0].save(tmp_path / "branch.xlsx")
+    with pytest.raises(fb.ModelError, match="holds no trajectory"):
+        fb.load_trajectory(tmp_path / "branch.npz", found.model)
+    crank = fb.compile_model(fb.models.slider_crank())
+    open_ends = crank.kinematics({"slide": [0.1, 0.3]})[0].save(tmp_path / "open.npz")
+    np.testing.assert_array_equal(np.load(open_ends)["slide"], [0.1, 0.3])
+    assert np.isnan(np.load(open_ends)["crank"]).tolist() == [True, False]
 
 
 def test_dead_points_of_a_slider_that_is_driven():

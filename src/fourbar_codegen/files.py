@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import csv
 import errno
+import io
 import os
 import secrets
 import stat
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, TypeVar
+from typing import IO, Any, TypeVar
 
 from fourbar_codegen.errors import ModelError
 
-__all__ = ["check_free", "path_of", "replacing", "save", "writer_of"]
+__all__ = ["check_free", "path_of", "replacing", "save", "write_csv", "writer_of"]
 
 T = TypeVar("T")
 Writer = Callable[[T, IO[bytes]], None]
@@ -128,3 +130,12 @@ def save(given: str | Path, result: T, writers: Mapping[str, Writer[T]], what: s
     except OSError as error:
         raise ModelError(f"{path} cannot be written: {error.strerror or error}.") from error
     return path
+
+
+def write_csv(columns: Mapping[str, Any], file: IO[bytes]) -> None:
+    """Arrays of the same length by name as columns, with a row of names, and all digits of numbers."""
+    text = io.TextIOWrapper(file, encoding="utf-8", newline="")
+    writer = csv.writer(text)
+    writer.writerow(columns)
+    writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
+    text.detach()  # the file stays open

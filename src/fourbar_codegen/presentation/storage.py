@@ -23,6 +23,7 @@ from fourbar_codegen.errors import FourbarError, ModelError
 from fourbar_codegen.files import check_free, path_of
 from fourbar_codegen.kernel.kernel import Kernel, parameter_array
 from fourbar_codegen.results.ensemble import Ensemble
+from fourbar_codegen.results.kinematics import Branch
 from fourbar_codegen.results.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "attributes",
+    "branch_attributes",
     "ensemble_dataset",
     "read_trajectory",
     "to_dataframe",
@@ -65,23 +67,35 @@ def versions() -> dict[str, str]:
     return found
 
 
+def _model_of(model: Kernel) -> dict[str, Any]:
+    """The model, and what computed with it."""
+    return {"model": model.name, "fingerprint": model.manifest["fingerprint"], "versions": versions()}
+
+
 def _origin(model: Kernel, settings: Mapping[str, Any]) -> dict[str, Any]:
     """The model, and the settings of the run."""
-    return {
-        "model": model.name,
-        "fingerprint": model.manifest["fingerprint"],
-        "settings": dict(settings),
-        "versions": versions(),
-    }
+    return {**_model_of(model), "settings": dict(settings)}
+
+
+def _named_parameters(model: Kernel, values: Floats | None) -> dict[str, float]:
+    return dict(zip(model.parameters, parameter_array(model, values).tolist(), strict=True))
 
 
 def attributes(trajectory: Trajectory) -> dict[str, Any]:
     """The information to repeat a run, and how it ended."""
-    model = trajectory.model
     return {
-        **_origin(model, trajectory.settings),
-        "parameters": dict(zip(model.parameters, parameter_array(model, trajectory.parameters).tolist(), strict=True)),
+        **_origin(trajectory.model, trajectory.settings),
+        "parameters": _named_parameters(trajectory.model, trajectory.parameters),
         **{name: getattr(trajectory, name) for name in ("nfev", "njev", "nlu", "status", "success", "message")},
+    }
+
+
+def branch_attributes(branch: Branch) -> dict[str, Any]:
+    """The information to repeat a branch, and its limits."""
+    return {
+        **_model_of(branch.model),
+        "parameters": _named_parameters(branch.model, branch.p),
+        **{name: getattr(branch, name) for name in ("t", "limits", "without_value")},
     }
 
 
@@ -219,12 +233,11 @@ def write_dataset(dataset: xarray.Dataset, file: IO[bytes]) -> None:
     file.write(SEAL + sha256(content).digest())
 
 
-def write_npz(trajectory: Trajectory, file: IO[bytes]) -> None:
-    """A trajectory as NumPy arrays by name, with everything else as JSON."""
-    arrays: dict[str, Any] = dict(trajectory.columns())
-    if ATTRIBUTES in arrays:
+def write_npz(columns: Mapping[str, Floats], attributes: Mapping[str, Any], file: IO[bytes]) -> None:
+    """NumPy arrays by name, with everything else as JSON."""
+    if ATTRIBUTES in columns:
         raise ModelError(f"The name {ATTRIBUTES} is reserved in NPZ files: rename the state or output.")
-    arrays[ATTRIBUTES] = np.array(json.dumps(attributes(trajectory)))
+    arrays: dict[str, Any] = {**columns, ATTRIBUTES: np.array(json.dumps(attributes))}
     np.savez(file, **arrays)
 
 

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fourbar_codegen.arguments import name_of
 from fourbar_codegen.errors import ModelError, shown
+from fourbar_codegen.files import save, write_csv
 from fourbar_codegen.kernel.kernel import Kernel
 
 if TYPE_CHECKING:
@@ -114,6 +116,58 @@ class Branch:
         known = [*model.coordinates, *model.speeds, *model.points]
         raise ModelError(f"There is no quantity {key!r}; there are {', '.join(known)}.")
 
+    def columns(self) -> dict[str, Floats]:
+        """All scalar quantities along the drive by name, each of shape (n,).
+
+        The drive, coordinates, speeds and inputs; positions of points, such as ``P.x`` (m). A prime at the end of a
+        name is for the first derivative with respect to time, two for the second. NaN where the loops do not close.
+        """
+        model = self.model
+        columns = {**self.drive}
+        for names, rows, primes in (
+            (model.coordinates, self.q, ""),
+            (model.speeds, self.u, ""),
+            (model.inputs, self.r, ""),
+            (model.coordinates, self.qd, "'"),
+            (model.coordinates, self.qdd, "''"),
+            (model.speeds, self.ud, "'"),
+        ):
+            for name, row in zip(names, rows, strict=True):
+                columns.setdefault(name + primes, row)
+        for points, primes in ((self.points, ""), (self.velocities, "'"), (self.accelerations, "''")):
+            for point, rows in points.items():
+                for axis, row in zip("xyz", rows, strict=True):
+                    columns.setdefault(f"{point}.{axis}{primes}", row)
+        return columns
+
+    def save(self, path: str | Path) -> Path:
+        """Write the branch to a file.
+
+        Parameters
+        ----------
+        path : str or Path
+            The suffix selects the format: ``.csv`` (a row for each value of the drive, with the `columns`, all digits)
+            or ``.npz`` (NumPy, an array for each of them, and as JSON ``run_attributes``: model, fingerprint, versions,
+            parameters and limits). Missing folders are created. If writing fails, an existing file is not changed.
+
+        Returns
+        -------
+        Path
+
+        Raises
+        ------
+        ModelError
+            If this is no path, the suffix is unknown, or the file cannot be written.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> import numpy as np
+        >>> branch = fb.load("four_bar").kinematics({"q1": [-0.5, 0.0, 0.5]})[0]
+        >>> np.load(branch.save("branch.npz"))["P2.x"].round(4)  # doctest: +SKIP
+        """
+        return save(path, self, WRITERS, "A branch")
+
     def __repr__(self) -> str:
         closed = int(np.isfinite(self.q).all(axis=0).sum())
         ends = "; ".join(f"{name} from {low:.6g} to {high:.6g}" for name, (low, high) in self.limits.items())
@@ -165,6 +219,19 @@ class Branch:
         from fourbar_codegen.presentation.figures import plot_branches
 
         return plot_branches([self], points)
+
+
+def _write_csv(branch: Branch, file: IO[bytes]) -> None:
+    write_csv(branch.columns(), file)
+
+
+def _write_npz(branch: Branch, file: IO[bytes]) -> None:
+    from fourbar_codegen.presentation.storage import branch_attributes, write_npz
+
+    write_npz(branch.columns(), branch_attributes(branch), file)
+
+
+WRITERS: dict[str, Callable[[Branch, IO[bytes]], None]] = {".csv": _write_csv, ".npz": _write_npz}
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -17,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.arguments import is_integer, name_of, sample_times
 from fourbar_codegen.errors import ModelError, ModelWarning, shown
-from fourbar_codegen.files import save
+from fourbar_codegen.files import save, write_csv
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.results.gradient import EventSensitivity, KeptSteps, output_sensitivity
 from fourbar_codegen.tables import Page, table
@@ -632,18 +630,13 @@ def make_trajectory(**attributes: Any) -> Trajectory:
 
 
 def _write_csv(trajectory: Trajectory, file: IO[bytes]) -> None:
-    columns = trajectory.columns()
-    text = io.TextIOWrapper(file, encoding="utf-8", newline="")
-    writer = csv.writer(text)
-    writer.writerow(columns)
-    writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
-    text.detach()  # the file stays open
+    write_csv(trajectory.columns(), file)
 
 
 def _write_npz(trajectory: Trajectory, file: IO[bytes]) -> None:
-    from fourbar_codegen.presentation.storage import write_npz
+    from fourbar_codegen.presentation.storage import attributes, write_npz
 
-    write_npz(trajectory, file)
+    write_npz(trajectory.columns(), attributes(trajectory), file)
 
 
 def _write_netcdf(trajectory: Trajectory, file: IO[bytes]) -> None:

@@ -38,7 +38,8 @@ class Library:
 
         self.Mechanism, self.loaded = Mechanism, ctypes.CDLL(str(shared))
         self.function("message").restype = ctypes.c_char_p
-        self.function("violation").restype = double
+        for name in ("violation", "relative_violation", "input", "next_breakpoint"):
+            self.function(name).restype = double
         self.function("update").restype = ctypes.c_int
 
     def function(self, name):

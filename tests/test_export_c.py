@@ -25,9 +25,9 @@ def driven():
     points = {"O": (0, 0), "A": (0.1, 0.05), "C": (0.4, 0)}
     linkage = fb.Linkage("driven", points=points, ground="O", links=["OA", "AC"], density=1.0)
     linkage.slider("C", along=(1, 0))
-    t = me.dynamicsymbols._t
-    linkage.drive("O", angle=sm.Piecewise((10 * t**2, t < 0.25), (5 * t - 0.625, True)))
-    return linkage.model()
+    t, a, end = me.dynamicsymbols._t, *sm.symbols("a T")
+    linkage.drive("O", angle=sm.Piecewise((a * t**2, t < end), (a * end * (2 * t - end), True)))
+    return linkage.model(parameters={"a": 10.0, "T": 0.25})
 
 
 def falling_rod():
@@ -57,7 +57,7 @@ def falling_rod():
 
 
 def kinked():
-    """A mass on a spring that is pushed from t = 0.35 on: x = (1 - cos w (t - 0.35)) / w^2, w = 3."""
+    """A mass on a spring that is pushed from t = 0.35 on by f = 1: x = (1 - cos w (t - 0.35)) / w^2, w = 3."""
     q, u = me.dynamicsymbols("q u")
     push, t = me.dynamicsymbols("push"), me.dynamicsymbols._t
     frame, origin, block = me.ReferenceFrame("N"), me.Point("O"), me.Point("B")
@@ -70,8 +70,8 @@ def kinked():
     system.add_coordinates(q)
     system.add_speeds(u)
     system.add_kdes(u - q.diff(t))
-    pushed = sm.Piecewise((0, t < sm.Rational(7, 20)), (1, True))
-    return fb.Model(system, name="kinked", parameters={"m": 1.0}, inputs={push: pushed})
+    pushed = sm.Piecewise((0, t < sm.Rational(7, 20)), (sm.Symbol("f"), True))
+    return fb.Model(system, name="kinked", parameters={"m": 1.0, "f": 1.0}, inputs={push: pushed})
 
 
 MODELS = {
@@ -137,50 +137,106 @@ def set_inputs(compiled, mechanism, value):
     return {entry["name"]: value for entry in entries if entry["expression"] is None}
 
 
+def random_states(compiled, library, generator):
+    """Mechanisms at random times, parameters and inputs, held or by their expressions; and what to give Python.
+
+    States are near the loops' closed ones: the equations hold off the constraints, too, except with redundant ones.
+    """
+    spread = 0.0 if compiled.name == "parallelogram" else 0.05
+    for number in range(6):
+        mechanism = library.new()
+        p = np.array([*compiled.defaults.values()]) * (1 + spread * generator.uniform(-1, 1, compiled.n_p))
+        mechanism.p[: compiled.n_p] = p
+        assert library.call("update", mechanism) == 0
+        r, is_held = {}, {}
+        for k, entry in enumerate(compiled.manifest["inputs"]):
+            motion = entry["of"] or entry["name"]  # it is held with its rates
+            if is_held.setdefault(motion, entry["expression"] is None or bool(generator.integers(2))):
+                mechanism.held[k], mechanism.r[k] = 1, generator.normal()
+                r[entry["name"]] = mechanism.r[k]
+        t = mechanism.t = generator.uniform(-2, 2)
+        start = state_of(compiled, {e["name"]: 0.3 for e in compiled.manifest["inputs"] if e["expression"] is None})
+        mechanism.x[:] = start + spread * number * generator.normal(size=compiled.n_x)
+        yield mechanism, (t, np.array(mechanism.x), p, r or None)
+
+
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 @pytest.mark.parametrize("name", MODELS)
 def test_the_same_numbers(exported, name, compiler):
     """Both evaluate the same operations, compiled with other flags: they differ by rounding, times the condition."""
     compiled, library = exported(name, compiler)
-    mechanism = library.new()
-    inputs = set_inputs(compiled, mechanism, 0.3)
-    x = state_of(compiled, inputs)
-    mechanism.x[:] = x
-    mechanism.t = t = 0.37
-    r = compiled.default_inputs(t)
-    r[np.isnan(r)] = 0.3
-    n = compiled.n_x
-    matrices = compiled.dynamics(t, x, None, r)
-    kkt = np.block([[matrices[1], -matrices[3].T], [matrices[3], np.zeros((compiled.n_c, compiled.n_c))]])
-    sizes = np.linalg.svd(kkt, compute_uv=False)
-    condition = sizes[0] / sizes[sizes > 1e-12 * sizes[0]][-1]
+    n, n_q, n_p, n_r, n_c = compiled.n_x, compiled.n_q, compiled.n_p, compiled.n_r, compiled.n_c
+    for mechanism, at in random_states(compiled, library, np.random.default_rng(7)):
+        t, x, p, r = at
+        matrices = compiled.dynamics(*at)
+        kkt = np.block([[matrices[1], -matrices[3].T], [matrices[3], np.zeros((n_c, n_c))]])
+        sizes = np.linalg.svd(kkt, compute_uv=False)
+        condition = sizes[0] / sizes[sizes > 1e-12 * sizes[0]][-1]
 
-    def check(result, expected):
-        np.testing.assert_allclose(result, expected, rtol=0, atol=1e-14 * condition * np.abs(expected).max(initial=1))
+        def check(result, expected, condition=condition):
+            np.testing.assert_allclose(
+                result, expected, rtol=0, atol=1e-14 * condition * np.abs(expected).max(initial=1)
+            )
 
-    rates, jacobian = np.zeros(n), np.zeros((n, n))
-    assert library.call("rhs", mechanism, t, x, rates) == 0
-    check(rates, compiled.rhs(t, x, None, r))
-    assert library.call("jacobian", mechanism, jacobian) == 0
-    check(jacobian, compiled.jacobian(t, x, None, r))
-    by_parameters, by_inputs = np.zeros((n, compiled.n_p)), np.zeros((n, compiled.n_r))
-    assert library.call("parameter_jacobian", mechanism, by_parameters) == 0
-    check(by_parameters, compiled.parameter_jacobian(t, x, None, r))
-    assert library.call("input_jacobian", mechanism, by_inputs) == 0
-    check(by_inputs, compiled.input_jacobian(t, x, None, r))
-    accelerations, multipliers = np.zeros(compiled.n_u), np.zeros(library.sizes["l"])
-    assert library.call("solution", mechanism, accelerations, multipliers) == 0
-    check(multipliers[: compiled.n_c], compiled.multipliers(t, x, None, r)[: compiled.n_c])
-    kinetic, potential = ctypes.c_double(), ctypes.c_double()
-    library.call("energies", mechanism, ctypes.byref(kinetic), ctypes.byref(potential))
-    check(kinetic.value, compiled.kinetic_energy(t, x))
-    if compiled.n_o:
+        def matrix(function, columns, mechanism=mechanism):
+            result = np.zeros((n, columns))
+            assert library.call(function, mechanism, result) == 0
+            return result
+
+        rates = np.zeros(n)
+        assert library.call("rhs", mechanism, t, x, rates) == 0
+        check(rates, compiled.rhs(*at))
+        check(matrix("jacobian", n), compiled.jacobian(*at))
+        check(matrix("input_jacobian", n_r), compiled.input_jacobian(*at))
+        by_parameters = matrix("parameter_jacobian", n_p)
+        check(by_parameters, compiled.parameter_jacobian(*at))
+        accelerations, multipliers = np.zeros(compiled.n_u), np.zeros(compiled.n_l)
+        assert library.call("solution", mechanism, accelerations, multipliers) == 0
+        check(accelerations, rates[n_q : n_q + compiled.n_u])
+        check(multipliers, compiled.accelerations(*at)[1])
+        kinetic, potential = ctypes.c_double(), ctypes.c_double()
+        library.call("energies", mechanism, ctypes.byref(kinetic), ctypes.byref(potential))
+        check([kinetic.value, potential.value], compiled.energy(*at))
         outputs = np.zeros(compiled.n_o)
-        assert library.call("outputs", mechanism, outputs) == 0
-        check(outputs, compiled.output(t, x, None, r))
-    points = np.zeros((library.sizes["points"], 3))
-    library.call("points", mechanism, points)
-    check(points, compiled.drawing(t, x, compiled.parameter_vector(None), r)[0])
+        if compiled.n_o:
+            assert library.call("outputs", mechanism, outputs) == 0
+            check(outputs, compiled.output(*at))
+        points = np.zeros((library.sizes["points"], 3))
+        library.call("points", mechanism, points)
+        check(points, compiled.drawing(*at)[0])
+        inputs = [library.call("input", mechanism, k) for k in range(n_r)]
+        check(inputs, compiled.input_values(r or {}, compiled.default_inputs(t, p)) if n_r else [])
+        check(
+            library.call("violation", mechanism),
+            max(map(abs, np.concatenate(compiled.constraint_violation(*at))), default=0),
+        )
+        times = compiled.breakpoints(p)
+        assert library.call("next_breakpoint", mechanism) == min(times[times > t], default=np.inf)
+        # Central differences of the library's own function: their errors are some h^2 = 1e-10 of the change.
+        for k in range(n_p):
+            h, both = 1e-5 * max(abs(p[k]), 1.0), np.zeros((2, n))
+            for side, sign in enumerate((1, -1)):
+                mechanism.p[k] = p[k] + sign * h
+                library.call("update", mechanism)
+                assert library.call("rhs", mechanism, t, x, both[side]) == 0
+            mechanism.p[k] = p[k]
+            difference = (both[0] - both[1]) / (2 * h)
+            size = np.abs(by_parameters).max() + np.abs(rates).max()
+            np.testing.assert_allclose(by_parameters[:, k], difference, rtol=0, atol=1e-7 * size)
+
+
+def test_derivatives_by_parameters_of_an_input(exported):
+    """m u' = f - 9 q, where f is the push: du'/df = 1/m, unless the push is held."""
+    compiled, library = exported("kinked")
+    for held in (0, 1):
+        mechanism, by_parameters = library.new(), np.zeros((2, 2))
+        mechanism.p[:], mechanism.t, mechanism.x[:] = [4.0, 2.0], 0.5, [0.1, 0.0]
+        mechanism.held[0], mechanism.r[0] = held, 3.0
+        assert library.call("update", mechanism) == 0
+        assert library.call("parameter_jacobian", mechanism, by_parameters) == 0
+        push = 3.0 if held else 2.0
+        expected = {"m": -(push - 0.9) / 16, "f": 0.0 if held else 0.25}
+        np.testing.assert_allclose(by_parameters[1], [expected[name] for name in compiled.parameters], rtol=1e-15)
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -370,7 +426,6 @@ def test_a_singular_position_between_samples(exported, n):
 
 def test_violations_that_are_not_numbers(exported):
     compiled, library = exported("slider_crank")
-    library.function("relative_violation").restype = ctypes.c_double
     for k in range(compiled.n_x):
         mechanism = library.new()
         library.call("close", mechanism)

@@ -287,7 +287,8 @@ int {name}_project({name} *model);
 const char *{name}_message(int status);
 
 /* In {name}_derivatives.c, which may be left out: the derivatives of dx/dt with respect to states, parameters and
- * inputs, {name}_n_x rows each; and the positions of points, three coordinates each. */
+ * inputs, {name}_n_x rows each, those by parameters also through the expressions of inputs that are not held; and the
+ * positions of points, three coordinates each. */
 int {name}_jacobian({name} *model, double *jacobian);
 int {name}_parameter_jacobian({name} *model, double *jacobian);
 int {name}_input_jacobian({name} *model, double *jacobian);
@@ -334,25 +335,30 @@ def _internal(name: str) -> str:
     return f"""
 int {name}_differentiate({name} *model, const fb_derivatives *derivatives, fb_sensitivity *function, int n,
     double *matrix);
+int {name}_differentiate_by_parameters({name} *model, const fb_derivatives *derivatives, double *matrix);
 void {name}_draw({name} *model, const fb_derivatives *derivatives, double *points);
 """
 
 
 def _derivatives(name: str) -> str:
     """The functions of the derivatives' source."""
-    functions = ""
-    for public, member, size in (
-        ("jacobian", "sensitivity", "n_x"),
-        ("parameter_jacobian", "parameter_sensitivity", "n_p"),
-        ("input_jacobian", "input_sensitivity", "n_r"),
-    ):
-        functions += f"""
-int {name}_{public}({name} *model, double *jacobian)
+    of = f"{name}_derivatives"
+    return f"""{_internal(name)}
+int {name}_jacobian({name} *model, double *jacobian)
 {{
-    return {name}_differentiate(model, &{name}_derivatives, {name}_derivatives.{member}, {name}_{size}, jacobian);
+    return {name}_differentiate(model, &{of}, {of}.sensitivity, {name}_n_x, jacobian);
 }}
-"""
-    return f"""{_internal(name)}{functions}
+
+int {name}_parameter_jacobian({name} *model, double *jacobian)
+{{
+    return {name}_differentiate_by_parameters(model, &{of}, jacobian);
+}}
+
+int {name}_input_jacobian({name} *model, double *jacobian)
+{{
+    return {name}_differentiate(model, &{of}, {of}.input_sensitivity, {name}_n_r, jacobian);
+}}
+
 void {name}_points({name} *model, double *points)
 {{
     {name}_draw(model, &{name}_derivatives, points);

@@ -37,16 +37,17 @@ static inline void fb_add_product(const int n, const int m, const int k, const d
                 c[i * k + j] += a[i * m + l] * b[l * k + j];
 }
 
-/* Adds to derivatives by the parameters those through the inputs' expressions. */
-static inline void fb_add_through_inputs(const fb_jacobians *b, fb_jacobian_work *w, const int rows,
-                                         const double *by_inputs, double *by_parameters)
+/* dr/dp of the inputs that follow their expressions, zero for the others; whether any is not zero. */
+static inline int fb_input_changes(const fb_jacobians *b, fb_jacobian_work *w, const double t)
 {
     const fb_kernel *const k = b->kernel;
-    for (int l = 0; l < k->n_r; ++l)
-        for (int j = 0; j < k->n_p && b->in_force[l]; ++j)
-            if (w->input_jacobian[l * k->n_p + j] != 0.0) /* the derivative by other inputs may be infinite */
-                for (int i = 0; i < rows; ++i)
-                    by_parameters[i * k->n_p + j] += by_inputs[i * k->n_r + l] * w->input_jacobian[l * k->n_p + j];
+    int follows = 0;
+    k->derivatives->default_input_sensitivity(t, w->constants, w->input_jacobian);
+    for (int i = 0; i < k->n_r * k->n_p; ++i) {
+        w->input_jacobian[i] = b->in_force[i / k->n_p] ? w->input_jacobian[i] : 0.0;
+        follows |= w->input_jacobian[i] != 0.0;
+    }
+    return follows;
 }
 
 /* Of x' and the outputs by one kind of variables; u' and the multipliers are known if there are outputs. */
@@ -86,17 +87,13 @@ static inline int fb_jacobians_at(const fb_jacobians *b, fb_jacobian_work *w, co
     int status = fb_total_jacobians(b, w, b->variables, t, of_rates, of_outputs);
     if (status != FB_OK || b->variables != FB_BY_PARAMETERS || k->n_r == 0)
         return status;
-    d->default_input_sensitivity(t, w->constants, w->input_jacobian);
-    int follows = 0;
-    for (int l = 0; l < k->n_r * k->n_p; ++l)
-        follows |= b->in_force[l / k->n_p] && w->input_jacobian[l] != 0.0;
-    if (!follows)
+    if (!fb_input_changes(b, w, t))
         return FB_OK;
     double *const of_more = of_outputs ? w->more + k->n_x * k->n_r : NULL;
     status = fb_total_jacobians(b, w, FB_BY_INPUTS, t, w->more, of_more);
-    fb_add_through_inputs(b, w, k->n_x, w->more, of_rates);
+    fb_add_through_inputs(k, k->n_x, w->more, w->input_jacobian, of_rates);
     if (of_outputs)
-        fb_add_through_inputs(b, w, k->n_o, of_more, of_outputs);
+        fb_add_through_inputs(k, k->n_o, of_more, w->input_jacobian, of_outputs);
     return status;
 }
 
@@ -185,10 +182,8 @@ static inline void fb_residual_at(const fb_jacobians *b, fb_jacobian_work *w, fb
     double *const by_inputs = b->by_inputs ? b->by_inputs + i * n * k->n_r : w->by_inputs;
     if (k->n_r > 0 && (b->by_inputs || b->by_parameters))
         fb_residual_by(b, w, FB_BY_INPUTS, t, by_inputs);
-    if (k->n_r > 0 && b->by_parameters) {
-        k->derivatives->default_input_sensitivity(t, w->constants, w->input_jacobian);
-        fb_add_through_inputs(b, w, n, by_inputs, b->by_parameters + i * n * n_p);
-    }
+    if (k->n_r > 0 && b->by_parameters && fb_input_changes(b, w, t))
+        fb_add_through_inputs(k, n, by_inputs, w->input_jacobian, b->by_parameters + i * n * n_p);
 }
 
 /* The states from begin to end; returns 0, or -1 without memory. Other threads may evaluate others. */

@@ -268,4 +268,15 @@ static inline int fb_input_jacobian(const fb_kernel *k, double t, const double *
                             work);
 }
 
+/* Adds to derivatives by the parameters, (rows, n_p), those through the inputs' expressions, by their dr/dp. */
+static inline void fb_add_through_inputs(const fb_kernel *k, const int rows, const double *by_inputs,
+                                         const double *input_jacobian, double *by_parameters)
+{
+    for (int l = 0; l < k->n_r; ++l)
+        for (int j = 0; j < k->n_p; ++j)
+            if (input_jacobian[l * k->n_p + j] != 0.0) /* the derivative by other inputs may be infinite */
+                for (int i = 0; i < rows; ++i)
+                    by_parameters[i * k->n_p + j] += by_inputs[i * k->n_r + l] * input_jacobian[l * k->n_p + j];
+}
+
 #endif

@@ -522,6 +522,29 @@ int FB_PUBLIC(differentiate)(FB_MODEL *model, const fb_derivatives *derivatives,
                          problem->work);
 }
 
+/* By the parameters, also through the expressions of inputs that are not held. */
+int FB_PUBLIC(differentiate_by_parameters)(FB_MODEL *model, const fb_derivatives *derivatives, double *matrix)
+{
+    double by_inputs[FB_AT_LEAST_1(N_X * N_R)], input_jacobian[FB_AT_LEAST_1(N_R * N_P)];
+    int follows = 0;
+    int status = FB_PUBLIC(differentiate)(model, derivatives, derivatives->parameter_sensitivity, N_P, matrix);
+    if (status != FB_OK)
+        return status;
+    const fb_problem *const problem = &own_of(model)->problem;
+    derivatives->default_input_sensitivity(fb_time(&problem->clock, model->t), problem->constants, input_jacobian);
+    for (int i = 0; i < N_R * N_P; ++i) {
+        input_jacobian[i] = model->held[i / FB_AT_LEAST_1(N_P)] ? 0.0 : input_jacobian[i];
+        follows |= input_jacobian[i] != 0.0;
+    }
+    if (!follows)
+        return FB_OK;
+    status = FB_PUBLIC(differentiate)(model, derivatives, derivatives->input_sensitivity, N_R, by_inputs);
+    if (status != FB_OK)
+        return status;
+    fb_add_through_inputs(problem->kernel, N_X, by_inputs, input_jacobian, matrix);
+    return all_finite(matrix, N_X * N_P);
+}
+
 void FB_PUBLIC(draw)(FB_MODEL *model, const fb_derivatives *derivatives, double *points)
 {
     double t;

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
+from scipy.interpolate import CubicSpline
 from sympy.physics.mechanics.system import System
 
 import fourbar_codegen as fb
@@ -374,3 +375,54 @@ def test_inputs_that_nobody_declared():
     system.add_loads(me.Force(point, sm.Function("q", real=True)(t) * ground.x))
     with pytest.raises(fb.ModelError, match="has other assumptions than the state of that name"):
         fb.Model(system, parameters=values, inputs="auto", extra="ignore")
+
+
+@pytest.mark.parametrize("method", ["DOP853", "Radau"])
+@pytest.mark.parametrize("t_0", [0.0, 5e5, 1e6, 1.7e9])
+def test_the_sample_at_the_end_of_a_table_is_the_one_before_the_jump(t_0, method):
+    """At times such as time stamps too, which are whole numbers of spacings of doubles apart from t_0.
+
+    x = r cos(a) + sqrt(l^2 - r^2 sin(a)^2), with a and its rate by SciPy's spline. A sample that is a rounding error
+    after the end is the one there.
+    """
+    crank = fb.compile_model(driven_slider_crank())
+    p, since, values = {"w": 1.0}, np.array([0.0, 0.25, 0.5, 1.0]), np.array([0.0, 0.3, 0.9, 1.5])
+    table = {"s": (t_0 + since, values, "cubic")}
+    x0 = crank.initial_state(t=t_0, guess=[0.0, 0.9], parameters=p, inputs=table)
+    end = t_0 + 1.0
+    a, rate = 1.5, CubicSpline(since, values)(1.0, 1)
+    root = np.sqrt(0.49 - 0.04 * np.sin(a) ** 2)
+    v = rate * (-0.2 * np.sin(a) - 0.04 * np.sin(a) * np.cos(a) / root)
+    wanted = [a, 0.2 * np.cos(a) + root, rate, v]
+    how = {"method": method, "parameters": p, "inputs": table, "rtol": 1e-9, "atol": 1e-9}
+    for stop, times in ((end, None), (end, [end]), (t_0 + 1.5, [end]), (t_0 + 1.5, [np.nextafter(end, np.inf)])):
+        run = crank.simulate((t_0, stop), x0, t_eval=times, **how)
+        assert run.success, run.message
+        at = 0 if times else np.flatnonzero(run.t == end)[-1]
+        # Up to the spacing of times, by which stages are rounded.
+        np.testing.assert_allclose(run.y[:, at], wanted, atol=1e-8 + 4.0 * np.spacing(t_0))
+        np.testing.assert_allclose(run.r[:2, at], [a, rate], atol=1e-8 + 4.0 * np.spacing(t_0))
+        if times:
+            assert run.t.tolist() == times
+    backwards = crank.simulate((end, t_0), wanted, t_eval=[end], **how)
+    np.testing.assert_allclose(backwards.y[:, 0], wanted, atol=1e-8 + 4.0 * np.spacing(t_0))
+
+
+@pytest.mark.parametrize("t_0", [0.0, 1e6])
+def test_inputs_belong_to_the_states_where_rates_jump(t_0):
+    """A crank that starts to turn: at a table's inner point, where the later interval counts, and by Heaviside.
+
+    The value of Heaviside itself is the mean there; the states are those after the jump, and so are the inputs.
+    """
+    start = t_0 + 1.0
+    turning = fb.compile_model(driven_slider_crank((t - w) * sm.Heaviside(t - w) / 5))
+    by_table = {"s": ([t_0, start, start + 1.0], [0.0, 0.0, 0.2], "linear")}
+    for inputs in (by_table, None):
+        how = {"parameters": {"w": start}, "inputs": inputs}
+        x0 = turning.initial_state(t=t_0, guess=[0.0, 0.9], **how)
+        for time in (start, np.nextafter(start, -np.inf), np.nextafter(start, np.inf)):
+            run = turning.simulate((t_0, t_0 + 1.5), x0, t_eval=[time], **how)
+            assert run["rate"][0] == pytest.approx(0.2, rel=1e-9)
+            assert run["s'"][0] == pytest.approx(0.2, rel=1e-9)
+            assert run.t.tolist() == [time]
+            assert np.abs(run.constraint_residual).max() < 1e-12 + np.spacing(t_0)

@@ -8,7 +8,7 @@ impulse acts through the constraints, and through the bodies that the motion car
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -150,16 +150,24 @@ def boundary(ode: Ode, at: Discontinuity, towards: float, x: Floats) -> Boundary
         jumping = prescribed.velocities(before, after)
         if at.varied:
             jumping.append(prescribed.derivatives(before, after))
-        for value, jumped in jumping:
-            if jumped.any():
-                if not np.isfinite(prescribed.inputs(at.t)).all():  # such as the derivative of a square root at zero
-                    return Boundary(before, after, before, after)
-                place = np.flatnonzero(jumped)[0]
-                to_left, to_right = (abs(value(at.t) - value(side))[place] for side in (before, after))
-                end = at.t if to_left < JUMP * to_right else before
-                begin = at.until if to_right < JUMP * to_left else after
-                return Boundary(end, begin, before, after)
+        jumping = [(value, jumped) for value, jumped in jumping if jumped.any()]
+        if jumping and not np.isfinite(prescribed.inputs(at.t)).all():  # as the derivative of a square root at zero
+            return Boundary(before, after, before, after)
+        if jumping:
+            sides = [_sides(value, before, at.t, after)[:, jumped] for value, jumped in jumping]
+            is_before, is_after = (bool(side.all()) for side in np.hstack(sides))
+            end, begin = at.t if is_before else before, at.until if is_after else after
+            return Boundary(end, begin, end, begin)
     return Boundary(at.t, at.until, before, after)
+
+
+def snapped(times: Floats, marks: Sequence[Discontinuity]) -> Floats:
+    """Times of samples; those that differ from discontinuities by rounding errors are at these."""
+    low = np.array([min(at.t, at.until) - at.rounding for at in marks])
+    order = np.argsort(low)
+    place = order[np.maximum(np.searchsorted(low[order], times, side="right") - 1, 0)]
+    high = np.array([max(at.t, at.until) + at.rounding for at in marks])
+    return np.where((low[place] <= times) & (times <= high[place]), np.array([at.t for at in marks])[place], times)
 
 
 def speeds_after(ode: Ode, at: Boundary, x: Floats) -> Floats | None:
@@ -248,6 +256,18 @@ def _jumped(value: OfTime, size: Floats | float, before: float, after: float) ->
     earlier, at, then, later = (value(t) for t in (before - step, before, after, after + step))
     jumped: NDArray[np.bool_] = np.abs(then - at) > JUMP * size + STEADY * (np.abs(at - earlier) + np.abs(later - then))
     return jumped
+
+
+def _sides(value: OfTime, before: float, at: float, after: float) -> NDArray[np.bool_]:
+    """Whether the entries at a time are those before a jump there, and those after it, shape (2, n).
+
+    They change until then as they do between neighbouring times on either side.
+    """
+    step = after - before
+    earlier, left, here, right, later = (value(t) for t in (before - step, before, at, after, after + step))
+    around = np.abs(left - earlier) + np.abs(later - right)
+    to_left, to_right = np.abs(here - left), np.abs(here - right)
+    return np.array([to_left <= JUMP * to_right + around, to_right <= JUMP * to_left + around])
 
 
 class _Prescribed:
@@ -367,7 +387,9 @@ class Pieces:
     ) -> None:
         self._ode, self._span, self._varied = ode, span, varied
         self.unknown: set[str] = set()
+        self._gaps: list[tuple[float, float, float]] = []
         self._towards = math.copysign(math.inf, span[1] - span[0])
+        self._direction = math.copysign(1.0, self._towards)
         self._later = later
         self._next: tuple[Discontinuity, Boundary] | None = None
 
@@ -378,13 +400,14 @@ class Pieces:
 
     def begin(self, run: Integration) -> None:
         """Make the run stop at the end of its first piece."""
-        t, x = run.t, run.x
-        if self._later[0].t != t:
+        t, x, at = run.t, run.x, self._later[0]
+        if abs(at.t - t) > at.rounding:
             self._enter(run, t, -self._towards, x, jumps=False)
             return
-        at = self._later.pop(0)
+        self._later.pop(0)
         here = boundary(self._ode, at, self._towards, x)
-        if here.end == t != here.begin:  # the initial state is before the jump
+        is_earlier = self._direction * (at.t - t) > 0.0
+        if here.begin != here.end and (is_earlier or here.end == at.t):  # the initial state is before the jump
             self._next = at, here
             run.enter(t, t, -self._towards, t)
         else:
@@ -409,7 +432,16 @@ class Pieces:
                 x[self._ode.n_q : self._ode.n_q + self._ode.n_u] = speeds
                 if not jumps:  # detected only at this state, not at the start of the piece
                     t, jumps = here.first, True
+        if t != here.end:
+            self._gaps.append((here.end, t, t))
         return self._enter(run, t, here.first, x, jumps=jumps)
+
+    def input_times(self, times: Floats) -> Floats:
+        """The times of the inputs that belong to samples: between the ends of two pieces, that of the second one."""
+        found = times.copy()
+        for end, begin, at in self._gaps:
+            found[(min(end, begin) < times) & (times < max(end, begin))] = at
+        return found
 
     def _enter(self, run: Integration, t: float, first: float, x: Floats, *, jumps: bool) -> bool:
         end, last, self._next = self._span[1], self._towards, None
@@ -417,7 +449,9 @@ class Pieces:
             at = self._later.pop(0)
             here = boundary(self._ode, at, self._towards, x)
             last = here.last
-            if here.end != self._span[1]:
+            if self._direction * (here.begin - self._span[1]) > 0.0:  # the run ends before the jump
+                self._gaps.append((here.end, here.begin, here.last))
+            elif here.end != self._span[1]:
                 self._next, end = (at, here), here.end
         return run.enter(t, end, first, last, x if jumps else None)
 
@@ -433,6 +467,6 @@ def boundaries(ode: Ode, begin: float, end: float, x: Floats) -> tuple[list[Boun
         at = boundary(ode, mark, towards, x)
         if not (mark.moves and at.begin != at.end):
             kinks.append(at)
-        elif end not in {at.end, at.begin} and begin != at.begin:
+        elif abs(end - begin) > abs(at.begin - begin) > 0.0:
             jumps.append(at)
     return jumps, kinks

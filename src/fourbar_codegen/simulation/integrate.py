@@ -18,7 +18,7 @@ from fourbar_codegen.kernel.sensitivity import Directions, with_probes
 from fourbar_codegen.results.gradient import EventSensitivity, KeptSteps, output_sensitivity
 from fourbar_codegen.results.trajectory import Trajectory, make_trajectory
 from fourbar_codegen.runtime.integrator import Ode, Run
-from fourbar_codegen.simulation.discontinuities import Pieces, discontinuities
+from fourbar_codegen.simulation.discontinuities import Pieces, discontinuities, snapped
 from fourbar_codegen.simulation.events import Watch
 from fourbar_codegen.simulation.options import FIXED_STEP, SOLVERS, RunOptions
 from fourbar_codegen.simulation.run_protocol import Integration
@@ -100,6 +100,9 @@ def integrate(
     start = consistent(ode, span[0], x0) if closes else x0
     (t_begin, t_bound), max_step, rtol, atol = span, options.max_step, options.rtol, options.atol
     outputs = watch.outputs if watch else ()
+    later = discontinuities(ode, *span, varied=options.gradient or directions is not None)
+    if t_eval is not None and later:
+        t_eval = snapped(t_eval, later)
     run: Integration
     if method in SOLVERS:
         from fourbar_codegen.simulation.solver_run import SolverRun
@@ -121,7 +124,6 @@ def integrate(
     run.begin()
     if watch:
         watch.begin(run)
-    later = discontinuities(ode, *span, varied=options.gradient or directions is not None)
     others = _other_values(model, options, directions) if later else {}
     pieces = Pieces(ode, span, later, others) if later else None
     if pieces:
@@ -196,10 +198,13 @@ def integrate(
     y = y.T
     if dense is not None and t_eval is None and t.size > 1 and t[-1] == t[-2]:
         t, y = t[:-1], y[:, :-1]  # an event at the start of a step, which SciPy omits as well if there is `sol`
+    input_times = pieces.input_times(t) if pieces else t
+    if options.t_eval is not None:
+        t = options.t_eval[: t.size]
     if options.project and model.manifest["states_velocity_constraints"] and status >= 0:
-        sentence = left(model, ode, t, y, options.parameters)
+        sentence = left(model, ode, input_times, y, options.parameters)
         status, message = (-1, sentence) if sentence else (status, message)
-    message += _growth(ode, t, y, run, by_steps=t_eval is None)
+    message += _growth(ode, input_times, y, run, by_steps=t_eval is None)
     sensitivity = None
     if directions is not None and isinstance(run, Run):
         derivatives = run.sensitivities[: directions.matrix.shape[1], :, : t.size]
@@ -211,7 +216,7 @@ def integrate(
         parameters=options.parameters,
         t=t,
         y=y,
-        r=ode.inputs_along(t, y),
+        r=ode.inputs_along(input_times, y),
         sol=dense or None,  # None if there are no steps
         t_events=None if options.events is None else [np.array(times) for times in watch.times] if watch else [],
         y_events=None if options.events is None else [np.array(states) for states in watch.states] if watch else [],
@@ -230,7 +235,7 @@ def integrate(
         directions=directions,
         steps=KeptSteps(
             model=model,
-            steps=run.steps_kept(t),
+            steps=run.steps_kept(input_times),
             t=t_begin,
             n_t=t.size,
             parameters=options.parameters,

@@ -110,6 +110,21 @@ def test_parallelogram_with_a_bar_too_many():
     np.testing.assert_allclose([run["p0"][-1], run["v0"][-1]], pendulum.y[:, -1], atol=1e-6)
 
 
+@pytest.mark.parametrize("g", [9.81, 0.0])
+def test_redundant_rows_hold_to_the_size_of_their_terms(g):
+    """Upright, or without gravity, p'' = (g / l) sin p = 0, and the terms l v^2 of gamma cancel: nothing is left that a
+    violation could be compared with but these terms."""
+    compiled = fb.compile_model(three_uprights())
+    p = compiled.parameter_values({"g": g})
+    for angle in (0.0, 0.9) if g == 0.0 else (0.0, np.pi):
+        for size in (1e-13, 1e-12, 1e-10, 1e-8):
+            for v in (1e-3, 1.0, 50.0):
+                off = size * np.array([0.3, -1.0, 0.7, 0.5, *(v * np.array([-0.4, 0.2, 1.0, 0.1]))])
+                rates = compiled.rhs(0.0, np.array([*[angle] * 3, 0.0, *[v] * 3, 0.0]) + off, p)[4:]
+                # The violation times the slopes g / l and v^2 of the equations, some of each; and their rounding.
+                np.testing.assert_allclose(rates, 0.0, atol=10 * (size + 1e-15) * (g + v**2))
+
+
 def test_contradictory_constraints_are_an_error():
     contradictory = fb.compile_model(pendulum(circle, circle - me.dynamicsymbols._t))
     with pytest.raises(fb.AssemblyError):

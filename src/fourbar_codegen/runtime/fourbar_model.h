@@ -120,9 +120,9 @@ static inline int factor_at(double t, const double *x, const double *constants, 
     return status;
 }
 
-/* u' at a state whose equations are set up and factored; with unknown forces, also lambda and these. */
-static inline int solve_factored(double t, const double *restrict x, const double *restrict constants,
-                                 const double *restrict r, double *restrict rates, fb_work *restrict w)
+/* u' for known factors; with unknown forces, also lambda and these. */
+static inline int solve_once(double t, const double *restrict x, const double *restrict constants,
+                             const double *restrict r, double *restrict rates, fb_work *restrict w)
 {
 #if N_N > 0
     return fb_solve_with_forces(t, x, constants, r, w->mass_matrix, w->forcing, w->acceleration_bias, &w->factors,
@@ -131,6 +131,40 @@ static inline int solve_factored(double t, const double *restrict x, const doubl
     (void)t, (void)x, (void)constants, (void)r;
     return fb_solve_first(w->forcing, w->acceleration_bias, &w->factors, rates);
 #endif
+}
+
+#ifndef FB_SPARSE /* which has no redundant rows */
+/* The size of the terms of gamma, quadratic in the speeds. For a constraint Phi = 0 whose terms have the size l, and
+ * those of its rate the size v, it is v^2 / l. */
+static inline double terms_of_bias(double t, const double *x, const double *constants, const double *r,
+                                   const double *scale, const int *row)
+{
+    double unused[FB_AT_LEAST_1(N_H)], lengths[FB_AT_LEAST_1(N_C + N_I)], speeds[FB_AT_LEAST_1(N_C)], size = 0.0;
+    constraint_scale(t, x, constants, r, unused, lengths, speeds);
+    for (int i = 0; i < N_C; ++i)
+        if (lengths[row[i]] > 0.0)
+            size = fb_max(size, scale[i] * speeds[row[i]] * speeds[row[i]] / lengths[row[i]]);
+    return size;
+}
+#endif
+
+/* u' at a state whose equations are set up and factored. */
+static inline int solve_factored(double t, const double *restrict x, const double *restrict constants,
+                                 const double *restrict r, double *restrict rates, fb_work *restrict w)
+{
+    int status = solve_once(t, x, constants, r, rates, w);
+#ifndef FB_SPARSE
+    if (N_RANK < N_C && status == FB_CONSTRAINTS_DEPENDENT) {
+#ifdef FB_RECURSIVE
+        fb_dense_factors *const s = &w->factors.dense;
+#else
+        fb_factors *const s = &w->factors;
+#endif
+        s->terms = terms_of_bias(t, x, constants, r, s->scale, s->row);
+        status = solve_once(t, x, constants, r, rates, w);
+    }
+#endif
+    return status;
 }
 
 static inline int solve_accelerations(double t, const double *restrict x, const double *restrict constants,

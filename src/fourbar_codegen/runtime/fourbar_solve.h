@@ -28,8 +28,8 @@ enum { N_MASS = N_U * N_U };
 /* Pivots of J below this fraction of the largest are rounding errors: 1000 times the precision of double. */
 #define FB_RANK_TOLERANCE 2e-13
 /* If the model has fewer dependent speeds than constraints, the others are redundant: after elimination, their rows of
- * the scaled J must vanish, and they must be satisfied, to this fraction of gamma and u'. They may be redundant only on
- * the constraint manifold, from which a run drifts. */
+ * the scaled J must vanish, and they must be satisfied, to this fraction of gamma and u', or of the terms of gamma,
+ * which may cancel. They may be redundant only on the constraint manifold, from which a run drifts. */
 #define FB_DRIFT_TOLERANCE 1e-3
 /* The absolute tolerance for that, for rounding errors if gamma and u' are zero. */
 #define FB_NEARLY 1e-12
@@ -60,6 +60,7 @@ enum { N_MASS = N_U * N_U };
 
 typedef struct fb_factors {
     double left;                              /* largest entry of the scaled J in redundant rows */
+    double terms;                             /* size of the terms of the scaled gamma, or 0 if it is not needed */
     int is_static;                            /* whether the pivot order is the static one */
     int row[FB_AT_LEAST_1(N_C)], column[N_U]; /* P, Q */
     double scale[FB_AT_LEAST_1(N_C)];         /* S, in the order of the rows of L */
@@ -122,7 +123,7 @@ static inline int fb_eliminate(const double *restrict jacobian, fb_factors *rest
         }
         fb_eliminate_below(s->lu, s->inverse, k);
     }
-    s->left = 0.0;
+    s->left = s->terms = 0.0;
     for (int i = N_RANK; i < N_C; ++i)
         for (int j = N_RANK; j < N_U; ++j)
             s->left = fb_max(s->left, fabs(s->lu[i][j]));
@@ -291,6 +292,7 @@ static inline int fb_solve(const double *restrict forcing, const double *restric
     /* The rows beyond the rank must be satisfied by themselves. */
     for (int i = 0; i < N_U && N_RANK < N_C; ++i)
         size = fb_max(size, fabs(accelerations[i]));
+    size = N_RANK < N_C ? fb_max(size, s->terms) : size;
     for (int i = N_RANK; i < N_C; ++i)
         if (!(fabs(w[i]) <= FB_DRIFT_TOLERANCE * size + FB_NEARLY))
             return FB_CONSTRAINTS_DEPENDENT;

@@ -1,12 +1,14 @@
 """The comparison of compiled functions with their equations notices what goes wrong in between."""
 
 import dataclasses
+import pickle
 import re
 
 import numpy as np
 import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
+from scipy.integrate import solve_ivp
 from sympy.physics.mechanics.system import System
 from systems import slider
 
@@ -115,3 +117,73 @@ def test_forces_that_are_huge_at_random_states_are_no_defect(force):
     system.add_loads(me.Force(block.masscenter, force(q, push) * wall.x))
     model = fb.compile_model(fb.Model(system, name="steep", parameters={sm.Symbol("m"): 5.0}, inputs={push: 0}))
     np.testing.assert_allclose(model.input_jacobian(0.0, [0.0, 0.0]), [[0.0], [0.2]], rtol=1e-14)
+
+
+def light_pendulum(tmp_path, monkeypatch, *, check=True):
+    """A pendulum of 1 kg and 1 m, with one of a millionth of a milligram at its end; a cache without its parts."""
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
+    q, u, (m1, m2, g, length) = me.dynamicsymbols("q1:3"), me.dynamicsymbols("u1:3"), sm.symbols("m1 m2 g l")
+    frame, joint = me.ReferenceFrame("N"), me.Point("O")
+    joint.set_vel(frame, 0)
+    system = System(frame, joint)
+    for i, mass in enumerate((m1, m2)):
+        rod, end = me.ReferenceFrame(f"A{i}"), joint.locatenew(f"P{i}", 0 * frame.x)
+        rod.orient_axis(frame, frame.z, q[i])
+        rod.set_ang_vel(frame, u[i] * frame.z)
+        end.set_pos(joint, -length * rod.y)
+        end.v2pt_theory(joint, frame, rod)
+        system.add_bodies(me.Particle(f"bob{i}", end, mass))
+        joint = end
+    system.apply_uniform_gravity(-g * frame.y)
+    system.add_coordinates(*q)
+    system.add_speeds(*u)
+    system.add_kdes(*(v - x.diff() for x, v in zip(q, u, strict=True)))
+    values = {m1: 1.0, m2: 1e-12, g: 9.81, length: 1.0}
+    return fb.compile_model(fb.Model(system, name="light", parameters=values), check=check)
+
+
+def test_what_rounding_leaves_of_a_light_body_is_no_defect(tmp_path, monkeypatch):
+    """The first pendulum swings as if it were alone: l q'' = -g sin(q), whose derivative s by l has
+    l s'' = -g cos(q) s - q''."""
+    model = light_pendulum(tmp_path, monkeypatch)
+    run = model.simulate((0.0, 2.0), [1.0, 0.5, 0.0, 0.0], sensitivities=["l"], rtol=1e-10, atol=1e-10)
+    assert run.success
+
+    def rates(t, y):
+        q, u, s, v = y
+        return [u, -9.81 * np.sin(q), v, -9.81 * np.cos(q) * s + 9.81 * np.sin(q)]
+
+    alone = solve_ivp(rates, (0.0, 2.0), [1.0, 0.0, 0.0, 0.0], method="DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
+    by_length = run.sensitivity["l"][:, -1]
+    # The other one pulls with a millionth of a millionth; the derivative has the tolerance of the steps.
+    np.testing.assert_allclose([run["q1"][-1], run["u1"][-1]], alone[:2], rtol=0, atol=1e-8)
+    np.testing.assert_allclose([by_length[0], by_length[2]], alone[2:], rtol=0, atol=1e-7)
+    # The second one hangs on the first: m2 l [cos(q2 - q1) u1' + u2' - sin(q1 - q2) u1^2] = -m2 g sin(q2).
+    x = np.array([0.3, -0.8, 0.5, 1.1])
+    of_first, of_second = model.rhs(0.0, x)[2:]
+    difference = np.cos(x[1] - x[0]) * of_first + np.sin(x[1] - x[0]) * x[2] ** 2 + of_second
+    # A rounding error of the first one's equation, divided by the ratio of masses.
+    assert difference == pytest.approx(-9.81 * np.sin(x[1]), abs=1e-2)
+
+
+@pytest.mark.parametrize("of", ["derivatives", "variations"])
+def test_a_defect_of_derivatives_is_found_where_rounding_is_large(tmp_path, monkeypatch, of):
+    text = f"{of}_text"
+    original = getattr(fourbar_codegen.codegen.c_source, text)
+
+    def damaged(*arguments):
+        changed, count = re.subn(r"(\n    \w+\[\d+\] = )(?=[^;]*[a-z])", r"\1 1.125 * ", original(*arguments))
+        assert count
+        return changed
+
+    monkeypatch.setattr(fourbar_codegen.codegen.c_source, text, damaged)
+    model = light_pendulum(tmp_path, monkeypatch)
+    with pytest.raises(fb.BuildError, match="check=False"):
+        model.require_variations()
+    # Without the comparison it is used, here and where the model is sent; it is not taken for what was compared.
+    unchecked = light_pendulum(tmp_path, monkeypatch, check=False)
+    for each in (unchecked, pickle.loads(pickle.dumps(unchecked))):
+        each.require_variations()
+        assert not each.lacks_variations
+    with pytest.raises(fb.BuildError):
+        light_pendulum(tmp_path, monkeypatch).require_variations()

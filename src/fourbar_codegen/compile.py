@@ -359,8 +359,8 @@ def compile_model(model: Model, *, check: bool = True) -> CompiledModel:
     model : Model
     check : bool, optional
         Whether to compare the compiled functions with the equations, evaluated in Python at random states. A model that
-        was compiled with ``check=False`` is compared at a later call with ``check=True``. (Functions that are compiled
-        later are compared then: derivatives with differences, states side by side with single states.)
+        was compiled with ``check=False`` is compared at a later call with ``check=True``. Functions that are compiled
+        later are compared then, or not at all: derivatives with differences, states side by side with single states.
 
     Returns
     -------
@@ -407,5 +407,6 @@ def compile_model(model: Model, *, check: bool = True) -> CompiledModel:
     if not check and find_cached(model.name, key) is None:
         key = key_of(model, checked=False)
     compiled = CompiledModel.from_loaded(load_cached(lambda: cached(model.name, key, build)))
+    compiled.compares = check
     warn(compiled.manifest["warnings"], 3)
     return compiled

@@ -16,7 +16,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from fourbar_codegen.building.cache import SIZE_LIMIT, cached
+from fourbar_codegen.building.cache import SIZE_LIMIT, cached, find_cached
 from fourbar_codegen.building.toolchain import (
     COMMON_FLAGS,
     DERIVATIVES_FLAGS,
@@ -64,7 +64,8 @@ def build_part(
 ) -> Path:
     """The shared library of a part, from the cache if it was built there before.
 
-    Its key depends only on the sources' text, the headers, the flags and the compiler.
+    Its key depends only on the sources' text, the headers, the flags and the compiler, and on whether it was checked: a
+    library that was checked serves in both cases.
 
     Parameters
     ----------
@@ -111,7 +112,10 @@ def build_part(
                 check(library)
             return Path(shutil.copy(library, folder))
 
-    return cached(f"{name}_{part}", digest_of([part, texts, library_toolchain()]), build)
+    what, key = f"{name}_{part}", digest_of([part, texts, library_toolchain()])
+    if check is None and find_cached(what, key) is None:
+        key = digest_of([part, texts, library_toolchain(), "unchecked"])
+    return cached(what, key, build)
 
 
 def install(

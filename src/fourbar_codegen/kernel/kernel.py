@@ -48,6 +48,8 @@ class Kernel(Evaluator):
     def __init__(self, capsule: object, manifest: dict[str, Any]) -> None:  # noqa: ARG002  # Evaluator takes it
         self.path = Path()
         self._sources_when_loaded: dict[str, str] | None = None
+        self.compares = True
+        """Whether parts that are compiled later are compared: False after ``compile_model(model, check=False)``."""
         self.name: str = manifest["name"]
         self.coordinates: tuple[str, ...] = tuple(manifest["coordinates"])
         self.speeds: tuple[str, ...] = tuple(manifest["speeds"])
@@ -92,7 +94,7 @@ class Kernel(Evaluator):
 
     def __reduce__(self) -> tuple[Any, ...]:
         path = str(self.path) if self.is_portable else None
-        return _restore, (type(self), self.name, path, self.manifest, self._sources())
+        return _restore, (type(self), self.name, path, self.manifest, self._sources(), self.compares)
 
     def _sources(self) -> dict[str, str] | None:
         """The sources: those beside a library when it was loaded, or those that are beside a module now.
@@ -171,7 +173,10 @@ class Kernel(Evaluator):
         attach: Callable[[Self, int], None],
         compare: Callable[[Evaluator], None],
     ) -> None:
-        """Attach a part from its library, which is built and compared first if it is not in the cache."""
+        """Attach a part from its library, which is built and compared first if it is not in the cache.
+
+        With ``check=False`` of `compile_model` it is not compared.
+        """
         sources = self._sources_of(
             part,
             f"{needed} functions that compile_model builds later, but their sources beside {self.path} were missing or "
@@ -186,7 +191,7 @@ class Kernel(Evaluator):
                 attach(model, address)
                 compare(model)
 
-            attach(self, load_part(self.name, part, sources, check))
+            attach(self, load_part(self.name, part, sources, check if self.compares else None))
 
     def _page_module(self) -> bytes:
         """The model as WebAssembly, for live pages; see `building.page_module`."""
@@ -566,9 +571,23 @@ def _prescribed(manifest: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _restore(
+    kind: type[Kernel],
+    name: str,
+    path: str | None,
+    manifest: dict[str, Any],
+    sources: Mapping[str, str] | None,
+    compares: bool = True,
+) -> Kernel:
+    """A model from another process, possibly on another machine, whose later parts are compared or not."""
+    model = _found(kind, name, path, manifest, sources)
+    model.compares = compares
+    return model
+
+
+def _found(
     kind: type[Kernel], name: str, path: str | None, manifest: dict[str, Any], sources: Mapping[str, str] | None
 ) -> Kernel:
-    """A model from another process, possibly on another machine.
+    """The same, before that is known.
 
     A portable module is loaded from its path. A library that was built for one machine comes without a path: another
     machine may see the same folder, but lack the instructions, which the cache's key accounts for. A model that is

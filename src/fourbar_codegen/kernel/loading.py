@@ -314,13 +314,14 @@ def load_from_sources(name: str, sources: Mapping[str, str], manifest: Mapping[s
     return load_cached(lambda: cached(name, key, build))
 
 
-def load_part(name: str, part: str, sources: Mapping[str, str], check: Callable[[int], None]) -> int:
+def load_part(name: str, part: str, sources: Mapping[str, str], check: Callable[[int], None] | None) -> int:
     """Build, check and load a part of a model that `compile_model` builds later: the address of its table."""
 
     def address(path: Path) -> int:
         return _address(path, f"{name}_{part}")
 
-    return _where_it_stays(lambda: build_part(name, part, sources, check=lambda built: check(address(built))), address)
+    checks = None if check is None else lambda built: check(address(built))
+    return _where_it_stays(lambda: build_part(name, part, sources, check=checks), address)
 
 
 def _address(path: Path, symbol: str) -> int:

@@ -149,3 +149,23 @@ def test_an_equilibrium_is_none_with_open_loops(ring):
     for size in (1e-9, 1.0, 1e6):
         q = ring.equilibrium([0.9 * size, 0.0, 0.1 * size], parameters={"l": size})[:3]
         assert np.hypot(q[0], q[2]) == pytest.approx(size, rel=1e-9)
+
+
+def test_dependent_speeds_in_initial():
+    """x vx + y vy = 0: at (0.6, 0.8) with vx = 0.4 is vy = -0.3; the state is that without it."""
+    model = bead_and_wheel(x**2 + y**2 - length**2, "ring")
+    how = {"name": "ring", "parameters": {length: 1.0}}
+    start = {x: 0.6, angle: 0.0, y: 0.8, vx: 0.4, spin: 1.0}
+    given = fb.compile_model(fb.Model(model.system, initial={**start, vy: -0.3000001}, **how))
+    expected = [0.6, 0.0, 0.8, 0.4, 1.0, -0.3]
+    np.testing.assert_allclose(given.initial_state(), expected, rtol=1e-14)
+    np.testing.assert_allclose(given.simulate((0.0, 0.1)).y[:, 0], expected, rtol=1e-14)
+    # With others in their place, or another length, the initial values do not belong to the state.
+    np.testing.assert_allclose(given.initial_state(speeds={"v_x": 0.8, "w": 1.0})[5], -0.6, rtol=1e-14)
+    np.testing.assert_allclose(given.initial_state(parameters={"l": np.sqrt(1.0)}), expected, rtol=1e-14)
+    np.testing.assert_allclose(given.initial_state(parameters={"l": np.sqrt(0.72)})[5], -0.4, rtol=1e-14)
+    wrong = fb.compile_model(fb.Model(model.system, initial={**start, vy: -0.3001}, **how))
+    # The rate of the constraint is 2 (x vx + y vy) = 1.6 (0.3 - 0.3001).
+    with pytest.raises(fb.ModelError, match=r"violate velocity constraint 1: J u [+] b = -0.00016 .*speeds \(v_x, w\)"):
+        wrong.simulate((0.0, 0.1))
+    assert wrong.initial_state(speeds={"v_x": 0.8, "w": 1.0})[5] == pytest.approx(-0.6, rel=1e-14)

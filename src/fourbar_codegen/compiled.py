@@ -356,7 +356,8 @@ class CompiledModel(Kernel):
         Raises
         ------
         ModelError
-            If an argument has a wrong shape or name, or is not finite.
+            If an argument has a wrong shape or name, or is not finite; or if the state is the model's initial one, and
+            its values of dependent speeds violate the constraints.
         AssemblyError
             If the loops do not close, or the dependent speeds are not determined; or if the state has no derivatives,
             at a singular position.

@@ -45,6 +45,9 @@ KNOWN = 0.01
 CONSISTENT = 1e-10
 """Tolerance of velocity constraints, relative to their terms."""
 
+GIVEN = 1e-6
+"""The same, with dependent speeds as they are given."""
+
 
 def initial_state(
     model: Kernel,
@@ -63,7 +66,45 @@ def initial_state(
     if coordinates is not None:
         _warn_of_degrees(model, loops.q_i)
     limits = _limits(bounds, model.coordinates[len(loops.q_i) :])
-    return _state(loops, start, guess is not None, limits, u_i, _auxiliary_values(model, auxiliary_states))
+    x = _state(loops, start, guess is not None, limits, u_i, _auxiliary_values(model, auxiliary_states))
+    if coordinates is None and speeds is None and guess is None:
+        _check_initial_speeds(loops, x)
+    return x
+
+
+def _check_initial_speeds(loops: Loops, x: Floats) -> None:
+    """Raise if the model's initial values of dependent speeds, which are not needed, violate the constraints.
+
+    They belong to its own parameters, prescribed motions and t = 0: with others, they are not looked at.
+    """
+    model, known, n_q = loops.model, loops.model.manifest["initial"], loops.model.n_q
+    n_ui = model.n_u - model.manifest["n_dependent_speeds"]
+    dependent = [name for name in model.speeds[n_ui:] if name in known]
+    if not dependent or loops.t != 0.0 or not _are_own(loops):
+        return
+    x = x.copy()
+    x[[n_q + model.speeds.index(name) for name in dependent]] = [known[name] for name in dependent]
+    jacobian, bias = model.velocity(loops.t, x, loops.p, loops.r)
+    residual, u = model.velocity_constraints(loops.t, x, loops.p, loops.r), x[n_q : n_q + model.n_u]
+    excess = np.abs(residual) - GIVEN * (np.abs(jacobian) @ np.abs(u) + np.abs(bias))
+    if (excess > 0.0).any():
+        row = int(np.argmax(excess))
+        raise ModelError(
+            f"The speeds in initial= violate velocity constraint {row + 1}: J u + b = {residual[row]:.6g} there, with "
+            f"{_named(model.speeds, u)}. Correct the dependent ones ({', '.join(dependent)}), or leave them out: they "
+            f"follow from the independent speeds ({', '.join(model.speeds[:n_ui]) or 'none'})."
+        )
+
+
+def _are_own(loops: Loops) -> bool:
+    """Whether parameters and prescribed motions are the model's own, as far as it has values of them."""
+    model = loops.model
+    own = np.array([*model.defaults.values()], dtype=float)
+    pairs = [] if loops.p is None else [(loops.p, own)]
+    if loops.r is not None:
+        moving = model.manifest["moving_inputs"]
+        pairs.append((loops.r[moving], model.default_inputs(loops.t, loops.p)[moving]))
+    return all(bool((np.isnan(expected) | (values == expected)).all()) for values, expected in pairs)
 
 
 def nearby_state(

@@ -261,7 +261,9 @@ def initial_state(
             f"({', '.join(groups[0])}), independent speeds ({', '.join(groups[1])}), guesses of dependent "
             f"coordinates ({', '.join(groups[2]) or 'none'}) or auxiliary states ({', '.join(groups[3]) or 'none'})."
         )
-    coordinates, speeds, guess, z = ({name: initial[name] for name in group if name in initial} for group in groups)
+    coordinates, speeds, guess, z = (
+        {name: initial[name] for name in group if name in initial} or None for group in groups
+    )
     return compiled.initial_state(
-        coordinates, speeds, t=t, guess=guess, parameters=parameters, auxiliary_states=z or None, inputs=inputs
+        coordinates, speeds, t=t, guess=guess, parameters=parameters, auxiliary_states=z, inputs=inputs
     )

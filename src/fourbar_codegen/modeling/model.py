@@ -198,7 +198,8 @@ class Model:
         default in ``parameters``, else 0.
     initial : mapping of coordinate, speed or auxiliary state to float, optional
         Default initial values of the independent coordinates and speeds and of auxiliary states, and guesses of the
-        dependent coordinates. Dependent speeds follow from the others.
+        dependent coordinates. Dependent speeds follow from the others. Values of them are compared with these when the
+        model's initial state is made: constraints hold to 1e-6 of their terms.
     reactions : iterable of Expr or str, or "all", optional
         Unknown forces, or their names, that act between the two bodies of a joint, although the loads have them on one
         body only. Their components along auxiliary speeds stand in the equations of these alone, as if they were zero
@@ -636,17 +637,12 @@ class Model:
 
     def _check_initial(self, given: Mapping[sm.Expr, float]) -> dict[str, float]:
         states = {*self._states()}
-        dependent = self.mechanism.speeds[len(self.speeds) - self.mechanism.n_dependent_speeds :]
         initial = {}
         for function, value in given.items():
             if function not in states:
                 if isinstance(function, AppliedUndef):
                     self._check_assumptions(function, "initial=")
                 raise ModelError(f"{function} in initial= is none of the states {(*map(_name, self._states()),)}.")
-            if function in dependent:
-                raise ModelError(
-                    f"{function} in initial= is a dependent speed, which follows from the others: leave it out."
-                )
             initial[_name(function)] = finite_number(value, f"initial {_name(function)}")
         return initial
 

@@ -112,21 +112,29 @@ def test_linear_form_with_outputs():
     model = fb.compile_model(pendulum_in_cartesian_coordinates())
     length, g, m, push = 0.5, 9.81, 2.0, 1.5
     state = model.initial_state({"x": 0.3}, {"u": 0.2}, guess={"y": -0.4})
-    A, B, C, D = model.linearize(0.0, state, r=[push], outputs=("tension", "height"))
-    assert (A.shape, B.shape, C.shape, D.shape) == ((2, 2), (2, 1), (2, 2), (2, 1))
+    linear = model.linearize(0.0, state, r=[push], outputs=("tension", "height", "y", "x", "v"))
+    A, B, C, D = linear
+    assert (A.shape, B.shape, C.shape, D.shape) == ((2, 2), (2, 1), (5, 2), (5, 1))
+    assert (linear.states, linear.inputs) == (("x", "u"), ("F",))
+    assert linear.outputs == ("tension", "height", "y", "x", "v")
 
     def along(point):
         x, u, force = point
         y = -np.sqrt(length**2 - x**2)
         v = -x * u / y
         centripetal = m * (u**2 + v**2) / length
-        return np.array([centripetal - m * g * y / length + force * x / length, y])
+        return np.array([centripetal - m * g * y / length + force * x / length, y, y, x, v])
 
     expected = complex_steps(along, [0.3, 0.2, push])
     np.testing.assert_allclose(np.hstack((C, D)), expected, rtol=1e-11, atol=1e-11)
     for one, other in zip(model.linearize(0.0, state, r=[push]), (A, B), strict=True):
         np.testing.assert_array_equal(one, other)
-    with pytest.raises(fb.ModelError, match="no output 'pressure'; there are tension, acceleration, height"):
+    of_states = model.linearize(0.0, state, r=[push], outputs=[me.dynamicsymbols("y")])
+    np.testing.assert_array_equal(of_states[2], C[2:3])
+    assert [part.shape for part in model.linearize(0.0, state, outputs=[])] == [(2, 2), (2, 1), (0, 2), (0, 1)]
+    with pytest.raises(
+        fb.ModelError, match="no output 'pressure'; there are tension, acceleration, height, and the st"
+    ):
         model.linearize(0.0, state, outputs=["pressure"])
     for wrong in ("tension", 5):
         with pytest.raises(fb.ModelError, match="sequence of names"):
@@ -152,8 +160,8 @@ def test_multipliers_of_redundant_constraints_have_none():
         model.output_jacobian(0.0, [0.3, -0.4, 0.8, 0.6])
     model.jacobian(0.0, [0.3, -0.4, 0.8, 0.6])
     # Of outputs without multipliers there is a linear form: y = -sqrt(l^2 - x^2).
-    *_, C, D = model.linearize(0.0, [0.3, -0.4, 0.8, 0.6], outputs=["height"])
-    np.testing.assert_allclose(C, [[0.3 / 0.4, 0.0]], atol=1e-12)
+    *_, C, D = model.linearize(0.0, [0.3, -0.4, 0.8, 0.6], outputs=["height", "y"])
+    np.testing.assert_allclose(C, [[0.3 / 0.4, 0.0]] * 2, atol=1e-12)
     assert not D.any()
     with pytest.raises(fb.ModelError, match="outputs tension contain"):
         model.linearize(0.0, [0.3, -0.4, 0.8, 0.6], outputs=["height", "tension"])

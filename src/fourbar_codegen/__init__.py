@@ -22,6 +22,7 @@ from fourbar_codegen.errors import (
 if TYPE_CHECKING:
     from fourbar_codegen import models, solvers
     from fourbar_codegen.analysis.assembly_modes import AssemblyModes
+    from fourbar_codegen.analysis.linearization import Linearization
     from fourbar_codegen.building.toolchain import get_include
     from fourbar_codegen.compile import build_model, build_wheel, compile_model, generate_sources
     from fourbar_codegen.compiled import CompiledModel, load, load_trajectory
@@ -49,6 +50,7 @@ __all__ = [
     "FourbarError",
     "JaxModel",
     "Kinematics",
+    "Linearization",
     "Linkage",
     "Model",
     "ModelError",
@@ -83,6 +85,7 @@ _HOME = {
     "Fit": "fitting",
     "JaxModel": "differentiable",
     "Kinematics": "results.kinematics",
+    "Linearization": "analysis.linearization",
     "Linkage": "linkage.linkage",
     "Model": "modeling.model",
     "Parameter": "modeling.model",

@@ -20,6 +20,7 @@ from fourbar_codegen.simulation.simulate import make_stepper, simulate
 
 if TYPE_CHECKING:
     from fourbar_codegen.analysis.assembly_modes import AssemblyModes
+    from fourbar_codegen.analysis.linearization import Linearization
     from fourbar_codegen.kernel.inputs import InputSource
     from fourbar_codegen.results.ensemble import Ensemble
     from fourbar_codegen.results.kinematics import Branch, Kinematics
@@ -163,16 +164,6 @@ class CompiledModel(Kernel):
             self.outputs,
         )
 
-    @overload
-    def linearize(
-        self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None, *, outputs: None = None
-    ) -> tuple[Floats, Floats]: ...
-
-    @overload
-    def linearize(
-        self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None, *, outputs: Sequence[Any]
-    ) -> tuple[Floats, Floats, Floats, Floats]: ...
-
     def linearize(
         self,
         t: float,
@@ -181,7 +172,7 @@ class CompiledModel(Kernel):
         r: Values | None = None,
         *,
         outputs: Sequence[Any] | None = None,
-    ) -> tuple[Floats, ...]:
+    ) -> Linearization:
         """A and B of d(q_i, u_i, z)/dt = A d(q_i, u_i, z) + B dr near a state that satisfies the constraints.
 
         In the independent coordinates q_i and speeds u_i, as ``KanesMethod.linearize(A_and_B=True)``: the dependent
@@ -193,16 +184,14 @@ class CompiledModel(Kernel):
         t, x, p, r
             As for `rhs`.
         outputs : sequence of str, optional
-            Names of outputs; ``model.outputs`` for all.
+            Names of outputs, and of states, dependent ones too; ``model.outputs`` for all outputs.
 
         Returns
         -------
-        A : ndarray, shape (n_i, n_i)
-            n_i is the number of independent coordinates, independent speeds and auxiliary states.
-        B : ndarray, shape (n_i, n_r)
-        C : ndarray, shape (len(outputs), n_i)
-            C and D are returned if outputs are given.
-        D : ndarray, shape (len(outputs), n_r)
+        Linearization
+            A sequence of matrices, with the names of their rows and columns as ``states``, ``inputs`` and ``outputs``:
+            A, shape (n_i, n_i), n_i being the number of independent coordinates, independent speeds and auxiliary
+            states; B, (n_i, n_r); and, if outputs are given, C, (len(outputs), n_i), and D, (len(outputs), n_r).
 
         Raises
         ------
@@ -222,6 +211,9 @@ class CompiledModel(Kernel):
         >>> A, B = four_bar.linearize(0.0, four_bar.initial_state())
         >>> A.shape, B.shape
         ((2, 2), (2, 1))
+        >>> linear = four_bar.linearize(0.0, four_bar.initial_state(), outputs=["q3"])
+        >>> linear.states, linear.inputs, linear.outputs
+        (('q1', 'u1'), ('F',), ('q3',))
         """
         from fourbar_codegen.analysis.linearization import linearize
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,17 +15,44 @@ from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.kernel.dependent import eliminate
 from fourbar_codegen.kernel.kernel import Kernel
 
-__all__ = ["linearize"]
+__all__ = ["Linearization", "linearize"]
 
 Floats = NDArray[np.float64]
 
 
+@dataclass(frozen=True, eq=False)
+class Linearization(Sequence[Floats]):
+    """A linear state space model: the sequence of its matrices A and B, and of C and D if outputs are given.
+
+    Attributes
+    ----------
+    matrices : tuple of ndarray
+    states : tuple of str
+        The independent coordinates, independent speeds and auxiliary states: rows of A and B, columns of A and C.
+    inputs : tuple of str
+        The columns of B and D.
+    outputs : tuple of str
+        The rows of C and D.
+    """
+
+    matrices: tuple[Floats, ...]
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.matrices)
+
+    def __getitem__(self, number: Any) -> Any:
+        return self.matrices[number]
+
+
 def linearize(
     model: Kernel, t: float, x: ArrayLike, p: Values | None, r: Values | None, outputs: Sequence[Any] | None
-) -> tuple[Floats, ...]:
+) -> Linearization:
     """A and B of the linearized motion about a state, C and D of outputs; see `CompiledModel.linearize`."""
     t, state = finite_number(t, "t"), named_array(x, model.states, {}, "state")
-    rows = None if outputs is None else _rows(model, outputs)
+    names = () if outputs is None else _names(model, outputs)
     n_q, n_r = model.n_q, model.n_r
     n_qi = n_q - model.manifest["n_dependent_coordinates"]
     n_ui, n_z = model.n_u - model.manifest["n_dependent_speeds"], model.n_z
@@ -43,21 +71,32 @@ def linearize(
     du = np.vstack((du_i, eliminate(np.hstack((known, constraints[:, n_ui:])), len(free), model.speeds[n_ui:])))
     dx = np.vstack((dq, du, dz))
     rates = model.jacobian(t, state, p, r) @ dx + model.input_jacobian(t, state, p, r) @ dr
-    independent = rates[[*range(n_qi), *range(n_q, n_q + n_ui), *range(n_q + model.n_u, model.n_x)]]
-    if rows is None:
-        return independent[:, :n_i], independent[:, n_i:]
-    by_state, by_inputs = model.output_derivatives(t, state, p, r)
-    dy = (by_state @ dx + by_inputs @ dr)[rows]
-    return independent[:, :n_i], independent[:, n_i:], dy[:, :n_i], dy[:, n_i:]
+    places = [*range(n_qi), *range(n_q, n_q + n_ui), *range(n_q + model.n_u, model.n_x)]
+    matrices = [rates[places]]
+    if outputs is not None:
+        rows = dict(zip(model.states, dx, strict=True))
+        if not rows.keys() >= {*names}:
+            by_state, by_inputs = model.output_derivatives(t, state, p, r)
+            rows.update(zip(model.outputs, by_state @ dx + by_inputs @ dr, strict=True))
+        matrices.append(np.reshape([rows[name] for name in names], (len(names), len(free))))
+    return Linearization(
+        tuple(part for matrix in matrices for part in (matrix[:, :n_i], matrix[:, n_i:])),
+        tuple(model.states[place] for place in places),
+        model.inputs,
+        names,
+    )
 
 
-def _rows(model: Kernel, outputs: Sequence[Any]) -> list[int]:
-    """The numbers of outputs that are given by name or as SymPy's functions of time."""
+def _names(model: Kernel, outputs: Sequence[Any]) -> tuple[str, ...]:
+    """The names of outputs and states that are given by name or as SymPy's functions of time."""
     if isinstance(outputs, str) or not isinstance(outputs, Iterable):
         raise ModelError(f"outputs must be a sequence of names, not {shown(outputs)}.")
-    names = [name_of(output) for output in outputs]
+    names = tuple(name_of(output) for output in outputs)
     for name in names:
-        if name not in model.outputs:
-            raise ModelError(f"There is no output {name!r}; there are {', '.join(model.outputs) or 'none'}.")
-    model.require_output_derivatives(names)
-    return [model.outputs.index(name) for name in names]
+        if name not in model.outputs and name not in model.states:
+            raise ModelError(
+                f"There is no output {name!r}; there are {', '.join(model.outputs) or 'none'}, and the states "
+                f"{', '.join(model.states)}."
+            )
+    model.require_output_derivatives([name for name in names if name in model.outputs])
+    return names

@@ -10,6 +10,7 @@ from systems import quaternion_top
 from test_kanes_method import kanes_method
 
 import fourbar_codegen as fb
+from fourbar_codegen.simulation.singularity import Singular
 
 T = me.dynamicsymbols._t
 Y_AFTER_1_S = -0.16501085312554
@@ -387,3 +388,37 @@ def test_rates_are_those_of_the_time_of_a_run_that_begins_later():
     run = model.simulate((2.0, 5.0), x0, rtol=1e-10, atol=1e-10)
     assert run.success, run.message
     assert run["x"][-1] == pytest.approx(3.0 - 9.81 / 4.0 * 9.0, abs=1e-8)
+
+
+def test_rows_solved_for_dependent_speeds_are_looked_at_where_they_have_poles(monkeypatch):
+    """u_d - A u_i: where the last two bars of a chain are in line, A is infinite, and the loop moves on regularly."""
+    looks = []
+
+    class Noted(Singular):
+        def within_step(self, run, *samples):
+            looks.append(run.t)
+            return super().within_step(run, *samples)
+
+    monkeypatch.setattr("fourbar_codegen.simulation.integrate.Singular", Noted)
+    model = fb.models.chain(4, closed=True)
+    system, dependent = model.system, model.system.u_dep
+    rates = system.velocity_constraints.xreplace({x.diff(T): v for x, v in zip(system.q, system.u, strict=True)})
+    rest = rates.xreplace(dict.fromkeys(dependent, 0))
+    kane = kanes_method(system, velocity_constraints=[*(dependent + rates.jacobian(dependent).LUsolve(rest))])
+    values = {symbol: parameter.value for symbol, parameter in model.parameter_symbols.items()}
+    solved = fb.compile_model(fb.Model(kane, name="solved", parameters=values))
+    stated = fb.compile_model(model)
+    x0 = stated.initial_state(speeds={"u1": 3.0, "u2": -5.0})
+    run = solved.simulate((0.0, 10.0), x0, rtol=1e-10, atol=1e-10)
+    assert run.success
+    in_line = np.sin(run["q4"])
+    poles = run.t[1:][in_line[1:] * in_line[:-1] < 0.0]
+    assert len(poles) > 10
+    # A step close to a pole may be looked at, too, since A is no longer of the size that it had before.
+    assert set(poles) <= set(looks)
+    assert len(looks) <= len(poles) + 2
+    assert np.abs(run.constraint_residual).max() < 1e-12
+    # The same motion as with the rates as they are, up to the errors of 160 steps; afterwards it is chaotic.
+    assert poles[0] < 2.0
+    ends = [each.simulate((0.0, 2.0), x0, rtol=1e-10, atol=1e-10).y[:, -1] for each in (solved, stated)]
+    np.testing.assert_allclose(*ends, rtol=0, atol=1.6e-8)

@@ -274,7 +274,10 @@ static inline fb_mask fb_orientation_changed(fb_lanes *c, const fb_mask asked)
     fb_real orientation = fb_number(INFINITY), sign = fb_number(1.0);
     if (N_C == 0 || N_RANK < N_C)
         return changed;
-    /* See fb_note_units. */
+    /* See fb_note_units; only the units of pivots matter here. */
+    fb_real units_before[FB_AT_LEAST_1(N_C)], growth = fb_number(1.0);
+    for (int k = 0; k < N_C; ++k)
+        units_before[k] = c->column_unit[static_pivot_speed[k]] * c->row_unit[static_pivot_row[k]];
     for (int i = 0; i < N_C; ++i)
         for (int j = 0; j < N_U; ++j) {
             const fb_real size = fb_greater(fb_abs(s->constraint_jacobian[i * N_U + j]), c->column_unit[j]);
@@ -291,15 +294,17 @@ static inline fb_mask fb_orientation_changed(fb_lanes *c, const fb_mask asked)
     for (int k = 0; k < N_C; ++k) {
         const fb_real unit = c->column_unit[static_pivot_speed[k]] * c->row_unit[static_pivot_row[k]];
         const fb_real pivot = fb_abs(pivots[k]) / unit;
+        growth = fb_greater(unit / units_before[k], growth);
         orientation = fb_select(pivot < orientation, pivot, orientation);
         sign = fb_select(pivots[k] < 0.0, -sign, sign);
     }
     orientation = fb_select(s->factors.good, sign * orientation, fb_number(NAN));
     const fb_real both = orientation * c->orientation;
-    changed = asked & ((both < 0.0) | (fb_abs(orientation) < FB_CLOSE_BY * c->largest_orientation));
+    changed = asked & (both < 0.0);
     c->largest_orientation =
-        fb_select(asked, fb_greater(fb_abs(orientation), c->largest_orientation), c->largest_orientation);
-    const fb_mask unknown = asked & (both != both);
+        fb_select(asked, fb_greater(fb_abs(orientation), c->largest_orientation / growth), c->largest_orientation);
+    const fb_mask close = fb_abs(orientation) < FB_CLOSE_BY * c->largest_orientation;
+    const fb_mask unknown = asked & ((both != both) | close);
     if (fb_any(unknown))
         for (int lane = 0; lane < FB_WIDTH; ++lane)
             if (unknown[lane]) {
@@ -310,13 +315,10 @@ static inline fb_mask fb_orientation_changed(fb_lanes *c, const fb_mask asked)
                 fb_take_lane(c->row_unit, lane, N_C, units.row);
                 fb_take_lane(s->constraint_jacobian, lane, N_JACOBIAN, now);
                 fb_take_lane(c->jacobian_before, lane, N_JACOBIAN, before);
-                if (fb_eliminate(now, &factors) != FB_OK) {
-                    changed[lane] = -1;
-                    continue;
-                }
-                const double at_end = fb_orientation(now, &units, factors.column);
-                if (at_end * fb_orientation(before, &units, factors.column) < 0.0 ||
-                    fabs(at_end) < FB_CLOSE_BY * c->largest_orientation[lane])
+                if (fb_eliminate(now, &factors) != FB_OK ||
+                    fb_orientation(now, &units, factors.column) * fb_orientation(before, &units, factors.column) <
+                        0.0 ||
+                    fb_is_close_by(now, &units, c->largest_orientation[lane]))
                     changed[lane] = -1;
             }
     for (int i = 0; i < N_JACOBIAN; ++i)

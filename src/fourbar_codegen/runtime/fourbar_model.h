@@ -57,7 +57,7 @@ typedef struct fb_work {
     double orientation_before;
     int was_static;
 #endif
-    double largest_orientation; /* in all calls, 0 before the first */
+    double largest_orientation; /* in all calls, in the present units; 0 before the first */
     double drift;               /* the relative constraint violation where the last projection took its factors */
 } fb_work;
 
@@ -317,12 +317,14 @@ static int orientation_changed(void *work)
     int result = 0;
 #ifndef FB_SPARSE
     if (N_C > 0 && N_RANK == N_C) {
-        fb_note_units(w->constraint_jacobian, &w->units);
+        /* Near a pole of J, units grow without bound. */
+        w->largest_orientation /= fb_note_units(w->constraint_jacobian, &w->units);
         const int *const columns = fb_dependent_columns(w->constraint_jacobian, &w->factors);
         if (columns == NULL)
             return 1;
         const double now = fb_orientation(w->constraint_jacobian, &w->units, columns);
-        result = fabs(now) < FB_CLOSE_BY * w->largest_orientation;
+        result = fabs(now) < FB_CLOSE_BY * w->largest_orientation &&
+                 fb_is_close_by(w->constraint_jacobian, &w->units, w->largest_orientation);
         if (w->largest_orientation > 0.0) {
             /* It is known if both have the static pivot order. */
             const int known = fb_is_static(&w->factors) && w->was_static;

@@ -208,15 +208,26 @@ typedef struct fb_units {
     double column[N_U], row[FB_AT_LEAST_1(N_C)];
 } fb_units;
 
-static inline void fb_note_units(const double *restrict jacobian, fb_units *restrict units)
+/* Returns a bound of the factor by which quantities in units that were known before have become smaller. */
+static inline double fb_note_units(const double *restrict jacobian, fb_units *restrict units)
 {
-    for (int i = 0; i < N_C; ++i)
-        for (int j = 0; j < N_U; ++j)
+    double by_columns = 1.0, by_rows = 1.0;
+    for (int j = 0; j < N_U; ++j) {
+        const double before = units->column[j];
+        for (int i = 0; i < N_C; ++i)
             units->column[j] = fb_max(units->column[j], fabs(jacobian[i * N_U + j]));
-    for (int i = 0; i < N_C; ++i)
+        if (before > 0.0)
+            by_columns = fb_max(by_columns, units->column[j] / before);
+    }
+    for (int i = 0; i < N_C; ++i) {
+        const double before = units->row[i];
         for (int j = 0; j < N_U; ++j)
             if (fabs(jacobian[i * N_U + j]) > units->row[i] * units->column[j])
                 units->row[i] = fabs(jacobian[i * N_U + j]) / units->column[j];
+        if (before > 0.0)
+            by_rows = fb_max(by_rows, units->row[i] / before);
+    }
+    return by_columns * by_rows;
 }
 
 /* The sign of the determinant of the dependent speeds' columns of J, times their smallest pivot, with columns and rows
@@ -246,6 +257,21 @@ static inline double fb_orientation(const double *restrict jacobian, const fb_un
                 a[i][j] -= a[i][k] / a[k][k] * a[k][j];
     }
     return sign * smallest;
+}
+
+/* Whether J is close to losing rank, given the largest orientation of the run, for the pivots that are largest in these
+ * units. Another choice of the dependent speeds can be small where J has full rank. */
+static inline int fb_is_close_by(const double *restrict jacobian, const fb_units *restrict units, const double largest)
+{
+    double scaled[FB_AT_LEAST_1(N_JACOBIAN)];
+    fb_factors factors;
+    for (int i = 0; i < N_C; ++i)
+        for (int j = 0; j < N_U; ++j) {
+            const double unit = units->row[i] * units->column[j];
+            scaled[i * N_U + j] = unit > 0.0 ? jacobian[i * N_U + j] / unit : 0.0;
+        }
+    return fb_eliminate(scaled, &factors) != FB_OK ||
+           fabs(fb_orientation(jacobian, units, factors.column)) < FB_CLOSE_BY * largest;
 }
 
 /* The speeds that the factors take as dependent, first of all; and whether these are those of the static pivot order.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -131,7 +131,7 @@ def integrate(
     dense: Any = run.dense_output() if options.dense_output else None  # stores steps of this kind of run
     samples: list[tuple[Floats, Floats]] = []
     outcome: tuple[int, str] | None = None
-    singular = ""
+    looks, singular = Singular(model), ""
     steps, noted = 16, time.perf_counter()
     while outcome is None:
         begin = time.perf_counter()
@@ -143,7 +143,7 @@ def integrate(
         if reason == "event":
             if run.orientation_changed:
                 samples.append(run.take_samples())
-                singular = Singular(model, run.ode, _passed(run, samples)).within_step(run)
+                singular = looks.within_step(run, samples)
                 if singular:
                     run.discard()
                     outcome = -1, singular
@@ -181,8 +181,7 @@ def integrate(
             outcome = -1, run.ode.failure or DIVERGED.format(options.max_step / 10.0)
         else:
             samples.append(run.take_samples())
-            at = Singular(model, run.ode, _passed(run, samples))
-            singular = at.here(run.t, run.x, collapsed=reason == "collapsed")
+            singular = looks.here(run, samples, collapsed=reason == "collapsed")
             if singular or reason != "collapsed":
                 outcome = -1, singular or run.ode.failure or FAILED.get(reason, reason)
     status, message = outcome
@@ -313,9 +312,3 @@ def _growth(ode: Ode, t: Floats, y: Floats, run: Integration, *, by_steps: bool)
         return ""
     before, after = map(np.nansum, (ode.energies(t[0], y[:, 0]), reached))
     return f" The energy has grown from {before:.6g} J to {after:.6g} J, because of loads or of integration errors."
-
-
-def _passed(run: Integration, samples: Sequence[tuple[Floats, Floats]]) -> list[tuple[float, Floats]]:
-    """Times and states of the run up to now."""
-    passed = [sample for times, states in samples for sample in zip(times, states, strict=True)]
-    return passed or [(run.t, run.x)]

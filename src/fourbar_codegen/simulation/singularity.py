@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,8 @@ from fourbar_codegen.simulation.run_protocol import Integration
 __all__ = ["Singular"]
 
 Floats = NDArray[np.float64]
+Samples = Sequence[tuple[Floats, Floats]]
+"""Times and states of a run up to now, piece by piece."""
 
 # A position counts as singular if the smallest singular value of J, relative to its median over the run, is below:
 COLLAPSED = 1e-3
@@ -45,82 +47,52 @@ class Singular:
     """Detects whether a run has reached a singular position, where the Jacobian of the constraints loses rank.
 
     The measure is the smallest singular value of J, relative to its median over the run. Each column of J, and then
-    each row, is scaled by its largest entry in the run, so that metres and radians are comparable.
+    each row, is scaled by its largest entry in the run, so that metres and radians are comparable. Since a run may pass
+    many poles of J, which are looked at like singular positions, scales and median are found anew only where the run
+    has become twice as long.
 
     Parameters
     ----------
     model : Kernel
-    ode : Ode
-    passed : sequence of (float, ndarray)
-        Times and states of the run up to now.
     """
 
-    def __init__(self, model: Kernel, ode: Ode, passed: Sequence[tuple[float, Floats]]) -> None:
-        self.model, self.ode = model, ode
+    def __init__(self, model: Kernel) -> None:
+        self.model = model
         self.rank = model.manifest["n_dependent_speeds"]
-        if self.rank:
-            # The last states of a collapsing run are almost equal, so states are sampled at equally spaced times.
-            since = [abs(t - passed[0][0]) for t, _ in passed]
-            order = np.searchsorted(since, np.linspace(0.0, since[-1], STATES))
-            jacobians = np.array([self._jacobian(*passed[min(i, len(passed) - 1)]) for i in order])
-            column = np.abs(jacobians).max(axis=(0, 1))
-            column[column == 0.0] = 1.0
-            row = np.abs(jacobians / column).max(axis=(0, 2))
-            row[row == 0.0] = 1.0
-            self.row, self.size = row, row[:, np.newaxis] * column
-            self.median = float(np.median([self._least(jacobian) for jacobian in jacobians]))
+        self.known = 0.0
+        """Duration of the run for which scales and median are known."""
 
-    def _velocity_constraints(self, t: float, x: Floats) -> tuple[Floats, Floats]:
-        """J and b of J u + b = 0."""
-        return self.model.velocity(t, x, self.ode.parameters, self.ode.input_values(t, x))
-
-    def _jacobian(self, t: float, x: Floats) -> Floats:
-        return self._velocity_constraints(t, x)[0]
-
-    def _is_locked(self, t: float, x: Floats) -> bool:
-        """Whether no speeds satisfy the constraints: b has a component along n, where n^T J = 0."""
-        jacobian, bias = self._velocity_constraints(t, x)
-        lost = np.linalg.svd(jacobian / self.size, full_matrices=False)[0][:, self.rank - 1]
-        scaled = bias / self.row
-        return bool(abs(lost @ scaled) > LOCKED * np.linalg.norm(scaled))
-
-    def _least(self, jacobian: Floats) -> float:
-        return float(np.linalg.svd(jacobian / self.size, compute_uv=False)[self.rank - 1])
-
-    def _ratio(self, t: float, x: Floats) -> float:
-        if not np.isfinite(x).all():
-            return np.inf  # the run diverges; its position is unknown
-        return self._least(self._jacobian(t, x)) / self.median if self.median else 0.0
-
-    def here(self, t: float, x: Floats, *, collapsed: bool) -> str:
+    def here(self, run: Integration, samples: Samples, *, collapsed: bool) -> str:
         """A message if the state at which steps collapse or fail is singular, otherwise an empty text."""
         if not self.rank:
             return ""
-        at = self._message("runs into", t, x, COLLAPSED, ", and the steps collapse")
-        if at or collapsed or self.ode.failure:
+        self._learn(run, samples)
+        at = self._message("runs into", run.ode, run.t, run.x, COLLAPSED, ", and the steps collapse")
+        if at or collapsed or run.ode.failure:
             return at
-        return self._message("comes close to", t, x, NEAR, ", and the next step fails: try smaller tolerances")
+        more = ", and the next step fails: try smaller tolerances"
+        return self._message("comes close to", run.ode, run.t, run.x, NEAR, more)
 
-    def within_step(self, run: Integration) -> str:
+    def within_step(self, run: Integration, samples: Samples) -> str:
         """A message if the last step of a run has passed a singular position, otherwise an empty text.
 
         Then J loses rank at a state within the step, or neighbouring states within the step are in different assembly
         modes.
         """
+        self._learn(run, samples)
         shares = jump_shares = np.linspace(0.0, 1.0, 33)
         jumped = []
         for _ in range(5):  # to within 1e-6 of the step
-            ratios = [self._ratio(run.time_within(share), run.state_within(share)) for share in shares[1:-1]]
-            least = 1 + int(np.argmin(ratios))
-            at = float(shares[least])
+            inner = [(run.time_within(share), run.state_within(share)) for share in shares[1:-1]]
+            least = 1 + int(np.argmin(self._ratios(run.ode, inner)))
+            t, x = inner[least - 1]
             shares = np.linspace(shares[least - 1], shares[least + 1], 33)
             states = [run.state_within(share)[: self.model.n_q] for share in jump_shares]
             changes = np.abs(np.diff(states, axis=0)).max(axis=1)
             largest = int(np.argmax(changes))
             jumped.append(changes[largest])
             jump_shares = np.linspace(jump_shares[largest], jump_shares[largest + 1], 33)
-        t, x = run.time_within(at), run.state_within(at)
-        passed = self._message("passes", t, x, PASSED, ", and may go on in more than one way")
+        passed = self._message("passes", run.ode, t, x, PASSED, ", and may go on in more than one way")
         if passed or not jumped[-1] > JUMPED * jumped[0] + FLOOR:
             return passed
         return (
@@ -128,11 +100,52 @@ class Singular:
             "position: use smaller tolerances."
         )
 
-    def _message(self, verb: str, t: float, x: Floats, threshold: float, more: str) -> str:
-        ratio = self._ratio(t, x)
+    def _learn(self, run: Integration, samples: Samples) -> None:
+        """The scales of J and the median of the measure over the run up to now."""
+        times, states = map(np.concatenate, zip(*samples, strict=True))
+        if times.size == 0:
+            times, states = np.array([run.t]), run.x[np.newaxis]
+        # The last states of a collapsing run are almost equal, so states are sampled at equally spaced times.
+        since = np.abs(times - times[0])
+        if 0.0 < since[-1] < 2.0 * self.known:
+            return
+        self.known = float(since[-1])
+        order = np.searchsorted(since, np.linspace(0.0, since[-1], STATES)).clip(max=times.size - 1)
+        jacobians = self._jacobians(run.ode, zip(times[order], states[order], strict=True))
+        column = np.abs(jacobians).max(axis=(0, 1))
+        column[column == 0.0] = 1.0
+        row = np.abs(jacobians / column).max(axis=(0, 2))
+        row[row == 0.0] = 1.0
+        self.row, self.size = row, row[:, np.newaxis] * column
+        self.median = float(np.median(self._least(jacobians)))
+
+    def _jacobians(self, ode: Ode, places: Iterable[tuple[float, Floats]]) -> Floats:
+        return np.array([self.model.velocity(t, x, ode.parameters, ode.input_values(t, x))[0] for t, x in places])
+
+    def _least(self, jacobians: Floats) -> Floats:
+        singular_values: Floats = np.linalg.svd(jacobians / self.size, compute_uv=False)
+        return singular_values[:, self.rank - 1]
+
+    def _ratios(self, ode: Ode, places: Sequence[tuple[float, Floats]]) -> Floats:
+        """The measure at several times and states; infinite where a run diverges, so that its position is unknown."""
+        jacobians = self._jacobians(ode, places)
+        known = np.isfinite(jacobians).all(axis=(1, 2))
+        ratios = np.full(len(places), np.inf)
+        ratios[known] = self._least(jacobians[known]) / self.median if self.median else 0.0
+        return ratios
+
+    def _is_locked(self, ode: Ode, t: float, x: Floats) -> bool:
+        """Whether no speeds satisfy the constraints: b has a component along n, where n^T J = 0."""
+        jacobian, bias = self.model.velocity(t, x, ode.parameters, ode.input_values(t, x))
+        lost = np.linalg.svd(jacobian / self.size, full_matrices=False)[0][:, self.rank - 1]
+        scaled = bias / self.row
+        return bool(abs(lost @ scaled) > LOCKED * np.linalg.norm(scaled))
+
+    def _message(self, verb: str, ode: Ode, t: float, x: Floats, threshold: float, more: str) -> str:
+        ratio = self._ratios(ode, [(t, x)])[0]
         if not ratio < threshold:
             return ""
-        if self._is_locked(t, x):
+        if self._is_locked(ode, t, x):
             verb, more, advice = (
                 "reaches",
                 "",

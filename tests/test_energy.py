@@ -7,6 +7,11 @@ import sympy.physics.mechanics as me
 from sympy.physics.mechanics.system import System
 
 import fourbar_codegen as fb
+from fourbar_codegen.dynamics.equations import form_equations
+from fourbar_codegen.expressions.antiderivatives import antiderivative
+from fourbar_codegen.expressions.convert import Conversion
+from fourbar_codegen.expressions.tape import Tape
+from fourbar_codegen.linkage.linkage import Linkage
 
 
 def test_energies_against_closed_form(four_bar):
@@ -73,3 +78,142 @@ def test_energy_that_a_force_makes_has_not_grown_beyond_reason():
             assert "has grown" not in run.message
     fed = mass.simulate((0.0, 10.0), [0.0, 1e-3], inputs={"F": lambda _, x: 2.0 * x[1]})
     assert "has grown" in fed.message
+
+
+VALUES = {"m": 2.0, "g": 9.81, "k": 30.0, "a": 7.0, "l": 0.6, "s": 0.4, "c": 3.0}
+
+
+def oscillators(*, own=None, law=None):
+    """A block on a rail, a ball in the plane of the rail, and a wheel; springs and dampers hold them."""
+    m, g, k, a, free, s, c = sm.symbols("m g k a l s c")
+    (x, y, z, turn), (vx, vy, vz, spin) = me.dynamicsymbols("x y z turn"), me.dynamicsymbols("vx vy vz spin")
+    push = me.dynamicsymbols("push")
+    ground, origin, wheel = me.ReferenceFrame("N"), me.Point("O"), me.ReferenceFrame("W")
+    origin.set_vel(ground, 0)
+    wheel.orient_axis(ground, ground.z, turn)
+    wheel.set_ang_vel(ground, spin * ground.z)
+    ball, block = origin.locatenew("ball", x * ground.x + y * ground.y), origin.locatenew("block", z * ground.x)
+    ball.set_vel(ground, vx * ground.x + vy * ground.y)
+    block.set_vel(ground, vz * ground.x)
+    system = System(ground, origin)
+    rim = me.RigidBody("wheel", origin, wheel, m, (me.inertia(wheel, 0, 0, m), origin))
+    bodies = me.Particle("ball", ball, m), me.Particle("block", block, m), rim
+    system.add_bodies(*bodies)
+    system.add_coordinates(x, y, z, turn)
+    system.add_speeds(vx, vy, vz, spin)
+    system.add_kdes(vx - x.diff(), vy - y.diff(), vz - z.diff(), spin - turn.diff())
+    path = me.LinearPathway(origin, ball)
+    stretch, rate = path.length - free, path.extension_velocity
+    if law is not None:
+        system.add_actuators(me.ForceActuator(law(path.length), path))
+    else:
+        system.add_actuators(
+            me.LinearSpring(k, path, free),
+            me.ForceActuator(-a * stretch**3 - c * rate, path),
+            me.DuffingSpring(2 * k, a, me.LinearPathway(block, ball)),  # its cube of the length is (x^2)^(3/2)
+            me.DuffingSpring(5, 3, me.LinearPathway(origin, block), 1),
+            me.TorqueActuator(-k * (2 * turn - s) - c * spin, wheel.z, wheel, ground),
+        )
+        system.add_loads((ball, (m * g - k * x - k * (x - z) - c * vx) * ground.x), (block, k * (x - z) * ground.x))
+        system.add_loads((block, (push - a * sm.Max(0, z - free)) * ground.x))
+    if own is not None:
+        bodies[0].potential_energy = own(k, path.length, free, a)
+    return fb.Model(
+        system, name="oscillators", parameters=VALUES, inputs={push: 0.0} if law is None else None, extra="ignore"
+    )
+
+
+def potential(x, y, z, turn):
+    """By hand."""
+    m, g, k, a, free, s, _ = VALUES.values()
+    length, between, beyond = np.hypot(x, y), np.hypot(x - z, y), np.maximum(0.0, z - free)
+    energy = k * (length - free) ** 2 / 2 + a * (length - free) ** 4 / 4 + k * between**2 + a * between**4 / 4
+    energy += 5 * (abs(z) - 1) ** 2 / 2 + 3 * (abs(z) - 1) ** 4 / 4 + k * (2 * turn - s) ** 2 / 4
+    return energy - m * g * x + k * x**2 / 2 + k * (x - z) ** 2 / 2 + a * beyond**2 / 2
+
+
+def energies(model, states):
+    """The potential energy, evaluated without C."""
+    equations = form_equations(model)
+    values = {leaf: VALUES[name] for leaf, name in zip(equations.parameters, model.parameters, strict=True)}
+    leaves = (*equations.coordinates, *equations.speeds)
+    points = ({**values, **dict(zip(leaves, x, strict=True))} for x in states)
+    return np.array([equations.tape.evaluate([equations.energies.entries[1]], point)[0] for point in points])
+
+
+def test_springs_have_a_potential():
+    """Along a length, about an axis, by hand in loads; without dampers and inputs that act in the same actuator."""
+    compiled = fb.compile_model(oscillators())
+    assert compiled.energy_without == ()
+    states = np.random.default_rng(1).uniform(-1.5, 1.5, (30, 8))
+    found = [compiled.potential_energy(0.0, state) for state in states]
+    expected = [potential(*state[:4]) for state in states]
+    # A constant is free. Terms of some 100 J, each to rounding.
+    np.testing.assert_allclose(np.diff(found), np.diff(expected), rtol=0, atol=1e-11)
+    x0 = [0.9, 0.3, 0.5, 0.2, 0.0, 1.0, 0.0, -1.0]
+    run = compiled.simulate((0.0, 3.0), x0, parameters={"c": 0.0}, rtol=1e-11, atol=1e-11)
+    assert np.ptp(run.kinetic_energy) > 5.0
+    # Some 300 steps of relative error 1e-11; the stop at l is a kink of the force.
+    np.testing.assert_allclose(run.energy, run.energy[0], rtol=0, atol=1e-7)
+
+
+def test_a_spring_that_a_body_has_is_not_counted_twice():
+    states = np.random.default_rng(1).uniform(-1.5, 1.5, (10, 8))
+    expected = [potential(*state[:4]) for state in states]
+    model = oscillators(own=lambda k, length, free, _: k * (length - free) ** 2 / 2)
+    np.testing.assert_allclose(np.diff(energies(model, states)), np.diff(expected), rtol=0, atol=1e-11)
+    both = oscillators(own=lambda k, length, free, a: k * (length - free) ** 2 / 2 + a * (length - free) ** 4 / 4)
+    np.testing.assert_allclose(np.diff(energies(both, states)), np.diff(expected), rtol=0, atol=1e-11)
+    other = oscillators(own=lambda k, length, free, a: k * length**3)  # no load's
+    assert np.isnan(energies(other, states)).all()
+
+
+def test_a_spring_of_a_linkage():
+    linkage = Linkage("sprung", points={"A": (0, 0), "B": (1, 0), "C": (1, 1)}, ground="AC", links=["AB"], density=3.0)
+    linkage.spring("B", "C", 40.0, length=0.8)
+    linkage.torque("A", -5.0 * (linkage.q["AB"] - 0.3))
+    run = fb.compile_model(linkage.model()).simulate((0.0, 2.0), rtol=1e-11, atol=1e-11)
+    angle = run["q_AB"]
+    stretch = np.hypot(np.cos(angle) - 1.0, np.sin(angle) - 1.0) - 0.8
+    expected = 20.0 * stretch**2 + 2.5 * (angle - 0.3) ** 2
+    np.testing.assert_allclose(run.potential_energy - run.potential_energy[0], expected - expected[0], atol=1e-12)
+    assert np.ptp(run.kinetic_energy) > 0.5
+    np.testing.assert_allclose(run.energy, run.energy[0], rtol=0, atol=1e-8)  # steps of relative error 1e-11
+
+
+def test_a_spring_without_antiderivative_is_named(tmp_path):
+    """In runs, files, tables and plots, also after a run was saved and read."""
+    model = oscillators(law=lambda length: -30 * sm.sin(sm.exp(length)) / (1 + length**4))
+    run = fb.compile_model(model).simulate((0.0, 1.0), [0.9, 0.3, 0.5, 0.2, 0.0, 1.0, 0.0, -1.0])
+    name = "ForceActuator O - ball"
+    assert run.energy_without == (name,)
+    assert (run.potential_energy == 0.0).all()
+    assert f",potential_energy without {name},energy without {name}" in run.save(tmp_path / "run.csv").read_text()
+    assert name in run.save(tmp_path / "run.html").read_text()
+    assert run.to_xarray().potential_energy.attrs["without"] == name
+    for suffix in (".npz", ".nc"):
+        assert fb.load_trajectory(run.save(tmp_path / f"run{suffix}")).energy_without == (name,)
+    assert [axes.get_title(loc="left") for axes in run.plot(["x", "energy"]).axes] == ["x", f"energy without {name}"]
+
+
+def test_antiderivatives():
+    x, b = sm.symbols("x b", real=True)
+    for function, expected in (
+        (1e6 * (x - b), lambda x, b: 5e5 * (x - b) ** 2),
+        (sm.Max(0, x - b) ** sm.Rational(3, 2), lambda x, b: 0.4 * max(0.0, x - b) ** 2.5),  # Hertz
+        (sm.Heaviside(x - b) * x, lambda x, b: (x**2 - b**2) / 2 if x > b else 0.0),
+        (sm.exp(b * x) - 1, lambda x, b: np.exp(b * x) / b - x),
+        (sm.sin(sm.exp(x)) / (1 + x**4), None),
+        (sm.sqrt(b + sm.sin(x) ** 2), None),  # an elliptic integral, which C does not have
+    ):
+        tape = Tape()
+        place, other = tape.leaf("y", "x"), tape.leaf("p", "b")
+        found = antiderivative(tape, Conversion(tape, {x: place, b: other})(function), place)
+        assert (found is None) == (expected is None), function
+        if found is not None:
+            values = [tape.evaluate([found], {place: at, other: 0.7})[0] for at in (-0.4, 0.7001, 1.9)]
+            # Near its free length a stiff spring's energy has all its digits.
+            np.testing.assert_allclose(np.diff(values), np.diff([expected(at, 0.7) for at in (-0.4, 0.7001, 1.9)]))
+    assert tape.evaluate([antiderivative(tape, (place - other) * 2, place)], {place: 0.7 + 1e-9, other: 0.7}) == [
+        pytest.approx(1e-18, rel=1e-6, abs=0)  # the difference of the arguments has 7 digits
+    ]

@@ -365,7 +365,8 @@ def _report(trajectory: Trajectory, method: str, seconds: float) -> None:
             f"{residual.max():.2e} at most"
         )
     if model.manifest["has_potential_energy"]:
-        click.echo(f"Energy: {trajectory.energy[0]:.6f} J at the start, {trajectory.energy[-1]:.6f} J at the end")
+        label, energy = model.title("energy").replace("e", "E", 1), trajectory.energy
+        click.echo(f"{label}: {energy[0]:.6f} J at the start, {energy[-1]:.6f} J at the end")
 
 
 @main.command(

@@ -257,7 +257,7 @@ int {name}_rhs({name} *model, double t, const double *x, double *rates);
 /* The derivatives of the speeds, {name}_n_u values, and the multipliers of the constraints, {name}_n_l values. */
 int {name}_solution({name} *model, double *accelerations, double *multipliers);
 {outputs}
-/* Kinetic and potential energy; not a number if unknown. */
+/* Kinetic and potential energy; not a number if unknown.{_left_out(manifest)} */
 void {name}_energies({name} *model, double *kinetic, double *potential);
 
 /* The largest violation of a constraint, of position or velocity. */
@@ -305,6 +305,12 @@ void {name}_points({name} *model, double *points);
 def _plain(text: str) -> str:
     """Text that is safe in a comment of C99."""
     return re.sub(r"[^ -~]", "?", text).replace("*/", "* /").replace("/*", "/ *")
+
+
+def _left_out(manifest: Mapping[str, Any]) -> str:
+    """A sentence on what the potential energy leaves out, if anything."""
+    without = ", ".join(manifest["energy_without"])
+    return f" The latter is without {_plain(without)}." if without else ""
 
 
 def _memory(program: Program) -> int:

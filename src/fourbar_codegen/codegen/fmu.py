@@ -106,7 +106,10 @@ def variables_of(manifest: Mapping[str, Any], defaults: Sequence[float]) -> list
     for name in manifest["outputs"]:
         add(name, "", "", "output")
     for kind in ("kinetic", "potential"):
-        add(f"{kind} energy", "", "J", "output", needs_inputs=False)
+        words = (
+            f"without {', '.join(without)}" if kind == "potential" and (without := manifest["energy_without"]) else ""
+        )
+        add(f"{kind} energy", words, "J", "output", needs_inputs=False)
     unknown = len(found) - 1 if not manifest["has_potential_energy"] else None
     for number, point in enumerate(manifest["points"]):
         name = point["name"] or f"point {number}"

@@ -19,7 +19,7 @@ from fourbar_codegen.modeling.model import Model
 
 __all__ = ["manifest_of", "manifest_text", "operations_of"]
 
-MANIFEST_FORMAT = 18
+MANIFEST_FORMAT = 19
 
 
 def manifest_of(
@@ -93,6 +93,7 @@ def manifest_of(
         "velocity_rows": [row for row, entry in enumerate(violation) if not entry],
         "warnings": list(equations.warnings),
         "has_potential_energy": not energies[1].is_nan,
+        "energy_without": list(equations.energy_without),
         "form": program.form,
         "jumps": _jumps(model, equations, names),
         "dependencies": _dependencies(equations),

@@ -14,15 +14,13 @@ constraints J u + b = 0 enter as rows J u' + gamma = 0; they are solved numerica
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain, islice
 from typing import Any
 
-import numpy as np
 import sympy as sm
-from numpy.typing import NDArray
 
 from fourbar_codegen.dynamics.constraints import form_constraints, position_jacobian
 from fourbar_codegen.dynamics.contradictions import find_contradictions
@@ -31,6 +29,7 @@ from fourbar_codegen.dynamics.kane import Kane
 from fourbar_codegen.dynamics.kinematic_equations import solve_kinematics
 from fourbar_codegen.dynamics.kinematics import Kinematics
 from fourbar_codegen.dynamics.picture import Picture, applied_forces, find_picture
+from fourbar_codegen.dynamics.potential import Potential, find_potential
 from fourbar_codegen.dynamics.random_states import RandomStates, closed_states
 from fourbar_codegen.dynamics.recursion import Recursion, form_recursion
 from fourbar_codegen.dynamics.unknown_forces import (
@@ -43,7 +42,7 @@ from fourbar_codegen.expressions.breakpoints import breakpoints
 from fourbar_codegen.expressions.convert import Conversion, substitute
 from fourbar_codegen.expressions.derivatives import Jvp, Rounding, jacobian, vjp
 from fourbar_codegen.expressions.formulas import formulas
-from fourbar_codegen.expressions.identities import deduplicate, is_zero
+from fourbar_codegen.expressions.identities import deduplicate
 from fourbar_codegen.expressions.tape import Result, Scalar, Tape
 from fourbar_codegen.modeling.model import InputEntry, Model, multiplier
 
@@ -53,8 +52,7 @@ CLOSED_STATES = 4
 """States at which redundant constraints are known, for a pivot order."""
 
 MOTIONS = 5
-ROUNDED = 1e-9
-"""Relative tolerance for terms to cancel; states satisfy the constraints to about 1e-12."""
+"""Random motions in which the loads' work is compared with the loss of potential energy."""
 
 
 WITH_FORCES = frozenset(
@@ -147,6 +145,8 @@ class Equations:
         Some states at which the position constraints hold, if fewer speeds are dependent than there are constraints.
     warnings : tuple of str
         A sentence for each inconsistency of the kinematics.
+    energy_without : tuple of str
+        Springs that the potential energy leaves out, since no antiderivative of their force was found.
     residual : Result
         (f + F - M u' + J^T lambda, -(J u' + gamma), Q - M_a u' + J_a^T lambda, z') for u' and multipliers in
         `accelerations` and `multipliers`, (n_u + n_c + n_n + n_z,), to be differentiated.
@@ -206,6 +206,7 @@ class Equations:
     not_orthonormal: tuple[Scalar, ...]
     closed_states: tuple[dict[Scalar, float], ...]
     warnings: tuple[str, ...]
+    energy_without: tuple[str, ...]
 
     @property
     def of_unknown_forces(self) -> tuple[Result, ...]:
@@ -295,14 +296,22 @@ def form_equations(model: Model) -> Equations:
     state_rates = [convert(expr) for expr in model.state_equations.values()]
     leaves.update(zip((z.diff(mechanism.time) for z in model.state_equations), state_rates, strict=True))
     convert = Conversion(tape, leaves)
-    changing = (v.time, *v.q, *v.u, *v.z, *v.r, *v.a, *lam, *v.unknown)
     values = _values(model, v)
     states = partial(RandomStates, tape, constraints, values, more=not_orthonormal)
     if model.potential_energy is not None:
-        potential = convert(model.potential_energy)
+        potential = Potential(convert(model.potential_energy), ())
     else:
-        potential = _first_true(tape, kane.potential_energies(changing), lambda terms: states(terms).moving(v.u, v.a))
-    energies = [kane.kinetic_energy(), potential]
+        foreign = (v.time, *v.z, *v.r, *v.a, *lam, *v.unknown)
+        potential = find_potential(
+            kinematics,
+            rate,
+            v.q,
+            v.u,
+            foreign,
+            _input_rates(model, v).values(),
+            lambda terms: islice(states(terms).moving(v.u, v.a), MOTIONS),
+        )
+    energies = [kane.kinetic_energy(), potential.energy]
     rounding = Rounding(tape)
     corrections = form_corrections(tape, constraints, v.q, v.u, rounding, values, mechanism.holonomic_constraints)
     with_rates = convert
@@ -413,6 +422,7 @@ def form_equations(model: Model) -> Equations:
         recursion=recursion,
         closed_states=tuple(islice(closed, CLOSED_STATES)),
         warnings=warnings,
+        energy_without=potential.without,
         **{result.name: result for result in results},
     )
 
@@ -545,21 +555,6 @@ def _inputs(
                 f"{model.input_expressions[entry.function.expr]} does not have them everywhere."
             )
     return needed
-
-
-def _first_true(
-    tape: Tape,
-    candidates: Iterable[tuple[Scalar, list[Scalar]]],
-    motions: Callable[[Sequence[Scalar]], Iterator[NDArray[np.float64]]],
-) -> Scalar:
-    """The first candidate whose terms add up to zero, identically or in random motions; NaN if there is none."""
-    for candidate, terms in candidates:
-        if all(is_zero(tape, [tape.sum(terms)])):
-            return candidate
-        values = [*islice(motions(terms), MOTIONS)]
-        if values and all(abs(v.sum()) <= ROUNDED * np.abs(v).sum() for v in values):
-            return candidate
-    return tape.number(float("nan"))
 
 
 def vector(name: str, entries: Iterable[Scalar]) -> Result:

@@ -373,44 +373,6 @@ class Kane:
                 terms.append(dot(inertia.momentum, inertia.angular_velocity))
         return self.tape.sum(terms) / 2
 
-    def potential_energies(self, variables: Sequence[Scalar]) -> list[tuple[Scalar, list[Scalar]]]:
-        """Candidates for the potential energy, each right if the sum of its terms is zero in every motion.
-
-        A force that is constant in the inertial frame has the potential -F.r, r the position of its point. Its rate is
-        -F.v if the velocity is the rate of the position, which is not so for the contact point of a wheel. The bodies'
-        own potentials may include those of these forces, or not: the right candidate is the one whose loss is the work
-        of the loads.
-
-        Parameters
-        ----------
-        variables : sequence of Scalar
-            The leaves that may change during a motion.
-        """
-        kinematics, tape = self.kinematics, self.tape
-        own = tape.sum([kinematics.convert(body.potential_energy) for body in self.mechanism.bodies])
-        has_own = not all(body.potential_energy.is_zero for body in self.mechanism.bodies)
-        terms, power = [], []
-        for load in self.mechanism.loads:
-            if load.kind == "torque" or not kinematics.velocity(load.target):
-                continue
-            force = kinematics.express(kinematics.vector(load.vector), INERTIAL)
-            if tape.depends(force, variables) or not any(force):
-                continue
-            power.append(kinematics.dot(((INERTIAL, force),), kinematics.velocity(load.target)))
-            if load.position is not None:
-                terms.append(-dot(force, kinematics.express(kinematics.vector(load.position), INERTIAL)))
-        if has_own and not power:
-            return [(own, [])]
-        of_forces = tape.sum(terms)
-        losses = [self.rate(of_forces), *power]
-        if not has_own:
-            return [(of_forces, losses)] if len(terms) == len(power) else []
-        total = self.power()
-        candidates = [(own, [self.rate(own), total])]
-        if len(terms) == len(power):
-            candidates.append((own + of_forces, [self.rate(own), self.rate(of_forces), total]))
-        return [] if total.is_nan else candidates
-
     def _inertia(self, body: Body) -> _Inertia | None:
         if body.inertia is None:
             return None

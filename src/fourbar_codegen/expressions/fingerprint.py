@@ -15,6 +15,8 @@ __all__ = ["fingerprint"]
 def fingerprint(data: object) -> str:
     """Digest dataclasses, tuples, mappings, strings, numbers and SymPy expressions.
 
+    Fields of dataclasses with ``hash=False`` do not count.
+
     Parameters
     ----------
     data : object
@@ -54,8 +56,9 @@ class _Writer:
         if isinstance(data, sm.Basic):
             self.line("expression", self.node(data))
         elif is_dataclass(data) and not isinstance(data, type):
-            self.line(type(data).__name__, len(fields(data)))
-            for field in fields(data):
+            digested = [field for field in fields(data) if field.hash is not False]
+            self.line(type(data).__name__, len(digested))
+            for field in digested:
                 self.line(field.name)
                 self.write(getattr(data, field.name))
         elif isinstance(data, Mapping):

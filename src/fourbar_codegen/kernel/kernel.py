@@ -35,6 +35,9 @@ __all__ = ["Kernel", "parameter_array"]
 
 Floats = NDArray[np.float64]
 
+ENERGIES = {"potential_energy", "energy", "potential energy", "total energy"}
+"""Names of quantities with the potential energy, in tables and in plots."""
+
 
 class Kernel(Evaluator):
     """A mechanism's compiled equations of motion, and their evaluation.
@@ -215,6 +218,21 @@ class Kernel(Evaluator):
     def residual_label(self) -> str:
         """The title of residuals of the constraints in plots and tables."""
         return "Constraint residual" if self.manifest["velocity_rows"] else "Loop residual"
+
+    @property
+    def energy_without(self) -> tuple[str, ...]:
+        """Springs that the potential energy leaves out, since no antiderivative of their force was found.
+
+        The energy of a run then changes by their work. Give ``potential_energy=`` to the Model to include them.
+        """
+        return tuple(self.manifest.get("energy_without", ()))  # modules of earlier versions do not say
+
+    def title(self, name: str) -> str:
+        """The name of a quantity in plots and tables; an energy's says what it leaves out."""
+        is_own = name in (*self.states, *self.inputs, *self.outputs)
+        if is_own or name not in ENERGIES or not self.energy_without:
+            return name
+        return f"{name} without {', '.join(self.energy_without)}"
 
     def __repr__(self) -> str:
         auxiliary = ", ".join(self.auxiliary_states)
@@ -527,7 +545,9 @@ class Kernel(Evaluator):
         return float(self._finite(self.energy(t, x, p, r)[:1], t, x)[0])
 
     def potential_energy(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> float:
-        """Potential energy, J: as given with the Model, or of bodies and constant forces, such as gravity.
+        """Potential energy, J: as given with the Model, or of bodies, constant forces, such as gravity, and springs.
+
+        `energy_without` names springs that it leaves out.
 
         Parameters
         ----------
@@ -550,7 +570,7 @@ class Kernel(Evaluator):
             raise ModelError(
                 f"The potential energy of {self.name} is not known: a constant force acts at a point whose position "
                 "relative to a fixed point is not defined, or whose velocity is not the rate of that position; or the "
-                "loss of the bodies' potentials is not the work of all loads. Give potential_energy= to the Model."
+                "loss of the bodies' potentials is not the work of loads. Give potential_energy= to the Model."
             )
         energy = float(self.energy(t, x, p, r)[1])
         if r is None and math.isnan(energy) and any(e["expression"] is None for e in self.manifest["inputs"]):

@@ -6,7 +6,7 @@ Everything that the equations depend on is in a `Mechanism`, so its fingerprint 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import sympy as sm
@@ -17,6 +17,7 @@ __all__ = [
     "Components",
     "DrawnPoint",
     "Frame",
+    "LengthLaw",
     "Load",
     "Mechanism",
     "Point",
@@ -186,6 +187,24 @@ class Load:
 
 
 @dataclass(frozen=True)
+class LengthLaw:
+    """The force of an actuator along a pathway, which has a potential if it depends on the length alone.
+
+    Attributes
+    ----------
+    name : str
+    force, length : Expr
+    loads : tuple of int
+        Numbers of the loads that the actuator consists of.
+    """
+
+    name: str
+    force: sm.Expr
+    length: sm.Expr
+    loads: tuple[int, ...]
+
+
+@dataclass(frozen=True)
 class Mechanism:
     """All that the equations of motion of a System depend on.
 
@@ -216,6 +235,8 @@ class Mechanism:
         What is drawn between them.
     not_drawn : tuple of str
         Names of points that are not drawn since nothing else uses a frame in which their positions are written.
+    length_laws : tuple of LengthLaw
+        For the potential energy. They are left out of the fingerprint, so that runs that were saved without them load.
     """
 
     time: sm.Symbol
@@ -239,6 +260,7 @@ class Mechanism:
     drawn: tuple[DrawnPoint, ...]
     shapes: tuple[Shape, ...]
     not_drawn: tuple[str, ...]
+    length_laws: tuple[LengthLaw, ...] = field(hash=False)
 
     @property
     def states_velocity_constraints(self) -> bool:

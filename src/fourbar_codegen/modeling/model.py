@@ -207,8 +207,10 @@ class Model:
         auxiliary speed in the motion, too; these then drive the motion. An empty list says that they do.
     potential_energy : Expr, optional
         In terms of coordinates, parameters and time. By default the sum of the bodies' ``potential_energy`` and of the
-        potentials of all forces that are constant in the System's frame, such as gravity, unless the former include
-        the latter. It is unknown if its loss does not equal the work of these forces.
+        potentials of all forces that are constant in the System's frame, such as gravity, and of springs, unless the
+        former include the latter. It is unknown if its loss does not equal the work of these loads. Springs are
+        actuators and loads that depend on a length, an angle or coordinates alone; terms with speeds or inputs in the
+        same load do not count. `CompiledModel.energy_without` names those for which SymPy finds no antiderivative.
     outputs : mapping of str to Expr, optional
         Further results by name: expressions of time, coordinates, speeds, first derivatives of both, inputs,
         parameters, and multipliers (see `multiplier`, `joint_force`). With auxiliary speeds, the first outputs are the

@@ -16,6 +16,7 @@ from fourbar_codegen.modeling.mechanism import (
     Body,
     DrawnPoint,
     Frame,
+    LengthLaw,
     Load,
     Mechanism,
     Point,
@@ -119,6 +120,7 @@ def read_mechanism(
         drawn=(*drawn, *tips),
         shapes=(*shapes, *_pathways(description.actuators, of_points), *_drawn_lines(lines, drawn, of_points)),
         not_drawn=not_drawn,
+        length_laws=tuple(_length_laws(description.sources)),
     )
 
 
@@ -217,6 +219,7 @@ class _Description:
     fixed_point: me.Point | None
     bodies: Sequence[Any]
     loads: Sequence[Any]
+    sources: Sequence[Any]  # of each load, itself or the actuator that it belongs to
     q_ind: Sequence[sm.Expr]
     q_dep: Sequence[sm.Expr]
     u_ind: Sequence[sm.Expr]
@@ -236,7 +239,7 @@ def _of_system(system: System) -> _Description:
         frame=system.frame,
         fixed_point=system.fixed_point,
         bodies=system.bodies,
-        loads=_loads((*system.loads, *system.actuators)),
+        **_loads((*system.loads, *system.actuators)),
         q_ind=system.q_ind[:],
         q_dep=system.q_dep[:],
         u_ind=system.u_ind[:],
@@ -251,9 +254,19 @@ def _of_system(system: System) -> _Description:
     )
 
 
-def _loads(items: Iterable[Any]) -> list[Any]:
-    """Loads, with actuators replaced by their loads."""
-    return [load for item in items for load in (item.to_loads() if isinstance(item, me.ActuatorBase) else [item])]
+def _loads(items: Iterable[Any]) -> dict[str, list[Any]]:
+    """Loads, with actuators replaced by their loads, and where they come from."""
+    pairs = [(x, item) for item in items for x in (item.to_loads() if isinstance(item, me.ActuatorBase) else [item])]
+    return {"loads": [load for load, _ in pairs], "sources": [source for _, source in pairs]}
+
+
+def _length_laws(sources: Sequence[Any]) -> Iterator[LengthLaw]:
+    """The forces of actuators along pathways, with the pathways' lengths."""
+    for actuator in {id(source): source for source in sources if isinstance(source, me.ForceActuator)}.values():
+        ends = (str(getattr(end, "name", end)) for end in actuator.pathway.attachments)
+        name = getattr(actuator, "name", None) or f"{type(actuator).__name__} {' - '.join(ends)}"
+        loads = tuple(number for number, source in enumerate(sources) if source is actuator)
+        yield LengthLaw(str(name), sm.sympify(actuator.force), sm.sympify(actuator.pathway.length), loads)
 
 
 def _actuators(system: _Description) -> dict[str, Any]:
@@ -291,7 +304,7 @@ def _of_kanes_method(kane: me.KanesMethod) -> _Description:
         frame=kane._inertial,
         fixed_point=None,
         bodies=kane.bodylist or (),
-        loads=_loads(kane.forcelist or ()),
+        **_loads(kane.forcelist or ()),
         q_ind=q[:n_qi],
         q_dep=q[n_qi:],
         u_ind=u[:n_ui],

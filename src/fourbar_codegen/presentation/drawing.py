@@ -103,7 +103,7 @@ class Panel:
 
 def panel_names(model: Kernel) -> list[tuple[str, tuple[str, ...], bool]]:
     """All curves over time: titles, the names of their curves, and whether the axis is logarithmic."""
-    energies = ("kinetic energy", "potential energy", "total energy")
+    energies = ("kinetic energy", model.title("potential energy"), model.title("total energy"))
     return [
         ("Coordinates (rad or m)", model.coordinates, False),
         ("Speeds (rad/s or m/s)", model.speeds, False),

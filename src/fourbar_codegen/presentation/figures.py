@@ -103,7 +103,7 @@ def plot_trajectory(trajectory: Trajectory, names: str | Sequence[Any]) -> Figur
     """
     if len(trajectory.t) < SMOOTH and len(np.unique(trajectory.t)) > 1:
         trajectory = trajectory.resample(np.linspace(trajectory.t[0], trajectory.t[-1], SMOOTH))
-    chosen = [_panel(name, trajectory[name]) for name in _quantities(names)]
+    chosen = [_panel(trajectory.model.title(name), trajectory[name]) for name in _quantities(names)]
     shown = chosen or panels(trajectory)
     figure, cells = _stacked([panel.title for panel in shown], 2.2, "time (s)")
     for axes, panel in zip(cells, shown, strict=True):
@@ -208,7 +208,7 @@ def plot_ensemble(ensemble: Ensemble, names: str | Sequence[Any]) -> Figure:
     quantities = _quantities(names) or list(ensemble.model.coordinates)
     if not len(ensemble):
         raise ModelError("There is nothing to plot: the ensemble has no members.")
-    figure, cells = _stacked([_label(name) for name in quantities], 2.6, "time (s)")
+    figure, cells = _stacked([_label(ensemble.model.title(name)) for name in quantities], 2.6, "time (s)")
     varied = ensemble.varied
     draw = _draw_members if len(varied) == 1 else _draw_bands
     for axes, name in zip(cells, quantities, strict=True):

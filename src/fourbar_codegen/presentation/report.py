@@ -75,5 +75,7 @@ def run_rows(trajectory: Trajectory) -> list[tuple[str, str]]:
         rows.append(
             (f"{trajectory.residual_label.lower()} at most", f"{np.abs(trajectory.constraint_residual).max():.2e}")
         )
+    if trajectory.energy_without:
+        rows.append(("energy without", ", ".join(trajectory.energy_without)))
     rows += [(name, " ".join((f"{value:g}", model.units[name])).strip()) for name, value in run["parameters"].items()]
     return rows + list(run["versions"].items())

@@ -134,7 +134,7 @@ def to_dataset(trajectory: Trajectory) -> xarray.Dataset:
         "velocity_residual": (("row", "time"), trajectory.velocity_residual, {}),
         "multiplier": (("row", "time"), trajectory.multipliers, {}),
         "kinetic_energy": ("time", trajectory.kinetic_energy, {"units": "J"}),
-        "potential_energy": ("time", trajectory.potential_energy, {"units": "J"}),
+        "potential_energy": ("time", trajectory.potential_energy, {"units": "J", **_left_out(trajectory)}),
         "position": (
             ("point", "axis", "time"),
             np.reshape(list(trajectory.points.values()), (len(model.points), 3, len(trajectory.t))),
@@ -156,6 +156,11 @@ def to_dataset(trajectory: Trajectory) -> xarray.Dataset:
         },
         attrs=_texts(attributes(trajectory)),
     )
+
+
+def _left_out(trajectory: Trajectory) -> dict[str, str]:
+    """What the potential energy leaves out, if anything."""
+    return {"without": ", ".join(trajectory.energy_without)} if trajectory.energy_without else {}
 
 
 def _texts(attributes: Mapping[str, Any]) -> dict[str, Any]:

@@ -211,6 +211,11 @@ class Trajectory:
         return self.kinetic_energy + self.potential_energy
 
     @property
+    def energy_without(self) -> tuple[str, ...]:
+        """Springs that the potential energy leaves out, since no antiderivative of their force was found."""
+        return self.model.energy_without
+
+    @property
     def multipliers(self) -> Floats:
         """Lagrange multipliers of the constraints, shape (n_c, n_t); NaN at singular positions."""
         return self._derived[3]
@@ -630,7 +635,8 @@ def make_trajectory(**attributes: Any) -> Trajectory:
 
 
 def _write_csv(trajectory: Trajectory, file: IO[bytes]) -> None:
-    write_csv(trajectory.columns(), file)
+    title = trajectory.model.title
+    write_csv({title(name): column for name, column in trajectory.columns().items()}, file)
 
 
 def _write_npz(trajectory: Trajectory, file: IO[bytes]) -> None:

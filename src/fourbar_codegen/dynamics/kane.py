@@ -360,8 +360,7 @@ class Kane:
         is_consistent = len(kinematics.turning_as_oriented) == len(self.mechanism.frames)
         if not (within and is_consistent) or any(map(self.rate, self._masses)):
             return self.tape.number(float("nan"))
-        pairs = [(applied.load, applied.vector) for applied in (self.loads if loads is None else loads)]
-        return loads_power(kinematics, pairs)
+        return loads_power(kinematics, [applied.load for applied in (self.loads if loads is None else loads)])
 
     def kinetic_energy(self) -> Scalar:
         """The sum of m v.v / 2 + w.I.w / 2 over the bodies."""
@@ -383,10 +382,11 @@ class Kane:
         return _Inertia(body.inertia_frame, matrix, angular_velocity, multiply(matrix, angular_velocity))
 
 
-def loads_power(kinematics: Kinematics, loads: Iterable[tuple[Load, Vector]]) -> Scalar:
-    """The sum of F . v + T . w over loads with their vectors."""
+def loads_power(kinematics: Kinematics, loads: Sequence[Load]) -> Scalar:
+    """The sum of F . v + T . w over loads."""
     terms = []
-    for load, vector in loads:
+    for load in loads:
+        vector = kinematics.vector(load.vector)
         if load.kind == "force":
             terms.append(kinematics.dot(vector, kinematics.velocity(load.target)))
         else:

@@ -95,8 +95,7 @@ def forces_along_auxiliary_speeds(mechanism: Mechanism, candidates: Sequence[sm.
     rates = {leaves[q]: leaves[q.diff(t)] for q in mechanism.coordinates}
     kinematics = Kinematics(tape, mechanism, Conversion(tape, leaves), Jvp(tape, {leaves[t]: tape.one, **rates}))
     auxiliary = [leaves[w] for w in mechanism.auxiliary_speeds if w in leaves]
-    loads = ((load, kinematics.vector(load.vector)) for load in mechanism.loads)
-    [gradient] = jacobian(tape, [loads_power(kinematics, loads)], auxiliary)
+    [gradient] = jacobian(tape, [loads_power(kinematics, mechanism.loads)], auxiliary)
     return tuple(f for f in candidates if tape.depends(gradient, [leaves[f]]))
 
 

@@ -24,7 +24,7 @@ kernel = PyCapsule_New(<void *>&four_bar_kernel, FB_CAPSULE_NAME, NULL)
 
 manifest = (
     '{\n'
-    '  "format": 18,\n'
+    '  "format": 19,\n'
     '  "name": "four_bar",\n'
     '  "fingerprint": "418c24a8b65509184aa6a7fb16a910a599e907b1f49a0925977fb21290e5df2f",\n'
     '  "coordinates": [\n'
@@ -517,6 +517,7 @@ manifest = (
     '  "velocity_rows": [],\n'
     '  "warnings": [],\n'
     '  "has_potential_energy": true,\n'
+    '  "energy_without": [],\n'
     '  "form": "dense",\n'
     '  "jumps": [],\n'
     '  "dependencies": {\n'

@@ -636,3 +636,14 @@ def test_characters_that_xml_cannot_have(tmp_path):
     variables = {v.name: v for v in fmpy.read_model_description(path).modelVariables}
     assert (variables["m"].description, variables["m"].unit) == (description, unit)
     assert "P₁ <μ>.x" in variables
+
+
+def test_names_that_c_cannot_have(tmp_path):
+    """A parameter is called μ, and the model as functions of its sources; x = t^2 / (2 μ) for F = 1."""
+    model = fb.Model(_pushed("μ"), name="motion", parameters={"μ": 2.0}, inputs={"F": 1.0})
+    path = str(fb.export_fmu(model, tmp_path / "motion.fmu"))
+    assert validate_fmu(path) == []
+    found = fmpy.simulate_fmu(path, stop_time=1.0, start_values={"μ": 4.0}, output=["q"])
+    assert found["q"][-1] == pytest.approx(0.125, abs=1e-9)
+    with pytest.raises(fb.ModelError, match="'fmu' is a name in C or of its library"):
+        fb.export_fmu(fb.Model(_pushed(), name="fmu", parameters={"m": 2.0}, inputs="auto"), tmp_path / "fmu.fmu")

@@ -42,8 +42,6 @@ static const double default_parameters[] = {{{defaults}}};
 static const double initial_state[] = {{{initial}}};
 static const int has_expression[] = {{{given}}};
 static const int prescribes[] = {{{moves}}}; /* whether an input is a prescribed position or speed */
-
-#define FB_MODEL {manifest["name"]}
 """
 
 

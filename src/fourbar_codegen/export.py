@@ -112,7 +112,8 @@ def export_fmu(model: Model, path: str | Path, *, fmi: int = 3, platforms: Seque
     Raises
     ------
     ModelError
-        As for `export_c`; if two variables have the same name; or if there is no such version or platform.
+        As for `export_c`, but names of states, parameters, inputs and outputs may have all characters that XML can
+        have; if two variables have the same name; or if there is no such version or platform.
     BuildError
         If there is no C compiler, or no zig for other platforms; if it fails, with its output; or if the file cannot be
         written.
@@ -188,17 +189,15 @@ def _at_start(model: Model, name: str) -> float:
 
 
 def _library_files(generated: Generated, progress: Progress, more: tuple[str, ...] = ()) -> dict[str, str]:
-    """All files of a library, by their paths, with further headers."""
-    from fourbar_codegen.codegen.c_library import FOLDER, HEADERS, library_texts, names_in
+    """All files of a library, by their paths, with further headers for others than users of C, such as an FMU's."""
+    from fourbar_codegen.codegen.c_library import FOLDER, HEADERS, library_texts
 
     progress.stage("printing the library")
     _, functions = generate_derivatives(generated)
     folder = Path(get_include())
     runtime = {name: (folder / name).read_text("utf-8") for name in (*HEADERS, *more)}
-    kernel = generated.sources[f"{generated.manifest['name']}_kernel.c"]
-    taken = names_in((kernel, *runtime.values())) | {name.removesuffix(".h") for name in runtime}
     texts = library_texts(
-        generated.scheduled, functions, generated.names, generated.manifest, _version(), frozenset(taken)
+        generated.scheduled, functions, generated.names, generated.manifest, _version(), runtime, names_entries=not more
     )
     return texts | {f"{FOLDER}{name}": text for name, text in runtime.items()}
 

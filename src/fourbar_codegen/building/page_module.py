@@ -65,5 +65,6 @@ def _source(name: str, manifest: Mapping[str, Any]) -> str:
 enum {{ N_VELOCITY_ROWS = {len(rows)} }};
 static const int velocity_rows[] = {{{", ".join(map(str, rows or [0]))}}}; /* of constraints that keep no position */
 
+#define FB_MODEL fb_page
 #include "fourbar_page.h"
 """

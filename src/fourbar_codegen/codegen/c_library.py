@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +13,7 @@ from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.lowering.program import Program
 from fourbar_codegen.lowering.schedule import Schedule, ScheduledFunction
 
-__all__ = ["FOLDER", "HEADERS", "library_texts", "names_in"]
+__all__ = ["FOLDER", "HEADERS", "library_texts"]
 
 FOLDER = "runtime/"
 """Of the headers that the sources include, beside these."""
@@ -33,24 +33,55 @@ STATUSES = {
 }  # fmt: skip
 """As in fourbar_kernel.h and fourbar_close.h."""
 
-RESERVED = {
-    "alignas", "alignof", "and", "asm", "auto", "bool", "break", "case", "catch", "char", "class", "const", "constexpr",
-    "continue", "default", "delete", "do", "double", "else", "enum", "errno", "explicit", "export", "extern", "false",
-    "float", "for", "friend", "goto", "if", "inline", "int", "linux", "long", "main", "mutable", "namespace", "new",
-    "not", "nullptr", "operator", "or", "private", "protected", "public", "register", "restrict", "return", "short",
-    "signed", "sizeof", "static", "struct", "switch", "template", "this", "throw", "true", "try", "typedef", "typename",
-    "union", "unix", "unsigned", "using", "virtual", "void", "volatile", "while", "xor",
-    # names of the standard library, and of targets of CMake
-    "abs", "acos", "acosh", "all", "asin", "asinh", "atan", "atan2", "atanh", "cbrt", "ceil", "clean", "copysign",
-    "cos", "cosh", "ctype", "erf", "erfc", "exit", "exp", "exp2", "expm1", "fabs", "fdim", "floor", "fma", "fmax",
-    "fmin", "fmod", "free", "frexp", "gamma", "help", "hypot", "index", "install", "isnan", "j0", "j1", "jn", "ldexp",
-    "lgamma", "limits", "locale", "log", "log10", "log1p", "log2", "logb", "lrint", "lround", "m", "malloc", "math",
-    "memcpy", "memset", "modf", "nan", "nearbyint", "package", "pow", "printf", "puts", "remainder", "rint", "round",
-    "scalbn", "setjmp", "signal", "sin", "sinh", "sqrt", "stdarg", "stdbool", "stddef", "stderr", "stdin", "stdint",
-    "stdio", "stdlib", "stdout", "string", "strlen", "tan", "tanh", "test", "tgamma", "time", "trunc", "y0", "y1",
-    "yn",
-}  # fmt: skip
-"""Names that a model cannot have in C or C++, besides those in the texts themselves."""
+KEYWORDS = """
+    alignas alignof and asm auto bitand bitor bool break case catch char class compl concept const consteval
+    constexpr constinit continue decltype default delete do double else enum explicit export extern false float for
+    friend goto if inline int long mutable namespace new noexcept not nullptr operator or private protected public
+    register requires restrict return short signed sizeof static struct switch template this throw true try typedef
+    typeid typename typeof union unsigned using virtual void volatile while xor
+"""
+"""Of C, C++ and C's next version."""
+
+HEADERS_AND_TARGETS = """
+    errno i386 linux mips sparc stderr stdin stdout sun unix
+    alloca assert complex ctype endian features fenv inttypes limits locale math memory setjmp signal stdarg stdbool
+    stddef stdint stdio stdlib string tgmath threads time uchar wchar wctype windows
+    main all clean help install m package test
+"""
+"""Macros of compilers, headers of systems, and what programs and targets of CMake are called."""
+
+FUNCTIONS = """
+    a64l abort abs acos acosf acosh acoshf acoshl acosl arc4random asctime asin asinf asinh asinhf asinhl asinl atan
+    atan2 atan2f atan2l atanf atanh atanhf atanhl atanl atexit atof atoi atol atoll bcmp bcopy bsearch bzero calloc
+    cbrt cbrtf cbrtl ceil ceilf ceill clearenv clearerr clock copysign copysignf copysignl cos cosf cosh coshf coshl
+    cosl ctermid ctime daylight difftime div dprintf drand48 drem dremf dreml dysize ecvt erand48 erf erfc erfcf
+    erfcl erff erfl exit exp exp2 exp2f exp2l expf expl expm1 expm1f expm1l fabs fabsf fabsl fclose fcvt fdim fdimf
+    fdiml fdopen feof ferror fflush ffs ffsl ffsll fgetc fgetpos fgets fileno finite finitef finitel flockfile floor
+    floorf floorl fma fmaf fmal fmax fmaxf fmaxl fmemopen fmin fminf fminl fmod fmodf fmodl fopen fprintf fputc
+    fputs fread free freopen frexp frexpf frexpl fscanf fseek fseeko fsetpos ftell ftello ftrylockfile funlockfile
+    fwrite gamma gammaf gammal gcvt getc getchar getdelim getenv getline getloadavg gets getsubopt getw gmtime hypot
+    hypotf hypotl ilogb ilogbf ilogbl index initstate isinf isinff isinfl isnan isnanf isnanl j0 j0f j0l j1 j1f j1l
+    jn jnf jnl jrand48 l64a labs lcong48 ldexp ldexpf ldexpl ldiv lgamma lgammaf lgammal llabs lldiv llrint llrintf
+    llrintl llround llroundf llroundl localtime log log10 log10f log10l log1p log1pf log1pl log2 log2f log2l logb
+    logbf logbl logf logl lrand48 lrint lrintf lrintl lround lroundf lroundl malloc mblen mbstowcs mbtowc memccpy
+    memchr memcmp memcpy memmove memset mkdtemp mkstemp mkstemps mktemp mktime modf modff modfl mrand48 nan nanf
+    nanl nanosleep nearbyint nearbyintf nearbyintl nextafter nextafterf nextafterl nexttoward nexttowardf
+    nexttowardl nrand48 pclose perror popen pow powf powl printf pselect putc putchar putenv puts putw qecvt qfcvt
+    qgcvt qsort rand random realloc reallocarray realpath remainder remainderf remainderl remove remquo remquof
+    remquol rename renameat rewind rindex rint rintf rintl round roundf roundl rpmatch scalb scalbf scalbl scalbln
+    scalblnf scalblnl scalbn scalbnf scalbnl scanf seed48 select setbuf setbuffer setenv setlinebuf setstate setvbuf
+    signgam significand significandf significandl sin sinf sinh sinhf sinhl sinl snprintf sprintf sqrt sqrtf sqrtl
+    srand srand48 srandom sscanf stpcpy stpncpy strcasecmp strcat strchr strcmp strcoll strcpy strcspn strdup
+    strerror strftime strlen strncasecmp strncat strncmp strncpy strndup strnlen strpbrk strrchr strsep strsignal
+    strspn strstr strtod strtof strtok strtol strtold strtoll strtoq strtoul strtoull strtouq strxfrm system tan
+    tanf tanh tanhf tanhl tanl tempnam tgamma tgammaf tgammal timegm timelocal timezone tmpfile tmpnam trunc truncf
+    truncl tzname tzset ungetc unsetenv valloc vdprintf vfprintf vfscanf vprintf vscanf vsnprintf vsprintf vsscanf
+    wcstombs wctomb y0 y0f y0l y1 y1f y1l yn ynf ynl
+"""
+"""What the headers <math.h>, <stdio.h>, <stdlib.h>, <string.h> and <time.h> declare, also beyond the standard."""
+
+RESERVED = frozenset(f"{KEYWORDS} {HEADERS_AND_TARGETS} {FUNCTIONS}".split())
+"""Names that a model cannot have in C or C++, whose programs may include these headers, besides those in the texts."""
 
 
 def library_texts(
@@ -59,9 +90,11 @@ def library_texts(
     names: Mapping[str, Sequence[str]],
     manifest: Mapping[str, Any],
     version: str,
-    taken: frozenset[str],
+    runtime: Mapping[str, str],
+    *,
+    names_entries: bool = True,
 ) -> dict[str, str]:
-    """The files of a library, besides the `HEADERS` of its runtime, by their paths.
+    """The files of a library, besides those of its runtime, by their paths.
 
     Parameters
     ----------
@@ -72,8 +105,10 @@ def library_texts(
     manifest : mapping
     version : str
         Of fourbar_codegen.
-    taken : frozenset of str
-        Names in the kernel and in the runtime.
+    runtime : mapping of str to str
+        Text of the runtime's headers, by name.
+    names_entries : bool, optional
+        Whether numbers of array entries have names in C, which the model's names must then be.
 
     Returns
     -------
@@ -91,17 +126,16 @@ def library_texts(
             f"A C library begins with defaults: give {', '.join(missing)} values in Model(parameters=...)."
         )
     scalar = replace(scheduled, has_batches=False)
-    if name in RESERVED | taken:
-        raise ModelError(f"{name!r} is a name in C or of its library: give the Model another name to export it.")
-    header = f'#include "{name}.h"\n'
-    return {
-        f"{name}.h": _header(scheduled.program, names, manifest, version),
+    header = f'#define FB_WITHOUT_TYPE\n#include "{name}.h"\n'
+    texts = {
+        f"{name}.h": _header(scheduled.program, names if names_entries else {}, manifest, version),
         f"{name}.c": kernel_text(
             scalar,
             names,
             FOLDER,
             f"#define FB_LIBRARY\n{header}",
-            f'{definitions_text(manifest)}{_internal(name)}#include "{FOLDER}fourbar_library.h"\n',
+            f"{definitions_text(manifest)}\n#define FB_MODEL {name}\n{_internal(name)}"
+            f'#include "{FOLDER}fourbar_library.h"\n',
         ),
         f"{name}_derivatives.c": derivatives_text(name, derivatives, names, FOLDER, header, _derivatives(name)),
         f"{FOLDER}{name}_kernel.h": header_text(scalar, names),
@@ -109,16 +143,28 @@ def library_texts(
         "CMakeLists.txt": _cmake(name),
         "README.md": _readme(name, manifest, version),
     }
+    _check_name(name, texts, runtime)
+    return texts
 
 
-def _words(text: str) -> frozenset[str]:
-    """The names in C text, without comments."""
-    return frozenset(re.findall(r"[A-Za-z_]\w*", re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)))
+def _check_name(name: str, texts: Mapping[str, str], runtime: Mapping[str, str]) -> None:
+    """Raise if C or the texts use the name of a model, or a name that begins with it, for something else.
 
-
-def names_in(texts: Iterable[str]) -> frozenset[str]:
-    """The names in C texts."""
-    return frozenset().union(*map(_words, texts))
+    The texts have the model's structure, but not the type of that name, so that their functions may have it, too.
+    """
+    code = re.sub(r"/\*.*?\*/", "", "\n".join((*texts.values(), *runtime.values())), flags=re.DOTALL)
+    macros = set(re.findall(r"^ *# *define +(\w+)", code, flags=re.MULTILINE))
+    tags = set(re.findall(r"\b(?:struct|union|enum) +(\w+)", "\n".join(runtime.values())))
+    declared = " ".join(re.findall(r"^(?:static|typedef|\})([^(\n]*)", code, flags=re.MULTILINE))
+    public = {f"{name}_{word}" for word in re.findall(r"FB_PUBLIC\((\w+)\)", code)}
+    public |= set(re.findall(rf"\b{name}_\w+", texts[f"{name}.h"]))
+    if (
+        name in RESERVED | macros | tags
+        or name.endswith("_t")  # as types of the standard library
+        or public & (macros | set(re.findall(r"\w+", declared)))
+        or texts.keys() & {f"{FOLDER}{file}" for file in runtime}
+    ):
+        raise ModelError(f"{name!r} is a name in C or of its library: give the Model another name to export it.")
 
 
 def _identifiers(prefix: str, names: Sequence[str]) -> list[str]:
@@ -139,33 +185,35 @@ def _identifiers(prefix: str, names: Sequence[str]) -> list[str]:
     return [f"{prefix}_{words}" for words in found]
 
 
-def _states(names: Mapping[str, Sequence[str]]) -> list[str]:
-    return [*names["coordinates"], *names["speeds"], *names["auxiliary_states"]]
-
-
 def _header(program: Program, names: Mapping[str, Sequence[str]], manifest: Mapping[str, Any], version: str) -> str:
     name, sizes = program.name, program.sizes
     n_x = sizes.n_q + sizes.n_u + sizes.n_z
-    described = [
-        ("x", "States: coordinates, speeds, then auxiliary states", _states(names), [""] * n_x),
+    described = (
+        (
+            "x",
+            "States: coordinates, speeds, then auxiliary states",
+            ("coordinates", "speeds", "auxiliary_states"),
+            None,
+        ),
         (
             "p",
             "Parameters, with their units and defaults",
-            names["parameters"],
+            ("parameters",),
             [
                 ", ".join(filter(None, (f"{e['default']:.10g} {e['unit'] or ''}".strip(), e["description"])))
                 for e in manifest["parameters"]
             ],
         ),
-        ("r", "Inputs", names["inputs"], [e["expression"] or "" for e in manifest["inputs"]]),
-        ("y", "Outputs", names["outputs"], [""] * sizes.n_o),
-    ]
+        ("r", "Inputs", ("inputs",), [e["expression"] or "" for e in manifest["inputs"]]),
+        ("y", "Outputs", ("outputs",), None),
+    )
     enums = ""
-    for letter, title, entries, comments in described:
+    for letter, title, kinds, comments in described:
+        entries = [entry for kind in kinds for entry in names.get(kind, ())]
         identifiers = _identifiers(f"{name}_{letter}", entries)
         lines = [
             f"    {identifier} = {k}{',' if k + 1 < len(entries) else ''}{f' /* {_plain(c)} */' if c else ''}\n"
-            for k, (identifier, c) in enumerate(zip(identifiers, comments, strict=True))
+            for k, (identifier, c) in enumerate(zip(identifiers, comments or [""] * len(entries), strict=False))
         ]
         if lines:
             enums += f"\n/* {title}. */\nenum {name}_{letter}_names {{\n{''.join(lines)}}};\n"
@@ -173,7 +221,7 @@ def _header(program: Program, names: Mapping[str, Sequence[str]], manifest: Mapp
     if sizes.n_o:
         outputs = (
             f"\n/* The outputs in the present state, {name}_n_y values. */\n"
-            f"int {name}_outputs({name} *model, double *outputs);\n"
+            f"int {name}_outputs(struct {name} *model, double *outputs);\n"
         )
     n_p, n_r = max(sizes.n_p, 1), max(sizes.n_r, 1)
     members = "".join(
@@ -190,7 +238,7 @@ def _header(program: Program, names: Mapping[str, Sequence[str]], manifest: Mapp
     )
     statuses = "".join(f"    {name}_{word} = {number},\n" for word, number in STATUSES.items())
     statuses = statuses.rstrip(",\n") + "\n"
-    guard = f"{name}_h".upper()
+    guard = f"FOURBAR_CODEGEN_{name}_H"
     return f"""\
 /* The mechanism "{name}" as a C library, generated by fourbar_codegen {version}. Do not edit.
  *
@@ -222,66 +270,69 @@ enum {name}_sizes {{
 enum {name}_statuses {{
 {statuses}}};
 {enums}
-typedef struct {name} {{
+struct {name} {{
 {members}    union {{
         double alignment;
         unsigned char bytes[{_memory(program)}];
     }} memory; /* not for you */
-}} {name};
+}};
+#ifndef FB_WITHOUT_TYPE /* only in the library's own sources, where another name may be the same */
+typedef struct {name} {name};
+#endif
 
 /* Defaults of the parameters, and the model's initial values at t = 0, which need not close the loops. Inputs with an
  * expression follow it; others are held, and not a number until they are set. */
-void {name}_init({name} *model);
+void {name}_init(struct {name} *model);
 
 /* Derives constants from the parameters. */
-int {name}_update({name} *model);
+int {name}_update(struct {name} *model);
 
 /* Closes the loops: the last {manifest["n_dependent_coordinates"]} coordinates by Newton's method, from the values in
  * x as guesses, and the last {manifest["n_dependent_speeds"]} speeds, from the other ones. */
-int {name}_close({name} *model);
+int {name}_close(struct {name} *model);
 
 /* One step of length h: the Runge-Kutta method of order 4 (four evaluations) or 8 (twelve), then a projection onto the
  * constraints. Held inputs are constant in it, or linear. Its work depends on the state only in the projection.
  */
-int {name}_step({name} *model, double h, int order);
+int {name}_step(struct {name} *model, double h, int order);
 
 /* A run to t_end by the method DOP853 with step control, projected onto the constraints after each step. The states at
  * n_times times between, in the order of the run, are stored in rows of `states`. On failure the mechanism is where the
  * run ended; rows of later times are not written. */
-int {name}_simulate({name} *model, double t_end, double rtol, double atol, const double *times, long n_times,
+int {name}_simulate(struct {name} *model, double t_end, double rtol, double atol, const double *times, long n_times,
     double *states);
 
 /* dx/dt at another time and state, with the inputs as they are held. */
-int {name}_rhs({name} *model, double t, const double *x, double *rates);
+int {name}_rhs(struct {name} *model, double t, const double *x, double *rates);
 
 /* The derivatives of the speeds, {name}_n_u values, and the multipliers of the constraints, {name}_n_l values. */
-int {name}_solution({name} *model, double *accelerations, double *multipliers);
+int {name}_solution(struct {name} *model, double *accelerations, double *multipliers);
 {outputs}
 /* Kinetic and potential energy; not a number if unknown.{_left_out(manifest)} */
-void {name}_energies({name} *model, double *kinetic, double *potential);
+void {name}_energies(struct {name} *model, double *kinetic, double *potential);
 
 /* The largest violation of a constraint, of position or velocity. */
-double {name}_violation({name} *model);
+double {name}_violation(struct {name} *model);
 
 /* The same relative to the terms of the constraint. */
-double {name}_relative_violation({name} *model);
+double {name}_relative_violation(struct {name} *model);
 
 /* The present value of an input, held or not; not a number if there is no such input. */
-double {name}_input({name} *model, int number);
+double {name}_input(struct {name} *model, int number);
 
 /* Whether the speed of a prescribed motion jumps at the present time. */
-int {name}_jumps({name} *model);
+int {name}_jumps(struct {name} *model);
 
 /* The next time at which a condition in an expression changes, as far as it is linear or quadratic in time; infinite if
  * there is none. */
-double {name}_next_breakpoint({name} *model);
+double {name}_next_breakpoint(struct {name} *model);
 
 /* From now on, and until the next run, inputs are evaluated between two discontinuities in time only: at these they are
  * what they are just after the first, and just before the second. For callers that integrate by themselves. */
-void {name}_between({name} *model, double begin, double end);
+void {name}_between(struct {name} *model, double begin, double end);
 
 /* Moves the state onto the constraints nearby, orthogonally with respect to the mass matrix. */
-int {name}_project({name} *model);
+int {name}_project(struct {name} *model);
 
 /* What a status means. */
 const char *{name}_message(int status);
@@ -289,10 +340,10 @@ const char *{name}_message(int status);
 /* In {name}_derivatives.c, which may be left out: the derivatives of dx/dt with respect to states, parameters and
  * inputs, {name}_n_x rows each, those by parameters also through the expressions of inputs that are not held; and the
  * positions of points, three coordinates each. */
-int {name}_jacobian({name} *model, double *jacobian);
-int {name}_parameter_jacobian({name} *model, double *jacobian);
-int {name}_input_jacobian({name} *model, double *jacobian);
-void {name}_points({name} *model, double *points);
+int {name}_jacobian(struct {name} *model, double *jacobian);
+int {name}_parameter_jacobian(struct {name} *model, double *jacobian);
+int {name}_input_jacobian(struct {name} *model, double *jacobian);
+void {name}_points(struct {name} *model, double *points);
 
 #ifdef __cplusplus
 }}
@@ -339,10 +390,10 @@ def _memory(program: Program) -> int:
 def _internal(name: str) -> str:
     """Declarations of what the derivatives' source needs from the other one."""
     return f"""
-int {name}_differentiate({name} *model, const fb_derivatives *derivatives, fb_sensitivity *function, int n,
+int {name}_differentiate(struct {name} *model, const fb_derivatives *derivatives, fb_sensitivity *function, int n,
     double *matrix);
-int {name}_differentiate_by_parameters({name} *model, const fb_derivatives *derivatives, double *matrix);
-void {name}_draw({name} *model, const fb_derivatives *derivatives, double *points);
+int {name}_differentiate_by_parameters(struct {name} *model, const fb_derivatives *derivatives, double *matrix);
+void {name}_draw(struct {name} *model, const fb_derivatives *derivatives, double *points);
 """
 
 
@@ -350,22 +401,22 @@ def _derivatives(name: str) -> str:
     """The functions of the derivatives' source."""
     of = f"{name}_derivatives"
     return f"""{_internal(name)}
-int {name}_jacobian({name} *model, double *jacobian)
+int {name}_jacobian(struct {name} *model, double *jacobian)
 {{
     return {name}_differentiate(model, &{of}, {of}.sensitivity, {name}_n_x, jacobian);
 }}
 
-int {name}_parameter_jacobian({name} *model, double *jacobian)
+int {name}_parameter_jacobian(struct {name} *model, double *jacobian)
 {{
     return {name}_differentiate_by_parameters(model, &{of}, jacobian);
 }}
 
-int {name}_input_jacobian({name} *model, double *jacobian)
+int {name}_input_jacobian(struct {name} *model, double *jacobian)
 {{
     return {name}_differentiate(model, &{of}, {of}.input_sensitivity, {name}_n_r, jacobian);
 }}
 
-void {name}_points({name} *model, double *points)
+void {name}_points(struct {name} *model, double *points)
 {{
     {name}_draw(model, &{name}_derivatives, points);
 }}

@@ -297,6 +297,7 @@ def fmu_source(fmi: int, manifest: Mapping[str, Any]) -> str:
  *
  * {name}.h declares what is called here; fourbar_fmu.h says how variables are numbered.
  */
+#define FB_WITHOUT_TYPE
 #include "{name}.h"
 
 static const char fmu_token[] = "{token_of(manifest)}";

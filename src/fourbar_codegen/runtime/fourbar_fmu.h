@@ -48,8 +48,8 @@ enum {
 #define FMU_AT_LEAST_1(n) ((n) > 0 ? (n) : 1)
 
 /* The interval of `between`, in fourbar_library.h. */
-void FB_PUBLIC(get_interval)(const FB_MODEL *model, double *interval);
-void FB_PUBLIC(set_interval)(FB_MODEL *model, const double *interval);
+void FB_PUBLIC(get_interval)(const struct FB_MODEL *model, double *interval);
+void FB_PUBLIC(set_interval)(struct FB_MODEL *model, const double *interval);
 
 /* Groups of values that follow from the state. */
 enum { FMU_RATES = 1, FMU_OUTPUTS = 2, FMU_ENERGIES = 4, FMU_POINTS = 8 };
@@ -66,7 +66,7 @@ enum fmu_mode {
 
 /* All that a saved state contains. */
 typedef struct fmu_state {
-    FB_MODEL model;
+    struct FB_MODEL model;
     int is_cosimulation;
     int mode;
     int is_open;       /* whether loops are to be closed from the start values, as during initialization */
@@ -170,7 +170,7 @@ static void fmu_free(fmu *f)
 /* Reports a status of the mechanism; whether it is success. */
 static int fmu_check(fmu *f, const int status)
 {
-    const FB_MODEL *const m = &f->state.model;
+    const struct FB_MODEL *const m = &f->state.model;
     return status == 0 || fmu_fail(f, "At t = %.9g: %s.", m->t, FB_PUBLIC(message)(status));
 }
 
@@ -190,7 +190,7 @@ static int fmu_close(fmu *f)
 static int fmu_evaluate(fmu *f, const int group)
 {
     fmu_state *const s = &f->state;
-    FB_MODEL *const m = &s->model;
+    struct FB_MODEL *const m = &s->model;
     if (!fmu_close(f))
         return 0;
     if (s->valid & group)
@@ -283,7 +283,7 @@ static int fmu_set(fmu *f, const unsigned *references, const size_t n, const dou
 /* Inputs that change linearly in the next step of co-simulation. */
 static int fmu_set_slopes(fmu *f, const unsigned *references, const size_t n, const int *orders, const double *values)
 {
-    FB_MODEL *const m = &f->state.model;
+    struct FB_MODEL *const m = &f->state.model;
     for (size_t i = 0; i < n; ++i) {
         if (references[i] < OF_INPUTS || references[i] >= OF_OUTPUTS)
             return fmu_fail(f, "The variable with the value reference %u is no input.", references[i]);
@@ -313,7 +313,7 @@ static int fmu_difference(fmu *f, const unsigned unknown, const unsigned *knowns
             h = 6e-6 * size / fabs(seed[j]);
     }
     for (int side = 0; side < 2 && succeeds; ++side) {
-        FB_MODEL *const m = &f->state.model;
+        struct FB_MODEL *const m = &f->state.model;
         f->state = kept;
         f->state.valid = 0;
         for (size_t j = 0; j < n; ++j) {
@@ -382,7 +382,7 @@ static int fmu_directional_derivative(fmu *f, const unsigned *unknowns, const si
 static int fmu_step(fmu *f, const double begin, const double length, double *reached)
 {
     fmu_state *const s = &f->state;
-    FB_MODEL *const m = &s->model;
+    struct FB_MODEL *const m = &s->model;
     const double end = begin + length, rounding = 1e-9 * (1.0 + fabs(m->t));
     *reached = m->t;
     if (!(fabs(begin - m->t) <= rounding))
@@ -486,7 +486,7 @@ static uint64_t fmu_sum(const fmu_record *record)
 
 static int fmu_serialize(fmu *f, const fmu_state *saved, void *bytes, const size_t size)
 {
-    const FB_MODEL *const m = &saved->model;
+    const struct FB_MODEL *const m = &saved->model;
     fmu_record record;
     if (size < sizeof record)
         return fmu_fail(f, "A serialized state has %d bytes, not %d.", (int)sizeof record, (int)size);
@@ -534,7 +534,7 @@ static int fmu_deserialize(fmu *f, const void *bytes, const size_t size, void **
     if (*saved == NULL)
         return fmu_fail(f, "There is no memory for a copy of the state.");
     fmu_state *const s = *saved;
-    FB_MODEL *const m = &s->model;
+    struct FB_MODEL *const m = &s->model;
     memset(s, 0, sizeof *s);
     FB_PUBLIC(init)(m);
     memcpy(m->p, record.p, sizeof record.p);
@@ -575,7 +575,7 @@ static int fmu_restore(fmu *f, const fmu_state *saved)
 /* At an event the state is moved onto the constraints. */
 static int fmu_handle_event(fmu *f, int *has_changed, int *has_next, double *next)
 {
-    FB_MODEL *const m = &f->state.model;
+    struct FB_MODEL *const m = &f->state.model;
     if (m->t > f->state.start && FB_PUBLIC(jumps)(m))
         return fmu_check(f, FB_PUBLIC(speeds_jump));
     *has_changed = fmu_is_open(f);

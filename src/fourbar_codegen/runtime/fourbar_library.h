@@ -1,10 +1,10 @@
 /* A model as a C library: closing loops, steps of fixed length, and runs with step control.
  *
- * Included once, after fourbar_model.h, by a source that defines FB_MODEL, the name of the model and of the type that
- * its header declares (FB_WITHOUT_HEADER declares it here); N_DEPENDENT_COORDINATES, N_DEPENDENT_SPEEDS and N_JUMPS;
- * and initial_state, default_parameters, has_expression and prescribes. Public names begin with that of the model.
- * Memory is the caller's, in one piece, whose pointers are set anew in each call, so that a copy of it is a copy of the
- * mechanism in its present state. Every loop ends after a constant number of turns.
+ * Included once, after fourbar_model.h, by a source that defines FB_MODEL, the name of the model and of the structure
+ * that its header declares (FB_WITHOUT_HEADER declares it here); N_DEPENDENT_COORDINATES, N_DEPENDENT_SPEEDS and
+ * N_JUMPS; and initial_state, default_parameters, has_expression and prescribes. Public names begin with that of the
+ * model. Memory is the caller's, in one piece, whose pointers are set anew in each call, so that a copy of it is a copy
+ * of the mechanism in its present state. Every loop ends after a constant number of turns.
  */
 #ifndef FOURBAR_LIBRARY_H
 #define FOURBAR_LIBRARY_H
@@ -46,7 +46,7 @@ typedef struct fb_own {
 } fb_own;
 
 #ifdef FB_WITHOUT_HEADER
-typedef struct FB_MODEL {
+struct FB_MODEL {
     double t, x[N_X], p[FB_AT_LEAST_1(N_P)], r[FB_AT_LEAST_1(N_R)];
     double slope[FB_AT_LEAST_1(N_R)], since;
     int held[FB_AT_LEAST_1(N_R)];
@@ -54,10 +54,10 @@ typedef struct FB_MODEL {
         double alignment;
         unsigned char bytes[sizeof(fb_own)];
     } memory;
-} FB_MODEL;
+};
 #else
 /* The memory that the header declares is large enough: otherwise this array has a negative size. */
-typedef char fb_memory_is_large_enough[sizeof(fb_own) <= sizeof(((FB_MODEL *)0)->memory) ? 1 : -1];
+typedef char fb_memory_is_large_enough[sizeof(fb_own) <= sizeof(((struct FB_MODEL *)0)->memory) ? 1 : -1];
 
 /* The header states the same statuses. */
 typedef char fb_statuses_agree[(int)FB_PUBLIC(not_finite) == FB_NOT_FINITE &&
@@ -69,13 +69,13 @@ typedef char fb_statuses_agree[(int)FB_PUBLIC(not_finite) == FB_NOT_FINITE &&
                                    : -1];
 #endif
 
-static fb_own *own_of(FB_MODEL *model)
+static fb_own *own_of(struct FB_MODEL *model)
 {
     return (fb_own *)(void *)model->memory.bytes;
 }
 
 /* The problem with the inputs as they are held now; pointers are set anew, since the mechanism may be a copy. */
-static fb_problem *problem_of(FB_MODEL *model)
+static fb_problem *problem_of(struct FB_MODEL *model)
 {
     fb_own *const own = own_of(model);
     fb_problem *const problem = &own->problem;
@@ -117,7 +117,7 @@ static fb_problem *problem_of(FB_MODEL *model)
 }
 
 /* The same, with the inputs of the present time, between the discontinuities that an importer stated. */
-static fb_problem *problem_now(FB_MODEL *model, double *t)
+static fb_problem *problem_now(struct FB_MODEL *model, double *t)
 {
     fb_problem *const problem = problem_of(model);
     *t = fb_time(&problem->clock, model->t);
@@ -126,7 +126,7 @@ static fb_problem *problem_now(FB_MODEL *model, double *t)
 }
 
 /* The run at the present state, by a method of order 4 or 8. Its weights are prepared when the method changes. */
-static fb_run *run_of(FB_MODEL *model, const int order)
+static fb_run *run_of(struct FB_MODEL *model, const int order)
 {
     fb_own *const own = own_of(model);
     fb_run *const run = &own->run;
@@ -158,7 +158,7 @@ static fb_run *run_of(FB_MODEL *model, const int order)
 }
 
 /* Takes over the state that a run has reached. */
-static void reach(FB_MODEL *model, const fb_run *run, const double t)
+static void reach(struct FB_MODEL *model, const fb_run *run, const double t)
 {
     memcpy(model->x, run->x, sizeof model->x);
     model->t = t;
@@ -170,14 +170,14 @@ static double fb_larger(const double a, const double b)
     return a != a || a > b ? a : b;
 }
 
-int FB_PUBLIC(update)(FB_MODEL *model)
+int FB_PUBLIC(update)(struct FB_MODEL *model)
 {
     fb_own *const own = own_of(model);
     prepare(model->p, own->constants);
     return all_finite(model->p, N_P) == FB_OK ? all_finite(own->constants, N_CONSTANTS) : FB_NOT_FINITE;
 }
 
-void FB_PUBLIC(init)(FB_MODEL *model)
+void FB_PUBLIC(init)(struct FB_MODEL *model)
 {
     fb_own *const own = own_of(model);
     memset(model, 0, sizeof *model);
@@ -190,7 +190,7 @@ void FB_PUBLIC(init)(FB_MODEL *model)
         model->held[i] = !has_expression[i];
 }
 
-int FB_PUBLIC(close)(FB_MODEL *model)
+int FB_PUBLIC(close)(struct FB_MODEL *model)
 {
     double t;
     fb_problem *const problem = problem_now(model, &t);
@@ -202,7 +202,7 @@ int FB_PUBLIC(close)(FB_MODEL *model)
     return status;
 }
 
-int FB_PUBLIC(rhs)(FB_MODEL *model, const double time, const double *x, double *rates)
+int FB_PUBLIC(rhs)(struct FB_MODEL *model, const double time, const double *x, double *rates)
 {
     fb_problem *const problem = problem_of(model);
     const double t = fb_time(&problem->clock, time);
@@ -210,14 +210,14 @@ int FB_PUBLIC(rhs)(FB_MODEL *model, const double time, const double *x, double *
     return FB_RHS(t, x, problem->constants, problem->inputs, rates, problem->work);
 }
 
-int FB_PUBLIC(solution)(FB_MODEL *model, double *rates, double *multipliers)
+int FB_PUBLIC(solution)(struct FB_MODEL *model, double *rates, double *multipliers)
 {
     double t;
     fb_problem *const problem = problem_now(model, &t);
     return accelerations(t, model->x, problem->constants, problem->inputs, rates, multipliers, problem->work);
 }
 
-int FB_PUBLIC(outputs)(FB_MODEL *model, double *outputs)
+int FB_PUBLIC(outputs)(struct FB_MODEL *model, double *outputs)
 {
     fb_problem *const problem = problem_of(model);
     double rates[N_U], multipliers[FB_AT_LEAST_1(N_L)];
@@ -229,7 +229,7 @@ int FB_PUBLIC(outputs)(FB_MODEL *model, double *outputs)
     return all_finite(outputs, N_O);
 }
 
-void FB_PUBLIC(energies)(FB_MODEL *model, double *kinetic, double *potential)
+void FB_PUBLIC(energies)(struct FB_MODEL *model, double *kinetic, double *potential)
 {
     double t;
     fb_problem *const problem = problem_now(model, &t);
@@ -239,7 +239,7 @@ void FB_PUBLIC(energies)(FB_MODEL *model, double *kinetic, double *potential)
     *potential = found[1];
 }
 
-double FB_PUBLIC(violation)(FB_MODEL *model)
+double FB_PUBLIC(violation)(struct FB_MODEL *model)
 {
     double t;
     fb_problem *const problem = problem_now(model, &t);
@@ -252,7 +252,7 @@ double FB_PUBLIC(violation)(FB_MODEL *model)
     return largest;
 }
 
-double FB_PUBLIC(relative_violation)(FB_MODEL *model)
+double FB_PUBLIC(relative_violation)(struct FB_MODEL *model)
 {
     double t;
     fb_problem *const problem = problem_now(model, &t);
@@ -263,7 +263,7 @@ double FB_PUBLIC(relative_violation)(FB_MODEL *model)
     return fb_larger(fb_violation(positions, position_scale, N_C + N_I), fb_violation(velocities, velocity_scale, N_C));
 }
 
-double FB_PUBLIC(input)(FB_MODEL *model, const int number)
+double FB_PUBLIC(input)(struct FB_MODEL *model, const int number)
 {
     double t;
     fb_problem *const problem = problem_now(model, &t);
@@ -272,7 +272,7 @@ double FB_PUBLIC(input)(FB_MODEL *model, const int number)
     return problem->inputs[number];
 }
 
-int FB_PUBLIC(project)(FB_MODEL *model)
+int FB_PUBLIC(project)(struct FB_MODEL *model)
 {
     return fb_problem_project(problem_of(model), model->t, model->x, 0);
 }
@@ -336,7 +336,7 @@ static double begin_piece(fb_problem *problem, const double begin, const double 
     return until;
 }
 
-int FB_PUBLIC(jumps)(FB_MODEL *model)
+int FB_PUBLIC(jumps)(struct FB_MODEL *model)
 {
     const fb_problem *const problem = problem_of(model);
     const double spacing = 4.0 * (nextafter(fabs(model->t), INFINITY) - fabs(model->t));
@@ -348,12 +348,12 @@ int FB_PUBLIC(jumps)(FB_MODEL *model)
     return 0;
 }
 
-double FB_PUBLIC(next_breakpoint)(FB_MODEL *model)
+double FB_PUBLIC(next_breakpoint)(struct FB_MODEL *model)
 {
     return next_breakpoint(problem_of(model), model->t, INFINITY);
 }
 
-void FB_PUBLIC(between)(FB_MODEL *model, const double begin, const double end)
+void FB_PUBLIC(between)(struct FB_MODEL *model, const double begin, const double end)
 {
     fb_clock *const clock = &own_of(model)->clock;
     clock->first = N_BREAKPOINTS > 0 ? nextafter(begin, INFINITY) : -INFINITY;
@@ -361,21 +361,21 @@ void FB_PUBLIC(between)(FB_MODEL *model, const double begin, const double end)
 }
 
 /* The ends of that interval as they are kept, for those who store a mechanism. */
-void FB_PUBLIC(get_interval)(const FB_MODEL *model, double *interval)
+void FB_PUBLIC(get_interval)(const struct FB_MODEL *model, double *interval)
 {
     const fb_clock *const clock = &((const fb_own *)(const void *)model->memory.bytes)->clock;
     interval[0] = clock->first;
     interval[1] = clock->last;
 }
 
-void FB_PUBLIC(set_interval)(FB_MODEL *model, const double *interval)
+void FB_PUBLIC(set_interval)(struct FB_MODEL *model, const double *interval)
 {
     fb_clock *const clock = &own_of(model)->clock;
     clock->first = interval[0];
     clock->last = interval[1];
 }
 
-int FB_PUBLIC(step)(FB_MODEL *model, const double h, const int order)
+int FB_PUBLIC(step)(struct FB_MODEL *model, const double h, const int order)
 {
     fb_run *const run = run_of(model, order == 8 ? 8 : 4);
     if (!(order == 4 || order == 8) || !isfinite(h) || !isfinite(model->t))
@@ -426,8 +426,8 @@ static double least_pivot_of(const fb_run *run)
     return fb_least_pivot(run->t, run->x, run->problem->constants, run->problem->inputs, run->problem->work);
 }
 
-int FB_PUBLIC(simulate)(FB_MODEL *model, const double t_end, const double rtol, const double atol, const double *times,
-                        const long n_times, double *states)
+int FB_PUBLIC(simulate)(struct FB_MODEL *model, const double t_end, const double rtol, const double atol,
+                        const double *times, const long n_times, double *states)
 {
     fb_own *const own = own_of(model);
     own->clock = fb_all_time;
@@ -513,8 +513,8 @@ int FB_PUBLIC(simulate)(FB_MODEL *model, const double t_end, const double rtol, 
 }
 
 /* For the source of the derivatives. */
-int FB_PUBLIC(differentiate)(FB_MODEL *model, const fb_derivatives *derivatives, fb_sensitivity *function, const int n,
-                             double *matrix)
+int FB_PUBLIC(differentiate)(struct FB_MODEL *model, const fb_derivatives *derivatives, fb_sensitivity *function,
+                             const int n, double *matrix)
 {
     double t;
     fb_problem *const problem = problem_now(model, &t);
@@ -523,7 +523,7 @@ int FB_PUBLIC(differentiate)(FB_MODEL *model, const fb_derivatives *derivatives,
 }
 
 /* By the parameters, also through the expressions of inputs that are not held. */
-int FB_PUBLIC(differentiate_by_parameters)(FB_MODEL *model, const fb_derivatives *derivatives, double *matrix)
+int FB_PUBLIC(differentiate_by_parameters)(struct FB_MODEL *model, const fb_derivatives *derivatives, double *matrix)
 {
     double by_inputs[FB_AT_LEAST_1(N_X * N_R)], input_jacobian[FB_AT_LEAST_1(N_R * N_P)];
     int follows = 0;
@@ -545,7 +545,7 @@ int FB_PUBLIC(differentiate_by_parameters)(FB_MODEL *model, const fb_derivatives
     return all_finite(matrix, N_X * N_P);
 }
 
-void FB_PUBLIC(draw)(FB_MODEL *model, const fb_derivatives *derivatives, double *points)
+void FB_PUBLIC(draw)(struct FB_MODEL *model, const fb_derivatives *derivatives, double *points)
 {
     double t;
     fb_problem *const problem = problem_now(model, &t);

@@ -76,7 +76,7 @@ static double next_change(const double begin, const double end)
 
 #include "fourbar_library.h"
 
-static FB_MODEL mechanism;
+static struct FB_MODEL mechanism;
 
 /* Takes over parameters and inputs. */
 int FB_EXPORT(update)(void)

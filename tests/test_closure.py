@@ -169,3 +169,21 @@ def test_dependent_speeds_in_initial():
     with pytest.raises(fb.ModelError, match=r"violate velocity constraint 1: J u [+] b = -0.00016 .*speeds \(v_x, w\)"):
         wrong.simulate((0.0, 0.1))
     assert wrong.initial_state(speeds={"v_x": 0.8, "w": 1.0})[5] == pytest.approx(-0.6, rel=1e-14)
+
+
+def test_loops_without_independent_coordinates():
+    """A point on two circles that do not meet: the message names what there is."""
+    frame, origin, point = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
+    origin.set_vel(frame, 0)
+    point.set_pos(origin, x * frame.x + y * frame.y)
+    point.set_vel(frame, vx * frame.x + vy * frame.y)
+    system = System(frame, origin)
+    system.add_bodies(me.Particle("P", point, 1))
+    system.q_dep, system.u_dep = [x, y], [vx, vy]
+    system.add_kdes(*(u - q.diff(me.dynamicsymbols._t) for q, u in ((x, vx), (y, vy))))
+    system.add_holonomic_constraints(x**2 + y**2 - length**2, (x - 3) ** 2 + y**2 - length**2)
+    model = fb.compile_model(fb.Model(system, name="apart", parameters={length: 1.0}))
+    with pytest.raises(fb.AssemblyError, match=r"the guess x = 0, y = 0, and cannot .* Check [^,]*too short\)[.]$"):
+        model.initial_state()
+    closed = model.initial_state(guess=[1.0, 1.0], parameters={"l": 2.5})
+    np.testing.assert_allclose(closed, [1.5, 2.0, 0.0, 0.0], rtol=1e-14, atol=1e-14)

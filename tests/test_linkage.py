@@ -478,6 +478,54 @@ def test_names_that_coincide():
     assert (values["k_BC"], values["k_BC_2"]) == (0.5, 40.0)
 
 
+def test_a_drive_with_a_name():
+    """The motion is an input of that name: held as drawn, or given; the crank's angle is what is given."""
+    points = {"A": (0, 0), "B": (0, 0.1), "C": (0.3, 0.3), "D": (0.4, 0)}
+    found = []
+    for angle in ("s", me.dynamicsymbols("s")):
+        linkage = fb.Linkage("named", points=points, ground="AD", links=["AB", "BC", "CD"], density=1.0)
+        linkage.drive("A", angle=angle)
+        found.append(linkage.model())
+    assert found[1].input_expressions == found[0].input_expressions
+    model = fb.compile_model(found[0])
+    assert (model.inputs, model.outputs) == (("s", "s'", "s''"), ("torque_A",))
+    np.testing.assert_allclose(model.simulate((0.0, 1.0))["q_AB"], np.pi / 2, rtol=1e-14)
+    t = np.linspace(0.0, 1.0, 11)
+    run = model.simulate((0.0, 1.0), inputs={"s": (t, np.pi / 2 + t**3)}, t_eval=t)
+    np.testing.assert_allclose(run["q_AB"], np.pi / 2 + t**3, rtol=1e-12)  # a spline is exact for cubics
+    with pytest.raises(fb.AssemblyError, match=r"with s = 1.5708, and .*too short\) and the prescribed motions[.]$"):
+        model.initial_state(parameters={"l_BC": 2.0})
+    for wrong in ("w", 2 * me.dynamicsymbols._t):
+        with pytest.raises(fb.ModelError, match="speed of the drive at A is a number or an expression of parameters"):
+            fb.Linkage("fast", points=points, ground="AD", links=["AB", "BC", "CD"]).drive("A", speed=wrong)
+
+
+def test_independent_coordinates_are_chosen():
+    """Of the four-bar each link may be the independent one; the motion is the same."""
+    points = {"A": (0, 0), "B": (0, 0.1), "C": (0.3, 0.3), "D": (0.4, 0)}
+    how = {"points": points, "ground": "AD", "links": ["AB", "BC", "CD"], "density": 1.0, "gravity": 9.81}
+    runs = {}
+    for name in ("AB", "CD"):
+        linkage = fb.Linkage("chosen", independent=name, **how)
+        assert linkage.mobility.independent == (name,)
+        model = fb.compile_model(linkage.model())
+        assert model.coordinates[0] == f"q_{name}"
+        runs[name] = model.simulate((0.0, 0.3), rtol=1e-11, atol=1e-11)
+    np.testing.assert_allclose(runs["AB"]["q_CD"][-1], runs["CD"]["q_CD"][-1], rtol=1e-9)
+    assert fb.Linkage("chosen", independent=["BC"], **how).mobility.independent == ("BC",)
+    with pytest.raises(fb.ModelError, match=r"'XY', which is no link or block.* There are AB, BC, CD"):
+        fb.Linkage("chosen", independent="XY", **how).model()
+    with pytest.raises(fb.ModelError, match="AB, CD cannot be independent as chosen is drawn: 1 coordinates determine"):
+        fb.Linkage("chosen", independent=["AB", "CD"], **how).model()
+    how["points"] = {**points, "B": (0.1, 0.1)}  # at a dead point of the rocker
+    with pytest.raises(fb.ModelError, match="CD cannot be independent as chosen is drawn: 1 coordinates determine"):
+        fb.Linkage("chosen", independent="CD", **how).model()
+    driven = fb.Linkage("chosen", independent="CD", **how)
+    driven.drive("A", angle="s")
+    with pytest.raises(fb.ModelError, match="CD cannot be independent as chosen is drawn while AB is driven: 0 coord"):
+        driven.model()
+
+
 def test_a_drive_starts_where_it_is_drawn():
     """Although the link is stated before those that place it; and a drive at its dead point is no drive too many."""
     linkage = fb.Linkage("one", points={"A": (0, 0), "B": (0.5, 1), "C": (0.9, 1.25), "D": (1.2, 0)}, ground="AD")

@@ -196,7 +196,7 @@ def _given(
     if misplaced:
         raise ModelError(
             f"{misplaced[0]!r} is a dependent coordinate: give a guess of it in guess=. Of the independent coordinates "
-            f"({', '.join(model.coordinates[:n_qi])}) give values."
+            f"({', '.join(model.coordinates[:n_qi]) or 'none'}) give values."
         )
     q_i = named_array(coordinates, model.coordinates[:n_qi], initial, "independent coordinate")
     u_i = named_array(speeds, model.speeds[:n_ui], initial, "independent speed")
@@ -240,7 +240,11 @@ def _close(loops: Loops, start: Floats, is_given: bool, limits: tuple[Floats, Fl
     found, open_loops = close_in_stages(loops, start, 0 if is_given else FURTHER_GUESSES, limits)
     if not open_loops and loops.are_closed(found):
         return found
-    message = f"The loops do not close from the guess {_named(names, start)} with {_named(model.coordinates, q_i)}"
+    message = f"The loops do not close from the guess {_named(names, start)}"
+    prescribed = _prescribed(loops)
+    if q_i.size or prescribed:
+        held, values = (*model.coordinates[: len(q_i)], *prescribed), np.append(q_i, [*prescribed.values()])
+        message += f" with {_named(held, values)}"
     if limits:
         message += " within the bounds"
     other, still_open = close_in_stages(loops, start, FURTHER_GUESSES, limits) if is_given else (found, open_loops)
@@ -250,15 +254,30 @@ def _close(loops: Loops, start: Floats, is_given: bool, limits: tuple[Floats, Fl
             f"guess={other.round(3).tolist()}, or without one; initial_states lists all assembly modes.",
             loops.residual(found),
         )
+    causes = [
+        "the parameters (a link may be too long or too short)",
+        *["the bounds"] * bool(limits),
+        *["the prescribed motions"] * bool(prescribed),
+        *["the independent coordinates"] * bool(q_i.size),
+    ]
     message += (
         f", and cannot be closed from {FURTHER_GUESSES} other guesses for each loop: {_open(loops, still_open)}. "
-        f"Check the parameters (a link may be too long or too short){', the bounds' if limits else ''} and the "
-        "independent coordinates"
+        f"Check {' and '.join([', '.join(causes[:-1])] * (len(causes) > 1) + causes[-1:])}"
     )
-    near = None if limits else nearest_closed(model, loops.t, loops.coordinates(other), loops.p, loops.r)
+    near = None
+    if q_i.size and not limits:
+        near = nearest_closed(model, loops.t, loops.coordinates(other), loops.p, loops.r)
     if near is not None and np.abs(near[: len(q_i)] - q_i).max(initial=0.0) < np.pi:
         message += f"; all loops close, for instance, with {_named(model.coordinates, near[: len(q_i)])}"
     raise AssemblyError(f"{message}.", loops.residual(other))
+
+
+def _prescribed(loops: Loops) -> dict[str, float]:
+    """The prescribed motions that positions depend on, by name."""
+    model = loops.model
+    r = model.default_inputs(loops.t, loops.p) if loops.r is None else loops.r
+    moving = [place for place in model.manifest["moving_inputs"] if not model.manifest["inputs"][place]["order"]]
+    return {model.inputs[place]: float(r[place]) for place in moving}
 
 
 def _open(loops: Loops, open_loops: Sequence[OpenLoop]) -> str:

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 import sympy as sm
 import sympy.physics.mechanics as me
+from sympy.core.function import AppliedUndef
 
-from fourbar_codegen.arguments import finite_number, is_mapping, name_of
+from fourbar_codegen.arguments import finite_number, is_mapping
 from fourbar_codegen.errors import ModelError, meant, shown
 from fourbar_codegen.linkage.checks import SAME, check_mobility, check_parts, size_of
 from fourbar_codegen.linkage.mobility import Mobility, find_mobility
@@ -58,6 +59,9 @@ class Linkage:
         Mass by length of links without mass or density of their own, kg/m.
     gravity : float, Expr or str, optional
         Gravitational acceleration along -y, m/s^2; none by default.
+    independent : str or sequence of str, optional
+        Links and blocks whose coordinates are independent, as far as the drives leave a choice. By default links on the
+        ground come first, then blocks, in the order of their statements.
 
     Raises
     ------
@@ -91,8 +95,10 @@ class Linkage:
         links: Iterable[str | Sequence[str]] | Mapping[str, str | Sequence[str]] = (),
         density: Quantity | None = None,
         gravity: Quantity | None = None,
+        independent: str | Sequence[str] = (),
     ) -> None:
         self.name = name
+        self._wanted = [independent] if isinstance(independent, str) else [*independent]
         self._parts = Parts()
         self._analysis: tuple[Tree, Mobility] | None = None
         self._system: tuple[System, list[me.Point]] | None = None
@@ -122,7 +128,7 @@ class Linkage:
         name : str, optional
             By default that of the file.
         **options
-            `density` and `gravity`.
+            `density`, `gravity` and `independent`.
 
         Returns
         -------
@@ -495,19 +501,20 @@ class Linkage:
     ) -> None:
         """Prescribe the angle of a link, or the displacement of a block.
 
-        The motion is an input, ``drive_A``; the torque or force that it takes is an output, ``torque_A`` or
-        ``force_C``.
+        The motion is an input, ``drive_A`` unless it is named; the torque or force that it takes is an output,
+        ``torque_A`` or ``force_C``.
 
         Parameters
         ----------
         at : str
             A joint of one moving link with the ground, a link, or the point of a block.
         angle : float, Expr or str, optional
-            The angle from the x axis, rad: a number or an expression of time, ``me.dynamicsymbols._t``.
+            The angle from the x axis, rad: a number; an expression of time, ``me.dynamicsymbols._t``; or a name for the
+            input, which is then held as drawn until it is given.
         displacement : float, Expr or str, optional
             Of a block, m.
         speed : float or Expr, optional
-            rad/s or m/s; instead of the others, from the position as drawn.
+            rad/s or m/s, constant; instead of the others, from the position as drawn.
 
         Raises
         ------
@@ -532,16 +539,27 @@ class Linkage:
             raise ModelError(f"The drive at {at} has {'a' if is_block else 'an'} {what} or a speed, and nothing else.")
         if any(drive.of == on for drive in parts.drives):
             raise ModelError(f"There are two drives of {on}: one is enough.")
-        function, t = me.dynamicsymbols(f"drive_{at}"), me.dynamicsymbols._t
-        unit, start = "m" if is_block else "rad", None
-        if speed is None:
-            expression = self._quantity(given[0], f"held_{at}", unit, f"what the drive at {at} holds")
-        else:
-            rate = self._quantity(speed, f"speed_{at}", f"{unit}/s", f"speed of the drive at {at}")
+        function, unit, start = me.dynamicsymbols(f"drive_{at}"), "m" if is_block else "rad", None
+        is_named = speed is None and isinstance(given[0], str | AppliedUndef)
+        if is_named:
+            function = self._quantity(given[0], "", unit, f"motion of the drive at {at}")
+        if is_named or speed is not None:
             start = self._quantity(0.0, f"start_{at}", unit, f"{on} at t = 0, as drawn")
-            expression = start + rate * t
-        parts.inputs[function] = expression
-        parts.drives.append(Drive(on, function, expression, start))
+            expression = start if speed is None else start + self._rate(speed, at, f"{unit}/s") * me.dynamicsymbols._t
+        else:
+            expression = self._quantity(given[0], f"held_{at}", unit, f"what the drive at {at} holds")
+        if all(drive.function != function for drive in parts.drives):
+            parts.inputs[function] = expression
+        parts.drives.append(Drive(at, on, function, expression, start))
+
+    def _rate(self, value: Any, at: str, unit: str) -> sm.Expr:
+        """The speed of a drive, which is constant."""
+        if isinstance(value, str) or (isinstance(value, sm.Expr) and me.dynamicsymbols._t in value.free_symbols):
+            raise ModelError(
+                f"The speed of the drive at {at} is a number or an expression of parameters, not {shown(value)}: give "
+                "another motion as an angle or displacement."
+            )
+        return self._quantity(value, f"speed_{at}", unit, f"speed of the drive at {at}")
 
     @property
     def q(self) -> dict[str, sm.Expr]:
@@ -619,9 +637,7 @@ class Linkage:
         initial |= {f"u_{name}": 0.0 for name in mobility.independent}
         first = 2 * len(tree.cuts) + 1
         outputs = {
-            f"{'force' if drive.of in tree.slides else 'torque'}_{name_of(drive.function.func)[6:]}": multiplier(
-                first + k
-            )
+            f"{'force' if drive.of in tree.slides else 'torque'}_{drive.at}": multiplier(first + k)
             for k, drive in enumerate(self._parts.drives)
         }
         own: dict[str, Mapping[Any, Any]] = {
@@ -736,9 +752,29 @@ class Linkage:
             )
         pivoted = [name for name in tree.links if {*tree.links[name]} & {*parts.ground}]
         preferred = list(dict.fromkeys([*pivoted, *tree.slides, *tree.coordinates]))
-        mobility = find_mobility(tree, size_of(parts), [drive.of for drive in parts.drives], preferred)
+        driven = [drive.of for drive in parts.drives]
+        mobility = find_mobility(tree, size_of(parts), driven, preferred)
         check_mobility(self.name, parts, tree, mobility)
-        return tree, mobility
+        return tree, self._with_wanted(tree, mobility, driven, preferred) if self._wanted else mobility
+
+    def _with_wanted(self, tree: Tree, mobility: Mobility, driven: Sequence[str], preferred: Sequence[str]) -> Mobility:
+        """The mobility with the independent coordinates that are asked for."""
+        names = [*tree.coordinates]
+        for name in self._wanted:
+            if name not in names:
+                raise ModelError(
+                    f"independent= names {shown(name)}, which is no link or block.{meant(str(name), names)} There are "
+                    f"{', '.join(names)}."
+                )
+        found = find_mobility(tree, size_of(self._parts), driven, preferred, self._wanted)
+        if len(found.independent) != len(mobility.independent):
+            held = f" while {', '.join(driven)} is driven" if driven else ""
+            raise ModelError(
+                f"The coordinates of {', '.join(self._wanted)} cannot be independent as {self.name} is drawn{held}: "
+                f"{len(mobility.independent)} coordinates determine the others, such as "
+                f"{', '.join(mobility.independent) or 'none'}."
+            )
+        return found
 
     def _built(self) -> tuple[System, list[me.Point], dict[sm.Symbol, Parameter]]:
         tree, mobility = self._analyzed()

@@ -69,7 +69,9 @@ class Mobility:
     is_singular: bool
 
 
-def find_mobility(tree: Tree, size: float, driven: Sequence[str], preferred: Sequence[str]) -> Mobility:
+def find_mobility(
+    tree: Tree, size: float, driven: Sequence[str], preferred: Sequence[str], wanted: Sequence[str] = ()
+) -> Mobility:
     """Find how a linkage can move.
 
     Parameters
@@ -81,6 +83,8 @@ def find_mobility(tree: Tree, size: float, driven: Sequence[str], preferred: Seq
         Links and blocks that are driven, one for each drive.
     preferred : sequence of str
         All links and blocks, those first whose coordinates should be independent.
+    wanted : sequence of str
+        Those whose coordinates are independent in any case: if they cannot be, there are too many independent ones.
 
     Returns
     -------
@@ -105,7 +109,8 @@ def find_mobility(tree: Tree, size: float, driven: Sequence[str], preferred: Seq
     as_drawn = np.vstack([drawn, drives])
     chosen = as_drawn if n - int(matrix_rank(as_drawn, rtol=RANK)) == left else held[0]
     motions = [_null_space(jacobians[k]) for k in generic]
-    independent = _independent(chosen, left, [names.index(name) for name in preferred])
+    order, first = ([names.index(name) for name in group] for group in (preferred, wanted))
+    independent = _independent(chosen, left, order, first)
     velocities = [
         _velocities(tree, nearby[k], size, scales[:, None] * m) for k, m in zip(generic, motions, strict=True)
     ]
@@ -141,8 +146,8 @@ def _nearby(tree: Tree, size: float, scales: Floats, free: Floats) -> Iterator[F
             moved = moved - scales * np.linalg.lstsq(jacobian * scales / size, gap / size, rcond=RANK)[0]
 
 
-def _independent(matrix: Floats, count: int, preferred: Sequence[int]) -> tuple[int, ...]:
-    """Numbers of columns that determine the others, those first that are preferred.
+def _independent(matrix: Floats, count: int, preferred: Sequence[int], wanted: Sequence[int]) -> tuple[int, ...]:
+    """Numbers of columns that determine the others, with those that are wanted, then those first that are preferred.
 
     The other columns are chosen from the end of the preferred ones, each if it is independent of those chosen by then.
     Near a singular choice, smaller independent parts count.
@@ -150,7 +155,7 @@ def _independent(matrix: Floats, count: int, preferred: Sequence[int]) -> tuple[
     for smallest in (SMALLEST, RANK):
         basis: list[Floats] = []
         dependent = []
-        for column in reversed(preferred):
+        for column in (column for column in reversed(preferred) if column not in wanted):
             rest = matrix[:, column]
             for _ in range(2):  # twice is enough
                 rest = rest - sum((b * (b @ rest) for b in basis), np.zeros(len(rest)))

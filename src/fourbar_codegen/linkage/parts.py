@@ -68,6 +68,7 @@ class Strut:
 class Drive:
     """A prescribed motion: of a link's angle, or of a block's displacement; from where it is drawn, or not."""
 
+    at: str
     of: str
     function: sm.Expr
     expression: sm.Expr

@@ -301,13 +301,14 @@ def form_equations(model: Model) -> Equations:
     if model.potential_energy is not None:
         potential = Potential(convert(model.potential_energy), ())
     else:
-        foreign = (v.time, *v.z, *v.r, *v.a, *lam, *v.unknown)
+        changing = (v.time, *v.r, *v.a, *lam, *v.unknown)
         potential = find_potential(
             kinematics,
             rate,
             v.q,
             v.u,
-            foreign,
+            v.z,
+            changing,
             _input_rates(model, v).values(),
             lambda terms: islice(states(terms).moving(v.u, v.a), MOTIONS),
         )

@@ -87,7 +87,8 @@ def find_potential(
     rate: Jvp,
     coordinates: Sequence[Scalar],
     speeds: Sequence[Scalar],
-    foreign: Sequence[Scalar],
+    auxiliary_states: Sequence[Scalar],
+    others: Sequence[Scalar],
     input_rates: Iterable[Scalar],
     motions: Motions,
 ) -> Potential:
@@ -100,10 +101,10 @@ def find_potential(
         Differentiation with respect to time, with u' = 0.
     coordinates, speeds : sequence of Scalar
         The leaves of q and u.
-    foreign : sequence of Scalar
-        All other leaves that may change during a motion.
+    auxiliary_states, others : sequence of Scalar
+        Those of z, and all others that may change during a motion.
     input_rates : iterable of Scalar
-        Those of these that are zero at rest.
+        Those of the others that are zero at rest.
     motions : callable
         Takes scalars to their values in random motions that satisfy the constraints.
 
@@ -112,12 +113,15 @@ def find_potential(
     Potential
     """
     tape, mechanism = kinematics.tape, kinematics.mechanism
+    foreign = (*auxiliary_states, *others)
     loads = _Loads(kinematics, rate, coordinates, speeds, foreign, dict.fromkeys(input_rates), motions)
     constant = {number: load for number, load in enumerate(mechanism.loads) if loads.is_constant(load)}
     parts = loads.of_forces([*constant.values()])
     taken = {*constant}
     for law in mechanism.length_laws:
-        if (spring := loads.along_pathway(law)) is not None:
+        if tape.depends([kinematics.convert(law.force)], auxiliary_states):  # a muscle
+            taken |= {*law.loads}
+        elif (spring := loads.along_pathway(law)) is not None:
             parts.append(spring)
             taken |= {*law.loads}
     names = {number: law.name for law in mechanism.length_laws for number in law.loads}
@@ -133,11 +137,12 @@ def find_potential(
     power = [part.power for part in parts]
     rest = tape.sum([*(c.force * c.velocity for c in components), *(-part.power for part in found)])
     terms = [rate(own), rest, *power]
-    values = np.array([*motions(terms)])
+    values = np.array([*motions(terms)]).reshape(-1, len(terms))
     for added in _combinations(len(parts)):
         included = [number + 2 for number in range(len(parts)) if number not in added]
         for columns in ([0, *included], [0, 1, *included]):
-            if loads.cancel([terms[column] for column in columns], values[:, columns] if len(values) else None):
+            total = tape.sum([terms[column] for column in columns])
+            if _cancel(values[:, columns]) if len(values) else all(is_zero(tape, [total])):
                 return _sum(own, [parts[number] for number in added])
     return Potential(tape.number(math.nan), ())
 
@@ -159,6 +164,12 @@ def _combinations(n: int) -> Iterator[tuple[int, ...]]:
         yield from ((), (0,), tuple(range(1, n)), tuple(range(n)))
 
 
+def _cancel(values: Floats) -> bool:
+    """Whether the values in each row, of which there are some, add up to zero."""
+    sums, sizes = np.abs(values.sum(axis=1)), np.abs(values).sum(axis=1)
+    return len(values) > 0 and bool((sums <= ROUNDED * sizes).all())
+
+
 @dataclass(frozen=True)
 class _Component:
     """A component of a load at rest, and the velocity that it does work with."""
@@ -171,7 +182,13 @@ class _Component:
 
 @dataclass(frozen=True)
 class _Loads:
-    """The loads of a mechanism, and what potentials they have; arguments as in `find_potential`."""
+    """The loads of a mechanism, and what potentials they have; arguments as in `find_potential`.
+
+    Attributes
+    ----------
+    foreign : sequence of Scalar
+        What no potential depends on, though it may change.
+    """
 
     kinematics: Kinematics
     rate: Jvp
@@ -185,14 +202,11 @@ class _Loads:
     def tape(self) -> Tape:
         return self.kinematics.tape
 
-    def cancel(self, terms: Sequence[Scalar], values: Floats | None = None) -> bool:
-        """Whether terms add up to zero: identically, or in random motions, where their values may be known."""
-        if values is None:
-            if all(is_zero(self.tape, [self.tape.sum(terms)])):
-                return True
-            values = np.array([*self.motions(terms)])
-        sums, sizes = np.abs(values.sum(axis=1)), np.abs(values).sum(axis=1)
-        return len(values) > 0 and bool((sums <= ROUNDED * sizes).all())
+    def cancel(self, terms: Sequence[Scalar]) -> bool:
+        """Whether terms add up to zero, identically or in random motions."""
+        return all(is_zero(self.tape, [self.tape.sum(terms)])) or _cancel(
+            np.array([*self.motions(terms)]).reshape(-1, len(terms))
+        )
 
     def is_constant(self, load: Load) -> bool:
         """Whether a load is a force that is constant in the inertial frame, at a point that moves."""

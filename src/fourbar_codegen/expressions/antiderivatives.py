@@ -35,6 +35,9 @@ __all__ = ["antiderivative"]
 PATIENCE = 1.0
 """Longest search for an antiderivative, seconds of processor time."""
 
+INTEGRABLE = ("sympy.functions.elementary", "sympy.functions.special.delta_functions")
+"""Modules of functions for which SymPy has rules; not curves of muscles, for example."""
+
 DRAWS = 3
 WIDTH = 3.0
 POINTS = 90
@@ -76,9 +79,12 @@ def antiderivative(tape: Tape, integrand: Scalar, variable: Scalar) -> Scalar | 
         terms = sm.Poly(expression, x).terms()
         found = sm.Add(*(coefficient * x ** (n + 1) / (n + 1) for (n,), coefficient in terms))
         return Conversion(tape, leaves)(found) / slope
+    own = {*map(type, expression.atoms(sm.Function))}
+    if not all(function.__module__.startswith(INTEGRABLE) for function in own):
+        return None
     found = _within(PATIENCE, lambda: sm.integrate(expression.rewrite(sm.Piecewise), x))
-    own = {*map(type, expression.atoms(sm.Function)), *FUNCTIONS, sm.Piecewise, sm.Max, sm.Min}
-    if found is None or found.has(sm.Integral) or not {*map(type, found.atoms(sm.Function))} <= own:
+    known = {*own, *FUNCTIONS, sm.Piecewise, sm.Max, sm.Min}
+    if found is None or found.has(sm.Integral) or not {*map(type, found.atoms(sm.Function))} <= known:
         return None
     if found.has(sm.Piecewise):
         # All branches are evaluated, so a root of what is negative elsewhere is written as of zero there.

@@ -110,6 +110,14 @@ def test_a_stepper_ends_its_steps_at_jumps(free, h):
         np.testing.assert_allclose(stepper.x, motion(np.array([stepper.t]))[:, 0], rtol=0, atol=1e-14)
 
 
+def test_a_stepper_has_no_end(free):
+    """Times far ahead do not make those before them equal."""
+    stepper = free.stepper(0.25, [0.0, 0.0], inputs={"F": ([0.0, 0.5, 1e300], [4.0, 0.0, 1.0], "hold")})
+    for _ in range(4):
+        stepper.step()
+    np.testing.assert_allclose(stepper.x, [0.75, 1.0], rtol=0, atol=1e-15)
+
+
 def upright_linkage():
     """The linkage of examples/06_feedback_control.py, its gains and its state of rest."""
     four_bar, loose = fb.load("four_bar"), {"k": 0.0, "c": 0.0}

@@ -39,8 +39,8 @@ STEADY = 10.0
 are widely spaced."""
 
 SAME = 4
-"""Times that differ by at most this many spacings of the latest time are equal up to rounding errors, and so are the
-sides of a condition there."""
+"""Times that differ by at most this many spacings of the latest time of the run, or of themselves if it has no end, are
+equal up to rounding errors, and so are the sides of a condition there."""
 
 
 @dataclass(frozen=True)
@@ -113,10 +113,9 @@ def discontinuities(ode: Ode, begin: float, end: float, *, varied: bool = False)
                 known[t] = known.get(t, False) or jumps
     low, high = min(begin, end), max(begin, end)
     within = sorted((t for t in known if low <= t <= high), reverse=end < begin)
-    latest = max(abs(t) for t in (begin, end, *within) if math.isfinite(t))
-    same = SAME * math.ulp(latest)
     found: list[Discontinuity] = []
     for t in within:
+        same = SAME * math.ulp(max(abs(begin), abs(end if math.isfinite(end) else t)))
         if found and abs(t - found[-1].until) <= same:
             found[-1] = Discontinuity(found[-1].t, t, found[-1].moves or known[t], same)
         else:

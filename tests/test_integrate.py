@@ -268,6 +268,23 @@ def test_an_event_that_ends_a_run_where_a_step_begins(four_bar, method):
     assert run.y.shape == (6, 4)
 
 
+def test_an_event_at_the_start_says_so(four_bar):
+    """By the rule of solve_ivp a function that is zero at the start has an event there: the message says which one."""
+    x0 = four_bar.initial_state()
+
+    def turned(t, x):
+        return x[0] - x0[0]
+
+    for t_0, method in ((0.0, "DOP853"), (5.0, "RK45"), (0.0, "Radau")):
+        event = fb.Event(turned, terminal=True)
+        run = four_bar.simulate((t_0, t_0 + 1.0), x0, events=event, method=method)
+        assert (run.status, run.t_events[0].tolist()) == (1, [t_0])
+        assert re.search(rf"function, turned, is zero at the start, t = {t_0:g}, .*terminal=2, or", run.message)
+    later = four_bar.simulate((0.0, 1.0), x0, events=fb.Event(lambda t, x: t - 0.5, terminal=True))
+    assert later.t_events[0] == pytest.approx([0.5])
+    assert later.message == "A termination event occurred."
+
+
 @pytest.mark.parametrize("t_eval", [None, np.linspace(0.0, 3.0, 61)])
 def test_an_output_as_terminal_event(t_eval):
     crank = fb.compile_model(fb.models.slider_crank())

@@ -110,6 +110,8 @@ class Watch:
             (model.outputs.index(events[i].function), int(np.sign(events[i].direction))) for i in self.named
         ]
         self.values = [0.0] * len(events)
+        self.ended_by = ""
+        """The function of the terminal event that has ended the run: its name."""
         self.went_on = math.nan
         """Start of the current piece of the run, after a discontinuity."""
         self.changes = [0.0] * len(events)
@@ -203,8 +205,11 @@ class Watch:
         """Store an event; returns whether it ends the run."""
         self.times[i].append(t)
         self.states[i].append(x)
-        terminal = self.events[i].terminal
-        return bool(terminal) and len(self.times[i]) >= int(terminal)
+        terminal, function = self.events[i].terminal, self.events[i].function
+        ends = bool(terminal) and len(self.times[i]) >= int(terminal)
+        if ends:
+            self.ended_by = getattr(function, "__name__", str(function))
+        return ends
 
     def _root(self, run: Integration, i: int, before: float) -> float:
         """The fraction of the last step at which a function is zero."""

@@ -33,6 +33,10 @@ PAUSE = 0.02
 
 REACHED_END = "The solver successfully reached the end of the integration interval."
 TERMINATED = "A termination event occurred."
+ZERO_AT_START = (
+    " Its function, {}, is zero at the start, t = {:.9g}, which counts as an event, so that the run ends at once. To "
+    "go on to the next one, count it with terminal=2, or take changes of the other direction only, or begin elsewhere."
+)
 DIVERGED = (
     "The equations of a step could not be solved: use a shorter max_step, such as {:.1e}. If the motion passes no "
     'singular position, method="DOP853" selects its step size itself.'
@@ -55,6 +59,9 @@ UNKNOWN_JUMP = (
 )
 NO_DERIVATIVE = " The motion has no derivative there, and ALI3P no sensitivities."
 COORDINATES_ALONE = " In index 3 the tolerance applies to the coordinates only; the speeds are less accurate."
+
+ROUNDED = 1e-9
+"""An event in this fraction of the first step is at the start: its function differs from zero by rounding errors."""
 
 ALL_TIME = (0.0, -math.inf, math.inf)
 """The clock of a right-hand side of absolute times, without discontinuities at which inputs are held."""
@@ -153,7 +160,7 @@ def integrate(
             end = watch.look(run) if watch else None
             if end is not None:
                 run.stop_within(end)
-                outcome = 1, TERMINATED
+                outcome = 1, TERMINATED + _at_start(watch.ended_by if watch else "", run, end, t_begin)
         elif reason == "full":
             samples.append(run.take_samples())
         elif reason == "paused":
@@ -261,6 +268,11 @@ def _other_values(model: Kernel, options: RunOptions, directions: Directions | N
             other[place] += abs(p[place]) or 1.0
             found[name] = bind(model, other, options.inputs)
     return found
+
+
+def _at_start(function: str, run: Integration, share: float, begin: float) -> str:
+    """A sentence if the terminal event in the last step is at the start of the run, otherwise an empty text."""
+    return ZERO_AT_START.format(function, begin) if run.n_steps == 1 and share <= ROUNDED else ""
 
 
 def _of_events(

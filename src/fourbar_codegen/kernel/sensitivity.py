@@ -46,6 +46,9 @@ REDUNDANT = 1e-7
 OPENED = 100.0
 """... and to this multiple of the violation of the state, since they may be redundant only where loops are closed."""
 
+CHANGED = 1e-2
+"""The largest change of a coordinate, after which redundant constraints are examined again."""
+
 CORRECTIONS = 6
 """Steps of Newton's method from a predicted state."""
 
@@ -268,13 +271,14 @@ def _followed(
     if not model.manifest["n_dependent_coordinates"] + model.manifest["n_dependent_speeds"]:
         return directions.matrix.copy(), []
     p = model.parameter_vector(parameters)
-    missing, found, change, _, left = _Dependent.of(model, t, directions, p, inputs).at(x)
+    dependent = _Dependent.of(model, t, directions, p, inputs)
+    missing, found, change, _, left = dependent.at(x)
     if missing:
         raise AssemblyError(
             f"The dependent {missing} have no derivative at the initial state, which is a singular position: start "
             "from another one, or choose other independent values."
         )
-    return found, _locked(directions, change, left)
+    return found, _locked(directions, dependent, x, found, change, left)
 
 
 def locked_parameters(
@@ -292,15 +296,25 @@ def locked_parameters(
     found: set[str] = set()
     for t, x in states:
         if np.isfinite(x).all():
-            _, _, change, _, left = _Dependent.of(model, t, directions, p, inputs).at(x)
-            found.update(_locked(directions, change, left))
+            dependent = _Dependent.of(model, t, directions, p, inputs)
+            _, followed, change, _, left = dependent.at(x)
+            found.update(_locked(directions, dependent, x, followed, change, left))
     return found
 
 
-def _locked(directions: Directions, change: Floats, left: Floats) -> list[str]:
-    """The names of directions for which redundant constraints are left violated, for results of `_Dependent.at`."""
+def _locked(
+    directions: Directions, dependent: _Dependent, x: Floats, found: Floats, change: Floats, left: Floats
+) -> list[str]:
+    """The names of directions for which redundant constraints are left violated, for results of `_Dependent.at`.
+
+    Where they are satisfied at this state, they may be so to first order alone, as where parallel bars are upright:
+    then they are violated after a finite change.
+    """
     allowed = REDUNDANT + OPENED * max(np.abs(change).max(initial=0.0), left[-1])
-    return [name for name, place in directions.places.items() if np.max(left[place], initial=0.0) > allowed]
+    is_left = left[:-1] > allowed
+    if dependent.model.n_c > dependent.model.manifest["n_dependent_speeds"]:
+        is_left |= [dependent.opens(x, found, j, allowed) for j in range(len(is_left))]
+    return [name for name, place in directions.places.items() if np.any(is_left[place])]
 
 
 def corrected(
@@ -353,6 +367,37 @@ class _Dependent(NamedTuple):
     ) -> _Dependent:
         of_inputs = directions.of_inputs(model, np.array([t]), p, inputs or {})[..., 0]
         return cls(model, t, np.concatenate((directions.matrix, of_inputs)), p, inputs_at(model, t, p, inputs))
+
+    def opens(self, x: Floats, found: Floats, j: int, allowed: float) -> bool:
+        """Whether redundant constraints are violated after a finite change along a direction, which the others follow.
+
+        Parameters
+        ----------
+        x : ndarray, shape (n_x,)
+        found : ndarray, shape (n_x + n_p, n)
+            As `at` returns it there.
+        j : int
+            The direction.
+        allowed : float
+            The largest violation that is none.
+        """
+        n_x, n_q = self.model.n_x, self.model.n_q
+        rate = np.abs(found[:n_q, j]).max(initial=0.0)
+        if rate == 0.0:
+            return False
+        h, size = CHANGED / rate, np.inf
+        p = parameter_array(self.model, self.p) + h * found[n_x:, j]
+        r = None if self.r is None else self.r + h * self.directions[n_x + len(p) :, j]
+        changed, x = self._replace(p=p, r=r), x + h * found[:n_x, j]
+        for _ in range(CORRECTIONS):
+            missing, _, change, pivot, left = changed.at(x)
+            last, size = size, float(np.abs(change).max(initial=0.0))
+            if missing or pivot < REGULAR or not size <= 0.5 * last:
+                return False
+            if size <= CORRECTED * (1.0 + np.abs(x).max(initial=0.0)):
+                return bool(left[-1] > allowed)
+            x = x + change
+        return False
 
     def at(self, x: Floats) -> tuple[str, Floats, Floats, float, Floats]:
         """As `dependent_changes`, without rows of the inputs."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -166,13 +166,15 @@ def with_probes(
     directions: Directions | None,
     parameters: Floats | None,
     inputs: Mapping[Any, InputSource] | None,
+    locked: Set[str] = frozenset(),
 ) -> Directions:
     """Directions with further ones, without names, that ask for steps short enough for all derivatives.
 
     In the first, all initial states change: arbitrary directions have a part in each mode of the motion. In the next,
-    all parameters and inputs change, by their size. Terms that depend on time may vary where the motion does not, if
-    their amplitude is zero or small: the smallest of their parameters and inputs are directions of their own, and the
-    other small ones change together.
+    all parameters and inputs change, by their size, but for parameters that are locked: which of the redundant
+    constraints these violate is a matter of rounding errors, and steps would follow them. Terms that depend on time may
+    vary where the motion does not, if their amplitude is zero or small: the smallest of their parameters and inputs are
+    directions of their own, and the other small ones change together.
     """
     generator, p = np.random.default_rng(0), parameter_array(model, parameters)
     n_x, n_r = model.n_x, model.n_r
@@ -184,12 +186,15 @@ def with_probes(
     states, others = np.zeros((2, n_x + model.n_p, PROBES))
     states[:n_x] = generator.standard_normal((n_x, PROBES))
     others[n_x:] = np.where(p == 0.0, 1.0, p)[:, np.newaxis] * generator.standard_normal((model.n_p, PROBES))
+    is_locked = np.isin(model.parameters, list(locked))
+    others[n_x:][is_locked] = 0.0
     parts = [] if directions is None else [(directions.matrix, directions.sources)]
     parts += [(states, [None] * n_r), (others, [together.get(place) for place in range(n_r)])]
     sizes = dict(zip(model.parameters, np.abs(p).tolist(), strict=True)) | {
         name: float(np.abs(source[1] if isinstance(source, tuple) else source).max())  # type: ignore[arg-type]
         for name, source in given.items()
     }
+    of_time -= locked
     small = [name for name in sizes if name in of_time and sizes[name] <= SMALL * max(sizes.values())]
     small.sort(key=sizes.__getitem__)
     for group in filter(None, (*([name] for name in small[: FOR_SMALL - 1]), small[FOR_SMALL - 1 :])):

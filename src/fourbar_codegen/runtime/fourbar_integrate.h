@@ -28,6 +28,11 @@
 #define FB_COLLAPSE 1e-9
 #define FB_RECOVERY 1e-3
 
+/* Derivatives have collapsed if their errors limit nine of ten in so many steps, and these are so small a fraction of
+ * the average step: next to a singular position rounding errors of derivatives do not fall as the steps do. */
+#define FB_SLOW 1e-2
+enum { FB_WINDOW = 100 };
+
 enum { FB_BLOCK = 8, FB_MAX_STAGES = 16 };
 
 /* States along a step at which the constraints' orientation is evaluated, if the ends are not conclusive. */
@@ -101,6 +106,9 @@ struct fb_run {
     long n_evaluations, n_steps;
     double t_begin;
     int collapsed; /* whether that was reported */
+    /* the steps limited by derivatives since a step, its number and time, and the first step for another report */
+    long n_limited, marked, next_report;
+    double marked_t;
     /* samples at given times, or after each step */
     const double *times; /* or NULL */
     long n_times, next_time;
@@ -626,12 +634,28 @@ static inline int fb_varied_step_on(fb_run *s)
         /* Derivatives that are not finite ask for nothing. */
         const double factor = fb_step_factor(s, error), length = fabs(s->h) * fb_change(factor, error < 1.0, 0);
         if (!(error >= 1.0)) {
-            if (factor < FB_MAX_FACTOR && length < s->h_abs)
+            const int limits = factor < FB_MAX_FACTOR && length < s->h_abs;
+            if (limits)
                 s->h_abs = length;
+            s->n_limited += limits || attempt > 0;
             return FB_RUN_PAUSED;
         }
         fb_take_back(s, length);
     }
+}
+
+/* Whether the errors of derivatives have made the steps collapse; each time after twice as many steps as before. */
+static inline int fb_derivatives_collapsed(fb_run *s)
+{
+    const double length = fabs(s->t - s->marked_t) / FB_WINDOW, average = fabs(s->t - s->t_begin) / (double)s->n_steps;
+    const int collapsed =
+        s->n_limited * 10 >= FB_WINDOW * 9 && length < FB_SLOW * average && s->n_steps >= s->next_report;
+    s->n_limited = 0;
+    s->marked = s->n_steps;
+    s->marked_t = s->t;
+    if (collapsed)
+        s->next_report = 2 * s->n_steps;
+    return collapsed;
 }
 
 /* Up to n steps; returns an FB_RUN, or negative from the callback of inputs. */
@@ -657,6 +681,8 @@ static inline int fb_run_on(fb_run *s, long n)
         }
         if (share > FB_RECOVERY)
             s->collapsed = 0;
+        if (s->forward && s->n_steps - s->marked == FB_WINDOW && fb_derivatives_collapsed(s))
+            return FB_RUN_COLLAPSED;
         int status = fb_varied_step_on(s);
         if (status != FB_RUN_PAUSED)
             return status;

@@ -14,7 +14,7 @@ from fourbar_codegen.errors import SimulationError
 from fourbar_codegen.kernel.consistency import consistent, left
 from fourbar_codegen.kernel.inputs import bind
 from fourbar_codegen.kernel.kernel import Kernel, parameter_array
-from fourbar_codegen.kernel.sensitivity import Directions, with_probes
+from fourbar_codegen.kernel.sensitivity import Directions, locked_parameters, with_probes
 from fourbar_codegen.results.gradient import EventSensitivity, KeptSteps, output_sensitivity
 from fourbar_codegen.results.trajectory import Trajectory, make_trajectory
 from fourbar_codegen.runtime.integrator import Ode, Run
@@ -125,7 +125,8 @@ def integrate(
         varied = directions
         if options.gradient:
             run.keep_steps()
-            varied = with_probes(model, directions, options.parameters, options.inputs)
+            locked = locked_parameters(model, [(t_begin, start)], options.parameters, options.inputs)
+            varied = with_probes(model, directions, options.parameters, options.inputs, locked)
         if varied is not None:
             run.vary(varied)
     run.begin()
@@ -188,7 +189,8 @@ def integrate(
             outcome = -1, run.ode.failure or DIVERGED.format(options.max_step / 10.0)
         else:
             samples.append(run.take_samples())
-            singular = looks.here(run, samples, collapsed=reason == "collapsed")
+            differentiates = options.gradient or directions is not None
+            singular = looks.here(run, samples, collapsed=reason == "collapsed", varied=differentiates)
             if singular or reason != "collapsed":
                 outcome = -1, singular or run.ode.failure or FAILED.get(reason, reason)
     status, message = outcome

@@ -25,6 +25,9 @@ COLLAPSED = 1e-3
 PASSED = 1e-4
 """... within a step in which the orientation of the constraints has changed;"""
 
+VARIED = 3e-2
+"""... if the steps collapse because of derivatives, whose rounding errors grow before those of the motion;"""
+
 NEAR = 0.2
 """... if a step fails."""
 
@@ -62,12 +65,18 @@ class Singular:
         self.known = 0.0
         """Duration of the run for which scales and median are known."""
 
-    def here(self, run: Integration, samples: Samples, *, collapsed: bool) -> str:
-        """A message if the state at which steps collapse or fail is singular, otherwise an empty text."""
+    def here(self, run: Integration, samples: Samples, *, collapsed: bool, varied: bool = False) -> str:
+        """A message if the state at which steps collapse or fail is singular, otherwise an empty text.
+
+        In a run with derivatives, `varied`, it counts as singular further away.
+        """
         if not self.rank:
             return ""
         self._learn(run, samples)
         at = self._message("runs into", run.ode, run.t, run.x, COLLAPSED, ", and the steps collapse")
+        if not at and collapsed and varied:
+            more = ", and the steps that its derivatives need collapse"
+            at = self._message("comes close to", run.ode, run.t, run.x, VARIED, more)
         if at or collapsed or run.ode.failure:
             return at
         more = ", and the next step fails: try smaller tolerances"

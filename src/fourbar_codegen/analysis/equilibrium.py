@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fourbar_codegen.analysis.loop_closure import Loops
+from fourbar_codegen.analysis.loop_closure import Loops, nearest_closed
 from fourbar_codegen.arguments import Values, finite_number, named_array
 from fourbar_codegen.errors import ModelError, SimulationError
 from fourbar_codegen.kernel.inputs import InputSource, bind, input_sources
@@ -23,6 +24,9 @@ Floats = NDArray[np.float64]
 COORDINATE_TOLERANCE = 1e-9
 # Smallest eigenvalue of the mass matrix, relative to the largest.
 LIGHT = 1e-12
+# Steps downhill: their number, the first one and the largest one of angles, rad, or relative to displacements; the
+# shortest one; and the largest correction that closes loops, relative to the step.
+STEPS, FIRST, LARGEST, SHORTEST, BENT = 1000, 0.05, 0.2, 1e-7, 0.5
 
 
 def equilibrium(
@@ -96,13 +100,64 @@ def equilibrium(
     masses, axes = np.linalg.eigh(model.tree_mass_matrix(t, at_rest(begin), p))
     weights = np.sqrt(np.maximum(masses, LIGHT * masses.max(initial=0.0)))[:, np.newaxis] * axes.T
     weights /= np.linalg.norm(weights @ model.rhs(t, at_rest(begin), p, r)[n_q:last]) or 1.0
-    found = least_squares(residual, begin, jac=slopes, x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15).x
-    errors, scales = np.abs(residual(found)), np.abs(slopes(found)) @ np.abs(found)
-    if not (errors <= COORDINATE_TOLERANCE * np.maximum(scales, 1.0)).all():
+
+    def search(unknown: Floats) -> tuple[Floats, Floats, bool]:
+        """The end of a search, what is left there, and whether it is an equilibrium."""
+        end = least_squares(residual, unknown, jac=slopes, x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15).x
+        errors, scales = np.abs(residual(end)), np.abs(slopes(end)) @ np.abs(end)
+        return end, errors, bool((errors <= COORDINATE_TOLERANCE * np.maximum(scales, 1.0)).all())
+
+    found, errors, is_at_rest = search(begin)
+    if not is_at_rest:
+        lower = _downhill(model, t, found, p, r)
+        if lower is not None:
+            settled, _, is_at_rest = search(lower)
+            found = settled if is_at_rest else found
+    if not is_at_rest:
         ended = ", ".join(f"{name} = {value:.6g}" for name, value in zip(names, found, strict=True))
         raise SimulationError(
             f"No equilibrium was found from the guess {start.tolist()}: the search ended at {ended}, where up to "
-            f"{errors.max():.3g} is left of the scales of constraints and rates. Give another guess, or "
-            "inputs that hold the mechanism."
+            f"{errors.max():.3g} is left of the scales of constraints and rates, and the way downhill from there leads "
+            "to none. Give another guess, or inputs that hold the mechanism."
         )
     return at_rest(found)
+
+
+def _downhill(model: Kernel, t: float, begin: Floats, p: Floats | None, r: Floats | None) -> Floats | None:
+    """Coordinates near a stable equilibrium, where a motion comes to rest that begins at others.
+
+    In a medium so viscous that inertia does not count, a mechanism moves along its accelerations from rest,
+    -M^-1 dV/dq on the constraints, so that the potential energy V decreases: to a minimum, not to a position where only
+    the accelerations are smallest. A step is halved if the accelerations at its end point back, or the loops do not
+    close near there. None without closed loops.
+    """
+    n_q, angles = model.n_q, np.array([name in model.manifest["angles"] for name in model.coordinates], dtype=bool)
+
+    def accelerations(q: Floats) -> Floats | None:
+        with suppress(SimulationError):
+            return model.rhs(t, np.concatenate((q, rest)), p, r)[n_q : n_q + model.n_u]
+        return None
+
+    rest = np.concatenate((np.zeros(model.n_u), begin[n_q:]))
+    q = nearest_closed(model, t, begin[:n_q], p, r)
+    force = None if q is None else accelerations(q)
+    if q is None or force is None:
+        return None
+    units = np.where(angles, 1.0, np.abs(q[~angles]).max(initial=0.0) or 1.0)
+    length = FIRST
+    for _ in range(STEPS):
+        x = np.concatenate((q, rest))
+        way = model.coordinate_change(t, x, force, p, r)
+        size = np.abs(way / units).max(initial=0.0)
+        if not size or length < SHORTEST:
+            break
+        step = length * way / size
+        ahead = nearest_closed(model, t, q + step, p, r)
+        force_there = None
+        if ahead is not None and np.abs((ahead - q - step) / units).max() <= BENT * length:
+            force_there = accelerations(ahead)
+        if ahead is None or force_there is None or force @ model.tree_mass_matrix(t, x, p) @ force_there < 0.0:
+            length /= 2.0
+            continue
+        q, force, length = ahead, force_there, min(2.0 * length, LARGEST)
+    return np.concatenate((q, begin[n_q:]))

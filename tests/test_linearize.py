@@ -90,12 +90,51 @@ def test_equilibrium_in_all_units_of_length_mass_and_time(four_bar):
         force = 3.0 * np.prod(np.power(unit, (1.0, 1.0, -2.0)))
         found = four_bar.equilibrium(start, parameters=values, inputs={"F": force})[:3]
         np.testing.assert_allclose(found, angles, rtol=0, atol=1e-9)
-    # y under gravity on a ring of radius l: the lowest point.
+    # y under gravity on a ring of radius l: the highest point.
     ring = fb.compile_model(fb.models.cartesian_pendulum())
     for length, mass, time in UNITS:
         values = {"m": mass, "l": length, "g": 9.81 * length / time**2}
         found = ring.equilibrium([0.1 * length, -0.9 * length], parameters=values)
         np.testing.assert_allclose(found / length, [1.0, 0.0, 0.0, 0.0], rtol=0, atol=1e-9)
+
+
+def test_equilibria_of_random_four_bars():
+    """From closed positions where least squares end at a minimum of the accelerations that is no equilibrium.
+
+    With the loop a e^(i q1) + b e^(i q2) + c e^(i q3) = d and uniform bars, V / (rho g) = a^2/2 s1 + b (a s1 + b/2 s2)
+    - c^2/2 s3. A minimum on the loop has grad V + J^T lambda = 0, and a positive second derivative of V + lambda Phi
+    along the loop.
+    """
+    points = {"A": (0, 0), "B": (0.1, 0.2), "C": (0.5, 0.4), "D": (0.4, 0)}
+    linkage = fb.Linkage("bars", points=points, ground="AD", links=["AB", "BC", "CD"], density=1.0, gravity=9.81)
+    model = fb.compile_model(linkage.model())
+    for (a, b, c, d), begin in (
+        ((0.3, 0.9, 0.5, 1.0), -0.6), ((0.9, 0.9, 0.3, 0.6), -1.5), ((0.2, 0.3, 0.4, 0.4), -2.8),
+        ((0.4, 0.7, 0.9, 0.5), -0.8), ((0.4, 0.3, 0.4, 0.7), 0.0), ((0.9, 0.6, 0.3, 0.5), 0.2),
+        ((0.5, 0.8, 0.8, 0.9), -0.2), ((0.4, 0.9, 0.9, 0.3), -1.8),
+    ):  # fmt: skip
+        p = {"l_AB": a, "l_BC": b, "l_CD": c, "x_D": d}
+        start = model.initial_state({"q_AB": begin}, parameters=p, guess=[0.5, -1.5])
+        x, kind = model.equilibrium(start[:3], parameters=p, stability=True)
+        sines, cosines, lengths = np.sin(x[:3]), np.cos(x[:3]), np.array([a, b, c])
+        np.testing.assert_allclose([lengths @ cosines, lengths @ sines], [d, 0.0], rtol=0, atol=1e-12)
+        weights = np.array([a**2 / 2 + a * b, b**2 / 2, -(c**2) / 2])
+        jacobian = np.array([-lengths * sines, lengths * cosines])
+        reactions = np.linalg.lstsq(jacobian.T, -weights * cosines)[0]
+        # The search ends where accelerations are 1e-9 of those at its start.
+        np.testing.assert_allclose(jacobian.T @ reactions, -weights * cosines, rtol=0, atol=1e-8)
+        along = np.cross(*jacobian)
+        second = -weights * sines + lengths * (-reactions[0] * cosines - reactions[1] * sines)
+        assert kind == "stable"
+        assert along**2 @ second > 0.0
+
+
+def test_the_kind_of_an_equilibrium():
+    """A pendulum hangs or stands, and a particle without forces rests anywhere."""
+    ring = fb.compile_model(fb.models.cartesian_pendulum())
+    for height, expected in ((0.9, "unstable"), (-0.9, "stable")):  # of q1, upwards
+        assert ring.equilibrium([height, 0.1], stability=True)[1] == expected
+    assert fb.compile_model(on_a_line(sm.S.Zero)).equilibrium(stability=True)[1] == "neutral"
 
 
 def test_no_equilibrium(four_bar):

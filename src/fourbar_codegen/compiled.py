@@ -219,6 +219,28 @@ class CompiledModel(Kernel):
 
         return linearize(self, t, x, p, r, outputs)
 
+    @overload
+    def equilibrium(
+        self,
+        guess: Values | None = ...,
+        *,
+        t: float = ...,
+        parameters: Values | None = ...,
+        inputs: Mapping[Any, InputSource] | None = ...,
+        stability: Literal[False] = ...,
+    ) -> Floats: ...
+
+    @overload
+    def equilibrium(
+        self,
+        guess: Values | None = ...,
+        *,
+        t: float = ...,
+        parameters: Values | None = ...,
+        inputs: Mapping[Any, InputSource] | None = ...,
+        stability: Literal[True],
+    ) -> tuple[Floats, str]: ...
+
     def equilibrium(
         self,
         guess: Values | None = None,
@@ -226,11 +248,13 @@ class CompiledModel(Kernel):
         t: float = 0.0,
         parameters: Values | None = None,
         inputs: Mapping[Any, InputSource] | None = None,
-    ) -> Floats:
+        stability: bool = False,
+    ) -> Floats | tuple[Floats, str]:
         """An equilibrium: a state of rest in which all accelerations vanish.
 
-        SciPy's ``least_squares`` solves for constraints and accelerations, with compiled Jacobians. The equilibrium may
-        be stable or unstable, which the eigenvalues of `linearize` show.
+        SciPy's ``least_squares`` solves for constraints and accelerations, with compiled Jacobians. If that ends where
+        accelerations are only smallest, the mechanism is followed from there as in a viscous medium, downhill along the
+        loops' branch, to a stable equilibrium. Otherwise it may be stable or unstable, which `stability` asks for.
 
         Parameters
         ----------
@@ -242,11 +266,15 @@ class CompiledModel(Kernel):
             The defaults otherwise.
         inputs : mapping, optional
             As for `simulate`, but no callables.
+        stability : bool, optional
+            Whether "stable", "unstable" or "neutral" is returned, too, by the eigenvalues of the linearized motion.
 
         Returns
         -------
         ndarray, shape (n_x,)
             The coordinates, and speeds of 0.
+        str
+            With `stability`: no motion nearby grows, a motion grows, or there are positions of equilibrium beside it.
 
         Raises
         ------
@@ -262,10 +290,17 @@ class CompiledModel(Kernel):
         >>> x = four_bar.equilibrium(four_bar.initial_state()[:3], inputs={"F": 0.0})
         >>> bool(abs(four_bar.rhs(0.0, x, r={"F": 0.0})).max() < 1e-9)
         True
+        >>> pendulum = fb.compile_model(fb.models.cartesian_pendulum())
+        >>> upright, kind = pendulum.equilibrium([1.0, 0.0], stability=True)
+        >>> kind
+        'unstable'
         """
-        from fourbar_codegen.analysis.equilibrium import equilibrium
+        from fourbar_codegen.analysis.equilibrium import equilibrium, stability_of
 
-        return equilibrium(self, guess, t=t, parameters=parameters, inputs=inputs)
+        x = equilibrium(self, guess, t=t, parameters=parameters, inputs=inputs)
+        if not flag(stability, "stability"):
+            return x
+        return x, stability_of(self, x, t=t, parameters=parameters, inputs=inputs)
 
     @overload
     def initial_state(

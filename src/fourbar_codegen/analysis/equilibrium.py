@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fourbar_codegen.analysis.continuation import null_space
 from fourbar_codegen.analysis.loop_closure import Loops, nearest_closed
 from fourbar_codegen.arguments import Values, finite_number, named_array
 from fourbar_codegen.errors import ModelError, SimulationError
 from fourbar_codegen.kernel.inputs import InputSource, bind, input_sources
 from fourbar_codegen.kernel.kernel import Kernel
 
-__all__ = ["equilibrium"]
+__all__ = ["equilibrium", "stability_of"]
 
 Floats = NDArray[np.float64]
 
@@ -27,6 +28,9 @@ LIGHT = 1e-12
 # Steps downhill: their number, the first one and the largest one of angles, rad, or relative to displacements; the
 # shortest one; and the largest correction that closes loops, relative to the step.
 STEPS, FIRST, LARGEST, SHORTEST, BENT = 1000, 0.05, 0.2, 1e-7, 0.5
+# Real parts and sizes of eigenvalues that may be rounding errors, relative to the largest eigenvalue: a double
+# eigenvalue of zero is known to the root of the precision.
+UNKNOWN = 1e-7
 
 
 def equilibrium(
@@ -108,11 +112,12 @@ def equilibrium(
         return end, errors, bool((errors <= COORDINATE_TOLERANCE * np.maximum(scales, 1.0)).all())
 
     found, errors, is_at_rest = search(begin)
-    if not is_at_rest:
-        lower = _downhill(model, t, found, p, r)
-        if lower is not None:
-            settled, _, is_at_rest = search(lower)
-            found = settled if is_at_rest else found
+    for position in () if is_at_rest else (found, begin):
+        lower = _downhill(model, t, position, p, r)
+        settled, _, is_at_rest = search(found if lower is None else lower)
+        if is_at_rest:
+            found = settled
+            break
     if not is_at_rest:
         ended = ", ".join(f"{name} = {value:.6g}" for name, value in zip(names, found, strict=True))
         raise SimulationError(
@@ -161,3 +166,27 @@ def _downhill(model: Kernel, t: float, begin: Floats, p: Floats | None, r: Float
             continue
         q, force, length = ahead, force_there, min(2.0 * length, LARGEST)
     return np.concatenate((q, begin[n_q:]))
+
+
+def stability_of(
+    model: Kernel, x: Floats, *, t: float, parameters: Values | None, inputs: Mapping[Any, InputSource] | None
+) -> str:
+    """Whether an equilibrium is "stable", "unstable" or "neutral", by the eigenvalues of the linearized motion.
+
+    That is along the constraints, in a basis of all positions and speeds that satisfy them to first order, whichever
+    coordinates are independent. Stable is every motion with no growing part; neutral, if there are zero eigenvalues.
+    """
+    n_q, last, p = model.n_q, model.n_q + model.n_u, model.parameter_vector(parameters)
+    r = bind(model, p, inputs).input_values(t, x)
+    basis = np.zeros((model.n_x, 0))
+    of_constraints = (model.position(t, x[:n_q], p, r)[1], model.velocity(t, x, p, r)[0], np.zeros((0, model.n_z)))
+    for rows, begin in zip(of_constraints, (0, n_q, last), strict=True):
+        part = null_space(rows) if rows.size else np.eye(rows.shape[1])
+        basis = np.hstack((basis, np.zeros((model.n_x, part.shape[1]))))
+        if part.size:
+            basis[begin : begin + len(part), -part.shape[1] :] = part
+    values = np.linalg.eigvals(basis.T @ model.jacobian(t, x, p, r) @ basis)
+    unknown = UNKNOWN * np.abs(values).max(initial=0.0)
+    if (values.real > unknown).any():
+        return "unstable"
+    return "neutral" if (np.abs(values) <= unknown).any() else "stable"

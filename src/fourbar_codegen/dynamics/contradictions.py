@@ -8,7 +8,8 @@ its position moves. It is not tested, unless it is a mass centre.
 
 Positions may be given relative to such a contact point, without a connection to a fixed point, as in many uses of
 KanesMethod. Then each velocity is compared with that of the preceding point. They differ by the rate of the relative
-position, or by w x r where both are points of one body and r has constant length.
+position, or by w x r where both are points of one body and r has constant length. Where another point moves away from a
+point at rest with the rate of its position, that point is fixed, as the fixed point of a System is.
 
 Here, linear and angular accelerations follow from velocities. SymPy uses those that were set, by
 ``Point.a2pt_theory`` for example. They differ if the reference point is not fixed in the body.
@@ -32,6 +33,7 @@ from fourbar_codegen.dynamics.kinematics import (
     Kinematics,
     Vector,
     differentiate,
+    dot,
 )
 from fourbar_codegen.dynamics.random_states import RandomStates
 from fourbar_codegen.errors import ModelError
@@ -214,11 +216,12 @@ def _of_points(numbers: _Numbers) -> Iterator[_Claim]:
     centres = [body.point for body in mechanism.bodies]
     forced = [load.target for load in mechanism.loads if load.kind == "force"]
     asked = [*dict.fromkeys((*centres, *forced))]
+    origin = mechanism.fixed_point if mechanism.fixed_point is not None else _fixed_point(kinematics)
     for point in asked:  # it grows by the points that others are compared with
         if kinematics.moves_as_placed(point):
             continue
         velocity, is_centre = kinematics.velocity(point), point in centres
-        offsets = _offsets(kinematics, point, mechanism.fixed_point)
+        offsets = None if origin is None else _offsets(kinematics, point, origin)
         if offsets is not None:
             base = None
             follows: tuple[_Evaluated, ...] = (numbers.rate_of_vector(offsets),)
@@ -242,6 +245,24 @@ def _of_points(numbers: _Numbers) -> Iterator[_Claim]:
                 numbers.vector(velocity),
                 follows,
             )
+
+
+def _fixed_point(kinematics: Kinematics) -> int | None:
+    """A point of a KanesMethod that is fixed: at rest, and another one leaves it with the rate of its position.
+
+    A contact point, at rest for a moment, has other points at constant distances.
+    """
+    points, tape = kinematics.mechanism.points, kinematics.tape
+    for number in kinematics.moving:
+        parent = points[number].parent
+        if parent is None or not kinematics.moves_as_placed(number) or kinematics.moves(parent):
+            continue
+        offset = kinematics.express(kinematics.vector(points[number].offset), INERTIAL)
+        if not all(is_zero(tape, [kinematics.rate(dot(offset, offset))])):
+            while (before := points[parent].parent) is not None:
+                parent = before
+            return parent
+    return None
 
 
 def _before(kinematics: Kinematics, point: int) -> int | None:

@@ -275,6 +275,25 @@ def test_a_contact_point_that_moves_is_no_point_of_the_disc(as_system):
     np.testing.assert_allclose(run.energy, energy, rtol=1e-12)
 
 
+@pytest.mark.parametrize(("motion", "is_right"), [(2 * T, True), (3 * T, False), (None, False)])
+def test_an_angular_velocity_that_the_default_input_makes_right(motion, is_right, recwarn):
+    """A platform turns by s(t), with an angular velocity of 2 rad/s that was set as a number."""
+    s, q, u = me.dynamicsymbols("s q u")
+    ground, platform, body, origin = *map(me.ReferenceFrame, "NAB"), me.Point("O")
+    origin.set_vel(ground, 0)
+    platform.orient_axis(ground, ground.z, s)
+    platform.set_ang_vel(ground, 2 * ground.z)
+    body.orient_axis(platform, platform.x, q)
+    body.set_ang_vel(platform, u * platform.x)
+    system = System(ground, origin)
+    system.add_bodies(me.RigidBody("body", origin, body, 1, (me.inertia(body, 1, 1, 2), origin)))
+    system.add_coordinates(q)
+    system.add_speeds(u)
+    system.add_kdes(u - q.diff(T))
+    fb.generate_sources(fb.Model(system, name="spun", inputs={s: motion}))
+    assert [warning.category for warning in recwarn] == [] if is_right else [fb.ModelWarning]
+
+
 def test_a_mass_centre_that_was_set_at_rest():
     with pytest.warns(fb.ModelWarning, match="velocity that was set for point C"):
         fb.generate_sources(pendulum(moves=0, name="at_rest"))

@@ -1,6 +1,7 @@
 """Messages that lead on: what they name, and that what they advise works."""
 
 import functools
+import json
 import re
 import warnings
 
@@ -93,6 +94,23 @@ def test_a_tables_slope_is_named_where_speeds_do_not_fit_it():
     assert run["x"][-1] == pytest.approx(3.0)
     with pytest.raises(fb.ModelError, match=r"on positions: .*At t = 0 the prescribed motion has s = 0, which"):
         slider.simulate((0.0, 1.0), [1.0, 0.0], inputs={"s": ([0.0, 1.0], [0.0, 0.0])})
+
+
+@pytest.mark.parametrize("steepness", [sm.Symbol("k"), 1, sm.Rational(9, 10)])
+def test_a_place_along_a_curve_is_no_angle(steepness):
+    """A bead on a wire y = a sin(k x): x is in metres."""
+    x, u, a = *me.dynamicsymbols("x u"), sm.Symbol("a")
+    ground, origin = me.ReferenceFrame("N"), me.Point("O")
+    origin.set_vel(ground, 0)
+    bead = origin.locatenew("P", x * ground.x + a * sm.sin(steepness * x) * ground.y)
+    bead.set_vel(ground, u * ground.x + a * steepness * sm.cos(steepness * x) * u * ground.y)
+    system = System(ground, origin)
+    system.add_bodies(me.Particle("bead", bead, 1))
+    system.add_coordinates(x)
+    system.add_speeds(u)
+    system.add_kdes(u - x.diff())
+    model = fb.Model(system, parameters={"a": 0.3, "k": 2.0}, name="wire", extra="ignore")
+    assert json.loads(fb.generate_sources(model)["manifest.json"])["angles"] == []
 
 
 def test_degrees_are_noticed():

@@ -15,6 +15,7 @@ from fourbar_codegen.dynamics.jumps import jumps
 from fourbar_codegen.expressions.tape import Call, Product, Scalar, Sum, Tape, operands
 from fourbar_codegen.lowering.program import Function, Program
 from fourbar_codegen.modeling.gravity import gravity
+from fourbar_codegen.modeling.mechanism import entries_of
 from fourbar_codegen.modeling.model import Model
 
 __all__ = ["manifest_of", "manifest_text", "operations_of"]
@@ -51,7 +52,7 @@ def manifest_of(
         "name": model.name,
         "fingerprint": fingerprint,
         "coordinates": list(names["coordinates"]),
-        "angles": _angles(equations, names["coordinates"]),
+        "angles": _angles(model, equations, names["coordinates"]),
         "speeds": list(names["speeds"]),
         "auxiliary_states": list(names["auxiliary_states"]),
         "n_dependent_coordinates": model.mechanism.n_dependent_coordinates,
@@ -186,12 +187,23 @@ def _values(model: Model) -> dict[sm.Basic, Any]:
     return {symbol: sm.sympify(value) for symbol, value in values.items()}
 
 
-def _angles(equations: Equations, names: Sequence[str]) -> list[str]:
-    """The coordinates whose sines or cosines the equations take."""
-    tape = equations.tape
+def _angles(model: Model, equations: Equations, names: Sequence[str]) -> list[str]:
+    """The coordinates whose sines or cosines the equations take, or of sums with numbers as factors.
+
+    Not x in sin(k x), a curve, where k may have any unit; nor a coordinate that is a term of a position itself.
+    """
+    tape, mechanism = equations.tape, model.mechanism
     calls = (node for node in tape.nodes if isinstance(node, Call) and node.expression.func in (sm.sin, sm.cos))
-    reached = {*tape.reach(Scalar(tape, 1, argument) for call in calls for argument in call.arguments)}
-    return [name for name, q in zip(names, equations.coordinates, strict=True) if q.node in reached]
+    arguments = {argument for call in calls for argument in call.arguments}
+    for node in list(arguments):
+        if isinstance(operation := tape.nodes[node], Sum):
+            arguments.update(term for term, _ in operation.terms)
+    offsets = (*(point.offset for point in mechanism.points), *(point.offset for point in mechanism.drawn))
+    lengths = {
+        t for offset in offsets for entry in entries_of(offset) for x in sm.Add.make_args(entry) for t in (x, -x)
+    }
+    leaves = zip(names, mechanism.coordinates, equations.coordinates, strict=True)
+    return [name for name, coordinate, q in leaves if q.node in arguments and coordinate not in lengths]
 
 
 def _geometry(equations: Equations, names: Sequence[str]) -> list[str]:

@@ -18,7 +18,7 @@ Here, linear and angular accelerations follow from velocities. SymPy uses those 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 from typing import Any
@@ -37,10 +37,10 @@ from fourbar_codegen.dynamics.kinematics import (
 )
 from fourbar_codegen.dynamics.random_states import RandomStates
 from fourbar_codegen.errors import ModelError
-from fourbar_codegen.expressions.convert import Conversion
+from fourbar_codegen.expressions.convert import Conversion, substitute
 from fourbar_codegen.expressions.derivatives import Jvp
 from fourbar_codegen.expressions.identities import is_zero
-from fourbar_codegen.expressions.tape import Scalar
+from fourbar_codegen.expressions.tape import Scalar, Tape
 from fourbar_codegen.modeling import mechanism as stored
 
 __all__ = ["find_contradictions"]
@@ -64,6 +64,7 @@ def find_contradictions(
     accelerations: Sequence[Scalar],
     values: Mapping[Scalar, float],
     not_orthonormal: Sequence[Scalar],
+    motions: Callable[[], Mapping[Scalar, Scalar]],
 ) -> tuple[str, ...]:
     """Find inconsistent kinematics of a mechanism.
 
@@ -81,6 +82,9 @@ def find_contradictions(
         Values of leaves near which the equations are defined.
     not_orthonormal : sequence of Scalar
         Scalars that are zero where direction cosines are orthonormal.
+    motions : callable
+        Returns what takes the place of inputs with a default expression of time, and of their rates. Others have any
+        value, and any rate.
 
     Returns
     -------
@@ -93,7 +97,9 @@ def find_contradictions(
     if not claims:
         return ()
     numbers.place_orientations()
-    states = RandomStates(kinematics.tape, constraints, values, numbers.scalars, not_orthonormal)
+    tape, by_default = kinematics.tape, motions()
+    scalars, more = (substitute(tape, group, by_default) for group in (numbers.scalars, not_orthonormal))
+    states = RandomStates(tape, _substituted(tape, constraints, by_default), values, scalars, more)
     found: dict[str, str] = {}
     values_there = None
     for values_there in islice(states.moving(speeds, accelerations), STATES):
@@ -113,6 +119,17 @@ def find_contradictions(
             "initial= values that do."
         )
     return tuple(found.values())
+
+
+def _substituted(tape: Tape, constraints: Constraints, values: Mapping[Scalar, Scalar]) -> Constraints:
+    """The constraints with leaves replaced, as far as random states need them."""
+    return replace(
+        constraints,
+        positions=tuple(substitute(tape, constraints.positions, values)),
+        velocities=tuple(substitute(tape, constraints.velocities, values)),
+        acceleration_bias=tuple(substitute(tape, constraints.acceleration_bias, values)),
+        jacobian=tuple(tuple(substitute(tape, row, values)) for row in constraints.jacobian),
+    )
 
 
 def _differ(a: Floats, b: Floats) -> bool:

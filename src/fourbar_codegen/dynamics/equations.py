@@ -324,7 +324,16 @@ def form_equations(model: Model) -> Equations:
         zeros = dict.fromkeys((w.diff(mechanism.time) for w in mechanism.auxiliary_speeds), tape.zero)
         with_rates = Conversion(tape, {**leaves, **dict(second), **zeros})
     warnings = find_contradictions(
-        kinematics, constraints, rate, total_rate, with_rates, v.u, v.a, values, not_orthonormal
+        kinematics,
+        constraints,
+        rate,
+        total_rate,
+        with_rates,
+        v.u,
+        v.a,
+        values,
+        not_orthonormal,
+        lambda: _default_motions(model, v, convert),
     )
     if model.reactions is None and v.unknown:
         warnings += find_forces_at_moving_points(kane, model, rate, v.unknown, constraints, states)
@@ -535,6 +544,18 @@ def _input_rates(model: Model, v: _Variables) -> dict[Scalar, Scalar]:
     leaf_of = {entry.function: leaf for entry, leaf in zip(model.input_entries, v.r, strict=True)}
     rates = {leaf: leaf_of.get(function.diff(model.mechanism.time)) for function, leaf in leaf_of.items()}
     return {leaf: rate for leaf, rate in rates.items() if rate is not None}
+
+
+def _default_motions(model: Model, v: _Variables, convert: Conversion) -> dict[Scalar, Scalar]:
+    """The inputs with a default expression of time, and their rates."""
+    expressions = {str(function.func): expr for function, expr in model.input_expressions.items()}
+    found = {}
+    for leaf, entry in zip(v.r, model.input_entries, strict=True):
+        base, own = expressions[entry.of], entry.expression
+        if base is None or own is None or not base.has(model.mechanism.time) or own.has(sm.Derivative, sm.Subs):
+            continue
+        found[leaf] = convert(own)
+    return found
 
 
 def _inputs(

@@ -16,6 +16,7 @@ from click.testing import CliRunner
 
 import fourbar_codegen as fb
 from fourbar_codegen.cli import main
+from fourbar_codegen.presentation import storage
 
 
 def run(*arguments):
@@ -363,3 +364,32 @@ def test_all_methods_can_be_chosen():
 def test_models_that_are_not_compiled_yet_are_known_by_name():
     output = run("info", "slider_crank").output
     assert output.startswith("Model slider_crank\ncoordinates: crank independent; rod, slide dependent")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("simulate", "-o", "run.nc"), "NetCDF needs xarray"),
+        (("sweep", "-p", "k=1:2:3", "-o", "runs.nc"), "NetCDF needs xarray"),
+        (("simulate", "-o", "run.png"), "Plots need matplotlib"),
+        (("animate", "-o", "run.gif"), "Animations need matplotlib"),
+        (("sweep", "-p", "k=1:2:3", "-o", "runs.png", "--plot", "q9"), "There is no quantity 'q9'; there are t, q1"),
+        (("sweep", "-p", "k=1:2:3", "-o", "runs.png", "--plot", "P2"), "P2 has three components"),
+    ],
+)
+def test_what_a_file_needs_is_asked_before_anything_runs(arguments, sentence, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    if "need" in sentence:
+        for name in ("xarray", "matplotlib.figure", "matplotlib.animation"):
+            monkeypatch.setitem(sys.modules, name, None)
+        monkeypatch.setattr(storage, "find_spec", lambda name: None if name == "xarray" else name)
+    command, *rest = arguments
+
+    def runs(*_, **__):
+        raise AssertionError("it runs")
+
+    for name in ("simulate", "ensemble"):
+        monkeypatch.setattr(fb.CompiledModel, name, runs)
+    result = run(command, "four_bar", *rest)
+    assert result.exit_code == 1
+    assert sentence in result.output

@@ -55,6 +55,22 @@ def test_what_the_right_hand_side_refuses(four_bar):
             jax.grad(lambda at, function=function: jax.grad(function)(at).sum())(at)
 
 
+def test_the_right_hand_side_takes_names(four_bar):
+    rhs, x = fb.to_jax(four_bar).rhs, four_bar.initial_state()
+    np.testing.assert_array_equal(rhs(0.3, x, {"k": 2.0}, {"F": 5.0}), four_bar.rhs(0.3, x, {"k": 2.0}, {"F": 5.0}))
+    np.testing.assert_array_equal(rhs(0.3, x, {"k": 2.0}), four_bar.rhs(0.3, x, {"k": 2.0}))
+    column = four_bar.parameter_jacobian(0.3, x)[:, four_bar.parameters.index("k")]
+    np.testing.assert_array_equal(jax.jacobian(lambda k: rhs(0.3, x, {"k": k}))(four_bar.defaults["k"]), column)
+    for given, sentence in (
+        ({"p": {"K": 1.0}}, "no parameter 'K'. Did you mean k"),
+        ({"r": {"f": 1.0}}, "no input 'f'"),
+        ({"p": {"k": "stiff"}}, "k must be an array of the shape"),
+        ({"x": {"q1": 1.0}}, r"x must be an array of the shape \(6,\), not {'q1': 1.0}"),
+    ):
+        with pytest.raises(fb.ModelError, match=sentence):
+            rhs(**{"t": 0.0, "x": x, **given})
+
+
 def test_derivatives_through_the_expression_of_an_input():
     a, t = sm.Symbol("a"), me.dynamicsymbols._t
     model = fb.compile_model(driven_oscillator(parameters={"a": 3.0}, force=a * sm.sin(2 * t)))

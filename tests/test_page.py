@@ -167,7 +167,7 @@ def test_what_scripts_may_ask(opened, made, four_bar):
         ({"t_span": [0]}, "t_span has two times"),
         ({"mode": 7}, "There is no assembly mode 7; there are 2"),
         ({"rtol": 0}, "rtol is positive"),
-        ({"speed": 2}, 'There is no option "speed"'),
+        ({"speed": 2}, 'There is no option "speed"; there are: parameters, initial, inputs, t_span'),
         ({"mode": "length"}, "There is no assembly mode length"),
         ({"t_span": None}, "t_span has two times"),
         ({"parameters": None}, "parameters is an object, not null"),

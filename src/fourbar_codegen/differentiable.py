@@ -97,10 +97,10 @@ class JaxModel:
         ----------
         t : scalar
         x : array, shape (n_x,)
-        p : array, shape (n_p,), optional
-            The model's values otherwise.
-        r : array, shape (n_r,), optional
-            Inputs; the values of their expressions otherwise.
+        p : array, shape (n_p,), or mapping of names to scalars, optional
+            What is not given has the model's value.
+        r : array, shape (n_r,), or mapping of names to scalars, optional
+            Inputs; what is not given has the value of its expression.
 
         Returns
         -------
@@ -125,13 +125,18 @@ class JaxModel:
         import jax.numpy as jnp
 
         model = self.model
-        if p is None:
-            p = parameter_array(model, model.parameter_vector(None))  # raises if one has no value
-        if r is None and not model.has_inputs:
-            raise ModelError(model.missing())
+        given = {} if p is None else p
+        if is_mapping(given):
+            of_p = named(given, model.parameters, "parameter")
+            model.parameter_vector(dict.fromkeys(of_p, 1.0))  # raises if another one has no value
+            p = _replaced(parameter_array(model, None), model.parameters, of_p)
         t, x, p = _shaped("t", t, ()), _shaped("x", x, (model.n_x,)), _shaped("p", p, (model.n_p,))
-        if r is None:
-            r = _inputs(model)(t, p) if model.n_r else jnp.zeros(0)
+        given = {} if r is None else r
+        if is_mapping(given):
+            of_r = named(given, model.inputs, "input")
+            if any(e["expression"] is None and e["name"] not in of_r for e in model.manifest["inputs"]):
+                raise ModelError(model.missing())
+            r = _replaced(_inputs(model)(t, p) if model.n_r else jnp.zeros(0), model.inputs, of_r)
         return _rhs(model)(t, x, p, _shaped("r", r, (model.n_r,)))
 
     def simulation(
@@ -198,10 +203,22 @@ class JaxModel:
         ).function(forward=flag(forward, "forward"))
 
 
+def _replaced(values: Any, names: Sequence[str], given: Mapping[str, Any]) -> Any:
+    """An array with the values of some names replaced."""
+    import jax.numpy as jnp
+
+    if not given:
+        return values
+    return jnp.stack([_shaped(name, given.get(name, value), ()) for name, value in zip(names, values, strict=True)])
+
+
 def _shaped(name: str, value: Any, shape: tuple[int, ...]) -> Any:
     import jax.numpy as jnp
 
-    array = jnp.asarray(value, float)
+    try:
+        array = jnp.asarray(value, float)
+    except (TypeError, ValueError) as error:
+        raise ModelError(f"{name} must be an array of the shape {shape}, not {shown(value)}.") from error
     if array.shape != shape:
         raise ModelError(f"{name} must have the shape {shape}, not {array.shape}; for several, use jax.vmap.")
     return array

@@ -155,6 +155,7 @@ def simulate(samples: int, outputs: tuple[Path, ...], **run: Any) -> None:
 
     for path in outputs:
         writer_of(path, WRITERS, "A trajectory")
+        _require_packages(path)
     trajectory, seconds = _simulated(lambda start, end: np.linspace(start, end, samples), **run)
     _report(trajectory, run["method"], seconds)
     for path in outputs:
@@ -195,6 +196,7 @@ def sweep(
 
     for path in outputs:
         writer_of(path, WRITERS, "An ensemble")
+        _require_packages(path)
     if plotted and not any(path.suffix.lower() == ".png" for path in outputs):
         raise fb.ModelError("--plot says what a .png shows: give one, such as -o sweep.png.")
     swept = {name: values for name, values in parameters.items() if hasattr(values, "shape")}
@@ -204,6 +206,7 @@ def sweep(
     if n > MOST_MEMBERS:
         raise fb.ModelError(f"A sweep has at most {MOST_MEMBERS} runs, not {n}.")
     compiled, values, sources = _model_and_inputs(model, initial, inputs, parameters, t_span)
+    _check_plotted(compiled, plotted)
     grid = np.array(list(itertools.product(*swept.values())))
     members = [parameters | dict(zip(swept, row.tolist(), strict=True)) for row in grid]
     x0 = np.full((n, compiled.n_x), np.nan)
@@ -243,6 +246,19 @@ def _with_others(ran: Ensemble, places: Any, parameters: Any, failures: Mapping[
     messages = {**failures, **dict(zip(places.tolist(), ran.messages, strict=True))}
     return replace(ran, y=y, success=success, nfev=nfev, parameters=parameters,
                    messages=tuple(messages[place] for place in range(n)))  # fmt: skip
+
+
+def _check_plotted(model: CompiledModel, names: tuple[str, ...]) -> None:
+    """Raise an error, before anything is computed, if a name is no quantity over time that a plot can show."""
+    import numpy as np
+
+    from fourbar_codegen.results.trajectory import make_trajectory
+
+    y, r = np.zeros((model.n_x, 0)), np.zeros((model.n_r, 0))
+    nothing = make_trajectory(model=model, parameters=None, t=np.zeros(0), y=y, r=r)
+    for name in names:
+        if nothing[name].ndim != 1:
+            raise fb.ModelError(f"--plot shows scalar quantities over time; {name} has three components.")
 
 
 def _save_sweep(ensemble: Ensemble, path: Path, plotted: tuple[str, ...]) -> Path:
@@ -335,9 +351,22 @@ def _show(output: Path, suffixes: tuple[str, ...], run: dict[str, Any]) -> None:
             f"{output} must end with {' or '.join(suffixes)}: fourbar animate writes animations, report HTML pages, "
             "simulate data."
         )
+    _require_packages(output)
     trajectory, _ = _simulated(frame_times, **run)
     click.echo(f"Written: {trajectory.save(output)}")
     _check_end(trajectory)
+
+
+def _require_packages(path: Path) -> None:
+    """Raise an error, before anything is computed, if a package is missing that a file's format needs."""
+    from fourbar_codegen.presentation.figures import require_figures
+    from fourbar_codegen.presentation.storage import require_netcdf
+
+    kind = path.suffix.lower()
+    if kind == ".nc":
+        require_netcdf()
+    elif kind in (".png", ".gif", ".mp4"):
+        require_figures(kind[1:])
 
 
 def _check_end(trajectory: Trajectory) -> None:

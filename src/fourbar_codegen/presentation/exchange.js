@@ -190,8 +190,8 @@ const MOST_TIMES = 100000;
 const simulate = async (options = {}) => {
   if (typeof options !== "object" || options === null) throw new TypeError(`Options are an object, not ${options}.`);
   const {parameters = {}, initial = {}, inputs = {}, t_span = data.t_span, times = null,
-    rtol = data.rtol, atol = data.atol, mode = 0, ...rest} = options;
-  checkNames(rest, [], "option");
+    rtol = data.rtol, atol = data.atol, mode = 0} = options;
+  checkNames(options, ["parameters", "initial", "inputs", "t_span", "times", "rtol", "atol", "mode"], "option");
   for (const [name, given] of Object.entries({parameters, initial, inputs})) {
     if (typeof given !== "object" || given === null) throw new TypeError(`${name} is an object, not ${given}.`);
   }

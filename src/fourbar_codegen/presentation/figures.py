@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "animate", "plot_branches", "plot_ensemble", "plot_kinematics", "plot_modes", "plot_paths", "plot_trajectory",
-    "write_animation",
+    "require_figures", "write_animation",
 ]  # fmt: skip
 
 Floats = NDArray[np.float64]
@@ -50,6 +50,9 @@ EDGE = 0.08
 
 MAX_PANELS = 24
 """Largest number of assembly modes that are drawn."""
+
+ANIMATED_BY = {"gif": "pillow", "mp4": "ffmpeg"}
+"""Matplotlib's writers."""
 
 CURVES = 30
 """Number of members of an ensemble that are drawn as curves."""
@@ -80,6 +83,14 @@ def _imported(name: str, what: str) -> Any:
         return importlib.import_module(name)
     except ImportError as error:
         raise ModelError(f"{what} need {name.split('.')[0]}: pip install 'fourbar_codegen[visual]'.") from error
+
+
+def require_figures(kind: str) -> None:
+    """Raise a ModelError if something is missing that PNG, GIF or MP4 needs."""
+    if kind not in ANIMATED_BY:
+        _imported("matplotlib.figure", "Plots")
+    elif not _imported("matplotlib.animation", "Animations").writers.is_available(ANIMATED_BY[kind]):
+        raise ModelError(f"{kind.upper()} needs {ANIMATED_BY[kind]}, which is not installed.")
 
 
 def plot_trajectory(trajectory: Trajectory, names: str | Sequence[Any]) -> Figure:
@@ -426,10 +437,8 @@ def animate(trajectory: Trajectory, *, fps: float, speed: float, traces: Sequenc
 
 def write_animation(trajectory: Trajectory, path: Path, kind: str) -> None:
     """Write an animation as GIF or MP4; the suffix of the file matches."""
-    animations = _imported("matplotlib.animation", "Animations")
-    name = {"gif": "pillow", "mp4": "ffmpeg"}[kind]
-    if not animations.writers.is_available(name):
-        raise ModelError(f"{kind.upper()} needs {name}, which is not installed.")
+    require_figures(kind)
+    animations, name = _imported("matplotlib.animation", "Animations"), ANIMATED_BY[kind]
     animation = animate(trajectory, fps=FPS, speed=1.0, traces=None)
     from tqdm import tqdm
 

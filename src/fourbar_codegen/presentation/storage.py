@@ -35,6 +35,7 @@ __all__ = [
     "branch_attributes",
     "ensemble_dataset",
     "read_trajectory",
+    "require_netcdf",
     "to_dataframe",
     "to_dataset",
     "versions",
@@ -211,7 +212,8 @@ def _series(ensemble: Ensemble) -> dict[str, Floats]:
     }
 
 
-def _require_h5netcdf() -> None:
+def require_netcdf() -> None:
+    """Raise a ModelError if a package is missing that NetCDF needs."""
     for name in ("xarray", "h5netcdf", "h5py"):
         if find_spec(name) is None:
             raise ModelError(f"NetCDF needs {name}: pip install 'fourbar_codegen[data]'.")
@@ -219,7 +221,7 @@ def _require_h5netcdf() -> None:
 
 def write_dataset(dataset: xarray.Dataset, file: IO[bytes]) -> None:
     """A dataset as NetCDF 4, by h5netcdf."""
-    _require_h5netcdf()
+    require_netcdf()
     import h5netcdf
     from xarray.backends import H5NetCDFStore
 
@@ -365,7 +367,7 @@ def _read_npz(path: Path) -> _Read:
 
 
 def _read_netcdf(path: Path) -> _Read:
-    _require_h5netcdf()
+    require_netcdf()
     import h5netcdf
 
     content = path.read_bytes()

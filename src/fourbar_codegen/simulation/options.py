@@ -185,7 +185,7 @@ def _sensitivities(given: Any, gradient: bool, method: str, constraints: str) ->
     if (names or gradient) and method not in METHODS:
         raise ModelError(f"{method} has no {what}: use {' or '.join(METHODS)}.")
     if (names or gradient) and constraints == "baumgarte":
-        raise ModelError(f'There are no {what} with constraints="baumgarte": use "project" or "none".')
+        raise ModelError(f'constraints="baumgarte" has no {what}: use "project" or "none".')
     return tuple(map(name_of, names))
 
 

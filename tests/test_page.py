@@ -138,6 +138,32 @@ def test_inputs_of_scripts(opened, made, four_bar, given, source):
     np.testing.assert_allclose(found["y"], y, rtol=0, atol=1e-9)
 
 
+def test_recorded_values(opened, four_bar):
+    """A table that is held: in the run, in scripts, in lines of Python, in a link; and what takes its place."""
+    times = 0.01 * np.arange(150)
+    table = (times, np.random.default_rng(5).normal(0.0, 50.0, 150), "hold")
+    page = opened(four_bar.page(inputs={"F": table}, t_span=(0.0, 2.0)))
+    t, states = shown(page)
+    y = exact(four_bar, t, inputs={"F": table})
+    np.testing.assert_allclose(states, y, rtol=0, atol=1e-9)
+    at = np.linspace(0.0, 2.0, 41)
+    found = simulated(page, inputs={"F": {"kind": "hold"}}, times=at.tolist(), parameters={"c": 2.0})
+    np.testing.assert_allclose(
+        found["y"], exact(four_bar, at, inputs={"F": table}, parameters={"c": 2.0}), rtol=0, atol=1e-9
+    )
+    place = {"fb": fb}
+    exec(page.evaluate("pythonLines()"), place)
+    np.testing.assert_array_equal(place["inputs"]["F"][1], table[1])
+    np.testing.assert_allclose(place["run"].y[:, -1], y[:, -1], rtol=0, atol=1e-9)
+    page.locator("#groups select").nth(1).select_option("constant")
+    until(page, "!busy")
+    assert "r.F=constant" in page.evaluate("linkText()")
+    page.locator("#groups select").nth(1).select_option("hold")
+    until(page, "!busy")
+    assert page.evaluate("linkText()") == ""
+    np.testing.assert_array_equal(shown(page)[1], states)
+
+
 def test_what_scripts_may_ask(opened, made, four_bar):
     page = opened(made)
     names = page.evaluate("fourbar.names")
@@ -685,8 +711,9 @@ def test_ranges(four_bar):
 def test_what_cannot_be_a_page(four_bar, tmp_path, monkeypatch):
     path = tmp_path / "page.html"
     for how, sentence in (
-        ({"inputs": {"F": lambda t, x: 1.0}}, "Input F of a page is a number or the model's own expression"),
-        ({"inputs": {"F": ([0, 1], [0, 1])}}, "a table cannot be put into a file"),
+        ({"inputs": {"F": lambda t, x: 1.0}}, "Input F of a page is a number, the model's own expression, or a table"),
+        ({"inputs": {"F": ([0, 1], [0, 1])}}, "a table that is interpolated cannot be put into a file"),
+        ({"inputs": {"F": ([0, 1], [0, 1], "pchip")}}, "a table that is interpolated cannot be put into a file"),
         ({"inputs": {"G": 1.0}}, "There is no input 'G'"),
         ({"traces": ["P9"]}, "There is no point P9"),
         ({"watch": [("most", "q1")]}, "watch= is a list of pairs"),

@@ -771,7 +771,7 @@ class CompiledModel(Kernel):
         t_span: Sequence[float] = (0.0, 4.0),
         x0: ArrayLike | None = None,
         parameters: Values | None = None,
-        inputs: Mapping[Any, float] | None = None,
+        inputs: Mapping[Any, float | tuple[ArrayLike, ArrayLike, str]] | None = None,
         ranges: Mapping[Any, tuple[float, float]] | None = None,
         traces: Sequence[str] | None = None,
         watch: Sequence[tuple[str, str]] | None = None,
@@ -789,8 +789,8 @@ class CompiledModel(Kernel):
             The file to write, ``.html``.
         t_span, x0, parameters : optional
             Of the run that it begins with, as for `simulate`.
-        inputs : mapping of input to float, optional
-            What inputs begin as; by default their expressions.
+        inputs : mapping of input to float or table, optional
+            What inputs begin as; by default their expressions. Tables are of the kind "hold".
         ranges : mapping of str to (float, float), optional
             Of the sliders of parameters and independent initial values. By default, for parameters `Parameter.range`,
             else from a fifth of the value to its double, or both signs if it is zero; for angles half a turn to both

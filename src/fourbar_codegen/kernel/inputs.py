@@ -27,6 +27,7 @@ __all__ = [
     "inputs_at",
     "inputs_of",
     "is_by_member",
+    "is_held",
     "own_source",
     "source_changes",
 ]
@@ -161,11 +162,14 @@ def _kind(source: InterpolationTable, n_orders: int) -> str:
     return source[2] if len(source) == 3 else "linear" if n_orders == 1 else "cubic"
 
 
+def is_held(source: object) -> bool:
+    """Whether it is a table of the kind "hold"."""
+    return isinstance(source, tuple | list) and len(source) == 3 and isinstance(source[2], str) and source[2] == "hold"
+
+
 def held_inputs(inputs: Mapping[Any, Any] | None) -> list[str]:
     """The names of inputs whose sources are tables of the kind "hold"."""
-    return [
-        name_of(key) for key, source in (inputs or {}).items() if isinstance(source, tuple) and source[2:] == ("hold",)
-    ]
+    return [name_of(key) for key, source in (inputs or {}).items() if is_held(source)]
 
 
 def _interpolants(times: Floats, values: Floats, kind: str, orders: int) -> Iterator[Table]:

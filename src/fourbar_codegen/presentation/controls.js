@@ -105,11 +105,12 @@ if (data.initial.length) {
 }
 
 // What an input begins as if it becomes another function of time, and the ranges of its coefficients.
-const signalOf = (kind, {scale, signal}) => {
+const signalOf = (kind, input) => {
+  const {scale, signal} = input;
   const [begin, end] = settings.t_span, middle = 0.5 * (begin + end), length = Math.abs(end - begin) || 1;
   const values = {expression: [], constant: signal.kind === "constant" ? signal.values : [scale],
     sine: [0, scale, 1 / length, 0], step: [0, scale, middle], ramp: [0, scale, begin, middle], line: [0, scale]};
-  return {kind, values: [...values[kind]]};
+  return signalWith(kind, [...values[kind] ?? []], input);
 };
 const coefficientRange = (name, scale) => {
   const [begin, end] = settings.t_span, length = Math.abs(end - begin) || 1;

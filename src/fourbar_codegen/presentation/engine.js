@@ -1,8 +1,9 @@
 // Runs of a model that is compiled to WebAssembly, in a worker where there is one; fourbar_page.h has its functions.
 
-// Takes requests {p, x, dependent, angle, signals, begin, end, rtol, atol, times, from}: parameters, an initial state of
-// which some values are dependent, and guesses, and some are angles, and six numbers for each input; `from` is a closed
-// state {p, x, dependent, angle, signals, begin} with other values.
+// Takes requests {p, x, dependent, angle, signals, tables, begin, end, rtol, atol, times, from}: parameters, an initial
+// state of which some values are dependent, and guesses, and some are angles, and six numbers for each input, with the
+// times and values of those that are held; `from` is a closed state {p, x, dependent, angle, signals, tables, begin}
+// with other values.
 // This function becomes the text of the worker, so it uses nothing from outside.
 const makeEngine = async bytes => {
   const OK = 0, CONSTANT = 1, DEPTH = 8, NEAR = 1e-6, SHORT = 0.5; // SHORT in rad
@@ -21,7 +22,10 @@ const makeEngine = async bytes => {
     const memory = new Uint8Array(wasm.memory.buffer), at = wasm.message(status);
     return new TextDecoder().decode(memory.slice(at, memory.indexOf(0, at)));
   };
-  const set = ({p, x, signals}) => {
+  const set = ({p, x, signals, tables}) => {
+    reserve(tables.length);
+    array(base, tables.length).set(tables);
+    wasm.set_tables(base);
     array(wasm.parameters(), p.length).set(p);
     array(wasm.state(), x.length).set(x);
     array(wasm.inputs(), signals.length).set(signals);
@@ -75,25 +79,26 @@ const makeEngine = async bytes => {
     if (result.closed) {
       set({...point, x: closed.x});
       result.length = wasm.row_length();
-      reserve(n * (1 + width + result.length));
-      array(base, n).set(times);
-      const states = base + 8 * n, rows = states + 8 * n * width;
-      result.status = wasm.simulate(begin, end, rtol, atol, base, n, states);
+      reserve(point.tables.length + n * (1 + width + result.length));
+      const at = base + 8 * point.tables.length, states = at + 8 * n, rows = states + 8 * n * width;
+      array(at, n).set(times);
+      result.status = wasm.simulate(begin, end, rtol, atol, at, n, states);
       result.reached = wasm.time_reached();
       result.evaluations = wasm.evaluations_of_run();
       result.n = wasm.states_stored();
-      wasm.observe(base, states, result.n, rows);
+      wasm.observe(at, states, result.n, rows);
       result.rows = array(rows, result.n * result.length).slice();
     }
     return {...result, message: message(result.status), duration: performance.now() - began};
   };
   // Nanoseconds of an evaluation of the equations of motion, for benchmarks and tests.
-  const evaluation = ({p, x, signals, begin}, count) => {
-    set({p, x, signals});
-    reserve(2 * x.length);
-    array(base, x.length).set(x);
+  const evaluation = ({begin, ...point}, count) => {
+    const {x, tables} = point, at = base + 8 * tables.length;
+    set(point);
+    reserve(tables.length + 2 * x.length);
+    array(at, x.length).set(x);
     const began = performance.now();
-    for (let i = 0; i < count; ++i) wasm.evaluate(begin, base, base + 8 * x.length);
+    for (let i = 0; i < count; ++i) wasm.evaluate(begin, at, at + 8 * x.length);
     return (performance.now() - began) * 1e6 / count;
   };
   return {run, evaluation, memory: () => wasm.memory.buffer.byteLength};

@@ -48,7 +48,7 @@ const readWord = (key, value) => {
     if (!input || !input.kinds.includes(kind)) return false;
     const values = numbersIn(words.join());
     if (values.length !== KINDS[kind].names.length || !values.every(Number.isFinite)) return false;
-    settings.inputs[name] = {kind, values};
+    settings.inputs[name] = signalWith(kind, values, input);
   } else if (key === "t") {
     if (numbers.length !== 2 || !finite) return false;
     settings.t_span = numbers;
@@ -134,7 +134,9 @@ const pythonLines = () => {
     const {kind, values: given} = signalAs(inputs[name]), [a, b, c, d] = given.map(number);
     const sine = module => `${a} + ${b} * ${module}.sin(2 * ${module}.pi * ${c} * t + ${d})`;
     const text = {constant: a, sine: `lambda t, x: ${sine("np")}`, ramp: `([${c}, ${d}], [${a}, ${b}])`,
-      step: `([${number(given[2] - 1e-12 * Math.max(1, Math.abs(given[2])))}, ${c}], [${a}, ${b}])`}[kind];
+      step: `([${number(given[2] - Math.max(1, Math.abs(given[2])))}, ${c}], [${a}, ${b}], "hold")`,
+      hold: `([${given.slice(0, given.length / 2).map(number).join(", ")}], ` +
+        `[${given.slice(given.length / 2).map(number).join(", ")}], "hold")`}[kind];
     if (prescribed && ["sine", "line"].includes(kind)) {
       notes.push(`# The rates of ${name} are needed: compile the Model with this expression of t.`,
         `# inputs={${name}: ${kind === "sine" ? sine("sm") : `${a} + ${b} * t`}}`);
@@ -174,7 +176,7 @@ const checkNames = (given, names, what) => {
 };
 // An input as scripts give it: a number, null for its expression, or {kind, ...coefficients}.
 const signalFrom = (name, given) => {
-  const {kinds} = data.inputs.find(input => input.name === name);
+  const input = data.inputs.find(each => each.name === name), {kinds} = input;
   const {kind, ...coefficients} = given === null ? {kind: "expression"} :
     typeof given === "object" ? given : {kind: "constant", value: given};
   if (!kinds.includes(kind)) {
@@ -183,7 +185,8 @@ const signalFrom = (name, given) => {
       `${kinds.filter(each => each !== "expression").join(", ")}; not ${kind}.`);
   }
   checkNames(coefficients, KINDS[kind].names, `coefficient of a ${kind}`);
-  return {kind, values: KINDS[kind].names.map(each => finiteNumber(coefficients[each], `${name}, ${each},`))};
+  const values = KINDS[kind].names.map(each => finiteNumber(coefficients[each], `${name}, ${each},`));
+  return signalWith(kind, values, input);
 };
 let scriptEngine = null; // its own, so that sliders and scripts do not wait for each other
 const MOST_TIMES = 100000;

@@ -15,7 +15,7 @@ from fourbar_codegen.analysis.initial_state import initial_state, initial_states
 from fourbar_codegen.arguments import finite_number, is_integer, is_mapping, name_of, named, slider_range
 from fourbar_codegen.errors import AssemblyError, ModelError, shown
 from fourbar_codegen.files import check_free, path_of, save, writer_of
-from fourbar_codegen.kernel.inputs import by_name
+from fourbar_codegen.kernel.inputs import by_name, is_held
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.kernel.loading import is_named
 from fourbar_codegen.presentation.drawing import ARROW, ENERGY, panel_names
@@ -91,13 +91,14 @@ WRITERS = {".html": _write}
 
 
 def check_inputs(model: Kernel, inputs: Mapping[Any, Any] | None) -> None:
-    """Raise a ModelError if an input is not a number."""
+    """Raise a ModelError if an input is neither a number nor a table that is held."""
     for name, source in by_name(model, inputs).items():
-        if callable(source) or isinstance(source, tuple | list):
-            kind = "callable" if callable(source) else "table"
+        if callable(source) or (isinstance(source, tuple | list) and not is_held(source)):
+            kind = "callable" if callable(source) else "table that is interpolated"
             raise ModelError(
-                f"Input {name_of(name)} of a page is a number or the model's own expression; a {kind} cannot be put "
-                "into a file. Give it a number, or the Model an expression of t and parameters."
+                f"Input {name_of(name)} of a page is a number, the model's own expression, or a table of the kind "
+                f'"hold"; a {kind} cannot be put into a file. Give it one of these, or the Model an expression of t '
+                "and parameters."
             )
 
 
@@ -284,7 +285,10 @@ def _inputs(run: Trajectory) -> list[dict[str, Any]]:
         if entry["expression"] is not None:
             kinds.insert(0, "expression")
         signal: dict[str, Any] = {"kind": "expression", "values": []}
-        if source is not None:
+        if isinstance(source, tuple):
+            kinds.append("hold")
+            signal = {"kind": "hold", "values": np.concatenate(source[:2]).tolist()}
+        elif source is not None:
             signal = {"kind": "constant", "values": [finite_number(source, f"input {name}")]}
         values = run.r[place][np.isfinite(run.r[place])]
         scale = _rounded(float(np.abs(values).max(initial=0.0))) or 1.0

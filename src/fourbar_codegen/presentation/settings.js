@@ -10,7 +10,10 @@ const KINDS = {
   step: {number: 3, title: "step", names: ["before", "after", "time"]},
   ramp: {number: 4, title: "ramp", names: ["from", "to", "begin", "end"]},
   line: {number: 5, title: "constant rate", names: ["value", "rate"]},
+  hold: {number: 6, title: "recorded values", names: []}, // the times and values that the page was made with
 };
+// An input of a kind with these coefficients.
+const signalWith = (kind, values, {signal}) => kind === "hold" ? structuredClone(signal) : {kind, values};
 // A ramp that does not end after it begins is a step.
 const signalAs = ({kind, values}) => kind === "ramp" && values[2] >= values[3] ?
   {kind: "step", values: values.slice(0, 3)} : {kind, values};
@@ -32,11 +35,16 @@ const angle = data.states.map(name => data.angles.includes(name));
 const pointOf = ({parameters, initial, inputs, t_span: [begin], mode}, guess = data.modes[mode]) => {
   const x = [...guess];
   data.initial.forEach(({name}, i) => { x[initialPlaces[i]] = initial[name]; });
+  let tables = [];
   const signals = data.entries.flatMap(({name, order}) => {
     const {kind, values} = signalAs(inputs[name]);
+    if (kind === "hold") {
+      tables = tables.concat(values);
+      return [KINDS[kind].number, order, values.length / 2, tables.length - values.length, 0, 0];
+    }
     return [KINDS[kind].number, order, ...values, 0, 0, 0, 0].slice(0, 6);
   });
-  return {p: data.parameters.map(({name}) => parameters[name]), x, dependent, angle, begin, signals};
+  return {p: data.parameters.map(({name}) => parameters[name]), x, dependent, angle, begin, signals, tables};
 };
 
 // The closed initial state of an assembly mode, from which it is followed to other settings.

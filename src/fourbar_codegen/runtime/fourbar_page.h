@@ -9,7 +9,7 @@
 
 #define FB_WITHOUT_HEADER
 #define FB_CALLED_INPUTS signal_inputs
-#define FB_CHANGES (2 * N_R)
+#define FB_CHANGES most_changes()
 #define FB_RUN_STEPS 50000 /* many for each frame; sliders should not wait for more */
 #define FB_EXPORT(name) __attribute__((export_name(#name))) name
 
@@ -23,7 +23,8 @@ enum FB_SIGNAL {
     FB_SINE_WAVE = 2, /* a + b sin(2 pi c t + d) */
     FB_STEP = 3,      /* a before t = c, b from then on */
     FB_RAMP = 4,      /* a until t = c, b from t = d on, linear between; c < d */
-    FB_LINE = 5       /* a + b t */
+    FB_LINE = 5,      /* a + b t */
+    FB_HOLD = 6       /* of a times, from number b of the tables on, and as many values after them */
 };
 
 typedef struct fb_signal {
@@ -31,6 +32,21 @@ typedef struct fb_signal {
 } fb_signal;
 
 static fb_signal signals[FB_AT_LEAST_1(N_R)];
+static const double *tables;
+
+/* The value of the last time that is not later; before all of them the first one. */
+static double held_value(const double *times, const int n, const double t)
+{
+    int low = 0, high = n;
+    while (high - low > 1) {
+        const int middle = (low + high) / 2;
+        if (t < times[middle])
+            high = middle;
+        else
+            low = middle;
+    }
+    return times[n + low];
+}
 
 static double signal_value(const fb_signal *s, const double t)
 {
@@ -44,6 +60,8 @@ static double signal_value(const fb_signal *s, const double t)
         return t < s->c ? s->a : s->b;
     case FB_RAMP:
         return t <= s->c ? s->a : t >= s->d ? s->b : s->a + (s->b - s->a) * ((t - s->c) / (s->d - s->c));
+    case FB_HOLD:
+        return held_value(tables + (int)s->b, (int)s->a, t);
     case FB_LINE:
         return s->order == 0.0 ? s->a + s->b * t : s->order == 1.0 ? s->b : 0.0;
     default:
@@ -59,14 +77,26 @@ static int signal_inputs(fb_problem *problem, const double t, const double *x)
     return 0;
 }
 
+static int changes_of(const fb_signal *s)
+{
+    return s->kind == FB_STEP ? 1 : s->kind == FB_RAMP ? 2 : s->kind == FB_HOLD ? (int)s->a : 0;
+}
+
+static int most_changes(void)
+{
+    int n = 0;
+    for (int i = 0; i < N_R; ++i)
+        n += changes_of(signals + i);
+    return n;
+}
+
 static double next_change(const double begin, const double end)
 {
     double next = end;
     for (int i = 0; i < N_R; ++i) {
         const fb_signal *const s = signals + i;
-        const int changes = s->kind == FB_STEP ? 1 : s->kind == FB_RAMP ? 2 : 0;
-        for (int k = 0; k < changes; ++k) {
-            const double time = k == 0 ? s->c : s->d;
+        for (int k = 0; k < changes_of(s); ++k) {
+            const double time = s->kind == FB_HOLD ? tables[(int)s->b + k] : k == 0 ? s->c : s->d;
             if (time > fb_min(begin, next) && time < fb_max(begin, next))
                 next = time;
         }
@@ -101,6 +131,12 @@ double *FB_EXPORT(state)(void)
 fb_signal *FB_EXPORT(inputs)(void)
 {
     return signals;
+}
+
+/* Where JavaScript puts the times and values of inputs that are held. */
+void FB_EXPORT(set_tables)(const double *given)
+{
+    tables = given;
 }
 
 /* The numbers of a row of `observe`. */

@@ -209,6 +209,38 @@ def test_a_muscles_own_rates_may_be_given():
     np.testing.assert_allclose(fb.compile_model(given).rhs(0.0, x, r=[0.7]), lift.rates(x, 0.7), rtol=1e-10)
 
 
+def test_the_constants_of_the_curves_may_be_parameters():
+    """The published ones give the motion of SymPy's muscle with numbers, and the friction beside it is still found."""
+    lift = Lift(MusculotendonFormulation.RIGID_TENDON)
+    of_numbers = lift.muscle
+    given = [of_numbers.l_T_slack, of_numbers.F_M_max, of_numbers.l_M_opt, of_numbers.v_M_max, of_numbers.alpha_opt]
+    names = ["tendon_slack_length", "peak_isometric_force", "optimal_fiber_length", "maximal_fiber_velocity"]
+    muscle = MusculotendonDeGroote2016(
+        "biceps",
+        of_numbers.pathway,
+        of_numbers.activation_dynamics,
+        **dict(zip([*names, "optimal_pennation_angle"], given, strict=True)),
+        fiber_damping_coefficient=of_numbers.beta,
+    )
+    curves = ("_fl_M_pas", "_fl_M_act", "_fv_M")  # a rigid tendon has none
+    of_symbols, published = (
+        [c for curve in curves for c in getattr(of, curve).args[1:]] for of in (muscle, of_numbers)
+    )
+    system, friction = lift.system, sm.Symbol("mu")
+    system.actuators = [muscle]
+    rubbing = -friction * sm.sign(system.u[0]) * system.frame.x
+    system.add_loads(me.Force(system.bodies[0].masscenter, rubbing))
+    constants = dict(zip(of_symbols, published, strict=True))
+    model = fb.compile_model(
+        fb.Model(system, name="by_constants", parameters={**lift.parameters, **constants, friction: 2.0})
+    )
+    x = np.array([START, 0.01, ACTIVATION])
+    expected = lift.rates(x, 0.7) - np.array([0.0, 2.0 / 20.0, 0.0])
+    np.testing.assert_allclose(model.rhs(0.0, x, r=[0.7]), expected, rtol=1e-10)
+    with pytest.warns(fb.ModelWarning, match=r"not known beforehand \(sign of u"):
+        model.simulate((0.0, 0.01), x, sensitivities=["mu"])
+
+
 def test_two_muscles_of_one_name_with_other_activations_are_refused():
     lift = Lift(MusculotendonFormulation.RIGID_TENDON)
     slow = FirstOrderActivationDeGroote2016("biceps", activation_time_constant=0.5)

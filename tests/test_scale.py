@@ -185,3 +185,34 @@ def test_operations_of_loops_are_linear():
     counts = [operations(fb.models.n_four_bar(loops)) for loops in (5, 10, 20)]
     assert counts[1] < 2.05 * counts[0]
     assert counts[2] < 2.05 * counts[1]
+
+
+def pieces(count):
+    """An oscillator whose spring is given by cubics, with conditions on both sides as SymPy's splines have them."""
+    q, u = me.dynamicsymbols("q u")
+    frame, origin = me.ReferenceFrame("N"), me.Point("O")
+    origin.set_vel(frame, 0)
+    mass = origin.locatenew("P", q * frame.x)
+    mass.set_vel(frame, u * frame.x)
+    system = System(frame, origin)
+    system.add_coordinates(q)
+    system.add_speeds(u)
+    system.add_kdes(u - q.diff())
+    system.add_bodies(me.Particle("mass", mass, 1))
+    cubics = [((i + 1) * q - (i + 2) * q**3, (q >= i) & (q <= i + 1)) for i in range(count)]
+    system.add_loads(me.Force(mass, sm.Piecewise(*cubics) * frame.x))
+    return fb.Model(system, name="pieces")
+
+
+def test_the_code_of_a_spline_grows_linearly():
+    """With derivatives, along a direction and in reverse: equal numbers of pieces add equal text, but for digits."""
+    lengths = [sum(map(len, fb.generate_sources(pieces(count)).values())) for count in (8, 16, 24)]
+    assert lengths[2] - lengths[1] == pytest.approx(lengths[1] - lengths[0], rel=0.1)
+    model = fb.compile_model(pieces(8))
+    for place in (0.5, 3.25, 7.5):
+        i = int(place)
+        expected = [[0.0, 1.0], [(i + 1) - 3 * (i + 2) * place**2, 0.0]]
+        assert model.rhs(0.0, [place, 0.0])[1] == pytest.approx((i + 1) * place - (i + 2) * place**3, rel=1e-14)
+        np.testing.assert_allclose(model.jacobian(0.0, [place, 0.0]), expected, rtol=1e-14)
+    with pytest.raises(fb.SimulationError, match="not finite"):
+        model.rhs(0.0, [8.5, 0.0])

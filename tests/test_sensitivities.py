@@ -806,6 +806,8 @@ JUMPING = [
     ("acot of x", lambda x, v, t: A * sm.acot(x / B)),
     ("atan of x", lambda x, v, t: A * sm.atan(B / x)),
     ("Heaviside of F", lambda x, v, t: A * sm.Heaviside(F - B)),
+    # A root that has no real value where its branch is not taken.
+    ("Piecewise of x", lambda x, v, t: sm.Piecewise((A + sm.sqrt(-x), x < 0), (0, True))),
 ]
 STEADY = {
     "a stop": lambda x, v, t: -A * sm.Max(0, x - B),
@@ -830,6 +832,14 @@ def test_jumps_with_other_values_than_the_defaults():
     assert model.simulate((0.0, 0.1), sensitivities=["k"]).success
     with pytest.warns(fb.ModelWarning, match="Piecewise of x"):
         model.simulate((0.0, 0.1), sensitivities=["k"], parameters={"a": 1.0})
+
+
+def test_jumps_that_no_state_shows():
+    """The force has no real value anywhere, on neither side of v = 0: whether it jumps there is said to be unknown."""
+    with pytest.warns(fb.ModelWarning, match="was not compared with its equations"):
+        model = loaded(lambda x, v, t: A * sm.sign(v) * sm.sqrt(-1 - x**2))
+    entry = {"function": "sign of v", "input": "", "by_default": True, "known": False}
+    assert model.manifest["jumps"] == [entry]
 
 
 @pytest.mark.parametrize("stiffness", [1e5, 1e6])

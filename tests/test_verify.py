@@ -10,7 +10,7 @@ import sympy as sm
 import sympy.physics.mechanics as me
 from scipy.integrate import solve_ivp
 from sympy.physics.mechanics.system import System
-from systems import slider
+from systems import pendulum, slider
 
 import fourbar_codegen as fb
 import fourbar_codegen.codegen.c_source
@@ -54,6 +54,25 @@ def test_a_defect_is_found_and_named(tmp_path, monkeypatch, text, pattern, repla
     # Nor is what was not compared taken for what was.
     with pytest.raises(fb.BuildError, match=function):
         fb.compile_model(slider())
+
+
+def test_states_near_the_initial_values_are_compared(tmp_path, monkeypatch):
+    """Elsewhere the logarithm has no real value; where it has none at any state, a warning says so."""
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
+    system = pendulum()
+    pull = sm.log(me.dynamicsymbols("q") - 5) * system.frame.y
+    system.add_loads(me.Force(system.bodies[0].masscenter, pull))
+    given = {"name": "pendulum", "parameters": {"m": 1.0, "l": 1.0, "g": 9.81}}
+    with pytest.warns(fb.ModelWarning, match="was not compared with its equations, which have no real value"):
+        fb.compile_model(fb.Model(system, **given))
+    original = fourbar_codegen.codegen.c_source.kernel_text
+    monkeypatch.setattr(
+        fourbar_codegen.codegen.c_source,
+        "kernel_text",
+        lambda *arguments: re.sub(r"(forcing\[0\] = )", r"\g<1>1.001*", original(*arguments), count=1),
+    )
+    with pytest.raises(fb.BuildError, match="function dynamics, result forcing"):
+        fb.compile_model(fb.Model(system, initial={"q": 6.0}, **given))
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import sympy as sm
 
 from fourbar_codegen.dynamics.equations import Equations
 from fourbar_codegen.dynamics.jumps import jumps
-from fourbar_codegen.expressions.tape import Call, Product, Scalar, Sum, Tape, operands
+from fourbar_codegen.expressions.tape import Call, Product, Scalar, Sum, operands
 from fourbar_codegen.lowering.program import Function, Program
 from fourbar_codegen.modeling.gravity import gravity
 from fourbar_codegen.modeling.mechanism import entries_of
@@ -110,8 +110,7 @@ def _jumps(model: Model, equations: Equations, names: Mapping[str, Sequence[str]
         if value is not None:
             values[leaf] = value
     states = (*names["coordinates"], *names["speeds"], *names["auxiliary_states"])
-    found = jumps(equations, states, _base_names(model, names["inputs"]), values)
-    return [{"function": function, "input": of, "by_default": by_default} for function, of, by_default in found]
+    return [jump._asdict() for jump in jumps(equations, states, _base_names(model, names["inputs"]), values)]
 
 
 def _dependencies(equations: Equations) -> dict[str, list[str]]:
@@ -126,15 +125,8 @@ def _dependencies(equations: Equations) -> dict[str, list[str]]:
         "velocity_violation": e.velocity_violation.entries,
         "default_inputs": e.default_inputs.entries,
     }
-    _spread(tape, tape.reach(entry for entries in rows.values() for entry in entries), masks)
+    tape.spread(tape.reach(entry for entries in rows.values() for entry in entries), masks)
     return {name: [hex(masks.get(entry.node, 0)) for entry in entries] for name, entries in rows.items()}
-
-
-def _spread(tape: Tape, nodes: Sequence[int], masks: dict[int, int]) -> None:
-    """Give each node, in topological order, the union of the masks of what it depends on; leaves have theirs."""
-    for node in nodes:
-        if node not in masks:
-            masks[node] = reduce(or_, (masks.get(operand, 0) for operand in operands(tape.nodes[node])), 0)
 
 
 def _base_names(model: Model, inputs: Sequence[str]) -> list[str]:
@@ -154,7 +146,7 @@ def _timed(model: Model, equations: Equations, names: Mapping[str, Sequence[str]
     entries = [entry for result in results for entry in result.entries]
     nodes = tape.reach(entries)
     everything = {leaf.node: 1 << place for place, (_, leaf) in enumerate(named)}  # what a node depends on
-    _spread(tape, nodes, everything)
+    tape.spread(nodes, everything)
 
     def beside(leaves: Sequence[Scalar]) -> list[str]:
         """What is in terms with these leaves: of a sum only those, of a product all factors, or terms of a factor."""

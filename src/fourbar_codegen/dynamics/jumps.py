@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-import itertools
 import random
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum, auto
+from functools import cache, partial
+from typing import NamedTuple
 
+import numpy as np
 import sympy as sm
+from numpy.typing import NDArray
 
 from fourbar_codegen.dynamics.equations import Equations
 from fourbar_codegen.expressions.breakpoints import are_known, sides
 from fourbar_codegen.expressions.convert import apply
 from fourbar_codegen.expressions.tape import Call, Leaf, Reciprocal, Scalar, Tape
 
-__all__ = ["jumps"]
+__all__ = ["Jump", "jumps"]
+
+Floats = NDArray[np.float64]
 
 ATTEMPTS = 24
 """Random lines along which a condition may switch, ..."""
@@ -21,11 +28,11 @@ ATTEMPTS = 24
 ORDERS = 3
 """... every other one with variables of different orders of magnitude, up to this power of ten."""
 
-DISTANCES = sorted([0.0, *(sign * 10.0**k for k in range(-6, 13) for sign in (1.0, -1.0))])
+DISTANCES = np.array(sorted([0.0, *(sign * 10.0**k for k in range(-6, 13) for sign in (1.0, -1.0))]))
 """Along a line, for conditions in any units."""
 
-HALVINGS = 70
-"""Of the line between two of these, down to neighbouring numbers."""
+DIVISIONS, PARTS = 14, np.linspace(0.0, 1.0, 33)
+"""How often the line between two of these is divided, and where: down to neighbouring numbers."""
 
 NEAR, NEXT = 1e-12, 1e-9
 """Relative distances from a condition, beyond its rounding errors, of values on both sides and of the next ones, which
@@ -38,9 +45,39 @@ ROUNDING = 1e-12
 """... and than this fraction of the row's values."""
 
 
+class Outcome(Enum):
+    """Of a search for a jump."""
+
+    STEADY = auto()
+    JUMPS = auto()
+    UNKNOWN = auto()
+    """Wherever the function may jump, the rows have no real value."""
+
+
+class Jump(NamedTuple):
+    """A function at which rows jump.
+
+    Attributes
+    ----------
+    function : str
+        Such as "sign of u1".
+    input : str
+        The name of the input in whose expression it stands, or "".
+    by_default : bool
+        Whether it jumps with the known values of parameters, not only with others.
+    known : bool
+        Whether it is known that it jumps: not where the rows have no real value at any of the random states.
+    """
+
+    function: str
+    input: str
+    by_default: bool
+    known: bool
+
+
 def jumps(
     equations: Equations, states: Sequence[str], inputs: Sequence[str], parameters: Mapping[Scalar, float]
-) -> list[tuple[str, str, bool]]:
+) -> list[Jump]:
     """The functions at which q', the residual of the equations of motion, or the expression of an input jumps.
 
     Without those that jump at times that follow from parameters alone.
@@ -52,41 +89,50 @@ def jumps(
         Their names.
     parameters : mapping of Scalar to float
         Values of parameters' leaves, where these are known.
-
-    Returns
-    -------
-    list of (str, str, bool)
-        Such as "sign of u1"; the name of the input in whose expression it stands, or ""; and whether it jumps with
-        these values of parameters, not only with others.
     """
     e, tape = equations, equations.tape
     leaves = (*e.coordinates, *e.speeds, *e.auxiliary_states, *e.inputs, e.time)
     names = (*states, *inputs, "t")
     equations_of_motion = [("", (*e.coordinate_rates.entries, *e.residual.entries))]
-    found: dict[tuple[str, str], bool] = {}
+
+    @cache
+    def outcomes(boundary: Scalar, affected: tuple[Scalar, ...]) -> tuple[Outcome, Outcome]:
+        """With the known values of parameters, and with others."""
+        own = _look(e, boundary, affected, parameters)
+        return own, own if own is Outcome.JUMPS else _look(e, boundary, affected, {})
+
+    found: dict[tuple[str, str, bool], bool] = {}
     for of, rows in (*equations_of_motion, *((n, (d,)) for n, d in zip(inputs, e.default_inputs.entries, strict=True))):
         nodes = tape.reach(rows)
-        moving = tape.dependent(nodes, leaves)
-        for node in nodes:
-            operation = tape.nodes[node]
-            if not isinstance(operation, Call) or node not in moving:
+        for call, function, boundary in _moving_boundaries(tape, nodes, leaves):
+            reached = set(tape.reach([boundary]))
+            by = [name for name, leaf in zip(names, leaves, strict=True) if leaf.node in reached]
+            if not by or are_known(tape, e.time, boundary):
                 continue
+            dependent = tape.dependent(nodes, [Scalar(tape, 1, call)])
+            own, other = outcomes(boundary, tuple(row for row in rows if row.node in dependent))
+            if Outcome.JUMPS in (own, other) or {own, other} == {Outcome.UNKNOWN}:
+                is_known = own is not Outcome.UNKNOWN
+                key = f"{type(function).__name__} of {', '.join(by)}", of, is_known
+                found[key] = found.get(key, False) or own is not Outcome.STEADY
+    return [Jump(name, of, by_these, is_known) for (name, of, is_known), by_these in found.items()]
+
+
+def _moving_boundaries(
+    tape: Tape, nodes: Sequence[int], leaves: Sequence[Scalar]
+) -> Iterator[tuple[int, sm.Expr, Scalar]]:
+    """Calls among nodes that depend on leaves, each with the scalars at whose sign changes it may jump."""
+    moving = tape.dependent(nodes, leaves)
+    for node in nodes:
+        operation = tape.nodes[node]
+        if isinstance(operation, Call) and node in moving:
             arguments = [Scalar(tape, 1, argument) for argument in operation.arguments]
-            affected = [row for row in rows if tape.depends([row], [Scalar(tape, 1, node)])]
-            has_poles = _has_poles(tape, arguments, moving)
-            for boundary in (apply(tape, side, arguments) for side in _boundaries(operation.expression, has_poles)):
-                by = [name for name, leaf in zip(names, leaves, strict=True) if tape.depends([boundary], [leaf])]
-                if not by or are_known(tape, e.time, boundary):
-                    continue
-                key = f"{type(operation.expression).__name__} of {', '.join(by)}", of
-                if _jumps_at(e, boundary, affected, parameters):
-                    found[key] = True
-                elif _jumps_at(e, boundary, affected, {}):
-                    found.setdefault(key, False)
-    return [(*key, by_these) for key, by_these in found.items()]
+            sides = _boundaries(operation.expression, partial(_have_poles, tape, arguments, moving))
+            for boundary in dict.fromkeys(apply(tape, side, arguments) for side in sides):
+                yield node, operation.expression, boundary
 
 
-def _has_poles(tape: Tape, arguments: Sequence[Scalar], moving: Collection[int]) -> bool:
+def _have_poles(tape: Tape, arguments: Sequence[Scalar], moving: Collection[int]) -> bool:
     """Whether arguments have poles in what moves."""
     operations = (tape.nodes[node] for node in tape.reach(arguments) if node in moving)
     return any(
@@ -94,68 +140,92 @@ def _has_poles(tape: Tape, arguments: Sequence[Scalar], moving: Collection[int])
     )
 
 
-def _boundaries(function: sm.Expr, has_poles: bool) -> Iterator[sm.Expr]:
+def _boundaries(function: sm.Expr, have_poles: Callable[[], bool]) -> Iterator[sm.Expr]:
     """Expressions that change sign where a function may jump."""
     yield from sides(function)
     if isinstance(function, sm.floor | sm.ceiling):
         yield sm.sin(sm.pi * function.args[0])
     elif isinstance(function, sm.atan2 | sm.acot):
         yield function.args[0]
-    elif has_poles and isinstance(function, sm.atan | sm.tanh | sm.erf):
+    elif isinstance(function, sm.atan | sm.tanh | sm.erf) and have_poles():
         yield 1 / function.args[0]
 
 
-def _jumps_at(e: Equations, boundary: Scalar, rows: Sequence[Scalar], parameters: Mapping[Scalar, float]) -> bool:
-    """Whether the rows jump at a sign change of a scalar on one of several random lines."""
+@dataclass(frozen=True)
+class Lines:
+    """Lines in the space of the leaves.
+
+    Attributes
+    ----------
+    origins, ways : dict of Scalar to ndarray, shape (lines, 1)
+        For each leaf its values at the lines' origins, and its changes along these.
+    """
+
+    origins: dict[Scalar, Floats]
+    ways: dict[Scalar, Floats]
+
+    def values(self, scalars: Sequence[Scalar], shares: Floats) -> Floats:
+        """Values of scalars at places of the lines, shape (lines, places): shape (scalars, lines, places)."""
+        tape = scalars[0].tape
+        leaves = [leaf for leaf in (Scalar(tape, 1, node) for node in tape.reach(scalars)) if leaf in self.origins]
+        point = {leaf: self.origins[leaf] + shares * self.ways[leaf] for leaf in leaves}
+        return np.array([np.broadcast_to(value, shares.shape) for value in tape.evaluate_at(scalars, point)])
+
+    def only(self, lines: NDArray[np.intp]) -> Lines:
+        """Some of the lines."""
+        origins, ways = ({leaf: all_[lines] for leaf, all_ in of.items()} for of in (self.origins, self.ways))
+        return Lines(origins, ways)
+
+
+def _random_lines(e: Equations, scalars: Sequence[Scalar], parameters: Mapping[Scalar, float]) -> Lines:
     tape, generator = e.tape, random.Random(0)
-    leaves = [Scalar(tape, 1, n) for n in tape.reach([boundary, *rows]) if isinstance(tape.nodes[n], Leaf)]
+    leaves = [Scalar(tape, 1, n) for n in tape.reach(scalars) if isinstance(tape.nodes[n], Leaf)]
+    lines: dict[Scalar, list[tuple[float, float]]] = {leaf: [] for leaf in leaves}
     for attempt in range(ATTEMPTS):
         known = {leaf: parameters[leaf] if leaf in parameters else generator.uniform(0.5, 1.5) for leaf in e.parameters}
         sizes = [10.0 ** generator.uniform(-ORDERS, ORDERS) if attempt % 2 else 1.0 for _ in leaves]
-        line = {
-            leaf: (size * generator.uniform(-1.0, 1.0), size * generator.uniform(-1.0, 1.0))
-            for leaf, size in zip(leaves, sizes, strict=True)
-        }
-        line |= {leaf: (value, 0.0) for leaf, value in known.items()}
-        ends = _switch({share: _is_positive(boundary, line, share) for share in DISTANCES})
-        if ends is None:
-            continue
-        low, high = ends
-        before = _is_positive(boundary, line, low)
-        for _ in range(HALVINGS):
-            middle = (low + high) / 2.0
-            low, high = (middle, high) if _is_positive(boundary, line, middle) == before else (low, middle)
-        far = max(abs(low), abs(high))
-        places = (ends[0], low - NEXT * far, low - NEAR * far, high + NEAR * far, high + NEXT * far, ends[1])
-        of_all = [_values(rows, line, share) for share in places]
-        if None in of_all:
-            continue
-        for first, earlier, last, then, later, end in zip(*filter(None, of_all), strict=True):
-            steady = STEADY * (abs(last - earlier) + abs(later - then))
-            if abs(then - last) > steady + ROUNDING * max(map(abs, (first, earlier, last, then, later, end))):
-                return True
-    return False
+        for leaf, size in zip(leaves, sizes, strict=True):
+            drawn = size * generator.uniform(-1.0, 1.0), size * generator.uniform(-1.0, 1.0)
+            lines[leaf].append((known[leaf], 0.0) if leaf in known else drawn)
+    columns = {leaf: np.array(pairs)[..., np.newaxis] for leaf, pairs in lines.items()}
+    origins, ways = ({leaf: pairs[:, i] for leaf, pairs in columns.items()} for i in (0, 1))
+    return Lines(origins, ways)
 
 
-Line = Mapping[Scalar, tuple[float, float]]
-"""For each leaf its value at the origin of a line, and its change along it."""
+def _look(e: Equations, boundary: Scalar, rows: Sequence[Scalar], parameters: Mapping[Scalar, float]) -> Outcome:
+    """Whether the rows jump at a sign change of a scalar on one of several random lines."""
+    lines = _random_lines(e, [boundary, *rows], parameters)
+    [values] = lines.values([boundary], np.tile(DISTANCES, (ATTEMPTS, 1)))
+    known, positive = np.isfinite(values), values > 0.0
+    switches = known[:, :-1] & known[:, 1:] & (positive[:, :-1] != positive[:, 1:])
+    chosen = np.flatnonzero(switches.any(axis=1))
+    if not len(chosen):
+        return Outcome.STEADY if known.any(axis=1).all() else Outcome.UNKNOWN
+    lines = lines.only(chosen)
+    distances = np.minimum(np.abs(DISTANCES[:-1]), np.abs(DISTANCES[1:]))
+    places = np.where(switches[chosen], distances, np.inf).argmin(axis=1)[:, np.newaxis]  # the nearest
+    begin, end = DISTANCES[places], DISTANCES[places + 1]
+    low, high = _switch(lines, boundary, begin, end, np.take_along_axis(positive[chosen], places, axis=1))
+    far = np.maximum(np.abs(low), np.abs(high))
+    around = [begin, low - NEXT * far, low - NEAR * far, high + NEAR * far, high + NEXT * far, end]
+    values = lines.values(rows, np.hstack(around))
+    earlier, last, then, later = np.moveaxis(values[..., 1:-1], 2, 0)
+    with np.errstate(invalid="ignore"):  # where a row has no real value, comparisons are false
+        steady = STEADY * (np.abs(last - earlier) + np.abs(later - then))
+        if (np.abs(then - last) > steady + ROUNDING * np.abs(values).max(axis=2)).any():
+            return Outcome.JUMPS
+    # At the edge of its domain, such as that of a root, a row has values on one side.
+    has_values = (np.isfinite(earlier) & np.isfinite(last)) | (np.isfinite(then) & np.isfinite(later))
+    return Outcome.STEADY if has_values.all(axis=0).any() else Outcome.UNKNOWN
 
 
-def _values(scalars: Sequence[Scalar], line: Line, share: float) -> list[float] | None:
-    """Values at a place of a line, or None where they have none."""
-    try:
-        return scalars[0].tape.evaluate(scalars, {leaf: start + share * way for leaf, (start, way) in line.items()})
-    except (ArithmeticError, ValueError, TypeError):
-        return None
-
-
-def _is_positive(boundary: Scalar, line: Line, share: float) -> bool | None:
-    values = _values([boundary], line, share)
-    return None if values is None else values[0] > 0.0
-
-
-def _switch(signs: Mapping[float, bool | None]) -> tuple[float, float] | None:
-    """The places next to zero between which a sign changes."""
-    pairs = itertools.pairwise(signs)
-    found = [(a, b) for a, b in pairs if None not in (signs[a], signs[b]) and signs[a] != signs[b]]
-    return min(found, key=lambda pair: min(map(abs, pair)), default=None)
+def _switch(
+    lines: Lines, boundary: Scalar, low: Floats, high: Floats, before: NDArray[np.bool_]
+) -> tuple[Floats, Floats]:
+    """Neighbouring numbers between which a sign changes from what it is before."""
+    for _ in range(DIVISIONS):
+        places = low + (high - low) * PARTS
+        [values] = lines.values([boundary], places[:, 1:-1])
+        switched = np.hstack(((values > 0.0) != before, np.ones_like(before))).argmax(axis=1)[:, np.newaxis]
+        low, high = (np.take_along_axis(places, switched + i, axis=1) for i in (0, 1))
+    return low, high

@@ -193,8 +193,5 @@ def _violation(
 
 
 def _numbers(tape: Tape, scalars: Sequence[Scalar], point: Point) -> Floats | None:
-    try:
-        numbers = np.array(tape.evaluate(scalars, point))
-    except (ArithmeticError, ValueError, TypeError):
-        return None
+    numbers = np.array(tape.evaluate(scalars, point))
     return numbers if np.isfinite(numbers).all() else None

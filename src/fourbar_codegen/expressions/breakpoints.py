@@ -91,7 +91,8 @@ def _alternatives(tape: Tape, time: Scalar, scalar: Scalar) -> list[Scalar]:
     found: list[Scalar] = []
     while waiting:
         part = waiting.pop()
-        choices = ((node, _choices(tape, time, node)) for node in tape.reach([part]))
+        # The last node first: what is not chosen there need not be decided.
+        choices = ((node, _choices(tape, time, node)) for node in reversed(tape.reach([part])))
         node, chosen = next((choice for choice in choices if choice[1]), (None, []))
         if node is None or len(waiting) + len(found) >= MAX_ALTERNATIVES:
             found.append(part)

@@ -111,14 +111,34 @@ class Conversion:
                 # powers stay, since the derivative of E^(3/2) is 0 where E is 0, but that of the root is not.
                 root, power = (sm.S.Half, exponent.p) if exponent.q == 2 else (-exponent, -1)
                 return tape.power(apply(tape, sm.Pow(placeholder(0), root), [known[base]]), power)
+        if isinstance(node, sm.Piecewise):
+            return self._piecewise(node)
         arguments = _arguments(node)
         stand_ins = {argument: placeholder(i) for i, argument in enumerate(arguments)}
         return apply(tape, _with_arguments(node, stand_ins), [known[argument] for argument in arguments])
+
+    def _piecewise(self, node: sm.Piecewise) -> Scalar:
+        """Branch by branch, "if ... else ...": so derivatives of n branches have n parts, not n^2."""
+        known, otherwise = self._known, list[Scalar]()  # no value, if the last condition does not hold either
+        for branch, condition in reversed(node.args):
+            if condition == sm.true:
+                otherwise = [known[branch]]
+                continue
+            values = [known[branch], *otherwise]
+            arguments = _arguments(condition)
+            stand_ins = {argument: placeholder(len(values) + i) for i, argument in enumerate(arguments)}
+            conditions = [_with_arguments(condition, stand_ins), sm.true][: len(values)]
+            choice = sm.Piecewise(*[(placeholder(i), each) for i, each in enumerate(conditions)])
+            otherwise = [apply(self.tape, choice, [*values, *[known[argument] for argument in arguments]])]
+        return otherwise[0]
 
 
 RECIPROCALS = {sm.sech: sm.cosh, sm.csch: sm.sinh, sm.coth: sm.tanh}
 OF_RECIPROCALS = {sm.acoth: sm.atanh, sm.asech: sm.acosh, sm.acsch: sm.asinh}
 """C functions for what SymPy would print as exponentials, which overflow, and logarithms, which cancel."""
+
+CURVES = "sympy.physics.biomechanics.curve"
+"""Muscles' characteristic curves: names of formulas. The module takes 0.1 s to import, which only muscles need."""
 
 
 def apply(tape: Tape, function: sm.Expr, arguments: Sequence[Scalar]) -> Scalar:
@@ -138,6 +158,8 @@ def apply(tape: Tape, function: sm.Expr, arguments: Sequence[Scalar]) -> Scalar:
         rest = 1 / RECIPROCALS[rest.func](*rest.args)
     elif rest.func in OF_RECIPROCALS:
         rest = OF_RECIPROCALS[rest.func](1 / rest.args[0])
+    elif type(rest).__module__ == CURVES:
+        rest = rest.doit(deep=False, evaluate=False)
     elif isinstance(rest, sm.sinc):
         rest = smooth_sinc(*rest.args)
     elif isinstance(rest, sm.Mod):
@@ -147,7 +169,8 @@ def apply(tape: Tape, function: sm.Expr, arguments: Sequence[Scalar]) -> Scalar:
     leaves = {placeholder(i): Scalar(tape, 1, node) for i, node in enumerate(nodes)}
     arithmetic = rest.is_Atom or rest.is_Add or rest.is_Mul or rest.is_number
     power = rest.is_Pow and rest.exp.is_Rational and (rest.exp.is_Integer or rest.exp < 0)
-    if arithmetic or power or not all(_is_multiple(argument) for argument in _arguments(rest)):
+    many = isinstance(rest, sm.Piecewise) and len(rest.args) > 2
+    if arithmetic or power or many or not all(_is_multiple(argument) for argument in _arguments(rest)):
         return Conversion(tape, leaves)(rest) * _number(factor)
     used = sorted(rest.free_symbols, key=lambda symbol: symbol.name)
     called = rest.xreplace({symbol: placeholder(i) for i, symbol in enumerate(used)})

@@ -1,85 +1,153 @@
-"""Expressions as numbers, in double precision and without C, as a reference for compiled functions."""
+"""Expressions as numbers, in double precision and without C, as a reference for compiled functions.
+
+All at once for arrays of arguments. As in C, what has no real value is not a number, so that a root in the branch of a
+Piecewise that is not taken does no harm.
+"""
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
+from typing import Any
 
+import numpy as np
 import sympy as sm
-from sympy.logic.boolalg import Boolean, BooleanFunction
+from numpy.typing import NDArray
+from sympy.codegen import cfunctions
+from sympy.logic.boolalg import Boolean
 
-__all__ = ["number"]
+from fourbar_codegen.errors import ModelError
 
-FUNCTIONS: dict[type, Callable[..., float]] = {
-    sm.sin: math.sin,
-    sm.cos: math.cos,
-    sm.tan: math.tan,
-    sm.asin: math.asin,
-    sm.acos: math.acos,
-    sm.atan: math.atan,
-    sm.atan2: math.atan2,
-    sm.sinh: math.sinh,
-    sm.cosh: math.cosh,
-    sm.tanh: math.tanh,
-    sm.exp: math.exp,
-    sm.log: math.log,
-    sm.Abs: abs,
-    sm.floor: math.floor,
-    sm.ceiling: math.ceil,
-    sm.sign: lambda x: (x > 0) - (x < 0),
+__all__ = ["Floats", "Function", "function"]
+
+Floats = NDArray[np.float64]
+Function = Callable[..., Any]
+"""Of arrays, to an array: of numbers, or of truth values for conditions."""
+
+
+def _by_element(function: Callable[..., float]) -> Function:
+    """A function of numbers for arrays."""
+
+    def guarded(*arguments: float) -> float:
+        try:
+            return function(*arguments)
+        except (ArithmeticError, ValueError):
+            return math.nan
+
+    return np.vectorize(guarded, otypes=[float])
+
+
+FUNCTIONS: dict[type, Function] = {
+    sm.Add: lambda *terms: functools.reduce(np.add, terms),
+    sm.Mul: lambda *factors: functools.reduce(np.multiply, factors),
+    sm.Pow: np.power,
+    sm.sin: np.sin,
+    sm.cos: np.cos,
+    sm.tan: np.tan,
+    sm.cot: lambda x: 1.0 / np.tan(x),
+    sm.sec: lambda x: 1.0 / np.cos(x),
+    sm.csc: lambda x: 1.0 / np.sin(x),
+    sm.asin: np.arcsin,
+    sm.acos: np.arccos,
+    sm.atan: np.arctan,
+    sm.acot: lambda x: np.arctan(1.0 / x),
+    sm.asec: lambda x: np.arccos(1.0 / x),
+    sm.acsc: lambda x: np.arcsin(1.0 / x),
+    sm.atan2: np.arctan2,
+    sm.sinh: np.sinh,
+    sm.cosh: np.cosh,
+    sm.tanh: np.tanh,
+    sm.asinh: np.arcsinh,
+    sm.acosh: np.arccosh,
+    sm.atanh: np.arctanh,
+    sm.exp: np.exp,
+    sm.log: np.log,
+    sm.Abs: np.abs,
+    sm.floor: np.floor,
+    sm.ceiling: np.ceil,
+    sm.sign: np.sign,
+    sm.Heaviside: np.heaviside,
+    sm.Max: lambda *choices: functools.reduce(np.maximum, choices),
+    sm.Min: lambda *choices: functools.reduce(np.minimum, choices),
+    sm.erf: _by_element(math.erf),
+    sm.erfc: _by_element(math.erfc),
+    sm.gamma: _by_element(math.gamma),
+    sm.loggamma: _by_element(math.lgamma),
+    cfunctions.exp2: np.exp2,
+    cfunctions.expm1: np.expm1,
+    cfunctions.log2: np.log2,
+    cfunctions.log10: np.log10,
+    cfunctions.log1p: np.log1p,
+    cfunctions.hypot: np.hypot,
+    cfunctions.Cbrt: np.cbrt,
+    sm.Gt: np.greater,
+    sm.Ge: np.greater_equal,
+    sm.Lt: np.less,
+    sm.Le: np.less_equal,
+    sm.Eq: np.equal,
+    sm.Ne: np.not_equal,
+    sm.And: lambda *parts: functools.reduce(np.logical_and, parts),
+    sm.Or: lambda *parts: functools.reduce(np.logical_or, parts),
+    sm.Xor: lambda *parts: functools.reduce(np.logical_xor, parts),
+    sm.Not: np.logical_not,
+    sm.ITE: np.where,
 }
-"""All others are evaluated by SymPy itself."""
+"""All others are evaluated by SymPy itself, number by number."""
 
 
-def number(expr: sm.Expr, values: Mapping[sm.Symbol, float]) -> float:
-    """The value of an expression.
+def function(arguments: Sequence[sm.Symbol], expression: sm.Basic) -> Function:
+    """An expression or a condition as a function of arrays.
 
     Parameters
     ----------
-    expr : Expr
-    values : mapping of Symbol to float
+    arguments : sequence of Symbol
+    expression : Expr or Boolean
 
     Returns
     -------
-    float
+    callable
+        Of one number or array for each argument. Where it has no real value, its value is not a number.
 
     Raises
     ------
-    ArithmeticError, ValueError, TypeError
-        Where it has no real and finite value.
+    ModelError
+        If it contains a condition or a symbol of which no value is known.
 
     Examples
     --------
     >>> x = sm.Symbol("x")
-    >>> number(sm.sqrt(x) + 1, {x: 4.0})
-    3.0
+    >>> function([x], sm.sqrt(x) + 1)(np.array([4.0, 9.0])).tolist()
+    [3.0, 4.0]
     """
-    if expr.is_Symbol:
-        return values[expr]
-    if expr.is_Add:
-        return math.fsum(number(argument, values) for argument in expr.args)
-    if expr.is_Mul:
-        return math.prod(number(argument, values) for argument in expr.args)
-    if not expr.args:
-        return float(expr)
-    if expr.is_Pow:
-        base, exponent = expr.args
-        # Unlike **, math.pow refuses a negative base with a non-integer exponent.
-        return math.pow(number(base, values), number(exponent, values))
-    if isinstance(expr, sm.Piecewise):
-        return next((number(branch, values) for branch, condition in expr.args if _holds(condition, values)), math.nan)
-    arguments = [number(argument, values) for argument in expr.args]
-    function = FUNCTIONS.get(type(expr))
-    return float(function(*arguments) if function else expr.func(*map(sm.Float, arguments)))
+    places = {symbol: place for place, symbol in enumerate(arguments)}
+
+    def of(node: sm.Basic) -> Function:
+        if node in places:
+            place = places[node]
+            return lambda *values: values[place]
+        if node in (sm.true, sm.false):
+            return lambda *_: np.bool_(node)
+        if node.is_Number or node.is_NumberSymbol:
+            number = float(node)
+            return lambda *_: np.float64(number)
+        if isinstance(node, sm.Piecewise):
+            branches = [of(branch) for branch, _ in node.args]
+            conditions = [of(condition) for _, condition in node.args]
+            return lambda *values: np.select(
+                [condition(*values) for condition in conditions], [branch(*values) for branch in branches], np.nan
+            )
+        if not node.args or (isinstance(node, Boolean) and node.func not in FUNCTIONS):
+            raise ModelError(f"{node} cannot be compiled: its value is not known.")
+        parts, known = [of(part) for part in node.args], FUNCTIONS.get(node.func) or _by_sympy(node)
+        return lambda *values: known(*[part(*values) for part in parts])
+
+    return of(expression)
 
 
-def _holds(condition: Boolean, values: Mapping[sm.Symbol, float]) -> bool:
-    if isinstance(condition, BooleanFunction):
-        known = condition.func(*(sm.true if _holds(part, values) else sm.false for part in condition.args))
-    elif condition.is_Relational:
-        known = condition.func(*(sm.Float(number(side, values)) for side in condition.args))
-    else:
-        known = condition
-    if known not in (sm.true, sm.false):  # bool() would be true for any other object
-        raise TypeError(f"It is not known whether {condition} holds.")
-    return bool(known)
+def _by_sympy(node: sm.Basic) -> Function:
+    def value(*numbers: float) -> float:
+        found = node.func(*map(sm.Float, numbers)).evalf()
+        return float(found) if found.is_Number else math.nan  # a complex number, or one that SymPy does not know
+
+    return _by_element(value)

@@ -12,11 +12,14 @@ import math
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import reduce
+from operator import or_
 from typing import Any, NamedTuple
 
+import numpy as np
 import sympy as sm
 
-from fourbar_codegen.expressions.numeric import number
+from fourbar_codegen.expressions.numeric import Floats, Function, function
 
 __all__ = [
     "ONE",
@@ -229,6 +232,7 @@ class Tape:
         self.nodes: list[Node] = [Product(())]
         self._operands: list[tuple[int, ...]] = [()]
         self._numbers: dict[tuple[type, Any], int] = {}
+        self._functions: dict[sm.Expr, Function] = {}
         self.zero = Scalar(self, 0, ONE)
         self.one = Scalar(self, 1, ONE)
 
@@ -353,44 +357,56 @@ class Tape:
                 found.add(node)
         return found
 
+    def spread(self, nodes: Iterable[int], masks: dict[int, int]) -> None:
+        """Give each node, in topological order, the union of the masks of what it depends on; leaves have theirs."""
+        for node in nodes:
+            if node not in masks:
+                masks[node] = reduce(or_, (masks.get(operand, 0) for operand in self._operands[node]), 0)
+
     def evaluate(self, scalars: Sequence[Scalar], values: Mapping[Scalar, float]) -> list[float]:
         """Numbers for scalars, for given numbers of all leaves that they depend on.
 
-        Raises
-        ------
-        ArithmeticError, ValueError, TypeError
-            Where one has no real and finite value.
+        As in C, what has no real value is not a number.
         """
-        known = self.evaluate_nodes(self.reach(scalars), values)
-        return [float(scalar.coefficient) * known[scalar.node] for scalar in scalars]
+        return [float(number) for number in self.evaluate_at(scalars, values)]
 
-    def evaluate_nodes(self, nodes: Iterable[int], values: Mapping[Scalar, float]) -> dict[int, float]:
-        """Numbers for nodes, which are given in topological order."""
-        known = {leaf.node: value for leaf, value in values.items()}
-        known[ONE] = 1.0
-        for node in nodes:
-            if node in known:
-                continue
-            operation = self.nodes[node]
-            match operation:
-                case Sum(terms):
-                    known[node] = sum([known[term] * coefficient for term, coefficient in terms])
-                case Product(factors):
-                    known[node] = math.prod([known[factor] for factor in factors])
-                case Reciprocal(denominator):
-                    known[node] = 1.0 / known[denominator]
-                case Call(expression, arguments):
-                    stand_ins = {placeholder(i): known[argument] for i, argument in enumerate(arguments)}
-                    known[node] = number(expression, stand_ins)
-                case Leaf():
-                    raise ValueError(f"no value for {operation.name}")
-        return known
+    def evaluate_at(self, scalars: Iterable[Scalar], values: Mapping[Scalar, float | Floats]) -> list[Floats]:
+        """The same at many points: for arrays of numbers, whose shapes are broadcast."""
+        scalars = list(scalars)
+        known: dict[int, Any] = {leaf.node: np.float64(value) for leaf, value in values.items()}
+        known[ONE] = np.float64(1.0)
+        with np.errstate(all="ignore"):
+            for node in self.reach(scalars, known):
+                operation = self.nodes[node]
+                match operation:
+                    case Sum(terms):
+                        known[node] = sum([known[term] * _in_double(factor) for term, factor in terms])
+                    case Product(factors):
+                        known[node] = math.prod([known[factor] for factor in factors])
+                    case Reciprocal(denominator):
+                        known[node] = 1.0 / known[denominator]
+                    case Call(expression, arguments):
+                        called = self._functions.get(expression)
+                        if called is None:
+                            symbols = [placeholder(i) for i in range(len(arguments))]
+                            called = self._functions[expression] = function(symbols, expression)
+                        known[node] = called(*[known[argument] for argument in arguments])
+                    case Leaf():
+                        raise ValueError(f"no value for {operation.name}")
+            return [known[scalar.node] * _in_double(scalar.coefficient) for scalar in scalars]
 
 
 def _inverse(value: Number) -> Number:
     if not value:
         raise ZeroDivisionError("a scalar divided by the number zero")
     return 1.0 / value if isinstance(value, float) else _plain(1 / Fraction(value))
+
+
+def _in_double(value: Number) -> float:
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf
 
 
 def magnitude(value: Number) -> Number:

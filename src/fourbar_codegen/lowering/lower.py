@@ -7,9 +7,9 @@ and eliminate common subexpressions.
 from __future__ import annotations
 
 import itertools
+import math
 import random
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 
 from fourbar_codegen.dynamics.derivatives import Derivatives
 from fourbar_codegen.dynamics.equations import Equations
@@ -481,8 +481,9 @@ def _evaluated(
     e: Equations, entries: Sequence[Scalar], points: Iterable[Mapping[Scalar, float]]
 ) -> Iterator[list[float]]:
     for values in points:
-        with suppress(ArithmeticError, ValueError, TypeError):  # some expressions have no value there
-            yield e.tape.evaluate(entries, values)
+        numbers = e.tape.evaluate(entries, values)
+        if all(map(math.isfinite, numbers)):  # some expressions have no value there
+            yield numbers
 
 
 def _structure(e: Equations, rank: int) -> Structure | None:

@@ -73,15 +73,20 @@ def simulate(model: Kernel, options: RunOptions, directions: Directions | None =
 
 
 def _check_differentiable(model: Kernel, options: RunOptions) -> None:
-    functions = _jumping(model, options) if model.manifest["jumps"] else []
-    if functions:
-        warnings.warn(
-            f"The equations of {model.name} jump at times that are not known beforehand ({'; '.join(functions)}). If "
-            "the run passes a jump, its derivatives leave out the change of the time of the jump: make forces "
-            "continuous, for instance by tanh instead of sign.",
-            ModelWarning,
-            stacklevel=4,
-        )
+    jumps = _jumps(model, options) if model.manifest["jumps"] else []
+    for sentence, is_known in (
+        ("jump at times that are not known beforehand ({})", True),
+        ("may jump ({}): where they might, they have no real value at any of the random states that were tried", False),
+    ):
+        functions = "; ".join(entry["function"] for entry in jumps if entry["known"] is is_known)
+        if functions:
+            warnings.warn(
+                f"The equations of {model.name} {sentence.format(functions)}. If the run passes a jump, its "
+                "derivatives leave out the change of the time of the jump: make forces continuous, for instance by "
+                "tanh instead of sign.",
+                ModelWarning,
+                stacklevel=4,
+            )
     if options.sensitivities and any(callable(event.function) for event in options.events or ()):
         raise ModelError("Events by callables have no derivatives: make the function an output of the model.")
     for key, source in (options.inputs or {}).items():
@@ -89,13 +94,13 @@ def _check_differentiable(model: Kernel, options: RunOptions) -> None:
             raise ModelError(f"Input {name_of(key)} is a callable, whose derivatives are not known: use a table.")
 
 
-def _jumping(model: Kernel, options: RunOptions) -> list[str]:
-    """The functions at which the equations may jump with these parameters and inputs."""
+def _jumps(model: Kernel, options: RunOptions) -> list[dict[str, Any]]:
+    """The jumps that count with these parameters and inputs."""
     given = {name_of(key) for key in options.inputs or ()}
     p, defaults = options.parameters, parameter_array(model, None)
     has_others = p is not None and not np.array_equal(p, defaults, equal_nan=True)
     return [
-        entry["function"]
+        entry
         for entry in model.manifest["jumps"]
         if entry["input"] not in given and (entry["by_default"] or has_others)
     ]

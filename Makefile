@@ -1,4 +1,4 @@
-# make run, make test, make lint, make docs, make screenshots, make bench, make fuzz, make ecosystem: each sets up what it needs in .venv.
+# make run, make test, make lint, make docs, make screenshots, make bench, make compile-times, make fuzz, make ecosystem: each sets up what it needs in .venv.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -11,7 +11,7 @@ SOURCES := pyproject.toml setup.py $(wildcard src/fourbar_codegen/runtime/*.pyx 
 # Tests and benchmarks start Python many times: without it, each of them compiles SymPy anew, which takes seconds.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run test lint docs screenshots bench fuzz ecosystem generate clean
+.PHONY: run test lint docs screenshots bench compile-times fuzz ecosystem generate clean
 
 run: $(INSTALLED_RUN)
 	$(BIN)/fourbar simulate four_bar -o results/four_bar.csv -o results/four_bar.npz -o results/four_bar.png
@@ -40,6 +40,7 @@ bench: $(INSTALLED)
 	$(BIN)/python -m pip install --quiet --editable '.[bench]'
 	$(BIN)/python benchmarks/four_bar.py --output results/benchmark.json
 	$(BIN)/python benchmarks/cold.py --output results/cold.json
+	$(BIN)/python benchmarks/compile_times.py --output results/compile_times.json
 	$(BIN)/python benchmarks/models.py --output results/models.json
 	$(BIN)/python benchmarks/drift.py --output results/drift.json
 	$(BIN)/python benchmarks/methods.py --output results/methods.json
@@ -52,6 +53,10 @@ bench: $(INSTALLED)
 	$(BIN)/python benchmarks/scale.py --output results/scale.json
 	$(BIN)/python benchmarks/export.py --output results/export.json
 	$(BIN)/python benchmarks/page.py --output results/page.json
+
+# What compiling ten models takes by stage; a minute or two.
+compile-times: $(INSTALLED)
+	$(BIN)/python benchmarks/compile_times.py
 
 # Hours: 100,000 calls, 1,000 Systems. FUZZ='--calls 1000' does fewer of these, as `python -m fuzz.runner run --help` says.
 fuzz: $(INSTALLED)

@@ -584,6 +584,14 @@ def test_the_same_text_every_time_and_no_globals(tmp_path):
     assert data < 1000  # pointers of the constant table, which the linker fills in
 
 
+@pytest.mark.parametrize("optimization", ["-Os", "-O3"])
+def test_no_warnings_without_inputs(tmp_path, optimization):
+    """gcc follows arrays without entries, such as those of the derivatives by inputs, into functions."""
+    folder = fb.export_c(fb.models.chain(5), tmp_path)
+    for source in folder.glob("*.c"):
+        subprocess.run([require("gcc"), *STRICT, optimization, "-c", source, "-o", os.devnull], check=True)
+
+
 @pytest.mark.parametrize("name", ["model", "motion", "state", "step", "x", "m0", "energy", "next"])
 def test_natural_names(tmp_path, name):
     """Functions and variables of the sources may have the model's name, which is a type in C and C++ for its users."""

@@ -352,7 +352,7 @@ def _columns_text(columns: Function, factors: Function) -> str:
     arguments = ", ".join(array.name for array in factors.arguments)
     function = "fb_apply_columns" if of_variation else "fb_fill_columns"
     lines = [
-        f"double factors[{max(len(nodes.nodes), 1)}];",
+        f"double factors[{len(nodes.nodes)}];" if nodes.nodes else "double factors[1] = {0.0}; /* none */",
         f"fb_many {', '.join(f'{array}[{length}]' for array, length in sizes)};",
         f"{name}{FACTORS}({arguments}, factors);",
         f"{function}({call});",

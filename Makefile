@@ -52,6 +52,7 @@ bench: $(INSTALLED)
 	$(BIN)/python benchmarks/pins.py --output results/pins.json
 	$(BIN)/python benchmarks/scale.py --output results/scale.json
 	$(BIN)/python benchmarks/export.py --output results/export.json
+	$(BIN)/python benchmarks/footprint.py --output results/footprint.json
 	$(BIN)/python benchmarks/page.py --output results/page.json
 
 # What compiling ten models takes by stage; a minute or two.

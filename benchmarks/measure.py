@@ -110,16 +110,18 @@ def options_of(description: str | None) -> argparse.Namespace:
     """The options of a benchmark that makes one table."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--rounds", type=int, default=15)
-    parser.add_argument("--docs", action="store_true", help="write the table into docs/benchmarks.md")
+    parser.add_argument("--docs", action="store_true", help="write the table into the documentation")
     parser.add_argument("--output", type=Path, help="a JSON file")
     return parser.parse_args()
 
 
-def publish(options: argparse.Namespace, name: str, table: str, report: dict[str, Any]) -> None:
+def publish(
+    options: argparse.Namespace, name: str, table: str, report: dict[str, Any], page: Path = DOCS / "benchmarks.md"
+) -> None:
     """Print the table of benchmarks/{name}.py, and write it and the report where the options say."""
     print(table)
     if options.docs:
-        replace_in_page(DOCS / "benchmarks.md", name, table, f"python benchmarks/{name}.py --docs", report)
+        replace_in_page(page, name, table, f"python benchmarks/{name}.py --docs", report)
     if options.output:
         options.output.parent.mkdir(parents=True, exist_ok=True)
         options.output.write_text(json.dumps(report, indent=2))

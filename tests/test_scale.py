@@ -12,11 +12,14 @@ import sympy as sm
 import sympy.physics.mechanics as me
 from newton_euler import Link, joint_torques
 from scale import spherical_chain
+from scipy.optimize import brentq
 from sympy.physics.mechanics.models import n_link_pendulum_on_cart
 from sympy.physics.mechanics.system import System
 from tutorial import Tutorial
 
 import fourbar_codegen as fb
+from fourbar_codegen.dynamics.equations import form_equations
+from fourbar_codegen.lowering.lower import lower
 
 G = 9.81
 X, Y, Z = np.eye(3)
@@ -216,3 +219,54 @@ def test_the_code_of_a_spline_grows_linearly():
         np.testing.assert_allclose(model.jacobian(0.0, [place, 0.0]), expected, rtol=1e-14)
     with pytest.raises(fb.SimulationError, match="not finite"):
         model.rhs(0.0, [8.5, 0.0])
+
+
+def rockers_on_one_crank(count):
+    """Four-bars that share their crank OA: couplers AB, rockers BC."""
+    points, links, ground = {"O": (0, 0), "A": (0.2, 0.1)}, [["O", "A"]], ["O"]
+    for i in range(count):
+        points |= {f"B{i}": (1.0 + 0.1 * i, 0.8), f"C{i}": (1.1 + 0.2 * i, -0.1)}
+        links += [["A", f"B{i}"], [f"B{i}", f"C{i}"]]
+        ground.append(f"C{i}")
+    return fb.Linkage(f"rockers_{count}", points=points, ground=ground, links=links, density=2.0, gravity=9.81).model()
+
+
+def test_loops_on_one_crank_take_operations_in_proportion_to_their_number():
+    """A loop has 2 speeds and 2 constraints; their columns have those of the loop, and the crank."""
+    for count in (4, 12):
+        structure = lower("rockers", form_equations(rockers_on_one_crank(count))).structure
+        assert sum(map(len, structure.below)) <= count * (4 + 3 + 2 + 1)
+
+
+def test_where_a_loop_on_a_crank_is_dead_the_equations_are_solved_all_the_same():
+    """Where a coupler is in line with its rocker, its constraints are dependent without the crank's speed."""
+    model = fb.compile_model(rockers_on_one_crank(4))
+    x = model.initial_state(speeds={model.speeds[0]: 2.0})
+    states = [x]
+    for offset in (0.0, 1e-9, 1e-3, 1e-2, 0.1):
+        dead = x.copy()
+        place = model.n_q - 1
+        # The last loop's angle at which its two rows are parallel in its two speeds: by bisection of the determinant.
+
+        def determinant(angle, place=place, dead=dead):
+            moved = dead.copy()
+            moved[place] = angle
+            rows = model.dynamics(0.0, moved, None, [])[3][-2:]
+            return np.linalg.det(rows[:, 1:][:, np.abs(rows[:, 1:]).max(axis=0) > 0.0])
+
+        angles = np.linspace(dead[place] - 3.0, dead[place] + 3.0, 601)
+        signs = np.array([determinant(angle) for angle in angles])
+        first = int(np.flatnonzero(signs[:-1] * signs[1:] < 0.0)[0])
+        dead[place] = brentq(determinant, angles[first], angles[first + 1], xtol=1e-15) + offset
+        states.append(dead)
+    for state in states:
+        _, mass, forcing, jacobian, bias = model.dynamics(0.0, state, None, [])
+        whole = np.block([[mass, -jacobian.T], [jacobian, np.zeros((8, 8))]])
+        expected = np.linalg.solve(whole, np.concatenate((forcing, -bias)))
+        found = np.concatenate(model.accelerations(0.0, state))
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
+    # Side by side, lanes in which it is dead are left to the functions for single states.
+    together = model.rhs_batch(0.0, np.column_stack(states))
+    for rates, state in zip(together.T, states, strict=True):
+        expected = model.rhs(0.0, state)
+        np.testing.assert_allclose(rates, expected, rtol=0, atol=1e-10 * np.abs(expected).max())

@@ -96,7 +96,9 @@ def kernel_text(
     tables = _position_rows_text(program.position_rows)
     if program.factors is not None:
         tables += _factors_text(program.sizes.n_u + len(program.factors.nodes))
-    tables += _structure_text(program.structure) or _pivot_order_text(program.pivot_order)
+    tables += _structure_text(program.structure)
+    if program.structure is None or program.structure.is_early:
+        tables += _pivot_order_text(program.pivot_order)
     note, batch_functions = "", f"#define FB_TABLE(name) {program.name}_##name"
     if has_batches:
         batch_functions = f"""\
@@ -232,6 +234,7 @@ def _structure_text(structure: Structure | None) -> str:
         "",
         "/* The nonzero entries of M and J, and the elimination order; see fourbar_sparse.h. */",
         "#define FB_SPARSE",
+        *(["#define FB_EARLY /* constraints come before some of their speeds */"] if structure.is_early else []),
         (
             f"enum {{ N_MASS = {len(structure.mass_entries)}, N_JACOBIAN = {len(structure.jacobian_entries)}, "
             f"N_BELOW = {len(tables['below'])} }};"

@@ -7,8 +7,9 @@ With a weight w > 0 for each constraint, u' and lambda solve
 
 The upper left block is positive definite wherever the equations determine u', even if M is singular. So Gaussian
 elimination needs no pivoting if each constraint comes after all speeds in it: its pivot is negative as long as the
-constraints are independent. The order is chosen once, at code generation, by minimum degree. The number of operations
-for a row of loops is linear in their number.
+constraints are independent. If it comes after some of them, that holds as long as constraints are independent with
+these speeds alone; where they are not, dense equations are solved. The order is chosen once, at code generation, by
+minimum degree. The number of operations for a row of loops, or of loops on one crank, is linear in their number.
 
 Source: the augmented Lagrangian for saddle point systems, Benzi, Golub and Liesen, "Numerical solution of saddle point
 problems", *Acta Numerica* 14 (2005), section 3.5; minimum degree, Davis, *Direct Methods for Sparse Linear Systems*,
@@ -19,11 +20,13 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 from fourbar_codegen.lowering.program import Entries, PivotOrder, Structure
 
 __all__ = ["MAX_CONSTRAINTS", "find_pivot_order", "find_structure", "recursive_cost", "solution_cost"]
+
+Matrix = Sequence[Sequence[float]]
 
 MIN_SPEEDS = 8
 MAX_CONSTRAINTS = 24
@@ -42,12 +45,21 @@ TINY = 1e-12
 GAIN = 4
 """Sparse elimination must need this many times fewer multiplications, since it looks up indices."""
 
+EARLY = 2
+"""An order in which constraints come before some of their speeds must take this many times fewer operations: it has
+another solution to fall back on."""
+
 VECTORS = 4
 """Columns of M^-1 J^T that take the time of one, side by side in vectors."""
 
 
-def find_structure(n_u: int, n_c: int, mass_entries: Entries, jacobian_entries: Entries) -> Structure | None:
-    """A sparse elimination order; None if the matrices are too small or too dense for a gain.
+def find_structure(
+    n_u: int, n_c: int, mass_entries: Entries, jacobian_entries: Entries, jacobians: Sequence[Matrix] = ()
+) -> Structure | None:
+    """A sparse elimination order; None if the matrices are too small for a gain.
+
+    If it takes far fewer operations, constraints come before some of their speeds, such as that of a crank which many
+    loops have in common.
 
     Parameters
     ----------
@@ -55,6 +67,8 @@ def find_structure(n_u: int, n_c: int, mass_entries: Entries, jacobian_entries: 
         Numbers of speeds and of constraints, none of them redundant.
     mass_entries, jacobian_entries : tuple of (int, int)
         Rows and columns of the entries that are not zero, as in `Structure`.
+    jacobians : sequence of n_c rows of n_u numbers, optional
+        Examples of J, which tell with which speeds constraints are independent.
 
     Returns
     -------
@@ -68,41 +82,92 @@ def find_structure(n_u: int, n_c: int, mass_entries: Entries, jacobian_entries: 
     """
     if n_u < MIN_SPEEDS:
         return None
-    neighbours: list[set[int]] = [set() for _ in range(n_u + n_c)]
+    columns: list[set[int]] = [set() for _ in range(n_c)]
+    for row, column in jacobian_entries:
+        columns[row].add(column)
+    if not all(columns):
+        return None  # a constraint without speeds
 
-    def join(members: Sequence[int]) -> None:
+    def structure(is_ready: Callable[[int, set[int]], bool]) -> Structure:
+        order, below = _minimum_degree(n_u, mass_entries, columns, is_ready)
+        return Structure(mass_entries, jacobian_entries, order, below)
+
+    def cost(structure: Structure) -> int:
+        return solution_cost(n_u, n_c, structure)
+
+    found = structure(lambda row, eliminated: columns[row] <= eliminated)
+    if jacobians:
+        early = structure(_Early(jacobians).is_ready)
+        found = early if EARLY * cost(early) <= cost(found) else found
+    return found
+
+
+def _minimum_degree(
+    n_u: int, mass_entries: Entries, columns: Sequence[set[int]], is_ready: Callable[[int, set[int]], bool]
+) -> tuple[tuple[int, ...], tuple[tuple[int, ...], ...]]:
+    """The order, and the later steps in the column of each; constraints are asked for in it when they are ready."""
+    neighbours: list[set[int]] = [set() for _ in range(n_u + len(columns))]
+
+    def join(members: Iterable[int]) -> None:
+        members = set(members)
         for member in members:
-            neighbours[member].update(members)
+            neighbours[member] |= members
             neighbours[member].discard(member)
 
     for entry in mass_entries:
         join(entry)
-    for row in range(n_c):
-        join([*(column for r, column in jacobian_entries if r == row), n_u + row])
-    waiting = [{column for r, column in jacobian_entries if r == row} for row in range(n_c)]
-    if not all(waiting):
-        return None  # a constraint without speeds
-
+    for row, speeds in enumerate(columns):
+        join([*speeds, n_u + row])
     order: list[int] = []
-    columns: list[set[int]] = []
-    ready = set(range(n_u))
-    while ready:
-        unknown = min(ready, key=lambda candidate: (len(neighbours[candidate]), candidate))
-        ready.discard(unknown)
+    below: list[set[int]] = []
+    waiting, eliminated = set(range(n_u + len(columns))), set[int]()
+    while waiting:
+        for unknown in sorted(waiting, key=lambda candidate: (len(neighbours[candidate]), candidate)):
+            if unknown < n_u or is_ready(unknown - n_u, eliminated):
+                break
+        waiting.discard(unknown)
+        eliminated.add(unknown)
         order.append(unknown)
-        columns.append(neighbours[unknown])
+        below.append(neighbours[unknown])
         for neighbour in neighbours[unknown]:
             neighbours[neighbour].discard(unknown)
-        join(sorted(neighbours[unknown]))
-        for row, missing in enumerate(waiting):
-            if unknown in missing:
-                missing.discard(unknown)
-                if not missing:
-                    ready.add(n_u + row)
+        join(neighbours[unknown])
     step = {unknown: k for k, unknown in enumerate(order)}
-    below = tuple(tuple(sorted(step[unknown] for unknown in column)) for column in columns)
-    structure = Structure(mass_entries, jacobian_entries, tuple(order), below)
-    return structure if solution_cost(n_u, n_c, structure) <= solution_cost(n_u, n_c, None) else None
+    return tuple(order), tuple(tuple(sorted(step[unknown] for unknown in column)) for column in below)
+
+
+class _Early:
+    """Which constraints are independent of those before them already with the speeds that were eliminated.
+
+    By Gaussian elimination of examples of J: a pivot among these speeds must not be small in its row.
+    """
+
+    def __init__(self, jacobians: Sequence[Matrix]) -> None:
+        self.matrices = [[list(row) for row in jacobian] for jacobian in jacobians]
+        self.done: set[int] = set()
+        self.taken: set[int] = set()
+
+    def is_ready(self, row: int, eliminated: set[int]) -> bool:
+        """Whether a constraint is ready; then it is eliminated."""
+        speeds = [speed for speed in eliminated - self.taken if speed < len(self.matrices[0][0])]
+        largest = [max(map(abs, matrix[row])) for matrix in self.matrices]
+        shares = {
+            speed: sum(_share(m[row][speed], size) for m, size in zip(self.matrices, largest, strict=True))
+            for speed in speeds
+        }
+        if not shares:
+            return False
+        pivot = max(shares, key=shares.__getitem__)
+        if shares[pivot] < math.log(GOOD_PIVOT) * len(self.matrices):
+            return False
+        self.done.add(row)
+        self.taken.add(pivot)
+        for matrix in self.matrices:
+            for other in range(len(matrix)):
+                if other not in self.done and matrix[other][pivot]:
+                    factor = matrix[other][pivot] / (matrix[row][pivot] or math.inf)
+                    matrix[other] = [a - factor * b for a, b in zip(matrix[other], matrix[row], strict=True)]
+        return True
 
 
 def solution_cost(n_u: int, n_c: int, structure: Structure | None) -> int:
@@ -154,7 +219,7 @@ def recursive_cost(n_u: int, n_c: int, n_jacobian: int, operations: int) -> int:
     return by_vectors // VECTORS + n_c**3 // 6 + 2 * (n_c**2 + n_c * n_u + n_jacobian)
 
 
-def find_pivot_order(n_c: int, n_u: int, rank: int, jacobians: Sequence[Sequence[Sequence[float]]]) -> PivotOrder:
+def find_pivot_order(n_c: int, n_u: int, rank: int, jacobians: Sequence[Matrix]) -> PivotOrder:
     """A pivot order with large pivots relative to their rows, for some examples of J.
 
     Each step takes the constraint and the speed with the largest product, over the examples, of the ratios of pivot to
@@ -189,7 +254,7 @@ def find_pivot_order(n_c: int, n_u: int, rank: int, jacobians: Sequence[Sequence
 
 
 def _pivot(
-    jacobians: Sequence[Sequence[Sequence[float]]], n_c: int, speeds: Sequence[int], rank: int
+    jacobians: Sequence[Matrix], n_c: int, speeds: Sequence[int], rank: int
 ) -> tuple[list[tuple[int, int]], float]:
     """Pairs of row and speed in pivot order; the smallest pivot ratio of all steps, as a mean over the examples."""
     matrices = [[list(row) for row in jacobian] for jacobian in jacobians]

@@ -45,6 +45,9 @@ LOOPS = 3
 _Specification = tuple[str, str, Sequence[Array], Sequence[Array], Sequence[Result]]
 """Of a function: name, summary, arguments before and after the constants, results."""
 
+EXAMPLES = 4
+"""Points at which sparse Jacobians are evaluated."""
+
 POINTS = 8
 """Pairs of random points at which the constraints' Jacobian is evaluated."""
 
@@ -95,14 +98,17 @@ def lower(name: str, equations: Equations) -> Program:
             "undetermined: leave out the redundant ones."
         )
     structure = _structure(e, rank)
+    form = _form(e, rank, structure)
+    if form != "sparse":
+        structure = None
     parameters = {leaf.node for leaf in e.parameters}
     pool = _Nodes(e.tape, parameters.__contains__)
     products: list[_Lowered] = []
     factors = None
     forcing = e.forcing
     mass_matrix, constraint_jacobian = _entries(e, structure)
-    if e.recursion is not None and _is_recursive(e, e.recursion, rank, structure):
-        structure, forcing, constraint_jacobian = None, e.recursion.forcing, e.constraint_jacobian
+    if form == "recursive" and e.recursion is not None:
+        forcing = e.recursion.forcing
         products, factors, mass_matrix = _recursive(e, e.recursion, pool.contains)
     specifications: list[_Specification] = [
         ("default_inputs", "Inputs r from their expressions; NaN without one.", [time], [], [e.default_inputs]),
@@ -466,15 +472,16 @@ def _pivot_order(e: Equations, rank: int, structure: Structure | None) -> PivotO
 
 
 def _at_random_points(e: Equations, entries: Sequence[Scalar]) -> Iterator[list[float]]:
-    """Numbers for scalars at random points, some of them near zero coordinates; where they have no value, none."""
+    """Numbers for scalars at random points; where they have no value, none."""
+    return _evaluated(e, entries, _random_points(e))
+
+
+def _random_points(e: Equations) -> Iterator[dict[Scalar, float]]:
+    """Random points, some of them near zero coordinates."""
     generator = random.Random(0)
-
-    def points() -> Iterator[dict[Scalar, float]]:
-        for size in (0.05, 1.0) * POINTS:
-            values = {leaf: generator.uniform(0.1, 1.0) for leaf in (e.time, *e.speeds, *e.parameters, *e.inputs)}
-            yield values | {leaf: generator.uniform(-size, size) for leaf in e.coordinates}
-
-    return _evaluated(e, entries, points())
+    for size in (0.05, 1.0) * POINTS:
+        values = {leaf: generator.uniform(0.1, 1.0) for leaf in (e.time, *e.speeds, *e.parameters, *e.inputs)}
+        yield values | {leaf: generator.uniform(-size, size) for leaf in e.coordinates}
 
 
 def _evaluated(
@@ -492,7 +499,18 @@ def _structure(e: Equations, rank: int) -> Structure | None:
         return None  # redundant constraints need pivoting
     mass = tuple((i, j) for i in range(n_u) for j in range(i + 1) if e.mass_matrix.entries[i * n_u + j])
     jacobian = tuple((i, j) for i in range(n_c) for j in range(n_u) if e.constraint_jacobian.entries[i * n_u + j])
-    return find_structure(n_u, n_c, mass, jacobian)
+    examples = [_example(e, values) for values in itertools.islice(_random_points(e), EXAMPLES if n_c else 0)]
+    return find_structure(n_u, n_c, mass, jacobian, examples)
+
+
+def _example(e: Equations, values: Mapping[Scalar, float]) -> list[list[float]]:
+    """J at a point, with random entries in rows that have no value there: parameters need not fit each other."""
+    n_u, entries, generator = len(e.speeds), e.constraint_jacobian.entries, random.Random(0)
+    rows = []
+    for row in (entries[i : i + n_u] for i in range(0, len(entries), n_u)):
+        found = next(_evaluated(e, row, [values]), None)
+        rows.append(found or [generator.uniform(0.5, 1.0) if entry else 0.0 for entry in row])
+    return rows
 
 
 def _entries(e: Equations, structure: Structure | None) -> tuple[Result, Result]:
@@ -503,6 +521,16 @@ def _entries(e: Equations, structure: Structure | None) -> tuple[Result, Result]
     mass = tuple(e.mass_matrix.entries[i * n_u + j] for i, j in structure.mass_entries)
     jacobian = tuple(e.constraint_jacobian.entries[i * n_u + j] for i, j in structure.jacobian_entries)
     return Result("mass_matrix", (len(mass),), mass), Result("constraint_jacobian", (len(jacobian),), jacobian)
+
+
+def _form(e: Equations, rank: int, structure: Structure | None) -> str:
+    """The form with the fewest operations."""
+    n_u, n_c = len(e.speeds), len(e.velocity_bias.entries)
+    if structure is not None and solution_cost(n_u, n_c, structure) > solution_cost(n_u, n_c, None):
+        structure = None
+    if e.recursion is not None and _is_recursive(e, e.recursion, rank, structure):
+        return "recursive"
+    return "dense" if structure is None else "sparse"
 
 
 def _is_recursive(e: Equations, recursion: Recursion, rank: int, structure: Structure | None) -> bool:

@@ -108,6 +108,13 @@ class Structure:
     order: tuple[int, ...]
     below: tuple[tuple[int, ...], ...]
 
+    @property
+    def is_early(self) -> bool:
+        """Whether a constraint comes before a speed in it, so that it may not be independent with those before it."""
+        n_u = len(self.order) - len({row for row, _ in self.jacobian_entries})
+        step = {unknown: k for k, unknown in enumerate(self.order)}
+        return any(step[n_u + row] < step[speed] for row, speed in self.jacobian_entries)
+
     def tables(self) -> dict[str, list[int]]:
         """The index tables of fourbar_sparse.h.
 

@@ -81,15 +81,7 @@ static void full_dynamics(double t, const double *x, const double *constants, co
 {
     double mass[N_MASS], jacobian[FB_AT_LEAST_1(N_JACOBIAN)];
     dynamics(t, x, constants, r, coordinate_rates, mass, forcing, jacobian, acceleration_bias);
-    for (int i = 0; i < N_U * N_U; ++i)
-        mass_matrix[i] = 0.0;
-    for (int i = 0; i < N_MASS; ++i)
-        mass_matrix[mass_row[i] * N_U + mass_column[i]] = mass_matrix[mass_column[i] * N_U + mass_row[i]] = mass[i];
-    for (int i = 0; i < N_C * N_U; ++i)
-        constraint_jacobian[i] = 0.0;
-    for (int row = 0; row < N_C; ++row)
-        for (int i = jacobian_row[row]; i < jacobian_row[row + 1]; ++i)
-            constraint_jacobian[row * N_U + jacobian_column[i]] = jacobian[i];
+    fb_fill(mass, jacobian, mass_matrix, constraint_jacobian);
 }
 #else
 #define full_dynamics dynamics

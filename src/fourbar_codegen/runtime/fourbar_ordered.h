@@ -7,7 +7,8 @@
  *
  * The matrix is factored as L D L^T in an order that was fixed at code generation. No pivoting is needed: the upper
  * left block is positive definite wherever the equations determine u', and each constraint comes after all speeds in
- * it. If the factorization fails, the constraints are dependent at this state.
+ * it. If the factorization fails, the constraints are dependent at this state. With FB_EARLY, constraints come before
+ * some of their speeds; if it fails, they are dependent, or have small pivots, without these speeds.
  *
  * Common to single states and states side by side: FB_VALUE is a double or a vector of them, FB_FACTORS the type of the
  * factors, FB_OF(name) the name of a function. FB_REQUIRE(s, condition, status), defined before inclusion, handles
@@ -27,6 +28,8 @@
 #define FB_ROW_TOLERANCE 2e-13
 /* Pivots below this fraction of the terms subtracted from them are rounding errors. */
 #define FB_PIVOT_TOLERANCE 1e-13
+/* Smallest pivot of an early constraint, relative to what it is of with all its speeds: an error of 1e-12 at worst. */
+#define FB_EARLY_TOLERANCE 1e-4
 
 /* The weights, which give both terms of M + J^T w J similar size; no row may be only rounding errors. */
 static FB_INLINE int FB_OF(fb_weigh)(const FB_VALUE *restrict diagonal, FB_FACTORS *restrict s)
@@ -81,6 +84,11 @@ static FB_INLINE int FB_OF(fb_factor_ordered)(const FB_VALUE *restrict mass_matr
         const FB_VALUE pivot = unknown[k] < N_U ? entries[k] : -entries[k];
         FB_REQUIRE(s, pivot > FB_PIVOT_TOLERANCE * size[k],
                    unknown[k] < N_U ? FB_MASS_SINGULAR : FB_CONSTRAINTS_DEPENDENT);
+#ifdef FB_EARLY
+        if (unknown[k] >= N_U) {
+            FB_REQUIRE(s, pivot * s->weight[unknown[k] - N_U] > FB_EARLY_TOLERANCE, FB_CONSTRAINTS_DEPENDENT);
+        }
+#endif
         const FB_VALUE inverse = entries[k] = 1.0 / entries[k];
         FB_VALUE *restrict const l = entries + N_STEPS + column[k];
         const int *restrict const later = below + column[k];
@@ -132,6 +140,7 @@ static FB_INLINE void FB_OF(fb_solve_ordered)(const FB_VALUE *restrict forcing,
 
 #undef FB_ROW_TOLERANCE
 #undef FB_PIVOT_TOLERANCE
+#undef FB_EARLY_TOLERANCE
 #undef FB_VALUE
 #undef FB_FACTORS
 #undef FB_OF

@@ -20,9 +20,11 @@
 
 #include <math.h>
 
+#ifndef FB_SPARSE
 enum { N_JACOBIAN = N_C * N_U };
 #ifndef FB_RECURSIVE
 enum { N_MASS = N_U * N_U };
+#endif
 #endif
 
 /* Pivots of J below this fraction of the largest are rounding errors: 1000 times the precision of double. */
@@ -35,7 +37,7 @@ enum { N_MASS = N_U * N_U };
 #define FB_NEARLY 1e-12
 
 /* Whether the static pivot order is tried first: with many constraints its code becomes long. */
-#ifdef FB_RECURSIVE /* which comes here only where pivots are small */
+#if defined(FB_RECURSIVE) || defined(FB_SPARSE) /* which come here only where pivots are small */
 #define FB_TRY_STATIC 0
 #else
 #define FB_TRY_STATIC (N_C > 0 && N_C <= 8 && N_RANK == N_C)
@@ -263,7 +265,7 @@ static inline double fb_orientation(const double *restrict jacobian, const fb_un
  * units. Another choice of the dependent speeds can be small where J has full rank. */
 static inline int fb_is_close_by(const double *restrict jacobian, const fb_units *restrict units, const double largest)
 {
-    double scaled[FB_AT_LEAST_1(N_JACOBIAN)];
+    double scaled[FB_AT_LEAST_1(N_C * N_U)];
     fb_factors factors;
     for (int i = 0; i < N_C; ++i)
         for (int j = 0; j < N_U; ++j) {

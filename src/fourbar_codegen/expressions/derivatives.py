@@ -64,7 +64,10 @@ class Jvp:
     def _rate(self, node: int) -> Scalar:
         known, tape = self._known, self.tape
         operation = tape.nodes[node]
-        if not any(known[operand].coefficient for operand in operands(tape.nodes[node])):
+        for operand in tape.operands(node):  # most nodes do not depend on the leaves that change
+            if known[operand].coefficient:
+                break
+        else:
             return tape.zero
         if isinstance(operation, Sum):
             return tape.sum([known[term] * coefficient for term, coefficient in operation.terms])

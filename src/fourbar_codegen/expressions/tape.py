@@ -254,6 +254,10 @@ class Tape:
             self._operands.append(operands(operation))
         return known
 
+    def operands(self, node: int) -> tuple[int, ...]:
+        """The nodes that a node refers to."""
+        return self._operands[node]
+
     def _node(self, operation: Node) -> Scalar:
         return Scalar(self, 1, self.store(operation))
 

@@ -68,10 +68,10 @@ class _Flattening:
     def __init__(self, tape: Tape, roots: Sequence[Scalar], is_constant: Callable[[int], bool]) -> None:
         self.tape = tape
         self.is_constant = is_constant
-        nodes = [node for node in tape.reach(roots) if operands(tape.nodes[node]) and not is_constant(node)]
+        nodes = [node for node in tape.reach(roots) if tape.operands(node) and not is_constant(node)]
         self.uses = Counter(root.node for root in roots)
         for node in nodes:
-            self.uses.update(operands(tape.nodes[node]))
+            self.uses.update(tape.operands(node))
         self._terms: dict[int, list[Scalar]] = {}
         self._factors: dict[int, list[Scalar]] = {}
         self._made: dict[int, Scalar] = {}
@@ -168,7 +168,8 @@ class _Block:
                     ordered[node] = operation
                 elif not isinstance(operation, Leaf):
                     stack.append((node, True))
-                    stack.extend((operand, False) for operand in reversed(operands(operation)))
+                    needed = operands(operation) if node in changed else self.tape.operands(node)
+                    stack += [(operand, False) for operand in reversed(needed)]
         return ordered
 
     def _take_up(self) -> None:

@@ -627,7 +627,7 @@ class _Nodes:
             if isinstance(operation, Leaf):
                 known.append(self._is_given(number))
             else:
-                known.append(all(known[operand] for operand in operands(operation)))
+                known.append(all(map(known.__getitem__, self.tape.operands(number))))
         return known[node]
 
     def used(self, lowered: Sequence[tuple[Statements, list[Scalar]]]) -> list[int]:

@@ -341,7 +341,9 @@ class _Loads:
         on = [q for q in self.coordinates if tape.depends([law], [q])]
         if not on:
             return None
-        slopes = vjp(tape, [(law, tape.one)], on)
+        slopes = vjp(tape, [(law, tape.one)], on) if len(on) > 1 else [tape.one]
+        if not slopes[0]:  # it is constant piece by piece, so that derivatives do not tell the combination
+            return None
         ratios = deduplicate(tape, [slope / slopes[0] for slope in slopes])
         if self._depends(ratios):
             return None

@@ -104,13 +104,25 @@ def jumps(
     found: dict[tuple[str, str, bool], bool] = {}
     for of, rows in (*equations_of_motion, *((n, (d,)) for n, d in zip(inputs, e.default_inputs.entries, strict=True))):
         nodes = tape.reach(rows)
-        for call, function, boundary in _moving_boundaries(tape, nodes, leaves):
+        calls = [*_moving_boundaries(tape, nodes, leaves)]
+        affected: dict[int, tuple[Scalar, ...]] = {}
+        within: dict[int, set[int]] = {}
+        for call in dict.fromkeys(call for call, _, _ in calls):
+            within[call] = tape.dependent(nodes, [Scalar(tape, 1, call)])
+            affected[call] = tuple(row for row in rows if row.node in within[call])
+        for call, function, boundary in calls:
             reached = set(tape.reach([boundary]))
             by = [name for name, leaf in zip(names, leaves, strict=True) if leaf.node in reached]
             if not by or are_known(tape, e.time, boundary):
                 continue
-            dependent = tape.dependent(nodes, [Scalar(tape, 1, call)])
-            own, other = outcomes(boundary, tuple(row for row in rows if row.node in dependent))
+            # A function within another one that switches at the same place, such as a root in a branch, is not named.
+            if any(
+                other != call and there.node == boundary.node and other in within[call]
+                for other, _, there in calls
+                if affected[other] == affected[call]
+            ):
+                continue
+            own, other = outcomes(boundary, affected[call])
             if Outcome.JUMPS in (own, other) or {own, other} == {Outcome.UNKNOWN}:
                 is_known = own is not Outcome.UNKNOWN
                 key = f"{type(function).__name__} of {', '.join(by)}", of, is_known

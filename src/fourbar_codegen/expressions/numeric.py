@@ -15,7 +15,7 @@ import numpy as np
 import sympy as sm
 from numpy.typing import NDArray
 from sympy.codegen import cfunctions
-from sympy.logic.boolalg import Boolean
+from sympy.logic.boolalg import Boolean, BooleanFunction
 
 from fourbar_codegen.errors import ModelError
 
@@ -137,6 +137,8 @@ def function(arguments: Sequence[sm.Symbol], expression: sm.Basic) -> Function:
             return lambda *values: np.select(
                 [condition(*values) for condition in conditions], [branch(*values) for branch in branches], np.nan
             )
+        if isinstance(node, BooleanFunction) and node.func not in FUNCTIONS:  # Implies, Equivalent, ...
+            return of(node.to_nnf(simplify=False))
         if not node.args or (isinstance(node, Boolean) and node.func not in FUNCTIONS):
             raise ModelError(f"{node} cannot be compiled: its value is not known.")
         parts, known = [of(part) for part in node.args], FUNCTIONS.get(node.func) or _by_sympy(node)

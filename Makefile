@@ -47,6 +47,7 @@ bench: $(INSTALLED)
 	$(BIN)/python benchmarks/peers.py --output results/peers.json
 	$(BIN)/python benchmarks/engines.py --output results/engines.json
 	$(BIN)/python benchmarks/recursive.py --output results/recursive.json
+	$(BIN)/python benchmarks/forms.py --output results/forms.json
 	$(BIN)/python benchmarks/sensitivities.py --output results/sensitivities.json
 	$(BIN)/python benchmarks/collocation.py --output results/collocation.json
 	$(BIN)/python benchmarks/pins.py --output results/pins.json

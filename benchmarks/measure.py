@@ -63,6 +63,21 @@ def evaluation_inside_c(
     number: int = 200_000,
 ) -> Callable[[], float]:
     """A measure of a model's kernel called in a loop by a C program: `rhs`, or `dynamics`, forming alone."""
+    loop = loop_inside_c(name, sources, function, t, x, p, flags, number)
+    return lambda: loop()[0]
+
+
+def loop_inside_c(
+    name: str,
+    sources: Mapping[str, str],
+    function: str,
+    t: float,
+    x: Iterable[float],
+    p: Iterable[float],
+    flags: Sequence[str],
+    number: int,
+) -> Callable[[], tuple[float, float]]:
+    """The same, with the sum over the loop of the last entry of x', or of the first one of f."""
     folder = Path(tempfile.mkdtemp())
     for file, text in sources.items():
         (folder / file).write_text(text)
@@ -73,10 +88,11 @@ def evaluation_inside_c(
     subprocess.run([*command, *map(str, folder.glob("*.c")), "-o", str(program), "-lm"], check=True)
     arguments = [str(program), function, str(number), repr(t), *(repr(float(value)) for value in (*x, *p))]
 
-    def measure() -> float:
-        return float(subprocess.run(arguments, check=True, capture_output=True, text=True).stdout.split()[0])
+    def loop() -> tuple[float, float]:
+        printed = subprocess.run(arguments, check=True, capture_output=True, text=True).stdout.split()
+        return float(printed[0]), float(printed[1])
 
-    return measure
+    return loop
 
 
 def compare(*measures: Callable[[], float], rounds: int) -> list[float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 
 import sympy as sm
@@ -45,10 +46,9 @@ def revolute_chain(links: int) -> fb.Model:
 
 
 def joined_arms(arms: int = 4, links: int = 8) -> fb.Model:
-    """Arms in a plane, hung from pins on the ground, each of whose tips is pinned to that of the next arm.
+    """Arms in a plane, on pins on the ground, each of whose tips is pinned to that of the next arm.
 
-    At zero angles the arms stand upright, and the tips are apart by the distance of the pins, d: the last coordinates
-    of each arm close the loops.
+    Each points from its pin to the first one's tip, which its last two links reach: their angles close the loops.
     """
     count = arms * links
     q, u = me.dynamicsymbols(f"q1:{count + 1}"), me.dynamicsymbols(f"u1:{count + 1}")
@@ -79,11 +79,15 @@ def joined_arms(arms: int = 4, links: int = 8) -> fb.Model:
     system.q_ind, system.q_dep = [q[i] for i in independent], [q[i] for i in dependent]
     system.u_ind, system.u_dep = [u[i] for i in independent], [u[i] for i in dependent]
     system.add_kdes(*(rate - angle.diff() for angle, rate in zip(q, u, strict=True)))
-    initial = {q[i]: 0.6 if i % links == 0 else -0.1 * (-1) ** i for i in range(count)}
+    bar_length, distance, lean = 0.3, 0.5, 0.6
+    tip = (links * bar_length * math.cos(lean), links * bar_length * math.sin(lean))
+    initial = {q[i]: -0.1 * (-1) ** i for i in range(count)}
+    initial |= {q[arm * links]: math.atan2(tip[1], tip[0] - arm * distance) for arm in range(arms)}
+    initial |= {q[i]: 1.5 for i in dependent}  # a guess, elbows bent
     return fb.Model(
         system,
         name=f"joined_arms_{arms}_{links}",
-        parameters={m: 1.0, length: 0.3, d: 0.5, g: 9.81},
+        parameters={m: 1.0, length: bar_length, d: distance, g: 9.81},
         initial=initial,
     )
 

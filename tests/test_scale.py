@@ -238,6 +238,14 @@ def test_loops_on_one_crank_take_operations_in_proportion_to_their_number():
         assert sum(map(len, structure.below)) <= count * (4 + 3 + 2 + 1)
 
 
+def test_a_form_that_a_model_lacks_is_refused():
+    """A four-bar is too small for others; a recursion needs independent constraints."""
+    equations = form_equations(fb.models.four_bar())
+    assert lower("four_bar", equations, "dense").form == "dense"
+    with pytest.raises(fb.ModelError, match=r"four_bar has no recursive form; it has: dense\."):
+        lower("four_bar", equations, "recursive")
+
+
 def test_where_a_loop_on_a_crank_is_dead_the_equations_are_solved_all_the_same():
     """Where a coupler is in line with its rocker, its constraints are dependent without the crank's speed."""
     model = fb.compile_model(rockers_on_one_crank(4))

@@ -34,7 +34,8 @@ __all__ = ["lower", "lower_derivatives", "lower_variations"]
 REGULAR = 1e-9
 """Smallest pivot of M relative to its diagonal; that of the first link of a chain is of the order 1 / n^3."""
 
-# Measured with chains of 4 to 32 links, open and closed, in the plane and in space:
+# Measured with the models of benchmarks/forms.py: by these, each is printed in its fastest form or in one that takes at
+# most a fifth more; no other values do better.
 RECURSIVE = 0.87
 """Share of the dense form's operations up to which the recursive form is faster."""
 ELIMINATION = 1.5
@@ -52,7 +53,7 @@ POINTS = 8
 """Pairs of random points at which the constraints' Jacobian is evaluated."""
 
 
-def lower(name: str, equations: Equations) -> Program:
+def lower(name: str, equations: Equations, form: str | None = None) -> Program:
     """Lower equations to a program.
 
     Parameters
@@ -60,6 +61,8 @@ def lower(name: str, equations: Equations) -> Program:
     name : str
         The model's name.
     equations : Equations
+    form : {"dense", "sparse", "recursive"}, optional
+        How accelerations are solved for. By default the form with the fewest operations.
 
     Returns
     -------
@@ -69,7 +72,8 @@ def lower(name: str, equations: Equations) -> Program:
     Raises
     ------
     ModelError
-        If state equations or unknown forces depend on multipliers that redundant constraints leave undetermined.
+        If state equations or unknown forces depend on multipliers that redundant constraints leave undetermined; if the
+        equations do not have that form.
 
     Examples
     --------
@@ -98,7 +102,10 @@ def lower(name: str, equations: Equations) -> Program:
             "undetermined: leave out the redundant ones."
         )
     structure = _structure(e, rank)
-    form = _form(e, rank, structure)
+    costs = _costs(e, rank, structure)
+    form = form or min(costs, key=costs.__getitem__)
+    if form not in costs:
+        raise ModelError(f"{name} has no {form} form; it has: {', '.join(costs)}.")
     if form != "sparse":
         structure = None
     parameters = {leaf.node for leaf in e.parameters}
@@ -523,30 +530,22 @@ def _entries(e: Equations, structure: Structure | None) -> tuple[Result, Result]
     return Result("mass_matrix", (len(mass),), mass), Result("constraint_jacobian", (len(jacobian),), jacobian)
 
 
-def _form(e: Equations, rank: int, structure: Structure | None) -> str:
-    """The form with the fewest operations."""
+def _costs(e: Equations, rank: int, structure: Structure | None) -> dict[str, float]:
+    """The time to form and solve the equations in each form they have, in operations of straight-line code."""
     n_u, n_c = len(e.speeds), len(e.velocity_bias.entries)
-    if structure is not None and solution_cost(n_u, n_c, structure) > solution_cost(n_u, n_c, None):
-        structure = None
-    if e.recursion is not None and _is_recursive(e, e.recursion, rank, structure):
-        return "recursive"
-    return "dense" if structure is None else "sparse"
-
-
-def _is_recursive(e: Equations, recursion: Recursion, rank: int, structure: Structure | None) -> bool:
-    """Whether the recursive form takes fewer operations than the dense or sparse one."""
-    n_u, n_c = len(e.speeds), len(e.velocity_bias.entries)
-    if rank < n_c or not _is_regular(e, recursion):
-        return False  # redundant constraints need pivoting, and M must be regular
     common = (*e.coordinate_rates.entries, *e.constraint_jacobian.entries, *e.acceleration_bias.entries)
-    count = e.tape.count_operations
+    count, recursion = e.tape.count_operations, e.recursion
     formed = count([*common, *e.forcing.entries, *e.mass_matrix.entries])
-    recursive = count([*common, *recursion.forcing.entries, *recursion.solution.entries])
-    n_jacobian = sum(map(bool, e.constraint_jacobian.entries))
-    of_solution = count(recursion.solution.entries) - count(recursion.pivots.entries)
-    elimination = solution_cost(n_u, n_c, structure)
-    recursive += LOOPS * recursive_cost(n_u, n_c, n_jacobian, of_solution)
-    return recursive < RECURSIVE * (formed + ELIMINATION * elimination)
+    costs = {"dense": formed + ELIMINATION * solution_cost(n_u, n_c, None)}
+    if structure is not None:
+        costs["sparse"] = formed + ELIMINATION * solution_cost(n_u, n_c, structure)
+    # Redundant constraints need pivoting, and a recursion a regular M.
+    if recursion is not None and rank == n_c and _is_regular(e, recursion):
+        n_jacobian = sum(map(bool, e.constraint_jacobian.entries))
+        of_solution = count(recursion.solution.entries) - count(recursion.pivots.entries)
+        formed = count([*common, *recursion.forcing.entries, *recursion.solution.entries])
+        costs["recursive"] = (formed + LOOPS * recursive_cost(n_u, n_c, n_jacobian, of_solution)) / RECURSIVE
+    return costs
 
 
 def _is_regular(e: Equations, recursion: Recursion) -> bool:

@@ -606,6 +606,71 @@ def test_friction_in_a_joint_by_its_reaction():
         np.testing.assert_allclose(model.output(0.0, state), force, rtol=1e-12)
 
 
+@pytest.mark.parametrize("kind", ["System", "KanesMethod"])
+@pytest.mark.parametrize("friction", [None, lambda v: MU, lambda v: MU * sm.tanh(v)])
+def test_a_normal_force_along_a_direction_of_parameters(kind, friction):
+    """A block on a wedge that slides, with N at the block alone; accelerations by Newton's law for each body."""
+    angle, wedge, block = sm.symbols("alpha M_w m_b")
+    x, s, u, v, w, normal = me.dynamicsymbols("x s u v w N")
+    ground, (origin, corner, contact) = me.ReferenceFrame("F"), map(me.Point, "OWP")
+    along = sm.cos(angle) * ground.x + sm.sin(angle) * ground.y
+    across = -sm.sin(angle) * ground.x + sm.cos(angle) * ground.y
+    origin.set_vel(ground, 0)
+    corner.set_pos(origin, x * ground.x)
+    corner.set_vel(ground, u * ground.x)
+    contact.set_pos(corner, s * along)
+    contact.set_vel(ground, u * ground.x + v * along + w * across)
+    bodies = [me.Particle("wedge", corner, wedge), me.Particle("block", contact, block)]
+    force = normal * (across - (friction(v) if friction else 0) * along)
+    loads = [(corner, -wedge * G * ground.y), (contact, force - block * G * ground.y)]
+    # Friction acts between the two bodies; its opposite on the wedge is given, that of N is not.
+    loads += [(corner, normal * friction(v) * along)] if friction else []
+    kdes = [u - x.diff(T), v - s.diff(T)]
+    if kind == "KanesMethod":
+        system = me.KanesMethod(ground, [x, s], [u, v], kd_eqs=kdes, u_auxiliary=[w], bodies=bodies, forcelist=loads)
+    else:
+        system = System(ground, origin)
+        system.add_bodies(*bodies)
+        system.add_loads(*(me.Force(*load) for load in loads))
+        system.add_coordinates(x, s)
+        system.add_speeds(u, v)
+        system.add_auxiliary_speeds(w)
+        system.add_kdes(*kdes)
+    values = {wedge: 2.0, block: 1.0, G: 9.81, angle: 0.5} | ({MU: 0.3} if friction else {})
+    with pytest.warns(fb.ModelWarning, match=r"The unknown forces N .*reactions=\['N'\]"):
+        fb.compile_model(fb.Model(system, name="wedge", parameters=values))
+    model = fb.compile_model(fb.Model(system, name="wedge", parameters=values, reactions=["N"]))
+    rate = 0.4
+    mu = 0.0 if friction is None else 0.3 if friction(v) == MU else 0.3 * np.tanh(rate)
+    sine, cosine = np.sin(0.5), np.cos(0.5)
+    # M x'' = N (sin + mu cos), N = m (g cos - x'' sin), s'' = -g sin - mu N / m - x'' cos.
+    push = sine + mu * cosine
+    moved = 9.81 * cosine * push / (2.0 + sine * push)
+    force = 9.81 * cosine - moved * sine
+    expected = [0.0, rate, moved, -9.81 * sine - mu * force - moved * cosine]
+    np.testing.assert_allclose(model.rhs(0.0, [0.0, 0.0, 0.0, rate]), expected, rtol=1e-13, atol=1e-13)
+    np.testing.assert_allclose(model.output(0.0, [0.0, 0.0, 0.0, rate]), force, rtol=1e-13)
+
+
+@pytest.mark.parametrize("angle", [sm.Symbol("beta"), me.dynamicsymbols("beta")])
+def test_axes_of_a_joints_force_turned_by_a_constant(angle):
+    """Which axes a force is counted along makes no difference: see the joint along inertial axes."""
+    system, values, initial, _ = elbow("System")
+    fx, fy = me.dynamicsymbols("fx fy")
+    frame = system.frame
+    turned = fx * (sm.cos(angle) * frame.x + sm.sin(angle) * frame.y)
+    turned += fy * (sm.cos(angle) * frame.y - sm.sin(angle) * frame.x)
+    *others, (pivot, _) = system.loads
+    system.loads = [*others, me.Force(pivot, turned)]
+    given = {"inputs": {angle: 0.3}} if angle.args else {}
+    values = values if given else {**values, angle: 0.3}
+    arguments = {"name": "turned", "parameters": values, "initial": initial, **given}
+    with pytest.warns(fb.ModelWarning, match="The unknown forces fx, fy"):
+        fb.compile_model(fb.Model(system, **arguments))
+    run = fb.compile_model(fb.Model(system, **arguments, reactions="all")).simulate((0.0, 2.0), rtol=1e-10, atol=1e-10)
+    assert run["q2"][-1] == pytest.approx(0.0521971909, abs=1e-9)
+
+
 def test_reactions_that_are_none():
     made = elbow("System")
     compiled(made, reactions=[])  # says that they drive the motion, without a warning
@@ -617,6 +682,6 @@ def test_reactions_that_are_none():
         fb.Model(system, name=name, parameters=values, initial=initial, reactions=["mu"])
     with pytest.raises(fb.ModelError, match="the model has none"):
         fb.Model(system, parameters=values, initial=initial, inputs={"N": 0}, reactions=["N"])
-    system.loads = [me.Force(system.bodies[0].masscenter, MU * me.dynamicsymbols("N") * system.frame.y)]
+    system.loads = [me.Force(system.bodies[0].masscenter, sm.Abs(me.dynamicsymbols("N")) * system.frame.y)]
     with pytest.raises(fb.ModelError, match=r"N in reactions= acts along no auxiliary speed: .* in laws only"):
         fb.generate_sources(fb.Model(system, parameters=values, initial=initial, reactions=["N"], extra="ignore"))

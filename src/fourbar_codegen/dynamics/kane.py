@@ -30,11 +30,11 @@ from fourbar_codegen.dynamics.kinematics import (
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.expressions.convert import substitute
 from fourbar_codegen.expressions.derivatives import Jvp, vjp
-from fourbar_codegen.expressions.identities import is_zero
+from fourbar_codegen.expressions.identities import deduplicate, is_zero
 from fourbar_codegen.expressions.tape import Leaf, Scalar, Tape
 from fourbar_codegen.modeling.mechanism import Body, Load, Mechanism
 
-__all__ = ["AppliedLoad", "Kane", "loads_power", "projection"]
+__all__ = ["AppliedLoad", "Kane", "loads_power"]
 
 MIN_COMPOSITE = 8
 """If the largest composite has this many bodies, composites take fewer operations than the sum over bodies; with fewer
@@ -112,24 +112,19 @@ class Kane:
         self._masses = [kinematics.convert(body.mass) for body in self.mechanism.bodies]
         self._inertias = [self._inertia(body) for body in self.mechanism.bodies]
         self._reactions = tuple(reactions)
+        self._directions: dict[Scalar, dict[str, list[Components]]] = {}
 
     @functools.cached_property
-    def _directions(self) -> dict[Scalar, dict[str, list[Components]]]:
-        """Of the reactions."""
-        directions = {force: self.auxiliary_directions(force) for force in self._reactions}
-        for force, of_kinds in directions.items():
-            if not any(of_kinds.values()):
+    def loads(self) -> tuple[AppliedLoad, ...]:
+        """The mechanism's loads."""
+        for force in self._reactions:
+            if not any(any(self.reaction(load, force)) for load in self.mechanism.loads):
                 leaf = self.tape.nodes[force.node]
                 assert isinstance(leaf, Leaf)
                 raise ModelError(
                     f"{leaf.name} in reactions= acts along no auxiliary speed: the loads contain it in laws only, such "
                     "as friction, or at points that auxiliary speeds do not move."
                 )
-        return directions
-
-    @functools.cached_property
-    def loads(self) -> tuple[AppliedLoad, ...]:
-        """The mechanism's loads."""
         return tuple(map(self._applied, self.mechanism.loads))
 
     def use_poisson_rates(self, rates: Iterable[Jvp]) -> None:
@@ -278,38 +273,72 @@ class Kane:
                 projections += zip(components, express(total, frame), strict=True)
         return vjp(self.tape, projections, (*self.speeds, *self.auxiliary))
 
-    def direction(self, vector: Vector, force: Scalar) -> Vector:
-        """The vector e of a load's term n e in an unknown force n, with e a function of position and time alone.
+    def reaction(self, load: Load, force: Scalar) -> Components:
+        """What a load has, for an unknown force n of 1, where auxiliary speeds move the points that n acts on.
 
-        Laws of the force have none, such as friction mu n, or |n|.
-        """
-        slope = Jvp(self.tape, {force: self.tape.one})
-
-        def entry(component: Scalar) -> Scalar:
-            rate = slope(component)
-            operations = [self.tape.nodes[node] for node in self.tape.reach([rate])]
-            is_law = any(isinstance(leaf, Leaf) and leaf.kind not in ("t", "q") for leaf in operations)
-            return self.tape.zero if is_law else rate
-
-        return merged([(frame, differentiate(entry, components)) for frame, components in merged(vector)])
-
-    def auxiliary_directions(self, force: Scalar) -> dict[str, list[Components]]:
-        """Where auxiliary speeds move the points that an unknown force acts on, or turn the frames.
+        Laws of n, which are not linear in n or depend on speeds, have nothing there: |n|, or friction against a slip.
+        Along one of several directions, a factor such as mu is a law too, unless the load of n has a constant length.
 
         Parameters
         ----------
+        load : Load
         force : Scalar
             The leaf of the unknown force.
 
         Returns
         -------
-        dict of str to list of Components
-            For the kinds of loads, orthogonal vectors along inertial axes; they span the partial velocities.
+        Components
+            Along inertial axes.
         """
+        tape, part = self.tape, self.kinematics.zero
+        slope = self._slope(load, force)
+        directions = self._auxiliary_directions(force)[load.kind]
+        if not any(slope) or not directions:
+            return part
+        [squared] = deduplicate(tape, [dot(slope, slope)])
+        kinds = ("t", "q", "p", "r") if len(directions) == 1 or squared.is_number else ("t", "q")
+        for direction in directions:
+            share = self._without_laws(dot(slope, direction) / dot(direction, direction), kinds)
+            part = add(part, scale(share, direction))
+        x, y, z = (tape.zero if zero else entry for entry, zero in zip(part, is_zero(tape, part), strict=True))
+        return x, y, z
+
+    def _slope(self, load: Load, force: Scalar) -> Components:
+        """The derivative of a load with respect to an unknown force, along inertial axes."""
+        slope = Jvp(self.tape, {force: self.tape.one})
+        parts = merged([(frame, differentiate(slope, c)) for frame, c in merged(self.kinematics.vector(load.vector))])
+        return self.kinematics.express(parts, INERTIAL)
+
+    def _without_laws(self, scalar: Scalar, kinds: Sequence[str]) -> Scalar:
+        """A scalar that depends on leaves of some kinds alone, even if its expression contains others; else zero."""
+        tape = self.tape
+        leaves = [
+            node
+            for node in tape.reach([scalar])
+            if isinstance(leaf := tape.nodes[node], Leaf) and leaf.kind not in kinds
+        ]
+        others = [Scalar(tape, 1, node) for node in leaves]
+        if not others:
+            return scalar
+        if not all(is_zero(tape, vjp(tape, [(scalar, tape.one)], others))):
+            return tape.zero
+        try:
+            return substitute(tape, [scalar], dict.fromkeys(others, tape.zero))[0]
+        except (ArithmeticError, ModelError, TypeError):  # it has no value there
+            return tape.zero
+
+    def _auxiliary_directions(self, force: Scalar) -> dict[str, list[Components]]:
+        """Where auxiliary speeds move the points that an unknown force acts on, or turn the frames.
+
+        For the kinds of loads, orthogonal vectors along inertial axes; they span the partial velocities.
+        """
+        known = self._directions.get(force)
+        if known is not None:
+            return known
         virtual, tape = self.virtual, self.tape
         directions: dict[str, list[Components]] = {"force": [], "torque": []}
         for load in self.mechanism.loads:
-            if not self.direction(self.kinematics.vector(load.vector), force):
+            if not any(self._slope(load, force)):
                 continue
             velocity = (
                 virtual.velocity(load.target)
@@ -319,48 +348,48 @@ class Kane:
             rows = [vjp(tape, [(v, tape.one)], self.auxiliary) for v in virtual.express(velocity, INERTIAL)]
             for x, y, z in zip(*rows, strict=True):
                 # Gram and Schmidt.
-                rest = add((x, y, z), negative(projection((x, y, z), directions[load.kind])))
+                shares = [scale(dot((x, y, z), e) / dot(e, e), e) for e in directions[load.kind]]
+                rest = add((x, y, z), *map(negative, shares))
                 if not all(is_zero(tape, rest)):
                     directions[load.kind].append(rest)
+        self._directions[force] = directions
         return directions
 
     def _applied(self, load: Load) -> AppliedLoad:
         vector = in_motion = self.kinematics.vector(load.vector)
-        for force, directions in self._directions.items():
-            in_motion = self._without_reaction(in_motion, force, directions[load.kind])
+        for force in self._reactions:
+            in_motion = self._without_reaction(in_motion, load, force)
         return AppliedLoad(load, vector, in_motion)
 
-    def _without_reaction(self, vector: Vector, force: Scalar, directions: Sequence[Components]) -> Vector:
-        """A load without the part of its term n e that acts along given directions."""
-        tape, kinematics = self.tape, self.kinematics
-        direction = dict(self.direction(vector, force))
-        if not direction:
+    def _without_reaction(self, vector: Vector, load: Load, force: Scalar) -> Vector:
+        """A load without what it has of an unknown force where auxiliary speeds move the points that it acts on."""
+        tape, part = self.tape, self.reaction(load, force)
+        if not any(part):
             return vector
-        whole = kinematics.express(tuple(direction.items()), INERTIAL)
-        across = add(whole, negative(projection(whole, directions)))
-        x, y, z = (
-            tape.zero if zero else force * entry for entry, zero in zip(across, is_zero(tape, across), strict=True)
-        )
-        left = [(INERTIAL, (x, y, z))]
-        for frame, components in merged(vector):
-            slopes = direction.get(frame, (tape.zero,) * 3)
-            without = substitute(tape, components, {force: tape.zero}) if any(slopes) else components
-            x, y, z = (w if s else c for c, w, s in zip(components, without, slopes, strict=True))
-            left.append((frame, (x, y, z)))
-        return merged(left)
+        slope = self._slope(load, force)
+        if tape.depends(slope, [force]):
+            return merged([*vector, (INERTIAL, scale(-force, part))])
+        # Linear in the force: without it, and with what is left of its slope, so that what cancels is not formed.
+        rest = [(frame, substitute(tape, components, {force: tape.zero})) for frame, components in vector]
+        across = add(slope, negative(part))
+        x, y, z = (tape.zero if zero else force * c for c, zero in zip(across, is_zero(tape, across), strict=True))
+        return merged([*((frame, (a, b, c)) for frame, (a, b, c) in rest), (INERTIAL, (x, y, z))])
 
     def power(self, loads: Sequence[AppliedLoad] | None = None) -> Scalar:
-        """The sum of F . v + T . w over all or some loads; NaN if the kinetic energy also changes otherwise.
+        """The sum of F . v + T . w over all or some loads, with the parts of v and w that the speeds give.
 
-        This is the case if a mass varies, an angular velocity does not follow from the frame's orientation, or a
-        body's inertia is given in a frame other than the body's.
+        NaN if the kinetic energy also changes otherwise: if a mass varies, an angular velocity does not follow from
+        the frame's orientation, or a body's inertia is given in a frame other than the body's.
         """
         kinematics = self.kinematics
         within = all(body.inertia_frame == body.frame for body in self.mechanism.bodies)
         is_consistent = len(kinematics.turning_as_oriented) == len(self.mechanism.frames)
         if not (within and is_consistent) or any(map(self.rate, self._masses)):
             return self.tape.number(float("nan"))
-        return loads_power(kinematics, [applied.load for applied in (self.loads if loads is None else loads)])
+        by_speeds = Jvp(self.tape, {speed: speed for speed in self.speeds})
+        return loads_power(
+            kinematics, [applied.load for applied in (self.loads if loads is None else loads)], by_speeds
+        )
 
     def kinetic_energy(self) -> Scalar:
         """The sum of m v.v / 2 + w.I.w / 2 over the bodies."""
@@ -382,23 +411,20 @@ class Kane:
         return _Inertia(body.inertia_frame, matrix, angular_velocity, multiply(matrix, angular_velocity))
 
 
-def loads_power(kinematics: Kinematics, loads: Sequence[Load]) -> Scalar:
-    """The sum of F . v + T . w over loads."""
+def loads_power(kinematics: Kinematics, loads: Sequence[Load], part: Jvp | None = None) -> Scalar:
+    """The sum of F . v + T . w over loads, or of a part of v and w that is linear in them."""
     terms = []
     for load in loads:
         vector = kinematics.vector(load.vector)
         if load.kind == "force":
-            terms.append(kinematics.dot(vector, kinematics.velocity(load.target)))
+            velocity = kinematics.velocity(load.target)
         else:
-            torque = ((load.target, kinematics.express(vector, load.target)),)
-            terms.append(kinematics.dot(torque, ((load.target, kinematics.angular_velocity(load.target)),)))
+            vector = ((load.target, kinematics.express(vector, load.target)),)
+            velocity = ((load.target, kinematics.angular_velocity(load.target)),)
+        if part is not None:
+            velocity = tuple((frame, differentiate(part, components)) for frame, components in velocity)
+        terms.append(kinematics.dot(vector, velocity))
     return kinematics.tape.sum(terms)
-
-
-def projection(vector: Components, directions: Sequence[Components]) -> Components:
-    """The component of a vector in the space of orthogonal vectors, all in one frame."""
-    zero = vector[0].tape.zero
-    return add((zero,) * 3, *(scale(dot(vector, e) / dot(e, e), e) for e in directions))
 
 
 def _scaled(factor: Scalar, vector: Vector) -> Vector:

@@ -18,7 +18,7 @@ import sympy as sm
 from sympy.core.function import AppliedUndef
 
 from fourbar_codegen.dynamics.constraints import Constraints
-from fourbar_codegen.dynamics.kane import AppliedLoad, Kane, loads_power, projection
+from fourbar_codegen.dynamics.kane import AppliedLoad, Kane, loads_power
 from fourbar_codegen.dynamics.kinematics import INERTIAL, Kinematics
 from fourbar_codegen.dynamics.random_states import RandomStates
 from fourbar_codegen.errors import ModelError
@@ -196,11 +196,10 @@ def find_forces_at_moving_points(
     tape, n_u, n_c = kane.tape, len(kane.speeds), len(constraints.jacobian)
     columns, places = [], []
     for force in unknown:
-        directions, loads = kane.auxiliary_directions(force), []
+        loads = []
         for applied in kane.loads:
-            direction = kane.kinematics.express(kane.direction(applied.vector, force), INERTIAL)
-            along = projection(direction, directions[applied.load.kind])
-            if not all(is_zero(tape, along)):
+            along = kane.reaction(applied.load, force)
+            if any(along):
                 vector = ((INERTIAL, along),)
                 loads.append(AppliedLoad(applied.load, vector, vector))
         columns.append(kane.generalized_forces(rate, loads, inertia=False)[:n_u])

@@ -206,3 +206,31 @@ def test_a_defect_of_derivatives_is_found_where_rounding_is_large(tmp_path, monk
         assert not each.lacks_variations
     with pytest.raises(fb.BuildError):
         light_pendulum(tmp_path, monkeypatch).require_variations()
+
+
+@pytest.mark.parametrize(
+    ("element", "law"),
+    [
+        (lambda pathway: me.LinearSpring(20.0, pathway, 0.5), lambda s, _: 20.0 * (s - 0.5)),
+        (lambda pathway: me.LinearDamper(3.0, pathway), lambda _, rate: 3.0 * rate),
+    ],
+)
+def test_a_support_without_mass_moves(element, law):
+    """A quarter of a car on a road: the load at the road, which the input moves, does work that no mass takes up."""
+    q, u, s, t = *me.dynamicsymbols("q u s"), me.dynamicsymbols._t
+    frame, (origin, road, body) = me.ReferenceFrame("N"), map(me.Point, "ORP")
+    origin.set_vel(frame, 0)
+    road.set_pos(origin, s * frame.y)
+    road.set_vel(frame, s.diff() * frame.y)
+    body.set_pos(origin, q * frame.y)
+    body.set_vel(frame, u * frame.y)
+    system = System(frame, origin)
+    system.add_bodies(me.Particle("body", body, 2.0))
+    system.add_actuators(element(me.LinearPathway(road, body)))
+    system.add_coordinates(q)
+    system.add_speeds(u)
+    system.add_kdes(u - q.diff())
+    car = fb.compile_model(fb.Model(system, name="car", inputs={s: sm.sin(3 * t) / 20}))
+    height, rate = np.sin(0.6) / 20.0, 3.0 * np.cos(0.6) / 20.0
+    expected = [0.4, -law(0.7 - height, 0.4 - rate) / 2.0]
+    np.testing.assert_allclose(car.rhs(0.2, [0.7, 0.4]), expected, rtol=1e-14)

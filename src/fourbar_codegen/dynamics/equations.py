@@ -130,8 +130,7 @@ class Equations:
     energies : Result
         Kinetic and potential energy, (2,); the latter NaN if it is not known.
     power : Result
-        Power of the loads without unknown forces, (1,), only for tests of the other results; NaN if the kinetic energy
-        also changes otherwise.
+        Power of the loads without unknown forces, (1,), only for tests of the other results; see `Kane.power`.
     picture : Picture
     points : Result
         Their positions in the inertial frame, (n_points, 3).

@@ -151,7 +151,7 @@ static void pullback(double t, const double *restrict x, const double *restrict 
     const double dynamics2 = weights[2];
     gradient[5] = dynamics2 + z87;
     const double z88 = z33*z82;
-    const double z89 = z80*z52 + z81*z49 + (1.0/2.0)*z34*z82 + z15*z67 + z6*z53 + z87 + ((1.0/2.0)*l3)*z88;
+    const double z89 = z80*z52 + z81*z49 + (1.0/2.0)*z34*z82 + z15*z67 + z6*z53 + z87 + z88*((1.0/2.0)*l3);
     const double c = constants[6];
     const double dynamics1 = weights[1];
     gradient[4] = dynamics1 - c*dynamics3 + z89;
@@ -168,8 +168,8 @@ static void pullback(double t, const double *restrict x, const double *restrict 
     const double z98 = z26*z60 - z11*z44;
     const double z99 = z2*z10;
     const double g = constants[7];
-    const double z100 = l4*g*z28 + l3*g*z26 + z25*((1.0/2.0)*l2*g) + z91*((1.0/12.0)*l4)*z92 +
-        z93*((1.0/12.0)*l3)*z94 + z95*((1.0/12.0)*l2)*z96 - l4*z97 - l3*z98 + z99*((1.0/4.0)*l2);
+    const double z100 = l4*g*z28 + l3*g*z26 + z25*((1.0/2.0)*l2*g) + z91*z92*((1.0/12.0)*l4) +
+        z93*z94*((1.0/12.0)*l3) + z95*z96*((1.0/12.0)*l2) - l4*z97 - l3*z98 + z99*((1.0/4.0)*l2);
     gradient[6] = -z100;
     const double rho = constants[0];
     const double z101 = rho*l2;
@@ -543,16 +543,16 @@ static void variation_columns(const double *restrict constants, const double *re
     const fb_many z28 = (1.0/2.0)*z26 + z27 + (1.0/2.0)*(factor33*z16 - factor31*z17 - factor36*z21 +
         factor37*z20);
     const double factor43 = factors[43];
+    const fb_many d_13 = direction[13];
     const double factor40 = factors[40];
     const double factor42 = factors[42];
-    const fb_many d_13 = direction[13];
-    const fb_many z29 = factor42*d_6 + factor40*d_10 - factor43*z14 + k9*(d_13 - z28);
+    const fb_many z29 = d_6*factor42 + d_10*factor40 - factor43*z14 + k9*(d_13 - z28);
     const double factor41 = factors[41];
     const double factor39 = factors[39];
-    const fb_many z30 = factor39*d_6 + factor40*d_9 - factor41*z3 + k8*(d_13 - z27) + z29;
+    const fb_many z30 = d_6*factor39 + d_9*factor40 - factor41*z3 + k8*(d_13 - z27) + z29;
     const double factor13 = factors[13];
     const double factor44 = factors[44];
-    const fb_many z31 = factor4*(z30 + (factor44*d_6 + factor40*d_8 + factor13*d_13 + z30));
+    const fb_many z31 = factor4*(z30 + (d_6*factor44 + d_8*factor40 + factor13*d_13 + z30));
     const double factor14 = factors[14];
     const double factor38 = factors[38];
     const fb_many z32 = (1.0/2.0)*(factor11*(l2*d_6 + rho*d_8) + factor13*z2) + 2.0*(factor14*z1 +
@@ -576,12 +576,12 @@ static void variation_columns(const double *restrict constants, const double *re
     const double factor60 = factors[60];
     const double factor61 = factors[61];
     const double factor62 = factors[62];
-    const fb_many z37 = factor60*z20 - factor61*z21 - factor62*d_10;
+    const fb_many z37 = factor60*z20 - factor61*z21 - d_10*factor62;
     residual_variation[2] = -(z34 + z37);
     const double factor57 = factors[57];
     const double factor58 = factors[58];
     const double factor59 = factors[59];
-    const fb_many z38 = z36 + (factor57*z10 + factor58*z11 - factor59*d_9 + z37);
+    const fb_many z38 = z36 + (factor57*z10 + factor58*z11 - d_9*factor59 + z37);
     residual_variation[1] = -z38;
     const double factor1 = factors[1];
     const double factor0 = factors[0];
@@ -591,12 +591,12 @@ static void variation_columns(const double *restrict constants, const double *re
     const double factor10 = factors[10];
     const double factor3 = factors[3];
     const double factor5 = factors[5];
-    const double factor6 = factors[6];
     const fb_many d_11 = direction[11];
     const fb_many d_12 = direction[12];
     const double factor9 = factors[9];
+    const double factor6 = factors[6];
     const double factor8 = factors[8];
-    const fb_many z39 = c*d_4 + factor0*d_12 + k_*d_1 + factor1*d_11 + factor3*z0 + factor5*z1 - factor6*d_8 +
+    const fb_many z39 = c*d_4 + factor0*d_12 + k_*d_1 + factor1*d_11 + factor3*z0 + factor5*z1 - d_8*factor6 +
         factor9*(factor7*d_6 + rho*d_8*factor8) + (1.0/2.0)*(factor10*d_8 + l2*z32) + z38;
     residual_variation[0] = -z39;
     const double factor66 = factors[66];

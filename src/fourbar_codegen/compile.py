@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import pickle
 import re
 import sys
 import tempfile
 import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import cache
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +30,7 @@ from fourbar_codegen.runtime.evaluator import versions
 if TYPE_CHECKING:
     from fourbar_codegen.dynamics.derivatives import Derivatives
     from fourbar_codegen.dynamics.equations import Equations
+    from fourbar_codegen.lowering.program import Program
     from fourbar_codegen.lowering.schedule import Schedule, ScheduledFunction
 
 __all__ = [
@@ -78,7 +80,7 @@ def generate_sources(model: Model) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Generated:
-    """The sources of a kernel, and the data from which the rest is generated."""
+    """The sources of a kernel, and what derivatives are generated from."""
 
     equations: Equations
     scheduled: Schedule
@@ -121,53 +123,57 @@ def generate_kernel(model: Model, progress: Progress) -> Generated:
     return Generated(equations, scheduled, names, sources, manifest)
 
 
-def generate_derivatives(generated: Generated) -> tuple[Derivatives, list[ScheduledFunction]]:
+def generate_derivatives(equations: Equations, program: Program) -> tuple[Derivatives, list[ScheduledFunction]]:
     """The derivatives, and their functions."""
     from fourbar_codegen.dynamics.derivatives import form_derivatives
     from fourbar_codegen.lowering.lower import lower_derivatives
     from fourbar_codegen.lowering.schedule import schedule_function
 
-    program = generated.scheduled.program
-    derivatives = form_derivatives(generated.equations, by_columns=program.form == "recursive")
-    functions = lower_derivatives(program, generated.equations, derivatives)
+    derivatives = form_derivatives(equations, by_columns=program.form == "recursive")
+    functions = lower_derivatives(program, equations, derivatives)
     return derivatives, [schedule_function(function, inline_angles=False) for function in functions]
 
 
-def _generate_rest(generated: Generated) -> tuple[Derivatives, dict[str, str], dict[str, Any]]:
-    """The derivatives, their sources, and the operation counts of the manifest."""
-    from fourbar_codegen.codegen.c_source import derivatives_text, variations_text
-    from fourbar_codegen.codegen.manifest import operations_of
+def _generate_variations(equations: Equations, program: Program) -> list[ScheduledFunction]:
+    """Products of derivatives with vectors."""
     from fourbar_codegen.dynamics.variations import form_variations
     from fourbar_codegen.lowering.lower import lower_variations
     from fourbar_codegen.lowering.schedule import schedule_function
 
-    program, equations = generated.scheduled.program, generated.equations
-    derivatives, scheduled = generate_derivatives(generated)
     functions = lower_variations(program, equations, form_variations(equations))
-    varied = [schedule_function(function, inline_angles=True) for function in functions]
-    texts = {
-        f"{program.name}_derivatives.c": derivatives_text(program.name, scheduled, generated.names),
-        f"{program.name}_variations.c": variations_text(program.name, varied, generated.names),
-    }
-    return derivatives, texts, operations_of((*program.functions, *(f.function for f in (*scheduled, *varied))))
+    return [schedule_function(function, inline_angles=True) for function in functions]
+
+
+def _source_of(equations: Equations, program: Program, names: dict[str, tuple[str, ...]], part: str) -> str:
+    """The C source of a part that is compiled at its first use."""
+    from fourbar_codegen.codegen.c_source import derivatives_text, variations_text
+
+    if part == "derivatives":
+        return derivatives_text(program.name, generate_derivatives(equations, program)[1], names)
+    return variations_text(program.name, _generate_variations(equations, program), names)
 
 
 def _generate(model: Model, progress: Progress) -> tuple[Equations, Derivatives, dict[str, str]]:
     """The equations, their derivatives, and all sources made from them."""
     generated = generate_kernel(model, progress)
-    from fourbar_codegen.codegen.c_source import version_texts
+    from fourbar_codegen.codegen.c_source import derivatives_text, variations_text, version_texts
     from fourbar_codegen.codegen.cython_source import wrapper_text
-    from fourbar_codegen.codegen.manifest import manifest_text
+    from fourbar_codegen.codegen.manifest import manifest_text, operations_of
 
-    derivatives, source, operations = _generate_rest(generated)
-    manifest = {**generated.manifest, **operations}
+    equations, program, names = generated.equations, generated.scheduled.program, generated.names
+    # On a tape of their own, as at their first use: the text of a part does not depend on what was formed before.
+    varied = _generate_variations(*pickle.loads(pickle.dumps((equations, program))))
+    derivatives, scheduled = generate_derivatives(equations, program)
+    functions = (*program.functions, *(f.function for f in (*scheduled, *varied)))
+    manifest = {**generated.manifest, **operations_of(functions)}
     return (
-        generated.equations,
+        equations,
         derivatives,
         {
             **generated.sources,
             **{f"{model.name}{suffix}": text for suffix, text in version_texts(generated.scheduled).items()},
-            **source,
+            f"{model.name}_derivatives.c": derivatives_text(model.name, scheduled, names),
+            f"{model.name}_variations.c": variations_text(model.name, varied, names),
             f"{model.name}.pyx": wrapper_text(model, manifest),
             "manifest.json": manifest_text(manifest),
         },
@@ -350,9 +356,9 @@ def _comparison(
 def compile_model(model: Model, *, check: bool = True) -> CompiledModel:
     """Compile a model, or load it from the cache if the same model was compiled before.
 
-    The functions that a simulation by an explicit method needs are compiled at once; derivatives, drawing data, and the
-    functions for several states side by side are compiled at their first use. The cache is in the user's cache folder,
-    or in the folder given by the environment variable ``FOURBAR_CODEGEN_CACHE``.
+    The functions that a simulation by an explicit method needs are compiled at once. Derivatives, drawing data, and the
+    functions for several states side by side are formed and compiled at their first use. The cache is in the user's
+    cache folder, or in the folder given by the environment variable ``FOURBAR_CODEGEN_CACHE``.
 
     Parameters
     ----------
@@ -394,13 +400,14 @@ def compile_model(model: Model, *, check: bool = True) -> CompiledModel:
         with Progress(f"fourbar_codegen: {model.name}") as progress:
             generated = generate_kernel(model, progress)
             progress.stage("compiling")
+            equations, program = generated.equations, generated.scheduled.program
             return install(
                 model.name,
                 generated.sources,
                 generated.manifest,
                 folder,
-                rest=cache(lambda: _generate_rest(generated)[1:]),
-                check=_comparison(progress, generated.equations) if check else None,
+                later=pickle.dumps(partial(_source_of, equations, program, generated.names)),
+                check=_comparison(progress, equations) if check else None,
             )
 
     key = key_of(model)

@@ -193,7 +193,7 @@ def _library_files(generated: Generated, progress: Progress, more: tuple[str, ..
     from fourbar_codegen.codegen.c_library import FOLDER, HEADERS, library_texts
 
     progress.stage("printing the library")
-    _, functions = generate_derivatives(generated)
+    _, functions = generate_derivatives(generated.equations, generated.scheduled.program)
     folder = Path(get_include())
     runtime = {name: (folder / name).read_text("utf-8") for name in (*HEADERS, *more)}
     texts = library_texts(

@@ -27,7 +27,7 @@ from fourbar_codegen.building.toolchain import (
 )
 from fourbar_codegen.errors import CacheError
 
-__all__ = ["PARTS", "SUFFIXES", "build_part", "install", "manifest_of", "numbers_path", "removed"]
+__all__ = ["LATER", "PARTS", "SUFFIXES", "build_part", "install", "manifest_of", "numbers_path", "removed"]
 
 PARTS = {
     "kernel": (("_kernel.c", "_kernel.h"), KERNEL_FLAGS),
@@ -39,6 +39,9 @@ PARTS = {
 
 SUFFIXES = tuple(dict.fromkeys(suffix for suffixes, _ in PARTS.values() for suffix in suffixes))
 """Suffixes of the sources of all parts."""
+
+LATER = "_later.pickle"
+"""Suffix of the file from which sources of parts are generated at their first use."""
 
 INLINED = "#define FB_SHORT\n"
 """A line of short kernels, in which all functions that the right-hand side calls are also inlined into it."""
@@ -59,7 +62,6 @@ def build_part(
     sources: Mapping[str, str],
     structure: Mapping[str, Any] | None = None,
     *,
-    meanwhile: Callable[[], object] | None = None,
     check: Callable[[Path], object] | None = None,
 ) -> Path:
     """The shared library of a part, from the cache if it was built there before.
@@ -76,8 +78,6 @@ def build_part(
         Text by file name.
     structure : mapping, optional
         The structure to put into the kernel's library.
-    meanwhile : callable, optional
-        Called while the compiler works, if it has to.
     check : callable, optional
         Called with a new library before it is moved to the cache; if it raises, the library is discarded.
 
@@ -107,7 +107,7 @@ def build_part(
     def build(folder: Path) -> Path:
         with tempfile.TemporaryDirectory() as temporary:
             # In a path of its own, since for a path the system always returns the library that was loaded first.
-            library = compile_library(Path(temporary) / f"{name}_{part}.so", texts, units, meanwhile)
+            library = compile_library(Path(temporary) / f"{name}_{part}.so", texts, units)
             if check is not None:
                 check(library)
             return Path(shutil.copy(library, folder))
@@ -124,7 +124,7 @@ def install(
     manifest: Mapping[str, Any],
     folder: Path,
     *,
-    rest: Callable[[], tuple[Mapping[str, str], Mapping[str, Any]]],
+    later: bytes | None,
     check: Callable[[Path], None] | None = None,
 ) -> Path:
     """Put a model's library into a folder, with its sources and numbers beside it.
@@ -135,12 +135,10 @@ def install(
     sources : mapping of str to str
         Text by file name: those of the kernel at least.
     manifest : mapping
-        Its structure at least.
     folder : Path
         An existing folder.
-    rest : callable
-        Returns the other sources and the rest of the manifest. Called while the kernel is compiled, and again
-        afterwards.
+    later : bytes or None
+        From which `loading.generated` makes the sources of other parts.
     check : callable, optional
         Called with the library before it is moved to the folder; if it raises, the library is discarded.
 
@@ -158,11 +156,12 @@ def install(
 
     def complete(built: Path) -> None:
         nonlocal checked
-        more, of_manifest = rest()
-        for filename, text in (*sources.items(), *more.items()):
+        for filename, text in sources.items():
             if filename.removeprefix(name) in SUFFIXES:
                 (folder / filename).write_text(text, encoding="utf-8")
-        numbers = json.dumps(_numbers({**manifest, **of_manifest}), indent=2) + "\n"
+        if later is not None:
+            (folder / f"{name}{LATER}").write_bytes(later)
+        numbers = json.dumps(_numbers(manifest), indent=2) + "\n"
         for library in (built, folder / built.name):
             numbers_path(library).write_text(numbers, encoding="utf-8")
         if check is not None:
@@ -170,7 +169,7 @@ def install(
         checked = True
 
     for _ in range(ATTEMPTS):
-        library = build_part(name, "kernel", sources, _structure(manifest), meanwhile=rest, check=complete)
+        library = build_part(name, "kernel", sources, _structure(manifest), check=complete)
         with suppress(FileNotFoundError):  # if another process has removed it in between, to keep the cache small
             if not checked:  # it existed, for a model with other numbers, or one that was not checked
                 with tempfile.TemporaryDirectory() as temporary:

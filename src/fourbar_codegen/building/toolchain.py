@@ -248,12 +248,7 @@ def build_extension(
         return folder / module.name
 
 
-def compile_library(
-    library: Path,
-    sources: Mapping[str, str],
-    units: Mapping[str, Sequence[str]],
-    meanwhile: Callable[[], object] | None = None,
-) -> Path:
+def compile_library(library: Path, sources: Mapping[str, str], units: Mapping[str, Sequence[str]]) -> Path:
     """Compile C sources to a shared library, for this machine alone.
 
     Parameters
@@ -263,8 +258,6 @@ def compile_library(
         Text by file name.
     units : mapping of str to sequence of str
         The flags of each source to compile.
-    meanwhile : callable, optional
-        Called while the compiler works.
 
     Returns
     -------
@@ -281,7 +274,7 @@ def compile_library(
             (Path(temporary) / filename).write_text(text, encoding="utf-8")
         more = ("-DFB_ONE_MACHINE", *find_compiler().machine_flags)
         flags = {Path(temporary) / filename: (*own, *more) for filename, own in units.items()}
-        return _link(_side_by_side([partial(_compile, *unit) for unit in flags.items()], meanwhile), library)
+        return _link(_side_by_side([partial(_compile, *unit) for unit in flags.items()]), library)
 
 
 def compile_shared(library: Path, folder: Path, sources: Sequence[str], target: str | None = None) -> Path:
@@ -418,14 +411,8 @@ def _build(name: str, sources: Mapping[str, str], folder: Path) -> Path:
     return _link(objects, folder / f"{name}{sysconfig.get_config_var('EXT_SUFFIX')}")
 
 
-def _side_by_side(
-    jobs: Sequence[Callable[[_Running], Path]], meanwhile: Callable[[], object] | None = None
-) -> list[Path]:
-    """The results of jobs, run two at a time; if one fails, the tools of the others are stopped.
-
-    `meanwhile` is called when the first job is done, since a core is free then. (Before the tools run, it would keep
-    Python from starting them.)
-    """
+def _side_by_side(jobs: Sequence[Callable[[_Running], Path]]) -> list[Path]:
+    """The results of jobs, run two at a time; if one fails, the tools of the others are stopped."""
     from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 
     running = _Running()
@@ -437,9 +424,6 @@ def _side_by_side(
                 done, pending = wait(pending, PAUSE, FIRST_COMPLETED)
                 for job in done:
                     job.result()
-                if done and meanwhile is not None:
-                    meanwhile()
-                    meanwhile = None
             return [job.result() for job in submitted]
         except BaseException:  # KeyboardInterrupt, for example
             pool.shutdown(wait=False, cancel_futures=True)

@@ -26,7 +26,7 @@ MANIFEST_FORMAT = 19
 def manifest_of(
     model: Model, equations: Equations, program: Program, names: Mapping[str, Sequence[str]], fingerprint: str
 ) -> dict[str, Any]:
-    """The manifest of a compiled model: names, order, defaults, units. `operations_of` adds operation counts.
+    """The manifest of a compiled model: names, order, defaults, units, and operation counts of the program's functions.
 
     Parameters
     ----------
@@ -99,6 +99,7 @@ def manifest_of(
         "jumps": _jumps(model, equations, names),
         "dependencies": _dependencies(equations),
         **_timed(model, equations, names),
+        **operations_of(program.functions),
     }
 
 
@@ -215,7 +216,7 @@ def _open_outputs(equations: Equations, program: Program, names: Sequence[str]) 
 
 
 def operations_of(functions: Sequence[Function]) -> dict[str, Any]:
-    """The part of a manifest that counts operations, of the program's functions and of derivatives."""
+    """The part of a manifest that counts operations."""
     return {
         "operations_before_sharing": {function.name: function.operations_before_sharing for function in functions},
         "operations": {function.name: function.operations for function in functions},

@@ -236,6 +236,9 @@ class Tape:
         self.zero = Scalar(self, 0, ONE)
         self.one = Scalar(self, 1, ONE)
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_functions": {}}  # which are made again where they are needed
+
     def number(self, value: Number) -> Scalar:
         """A number."""
         return Scalar(self, value, ONE)

@@ -20,6 +20,7 @@ from fourbar_codegen.kernel.comparison import compare_batch_functions, compare_d
 from fourbar_codegen.kernel.dependent import eliminate
 from fourbar_codegen.kernel.loading import (
     Loaded,
+    generated,
     load_file,
     load_from_sources,
     load_known,
@@ -51,6 +52,7 @@ class Kernel(Evaluator):
     def __init__(self, capsule: object, manifest: dict[str, Any]) -> None:  # noqa: ARG002  # Evaluator takes it
         self.path = Path()
         self._sources_when_loaded: dict[str, str] | None = None
+        self._later: bytes | None = None
         self.compares = True
         """Whether parts that are compiled later are compared: False after ``compile_model(model, check=False)``."""
         self.name: str = manifest["name"]
@@ -82,6 +84,7 @@ class Kernel(Evaluator):
             raise ModelError(f"{loaded.path} is not a compiled model: {error}.") from error
         model.path = loaded.path
         model._sources_when_loaded = loaded.sources
+        model._later = loaded.later
         return model
 
     @classmethod
@@ -97,7 +100,7 @@ class Kernel(Evaluator):
 
     def __reduce__(self) -> tuple[Any, ...]:
         path = str(self.path) if self.is_portable else None
-        return _restore, (type(self), self.name, path, self.manifest, self._sources(), self.compares)
+        return _restore, (type(self), self.name, path, self.manifest, self._sources(), self.compares, self._later)
 
     def _sources(self) -> dict[str, str] | None:
         """The sources: those beside a library when it was loaded, or those that are beside a module now.
@@ -210,6 +213,10 @@ class Kernel(Evaluator):
     def _sources_of(self, part: str, otherwise: str) -> dict[str, str]:
         """All sources, if they have those of a part; an error otherwise."""
         sources = self._sources() or shipped_sources(self.path, self.name) or {}
+        if f"{self.name}{PARTS[part][0][0]}" not in sources and self._later is not None:
+            with Progress(f"fourbar_codegen: {self.name}") as progress:
+                progress.stage(f"forming {part}")
+                sources = {**sources, **generated(self.name, part, self._later)}
         if any(f"{self.name}{suffix}" not in sources for suffix in PARTS[part][0]):
             raise ModelError(otherwise)
         return sources
@@ -597,15 +604,21 @@ def _restore(
     manifest: dict[str, Any],
     sources: Mapping[str, str] | None,
     compares: bool = True,
+    later: bytes | None = None,
 ) -> Kernel:
     """A model from another process, possibly on another machine, whose later parts are compared or not."""
-    model = _found(kind, name, path, manifest, sources)
+    model = _found(kind, name, path, manifest, sources, later)
     model.compares = compares
     return model
 
 
 def _found(
-    kind: type[Kernel], name: str, path: str | None, manifest: dict[str, Any], sources: Mapping[str, str] | None
+    kind: type[Kernel],
+    name: str,
+    path: str | None,
+    manifest: dict[str, Any],
+    sources: Mapping[str, str] | None,
+    later: bytes | None,
 ) -> Kernel:
     """The same, before that is known.
 
@@ -628,4 +641,4 @@ def _found(
             "were not beside it, or are those of a later build. Install its wheel, or send the module of build_model "
             "from the folder that has its sources."
         )
-    return kind.from_loaded(load_from_sources(name, sources, manifest))
+    return kind.from_loaded(load_from_sources(name, sources, manifest, later))

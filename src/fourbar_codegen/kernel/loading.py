@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import ctypes
+import hashlib
 import json
 import os
+import pickle
 import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module, machinery, util
 from pathlib import Path
 from types import ModuleType
@@ -18,6 +21,8 @@ from typing import Any, Literal, TypeVar
 from fourbar_codegen.building.cache import cached, find_cached, is_whole
 from fourbar_codegen.building.library import (
     ATTEMPTS,
+    LATER,
+    PARTS,
     SUFFIXES,
     build_part,
     install,
@@ -33,6 +38,7 @@ from fourbar_codegen.runtime.evaluator import kernel_at
 __all__ = [
     "Loaded",
     "cache_key",
+    "generated",
     "is_named",
     "load_cached",
     "load_file",
@@ -63,12 +69,15 @@ class Loaded:
     path : Path
     sources : dict of str to str or None
         Text by file name, from which other parts of a library are built; None for a module, which has all parts.
+    later : bytes or None
+        From which `generated` makes those that are missing.
     """
 
     kernel: object
     manifest: dict[str, Any]
     path: Path
     sources: dict[str, str] | None = None
+    later: bytes | None = None
 
 
 def load_named(name: str | Path) -> Loaded:
@@ -275,7 +284,11 @@ def _of_library(library: ctypes.CDLL, path: Path) -> Loaded:
             f"{path} is a model without its numbers: {numbers_path(path).name} beside it must contain its defaults, "
             f"units and initial values ({error})."
         ) from error
-    return Loaded(kernel_at(table.kernel), manifest, path, sources_beside(path, manifest["name"]))
+    name = manifest["name"]
+    later = path.with_name(f"{name}{LATER}")
+    sources = sources_beside(path, name)
+    known = later.read_bytes() if sources is not None and later.is_file() else None
+    return Loaded(kernel_at(table.kernel), manifest, path, sources, known)
 
 
 def manifest_beside(path: Path) -> Any:
@@ -304,14 +317,56 @@ def is_named(path: Path, name: str, fingerprint: str) -> bool:
     return path.parent == Path(__file__).parents[1] / "prebuilt" or _installed(name, fingerprint) is not None
 
 
-def load_from_sources(name: str, sources: Mapping[str, str], manifest: Mapping[str, Any]) -> Loaded:
+def load_from_sources(
+    name: str, sources: Mapping[str, str], manifest: Mapping[str, Any], later: bytes | None
+) -> Loaded:
     """Load the model of generated sources and a manifest, built for this machine in the cache."""
     key = cache_key([sources, manifest])
 
     def build(folder: Path) -> Path:
-        return install(name, sources, manifest, folder, rest=lambda: ({}, {}))
+        return install(name, sources, manifest, folder, later=later)
 
     return load_cached(lambda: cached(name, key, build))
+
+
+def generated(name: str, part: str, later: bytes) -> dict[str, str]:
+    """The source of a part that is compiled at its first use, from the cache if it was generated before.
+
+    Parameters
+    ----------
+    name : str
+        The model's.
+    part : {"derivatives", "variations"}
+    later : bytes
+        A pickled function, which takes the part to the text. It comes with the model's library, which can run any code.
+
+    Returns
+    -------
+    dict of str to str
+        Text by file name.
+
+    Raises
+    ------
+    ModelError
+        If another version has made it.
+    """
+    filename = f"{name}{PARTS[part][0][0]}"
+
+    def build(folder: Path) -> Path:
+        try:
+            source_of = pickle.loads(later)
+        except Exception as error:  # which one depends on what the versions differ in
+            raise ModelError(
+                f"The {part} of {name} cannot be formed ({error!r}): the model was compiled by another version of "
+                "fourbar_codegen, SymPy or Python. Compile it again."
+            ) from error
+        path = folder / filename
+        path.write_text(source_of(part), encoding="utf-8")
+        return path
+
+    key = cache_key([part, hashlib.sha256(later).hexdigest()])
+    find = partial(cached, f"{name}_{part}_source", key, build)
+    return {filename: _where_it_stays(find, lambda path: path.read_text(encoding="utf-8"))}
 
 
 def load_part(name: str, part: str, sources: Mapping[str, str], check: Callable[[int], None] | None) -> int:

@@ -1,5 +1,7 @@
 """The inputs that a motion needs: closed forms of textbooks, drives that tell their torque, and what is refused."""
 
+import warnings
+from bisect import bisect
 from math import pi, sqrt
 
 import numpy as np
@@ -193,6 +195,82 @@ def test_a_load_that_changes_along_a_branch():
     place = model.kinematics({"q_OA": ANGLES[9]}, rates={"q_OA": RATE}, t=times[9])[0]
     torque = model.inverse_dynamics(place, "torque", inputs={"cut": (times, cut)})["torque"]
     assert torque == pytest.approx((200.0 * second[9] - cut[9]) * first[9], rel=1e-12)
+
+
+def of_numbers(load):
+    """A load that takes numbers alone, as compiled functions do."""
+
+    def function(t, x):
+        if not isinstance(t, float):
+            raise TypeError
+        return load(t, x)
+
+    return function
+
+
+@pytest.mark.parametrize(
+    "load",
+    [
+        lambda t, _: np.interp(t, [0.2, 0.3, 0.4], [0.0, -100.0, 0.0]),
+        lambda t, _: -100.0 * (0.2 < t < 0.4),
+        lambda t, _: [0.0, -100.0, 0.0][np.searchsorted([0.2, 0.4], t)],
+        lambda t, _: [0.0, -100.0, 0.0][bisect([0.2, 0.4], t)],
+        lambda t, x: float(np.exp(-((t - x[0]) ** 2))) if x[0] > 3.0 else 0.0,
+        of_numbers(lambda t, _: -100.0 * (12.0 < t < 12.6)),
+    ],
+)
+def test_a_pulse_at_one_time(load):
+    """It is zero at almost all times, so that it is not seen at a few."""
+    model = particles(F + G, inputs={F: 0.0, G: 0.0})
+    branch = model.kinematics({"q1": np.linspace(0.0, 6.0, 13)}, accelerations={"q1": 4.0})[0]
+    with pytest.warns(fb.ModelWarning, match=r"Input G depends on time, but all positions of a Branch .*, t = 0 s"):
+        model.inverse_dynamics(branch, "F", inputs={"G": load})
+    motion = (0.0, np.vstack((branch.q, branch.u)), branch.ud)
+    with pytest.warns(fb.ModelWarning, match=r"Input G depends on time, but all states are at one time, t = 0 s"):
+        model.inverse_dynamics(motion, "F", inputs={"G": load})
+
+
+@pytest.mark.parametrize(
+    "load",
+    [
+        lambda t, x: 3.0 * x[0],
+        lambda t, x: 3.0 * x[0] if f"{t:g} {t}" else 0.0,
+        of_numbers(lambda _, x: 3.0 * x[0]),
+    ],
+)
+def test_a_callable_of_the_position_alone(load):
+    """m q'' = F + 3 q at any time: there are no warnings."""
+    model = particles(F + G, inputs={F: 0.0, G: 0.0})
+    branch = model.kinematics({"q1": [0.0, 1.0]}, accelerations={"q1": 4.0})[0]
+    for motion in (branch, (0.0, np.vstack((branch.q, branch.u)), branch.ud)):
+        np.testing.assert_allclose(model.inverse_dynamics(motion, "F", inputs={"G": load})["F"], [8, 5], rtol=1e-14)
+
+
+def test_states_at_one_time():
+    """A table, and expressions with a pulse, have a value at each time; several accelerations are of one state."""
+    pulse = sm.Piecewise((100, (T > 0.2) & (T < 0.4)), (0, True))
+    table, states = ([0.2, 0.3, 0.4], [0.0, 100.0, 0.0]), np.array([[0.0, 1.0, 2.0], [0.0, 0.0, 0.0]])
+    times, of_pulse = [0.1, 0.3, 0.5], [8.0, -92.0, 8.0]
+    model = particles(F + G, inputs={F: 0.0, G: pulse})
+    for inputs in ({}, {"G": table}):
+        found = model.inverse_dynamics((times, states, [4.0]), "F", inputs=inputs)["F"]
+        np.testing.assert_allclose(found, of_pulse, rtol=1e-14)
+    branch = model.kinematics({"q1": states[0]}, accelerations={"q1": 4.0})[0]
+    for motion, words in ((branch, "all positions of a Branch"), ((0.0, states, [4.0]), "all states are at one time")):
+        with pytest.warns(fb.ModelWarning, match=f"Input G depends on time, but {words}"):
+            model.inverse_dynamics(motion, "F")
+        with pytest.raises(fb.ModelError, match=f"Input G is a table of time, but {words}"):
+            model.inverse_dynamics(motion, "F", inputs={"G": table})
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            model.inverse_dynamics(motion, "F", inputs={"G": 0.0})
+            model.inverse_dynamics(motion, "G", inputs={"F": 0.0})
+    found = model.inverse_dynamics((0.3, states[:, 0], [[4.0, 5.0]]), "F", inputs={"G": table})["F"]
+    np.testing.assert_allclose(found, [-92.0, -90.0], rtol=1e-14)
+    written = particles(F + pulse, inputs={F: 0.0})
+    np.testing.assert_allclose(written.inverse_dynamics((times, states, [4.0]))["F"], of_pulse, rtol=1e-14)
+    with pytest.warns(fb.ModelWarning, match="equations of particles depend on time, but all positions of a Branch"):
+        written.inverse_dynamics(branch)
 
 
 def particles(*loads, place=0, mass=2, **options):

@@ -542,7 +542,7 @@ manifest = (
     '      "0x73f"\n'
     '    ],\n'
     '    "default_inputs": [\n'
-    '      "0x0"\n'
+    '      "0x100000"\n'
     '    ]\n'
     '  },\n'
     '  "timed": [\n'

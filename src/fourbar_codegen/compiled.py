@@ -553,8 +553,9 @@ class CompiledModel(Kernel):
             By default those of the branch or run, otherwise the model's.
         inputs : mapping, optional
             Sources of the other inputs, as for `simulate`, or arrays of shape (n,) with a value for each state. All
-            positions of a branch are at its one time: a load that changes along it is an array or a callable of (t, x)
-            that depends on x, not a table; where another load depends on time, a ModelWarning says so.
+            positions of a branch are at its one time, as are states with a time in common: a load that changes along
+            them is an array or a callable of (t, x) that depends on x, not a table; where another load depends on time,
+            a ModelWarning says so.
 
         Returns
         -------

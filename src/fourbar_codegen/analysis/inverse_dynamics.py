@@ -12,11 +12,12 @@ chapter 6.
 
 from __future__ import annotations
 
+import math
 import warnings
-from collections.abc import Container, Iterable, Mapping
+from collections.abc import Callable, Container, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -55,8 +56,8 @@ ROUNDED = 1e-13
 
 MAX_ITERATIONS = 30
 
-LATER = np.array([0.0, 0.0137, 0.7391, 23.17])
-"""Further times, s, at which it is looked whether an input depends on time."""
+OTHER_TIMES = np.append(np.nan, np.geomspace(1e-3, 1e3, 601))
+"""Times later by these, s, are tried with callables that take numbers alone. What is computed from NaN is NaN."""
 
 
 def inverse_dynamics(
@@ -77,8 +78,8 @@ def inverse_dynamics(
     carried = _carried(model, given, {*sources, *names}) | _by_instant(model, given, sources)
     set_below = [name for name in without_rates if name in names or name in carried]
     ode = bind(model, p, {**sources, **dict.fromkeys(set_below, 0.0)})
-    if isinstance(motion, Branch) and given.shape != (1,):
-        _check_time(model, given, p, sources, carried)
+    if given.one_time:
+        _check_time(model, given, p, sources, names)
     rows, others = ([model.inputs.index(name) for name in group] for group in (names, carried))
     guesses = np.array([given.inputs.get(name, np.full(given.shape, np.nan)) for name in names])
     found, sizes = np.full((len(names), *given.shape), np.nan), None
@@ -128,6 +129,8 @@ class _Motion:
     ----------
     source : str
         Where it comes from.
+    one_time : str
+        What tells that different states are at one time, in words; empty if they are not.
     times : ndarray, shape (...)
     states : ndarray, shape (n_x, ...)
     rows : list of int
@@ -140,6 +143,7 @@ class _Motion:
     """
 
     source: str
+    one_time: str
     times: Floats
     states: Floats
     rows: list[int]
@@ -229,35 +233,89 @@ def _check_time(
     given: _Motion,
     p: Floats | None,
     sources: Mapping[str, InputSource | Floats],
-    carried: Mapping[str, Floats],
+    unknown: Container[str],
 ) -> None:
-    """Refuse tables for a branch, and warn of other loads that depend on time.
+    """Refuse tables for different states at one time, and warn of other loads that depend on time.
 
-    All positions of a branch are at one time, although the mechanism passes them one after the other.
+    The mechanism passes the positions of a branch one after the other, although all of them are at one time.
     """
-    t = float(given.times[0])
     ways = (
-        f"all positions of a Branch are at its time, t = {t:g} s. Give an array with a value for each position, a "
-        "callable of (t, x) that depends on x alone, or the motion as (t, x, accelerations) with the time of each "
-        "position"
+        f"{given.one_time}. Give an array with a value for each position, a callable of (t, x) that depends on x "
+        "alone, or the motion as (t, x, accelerations) with the time of each position"
     )
     tables = [name for name, source in sources.items() if isinstance(source, tuple | list)]
     if tables:
         raise ModelError(f"Input {', '.join(tables)} is a table of time, but {ways}.")
-    known = given.states[:, np.isfinite(given.states).all(axis=0)]
-    expressions = np.array([model.default_inputs(time, p) for time in t + LATER])
-    varying = []
-    for place, name in enumerate(model.inputs):
-        values, source = expressions[:, place], sources.get(name)
-        if callable(source) and known.size:
-            values = np.array([source(time, known[:, 0].copy()) for time in t + LATER])
-        elif source is not None or name not in carried or carried[name][0] != values[0]:
-            continue
-        if (values != values[0]).any():
-            varying.append(name)
-    loads = [name for name in varying if name in _names(model) and name not in model.prescribed]
+    t, known = float(given.times[0]), given.states[:, np.isfinite(given.states).all(axis=0)]
+    of_time = dict(zip(model.inputs, _depend_on_time(model, "default_inputs"), strict=True))
+    loads = []
+    for entry, default in zip(model.manifest["inputs"], model.default_inputs(t, p), strict=True):
+        name, source = entry["name"], sources.get(entry["name"])
+        if callable(source):
+            depends = _reads_time(source, t, known)
+        else:
+            is_load = name not in unknown and entry["of"] not in model.prescribed
+            is_default = source is None and bool(np.all(given.inputs.get(name, default) == default))
+            depends = is_load and is_default and of_time[name]
+        if depends:
+            loads.append(name)
     if loads:
         warnings.warn(f"Input {', '.join(loads)} depends on time, but {ways}.", ModelWarning, stacklevel=4)
+    if any(_depend_on_time(model, "residual")):
+        warnings.warn(
+            f"The equations of {model.name} depend on time, but {given.one_time}. Give the motion as (t, x, "
+            "accelerations) with the time of each position.",
+            ModelWarning,
+            stacklevel=4,
+        )
+
+
+def _depend_on_time(model: Kernel, result: str) -> list[bool]:
+    """Which rows of a result depend on time, apart from inputs."""
+    place = model.n_x + model.n_p + model.n_r + model.n_u + model.n_l
+    return [bool(int(mask, 16) >> place) for mask in model.manifest["dependencies"][result]]
+
+
+class _Clock:
+    """A time that cannot be read, and notes if that is tried."""
+
+    def __init__(self) -> None:
+        self.is_read = False
+
+    def __getattr__(self, name: str) -> NoReturn:
+        _read(self)
+
+    def __format__(self, form: str) -> str:
+        return "t"  # a message is no result
+
+
+def _read(clock: _Clock, *_: object) -> NoReturn:
+    clock.is_read = True
+    raise TypeError("This time cannot be read.")
+
+
+for _name in {*vars(float)} - {*vars(_Clock)} - {"__new__", "__repr__", "__getattribute__"}:
+    setattr(_Clock, _name, _read)
+
+
+def _reads_time(source: Callable[[float, Floats], float], t: float, states: Floats) -> bool:
+    """Whether a callable of (t, x) depends on time at any of the states, in columns.
+
+    At single times, a pulse between them would not be seen.
+    """
+    clock = _Clock()
+    with suppress(Exception):
+        for x in states.T:
+            source(clock, x.copy())  # type: ignore[arg-type]
+        return clock.is_read
+    if clock.is_read:
+        return True
+    # It takes numbers alone, as compiled functions do.
+    x = states[:, 0]
+    value = source(t, x.copy())
+    with suppress(Exception), np.errstate(all="ignore"):
+        return any(source(t + later, x.copy()) != value for later in OTHER_TIMES)
+    return True
 
 
 def _read_result(model: Kernel, motion: Any) -> _Motion:
@@ -287,6 +345,9 @@ def _read_result(model: Kernel, motion: Any) -> _Motion:
         raise ModelError(f"{what} not tell {', '.join(missing)} of {model.name}: they tell {', '.join(source.states)}.")
     return _Motion(
         source.name,
+        f"all positions of a Branch are at its time, t = {times[0]:g} s"
+        if isinstance(motion, Branch) and len(times) > 1
+        else "",
         times,
         states[[source.states.index(name) for name in model.states]],
         list(range(model.n_u)),
@@ -319,12 +380,14 @@ def _read_tuple(model: Kernel, motion: tuple[Any, ...]) -> _Motion:
             f"Times, states and accelerations must be of as many instants, or of one: their shapes are {times.shape}, "
             f"{states.shape} and {rates.shape}."
         )
+    n_states = math.prod(states.shape[1:])
     states, rates = (
         np.broadcast_to(rows.reshape(len(rows), *(rows.shape[1:] or (1,) * len(shape))), (len(rows), *shape))
         for rows in (states, rates)
     )
     return _Motion(
         "The motion",
+        f"all states are at one time, t = {times.flat[0]:g} s" if times.size == 1 < n_states else "",
         np.broadcast_to(times, shape),
         states,
         [model.speeds.index(name) for name in names],

@@ -115,10 +115,10 @@ def _jumps(model: Model, equations: Equations, names: Mapping[str, Sequence[str]
 
 
 def _dependencies(equations: Equations) -> dict[str, list[str]]:
-    """For each row, what it depends on: a hexadecimal number with bits for x, p, r, u' and the multipliers."""
+    """For each row, what it depends on: a hexadecimal number with bits for x, p, r, u', the multipliers and t."""
     e, tape = equations, equations.tape
     leaves = (*e.coordinates, *e.speeds, *e.auxiliary_states, *e.parameters, *e.inputs, *e.accelerations)
-    masks = {leaf.node: 1 << place for place, leaf in enumerate((*leaves, *e.multipliers))}
+    masks = {leaf.node: 1 << place for place, leaf in enumerate((*leaves, *e.multipliers, e.time))}
     rows = {
         "coordinate_rates": e.coordinate_rates.entries,
         "residual": e.residual.entries,

@@ -168,6 +168,15 @@ def test_dependent_speeds_in_initial():
     # The rate of the constraint is 2 (x vx + y vy) = 1.6 (0.3 - 0.3001).
     with pytest.raises(fb.ModelError, match=r"violate velocity constraint 1: J u [+] b = -0.00016 .*speeds \(v_x, w\)"):
         wrong.simulate((0.0, 0.1))
+    # At rest there are no terms to compare with, and speeds may be rounding errors.
+    rest = {**start, vx: 0.0}
+    for speed in (1e-17, -6e-17, 1e-9):
+        still = fb.compile_model(fb.Model(model.system, initial={**rest, vy: speed}, **how))
+        np.testing.assert_allclose(still.initial_state(), [0.6, 0.0, 0.8, 0.0, 1.0, 0.0], rtol=0, atol=1e-16)
+    for speed in (1e-7, 0.5):
+        moving = fb.compile_model(fb.Model(model.system, initial={**rest, vy: speed}, **how))
+        with pytest.raises(fb.ModelError, match=f"violate velocity constraint 1: J u [+] b = {1.6 * speed:g} there"):
+            moving.initial_state()
     assert wrong.initial_state(speeds={"v_x": 0.8, "w": 1.0})[5] == pytest.approx(-0.6, rel=1e-14)
 
 

@@ -14,6 +14,7 @@ from c_library import STRICT, Library
 from programs import require
 from sympy.physics.mechanics.system import System
 from systems import closed_by_auxiliary_speeds, parallelogram, pendulum, quaternion_top, slider, spatial_four_bar
+from test_closure import bead_and_wheel, length, vx, vy, x, y
 from test_compilers import zig_cc
 from trees import revolute_chain
 
@@ -604,6 +605,22 @@ def test_natural_names(tmp_path, name):
     for language, sources in (("c", folder.glob("*.c")), ("c++", [folder / "user.cpp"])):
         flags = STRICT[2:] if language == "c++" else STRICT
         subprocess.run([require("gcc"), "-x", language, *flags, "-fsyntax-only", *sources], check=True)
+
+
+@pytest.mark.parametrize("speed", [-0.3, -0.2])
+def test_initial_values_of_dependent_speeds(tmp_path, speed):
+    """x vx + y vy = 0: at (0.6, 0.8), which is found from y = 0.7, with vx = 0.4 is vy = -0.3."""
+    system = bead_and_wheel(x**2 + y**2 - length**2, "ring").system
+    model = fb.Model(system, name="ring", parameters={length: 1.0}, initial={x: 0.6, y: 0.7, vx: 0.4, vy: speed})
+    if speed == -0.3:
+        fb.export_c(model, tmp_path / "ring")
+        assert (tmp_path / "ring" / "ring.c").exists()
+        return
+    for export, path in ((fb.export_c, tmp_path / "ring"), (fb.export_fmu, tmp_path / "ring.fmu")):
+        # The rate of the constraint is 2 (x vx + y vy).
+        with pytest.raises(fb.ModelError, match=r"violate velocity constraint 1: J u [+] b = 0.16 there"):
+            export(model, path)
+        assert not path.exists()
 
 
 def test_what_cannot_be_exported(tmp_path):

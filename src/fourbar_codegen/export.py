@@ -56,7 +56,8 @@ def export_c(model: Model, folder: str | Path) -> Path:
     Raises
     ------
     ModelError
-        If the model has something that cannot be compiled, a parameter without a default, or names that C cannot have.
+        If the model has something that cannot be compiled, a parameter without a default, names that C cannot have, or
+        initial values of dependent speeds that violate the constraints.
     BuildError
         If the folder cannot be written.
 
@@ -199,7 +200,32 @@ def _library_files(generated: Generated, progress: Progress, more: tuple[str, ..
     texts = library_texts(
         generated.scheduled, functions, generated.names, generated.manifest, _version(), runtime, names_entries=not more
     )
+    _check_initial_speeds(generated)
     return texts | {f"{FOLDER}{name}": text for name, text in runtime.items()}
+
+
+def _check_initial_speeds(generated: Generated) -> None:
+    """As `CompiledModel.initial_state` does, without a compiled model: a library overwrites them without a word."""
+    import numpy as np
+
+    from fourbar_codegen.analysis.initial_state import check_speeds
+    from fourbar_codegen.dynamics.random_states import close
+
+    e, initial, names = generated.equations, generated.manifest["initial"], generated.manifest["speeds"]
+    n_qi = len(e.coordinates) - generated.manifest["n_dependent_coordinates"]
+    n_ui = len(e.speeds) - e.n_dependent_speeds
+    dependent = [name for name in names[n_ui:] if name in initial]
+    if not dependent:
+        return
+    start = zip((*e.coordinates, *e.speeds), (*generated.manifest["coordinates"], *names), strict=True)
+    point = {e.time: 0.0} | {leaf: initial.get(name, 0.0) for leaf, name in start}
+    defaults = (entry["default"] for entry in generated.manifest["parameters"])
+    point |= zip(e.parameters, defaults, strict=True)
+    point |= zip(e.inputs, e.tape.evaluate(e.default_inputs.entries, point), strict=True)
+    if close(e.tape, e.position_constraints.entries, e.coordinates[n_qi:], point):
+        bias = np.array(e.tape.evaluate(e.velocity_bias.entries, point))
+        jacobian = np.reshape(e.tape.evaluate(e.constraint_jacobian.entries, point), e.constraint_jacobian.shape)
+        check_speeds(jacobian, bias, names, np.array([point[leaf] for leaf in e.speeds]), n_ui, dependent)
 
 
 def _version() -> str:

@@ -23,7 +23,7 @@ from fourbar_codegen.runtime.evaluator import numbers
 if TYPE_CHECKING:
     from fourbar_codegen.analysis.assembly_modes import AssemblyModes
 
-__all__ = ["initial_state", "initial_states", "nearby_state"]
+__all__ = ["check_speeds", "initial_state", "initial_states", "nearby_state"]
 
 Floats = NDArray[np.float64]
 
@@ -46,7 +46,10 @@ CONSISTENT = 1e-10
 """Tolerance of velocity constraints, relative to their terms."""
 
 GIVEN = 1e-6
-"""The same, with dependent speeds as they are given."""
+"""The same, with dependent speeds as they are given, ..."""
+
+AT_REST = 1e-8
+"""... which are zero up to this size, m/s or rad/s: at rest, the terms are rounding errors themselves."""
 
 
 def initial_state(
@@ -85,14 +88,33 @@ def _check_initial_speeds(loops: Loops, x: Floats) -> None:
     x = x.copy()
     x[[n_q + model.speeds.index(name) for name in dependent]] = [known[name] for name in dependent]
     jacobian, bias = model.velocity(loops.t, x, loops.p, loops.r)
-    residual, u = model.velocity_constraints(loops.t, x, loops.p, loops.r), x[n_q : n_q + model.n_u]
-    excess = np.abs(residual) - GIVEN * (np.abs(jacobian) @ np.abs(u) + np.abs(bias))
+    check_speeds(jacobian, bias, model.speeds, x[n_q : n_q + model.n_u], n_ui, dependent)
+
+
+def check_speeds(
+    jacobian: Floats, bias: Floats, names: Sequence[str], u: Floats, n_independent: int, given: Sequence[str]
+) -> None:
+    """Raise a ModelError if initial values of dependent speeds violate the constraints.
+
+    Parameters
+    ----------
+    jacobian, bias : ndarray, shape (n_c, n_u) and (n_c,)
+        J and b at the initial position.
+    names : sequence of str
+        The speeds' names, the independent ones first.
+    u : ndarray, shape (n_u,)
+    n_independent : int
+    given : sequence of str
+        The dependent speeds with an initial value.
+    """
+    residual, sizes = jacobian @ u + bias, np.abs(jacobian)
+    excess = np.abs(residual) - GIVEN * (sizes @ np.abs(u) + np.abs(bias)) - AT_REST * sizes.sum(axis=1)
     if (excess > 0.0).any():
         row = int(np.argmax(excess))
         raise ModelError(
             f"The speeds in initial= violate velocity constraint {row + 1}: J u + b = {residual[row]:.6g} there, with "
-            f"{_named(model.speeds, u)}. Correct the dependent ones ({', '.join(dependent)}), or leave them out: they "
-            f"follow from the independent speeds ({', '.join(model.speeds[:n_ui]) or 'none'})."
+            f"{_named(names, u)}. Correct the dependent ones ({', '.join(given)}), or leave them out: they "
+            f"follow from the independent speeds ({', '.join(names[:n_independent]) or 'none'})."
         )
 
 

@@ -113,6 +113,64 @@ def test_a_place_along_a_curve_is_no_angle(steepness):
     assert json.loads(fb.generate_sources(model)["manifest.json"])["angles"] == []
 
 
+X, RATE, TILT, HEIGHT, ARM = *me.dynamicsymbols("x u"), *sm.symbols("alpha a r")
+PLACES = {
+    "twice": (2 * X, HEIGHT * sm.sin(X)),
+    "inclined": (
+        X * sm.cos(TILT) - HEIGHT * sm.sin(X) * sm.sin(TILT),
+        X * sm.sin(TILT) + HEIGHT * sm.sin(X) * sm.cos(TILT),
+    ),
+    "cycloid": (X - sm.sin(X), 1 - sm.cos(X)),
+    "spiral": (X * sm.cos(X), X * sm.sin(X)),
+    "circle": (ARM * sm.cos(X), ARM * sm.sin(X)),
+    "eight": (ARM * sm.cos(X), ARM * sm.sin(X) * sm.cos(X)),
+}
+"""Places (x, y) that a coordinate tells."""
+
+
+@pytest.mark.parametrize("has_positions", [True, False])
+@pytest.mark.parametrize("name", PLACES)
+def test_a_coordinate_is_an_angle_if_its_point_returns_after_a_turn(name, has_positions):
+    """As positions tell, or, in a KanesMethod without them, the velocities."""
+    ground, origin, point = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
+    origin.set_vel(ground, 0)
+    across, along = PLACES[name]
+    if has_positions:
+        point.set_pos(origin, across * ground.x + along * ground.y)
+    else:
+        point.set_vel(ground, across.diff(X) * RATE * ground.x + along.diff(X) * RATE * ground.y)
+    bodies, equations = [me.Particle("P", point, sm.Symbol("m"))], [RATE - X.diff()]
+    if has_positions:
+        method = System(ground, origin)
+        method.add_bodies(*bodies)
+        method.add_coordinates(X)
+        method.add_speeds(RATE)
+        method.add_kdes(*equations)
+    else:
+        method = me.KanesMethod(ground, [X], [RATE], kd_eqs=equations, bodies=bodies, forcelist=[])
+    values = {"m": 1.0, "alpha": 0.2, "a": 0.1, "r": 0.5}
+    model = fb.Model(method, name=name, parameters=values, extra="ignore")
+    expected = ["x"] if name in {"circle", "eight"} else []
+    assert json.loads(fb.generate_sources(model)["manifest.json"])["angles"] == expected
+
+
+@pytest.mark.parametrize(("turn", "expected"), [(X, ["x"]), (sm.atan(HEIGHT * sm.cos(X)), [])])
+@pytest.mark.parametrize("radius", [1, ARM])
+def test_what_moves_on_as_it_turns(turn, expected, radius):
+    """A wheel that rolls, whose angle it is, and a carriage along the tangent of a wave."""
+    ground, frame, origin, point = *map(me.ReferenceFrame, "NB"), me.Point("O"), me.Point("P")
+    frame.orient_axis(ground, ground.z, turn)
+    point.set_pos(origin, radius * X * ground.x)
+    system = System(ground, origin)
+    end = point.locatenew("E", ARM * frame.x)
+    system.add_bodies(me.RigidBody("body", end, frame, 1, (me.inertia(frame, 1, 1, 2), end)))
+    system.add_coordinates(X)
+    system.add_speeds(RATE)
+    system.add_kdes(RATE - X.diff())
+    model = fb.Model(system, name="rolling", parameters={"a": 0.1, "r": 0.5}, extra="ignore")
+    assert json.loads(fb.generate_sources(model)["manifest.json"])["angles"] == expected
+
+
 def test_degrees_are_noticed():
     arm = fb.compile_model(fb.Model(pendulum(), parameters={"m": 1.0, "g": 9.81, "l": 2.0}, name="arm"))
     assert arm.manifest["angles"] == ["q"]

@@ -9,13 +9,14 @@ from operator import or_
 from typing import Any
 
 import sympy as sm
+from sympy.functions.elementary.trigonometric import TrigonometricFunction
 
 from fourbar_codegen.dynamics.equations import Equations
 from fourbar_codegen.dynamics.jumps import jumps
 from fourbar_codegen.expressions.tape import Call, Product, Scalar, Sum, operands
 from fourbar_codegen.lowering.program import Function, Program
 from fourbar_codegen.modeling.gravity import gravity
-from fourbar_codegen.modeling.mechanism import entries_of
+from fourbar_codegen.modeling.mechanism import Mechanism, entries_of
 from fourbar_codegen.modeling.model import Model
 
 __all__ = ["manifest_of", "manifest_text", "operations_of"]
@@ -183,20 +184,48 @@ def _values(model: Model) -> dict[sm.Basic, Any]:
 def _angles(model: Model, equations: Equations, names: Sequence[str]) -> list[str]:
     """The coordinates whose sines or cosines the equations take, or of sums with numbers as factors.
 
-    Not x in sin(k x), a curve, where k may have any unit; nor a coordinate that is a term of a position itself.
+    Not lengths along curves: x in sin(k x), where k may have any unit, or an x by which a point moves on after a turn.
     """
-    tape, mechanism = equations.tape, model.mechanism
+    tape = equations.tape
     calls = (node for node in tape.nodes if isinstance(node, Call) and node.expression.func in (sm.sin, sm.cos))
     arguments = {argument for call in calls for argument in call.arguments}
     for node in list(arguments):
         if isinstance(operation := tape.nodes[node], Sum):
             arguments.update(term for term, _ in operation.terms)
-    offsets = (*(point.offset for point in mechanism.points), *(point.offset for point in mechanism.drawn))
-    lengths = {
-        t for offset in offsets for entry in entries_of(offset) for x in sm.Add.make_args(entry) for t in (x, -x)
-    }
-    leaves = zip(names, mechanism.coordinates, equations.coordinates, strict=True)
-    return [name for name, coordinate, q in leaves if q.node in arguments and coordinate not in lengths]
+    leaves = zip(names, model.mechanism.coordinates, equations.coordinates, strict=True)
+    taken = {coordinate: name for name, coordinate, q in leaves if q.node in arguments}
+    turning = _turning(model.mechanism)  # also if it rolls, as a wheel does
+    return [name for each, name in taken.items() if each in turning or not _moves_on(model.mechanism, each)]
+
+
+def _moves_on(mechanism: Mechanism, coordinate: sm.Expr) -> bool:
+    """Whether a position or velocity has a coordinate beside its sines in a component, or a velocity its rate."""
+
+    def has_beside_sines(entry: sm.Expr, instead: sm.Expr, *parts: sm.Expr) -> bool:
+        calls = (call for call in entry.atoms(TrigonometricFunction) if call.has(coordinate))
+        return bool(entry.has(*parts) and entry.xreplace(dict.fromkeys(calls, instead)).has(*parts))
+
+    rate = coordinate.diff(mechanism.time)
+    equations = [equation for equation in mechanism.kinematic_equations if equation.atoms(sm.Derivative) == {rate}]
+    rates = {rate, *(speed for speed in mechanism.speeds if any(equation.has(speed) for equation in equations))}
+    offsets = [point.offset for point in mechanism.points] + [point.offset for point in mechanism.drawn]
+    places = [entry for offset in offsets for entry in entries_of(offset)]
+    velocities = [entry for point in mechanism.points for entry in entries_of(point.velocity)]
+    return any(has_beside_sines(entry, sm.Dummy(), coordinate) for entry in places + velocities) or any(
+        has_beside_sines(entry, sm.S.Zero, *rates) for entry in velocities
+    )
+
+
+def _turning(mechanism: Mechanism) -> set[sm.Expr]:
+    """What frames turn by: their direction cosines are polynomials in sines, unlike those of a curve's tangent."""
+    found: set[sm.Expr] = set()
+    for frame in mechanism.frames[1:]:
+        for entry in frame.dcm or ():
+            calls = entry.atoms(sm.sin, sm.cos)
+            if entry.is_polynomial(*calls):
+                terms = (term for call in calls for term in sm.Add.make_args(call.args[0]))
+                found.update(term.as_coeff_Mul()[1] for term in terms)
+    return found
 
 
 def _geometry(equations: Equations, names: Sequence[str]) -> list[str]:

@@ -203,6 +203,7 @@ def test_antiderivatives():
         (sm.Max(0, x - b) ** sm.Rational(3, 2), lambda x, b: 0.4 * max(0.0, x - b) ** 2.5),  # Hertz
         (sm.Heaviside(x - b) * x, lambda x, b: (x**2 - b**2) / 2 if x > b else 0.0),
         (sm.exp(b * x) - 1, lambda x, b: np.exp(b * x) / b - x),
+        (b * sm.atan(3 * x), lambda x, b: b * (x * np.arctan(3 * x) - np.log(9 * x * x + 1) / 6)),
         (sm.sin(sm.exp(x)) / (1 + x**4), None),
         (sm.sqrt(b + sm.sin(x) ** 2), None),  # an elliptic integral, which C does not have
     ):

@@ -7,7 +7,7 @@ import random
 import sys
 import time
 from collections.abc import Callable
-from itertools import pairwise
+from itertools import count, pairwise
 from types import FrameType
 from typing import Any
 
@@ -30,10 +30,13 @@ from fourbar_codegen.expressions.tape import (
     placeholder,
 )
 
-__all__ = ["antiderivative"]
+__all__ = ["PATIENCE", "antiderivative"]
 
 PATIENCE = 1.0
-"""Longest search for an antiderivative, seconds of processor time."""
+"""Longest search for one antiderivative, seconds of processor time."""
+
+CALLS = 256
+"""Number of calls and returns of functions, some microseconds each, after which the clock is read."""
 
 INTEGRABLE = ("sympy.functions.elementary", "sympy.functions.special.delta_functions")
 """Modules of functions for which SymPy has rules; not curves of muscles, for example."""
@@ -45,7 +48,7 @@ AGREE = 1e-7
 """Of the derivative of an antiderivative and its integrand, relative."""
 
 
-def antiderivative(tape: Tape, integrand: Scalar, variable: Scalar) -> Scalar | None:
+def antiderivative(tape: Tape, integrand: Scalar, variable: Scalar, patience: float = PATIENCE) -> Scalar | None:
     """A continuous function whose derivative is the integrand.
 
     Parameters
@@ -55,10 +58,12 @@ def antiderivative(tape: Tape, integrand: Scalar, variable: Scalar) -> Scalar | 
         A function of the variable; everything else in it counts as constant.
     variable : Scalar
         A leaf.
+    patience : float, optional
+        Longest search, seconds of processor time. Polynomials take none.
 
     Returns
     -------
-    Scalar, or None if SymPy finds none within `PATIENCE`, or one that C cannot evaluate.
+    Scalar, or None if SymPy finds none within the patience, or one that C cannot evaluate.
 
     Examples
     --------
@@ -82,7 +87,7 @@ def antiderivative(tape: Tape, integrand: Scalar, variable: Scalar) -> Scalar | 
     own = {*map(type, expression.atoms(sm.Function))}
     if not all(function.__module__.startswith(INTEGRABLE) for function in own):
         return None
-    found = _within(PATIENCE, lambda: sm.integrate(expression.rewrite(sm.Piecewise), x))
+    found = _within(patience, lambda: sm.integrate(expression.rewrite(sm.Piecewise), x))
     known = {*own, *FUNCTIONS, sm.Piecewise, sm.Max, sm.Min}
     if found is None or found.has(sm.Integral) or not {*map(type, found.atoms(sm.Function))} <= known:
         return None
@@ -154,10 +159,11 @@ def _within(seconds: float, search: Callable[[], sm.Expr]) -> sm.Expr | None:
     """What a search finds, or None if it takes longer; a profiler that is running is not disturbed."""
     if sys.getprofile() is not None:
         return search()
-    end = time.thread_time() + seconds
+    end, calls = time.thread_time() + seconds, count()
 
     def watch(_frame: FrameType, _event: str, _argument: Any) -> None:
-        if time.thread_time() > end:
+        # The clock takes longer than most calls.
+        if next(calls) % CALLS == 0 and time.thread_time() > end:
             raise _TooLong
 
     sys.setprofile(watch)

@@ -196,6 +196,128 @@ def test_a_spring_without_antiderivative_is_named(tmp_path):
     assert [axes.get_title(loc="left") for axes in run.plot(["x", "energy"]).axes] == ["x", f"energy without {name}"]
 
 
+def disc(*loads, rates="inertial"):
+    """A body in the plane: speeds along the axes, or of the body, or a sum of rates. Loads are functions of its frames,
+    points and coordinates."""
+    (x, y, turn), (a, b, spin) = me.dynamicsymbols("x y turn"), me.dynamicsymbols("a b spin")
+    ground, body, origin = me.ReferenceFrame("N"), me.ReferenceFrame("B"), me.Point("O")
+    body.orient_axis(ground, ground.z, turn)
+    body.set_ang_vel(ground, spin * ground.z)
+    centre = origin.locatenew("C", x * ground.x + y * ground.y)
+    velocity = {
+        "inertial": a * ground.x + b * ground.y,
+        "body": a * body.x + b * body.y,
+        "sums": a * ground.x + (b - a) * ground.y,
+    }[rates]
+    origin.set_vel(ground, 0)
+    centre.set_vel(ground, velocity)
+    rim = centre.locatenew("R", body.x / 2)
+    rim.v2pt_theory(centre, ground, body)
+    system = System(ground, origin)
+    system.add_bodies(me.RigidBody("disc", centre, body, sm.S(2), (me.inertia(body, 0, 0, 1), centre)))
+    system.add_coordinates(x, y, turn)
+    system.add_speeds(a, b, spin)
+    system.add_kdes(x.diff() - velocity.dot(ground.x), y.diff() - velocity.dot(ground.y), turn.diff() - spin)
+    system.add_loads(*(load(ground, body, origin, centre, rim, x, y, turn) for load in loads))
+    initial = {x: 0.7, y: 0.2, turn: 0.3, a: 0.2, b: -0.4, spin: 2.0}
+    return fb.Model(system, name="disc", initial=initial)
+
+
+def radial(n, _b, origin, centre, *_):
+    arm = centre.pos_from(origin)
+    return me.Force(centre, -10 * (arm.magnitude() - 0.4) * arm.normalize())
+
+
+@pytest.mark.parametrize("rates", ["inertial", "body", "sums"])
+def test_springs_by_hand_have_a_potential_with_any_speeds(rates):
+    """A spring at the centre, one at the rim, and a force and a torque that have a potential together alone."""
+    model = disc(
+        radial,
+        lambda n, b, o, c, rim, *_: me.Force(rim, -8 * (rim.pos_from(o) - 3 * n.y)),
+        lambda n, b, o, c, rim, x, y, turn: me.Force(c, -5 * turn * sm.cos(x) * n.x),
+        lambda n, b, o, c, rim, x, y, turn: me.Torque(b, -5 * sm.sin(x) * n.z),
+        rates=rates,
+    )
+    compiled = fb.compile_model(model)
+    assert compiled.energy_without == ()
+    run = compiled.simulate((0.0, 1.0), rtol=1e-11, atol=1e-11)
+    x, y, turn = run.q
+    rim = np.array([x + np.cos(turn) / 2, y + np.sin(turn) / 2 - 3.0])
+    expected = 5 * (np.hypot(x, y) - 0.4) ** 2 + 4 * (rim**2).sum(axis=0) + 5 * turn * np.sin(x)
+    assert np.ptp(run.kinetic_energy) > 5.0
+    # Terms of some 50 J to rounding, and some 100 steps of relative error 1e-11.
+    np.testing.assert_allclose(run.potential_energy - run.potential_energy[0], expected - expected[0], atol=1e-11)
+    np.testing.assert_allclose(run.energy, run.energy[0], rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize("rates", ["inertial", "body"])
+def test_loads_without_a_potential_have_none_and_hide_none(rates):
+    """A force with curl, one that turns with the body, a damper and a motor, beside a spring of two components."""
+    model = disc(
+        lambda n, b, o, c, rim, x, y, turn: me.Force(c, 3 * x * y * n.x),
+        lambda n, b, o, c, rim, *_: me.Force(rim, 5 * b.y),
+        lambda n, b, o, c, *_: me.Force(c, -2 * c.vel(n)),
+        lambda n, b, *_: me.Torque(b, (3 - b.ang_vel_in(n).dot(n.z)) * n.z),
+        radial,
+        rates=rates,
+    )
+    compiled = fb.compile_model(model)
+    assert compiled.energy_without == ()
+    states = np.random.default_rng(2).uniform(-1.5, 1.5, (10, 6))
+    found = [compiled.potential_energy(0.0, state) for state in states]
+    expected = [5 * (np.hypot(*state[:2]) - 0.4) ** 2 for state in states]
+    np.testing.assert_allclose(np.diff(found), np.diff(expected), rtol=0, atol=1e-12)  # 20 J, to rounding
+
+
+@pytest.mark.parametrize("relative", [True, False])
+def test_a_spring_whose_integral_is_not_found_is_named_with_any_speeds(relative):
+    """The loads of an actuator at a double pendulum, as KanesMethod takes them; its speeds are relative or absolute."""
+    (q1, q2), (u1, u2) = me.dynamicsymbols("q1 q2"), me.dynamicsymbols("u1 u2")
+    n, a, b, origin = *(me.ReferenceFrame(name) for name in "NAB"), me.Point("O")
+    a.orient_axis(n, n.z, q1)
+    b.orient_axis(a, n.z, q2)
+    a.set_ang_vel(n, u1 * n.z)
+    b.set_ang_vel(n, (u1 + u2 if relative else u2) * n.z)
+    origin.set_vel(n, 0)
+    elbow = origin.locatenew("P", -a.y)
+    elbow.v2pt_theory(origin, n, a)
+    tip, hook = elbow.locatenew("Q", -b.y), origin.locatenew("H", 1.5 * n.x)
+    tip.v2pt_theory(elbow, n, b)
+    hook.set_vel(n, 0)
+    kinematic = [u1 - q1.diff(), u2 - q2.diff() - (0 if relative else q1.diff())]
+    method = me.KanesMethod(
+        n,
+        [q1, q2],
+        [u1, u2],
+        kd_eqs=kinematic,
+        bodies=[me.Particle("p", elbow, sm.S(1)), me.Particle("q", tip, sm.S(1))],
+        forcelist=me.LinearSpring(20, me.LinearPathway(tip, hook), 0.4).to_loads(),
+    )
+    assert form_equations(fb.Model(method)).energy_without == ("force at point Q",)
+
+
+def test_a_load_is_named_if_the_speeds_do_not_determine_forces_by_coordinates():
+    """Two speeds of a skate with three coordinates; a constant thrust is no spring."""
+    (x, y, turn), (v, spin) = me.dynamicsymbols("x y turn"), me.dynamicsymbols("v spin")
+    n, b, origin = me.ReferenceFrame("N"), me.ReferenceFrame("B"), me.Point("O")
+    b.orient_axis(n, n.z, turn)
+    b.set_ang_vel(n, spin * n.z)
+    skate = origin.locatenew("C", x * n.x + y * n.y)
+    origin.set_vel(n, 0)
+    skate.set_vel(n, v * b.x)
+    for force, named in (
+        (-10 * (skate.pos_from(origin).magnitude()) ** 2 * skate.pos_from(origin), True),
+        (b.x, False),
+    ):
+        system = System(n, origin)
+        system.add_bodies(me.RigidBody("skate", skate, b, sm.S(2), (me.inertia(b, 0, 0, 1), skate)))
+        system.add_coordinates(x, y, turn)
+        system.add_speeds(v, spin)
+        system.add_kdes(x.diff() - v * sm.cos(turn), y.diff() - v * sm.sin(turn), turn.diff() - spin)
+        system.add_loads(me.Force(skate, force))
+        assert form_equations(fb.Model(system)).energy_without == (("force at point C",) if named else ())
+
+
 def test_antiderivatives():
     x, b = sm.symbols("x b", real=True)
     for function, expected in (

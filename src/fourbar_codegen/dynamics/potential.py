@@ -6,7 +6,8 @@ negative integral of f. Springs are found in what actuators and loads are at res
 - an actuator along a pathway, whose force depends on the pathway's length;
 - components of loads that depend on one coordinate, or on a linear combination of coordinates, if they do work in
   proportion to its rate: `TorqueActuator` at a pin, torques and their reactions, forces along a guide;
-- other loads, if their generalized forces Q_i have dQ_i/dq_j = dQ_j/dq_i.
+- other loads, if their generalized forces Q_i by coordinates have dQ_i/dq_j = dQ_j/dq_i. Where the speeds do not
+  determine these forces, as with fewer speeds than coordinates, the potential is not known.
 
 Torques that are constant count as motors.
 
@@ -16,9 +17,11 @@ The bodies' own potentials may include those of forces and springs, or not: the 
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from functools import cached_property
+from itertools import chain, combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,10 +29,11 @@ from numpy.typing import NDArray
 from fourbar_codegen.dynamics.kane import loads_power
 from fourbar_codegen.dynamics.kinematics import INERTIAL, Components, Kinematics, Vector, dot
 from fourbar_codegen.errors import ModelError
-from fourbar_codegen.expressions.antiderivatives import antiderivative
+from fourbar_codegen.expressions.antiderivatives import PATIENCE, antiderivative
 from fourbar_codegen.expressions.convert import Conversion, substitute
 from fourbar_codegen.expressions.derivatives import Jvp, jacobian, vjp
 from fourbar_codegen.expressions.identities import deduplicate, is_zero
+from fourbar_codegen.expressions.linear import TooManyCoupledError, UndeterminedError, solve_linear
 from fourbar_codegen.expressions.tape import Call, Product, Scalar, Sum, Tape, placeholder
 from fourbar_codegen.modeling.mechanism import LengthLaw, Load
 
@@ -43,6 +47,9 @@ ROUNDED = 1e-9
 MAX_APART = 10
 """Largest number of parts of which all combinations are tried."""
 
+LONGEST = 3
+"""Longest search for the antiderivatives by coordinates of all loads, in searches for one."""
+
 
 @dataclass(frozen=True)
 class Potential:
@@ -53,7 +60,8 @@ class Potential:
     energy : Scalar
         NaN if it is not known.
     without : tuple of str
-        Springs that it leaves out, since no antiderivative of their force was found.
+        Springs that it leaves out, since no antiderivative of their force was found, and loads of which it is not
+        known whether they have a potential.
     """
 
     energy: Scalar
@@ -66,14 +74,15 @@ class _Part:
 
     Attributes
     ----------
-    name : str
+    names : tuple of str
+        Of the loads.
     energy : Scalar or None
         None if it is not known.
     power : Scalar
         Of the loads.
     """
 
-    name: str
+    names: tuple[str, ...]
     energy: Scalar | None
     power: Scalar
 
@@ -114,7 +123,8 @@ def find_potential(
     """
     tape, mechanism = kinematics.tape, kinematics.mechanism
     foreign = (*auxiliary_states, *others)
-    loads = _Loads(kinematics, rate, coordinates, speeds, foreign, dict.fromkeys(input_rates), motions)
+    until = time.thread_time() + LONGEST * PATIENCE
+    loads = _Loads(kinematics, rate, coordinates, speeds, foreign, dict.fromkeys(input_rates), motions, until)
     constant = {number: load for number, load in enumerate(mechanism.loads) if loads.is_constant(load)}
     parts = loads.of_forces([*constant.values()])
     taken = {*constant}
@@ -151,7 +161,7 @@ def _sum(own: Scalar, parts: Sequence[_Part]) -> Potential:
     """The sum of the bodies' potentials and others."""
     energies = [part.energy for part in parts if part.energy is not None]
     unknown = next((energy for energy in energies if energy.is_nan), None)
-    without = [part.name for part in parts if part.energy is None]
+    without = chain.from_iterable(part.names for part in parts if part.energy is None)
     return Potential(unknown or own.tape.sum([own, *energies]), tuple(dict.fromkeys(without)))
 
 
@@ -174,6 +184,7 @@ def _cancel(values: Floats) -> bool:
 class _Component:
     """A component of a load at rest, and the velocity that it does work with."""
 
+    load: int
     name: str
     is_torque: bool
     force: Scalar
@@ -188,6 +199,8 @@ class _Loads:
     ----------
     foreign : sequence of Scalar
         What no potential depends on, though it may change.
+    until : float
+        Processor time until which antiderivatives by coordinates are searched for.
     """
 
     kinematics: Kinematics
@@ -197,6 +210,7 @@ class _Loads:
     foreign: Sequence[Scalar]
     input_rates: Iterable[Scalar]
     motions: Motions
+    until: float
 
     @property
     def tape(self) -> Tape:
@@ -231,7 +245,7 @@ class _Loads:
             energy = self.tape.sum([self._of_force(load, force) for load, force in pairs])
             if not self.cancel([self.rate(energy), *power]):
                 energy = self.tape.number(math.nan)
-        return [_Part("constant forces", energy, self.tape.sum(power))]
+        return [_Part(("constant forces",), energy, self.tape.sum(power))]
 
     def _of_force(self, load: Load, force: Components) -> Scalar:
         assert load.position is not None
@@ -260,14 +274,14 @@ class _Loads:
         """The part of a force f(s), with a leaf in the place of s, that has the power c f(s) s'."""
         found = antiderivative(self.tape, force, place)
         if found is None:
-            return _Part(name, None, power)
+            return _Part((name,), None, power)
         [energy] = substitute(self.tape, [-(found * factor)], {place: argument})
-        return _Part(name, energy, power)
+        return _Part((name,), energy, power)
 
     def components(self, loads: Iterable[tuple[str, Load]]) -> list[_Component]:
         """The components of loads, with their names, that do work at rest."""
         kinematics, found = self.kinematics, []
-        for name, load in loads:
+        for number, (name, load) in enumerate(loads):
             is_force = load.kind == "force"
             velocity = (
                 kinematics.velocity(load.target)
@@ -280,7 +294,7 @@ class _Loads:
                     if force:
                         along = kinematics.express(velocity, frame)[axis]
                         if along:
-                            found.append(_Component(name, not is_force, force, along))
+                            found.append(_Component(number, name, not is_force, force, along))
         return found
 
     def of_components(self, components: Sequence[_Component]) -> list[_Part]:
@@ -298,42 +312,76 @@ class _Loads:
                 others.append([member for member in members if not member.is_torque])
             else:
                 others.append(members)
-        together = self._of_coordinates([member for members in others for member in members])
-        more = [together] if together is not None else map(self._of_coordinates, others)
-        return [*parts, *filter(None, more)]
+        # If a part of what has a potential has one, so does what is left: small groups first.
+        for join in (list, _joined, lambda left: [[*chain(*left)]]):
+            tried = [(group, self._of_coordinates(group)) for group in join(others)]
+            parts += [part for _, part in tried if part is not None]
+            others = [group for group, part in tried if part is None]
+        return parts
 
     def _of_coordinates(self, components: Sequence[_Component]) -> _Part | None:
         """The part of components whose generalized forces are the derivatives of a potential by coordinates."""
         tape = self.tape
         power = tape.sum([component.force * component.velocity for component in components])
-        forces: list[tuple[Scalar, Scalar]] = []
-        for speed, slope in zip(self.speeds, vjp(tape, [(power, tape.one)], self.speeds), strict=True):
-            if slope:
-                along = Jvp(tape, {speed: tape.one})
-                moved = {q: factor for q in self.coordinates if (factor := along(self.rate(q)))}
-                if len(moved) != 1 or self._depends([*moved.values()]):
-                    return None
-                forces += [(q, slope / factor) for q, factor in moved.items()]
-        slopes = jacobian(tape, [force for _, force in forces], [q for q, _ in forces])
-        size = range(len(forces))
-        if not forces or not all(is_zero(tape, [slopes[i][j] - slopes[j][i] for i in size for j in range(i)])):
+        names = tuple(dict.fromkeys(component.name for component in components))
+        known = tape.reach([component.force for component in components])
+        forces = self._by_coordinates(power, known)
+        if forces is None:  # it may have a potential, unless it is constant
+            return _Part(names, None, power) if self._depends([component.force for component in components]) else None
+        on = [*forces, *(q for q in self.coordinates if q not in forces and tape.depends([*forces.values()], [q]))]
+        slopes = jacobian(tape, [forces.get(q, tape.zero) for q in on], on)
+        curl = [slopes[i][j] - slopes[j][i] for i in range(len(on)) for j in range(i)]
+        if not forces or not all(is_zero(tape, curl)):
             return None
-        name = ", ".join(dict.fromkeys(component.name for component in components))
+        # Without what a prescribed motion gives.
+        power = tape.sum([force * self.rate(q) for q, force in forces.items()])
         # The work on the way from the origin, along one coordinate after another.
         place, at_origin = tape.leaf("y", "coordinate"), dict[Scalar, Scalar]()
         work = []
-        for q, force in forces:
-            found = antiderivative(tape, substitute(tape, [force], {**at_origin, q: place})[0], place)
+        for q, force in forces.items():
+            patience = min(PATIENCE, self.until - time.thread_time())
+            found = antiderivative(tape, substitute(tape, [force], {**at_origin, q: place})[0], place, patience)
             at_origin[q] = tape.zero
             try:
                 ends = [] if found is None else [substitute(tape, [found], {place: end})[0] for end in (q, tape.zero)]
             except (ArithmeticError, ModelError, TypeError):  # it is infinite at the origin
                 ends = []
             if not ends:
-                return _Part(name, None, power)
+                return _Part(names, None, power)
             work.append(ends[0] - ends[1])
         energy = -tape.sum(work)
-        return _Part(name, energy, power) if self.cancel([self.rate(energy), power]) else None
+        return _Part(names, energy if self.cancel([self.rate(energy), power]) else None, power)
+
+    def _by_coordinates(self, power: Scalar, known: Iterable[int]) -> dict[Scalar, Scalar] | None:
+        """The forces Q, by their coordinates, that have a power Q.q'; None if the speeds do not determine them.
+
+        From q' = K u + b, the forces by the speeds are K^T Q. Of these equations, those are solved that are coupled to
+        one with a force. The known nodes take the place of equal ones.
+        """
+        tape, slopes = self.tape, self._slopes
+        of_speeds = vjp(tape, [(power, tape.one)], self.speeds)
+        rows, more = set[int](), {row for row, force in enumerate(of_speeds) if force}
+        while more != rows:
+            rows = more
+            columns = sorted({column for row in rows for column in slopes[row]})
+            more = {row for row, entries in enumerate(slopes) if row in rows or not entries.keys().isdisjoint(columns)}
+        if not rows:
+            return {}
+        if len(rows) != len(columns):
+            return None
+        matrix = [[slopes[row].get(column, tape.zero) for column in columns] for row in sorted(rows)]
+        try:
+            found = solve_linear(tape, matrix, [-of_speeds[row] for row in sorted(rows)])
+        except (UndeterminedError, TooManyCoupledError):
+            return None
+        forces = deduplicate(tape, found, known)
+        return {self.coordinates[column]: force for column, force in zip(columns, forces, strict=True) if force}
+
+    @cached_property
+    def _slopes(self) -> list[dict[int, Scalar]]:
+        """For each speed, the derivatives of the coordinates' rates that are not zero, by the coordinates' numbers."""
+        rows = jacobian(self.tape, [self.rate(q) for q in self.coordinates], self.speeds)
+        return [{n: row[i] for n, row in enumerate(rows) if row[i]} for i in range(len(self.speeds))]
 
     def _of_angle(self, name: str, law: Scalar, velocity: Scalar) -> _Part | None:
         """The part of a law of a combination s of coordinates, of loads that do work in proportion to s'."""
@@ -386,6 +434,20 @@ class _Loads:
 
     def _depends(self, scalars: Sequence[Scalar]) -> bool:
         return self.tape.depends(scalars, (*self.foreign, *self.speeds, *self.coordinates))
+
+
+def _joined(groups: Iterable[list[_Component]]) -> list[list[_Component]]:
+    """Groups of components, those of the same loads together."""
+    joined: list[list[_Component]] = []
+    for group in groups:
+        loads, apart = {component.load for component in group}, list[list[_Component]]()
+        for other in joined:
+            if loads.isdisjoint(component.load for component in other):
+                apart.append(other)
+            else:
+                group = [*other, *group]
+        joined = [*apart, group]
+    return joined
 
 
 def _replacement(tape: Tape, length: Scalar, place: Scalar) -> dict[Scalar, Scalar]:

@@ -318,6 +318,50 @@ def test_a_load_is_named_if_the_speeds_do_not_determine_forces_by_coordinates():
         assert form_equations(fb.Model(system)).energy_without == (("force at point C",) if named else ())
 
 
+def pulled(own, *forces):
+    """A particle with a potential energy of its own on a vertical rail, with coordinate x; forces along it."""
+    x, u = me.dynamicsymbols("x u")
+    ground, origin = me.ReferenceFrame("N"), me.Point("O")
+    place = origin.locatenew("P", x * ground.x)
+    origin.set_vel(ground, 0)
+    place.set_vel(ground, u * ground.x)
+    body = me.Particle("P", place, sm.Symbol("m"))
+    body.potential_energy = own(x)
+    system = System(ground, origin)
+    system.add_bodies(body)
+    system.add_coordinates(x)
+    system.add_speeds(u)
+    system.add_kdes(u - x.diff())
+    system.add_loads(*(me.Force(place, force(x) * ground.x) for force in forces))
+    return fb.Model(system, name="pulled", parameters=VALUES, extra="ignore")
+
+
+M, G, K, A = sm.symbols("m g k a")
+
+
+@pytest.mark.parametrize(
+    ("own", "forces", "expected"),
+    [
+        # Of one load, the body has a term alone: of gravity and a spring, and of two constant forces.
+        (lambda x: M * G * x, [lambda x: -M * G - K * x], lambda x: 2 * 9.81 * x + 15 * x**2),
+        (lambda x: K * x**2 / 2, [lambda x: -M * G - K * x], lambda x: 2 * 9.81 * x + 15 * x**2),
+        (lambda x: M * G * x, [lambda x: -M * G + A], lambda x: (2 * 9.81 - 7) * x),
+        # It has one of two equal springs, and of two equal weights.
+        (lambda x: K * x**2 / 2, [lambda x: -K * x] * 2, lambda x: 30 * x**2),
+        (lambda x: M * G * x, [lambda _: -M * G] * 2, lambda x: 4 * 9.81 * x),
+        # It has all of one load, and a potential that is not the load's.
+        (lambda x: M * G * x + K * x**2 / 2, [lambda x: -M * G - K * x], lambda x: 2 * 9.81 * x + 15 * x**2),
+        (lambda x: K * x**2, [lambda x: -K * x], lambda x: np.nan * x),
+        (lambda x: K * x**4, [lambda x: -M * G - K * x], lambda x: np.nan * x),
+    ],
+)
+def test_a_body_may_have_the_potential_of_some_terms(own, forces, expected):
+    states = np.random.default_rng(1).uniform(-1.5, 1.5, (10, 2))
+    found = energies(pulled(own, *forces), states)
+    # A constant is free; terms of 100 J to rounding.
+    np.testing.assert_allclose(np.diff(found), np.diff(expected(states[:, 0])), rtol=0, atol=1e-12)
+
+
 def test_antiderivatives():
     x, b = sm.symbols("x b", real=True)
     for function, expected in (

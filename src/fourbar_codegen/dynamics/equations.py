@@ -51,10 +51,6 @@ __all__ = ["Equations", "check_velocity_constraints", "form_equations", "matrix"
 CLOSED_STATES = 4
 """States at which redundant constraints are known, for a pivot order."""
 
-MOTIONS = 5
-"""Random motions in which the loads' work is compared with the loss of potential energy."""
-
-
 WITH_FORCES = frozenset(
     {"outputs", "state_rates", "residual", "force_effect", "force_effect_jacobian", "auxiliary_forcing"}
     | {"auxiliary_forcing_jacobian"}
@@ -309,7 +305,7 @@ def form_equations(model: Model) -> Equations:
             v.z,
             changing,
             _input_rates(model, v).values(),
-            lambda terms: islice(states(terms).moving(v.u, v.a), MOTIONS),
+            lambda terms, number: islice(states(terms).moving(v.u, v.a), number),
         )
     energies = [kane.kinetic_energy(), potential.energy]
     rounding = Rounding(tape)

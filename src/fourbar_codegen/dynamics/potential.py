@@ -11,17 +11,19 @@ negative integral of f. Springs are found in what actuators and loads are at res
 
 Torques that are constant count as motors.
 
-The bodies' own potentials may include those of forces and springs, or not: the loads' work tells.
+The bodies' own potentials may include those of forces and springs, of their terms, or of some of several equal ones, or
+not: the loads' work tells.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cached_property
-from itertools import chain, combinations
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,8 +46,10 @@ Floats = NDArray[np.float64]
 ROUNDED = 1e-9
 """Relative tolerance for terms to cancel; states satisfy the constraints to about 1e-12."""
 
-MAX_APART = 10
-"""Largest number of parts of which all combinations are tried."""
+MOTIONS = 5
+"""Random motions in which the loads' work is compared with the loss of potential energy."""
+
+TINY = 1e-300
 
 LONGEST = 3
 """Longest search for the antiderivatives by coordinates of all loads, in searches for one."""
@@ -87,8 +91,8 @@ class _Part:
     power: Scalar
 
 
-Motions = Callable[[Sequence[Scalar]], Iterable[Floats]]
-"""Takes scalars to their values in random motions that satisfy the constraints."""
+Motions = Callable[[Sequence[Scalar], int], Iterable[Floats]]
+"""Takes scalars to their values in a number of random motions that satisfy the constraints."""
 
 
 def find_potential(
@@ -115,7 +119,7 @@ def find_potential(
     input_rates : iterable of Scalar
         Those of the others that are zero at rest.
     motions : callable
-        Takes scalars to their values in random motions that satisfy the constraints.
+        Takes scalars to their values in a number of random motions that satisfy the constraints, or in fewer.
 
     Returns
     -------
@@ -126,52 +130,39 @@ def find_potential(
     until = time.thread_time() + LONGEST * PATIENCE
     loads = _Loads(kinematics, rate, coordinates, speeds, foreign, dict.fromkeys(input_rates), motions, until)
     constant = {number: load for number, load in enumerate(mechanism.loads) if loads.is_constant(load)}
-    parts = loads.of_forces([*constant.values()])
-    taken = {*constant}
+    pathways, taken = list[_Part](), {*constant}
     for law in mechanism.length_laws:
         if tape.depends([kinematics.convert(law.force)], auxiliary_states):  # a muscle
             taken |= {*law.loads}
         elif (spring := loads.along_pathway(law)) is not None:
-            parts.append(spring)
+            pathways.append(spring)
             taken |= {*law.loads}
     names = {number: law.name for law in mechanism.length_laws for number in law.loads}
-    components = loads.components(
-        [(names.get(n, load.name), load) for n, load in enumerate(mechanism.loads) if n not in taken]
-    )
-    found = loads.of_components(components)
-    parts = [part for part in (*parts, *found) if part.power]
+    left = [(names.get(n, load.name), load) for n, load in enumerate(mechanism.loads) if n not in taken]
     own = tape.sum([kinematics.convert(body.potential_energy) for body in mechanism.bodies])
-    if all(body.potential_energy.is_zero for body in mechanism.bodies) or not parts:
-        return _sum(own, parts)
-    # The bodies' potentials include those of the loads whose work they lose.
-    power = [part.power for part in parts]
-    rest = tape.sum([*(c.force * c.velocity for c in components), *(-part.power for part in found)])
-    terms = [rate(own), rest, *power]
-    values = np.array([*motions(terms)]).reshape(-1, len(terms))
-    for added in _combinations(len(parts)):
-        included = [number + 2 for number in range(len(parts)) if number not in added]
-        for columns in ([0, *included], [0, 1, *included]):
-            total = tape.sum([terms[column] for column in columns])
-            if _cancel(values[:, columns]) if len(values) else all(is_zero(tape, [total])):
-                return _sum(own, [parts[number] for number in added])
+    # The bodies' potentials include those of the loads whose work they lose, or of terms of these.
+    for apart in (False, True):
+        components = loads.components(left, apart)
+        found = loads.of_components(components)
+        parts = [part for part in (*loads.of_forces([*constant.values()], apart), *pathways, *found) if part.power]
+        if all(body.potential_energy.is_zero for body in mechanism.bodies) or not parts:
+            return _sum(own, parts)
+        rest = tape.sum([*(c.force * c.velocity for c in components), *(-part.power for part in found)])
+        for lost in ([rate(own)], [rate(own), rest]):
+            shares = loads.shares(lost, [part.power for part in parts])
+            if shares is not None:
+                return _sum(own, parts, shares)
     return Potential(tape.number(math.nan), ())
 
 
-def _sum(own: Scalar, parts: Sequence[_Part]) -> Potential:
-    """The sum of the bodies' potentials and others."""
-    energies = [part.energy for part in parts if part.energy is not None]
+def _sum(own: Scalar, parts: Sequence[_Part], shares: Sequence[Fraction] = ()) -> Potential:
+    """The sum of the bodies' potentials and others, of which the former may include shares."""
+    shares = shares or [Fraction(0)] * len(parts)
+    left = [(part, 1 - share) for part, share in zip(parts, shares, strict=True) if share != 1]
+    energies = [part.energy * share for part, share in left if part.energy is not None]
     unknown = next((energy for energy in energies if energy.is_nan), None)
-    without = chain.from_iterable(part.names for part in parts if part.energy is None)
+    without = chain.from_iterable(part.names for part, _ in left if part.energy is None)
     return Potential(unknown or own.tape.sum([own, *energies]), tuple(dict.fromkeys(without)))
-
-
-def _combinations(n: int) -> Iterator[tuple[int, ...]]:
-    """Numbers of parts, small sets first: all sets of a few; of many none, the first, the others, or all."""
-    if n <= MAX_APART:
-        for size in range(n + 1):
-            yield from combinations(range(n), size)
-    else:
-        yield from ((), (0,), tuple(range(1, n)), tuple(range(n)))
 
 
 def _cancel(values: Floats) -> bool:
@@ -218,9 +209,31 @@ class _Loads:
 
     def cancel(self, terms: Sequence[Scalar]) -> bool:
         """Whether terms add up to zero, identically or in random motions."""
-        return all(is_zero(self.tape, [self.tape.sum(terms)])) or _cancel(
-            np.array([*self.motions(terms)]).reshape(-1, len(terms))
-        )
+        return all(is_zero(self.tape, [self.tape.sum(terms)])) or _cancel(self._values(terms, MOTIONS))
+
+    def shares(self, lost: Sequence[Scalar], powers: Sequence[Scalar]) -> list[Fraction] | None:
+        """The shares of powers that cancel what is lost; None if there are none.
+
+        A share between 0 and 1 is that of some of several equal loads.
+        """
+        total = self.tape.sum(lost)
+        values = self._values([total, *powers], MOTIONS + len(powers))
+        tried = [[Fraction(0)] * len(powers), [Fraction(1)] * len(powers)]
+        if len(values) > len(powers):
+            values /= np.abs(values).max(axis=1, keepdims=True, initial=TINY)
+            sizes = np.abs(values[:, 1:]).max(axis=0, initial=TINY)
+            found = np.linalg.lstsq(values[:, 1:] / sizes, -values[:, 0], rcond=ROUNDED)[0] / sizes
+            most = len(self.kinematics.mechanism.loads)
+            tried.append([Fraction(float(share)).limit_denominator(most) for share in found])
+        for shares in tried:
+            included = [power * share for power, share in zip(powers, shares, strict=True)]
+            if all(0 <= share <= 1 for share in shares) and self.cancel([*lost, *included]):
+                return shares
+        return None
+
+    def _values(self, scalars: Sequence[Scalar], number: int) -> Floats:
+        """The values of scalars in random motions, in rows."""
+        return np.array([*self.motions(scalars, number)]).reshape(-1, len(scalars))
 
     def is_constant(self, load: Load) -> bool:
         """Whether a load is a force that is constant in the inertial frame, at a point that moves."""
@@ -229,27 +242,42 @@ class _Loads:
         force = self._in_inertial_frame(self.kinematics.vector(load.vector))
         return any(force) and not self._depends(force)
 
-    def of_forces(self, loads: Sequence[Load]) -> list[_Part]:
+    def of_forces(self, loads: Sequence[Load], apart: bool) -> list[_Part]:
+        """The part of constant forces, or the parts of their terms."""
+        forces = [(load, self._in_inertial_frame(self.kinematics.vector(load.vector))) for load in loads]
+        if not apart:
+            return [self._of_forces(forces)] if forces else []
+        none, parts = self.tape.zero, list[_Part]()
+        for load, (x, y, z) in forces:
+            terms = [(term, none, none) for term in self._terms(x)]
+            terms += [(none, term, none) for term in self._terms(y)]
+            terms += [(none, none, term) for term in self._terms(z)]
+            parts += [self._of_forces([(load, term)]) for term in terms]
+        return parts
+
+    def _of_forces(self, forces: Sequence[tuple[Load, Components]]) -> _Part:
         """The part of constant forces; its energy is NaN if their points' velocities are not rates of positions.
 
         The potential is -F.r, r the position of the point. Its rate is -F.v if the velocity is the rate of the
         position, which is not so for the contact point of a wheel.
         """
-        if not loads:
-            return []
-        kinematics = self.kinematics
-        pairs = [(load, self._in_inertial_frame(kinematics.vector(load.vector))) for load in loads]
-        power = [loads_power(kinematics, [load]) for load in loads]
-        energy = self.tape.number(math.nan)
-        if all(load.position is not None for load in loads):
-            energy = self.tape.sum([self._of_force(load, force) for load, force in pairs])
+        kinematics, energy = self.kinematics, self.tape.number(math.nan)
+        power = [kinematics.dot(((INERTIAL, force),), kinematics.velocity(load.target)) for load, force in forces]
+        positions = [load.position for load, _ in forces if load.position is not None]
+        if len(positions) == len(forces):
+            pairs = zip(forces, positions, strict=True)
+            work = [dot(force, self._in_inertial_frame(kinematics.vector(position))) for (_, force), position in pairs]
+            energy = -self.tape.sum(work)
             if not self.cancel([self.rate(energy), *power]):
                 energy = self.tape.number(math.nan)
-        return [_Part(("constant forces",), energy, self.tape.sum(power))]
+        return _Part(("constant forces",), energy, self.tape.sum(power))
 
-    def _of_force(self, load: Load, force: Components) -> Scalar:
-        assert load.position is not None
-        return -dot(force, self._in_inertial_frame(self.kinematics.vector(load.position)))
+    def _terms(self, force: Scalar) -> list[Scalar]:
+        """The terms of a sum."""
+        operation = self.tape.nodes[force.node]
+        if not isinstance(operation, Sum):
+            return [force] if force else []
+        return [Scalar(self.tape, c, term) * force.coefficient for term, c in operation.terms]
 
     def along_pathway(self, law: LengthLaw) -> _Part | None:
         """The part of an actuator whose force depends on the length of its pathway alone; else None."""
@@ -278,8 +306,8 @@ class _Loads:
         [energy] = substitute(self.tape, [-(found * factor)], {place: argument})
         return _Part((name,), energy, power)
 
-    def components(self, loads: Iterable[tuple[str, Load]]) -> list[_Component]:
-        """The components of loads, with their names, that do work at rest."""
+    def components(self, loads: Iterable[tuple[str, Load]], apart: bool) -> list[_Component]:
+        """The components of loads, with their names, that do work at rest; or the terms of these."""
         kinematics, found = self.kinematics, []
         for number, (name, load) in enumerate(loads):
             is_force = load.kind == "force"
@@ -291,10 +319,9 @@ class _Loads:
             for frame, vector in kinematics.vector(load.vector):
                 for axis, component in enumerate(vector):
                     force = self._at_rest(component)
-                    if force:
-                        along = kinematics.express(velocity, frame)[axis]
-                        if along:
-                            found.append(_Component(number, name, not is_force, force, along))
+                    if force and (along := kinematics.express(velocity, frame)[axis]):
+                        terms = self._terms(force) if apart else [force]
+                        found += [_Component(number, name, not is_force, term, along) for term in terms]
         return found
 
     def of_components(self, components: Sequence[_Component]) -> list[_Part]:

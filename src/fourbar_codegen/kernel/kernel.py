@@ -230,6 +230,7 @@ class Kernel(Evaluator):
     def energy_without(self) -> tuple[str, ...]:
         """Springs that the potential energy leaves out, since no antiderivative of their force was found.
 
+        Also loads that depend on coordinates, if the speeds are too few to tell whether they have a potential.
         The energy of a run then changes by their work. Give ``potential_energy=`` to the Model to include them.
         """
         return tuple(self.manifest.get("energy_without", ()))  # modules of earlier versions do not say

@@ -129,6 +129,32 @@ def test_equilibria_of_random_four_bars():
         assert along**2 @ second > 0.0
 
 
+def test_equilibria_of_a_block_on_a_vertical_guide():
+    """From closed positions where a Newton step is millions of turns, or the only displacement is nearly zero.
+
+    With a cos q1 + b cos q2 = d, a virtual displacement has a s1 dq1 + b s2 dq2 = 0, and the potential's gradient along
+    the angles is (alpha c1, beta c2) by the lever arms of the masses.
+    """
+    points = {"A": (0, 0), "B": (0.1, 0.1), "C": (0.1, 0.5)}
+    linkage = fb.Linkage("vert", points=points, ground="A", links=["AB", "BC"], density=2.0, gravity=9.81)
+    linkage.slider("C", along=(0, 1), mass=0.5)
+    model = fb.compile_model(linkage.model())
+    a, b, d, density, mass = np.sqrt(0.02), 0.4, 0.1, 2.0, 0.5
+    alpha, beta = density * (a**2 / 2 + a * b) + mass * a, density * b**2 / 2 + mass * b
+    for begin, branch in (
+        (np.pi, 1), (-np.pi, 1), (-np.pi, -1), (-3.12413936106985, 1), (-3.0543261909900767, 1),
+        (-2.9670597283903604, -1), (0.7766715171374767, 1), (np.pi / 4, 1), (0.79, 1), (0.7941248096574198, 1),
+        (0.8, 1), (1.9722220547535922, 1),
+    ):  # fmt: skip
+        start = model.initial_state({"q_AB": begin}, guess={"q_BC": 1.0 if branch > 0 else -2.0, "q_C": 0.3 * branch})
+        x = model.equilibrium(start[:3])
+        (s1, s2), (c1, c2) = np.sin(x[:2]), np.cos(x[:2])
+        assert np.abs(x[:2] - start[:2]).max() < 2 * np.pi
+        assert a * c1 + b * c2 == pytest.approx(d, abs=1e-12)
+        assert a * s1 + b * s2 == pytest.approx(0.5 + x[2], abs=1e-12)
+        assert alpha * c1 * b * s2 == pytest.approx(beta * c2 * a * s1, abs=1e-9)
+
+
 def test_the_kind_of_an_equilibrium():
     """A pendulum hangs or stands, and a particle without forces rests anywhere."""
     ring = fb.compile_model(fb.models.cartesian_pendulum())

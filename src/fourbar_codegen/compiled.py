@@ -252,9 +252,10 @@ class CompiledModel(Kernel):
     ) -> Floats | tuple[Floats, str]:
         """An equilibrium: a state of rest in which all accelerations vanish.
 
-        SciPy's ``least_squares`` solves for constraints and accelerations, with compiled Jacobians. If that ends where
-        accelerations are only smallest, the mechanism is followed from there as in a viscous medium, downhill along the
-        loops' branch, to a stable equilibrium. Otherwise it may be stable or unstable, which `stability` asks for.
+        SciPy's ``least_squares`` solves for constraints and accelerations, with compiled Jacobians, in steps that begin
+        with a radian at most, so that angles stay near the guess. If that ends where accelerations are only smallest,
+        the mechanism is followed from there as in a viscous medium, downhill along the loops' branch, to a stable
+        equilibrium. Otherwise it may be stable or unstable, which `stability` asks for.
 
         Parameters
         ----------

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.analysis.loop_closure import Loops, row_scales
+from fourbar_codegen.analysis.loop_closure import Loops, mechanism_size, row_scales
 from fourbar_codegen.arguments import Values, finite_number, is_mapping, named, named_array, numbers
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.kernel.dependent import solve_redundant
@@ -154,11 +154,8 @@ def read_drive(
     path = np.array([values[name] for name in names])
     coordinates = tuple(model.coordinates.index(name) for name in names if name in model.coordinates)
     start = np.array([model.manifest["initial"].get(name, 0.0) for name in model.coordinates])
-    scales, angles = np.ones(model.n_q), Loops(model, t, start, p, r).angles
-    if model.points:
-        drawn = model.drawing(t, np.concatenate((start, np.zeros(model.n_x - model.n_q))), p, r)[0]
-        size = np.ptp(drawn[np.isfinite(drawn).all(axis=1)], axis=0).max(initial=0.0) or 1.0
-        scales = np.where(angles, 1.0, size)
+    angles = Loops(model, t, start, p, r).angles
+    scales = np.where(angles, 1.0, mechanism_size(model, t, start, p, r))
     units = np.array([scales[model.coordinates.index(n)] if n in model.coordinates else 1.0 for n in names])
     scaled = path / units[:, None]
     places, curves = scaled[0], None

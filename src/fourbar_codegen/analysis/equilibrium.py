@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourbar_codegen.analysis.continuation import null_space
-from fourbar_codegen.analysis.loop_closure import Loops, nearest_closed
+from fourbar_codegen.analysis.loop_closure import Loops, mechanism_size, nearest_closed
 from fourbar_codegen.arguments import Values, finite_number, named_array
 from fourbar_codegen.errors import ModelError, SimulationError
 from fourbar_codegen.kernel.inputs import InputSource, bind, input_sources
@@ -25,9 +25,11 @@ Floats = NDArray[np.float64]
 COORDINATE_TOLERANCE = 1e-9
 # Smallest eigenvalue of the mass matrix, relative to the largest.
 LIGHT = 1e-12
-# Steps downhill: their number, the first one and the largest one of angles, rad, or relative to displacements; the
-# shortest one; and the largest correction that closes loops, relative to the step.
+# Steps downhill: their number, the first, largest and shortest one, in rad or relative to the unit of displacements;
+# and the largest correction that closes loops, relative to the step.
 STEPS, FIRST, LARGEST, SHORTEST, BENT = 1000, 0.05, 0.2, 1e-7, 0.5
+# Largest correction of the position from which they begin, in the same units: a turn.
+FAR = 2.0 * np.pi
 # Real parts and sizes of eigenvalues that may be rounding errors, relative to the largest eigenvalue: a double
 # eigenvalue of zero is known to the root of the precision.
 UNKNOWN = 1e-7
@@ -101,19 +103,33 @@ def equilibrium(
     # the metric of the mass matrix, relative to their norm at the start of the search.
     size, *_ = model.constraint_scale(t, at_rest(begin), p, r)
     size[~(size > 0.0)] = 1.0
+    angles = np.array([name in model.manifest["angles"] for name in model.coordinates], dtype=bool)
+    # A displacement's own value may be nearly zero, and components of quaternions have no length.
+    displacement = np.abs(begin[:n_q][~angles]).max(initial=mechanism_size(model, t, begin[:n_q], p, r))
+    units = np.concatenate((np.where(angles, 1.0, displacement), np.abs(begin[n_q:]) + (begin[n_q:] == 0.0)))
     masses, axes = np.linalg.eigh(model.tree_mass_matrix(t, at_rest(begin), p))
     weights = np.sqrt(np.maximum(masses, LIGHT * masses.max(initial=0.0)))[:, np.newaxis] * axes.T
     weights /= np.linalg.norm(weights @ model.rhs(t, at_rest(begin), p, r)[n_q:last]) or 1.0
 
     def search(unknown: Floats) -> tuple[Floats, Floats, bool]:
         """The end of a search, what is left there, and whether it is an equilibrium."""
-        end = least_squares(residual, unknown, jac=slopes, x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15).x
+        # In changes relative to the units, so that the first step is a radian at most, and later ones twice the last.
+        # Where accelerations do not depend on an angle to first order, a Newton step may be millions of turns.
+        change = least_squares(
+            lambda y: residual(unknown + units * y),
+            np.zeros_like(unknown),
+            jac=lambda y: slopes(unknown + units * y) * units,
+            xtol=1e-15,
+            ftol=1e-15,
+            gtol=1e-15,
+        ).x
+        end = unknown + units * change
         errors, scales = np.abs(residual(end)), np.abs(slopes(end)) @ np.abs(end)
         return end, errors, bool((errors <= COORDINATE_TOLERANCE * np.maximum(scales, 1.0)).all())
 
     found, errors, is_at_rest = search(begin)
     for position in () if is_at_rest else (found, begin):
-        lower = _downhill(model, t, position, p, r)
+        lower = _downhill(model, t, position, units[:n_q], p, r)
         settled, _, is_at_rest = search(found if lower is None else lower)
         if is_at_rest:
             found = settled
@@ -128,15 +144,17 @@ def equilibrium(
     return at_rest(found)
 
 
-def _downhill(model: Kernel, t: float, begin: Floats, p: Floats | None, r: Floats | None) -> Floats | None:
+def _downhill(
+    model: Kernel, t: float, begin: Floats, units: Floats, p: Floats | None, r: Floats | None
+) -> Floats | None:
     """Coordinates near a stable equilibrium, where a motion comes to rest that begins at others.
 
     In a medium so viscous that inertia does not count, a mechanism moves along its accelerations from rest,
     -M^-1 dV/dq on the constraints, so that the potential energy V decreases: to a minimum, not to a position where only
     the accelerations are smallest. A step is halved if the accelerations at its end point back, or the loops do not
-    close near there. None without closed loops.
+    close near there. None without closed loops nearby.
     """
-    n_q, angles = model.n_q, np.array([name in model.manifest["angles"] for name in model.coordinates], dtype=bool)
+    n_q = model.n_q
 
     def accelerations(q: Floats) -> Floats | None:
         with suppress(SimulationError):
@@ -145,10 +163,11 @@ def _downhill(model: Kernel, t: float, begin: Floats, p: Floats | None, r: Float
 
     rest = np.concatenate((np.zeros(model.n_u), begin[n_q:]))
     q = nearest_closed(model, t, begin[:n_q], p, r)
-    force = None if q is None else accelerations(q)
+    # Where modes meet, a correction by rounding errors of derivatives may be millions of turns.
+    is_near = q is not None and np.abs((q - begin[:n_q]) / units).max(initial=0.0) <= FAR
+    force = accelerations(q) if q is not None and is_near else None
     if q is None or force is None:
         return None
-    units = np.where(angles, 1.0, np.abs(q[~angles]).max(initial=0.0) or 1.0)
     length = FIRST
     for _ in range(STEPS):
         x = np.concatenate((q, rest))

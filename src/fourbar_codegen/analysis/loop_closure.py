@@ -13,7 +13,7 @@ from fourbar_codegen.errors import ModelError
 from fourbar_codegen.kernel.dependent import SINGULAR
 from fourbar_codegen.kernel.kernel import Kernel
 
-__all__ = ["Loops", "nearest_closed", "require_closed", "row_scales"]
+__all__ = ["Loops", "mechanism_size", "nearest_closed", "require_closed", "row_scales"]
 
 Floats = NDArray[np.float64]
 
@@ -199,6 +199,13 @@ def nearest_closed(model: Kernel, t: float, q: Floats, p: Floats | None, r: Floa
             return q
         q = q - np.linalg.lstsq(slopes, residual, rcond=SINGULAR)[0]
     return None
+
+
+def mechanism_size(model: Kernel, t: float, q: Floats, p: Floats | None, r: Floats | None) -> float:
+    """The extent of the points at a position, by which displacements are measured; 1 where it is not known."""
+    drawn = model.drawing(t, np.concatenate((q, np.zeros(model.n_x - model.n_q))), p, r)[0]
+    known = drawn[np.isfinite(drawn).all(axis=1)]
+    return float(np.ptp(known, axis=0).max()) or 1.0 if len(known) else 1.0
 
 
 def row_scales(

@@ -163,6 +163,43 @@ def test_the_kind_of_an_equilibrium():
     assert fb.compile_model(on_a_line(sm.S.Zero)).equilibrium(stability=True)[1] == "neutral"
 
 
+def pendulum_on_a_block():
+    """A particle on a bar of length l below a block on a spring k, with a damper c at the pin; upright at pi / 2."""
+    t, (x, q), (v, u) = me.dynamicsymbols._t, me.dynamicsymbols("x q"), me.dynamicsymbols("v u")
+    m, block, length, g, k, c = sm.symbols("m M l g k c")
+    ground, bar = me.ReferenceFrame("N"), me.ReferenceFrame("A")
+    bar.orient_axis(ground, q, ground.z)
+    bar.set_ang_vel(ground, u * ground.z)
+    origin = me.Point("O")
+    origin.set_vel(ground, 0)
+    pin = origin.locatenew("P", x * ground.x)
+    pin.set_vel(ground, v * ground.x)
+    end = pin.locatenew("Q", length * bar.x)
+    end.v2pt_theory(pin, ground, bar)
+    method = me.KanesMethod(ground, [x, q], [v, u], kd_eqs=[v - x.diff(t), u - q.diff(t)])
+    loads = [(pin, -k * x * ground.x), (end, -m * g * ground.y), (bar, -c * u * ground.z)]
+    method.kanes_equations([me.Particle("P", pin, block), me.Particle("Q", end, m)], loads)
+    values = {m: 1.0, block: 1e-3, length: 1.0, g: 9.81, k: 1e6, c: 0.0}
+    return fb.compile_model(fb.Model(method, parameters=values, name="block"))
+
+
+def test_the_kind_of_an_equilibrium_with_slow_and_fast_motions():
+    """Whether the slow motion grows, with eigenvalues g / c = 5e-4 / s or sqrt(g / l), does not depend on the fast one.
+
+    Without the spring, the block rests anywhere.
+    """
+    model = pendulum_on_a_block()
+    for values in (
+        {}, {"c": 1.0}, {"c": 2e4}, {"c": 1e6, "M": 1e3}, {"k": 1e9}, {"k": 1e12}, {"k": 1e12, "c": 1.0},
+        {"k": 100.0, "M": 1e6},
+    ):  # fmt: skip
+        for angle, expected in ((1.57, "unstable"), (-1.57, "stable")):
+            assert model.equilibrium([0.0, angle], parameters=values, stability=True)[1] == expected
+    for damping in (0.0, 1.0, 2e4):
+        assert model.equilibrium([0.3, -1.57], parameters={"k": 0.0, "c": damping}, stability=True)[1] == "neutral"
+        assert model.equilibrium([0.3, 1.57], parameters={"k": 0.0, "c": damping}, stability=True)[1] == "unstable"
+
+
 def test_no_equilibrium(four_bar):
     # A disc stands upright, and nowhere else.
     disc = fb.compile_model(fb.models.rolling_disc())

@@ -30,9 +30,9 @@ LIGHT = 1e-12
 STEPS, FIRST, LARGEST, SHORTEST, BENT = 1000, 0.05, 0.2, 1e-7, 0.5
 # Largest correction of the position from which they begin, in the same units: a turn.
 FAR = 2.0 * np.pi
-# Real parts and sizes of eigenvalues that may be rounding errors, relative to the largest eigenvalue: a double
-# eigenvalue of zero is known to the root of the precision.
-UNKNOWN = 1e-7
+# Rounding errors of a matrix, relative to its largest eigenvalue; and the largest ones of eigenvalues that follow: a
+# double eigenvalue of zero is known to the root of the precision.
+ROUNDING, UNKNOWN = 10.0 * np.finfo(float).eps, 1e-7
 
 
 def equilibrium(
@@ -194,7 +194,12 @@ def stability_of(
 
     That is along the constraints, in a basis of all positions and speeds that satisfy them to first order, whichever
     coordinates are independent. Stable is every motion with no growing part; neutral, if there are zero eigenvalues.
+
+    What of an eigenvalue may be rounding errors follows from its condition number, the reciprocal product of its left
+    and right unit vectors: little of the slow motion of an overdamped mechanism, whose eigenvalues are far apart.
     """
+    from scipy.linalg import eig
+
     n_q, last, p = model.n_q, model.n_q + model.n_u, model.parameter_vector(parameters)
     r = bind(model, p, inputs).input_values(t, x)
     basis = np.zeros((model.n_x, 0))
@@ -204,8 +209,16 @@ def stability_of(
         basis = np.hstack((basis, np.zeros((model.n_x, part.shape[1]))))
         if part.size:
             basis[begin : begin + len(part), -part.shape[1] :] = part
-    values = np.linalg.eigvals(basis.T @ model.jacobian(t, x, p, r) @ basis)
-    unknown = UNKNOWN * np.abs(values).max(initial=0.0)
-    if (values.real > unknown).any():
+    matrix = basis.T @ model.jacobian(t, x, p, r) @ basis
+    if not matrix.size:  # the mechanism cannot move; not all versions of SciPy take empty matrices
+        return "stable"
+    fastest = np.abs(np.linalg.eigvals(matrix)).max(initial=0.0) or 1.0
+    # Speeds by the time of the fastest motion, so that they are as large as coordinates.
+    scales = np.where(np.abs(basis[n_q:last]).any(axis=0), fastest, 1.0)
+    values, left, right = eig(matrix / scales[:, np.newaxis] * scales, left=True)
+    known = np.abs((left.conj() * right).sum(axis=0))
+    unknown = fastest * ROUNDING / np.maximum(known, ROUNDING / UNKNOWN)
+    # The real part of an oscillation's eigenvalue may be an error of its frequency, too.
+    if (values.real > np.maximum(unknown, UNKNOWN * np.abs(values))).any():
         return "unstable"
     return "neutral" if (np.abs(values) <= unknown).any() else "stable"

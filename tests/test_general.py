@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
+from scipy.interpolate import CubicSpline
 from sympy.physics.mechanics.system import System
 from systems import coordinate_free, quaternion_top, slider
 from tutorial import Tutorial
@@ -187,6 +188,66 @@ def test_conditions_of_all_kinds(condition):
     for x in np.random.default_rng(5).uniform(-2.0, 2.0, (40, 2)):
         expected = 10 if condition.subs(dict(zip((q, u), x, strict=True))) else 20
         assert compiled.rhs(0.0, x)[1] == expected
+
+
+KNOTS = np.linspace(-1.0, 1.0, 7)
+SPLINE = CubicSpline(KNOTS, np.sin(3 * KNOTS))
+
+
+def spline(x):
+    """SymPy's, which has no value beyond its ends; SPLINE has the same end conditions."""
+    return sm.interpolating_spline(3, x, [*KNOTS], [*np.sin(3 * KNOTS)])
+
+
+def bead(is_constrained):
+    """A bead on a wire y = spline(x), which is the path of a point or a constraint."""
+    frame, origin, point = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
+    origin.set_vel(frame, 0)
+    y, v = me.dynamicsymbols("y v")
+    system = System(frame, origin)
+    if is_constrained:
+        point.set_pos(origin, q * frame.x + y * frame.y)
+        system.q_ind, system.q_dep, system.u_ind, system.u_dep = [q], [y], [u], [v]
+        system.add_kdes(u - q.diff(t), v - y.diff(t))
+        system.add_holonomic_constraints(y - spline(q))
+    else:
+        point.set_pos(origin, q * frame.x + spline(q) * frame.y)
+        system.q_ind, system.u_ind = [q], [u]
+        system.add_kdes(u - q.diff(t))
+    system.add_bodies(me.Particle("p", point, m))
+    system.apply_uniform_gravity(-g * frame.y)
+    return system
+
+
+@pytest.mark.parametrize("is_constrained", [False, True])
+def test_a_spline_as_a_path(is_constrained):
+    """(1 + s'^2) x'' = -s' (s'' x'^2 + g); beyond the ends of the spline s there is no value."""
+    compiled = fb.compile_model(fb.Model(bead(is_constrained), parameters={m: 2.0, g: 9.81}))
+
+    def rhs(x):
+        return compiled.rhs(0.0, [x, SPLINE(x), 0.7, SPLINE(x, 1) * 0.7] if is_constrained else [x, 0.7])
+
+    for x in (-0.9, -0.4, 0.1, 0.3, 0.55, 0.95):
+        slope, curvature = SPLINE(x, 1), SPLINE(x, 2)
+        expected = -slope * (curvature * 0.7**2 + 9.81) / (1 + slope**2)
+        assert rhs(x)[compiled.n_q] == pytest.approx(expected, rel=1e-11)
+    for x in (-1.1, 1.1):
+        with pytest.raises(fb.SimulationError):
+            rhs(x)
+
+
+def test_derivatives_of_splines_of_states_and_of_time():
+    F = me.dynamicsymbols("F")
+    model = fb.Model(sliding(F - k * spline(q)), parameters={m: 2.0, k: 0.8}, inputs={F: spline(k * t)})
+    compiled = fb.compile_model(model)
+    p = compiled.parameter_vector(None)
+    for x in (-0.9, -0.4, 0.1, 0.55, 0.95):
+        by_state, by_parameters, _ = compiled.vjp(x, [x, 0.3], [0.0, 1.0])
+        assert by_state == pytest.approx([-0.8 * SPLINE(x, 1) / 2, 0.0], rel=1e-11)
+        rate = (x * SPLINE(0.8 * x, 1) - SPLINE(x)) / 2
+        force = SPLINE(0.8 * x) - 0.8 * SPLINE(x)
+        assert by_parameters == pytest.approx([-force / 4, rate], rel=1e-11)
+        assert compiled.default_input_sensitivity(x, p)[0] == pytest.approx([0.0, x * SPLINE(0.8 * x, 1)], rel=1e-11)
 
 
 def test_speed_without_a_coordinate():

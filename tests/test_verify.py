@@ -126,6 +126,19 @@ def test_states_for_which_a_force_has_no_value_are_passed_over(force):
         model.rhs(0.0, [-0.5, 0.0])
 
 
+def test_a_force_with_values_only_close_to_the_initial_position_is_compared(recwarn):
+    """As of a spline through points 1 mm apart."""
+    q, u = me.dynamicsymbols("q u")
+    wall, block = me.RigidBody("wall"), me.RigidBody("block", mass=2)
+    system = System.from_newtonian(wall)
+    system.add_joints(me.PrismaticJoint("slide", wall, block, q, u))
+    force = sm.interpolating_spline(1, q, [0.019, 0.02, 0.021], [0, 2, 3])
+    system.add_loads(me.Force(block.masscenter, force * wall.x))
+    model = fb.compile_model(fb.Model(system, name="short", initial={q: 0.02}))
+    assert not recwarn.list
+    assert model.rhs(0.0, [0.0195, 0.0]).tolist() == pytest.approx([0.0, 0.5])
+
+
 @pytest.mark.parametrize("force", [lambda q, F: F - sm.exp(-100 * q), lambda q, F: F - 1e15 * q**3])
 def test_forces_that_are_huge_at_random_states_are_no_defect(force):
     """Where a difference knows nothing, and energy and power are what rounding leaves of them: dx'/dF is 1/m."""

@@ -225,15 +225,21 @@ def _piecewise_rate(tape: Tape, call: Call, rates: Sequence[Scalar]) -> Scalar:
 
 
 def _piecewise_parts(tape: Tape, call: Call, adjoint: Scalar) -> Iterator[tuple[int, Scalar]]:
-    """The adjoint of a Piecewise for the operand of each branch, 0 where another branch is taken."""
+    """The adjoint of a Piecewise for the operand of each branch, 0 where another branch is taken.
+
+    Where no condition holds it is NaN, as the value is, unless the adjoint is 0: this Piecewise may be in a branch of
+    another one that is not taken, and the parts of all branches are added.
+    """
     arguments = [Scalar(tape, 1, argument) for argument in call.arguments]
     symbols = [placeholder(i) for i in range(len(arguments) + 1)]
+    *_, (_, last) = call.expression.args
+    rest = [] if last == sm.true else [(0, sm.Eq(symbols[-1], 0))]
     for place, argument in enumerate(call.arguments):
         branches = [
             (expression.diff(symbols[place]) * symbols[-1], condition) for expression, condition in call.expression.args
         ]
         if any(branch for branch, _ in branches):
-            yield argument, apply(tape, sm.Piecewise(*branches), [*arguments, adjoint])
+            yield argument, apply(tape, sm.Piecewise(*branches, *rest), [*arguments, adjoint])
 
 
 def _unless_zero(tape: Tape, part: Scalar, adjoint: Scalar) -> Scalar:

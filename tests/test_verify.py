@@ -151,6 +151,25 @@ def test_forces_that_are_huge_at_random_states_are_no_defect(force):
     np.testing.assert_allclose(model.input_jacobian(0.0, [0.0, 0.0]), [[0.0], [0.2]], rtol=1e-14)
 
 
+@pytest.mark.parametrize("stair", [1e-4, 1e-5, 2.5e-7])
+@pytest.mark.parametrize("stiffness", [0.0, 1e6])
+def test_stairs_narrower_than_differences_are_no_defect(stair, stiffness):
+    """Of a spring behind an encoder: differences give its mean stiffness, the derivative between jumps has none."""
+    q, u, (m, k, s) = *me.dynamicsymbols("q u"), sm.symbols("m k s")
+    wall, block = me.RigidBody("wall"), me.RigidBody("block", mass=m)
+    system = System.from_newtonian(wall)
+    system.add_joints(me.PrismaticJoint("slide", wall, block, q, u))
+    system.add_loads(me.Force(block.masscenter, -(s * q + k * stair * sm.floor(q / stair)) * wall.x))
+    given = {"parameters": {m: 2.0, k: 10.0, s: stiffness}, "outputs": {"force": k * stair * sm.floor(q / stair)}}
+    model = fb.compile_model(fb.Model(system, name="encoder", **given))
+    x = [0.1234567, 0.0]
+    read = stair * np.floor(x[0] / stair)
+    assert model.jacobian(0.0, x).tolist() == [[0.0, 1.0], [-stiffness / 2, 0.0]]
+    force = stiffness * x[0] + 10.0 * read
+    np.testing.assert_allclose(model.parameter_jacobian(0.0, x), [[0] * 3, [force / 4, -read / 2, -x[0] / 2]], 1e-12)
+    assert model.output_jacobian(0.0, x).tolist() == [[0.0, 0.0]]
+
+
 def light_pendulum(tmp_path, monkeypatch, *, check=True):
     """A pendulum of 1 kg and 1 m, with one of a millionth of a milligram at its end; a cache without its parts."""
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))

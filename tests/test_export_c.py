@@ -2,6 +2,7 @@
 
 import ctypes
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -19,6 +20,7 @@ from test_compilers import zig_cc
 from trees import revolute_chain
 
 import fourbar_codegen as fb
+from fourbar_codegen.codegen.c_library import RESERVED, RESERVED_FAMILIES
 
 
 def driven():
@@ -623,10 +625,23 @@ def test_initial_values_of_dependent_speeds(tmp_path, speed):
         assert not path.exists()
 
 
+def test_macros_of_standard_headers_are_reserved():
+    """All that the compiler's own headers define; others begin with an underscore."""
+    headers = ("float", "limits", "math", "stdarg", "stddef", "stdint", "stdio", "stdlib", "string", "time")
+    command = [require("gcc"), "-std=c99", "-dM", "-E", "-x", "c", "-"]
+    source = "".join(f"#include <{header}.h>\n" for header in headers)
+    text = subprocess.run(command, input=source, capture_output=True, text=True, check=True).stdout
+    macros = set(re.findall(r"#define ([A-Za-z]\w*)", text))
+    assert {"NAN", "INT_FAST16_MIN", "HUGE_VALL"} <= macros
+    assert {name for name in macros - RESERVED if not RESERVED_FAMILIES.fullmatch(name)} == set()
+    assert not any(RESERVED_FAMILIES.fullmatch(name) for name in ("M1", "SCARA", "FD", "L_shaped", "M_arm", "RRR_2"))
+
+
 def test_what_cannot_be_exported(tmp_path):
     with pytest.raises(fb.ModelError, match="begins with defaults: give m"):
         fb.export_c(fb.Model(pendulum(), name="open", parameters={"g": 9.81, "l": 0.5}), tmp_path / "a")
-    for name in ("double", "template", "math", "time", "y1", "uint32_t", "constraint", "fb_kernel", "FB_MODEL"):
+    of_c = ("double", "template", "math", "time", "y1", "uint32_t", "NAN", "FILE", "M_PI", "DBL_MAX", "va_list")
+    for name in (*of_c, "constraint", "fb_kernel", "FB_MODEL"):
         with pytest.raises(fb.ModelError, match=f"'{name}' is a name in C"):
             fb.export_c(fb.Model(pendulum(), name=name, parameters={"m": 1.0, "g": 9.81, "l": 0.5}), tmp_path / "a")
     greek = pendulum(mass=sm.Symbol("μ"))

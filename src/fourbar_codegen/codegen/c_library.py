@@ -80,8 +80,25 @@ FUNCTIONS = """
 """
 """What the headers <math.h>, <stdio.h>, <stdlib.h>, <string.h> and <time.h> declare, also beyond the standard."""
 
-RESERVED = frozenset(f"{KEYWORDS} {HEADERS_AND_TARGETS} {FUNCTIONS}".split())
+MACROS_AND_TYPES = """
+    BUFSIZ BYTE_ORDER CHAR_BIT CLOCKS_PER_SEC DECIMAL_DIG EOF FILE HUGE_VAL HUGE_VALF HUGE_VALL INFINITY L_ctermid
+    L_cuserid L_tmpnam NAN NFDBITS NULL PIPE_BUF P_tmpdir TIMER_ABSTIME TIME_UTC WCONTINUED WEXITED WEXITSTATUS
+    WIFCONTINUED WIFEXITED WIFSIGNALED WIFSTOPPED WNOHANG WNOWAIT WSTOPPED WSTOPSIG WTERMSIG WUNTRACED
+    be16toh be32toh be64toh drand48_data fd_mask fd_set fpclassify htobe16 htobe32 htobe64 htole16 htole32 htole64
+    isfinite isgreater isgreaterequal isless islessequal islessgreater isnormal isunordered itimerspec le16toh le32toh
+    le64toh math_errhandling offsetof random_data signbit timespec timeval tm u_char u_int u_long u_short uint ulong
+    ushort va_arg va_copy va_end va_list va_start
+"""
+"""What these headers, <float.h>, <limits.h>, <stdarg.h>, <stddef.h> and <stdint.h> define besides."""
+
+RESERVED = frozenset(f"{KEYWORDS} {HEADERS_AND_TARGETS} {FUNCTIONS} {MACROS_AND_TYPES}".split())
 """Names that a model cannot have in C or C++, whose programs may include these headers, besides those in the texts."""
+
+RESERVED_FAMILIES = re.compile(
+    r"(CLOCK|DBL|EXIT|FD|FLT|FP|LDBL|M|MATH|MB|PTHREAD|SEEK)_[A-Z0-9_]+|[A-Z0-9_]+_(ENDIAN|MAX|MIN)|U?INT[A-Z0-9]+_C"
+    r"|\w+_t"
+)
+"""Other ones: constants such as DBL_MAX, INT8_MAX and M_PI; types."""
 
 
 def library_texts(
@@ -160,7 +177,7 @@ def _check_name(name: str, texts: Mapping[str, str], runtime: Mapping[str, str])
     public |= set(re.findall(rf"\b{name}_\w+", texts[f"{name}.h"]))
     if (
         name in RESERVED | macros | tags
-        or name.endswith("_t")  # as types of the standard library
+        or RESERVED_FAMILIES.fullmatch(name)
         or public & (macros | set(re.findall(r"\w+", declared)))
         or texts.keys() & {f"{FOLDER}{file}" for file in runtime}
     ):

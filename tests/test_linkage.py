@@ -522,8 +522,28 @@ def test_independent_coordinates_are_chosen():
         fb.Linkage("chosen", independent="CD", **how).model()
     driven = fb.Linkage("chosen", independent="CD", **how)
     driven.drive("A", angle="s")
-    with pytest.raises(fb.ModelError, match="CD cannot be independent as chosen is drawn while AB is driven: 0 coord"):
+    with pytest.raises(fb.ModelError, match=r"CD cannot be independent .* while AB is driven: the drives determine"):
         driven.model()
+    for wrong in (None, 5):
+        with pytest.raises(fb.ModelError, match=f"independent= is the name of a link or block, .* not {wrong}"):
+            fb.Linkage("chosen", independent=wrong, **how)
+
+
+@pytest.mark.parametrize(
+    ("motion", "kind"),
+    [
+        ("q_BC", "a coordinate or speed"), ("u_AB", "a coordinate or speed"), ("l_AB", "a parameter"),
+        ("torque_A", "an output"), (me.dynamicsymbols("q_CD"), "a coordinate or speed"),
+        (me.dynamicsymbols("q_AB"), "a coordinate or speed"),
+    ],
+)  # fmt: skip
+def test_a_drive_with_a_name_that_is_taken(motion, kind):
+    points = {"A": (0, 0), "B": (0, 0.1), "C": (0.3, 0.3), "D": (0.4, 0)}
+    linkage = fb.Linkage("driven", points=points, ground="AD", links=["AB", "BC", "CD"], density=1.0)
+    linkage.drive("A", angle=motion)
+    name = motion if isinstance(motion, str) else motion.name
+    with pytest.raises(fb.ModelError, match=f"The input {name} has the name of {kind} of .* follow functions of time"):
+        linkage.model()
 
 
 def test_a_drive_starts_where_it_is_drawn():

@@ -98,6 +98,8 @@ class Linkage:
         independent: str | Sequence[str] = (),
     ) -> None:
         self.name = name
+        if not isinstance(independent, Iterable):
+            raise ModelError(f"independent= is the name of a link or block, or a sequence, not {shown(independent)}.")
         self._wanted = [independent] if isinstance(independent, str) else [*independent]
         self._parts = Parts()
         self._analysis: tuple[Tree, Mobility] | None = None
@@ -636,10 +638,7 @@ class Linkage:
         initial = {f"q_{name}": float(value) for name, value in zip(names, tree.values, strict=True)}
         initial |= {f"u_{name}": 0.0 for name in mobility.independent}
         first = 2 * len(tree.cuts) + 1
-        outputs = {
-            f"{'force' if drive.of in tree.slides else 'torque'}_{drive.at}": multiplier(first + k)
-            for k, drive in enumerate(self._parts.drives)
-        }
+        outputs = {self._effort(drive): multiplier(first + k) for k, drive in enumerate(self._parts.drives)}
         own: dict[str, Mapping[Any, Any]] = {
             "parameters": parameters, "inputs": self._parts.inputs, "initial": initial, "outputs": outputs
         }  # fmt: skip
@@ -652,6 +651,22 @@ class Linkage:
         return (
             f"<Linkage {self.name}: {len(parts.points)} points, {len(parts.links)} links, {len(parts.slides)} blocks>"
         )
+
+    def _effort(self, drive: Drive) -> str:
+        """The name of the output for the torque or force that a drive takes."""
+        return f"{'force' if drive.of in self._parts.slides else 'torque'}_{drive.at}"
+
+    def _check_inputs(self, parameters: Iterable[sm.Symbol]) -> None:
+        """Raise if an input, such as a drive's motion, is called as something else of the linkage."""
+        taken = {symbol.name: "a parameter" for symbol in parameters}
+        taken |= dict.fromkeys(map(self._effort, self._parts.drives), "an output")
+        taken |= {_label(c): "a coordinate or speed" for c in (*self.q.values(), *self.u.values())}
+        for name in map(_label, self._parts.inputs):
+            if name in taken:
+                raise ModelError(
+                    f"The input {name} has the name of {taken[name]} of the linkage: give it another name. Inputs and "
+                    "drives follow functions of time, but no coordinates."
+                )
 
     def _change(self) -> Parts:
         """The parts, to be changed: what was found or made of them is no longer valid."""
@@ -769,16 +784,18 @@ class Linkage:
         found = find_mobility(tree, size_of(self._parts), driven, preferred, self._wanted)
         if len(found.independent) != len(mobility.independent):
             held = f" while {', '.join(driven)} is driven" if driven else ""
+            those = ", ".join(mobility.independent)
+            enough = f"{len(mobility.independent)} coordinates determine the others, such as {those}"
             raise ModelError(
                 f"The coordinates of {', '.join(self._wanted)} cannot be independent as {self.name} is drawn{held}: "
-                f"{len(mobility.independent)} coordinates determine the others, such as "
-                f"{', '.join(mobility.independent) or 'none'}."
+                f"{enough if those else 'the drives determine all coordinates'}."
             )
         return found
 
     def _built(self) -> tuple[System, list[me.Point], dict[sm.Symbol, Parameter]]:
         tree, mobility = self._analyzed()
         shape = geometry(tree, tuple(dict.fromkeys(self._parts.ground)), self._parts.parameters)
+        self._check_inputs((*shape.parameters, *self._parts.parameters))
         if self._system is None:
             self._system = build_system(self._parts, tree, shape, mobility.independent, bool(mobility.redundant))
         own = {**self._parts.parameters}

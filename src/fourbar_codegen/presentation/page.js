@@ -72,13 +72,14 @@ const released = () => {
 
 const say = text => { if (byId("status").textContent !== text) byId("status").textContent = text; };
 // As for runs in Python (GROWN in simulation/integrate.py): the final kinetic energy is a thousand times both the largest
-// of the first half and the range of the potential energy.
+// of the first half and the range of the potential energy, and more than what rounding errors make of this.
 const grown = run => {
   const kinetic = columnOf(run, data.energies), potential = columnOf(run, data.energies + 1);
   const early = Math.max(...kinetic.subarray(0, Math.ceil(run.n / 2)));
   const range = Math.max(...potential) - Math.min(...potential) || 0;
   const size = Math.max(early, range);
-  return size > 0 && kinetic[run.n - 1] > 1000 * size;
+  const last = kinetic[run.n - 1], visible = 1e-5 * Math.abs(potential[run.n - 1]) || 0;
+  return size > 0 && last > Math.max(1000 * size, visible);
 };
 const LOST = "The assembly mode could not be followed to these values: another one may be shown.";
 const sentence = run => {

@@ -71,6 +71,9 @@ GROWN = 1e3
 kinetic energy of the first half and the range of the potential energy. With a constant force the factor is 4, with a
 constant power 2; energy that loads supply in proportion to the motion grows exponentially."""
 
+VISIBLE = 1e-5
+"""Smallest growth to tell of, relative to the energy: kinetic energy from rest may be no more than rounding errors."""
+
 SAMPLES = 100
 """Number of states of a run at which energies are compared."""
 
@@ -212,7 +215,8 @@ def integrate(
     if options.project and model.manifest["states_velocity_constraints"] and status >= 0:
         sentence = left(model, ode, input_times, y, options.parameters)
         status, message = (-1, sentence) if sentence else (status, message)
-    message += _growth(ode, input_times, y, run, by_steps=t_eval is None)
+    if not singular:  # near singular positions speeds grow for that reason
+        message += _growth(ode, input_times, y, run, by_steps=t_eval is None)
     sensitivity = None
     if directions is not None and isinstance(run, Run):
         derivatives = run.sensitivities[: directions.matrix.shape[1], :, : t.size]
@@ -325,4 +329,6 @@ def _growth(ode: Ode, t: Floats, y: Floats, run: Integration, *, by_steps: bool)
     if not (n and max(largest, high - low) > 0.0 and not np.isnan(kinetic)):
         return ""
     before, after = map(np.nansum, (ode.energies(t[0], y[:, 0]), reached))
+    if not after - before > VISIBLE * abs(before):
+        return ""
     return f" The energy has grown from {before:.6g} J to {after:.6g} J, because of loads or of integration errors."

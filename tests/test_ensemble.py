@@ -567,7 +567,7 @@ def restored(arguments):
 def test_a_worker_elsewhere_builds_once(tmp_path, monkeypatch):
     """Processes that do not find the module share one build in their node's cache."""
     model = fb.compile_model(fb.models.cartesian_pendulum())
-    _, (kind, name, _, manifest, sources, _) = model.__reduce__()
+    _, (kind, name, _, manifest, sources, *_) = model.__reduce__()
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     with multiprocessing.get_context("spawn").Pool(3) as pool:
         paths = pool.map(restored, [(kind, name, str(tmp_path / "elsewhere.so"), manifest, sources)] * 3)
@@ -581,7 +581,7 @@ def test_a_worker_elsewhere_builds_once(tmp_path, monkeypatch):
 
 def test_another_model_in_the_same_place_is_not_taken(tmp_path, monkeypatch):
     model = fb.load(fb.build_model(fb.models.cartesian_pendulum(), tmp_path / "here"))
-    _, (kind, name, _, manifest, sources, _) = model.__reduce__()
+    _, (kind, name, _, manifest, sources, *_) = model.__reduce__()
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path / "cache"))
     other = str(fb.load("four_bar").path)
     assert _restore(kind, name, other, manifest, sources).coordinates == model.coordinates

@@ -6,16 +6,14 @@ All loops are in C. Before anything is timed, the rates of speeds in all forms a
 from __future__ import annotations
 
 import functools
-import importlib
 import math
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from measure import circumstances, compare, loop_inside_c, options_of, publish
+from compile_times import rider
+from measure import Loop, circumstances, compare, evaluation_inside_c, options_of, publish
 from sympy.physics.mechanics.models import n_link_pendulum_on_cart
 from trees import humanoid, joined_arms, revolute_chain
 from tutorial import Floats
@@ -62,22 +60,13 @@ def pendulum(links: int) -> fb.Model:
     return fb.Model(kane, name=f"pendulum_{links}", parameters=values)
 
 
-def rider() -> fb.Model:
-    sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
-    example: Any = importlib.import_module("09_rider_on_a_bicycle")
-    system = example.rider_on_a_bicycle()
-    names = fb.Model(system, inputs="auto")
-    values = {symbol: example.value(symbol.name) for symbol in names.parameter_symbols}
-    return fb.Model(system, name="rider", inputs=dict.fromkeys(names.inputs, 0), parameters=values)
-
-
-def seated(rider: fb.CompiledModel) -> Floats:
+def seated(model: fb.CompiledModel) -> Floats:
     """The state in which the rider's loops are closed, see examples/09_rider_on_a_bicycle.py."""
-    n_q, n_u = (rider.manifest[f"n_dependent_{kind}"] for kind in ("coordinates", "speeds"))
+    n_q, n_u = (model.manifest[f"n_dependent_{kind}"] for kind in ("coordinates", "speeds"))
     joints = [f"{side}_{joint}_flexion" for side in ("left", "right") for joint in ("leg_q_knee", "arm_q_elbow")]
-    upright = dict.fromkeys(rider.coordinates[:-n_q], 0.0)
-    rolling = {**dict.fromkeys(rider.speeds[:-n_u], 0.0), "bicycle_u6": -15.0, "bicycle_u4": 0.1}
-    return rider.initial_state(upright, rolling, bounds=dict.fromkeys(joints, (0.0, 2.6)))
+    upright = dict.fromkeys(model.coordinates[:-n_q], 0.0)
+    rolling = {**dict.fromkeys(model.speeds[:-n_u], 0.0), "bicycle_u6": -15.0, "bicycle_u4": 0.1}
+    return model.initial_state(upright, rolling, bounds=dict.fromkeys(joints, (0.0, 2.6)))
 
 
 MODELS: Mapping[str, Callable[[], fb.Model]] = {
@@ -121,7 +110,7 @@ def rows(rounds: int) -> list[dict[str, Any]]:
         p = [float(model.parameters[name].value) for name in compiled.parameters]
         row: dict[str, Any] = {"model": title, "speeds": len(model.speeds), "constraints": compiled.n_c}
         row["form"] = generated.scheduled.program.form
-        loops: dict[str, Callable[[], tuple[float, float]]] = {}
+        loops: dict[str, Loop] = {}
         for form in FORMS:
             try:
                 scheduled = schedule(lower(model.name, generated.equations, form))
@@ -131,18 +120,13 @@ def rows(rounds: int) -> list[dict[str, Any]]:
                 f"{model.name}_kernel.c": kernel_text(scheduled, generated.names),
                 f"{model.name}_kernel.h": header_text(scheduled, generated.names),
             }
-            loops[form] = loop_inside_c(model.name, texts, "rhs", 0.5, x, p, FLAGS, NUMBER)
-        sums = [loop()[1] for loop in loops.values()]
+            loops[form] = evaluation_inside_c(model.name, texts, "rhs", 0.5, x, p, FLAGS, NUMBER)
+        sums = [loop.run()[1] for loop in loops.values()]
         np.testing.assert_allclose(sums, sums[0], rtol=1e-8)
-        seconds = compare(*(functools.partial(seconds_of, loop) for loop in loops.values()), rounds=rounds)
-        row |= dict(zip(loops, seconds, strict=True))
+        row |= dict(zip(loops, compare(*loops.values(), rounds=rounds), strict=True))
         found.append(row)
         print(row, flush=True)
     return found
-
-
-def seconds_of(loop: Callable[[], tuple[float, float]]) -> float:
-    return loop()[0]
 
 
 def table(found: Sequence[Mapping[str, Any]]) -> str:

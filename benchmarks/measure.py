@@ -12,6 +12,7 @@ import tempfile
 import time
 import timeit
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import date
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -52,6 +53,26 @@ def evaluation(function: Callable[[float, Any], object], x: Any, number: int) ->
     return lambda: timer.timeit(number) / number
 
 
+@dataclass(frozen=True)
+class Loop:
+    """A C program that calls a kernel in a loop; called, it is the measure of one evaluation.
+
+    Attributes
+    ----------
+    command : tuple of str
+    """
+
+    command: tuple[str, ...]
+
+    def run(self) -> tuple[float, float]:
+        """Seconds of one evaluation; and the sum over the loop of the last entry of x', or of the first one of f."""
+        printed = subprocess.run(self.command, check=True, capture_output=True, text=True).stdout.split()
+        return float(printed[0]), float(printed[1])
+
+    def __call__(self) -> float:
+        return self.run()[0]
+
+
 def evaluation_inside_c(
     name: str,
     sources: Mapping[str, str],
@@ -61,23 +82,8 @@ def evaluation_inside_c(
     p: Iterable[float],
     flags: Sequence[str],
     number: int = 200_000,
-) -> Callable[[], float]:
+) -> Loop:
     """A measure of a model's kernel called in a loop by a C program: `rhs`, or `dynamics`, forming alone."""
-    loop = loop_inside_c(name, sources, function, t, x, p, flags, number)
-    return lambda: loop()[0]
-
-
-def loop_inside_c(
-    name: str,
-    sources: Mapping[str, str],
-    function: str,
-    t: float,
-    x: Iterable[float],
-    p: Iterable[float],
-    flags: Sequence[str],
-    number: int,
-) -> Callable[[], tuple[float, float]]:
-    """The same, with the sum over the loop of the last entry of x', or of the first one of f."""
     folder = Path(tempfile.mkdtemp())
     for file, text in sources.items():
         (folder / file).write_text(text)
@@ -86,13 +92,7 @@ def loop_inside_c(
     command += ["-I", fb.get_include(), "-I", str(folder), f"-DKERNEL={name}_kernel"]
     command += ["-include", f"{name}_kernel.h", str(Path(__file__).parent / "inside_c.c")]
     subprocess.run([*command, *map(str, folder.glob("*.c")), "-o", str(program), "-lm"], check=True)
-    arguments = [str(program), function, str(number), repr(t), *(repr(float(value)) for value in (*x, *p))]
-
-    def loop() -> tuple[float, float]:
-        printed = subprocess.run(arguments, check=True, capture_output=True, text=True).stdout.split()
-        return float(printed[0]), float(printed[1])
-
-    return loop
+    return Loop((str(program), function, str(number), repr(t), *(repr(float(value)) for value in (*x, *p))))
 
 
 def compare(*measures: Callable[[], float], rounds: int) -> list[float]:

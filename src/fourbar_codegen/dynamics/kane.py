@@ -117,15 +117,23 @@ class Kane:
     @functools.cached_property
     def loads(self) -> tuple[AppliedLoad, ...]:
         """The mechanism's loads."""
+        loads = self.mechanism.loads
+        vectors = [self.kinematics.vector(load.vector) for load in loads]
+        in_motion = [*vectors]
         for force in self._reactions:
-            if not any(any(self.reaction(load, force)) for load in self.mechanism.loads):
+            parts = [self.reaction(load, force) for load in loads]
+            if not any(map(any, parts)):
                 leaf = self.tape.nodes[force.node]
                 assert isinstance(leaf, Leaf)
                 raise ModelError(
                     f"{leaf.name} in reactions= acts along no auxiliary speed: the loads contain it in laws only, such "
                     "as friction, or at points that auxiliary speeds do not move."
                 )
-        return tuple(map(self._applied, self.mechanism.loads))
+            in_motion = [
+                self._without_reaction(vector, self._slope(load, force), part, force) if any(part) else vector
+                for load, vector, part in zip(loads, in_motion, parts, strict=True)
+            ]
+        return tuple(map(AppliedLoad, loads, vectors, in_motion))
 
     def use_poisson_rates(self, rates: Iterable[Jvp]) -> None:
         """Let derivatives with respect to time take the rates of direction cosines from the angular velocities.
@@ -355,18 +363,9 @@ class Kane:
         self._directions[force] = directions
         return directions
 
-    def _applied(self, load: Load) -> AppliedLoad:
-        vector = in_motion = self.kinematics.vector(load.vector)
-        for force in self._reactions:
-            in_motion = self._without_reaction(in_motion, load, force)
-        return AppliedLoad(load, vector, in_motion)
-
-    def _without_reaction(self, vector: Vector, load: Load, force: Scalar) -> Vector:
-        """A load without what it has of an unknown force where auxiliary speeds move the points that it acts on."""
-        tape, part = self.tape, self.reaction(load, force)
-        if not any(part):
-            return vector
-        slope = self._slope(load, force)
+    def _without_reaction(self, vector: Vector, slope: Components, part: Components, force: Scalar) -> Vector:
+        """A load without a part of its slope by an unknown force."""
+        tape = self.tape
         if tape.depends(slope, [force]):
             return merged([*vector, (INERTIAL, scale(-force, part))])
         # Linear in the force: without it, and with what is left of its slope, so that what cancels is not formed.

@@ -35,7 +35,7 @@ REGULAR = 1e-9
 """Smallest pivot of M relative to its diagonal; that of the first link of a chain is of the order 1 / n^3."""
 
 # Measured with the models of benchmarks/forms.py: by these, each is printed in its fastest form or in one that takes at
-# most a fifth more; no other values do better.
+# most a fifth more.
 RECURSIVE = 0.87
 """Share of the dense form's operations up to which the recursive form is faster."""
 ELIMINATION = 1.5

@@ -23,7 +23,7 @@ lint: $(INSTALLED)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/python tests/scripts.py build/scripts
+	$(BIN)/python tests/harness/scripts.py build/scripts
 	$(BIN)/oxlint --quiet --deny-warnings --config .oxlintrc.json build/scripts/*.js
 	for script in build/scripts/*.js; do node --check $$script || exit 1; done
 	$(BIN)/clang-format --dry-run --Werror src/fourbar_codegen/runtime/*.h

@@ -5,10 +5,12 @@ import sys
 from pathlib import Path
 
 import pytest
-from programs import require
+from harness.programs import require
 from tutorial import tutorial_four_bar
 
 import fourbar_codegen as fb
+
+pytest_plugins = ["harness.costs"]
 
 
 @pytest.fixture(scope="session", autouse=True)

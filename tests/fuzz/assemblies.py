@@ -14,7 +14,7 @@ import mpmath
 import numpy as np
 import sympy as sm
 import sympy.physics.mechanics as me
-from systems import masses_on_a_line
+from builders.systems import masses_on_a_line
 
 import fourbar_codegen as fb
 

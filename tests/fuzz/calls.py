@@ -23,9 +23,9 @@ from typing import Any
 import numpy as np
 import sympy as sm
 import sympy.physics.mechanics as me
+from builders.systems import pendulum
 from sympy.physics.mechanics.system import System
 from sympy.physics.units import meter
-from systems import pendulum
 
 import fourbar_codegen as fb
 
@@ -434,7 +434,7 @@ def missing() -> set[str]:
     }
     doors = {f"trajectory.{name}" for name in ("plot", "columns", "to_xarray", "to_dataframe")}
     without_arguments = {*doors, "get_include"}
-    elsewhere = {"to_jax"}  # tests/test_jax.py: JAX has settings of its own
+    elsewhere = {"to_jax"}  # tests/simulation/test_jax.py: JAX has settings of its own
     return public - called - without_arguments - elsewhere
 
 

@@ -17,7 +17,7 @@ import fourbar_codegen as fb
 
 COMPILE = """
 import fourbar_codegen as fb
-from systems import slider
+from builders.systems import slider
 print(fb.compile_model(slider()).rhs(0.0, [0.5, 0.1, 0.2, 0.3]).tolist())
 """
 
@@ -57,7 +57,7 @@ def compiling(generator: np.random.Generator, say: Callable[[str], None], folder
     for _ in range(2):  # built, and found
         done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
-        from systems import slider
+        from builders.systems import slider
 
         expected = fb.compile_model(slider()).rhs(0.0, [0.5, 0.1, 0.2, 0.3])
         np.testing.assert_array_equal(eval(done.stdout), expected)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from systems import closed_by_auxiliary_speeds
+from builders.systems import closed_by_auxiliary_speeds
 
 import fourbar_codegen as fb
 

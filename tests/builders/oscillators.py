@@ -1,0 +1,47 @@
+"""A mass on a spring, with further forces."""
+
+import sympy as sm
+import sympy.physics.mechanics as me
+
+import fourbar_codegen as fb
+
+
+def oscillator():
+    """A mass on a spring, x = a cos(w t) with w^2 = k / m."""
+    q, u = me.dynamicsymbols("x v")
+    m, k = sm.symbols("m k")
+    frame, origin, point = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
+    origin.set_vel(frame, 0)
+    point.set_pos(origin, q * frame.x)
+    point.set_vel(frame, u * frame.x)
+    system = me.System(frame, origin)
+    system.add_coordinates(q)
+    system.add_speeds(u)
+    system.add_kdes(u - q.diff())
+    system.add_bodies(me.Particle("mass", point, m))
+    system.add_loads(me.Force(point, -k * q * frame.x))
+    return fb.Model(system, name="oscillator", parameters={m: 2.0, k: 8.0}, initial={q: 0.3, u: 0.0})
+
+
+def driven_oscillator(**more):
+    model = oscillator()
+    system, force = model.system, me.dynamicsymbols("F")
+    system.add_loads(me.Force(system.bodies[0].masscenter, force * system.frame.x))
+    parameters = {"m": 2.0, "k": 8.0, **more.pop("parameters", {})}
+    inputs = {force: more.pop("force", None)}
+    return fb.Model(
+        system, name="driven", parameters=parameters, initial={"x": 0.0, "v": 0.0}, inputs=inputs, **more
+    )  # fmt: skip
+
+
+def loaded(load, inputs=None):
+    """The oscillator with another force, by its state, time and symbols with the value 0.5."""
+    model, (x, v) = oscillator(), me.dynamicsymbols("x v")
+    load = load(x, v, me.dynamicsymbols._t)
+    symbols = load.free_symbols - {me.dynamicsymbols._t}
+    model.system.add_loads(me.Force(model.system.bodies[0].masscenter, load * model.system.frame.x))
+    parameters = {"m": 2.0, "k": 8.0, **dict.fromkeys(sorted(map(str, symbols)), 0.5)}
+    initial = {"x": 0.3, "v": 0.0}
+    return fb.compile_model(
+        fb.Model(model.system, name="loaded", parameters=parameters, initial=initial, inputs=inputs)
+    )

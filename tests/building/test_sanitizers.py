@@ -1,0 +1,578 @@
+"""Generated kernels and the runtime's C under the sanitizers of addresses, undefined behaviour and threads."""
+
+import os
+import subprocess
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+import sympy as sm
+from builders.exported import driven
+from builders.friction import MU, model_of, rod
+from builders.state_equations import cartesian, motor
+from builders.systems import parallelogram
+from harness.programs import compile_c
+
+import fourbar_codegen as fb
+
+# All functions of a kernel, what follows from independent values, a projected run by each method with interpolated
+# samples, and its derivatives forwards and backwards, Jacobians at several states, steps of one length, the equations
+# for implicit solvers, and, side by side on three threads, more states than there are lanes, more runs, with samples, a
+# table and an input held, and none at all.
+PROGRAM = """
+#include "fourbar_adjoint.h"
+#include "fourbar_augmented.h"
+#include "fourbar_batch.h"
+#include "fourbar_follow.h"
+#include "fourbar_forward.h"
+#include "fourbar_implicit.h"
+#include "fourbar_integrate.h"
+#include "fourbar_jacobians.h"
+#include <pthread.h>
+#include <stdio.h>
+#include <stdlib.h>
+
+static const double table_times[] = {0.0, 0.2, 0.5}, slopes_and_values[] = {15.0, 0.0, -20.0, 3.0};
+static const fb_table table = {2, 2, table_times, slopes_and_values, 0.0, -3.0};
+
+static double *doubles(const int n)
+{
+    double *const array = calloc((size_t)(n > 0 ? n : 1), sizeof(double));
+    for (int i = 0; i < n; ++i)
+        array[i] = 0.3 + 0.1 * i - 0.17 * (i % 5);
+    return array;
+}
+
+static double evaluate(const fb_kernel *k, const double *p)
+{
+    const int n_x = k->n_x, n_y = k->n_u + k->n_l + k->n_z, n_n = k->n_l - k->n_c;
+    double *x = doubles(n_x), *c = doubles(k->n_constants), *r = doubles(k->n_r), *a = doubles(k->n_u);
+    double *l = doubles(k->n_l + k->n_i), *rates = doubles(n_x), *qs = doubles(k->n_q), *m = doubles(k->n_u * k->n_u);
+    double *f = doubles(k->n_u), *j = doubles(k->n_c * k->n_u), *g = doubles(k->n_c), *phi = doubles(k->n_h);
+    double *pq = doubles(k->n_h * k->n_q), *vq = doubles(k->n_c * k->n_q), *pr = doubles(k->n_h * k->n_r);
+    double *vr = doubles(k->n_c * k->n_r), *e = doubles(2), *o = doubles(k->n_o);
+    double *rp = doubles(k->n_r * k->n_p), *z = doubles(k->n_z), *za = doubles(k->n_z * k->n_u);
+    double *zl = doubles(k->n_z * k->n_l), *ya = doubles(k->n_o * k->n_u), *yl = doubles(k->n_o * k->n_l);
+    double *force = doubles(k->n_u), *by_n = doubles(k->n_u * n_n), *row = doubles(n_n), *row_by_n = doubles(n_n * n_n);
+    double *row_m = doubles(n_n * k->n_u), *row_j = doubles(n_n * k->n_c);
+    const int n[3] = {n_x, k->n_p, k->n_r};
+    const fb_derivatives *const d = k->derivatives;
+    fb_sensitivity *const of[3] = {d->sensitivity, d->parameter_sensitivity, d->input_sensitivity};
+    fb_output_sensitivity *const of_outputs[3] = {d->output_sensitivity, d->output_parameter_sensitivity,
+                                                  d->output_input_sensitivity};
+    void *work = calloc(1, k->work_size);
+    double sum = 0.0;
+    k->prepare(p, c);
+    k->default_inputs(0.5, c, r);
+    d->default_input_sensitivity(0.5, c, rp);
+    k->rhs(0.5, x, c, r, rates, work);
+    k->accelerations(0.5, x, c, r, a, l, work);
+    k->dynamics(0.5, x, c, r, qs, m, f, j, g);
+    k->position(0.5, x, c, r, phi, pq);
+    k->velocity(0.5, x, c, r, j, g);
+    k->constraint_violation(0.5, x, c, r, l, g);
+    k->coordinate_change(0.5, x, c, r, a, qs);
+    d->constraint_sensitivity(0.5, x, c, r, vq, pr, vr);
+    k->energy(0.5, x, c, r, e);
+    k->output(0.5, x, c, r, a, l, o);
+    for (int i = 0; i < 3; ++i) {
+        double *q = doubles(k->n_q * n[i]), *y = doubles(n_y * n[i]), *all = doubles(n_x * n[i]);
+        double *of_l = doubles(k->n_l * n[i]), *of_y = doubles(k->n_o * n[i]);
+        of[i](0.5, x, c, r, a, l, q, y);
+        k->differentiate(d, of[i], n[i], 0.5, x, c, r, all, NULL, work);
+        k->differentiate(d, of[i], n[i], 0.5, x, c, r, all, of_l, work);
+        if (k->n_o > 0)
+            of_outputs[i](0.5, x, c, r, a, l, of_y);
+        sum += n[i] ? all[0] : 0.0;
+        free(q), free(y), free(all), free(of_l), free(of_y);
+    }
+    if (k->n_z > 0) {
+        k->state_rates(0.5, x, c, r, a, l, z);
+        d->state_rate_sensitivity(0.5, x, c, r, a, l, za, zl);
+    }
+    if (k->n_o > 0)
+        d->output_solution_sensitivity(0.5, x, c, r, a, l, ya, yl);
+    if (n_n > 0)
+        k->unknown_forces(0.5, x, c, r, l + k->n_c, force, by_n, row, row_by_n, row_m, row_j);
+    double *weights = doubles(n_x + k->n_l), *gradient = doubles(n_x + k->n_p + k->n_r);
+    for (int n = 1; n <= FB_DIRECTIONS; ++n) {
+        double *directions = doubles((n_x + k->n_p + k->n_r) * n), *varied = doubles(n_x * n);
+        k->vary(d, k->variations, 0.5, x, c, r, NULL, n, directions, varied, work);
+        k->rhs(0.5, x, c, r, rates, work);
+        k->vary(d, k->variations, 0.5, x, c, r, rates + k->n_q, n, directions, varied, work);
+        k->vary_closed(d, k->variations, 0.5, x, c, r, FB_LAST_RHS, n, directions, work);
+        k->vary_closed(d, k->variations, 0.5, x, c, r, FB_LAST_ANY, n, directions, work);
+        sum += varied[0] + directions[0];
+        free(directions), free(varied);
+    }
+    k->pull_back(d, k->variations, 0.5, x, c, r, weights, gradient, work);
+    k->pull_back_closed(d, k->variations, 0.5, x, c, r, gradient, work);
+    sum += gradient[0];
+    free(weights), free(gradient);
+    fb_follow follow = {.n_qd = k->n_q > 1, .n_ud = k->n_u > 1, .n = FB_DIRECTIONS};
+    double *const memory = doubles((int)fb_place_follow(k, &follow, NULL));
+    fb_place_follow(k, &follow, memory);
+    sum += fb_follow_at(k, k->variations, 0.5, x, c, r, &follow) + follow.corrections[0] + follow.directions[0];
+    free(memory);
+    k->orientation_changed(work);
+    k->project(0.5, x, c, r, 0, work);
+    sum += rates[0] + e[0];
+    double *const all[] = {x, c, r, a, l, rates, qs, m, f, j, g, phi, pq, vq, pr, vr, e, o, rp, z, za, zl,
+                           ya, yl, force, by_n, row, row_by_n, row_m, row_j};
+    for (size_t i = 0; i < sizeof all / sizeof *all; ++i)
+        free(all[i]);
+    free(work);
+    return sum;
+}
+
+static double run(const fb_kernel *k, const double *p, const double *x0, const fb_tableau *method, const int by_table)
+{
+    const int n = k->n_x, padded = (n + FB_BLOCK - 1) / FB_BLOCK * FB_BLOCK;
+    fb_source source = {.table = &table};
+    fb_problem problem = {.kernel = k, .clock = fb_all_time, .constants = doubles(k->n_constants),
+                          .inputs = doubles(k->n_r),
+                          .work = calloc(1, k->work_size), .failed_x = doubles(n), .moved_x = doubles(n),
+                          .sources = &source, .n_sources = by_table && k->n_r > 0};
+    double *const state = calloc((size_t)padded * 32, sizeof(double)), *const tolerance = doubles(padded);
+    double times[50], *const t = doubles(50), *const samples = doubles(50 * n);
+    k->prepare(p, problem.constants);
+    for (int i = 0; i < padded; ++i)
+        tolerance[i] = 1e-6;
+    for (int i = 0; i < 50; ++i)
+        times[i] = 0.01 * i;
+    memcpy(state, x0, (size_t)n * sizeof *x0);
+    fb_run s = {.problem = &problem, .method = method, .n = n, .padded = padded, .direction = 1.0, .t_bound = 0.5,
+                .max_step = INFINITY, .rtol = tolerance, .atol = tolerance, .project = k->n_c > 0, .until = 0.5,
+                .step = fb_step_on, .x = state, .x_old = state + padded, .scratch = state + 2 * padded,
+                .stages = state + 3 * padded, .interpolant = state + 20 * padded, .along = state + 30 * padded,
+                .times = times, .n_times = 50, .sample_t = t, .sample_x = samples, .room = 50, .pending = 1};
+    fb_prepare_method(&s);
+    if (method == &fb_rk4)
+        for (int i = 0; i < 50; ++i)
+            fb_fixed_step(&s, 0.01);
+    else if (method == &fb_trapezoid) {
+        fb_augmented augmented;
+        double *const memory = doubles((int)fb_place_augmented(k, &augmented, NULL));
+        fb_place_augmented(k, &augmented, memory);
+        s.augmented = &augmented;
+        s.step = fb_augmented_step_on;
+        s.max_step = 0.01;
+        fb_augmented_begin(&s);
+        fb_run_on(&s, 10000);
+        free(memory);
+    } else {
+        fb_forward forward;
+        const int n_directions = by_table ? 3 : FB_DIRECTIONS + 1;
+        double *const varied = doubles((int)fb_place_forward(&s, n_directions, &forward, NULL));
+        fb_place_forward(&s, n_directions, &forward, varied);
+        forward.derivatives = k->derivatives;
+        forward.variations = k->variations;
+        forward.samples = doubles(50 * forward.size);
+        double *const changes = doubles(6 * forward.n_blocks * forward.width);
+        const double *of_sources[1] = {changes};
+        forward.source_changes = of_sources;
+        int *const rate = calloc((size_t)k->n_r + 1, sizeof(int));
+        for (int i = 0; i < k->n_r; ++i)
+            rate[i] = i == 2 ? 1 : -1;
+        forward.fsal = forward.interpolant_valid = 0;
+        fb_steps steps = {.room = 10000, .rows = doubles(10000 * (2 + n)), .sample_t = doubles(50),
+                          .sample_row = calloc(50, sizeof(long))};
+        s.forward = &forward;
+        s.vary = fb_forward_step;
+        s.vary_sample = fb_forward_sample;
+        s.steps = &steps;
+        fb_keep_step(&s, 0.0);
+        fb_begin(&s);
+        if (by_table) { /* in two pieces */
+            s.t_bound = s.until = table_times[1];
+            problem.clock.last = nextafter(table_times[1], 0.0);
+            fb_run_on(&s, 10000);
+            problem.clock = fb_all_time;
+            problem.clock.first = nextafter(table_times[1], 1.0);
+            s.t_bound = s.until = 0.5;
+            fb_resume(&s);
+        }
+        fb_adjoint adjoint;
+        double *const memory = doubles((int)fb_place_adjoint(&s, &adjoint, NULL));
+        double *const weights = doubles(50 * k->n_o), *by_source = doubles(6);
+        double *const of_speeds = doubles(k->n_u), *const scratch = doubles(k->n_u + k->n_l);
+        fb_place_adjoint(&s, &adjoint, memory);
+        adjoint.jump.t_before = nextafter(table_times[1], 0.0);
+        adjoint.jump.t_after = nextafter(table_times[1], 1.0);
+        adjoint.jump.rate = rate;
+        if (by_table) {
+            fb_speed_jump(&problem, &adjoint.jump, s.x, of_speeds, scratch);
+            fb_forward_jump(&s, &adjoint.jump, s.x, forward.s);
+            fb_keep_step(&s, 0.0);
+        }
+        fb_run_on(&s, 10000);
+        adjoint.derivatives = k->derivatives;
+        adjoint.variations = k->variations;
+        adjoint.rows = steps.rows;
+        adjoint.sample_row = steps.sample_row;
+        adjoint.sample_t = adjoint.output_t = steps.sample_t;
+        adjoint.by_states = samples;
+        adjoint.by_outputs = k->n_o ? weights : NULL;
+        adjoint.by_source = &by_source;
+        long sample = s.n_samples;
+        const double reached = s.x[0];
+        problem.clock = fb_all_time;
+        for (long row = steps.n - 1; row >= 0; --row)
+            fb_pull_back_step(&s, &adjoint, row, &sample);
+        free(varied), free(forward.samples), free(steps.rows), free(steps.sample_t), free(steps.sample_row);
+        free(memory), free(weights), free(by_source), free(changes), free(rate), free(of_speeds), free(scratch);
+        s.x[0] = reached;
+    }
+    const double end = s.x[0];
+    free(problem.constants), free(problem.inputs), free(problem.work), free(problem.failed_x), free(problem.moved_x);
+    free(state), free(tolerance), free(t), free(samples);
+    return end;
+}
+
+static double implicit(const fb_kernel *k, const double *p, const double *x0)
+{
+    double sum = 0.0;
+    for (int formulation = FB_INDEX_1; formulation <= FB_INDEX_3; ++formulation) {
+        fb_problem problem = {.kernel = k, .clock = fb_all_time, .constants = doubles(k->n_constants),
+                              .inputs = doubles(k->n_r)};
+        fb_implicit s;
+        double *const memory = doubles((int)fb_place_implicit(&problem, formulation, &s, NULL));
+        k->prepare(p, problem.constants);
+        fb_place_implicit(&problem, formulation, &s, memory);
+        double *const z = doubles(s.n_y), *const rate = doubles(s.n_y), *const f = doubles(s.n_y);
+        double *const matrix = doubles(s.n_y * s.n_y);
+        memcpy(z, x0, (size_t)k->n_x * sizeof *x0);
+        fb_implicit_scale(&s, 0.1, 10.0, z, rate, x0, x0, matrix);
+        fb_implicit_residual(&s, 0.1, z, rate, f);
+        fb_implicit_jacobian(&s, 0.1, 10.0, z, rate, matrix);
+        sum += f[0] + matrix[0];
+        free(problem.constants), free(problem.inputs), free(memory), free(z), free(rate), free(f), free(matrix);
+    }
+    return sum;
+}
+
+static double jacobians(const fb_kernel *k, const double *p, const double *x0)
+{
+    enum { N = 3 };
+    const int n_y = k->n_x + k->n_l, sizes[3] = {k->n_x, k->n_p, k->n_r};
+    double *const x = doubles(N * k->n_x), *const zero = doubles(N * (n_y + 1)), *const f = doubles(N * n_y);
+    double *const by_x = doubles(N * n_y * n_y), *const by_rate = doubles(N * n_y * n_y), t[N] = {0.0, 0.1, 0.2};
+    double *const by_p = doubles(N * n_y * k->n_p), *const by_r = doubles(N * n_y * k->n_r), sum = 0.0;
+    char *const in_force = calloc((size_t)k->n_r + 1, 1);
+    for (int i = 0; i < k->n_x; ++i)
+        for (int j = 0; j < N; ++j)
+            x[i * N + j] = x0[i] + 0.01 * j;
+    fb_jacobians b = {.kernel = k, .n = N, .t = {t, N}, .x = {x, N}, .p = {p, 0}, .rates = {zero, N},
+                      .multipliers = {zero, N}, .in_force = in_force};
+    for (int i = 0; i < k->n_r; ++i)
+        in_force[i] = 1;
+    for (int i = 0; i < 3; ++i) {
+        b.variables = i;
+        b.of_rates = doubles(N * k->n_x * sizes[i]);
+        b.of_outputs = doubles(N * k->n_o * sizes[i]);
+        fb_evaluate_jacobians(&b, 0, N);
+        sum += sizes[i] ? b.of_rates[0] : 0.0;
+        free(b.of_rates), free(b.of_outputs);
+    }
+    b.of_rates = NULL;
+    b.residual = f, b.by_state = by_x, b.by_rate = by_rate, b.by_parameters = by_p, b.by_inputs = by_r;
+    for (b.formulation = FB_INDEX_1; b.formulation <= FB_INDEX_3; b.formulation += FB_INDEX_3 - FB_INDEX_1)
+        fb_evaluate_jacobians(&b, 0, N);
+    sum += f[0] + by_x[0];
+    free(x), free(zero), free(f), free(by_x), free(by_rate), free(by_p), free(by_r), free(in_force);
+    return sum;
+}
+
+typedef struct work {
+    const fb_batch_functions *batch_functions;
+    const fb_batch *batch;
+    const fb_ensemble *ensemble;
+    long begin, end;
+} work;
+
+static void *on_thread(void *given)
+{
+    const work *const w = given;
+    if (w->batch)
+        w->batch_functions->batch(w->batch, w->begin, w->end);
+    else
+        w->batch_functions->run(w->ensemble);
+    return NULL;
+}
+
+static void on_threads(const fb_kernel *k, const fb_batch *batch, const fb_ensemble *ensemble, const long n)
+{
+    pthread_t threads[3];
+    work works[3];
+    if (k->batch_functions == NULL || k->batch_functions->width == 0)
+        return;
+    for (int i = 0; i < 3; ++i) {
+        works[i] = (work){k->batch_functions, batch, ensemble, n * i / 3, n * (i + 1) / 3};
+        pthread_create(threads + i, NULL, on_thread, works + i);
+    }
+    for (int i = 0; i < 3; ++i)
+        pthread_join(threads[i], NULL);
+}
+
+static double together(const fb_kernel *k, const double *p, const double *x0, const fb_tableau *method)
+{
+    enum { N = 19 };
+    const int n_x = k->n_x;
+    double *const x = doubles(N * n_x), *const ps = doubles(N * k->n_p), *const rates = doubles(N * n_x), t[N];
+    double *const samples = doubles(N * n_x * 3), *const values = doubles(N * 2), *const tolerance = doubles(n_x);
+    const double times[3] = {0.0, 0.123, 0.5};
+    const int stop = 0;
+    char status[N] = {0};
+    long counts[N], next = 0, ended = 0;
+    double sum = 0.0;
+    for (int i = 0; i < N; ++i) {
+        t[i] = 0.1 * i;
+        for (int j = 0; j < n_x; ++j)
+            x[j * N + i] = x0[j] + 0.01 * i;
+        for (int j = 0; j < k->n_p; ++j)
+            ps[j * N + i] = p[j];
+    }
+    const fb_batch batch = {k, N, {t, N}, {x, N}, {ps, N}, {NULL, 0}, rates};
+    const fb_batch held = {k, N, {t, 0}, {x, N}, {p, 0}, {NULL, 0}, rates};
+    const fb_batch none = {k, 0, {t, 0}, {x + N * n_x, 0}, {ps + N * k->n_p, 0}, {NULL, 0}, rates};
+    fb_batch_one_by_one(&batch, 0, N);
+    on_threads(k, &batch, NULL, N);
+    on_threads(k, &held, NULL, N);
+    fb_batch_one_by_one(&none, 0, 0);
+    on_threads(k, &none, NULL, 0);
+    sum += rates[N];
+    for (int i = 0; i < n_x; ++i)
+        tolerance[i] = 1e-6;
+    for (int i = 0; i < N; ++i) {
+        memcpy(x + i * n_x, x0, (size_t)n_x * sizeof *x0);
+        memcpy(ps + i * k->n_p, p, (size_t)k->n_p * sizeof *p);
+    }
+    x[5 * n_x] = NAN;
+    const fb_source sources[] = {{.table = &table}, {.input = k->n_r - 1}};
+    fb_ensemble e = {
+        .kernel = k, .n = N, .x = x, .p = ps, .n_sources = k->n_r < 2 ? k->n_r : 2, .sources = sources,
+        .values = values,
+        .method = method, .project = k->n_c > 0, .t_bound = 0.5, .max_step = INFINITY, .first = -INFINITY,
+        .last = INFINITY, .breaks = table_times + 1, .before = table_times + 1, .after = table_times + 1,
+        .n_breaks = 1, .rtol = tolerance, .atol = tolerance, .times = times, .n_times = 3, .samples = samples,
+        .status = status, .n_evaluations = counts, .next = &next, .n_ended = &ended, .stop = &stop,
+    };
+    on_threads(k, NULL, &e, 0);
+    sum += samples[2];
+    e.n = next = ended = 0;
+    on_threads(k, NULL, &e, 0);
+    free(x), free(ps), free(rates), free(samples), free(values), free(tolerance);
+    return sum;
+}
+
+int main(int argc, char **argv)
+{
+    const fb_kernel *const k = &KERNEL;
+    double *const p = doubles(k->n_p), *const x0 = doubles(k->n_x);
+    if (argc != 1 + k->n_p + k->n_x)
+        return 2;
+    for (int i = 0; i < k->n_p; ++i)
+        p[i] = atof(argv[1 + i]);
+    for (int i = 0; i < k->n_x; ++i)
+        x0[i] = atof(argv[1 + k->n_p + i]);
+    printf("%.17g", evaluate(k, p));
+    printf(" %.17g %.17g %.17g", run(k, p, x0, &fb_rk4, 0), run(k, p, x0, &fb_rk45, 0), run(k, p, x0, &fb_dop853, 0));
+    printf(" %.17g %.17g", run(k, p, x0, &fb_trapezoid, 0), run(k, p, x0, &fb_rk45, 1));
+    printf(" %.17g %.17g\\n", implicit(k, p, x0), jacobians(k, p, x0));
+    printf("%.17g %.17g\\n", together(k, p, x0, &fb_rk45), together(k, p, x0, &fb_dop853));
+    free(p), free(x0);
+    return 0;
+}
+"""
+
+
+def sliding_rod():
+    return model_of(rod(lambda n: MU * n, "sliding_rod"))
+
+
+def pressed_rod():
+    return model_of(rod(lambda n: MU * sm.tanh(n), "pressed_rod"))
+
+
+MODELS = {
+    "four_bar": (fb.models.four_bar, None),
+    "slider_crank": (fb.models.slider_crank, None),
+    "rolling_disc": (fb.models.rolling_disc, {"q3": 0.4}),
+    "chain": (lambda: fb.models.chain(2), None),
+    "tree": (lambda: fb.models.chain(10), None),
+    "tree with a loop": (lambda: fb.models.chain(10, closed=True), None),
+    "redundant": (parallelogram, {"q_AB": 1.2}),
+    "n_four_bar": (lambda: fb.models.n_four_bar(4), {"p0": 0.1}),
+    "whipple_bicycle": (fb.models.whipple_bicycle, None),
+    "cartesian_pendulum": (fb.models.cartesian_pendulum, {"y": 0.0}),
+    "motor": (motor, None),
+    "multipliers in state equations": (cartesian, None),
+    "unknown forces": (sliding_rod, None),
+    "unknown forces that are not linear": (pressed_rod, None),
+}
+
+
+CPUINFO = Path("/proc/cpuinfo")
+PROCESSOR = CPUINFO.read_text(encoding="utf-8").split() if CPUINFO.is_file() else []
+# What tells how many states stand side by side: 2, 4 or 8.
+WIDTHS = [[], *([f"-m{words}"] for words in ("avx2", "avx512f") if words in PROCESSOR)]
+
+
+class Program:
+    """A model's sources with the program above, under a sanitizer."""
+
+    def __init__(self, model, folder, sanitizer):
+        self.model, self.folder = model, folder
+        for file, text in fb.generate_sources(model).items():
+            (folder / file).write_text(text)
+        (folder / "program.c").write_text(PROGRAM)
+        # Optimization would only take away what the sanitizers look at, and takes them a minute for the bicycle.
+        self.command = [os.environ.get("CC", "cc"), "-std=c11", "-O0", "-g", f"-fsanitize={sanitizer}", "-pthread"]
+        self.command += ["-fno-sanitize-recover=all"]
+        self.command += [f"-DKERNEL={model.name}_kernel", "-include", f"{model.name}_kernel.h"]
+        self.batch_functions = folder / f"{model.name}_batch.c"
+        self.objects = [self.compiled(path) for path in sorted(folder.glob("*.c")) if path != self.batch_functions]
+
+    def compiled(self, path, *flags):
+        compile_c([*self.command, *flags, "-c"], [path], f"{path}.o", [fb.get_include(), self.folder])
+        return f"{path}.o"
+
+    def run(self, flags, values):
+        """What it prints, with the functions for states side by side compiled with more flags."""
+        batch = [self.compiled(self.batch_functions, *flags)] if self.batch_functions.is_file() else []
+        program = str(self.folder / "program")
+        subprocess.run([*self.command, *self.objects, *batch, "-o", program, "-lm"], check=True)
+        done = subprocess.run([program, *values], capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        return [float(word) for word in done.stdout.split()]
+
+
+def arguments(compiled, x0):
+    return [repr(float(value)) for value in (*compiled.defaults.values(), *x0)]
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_kernel_and_runs_under_sanitizers(tmp_path, name):
+    make, coordinates = MODELS[name]
+    model = make()
+    program = Program(model, tmp_path, "address,undefined")
+    compiled = fb.compile_model(model)
+    x0 = compiled.initial_state(coordinates)
+    for flags in WIDTHS:
+        numbers = program.run(flags, arguments(compiled, x0))
+    # The same runs by the package, built without sanitizers; rounding differs with the flags.
+    _, _, *ends, by_table, _, _, _, _ = numbers
+    table = {name: ([0.0, 0.2, 0.5], [0.0, 3.0, -3.0]) for name in compiled.inputs[:1]}
+    for method, end, inputs in zip(
+        ("RK45", "DOP853", "ALI3P", "RK45"), (*ends, by_table), (*3 * [None], table), strict=True
+    ):
+        if method == "ALI3P" and compiled.n_l > compiled.n_c:
+            continue
+        how = {"method": method, "rtol": 1e-6, "atol": 1e-6, "max_step": 0.01 if method == "ALI3P" else np.inf}
+        run = compiled.simulate((0.0, 0.5), x0, inputs=inputs, **how)
+        assert end == pytest.approx(run.y[0, -1], rel=1e-6, abs=1e-8)
+
+
+def test_threads_do_not_meet(tmp_path, four_bar):
+    Program(fb.models.four_bar(), tmp_path, "thread").run([], arguments(four_bar, four_bar.initial_state()))
+
+
+# Serialized states of an FMU, damaged at random: refused, or, where their sum is right, states like others. Each is in
+# a piece of memory of its own size, so that a byte read beyond it is seen.
+DAMAGED = """
+#include "driven_fmu.c"
+#if FMI == 2
+static int step(fmu *f, double *x) { (void)x; return fmi2DoStep(f, f->state.model.t, 1e-3, 0); }
+static void *made(void)
+{
+    static fmi2CallbackFunctions callbacks;
+    void *const f = fmi2Instantiate("a", fmi2CoSimulation, fmu_token, "", &callbacks, 0, 0);
+    return fmi2SetupExperiment(f, 0, 0.0, 0.0, 0, 0.0) || fmi2EnterInitializationMode(f) ||
+        fmi2ExitInitializationMode(f) ? NULL : f;
+}
+#define fmi3GetFMUState fmi2GetFMUstate
+#define fmi3SetFMUState fmi2SetFMUstate
+#define fmi3FreeFMUState fmi2FreeFMUstate
+#define fmi3FreeInstance fmi2FreeInstance
+#define fmi3SerializedFMUStateSize fmi2SerializedFMUstateSize
+#define fmi3SerializeFMUState fmi2SerializeFMUstate
+#define fmi3DeserializeFMUState fmi2DeSerializeFMUstate
+#else
+static int step(fmu *f, double *x)
+{
+    fmi3Boolean no[3];
+    return fmi3DoStep(f, f->state.model.t, 1e-3, true, no, no + 1, no + 2, x);
+}
+static void *made(void)
+{
+    void *const f = fmi3InstantiateCoSimulation("a", fmu_token, "", 0, 0, 0, 0, NULL, 0, NULL, NULL, NULL);
+    return fmi3EnterInitializationMode(f, 0, 0.0, 0.0, 0, 0.0) || fmi3ExitInitializationMode(f) ? NULL : f;
+}
+#endif
+
+static uint64_t state = 1;
+static unsigned at_random(const unsigned n)
+{
+    state = state * 6364136223846793005u + 1442695040888963407u;
+    return (unsigned)(state >> 33) % n;
+}
+
+int main(void)
+{
+    fmu *const f = made();
+    void *saved = NULL, *found = NULL;
+    size_t size;
+    double x;
+    if (f == NULL || step(f, &x) || fmi3GetFMUState(f, &saved) || fmi3SerializedFMUStateSize(f, saved, &size))
+        return 2;
+    unsigned char *const whole = malloc(size);
+    if (fmi3SerializeFMUState(f, saved, (void *)whole, size))
+        return 3;
+    int accepted = 0;
+    for (int k = 0; k < 3000; ++k) {
+        const size_t n = at_random(4) ? size : at_random(2 * (unsigned)size);
+        unsigned char *const bytes = calloc(n ? n : 1, 1);
+        memcpy(bytes, whole, n < size ? n : size);
+        for (int i = at_random(4); i >= 0 && n > 0; --i)
+            bytes[at_random((unsigned)n)] ^= (unsigned char)(1 + at_random(255));
+        const int forged = n == size && at_random(2);
+        if (forged)
+            ((fmu_record *)(void *)bytes)->sum = fmu_sum((void *)bytes);
+        found = NULL;
+        if (fmi3DeserializeFMUState(f, (void *)bytes, n, &found) == 0) {
+            ++accepted;
+            if (!forged || found == NULL)
+                return 4;
+            if (fmi3SetFMUState(f, found) == 0) {
+                for (unsigned v = 0; v < N_VARIABLES; ++v)
+                    fmu_get(f, &v, 1, &x);
+                if (f->state.tolerance > 1e-12)
+                    step(f, &x);
+            }
+            fmi3FreeFMUState(f, &found);
+        } else if (found != NULL)
+            return 5;
+        free(bytes);
+    }
+    if (fmi3SetFMUState(f, saved) || step(f, &x))
+        return 6;
+    fmi3FreeFMUState(f, &saved);
+    fmi3FreeInstance(f);
+    free(whole);
+    return accepted > 100 ? 0 : 7;
+}
+"""
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_damaged_states_of_fmus(tmp_path, fmi):
+    with zipfile.ZipFile(fb.export_fmu(driven(), tmp_path / "driven.fmu", fmi=fmi)) as archive:
+        archive.extractall(tmp_path, [name for name in archive.namelist() if name.startswith("sources/")])
+    folder = tmp_path / "sources"
+    (folder / "program.c").write_text(DAMAGED)
+    flags = ["-std=c99", "-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", f"-DFMI={fmi}"]
+    sources = [folder / name for name in ("program.c", "driven.c", "driven_derivatives.c")]
+    compile_c([os.environ.get("CC", "cc"), *flags, "-lm"], sources, tmp_path / "program", [folder / "runtime"])
+    done = subprocess.run([tmp_path / "program"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

@@ -1,0 +1,1 @@
+"""The same physics and mathematics by other methods, in plain NumPy and SciPy."""

@@ -1,0 +1,76 @@
+"""Programs that some tests need and that pip does not install, and what C compilers among them make."""
+
+import hashlib
+import os
+import shutil
+import subprocess
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+import fourbar_codegen as fb
+import fourbar_codegen.compile
+from fourbar_codegen.building import compiler as compilers
+
+PACKAGES = {
+    "gcc": "gcc",
+    "clang": "clang",
+    "chromium": "chromium",
+    "ffmpeg": "ffmpeg",
+    "ffprobe": "ffmpeg",
+    "qemu-aarch64": "qemu-user",
+    "qemu-arm": "qemu-user",
+    "qemu-x86_64": "qemu-user",
+    "wasm-ld": "lld wasi-libc libclang-rt-dev-wasm32",
+}
+"""By whose name Debian installs them."""
+
+
+def require(program):
+    """The program's path; without it the test is skipped, which on CI fails the run (see conftest.py)."""
+    path = shutil.which(program)
+    if path is None:
+        pytest.skip(f"{program} is not installed: apt install {PACKAGES[program]}")
+    return path
+
+
+def compile_c(command, sources, output, include=(), environment=None):
+    """Compile C, or take what the same compiler made of the same texts before.
+
+    `command` is the compiler with its options, `include` the folders of headers, `environment` more variables.
+    """
+    digest = hashlib.sha256(repr((_version(tuple(command)), command)).encode())
+    beside = {path for source in sources for path in source.parent.glob("*.[ch]")}
+    headers = {path for folder in include for path in Path(folder).glob("*.h")}
+    for path in (*sources, *sorted(beside | headers)):
+        digest.update(f"\0{path.name}\0".encode() + path.read_bytes())
+    kept = Path(os.environ["FOURBAR_CODEGEN_CACHE"]) / "c-of-tests" / digest.hexdigest()
+    if not kept.exists():
+        words = [*command, *(f"-I{folder}" for folder in include), *map(str, sources), "-o", str(output)]
+        done = subprocess.run(
+            words, capture_output=True, text=True, check=False, env={**os.environ, **(environment or {})}
+        )
+        assert done.returncode == 0, done.stderr
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        partial = kept.with_suffix(f".{os.getpid()}")
+        shutil.copy(output, partial)
+        partial.replace(kept)
+    shutil.copy(kept, output)
+
+
+@cache
+def _version(command):
+    words = command[:1] if command[1:2] != ("cc",) else command[:2]
+    return subprocess.run([*words, "--version"], capture_output=True, text=True, check=True).stdout
+
+
+def zig_cc(folder, target, sources, *options):
+    """Compile and link with zig, which brings other systems' libraries, as strictly as gcc is asked to."""
+    command = [str(compilers._ziglang()), "cc", "-target", target, "-std=c99", "-O2", "-Wall", "-Wextra", "-Werror"]
+    kept = str(Path(os.environ["FOURBAR_CODEGEN_CACHE"]) / "zig-of-tests")  # the libraries take a minute
+    environment = {"ZIG_GLOBAL_CACHE_DIR": kept, "ZIG_LOCAL_CACHE_DIR": str(folder / "zig")}
+    target = folder / "out"
+    include = [*sorted({source.parent for source in sources}), fb.get_include()]
+    compile_c([*command, *options], sources, target, include, environment)
+    return target

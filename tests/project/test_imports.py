@@ -1,0 +1,246 @@
+"""Imports go one way, and are quiet and light. ``python tests/project/test_imports.py`` draws the folders anew."""
+
+import ast
+import pickle
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import fourbar_codegen
+
+PACKAGE = Path(fourbar_codegen.__file__).parent
+DRAWING = Path(__file__).parents[2] / "docs" / "folders.svg"
+ROOT = {
+    "errors": "errors", "arguments": "ground", "definitions": "ground", "files": "ground", "progress": "ground",
+    "tables": "ground",
+    "compiled": "compiled", "solvers": "compiled", "fitting": "compiled", "differentiable": "compiled",
+    "compile": "compile", "export": "compile", "verify": "compile",
+    "__init__": "cli", "__main__": "cli",
+}  # fmt: skip
+"""The layers of the files that are in no folder; that of the others is their folder."""
+
+ON = {
+    "errors": [],
+    "runtime": ["errors"],
+    "ground": ["runtime"],
+    "expressions": ["ground"],
+    "modeling": ["expressions"],
+    "models": ["modeling"],
+    "linkage": ["modeling"],
+    "dynamics": ["modeling"],
+    "lowering": ["dynamics"],
+    "codegen": ["lowering"],
+    "building": ["ground"],
+    "kernel": ["building"],
+    "results": ["kernel"],
+    "analysis": ["results"],
+    "simulation": ["analysis"],
+    "presentation": ["analysis"],
+    "compiled": ["simulation", "presentation"],
+    "compile": ["codegen", "compiled"],
+    "cli": ["compile", "models", "linkage"],
+}
+"""What each layer stands on: it may import that, and what that stands on."""
+
+GENERATION = {"expressions", "modeling", "models", "linkage", "dynamics", "lowering", "codegen"}
+BOTH = {"compile", "cli"}
+FILES = {
+    ".".join(path.relative_to(PACKAGE).with_suffix("").parts): path
+    for path in PACKAGE.rglob("*.py")
+    if path.parent == PACKAGE or path.name != "__init__.py" or path.parent.name == "models"
+}
+DOORS = {
+    ("results.trajectory", "presentation.storage"),
+    ("results.trajectory", "presentation.figures"),
+    ("results.trajectory", "presentation.report"),
+    ("results.ensemble", "presentation.storage"),
+    ("results.ensemble", "presentation.figures"),
+    ("analysis.assembly_modes", "presentation.figures"),
+    ("results.kinematics", "presentation.figures"),
+    ("results.kinematics", "presentation.storage"),
+    ("modeling.model", "dynamics.equations"),
+    ("modeling.model", "dynamics.unknown_forces"),
+}
+"""What a result does with itself on request, imported in the function: `Trajectory.save`, `.plot`, and the like; and
+what a Model is asked that takes mechanics to tell: whether its velocity constraints keep the positions, and which of
+its loads auxiliary speeds bring out."""
+
+
+def layer(name):
+    """That of a file or a folder, by its name within the package."""
+    first = name.partition(".")[0]
+    return first if first in ON else ROOT[first]
+
+
+def below(folder):
+    return {folder, *(lower for base in ON.get(folder, ()) for lower in below(base))}
+
+
+def imports(path):
+    """The modules that a file imports, also by `importlib`, or names from them, and whether in a function."""
+    tree = ast.parse(path.read_text())
+    within = {id(node) for f in ast.walk(tree) if isinstance(f, ast.FunctionDef) for node in ast.walk(f)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, id(node) in within) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path.name} has a relative import"
+            yield from ((f"{node.module}.{alias.name}", id(node) in within) for alias in node.names)
+        elif isinstance(node, ast.Call) and re.search(r"import_module$|^_imported$", ast.unparse(node.func)):
+            yield from ((name.value, True) for name in node.args[:1] if isinstance(name, ast.Constant))
+
+
+def own(name):
+    """The files of the package that one imports, or folders without a file of Python, and whether in a function."""
+    for module, within in imports(FILES[name]):
+        package, _, rest = module.partition(".")
+        if package == "fourbar_codegen":
+            parts = rest.split(".")
+            found = (".".join(parts[:length]) for length in (len(parts), len(parts) - 1))
+            folder = parts[0] if parts[0] in ON else "__init__"
+            yield next((file for file in found if file in FILES), folder), within
+
+
+def test_every_file_has_a_layer():
+    for name in FILES:
+        assert layer(name) in ON
+    assert set(ROOT) == {name for name in FILES if "." not in name}
+
+
+@pytest.mark.parametrize("name", sorted(FILES))
+def test_imports_go_down(name):
+    for imported, within in own(name):
+        if not (within and (name, imported) in DOORS) and layer(name) != "cli":
+            assert layer(imported) in below(layer(name)), f"{name} imports {imported}"
+
+
+def test_no_cycles():
+    """Also within a folder, and counting imports in functions, but for what results do with themselves."""
+    edges = {name: {imported for imported, _ in own(name) if (name, imported) not in DOORS} for name in FILES}
+    del edges["__init__"]  # which imports what is asked of it
+    while edges:
+        ready = {name for name, on in edges.items() if not on & edges.keys()}
+        assert ready, f"these import each other: {sorted(edges)}"
+        edges = {name: on for name, on in edges.items() if name not in ready}
+
+
+def test_the_runtime_stands_on_errors_alone():
+    for path in [path for suffix in ("pyx", "pxd", "pyi") for path in PACKAGE.glob(f"runtime/*.{suffix}")]:
+        imported = re.findall(r"^\s*from fourbar_codegen\.(\w+)", path.read_text(), flags=re.MULTILINE)
+        assert set(imported) <= {"errors", "runtime"}, path.name
+
+
+@pytest.mark.parametrize("name", sorted(FILES))
+def test_halves_import_their_own_libraries(name):
+    modules = {module.split(".")[0] for module, _ in imports(FILES[name])}
+    if layer(name) in GENERATION:
+        assert "scipy" not in modules
+    elif layer(name) not in BOTH:
+        assert "sympy" not in modules
+    assert "subprocess" not in modules or name == "building.toolchain"
+
+
+def edges_between_layers():
+    """What each layer imports, but for what it reaches through others anyway."""
+    on = {name: {layer(b) for file in FILES if layer(file) == name for b, _ in own(file) if (file, b) not in DOORS}
+          - {name} for name in ON}  # fmt: skip
+    on["runtime"].add("errors")  # its modules are compiled
+
+    def reached(name):
+        return on[name].union(*(reached(lower) for lower in on[name]))
+
+    return {name: {b for b in on[name] if not any(b in reached(c) for c in on[name])} for name in on}
+
+
+def drawing():
+    """The layers, each above those that it imports, as SVG."""
+    on, rows = edges_between_layers(), []
+    while placed := {name for row in rows for name in row} ^ on.keys():
+        ready = [name for name in placed if not on[name] & placed]
+        rows.append(sorted(ready, key=lambda name: (name not in GENERATION, name)))
+    labels = {name: f"{name}/" for name in ON}
+    for kind in set(ROOT.values()):
+        folder = [f"{kind}/"] if (PACKAGE / kind).is_dir() else []
+        labels[kind] = ", ".join([*folder, *(f"{file}.py" for file in ROOT if ROOT[file] == kind)])
+    lines, boxes, center, top = [], [], {}, 64 * len(rows)
+    for level, row in enumerate(rows):
+        widths = [8 * len(labels[name]) + 24 for name in row]
+        gap = (760 - sum(widths)) / (len(row) + 1)
+        for place, (name, width) in enumerate(zip(row, widths, strict=True)):
+            x, y = gap * (place + 1) + sum(widths[:place]), top - 64 * level - 46
+            center[name] = x + width / 2, y + 14
+            color = (
+                "#e8f0fe"
+                if name in GENERATION
+                else "#eee"
+                if name in BOTH | {"errors", "ground", "runtime"}
+                else "#fef3e0"
+            )
+            boxes += [
+                f'<rect x="{x:.0f}" y="{y}" width="{width}" height="28" rx="4" fill="{color}" stroke="#444"/>',
+                f'<text x="{x + width / 2:.0f}" y="{y + 19}" text-anchor="middle">{labels[name]}</text>',
+            ]
+        for name in row:
+            for lower in sorted(on[name]):
+                (x, y), (end, low) = center[name], center[lower]
+                curve = f"M{x:.0f} {y + 14}C{x:.0f} {y + 40} {end:.0f} {low - 40} {end:.0f} {low - 15}"
+                lines.append(f'<path d="{curve}" fill="none" stroke="#666" marker-end="url(#tip)"/>')
+    return "\n".join([
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 760 {top}" font-family="monospace" font-size="13">',
+        ('<marker id="tip" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="8" markerHeight="8" orient="auto">'
+        '<path d="M0 0L8 4L0 8z" fill="#666"/></marker>'),
+        f'<rect width="760" height="{top}" fill="white"/>', *lines, *boxes, "</svg>\n",
+    ])  # fmt: skip
+
+
+def test_the_drawing_is_that_of_the_code():
+    assert DRAWING.read_text() == drawing()
+
+
+def run(code):
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+
+
+def test_importing_the_package_is_quiet_and_imports_neither_sympy_nor_scipy():
+    done = run("import fourbar_codegen, sys; print([m for m in ('sympy', 'scipy', 'numpy') if m in sys.modules])")
+    assert done.stdout == "[]\n"
+    assert done.stderr == ""
+    done = run("import fourbar_codegen.cli, sys; print([m for m in ('sympy', 'scipy', 'numpy') if m in sys.modules])")
+    assert done.stdout == "[]\n"  # help and completion are quick
+
+
+def test_the_prebuilt_model_needs_neither_sympy_nor_scipy_nor_a_compiler():
+    done = run(
+        "import sys, os; os.environ['PATH'] = ''\n"
+        "for name in ('sympy', 'scipy', 'Cython', 'setuptools'): sys.modules[name] = None\n"
+        "import fourbar_codegen as fb\n"
+        "run = fb.load('four_bar').simulate((0.0, 1.0))\n"
+        "print(run.success)"
+    )
+    assert done.stdout == "True\n"
+    assert done.stderr == ""
+
+
+def test_public_names_exist():
+    for name in fourbar_codegen.__all__:
+        assert getattr(fourbar_codegen, name) is not None
+    with pytest.raises(AttributeError, match="nonsense"):
+        _ = fourbar_codegen.nonsense
+
+
+@pytest.mark.parametrize(
+    ("name", "of_class"),
+    [("compiled", "_restore"), ("trajectory", "Trajectory"), ("ensemble", "Ensemble"), ("model", "Parameter")],
+)
+def test_a_pickle_from_before_the_folders_says_so(name, of_class):
+    # As protocol 0 has a function or class, and its call without arguments.
+    old = f"cfourbar_codegen.{name}\n{of_class}\n(tR.".encode()
+    with pytest.raises((fourbar_codegen.ModelError, ImportError), match=r"earlier version.*make it again"):
+        pickle.loads(old)
+
+
+if __name__ == "__main__":
+    DRAWING.write_text(drawing())

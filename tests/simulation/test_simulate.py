@@ -1,0 +1,441 @@
+"""Initial states and simulations: what goes in, what comes out."""
+
+import copy
+import csv
+import pickle
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+import scipy.integrate
+import sympy.physics.mechanics as me
+from builders.systems import coordinate_free
+from harness.archives import arrays_of
+from scipy.integrate import solve_ivp
+
+import fourbar_codegen as fb
+
+METHODS = ["DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA"]
+
+
+@pytest.fixture(scope="module")
+def reference(four_bar):
+    """The end of the tutorial's run, by SciPy on the right-hand side with tight tolerances."""
+    x0 = four_bar.initial_state()
+    return solve_ivp(four_bar.ode(), (0, 4), x0, method="DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_reaches_the_same_end(four_bar, reference, method):
+    run = four_bar.simulate((0.0, 4.0), method=method, rtol=1e-7, atol=1e-9)
+    assert run.success
+    assert run.t[-1] == 4.0
+    # Tolerances hold for a step; the errors of up to 1000 steps add up.
+    np.testing.assert_allclose(run.y[:, -1], reference, rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize("method", ["RK23", "RK45", "DOP853"])
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-6, 1e-10])
+@pytest.mark.parametrize("end", [4.0, -3.0])
+def test_steps_in_c_are_scipys(four_bar, method, tolerance, end):
+    x0 = np.repeat(four_bar.initial_state(), 2)[::2]
+    how = {"rtol": tolerance, "atol": np.full(6, tolerance), "max_step": 0.5, "dense_output": True}
+    scipys = solve_ivp(four_bar.ode(), (0.0, end), x0, method=method, **how)
+    ours = solve_ivp(four_bar.ode(), (0.0, end), x0, method=getattr(fb.solvers, method), **how)
+    assert (ours.nfev, len(ours.t), ours.status) == (scipys.nfev, len(scipys.t), 0)
+    # The error estimate is a difference of sums, of the size of the tolerance; its rounding errors, 1e-16 / 1e-10
+    # and more where it happens to be small, change the steps.
+    np.testing.assert_allclose(ours.t, scipys.t, rtol=0, atol=1e-6)
+    # The solutions differ by less than the change of steps, as the truncation errors do: by far less than they are.
+    times = np.linspace(0.0, end, 50)
+    np.testing.assert_allclose(ours.sol(times), scipys.sol(times), rtol=0, atol=1e-9)
+
+
+def test_steps_in_c_take_scipys_options(four_bar):
+    x0 = four_bar.initial_state()
+    first = fb.solvers.RK45(four_bar.ode(), 0.0, x0, 4.0, first_step=0.01)
+    first.step()
+    assert first.t == 0.01
+    with pytest.raises(fb.ModelError, match=r"scipy\.integrate\.RK45"):
+        solve_ivp(lambda t, x: -x, (0.0, 1.0), [1.0], method=fb.solvers.RK45)
+
+
+def test_an_error_in_a_callable_input_ends_a_step_in_c(four_bar):
+    def force(t, x):
+        if t > 1.0:
+            raise LookupError("no force beyond 1 s")
+        return 0.0
+
+    with pytest.raises(LookupError, match="beyond 1 s"):
+        four_bar.simulate((0.0, 4.0), inputs={"F": force})
+
+
+@pytest.mark.parametrize("method", ["Radau", "BDF", "LSODA"])
+def test_implicit_methods_use_the_compiled_jacobian(four_bar, method, monkeypatch):
+    given = {}
+    scipys = getattr(scipy.integrate, method)
+    construct = scipys.__init__
+    monkeypatch.setattr(scipys, "__init__", lambda *a, **options: given.update(options) or construct(*a, **options))
+    four_bar.simulate((0.0, 1.0), method=method)
+    x0 = four_bar.initial_state()
+    np.testing.assert_array_equal(given["jac"](0.5, x0), four_bar.jacobian(0.5, x0))
+    # Feedback makes the force depend on the state, which the compiled Jacobian cannot know.
+    given.clear()
+    four_bar.simulate((0.0, 1.0), method=method, inputs={"F": lambda t, x: -x[3]})
+    assert "jac" not in given
+
+
+def test_result_has_scipys_names_and_shapes(four_bar):
+    run = four_bar.simulate((0.0, 1.0), t_eval=np.linspace(0, 1, 11), dense_output=True)
+    assert run.t.shape == (11,)
+    assert run.y.shape == (6, 11)
+    assert run.q.shape == run.u.shape == (3, 11)
+    assert run["q2"].tolist() == run.y[1].tolist()
+    assert run["u3"].tolist() == run.y[5].tolist()
+    assert run[me.dynamicsymbols("q1")].tolist() == run.y[0].tolist()
+    assert run.sol(0.5).shape == (6,)
+    assert run.constraint_residual.shape == (2, 11)
+    assert run.kinetic_energy.shape == run.potential_energy.shape == run.energy.shape == (11,)
+    assert (run.status, run.success) == (0, True)
+    assert run.t_events is None
+    assert run.y_events is None
+
+
+def test_residual_of_what_rolls_without_loops():
+    """The slip of the disc's contact, m/s: (u4 - r q3' cos q1, u5 - r q3' sin q1)."""
+    disc = fb.compile_model(fb.models.rolling_disc())
+    run = disc.simulate((0.0, 1.0), constraints="none", rtol=1e-3, atol=1e-3)
+    spin = np.array([disc.rhs(t, x)[2] for t, x in zip(run.t, run.y.T, strict=True)])
+    slip = np.array([run["u4"] - 0.26 * spin * np.cos(run["q1"]), run["u5"] - 0.26 * spin * np.sin(run["q1"])])
+    assert np.abs(slip).max() > 1e-5
+    np.testing.assert_allclose(run.constraint_residual, slip, rtol=0, atol=1e-14)
+    assert np.abs(disc.simulate((0.0, 1.0)).constraint_residual).max() < 1e-12
+    bicycle = fb.compile_model(fb.models.whipple_bicycle()).simulate((0.0, 0.1))
+    assert bicycle.constraint_residual.shape == (5, len(bicycle.t))  # a wheel on the ground, and four of slip
+
+
+def test_residual_and_energies_along_a_trajectory_are_the_models(four_bar):
+    parameters = {"l2": 0.45}
+    run = four_bar.simulate((0.0, 1.0), parameters=parameters, t_eval=[0.0, 0.7, 1.0])
+    for i, t in enumerate(run.t):
+        residual = four_bar.position_constraints(t, run.q[:, i], parameters)
+        np.testing.assert_array_equal(run.constraint_residual[:, i], residual)
+        assert run.kinetic_energy[i] == four_bar.kinetic_energy(t, run.y[:, i], parameters)
+        assert run.potential_energy[i] == four_bar.potential_energy(t, run.y[:, i], parameters)
+
+
+def test_events(four_bar):
+    def lowest(t, x):
+        return x[3]
+
+    lowest.terminal = True
+    run = four_bar.simulate((0.0, 4.0), events=lowest, rtol=1e-9)
+    assert run.status == 1
+    assert run.t_events[0].shape == (1,)
+    assert abs(run.y_events[0][0, 3]) < 1e-9
+
+
+class TestInputs:
+    """The force F as expression, number, table and callable."""
+
+    t = np.linspace(0.0, 1.0, 20001)
+
+    def end(self, four_bar, **options):
+        return four_bar.simulate((0.0, 1.0), rtol=1e-10, atol=1e-10, **options).y[:, -1]
+
+    def test_callable_of_time_is_the_expression(self, four_bar):
+        end = self.end(four_bar, inputs={"F": lambda t, x: 100 * np.sin(np.pi * t)})
+        np.testing.assert_allclose(end, self.end(four_bar), rtol=0, atol=1e-12)
+
+    def test_table(self, four_bar):
+        table = (self.t, 100 * np.sin(np.pi * self.t))
+        # Linear interpolation errs by h^2/8 F'' = 3e-7 N, in accelerations of 10 rad/s^2 from some 100 N.
+        np.testing.assert_allclose(self.end(four_bar, inputs={"F": table}), self.end(four_bar), rtol=0, atol=1e-7)
+
+    def test_table_agrees_with_numpy(self, four_bar):
+        generator = np.random.default_rng(1)
+        times, values = np.sort(generator.uniform(0, 1, 30)), generator.normal(size=30)
+        ode = four_bar.ode(inputs={"F": (times, values)})
+        x0 = four_bar.initial_state()
+        for t in [*generator.uniform(-0.2, 1.2, 500), times[0], times[-1], *times]:
+            assert ode.input_values(t, x0)[0] == pytest.approx(np.interp(t, times, values), rel=1e-12, abs=1e-12)
+
+    def test_number(self, four_bar):
+        constant = self.end(four_bar, inputs={"F": 30.0})
+        as_table = self.end(four_bar, inputs={me.dynamicsymbols("F"): ([0.0, 1.0], [30.0, 30.0])})
+        np.testing.assert_allclose(constant, as_table, rtol=0, atol=1e-12)
+        assert np.abs(constant - self.end(four_bar)).max() > 0.1
+
+    def test_feedback_sees_the_state(self, four_bar):
+        seen = []
+        run = four_bar.simulate((0.0, 0.1), inputs={"F": lambda t, x: seen.append(np.array(x)) or -20 * x[3]})
+        assert run.success
+        assert len(seen) >= run.nfev
+        assert all(x.shape == (6,) for x in seen)
+        np.testing.assert_array_equal(seen[0], run.y[:, 0])
+
+    def test_feedback_with_an_implicit_method(self, four_bar):
+        def feedback(t, x):
+            return -200 * x[3]
+
+        implicit = self.end(four_bar, inputs={"F": feedback}, method="Radau")
+        np.testing.assert_allclose(implicit, self.end(four_bar, inputs={"F": feedback}), rtol=0, atol=1e-6)
+
+    def test_exception_in_a_callable_comes_through(self, four_bar):
+        def broken(t, x):
+            raise ZeroDivisionError("mine")
+
+        with pytest.raises(ZeroDivisionError, match="mine"):
+            four_bar.simulate((0.0, 1.0), inputs={"F": broken})
+
+
+def test_callables_of_the_right_hand_side_return_fresh_arrays(four_bar):
+    ode, x0 = four_bar.ode(), four_bar.initial_state()
+    first = ode(0.0, x0)
+    kept = first.copy()
+    second = ode(0.0, 2 * x0)
+    assert second is not first
+    np.testing.assert_array_equal(first, kept)
+    np.testing.assert_array_equal(ode(0.0, x0), four_bar.rhs(0.0, x0))
+    np.testing.assert_array_equal(ode.jac(0.0, x0), four_bar.jacobian(0.0, x0))
+
+
+def test_any_layout_of_the_state(four_bar):
+    x0 = four_bar.initial_state()
+    expected = four_bar.rhs(0.0, x0)
+    strided = np.repeat(x0, 2)[::2]
+    column = np.asfortranarray(np.column_stack((x0, x0)))[:, 1]
+    backwards = x0[::-1].copy()[::-1]
+    for x in (strided, column, backwards, x0.tolist(), tuple(x0), x0.astype(">f8"), np.ma.array(x0)):
+        np.testing.assert_array_equal(four_bar.rhs(0.0, x), expected)
+        np.testing.assert_array_equal(four_bar.ode()(0.0, x), expected)
+    out = np.empty(6)
+    assert four_bar.rhs(0.0, x0, out=out) is out
+    np.testing.assert_array_equal(out, expected)
+
+
+def test_parameters_by_name_by_symbol_and_in_order(four_bar):
+    import sympy as sm
+
+    x0 = four_bar.initial_state()
+    values = np.array(list(four_bar.defaults.values()))
+    values[four_bar.parameters.index("l2")] = 0.45
+    expected = four_bar.rhs(0.0, x0, values)
+    np.testing.assert_array_equal(four_bar.rhs(0.0, x0, {"l2": 0.45}), expected)
+    np.testing.assert_array_equal(four_bar.rhs(0.0, x0, {sm.Symbol("l2"): 0.45}), expected)
+    np.testing.assert_array_equal(four_bar.ode({"l2": 0.45})(0.0, x0), expected)
+    assert np.abs(four_bar.rhs(0.0, x0) - expected).max() > 0.1
+
+
+def test_a_run_keeps_its_inputs_whatever_becomes_of_what_was_given(four_bar):
+    times, values, number = np.array([0.0, 0.5, 1.0]), np.array([0.0, 10.0, -10.0]), np.array(4.0)
+    table = [times, values]
+    for source in (table, tuple(table), number):
+        given = {"F": source}
+        kept = four_bar.simulate((0.0, 1.0), inputs={"F": copy.deepcopy(source)}, dense_output=True)
+        run = four_bar.simulate((0.0, 1.0), inputs=given, dense_output=True)
+        table[:], values[:], number[...] = [[0.0, 1.0], [7.0, 7.0]], 99.0, 99.0
+        del given["F"]
+        again, expected = run.resample([0.25, 0.75]), kept.resample([0.25, 0.75])
+        np.testing.assert_array_equal(again.r, expected.r)
+        np.testing.assert_array_equal(again.multipliers, expected.multipliers)
+        np.testing.assert_array_equal(expected.r, [[4.0, 4.0] if source is number else [5.0, 0.0]])
+        table[:], values[:], number[...] = [times, values], [0.0, 10.0, -10.0], 4.0
+
+
+def test_a_callable_stays_the_one_that_was_given(four_bar):
+    class Force:
+        gain = 1.0
+
+        def __call__(self, t, x):
+            return self.gain
+
+    force = Force()
+    assert four_bar.simulate((0.0, 0.1), inputs={"F": force}).inputs["F"] is force
+
+
+def test_inputs_of_a_single_evaluation(four_bar):
+    x0 = four_bar.initial_state()
+    np.testing.assert_array_equal(four_bar.rhs(0.5, x0, r=[100.0]), four_bar.rhs(0.5, x0))
+    np.testing.assert_array_equal(four_bar.rhs(0.5, x0, r={"F": 100.0}), four_bar.rhs(0.5, x0))
+    np.testing.assert_array_equal(four_bar.rhs(0.5, x0, r={}), four_bar.rhs(0.5, x0))
+
+
+def test_initial_state_finds_the_assembly_that_the_guess_is_near(four_bar):
+    down = four_bar.initial_state({"q1": -0.5}, guess={"q2": -1.5, "q3": -1.5})
+    up = four_bar.initial_state({"q1": -0.5}, guess={"q2": 1.5, "q3": 1.5})
+    assert down[1] < 0 < up[1]
+    for x in (down, up):
+        np.testing.assert_allclose(four_bar.position_constraints(0.0, x[:3]), 0.0, atol=1e-14)
+        np.testing.assert_allclose(four_bar.velocity_constraints(0.0, x), 0.0, atol=1e-14)
+
+
+def test_saved_files_hold_the_trajectory(four_bar, tmp_path):
+    run = four_bar.simulate((0.0, 1.0), t_eval=np.linspace(0, 1, 5))
+    with run.save(tmp_path / "new folder" / "run.csv").open() as file:
+        header, *rows = csv.reader(file)
+    assert header[:7] == ["t", "q1", "q2", "q3", "u1", "u2", "u3"]
+    np.testing.assert_array_equal(np.array(rows, dtype=float).T[1:7], run.y)
+    arrays = arrays_of(run.save(tmp_path / "run.npz"))
+    np.testing.assert_array_equal(arrays["q3"], run["q3"])
+    np.testing.assert_array_equal(arrays["kinetic_energy"], run.kinetic_energy)
+    picture = run.save(tmp_path / "run.png").read_bytes()
+    assert picture.startswith(b"\x89PNG")
+
+
+def test_run_into_a_singular_position_is_reported_in_the_message():
+    # Both bars of a parallelogram in line: J loses rank, and the motion cannot go on along the constraint.
+    four_bar = fb.load("four_bar")
+    parameters = {"l1": 1.0, "l2": 1.0, "l3": 1.0, "l4": 1.0, "k": 0.0, "c": 0.0, "g": 0.0}
+    with pytest.raises(fb.SimulationError, match="singular position"):
+        four_bar.rhs(0.0, [np.pi, np.pi, np.pi, 1.0, 0.5, 0.25], parameters, [0.0])
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_integrator_failure_is_reported_in_the_message(four_bar, method):
+    run = four_bar.simulate((0.0, 1.0), method=method, inputs={"F": lambda t, x: 10.0 if t < 0.5 else np.nan})
+    assert not run.success
+    assert run.status == -1
+    assert run.message.startswith("The integration stopped at t = 0.")
+    assert "not finite" in run.message
+    assert 0.3 < run.t[-1] <= 0.5
+    assert np.isfinite(run.y).all()
+
+
+def test_models_and_trajectories_go_to_other_processes(four_bar):
+    run = four_bar.simulate((0.0, 0.5))
+    again = pickle.loads(pickle.dumps(run))
+    np.testing.assert_array_equal(again.y, run.y)
+    np.testing.assert_array_equal(again.energy, run.energy)
+    np.testing.assert_array_equal(again.model.rhs(0.0, run.y[:, 0]), four_bar.rhs(0.0, run.y[:, 0]))
+
+
+@pytest.mark.parametrize("method", [*METHODS, "ALI3P", "CVODE", "IDA"])
+def test_interpolants_go_to_other_processes(four_bar, method):
+    inputs = {"F": ([0.0, 1.0, 2.0], [0.0, 50.0, -50.0])}
+    run = four_bar.simulate((0.0, 0.5), method=method, inputs=inputs, dense_output=True, max_step=0.05)
+    again = pickle.loads(pickle.dumps(run))
+    times = np.linspace(0.0, 0.5, 23)
+    np.testing.assert_array_equal(again.sol(times), run.sol(times))
+    assert len(again.resample(times).t) == 23
+
+
+def test_right_hand_sides_and_steppers_go_to_other_processes(four_bar):
+    inputs = {"F": ([0.0, 1.0, 2.0], [0.0, 50.0, -50.0])}
+    ode, stepper = four_bar.ode({"l2": 0.45}, inputs), four_bar.stepper(0.01, t=0.3, inputs=inputs)
+    for _ in range(7):
+        stepper.step()
+    again, second = pickle.loads(pickle.dumps((ode, stepper)))
+    for _ in range(5):
+        np.testing.assert_array_equal(second.step(), stepper.step())
+        np.testing.assert_array_equal(again(second.t, second.x), ode(stepper.t, stepper.x))
+    # What cannot travel is named.
+    with pytest.raises((pickle.PicklingError, AttributeError), match="lambda"):
+        pickle.dumps(four_bar.ode(inputs={"F": lambda t, x: 0.0}))
+
+
+def test_threads_do_not_disturb_each_other(four_bar):
+    # Mappings and callables run Python in the middle of a call, where another thread may come in.
+    x0 = four_bar.initial_state()
+    lengths = np.linspace(0.4, 0.5, 8)
+    expected = [four_bar.rhs(0.0, x0, {"l2": length}, {"F": 10 * length}) for length in lengths]
+
+    def work(i):
+        for _ in range(500):
+            rates = four_bar.rhs(0.0, x0.tolist(), {"l2": lengths[i]}, {"F": 10 * lengths[i]})
+            np.testing.assert_array_equal(rates, expected[i])
+
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(work, range(8)))
+
+
+def test_threads_may_share_a_right_hand_side():
+    # Of many loops: a step takes so long without Python that another thread's begins meanwhile.
+    row = fb.compile_model(fb.models.n_four_bar(20))
+    ode = row.ode()
+
+    def run(method, angle):
+        x0 = np.zeros(row.n_x)
+        x0[:21], x0[row.n_q : row.n_q + 21] = angle, 1.0
+        solver = getattr(fb.solvers, method)
+        return solve_ivp(ode, (0.0, 0.05), x0, method=solver, rtol=1e-8, atol=1e-8, max_step=2e-4).y
+
+    tasks = [(method, angle) for angle in (0.1, 0.2, 0.3, 0.4) for method in ("RK23", "RK45", "DOP853", "CVODE")]
+    expected = [run(*task) for task in tasks]
+    with ThreadPoolExecutor(4) as pool:
+        for found, alone in zip(pool.map(lambda task: run(*task), tasks), expected, strict=True):
+            np.testing.assert_array_equal(found, alone)
+
+
+def test_feedback_may_ask_the_same_model(four_bar):
+    def energy(t, x):
+        # Other values, another layout and other parameters than those of the evaluation that asks.
+        strided = np.repeat(0.5 * np.array(x), 2)[::2]
+        return np.tanh(four_bar.rhs(t, strided, {"l2": 0.45}, {"F": 1.0})[3])
+
+    run = four_bar.simulate((0.0, 0.5), inputs={"F": energy}, t_eval=[0.0, 0.5], constraints="none")
+    table_free = solve_ivp(
+        lambda t, x: four_bar.rhs(t, x, r=[energy(t, x)]), (0.0, 0.5), run.y[:, 0], "DOP853", rtol=1e-6, atol=1e-9
+    )
+    # The sums of SciPy's steps are rounded in another order.
+    np.testing.assert_allclose(run.y[:, -1], table_free.y[:, -1], rtol=1e-12)
+
+
+@pytest.mark.parametrize("method", ["RK23", "RK45", "DOP853"])
+def test_a_step_without_bound_ends_the_run(four_bar, method):
+    # In free fall, without gravity, every step is exact and the next one ten times as long.
+    block = fb.compile_model(coordinate_free())
+    run = solve_ivp(block.ode({"b": 0.0}), (0.0, np.inf), [1.0], method=getattr(fb.solvers, method))
+    assert not run.success
+    assert "not finite" in run.message
+    solver = getattr(fb.solvers, method)(four_bar.ode(), 0.0, four_bar.initial_state(), 1.0)
+    solver.step()
+    with pytest.raises(fb.ModelError, match="contiguous array of"):
+        solver._stepper.step(0.0, 0.1, four_bar.initial_state(), np.zeros((1, 1)))
+
+
+def test_a_live_solver_follows_its_settings(four_bar):
+    x0 = four_bar.initial_state()
+    ends = []
+    for solvers in (fb.solvers, scipy.integrate):
+        solver = solvers.RK45(four_bar.ode(), 0.0, x0, 1.0)
+        solver.step()
+        solver.t_bound, solver.max_step, solver.rtol = 2.0, 0.05, 1e-8
+        steps = 0
+        while solver.status == "running":
+            solver.step()
+            steps += 1
+        ends.append((solver.t, steps, solver.nfev))
+    assert ends[0] == ends[1]
+
+
+@pytest.mark.parametrize("method", ["BDF", "Radau", "RK45"])
+def test_a_callables_own_error_is_not_taken_for_a_failure(four_bar, method):
+    count = 0
+
+    def force(t, x):
+        nonlocal count
+        if t < 0.3:
+            return 0.0
+        count += 1
+        if count == 1:
+            return float("nan")
+        raise ValueError("an error of the controller's own")
+
+    with pytest.raises(ValueError, match="the controller's own"):
+        four_bar.simulate((0.0, 1.0), method=method, inputs={"F": force})
+
+
+def test_a_callable_may_use_the_state_as_its_own(four_bar):
+    def force(t, x):
+        x[:] = 0.0
+        return 10.0
+
+    expected = four_bar.simulate((0.0, 1.0), inputs={"F": 10.0})
+    np.testing.assert_array_equal(four_bar.simulate((0.0, 1.0), inputs={"F": force}).y, expected.y)
+
+
+def test_lsoda_with_a_band(four_bar):
+    x0 = four_bar.initial_state()
+    run = solve_ivp(four_bar.ode(), (0.0, 1.0), x0, method=fb.solvers.LSODA, lband=5, uband=5)
+    assert run.success

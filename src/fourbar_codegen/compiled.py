@@ -706,7 +706,7 @@ class CompiledModel(Kernel):
         progress : callable or False, optional
             A callable is called with the time reached, some times per second. By default, a run that takes longer than
             a second reports its progress on stderr: in one line that is removed at the end on a terminal, otherwise in
-            one line per second, and less often after a minute. False turns this off.
+            one line every 30 s. False turns this off.
         sensitivities : sequence of str or symbols, optional
             Parameters; independent coordinates, speeds and auxiliary states, at the beginning; and inputs given as
             numbers or tables, with respect to whose values the states are differentiated: ``trajectory.sensitivity``,

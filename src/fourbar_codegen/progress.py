@@ -10,10 +10,10 @@ from types import TracebackType
 __all__ = ["PATIENCE", "Progress"]
 
 PATIENCE = 1.0
-"""Seconds before the first output, and the shortest time between two permanent lines."""
+"""Seconds before the first output."""
 
-SHARE = 60.0
-"""Later, the time between two permanent lines is the elapsed time divided by this: 300 lines in the first hour."""
+IN_LOGS = 30.0
+"""Seconds between two lines where stderr is no terminal, and lines stay."""
 
 
 class Progress:
@@ -26,8 +26,8 @@ class Progress:
     ----------
     task : str
     unwatched : float, optional
-        Seconds before the first output if stderr is a file or another process: then a line per second, and fewer after
-        a minute. By default a minute.
+        Seconds before the first output if stderr is a file or another process; then a line every 30 s. By default a
+        minute.
 
     Examples
     --------
@@ -89,7 +89,7 @@ class Progress:
         wait = self._unwatched
         while not self._done.wait(wait):
             self._write(f"{self._text()}\n")
-            wait = max(PATIENCE, (time.monotonic() - self._begin) / SHARE)
+            wait = IN_LOGS
 
     def _text(self) -> str:
         return f"{self._task}: {self._stage}, {time.monotonic() - self._begin:.0f} s"

@@ -1,25 +1,37 @@
-# make run, make test, make lint, make docs, make screenshots, make bench, make compile-times, make fuzz, make ecosystem: each sets up what it needs in .venv.
+# make run, test, test-all, test-slowest, lint, docs, screenshots, bench, compile-times, fuzz, ecosystem: each sets up what
+# it needs in .venv.
 PYTHON ?= python3
-VENV := .venv
+VENV ?= .venv
 BIN := $(VENV)/bin
-INSTALLED_RUN := $(VENV)/installed-run
-INSTALLED := $(VENV)/installed
-INSTALLED_DOCS := $(VENV)/installed-docs
-# What a compiled part is made of; the Python files are used where they stand.
-SOURCES := pyproject.toml setup.py $(wildcard src/fourbar_codegen/runtime/*.pyx src/fourbar_codegen/runtime/*.h generated/*/*)
+INSTALL := $(PYTHON) install.py $(VENV)
 
 # Tests and benchmarks start Python many times: without it, each of them compiles SymPy anew, which takes seconds.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run test lint docs screenshots bench compile-times fuzz ecosystem generate clean
+.PHONY: run test test-all test-slowest lint docs screenshots bench compile-times fuzz ecosystem generate clean
 
-run: $(INSTALLED_RUN)
+run:
+	@$(INSTALL) visual
 	$(BIN)/fourbar simulate four_bar -o results/four_bar.csv -o results/four_bar.npz -o results/four_bar.png
 
-test: $(INSTALLED)
-	$(BIN)/python -m pytest --numprocesses auto --dist worksteal
+PYTEST := $(BIN)/python -m pytest --numprocesses auto --dist worksteal
 
-lint: $(INSTALLED)
+# Some of each kind, in minutes: tests/README.md says which.
+test:
+	@$(INSTALL) test visual
+	$(PYTEST) -m 'not slow'
+
+test-all:
+	@$(INSTALL) test visual
+	$(PYTEST)
+
+# All tests, and which of them, and which models, take most processor time.
+test-slowest:
+	@$(INSTALL) test visual
+	$(PYTEST) --costs 20
+
+lint:
+	@$(INSTALL) test visual
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
@@ -29,15 +41,16 @@ lint: $(INSTALLED)
 	$(BIN)/clang-format --dry-run --Werror src/fourbar_codegen/runtime/*.h
 	PATH=$(BIN):$$PATH $(BIN)/cython-lint --max-line-length 120 src/fourbar_codegen/runtime/*.pyx src/fourbar_codegen/runtime/*.pxd
 
-docs: $(INSTALLED_DOCS)
+docs:
+	@$(INSTALL) test visual docs page
 	$(BIN)/python -m sphinx --fail-on-warning --quiet -b html docs docs/_build/html
 
 # The built documentation as readers see it: pictures, accessibility, links, what is clipped or loaded from elsewhere.
 screenshots: docs
 	$(BIN)/python docs/screenshots.py
 
-bench: $(INSTALLED)
-	$(BIN)/python -m pip install --quiet --editable '.[bench]'
+bench:
+	@$(INSTALL) test visual bench
 	$(BIN)/python benchmarks/four_bar.py --output results/benchmark.json
 	$(BIN)/python benchmarks/cold.py --output results/cold.json
 	$(BIN)/python benchmarks/compile_times.py --output results/compile_times.json
@@ -57,30 +70,23 @@ bench: $(INSTALLED)
 	$(BIN)/python benchmarks/page.py --output results/page.json
 
 # What compiling ten models takes by stage; a minute or two.
-compile-times: $(INSTALLED)
+compile-times:
+	@$(INSTALL) test visual
 	$(BIN)/python benchmarks/compile_times.py
 
 # Hours: 100,000 calls, 1,000 Systems. FUZZ='--calls 1000' does fewer of these, as `python -m fuzz.runner run --help` says.
-fuzz: $(INSTALLED)
+fuzz:
+	@$(INSTALL) test visual
 	PYTHONPATH=tests:benchmarks:examples $(BIN)/python -m fuzz.runner run --docs $(FUZZ)
 
 # Models of others, from SymBRiM, SymPy, PyDy and opty; minutes.
-ecosystem: $(INSTALLED)
+ecosystem:
+	@$(INSTALL) test visual
 	PYTHONPATH=tests:benchmarks:examples $(BIN)/python -m ecosystem
 
-generate: $(INSTALLED)
+generate:
+	@$(INSTALL) test visual
 	$(BIN)/fourbar generate four_bar -o generated
-
-$(INSTALLED_RUN): EXTRAS := visual
-$(INSTALLED): EXTRAS := test,visual
-$(INSTALLED_DOCS): EXTRAS := test,visual,docs,page
-# What needs less finds it there as well: each installation compiles the package. Python files are compiled when they
-# are first imported, which are a fraction of them.
-$(INSTALLED_RUN) $(INSTALLED) $(INSTALLED_DOCS): $(SOURCES)
-	$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "Python 3.11 or newer is needed; name one: make PYTHON=python3.12")'
-	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --no-compile --editable '.[$(EXTRAS)]'
-	touch $(INSTALLED_RUN) $(if $(findstring test,$(EXTRAS)),$(INSTALLED)) $@
 
 clean:
 	rm -rf $(VENV) build results docs/_build docs/_live docs/notebooks src/*.egg-info src/fourbar_codegen/*/*.so

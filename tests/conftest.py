@@ -11,6 +11,7 @@ from tutorial import tutorial_four_bar
 import fourbar_codegen as fb
 
 pytest_plugins = ["harness.costs"]
+LEFT_OUT = pytest.StashKey[list[str]]()
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -47,7 +48,26 @@ def browser():
         browser.close()
 
 
+def pytest_deselected(items):
+    for item in items:
+        item.config.stash.setdefault(LEFT_OUT, []).append(item.nodeid)
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    left_out = len(config.stash.get(LEFT_OUT, []))
+    if left_out and config.option.markexpr == "not slow":
+        terminalreporter.write_line(f"{left_out} more tests take longer: make test-all runs them as well.")
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node, error):
+    """Each process of pytest-xdist leaves out the same tests; take one's word for it."""
+    node.config.stash[LEFT_OUT] = getattr(node, "workeroutput", {}).get("left out", [])
+
+
 def pytest_sessionfinish(session, exitstatus):
+    if hasattr(session.config, "workeroutput"):
+        session.config.workeroutput["left out"] = session.config.stash.get(LEFT_OUT, [])
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
     if os.environ.get("CI") and reporter and reporter.stats.get("skipped") and exitstatus == 0:
         session.exitstatus = pytest.ExitCode.TESTS_FAILED

@@ -121,24 +121,6 @@ def test_projection_does_not_cost_accuracy(case, method):
     assert errors["project"] <= 2.0 * errors["none"] + 1e-9 * np.abs(exact).max()
 
 
-def test_a_pendulum_in_cartesian_coordinates_over_20_s():
-    # IFToMM multibody benchmark A01; figures from elliptic functions.
-    published = {
-        1: (0.98629175113186, -0.16501085312554),
-        2: (-0.79356619534332, -0.60848393044379),
-        5: (-0.94230543504376, -0.33475433841400),
-        10: (-0.27508746257612, -0.96141920509913),
-        20: (0.99690717399099, -0.07858808080933),
-    }
-    pendulum = fb.compile_model(fb.models.cartesian_pendulum())
-    x0 = pendulum.initial_state({"y": 0.0})
-    run = pendulum.simulate((0.0, 20.0), x0, t_eval=list(published), rtol=1e-11, atol=1e-11)
-    # 500 steps with relative errors of 1e-11 each.
-    np.testing.assert_allclose(np.array([run["x"], run["y"]]).T, list(published.values()), rtol=0, atol=1e-9)
-    np.testing.assert_allclose(run.energy, run.energy[0], rtol=0, atol=1e-9)
-    assert np.abs(run.constraint_residual).max() < 1e-12
-
-
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-6, 1e-10])
 @pytest.mark.parametrize("method", METHODS)
 def test_the_tutorials_linkage_runs_into_a_singular_position(four_bar, method, tolerance):

@@ -12,7 +12,7 @@ from fourbar_codegen.building.library import PARTS
 from fourbar_codegen.building.toolchain import compile_wasm, digest_of, wasm_toolchain
 from fourbar_codegen.definitions import definitions_text
 
-__all__ = ["SOURCES", "page_module"]
+__all__ = ["SOURCES", "page_module", "page_source"]
 
 SOURCES = tuple(dict.fromkeys(suffix for part in ("kernel", "derivatives") for suffix in PARTS[part][0]))
 """Suffixes of the sources that are needed."""
@@ -42,7 +42,7 @@ def page_module(name: str, sources: Mapping[str, str], manifest: Mapping[str, An
     """
     main = f"{name}_page.c"
     texts = {file: sources[file] for suffix in SOURCES if (file := f"{name}{suffix}") in sources}
-    texts[main] = _source(name, manifest)
+    texts[main] = page_source(name, manifest)
 
     def build(folder: Path) -> Path:
         with tempfile.TemporaryDirectory() as temporary:
@@ -53,7 +53,7 @@ def page_module(name: str, sources: Mapping[str, str], manifest: Mapping[str, An
     return cached(f"{name}_page", digest_of([texts, wasm_toolchain()]), build).read_bytes()
 
 
-def _source(name: str, manifest: Mapping[str, Any]) -> str:
+def page_source(name: str, manifest: Mapping[str, Any]) -> str:
     """The source that puts a kernel, its drawing and runs of it together."""
     rows = manifest["velocity_rows"]
     return f"""\

@@ -1,4 +1,8 @@
-"""The Whipple bicycle: Basu-Mandal et al. 2007, and the eigenvalues of Meijaard et al. 2007."""
+"""The Whipple bicycle about its straight motion: eigenvalues and critical speeds.
+
+Source: J. P. Meijaard, J. M. Papadopoulos, A. Ruina, A. L. Schwab, "Linearized dynamics equations for the balance and
+steer of a bicycle: a benchmark and review", Proc. R. Soc. A 463 (2007), Tables 1 and 2.
+"""
 
 import numpy as np
 import pytest
@@ -9,37 +13,6 @@ import fourbar_codegen as fb
 @pytest.fixture(scope="module")
 def bicycle():
     return fb.compile_model(fb.models.whipple_bicycle())
-
-
-def test_accelerations_of_basu_mandal(bicycle):
-    # P. Basu-Mandal, A. Chatterjee, J. M. Papadopoulos, "Hands-free circular motions of a benchmark bicycle",
-    # Proc. R. Soc. A 463 (2007), Table 1, in the coordinates of Moore 2012.
-    q = [0.0, -0.17447337661787718, 0.0, 0.6206670416476966, 0.3300446174593725, 0.0, -0.2311385135743, 0.0]
-    u = [
-        2.6703213326046784,
-        -2.453592884421596e-14,
-        -0.7830033527065,
-        -0.6068425835418,
-        0.0119185528069,
-        -8.912989661489,
-        -0.4859824687093,
-        -8.0133620584155,
-    ]
-    expected = [
-        -0.8353281706376822,
-        7.855528112824374,
-        -0.12055438978863461,
-        -1.8472554144218631,
-        4.6198904039391895,
-        -2.4548072904552343,
-    ]
-    values = {f"{letter}{i}": value for letter, row in (("q", q), ("u", u)) for i, value in enumerate(row, start=1)}
-    x = [values[name] for name in bicycle.states]
-    rates = dict(zip(bicycle.states, bicycle.rhs(0.0, x), strict=True))
-    np.testing.assert_allclose([rates[f"u{i}"] for i in range(3, 9)], expected, rtol=0, atol=5e-12)
-    # The state satisfies the constraints to its printed digits.
-    np.testing.assert_allclose(bicycle.position_constraints(0.0, x[:8]), 0.0, atol=1e-12)
-    np.testing.assert_allclose(bicycle.velocity_constraints(0.0, x), 0.0, atol=1e-12)
 
 
 # Meijaard, Papadopoulos, Ruina, Schwab 2007, Table 2: forward speed, castering, capsize, weave.
@@ -91,3 +64,13 @@ def test_eigenvalues_of_meijaard(bicycle, row):
     eigenvalues = np.linalg.eigvals(A[np.ix_(moving, moving)])
     # Printed to 14 decimals; the smallest of them comes from a matrix of entries around 100.
     np.testing.assert_allclose(np.sort_complex(eigenvalues), np.sort_complex(expected), rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize(("speed", "number"), [(4.29238253634111, 2), (6.02426201538837, 1)], ids=["weave", "capsize"])
+def test_an_eigenvalue_has_no_real_part_at_the_published_critical_speeds(bicycle, speed, number):
+    """Table 2 and section 5: weave and capsize speed, to 14 decimals of m/s; real parts grow by about 1 per m/s."""
+    A, _ = bicycle.linearize(0.0, bicycle.initial_state(speeds={"u6": -speed / 0.3}))
+    roll, steer = (bicycle.coordinates.index(name) for name in ("q4", "q7"))
+    moving = [roll, steer, *(7 + bicycle.speeds.index(name) for name in ("u4", "u7"))]
+    real = np.linalg.eigvals(A[np.ix_(moving, moving)]).real
+    assert np.count_nonzero(np.abs(real) < 1e-11) == number

@@ -1,6 +1,9 @@
 """How the documentation is built: `make docs`."""
 
+import os
 import runpy
+import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import jupytext
@@ -41,6 +44,17 @@ runpy.run_path(str(HERE / "live_pages.py"))["write"](HERE / "_live" / "pages")
 nb_execution_mode = "force"
 nb_execution_timeout = 300
 nb_execution_raise_on_error = True
+# pip builds cyipopt from source, with Ipopt and compilers of the system.
+IPOPT = "howto/optimal_control"
+WITHOUT_IPOPT = f"""```{{note}}
+This page was built without its outputs, since Ipopt was not found. On Debian and Ubuntu:
+`apt-get install coinor-libipopt-dev gfortran liblapack-dev pkg-config`.
+```"""
+if find_spec("cyipopt") is None:
+    if os.environ.get("CI"):
+        sys.exit("cyipopt is not installed: CI builds the whole documentation.")
+    print(f"docs/{IPOPT}.md is built without its outputs, since Ipopt is missing.", file=sys.stderr)
+    nb_execution_excludepatterns = [f"{IPOPT}.md"]
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 3
 html_math_renderer = "mathml"
@@ -71,7 +85,15 @@ def level_of_captions(app, pagename, templatename, context, doctree):  # noqa: A
         context["furo_navigation_tree"] = tree.replace('role="heading"', 'role="heading" aria-level="2"')
 
 
+def say_what_is_missing(app, docname, source):  # noqa: ARG001  # Sphinx's
+    """Readers of a page without outputs are told why."""
+    if docname == IPOPT and find_spec("cyipopt") is None:
+        heading = "direct collocation with Ipopt\n"
+        source[0] = source[0].replace(heading, f"{heading}\n{WITHOUT_IPOPT}\n", 1)
+
+
 def setup(app):
     """Make these known to Sphinx."""
+    app.connect("source-read", say_what_is_missing)
     app.connect("html-page-context", level_of_captions, priority=900)
     app.add_html_math_renderer("mathml", (inline_formula, None), (displayed_formula, None))

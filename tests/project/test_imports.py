@@ -12,7 +12,8 @@ import pytest
 import fourbar_codegen
 
 PACKAGE = Path(fourbar_codegen.__file__).parent
-DRAWING = Path(__file__).parents[2] / "docs" / "folders.svg"
+TESTS = Path(__file__).parents[1]
+DRAWING = TESTS.parent / "docs" / "folders.svg"
 ROOT = {
     "errors": "errors", "arguments": "ground", "definitions": "ground", "files": "ground", "progress": "ground",
     "tables": "ground",
@@ -141,6 +142,17 @@ def test_halves_import_their_own_libraries(name):
     elif layer(name) not in BOTH:
         assert "sympy" not in modules
     assert "subprocess" not in modules or name == "building.toolchain"
+
+
+def test_tests_and_their_helpers_import_no_test_module_even_inside_functions():
+    modules = [path.relative_to(TESTS).with_suffix("").parts for path in TESTS.rglob("test_*.py")]
+    known = tuple(f"{name}." for parts in modules for name in (parts[-1], ".".join(parts), f"tests.{'.'.join(parts)}"))
+    assert [
+        f"{path.relative_to(TESTS)} imports {module}"
+        for path in sorted(TESTS.rglob("*.py"))
+        for module, _ in imports(path)
+        if f"{module}.".startswith(known)
+    ] == []
 
 
 def edges_between_layers():

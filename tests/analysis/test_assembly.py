@@ -82,7 +82,7 @@ def rockers(lengths, angle):
 
 
 @pytest.mark.parametrize(("loops", "absolute"), [(1, True), (2, False), (3, False)])
-def test_linkages_by_circles(loops, absolute):
+def test_assembly_modes_of_four_bars_in_a_row_equal_intersections_of_circles(loops, absolute):
     """Each loop has two modes for each of those before it, or none: as many, and the same, as circles have points."""
     model = linkage(loops, absolute)
     generator = np.random.default_rng(loops)
@@ -104,7 +104,7 @@ def test_linkages_by_circles(loops, absolute):
     assert {0, 2**loops} <= numbers  # some cannot be closed, some have all modes
 
 
-def test_slider_crank_by_pythagoras():
+def test_assembly_modes_of_a_slider_crank_at_any_size_equal_pythagoras():
     """x = r cos a +- sqrt(l^2 - (r sin a)^2); none where the rod is too short."""
     model = fb.compile_model(fb.models.slider_crank())
     for scale in (1e-3, 1.0, 1e4):
@@ -118,7 +118,7 @@ def test_slider_crank_by_pythagoras():
             np.testing.assert_allclose(sorted(x[2] for x in modes), expected, rtol=0, atol=1e-13 * scale)
 
 
-def test_modes_meet_in_a_dead_point(four_bar):
+def test_assembly_modes_at_a_dead_point_are_one_with_two_or_none_beside_it(four_bar):
     """Coupler and rocker in one line: one mode instead of two, and none beyond."""
     # cos q1 from the triangle of ground, crank, and coupler and rocker together: no such triangle is flatter.
     ground, crank, reach = 0.8, 1.0, 0.9 + 0.3
@@ -129,7 +129,7 @@ def test_modes_meet_in_a_dead_point(four_bar):
     assert at in ([0, 1, 2], [2, 1, 0])
 
 
-def test_a_mode_without_speeds(four_bar):
+def test_assembly_mode_at_a_dead_point_has_dependent_speeds_of_nan(four_bar):
     """At a dead point no speeds of the others follow from the crank's: the mode is there, its speeds are NaN."""
     angle = np.pi - np.arccos((0.8**2 + 1.0**2 - 1.2**2) / (2 * 0.8))
     lengths = {"l1": 0.8, "l2": 1.0, "l3": 0.9, "l4": 0.3}
@@ -138,7 +138,7 @@ def test_a_mode_without_speeds(four_bar):
     assert np.isnan(mode[4:]).all()
 
 
-def test_the_tutorial(four_bar):
+def test_assembly_modes_of_the_tutorials_linkage_are_its_own_and_the_mirror_image(four_bar):
     """The first mode is the tutorial's; the second is its mirror image about the line between the outer joints."""
     modes = four_bar.initial_states({"q1": -0.5}, {"u1": -0.1})
     assert repr(modes) == "<AssemblyModes of four_bar: 2, and no others>"
@@ -151,7 +151,7 @@ def test_the_tutorial(four_bar):
     assert np.sign(runs[0]["q3"]).max() < 0 < np.sign(runs[1]["q3"]).min()  # each stays in its mode
 
 
-def test_sums_and_powers():
+def test_assembly_modes_of_constraints_with_angle_sums_and_squares_are_all_found():
     """Two constraints that hold both unknowns in harmonics of sums and in squares: an angle and a displacement."""
     frame, origin, point = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
     origin.set_vel(frame, 0)
@@ -185,7 +185,7 @@ def test_sums_and_powers():
     np.testing.assert_allclose(modes.x[:, 2], 0.2 / np.cos(modes.x[:, 1]), rtol=1e-9)
 
 
-def test_a_folded_rhombus():
+def test_assembly_modes_of_a_folded_rhombus_name_the_coordinates_left_free():
     """The crank's end lies on the other pivot, and the other two bars turn freely about it."""
     model = linkage(1, absolute=True)
     assert len(model.initial_states([1.0], [0.0], parameters=[1.0] * 5)) == 2
@@ -198,7 +198,7 @@ def test_a_folded_rhombus():
         assert np.isnan(folded.x[:, 4:6]).all()
 
 
-def test_a_plane_that_leans():
+def test_assembly_modes_of_a_spatial_four_bar_equal_the_planar_ones():
     """Five spatial rows of which two are independent: the first pairs that do not determine the unknowns are left."""
     modes = fb.compile_model(spatial_four_bar()).initial_states(speeds=[0.0])
     assert modes.is_complete
@@ -232,7 +232,7 @@ def platform(legs=LEGS, lengths=LENGTHS):
     return fb.compile_model(fb.Model(system, name="platform"))
 
 
-def test_search_where_nothing_is_a_dyad():
+def test_assembly_modes_of_a_platform_equal_those_by_its_coupler_curve():
     """As many as the third leg's gap has zeros along the coupler curve of the first two; said to be a lower bound.
 
     These legs have six, the most there are: C. Gosselin and J.-P. Merlet, "The direct kinematics of planar parallel
@@ -259,7 +259,7 @@ def test_search_where_nothing_is_a_dyad():
     assert len(modes) == number == 6
 
 
-def test_redundant_constraints():
+def test_assembly_modes_with_redundant_constraints_satisfy_all_of_them():
     """What is left over when all coordinates are known has to hold as well."""
     for extra, number in ((0.0, 1), (0.1, 0)):
         frame, origin, point = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
@@ -293,7 +293,7 @@ W, S, A, Y = me.dynamicsymbols("w s a y")
 LENGTH = sm.Symbol("l")
 
 
-def test_a_root_at_zero():
+def test_assembly_modes_of_a_slider_crank_of_equal_lengths_include_the_root_zero():
     """A slider by the length of its rod, which is that of the crank: at 0 and 2 cos w, and both are regular."""
     modes = on_a_line([(S - sm.cos(W)) ** 2 + sm.sin(W) ** 2 - 1], [W, S])
     for angle in np.linspace(-3.0, 3.0, 13):
@@ -302,7 +302,7 @@ def test_a_root_at_zero():
         np.testing.assert_allclose(np.sort(found.x[:, 1]), np.sort([0.0, 2 * np.cos(angle)]), rtol=0, atol=1e-12)
 
 
-def test_speeds_beside_a_dead_point():
+def test_speeds_beside_a_dead_point_equal_the_slope_and_at_it_are_refused():
     """Positions are found to half of all digits there, 1e-8 beside it, where the slope is 1e-8 and not 0."""
     model = fb.compile_model(fb.Model(masses_on_a_line([sm.cos(A) - W], [W, A]), name="dead_point"))
     assert model.initial_state([0.9], [0.5], guess=[1.0])[3] == pytest.approx(-0.5 / np.sqrt(1 - 0.9**2), rel=1e-12)
@@ -313,7 +313,7 @@ def test_speeds_beside_a_dead_point():
             model.initial_state([1.0], [0.5], guess=[guess])
 
 
-def test_a_half_of_an_angle():
+def test_initial_state_of_a_constraint_by_half_an_angle_is_within_one_turn():
     """What changes with one turn and not with two comes within one of the guess, which is a dead point here."""
     model = fb.compile_model(fb.Model(masses_on_a_line([sm.cos(A / 2) - W], [W, A]), name="half_angle"))
     for value in (0.999, 0.5, 0.0, -0.5):
@@ -321,7 +321,7 @@ def test_a_half_of_an_angle():
         assert abs(angle) == pytest.approx(2 * np.arccos(value), rel=1e-9)
 
 
-def test_displacements_of_all_sizes():
+def test_assembly_modes_by_displacements_of_all_sizes_equal_closed_forms():
     """Roots in closed form, in whatever unit: 1e-6 to 1e5, also where the constraint is flat at zero."""
     modes = on_a_line(
         [(S**2 - LENGTH**2) ** 2 - (LENGTH / 2) ** 4, A**3 - W, LENGTH * Y**2 - Y + A], [W, S, A, Y],
@@ -347,7 +347,7 @@ def test_displacements_of_all_sizes():
 
 
 @pytest.mark.parametrize("factor", [1e-6, 1.0, 1e6, 1e10])
-def test_constraints_in_different_units(factor):
+def test_assembly_modes_of_constraints_in_different_units_are_the_same(factor):
     modes = on_a_line([Y - S, factor * (S**2 - W)], [W, S, Y])(1.0)
     assert modes.is_complete
     np.testing.assert_allclose(modes.x[:, 1:3], [[-1.0, -1.0], [1.0, 1.0]], rtol=1e-12)
@@ -365,7 +365,7 @@ def constraints_of(*expressions, w=0.3):
     "expression",
     [sm.sqrt(S**2 + 25), sm.Abs(S + 10), S + sm.sin(S) / 10, sm.sin(S / 2), 1 / S, 2**S, sm.sin(S**2), sm.sin(W * S)],
 )
-def test_what_is_no_polynomial(expression):
+def test_expressions_that_are_no_polynomials_have_no_count_of_roots(expression):
     """Roots, kinks, an angle that is a displacement as well, half of an angle: their roots are not counted."""
     constraints = constraints_of(expression)
     assert constraints.polynomials([0], [("s", False)]) is None
@@ -374,20 +374,20 @@ def test_what_is_no_polynomial(expression):
 
 
 @pytest.mark.parametrize("expression", [sm.tan(S), sm.sqrt(2 + sm.cos(3 * S)), sm.sin(S + W) ** 2 / sm.cos(S)])
-def test_what_is_periodic_and_no_polynomial(expression):
+def test_periodic_expressions_that_are_no_polynomials_count_as_periodic(expression):
     constraints = constraints_of(expression)
     assert constraints.polynomials([0], [("s", True)]) is None
     assert constraints.is_periodic(0, "s")
 
 
-def test_a_rack_and_a_crank():
+def test_assembly_modes_of_a_rack_and_crank_are_a_lower_bound():
     """An angle that is a displacement as well: a lower bound, of seven by a plot of s + sin(100 s) / 10."""
     modes = on_a_line([S - A / 100, S + sm.sin(A) / 10 - W], [W, A, S])(0.05)
     assert not modes.is_complete
     assert 2 <= len(modes) <= 7
 
 
-def test_close_to_a_dead_point(four_bar):
+def test_assembly_modes_near_a_dead_point_are_counted_to_rounding(four_bar):
     """None outside, two inside, and one where rounding errors leave no more: 1e-13 of the position, 1e-11 at most."""
     angle = np.pi - np.arccos((0.8**2 + 1.0**2 - 1.2**2) / (2 * 0.8))
     lengths = {"l1": 0.8, "l2": 1.0, "l3": 0.9, "l4": 0.3}
@@ -399,7 +399,7 @@ def test_close_to_a_dead_point(four_bar):
         assert 1 <= len(four_bar.initial_states([angle + change], [1.0], parameters=lengths)) <= 2
 
 
-def test_modes_in_several_threads(four_bar):
+def test_assembly_modes_in_threads_keep_their_precision_beside_mpmaths(four_bar):
     """Each thread computes with as many digits as alone, while mpmath's own precision is changed beside it."""
     angles = np.linspace(-0.6, 0.6, 12)
     alone = [four_bar.initial_states([angle], [0.0]).x for angle in angles]
@@ -410,13 +410,13 @@ def test_modes_in_several_threads(four_bar):
         np.testing.assert_array_equal(found, expected)
 
 
-def test_no_loops():
+def test_assembly_modes_of_an_open_chain_are_its_one_state():
     chain = fb.compile_model(fb.models.chain(2))
     [mode] = chain.initial_states([0.1, 0.2], [0.0, 0.0])
     assert mode.tolist() == [0.1, 0.2, 0.0, 0.0]
 
 
-def test_turns_of_the_crank_change_nothing(four_bar):
+def test_assembly_modes_after_many_turns_of_the_crank_are_the_same(four_bar):
     """After 1e5 turns, angles are right to 1e5 eps 2 pi = 1e-10."""
     once = four_bar.initial_states([-0.5], [0.0])
     often = four_bar.initial_states([-0.5 + 2e5 * np.pi], [0.0])
@@ -425,12 +425,12 @@ def test_turns_of_the_crank_change_nothing(four_bar):
     np.testing.assert_array_equal(often.x[:, 0], -0.5 + 2e5 * np.pi)
 
 
-def test_wrong_names(four_bar):
+def test_assembly_modes_by_a_dependent_coordinate_are_refused(four_bar):
     with pytest.raises(fb.ModelError, match="'q2' is a dependent coordinate: give a guess"):
         four_bar.initial_states({"q2": 1.0})
 
 
-def test_plots_of_modes(four_bar, monkeypatch):
+def test_plots_of_assembly_modes_draw_each_mode_in_its_panel(four_bar, monkeypatch):
     figure = four_bar.initial_states().plot()
     assert len(figure.axes) == 2
     for axes, mode in zip(figure.axes, four_bar.initial_states(), strict=True):
@@ -451,7 +451,7 @@ def inverted_slider_crank():
     return on_a_line(rows, [a, b, x], parameters={crank: 1.0, ground: 3.0})
 
 
-def test_bars_in_line_at_multiples_of_15_degrees():
+def test_assembly_modes_of_an_inverted_slider_crank_at_round_angles_are_two():
     """Two modes always, x = +- the distance of the crank's end from the pivot; one number of a root may be rounding."""
     modes = inverted_slider_crank()
     for crank, ground in ((1.0, 3.0), (2.0, 1.0), (3.0, 1.0)):
@@ -463,7 +463,7 @@ def test_bars_in_line_at_multiples_of_15_degrees():
             np.testing.assert_allclose(np.sort(found.x[:, 2]), [-distance, distance], rtol=1e-14)
 
 
-def test_a_bar_about_the_cranks_end():
+def test_assembly_modes_with_the_cranks_end_on_the_pivot_leave_the_bar_free():
     """Where that is the pivot, x = 0 at any angle of the bar: infinitely many ways."""
     modes = inverted_slider_crank()
     for length in (1.0, 15.0):
@@ -473,7 +473,7 @@ def test_a_bar_about_the_cranks_end():
         np.testing.assert_allclose(found.x[:, 2], 0.0, atol=1e-12)
 
 
-def test_crank_and_rod_of_equal_length():
+def test_assembly_modes_with_crank_and_rod_of_equal_length_equal_closed_forms():
     """x = 2 r cos a, and x = 0 with the rod folded onto the crank."""
     model = fb.compile_model(fb.models.slider_crank())
     for twelfth in range(-12, 13):
@@ -495,14 +495,14 @@ def test_crank_and_rod_of_equal_length():
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("expanded", [False, True])
-def test_all_roots_of_a_polynomial(roots, expanded):
+def test_assembly_modes_by_a_polynomial_of_high_degree_are_all_its_roots(roots, expanded):
     product = sm.prod([S - sm.Rational(root) for root in roots])
     modes = on_a_line([(sm.expand(product) if expanded else product) + W], [W, S])(0.0)
     assert modes.is_complete
     np.testing.assert_allclose(modes.x[:, 1], sorted(roots), rtol=1e-12)
 
 
-def test_pairs_of_cubics():
+def test_assembly_modes_of_two_cubics_equal_numpys_real_roots():
     """Of two cubics, each in one unknown of the other: as many as NumPy finds real roots of the nonic."""
     generator = np.random.default_rng(3)
     a = me.dynamicsymbols("a")
@@ -522,7 +522,7 @@ def test_pairs_of_cubics():
     assert max(numbers) > 3
 
 
-def test_a_gear_of_ratio_two():
+def test_assembly_modes_of_a_gear_of_ratio_two_equal_closed_forms():
     """P cos 2b + Q sin b = cos a is a quadratic in sin b; the ratio may be a parameter as well."""
     a, b = me.dynamicsymbols("a b")
     ratio = sm.Symbol("n")
@@ -547,7 +547,7 @@ def chained(constraints, start):
     return fb.compile_model(fb.Model(system, name="chained", initial=dict.fromkeys(coordinates, start)))
 
 
-def test_links_of_one_length(four_bar):
+def test_initial_state_of_a_rhombus_closes_within_one_turn(four_bar):
     # A rhombus that can fold: from here, steps along its singular directions end at angles of 1e16, whose sines are
     # anything.
     equal = dict.fromkeys(four_bar.parameters, 1.0)
@@ -558,7 +558,7 @@ def test_links_of_one_length(four_bar):
         assert abs(np.exp(1j * np.cumsum(q)).sum() + 1.0) < 1e-10
 
 
-def test_loops_are_closed_one_by_one():
+def test_initial_state_of_chained_cubics_is_found_loop_by_loop():
     """Cubics with one real root, near -2.1, and a minimum between it and the guess, where a search ends: all of six are
     hardly met at once. Each has the one before it in it, in no order."""
     order = [3, 0, 5, 1, 4, 2]
@@ -574,7 +574,7 @@ def test_loops_are_closed_one_by_one():
         model.initial_state({"s0": 0.5}, [0.0], guess=[1.2] * 6)
 
 
-def test_what_stays_open_is_named():
+def test_initial_state_with_one_loop_open_names_that_loop_alone():
     rows = [lambda *s: sm.sin(s[1]) - s[0] / 2, lambda *s: sm.cos(s[2]) - 2 - s[1] / 10, lambda *s: sm.sin(s[3]) - s[1]]
     model = chained(rows, 0.3)
     with pytest.raises(fb.AssemblyError, match=r"constraints 2, to be closed by s2, stay open by 1\.0") as caught:
@@ -583,7 +583,7 @@ def test_what_stays_open_is_named():
     assert "constraints 3," not in str(caught.value)
 
 
-def test_coordinates_within_bounds():
+def test_initial_state_with_bounds_is_within_them_or_refused():
     model = chained([lambda *s: sm.cos(s[1]) - s[0], lambda *s: sm.sin(s[2]) - sm.sin(s[1])], 2.0)
     for low, high, expected in ((0.0, np.pi, np.pi / 3), (-np.pi, 0.0, -np.pi / 3), (6.0, 8.0, 2 * np.pi + np.pi / 3)):
         state = model.initial_state({"s0": 0.5}, [0.0], bounds={"s1": (low, high)})
@@ -601,7 +601,7 @@ def test_coordinates_within_bounds():
             model.initial_state({"s0": 0.5}, [0.0], bounds=bounds)
 
 
-def test_a_loop_that_is_driven_by_a_free_bar():
+def test_assembly_modes_behind_a_free_bar_are_at_the_rockers_angles():
     """A folded rhombus, whose rocker drives a loop that does not close where the rocker is at 0."""
     model = linkage(2, absolute=True)
     ground, crank, coupler, rocker = 1.0, 0.8, 1.2, 0.3
@@ -614,7 +614,7 @@ def test_a_loop_that_is_driven_by_a_free_bar():
         assert min(abs(np.exp(1j * mode[4]) - np.exp(1j * angle)) for (angle,) in rockers(lengths[4:], mode[2])) < 1e-9
 
 
-def test_a_slider_crank_without_lengths():
+def test_assembly_modes_of_a_slider_crank_without_lengths_leave_the_rod_free():
     """The slider is held at the crank's pivot by a rod of length zero, which turns freely."""
     model = fb.compile_model(fb.models.slider_crank())
     for angle in (0.0, 0.5):
@@ -660,7 +660,7 @@ def peaucellier(independent):
 
 
 @pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
-def test_the_pen_of_peaucellier(unit):
+def test_assembly_modes_of_peaucelliers_cell_are_the_open_and_the_folded_ones(unit):
     """Both elbows are on one side or the other. Where they coincide, the pen turns about them with two bars; otherwise
     it is on the line or on the crank's pin."""
     lengths = {"arm": ARM * unit, "side": SIDE * unit, "crank": CRANK * unit}
@@ -685,7 +685,7 @@ def test_the_pen_of_peaucellier(unit):
 
 
 @pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
-def test_a_coordinate_that_holds_nothing(unit):
+def test_assembly_modes_with_peaucelliers_constant_x_held_leave_all_else_free(unit):
     """The pen's x is the line's wherever the linkage is, so holding it leaves the mobility of 1."""
     lengths = {"arm": ARM * unit, "side": SIDE * unit, "crank": CRANK * unit}
     modes = peaucellier("x")((ARM**2 - SIDE**2) / (2 * CRANK) * unit, **lengths)
@@ -693,7 +693,7 @@ def test_a_coordinate_that_holds_nothing(unit):
     assert not modes.is_complete
 
 
-def test_a_five_bar_held_by_one_angle():
+def test_assembly_modes_of_a_five_bar_held_by_one_angle_leave_three_free():
     """Of mobility 3 * 4 - 2 * 5 = 2; a third constraint is redundant, so one too many is declared dependent."""
     angles = me.dynamicsymbols("q:4")
     x, y = (sum(turn(angle) for angle in angles) for turn in (sm.cos, sm.sin))
@@ -702,7 +702,7 @@ def test_a_five_bar_held_by_one_angle():
     assert not modes.is_complete
 
 
-def test_a_parallelogram_with_a_bar_too_many():
+def test_assembly_modes_of_a_redundant_parallelogram_are_isolated():
     """Three parallel cranks and a coupler: 3 * 4 - 2 * 6 = 0 by Gruebler, yet it moves.
 
     One crank holds it, also in line, where four constraints have rank 2 in three angles and two modes meet.
@@ -724,7 +724,7 @@ def test_a_parallelogram_with_a_bar_too_many():
         np.testing.assert_allclose(found.x[:, 1:4], [[0.0, angle, angle]], atol=1e-7 if angle == 0.0 else 1e-13)
 
 
-def test_the_linkage_of_bennett():
+def test_assembly_modes_of_bennetts_linkage_satisfy_its_closed_form():
     """Four hinges in space: 6 * 3 - 5 * 4 = -2 by Kutzbach, yet it moves, with tan(q0 / 2) tan(q1 / 2) constant.
 
     G. T. Bennett, "A new mechanism", Engineering 76 (1903). Six constraints have rank 3 in three angles.
@@ -751,14 +751,14 @@ def test_the_linkage_of_bennett():
         assert np.abs(found.x[:, 1:4] - [expected, -angle, -expected]).max(axis=1).min() < 1e-9
 
 
-def test_a_platform_on_parallel_legs():
+def test_assembly_modes_of_a_platform_on_parallel_legs_leave_x_and_y_free():
     """As wide as its base, on legs of one length: it moves along a circle and does not turn, like a parallelogram."""
     modes = platform([(foot, foot) for foot, _ in LEGS], [2.4] * 3).initial_states([2.4], [0.0])
     assert modes.free == ("x", "y")
     assert not modes.is_complete
 
 
-def test_a_chain_that_is_taut():
+def test_assembly_modes_of_a_taut_chain_are_the_straight_one_with_nothing_free():
     """As far as it reaches: all bars in line, where the Jacobian has rank 1 in three angles, and nothing moves."""
     angles = me.dynamicsymbols("q:4")
     x, y = (sum(turn(angle) for angle in angles) for turn in (sm.cos, sm.sin))
@@ -768,7 +768,7 @@ def test_a_chain_that_is_taut():
     np.testing.assert_allclose(modes.x[:, :4], 0.0, atol=1e-4)  # half of all digits, and the search's 1e-10 for them
 
 
-def test_a_point_and_a_circle():
+def test_assembly_modes_of_a_circle_are_free_and_those_of_a_point_are_not():
     """s^2 + y^2 = w twice: at 0 the Jacobian is zero, and the only solution is a point, known to half of all digits."""
     modes = on_a_line([S**2 + Y**2 - W, 2 * (S**2 + Y**2 - W)], [W, S, Y])
     assert modes(1.0).free == ("s", "y")

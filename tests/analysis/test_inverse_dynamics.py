@@ -34,7 +34,7 @@ def piston(angle):
     return first, -np.cos(angle) - np.cos(2 * angle) / s - np.sin(2 * angle) ** 2 / (4 * s**3)
 
 
-def test_the_torque_of_a_slider_crank():
+def test_torque_of_a_slider_crank_equals_the_closed_form_also_at_dead_points():
     """T = m w^2 x' x'', which follows from the kinetic energy; also at dead points, where no inertia is left.
 
     A. Ghosh and A. K. Mallik, Theory of Mechanisms and Machines, chapter on dynamic force analysis.
@@ -47,7 +47,7 @@ def test_the_torque_of_a_slider_crank():
     np.testing.assert_allclose(torque, 2.0 * RATE**2 * first * second, rtol=0, atol=1e-12 * 200)
 
 
-def test_a_rod_with_mass():
+def test_torque_of_a_slider_crank_with_a_heavy_rod_equals_the_closed_form():
     """T = 1/2 w^2 dI/dt, with the inertia I reduced to the crank: of a uniform rod, differentiated by SymPy."""
     t = sm.Symbol("t")
     s = sm.sqrt(9 - sm.sin(t) ** 2)
@@ -61,7 +61,7 @@ def test_a_rod_with_mass():
     np.testing.assert_allclose(torque, expected(ANGLES), rtol=0, atol=1e-12 * 150)
 
 
-def test_the_torque_of_a_drive():
+def test_torque_of_a_driven_run_equals_the_drives_multiplier():
     """A run in which a drive turns the crank, and its multiplier; the same run, of the model with a torque."""
     driven = slider_crank(1.5)
     driven.drive("O", speed=RATE)
@@ -71,7 +71,7 @@ def test_the_torque_of_a_drive():
     np.testing.assert_allclose(torque, run["torque_O"], rtol=0, atol=1e-9 * np.ptp(torque))
 
 
-def test_a_run_brings_its_inputs_and_parameters():
+def test_inverse_dynamics_of_a_run_use_its_own_inputs_and_parameters():
     """The load and the masses of the run count, not the model's defaults."""
     linkage = slider_crank(1.5)
     linkage.force("C", ("load", 0))
@@ -87,7 +87,7 @@ def test_a_run_brings_its_inputs_and_parameters():
     )
 
 
-def test_a_robots_arm():
+def test_torques_of_a_robots_arm_equal_the_closed_form():
     """The joint torques in closed form: J. J. Craig, Introduction to Robotics, 2005, example 6.7."""
     l1, l2, m1, m2, g = 0.4, 0.3, 3.0, 2.0, 9.81
     linkage = fb.Linkage("arm", gravity=g)
@@ -125,7 +125,7 @@ def test_a_robots_arm():
     assert one_state["shoulder"] == pytest.approx((m1 + m2) * l1 * g + m2 * l2 * g, rel=1e-14)
 
 
-def test_constraints_that_are_redundant():
+def test_torque_with_redundant_constraints_equals_the_closed_form():
     """A parallelogram with a bar too many: the coupler of 1 kg on two cranks, T = m l^2 w' + m g l cos(q)."""
     points = {"A": (0, 0), "B": (0, 1), "C": (1, 1), "D": (1, 0), "E": (0.5, 0), "F": (0.5, 1)}
     linkage = fb.Linkage("redundant", points=points, ground="AED", links=["AB", "CD", "EF"], gravity=9.81)
@@ -138,7 +138,7 @@ def test_constraints_that_are_redundant():
     np.testing.assert_allclose(torque, 2.0 + 9.81 * np.cos(angles), rtol=0, atol=1e-11)
 
 
-def test_friction_of_normal_forces():
+def test_force_against_friction_by_a_normal_force_equals_the_closed_form():
     """F = m (u' + mu g), whatever the normal force is written as."""
     push = me.dynamicsymbols("F")
     model = compiled(box(lambda n, u: push - MU * n, name="pushed"), inputs={push: 0.0})
@@ -148,7 +148,7 @@ def test_friction_of_normal_forces():
     np.testing.assert_allclose(found["F"], 2.0 * (2.0 + 0.3 * 9.81), rtol=1e-14)
 
 
-def test_other_inputs_have_sources():
+def test_torque_against_a_given_load_balances_its_power():
     """A load on the piston, as a function of time: its power is the torque's, without inertia."""
     linkage = slider_crank(piston=None)
     linkage.force("C", ("load", 0))
@@ -162,7 +162,7 @@ def test_other_inputs_have_sources():
     np.testing.assert_allclose(load[~dead], -5.0 / piston(ANGLES[~dead])[0], rtol=1e-11)
 
 
-def test_a_load_that_changes_along_a_branch():
+def test_load_as_array_callable_or_table_along_a_branch_gives_one_torque():
     """The array, the callable of the position, and the table of a motion in time are one load.
 
     Power balance: T = m w^2 x' x'' - cut x', with x' and x'' by the crank's angle.
@@ -219,7 +219,7 @@ def of_numbers(load):
         of_numbers(lambda t, _: -100.0 * (12.0 < t < 12.6)),
     ],
 )
-def test_a_pulse_at_one_time(load):
+def test_callable_load_of_time_for_states_at_one_time_gives_a_warning(load):
     """It is zero at almost all times, so that it is not seen at a few."""
     model = particles(F + G, inputs={F: 0.0, G: 0.0})
     branch = model.kinematics({"q1": np.linspace(0.0, 6.0, 13)}, accelerations={"q1": 4.0})[0]
@@ -238,7 +238,7 @@ def test_a_pulse_at_one_time(load):
         of_numbers(lambda _, x: 3.0 * x[0]),
     ],
 )
-def test_a_callable_of_the_position_alone(load):
+def test_callable_load_of_the_position_alone_gives_no_warning(load):
     """m q'' = F + 3 q at any time: there are no warnings."""
     model = particles(F + G, inputs={F: 0.0, G: 0.0})
     branch = model.kinematics({"q1": [0.0, 1.0]}, accelerations={"q1": 4.0})[0]
@@ -246,7 +246,7 @@ def test_a_callable_of_the_position_alone(load):
         np.testing.assert_allclose(model.inverse_dynamics(motion, "F", inputs={"G": load})["F"], [8, 5], rtol=1e-14)
 
 
-def test_states_at_one_time():
+def test_loads_of_time_have_their_values_at_the_times_of_the_states():
     """A table, and expressions with a pulse, have a value at each time; several accelerations are of one state."""
     pulse = sm.Piecewise((100, (T > 0.2) & (T < 0.4)), (0, True))
     table, states = ([0.2, 0.3, 0.4], [0.0, 100.0, 0.0]), np.array([[0.0, 1.0, 2.0], [0.0, 0.0, 0.0]])
@@ -300,7 +300,7 @@ F, G, A = me.dynamicsymbols("F G A")
     ("law", "force"),
     [(F + F**3, 10.0), (F**3, 8.0), (sm.sqrt(F), 3.0), (1 / F, 0.5), (F * sm.Abs(F), 9.0), (sm.exp(F), 5.0)],
 )
-def test_inputs_that_enter_nonlinearly(law, force):
+def test_input_that_enters_nonlinearly_is_found_by_newtons_method(law, force):
     """By Newton's method, from several guesses; the law at what was found is the force."""
     model = particles(law, inputs={F: 0.0})
     found = model.inverse_dynamics((0.0, [0.0, 0.0], [force / 2.0]))["F"]
@@ -308,20 +308,20 @@ def test_inputs_that_enter_nonlinearly(law, force):
 
 
 @pytest.mark.parametrize("law", [F**3, F * sm.Abs(F), sm.sqrt(F), sm.sign(F) * sm.sqrt(sm.Abs(F)), F**2])
-def test_a_zero_load_of_inputs_that_enter_nonlinearly(law):
+def test_input_that_enters_nonlinearly_is_zero_for_a_zero_load(law):
     """0 is the solution, although the derivative there is 0 or infinite."""
     model = particles(law, inputs={F: 2.0})
     assert model.inverse_dynamics((0.0, [0.0, 0.0], [0.0]))["F"] == 0.0
 
 
 @pytest.mark.parametrize("law", [1 / F, sm.exp(F)])
-def test_a_zero_load_that_no_input_brings_about(law):
+def test_load_that_no_input_brings_about_is_refused(law):
     model = particles(law, inputs={F: 0.0})
     with pytest.raises(fb.SimulationError, match="F cannot bring about this motion"):
         model.inverse_dynamics((0.0, [0.0, 0.0], [0.0]))
 
 
-def test_a_weight_on_a_spring_at_rest():
+def test_input_that_is_a_small_difference_of_spring_forces_is_found_to_rounding():
     """m g = (k (s - h) - F) q / s on a spring of length s, across a gap h: F is a small difference, down to 0."""
     q = me.dynamicsymbols("q1")
     k, g, h = sm.symbols("k g h")
@@ -338,7 +338,7 @@ def test_a_weight_on_a_spring_at_rest():
         np.testing.assert_allclose(force, 0.0, rtol=0, atol=20 * 2.0**-52 * stiffness)
 
 
-def test_a_balanced_arm():
+def test_free_length_that_balances_an_arm_is_zero_in_all_positions():
     """A spring without free length balances an arm in all positions if k a b = m g l; its free length is the input."""
     points = {"O": (0, 0), "A": (0.6, 0), "B": (1, 0), "C": (0, 0.5)}
     linkage = fb.Linkage("balanced", points=points, ground=["O", "C"], gravity=9.81)
@@ -350,7 +350,7 @@ def test_a_balanced_arm():
     np.testing.assert_allclose(free, 0.0, rtol=0, atol=1e-14)
 
 
-def test_a_torque_that_passes_zero():
+def test_voltage_of_a_quadratic_torque_passes_zero_at_dead_points():
     """A torque of 3 V |V|, as of a fan or an orifice: at the dead points no torque is needed, so V = 0."""
     V = me.dynamicsymbols("V")
     model = fb.compile_model(slider_crank(torque=3 * V * sm.Abs(V)).model(inputs={V: 0.0}))
@@ -360,7 +360,7 @@ def test_a_torque_that_passes_zero():
     np.testing.assert_allclose(3.0 * V * np.abs(V), 2.0 * RATE**2 * first * second, rtol=0, atol=1e-12 * 200)
 
 
-def test_each_equation_is_balanced_by_itself():
+def test_inputs_of_very_different_sizes_are_each_found_to_rounding():
     """1000 tonnes beside 10 grams, of which the force is nonlinear in the input: G + G^3 = 1 N and 0.2 N."""
     model = particles(F, G + G**3, mass=(1e6, 0.01), inputs={F: 0.0, G: 0.0})
     for rates in ([1000.0, 100.0], [10.0, 20.0]):
@@ -369,7 +369,7 @@ def test_each_equation_is_balanced_by_itself():
         assert found["F"] == pytest.approx(1e6 * rates[0], rel=1e-12)
 
 
-def test_prescribed_motions_come_with_their_rates():
+def test_force_beside_a_prescribed_motion_counts_its_second_rate():
     """F = m (q'' + A''), where A is given by its expression, or by the drive."""
     model = particles(F, place=A, inputs={A: sm.sin(T), F: 0.0})
     found = model.kinematics({"q1": [0.0, 1.0]}, t=1.0)[0]
@@ -381,7 +381,7 @@ def test_prescribed_motions_come_with_their_rates():
         model.inverse_dynamics(found, "A")
 
 
-def test_an_input_whose_rate_acts_cannot_be_found():
+def test_input_whose_rate_acts_on_the_motion_is_refused_as_unknown():
     """The other end of a damper moves by an input: its rate is an input of its own."""
     q, u = me.dynamicsymbols("q1 u1")
     model = particles(F - 3 * (u - A.diff(T)) - 5 * (q - A), inputs={F: 0.0, A: sm.sin(3 * T)})
@@ -391,7 +391,7 @@ def test_an_input_whose_rate_acts_cannot_be_found():
         model.inverse_dynamics(run, "A")
 
 
-def test_a_run_that_lacks_rates():
+def test_run_without_the_rates_that_a_model_needs_is_refused():
     """A spring's end whose rate one model needs, and another has not."""
     q, u = me.dynamicsymbols("q1 u1")
     spring = particles(F - 5 * (q - A), inputs={F: 1.0, A: sm.sin(3 * T)})
@@ -406,7 +406,7 @@ def test_a_run_that_lacks_rates():
     np.testing.assert_allclose(force[5:-5], expected[5:-5], rtol=0, atol=0.005**3 * 81 * 3)
 
 
-def test_inputs_of_a_branch():
+def test_inverse_dynamics_of_a_branch_use_its_inputs_and_refuse_missing_ones():
     """A force that is given with the positions, and one without a value there."""
     model = particles(F + G, inputs={F: 0.0, G: None})
     found = model.kinematics({"q1": [0.0]}, accelerations={"q1": 4.0}, inputs={"G": 5.0})[0]
@@ -416,7 +416,7 @@ def test_inputs_of_a_branch():
         model.inverse_dynamics(found, "F")
 
 
-def test_a_load_of_time_on_a_branch():
+def test_load_of_time_on_a_branch_counts_at_its_time_with_a_warning():
     """All positions are at the branch's time, which is said, since it may not be meant."""
     model = particles(F + G, inputs={F: 0.0, G: 3 * T})
     found = model.kinematics({"q1": [0.0, 1.0]}, accelerations={"q1": 4.0}, t=2.0)[0]
@@ -429,13 +429,13 @@ def test_a_load_of_time_on_a_branch():
         )
 
 
-def test_one_state_with_several_accelerations():
+def test_inverse_dynamics_of_one_state_take_several_accelerations():
     model = particles(F, inputs={F: 0.0})
     np.testing.assert_allclose(model.inverse_dynamics((0.0, {"q1": 0.0, "u1": 0.0}, {"u1": [1.0, 2.0]}))["F"], [2, 4])
     np.testing.assert_allclose(model.inverse_dynamics(([0.0, 1.0], [0.0, 0.0], [3.0]))["F"], [6.0, 6.0])
 
 
-def test_what_is_refused():
+def test_inverse_dynamics_with_wrong_motions_or_inputs_are_refused():
     model = fb.compile_model(slider_crank().model())
     branch = model.kinematics({"q_OA": ANGLES}, rates={"q_OA": RATE})[0]
     x = np.concatenate((branch.q, branch.u))
@@ -459,7 +459,7 @@ def test_what_is_refused():
         other.inverse_dynamics(branch, "torque")
 
 
-def test_masses_are_asked_for():
+def test_inverse_dynamics_without_masses_are_refused_until_given():
     system = fb.models.four_bar().system
     lengths = {"l1": 0.8, "l2": 0.2, "l3": 0.7, "l4": 0.6}
     model = fb.compile_model(fb.Model(system, name="no_masses", parameters=lengths, inputs="auto"))

@@ -22,7 +22,7 @@ def found_of(make, values=None, **how):
     return model.kinematics({drive: own if values is None else values}, **how)
 
 
-def test_peaucelliers_line():
+def test_peaucelliers_pen_moves_on_the_exact_line_in_every_branch():
     """x = (l^2 - s^2) / (2 p) = 16/3, exactly; |OB| |OD| = l^2 - s^2 = 16, in every branch where the cell is open."""
     found = found_of(mechanisms.peaucellier)
     x, y, _ = found[0]["D"]
@@ -32,7 +32,7 @@ def test_peaucelliers_line():
     np.testing.assert_allclose(product, 16.0, rtol=0, atol=1e-12)
 
 
-def test_chebyshevs_line_and_limits():
+def test_chebyshevs_point_stays_near_its_line_within_the_arms_limits():
     """Within sqrt(1029)/8 - 4 of y = 4 for 0 <= x <= 4, exact; the arm turns between acos(4/5) and acos(-1/5).
 
     Source of the limits: https://en.wikipedia.org/wiki/Chebyshev_linkage.
@@ -46,7 +46,7 @@ def test_chebyshevs_line_and_limits():
     np.testing.assert_allclose(limits, [acos(4 / 5), acos(-1 / 5)], rtol=0, atol=1e-9)
 
 
-def test_hoekens_speed():
+def test_hoekens_point_moves_at_four_thirds_of_the_cranks_speed():
     """4/3 of the crank's speed in the middle of the line; P is at (4, 4), (2, 4), (0, 4) at quarter turns."""
     found = found_of(mechanisms.hoeken, np.array([pi / 2, pi, 3 * pi / 2]))
     branch = found[0]
@@ -54,7 +54,7 @@ def test_hoekens_speed():
     assert branch.velocities["P"][0, 1] == pytest.approx(-4 / 3, abs=1e-12)
 
 
-def test_watts_inflection():
+def test_watts_point_leaves_its_line_with_the_fifth_power():
     """x = y^5 / (8 b^3 c) for small y: the first derivative that is not zero is the fifth."""
     found = found_of(mechanisms.watt, np.linspace(-0.06, 0.06, 13))
     x, y, _ = found[0]["P"]
@@ -62,7 +62,7 @@ def test_watts_inflection():
     np.testing.assert_allclose(x, expected, rtol=2e-3, atol=1e-13)
 
 
-def test_jansens_foot():
+def test_jansens_foot_at_quarter_turns_equals_intersections_of_circles():
     """The foot at quarters of a turn, by circles that intersect, with the published lengths."""
     found = found_of(mechanisms.jansen, np.radians([0.0, 90.0, 180.0, 270.0]))
     expected = [
@@ -74,19 +74,19 @@ def test_jansens_foot():
     np.testing.assert_allclose(found[0]["H"][:2].T, expected, rtol=0, atol=1e-10)
 
 
-def test_a_pantograph_scales():
+def test_pantograph_along_its_drive_scales_by_its_ratio():
     branch = found_of(mechanisms.pantograph)[0]
     np.testing.assert_allclose(branch["Q"], 2.5 * branch["P"], rtol=0, atol=1e-11)
 
 
-def test_a_lift_of_scissors():
+def test_scissor_lift_along_its_drive_has_the_closed_form_height():
     """h = n l sin(theta), w = l cos(theta)."""
     branch = found_of(mechanisms.scissor_lift)[0]
     width = branch["R0"][0]
     np.testing.assert_allclose(branch["T"][1], 3 * np.sqrt(4 - width**2), rtol=0, atol=1e-11)
 
 
-def test_a_quick_return():
+def test_quick_return_along_its_drive_has_the_closed_form_stroke_and_speed():
     """The ram turns round where the crank is square to the lever, at 210 and 330 degrees: back in half of the time."""
     branch = found_of(mechanisms.quick_return, np.radians([90.0, 210.0, 330.0]))[0]
     assert branch["u_LB"][0] == pytest.approx(1 / 3, abs=1e-12)
@@ -94,7 +94,7 @@ def test_a_quick_return():
     assert abs(branch["C"][0, 1] - branch["C"][0, 2]) == pytest.approx(4.0, abs=1e-12)
 
 
-def test_transmission_angles():
+def test_transmission_angles_of_a_crank_rocker_have_the_closed_form_extremes():
     """Their extremes, by the law of cosines: 25.2 and 58.4 degrees, where crank and ground are in line."""
     branch = found_of(mechanisms.crank_rocker)[0]
     angle = branch.transmission_angle("A", "B", "R")
@@ -102,7 +102,7 @@ def test_transmission_angles():
     np.testing.assert_allclose([angle.min(), angle.max()], expected, rtol=0, atol=1e-12)
 
 
-def test_velocities_and_accelerations_of_a_slider():
+def test_velocities_and_accelerations_of_a_slider_equal_closed_forms():
     """In closed form, at 3 rad/s and with 2 rad/s^2."""
     angles = np.linspace(0.1, 6.0, 40)
     found = found_of(mechanisms.slider_crank, angles, rates={"q_OA": 3.0}, accelerations={"q_OA": 2.0})
@@ -115,7 +115,7 @@ def test_velocities_and_accelerations_of_a_slider():
     assert len(found) == 2
 
 
-def test_files_of_a_branch(tmp_path):
+def test_branch_saved_to_files_holds_places_rates_and_accelerations(tmp_path):
     """The slider's place, rate and acceleration in closed form, as above; a value at which the loop does not close."""
     angles = np.linspace(0.1, 6.0, 40)
     found = found_of(mechanisms.slider_crank, angles, rates={"q_OA": 3.0}, accelerations={"q_OA": 2.0})
@@ -147,7 +147,7 @@ def test_files_of_a_branch(tmp_path):
     assert np.isnan(np.load(open_ends)["crank"]).tolist() == [True, False]
 
 
-def test_dead_points_of_a_slider_that_is_driven():
+def test_dead_points_of_a_driven_slider_are_where_crank_and_rod_are_in_line():
     """At x = l + r and l - r, where crank and rod are in line; beyond, the loop does not close."""
     crank = fb.compile_model(fb.models.slider_crank())
     found = crank.kinematics({"slide": np.linspace(0.15, 0.45, 31)})
@@ -157,7 +157,7 @@ def test_dead_points_of_a_slider_that_is_driven():
     assert [branch.limits["slide"] for branch in found] == [pytest.approx((0.2, 0.4), abs=1e-12)] * 2
 
 
-def test_a_range_beside_all_places_that_are_searched_first():
+def test_branches_that_close_in_a_small_part_of_the_drive_are_found():
     """The loop closes between 0.2 and 0.4 m, of 5: at given values alone, and the first of these is a dead point."""
     crank = fb.compile_model(fb.models.slider_crank())
     found = crank.kinematics({"slide": np.linspace(0.0, 5.0, 201)})
@@ -173,7 +173,7 @@ def crossings(drawn, at, one, other, name):
     return [at[one] + apart / abs(apart) * (along + side * 1j * height**0.5) for side in (1, -1) if height > 0]
 
 
-def test_branches_that_close_at_few_values_where_others_close_too():
+def test_branches_that_close_at_few_values_beside_others_are_all_found():
     """Pivots on circles: C by B and D, F by E and G, H by C and J. Two of ten values with 8 modes stand apart."""
     points = {
         "O": (0, 0), "A": (0.5070579, 0.1521173), "B": (-0.4246983, 0.7039159), "E": (1.1521088, -0.3365495),
@@ -198,7 +198,7 @@ def test_branches_that_close_at_few_values_where_others_close_too():
 
 
 @pytest.mark.parametrize("inset", [0.0, 1e-12, 1e-8, 1e-6, 1e-5, 1e-4, -0.01])
-def test_a_slider_that_is_driven_over_its_stroke(inset):
+def test_branches_of_a_slider_driven_over_its_stroke_end_at_dead_points(inset):
     """0.2 m for a crank of 0.1 m: two branches, whose ends are dead points if these are within the drive's ends."""
     points = {"O": (0, 0), "A": (0.1, 0), "C": (0.4, 0)}
     linkage = fb.Linkage("engine", points=points, ground="O", links=["OA", "AC"])
@@ -219,7 +219,7 @@ def test_a_slider_that_is_driven_over_its_stroke(inset):
 
 
 @pytest.mark.parametrize("offset", [0.0, 1e-6, 1e-4, 5e-3, 8e-3, 1e-2])
-def test_change_points(offset):
+def test_branches_of_a_parallelogram_cross_at_change_points_with_their_limits(offset):
     """A parallelogram, and its antiparallel branch with -3 / (5 - 4 cos q) of the speed: limits where they cross.
 
     The interpolation errs by h^8 / 70 = 4e-16 times the eighth derivative, 2e6 there.
@@ -246,7 +246,7 @@ def test_change_points(offset):
 
 
 @pytest.mark.parametrize("ground", [1.3, 1.1, 1.03, 1.01])
-def test_branches_that_bend_at_a_change_point(ground):
+def test_branches_of_a_near_rhombus_have_closed_form_rates_at_the_change_point(ground):
     """Nearly a rhombus: the antiparallel branch turns within ground - 1 rad, (d^2 - 1) / (d - 1)^2 times as fast.
 
     Its position is an odd function of the distance, which any interpolation meets.
@@ -267,7 +267,7 @@ def test_branches_that_bend_at_a_change_point(ground):
 
 
 @pytest.mark.parametrize("longer", [1e-9, 1e-7, 5e-6, 1e-4])
-def test_beside_a_change_point(longer):
+def test_branches_beside_a_change_point_stay_on_their_side(longer):
     """A rod that is longer than the crank by little: the slider goes on on its side, by Pythagoras."""
     points = {"O": (0, 0), "A": (0.3, 0.4), "C": (0.6, 0)}
     linkage = fb.Linkage("isosceles", points=points, ground="O", links=["OA", "AC"])
@@ -283,7 +283,7 @@ def test_beside_a_change_point(longer):
         np.testing.assert_allclose(branch["C"][0], expected, rtol=0, atol=1e-12 / side.min())
 
 
-def test_a_kite_that_folds():
+def test_branches_of_a_folding_kite_go_through_its_folded_position():
     """Crank and ground of 1 m, coupler and rocker alike: folded, the rocker is free; two branches go on through it."""
     points = {"A": (0, 0), "B": (0.6, 0.8), "D": (1, 0), "C": (2.4, 1.2)}
     linkage = fb.Linkage("kite", points=points, ground="AD", links=["AB", "BC", "CD"])
@@ -294,7 +294,7 @@ def test_a_kite_that_folds():
 
 
 @pytest.mark.parametrize("wheels", [3, 4])
-def test_wheels_that_are_coupled(wheels):
+def test_branches_of_coupled_wheels_satisfy_their_closed_form(wheels):
     """Each coupling is a parallelogram or antiparallelogram: tan(q/2) of a wheel is k times that of the one before."""
     places = {f"G{i}": (2.0 * i, 0) for i in range(wheels)} | {f"K{i}": (2.0 * i + 0.6, 0.8) for i in range(wheels)}
     links = [(f"G{i}", f"K{i}") for i in range(wheels)] + [(f"K{i}", f"K{i + 1}") for i in range(wheels - 1)]
@@ -318,7 +318,7 @@ def test_wheels_that_are_coupled(wheels):
         assert np.flatnonzero(np.isnan(torque)).tolist() == [0, 90, 180]
 
 
-def test_drives_around_corners():
+def test_branches_of_two_drives_around_a_square_equal_intersections_of_circles():
     """Two drives of a five-bar around a square and back: each position by two circles that intersect."""
     points = {"A": (0, 0), "B": (-0.1, 0.3), "C": (0.2, 0.5), "D": (0.5, 0.25), "E": (0.4, 0)}
     linkage = fb.Linkage("five", points=points, ground="AE", links=["AB", "BC", "CD", "DE"])
@@ -341,7 +341,7 @@ def test_drives_around_corners():
         assert min(np.abs(place - other).max() for other in places) < 1e-12
 
 
-def test_an_open_chain():
+def test_open_chain_with_all_coordinates_driven_has_closed_form_accelerations():
     """All coordinates driven, with rates of their own: the end of a chain by differentiating its position."""
     model = fb.compile_model(fb.Linkage("arm", points=ARM, ground="A", links=["AB", "BC"]).model())
     t = np.linspace(0.0, 1.0, 11)
@@ -363,7 +363,7 @@ def test_an_open_chain():
 ARM = {"A": (0, 0), "B": (0.4, 0), "C": (0.7, 0)}
 
 
-def test_a_prescribed_motion_is_a_drive():
+def test_drive_by_a_prescribed_motion_gives_the_branches_of_the_coordinate():
     linkage = mechanisms.crank_rocker()
     linkage.drive("O", speed=1.0)
     model = fb.compile_model(linkage.model())
@@ -390,7 +390,7 @@ WISHBONE = {
 form, and by Newton's method for 15 unknown coordinates of points; both agree to 1e-16 m."""
 
 
-def test_a_double_wishbone_in_space():
+def test_double_wishbone_in_space_has_the_known_places_and_camber():
     found = found_of(mechanisms.double_wishbone, np.radians([*WISHBONE]))
     branch = found[0]
     axle = branch["T"] - branch["W"]
@@ -400,7 +400,7 @@ def test_a_double_wishbone_in_space():
         assert camber[k] == pytest.approx(expected, abs=1e-9)
 
 
-def test_no_masses_are_asked_for():
+def test_kinematics_without_masses_need_lengths_only():
     system = fb.models.four_bar().system
     lengths = {"l1": 0.8, "l2": 0.2, "l3": 0.7, "l4": 0.6}
     model = fb.compile_model(fb.Model(system, name="no_masses", parameters=lengths, inputs="auto"))
@@ -411,7 +411,7 @@ def test_no_masses_are_asked_for():
         bare.kinematics({"q1": [0.0, 1.0]})
 
 
-def test_every_drawn_line_keeps_its_length():
+def test_links_drawn_along_every_mechanisms_branch_keep_their_lengths():
     """The ends of each link's lines, along the whole motion, to 1e-12 of the size of the mechanism."""
     from fourbar_codegen.presentation.scene import scene
 
@@ -426,7 +426,7 @@ def test_every_drawn_line_keeps_its_length():
                 assert np.ptp(far) < 1e-12 * found.size, (make, line)
 
 
-def test_a_freedom_that_is_left():
+def test_five_bar_with_one_drive_is_refused_and_with_two_has_two_branches():
     """A five-bar has two degrees of freedom; both of them driven, it has two branches."""
     points = {"A": (0, 0), "B": (-0.1, 0.3), "C": (0.2, 0.5), "D": (0.5, 0.25), "E": (0.4, 0)}
     linkage = fb.Linkage("five", points=points, ground="AE", links=["AB", "BC", "CD", "DE"])
@@ -440,7 +440,7 @@ def test_a_freedom_that_is_left():
     np.testing.assert_allclose(lengths, sqrt(0.3**2 + 0.2**2), rtol=0, atol=1e-12)
 
 
-def test_what_cannot_be_driven(four_bar):
+def test_drives_of_wrong_names_or_values_are_refused_with_a_message(four_bar):
     for drive, message in (
         ({"q9": [0.0]}, "q9"),
         ({}, "drive= is a mapping"),
@@ -457,7 +457,7 @@ def test_what_cannot_be_driven(four_bar):
         fb.compile_model(fb.models.chain(2)).kinematics({"q1": [0.0]})
 
 
-def test_a_trammel():
+def test_point_of_a_trammel_moves_on_its_ellipse():
     """Two blocks on the ground and no pin there: the end of the rod moves on an ellipse (Archimedes)."""
     points = {"X": (0.75, 0), "Y": (0, -sqrt(27) / 4), "P": (1.5, sqrt(27) / 4)}
     linkage = fb.Linkage("trammel", points=points, links=["XYP"])
@@ -468,7 +468,7 @@ def test_a_trammel():
     np.testing.assert_allclose((x / 3) ** 2 + (y / 1.5) ** 2, 1.0, rtol=0, atol=1e-12)
 
 
-def test_a_branch_between_two_values_is_not_drawn():
+def test_plot_of_branches_that_close_at_no_given_value_is_refused():
     """The slider's dead points are at 0.2 and 0.4 m."""
     crank = fb.compile_model(fb.models.slider_crank())
     found = crank.kinematics({"slide": [0.1, 0.5]})
@@ -477,7 +477,7 @@ def test_a_branch_between_two_values_is_not_drawn():
         found.plot_paths()
 
 
-def test_pictures_of_branches(four_bar):
+def test_plots_of_branches_have_a_panel_each_and_refuse_wrong_names(four_bar):
     found = four_bar.kinematics({"q1": np.linspace(-0.5, 0.5, 5)})
     assert len(found.plot().axes) == 2
     assert len(found.plot("q2", "P2").axes) == 2
@@ -491,7 +491,7 @@ def test_pictures_of_branches(four_bar):
 
 @pytest.mark.parametrize("radius", [0.01, 0.1, 0.7, 3.0])
 @pytest.mark.parametrize("angle", [0.0, 0.3, 1.2, pi / 2, 2.7, 4.4])
-def test_a_closed_curve_is_traced_once(radius, angle):
+def test_circle_by_continuation_is_traced_once_with_two_folds(radius, angle):
     """A circle: its length, that of the chords of arcs of less than 0.11, with two folds."""
 
     def circle(z):
@@ -507,7 +507,7 @@ def test_a_closed_curve_is_traced_once(radius, angle):
     assert len(curve.branches()) == 2
 
 
-def test_loops_with_paths_in_common():
+def test_branches_of_loops_with_paths_in_common_equal_intersections_of_circles():
     """By circles: C by A and G, D by A and G, F by D and E. The tree of links begins at G, and is driven at its end."""
     points = {
         "O": (0, 0), "G": (-38, -7.8), "A": (15, 0), "C": (-24, 31.3), "E": (-74.8, 8.1), "D": (-27, -45.5),

@@ -16,7 +16,7 @@ import fourbar_codegen as fb
 # In double precision, what SymPy substitutes for the four-bar cancels to no digit; with 40 digits, it takes the disc's
 # matrices for singular.
 @pytest.mark.parametrize(("name", "digits"), [("four_bar", 40), ("rolling_disc", 15), ("slider_crank", 40)])
-def test_linearize_as_kanes_method_does(name, digits):
+def test_linearization_of_ready_models_equals_that_of_kanes_method(name, digits):
     model = getattr(fb.models, name)()
     compiled = fb.compile_model(model)
     start = {"q3": 0.4, "q1": 0.2, "q4": 0.1, "q5": 0.3} if name == "rolling_disc" else {}
@@ -44,7 +44,7 @@ def test_linearize_as_kanes_method_does(name, digits):
         np.testing.assert_allclose(B, np.array(expected_B, dtype=float), rtol=0, atol=1e-9 * np.abs(B).max())
 
 
-def test_linearized_motion_follows_the_full_one(four_bar):
+def test_linearized_motion_near_equilibrium_follows_the_full_one(four_bar):
     # From x and x + d along the constraints, both motions part as exp(A t) d says, to second order in d.
     x = four_bar.equilibrium(four_bar.initial_state()[:3], inputs={"F": 0.0})
     A, _ = four_bar.linearize(0.0, x, r={"F": 0.0})
@@ -56,7 +56,7 @@ def test_linearized_motion_follows_the_full_one(four_bar):
     np.testing.assert_allclose(run.y[[0, 3], -1] - x[[0, 3]], expected, atol=100 * size**2)
 
 
-def test_equilibrium_is_where_the_potential_is_least(four_bar):
+def test_equilibrium_of_the_four_bar_is_at_the_least_potential(four_bar):
     # Without spring and damper, whose torque has no potential: it depends on q2 and acts on q1.
     p = {"k": 0.0, "c": 0.0}
 
@@ -79,7 +79,7 @@ UNITS = list(itertools.product((1e-6, 1.0, 1e6), (1e-6, 1.0, 1e6), (1e-6, 1.0, 1
 """Of length, mass and time."""
 
 
-def test_equilibrium_in_all_units_of_length_mass_and_time(four_bar):
+def test_equilibrium_in_other_units_of_length_mass_and_time_is_the_same(four_bar):
     """A change of units changes no angle, and a displacement by that of length."""
     start = four_bar.initial_state()[:3]
     angles = four_bar.equilibrium(start, inputs={"F": 3.0})[:3]
@@ -98,7 +98,7 @@ def test_equilibrium_in_all_units_of_length_mass_and_time(four_bar):
         np.testing.assert_allclose(found / length, [1.0, 0.0, 0.0, 0.0], rtol=0, atol=1e-9)
 
 
-def test_equilibria_of_random_four_bars():
+def test_equilibria_of_random_four_bars_are_minima_of_the_potential():
     """From closed positions where least squares end at a minimum of the accelerations that is no equilibrium.
 
     With the loop a e^(i q1) + b e^(i q2) + c e^(i q3) = d and uniform bars, V / (rho g) = a^2/2 s1 + b (a s1 + b/2 s2)
@@ -129,7 +129,7 @@ def test_equilibria_of_random_four_bars():
         assert along**2 @ second > 0.0
 
 
-def test_equilibria_of_a_block_on_a_vertical_guide():
+def test_equilibria_of_a_block_on_a_guide_satisfy_virtual_work():
     """From closed positions where a Newton step is millions of turns, or the only displacement is nearly zero.
 
     With a cos q1 + b cos q2 = d, a virtual displacement has a s1 dq1 + b s2 dq2 = 0, and the potential's gradient along
@@ -155,7 +155,7 @@ def test_equilibria_of_a_block_on_a_vertical_guide():
         assert alpha * c1 * b * s2 == pytest.approx(beta * c2 * a * s1, abs=1e-9)
 
 
-def test_the_kind_of_an_equilibrium():
+def test_stability_of_a_pendulum_and_a_free_particle_is_told():
     """A pendulum hangs or stands, and a particle without forces rests anywhere."""
     ring = fb.compile_model(fb.models.cartesian_pendulum())
     for height, expected in ((0.9, "unstable"), (-0.9, "stable")):  # of q1, upwards
@@ -183,7 +183,7 @@ def pendulum_on_a_block():
     return fb.compile_model(fb.Model(method, parameters=values, name="block"))
 
 
-def test_the_kind_of_an_equilibrium_with_slow_and_fast_motions():
+def test_stability_with_slow_and_fast_motions_is_that_of_the_slow_one():
     """Whether the slow motion grows, with eigenvalues g / c = 5e-4 / s or sqrt(g / l), does not depend on the fast one.
 
     Without the spring, the block rests anywhere.
@@ -200,7 +200,7 @@ def test_the_kind_of_an_equilibrium_with_slow_and_fast_motions():
         assert model.equilibrium([0.3, 1.57], parameters={"k": 0.0, "c": damping}, stability=True)[1] == "unstable"
 
 
-def test_no_equilibrium(four_bar):
+def test_equilibrium_that_does_not_exist_or_has_wrong_arguments_is_refused(four_bar):
     # A disc stands upright, and nowhere else.
     disc = fb.compile_model(fb.models.rolling_disc())
     upright = disc.equilibrium({"q2": 0.1, "q3": 0.4})
@@ -235,7 +235,7 @@ def on_a_line(*forces, kdes=None, constraint=None, **inputs):
     return fb.Model(system, name="line", inputs={me.dynamicsymbols(name): value for name, value in inputs.items()})
 
 
-def test_an_equilibrium_is_one_of_every_part():
+def test_equilibrium_of_one_part_alone_is_refused():
     q1, u1, v = me.dynamicsymbols("q1 u1 v")
     stiff = fb.compile_model(on_a_line(-1e9 * q1, sm.Float(9.81)))
     with pytest.raises(fb.SimulationError, match="No equilibrium"):
@@ -246,7 +246,7 @@ def test_an_equilibrium_is_one_of_every_part():
         moving.equilibrium()
 
 
-def test_inputs_in_constraints_move_what_depends_on_them():
+def test_linearization_with_an_input_in_constraints_moves_dependent_coordinates():
     # u1' = -4 (q1 - q2), and q2 follows the input s.
     q1, q2, s = me.dynamicsymbols("q1 q2 s")
     excited = fb.compile_model(on_a_line(-4 * (q1 - q2), 0 * q2, constraint=q2 - s, s=0))
@@ -259,7 +259,7 @@ def test_inputs_in_constraints_move_what_depends_on_them():
         excited.linearize(0.0, "abc")
 
 
-def test_quaternions_without_their_norm_have_no_equilibrium_to_search():
+def test_equilibrium_in_quaternions_without_their_norm_is_refused():
     top = fb.compile_model(fb.Model(quaternion_top(), name="top"))
     with pytest.raises(fb.ModelError, match="norm of a quaternion"):
         top.equilibrium([1.0, 0.1, 0.0, 0.0])

@@ -36,7 +36,7 @@ CHANGES = [
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_key_knows_every_part_of_the_model(change):
+def test_cache_key_changes_with_every_part_of_the_model(change):
     assert pipeline.key_of(slider()) == pipeline.key_of(slider())
     assert pipeline.key_of(slider(change)) != pipeline.key_of(slider())
 
@@ -45,7 +45,7 @@ def test_key_knows_every_part_of_the_model(change):
     "change",
     ["package", "abi", "sympy", "compiler", "compiler file", "flags", "CFLAGS", "processor"],
 )
-def test_key_knows_the_toolchain(change, monkeypatch, tmp_path):
+def test_cache_key_changes_with_every_part_of_the_toolchain(change, monkeypatch, tmp_path):
     model = slider()
     key = pipeline.key_of(model)
     forget_digests()
@@ -86,7 +86,7 @@ def forget_digests():
     toolchain._headers_digest.cache_clear()
 
 
-def test_key_is_the_same_in_every_process():
+def test_cache_key_is_the_same_in_processes_with_other_hash_seeds():
     code = (
         "import fourbar_codegen as fb\nfrom fourbar_codegen.compile import key_of\nprint(key_of(fb.models.four_bar()))"
     )
@@ -105,7 +105,7 @@ def test_key_is_the_same_in_every_process():
     assert keys == {pipeline.key_of(fb.models.four_bar()) + "\n"}
 
 
-def test_fingerprint_tells_structures_apart():
+def test_fingerprints_of_different_structures_differ_and_objects_are_refused():
     x = sm.Symbol("x")
     different = [
         (1, 2),
@@ -124,7 +124,7 @@ def test_fingerprint_tells_structures_apart():
         fingerprint.fingerprint(object())
 
 
-def test_dummies_are_told_apart_by_their_first_appearance():
+def test_fingerprints_of_dummies_depend_on_their_first_appearance():
     def digest(*symbols):
         a, b, c = symbols
         return fingerprint.fingerprint((sm.sin(a) ** b, a / c))
@@ -136,7 +136,7 @@ def test_dummies_are_told_apart_by_their_first_appearance():
     assert len(set(different)) == len(different)
 
 
-def test_expressions_nested_deeper_than_pythons_stack():
+def test_fingerprints_of_expressions_deeper_than_pythons_stack_differ():
     expr = sm.Symbol("x")
     for _ in range(5 * sys.getrecursionlimit()):
         expr = sm.sin(expr, evaluate=False)
@@ -144,7 +144,7 @@ def test_expressions_nested_deeper_than_pythons_stack():
 
 
 @pytest.mark.parametrize("make", [slider, fb.models.whipple_bicycle, lambda: fb.models.chain(8, closed=True)])
-def test_parts_are_formed_when_they_are_needed(monkeypatch, tmp_path, make):
+def test_parts_of_a_model_are_formed_at_their_first_use_with_a_modules_text(monkeypatch, tmp_path, make):
     """From the folder in the cache, to the text that a module has."""
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     model = fb.compile_model(make())
@@ -158,7 +158,7 @@ def test_parts_are_formed_when_they_are_needed(monkeypatch, tmp_path, make):
         assert found == expected[f"{model.name}_{part}.c"]
 
 
-def test_warm_call_forms_no_equations(monkeypatch):
+def test_compile_model_of_a_cached_model_forms_no_equations(monkeypatch):
     cold = fb.compile_model(slider())
 
     def forbidden(*_):
@@ -180,7 +180,7 @@ def test_failed_build_leaves_nothing_and_the_next_one_succeeds(monkeypatch, tmp_
     assert fb.compile_model(slider()).n_x == 4
 
 
-def test_concurrent_calls_build_once(monkeypatch, tmp_path):
+def test_concurrent_compilations_of_one_model_build_it_once(monkeypatch, tmp_path):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     calls = compilations(monkeypatch)
     models = [slider() for _ in range(3)]
@@ -202,7 +202,7 @@ def compilations(monkeypatch):
     return calls
 
 
-def test_another_number_compiles_nothing(monkeypatch, tmp_path):
+def test_change_of_a_default_unit_or_initial_value_compiles_nothing(monkeypatch, tmp_path):
     """Defaults, units and initial values are no part of a library."""
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     calls = compilations(monkeypatch)
@@ -228,7 +228,7 @@ def sources_of(change):
     return fb.generate_sources(slider(change))
 
 
-def test_a_change_of_the_package_that_leaves_the_sources_compiles_nothing(monkeypatch, tmp_path):
+def test_change_of_the_package_with_equal_sources_compiles_nothing(monkeypatch, tmp_path):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     first = fb.compile_model(slider())
     first.require_derivatives()
@@ -243,7 +243,7 @@ def test_a_change_of_the_package_that_leaves_the_sources_compiles_nothing(monkey
     assert calls == ["slider_kernel.so", "slider_derivatives.so"]
 
 
-def test_folder_in_the_cache_holds_sources_library_and_numbers_only(monkeypatch, tmp_path):
+def test_folder_in_the_cache_after_a_build_holds_known_files_only(monkeypatch, tmp_path):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     model = fb.compile_model(slider())
     names = sorted(path.name for path in model.path.parent.iterdir())
@@ -251,7 +251,7 @@ def test_folder_in_the_cache_holds_sources_library_and_numbers_only(monkeypatch,
                      "slider_later.pickle", "slider_numbers.json"]  # fmt: skip
 
 
-def test_a_library_without_its_numbers(tmp_path):
+def test_library_without_its_file_of_numbers_is_refused(tmp_path):
     path = fb.compile_model(slider()).path
     alone = shutil.copy(path, tmp_path)
     numbers = tmp_path / "slider_numbers.json"
@@ -264,7 +264,7 @@ def test_a_library_without_its_numbers(tmp_path):
     assert fb.load(alone).defaults == fb.load(path).defaults
 
 
-def test_derivatives_are_compiled_when_they_are_needed(monkeypatch, tmp_path):
+def test_derivatives_are_compiled_at_their_first_use_and_not_by_explicit_runs(monkeypatch, tmp_path):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     model = fb.compile_model(slider())
     start = model.initial_state({"q1": 0.48}, {"u1": 0.0})
@@ -307,7 +307,9 @@ def test_derivatives_are_compiled_when_they_are_needed(monkeypatch, tmp_path):
         ("batch", r"(forcing\[1\] = )", r"\g<1>1.1*", "for several states side by side"),
     ],
 )
-def test_a_defect_of_a_part_is_found_when_it_is_built(monkeypatch, tmp_path, part, pattern, replacement, message):
+def test_defect_of_a_part_compiled_later_is_found_and_not_kept(
+    monkeypatch, tmp_path, part, pattern, replacement, message
+):
     """What is compiled later is compared without SymPy, and not kept where it does not agree."""
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     sources = fb.generate_sources(slider())
@@ -332,7 +334,7 @@ def entries(folder):
     return sorted(path.name.rpartition("-")[0] for path in folder.iterdir() if path.is_dir())
 
 
-def test_states_side_by_side_are_compiled_when_they_are_needed(monkeypatch, tmp_path):
+def test_batch_functions_are_compiled_at_the_first_batch_or_ensemble(monkeypatch, tmp_path):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     first = fb.compile_model(slider())
     start = first.initial_state({"q1": 0.48}, {"u1": 0.0})
@@ -352,7 +354,7 @@ def test_states_side_by_side_are_compiled_when_they_are_needed(monkeypatch, tmp_
     assert calls == []
 
 
-def test_states_side_by_side_that_cannot_be_compiled(monkeypatch, tmp_path):
+def test_batch_functions_that_cannot_be_compiled_raise_and_are_tried_again(monkeypatch, tmp_path):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     model = fb.compile_model(slider())
     x = np.full((4, 3), 0.5)
@@ -366,7 +368,7 @@ def test_states_side_by_side_that_cannot_be_compiled(monkeypatch, tmp_path):
     assert np.isfinite(model.rhs_batch(0.0, x)).all()
 
 
-def test_states_side_by_side_without_their_sources(monkeypatch, tmp_path):
+def test_batch_functions_without_sources_are_refused_unless_the_model_is_loaded(monkeypatch, tmp_path):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     model = fb.compile_model(slider())
     x = np.full((4, 3), 0.5)
@@ -385,7 +387,7 @@ def test_states_side_by_side_without_their_sources(monkeypatch, tmp_path):
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(model)).rhs_batch(0.0, x), rates)
 
 
-def test_a_cache_of_no_size(monkeypatch, tmp_path):
+def test_cache_with_a_limit_of_one_byte_serves_models_and_their_parts(monkeypatch, tmp_path):
     """What was just made stays, and a model does not need what went."""
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE_SIZE", "1")
@@ -395,7 +397,7 @@ def test_a_cache_of_no_size(monkeypatch, tmp_path):
     np.testing.assert_allclose(model.rhs_batch(0.0, x)[:, 0], fb.compile_model(slider()).rhs(0.0, x[:, 0]), rtol=1e-14)
 
 
-def test_a_library_that_vanishes_is_built_again(monkeypatch, tmp_path):
+def test_library_that_vanishes_during_a_compilation_is_built_again(monkeypatch, tmp_path):
     """Another process may clear the cache between two steps of a compilation."""
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     original, removed = library.build_part, []
@@ -412,7 +414,7 @@ def test_a_library_that_vanishes_is_built_again(monkeypatch, tmp_path):
     assert len(removed) == 2
 
 
-def test_another_models_sources_in_the_folder(tmp_path):
+def test_batch_source_of_another_model_in_the_folder_is_not_used(tmp_path):
     """Unknown forces are not found side by side; what is left of another model of the same name does not count."""
     batch = tmp_path / "rod_batch.c"
     batch.write_text("of another model")
@@ -423,7 +425,7 @@ def test_another_models_sources_in_the_folder(tmp_path):
     np.testing.assert_array_equal(model.rhs_batch(0.0, x)[:, 0], model.rhs(0.0, x[:, 0]))
 
 
-def test_states_side_by_side_need_no_sympy(tmp_path, monkeypatch):
+def test_batch_functions_of_a_loaded_library_need_no_sympy(tmp_path, monkeypatch):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     path = fb.compile_model(slider()).path
     code = f"""
@@ -436,7 +438,7 @@ print(fb.load({str(path)!r}).rhs_batch(0.0, [[0.5], [0.1], [0.2], [0.3]]).shape)
     assert done.stdout == "(4, 1)\n", done.stderr
 
 
-def test_modules_for_others_have_all_in_one_file(monkeypatch, tmp_path):
+def test_module_moved_out_of_its_folder_has_all_functions(monkeypatch, tmp_path):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path / "cache"))
     module = fb.build_model(slider(), tmp_path / "folder")
     shutil.move(module, tmp_path / module.name)
@@ -446,7 +448,7 @@ def test_modules_for_others_have_all_in_one_file(monkeypatch, tmp_path):
     assert not (tmp_path / "cache").exists()
 
 
-def test_models_sent_to_another_processor(monkeypatch, tmp_path):
+def test_pickled_model_on_another_processor_is_built_anew(monkeypatch, tmp_path):
     """They see the same folders, and must not execute what was built for the other."""
     model = fb.compile_model(slider())
     sent, x = pickle.dumps(model), [0.5, 0.1, 0.2, 0.3]
@@ -462,7 +464,7 @@ def test_models_sent_to_another_processor(monkeypatch, tmp_path):
     assert pickle.loads(pickle.dumps(copied)).path == other.path
 
 
-def test_models_that_were_built_to_travel(monkeypatch, tmp_path):
+def test_pickled_module_on_another_processor_is_used_unless_replaced(monkeypatch, tmp_path):
     model = fb.load(fb.build_model(slider(), tmp_path))
     sent, x = pickle.dumps(model), [0.5, 0.1, 0.2, 0.3]
     assert model.is_portable
@@ -478,7 +480,7 @@ def test_models_that_were_built_to_travel(monkeypatch, tmp_path):
         np.testing.assert_allclose(again.rhs(0.0, x), model.rhs(0.0, x), rtol=1e-12)  # with other instructions
 
 
-def test_models_sent_without_their_sources(tmp_path):
+def test_pickled_module_without_sources_is_refused_where_it_is_missing(tmp_path):
     model = fb.load(fb.build_model(slider("name"), tmp_path))
     for path in tmp_path.glob("*.[ch]"):
         path.unlink()
@@ -489,7 +491,7 @@ def test_models_sent_without_their_sources(tmp_path):
         pickle.loads(sent)
 
 
-def test_modules_of_another_layout_are_refused(monkeypatch, tmp_path):
+def test_module_built_with_other_structs_is_refused_on_loading(monkeypatch, tmp_path):
     """Built with the headers of another version, in which a struct of ensembles has one more member."""
     headers = shutil.copytree(fb.get_include(), tmp_path / "headers")
     text = (headers / "fourbar_batch.h").read_text()
@@ -502,7 +504,7 @@ def test_modules_of_another_layout_are_refused(monkeypatch, tmp_path):
         fb.load(module)
 
 
-def test_states_side_by_side_of_another_layout_are_refused(monkeypatch):
+def test_batch_functions_of_another_layout_are_refused_when_attached(monkeypatch):
     model, found = fb.compile_model(slider()), []
     attach = type(model)._attach_batch_functions
     with monkeypatch.context() as patched:
@@ -547,7 +549,7 @@ class Sleeper:
                     time.sleep(0.01)
 
 
-def test_the_cache_is_kept_within_its_limit(monkeypatch, tmp_path):
+def test_cache_over_its_limit_loses_the_least_recently_used_entries(monkeypatch, tmp_path):
     """What was not used for longest goes first; use is what counts, not age."""
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     known = set()
@@ -578,7 +580,7 @@ def test_the_cache_is_kept_within_its_limit(monkeypatch, tmp_path):
             fb.compile_model(slider("body"))
 
 
-def test_a_cache_that_cannot_be_written_goes_on_serving(monkeypatch, tmp_path):
+def test_cache_that_cannot_be_written_still_serves_its_models(monkeypatch, tmp_path):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     path = fb.compile_model(slider()).path
 
@@ -598,7 +600,7 @@ def sleeper(tmp_path, monkeypatch):
     return sleeper
 
 
-def test_a_compiler_that_hangs_is_stopped(sleeper, monkeypatch, tmp_path):
+def test_compiler_beyond_its_time_limit_is_stopped_with_a_message(sleeper, monkeypatch, tmp_path):
     monkeypatch.setenv("FOURBAR_CODEGEN_TIME_LIMIT", "0.5")
     with pytest.raises(fb.BuildError, match=r"has not ended within 0.5 s .* FOURBAR_CODEGEN_TIME_LIMIT"):
         fb.compile_model(slider())
@@ -621,7 +623,7 @@ COMPILES = (
 
 
 @pytest.mark.parametrize("how", ["compile_model(slider())", "build_model(slider(), sys.argv[1])"])
-def test_an_interrupt_ends_compilation(sleeper, tmp_path, how):
+def test_compilation_interrupted_from_the_keyboard_stops_its_tools(sleeper, tmp_path, how):
     code = (
         "import os, pathlib, signal, threading, time\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # what runs in the background ignores interrupts
@@ -639,7 +641,7 @@ def test_an_interrupt_ends_compilation(sleeper, tmp_path, how):
     assert not (tmp_path / "folder").exists()
 
 
-def test_who_waits_says_for_whom(sleeper, monkeypatch, capsys):
+def test_process_that_waits_for_a_build_names_the_builder(sleeper, monkeypatch, capsys):
     monkeypatch.setattr(cache, "PATIENCE", 0.0)
     command = [sys.executable, "-c", f"{COMPILES}fb.compile_model(slider())"]
     first = subprocess.Popen(command, stderr=subprocess.DEVNULL)
@@ -665,7 +667,7 @@ def test_who_waits_says_for_whom(sleeper, monkeypatch, capsys):
     first.wait()
 
 
-def test_unwritable_cache(monkeypatch, tmp_path):
+def test_cache_folder_that_is_a_file_raises_an_error_that_names_the_variable(monkeypatch, tmp_path):
     # A file where the folder should be: no user may write there, root included.
     blocked = tmp_path / "file"
     blocked.write_text("")
@@ -729,7 +731,7 @@ def test_damaged_entry_is_built_anew(tmp_path, filled, damage):
     assert run_of_slider(tmp_path / "cache") == (tmp_path / "cache" / module, rates)
 
 
-def test_damaged_sources_are_not_used(tmp_path, monkeypatch):
+def test_sources_damaged_in_the_cache_are_not_compiled_or_sent(tmp_path, monkeypatch):
     """They would be compiled for ensembles, and travel with a model."""
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     model = slider()
@@ -794,7 +796,7 @@ def built_by(who):
 KEY = "0123456789abcdef" * 4
 
 
-def test_what_another_user_has_built_is_not_loaded(shared):
+def test_entry_of_another_user_in_a_shared_cache_is_not_loaded(shared):
     with as_user(OTHER):
         theirs = cache.cached("model", KEY, built_by("other"))
     assert theirs.parent.parent == shared
@@ -811,7 +813,7 @@ def test_what_another_user_has_built_is_not_loaded(shared):
         assert cache.find_cached("model", other_key).read_text() == "me"
 
 
-def test_leftovers_of_another_user_block_nobody(shared):
+def test_locks_of_another_user_in_a_shared_cache_block_nobody(shared):
     entry = cache._place(shared, "model", KEY).name
     with as_user(OTHER):
         for name in (f"{entry}.lock", f"{entry}.{OTHER}.lock"):
@@ -837,7 +839,7 @@ TAMPERED = {
 
 
 @pytest.mark.parametrize("how", TAMPERED)
-def test_nothing_that_others_may_change_is_loaded(shared, how):
+def test_entry_that_others_may_change_is_not_loaded_but_built_anew(shared, how):
     tamper, reason = TAMPERED[how]
     module = cache.cached("model", KEY, built_by("first"))
     tamper(module.parent)
@@ -848,7 +850,7 @@ def test_nothing_that_others_may_change_is_loaded(shared, how):
     assert again.parent.parent == shared.parent / str(os.geteuid()) / "cache"
 
 
-def test_checksums_name_nothing_outside_of_their_folder(shared):
+def test_checksum_that_names_a_file_outside_its_folder_is_refused(shared):
     module = cache.cached("model", KEY, built_by("first"))
     outside = shared.parent / "outside.so"
     outside.write_text("outside")
@@ -858,7 +860,7 @@ def test_checksums_name_nothing_outside_of_their_folder(shared):
         assert cache.cached("model", KEY, built_by("again")).read_text() == "again"
 
 
-def test_entries_are_closed_whatever_the_umask(shared):
+def test_entry_written_with_an_open_umask_is_closed_to_others(shared):
     before = os.umask(0)
     try:
         module = cache.cached("model", KEY, built_by("first"))
@@ -868,7 +870,7 @@ def test_entries_are_closed_whatever_the_umask(shared):
     assert module.read_text() == "first"
 
 
-def test_a_home_that_cannot_be_used(shared, monkeypatch):
+def test_cache_without_a_usable_home_is_a_folder_of_the_process(shared, monkeypatch):
     """Then a folder for this process."""
     shared.chmod(0o777)
     monkeypatch.setattr("platformdirs.user_cache_path", lambda *_, **__: Path("/dev/null/cache"))
@@ -909,7 +911,7 @@ def test_a_full_disk_leaves_the_cache_as_it_was(monkeypatch, tmp_path):
         assert first.jacobian(0.0, [0.3] * 4).shape == (4, 4)
 
 
-def test_file_systems_that_run_nothing(four_bar, tmp_path):
+def test_module_on_a_noexec_file_system_is_refused_with_its_reason(four_bar, tmp_path):
     with mounted(tmp_path, "noexec"):
         shutil.copy(four_bar.path, tmp_path)
         with pytest.raises(fb.ModelError, match="mounted with noexec"):
@@ -921,7 +923,7 @@ def other_weight():
     return slider("mass")
 
 
-def test_a_module_whose_folder_was_built_anew_is_not_sent_with_the_new_sources(monkeypatch, tmp_path):
+def test_module_whose_folder_was_built_anew_is_not_sent_with_new_sources(monkeypatch, tmp_path):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path / "cache"))
     loaded = fb.load(fb.build_model(slider(), tmp_path))
     expected = loaded.rhs(0.0, [0.5, 0.1, 0.2, 0.3])
@@ -955,7 +957,7 @@ def test_a_build_that_is_interrupted_leaves_the_folder_as_it_was(monkeypatch, tm
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
-def test_models_of_one_name_where_libraries_share_their_symbols(monkeypatch, tmp_path):
+def test_models_of_one_name_with_shared_symbols_keep_their_own_rates(monkeypatch, tmp_path):
     """With RTLD_GLOBAL, the loader gives what was loaded first to all that ask for a name."""
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path / "cache"))
     module = fb.build_model(other_weight(), tmp_path / "built")
@@ -979,7 +981,7 @@ for model in (fb.load({str(module)!r}), fb.compile_model(slider())):
 
 
 @pytest.mark.parametrize("damage", ["numbers", "library"])
-def test_a_library_that_was_damaged_is_not_loaded_by_its_path(monkeypatch, tmp_path, damage):
+def test_library_or_numbers_damaged_in_the_cache_are_refused_by_path(monkeypatch, tmp_path, damage):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     path = fb.compile_model(slider("parameter as an expression")).path
     damaged = path if damage == "library" else path.with_name("slider_numbers.json")
@@ -991,7 +993,7 @@ def test_a_library_that_was_damaged_is_not_loaded_by_its_path(monkeypatch, tmp_p
 
 @pytest.mark.parametrize("share", [0.05, 0.3, 0.95])
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="ELF")
-def test_half_of_a_module_is_refused(tmp_path, share):
+def test_module_truncated_anywhere_is_refused_on_loading(tmp_path, share):
     """The loader of the system takes it, and ends the process."""
     module = fb.build_model(slider(), tmp_path)
     half = tmp_path / "half" / module.name
@@ -1001,7 +1003,7 @@ def test_half_of_a_module_is_refused(tmp_path, share):
         fb.load(half)
 
 
-def test_a_cache_that_is_cleared_all_the_time(monkeypatch, tmp_path):
+def test_cache_cleared_between_steps_is_built_again_up_to_five_times(monkeypatch, tmp_path):
     """Between any two steps another process may remove a folder; whoever looks for it builds it again."""
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     from fourbar_codegen.kernel import loading
@@ -1023,7 +1025,7 @@ def test_a_cache_that_is_cleared_all_the_time(monkeypatch, tmp_path):
             fb.compile_model(slider())
 
 
-def test_what_a_killed_process_was_removing(monkeypatch, tmp_path):
+def test_folders_that_a_killed_process_was_removing_are_listed_and_cleared(monkeypatch, tmp_path):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     for name in (f"big-{32 * '0'}.0.26907.removed", f"bare-{32 * '1'}"):
         (tmp_path / name).mkdir()
@@ -1033,7 +1035,7 @@ def test_what_a_killed_process_was_removing(monkeypatch, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_cache_that_is_a_file(monkeypatch, tmp_path):
+def test_cache_that_is_a_file_cannot_be_listed_or_used(monkeypatch, tmp_path):
     (tmp_path / "file").touch()
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path / "file"))
     with pytest.raises(fb.CacheError, match="cannot be read: Not a directory"):

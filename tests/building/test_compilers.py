@@ -60,7 +60,7 @@ def path_without(monkeypatch, tmp_path):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path / "cache"))
 
 
-def test_ziglang_serves_where_there_is_no_compiler(monkeypatch, tmp_path, tutorial):
+def test_compile_model_without_a_compiler_uses_ziglang(monkeypatch, tmp_path, tutorial):
     path_without(monkeypatch, tmp_path)
     assert compilers.find_compiler().origin == "the package ziglang"
     four_bar = fb.compile_model(fb.models.four_bar())
@@ -78,7 +78,7 @@ def test_ziglang_serves_where_there_is_no_compiler(monkeypatch, tmp_path, tutori
     assert {entry.name for entry in clear()} >= {"ziglang", "four_bar"}
 
 
-def test_what_ziglang_builds_to_travel_runs_on_older_processors(monkeypatch, tmp_path, tutorial):
+def test_module_built_by_ziglang_runs_on_older_processors(monkeypatch, tmp_path, tutorial):
     """zig compiles for the machine it runs on, unless it is told not to."""
     qemu = require("qemu-x86_64")
     path_without(monkeypatch, tmp_path)
@@ -88,7 +88,7 @@ def test_what_ziglang_builds_to_travel_runs_on_older_processors(monkeypatch, tmp
     np.testing.assert_allclose(rates, tutorial.rhs(0.3, np.array(STATE)), **ROUNDING)
 
 
-def test_the_order_of_compilers(monkeypatch, tmp_path):
+def test_compiler_from_cc_comes_before_that_of_the_system(monkeypatch, tmp_path):
     path_without(monkeypatch, tmp_path)
     clang = tmp_path / "bin" / "clang"
     clang.write_text("#!/bin/sh\nexit 3\n")
@@ -101,7 +101,7 @@ def test_the_order_of_compilers(monkeypatch, tmp_path):
         fb.compile_model(slider())
 
 
-def test_without_any_compiler_the_error_says_what_to_install(monkeypatch, tmp_path):
+def test_compile_model_without_any_compiler_says_what_to_install(monkeypatch, tmp_path):
     path_without(monkeypatch, tmp_path)
     monkeypatch.setattr(compilers, "find_spec", lambda name: None)
     with pytest.raises(fb.BuildError, match=r"pip install 'fourbar_codegen\[compiler\]'"):
@@ -111,7 +111,7 @@ def test_without_any_compiler_the_error_says_what_to_install(monkeypatch, tmp_pa
 
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="versions are for x86-64")
 @pytest.mark.parametrize(("processor", "expected"), [("Nehalem", "baseline"), ("Haswell", "avx2")])
-def test_a_shipped_module_runs_on_processors_with_fewer_instructions(tutorial, processor, expected):
+def test_shipped_module_on_older_processors_selects_its_version(tutorial, processor, expected):
     instructions, rates, batch = evaluated("four_bar", require("qemu-x86_64"), "-cpu", processor)
     assert instructions == expected
     reference = tutorial.rhs(0.3, np.array(STATE))
@@ -120,7 +120,7 @@ def test_a_shipped_module_runs_on_processors_with_fewer_instructions(tutorial, p
 
 
 @pytest.mark.parametrize("built", ["installed", "by build_model"])
-def test_all_versions_that_the_processor_can_run(four_bar, tutorial, tmp_path, built):
+def test_versions_of_a_kernel_for_each_instruction_set_give_the_same_rates(four_bar, tutorial, tmp_path, built):
     path = four_bar.path if built == "installed" else fb.build_model(fb.models.four_bar(), tmp_path)
     loaded = load_file(path)
     models = [CompiledModel(kernel, loaded.manifest) for kernel in versions(loaded.kernel)]
@@ -206,13 +206,13 @@ int main(int argc, char **argv)
     ("target", "magic"),
     [("x86_64-windows-gnu", b"MZ"), ("aarch64-macos", b"\xcf\xfa\xed\xfe"), ("aarch64-linux-gnu", b"\x7fELF")],
 )
-def test_kernel_and_runtime_compile_for_other_systems(tmp_path, target, magic):
+def test_kernel_and_runtime_compile_for_windows_macos_and_arm(tmp_path, target, magic):
     (tmp_path / "runtime.c").write_text(RUNTIME)
     built = zig_cc(tmp_path, target, [*sorted(SOURCES.glob("*.c")), tmp_path / "runtime.c"], "-shared")
     assert built.read_bytes().startswith(magic)
 
 
-def test_the_kernel_runs_on_aarch64(four_bar, tutorial, tmp_path):
+def test_kernel_on_emulated_aarch64_gives_sympys_rates(four_bar, tutorial, tmp_path):
     (tmp_path / "main.c").write_text(MAIN)
     built = zig_cc(tmp_path, "aarch64-linux-musl", [*sorted(SOURCES.glob("*.c")), tmp_path / "main.c"], "-static")
     numbers = [repr(float(value)) for value in (*four_bar.defaults.values(), *STATE)]
@@ -221,7 +221,7 @@ def test_the_kernel_runs_on_aarch64(four_bar, tutorial, tmp_path):
     np.testing.assert_allclose(rates, tutorial.rhs(0.3, np.array(STATE)), **ROUNDING)
 
 
-def test_compilers_without_vectors_compile_c99_alone(tmp_path):
+def test_generated_sources_without_gnu_extensions_are_strict_c99(tmp_path):
     """None of gcc's extensions stands where a compiler does not say that it has them, as Microsoft's does not."""
     for source in sorted(SOURCES.glob("*.c")):  # musl's INFINITY is 1e5000f there
         zig_cc(tmp_path, "x86_64-linux-musl", [source], "-c", "-U__GNUC__", "-pedantic-errors", "-Wno-literal-range")

@@ -84,7 +84,7 @@ def test_kernel_compiles_without_warnings(tmp_path, compiler, optimization, name
         compile_c(command, [source], source.with_suffix(".o"), [fb.get_include()])
 
 
-def test_module_serves_on_its_own_with_numpy_alone(four_bar, tmp_path):
+def test_built_module_works_with_numpy_alone(four_bar, tmp_path):
     fb.build_model(fb.models.four_bar(), tmp_path)
     x0 = four_bar.initial_state()
     p = list(four_bar.defaults.values())
@@ -104,7 +104,7 @@ print(json.dumps([names, four_bar.rhs(0.0, {x0.tolist()}, {p}, [0.0]).tolist()])
     assert rates == pytest.approx(four_bar.rhs(0.0, x0).tolist(), rel=1e-13)
 
 
-def test_manifest_names_everything():
+def test_manifest_of_the_four_bar_has_names_units_and_expressions():
     manifest = json.loads((COMMITTED / "manifest.json").read_text())
     assert manifest["coordinates"] == ["q1", "q2", "q3"]
     assert manifest["speeds"] == ["u1", "u2", "u3"]
@@ -113,7 +113,7 @@ def test_manifest_names_everything():
     assert manifest["inputs"] == [{"name": "F", "expression": "100*sin(pi*t)", "of": "F", "order": 0}]
 
 
-def test_generated_text_names_no_tool_version():
+def test_generated_text_of_the_four_bar_has_no_versions_of_tools():
     text = "".join((COMMITTED / name).read_text() for name in NAMES)
     for version in (sm.__version__, np.__version__, scipy.__version__, sys.version.split()[0]):
         assert version not in text

@@ -453,7 +453,7 @@ def arguments(compiled, x0):
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_kernel_and_runs_under_sanitizers(tmp_path, name):
+def test_kernels_and_runs_under_address_sanitizers_end_as_in_python(tmp_path, name):
     make, coordinates = MODELS[name]
     model = make()
     program = Program(model, tmp_path, "address,undefined")
@@ -474,7 +474,7 @@ def test_kernel_and_runs_under_sanitizers(tmp_path, name):
         assert end == pytest.approx(run.y[0, -1], rel=1e-6, abs=1e-8)
 
 
-def test_threads_do_not_meet(tmp_path, four_bar):
+def test_kernel_in_threads_under_the_thread_sanitizer_has_no_races(tmp_path, four_bar):
     Program(fb.models.four_bar(), tmp_path, "thread").run([], arguments(four_bar, four_bar.initial_state()))
 
 
@@ -566,7 +566,7 @@ int main(void)
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
-def test_damaged_states_of_fmus(tmp_path, fmi):
+def test_fmu_states_with_damaged_bytes_are_refused_under_sanitizers(tmp_path, fmi):
     with zipfile.ZipFile(fb.export_fmu(driven(), tmp_path / "driven.fmu", fmi=fmi)) as archive:
         archive.extractall(tmp_path, [name for name in archive.namelist() if name.startswith("sources/")])
     folder = tmp_path / "sources"

@@ -56,7 +56,7 @@ def test_a_defect_is_found_and_named(tmp_path, monkeypatch, text, pattern, repla
         fb.compile_model(slider())
 
 
-def test_states_near_the_initial_values_are_compared(tmp_path, monkeypatch):
+def test_defect_of_a_force_with_values_near_the_initial_state_only_is_found(tmp_path, monkeypatch):
     """Elsewhere the logarithm has no real value; where it has none at any state, a warning says so."""
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     system = pendulum()
@@ -126,7 +126,7 @@ def test_states_for_which_a_force_has_no_value_are_passed_over(force):
         model.rhs(0.0, [-0.5, 0.0])
 
 
-def test_a_force_with_values_only_close_to_the_initial_position_is_compared(recwarn):
+def test_force_with_values_close_to_the_start_only_compiles_silently(recwarn):
     """As of a spline through points 1 mm apart."""
     q, u = me.dynamicsymbols("q u")
     wall, block = me.RigidBody("wall"), me.RigidBody("block", mass=2)
@@ -140,7 +140,7 @@ def test_a_force_with_values_only_close_to_the_initial_position_is_compared(recw
 
 
 @pytest.mark.parametrize("force", [lambda q, F: F - sm.exp(-100 * q), lambda q, F: F - 1e15 * q**3])
-def test_forces_that_are_huge_at_random_states_are_no_defect(force):
+def test_forces_that_are_huge_at_random_states_compile_without_error(force):
     """Where a difference knows nothing, and energy and power are what rounding leaves of them: dx'/dF is 1/m."""
     q, u, push = me.dynamicsymbols("q u F")
     wall, block = me.RigidBody("wall"), me.RigidBody("block", mass=sm.Symbol("m"))
@@ -153,7 +153,7 @@ def test_forces_that_are_huge_at_random_states_are_no_defect(force):
 
 @pytest.mark.parametrize("stair", [1e-4, 1e-5, 2.5e-7])
 @pytest.mark.parametrize("stiffness", [0.0, 1e6])
-def test_stairs_narrower_than_differences_are_no_defect(stair, stiffness):
+def test_force_with_stairs_narrower_than_differences_compiles_without_error(stair, stiffness):
     """Of a spring behind an encoder: differences give its mean stiffness, the derivative between jumps has none."""
     q, u, (m, k, s) = *me.dynamicsymbols("q u"), sm.symbols("m k s")
     wall, block = me.RigidBody("wall"), me.RigidBody("block", mass=m)
@@ -193,7 +193,7 @@ def light_pendulum(tmp_path, monkeypatch, *, check=True):
     return fb.compile_model(fb.Model(system, name="light", parameters=values), check=check)
 
 
-def test_what_rounding_leaves_of_a_light_body_is_no_defect(tmp_path, monkeypatch):
+def test_derivatives_of_a_very_light_body_compile_and_equal_closed_forms(tmp_path, monkeypatch):
     """The first pendulum swings as if it were alone: l q'' = -g sin(q), whose derivative s by l has
     l s'' = -g cos(q) s - q''."""
     model = light_pendulum(tmp_path, monkeypatch)
@@ -247,7 +247,7 @@ def test_a_defect_of_derivatives_is_found_where_rounding_is_large(tmp_path, monk
         (lambda pathway: me.LinearDamper(3.0, pathway), lambda _, rate: 3.0 * rate),
     ],
 )
-def test_a_support_without_mass_moves(element, law):
+def test_spring_or_damper_on_a_moving_support_has_closed_form_rates(element, law):
     """A quarter of a car on a road: the load at the road, which the input moves, does work that no mass takes up."""
     q, u, s, t = *me.dynamicsymbols("q u s"), me.dynamicsymbols._t
     frame, (origin, road, body) = me.ReferenceFrame("N"), map(me.Point, "ORP")

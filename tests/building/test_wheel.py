@@ -37,7 +37,7 @@ print(model.simulate((0.0, 0.1), x, constraints="none").success)
 """
 
 
-def test_a_wheel_runs_in_a_fresh_environment(tmp_path):
+def test_wheel_in_a_fresh_environment_gives_the_models_rates(tmp_path):
     wheel = fb.build_wheel(slider(), tmp_path / "dist", version="1.2")
     assert wheel.name.startswith("slider-1.2-cp")
     with zipfile.ZipFile(wheel) as archive:
@@ -82,7 +82,7 @@ def named(name):
     return model
 
 
-def test_what_is_wrong_is_said(tmp_path, monkeypatch):
+def test_wheel_with_a_taken_name_or_wrong_version_is_refused(tmp_path, monkeypatch):
     for taken in ("sympy", "scipy", "numpy", "pip", "test", "setup", "setuptools", "four_bar", "json"):
         with pytest.raises(fb.ModelError, match="a module of that name exists"):
             fb.build_wheel(named(taken), tmp_path)

@@ -21,7 +21,7 @@ def random_states(four_bar, count, *, closed):
 
 
 @pytest.mark.parametrize("closed", [False, True], ids=["off the manifold", "on the manifold"])
-def test_right_hand_side_and_mass_matrix(four_bar, tutorial, closed):
+def test_rates_and_mass_matrix_on_and_off_closed_loops_equal_sympys(four_bar, tutorial, closed):
     # form_eoms eliminates the dependent speeds with J_d, so its rounding errors grow with cond(J_d), squared
     # because J_d appears on both sides of the mass matrix.
     for t, x in zip(np.linspace(0.0, 2.0, 500), random_states(four_bar, 500, closed=closed), strict=True):
@@ -38,7 +38,7 @@ def test_right_hand_side_and_mass_matrix(four_bar, tutorial, closed):
         assert np.abs(four_bar.forcing(t, x) - expected).max() <= tolerance * scale
 
 
-def test_constraints(four_bar, tutorial):
+def test_constraints_and_their_jacobian_at_random_states_equal_sympys(four_bar, tutorial):
     import sympy as sm
 
     system = tutorial.system
@@ -64,7 +64,7 @@ def test_jacobian_against_complex_steps_through_sympys_equations(four_bar, tutor
         assert np.abs(four_bar.jacobian(t, x) - expected).max() <= tolerance * np.abs(expected).max()
 
 
-def test_multipliers_close_the_equations_of_motion(four_bar, tutorial):
+def test_multipliers_at_closed_states_balance_the_equations_with_sympys_rates(four_bar, tutorial):
     # M u' = f + J^T lambda and J u' + gamma = 0, with u' from SymPy's equations.
     for x in random_states(four_bar, 100, closed=True):
         accelerations = tutorial.rhs(0.5, x)[3:]
@@ -77,7 +77,7 @@ def test_multipliers_close_the_equations_of_motion(four_bar, tutorial):
         assert np.abs(jacobian @ accelerations + bias).max() <= tolerance * scale
 
 
-def test_the_tutorials_run_takes_the_same_steps(four_bar, tutorial):
+def test_run_without_projection_takes_the_steps_of_the_tutorials_run(four_bar, tutorial):
     from scipy.integrate import solve_ivp
 
     x0 = tutorial.initial_state([-0.5], [-0.1], [-1.5, -1.5], [0.5, -0.5])

@@ -55,7 +55,7 @@ def twice(center, origin, ground, bar):
         ({"angular": 2}, r"angular acceleration that was set for frame bar .* SymPy's use the former"),
     ],
 )
-def test_a_contradiction_is_named(changes, sentence, tmp_path):
+def test_kinematics_that_contradict_each_other_compile_with_a_warning(changes, sentence, tmp_path):
     model = pendulum(**changes, name=f"contradicts_{next(iter(changes))}")
     for _ in range(2):  # also where it comes from the cache
         with pytest.warns(fb.ModelWarning, match=sentence) as caught:
@@ -71,20 +71,20 @@ def test_a_contradiction_is_named(changes, sentence, tmp_path):
 
 
 @pytest.mark.parametrize("changes", [{}, {"acceleration": of_the_point}, {"angular": 1}])
-def test_what_is_set_as_it_follows_is_silent(changes):
+def test_kinematics_set_as_they_follow_give_no_warning(changes):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         fb.generate_sources(pendulum(**changes))
 
 
 @pytest.mark.parametrize("name", fb.models.__all__)
-def test_our_models_are_silent(name):
+def test_models_of_the_package_give_no_warning(name):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         fb.generate_sources(getattr(fb.models, name)())
 
 
-def test_the_contact_of_a_disc_is_silent_and_its_use_for_accelerations_is_not():
+def test_contact_of_a_disc_gives_a_warning_only_if_accelerations_use_it():
     """Of SymPy's disc, a2pt_theory from the contact, which is fixed in no body, gives equations with 2 u2 u3 in the
     place of 6/5 u2 u3; Kane's own are the latter."""
     kane, values = disc_without_an_angle()
@@ -98,7 +98,7 @@ def test_the_contact_of_a_disc_is_silent_and_its_use_for_accelerations_is_not():
         fb.generate_sources(fb.Model(kane, parameters=values))
 
 
-def test_velocities_that_constraints_make_right_are_silent():
+def test_velocity_of_rolling_gives_no_warning_where_the_constraint_holds():
     """A wheel whose velocity is that of rolling, beside coordinates of its place and the constraint that it rolls."""
     x, turn, v, spin = me.dynamicsymbols("x turn v spin")
     m, r = sm.symbols("m r")
@@ -143,7 +143,7 @@ def disc_that_slides(*, contact_velocity=1):
     return fb.Model(system, name="slides")
 
 
-def test_a_point_of_a_body_for_a_moment_is_silent():
+def test_contact_that_is_a_bodys_point_for_a_moment_warns_only_if_wrong():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         fb.generate_sources(disc_that_slides())
@@ -151,13 +151,13 @@ def test_a_point_of_a_body_for_a_moment_is_silent():
         fb.generate_sources(disc_that_slides(contact_velocity=2))
 
 
-def test_what_is_wrong_on_one_side_alone():
+def test_velocity_that_is_wrong_on_one_side_alone_gives_a_warning():
     q = me.dynamicsymbols("q")
     with pytest.warns(fb.ModelWarning, match="velocity that was set for point C"):
         fb.generate_sources(pendulum(moves=sm.sign(q)))
 
 
-def test_the_frame_of_a_torque():
+def test_angular_velocity_of_a_torques_frame_that_is_wrong_gives_a_warning():
     model = pendulum()
     bar = model.system.bodies[0].frame
     handle = bar.orientnew("handle", "Axis", [0.3, bar.z])
@@ -193,14 +193,14 @@ def particle_on_a_rod(moves, *, as_system, length=0.5):
 
 @pytest.mark.parametrize("as_system", [False, True])
 @pytest.mark.parametrize("moves", [-1, 2])
-def test_velocities_from_a_point_at_rest(as_system, moves):
+def test_velocity_from_a_point_at_rest_warns_only_if_it_contradicts_positions(as_system, moves):
     fb.generate_sources(particle_on_a_rod(1, as_system=as_system))
     with pytest.warns(fb.ModelWarning, match="velocity that was set for point P .* its position relative to point O"):
         fb.generate_sources(particle_on_a_rod(moves, as_system=as_system))
 
 
 @pytest.mark.parametrize("set_to", ["turning rod", "moving bead"])
-def test_a_bead_that_slides_on_its_rod_is_no_point_of_it(set_to):
+def test_bead_on_its_rod_with_the_velocity_of_a_rods_point_gives_a_warning(set_to):
     """v2pt_theory is for two points of one body; that the bead is none of the rod nobody says."""
     q, u, x, v = me.dynamicsymbols("q u x v")
     ground, rod, origin, bead = me.ReferenceFrame("N"), me.ReferenceFrame("A"), me.Point("O"), me.Point("P")
@@ -257,7 +257,7 @@ def disc_on_a_curve(*, as_system, rolls):
 
 
 @pytest.mark.parametrize("as_system", [False, True])
-def test_a_contact_point_that_moves_is_no_point_of_the_disc(as_system):
+def test_contact_point_that_moves_on_a_curve_warns_and_rolling_keeps_energy(as_system):
     """As in issue 24669 of SymPy, whose equations lose or gain energy then."""
     with pytest.warns(fb.ModelWarning, match="velocity that was set for point P .* follows from its position, in m/s"):
         fb.generate_sources(disc_on_a_curve(as_system=as_system, rolls=False))
@@ -276,7 +276,7 @@ def test_a_contact_point_that_moves_is_no_point_of_the_disc(as_system):
 
 
 @pytest.mark.parametrize(("motion", "is_right"), [(2 * T, True), (3 * T, False), (None, False)])
-def test_an_angular_velocity_that_the_default_input_makes_right(motion, is_right, recwarn):
+def test_angular_velocity_set_as_a_number_warns_unless_the_default_input_fits(motion, is_right, recwarn):
     """A platform turns by s(t), with an angular velocity of 2 rad/s that was set as a number."""
     s, q, u = me.dynamicsymbols("s q u")
     ground, platform, body, origin = *map(me.ReferenceFrame, "NAB"), me.Point("O")
@@ -294,13 +294,13 @@ def test_an_angular_velocity_that_the_default_input_makes_right(motion, is_right
     assert [warning.category for warning in recwarn] == [] if is_right else [fb.ModelWarning]
 
 
-def test_a_mass_centre_that_was_set_at_rest():
+def test_mass_centre_that_was_set_at_rest_gives_a_warning():
     with pytest.warns(fb.ModelWarning, match="velocity that was set for point C"):
         fb.generate_sources(pendulum(moves=0, name="at_rest"))
 
 
 @pytest.mark.parametrize("turns", [1, -1])
-def test_the_frame_of_an_inertia(turns):
+def test_angular_velocity_of_an_inertias_frame_warns_only_if_wrong(turns):
     """A rotor in a gimbal, with its inertia along the gimbal's axes."""
     (a, s), (u, w), (m, i, k) = me.dynamicsymbols("a s"), me.dynamicsymbols("u w"), sm.symbols("m I K")
     ground, gimbal, rotor, center = *map(me.ReferenceFrame, "NLR"), me.Point("O")
@@ -336,7 +336,7 @@ def bob_on_a_circle(length, *, moves=1, accelerations=None):
 
 
 @pytest.mark.parametrize("length", [1, 30, 100, 5000])
-def test_lengths_in_millimetres(length):
+def test_contradictions_are_found_at_every_size_of_the_mechanism(length):
     """Hard-coded ones, so that random states have to find them; the row is a rate on closed loops alone."""
     fb.generate_sources(bob_on_a_circle(length))
     with pytest.warns(fb.ModelWarning, match="velocity that was set for point P"):
@@ -344,7 +344,7 @@ def test_lengths_in_millimetres(length):
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_acceleration_constraints_that_a_kanes_method_was_given(sign):
+def test_acceleration_constraints_of_a_kanes_method_warn_only_if_not_rates(sign):
     model = bob_on_a_circle(1, accelerations=lambda x, y, u, v: x * u.diff(T) + y * v.diff(T) + sign * (u**2 + v**2))
     if sign == 1:
         fb.generate_sources(model)

@@ -14,7 +14,7 @@ from fourbar_codegen.expressions.tape import Tape
 from fourbar_codegen.linkage.linkage import Linkage
 
 
-def test_energies_against_closed_form(four_bar):
+def test_energies_of_the_four_bar_at_random_states_equal_closed_forms(four_bar):
     # Thin rods of mass rho l: T = sum m v.v / 2 + m l^2/12 w^2 / 2, V = sum m g y, heights from the centre of link 1.
     generator = np.random.default_rng(3)
     rho, g = 100.0, 9.81
@@ -56,7 +56,7 @@ def test_energy_changes_by_the_work_of_the_force(four_bar):
     np.testing.assert_allclose(run.energy - run.energy[0], work, atol=5e-3)
 
 
-def test_energy_that_a_force_makes_has_not_grown_beyond_reason():
+def test_energy_growth_is_reported_for_negative_damping_and_not_for_forces():
     """A mass from rest by forces t^n has 4^(n + 1) times the kinetic energy at the end that it had half way, though
     its steps grow so that none ends near there; what a negative damping feeds has grown."""
     frame, origin = me.ReferenceFrame("N"), me.Point("O")
@@ -80,7 +80,7 @@ def test_energy_that_a_force_makes_has_not_grown_beyond_reason():
     assert "has grown" in fed.message
 
 
-def test_rounding_errors_at_rest_are_no_growth_of_energy():
+def test_energy_of_a_mechanism_at_rest_is_constant_without_a_report_of_growth():
     """Three cranks stand upright below a bar: 2 kg/m (3 0.2 m 0.1 m + 0.6 m 0.2 m) g, and nothing moves."""
     points = {"A": (0, 0), "B": (0, 0.2), "C": (0.3, 0), "D": (0.3, 0.2), "E": (0.6, 0), "F": (0.6, 0.2)}
     links = ["AB", "CD", "EF", "BDF"]
@@ -151,7 +151,7 @@ def energies(model, states):
     return np.array([equations.tape.evaluate([equations.energies.entries[1]], point)[0] for point in points])
 
 
-def test_springs_have_a_potential():
+def test_potential_energy_of_springs_equals_the_closed_form_and_is_conserved():
     """Along a length, about an axis, by hand in loads; without dampers and inputs that act in the same actuator."""
     compiled = fb.compile_model(oscillators())
     assert compiled.energy_without == ()
@@ -167,7 +167,7 @@ def test_springs_have_a_potential():
     np.testing.assert_allclose(run.energy, run.energy[0], rtol=0, atol=1e-7)
 
 
-def test_a_spring_that_a_body_has_is_not_counted_twice():
+def test_potential_of_a_spring_that_a_body_states_is_not_counted_twice():
     states = np.random.default_rng(1).uniform(-1.5, 1.5, (10, 8))
     expected = [potential(*state[:4]) for state in states]
     model = oscillators(own=lambda k, length, free, _: k * (length - free) ** 2 / 2)
@@ -178,7 +178,7 @@ def test_a_spring_that_a_body_has_is_not_counted_twice():
     assert np.isnan(energies(other, states)).all()
 
 
-def test_a_spring_of_a_linkage():
+def test_potential_energy_of_a_linkages_springs_equals_the_closed_form():
     linkage = Linkage("sprung", points={"A": (0, 0), "B": (1, 0), "C": (1, 1)}, ground="AC", links=["AB"], density=3.0)
     linkage.spring("B", "C", 40.0, length=0.8)
     linkage.torque("A", -5.0 * (linkage.q["AB"] - 0.3))
@@ -191,7 +191,7 @@ def test_a_spring_of_a_linkage():
     np.testing.assert_allclose(run.energy, run.energy[0], rtol=0, atol=1e-8)  # steps of relative error 1e-11
 
 
-def test_a_spring_without_antiderivative_is_named(tmp_path):
+def test_spring_without_antiderivative_is_named_in_runs_files_and_plots(tmp_path):
     """In runs, files, tables and plots, also after a run was saved and read."""
     model = oscillators(law=lambda length: -30 * sm.sin(sm.exp(length)) / (1 + length**4))
     run = fb.compile_model(model).simulate((0.0, 1.0), [0.9, 0.3, 0.5, 0.2, 0.0, 1.0, 0.0, -1.0])
@@ -239,7 +239,7 @@ def radial(n, _b, origin, centre, *_):
 
 
 @pytest.mark.parametrize("rates", ["inertial", "body", "sums"])
-def test_springs_by_hand_have_a_potential_with_any_speeds(rates):
+def test_springs_as_loads_have_a_potential_with_every_choice_of_speeds(rates):
     """A spring at the centre, one at the rim, and a force and a torque that have a potential together alone."""
     model = disc(
         radial,
@@ -261,7 +261,7 @@ def test_springs_by_hand_have_a_potential_with_any_speeds(rates):
 
 
 @pytest.mark.parametrize("rates", ["inertial", "body"])
-def test_loads_without_a_potential_have_none_and_hide_none(rates):
+def test_loads_without_potential_leave_that_of_a_spring_beside_them(rates):
     """A force with curl, one that turns with the body, a damper and a motor, beside a spring of two components."""
     model = disc(
         lambda n, b, o, c, rim, x, y, turn: me.Force(c, 3 * x * y * n.x),
@@ -280,7 +280,7 @@ def test_loads_without_a_potential_have_none_and_hide_none(rates):
 
 
 @pytest.mark.parametrize("relative", [True, False])
-def test_a_spring_whose_integral_is_not_found_is_named_with_any_speeds(relative):
+def test_spring_whose_integral_is_not_found_is_named_with_any_speeds(relative):
     """The loads of an actuator at a double pendulum, as KanesMethod takes them; its speeds are relative or absolute."""
     (q1, q2), (u1, u2) = me.dynamicsymbols("q1 q2"), me.dynamicsymbols("u1 u2")
     n, a, b, origin = *(me.ReferenceFrame(name) for name in "NAB"), me.Point("O")
@@ -306,7 +306,7 @@ def test_a_spring_whose_integral_is_not_found_is_named_with_any_speeds(relative)
     assert form_equations(fb.Model(method)).energy_without == ("force at point Q",)
 
 
-def test_a_load_is_named_if_the_speeds_do_not_determine_forces_by_coordinates():
+def test_load_with_fewer_speeds_than_coordinates_is_named_unless_constant():
     """Two speeds of a skate with three coordinates; a constant thrust is no spring."""
     (x, y, turn), (v, spin) = me.dynamicsymbols("x y turn"), me.dynamicsymbols("v spin")
     n, b, origin = me.ReferenceFrame("N"), me.ReferenceFrame("B"), me.Point("O")
@@ -365,14 +365,14 @@ M, G, K, A = sm.symbols("m g k a")
         (lambda x: K * x**4, [lambda x: -M * G - K * x], lambda x: np.nan * x),
     ],
 )
-def test_a_body_may_have_the_potential_of_some_terms(own, forces, expected):
+def test_potential_of_a_body_with_some_of_the_loads_terms_counts_each_once(own, forces, expected):
     states = np.random.default_rng(1).uniform(-1.5, 1.5, (10, 2))
     found = energies(pulled(own, *forces), states)
     # A constant is free; terms of 100 J to rounding.
     np.testing.assert_allclose(np.diff(found), np.diff(expected(states[:, 0])), rtol=0, atol=1e-12)
 
 
-def test_antiderivatives():
+def test_antiderivatives_of_spring_laws_equal_closed_forms_or_none():
     x, b = sm.symbols("x b", real=True)
     for function, expected in (
         (1e6 * (x - b), lambda x, b: 5e5 * (x - b) ** 2),

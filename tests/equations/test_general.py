@@ -115,7 +115,7 @@ def compiled_and_reference(name):
 
 @pytest.mark.filterwarnings("ignore:[\\s\\S]*Velocity of:UserWarning")
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_right_hand_side_and_jacobian(name):
+def test_rates_and_jacobian_of_every_system_equal_sympys(name):
     compiled, reference, p = compiled_and_reference(name)
     generator = np.random.default_rng(7)
     for _ in range(10):
@@ -135,7 +135,7 @@ def test_right_hand_side_and_jacobian(name):
         assert error <= 1e-8 * (np.abs(differences).max() + scale)
 
 
-def test_jacobian_where_a_branch_is_not_taken():
+def test_jacobian_at_an_open_contact_leaves_out_the_branch_not_taken():
     contact = fb.compile_model(fb.Model(SYSTEMS["contact"](), parameters={m: 1.0, g: 9.81}))
     np.testing.assert_array_equal(contact.jacobian(0.0, [1.0, 0.0]), [[0.0, 1.0], [0.0, 0.0]])
     for method in ("Radau", "BDF", "LSODA", "DOP853"):
@@ -146,7 +146,7 @@ def test_jacobian_where_a_branch_is_not_taken():
         np.testing.assert_allclose(energy, 9.81, atol=1e-3)
 
 
-def test_derivatives_of_sinc_also_at_zero():
+def test_derivatives_of_sinc_equal_series_also_at_zero():
     F = me.dynamicsymbols("F")
     model = fb.Model(sliding(sm.sinc(q) + F.diff(t, 2)), parameters={m: 1.0}, inputs={F: sm.sinc(t)})
     compiled = fb.compile_model(model)
@@ -163,7 +163,7 @@ def test_derivatives_of_sinc_also_at_zero():
 HYPERBOLIC = [sm.sech, sm.csch, sm.coth, sm.acoth, sm.asech, sm.acsch]
 
 
-def test_hyperbolic_functions_that_c_does_not_have():
+def test_hyperbolic_functions_that_c_lacks_equal_sympys_from_tiny_to_large():
     """From 1e-9 to 1e5, where quotients of exponentials cancel or overflow."""
     F = me.dynamicsymbols("F:6")
     inputs = {f: function(t) for f, function in zip(F, HYPERBOLIC, strict=True)}
@@ -182,7 +182,7 @@ def test_hyperbolic_functions_that_c_does_not_have():
         sm.Equivalent(q > 0, u > 0), sm.Nand(q > 0, u > 0), sm.Not(sm.Or(q > 0, u > 0), evaluate=False),
     ],
 )  # fmt: skip
-def test_conditions_of_all_kinds(condition):
+def test_logical_conditions_of_all_kinds_equal_sympys_logic(condition):
     """Compared with the equations when compiled, and here with SymPy's logic."""
     compiled = fb.compile_model(fb.Model(sliding(sm.Piecewise((10, condition), (20, True))), parameters={m: 1.0}))
     for x in np.random.default_rng(5).uniform(-2.0, 2.0, (40, 2)):
@@ -220,7 +220,7 @@ def bead(is_constrained):
 
 
 @pytest.mark.parametrize("is_constrained", [False, True])
-def test_a_spline_as_a_path(is_constrained):
+def test_bead_on_a_spline_moves_as_the_closed_form_within_its_ends(is_constrained):
     """(1 + s'^2) x'' = -s' (s'' x'^2 + g); beyond the ends of the spline s there is no value."""
     compiled = fb.compile_model(fb.Model(bead(is_constrained), parameters={m: 2.0, g: 9.81}))
 
@@ -236,7 +236,7 @@ def test_a_spline_as_a_path(is_constrained):
             rhs(x)
 
 
-def test_derivatives_of_splines_of_states_and_of_time():
+def test_derivatives_of_splines_of_states_and_of_time_equal_scipys():
     F = me.dynamicsymbols("F")
     model = fb.Model(sliding(F - k * spline(q)), parameters={m: 2.0, k: 0.8}, inputs={F: spline(k * t)})
     compiled = fb.compile_model(model)
@@ -250,7 +250,7 @@ def test_derivatives_of_splines_of_states_and_of_time():
         assert compiled.default_input_sensitivity(x, p)[0] == pytest.approx([0.0, x * SPLINE(0.8 * x, 1)], rel=1e-11)
 
 
-def test_speed_without_a_coordinate():
+def test_speed_without_a_coordinate_decays_as_the_closed_form():
     block = fb.compile_model(coordinate_free())
     # m v' = -b v
     assert block.rhs(0.0, [4.0]).tolist() == [-6.0]
@@ -258,7 +258,7 @@ def test_speed_without_a_coordinate():
     assert block.simulate((0.0, 1.0), [1.0], rtol=1e-10, atol=1e-12).y[0, -1] == pytest.approx(np.exp(-1.5), rel=1e-9)
 
 
-def test_jacobian_of_friction_at_rest():
+def test_jacobian_of_friction_at_rest_has_no_infinite_slope():
     friction = fb.compile_model(fb.Model(SYSTEMS["friction"](), parameters={m: 1.0, k: 2.0}))
     np.testing.assert_array_equal(friction.jacobian(0.0, [0.0, 0.0]), [[0.0, 1.0], [0.0, 0.0]])
 
@@ -270,7 +270,7 @@ def test_jacobian_that_does_not_exist_is_an_error():
         cone.jacobian(0.0, [0.0, 0.0])
 
 
-def test_a_system_that_validate_system_refuses():
+def test_quaternion_top_that_sympy_does_not_validate_has_sympys_rates():
     system = quaternion_top()
     with pytest.raises(ValueError, match="number of generalized coordinates 4"):
         system.validate_system()
@@ -284,7 +284,7 @@ def test_a_system_that_validate_system_refuses():
         np.testing.assert_allclose(top.rhs(0.0, x), reference.rhs(0.0, x), rtol=0, atol=1000 * EPS)
 
 
-def test_potential_energy_of_gravity_in_a_tilted_frame():
+def test_potential_energy_of_gravity_in_a_tilted_frame_equals_the_closed_form():
     ground, tilted = me.ReferenceFrame("N"), me.ReferenceFrame("T")
     tilted.orient_axis(ground, ground.z, sm.pi / 6)
     origin, point = me.Point("O"), me.Point("P")
@@ -303,7 +303,7 @@ def test_potential_energy_of_gravity_in_a_tilted_frame():
     assert plane.potential_energy(0.0, [1.0, 0.0]) == pytest.approx(-9.81 / 2, rel=1e-15)
 
 
-def test_names_of_all_kinds():
+def test_parameters_with_names_of_all_kinds_compile_and_keep_their_names():
     names = ["lambda", "I", "in", "double", "x1", "I_{xx}", "z0", "k3", "M_PI", "EOF", "N_Q", "math_errhandling", "a'"]
     names += ["unix", "constants", "\u03b8", "a b", "a_b", "A_B", "*/ abort(); /*", '"', "\\", "new\nline", "pow", "x"]
     names += ["fb_sin", "fb_angle_of", "target", "unknown"]

@@ -11,7 +11,7 @@ import fourbar_codegen as fb
 
 
 @pytest.mark.parametrize("name", ["four_bar", "rolling_disc", "whipple_bicycle", "cartesian_pendulum"])
-def test_same_as_the_system(name):
+def test_rates_from_kanes_method_equal_those_from_its_system(name):
     model = getattr(fb.models, name)()
     values = {symbol: parameter.value for symbol, parameter in model.parameter_symbols.items()}
     kane = kanes_method(model.system)
@@ -26,7 +26,7 @@ def test_same_as_the_system(name):
         np.testing.assert_allclose(from_kane.rhs(0.3, x), expected, rtol=0, atol=tolerance)
 
 
-def test_against_its_own_equations():
+def test_rates_of_a_simple_pendulum_equal_those_of_its_kanes_method():
     q, u = me.dynamicsymbols("q u")
     m, g, length = sm.symbols("m g l")
     t = me.dynamicsymbols._t
@@ -46,7 +46,7 @@ def test_against_its_own_equations():
     np.testing.assert_allclose(compiled.rhs(0.0, [0.4, 1.0]), np.array(expected, dtype=float).ravel(), rtol=1e-14)
 
 
-def test_what_is_missing_is_said():
+def test_kanes_method_without_bodies_or_kinematics_is_refused():
     model = fb.models.four_bar()
     with pytest.raises(fb.ModelError, match="no bodies"):
         fb.Model(kanes_method(model.system, bodies=None))
@@ -54,7 +54,7 @@ def test_what_is_missing_is_said():
         fb.Model(kanes_method(model.system, kd_eqs=None))
 
 
-def test_a_frame_without_an_orientation():
+def test_frame_without_orientation_gives_sympys_rates_and_keeps_energy():
     kane, values = disc_without_an_angle()
     kane.kanes_equations()
     compiled = fb.compile_model(fb.Model(kane, name="no_angle", parameters=values))
@@ -67,13 +67,13 @@ def test_a_frame_without_an_orientation():
     np.testing.assert_allclose(run.kinetic_energy + height, run.kinetic_energy[0] + height[0], rtol=1e-8)
 
 
-def test_where_an_orientation_is_needed():
+def test_inertia_in_a_frame_without_orientation_is_refused():
     kane, values = disc_without_an_angle(inertia_in="disc")
     with pytest.raises(fb.ModelError, match=r"Frame disc, used by body disc, is not oriented .* inertia in a frame"):
         fb.Model(kane, parameters=values)
 
 
-def test_potential_energy_of_gravity():
+def test_potential_energy_of_gravity_with_a_moving_contact_exists_only_if_level():
     """Positions are given from a point at rest, which has to be one."""
     kane, values = disc_without_an_angle()
     disc = fb.compile_model(fb.Model(kane, name="on_level_ground", parameters=values))
@@ -111,14 +111,14 @@ def masses_on_a_line(*, includes_gravity):
 
 
 @pytest.mark.parametrize("includes_gravity", [False, True])
-def test_potentials_of_bodies_and_of_forces(includes_gravity):
+def test_potentials_of_bodies_that_may_include_gravity_give_the_same_energy(includes_gravity):
     """Whether bodies' potentials include those of constant forces, the forces' work tells."""
     model = fb.compile_model(masses_on_a_line(includes_gravity=includes_gravity))
     energy = model.potential_energy(0.0, [0.3, 0.4, 0.0, 0.0])
     assert energy == pytest.approx(0.5 * 10.0 * 0.3**2 + 9.81 * (0.3 + 0.4), rel=1e-14)
 
 
-def test_a_constant_force_at_a_contact_has_no_potential():
+def test_constant_force_at_a_contact_leaves_the_potential_energy_unknown():
     """It does no work, wherever the contact is."""
     x, theta, v, omega = me.dynamicsymbols("x theta v omega")
     m, inertia, radius, force = sm.symbols("m J r F")
@@ -141,7 +141,7 @@ def test_a_constant_force_at_a_contact_has_no_potential():
         model.potential_energy(0.0, [0.0, 0.0, 1.0, -0.3])
 
 
-def test_lagrange_is_refused_with_a_sentence():
+def test_system_with_derivatives_as_speeds_for_lagrange_is_refused():
     m, g = sm.symbols("m g")
     x = me.dynamicsymbols("x")
     ground, origin, point = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")

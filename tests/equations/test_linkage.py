@@ -67,7 +67,7 @@ def bars_of(links):
 
 
 @pytest.mark.parametrize("name", LINKAGES)
-def test_the_motion_is_that_in_natural_coordinates(name):
+def test_linkages_of_all_kinds_move_as_in_natural_coordinates(name):
     """All points, to 1e-10 of the linkage's size, by another formulation and another solver."""
     points, ground, links = LINKAGES[name]
     linkage = fb.Linkage("one", points=points, ground=ground, links=links, density=2.0, gravity=9.81)
@@ -135,7 +135,7 @@ BY_HAND = {
 
 
 @pytest.mark.parametrize("make", BY_HAND)
-def test_as_by_hand(make):
+def test_linkages_by_points_move_as_models_in_plain_sympy(make):
     """The motion of all points, from rest, is that of models in plain SymPy."""
     other, names = BY_HAND[make]()
     how = {"t_eval": np.linspace(0.0, 0.5, 11), "rtol": 1e-13, "atol": 1e-13}
@@ -160,7 +160,7 @@ def tutorials_linkage():
     )
 
 
-def test_the_tutorials_linkage(four_bar):
+def test_tutorial_linkage_by_points_moves_as_the_ready_model(four_bar):
     """The flagship by its points: the same motion of all points as the model made by hand."""
     model = tutorials_linkage()
     run = fb.compile_model(model).simulate((0.0, 4.0), rtol=1e-13, atol=1e-13, t_eval=np.linspace(0.0, 4.0, 41))
@@ -170,7 +170,7 @@ def test_the_tutorials_linkage(four_bar):
     np.testing.assert_allclose(run.kinetic_energy, hand_made.kinetic_energy, rtol=1e-9)
 
 
-def test_the_slider_crank():
+def test_slider_crank_by_points_moves_as_the_ready_model():
     """As `models.slider_crank`, in its parameters' values; it is given a torque and a load."""
     hand_made = fb.compile_model(fb.models.slider_crank())
     r, length = 0.1, 0.3
@@ -195,14 +195,14 @@ def slider_crank(points):
 
 
 @pytest.mark.parametrize("make", [*BY_HAND, tutorials_linkage, slider_crank])
-def test_few_statements(make):
+def test_linkages_of_the_tests_take_at_most_twelve_statements(make):
     """At most twelve, and one more for points that stand elsewhere."""
     [function] = ast.parse(inspect.getsource(make)).body
     statements = [node for node in ast.walk(function) if isinstance(node, ast.stmt) and node is not function]
     assert len(statements) < 12
 
 
-def test_a_block_on_a_lever():
+def test_block_on_a_lever_by_points_moves_as_the_model_by_hand():
     """A quick-return mechanism, as by hand in test_scene."""
     hand_made = fb.compile_model(inverted_slider_crank("lever"))
     closed = hand_made.simulate((0.0, 1.0), rtol=1e-13, atol=1e-13, t_eval=np.linspace(0.0, 1.0, 21))
@@ -219,7 +219,7 @@ def test_a_block_on_a_lever():
     np.testing.assert_allclose(run["q_E"], closed["s"], rtol=0, atol=1e-10)
 
 
-def test_springs_and_dampers():
+def test_linkage_with_spring_and_damper_moves_as_in_natural_coordinates():
     """A bar on a spring and a damper to the ground, against SciPy with the forces written out."""
     points = {"A": (0, 0), "B": (1, 0), "C": (0.5, -0.8)}
     linkage = fb.Linkage("sprung", points=points, ground="AC", links=["AB"], density=2.0, gravity=9.81)
@@ -243,7 +243,7 @@ def crank_rocker(**options):
     return fb.Linkage("rocker", points=points, ground="AD", links=["AB", "BC", "CD"], **options)
 
 
-def test_a_drive_and_its_torque():
+def test_torque_of_a_drive_at_constant_speed_is_the_rate_of_energy():
     """At constant speed, the drive's power is the rate of the energy."""
     linkage = crank_rocker(density=1.0, gravity=9.81)
     linkage.drive("A", speed=20.0)
@@ -257,7 +257,7 @@ def test_a_drive_and_its_torque():
     np.testing.assert_allclose(power[1:-1], rate, rtol=0, atol=0.0005**2 / 6 * 30.0**3 * np.ptp(run.energy) * 5)
 
 
-def test_a_block_that_is_driven():
+def test_driven_block_follows_its_displacement_with_newtons_force():
     linkage = fb.Linkage("piston", points={"O": (0, 0), "A": (0.1, 0.1), "C": (0.4, 0)}, ground="O", links=["OA", "AC"])
     linkage.slider("C", along=(1, 0), mass=2.0)
     linkage.drive("C", displacement=0.05 * sm.sin(3 * me.dynamicsymbols._t))
@@ -267,7 +267,7 @@ def test_a_block_that_is_driven():
     np.testing.assert_allclose(run["force_C"], -2.0 * 0.05 * 9.0 * np.sin(3 * run.t), rtol=0, atol=1e-9)
 
 
-def test_lengths_are_parameters():
+def test_lengths_of_a_linkage_changed_as_parameters_hold_in_its_positions():
     """A longer coupler, and a plate's point by its distances: the law of cosines."""
     points, ground, links = LINKAGES["coupler plate"]
     model = fb.compile_model(fb.Linkage("plate", points=points, ground=ground, links=links, density=1.0).model())
@@ -291,7 +291,7 @@ def test_lengths_are_parameters():
         ("parallelogram with a bar too many", 0, 1, ("C", "F")),
     ],
 )
-def test_mobility(name, gruebler, freedom, redundant):
+def test_degrees_of_freedom_and_redundant_joints_of_known_linkages_are_found(name, gruebler, freedom, redundant):
     points, ground, links = LINKAGES[name]
     mobility = fb.Linkage("one", points=points, ground=ground, links=links).mobility
     assert (mobility.gruebler, mobility.degrees_of_freedom) == (gruebler, freedom)
@@ -299,7 +299,7 @@ def test_mobility(name, gruebler, freedom, redundant):
     assert len(mobility.independent) == freedom
 
 
-def test_a_linkage_drawn_at_a_dead_point():
+def test_linkage_drawn_at_a_dead_point_has_one_degree_of_freedom():
     """Crank and coupler in line: the rocker cannot be driven there, the crank can. A parallelogram drawn flat."""
     points = {"A": (0, 0), "B": (1, 0), "C": (3, 0), "D": (2.5, 2)}
     linkage = fb.Linkage("dead", points=points, ground="AD", links=["CD", "BC", "AB"], density=1.0)
@@ -374,7 +374,7 @@ def wrong(change):
         ("a torque between three", "between two of AB, BC, other"),
     ],
 )
-def test_mistakes(change, message):
+def test_mistakes_in_a_linkages_points_and_links_are_refused_with_a_message(change, message):
     with pytest.raises(fb.ModelError, match=message):
         wrong(change)
 
@@ -398,7 +398,7 @@ FOUR_BAR = {"A": (0, 0), "B": (0.1, 0.05), "C": (0.3, 0.3), "D": (0.4, 0)}
         (lambda linkage: linkage.slider("C", along="BC"), "C is a point of BC itself"),
     ],
 )
-def test_more_mistakes(change, message):
+def test_mistakes_in_a_linkages_loads_and_drives_are_refused_with_a_message(change, message):
     linkage = fb.Linkage("one", points=FOUR_BAR, ground="AD", links=["AB", "BC", "CD"], density=1.0)
 
     def model():
@@ -410,12 +410,12 @@ def test_more_mistakes(change, message):
 
 
 @pytest.mark.parametrize("given", [{"links": None}, {"links": "AB"}, {"ground": 5}, {"ground": None}, {"links": [3]}])
-def test_what_is_no_sequence(given):
+def test_links_or_ground_that_are_no_sequences_are_refused(given):
     with pytest.raises(fb.ModelError, match=r"takes names of points|is a sequence of links"):
         fb.Linkage("one", points=FOUR_BAR, **{"ground": "AD", "links": ["AB", "BC", "CD"], **given})
 
 
-def test_arrays_and_names_of_links():
+def test_linkage_takes_arrays_and_names_for_links():
     links = {"crank": "AB", "coupler": ["B", "C"], "rocker": "CD"}
     linkage = fb.Linkage("one", points=FOUR_BAR, ground=np.array(["A", "D"]), links=links, density=np.float64(2.0))
     linkage.force("B", np.array([1.0, 2.0]))
@@ -425,7 +425,7 @@ def test_arrays_and_names_of_links():
     assert {s.name: p.value for s, p in model.parameter_symbols.items()}["F_C_y"] == 0.5
 
 
-def test_masses_at_one_place_are_added():
+def test_masses_of_a_point_and_its_block_are_added():
     """A point mass and a block of the same point; F = (3 + 2) m x''."""
     m = sm.Symbol("m1")
     linkage = fb.Linkage("one", points={"O": (0, 0), "A": (0, 0.1)}, ground="O", links=["OA"])
@@ -438,7 +438,7 @@ def test_masses_at_one_place_are_added():
     assert model.inverse_dynamics(found)["F"] == pytest.approx(5.0)
 
 
-def test_the_linkages_density_counts_beside_an_inertia():
+def test_density_of_a_linkage_gives_the_mass_of_a_bar_with_an_inertia():
     linkage = fb.Linkage("one", points={"A": (0, 0), "B": (0.5, 0)}, ground="A", density=2.0, gravity=10.0)
     linkage.bar("A", "B", inertia=0.1)
     model = fb.compile_model(linkage.model())
@@ -446,7 +446,7 @@ def test_the_linkages_density_counts_beside_an_inertia():
     assert model.rhs(0.0, [0.0, 0.0])[1] == pytest.approx(-2.5 / (0.1 + 0.0625))
 
 
-def test_a_pinned_plate_turned_by_a_torque():
+def test_pinned_plate_of_bars_turns_with_the_closed_forms_inertia():
     """The inertia of a triangle of bars about its corner."""
     places = {"A": 0j, "B": 1 + 0j, "C": 0.3 + 0.8j}
     points = {name: (z.real, z.imag) for name, z in places.items()}
@@ -460,7 +460,7 @@ def test_a_pinned_plate_turned_by_a_torque():
     assert model.rhs(0.0, [0.3, 0.0], r={"M": 1.0})[1] == pytest.approx(1 / inertia, rel=1e-14)
 
 
-def test_names_that_coincide():
+def test_symbols_of_a_linkage_whose_names_coincide_are_numbered():
     """Two lengths l_A_B_C; a spring's stiffness beside a symbol of the user's; a link with the name of two points."""
     points = {"A": (0, 0), "B_C": (0.2, 0.1), "T": (0.1, 0.2), "A_B": (0.5, 0.4), "C": (0.7, 0)}
     linkage = fb.Linkage("one", points=points, ground=["A", "C"])
@@ -478,7 +478,7 @@ def test_names_that_coincide():
     assert (values["k_BC"], values["k_BC_2"]) == (0.5, 40.0)
 
 
-def test_a_drive_with_a_name():
+def test_drive_with_a_name_is_an_input_of_that_name_or_refused():
     """The motion is an input of that name: held as drawn, or given; the crank's angle is what is given."""
     points = {"A": (0, 0), "B": (0, 0.1), "C": (0.3, 0.3), "D": (0.4, 0)}
     found = []
@@ -500,7 +500,7 @@ def test_a_drive_with_a_name():
             fb.Linkage("fast", points=points, ground="AD", links=["AB", "BC", "CD"]).drive("A", speed=wrong)
 
 
-def test_independent_coordinates_are_chosen():
+def test_independent_coordinate_of_a_linkage_may_be_chosen_with_the_same_motion():
     """Of the four-bar each link may be the independent one; the motion is the same."""
     points = {"A": (0, 0), "B": (0, 0.1), "C": (0.3, 0.3), "D": (0.4, 0)}
     how = {"points": points, "ground": "AD", "links": ["AB", "BC", "CD"], "density": 1.0, "gravity": 9.81}
@@ -537,7 +537,7 @@ def test_independent_coordinates_are_chosen():
         (me.dynamicsymbols("q_AB"), "a coordinate or speed"),
     ],
 )  # fmt: skip
-def test_a_drive_with_a_name_that_is_taken(motion, kind):
+def test_drive_with_a_name_that_is_taken_is_refused(motion, kind):
     points = {"A": (0, 0), "B": (0, 0.1), "C": (0.3, 0.3), "D": (0.4, 0)}
     linkage = fb.Linkage("driven", points=points, ground="AD", links=["AB", "BC", "CD"], density=1.0)
     linkage.drive("A", angle=motion)
@@ -546,7 +546,7 @@ def test_a_drive_with_a_name_that_is_taken(motion, kind):
         linkage.model()
 
 
-def test_a_drive_starts_where_it_is_drawn():
+def test_drive_starts_at_the_drawn_angle_also_at_a_dead_point():
     """Although the link is stated before those that place it; and a drive at its dead point is no drive too many."""
     linkage = fb.Linkage("one", points={"A": (0, 0), "B": (0.5, 1), "C": (0.9, 1.25), "D": (1.2, 0)}, ground="AD")
     linkage.bar("B", "C")
@@ -564,7 +564,7 @@ def test_a_drive_starts_where_it_is_drawn():
         fb.compile_model(linkage.model()).simulate((0.0, 0.1))
 
 
-def test_a_linkage_in_nanometres():
+def test_linkage_in_nanometres_has_torques_in_proportion():
     """With gravity in proportion, torques go with the third power of the size."""
     torques = []
     for size in (1.0, 1e-9):
@@ -580,19 +580,19 @@ def test_a_linkage_in_nanometres():
     np.testing.assert_allclose(torques[1], torques[0], rtol=1e-9)
 
 
-def test_lengths_that_make_no_triangle():
+def test_lengths_of_a_plate_that_make_no_triangle_are_refused():
     points, ground, links = LINKAGES["coupler plate"]
     model = fb.compile_model(fb.Linkage("plate", points=points, ground=ground, links=links).model())
     with pytest.raises(fb.ModelError, match="P have no positions with these parameters"):
         model.kinematics({"q_AB": [0.0, 1.0]}, parameters={"l_BP": 0.01, "l_CP": 0.01})
 
 
-def test_mixed_units_are_asked_about():
+def test_linkage_with_mixed_units_gives_a_warning():
     with pytest.warns(fb.ModelWarning, match="are units mixed"):
         wrong("units mixed")
 
 
-def test_an_open_end_is_one_more_freedom():
+def test_linkage_with_a_forgotten_bar_has_two_degrees_of_freedom():
     """Two pendulums, where a bar between them was forgotten: said in numbers, by both coordinates."""
     points = {"A": (0, 0), "B": (0.1, 0.05), "C": (0.3, 0.3), "D": (0.4, 0)}
     linkage = fb.Linkage("open", points=points, ground="AD", links=["AB", "CD"])
@@ -601,7 +601,7 @@ def test_an_open_end_is_one_more_freedom():
     assert len(linkage.model().system.q_ind) == 2
 
 
-def test_bars_that_hold_each_other():
+def test_rigid_groups_of_bars_are_named_in_a_warning():
     """A triangle of bars as coupler, and one on the ground beside a four-bar; a crossbar that makes a frame."""
     points = {"A": (0, 0), "B": (0.1, 0.05), "C": (0.3, 0.3), "D": (0.4, 0), "P": (0.15, 0.4), "E": (0.2, -0.3)}
 
@@ -622,7 +622,7 @@ def test_bars_that_hold_each_other():
         framed.mobility  # noqa: B018
 
 
-def test_what_drives_leave_free():
+def test_links_that_drives_leave_free_are_named_in_the_mobility():
     points, ground, links = LINKAGES["five-bar"]
     linkage = fb.Linkage("one", points=points, ground=ground, links=links)
     linkage.drive("A", speed=1.0)
@@ -631,7 +631,7 @@ def test_what_drives_leave_free():
     assert linkage.mobility.free == ()
 
 
-def test_tables(tmp_path):
+def test_linkage_from_csv_reads_points_and_links_and_refuses_bad_tables(tmp_path):
     path = tmp_path / "crank rocker.csv"
     rows = ["point,x,y,links", "A,0,0,ground crank", "B,0.1,0.05,crank coupler", "C,0.3,0.3,coupler rocker"]
     path.write_text("\n".join([*rows, "D,0.4,0,rocker ground"]))
@@ -655,7 +655,7 @@ def test_tables(tmp_path):
         fb.Linkage.from_csv(None)
 
 
-def test_the_system_is_sympys():
+def test_system_of_a_linkage_has_sympys_rates_and_is_formed_anew_after_changes():
     """SymPy's own equations of the System, at a state, are the compiled ones."""
     linkage = crank_rocker(density=1.0, gravity=9.81)
     system = linkage.system
@@ -672,7 +672,7 @@ def test_the_system_is_sympys():
     assert linkage.system is not system
 
 
-def test_names_of_points_are_split_where_that_is_unique():
+def test_names_of_points_in_a_links_text_are_split_only_if_unique():
     points = {"A1": (0, 0), "A": (1, 0), "B": (1, 1)}
     linkage = fb.Linkage("names", points=points, ground=["A1"], links=["A1B", ("B", "A")])
     assert [*linkage.q] == ["A1_B", "BA"]

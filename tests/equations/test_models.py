@@ -19,7 +19,7 @@ MODELS = {
 }
 
 
-def test_all_models_are_here():
+def test_every_model_of_the_package_is_tested():
     assert len(MODELS) == len(fb.models.__all__) + 1  # the chain is here twice
 
 
@@ -46,7 +46,7 @@ def tolerance(compiled, x):
     return 1000 * EPS * np.linalg.cond(compiled.mass_matrix(0.3, x))
 
 
-def test_right_hand_side(pair):
+def test_rates_of_every_ready_model_equal_sympys(pair):
     compiled, reference = pair
     r = reference.inputs(0.3)
     for x in states(compiled, 30):
@@ -55,7 +55,7 @@ def test_right_hand_side(pair):
         assert error <= tolerance(compiled, x) * np.abs(expected).max()
 
 
-def test_derivatives_by_complex_steps(pair):
+def test_jacobians_of_every_ready_model_equal_complex_steps(pair):
     # Im f(x + ih) / h has no cancellation, whatever the step (Squire and Trapp 1998).
     compiled, reference = pair
     r = np.array(reference.inputs(0.3))
@@ -80,7 +80,7 @@ def test_derivatives_by_complex_steps(pair):
                 assert error <= tolerance(compiled, x) * (np.abs(expected).max() + scale)
 
 
-def test_energy_is_conserved_or_balances_the_inputs(pair):
+def test_energy_of_every_ready_model_without_inputs_is_conserved(pair):
     compiled, _ = pair
     # The four-bar's spring and damper are no potential's: test_energy.py has more of it.
     inputs, parameters = ({"F": 0.0}, {"k": 0.0, "c": 0.0}) if compiled.name == "four_bar" else ({}, {})

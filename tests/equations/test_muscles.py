@@ -87,7 +87,7 @@ def lift(request):
     return lift, fb.compile_model(fb.Model(lift.system, name="lift", parameters=lift.parameters))
 
 
-def test_a_system_with_a_muscle_needs_no_further_word(lift):
+def test_system_with_a_muscle_has_its_states_and_sympys_rates(lift):
     lift, compiled = lift
     assert compiled.auxiliary_states == tuple(str(state.func) for state in lift.muscle.x)
     assert compiled.inputs == ("e_biceps",)
@@ -101,7 +101,7 @@ def test_a_system_with_a_muscle_needs_no_further_word(lift):
 
 
 @pytest.mark.parametrize(("method", "tolerance"), [("DOP853", 1e-10), ("Radau", 1e-10), ("IDA", 1e-7)])
-def test_a_weight_is_lifted(lift, method, tolerance):
+def test_muscle_lifts_a_weight_as_scipy_on_lambdify_by_every_method(lift, method, tolerance):
     """To the tolerance of the reference, 1e-11; IDA's errors add up over some thousand steps of 1e-10."""
     lift, compiled = lift
     x0 = lift.start()
@@ -113,7 +113,7 @@ def test_a_weight_is_lifted(lift, method, tolerance):
     np.testing.assert_allclose(run.y[:, -1], expected.y[:, -1], rtol=0, atol=tolerance)
 
 
-def test_a_step_of_the_excitation():
+def test_muscle_with_a_step_of_excitation_moves_as_scipy_in_pieces():
     """Of a table, for several weights."""
     lift = Lift(MusculotendonFormulation.RIGID_TENDON)
     compiled = fb.compile_model(fb.Model(lift.system, name="lift", parameters=lift.parameters))
@@ -130,7 +130,7 @@ def test_a_step_of_the_excitation():
     assert abs(runs.y[2, 0, -1] - x[0]) > 1e-3
 
 
-def test_who_has_made_the_activation_a_coordinate_has_said_the_same():
+def test_activation_as_a_coordinate_gives_the_rates_of_a_state_equation():
     """The way of SymPy's tutorial: the state is a coordinate, with its equation among the kinematic ones."""
     lift = Lift(MusculotendonFormulation.RIGID_TENDON)
     muscle, system = lift.muscle, lift.system
@@ -148,7 +148,7 @@ def test_who_has_made_the_activation_a_coordinate_has_said_the_same():
     np.testing.assert_allclose(rates[[0, 2, 1]], lift.rates([q, u, a], 0.7), rtol=1e-12)
 
 
-def test_the_arm_of_sympys_tutorial():
+def test_arm_of_sympys_tutorial_has_the_printed_numbers_and_scipys_motion():
     """Its two runs, at its 301 times, by SciPy on SymPy's own KanesMethod and lambdify, as the page has it.
 
     The curves are pictures there; its numbers are in tests/published/test_sympy.py. The excitation of the second run
@@ -194,7 +194,7 @@ def test_the_arm_of_sympys_tutorial():
         np.testing.assert_allclose(ours.y, np.hstack(states), rtol=0, atol=1e-8)
 
 
-def test_a_muscles_own_rates_may_be_given():
+def test_rates_of_a_tendon_force_given_as_state_equations_equal_lambdify():
     """Of the tendon's force, for which SymPy holds the inverse of the tendon's curve to be no real number."""
     lift = Lift(MusculotendonFormulation.TENDON_FORCE_EXPLICIT)
     rates = dict(zip(lift.muscle.x, lift.muscle.rhs(), strict=True))
@@ -203,7 +203,7 @@ def test_a_muscles_own_rates_may_be_given():
     np.testing.assert_allclose(fb.compile_model(given).rhs(0.0, x, r=[0.7]), lift.rates(x, 0.7), rtol=1e-10)
 
 
-def test_the_constants_of_the_curves_may_be_parameters():
+def test_muscle_with_curve_constants_as_parameters_has_the_rates_of_numbers():
     """The published ones give the motion of SymPy's muscle with numbers, and the friction beside it is still found."""
     lift = Lift(MusculotendonFormulation.RIGID_TENDON)
     of_numbers = lift.muscle

@@ -65,7 +65,7 @@ def bobs_outputs(state, p, r):
     return np.array([-2 * length * multiplier, a * np.sin(v) + m * b**2, y + r[0] * 0.7])
 
 
-def test_multipliers_and_accelerations_in_outputs():
+def test_derivatives_of_outputs_with_multipliers_equal_complex_steps():
     model = fb.compile_model(pendulum_in_cartesian_coordinates())
     assert model.parameters == ("g", "m", "l", "k")
     for state in ([0.3, -0.4, 0.8, 0.6], [0.2, 0.5, -1.0, 0.3]):
@@ -77,7 +77,7 @@ def test_multipliers_and_accelerations_in_outputs():
     np.testing.assert_allclose(model.output_parameter_jacobian(0.7, state, p), expected, rtol=1e-11, atol=1e-9)
 
 
-def test_states_with_equations_of_their_own_in_outputs():
+def test_derivatives_of_outputs_with_auxiliary_states_equal_complex_steps():
     q, u, z, force = me.dynamicsymbols("q u z F")
     tau, k = sm.symbols("tau k")
     wall, block = me.RigidBody("wall"), me.RigidBody("block", mass=M)
@@ -101,14 +101,14 @@ def test_states_with_equations_of_their_own_in_outputs():
     hold(model, by_hand, 0.0, [0.3, -0.2, 0.7], [2.0, 8.0, 0.1], [1.5])
 
 
-def test_unknown_forces_in_outputs():
+def test_derivatives_of_outputs_with_unknown_forces_equal_complex_steps():
     model = compiled(rod(lambda n: MU * n, "sliding_rod"))
     order = [model.parameters.index(name) for name in ("g", "m", "l", "J", "mu")]
     p = np.array([model.defaults[name] for name in model.parameters])
     hold(model, lambda x, p, r: np.array([rods_rates(x, [p[i] for i in order])[1]]), 0.0, [0.2, 0.4, 2.0, -3.0], p, [])
 
 
-def test_linear_form_with_outputs():
+def test_linearization_with_outputs_equals_the_closed_form_of_c_and_d():
     """C and D in the independent coordinates, against the pendulum's own: y follows x on the circle."""
     model = fb.compile_model(pendulum_in_cartesian_coordinates())
     length, g, m, push = 0.5, 9.81, 2.0, 1.5
@@ -142,12 +142,12 @@ def test_linear_form_with_outputs():
             model.linearize(0.0, state, outputs=wrong)
 
 
-def test_modules_that_are_shipped_have_them(tmp_path):
+def test_derivatives_of_outputs_in_a_built_module_equal_complex_steps(tmp_path):
     model = fb.load(fb.build_model(pendulum_in_cartesian_coordinates(), tmp_path))
     hold(model, bobs_outputs, 0.7, [0.3, -0.4, 0.8, 0.6], [9.81, 2.0, 0.5, 3.0], [1.5])
 
 
-def test_multipliers_of_redundant_constraints_have_none():
+def test_derivatives_of_outputs_with_undetermined_multipliers_are_refused():
     made = pendulum_in_cartesian_coordinates()
     system = made.system
     system.add_holonomic_constraints(2 * system.holonomic_constraints[0])

@@ -11,7 +11,7 @@ from sympy.physics.mechanics.system import System
 import fourbar_codegen as fb
 
 
-def test_a_table_that_comes_to_rest_at_zero_does_not_jump():
+def test_table_of_a_motion_that_comes_to_rest_at_zero_does_not_jump():
     """Beside zero, rounding errors of an interpolant are no jump; the motion is that of a pivot one metre away."""
     model = fb.compile_model(driven_pendulum(None))
     times, values = np.array([0.0, 0.1, 0.2, 0.3]), np.array([0.0, 0.7, 0.0, 0.0])
@@ -23,7 +23,7 @@ def test_a_table_that_comes_to_rest_at_zero_does_not_jump():
     np.testing.assert_allclose(runs[0].y[:, -1], runs[1].y[:, -1], rtol=0, atol=1e-8)
 
 
-def test_rates_of_an_input_are_inputs():
+def test_rates_of_a_prescribed_motion_are_inputs_of_the_equations():
     pendulum = fb.compile_model(driven_pendulum(a * sm.sin(w * t)))
     assert pendulum.inputs == ("s", "s'", "s''")
     for time, angle, speed in ((0.0, 0.3, 1.0), (0.7, -1.2, 0.5)):
@@ -43,7 +43,7 @@ def test_rates_of_an_input_are_inputs():
         assert pendulum.kinetic_energy(time, x) == pytest.approx(energy, rel=1e-13)
 
 
-def test_the_growth_of_energy_is_that_at_the_times_of_the_run():
+def test_kinetic_energy_of_a_moved_pivot_counts_at_the_runs_own_times():
     # Drawn along the rod, the bob moves as its pivot does: T = m s'^2 / 2, whose largest value is at t = 0. Counted
     # from the beginning as well, the run would end there.
     model = fb.compile_model(driven_pendulum(0, a / (1 + sm.exp(-2 * w * t))))
@@ -53,7 +53,7 @@ def test_the_growth_of_energy_is_that_at_the_times_of_the_run():
     assert "has grown" not in run.message
 
 
-def test_batches_take_motions_as_single_states_do():
+def test_batch_with_a_prescribed_motion_equals_closed_forms_of_single_states():
     """At rest where a motion is given without its rates; its expression where it is left out, at each time."""
     pendulum = fb.compile_model(driven_pendulum(a * sm.sin(w * t)))
     times, x = np.array([0.0, 0.7, 2.0]), np.array([[0.3, -1.2, 2.0], [1.0, 0.5, -3.0]])
@@ -71,7 +71,7 @@ def test_batches_take_motions_as_single_states_do():
         bare.rhs_batch(0.0, x, r={})
 
 
-def test_parameters_reach_the_motion_through_the_expressions_of_rates():
+def test_parameter_jacobian_through_a_motions_rates_equals_the_closed_form():
     pendulum = fb.compile_model(driven_pendulum(a * sm.sin(w * t)))
     time, angle, speed, p = 0.7, -1.2, 0.5, {m: 2.0, length: 0.5, g: 9.81, a: 0.1, w: 5.0}
     pivot = sm.Function("pivot")(t)
@@ -96,7 +96,7 @@ def test_parameters_reach_the_motion_through_the_expressions_of_rates():
         np.testing.assert_allclose(pendulum.parameter_jacobian(time, x, r=r), expected, rtol=1e-12, atol=1e-12)
 
 
-def test_parameters_reach_the_motion_through_the_expressions_of_forces():
+def test_parameter_jacobian_through_forces_of_time_equals_the_closed_form():
     wall, block = me.RigidBody("wall"), me.RigidBody("block", mass=m)
     F, G = me.dynamicsymbols("F G")
     system = System.from_newtonian(wall)
@@ -134,7 +134,7 @@ def test_parameters_reach_the_motion_through_the_expressions_of_forces():
     )
 
 
-def test_spline_through_a_table():
+def test_cubic_table_of_a_motion_gives_the_motion_of_the_expression():
     pendulum = fb.compile_model(driven_pendulum(None))
     times = np.linspace(0.0, 2.0, 401)
     spline = (times, 0.1 * np.sin(5 * times))
@@ -147,7 +147,7 @@ def test_spline_through_a_table():
     np.testing.assert_allclose(run["s'"], 0.5 * np.cos(5 * run.t), atol=1e-5)
 
 
-def test_prescribed_motion_needs_its_rates():
+def test_prescribed_motion_without_rates_is_refused():
     pendulum = fb.compile_model(driven_pendulum(None))
     with pytest.raises(fb.ModelError, match="s prescribes a motion"):
         pendulum.simulate((0.0, 1.0), [0.0, 0.0], inputs={"s": lambda t, x: 0.0})
@@ -166,7 +166,7 @@ def test_prescribed_motion_needs_its_rates():
     np.testing.assert_allclose(pushed.initial_state(guess=[0.3, 0.9], inputs={"s": 0.3})[0], 0.3, rtol=1e-9)
 
 
-def test_constraint_that_prescribes_a_motion():
+def test_constraint_that_prescribes_a_motion_gives_closed_form_kinematics():
     crank = fb.compile_model(driven_slider_crank())
     p = {"w": 4.0}
     for time in (0.0, 0.3, 1.0):
@@ -185,7 +185,7 @@ def test_constraint_that_prescribes_a_motion():
     assert x0[2] == pytest.approx(4.0, rel=1e-12)
 
 
-def test_parameters_reach_the_motion_through_a_constraint_that_prescribes_it():
+def test_parameter_jacobian_through_a_driving_constraint_equals_the_closed_form():
     crank = fb.compile_model(driven_slider_crank(w * t**2))
     p = {"w": 4.0}
     x0 = crank.initial_state(t=0.3, guess=[0.36, 0.9], parameters=p)
@@ -219,7 +219,7 @@ def drifting(*, carried=False, coupled=False):
     return fb.Model(system, name=f"drifting_{carried:d}{coupled:d}", parameters=values, inputs={s: None})
 
 
-def test_an_input_of_kinematics_alone_prescribes_no_motion():
+def test_input_of_kinematic_equations_alone_needs_no_rates():
     model = fb.compile_model(drifting())
     assert model.inputs == ("s",)
     # From 0 to 1 within 1 ms; a cubic spline through this table goes to 1000 and beyond.
@@ -242,7 +242,7 @@ def test_an_input_of_kinematics_alone_prescribes_no_motion():
     assert model.kinetic_energy(0.0, x0) == pytest.approx(0.5 * 2 * 4 + 0.5 * 3 * 9, rel=1e-15)
 
 
-def test_an_expression_without_rates_will_do_where_none_are_needed():
+def test_expression_without_rates_is_accepted_only_where_none_are_needed():
     switched = fb.Model(drifting().system, name="switched", inputs={s: sm.Heaviside(t - w)}, parameters={w: 1.0})
     model = fb.compile_model(switched)
     assert model.inputs == ("s",)
@@ -260,7 +260,7 @@ def test_an_expression_without_rates_will_do_where_none_are_needed():
         fb.compile_model(floored)
 
 
-def test_an_input_of_kinematics_that_velocities_or_constraints_take_up_prescribes_a_motion():
+def test_input_in_velocities_or_constraints_prescribes_a_motion_with_rates():
     # v = q' = u + s: the momentum m v is conserved.
     carried = fb.compile_model(drifting(carried=True))
     assert carried.inputs == ("s", "s'", "s''")
@@ -283,7 +283,7 @@ def test_an_input_of_kinematics_that_velocities_or_constraints_take_up_prescribe
     np.testing.assert_allclose(run.u, [-(run.t**3) * 3 / 5, run.t**3 * 2 / 5], atol=1e-9)
 
 
-def test_parameters_that_are_expressions_of_others():
+def test_parameter_that_is_an_expression_of_others_follows_them():
     density = sm.Symbol("density")
     values = {m: density * length, length: 0.5, g: 9.81, density: 4.0}
     model = fb.Model(driven_pendulum(None).system, name="derived", parameters=values, inputs={s: 0})
@@ -297,7 +297,7 @@ def test_parameters_that_are_expressions_of_others():
         pendulum.rhs(0.0, [0.0, 0.0], {"m": 1.0})
 
 
-def test_inputs_that_nobody_declared():
+def test_inputs_auto_declares_functions_of_time_that_nobody_declared():
     """A spring and damper whose constants are functions of time, as SymBRiM's are; a constant for one of them stands
     among the parameters, beside names of other models."""
     q, u, k, c, q_ref = me.dynamicsymbols("q u k c q_ref")
@@ -332,7 +332,7 @@ def test_inputs_that_nobody_declared():
 
 @pytest.mark.parametrize("method", ["DOP853", "Radau"])
 @pytest.mark.parametrize("t_0", [0.0, 5e5, 1e6, 1.7e9])
-def test_the_sample_at_the_end_of_a_table_is_the_one_before_the_jump(t_0, method):
+def test_sample_at_the_end_of_a_motions_table_is_the_state_before_the_jump(t_0, method):
     """At times such as time stamps too, which are whole numbers of spacings of doubles apart from t_0.
 
     x = r cos(a) + sqrt(l^2 - r^2 sin(a)^2), with a and its rate by SciPy's spline. A sample that is a rounding error
@@ -362,7 +362,7 @@ def test_the_sample_at_the_end_of_a_table_is_the_one_before_the_jump(t_0, method
 
 
 @pytest.mark.parametrize("t_0", [0.0, 1e6])
-def test_inputs_belong_to_the_states_where_rates_jump(t_0):
+def test_inputs_at_samples_where_rates_jump_are_those_after_the_jump(t_0):
     """A crank that starts to turn: at a table's inner point, where the later interval counts, and by Heaviside.
 
     The value of Heaviside itself is the mean there; the states are those after the jump, and so are the inputs.

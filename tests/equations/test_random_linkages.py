@@ -73,7 +73,7 @@ def linkages(draw):
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
 )
 @given(linkages())
-def test_right_hand_side_and_jacobian_of_random_linkages(linkage):
+def test_rates_and_jacobian_of_random_linkages_equal_sympys(linkage):
     system, values, x = linkage
     model = fb.Model(system, name="linkage", parameters={})
     compiled = fb.compile_model(model)

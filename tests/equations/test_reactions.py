@@ -13,7 +13,7 @@ t = me.dynamicsymbols._t
 g = sm.Symbol("g")
 
 
-def test_force_in_a_joint_of_the_tree():
+def test_force_in_a_pivot_by_auxiliary_speeds_equals_the_closed_form():
     # A pendulum whose pivot is given auxiliary speeds. In polar form: the rod pulls the bob with
     # m (l u^2 + g cos q) towards the pivot, and the pivot's force on the rod is the same.
     q, u, ux, uy, fx, fy = me.dynamicsymbols("q u u_x u_y F_x F_y")
@@ -45,7 +45,7 @@ def test_force_in_a_joint_of_the_tree():
         np.testing.assert_allclose([force_x, force_y], tension * np.array([-np.sin(angle), np.cos(angle)]), atol=1e-13)
 
 
-def test_outputs_along_a_trajectory(tmp_path):
+def test_joint_force_along_a_run_equals_the_multipliers(tmp_path):
     linkage = fb.compile_model(closed_by_auxiliary_speeds(unknown_forces=True))
     x0 = linkage.initial_state([2.0], [1.0], guess=[-2.0, -1.0])
     run = linkage.simulate((0.0, 0.3), x0, rtol=1e-10, atol=1e-10)
@@ -54,7 +54,7 @@ def test_outputs_along_a_trajectory(tmp_path):
     assert "F_y" in run.save(tmp_path / "run.csv").read_text().splitlines()[0].split(",")
 
 
-def test_unknown_forces_come_before_inputs():
+def test_inputs_auto_leaves_unknown_forces_to_auxiliary_speeds():
     """inputs="auto" leaves them to auxiliary speeds, and guesses nothing where there are more."""
     model = closed_by_auxiliary_speeds(unknown_forces=True)
     values = {symbol: parameter.value for symbol, parameter in model.parameter_symbols.items()}
@@ -68,7 +68,7 @@ def test_unknown_forces_come_before_inputs():
     assert fb.Model(model.system, parameters=values, inputs={wind: 0}).outputs == ("F_x", "F_y")
 
 
-def test_forces_that_are_not_determined():
+def test_unknown_forces_that_auxiliary_speeds_do_not_determine_are_refused():
     model = closed_by_auxiliary_speeds(unknown_forces=True)
     system = model.system
     system.velocity_constraints = [entry.subs(me.dynamicsymbols("u_x"), 0) for entry in system.velocity_constraints]

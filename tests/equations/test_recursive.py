@@ -242,18 +242,18 @@ def case(request):
     return system, options, fb.compile_model(fb.Model(system, **options))
 
 
-def test_is_recursive(case):
+def test_trees_of_all_kinds_have_the_recursive_form(case):
     assert case[2].manifest["form"] == "recursive"
 
 
 @pytest.mark.parametrize("links", [8, 32])
-def test_long_chains_are_recursive(links):
+def test_long_spatial_chains_have_the_recursive_form(links):
     """M is found regular by random numbers, which need not be the inertia of a body."""
     model = revolute_chain(links)
     assert lower(model.name, form_equations(model)).form == "recursive"
 
 
-def test_accelerations_against_sympy(case):
+def test_accelerations_of_the_recursive_form_equal_sympys(case):
     system, options, compiled = case
     expected = accelerations_by_sympy(system, **options)
     for x in random_states(compiled):
@@ -264,7 +264,7 @@ def test_accelerations_against_sympy(case):
         np.testing.assert_allclose(matrix @ wanted, forcing, rtol=0, atol=1e-10 * np.abs(matrix @ wanted).max())
 
 
-def test_side_by_side(case):
+def test_batch_in_the_recursive_form_equals_single_states(case):
     *_, compiled = case
     states = random_states(compiled, 21)
     together = compiled.rhs_batch(0.3, states.T.copy())
@@ -273,7 +273,7 @@ def test_side_by_side(case):
         np.testing.assert_allclose(column, alone, rtol=0, atol=1e-12 * np.abs(alone).max())
 
 
-def test_derivatives_against_differences(case):
+def test_jacobians_of_the_recursive_form_equal_differences(case):
     """Central differences of order 6, whose errors are near 1e-9 of the largest entry."""
     *_, compiled = case
     p = np.array([*compiled.defaults.values()])
@@ -297,7 +297,7 @@ def test_derivatives_against_differences(case):
             np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-7 * np.abs(wanted).max())
 
 
-def test_a_singular_mass_matrix_is_told():
+def test_singular_mass_matrix_in_the_recursive_form_raises_an_error():
     """Six joints that only a particle at the tip resists: M has rank 3, and rounding errors for pivots."""
     tree = Tree("massless_arm")
     frame, joint = tree.ground, tree.origin
@@ -325,7 +325,7 @@ def test_a_singular_mass_matrix_is_told():
         np.testing.assert_allclose(found, wanted, rtol=0, atol=rounding * np.abs(wanted).max())
 
 
-def test_an_unknown_force_at_the_root():
+def test_unknown_force_at_the_root_of_a_chain_equals_sympys():
     """The force that holds the first joint of a chain, against SymPy's equation of its auxiliary speed."""
     tree = Tree("held_chain")
     slip, force = me.dynamicsymbols("w F")
@@ -359,7 +359,7 @@ def closed():
     return model
 
 
-def test_closed_members_are_simulations(closed):
+def test_members_of_a_closed_recursive_chain_equal_runs(closed):
     x0 = closed.initial_state()
     how = {"t_eval": [0.1, 0.2, 0.3], "rtol": 1e-9, "atol": 1e-9}
     values = np.linspace(0.9, 1.1, 9)
@@ -370,7 +370,7 @@ def test_closed_members_are_simulations(closed):
         np.testing.assert_allclose(ensemble.y[i], run.y, rtol=0, atol=1e-10)
 
 
-def test_constraints_hold_where_they_are_nearly_dependent(closed):
+def test_nearly_dependent_constraints_in_the_recursive_form_still_hold(closed):
     """Near a stretched chain J loses rank, so that the dense solution is used; J u' + gamma = 0 holds on both sides."""
     for bend in (0.3, 1e-2, 1e-4, 1e-6):
         q = np.zeros(12)

@@ -35,7 +35,7 @@ def test_repeated_constraints_change_nothing_but_the_multipliers(constraints):
     )
 
 
-def test_parallelogram_with_a_bar_too_many():
+def test_redundant_parallelogram_moves_as_an_inverted_pendulum():
     compiled = fb.compile_model(three_uprights())
     x0 = compiled.initial_state({"p0": 0.5}, {"v0": 0.7}, guess=[0.4, 0.6, 0.1])
     np.testing.assert_allclose(x0, [0.5, 0.5, 0.5, 0.0, 0.7, 0.7, 0.7, 0.0], atol=1e-9)
@@ -81,7 +81,7 @@ def test_contradictory_constraints_are_an_error():
         fb.compile_model(pendulum(circle, circle - me.dynamicsymbols._t**2)).rhs(0.0, [0.6, -0.8, 0.0, 0.0])
 
 
-def test_constraints_that_are_not_redundant_need_a_dependent_speed_each():
+def test_independent_constraints_with_too_few_dependent_speeds_are_refused():
     model = pendulum(circle, me.dynamicsymbols("x") - sm.S.Half * me.dynamicsymbols("y"))
     with pytest.raises(fb.ModelError, match=r"2 velocity constraints are independent .* 1 dependent speed \(v_x\)"):
         fb.compile_model(model)
@@ -98,7 +98,7 @@ def test_constraints_that_are_not_redundant_need_a_dependent_speed_each():
 
 
 @pytest.mark.parametrize("share", [1e-2, 1e-4, 1e-6])
-def test_a_constraint_that_is_nearly_another_one(share):
+def test_constraint_that_is_nearly_another_one_counts_as_independent(share):
     """x vx + y vy + w vx = 0 on a circle: with the circle's own rate, vx = 0, however small w is."""
     (x, y), (vx, vy) = me.dynamicsymbols("x y"), me.dynamicsymbols("v_x v_y")
     model = pendulum(circle)
@@ -109,7 +109,7 @@ def test_a_constraint_that_is_nearly_another_one(share):
         nearly.rhs(0.0, [0.6, -0.8, 0.0, 0.0])
 
 
-def test_a_loop_with_one_dependent_variable_too_few():
+def test_loop_with_one_dependent_speed_too_few_is_refused():
     """The tutorial's linkage with u3 alone dependent: SymPy's form_eoms refuses it too."""
     linkage = fb.models.four_bar()
     system = linkage.system
@@ -124,7 +124,7 @@ def test_a_loop_with_one_dependent_variable_too_few():
         compiled.rhs(0.0, fb.load("four_bar").initial_state())
 
 
-def test_constraints_on_one_particle_with_one_dependent_speed():
+def test_particle_with_two_constraints_and_one_dependent_speed_is_refused():
     """y = x and z = -x leave one degree of freedom: the compiler is not to blame."""
     (x, y, z), (vx, vy, vz) = me.dynamicsymbols("x y z"), me.dynamicsymbols("v_x v_y v_z")
     t = me.dynamicsymbols._t
@@ -141,7 +141,7 @@ def test_constraints_on_one_particle_with_one_dependent_speed():
         fb.compile_model(fb.Model(system, name="particle"))
 
 
-def test_more_dependent_speeds_than_independent_constraints():
+def test_repeated_constraint_with_a_dependent_speed_too_many_has_single_rates():
     """Both speeds of a pendulum dependent, its constraint twice: the second row is dropped as it was."""
     single = fb.compile_model(fb.models.cartesian_pendulum())
     model = pendulum(circle, 2 * circle)
@@ -154,7 +154,7 @@ def test_more_dependent_speeds_than_independent_constraints():
     np.testing.assert_allclose(both.rhs(0.0, x0), single.rhs(0.0, x0), rtol=1e-13)
 
 
-def test_equilibrium_from_a_guess_with_open_loops():
+def test_equilibrium_of_redundant_uprights_is_found_from_open_loops():
     """Away from closed loops nothing is redundant: the uprights hang, or stand, all alike."""
     compiled = fb.compile_model(three_uprights())
     np.testing.assert_allclose(np.sin(compiled.equilibrium([3.0, 3.1, 3.2, 0.1])), 0.0, atol=1e-9)

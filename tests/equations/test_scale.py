@@ -63,7 +63,7 @@ def skewed(count):
     return [Link((X, Y, Z)[number % 3], X, X / 2 + Y / 5, 1.0, INERTIA) for number in range(count)]
 
 
-def test_velocities_of_long_spatial_chains_are_not_expanded():
+def test_long_spatial_chain_is_read_without_expanded_velocities():
     """SymPy's own, which is differentiated in the inertial frame, does not end for a third of these links."""
     model = by_positions(32)
     assert len(model.mechanism.points) == 1 + 2 * 32 - 1
@@ -81,7 +81,7 @@ def test_velocities_of_long_spatial_chains_are_not_expanded():
     ],
     ids=["7 links by positions", "12 links", "16 closed links", "3 ball joints", "8 ball joints"],
 )
-def test_chain_against_recursive_newton_euler(model, links, gravity):
+def test_long_chains_balance_the_torques_of_recursive_newton_euler(model, links, gravity):
     compiled = fb.compile_model(model())
     generator = np.random.default_rng(3)
     n = compiled.n_u
@@ -104,7 +104,7 @@ def test_chain_against_recursive_newton_euler(model, links, gravity):
 
 
 @pytest.mark.parametrize("links", [1, 3, 6])
-def test_pendulum_on_a_cart_of_sympys_models(links):
+def test_pendulum_on_a_cart_of_several_links_has_sympys_rates(links):
     kane = n_link_pendulum_on_cart(links)
     symbols = sorted(kane.mass_matrix_full.free_symbols | kane.forcing_full.free_symbols, key=str)
     symbols = [symbol for symbol in symbols if symbol != me.dynamicsymbols._t]
@@ -145,7 +145,7 @@ def branches(arms, links):
     return fb.Model(system, name="branches", parameters={m: 1.1, length: 0.6, g: G})
 
 
-def test_branches():
+def test_branched_tree_in_recursive_form_has_sympys_rates():
     model = branches(5, 2)
     compiled = fb.compile_model(model)
     assert compiled.manifest["form"] == "recursive"
@@ -158,7 +158,7 @@ def test_branches():
 
 
 @pytest.mark.parametrize("loops", [1, 3, 20])
-def test_row_of_parallelograms_in_closed_form(loops):
+def test_row_of_parallelograms_of_any_length_moves_as_the_closed_form(loops):
     # [(N + 1) / 3 + N] L phi'' = [(N + 1) / 2 + N] g sin(phi), the bars across stay level (IFToMM benchmark A02).
     compiled = fb.compile_model(fb.models.n_four_bar(loops))
     upright = loops + 1
@@ -178,13 +178,13 @@ def operations(model, function="dynamics"):
     return json.loads(fb.generate_sources(model)["manifest.json"])["operations"][function]
 
 
-def test_operations_of_a_chain_are_quadratic():
+def test_operations_of_a_closed_chain_grow_at_most_quadratically():
     counts = [operations(fb.models.chain(links, closed=True)) for links in (6, 12, 24)]
     assert counts[1] < 4 * counts[0]
     assert counts[2] < 4 * counts[1]
 
 
-def test_operations_of_loops_are_linear():
+def test_operations_of_a_row_of_loops_grow_linearly():
     counts = [operations(fb.models.n_four_bar(loops)) for loops in (5, 10, 20)]
     assert counts[1] < 2.05 * counts[0]
     assert counts[2] < 2.05 * counts[1]
@@ -207,7 +207,7 @@ def pieces(count):
     return fb.Model(system, name="pieces")
 
 
-def test_the_code_of_a_spline_grows_linearly():
+def test_code_of_a_spline_grows_linearly_and_its_values_are_right():
     """With derivatives, along a direction and in reverse: equal numbers of pieces add equal text, but for digits."""
     lengths = [sum(map(len, fb.generate_sources(pieces(count)).values())) for count in (8, 16, 24)]
     assert lengths[2] - lengths[1] == pytest.approx(lengths[1] - lengths[0], rel=0.1)
@@ -231,14 +231,14 @@ def rockers_on_one_crank(count):
     return fb.Linkage(f"rockers_{count}", points=points, ground=ground, links=links, density=2.0, gravity=9.81).model()
 
 
-def test_loops_on_one_crank_take_operations_in_proportion_to_their_number():
+def test_elimination_of_loops_on_one_crank_grows_linearly():
     """A loop has 2 speeds and 2 constraints; their columns have those of the loop, and the crank."""
     for count in (4, 12):
         structure = lower("rockers", form_equations(rockers_on_one_crank(count))).structure
         assert sum(map(len, structure.below)) <= count * (4 + 3 + 2 + 1)
 
 
-def test_a_form_that_a_model_lacks_is_refused():
+def test_lowering_to_a_form_that_a_model_lacks_is_refused():
     """A four-bar is too small for others; a recursion needs independent constraints."""
     equations = form_equations(fb.models.four_bar())
     assert lower("four_bar", equations, "dense").form == "dense"
@@ -246,7 +246,7 @@ def test_a_form_that_a_model_lacks_is_refused():
         lower("four_bar", equations, "recursive")
 
 
-def test_where_a_loop_on_a_crank_is_dead_the_equations_are_solved_all_the_same():
+def test_sparse_equations_with_a_loop_at_its_dead_point_hold_to_rounding():
     """Where a coupler is in line with its rocker, its constraints are dependent without the crank's speed."""
     model = fb.compile_model(rockers_on_one_crank(4))
     x = model.initial_state(speeds={model.speeds[0]: 2.0})

@@ -42,7 +42,7 @@ def motor_at(time, x0):
     return (expm(extended * time) @ [*x0, 1.0])[:3]
 
 
-def test_names_and_sizes():
+def test_motor_with_a_current_has_it_among_states_names_and_sizes():
     model = motor()
     assert model.auxiliary_states == ("i",)
     assert "1 auxiliary states" in repr(model)
@@ -54,7 +54,7 @@ def test_names_and_sizes():
     assert compiled.initial_state(auxiliary_states={"i": 0.7}).tolist() == [0.3, 0.5, 0.7]
 
 
-def test_motor_is_linear():
+def test_motor_has_the_rates_jacobian_and_linearization_of_its_matrices():
     compiled = fb.compile_model(motor())
     x = compiled.initial_state()
     np.testing.assert_allclose(compiled.rhs(0.0, x), MOTOR @ x + VOLTAGE[:, 0], rtol=1e-14)
@@ -66,7 +66,7 @@ def test_motor_is_linear():
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_motor_by_every_method(method):
+def test_motor_by_every_method_moves_as_the_matrix_exponential(method):
     options, tolerance = METHODS[method]
     compiled = fb.compile_model(motor())
     x0 = compiled.initial_state()
@@ -77,7 +77,7 @@ def test_motor_by_every_method(method):
     np.testing.assert_allclose(run["induced"], 1.0 - run["i"] - 0.01 * run["omega"], rtol=0, atol=1e-14)
 
 
-def test_motor_along_every_way_of_running(tmp_path):
+def test_motor_in_ensembles_batches_and_modules_moves_as_the_matrix_exponential(tmp_path):
     compiled = fb.compile_model(motor())
     x0 = compiled.initial_state()
     expected = motor_at(2.0, x0)
@@ -109,7 +109,7 @@ def test_motor_along_every_way_of_running(tmp_path):
     np.testing.assert_allclose(module.simulate((0.0, 2.0), x0, **TIGHT).y[:, -1], expected, rtol=0, atol=1e-8)
 
 
-def test_equilibrium_of_a_motor_against_a_spring():
+def test_equilibrium_of_a_motor_against_a_spring_is_the_closed_form():
     system, body, inertia, angle, speed = rotor()
     stiffness, k, ohm, henry, voltage = sm.symbols("c K R L V")
     current = me.dynamicsymbols("i")
@@ -124,7 +124,7 @@ def test_equilibrium_of_a_motor_against_a_spring():
     np.testing.assert_allclose(x, [0.3 * 3.0 / 2.0, 0.0, 3.0], rtol=1e-12)
 
 
-def test_a_filter_that_drives_a_mass():
+def test_filter_that_drives_a_mass_moves_it_as_the_closed_form():
     """m v' + c v = k e, RC e' = V - e, from rest."""
     m, c, k, tau = 2.0, 0.7, 3.0, 0.4
     q, u, filtered, volts = me.dynamicsymbols("q u e V")
@@ -163,7 +163,7 @@ def test_a_filter_that_drives_a_mass():
     np.testing.assert_allclose(runs.y[:, 1], np.array([speed(tau) for tau in taus]), rtol=0, atol=1e-8)
 
 
-def test_relaxation_of_a_tyre():
+def test_relaxation_of_a_tyre_gives_the_damped_oscillation():
     """m v' = F, (s / V) F' + F = -C v / V: a damped oscillation (Pacejka, Tire and Vehicle Dynamics, section 7.1)."""
     m, length, forward, stiffness = 200.0, 0.4, 10.0, 5e4
     y, v, force = me.dynamicsymbols("y v F")
@@ -198,7 +198,7 @@ def cartesian_rates(state, m=1.3, g=9.81, tau=0.2):
     return np.array([vy, vx, ay, ax, (ay / 10 - z) / tau, multiplier * x - w * (1 + z)])
 
 
-def test_accelerations_and_multipliers_in_state_equations():
+def test_state_equations_with_accelerations_and_multipliers_have_closed_form_rates():
     compiled = fb.compile_model(cartesian())
     x0 = compiled.initial_state()
     generator = np.random.default_rng(0)
@@ -219,7 +219,7 @@ def test_accelerations_and_multipliers_in_state_equations():
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_accelerations_and_multipliers_by_every_method(method):
+def test_state_equations_with_multipliers_by_every_method_move_as_scipy(method):
     options, tolerance = METHODS[method]
     compiled = fb.compile_model(cartesian())
     x0 = compiled.initial_state()
@@ -233,12 +233,12 @@ def test_accelerations_and_multipliers_by_every_method(method):
         np.testing.assert_allclose(stabilized.y[:, -1], expected.y[:, -1], rtol=0, atol=10 * tolerance)
 
 
-def test_index_3_does_not_know_accelerations():
+def test_index_3_with_accelerations_in_state_equations_is_refused():
     with pytest.raises(fb.ModelError, match="formulation='index-3' accelerations and multipliers"):
         fb.compile_model(cartesian()).simulate((0.0, 1.0), method="IDA", formulation="index-3")
 
 
-def test_a_long_chain_with_a_state():
+def test_state_of_a_long_chain_has_rates_and_jacobian_of_the_chain():
     """Equations that are solved by their structure."""
     model = fb.models.chain(20)
     z, tau = me.dynamicsymbols("z"), sm.Symbol("tau")
@@ -264,7 +264,7 @@ def refused(match, system_change=lambda system, z: None, **more):
         fb.Model(system, **{"state_equations": {z: -z}, **more})
 
 
-def test_where_states_may_not_stand():
+def test_auxiliary_states_in_energies_constraints_or_unknown_names_are_refused():
     speed, z = me.dynamicsymbols("omega z")
     refused("z.* in the potential energy cannot be compiled", potential_energy=z**2)
     refused(
@@ -284,7 +284,7 @@ def test_where_states_may_not_stand():
     refused("y.* in the state equation of z: not among", state_equations={z: -me.dynamicsymbols("y")})
 
 
-def test_a_state_without_a_value():
+def test_run_from_an_auxiliary_state_without_a_value_is_refused():
     system, _, inertia, angle, speed = rotor()
     z = me.dynamicsymbols("z")
     compiled = fb.compile_model(
@@ -296,7 +296,7 @@ def test_a_state_without_a_value():
     assert run["z"][-1] == pytest.approx(np.exp(-1.0), abs=1e-8)
 
 
-def test_multipliers_of_redundant_constraints_are_open():
+def test_state_equation_with_undetermined_multipliers_is_refused():
     pendulum = fb.models.cartesian_pendulum()
     [circle] = pendulum.system.holonomic_constraints
     pendulum.system.add_holonomic_constraints(2 * circle)
@@ -306,7 +306,7 @@ def test_multipliers_of_redundant_constraints_are_open():
         fb.compile_model(model)
 
 
-def test_the_command_line_has_auxiliary_states(tmp_path):
+def test_command_line_takes_initial_values_of_auxiliary_states(tmp_path):
     """The motor by `fourbar simulate`, its current's initial value given, against the matrix exponential."""
     source = tmp_path / "motors.py"
     source.write_text("from test_state_equations import motor\n")

@@ -17,7 +17,7 @@ import fourbar_codegen as fb
 METHODS = {"RK45": 1e-8, "DOP853": 1e-8, "Radau": 1e-7, "BDF": 1e-6, "LSODA": 1e-6, "CVODE": 1e-6, "IDA": 1e-6}
 
 
-def test_friction_of_a_block_on_an_accelerated_belt():
+def test_block_with_friction_on_an_accelerated_belt_moves_as_the_closed_form():
     # u' = -mu (g + y''), so that u = u_0 - mu (g t + y' - y'(0)): closed form.
     height = sm.sin(5 * T) / 10
     model = compiled(box(lambda n, u: -MU * n, floor=height, name="belt"))
@@ -31,7 +31,7 @@ def test_friction_of_a_block_on_an_accelerated_belt():
     assert model.multipliers(0.0, [0.0, 4.0]).shape == (0,)
 
 
-def test_friction_on_an_incline():
+def test_block_with_friction_on_an_incline_moves_as_the_closed_form():
     """u' = g (sin a - mu cos a), for a block that slides down: closed form."""
     q, u, w, normal = me.dynamicsymbols("q u u_n N")
     slope = sm.Symbol("alpha")
@@ -55,7 +55,7 @@ def test_friction_on_an_incline():
 
 
 @pytest.mark.parametrize("force", [-50.0, 0.0, 19.6, 19.62, 30.0, 100.0])
-def test_friction_of_the_absolute_normal_force(force):
+def test_friction_of_the_absolute_normal_force_acts_for_either_sign(force):
     # A block in a slot, pulled upwards: N = m g - P has either sign, and friction goes with |N|.
     pull = me.dynamicsymbols("P")
 
@@ -70,7 +70,7 @@ def test_friction_of_the_absolute_normal_force(force):
     assert rates[1] == pytest.approx(-0.3 * abs(2.0 * 9.81 - force) / 2.0, abs=1e-12)
 
 
-def test_a_contact_that_opens_is_an_event():
+def test_normal_force_that_vanishes_is_a_terminal_event_at_the_closed_form_time():
     pull = me.dynamicsymbols("P")
     system, values, initial, _ = box(lambda n, u: -MU * n)
     system.add_loads(me.Force(system.bodies[0].masscenter, pull * system.frame.y))
@@ -80,7 +80,7 @@ def test_a_contact_that_opens_is_an_event():
     assert run.t_events[0][0] == pytest.approx(2.0 * 9.81 / 10.0, rel=1e-12)
 
 
-def test_a_force_that_is_not_linear_in_the_normal_force():
+def test_friction_not_linear_in_the_normal_force_equals_a_scalar_root():
     """Friction that falls as the contact is pressed harder, and lift that grows with it: one equation by brentq."""
     k = sm.Symbol("k")
 
@@ -124,7 +124,7 @@ N_OF = 2.0 * 9.81  # of the block, where nothing else acts upwards
         lambda n: MU * n * sm.sin(1.3 * sm.atan(50 / (0.39 * n))),  # H. B. Pacejka's formula, B = C_a / (C mu n)
     ],
 )
-def test_laws_of_all_kinds(law):
+def test_friction_laws_with_jumps_in_the_normal_force_give_closed_form_rates(law):
     """Of a known normal force: the law itself, evaluated by SymPy."""
     model = compiled(box(lambda n, u: -law(n), name="lawful"))
     n = sm.Symbol("n")
@@ -135,7 +135,7 @@ def test_laws_of_all_kinds(law):
     assert run["u"][-1] == pytest.approx(4.0 + 0.1 * expected, rel=1e-12)
 
 
-def test_jumps_in_reactions():
+def test_reaction_with_a_step_of_itself_in_the_loads_is_found():
     """A force that does no work in the motion, and stands in the loads with a step of itself."""
     system, values, initial, _ = box(lambda n, u: 0 * n)
     block, normal = system.bodies[0].masscenter, me.dynamicsymbols("N")
@@ -166,7 +166,7 @@ def table(friction, name):
     return system, {G: 9.81, M: 2.0, MU: 0.3, J: 0.1, a: 0.4, b: 0.7, h: 0.25}, {q: 0.0, u: 1.0}, name
 
 
-def test_several_contacts_with_friction_of_absolute_normal_forces():
+def test_two_contacts_with_absolute_friction_equal_all_choices_of_signs():
     """Against all ways to give the two forces signs: N_1 + N_2 = m g, and moments about the mass centre."""
     model = compiled(table(lambda n: MU * sm.Abs(n), "table"))
     generator, found = np.random.default_rng(0), {0: 0, 1: 0, 2: 0}
@@ -191,7 +191,7 @@ def test_several_contacts_with_friction_of_absolute_normal_forces():
 
 
 @pytest.mark.parametrize("law", [lambda n: 30 * sm.tanh(n / 100), lambda n: MU * n * (1 - n / 100)])
-def test_several_contacts_with_smooth_laws(law):
+def test_two_contacts_with_smooth_friction_are_in_balance(law):
     model = compiled(table(law, "smooth_table"))
     n = np.array(model.output(0.0, [0.0, 1.0]))
     friction = sm.lambdify([sm.Symbol("n"), MU], law(sm.Symbol("n")))(n, 0.3)
@@ -199,7 +199,7 @@ def test_several_contacts_with_smooth_laws(law):
     assert 0.4 * n[0] - 0.7 * n[1] - 0.25 * friction.sum() == pytest.approx(0.0, abs=1e-11)
 
 
-def test_unknown_forces_of_very_different_units():
+def test_unknown_forces_of_very_different_units_give_the_same_rates():
     """One in units of 1e-15: pivots are judged by the terms of their rows and columns."""
     system, values, initial, _ = table(lambda n: MU * n, "units")
     expected = compiled((system, values, initial, "units")).rhs(0.0, [0.0, 1.0])
@@ -211,7 +211,7 @@ def test_unknown_forces_of_very_different_units():
     np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
-def test_unknown_forces_where_they_cannot_stand():
+def test_unknown_forces_in_energies_or_velocities_are_refused():
     normal = me.dynamicsymbols("N")
     system, values, initial, _ = box(lambda n, u: -MU * n)
     with pytest.raises(fb.ModelError, match="unknown forces N appear in the energies: they may appear only in loads"):
@@ -222,7 +222,7 @@ def test_unknown_forces_where_they_cannot_stand():
         fb.generate_sources(fb.Model(system, parameters=values, initial=initial))
 
 
-def test_a_rod_that_slides_on_its_end():
+def test_sliding_rod_has_the_rates_and_jacobians_of_the_closed_form():
     model = compiled(rod(lambda n: MU * n, "sliding_rod"))
     p = [model.defaults[name] for name in ("g", "m", "l", "J", "mu")]
     for state in ([0.0, 1.0, -1.0, 0.3], [0.2, 0.4, 2.0, -3.0], [1.0, 2.5, 0.1, 1.0]):
@@ -238,7 +238,7 @@ def test_a_rod_that_slides_on_its_end():
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_all_methods_take_unknown_forces(method):
+def test_sliding_rod_by_every_method_reaches_the_same_state(method):
     model = compiled(rod(lambda n: MU * n, "sliding_rod"))
     reference = model.simulate((0.0, 0.4), method="DOP853", rtol=1e-12, atol=1e-12)
     run = model.simulate((0.0, 0.4), method=method, rtol=1e-9, atol=1e-11)
@@ -246,7 +246,7 @@ def test_all_methods_take_unknown_forces(method):
     np.testing.assert_allclose(run.y[:, -1], reference.y[:, -1], rtol=0.0, atol=METHODS[method])
 
 
-def test_painleves_paradox_has_a_status():
+def test_sliding_rod_in_painleves_paradox_raises_an_error_that_names_it():
     theta = 1.0
     s, c = np.sin(theta), np.cos(theta)
     critical = (c + 1 / (3 * c)) / s  # for J = m l^2 / 3, where the equation for N has no N in it
@@ -301,7 +301,7 @@ def cart(*, is_redundant):
     return system, values, {}, "sledge_in_cartesian_coordinates"
 
 
-def test_multipliers_stand_in_the_auxiliary_speeds_rows():
+def test_unknown_forces_beside_redundant_coordinates_give_the_same_motion():
     least, redundant = (compiled(cart(is_redundant=is_redundant)) for is_redundant in (False, True))
     for phi, u, omega in ((0.3, 1.0, -2.0), (-1.2, 0.5, 4.0), (2.0, -1.0, 0.5)):
         s, c = np.sin(phi), np.cos(phi)
@@ -324,7 +324,7 @@ def test_multipliers_stand_in_the_auxiliary_speeds_rows():
     assert redundant.jacobian(0.0, runs[0].y[:, -1]).shape == (6, 6)  # compared with differences when it was built
 
 
-def test_against_sympys_own_equations():
+def test_sliding_rod_has_the_rates_and_force_of_sympys_linear_equations():
     """KanesMethod's mass matrix, forcing and auxiliary equations, linear in u' and N, solved as one system."""
     system, values, *_ = rod(lambda n: MU * n, "sliding_rod")
     system.form_eoms()
@@ -342,7 +342,7 @@ def test_against_sympys_own_equations():
         assert model.output(0.0, state)[0] == pytest.approx(solution[2], rel=1e-12)
 
 
-def test_unknown_forces_in_state_equations():
+def test_state_equation_with_a_normal_force_moves_as_the_closed_form():
     """A relaxed normal force, such as that of a tyre: tau z' = N - z, with friction of z and of N."""
     z, tau = me.dynamicsymbols("z"), sm.Symbol("tau")
     normal = me.dynamicsymbols("N")
@@ -362,14 +362,14 @@ def test_unknown_forces_in_state_equations():
     np.testing.assert_allclose(by_mass, [0.0, 0.3 / 4.0, 98.1], rtol=1e-12)
 
 
-def test_ensembles_and_batches_go_one_by_one():
+def test_ensembles_and_batches_with_unknown_forces_equal_closed_forms():
     model = compiled(box(lambda n, u: -MU * n))
     ensemble = model.ensemble((0.0, 1.0), parameters={"mu": [0.1, 0.2]}, t_eval=[1.0], rtol=1e-9)
     np.testing.assert_allclose(ensemble["u"].ravel(), 4.0 - 9.81 * np.array([0.1, 0.2]), rtol=1e-9)
     np.testing.assert_allclose(model.rhs_batch(0.0, np.array([[0.0, 1.0], [4.0, 3.0]]))[1], -0.3 * 9.81)
 
 
-def test_forces_that_act_along_no_auxiliary_speed_are_no_unknown_ones():
+def test_forces_along_no_auxiliary_speed_are_inputs_or_refused():
     push = me.dynamicsymbols("F")
     system, values, *_ = box(lambda n, u: -MU * n + push)
     model = fb.Model(system, parameters=values, inputs="auto")
@@ -381,7 +381,7 @@ def test_forces_that_act_along_no_auxiliary_speed_are_no_unknown_ones():
         compiled(box(lambda n, u: -MU * n)).simulate((0.0, 1.0), method="ALI3P", max_step=1e-2)
 
 
-def test_a_ball_that_slides_on_a_spinning_disc():
+def test_ball_that_slides_on_a_spinning_disc_moves_as_the_closed_form():
     """Coulomb friction mu N against the slip relative to the disc: x'' and w' by hand, for a solid ball."""
     x, y, vx, vy, w, normal = me.dynamicsymbols("x y v_x v_y u_n N")
     spins = me.dynamicsymbols("w_x w_y w_z")
@@ -419,7 +419,7 @@ def test_a_ball_that_slides_on_a_spinning_disc():
 
 
 @pytest.mark.parametrize("name", ["disc that slides, normal force", "disc on a linear tyre"])
-def test_symbrims_tyres_with_normal_forces(name):
+def test_symbrims_tyres_with_normal_forces_agree_with_sympy(name):
     case = next(case for case in LONG if case.name == name)
     assert run(case).disagreement(case) == ""
 
@@ -488,7 +488,7 @@ def elbows_rates(state, mu=0.0):
 
 
 @pytest.mark.parametrize(("kind", "reactions"), [("System", ["fx", "fy"]), ("KanesMethod", "all")])
-def test_a_joint_force_on_one_body_is_a_reaction_if_named(kind, reactions):
+def test_joint_force_on_one_body_warns_unless_named_as_a_reaction(kind, reactions):
     made = elbow(kind)
     with pytest.warns(fb.ModelWarning, match=r"fx, fy \(force at point P\).*reactions=\['fx', 'fy'\]"):
         driven = compiled(made)
@@ -504,7 +504,7 @@ def test_a_joint_force_on_one_body_is_a_reaction_if_named(kind, reactions):
         np.testing.assert_allclose(joined.output(0.0, state), force, rtol=1e-12, atol=1e-12)
 
 
-def test_a_joint_force_on_both_bodies_needs_no_name():
+def test_joint_force_on_both_bodies_is_a_reaction_without_a_name():
     state = [1.0, 0.5, 0.3, -0.7]
     model = compiled(elbow("System", opposite=True))
     rates, force = elbows_rates(state)
@@ -514,7 +514,7 @@ def test_a_joint_force_on_both_bodies_needs_no_name():
     np.testing.assert_allclose(named.rhs(0.0, state), rates, rtol=1e-9)
 
 
-def test_friction_in_a_joint_by_its_reaction():
+def test_friction_by_a_named_reaction_gives_closed_form_rates():
     """The joint force is named, so the torque that depends on it is all that drives the motion."""
     made = elbow("System", friction=True)
     f, g = me.dynamicsymbols("fx fy")
@@ -527,7 +527,7 @@ def test_friction_in_a_joint_by_its_reaction():
 
 @pytest.mark.parametrize("kind", ["System", "KanesMethod"])
 @pytest.mark.parametrize("friction", [None, lambda v: MU, lambda v: MU * sm.tanh(v)])
-def test_a_normal_force_along_a_direction_of_parameters(kind, friction):
+def test_normal_force_along_a_wedge_gives_newtons_accelerations(kind, friction):
     """A block on a wedge that slides, with N at the block alone; accelerations by Newton's law for each body."""
     angle, wedge, block = sm.symbols("alpha M_w m_b")
     x, s, u, v, w, normal = me.dynamicsymbols("x s u v w N")
@@ -572,7 +572,7 @@ def test_a_normal_force_along_a_direction_of_parameters(kind, friction):
 
 
 @pytest.mark.parametrize("angle", [sm.Symbol("beta"), me.dynamicsymbols("beta")])
-def test_axes_of_a_joints_force_turned_by_a_constant(angle):
+def test_joint_force_along_turned_axes_gives_the_motion_of_inertial_axes(angle):
     """Which axes a force is counted along makes no difference: see the joint along inertial axes."""
     system, values, initial, _ = elbow("System")
     fx, fy = me.dynamicsymbols("fx fy")
@@ -590,7 +590,7 @@ def test_axes_of_a_joints_force_turned_by_a_constant(angle):
     assert run["q2"][-1] == pytest.approx(0.0521971909, abs=1e-9)
 
 
-def test_reactions_that_are_none():
+def test_reactions_that_name_no_unknown_force_are_refused():
     made = elbow("System")
     compiled(made, reactions=[])  # says that they drive the motion, without a warning
     for reactions in (["fz"], [me.dynamicsymbols("q1")], [3], "fx", 3):

@@ -66,7 +66,7 @@ STATED = {
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("stated", STATED)
-def test_rates_in_any_form(stated, method):
+def test_velocity_constraints_in_any_form_keep_the_positions(stated, method):
     model = fb.compile_model(pendulum(STATED[stated]))
     assert model.manifest["position_rows"] == [0]
     run = model.simulate((0.0, 1.0), method=method, **METHODS[method])
@@ -80,14 +80,14 @@ def test_rates_in_any_form(stated, method):
     np.testing.assert_allclose(force, [-tension * y, -tension * x], rtol=0, atol=1e-8 * tension)
 
 
-def test_rates_in_any_form_side_by_side():
+def test_velocity_constraints_by_a_function_keep_positions_in_ensembles():
     model = fb.compile_model(pendulum(STATED["by_a_function"]))
     ensemble = model.ensemble((0.0, 1.0), parameters={"m": np.linspace(1.0, 2.0, 9)}, rtol=1e-11, atol=1e-11)
     np.testing.assert_allclose(ensemble["y"][:, -1], Y_AFTER_1_S, rtol=0, atol=1e-9)
     assert np.abs(ensemble["x"] ** 2 + ensemble["y"] ** 2 - 1.0).max() < 1e-13
 
 
-def test_the_form_that_normalizing_a_vector_leaves():
+def test_velocity_constraints_with_roots_of_a_norm_keep_the_positions():
     """The rate is the constraint's own, with E^(-1/2) and E^(-3/2) of one E in it."""
     model = fb.compile_model(
         bead(
@@ -106,7 +106,7 @@ def combined(system, matrix):
     return [*(sm.Matrix(matrix) * system.velocity_constraints)]
 
 
-def test_rows_that_combine_the_rates_of_loops(four_bar):
+def test_velocity_constraints_that_combine_rates_give_the_same_motion(four_bar):
     model = fb.models.four_bar()
     q1 = me.dynamicsymbols("q1")
     values = {symbol: parameter.value for symbol, parameter in model.parameter_symbols.items()}
@@ -138,7 +138,7 @@ def test_rows_that_combine_the_rates_of_loops(four_bar):
     ],
     ids=["rate_first", "rate_last", "combined", "combined_by_functions"],
 )
-def test_rates_among_nonholonomic_rows(velocity):
+def test_velocity_constraints_mixed_with_nonholonomic_rows_keep_the_positions(velocity):
     """A bead on a sphere on which w = x v, in every order and combination of the two rows."""
     model = fb.compile_model(
         bead("x", "y", "z", holonomic=lambda x, y, z: x**2 + y**2 + z**2 - 1, velocity=velocity, dependent=[0, 2])
@@ -159,7 +159,7 @@ def test_rates_among_nonholonomic_rows(velocity):
             np.testing.assert_allclose(run.energy, run.energy[0], rtol=0, atol=2e-5 if method == "ALI3P" else 1e-6)
 
 
-def test_what_the_motion_does_not_keep_is_refused():
+def test_velocity_constraints_that_do_not_keep_positions_are_refused():
     with pytest.raises(fb.ModelError, match=r"do not keep holonomic constraint 1, x\(t\)\*\*2.*Phi\.diff\(t\)"):
         pendulum(lambda phi, rate, x, y, u, v: [x * u - y * v])
     # A bias of its own: the bob leaves the circle at a constant rate.
@@ -222,12 +222,12 @@ def test_the_norm_of_a_quaternion_needs_no_velocity_constraint(stated):
     np.testing.assert_allclose(2 * (e[1] * e[3] + e[0] * e[2]), -expected[0], rtol=0, atol=1e-8)
 
 
-def test_a_dependent_speed_for_a_norm_is_one_too_many():
+def test_dependent_speed_for_the_norm_of_a_quaternion_is_refused():
     with pytest.raises(fb.ModelError, match="0 velocity constraints but 1 dependent speeds"):
         fb.compile_model(top_with_norm(stated=False, dependent_speeds=me.dynamicsymbols("w3:4")))
 
 
-def test_quaternions_with_their_norm_have_an_equilibrium_and_a_linear_form():
+def test_top_in_quaternions_has_closed_form_equilibrium_and_frequencies():
     top = fb.compile_model(top_with_norm(stated=False))
     hanging = top.equilibrium({"e1": 0.05, "e2": 0.0, "e3": 0.0, "e0": 1.0})
     np.testing.assert_allclose(np.abs(hanging[:2]), 0.0, atol=1e-9)
@@ -237,7 +237,7 @@ def test_quaternions_with_their_norm_have_an_equilibrium_and_a_linear_form():
     np.testing.assert_allclose(found, [0, 0, *np.sqrt([9.81 / 3] * 2), *np.sqrt([9.81 / 2] * 2)], atol=1e-5)
 
 
-def test_two_bodies_in_quaternions_with_a_loop():
+def test_two_bars_in_quaternions_keep_their_norms_and_their_loop():
     """Two bars on ball joints whose ends meet: norms beside constraints that speeds change."""
     t = T
     ground, origin = me.ReferenceFrame("N"), me.Point("O")
@@ -290,7 +290,7 @@ def test_two_bodies_in_quaternions_with_a_loop():
 
 
 @pytest.mark.parametrize("norm", [False, True])
-def test_a_chain_of_bodies_in_quaternions(norm):
+def test_chain_of_bodies_in_quaternions_has_sympys_rates(norm):
     """Off their norms, velocities depend on the frames that sums go by; the check is at states where they hold."""
     ground, joint = me.ReferenceFrame("N"), me.Point("O")
     joint.set_vel(ground, 0)
@@ -335,7 +335,7 @@ def test_a_chain_of_bodies_in_quaternions(norm):
     )
 
 
-def test_rows_that_hold_on_one_side_alone():
+def test_velocity_constraints_that_hold_on_one_side_alone_are_refused():
     """Not where all coordinates are positive alone, and factors that are numbers there are not elsewhere."""
     with pytest.raises(fb.ModelError, match="do not keep"):
         pendulum(lambda phi, rate, x, y, u, v: [sm.Abs(x) * u + sm.Abs(y) * v])
@@ -360,7 +360,7 @@ def bump(velocity):
     return fb.compile_model(fb.Model(kane, name="bump", parameters={sm.Symbol("m"): 1.0}, initial={x: 0.0, u: 4.0}))
 
 
-def test_what_the_motion_does_not_keep_where_it_goes():
+def test_run_that_comes_to_where_its_constraints_drift_ends_with_a_message():
     """The rate is that of a flat road: at random states it is right, and the run says where it is not."""
     flat = bump(lambda road, w: w).simulate((0.0, 4.0), rtol=1e-8, atol=1e-8, t_eval=np.linspace(0.0, 4.0, 201))
     assert not flat.success
@@ -371,7 +371,7 @@ def test_what_the_motion_does_not_keep_where_it_goes():
     assert right["u"][-1] == pytest.approx(4.0, abs=1e-6)
 
 
-def test_rates_are_those_of_the_time_of_a_run_that_begins_later():
+def test_velocity_constraints_of_time_hold_in_a_run_that_begins_later():
     """A bead on a straight wire, whose speed u is relative to a belt: x' = u + cos t. It slides down as without one."""
     x, y, u, v = me.dynamicsymbols("x y u v")
     ground, origin, bob = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
@@ -390,7 +390,7 @@ def test_rates_are_those_of_the_time_of_a_run_that_begins_later():
     assert run["x"][-1] == pytest.approx(3.0 - 9.81 / 4.0 * 9.0, abs=1e-8)
 
 
-def test_rows_solved_for_dependent_speeds_are_looked_at_where_they_have_poles(monkeypatch):
+def test_velocity_constraints_with_poles_are_examined_there_and_passed(monkeypatch):
     """u_d - A u_i: where the last two bars of a chain are in line, A is infinite, and the loop moves on regularly."""
     looks = []
 

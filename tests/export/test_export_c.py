@@ -88,7 +88,7 @@ def random_states(compiled, library, generator):
 
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 @pytest.mark.parametrize("name", MODELS)
-def test_the_same_numbers(exported, name, compiler):
+def test_c_library_of_every_model_gives_pythons_numbers(exported, name, compiler):
     """Both evaluate the same operations, compiled with other flags: they differ by rounding, times the condition."""
     compiled, library = exported(name, compiler)
     n, n_q, n_p, n_r, n_c = compiled.n_x, compiled.n_q, compiled.n_p, compiled.n_r, compiled.n_c
@@ -151,7 +151,7 @@ def test_the_same_numbers(exported, name, compiler):
             np.testing.assert_allclose(by_parameters[:, k], difference, rtol=0, atol=1e-7 * size)
 
 
-def test_derivatives_by_parameters_of_an_input(exported):
+def test_c_library_differentiates_an_inputs_expression_unless_it_is_held(exported):
     """m u' = f - 9 q, where f is the push: du'/df = 1/m, unless the push is held."""
     compiled, library = exported("kinked")
     for held in (0, 1):
@@ -166,7 +166,7 @@ def test_derivatives_by_parameters_of_an_input(exported):
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_loops_are_closed(exported, name):
+def test_c_library_closes_loops_to_the_states_of_initial_state(exported, name):
     """From disturbed guesses, the same states as `initial_state` finds."""
     compiled, library = exported(name)
     mechanism = library.new()
@@ -183,7 +183,7 @@ def test_loops_are_closed(exported, name):
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_steps_and_runs(exported, name):
+def test_c_library_steps_and_runs_as_stepper_and_simulate(exported, name):
     compiled, library = exported(name)
     mechanism = library.new()
     inputs = set_inputs(compiled, mechanism, 0.3) or None
@@ -205,7 +205,7 @@ def test_steps_and_runs(exported, name):
     np.testing.assert_allclose(states[: run.y.shape[1]], run.y.T, rtol=1e-8, atol=1e-8)  # a hundred times the tolerance
 
 
-def test_the_order_of_steps(exported):
+def test_c_library_steps_converge_with_their_order(exported):
     """Of the pendulum, whose motion is an elliptic function; halved steps give errors of 1/16 and 1/256."""
     from scipy.special import ellipj
 
@@ -225,7 +225,7 @@ def test_the_order_of_steps(exported):
         assert 0.7 < np.log2(errors[0] / errors[1]) / order < 1.4
 
 
-def test_a_kink_in_time(exported):
+def test_c_library_run_ends_a_step_at_a_kink_in_time(exported):
     """Steps end at t = 0.35, so that the run is exact to its tolerance."""
     _, library = exported("kinked")
     mechanism = library.new()
@@ -237,7 +237,7 @@ def test_a_kink_in_time(exported):
 
 
 @pytest.mark.parametrize("h", [0.05, 0.04])
-def test_steps_with_a_jump_in_time(exported, h):
+def test_c_library_steps_across_a_jump_in_time_are_exact(exported, h):
     """A step that ends at t = 0.35 has the force before it in its last stage; one that passes it is made of two.
 
     The error of order 8 is below (w h)^9 / 9!, over 20 steps 1e-12.
@@ -250,7 +250,7 @@ def test_steps_with_a_jump_in_time(exported, h):
     np.testing.assert_allclose(mechanism.x[:2], [(1 - np.cos(angle)) / 9, np.sin(angle) / 3], rtol=0, atol=1e-11)
 
 
-def test_a_recorded_control_loop_is_replayed(exported):
+def test_c_library_control_loop_equals_a_held_table_in_python(exported):
     """A controller of 1 kHz in C, by steps of order 8, and its forces as a table in Python."""
     compiled, library = exported("four_bar")
     mechanism = library.new()
@@ -269,7 +269,7 @@ def test_a_recorded_control_loop_is_replayed(exported):
     np.testing.assert_allclose(run.y, np.transpose(states), rtol=0, atol=1e-12)
 
 
-def test_a_copy_is_the_mechanism_in_its_state(exported):
+def test_c_library_mechanism_copied_in_memory_goes_on_alike(exported):
     _, library = exported("four_bar")
     mechanism = library.new()
     assert library.call("close", mechanism) == 0
@@ -284,7 +284,7 @@ def test_a_copy_is_the_mechanism_in_its_state(exported):
     assert results[0] == results[1]
 
 
-def test_parameters_and_inputs(exported):
+def test_c_library_with_changed_parameters_and_inputs_equals_python(exported):
     compiled, library = exported("four_bar")
     mechanism = library.new()
     mechanism.p[compiled.parameters.index("l2")] = 0.4
@@ -299,7 +299,7 @@ def test_parameters_and_inputs(exported):
     np.testing.assert_allclose(mechanism.x, stepper.x, rtol=0, atol=1e-13)
 
 
-def test_a_speed_that_jumps(tmp_path):
+def test_c_library_refuses_steps_and_runs_across_a_jump_of_speeds(tmp_path):
     """It is refused to pass it, and to stop there: the speeds after it are unknown."""
     points = {"O": (0, 0), "A": (0.1, 0.05), "C": (0.4, 0)}
     linkage = fb.Linkage("jumping", points=points, ground="O", links=["OA", "AC"], density=1.0)
@@ -315,7 +315,7 @@ def test_a_speed_that_jumps(tmp_path):
     assert "jumps" in library.message(library.call("step", mechanism, 0.02, 4))
 
 
-def test_a_cam_that_returns_to_rest(tmp_path):
+def test_c_library_run_of_a_cam_that_returns_to_rest_equals_python(tmp_path):
     """A cubic, whose position and speed are zero at its end, but for rounding errors; its acceleration jumps there."""
     points = {"O": (0, 0), "A": (0.1, 0.05), "C": (0.4, 0)}
     linkage = fb.Linkage("cam", points=points, ground="O", links=["OA", "AC"], density=1.0)
@@ -334,7 +334,7 @@ def test_a_cam_that_returns_to_rest(tmp_path):
 
 
 @pytest.mark.parametrize("n", [0, 2, 3001])
-def test_a_singular_position_between_samples(exported, n):
+def test_c_library_run_ends_at_a_singular_position_between_samples(exported, n):
     """However many samples are taken, the run ends there."""
     compiled, library = exported("slider_crank")
     mechanism = library.new()
@@ -350,7 +350,7 @@ def test_a_singular_position_between_samples(exported, n):
     assert not states[int(np.searchsorted(times, mechanism.t)) + 1 :].any()
 
 
-def test_violations_that_are_not_numbers(exported):
+def test_c_library_violation_of_a_state_with_nan_is_nan(exported):
     compiled, library = exported("slider_crank")
     for k in range(compiled.n_x):
         mechanism = library.new()
@@ -360,7 +360,7 @@ def test_violations_that_are_not_numbers(exported):
         assert np.isnan(library.call("relative_violation", mechanism))
 
 
-def test_what_fails_says_why(exported):
+def test_c_library_statuses_of_failures_have_their_messages(exported):
     compiled, library = exported("four_bar")
 
     def status(function, *arguments, **changes):
@@ -391,7 +391,7 @@ def test_what_fails_says_why(exported):
     assert library.message(99) == "unknown status"
 
 
-def test_the_folder_is_built_and_run_by_its_readme(tmp_path, four_bar):
+def test_c_library_built_by_its_readme_prints_pythons_motion(tmp_path, four_bar):
     """The example prints the motion that Python's stepper finds; a C++ program includes the header."""
     require("gcc")
     folder = fb.export_c(fb.models.four_bar(), tmp_path / "four_bar")
@@ -418,7 +418,7 @@ def test_the_folder_is_built_and_run_by_its_readme(tmp_path, four_bar):
     )
 
 
-def test_the_controller_of_the_documentation(tmp_path):
+def test_c_library_controller_of_the_documentation_prints_what_stands_there(tmp_path):
     """It prints what stands there, and what Python's stepper finds with the same torque."""
     folder = fb.export_c(fb.models.slider_crank(), tmp_path / "slider_crank")
     page = (PROJECT / "docs" / "howto" / "c_library.md").read_text()
@@ -436,7 +436,7 @@ def test_the_controller_of_the_documentation(tmp_path):
     assert float(printed[2]) == pytest.approx(x[3], abs=1e-6)
 
 
-def test_the_program_of_the_user_is_left(tmp_path):
+def test_export_into_a_folder_keeps_the_users_main_c(tmp_path):
     """The page says to save one's controller as main.c: the next export replaces all but it."""
     folder = fb.export_c(fb.models.slider_crank(), tmp_path)
     example = (folder / "main.c").read_text()
@@ -450,13 +450,13 @@ def test_the_program_of_the_user_is_left(tmp_path):
     assert (folder / "main.c").read_text() == example
 
 
-def test_contradictions_are_told(tmp_path):
+def test_export_of_contradictory_kinematics_gives_a_warning(tmp_path):
     """A velocity that does not follow from the position, as `compile_model` tells."""
     with pytest.warns(fb.ModelWarning, match="velocity"):
         fb.export_c(slider("velocity"), tmp_path)
 
 
-def test_two_models_in_one_program(tmp_path):
+def test_c_libraries_of_two_models_work_in_one_program(tmp_path):
     gcc = require("gcc")
     for model in (fb.models.four_bar(), fb.models.slider_crank()):
         fb.export_c(model, tmp_path / model.name)
@@ -480,7 +480,7 @@ def test_two_models_in_one_program(tmp_path):
 
 
 @pytest.mark.parametrize("target", ["aarch64-linux-musl", "arm-linux-musleabihf"])
-def test_other_processors(tmp_path, four_bar, target):
+def test_c_library_on_emulated_arm_processors_gives_pythons_states(tmp_path, four_bar, target):
     """Cross-compiled, and run by an emulator: the state after a second of steps."""
     emulator = require(f"qemu-{target.partition('-')[0]}")
     folder = fb.export_c(fb.models.four_bar(), tmp_path / "four_bar")
@@ -493,7 +493,7 @@ def test_other_processors(tmp_path, four_bar, target):
     np.testing.assert_allclose(last[1:], stepper.x[:3], rtol=0, atol=1e-12)
 
 
-def test_the_same_text_every_time_and_no_globals(tmp_path):
+def test_export_twice_gives_equal_texts_without_global_variables(tmp_path):
     texts = []
     for name in ("one", "two"):
         folder = fb.export_c(fb.models.slider_crank(), tmp_path / name)
@@ -511,7 +511,7 @@ def test_the_same_text_every_time_and_no_globals(tmp_path):
 
 
 @pytest.mark.parametrize("optimization", ["-Os", "-O3"])
-def test_no_warnings_without_inputs(tmp_path, optimization):
+def test_c_library_without_inputs_compiles_without_warnings(tmp_path, optimization):
     """gcc follows arrays without entries, such as those of the derivatives by inputs, into functions."""
     folder = fb.export_c(fb.models.chain(5), tmp_path)
     for source in folder.glob("*.c"):
@@ -519,7 +519,7 @@ def test_no_warnings_without_inputs(tmp_path, optimization):
 
 
 @pytest.mark.parametrize("name", ["model", "motion", "state", "step", "x", "m0", "energy", "next"])
-def test_natural_names(tmp_path, name):
+def test_c_library_compiles_with_names_that_its_sources_use(tmp_path, name):
     """Functions and variables of the sources may have the model's name, which is a type in C and C++ for its users."""
     named = {} if name == "model" else {"name": name}  # which it is called without a name
     model = fb.Model(pendulum(), parameters={"m": 1.0, "g": 9.81, "l": 0.5}, **named)
@@ -533,7 +533,7 @@ def test_natural_names(tmp_path, name):
 
 
 @pytest.mark.parametrize("speed", [-0.3, -0.2])
-def test_initial_values_of_dependent_speeds(tmp_path, speed):
+def test_export_with_wrong_dependent_initial_speeds_is_refused(tmp_path, speed):
     """x vx + y vy = 0: at (0.6, 0.8), which is found from y = 0.7, with vx = 0.4 is vy = -0.3."""
     system = bead_and_wheel(x**2 + y**2 - length**2, "ring").system
     model = fb.Model(system, name="ring", parameters={length: 1.0}, initial={x: 0.6, y: 0.7, vx: 0.4, vy: speed})
@@ -548,7 +548,7 @@ def test_initial_values_of_dependent_speeds(tmp_path, speed):
         assert not path.exists()
 
 
-def test_macros_of_standard_headers_are_reserved():
+def test_names_of_all_macros_of_standard_headers_are_reserved():
     """All that the compiler's own headers define; others begin with an underscore."""
     headers = ("float", "limits", "math", "stdarg", "stddef", "stdint", "stdio", "stdlib", "string", "time")
     command = [require("gcc"), "-std=c99", "-dM", "-E", "-x", "c", "-"]
@@ -560,7 +560,7 @@ def test_macros_of_standard_headers_are_reserved():
     assert not any(RESERVED_FAMILIES.fullmatch(name) for name in ("M1", "SCARA", "FD", "L_shaped", "M_arm", "RRR_2"))
 
 
-def test_what_cannot_be_exported(tmp_path):
+def test_export_of_models_without_values_or_with_reserved_names_is_refused(tmp_path):
     with pytest.raises(fb.ModelError, match="begins with defaults: give m"):
         fb.export_c(fb.Model(pendulum(), name="open", parameters={"g": 9.81, "l": 0.5}), tmp_path / "a")
     of_c = ("double", "template", "math", "time", "y1", "uint32_t", "NAN", "FILE", "M_PI", "DBL_MAX", "va_list")

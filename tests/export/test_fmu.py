@@ -87,7 +87,7 @@ class Instance:
 @pytest.mark.parametrize(
     "name", ["four_bar", "slider_crank", "whipple_bicycle", "redundant", "unknown_forces", "kinked"]
 )
-def test_valid(fmus, fmi, name):
+def test_fmus_of_every_model_are_valid_by_fmpy(fmus, fmi, name):
     """FMPy checks against the schema of the standard, and more; it finds no problem."""
     path = fmus(fmi, name)
     assert validate_fmu(path) == []
@@ -95,7 +95,7 @@ def test_valid(fmus, fmi, name):
 
 
 @BOTH
-def test_co_simulation(fmus, fmi, four_bar):
+def test_fmu_in_co_simulation_gives_the_motion_of_simulate(fmus, fmi, four_bar):
     found = fmpy.simulate_fmu(
         fmus(fmi), fmi_type="CoSimulation", stop_time=4.0, output_interval=0.05, relative_tolerance=1e-10,
         output=[*four_bar.states, "der(u1)", "kinetic energy", "potential energy", "P2.x"],
@@ -115,7 +115,7 @@ def test_co_simulation(fmus, fmi, four_bar):
 
 
 @BOTH
-def test_model_exchange(fmus, fmi):
+def test_fmu_in_model_exchange_keeps_loops_closed_and_gives_the_motion(fmus, fmi):
     """FMPy's integrator, CVODE, knows nothing of the constraints: at events the state is projected onto them."""
     slider_crank = fb.compile_model(fb.models.slider_crank())
     found = fmpy.simulate_fmu(
@@ -132,7 +132,7 @@ def test_model_exchange(fmus, fmi):
     np.testing.assert_allclose(states[:, early], run.y, rtol=0, atol=1e-5)
 
 
-def test_model_exchange_of_a_bar_too_many(tmp_path):
+def test_fmu_with_redundant_constraints_in_model_exchange_turns_steadily(tmp_path):
     """A parallelogram without gravity turns steadily: no acceleration to compare violations with."""
     start = {"p0": 0.3, "p1": 0.3, "p2": 0.3, "c": 0.0, "v0": 2.0}
     model = fb.Model(three_uprights().system, name="level", parameters={"m": 1, "l": 1, "g": 0}, initial=start)
@@ -149,7 +149,7 @@ def test_model_exchange_of_a_bar_too_many(tmp_path):
 
 
 @BOTH
-def test_compiled_from_its_own_sources(fmus, fmi, tmp_path):
+def test_fmu_compiled_from_its_own_sources_gives_the_same_numbers(fmus, fmi, tmp_path):
     """By FMPy, with its own headers and CMake, for this machine; the numbers are the same."""
     path = shutil.copy(fmus(fmi), tmp_path / "own.fmu")
     before = fmpy.simulate_fmu(path, fmi_type="CoSimulation", stop_time=1.0)
@@ -165,7 +165,7 @@ def test_compiled_from_its_own_sources(fmus, fmi, tmp_path):
 
 @BOTH
 @pytest.mark.parametrize("name", ["four_bar", "kinked"])
-def test_states_are_saved_to_the_bit(fmus, fmi, name, tmp_path):
+def test_fmu_states_saved_and_restored_give_the_same_steps_to_the_bit(fmus, fmi, name, tmp_path):
     """Of `kinked`, just before the time of the push, at the end of a step."""
     one, other = (Instance(fmus(fmi, name), fmi, tmp_path / str(k)) for k in range(2))
     one.begin()
@@ -194,7 +194,7 @@ def test_states_are_saved_to_the_bit(fmus, fmi, name, tmp_path):
 
 
 @BOTH
-def test_serialized_states_of_others_are_refused(fmus, fmi, tmp_path):
+def test_fmu_states_of_other_models_or_damaged_ones_are_refused(fmus, fmi, tmp_path):
     instance, foreign = (Instance(fmus(fmi, name), fmi, tmp_path / name) for name in ("four_bar", "slider_crank"))
     texts = []
     for each in (instance, foreign):
@@ -229,7 +229,7 @@ def test_serialized_states_of_others_are_refused(fmus, fmi, tmp_path):
 
 
 @BOTH
-def test_directional_derivatives(fmus, fmi, tmp_path, four_bar):
+def test_fmu_directional_derivatives_equal_the_models_jacobians(fmus, fmi, tmp_path, four_bar):
     instance = Instance(fmus(fmi), fmi, tmp_path)
     instance.begin(t=0.3)
     x = instance.get(*four_bar.states)
@@ -250,7 +250,7 @@ def test_directional_derivatives(fmus, fmi, tmp_path, four_bar):
 
 
 @BOTH
-def test_loops_are_closed_and_inputs_set(fmus, fmi, tmp_path, four_bar):
+def test_fmu_with_start_values_closes_loops_and_holds_set_inputs(fmus, fmi, tmp_path, four_bar):
     instance = Instance(fmus(fmi), fmi, tmp_path)
     instance.begin(q1=-0.4, u1=0.2, l2=0.45)
     expected = four_bar.initial_state({"q1": -0.4}, {"u1": 0.2}, parameters={"l2": 0.45})
@@ -266,7 +266,7 @@ def test_loops_are_closed_and_inputs_set(fmus, fmi, tmp_path, four_bar):
     assert instance.get("F")[0] == 3.0
 
 
-def test_inputs_with_derivatives(fmus, tmp_path, four_bar):
+def test_fmu_with_input_derivatives_steps_as_exactly_as_a_table(fmus, tmp_path, four_bar):
     """F = 30 t: with its derivative, steps of 0.1 s are as exact as one run with a table."""
     t = np.array([0.0, 1.0])
     run = four_bar.simulate((0.0, 1.0), inputs={"F": (t, 30.0 * t)}, rtol=1e-12, atol=1e-12)
@@ -283,7 +283,7 @@ def test_inputs_with_derivatives(fmus, tmp_path, four_bar):
 
 
 @BOTH
-def test_an_input_of_each_step_is_a_hold(fmus, fmi, tmp_path, four_bar):
+def test_fmu_with_an_input_set_each_step_equals_a_held_table(fmus, fmi, tmp_path, four_bar):
     """A controller of 1 kHz beside the FMU, and its forces as a table in Python; each step is exact to 1e-13."""
     instance, times, forces, states = Instance(fmus(fmi), fmi, tmp_path), [], [], []
     instance.begin(tolerance=1e-13)
@@ -299,7 +299,7 @@ def test_an_input_of_each_step_is_a_hold(fmus, fmi, tmp_path, four_bar):
 
 
 @BOTH
-def test_mistakes_are_told(fmus, fmi, tmp_path):
+def test_fmu_calls_in_wrong_modes_or_with_wrong_values_are_refused(fmus, fmi, tmp_path):
     instance = Instance(fmus(fmi), fmi, tmp_path)
 
     def says(words, function, *arguments, status=3):
@@ -327,7 +327,7 @@ def test_mistakes_are_told(fmus, fmi, tmp_path):
 
 
 @BOTH
-def test_initialization(fmus, fmi, tmp_path, four_bar):
+def test_fmu_initialization_keeps_guesses_and_gives_closed_derivatives(fmus, fmi, tmp_path, four_bar):
     """Reading changes nothing; guesses that were set before stay guesses; derivatives are those of closed loops."""
     instance = Instance(fmus(fmi), fmi, tmp_path)
     instance.fmu.setupExperiment(startTime=0.0, stopTime=1.0) if fmi == 2 else None
@@ -349,7 +349,7 @@ def test_initialization(fmus, fmi, tmp_path, four_bar):
     assert "after the stop time" in instance.messages[-1]
 
 
-def test_a_drive_with_rates(fmus, tmp_path):
+def test_fmu_of_a_drive_moves_only_if_its_rate_is_set(fmus, tmp_path):
     """Where the angle alone is set, the crank stands; with its rate it moves."""
     points = {"O": (0, 0), "A": (0.1, 0.05), "C": (0.4, 0)}
     linkage = fb.Linkage("geared", points=points, ground="O", links=["OA", "AC"], density=1.0)
@@ -368,7 +368,7 @@ def test_a_drive_with_rates(fmus, tmp_path):
     assert np.abs(other.get(*model.speeds)).max() > 0.1
 
 
-def test_masses_that_drop_out_need_no_value(tmp_path):
+def test_fmu_export_needs_no_values_of_masses_that_drop_out(tmp_path):
     """Of a wheel on an axle, only the inertia about it counts."""
     wall, wheel = me.RigidBody("wall"), me.RigidBody("wheel")
     torque = me.dynamicsymbols("T")
@@ -383,7 +383,7 @@ def test_masses_that_drop_out_need_no_value(tmp_path):
     assert instance.get("der(u_axle)")[0] == 1.5
 
 
-def test_dependencies(fmus):
+def test_fmu_dependencies_of_states_name_no_inputs(fmus):
     """States are no functions of inputs, so that a controller of the speed is no algebraic loop."""
     description = fmpy.read_model_description(fmus(3, "slider_crank"))
     knowns = {u.variable.name: u.dependencies for u in description.outputs}
@@ -394,7 +394,7 @@ def test_dependencies(fmus):
     assert knowns["pin_x"] is None  # a force depends on everything
 
 
-def test_an_input_that_nobody_sets_is_zero(tmp_path):
+def test_fmu_input_that_nobody_sets_is_zero(tmp_path):
     bare = fb.Model(_pushed(), name="bare", parameters={"m": 2.0}, inputs="auto")
     path = str(fb.export_fmu(bare, tmp_path / "bare.fmu"))
     instance = Instance(path, 3, tmp_path / "a")
@@ -420,7 +420,7 @@ def _pushed(mass="m", point="P"):
     return system
 
 
-def test_values_at_an_event_are_those_after_it(tmp_path):
+def test_fmu_values_after_an_event_are_those_after_the_jump(tmp_path):
     """F jumps to 1 at t = 0.3; the condition holds there still, but not after the event."""
     t, force = me.dynamicsymbols._t, me.dynamicsymbols("F")
     jump = sm.Piecewise((0, t <= sm.Rational(3, 10)), (1, True))
@@ -441,7 +441,7 @@ def test_values_at_an_event_are_those_after_it(tmp_path):
     assert instance.get("der(u)")[0] == 1.0
 
 
-def test_an_output_that_is_infinite_is_a_value(tmp_path):
+def test_fmu_output_that_is_infinite_is_returned_as_a_value(tmp_path):
     u = me.dynamicsymbols("u")
     model = fb.Model(_pushed(), name="slow", parameters={"m": 1.0}, inputs="auto", outputs={"slowness": 1 / u})
     instance = Instance(str(fb.export_fmu(model, tmp_path / "slow.fmu")), 3, tmp_path / "a")
@@ -450,7 +450,7 @@ def test_an_output_that_is_infinite_is_a_value(tmp_path):
     assert instance.get("der(u)")[0] == 0.0
 
 
-def test_binary_and_description_belong_together(fmus, tmp_path):
+def test_fmu_binary_with_the_description_of_another_model_is_refused(fmus, tmp_path):
     path = fmus(3)
     description = fmpy.read_model_description(path)
     messages = []
@@ -465,7 +465,7 @@ def test_binary_and_description_belong_together(fmus, tmp_path):
     assert b"of different models" in messages[0]
 
 
-def test_a_kink_is_an_event(fmus):
+def test_fmu_kink_in_time_is_an_event_at_which_the_solver_stops(fmus):
     """The FMU names the time of the push; CVODE stops there."""
     found = fmpy.simulate_fmu(
         fmus(3, "kinked"), fmi_type="ModelExchange", stop_time=1.0, output_interval=0.1, relative_tolerance=1e-9
@@ -475,7 +475,7 @@ def test_a_kink_is_an_event(fmus):
     np.testing.assert_allclose(found["q"], expected, rtol=0, atol=1e-7)
 
 
-def test_the_same_every_time(tmp_path):
+def test_fmu_exported_twice_is_the_same_to_the_byte(tmp_path):
     contents = []
     for name in ("one", "two"):
         path = fb.export_fmu(fb.models.slider_crank(), tmp_path / f"{name}.fmu")
@@ -484,7 +484,7 @@ def test_the_same_every_time(tmp_path):
     assert contents[0] == contents[1]
 
 
-def test_binaries_for_other_machines(tmp_path):
+def test_fmu_export_for_other_platforms_has_their_binaries(tmp_path):
     """By zig: a DLL that exports the functions of the standard, and an object for 64-bit ARM."""
     path = fb.export_fmu(fb.models.slider_crank(), tmp_path / "a.fmu", platforms=["x86_64-windows", "aarch64-linux"])
     with zipfile.ZipFile(path) as archive:
@@ -501,7 +501,7 @@ def test_binaries_for_other_machines(tmp_path):
         fb.export_fmu(fb.models.slider_crank(), tmp_path / "b.fmu", fmi=2, platforms=["aarch64-linux"])
 
 
-def test_what_cannot_be_exported(tmp_path, monkeypatch):
+def test_fmu_export_of_wrong_versions_values_or_paths_is_refused(tmp_path, monkeypatch):
     with pytest.raises(fb.ModelError, match="2 or 3, not 1"):
         fb.export_fmu(fb.models.four_bar(), tmp_path / "a.fmu", fmi=1)
     with pytest.raises(fb.ModelError, match="give m values"):
@@ -515,7 +515,7 @@ def test_what_cannot_be_exported(tmp_path, monkeypatch):
     assert [path.name for path in tmp_path.iterdir()] == ["folder.fmu"]
 
 
-def test_with_a_controller_of_someone_else(fmus, tmp_path):
+def test_fmu_coupled_to_a_foreign_controller_moves_as_runs_in_python(fmus, tmp_path):
     """An FMU written by hand, which controls the speed, and the slider-crank: torque and speed are exchanged every
     millisecond, and the motion is that of runs in Python with the torque held."""
     folder = tmp_path / "controller"
@@ -601,14 +601,14 @@ int fmi2DoStep(void *c, double t, double h, int s)
 """
 
 
-def test_names_that_meet(tmp_path):
+def test_fmu_export_of_two_variables_with_one_name_is_refused(tmp_path):
     u = me.dynamicsymbols("u")
     model = fb.Model(_pushed(), name="twice", parameters={"m": 1.0}, inputs="auto", outputs={"kinetic energy": u**2})
     with pytest.raises(fb.ModelError, match="two are called 'kinetic energy'"):
         fb.export_fmu(model, tmp_path / "twice.fmu")
 
 
-def test_characters_that_xml_cannot_have(tmp_path):
+def test_fmu_export_of_texts_that_xml_cannot_have_is_refused(tmp_path):
     """Refused with their place; all others are read back as they were (XML 1.0, https://www.w3.org/TR/xml/#charsets)."""
 
     def exported(name="m", unit="kg", description="", point="P"):
@@ -638,7 +638,7 @@ def test_characters_that_xml_cannot_have(tmp_path):
     assert "P₁ <μ>.x" in variables
 
 
-def test_names_that_c_cannot_have(tmp_path):
+def test_fmu_with_names_that_c_cannot_have_is_valid_and_runs(tmp_path):
     """A parameter is called μ, and the model as functions of its sources; x = t^2 / (2 μ) for F = 1."""
     model = fb.Model(_pushed("μ"), name="motion", parameters={"μ": 2.0}, inputs={"F": 1.0})
     path = str(fb.export_fmu(model, tmp_path / "motion.fmu"))

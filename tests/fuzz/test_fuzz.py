@@ -16,19 +16,19 @@ SHORT = {"calls": 2000, "mechanisms": 2, "assemblies": 200, "damage": 150, "kill
 
 
 @pytest.mark.parametrize("kind", SHORT)
-def test_first_cases(kind):
+def test_first_random_cases_of_each_kind_find_nothing_wrong(kind):
     found = list(chain.from_iterable(explore(kind, SEED, SHORT[kind])))
     by_cause = {finding.cause: finding for finding in reversed(found)}
     assert not found, "\n\n".join(map(str, by_cause.values()))
 
 
-def test_a_slider_mounted_where_nothing_depends_on(capsys):
+def test_slider_with_an_offset_in_no_equation_compiles_and_agrees(capsys):
     """The offset of the third of three sliders stood in no equation, and could not be compiled."""
     mechanisms.case(np.random.default_rng([1, 5]), print)
     assert "errs by 0.0" in capsys.readouterr().out
 
 
-def test_every_public_name_is_called():
+def test_public_names_of_the_package_are_all_called_by_the_fuzzer():
     assert calls.missing() == set()
 
 
@@ -42,13 +42,13 @@ def findings(case, count):
     return found
 
 
-def test_a_mode_that_is_lost_is_found(monkeypatch):
+def test_fuzzer_of_assemblies_finds_a_mode_that_is_left_out(monkeypatch):
     """Of two solutions of each group, the second is left out."""
     monkeypatch.setattr(groups, "real_roots", lambda *arguments: (polynomials.real_roots(*arguments) or [])[:1])
     assert len(findings(assemblies.case, 12)) > 6
 
 
-def test_a_foreign_error_is_found(monkeypatch):
+def test_fuzzer_of_calls_finds_an_error_of_a_foreign_class(monkeypatch):
     def careless(*_, **__):
         raise KeyError("foreign")
 
@@ -56,7 +56,7 @@ def test_a_foreign_error_is_found(monkeypatch):
     assert [str(error) for error in findings(calls.case, 5)] == ["'foreign'"] * 5
 
 
-def test_numbers_that_differ_with_the_layout_are_found(monkeypatch):
+def test_fuzzer_of_calls_finds_results_that_differ_with_the_memory_layout(monkeypatch):
     """A function that takes the memory of whatever array for native numbers."""
     x = np.arange(1.0, 7.0)
 
@@ -67,7 +67,7 @@ def test_numbers_that_differ_with_the_layout_are_found(monkeypatch):
     assert any("instead of" in str(error) for error in findings(calls.case, 50))
 
 
-def test_wrong_equations_are_found(monkeypatch):
+def test_fuzzer_of_mechanisms_finds_rates_that_are_off_by_1e_9(monkeypatch):
     """One state's rates are off by 1e-9 of themselves."""
     compile_model = fb.compile_model
 
@@ -88,14 +88,14 @@ def test_wrong_equations_are_found(monkeypatch):
     assert "x' errs by" in str(error)
 
 
-def test_damage_that_nobody_tells_is_found(monkeypatch):
+def test_fuzzer_of_damage_finds_a_changed_run_that_is_read_silently(monkeypatch):
     other = damage.runs()["other.npz"][0]
     monkeypatch.setattr(fb, "load_trajectory", lambda path: other)
     monkeypatch.setattr(damage, "DAMAGE", (damage.flip,))
     assert any("Arrays are not equal" in str(error) for error in findings(damage.case, 20))
 
 
-def test_a_case_that_ends_its_process_is_found(monkeypatch, tmp_path):
+def test_fuzzer_goes_on_after_a_case_that_ends_its_process(monkeypatch, tmp_path):
     """And the cases behind it are done all the same."""
     (tmp_path / "sitecustomize.py").write_text(
         "import os, sys, types\n"
@@ -112,7 +112,7 @@ def test_a_case_that_ends_its_process_is_found(monkeypatch, tmp_path):
     assert 0 < len(expected) < 8
 
 
-def test_a_half_written_file_is_found(monkeypatch):
+def test_fuzzer_of_kills_finds_a_file_that_was_written_in_place(monkeypatch):
     """Of a program that writes in place."""
     careless = kills.SAVE.replace(
         "run.save(sys.argv[1])", "open(sys.argv[1], 'w').write('half'); import time; time.sleep(9)"

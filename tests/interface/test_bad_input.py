@@ -114,7 +114,7 @@ X = [0.1] * 6
         (lambda m: m.initial_states(X[:1])[[1.0, [2.0, 3.0]]], ["mode", "[2.0, 3.0]"]),
     ],
 )
-def test_error_names_what_is_wrong_and_what_is_allowed(four_bar, call, words):
+def test_errors_of_wrong_arguments_name_what_is_wrong_and_what_is_allowed(four_bar, call, words):
     with pytest.raises(fb.ModelError) as caught:
         call(four_bar)
     for word in words:
@@ -192,14 +192,14 @@ CALLS = {
 
 @pytest.mark.parametrize("name", CALLS)
 @pytest.mark.filterwarnings("ignore::UserWarning")  # NumPy's, of masked entries that become nan
-def test_what_is_no_number_is_refused_by_name_everywhere(four_bar, name):
+def test_arguments_that_are_no_numbers_are_refused_by_name_in_every_call(four_bar, name):
     shape, call, words = CALLS[name]
     for value in no_numbers(shape):
         with pytest.raises(fb.ModelError, match=words):
             call(four_bar, value)
 
 
-def test_numbers_of_all_classes_are_read(four_bar):
+def test_arguments_of_all_classes_of_numbers_give_the_same_rates(four_bar):
     # Exact in float32.
     x = np.array([0.5, 0.25, -0.125, 1.0, 2.0, -3.0])
     rates = four_bar.rhs(1.0, x)
@@ -210,7 +210,7 @@ def test_numbers_of_all_classes_are_read(four_bar):
         np.testing.assert_array_equal(four_bar.rhs(t, x), rates)
 
 
-def test_loop_that_cannot_close(four_bar):
+def test_initial_state_of_a_loop_that_cannot_close_names_its_constraints(four_bar):
     with pytest.raises(
         fb.AssemblyError, match=r"cannot be closed .* constraints 1, 2, to be closed by q2, q3, stay open by"
     ) as caught:
@@ -241,7 +241,7 @@ def with_constraint(expr):
     return system
 
 
-def test_loop_that_closes_from_another_guess():
+def test_initial_state_that_closes_from_another_guess_names_that_guess():
     # One real root, -2.104, and a local minimum at 1, where a search from 2 ends.
     trap = fb.compile_model(fb.Model(constrained(q**3 - 3 * q + 3), parameters={m: 1.0, g: 9.81, length: 1.0}))
     with pytest.raises(fb.AssemblyError, match="close from other guesses") as caught:
@@ -339,7 +339,7 @@ def test_loop_that_closes_from_another_guess():
         (lambda: fb.generate_sources(fb.Model(pendulum(mass=sm.zeta(m)))), ["zeta", "C99"]),
     ],
 )
-def test_models_that_cannot_be_compiled(make, words):
+def test_models_that_cannot_be_compiled_are_refused_with_a_message(make, words):
     with pytest.raises(fb.ModelError) as caught:
         make()
     for word in words:
@@ -408,7 +408,7 @@ def test_values_without_default_have_to_be_given():
 
 
 @pytest.mark.parametrize("command", ["no-such-compiler-here", "false"])
-def test_compiler_that_is_missing_or_fails(monkeypatch, tmp_path, command):
+def test_compile_model_with_a_missing_or_failing_compiler_names_it(monkeypatch, tmp_path, command):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     monkeypatch.setenv("CC", command)
     with pytest.raises(fb.BuildError) as caught:
@@ -419,7 +419,7 @@ def test_compiler_that_is_missing_or_fails(monkeypatch, tmp_path, command):
     assert fb.load("four_bar").simulate((0.0, 0.1)).success
 
 
-def test_compilers_own_message_is_shown(monkeypatch, tmp_path):
+def test_build_error_of_a_wrong_flag_shows_the_compilers_message(monkeypatch, tmp_path):
     monkeypatch.setenv("CFLAGS", "--no-such-flag")
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     with pytest.raises(fb.BuildError, match="no-such-flag") as caught:
@@ -443,13 +443,15 @@ def test_failed_build_leaves_the_users_folder_alone(monkeypatch, tmp_path):
         ("CC", "true", "made no"),
     ],
 )
-def test_odd_compiler_settings(monkeypatch, tmp_path, variable, text, words):
+def test_build_with_unreadable_compiler_settings_is_refused_with_their_name(
+    monkeypatch, tmp_path, variable, text, words
+):
     monkeypatch.setenv(variable, text)
     with pytest.raises(fb.BuildError, match=words):
         fb.build_model(make_four_bar(), tmp_path)
 
 
-def test_fast_math_changes_neither_what_is_not_a_number_nor_the_process(monkeypatch, tmp_path):
+def test_module_built_with_fast_math_keeps_nan_and_denormal_numbers(monkeypatch, tmp_path):
     monkeypatch.setenv("CC", f"{os.environ.get('CC', 'cc')} -Ofast")
     monkeypatch.setenv("CFLAGS", "-ffast-math")
     monkeypatch.setenv("LDFLAGS", "-ffast-math -funsafe-math-optimizations")
@@ -464,14 +466,14 @@ def test_fast_math_changes_neither_what_is_not_a_number_nor_the_process(monkeypa
     assert "not finite" in ode.failure
 
 
-def test_module_that_was_built_again(tmp_path):
+def test_module_built_again_after_loading_is_refused_in_the_same_process(tmp_path):
     fb.load(fb.build_model(fb.Model(pendulum(), name="again", parameters={m: 1.0}), tmp_path))
     path = fb.build_model(fb.Model(pendulum(), name="again", parameters={m: 2.0}), tmp_path)
     with pytest.raises(fb.ModelError, match="built again"):
         fb.load(path)
 
 
-def test_module_that_was_built_after_a_load_failed(tmp_path):
+def test_module_built_after_a_failed_load_is_loaded(tmp_path):
     model = fb.Model(pendulum(), name="mended", parameters={m: 1.0})
     path = fb.build_model(model, tmp_path)
     path.unlink()
@@ -497,7 +499,7 @@ def test_failed_write_leaves_the_old_file(four_bar, tmp_path, monkeypatch):
     assert [p.name for p in tmp_path.iterdir()] == ["run.csv"]
 
 
-def test_run_that_ends_before_the_first_stored_time(four_bar):
+def test_run_that_ends_before_its_first_sample_has_empty_results(four_bar):
     def now(t, x):
         return t - 0.1
 
@@ -510,7 +512,7 @@ def test_run_that_ends_before_the_first_stored_time(four_bar):
     assert run["q1"].shape == (0,)
 
 
-def test_series_are_read_by_their_index(four_bar):
+def test_series_as_parameters_or_inputs_are_read_by_their_index(four_bar):
     class Series:
         """As of pandas: named values that are not a Mapping."""
 

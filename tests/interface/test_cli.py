@@ -23,7 +23,7 @@ def run(*arguments):
     return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
-def test_simulate_writes_what_is_asked_for(tmp_path, four_bar):
+def test_simulate_with_several_outputs_writes_each_file(tmp_path, four_bar):
     paths = [tmp_path / name for name in ("run.csv", "run.npz", "run.png")]
     result = run("simulate", "-p", "l2=0.45", "-t", 0, 2, *(word for path in paths for word in ("-o", path)))
     assert result.exit_code == 0, result.output
@@ -34,7 +34,7 @@ def test_simulate_writes_what_is_asked_for(tmp_path, four_bar):
         assert len(list(csv.reader(file))) == 402
 
 
-def test_simulate_prints_initial_state_and_residual():
+def test_simulate_with_the_tutorials_options_prints_its_published_numbers():
     output = run("simulate", "--method", "RK45", "--rtol", "1e-3", "--atol", "1e-6", "--constraints", "none").output
     assert "-2.2464155374" in output  # published: q2 of the tutorial's initial state
     assert "122 evaluations" in output  # published: the tutorial's run
@@ -42,7 +42,7 @@ def test_simulate_prints_initial_state_and_residual():
     assert "Energy" in output
 
 
-def test_simulate_takes_initial_values_guesses_and_inputs(four_bar):
+def test_simulate_with_initial_values_and_guesses_prints_the_closed_state(four_bar):
     result = run("simulate", "-i", "q1=-0.6", "-i", "u1=0.2", "-i", "q2=1.5", "-i", "q3=1.5", "-r", "F=0", "-t", 0, 0.1)
     assert result.exit_code == 0, result.output
     x0 = four_bar.initial_state([-0.6], [0.2], guess=[1.5, 1.5])
@@ -92,7 +92,7 @@ def test_simulate_takes_initial_values_guesses_and_inputs(four_bar):
         (["build", "four_bar", "-o", "/dev/null"], "/dev/null"),
     ],
 )
-def test_errors_are_one_paragraph_without_a_traceback(arguments, words):
+def test_commands_with_wrong_arguments_end_with_one_paragraph_and_no_traceback(arguments, words):
     result = run(*arguments)
     assert result.exit_code != 0
     assert words in result.output
@@ -124,7 +124,7 @@ def test_unfinished_simulation_exits_with_an_error(tmp_path):
     assert target.exists()  # what was reached is not lost
 
 
-def test_a_run_that_explodes_ends_and_says_how_far_it_is(monkeypatch):
+def test_simulate_of_a_run_that_explodes_reports_progress_and_ends(monkeypatch):
     monkeypatch.setattr("fourbar_codegen.simulation.simulate.PATIENCE", 0.1)  # a million steps take longer
     # The damper feeds the motion: to 20 s it would be 35 million steps, up to 4e15 J.
     done = run("simulate", "-p", "k=50", "-p", "l2=0.45", "-t", 0, 20)
@@ -143,7 +143,7 @@ def test_a_run_that_explodes_ends_and_says_how_far_it_is(monkeypatch):
     assert "max_steps must be" in run("simulate", "--max-steps", "many").output
 
 
-def test_a_sweep_runs_all_combinations(four_bar, tmp_path):
+def test_sweep_over_ranges_runs_all_combinations_and_marks_failures(four_bar, tmp_path):
     ranges = ["-p", "k=50:150:3", "-p", "c=0,5", "-p", "l2=0.45"]
     done = run("sweep", *ranges, "-t", 0, 2, "-i", "q1=-0.6", "-o", tmp_path / "s.npz")
     assert done.exit_code == 0, done.output
@@ -183,7 +183,7 @@ def make():
 
 
 @pytest.mark.parametrize("model", ["json.py:make", "folder/json.py:make", "own:make"])
-def test_files_of_users_do_not_replace_pythons(tmp_path, model):
+def test_models_in_files_named_as_python_modules_do_not_replace_these(tmp_path, model):
     """Neither a model in a file json.py, nor one beside it; and the neighbours of a file can be imported."""
     for place in (tmp_path, tmp_path / "folder"):
         place.mkdir(exist_ok=True)
@@ -198,7 +198,7 @@ def test_files_of_users_do_not_replace_pythons(tmp_path, model):
     assert done.stdout.startswith("Model cartesian_pendulum")
 
 
-def test_export(tmp_path):
+def test_export_command_writes_a_c_library_or_fmu_and_checks_its_options(tmp_path):
     result = run("export", "four_bar", "--to", "c", "-o", tmp_path / "c")
     assert result.stdout == f"Written: {tmp_path / 'c' / 'README.md'} says how to build it\n"
     assert (tmp_path / "c" / "four_bar.h").exists()
@@ -209,7 +209,7 @@ def test_export(tmp_path):
     assert "--fmi belongs to --to fmu" in result.output
 
 
-def test_a_linkage_is_a_model(tmp_path):
+def test_info_on_a_linkage_or_its_function_describes_its_model(tmp_path):
     """A function that returns a Linkage, or one by its name."""
     points = {"A": (0, 0), "B": (0.1, 0.05), "C": (0.3, 0.3), "D": (0.4, 0)}
     made = f'fb.Linkage("rocker", points={points}, ground="AD", links=["AB", "BC", "CD"], density=1.0)'
@@ -230,18 +230,18 @@ def test_errors_of_a_users_file_name_its_line(tmp_path):
 COMMAND = [sys.executable, "-m", "fourbar_codegen"]
 
 
-def test_a_file_that_exits_is_an_error(tmp_path):
+def test_model_file_that_exits_ends_the_command_with_an_error(tmp_path):
     (tmp_path / "own.py").write_text("raise SystemExit(0)\n")
     done = run("info", f"{tmp_path / 'own.py'}:make")
     assert done.exit_code == 1
     assert "could not be called: own.py, line 1: SystemExit: 0" in done.output
 
 
-def test_an_expression_begins_with_the_run():
+def test_input_expression_without_value_at_zero_is_accepted_for_a_later_run():
     assert run("simulate", "-t", 1, 2, "-r", "F=log(t)").exit_code == 0
 
 
-def test_a_hint_is_one_line():
+def test_warning_of_degrees_in_a_command_is_one_line():
     command = [*COMMAND, "simulate", "-i", "q1=30", "-t", "0", "0.1"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     first = done.stderr.splitlines()[0]
@@ -250,14 +250,14 @@ def test_a_hint_is_one_line():
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")
-def test_a_full_device_is_an_error():
+def test_output_to_a_full_device_ends_the_command_with_an_error():
     with Path("/dev/full").open("w") as full:
         done = subprocess.run([*COMMAND, "simulate"], stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert done.returncode == 1
     assert done.stderr == "Error: the output cannot be written: No space left on device.\n"
 
 
-def test_a_broken_pipe_is_silent():
+def test_command_whose_pipe_is_closed_ends_silently():
     with subprocess.Popen([*COMMAND, "simulate"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout
         process.stdout.close()  # as `| head -0`
@@ -268,7 +268,7 @@ def test_a_broken_pipe_is_silent():
 
 
 @pytest.mark.parametrize("where", ["fourbar_codegen.cli.commands", "click", "numpy"])
-def test_an_interrupt_while_modules_are_imported_is_one_line(where):
+def test_command_interrupted_while_importing_ends_with_one_line(where):
     code = f"""
 import sys, signal
 signal.signal(signal.SIGINT, signal.default_int_handler)  # which a shell has ignored in its background
@@ -285,7 +285,7 @@ main()
     assert (done.returncode, done.stderr) == (130, "Interrupted.\n")
 
 
-def test_an_interrupt_later_is_one_line():
+def test_command_interrupted_during_a_run_ends_with_one_line():
     code = """
 import os, signal, sys, threading
 signal.signal(signal.SIGINT, signal.default_int_handler)  # as above
@@ -299,7 +299,7 @@ main()
     assert done.stderr.splitlines()[-1] == "Interrupted."
 
 
-def test_generate_and_build_and_load(tmp_path, four_bar):
+def test_generate_and_build_write_sources_modules_and_wheels_that_load(tmp_path, four_bar):
     assert run("generate", "-o", tmp_path / "sources").exit_code == 0
     assert json.loads((tmp_path / "sources" / "four_bar" / "manifest.json").read_text())["name"] == "four_bar"
     result = run("build", "four_bar", "-o", tmp_path / "built")
@@ -312,13 +312,13 @@ def test_generate_and_build_and_load(tmp_path, four_bar):
     np.testing.assert_allclose(loaded.rhs(0.0, [0.1] * 6), four_bar.rhs(0.0, [0.1] * 6), rtol=1e-12)
 
 
-def test_info_lists_names_defaults_and_operations():
+def test_info_on_the_four_bar_lists_names_defaults_and_operations():
     output = run("info").output
     for words in ("q1 independent; q2, q3 dependent", "l2              0.5 m", "100*sin(pi*t)", "dynamics"):
         assert words in output
 
 
-def test_cache_is_listed_and_cleared(tmp_path, monkeypatch):
+def test_cache_command_lists_and_clears_models_and_keeps_other_files(tmp_path, monkeypatch):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     assert "0 libraries and models, 0.00 MB" in run("cache").output
     path = fb.compile_model(fb.models.cartesian_pendulum()).path
@@ -338,7 +338,7 @@ def test_cache_is_listed_and_cleared(tmp_path, monkeypatch):
     assert (tmp_path / "notes.txt").is_file()
 
 
-def test_help_and_version():
+def test_help_of_every_command_has_an_example_and_the_models():
     for command in ("simulate", "sweep", "report", "animate", "generate", "build", "info"):
         result = run(command, "--help")
         assert result.exit_code == 0
@@ -352,7 +352,7 @@ def test_help_and_version():
     assert "simulate" in done.stdout
 
 
-def test_all_methods_can_be_chosen():
+def test_methods_of_the_command_line_are_those_of_simulate():
     """The command line names them without importing what runs them."""
     from fourbar_codegen.cli.options import METHODS, SWEEP_METHODS
     from fourbar_codegen.simulation import options
@@ -361,7 +361,7 @@ def test_all_methods_can_be_chosen():
     assert options.METHODS == SWEEP_METHODS
 
 
-def test_models_that_are_not_compiled_yet_are_known_by_name():
+def test_info_on_a_model_that_is_not_compiled_yet_describes_it():
     output = run("info", "slider_crank").output
     assert output.startswith("Model slider_crank\ncoordinates: crank independent; rod, slide dependent")
 
@@ -377,7 +377,9 @@ def test_models_that_are_not_compiled_yet_are_known_by_name():
         (("sweep", "-p", "k=1:2:3", "-o", "runs.png", "--plot", "P2"), "P2 has three components"),
     ],
 )
-def test_what_a_file_needs_is_asked_before_anything_runs(arguments, sentence, monkeypatch, tmp_path):
+def test_commands_whose_files_need_missing_packages_end_before_anything_runs(
+    arguments, sentence, monkeypatch, tmp_path
+):
     monkeypatch.chdir(tmp_path)
     if "need" in sentence:
         for name in ("xarray", "matplotlib.figure", "matplotlib.animation"):

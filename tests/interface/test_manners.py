@@ -37,7 +37,7 @@ class Table(HTMLParser):
             self.rows[-1][-1] += data
 
 
-def test_what_models_say(four_bar):
+def test_models_in_notebooks_and_repr_show_names_defaults_and_units(four_bar):
     model = fb.models.four_bar()
     for shown in (model, four_bar):
         rows = {row[0]: row[1:] for row in Table(shown._repr_html_()).rows}
@@ -49,7 +49,7 @@ def test_what_models_say(four_bar):
     assert repr(four_bar).startswith("<CompiledModel four_bar: coordinates q1, q2, q3;")
 
 
-def test_what_runs_say(four_bar):
+def test_runs_and_modes_in_notebooks_and_repr_show_their_content(four_bar):
     run = four_bar.simulate((0.0, 4.0), t_eval=[0.0, 1.0, 4.0], parameters={"k": 50.0})
     assert repr(run) == (
         f"<Trajectory of four_bar: 0 s to 4 s, 3 states, {run.nfev} evaluations; "
@@ -70,7 +70,7 @@ def fourbar(*arguments, **environment):
     return on_terminal("-m", "fourbar_codegen", *arguments, **environment)
 
 
-def test_types_for_editors(tmp_path):
+def test_types_of_a_users_file_are_known_to_mypy(tmp_path):
     """What an editor knows of a user's file: by mypy, from the package as it is installed."""
     code = (
         "import fourbar_codegen as fb\n"
@@ -93,12 +93,12 @@ def test_types_for_editors(tmp_path):
 
 
 @pytest.mark.parametrize("environment", [{"NO_COLOR": "1"}, {}])
-def test_no_color(environment):
+def test_output_of_info_on_a_terminal_has_no_colours(environment):
     """Nothing is coloured anyway, on a terminal either."""
     assert "\x1b" not in fourbar("info", **environment)
 
 
-def test_a_bar_while_frames_are_drawn(tmp_path):
+def test_animation_saved_on_a_terminal_shows_its_progress_in_frames(tmp_path):
     """On a terminal, up to all frames; not a word elsewhere. Without patience, however fast they are drawn."""
     code = (
         "import fourbar_codegen as fb; from fourbar_codegen.presentation import figures; figures.PATIENCE = 0.0\n"
@@ -120,7 +120,7 @@ def test_a_bar_while_frames_are_drawn(tmp_path):
         ("fourbar report --constraints b", "plain,baumgarte"),
     ],
 )
-def test_completion(words, expected):
+def test_completion_of_partial_commands_offers_their_words(words, expected):
     """As bash asks for it, by click."""
     number = len(words.split()) - 1
     asked = {"_FOURBAR_COMPLETE": "bash_complete", "COMP_WORDS": words, "COMP_CWORD": str(number)}

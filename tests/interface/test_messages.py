@@ -15,7 +15,7 @@ from sympy.physics.mechanics.system import System
 import fourbar_codegen as fb
 
 
-def test_at_a_singular_position_the_advice_works(four_bar):
+def test_message_at_a_singular_position_gives_options_that_pass_it(four_bar):
     """The tutorial's linkage comes to its singular position at t = 5.34 s."""
     run = four_bar.simulate((0.0, 6.0))
     assert not run.success
@@ -29,7 +29,7 @@ def test_at_a_singular_position_the_advice_works(four_bar):
     np.testing.assert_allclose(on.resample(run.t[before]).y[:3], run.y[:3, before], rtol=0, atol=1e-2)
 
 
-def test_a_step_that_shrinks_to_nothing_asks_for_jumps():
+def test_message_of_a_step_that_shrinks_to_nothing_asks_for_jumps():
     """A torque that grows beyond all bounds at t = 5 s."""
     system = pendulum()
     T = me.dynamicsymbols("T")
@@ -42,14 +42,14 @@ def test_a_step_that_shrinks_to_nothing_asks_for_jumps():
 
 
 @pytest.mark.parametrize("function", [lambda t: t, lambda: 1.0, lambda t, x, u: t])
-def test_callables_are_called_with_time_and_state(four_bar, function):
+def test_callables_with_other_arguments_than_time_and_state_are_refused(four_bar, function):
     with pytest.raises(fb.ModelError, match=r"input F is called with \(t, x\).*its arguments are \("):
         four_bar.simulate((0.0, 0.1), inputs={"F": function})
     with pytest.raises(fb.ModelError, match=r"An event is called with \(t, x\)"):
         four_bar.simulate((0.0, 0.1), events=function)
 
 
-def test_names_stand_for_symbols():
+def test_model_with_names_for_symbols_equals_the_one_with_symbols():
     F = me.dynamicsymbols("F")
     symbols = {symbol.name: symbol for symbol in sm.symbols("m g l")}
     values, states = {"m": 1, "g": 9.81, "l": 2 * symbols["g"]}, {"q": 1, "u": 2}
@@ -68,7 +68,7 @@ def test_names_stand_for_symbols():
         assert getattr(by_symbol, name) == getattr(by_name, name)
 
 
-def test_an_inconsistent_state_says_which_constraints(four_bar):
+def test_message_of_an_inconsistent_state_names_the_violated_constraints(four_bar):
     x0 = four_bar.initial_state()
     with pytest.raises(fb.ModelError, match=r"constraints on positions: the nearest consistent state differs by 0\.1"):
         four_bar.simulate((0.0, 0.1), np.add(x0, [0.2, 0, 0, 0, 0, 0]))
@@ -78,7 +78,7 @@ def test_an_inconsistent_state_says_which_constraints(four_bar):
         four_bar.linearize(0.0, np.add(x0, [0.2, 0, 0, 0, 0, 0]))
 
 
-def test_a_tables_slope_is_named_where_speeds_do_not_fit_it():
+def test_message_of_speeds_that_do_not_fit_a_tables_slope_names_the_slope():
     """A slider at x = s(t): at rest it does not fit a table that begins with a slope."""
     x, v, s = me.dynamicsymbols("x v s")
     wall, block = me.RigidBody("wall"), me.RigidBody("block", mass=1)
@@ -97,7 +97,7 @@ def test_a_tables_slope_is_named_where_speeds_do_not_fit_it():
 
 
 @pytest.mark.parametrize("steepness", [sm.Symbol("k"), 1, sm.Rational(9, 10)])
-def test_a_place_along_a_curve_is_no_angle(steepness):
+def test_coordinate_along_a_wire_does_not_count_as_an_angle(steepness):
     """A bead on a wire y = a sin(k x): x is in metres."""
     x, u, a = *me.dynamicsymbols("x u"), sm.Symbol("a")
     ground, origin = me.ReferenceFrame("N"), me.Point("O")
@@ -130,7 +130,7 @@ PLACES = {
 
 @pytest.mark.parametrize("has_positions", [True, False])
 @pytest.mark.parametrize("name", PLACES)
-def test_a_coordinate_is_an_angle_if_its_point_returns_after_a_turn(name, has_positions):
+def test_coordinate_counts_as_an_angle_only_if_its_point_returns_after_a_turn(name, has_positions):
     """As positions tell, or, in a KanesMethod without them, the velocities."""
     ground, origin, point = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
     origin.set_vel(ground, 0)
@@ -156,7 +156,7 @@ def test_a_coordinate_is_an_angle_if_its_point_returns_after_a_turn(name, has_po
 
 @pytest.mark.parametrize(("turn", "expected"), [(X, ["x"]), (sm.atan(HEIGHT * sm.cos(X)), [])])
 @pytest.mark.parametrize("radius", [1, ARM])
-def test_what_moves_on_as_it_turns(turn, expected, radius):
+def test_coordinate_of_a_rolling_wheel_counts_as_an_angle_and_of_a_wave_not(turn, expected, radius):
     """A wheel that rolls, whose angle it is, and a carriage along the tangent of a wave."""
     ground, frame, origin, point = *map(me.ReferenceFrame, "NB"), me.Point("O"), me.Point("P")
     frame.orient_axis(ground, ground.z, turn)
@@ -171,7 +171,7 @@ def test_what_moves_on_as_it_turns(turn, expected, radius):
     assert json.loads(fb.generate_sources(model)["manifest.json"])["angles"] == expected
 
 
-def test_degrees_are_noticed():
+def test_initial_angles_that_look_like_degrees_give_a_warning():
     arm = fb.compile_model(fb.Model(pendulum(), parameters={"m": 1.0, "g": 9.81, "l": 2.0}, name="arm"))
     assert arm.manifest["angles"] == ["q"]
     with pytest.warns(fb.ModelWarning, match=r"q = 30 rad is more than a turn.*30 degrees are meant, give 0\.523599"):
@@ -184,7 +184,7 @@ def test_degrees_are_noticed():
         arm.initial_state({"q": 3}, [0.0])
 
 
-def test_times_that_are_too_far_apart_for_curves_are_told(four_bar):
+def test_resampling_a_run_with_samples_too_far_apart_gives_a_warning(four_bar):
     """With 9 times in 4 s, cubic polynomials err by 0.026 rad in q1, of 1.8; with 33 by 1e-4."""
     exact = four_bar.simulate((0.0, 4.0), rtol=1e-12, atol=1e-12, dense_output=True)
     times = np.linspace(0.0, 4.0, 1001)
@@ -196,7 +196,7 @@ def test_times_that_are_too_far_apart_for_curves_are_told(four_bar):
     assert np.abs(fine.resample(times)["q1"] - exact.sol(times)[0]).max() < 1e-3
 
 
-def test_adapters_are_called_as_they_are(four_bar):
+def test_callables_with_wrapped_or_unknown_signatures_are_called_as_given(four_bar):
     """Not as the functions that they wrap; and what has no signature is left to its call."""
 
     def force(t):
@@ -217,6 +217,6 @@ def test_adapters_are_called_as_they_are(four_bar):
     np.testing.assert_array_equal(*ends)
 
 
-def test_what_the_compiler_says_stands_before_its_command():
+def test_build_error_shows_the_compilers_output_before_its_command():
     error = fb.BuildError("gcc refused it.", command=["gcc", "-O2"], exit_code=1, output="x.c:1: error: y")
     assert str(error).splitlines() == ["gcc refused it.", "x.c:1: error: y", "exit code: 1", "command: gcc -O2"]

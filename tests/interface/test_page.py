@@ -96,7 +96,7 @@ def exact(model, t, **how):
     return runs[1].y
 
 
-def test_three_sliders(opened, made, four_bar):
+def test_page_after_moves_of_sliders_shows_the_run_of_simulate(opened, made, four_bar):
     """To 1e-9 at every time that is shown, and not the run that it began with."""
     page = opened(made)
     move(page, "l2 (m)", 0.46)
@@ -112,7 +112,7 @@ def test_three_sliders(opened, made, four_bar):
     np.testing.assert_allclose(y, exact(four_bar, t, x0=x0, parameters={"l2": 0.46, "k": 150.0}), rtol=0, atol=1e-9)
 
 
-def test_the_flagships_state_at_4_s(opened, made, four_bar):
+def test_page_of_the_four_bar_shows_the_reference_state_at_4_s(opened, made, four_bar):
     t, y = shown(opened(made))
     np.testing.assert_allclose(y, exact(four_bar, t), rtol=0, atol=1e-9)
 
@@ -129,7 +129,7 @@ def test_the_flagships_state_at_4_s(opened, made, four_bar):
     ],
     ids=["number", "sine", "step", "ramp", "expression"],
 )  # fmt: skip
-def test_inputs_of_scripts(opened, made, four_bar, given, source):
+def test_page_given_inputs_of_all_kinds_by_scripts_gives_the_run_of_simulate(opened, made, four_bar, given, source):
     page = opened(made)
     times = np.linspace(0.0, 1.5, 31)
     found = simulated(page, inputs={"F": given}, t_span=[0, 1.5], times=times.tolist(), parameters={"c": 2.0})
@@ -139,7 +139,7 @@ def test_inputs_of_scripts(opened, made, four_bar, given, source):
     np.testing.assert_allclose(found["y"], y, rtol=0, atol=1e-9)
 
 
-def test_recorded_values(opened, four_bar):
+def test_page_with_a_held_table_keeps_it_in_runs_scripts_and_links(opened, four_bar):
     """A table that is held: in the run, in scripts, in lines of Python, in a link; and what takes its place."""
     times = 0.01 * np.arange(150)
     table = (times, np.random.default_rng(5).normal(0.0, 50.0, 150), "hold")
@@ -165,7 +165,7 @@ def test_recorded_values(opened, four_bar):
     np.testing.assert_array_equal(shown(page)[1], states)
 
 
-def test_what_scripts_may_ask(opened, made, four_bar):
+def test_page_answers_scripts_with_names_and_runs_and_refuses_wrong_ones(opened, made, four_bar):
     page = opened(made)
     names = page.evaluate("fourbar.names")
     assert names["states"] == list(four_bar.states)
@@ -203,7 +203,7 @@ def test_what_scripts_may_ask(opened, made, four_bar):
             simulated(page, **how)
 
 
-def test_lines_of_python(opened, made, four_bar):
+def test_page_writes_lines_of_python_that_make_its_run(opened, made, four_bar):
     """What the page writes makes the run that it shows."""
     page = opened(made)
     move(page, "l3 (m)", 0.95)
@@ -227,7 +227,7 @@ def test_lines_of_python(opened, made, four_bar):
         np.testing.assert_allclose(names["run"].y[:, -1], y[:, -1], rtol=0, atol=1e-9)
 
 
-def test_a_link_carries_all_settings(opened, made):
+def test_page_opened_by_its_link_has_all_settings_and_names_unknown_ones(opened, made):
     page = opened(made)
     move(page, "l2 (m)", 0.42)
     move(page, "q1", -0.3)
@@ -255,7 +255,7 @@ def test_a_link_carries_all_settings(opened, made):
     assert wrong.evaluate("settings.initial.q1") == -0.45
 
 
-def test_reset_and_csv(opened, made, four_bar):
+def test_page_resets_its_settings_and_saves_the_shown_run_as_csv(opened, made, four_bar):
     page = opened(made)
     t, y = shown(page)
     move(page, "l2 (m)", 0.42)
@@ -283,7 +283,7 @@ def test_reset_and_csv(opened, made, four_bar):
     assert table[:, header.index("largest residual")].max() < 10 * np.abs(run.constraint_residual).max()
 
 
-def test_points_and_forces(opened, made, four_bar):
+def test_page_draws_points_and_force_arrows_of_the_run(opened, made, four_bar):
     page = opened(made)
     t, _ = shown(page)
     run = four_bar.simulate((0.0, 4.0), t_eval=t, rtol=1e-11, atol=1e-11)
@@ -295,7 +295,7 @@ def test_points_and_forces(opened, made, four_bar):
     np.testing.assert_allclose(arrow[:, 0] / np.abs(arrow).max(), force[0] / np.abs(force).max(), rtol=0, atol=1e-9)
 
 
-def test_loops_that_cannot_close(opened, made):
+def test_page_with_lengths_that_do_not_close_says_so_and_recovers(opened, made):
     page = opened(made)
     before = shown(page)[1]
     move(page, "l1 (m)", 1.6)
@@ -306,7 +306,7 @@ def test_loops_that_cannot_close(opened, made):
     np.testing.assert_allclose(shown(page)[1], before, rtol=0, atol=1e-9)
 
 
-def test_singular_positions(opened, made):
+def test_page_whose_run_reaches_a_singular_position_ends_there_with_a_message(opened, made):
     """The tutorial's linkage comes to one at t = 5.34 s."""
     page = opened(made)
     move(page, "End", 8)
@@ -316,7 +316,7 @@ def test_singular_positions(opened, made):
     assert np.isfinite(y).all()
 
 
-def test_runs_that_take_too_long_are_dropped(opened, made):
+def test_page_replaces_a_worker_that_takes_too_long(opened, made):
     """The worker is busy for minutes; a run behind that and the next move wait, until the worker is replaced."""
     page = opened(made)
     page.evaluate("void engine.ask('evaluation', closedPoints[0], 1e10).catch(() => {})")
@@ -327,7 +327,7 @@ def test_runs_that_take_too_long_are_dropped(opened, made):
     assert page.inner_text("#status") == ""
 
 
-def test_without_a_worker(browser, made, tmp_path):
+def test_page_without_a_worker_simulates_in_its_own_thread(browser, made, tmp_path):
     """Where these are not allowed, the page's own thread simulates."""
     path = tmp_path / "page.html"
     path.write_text(made.text.replace("worker-src blob:", "worker-src 'none'"), encoding="utf-8")
@@ -339,7 +339,7 @@ def test_without_a_worker(browser, made, tmp_path):
     page.close()
 
 
-def test_states_that_were_not_computed_are_not_shown(opened, four_bar):
+def test_page_shows_no_states_after_a_run_that_ends_early(opened, four_bar):
     """A run that ends by the number of its steps, and one whose prescribed speed jumps before it begins."""
     model = fb.compile_model(fb.models.cartesian_pendulum())
     page = opened(model.page())
@@ -359,7 +359,7 @@ def test_states_that_were_not_computed_are_not_shown(opened, four_bar):
     assert all(len(row) == 0 for row in found["y"])
 
 
-def test_the_address_has_the_present_guess(opened, made):
+def test_page_writes_the_guess_of_the_closed_state_into_its_address(opened, made):
     page = opened(made)
     box = page.get_by_label("l2 (m), number", exact=True)
     box.fill("0.7")
@@ -369,7 +369,7 @@ def test_the_address_has_the_present_guess(opened, made):
     np.testing.assert_allclose(guess, page.evaluate("closedPoints[0].x.filter((_, i) => dependent[i])"), atol=1e-8)
 
 
-def test_a_link_during_a_run(opened, made):
+def test_page_given_a_link_during_a_run_takes_the_links_guess(opened, made):
     """What the old run finds is not the new settings' guess; what the page does not know is said."""
     page = opened(made)
     other = page.evaluate("data.modes[1].filter((_, i) => dependent[i]).join()")
@@ -385,7 +385,7 @@ def test_a_link_during_a_run(opened, made):
     assert not page.get_by_label("P44", exact=True).is_checked()
 
 
-def test_assembly_modes_do_not_change_without_a_word(opened, made):
+def test_page_with_random_lengths_keeps_the_assembly_mode_or_says_so(opened, made):
     """The two of a four-bar differ in the sign of sin q3."""
     page = opened(made)
     rng = np.random.default_rng(1)
@@ -423,7 +423,7 @@ def test_assembly_modes_do_not_change_without_a_word(opened, made):
     assert told > 0
 
 
-def test_a_crank_rocker_is_followed_round(opened):
+def test_page_follows_a_crank_rocker_in_its_mode_round_all_angles(opened):
     """It is never singular: the angle between coupler and rocker keeps the sign of its sine, wherever the crank is."""
     linkage = runpy.run_path(str(EXAMPLES / "11_mechanisms.py"))["crank_rocker"]()
     linkage.drive("OA", speed=10.0)
@@ -438,7 +438,7 @@ def test_a_crank_rocker_is_followed_round(opened):
     assert len(set(signs)) == 1
 
 
-def test_a_slider_crank_is_followed_from_side_to_side(opened):
+def test_page_follows_a_slider_crank_by_relative_angles_on_its_side(opened):
     """By relative angles; its rod is longer than the crank, and the slide stays on its side."""
     q1, q2, q3, u1, u2, u3 = me.dynamicsymbols("q1:4 u1:4")
     frame, crank, rod = (me.ReferenceFrame(name) for name in "NAB")
@@ -467,7 +467,7 @@ def test_a_slider_crank_is_followed_from_side_to_side(opened):
     assert found == pytest.approx(0.2 * np.cos(5.5) + np.sqrt(0.25 - (0.2 * np.sin(5.5)) ** 2), abs=1e-9)
 
 
-def test_figures(opened, four_bar):
+def test_page_shows_figures_that_equal_statistics_of_the_run(opened, four_bar):
     names = ["greatest", "least", "greatest magnitude", "range", "mean", "last"]
     page = opened(four_bar.page(t_span=(0.0, 2.0), watch=[(name, "u1") for name in names]))
     assert page.evaluate("Object.keys(STATISTICS)") == names
@@ -478,7 +478,7 @@ def test_figures(opened, four_bar):
     np.testing.assert_allclose(cells, [u.max(), u.min(), np.abs(u).max(), np.ptp(u), mean, u[-1]], rtol=1e-5)
 
 
-def test_no_alarm_at_rest(opened):
+def test_page_with_a_run_at_rest_at_first_gives_no_warning_of_energy(opened):
     """A step in the middle of the run: nothing moves in its first half."""
     model = fb.compile_model(fb.models.slider_crank())
     page = opened(model.page(inputs={"torque": 0.0}, t_span=(0.0, 1.0)))
@@ -488,7 +488,7 @@ def test_no_alarm_at_rest(opened):
     assert page.inner_text("#status") == ""
 
 
-def test_moves_leave_nothing_behind(opened, made):
+def test_page_after_200_moves_has_no_errors_and_no_more_memory(opened, made):
     """200 random moves: no errors, no more memory of the module, and of the page what garbage collection leaves."""
     page = opened(made)
     session = page.context.new_cdp_session(page)
@@ -520,7 +520,7 @@ def test_moves_leave_nothing_behind(opened, made):
     assert sizes[1][1] - sizes[0][1] < 500_000
 
 
-def test_by_keyboard_alone(opened, made):
+def test_page_by_keyboard_alone_reaches_sliders_and_reset(opened, made):
     page = opened(made)
 
     def reach(script):
@@ -566,7 +566,7 @@ def test_by_keyboard_alone(opened, made):
 
 
 @pytest.mark.parametrize("width", [390, 1440])
-def test_nothing_is_wider_than_the_window(opened, made, width):
+def test_page_on_phones_and_screens_is_not_wider_than_the_window(opened, made, width):
     page = opened(made, viewport={"width": width, "height": 800}, has_touch=width < 500)
     for summary in page.locator("summary").all():
         if summary.evaluate("e => !e.parentElement.open"):
@@ -615,7 +615,7 @@ def cart():
 
 
 @pytest.mark.parametrize("make", [jansen, slider_crank, bicycle, cart])
-def test_other_mechanisms(opened, make, monkeypatch):
+def test_pages_of_other_mechanisms_show_the_runs_of_simulate(opened, make, monkeypatch):
     kept = []
     monkeypatch.setattr(fb.CompiledModel, "simulate", recorded(fb.CompiledModel.simulate, kept))
     made, end = make()
@@ -637,7 +637,7 @@ def recorded(function, kept):
     return simulate
 
 
-def test_a_prescribed_motion(opened):
+def test_page_with_a_prescribed_motion_as_a_sine_moves_the_crank_by_it(opened):
     """As a sine, with its rates: the crank's angle, and from it all others."""
     mechanisms = runpy.run_path(str(EXAMPLES / "11_mechanisms.py"))
     linkage = mechanisms["crank_rocker"]()
@@ -659,7 +659,7 @@ def test_a_prescribed_motion(opened):
     np.testing.assert_allclose(rows[0], rows[1], rtol=0, atol=1e-12)
 
 
-def test_in_a_notebooks_frame(browser, made):
+def test_page_in_a_notebooks_frame_simulates_without_errors(browser, made):
     """By srcdoc, without a kernel and without an address of its own."""
     page = browser.new_page()
     errors = []
@@ -675,7 +675,7 @@ def test_in_a_notebooks_frame(browser, made):
     page.close()
 
 
-def test_the_page_is_small_and_closed(made):
+def test_page_as_a_file_is_small_and_loads_nothing_from_elsewhere(made):
     assert len(made.text.encode()) < 400_000
     policy = re.search(r'Content-Security-Policy" content="([^"]*)"', made.text)[1]
     assert policy == (
@@ -689,7 +689,7 @@ def data_of(made):
     return json.loads(re.search(r'<script type="application/json" id="data">(.*?)</script>', made.text)[1])
 
 
-def test_ranges(four_bar):
+def test_page_takes_ranges_of_sliders_from_parameters_arguments_and_defaults(four_bar):
     a, b, c, d = sm.symbols("a b c d")
     values = {M: fb.Parameter(2.0, "kg", range=(1.0, 9.0)), G: -9.81, L: 1.0, a: 0.0, b: fb.Parameter(0.0, "rad"),
               c: 30.0, d: None}  # fmt: skip
@@ -709,7 +709,7 @@ def test_ranges(four_bar):
             four_bar.page(ranges={"k": wrong})
 
 
-def test_what_cannot_be_a_page(four_bar, tmp_path, monkeypatch):
+def test_page_of_inputs_or_models_that_cannot_run_in_a_browser_is_refused(four_bar, tmp_path, monkeypatch):
     path = tmp_path / "page.html"
     for how, sentence in (
         ({"inputs": {"F": lambda t, x: 1.0}}, "Input F of a page is a number, the model's own expression, or a table"),
@@ -741,7 +741,7 @@ def test_what_cannot_be_a_page(four_bar, tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-def test_clang_with_wasm_ld(opened, four_bar, made, monkeypatch):
+def test_page_compiled_by_clang_gives_the_states_of_ziglangs(opened, four_bar, made, monkeypatch):
     """Debian's clang and C library for WebAssembly, in place of zig's."""
     require("clang")
     require("wasm-ld")
@@ -752,7 +752,7 @@ def test_clang_with_wasm_ld(opened, four_bar, made, monkeypatch):
     np.testing.assert_allclose(ends[0], ends[1], rtol=0, atol=1e-11)
 
 
-def test_command(opened, tmp_path):
+def test_page_command_writes_a_page_with_its_settings(opened, tmp_path):
     path = tmp_path / "four_bar.html"
     how = ["page", "four_bar", "-p", "l2=0.45", "-i", "q1=-0.4", "-r", "F=7", "-t", "0", "2", "-o", str(path)]
     result = CliRunner().invoke(main, how)

@@ -25,7 +25,7 @@ def trajectory(four_bar):
     return four_bar.simulate((0.0, 4.0), rtol=1e-9, atol=1e-9)
 
 
-def test_points_of_the_four_bar(four_bar, trajectory):
+def test_points_of_a_four_bars_run_equal_trigonometry(four_bar, trajectory):
     """From the angles, by trigonometry; the last joint is where the first link begins."""
     q1, q2, q3 = trajectory.q
     points = trajectory.points
@@ -41,7 +41,7 @@ def test_points_of_the_four_bar(four_bar, trajectory):
 
 
 @pytest.mark.parametrize("make", [fb.models.whipple_bicycle, fb.models.slider_crank, lambda: fb.models.chain(3)])
-def test_points_are_those_of_sympy(make):
+def test_points_of_ready_models_at_random_positions_equal_sympys(make):
     model = make()
     compiled = fb.compile_model(model)
     system = model.system
@@ -59,7 +59,7 @@ def test_points_are_those_of_sympy(make):
             np.testing.assert_allclose(positions[bodies[body.name]], expected, rtol=0, atol=1e-13)
 
 
-def test_points_that_nothing_else_needs(tmp_path):
+def test_points_that_nothing_else_needs_are_drawn_if_their_symbols_are_known(tmp_path):
     """Two points of one name; one by a symbol that the equations do not have, which is left out."""
     system = pendulum()
     origin, frame = system.fixed_point, system.frame
@@ -74,7 +74,7 @@ def test_points_that_nothing_else_needs(tmp_path):
     assert positions["mark (2)"].tolist() == [3.0, 0.0, 0.0]
 
 
-def test_a_system_without_positions_has_nothing_to_draw(tmp_path):
+def test_pictures_of_a_system_without_positions_are_refused(tmp_path):
     x, u = me.dynamicsymbols("x u")
     frame, point = me.ReferenceFrame("N"), me.Point("P")
     point.set_vel(frame, u * frame.x)
@@ -90,7 +90,7 @@ def test_a_system_without_positions_has_nothing_to_draw(tmp_path):
 
 @pytest.mark.parametrize("how", [{}, {"dense_output": True}, {"t_eval": np.linspace(0.0, 4.0, 201)}])
 @pytest.mark.parametrize("backwards", [False, True])
-def test_resampled_runs(four_bar, how, backwards):
+def test_resampled_runs_in_either_direction_equal_exact_runs_with_closed_loops(four_bar, how, backwards):
     x0 = four_bar.initial_state()
     span = (0.0, 4.0)
     if backwards:
@@ -110,7 +110,7 @@ def test_resampled_runs(four_bar, how, backwards):
         run.resample([0.0, 5.0])
 
 
-def test_plots(trajectory, tmp_path):
+def test_plot_of_a_run_has_a_panel_for_each_group_of_quantities(trajectory, tmp_path):
     figure = trajectory.plot()
     titles = [axes.get_title(loc="left") for axes in figure.axes]
     assert [title.split(" (")[0] for title in titles] == [
@@ -120,7 +120,7 @@ def test_plots(trajectory, tmp_path):
     assert trajectory.save(tmp_path / "run.png").stat().st_size > 10_000
 
 
-def test_animations(trajectory, tmp_path):
+def test_animations_saved_as_gif_have_moving_frames(trajectory, tmp_path):
     from PIL import Image
 
     path = trajectory.resample(np.linspace(0.0, 1.0, 5)).save(tmp_path / "run.gif")
@@ -141,7 +141,7 @@ def test_animations(trajectory, tmp_path):
         trajectory.animate(fps=0.0)
 
 
-def test_films(trajectory, tmp_path):
+def test_films_saved_as_mp4_have_all_frames(trajectory, tmp_path):
     require("ffmpeg")
     ffprobe = require("ffprobe")
     path = trajectory.resample(np.linspace(0.0, 1.0, 5)).save(tmp_path / "run.mp4")
@@ -150,7 +150,7 @@ def test_films(trajectory, tmp_path):
     assert json.loads(told)["streams"] == [{"codec_type": "video", "nb_read_frames": "31"}]
 
 
-def test_forces_of_inputs(four_bar, trajectory):
+def test_forces_of_inputs_along_a_run_are_at_their_points(four_bar, trajectory):
     """The tutorial's force acts along x where links 3 and 4 meet, and is drawn there; gravity is no input's."""
     assert four_bar.forced_points == ("joint3_link3_joint",)
     [force] = trajectory.forces.values()
@@ -162,7 +162,7 @@ def test_forces_of_inputs(four_bar, trajectory):
     assert {name: rows[:, 0].tolist() for name, rows in run.forces.items()} == {"S": [-50.0, 0.0, 0.0]}
 
 
-def test_a_force_that_turns():
+def test_force_of_an_input_that_turns_with_its_body_is_drawn_turned():
     """Along the pendulum's arm, twice as strong as the input, at the end of it; nothing without an input."""
     system = pendulum()
     system.add_loads(me.Force(system.bodies[0].masscenter, 2 * me.dynamicsymbols("T") * _arm(system).y))
@@ -180,7 +180,7 @@ def _arm(system):
     return position.args[0][1]
 
 
-def test_a_force_that_is_no_number(tmp_path):
+def test_force_that_is_nan_has_no_arrow_and_leaves_others(tmp_path):
     """It has no arrow where it is none; another one keeps its own."""
     system, q = pendulum(), me.dynamicsymbols("q")
     F, root = me.dynamicsymbols("F"), me.dynamicsymbols("R")
@@ -196,7 +196,7 @@ def test_a_force_that_is_no_number(tmp_path):
     assert run.save(tmp_path / "run.gif").stat().st_size > 1000
 
 
-def test_paths(four_bar, trajectory):
+def test_paths_of_points_are_drawn_as_arcs_and_refuse_unknown_points(four_bar, trajectory):
     """The path of the crank's end is an arc about the joint of the ground."""
     figure = trajectory.plot_paths(["P2"])
     path = figure.axes[0].lines[-1]
@@ -215,7 +215,7 @@ def test_paths(four_bar, trajectory):
     assert len(trajectory.resample([1.0]).plot_paths(["P2"]).axes) == 1
 
 
-def test_films_need_ffmpeg(trajectory, tmp_path, monkeypatch):
+def test_films_without_ffmpeg_are_refused(trajectory, tmp_path, monkeypatch):
     monkeypatch.setattr("matplotlib.animation.FFMpegWriter.isAvailable", lambda: False)
     with pytest.raises(fb.ModelError, match="MP4 needs ffmpeg"):
         trajectory.save(tmp_path / "run.mp4")
@@ -227,7 +227,7 @@ def data_of(path):
     return text, json.loads(re.search(r'<script type="application/json" id="data">(.*?)</script>', text)[1])
 
 
-def test_the_report_is_small_and_asks_for_nothing(trajectory, tmp_path):
+def test_report_as_a_file_is_small_and_loads_nothing_from_elsewhere(trajectory, tmp_path):
     path = trajectory.save(tmp_path / "run.html")
     text, data = data_of(path)
     assert len(text.encode()) < 300_000
@@ -239,7 +239,7 @@ def test_the_report_is_small_and_asks_for_nothing(trajectory, tmp_path):
     assert table["fingerprint"] == trajectory.model.manifest["fingerprint"][:16]
 
 
-def test_names_cannot_end_the_reports_data(tmp_path):
+def test_report_with_script_tags_in_names_keeps_its_data_whole(tmp_path):
     model = fb.Model(pendulum(), name="sharp", parameters={M: fb.Parameter(1.0, "</script><b>kg"), G: 9.81, L: 1.0})
     run = fb.compile_model(model).simulate((0.0, 0.1), [0.1, 0.0])
     text, data = data_of(run.save(tmp_path / "run.html"))
@@ -247,7 +247,7 @@ def test_names_cannot_end_the_reports_data(tmp_path):
     assert text.count("</script>") == 2
 
 
-def test_commands(tmp_path):
+def test_report_and_animate_commands_write_their_files_and_refuse_other_suffixes(tmp_path):
     report, animation = tmp_path / "run.html", tmp_path / "run.gif"
     for command, path in (("report", report), ("animate", animation)):
         result = CliRunner().invoke(main, [command, "-t", "0", "0.2", "-p", "l2=0.45", "-o", str(path)])
@@ -292,7 +292,7 @@ def wait(page, condition):
     pytest.fail("nothing happened in 10 s")
 
 
-def test_scrubbing_shows_the_state_at_that_time(opened, trajectory):
+def test_report_scrubbed_to_a_time_shows_the_state_at_that_time(opened, trajectory):
     page = opened(trajectory)
     scrub = page.locator("#scrub")
     assert scrub.get_attribute("max") == "240"
@@ -322,7 +322,7 @@ def test_scrubbing_shows_the_state_at_that_time(opened, trajectory):
     assert float(shown) == pytest.approx(trajectory.q[0, -1], abs=1e-3)
 
 
-def test_play_moves_the_linkage(opened, trajectory):
+def test_report_play_moves_the_linkage_until_the_end(opened, trajectory):
     page = opened(trajectory)
     before = center(page, "P2")
     page.locator("#play").click()
@@ -340,7 +340,7 @@ def test_play_moves_the_linkage(opened, trajectory):
     assert page.locator("#scrub").input_value() == "240"
 
 
-def test_the_report_by_keyboard_and_on_a_phone(opened, trajectory):
+def test_report_by_keyboard_on_a_phone_scrubs_and_fits_the_window(opened, trajectory):
     page = opened(trajectory, viewport={"width": 390, "height": 800})
     page.keyboard.press("End")
     assert page.locator("#scrub").input_value() == "240"
@@ -355,7 +355,7 @@ def test_the_report_by_keyboard_and_on_a_phone(opened, trajectory):
     assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
 
 
-def test_a_spatial_mechanism_turns(opened):
+def test_report_of_a_spatial_mechanism_turns_by_the_mouse(opened):
     bicycle = fb.compile_model(fb.models.whipple_bicycle())
     x0 = bicycle.initial_state({"q4": 0.1}, {"u6": -15.0})
     page = opened(bicycle.simulate((0.0, 1.0), x0))
@@ -368,7 +368,7 @@ def test_a_spatial_mechanism_turns(opened):
     assert np.abs(center(page, "fo") - before).max() > 5.0
 
 
-def test_a_prescribed_motion_is_resampled_with_its_source():
+def test_resampled_run_with_a_prescribed_motion_takes_its_source_in_between():
     """Not with what lies on lines between stored times, which would close the loop in the wrong place."""
     model = fb.compile_model(driven_slider_crank())
     times = np.linspace(0.0, 1.0, 101)
@@ -382,7 +382,7 @@ def test_a_prescribed_motion_is_resampled_with_its_source():
 
 
 @pytest.mark.parametrize("first", ["P", "Q"])
-def test_positions_are_from_the_fixed_point(first):
+def test_positions_of_a_system_with_two_roots_are_from_the_fixed_point(first):
     q1, q2, u1, u2 = me.dynamicsymbols("q1 q2 u1 u2")
     frame, fixed, other = me.ReferenceFrame("N"), me.Point("O"), me.Point("A")
     fixed.set_vel(frame, 0)
@@ -403,7 +403,7 @@ def test_positions_are_from_the_fixed_point(first):
     assert {name: place.tolist() for name, place in positions.items()} == {"O": [0.0, 0.0, 0.0], "Q": [0.0, 2.0, 0.0]}
 
 
-def test_runs_of_one_time_or_none(four_bar, tmp_path):
+def test_pictures_and_datasets_of_runs_with_one_time_or_none_are_made_or_refused(four_bar, tmp_path):
     at_once = four_bar.simulate((0.0, 1.0), events=fb.Event(lambda t, x: t, terminal=True))
     assert at_once.t.tolist() == [0.0, 0.0]
     for ending in ("html", "png", "gif"):
@@ -415,7 +415,7 @@ def test_runs_of_one_time_or_none(four_bar, tmp_path):
     assert none.to_xarray()["q1"].shape == (0,)
 
 
-def test_animations_that_are_not_made(trajectory, tmp_path, monkeypatch):
+def test_animations_with_wrong_options_or_a_full_disk_leave_no_file(trajectory, tmp_path, monkeypatch):
     with pytest.raises(fb.ModelError, match="larger speed"):
         trajectory.animate(speed=1e-4)
     with pytest.raises(fb.ModelError, match="sequence of their names"):
@@ -430,7 +430,7 @@ def test_animations_that_are_not_made(trajectory, tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_report_of_many_curves_late_and_short(opened, tmp_path):
+def test_report_of_many_curves_at_late_times_shows_its_end(opened, tmp_path):
     """More numbers than a function takes arguments; times that single precision cannot tell apart."""
     q = me.dynamicsymbols("q")
     many = {f"o{i}": (i + 1) * q for i in range(230)}

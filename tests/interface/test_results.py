@@ -24,7 +24,7 @@ def ensemble(four_bar):
     return four_bar.ensemble((0.0, 4.0), parameters={"k": stiffness}, t_eval=np.linspace(0.0, 4.0, 81))
 
 
-def test_everything_has_a_name(four_bar, trajectory):
+def test_quantities_of_a_run_by_name_equal_its_attributes(four_bar, trajectory):
     np.testing.assert_array_equal(trajectory["t"], trajectory.t)
     np.testing.assert_array_equal(trajectory["energy"], trajectory.kinetic_energy + trajectory.potential_energy)
     np.testing.assert_array_equal(trajectory["lambda2"], trajectory.multipliers[1])
@@ -41,7 +41,7 @@ def test_everything_has_a_name(four_bar, trajectory):
     assert own["pin_x"].shape == own.t.shape
 
 
-def test_inputs_by_member_are_saved(four_bar, tmp_path):
+def test_inputs_by_member_are_in_an_ensembles_files_and_plots(four_bar, tmp_path):
     forces = np.array([1.0, 2.0, 3.0])
     runs = four_bar.ensemble((0.0, 0.5), inputs={"F": forces})
     np.testing.assert_array_equal(runs.varied["F"], forces)
@@ -51,7 +51,7 @@ def test_inputs_by_member_are_saved(four_bar, tmp_path):
     assert runs.plot("q1").axes[1].get_ylabel() == "F"
 
 
-def test_names_that_files_need_are_refused(tmp_path):
+def test_ensemble_with_names_reserved_in_files_is_refused_there(tmp_path):
     parameters = {"m": 1.0, "g": 9.81, "l": 1.0}
     model = fb.Model(pendulum(), name="named", parameters=parameters, outputs={"success": me.dynamicsymbols("q")})
     runs = fb.compile_model(model).ensemble((0.0, 0.1), [[0.1, 0.0]])
@@ -61,14 +61,14 @@ def test_names_that_files_need_are_refused(tmp_path):
     assert runs.save(tmp_path / "runs.csv").exists()
 
 
-def test_all_members_may_fail(four_bar):
+def test_ensemble_whose_members_all_fail_can_be_plotted(four_bar):
     parameters = {"k": [100.0, 300.0], "c": [1.0, 2.0]}
     runs = four_bar.ensemble((0.0, 1.0), parameters=parameters, t_eval=[0.5, 1.0], max_steps=1)
     assert not runs.success.any()
     assert len(runs.plot("energy").axes) == 1
 
 
-def test_chosen_quantities_are_plotted(trajectory):
+def test_plot_of_chosen_quantities_has_a_panel_for_each(trajectory):
     figure = trajectory.plot(["P2", "energy"])
     assert [axes.get_title(loc="left") for axes in figure.axes] == ["P2", "energy"]
     assert [line.get_label() for line in figure.axes[0].lines] == ["x", "y", "z"]
@@ -77,7 +77,7 @@ def test_chosen_quantities_are_plotted(trajectory):
         trajectory.plot("q9")
 
 
-def test_a_table_of_pandas(trajectory, monkeypatch):
+def test_dataframe_of_a_run_has_all_columns_and_needs_pandas(trajectory, monkeypatch):
     frame = trajectory.to_dataframe()
     assert frame.index.name == "t"
     assert frame.loc[0.5, "q1"] == trajectory["q1"][5]
@@ -87,7 +87,7 @@ def test_a_table_of_pandas(trajectory, monkeypatch):
         trajectory.to_dataframe()
 
 
-def test_a_report_in_a_notebook(trajectory):
+def test_report_in_a_notebook_is_a_frame_of_its_height(trajectory):
     page = trajectory.report(height=400)
     assert repr(page) == "<Report of four_bar, 400 pixels high>"
     shown = page._repr_html_()
@@ -97,7 +97,7 @@ def test_a_report_in_a_notebook(trajectory):
         trajectory.report(height=0)
 
 
-def test_members_have_the_same_names(ensemble):
+def test_quantities_of_an_ensemble_by_name_equal_those_of_its_members(ensemble):
     assert 0 < ensemble.success.sum() < len(ensemble)
     failed = int(np.argmin(ensemble.success))
     for name in ("q1", "energy", "lambda1", "F", "P2"):
@@ -115,14 +115,14 @@ def test_members_have_the_same_names(ensemble):
             refused()
 
 
-def test_an_ensemble_says_in_a_line_what_it_is(ensemble):
+def test_ensemble_shows_members_failures_and_differences_in_its_repr(ensemble):
     failed = (~ensemble.success).sum()
     assert repr(ensemble) == (
         f"<Ensemble of four_bar: 40 members, {failed} failed, 0 s to 4 s, 81 times, different in k>"
     )
 
 
-def test_an_ensemble_in_files(ensemble, tmp_path):
+def test_ensemble_saved_to_files_has_the_states_of_its_members(ensemble, tmp_path):
     with ensemble.save(tmp_path / "runs.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == np.isfinite(ensemble["q1"]).sum()
@@ -147,7 +147,7 @@ def test_an_ensemble_in_files(ensemble, tmp_path):
         fb.load_trajectory(tmp_path / "runs.npz")
 
 
-def test_outputs_of_members_are_saved():
+def test_ensemble_as_a_dataset_has_the_outputs_of_its_members():
     crank = fb.compile_model(fb.models.slider_crank())
     runs = crank.ensemble((0.0, 0.5), parameters={"r": [0.1, 0.11]})
     dataset = runs.to_xarray()
@@ -155,7 +155,7 @@ def test_outputs_of_members_are_saved():
         np.testing.assert_array_equal(dataset["pin_x"].isel(member=member), runs[member]["pin_x"])
 
 
-def test_members_that_differ_in_one_parameter_are_coloured_by_it(ensemble):
+def test_plot_of_members_that_differ_in_one_parameter_is_coloured_by_it(ensemble):
     figure = ensemble.plot("q1")
     axes, bar = figure.axes
     assert bar.get_ylabel() == "k (N m/rad)"
@@ -165,7 +165,7 @@ def test_members_that_differ_in_one_parameter_are_coloured_by_it(ensemble):
     assert "failed" in figure.get_suptitle()
 
 
-def test_bands_are_percentiles(four_bar):
+def test_plot_of_members_that_differ_in_several_parameters_has_percentiles(four_bar):
     varied = {"k": np.linspace(1.0, 200.0, 40), "c": np.linspace(0.0, 10.0, 40)}
     ensemble = four_bar.ensemble((0.0, 4.0), parameters=varied, t_eval=np.linspace(0.0, 4.0, 81))
     figure = ensemble.plot(["q1", "energy"])

@@ -38,7 +38,7 @@ def assert_rigid(found):
             assert np.ptp(distance) < 1e-12 * found.size
 
 
-def test_the_tutorials_linkage(four_bar):
+def test_scene_of_the_tutorials_linkage_has_its_links_pins_and_ground(four_bar):
     found = scene_of(four_bar.simulate((0.0, 3.0)))
     assert drawn(found, "link") == {("P1", "P2"), ("P2", "joint3_link3_joint"), ("joint3_link3_joint", "P44")}
     assert places(found, "ground") == {"P1", "P41"}
@@ -47,7 +47,7 @@ def test_the_tutorials_linkage(four_bar):
     assert_rigid(found)
 
 
-def test_a_guide_as_long_as_the_way():
+def test_scene_of_a_slider_crank_has_a_guide_as_long_as_the_stroke():
     slider_crank = fb.compile_model(fb.models.slider_crank())
     found = scene_of(slider_crank.simulate((0.0, 1.0), dense_output=True), 1001)
     assert drawn(found, "link") == {("O", "P"), ("P", "E")}
@@ -68,7 +68,7 @@ def test_a_guide_as_long_as_the_way():
     ("carrier", "links", "block"),
     [("lever", {("O", "E"), ("B", "T")}, "P"), ("rod", {("O", "E"), ("P", "T")}, "B")],
 )
-def test_a_guide_that_moves(carrier, links, block):
+def test_scene_of_an_inverted_slider_crank_has_a_guide_that_turns(carrier, links, block):
     """The block slides on the lever, or the rod through the block at the ground: no other bar is there."""
     run = fb.compile_model(inverted_slider_crank(carrier)).simulate((0.0, 2.0))
     assert run.success
@@ -102,7 +102,7 @@ def jointed():
     return fb.Model(system, name="jointed", parameters=values, initial={q: 0.0, u: 0.0, x: 2.0, v: 0.0})
 
 
-def test_joints_of_sympy(tmp_path):
+def test_scene_of_a_system_with_sympys_joints_has_plate_pins_and_ground(tmp_path):
     run = fb.compile_model(jointed()).simulate((0.0, 1.0))
     found = scene_of(run)
     [plate] = [line for line in found.lines if line.kind == "link"]
@@ -146,21 +146,21 @@ def pendulum_with_foot(*, is_known=False, **changes):
     return fb.compile_model(fb.Model(system, name="footed", parameters=values, initial={q: 0.1, u: 0.0}, **given))
 
 
-def test_a_point_that_nothing_needs_is_named_in_a_warning():
+def test_point_with_an_unknown_parameter_is_not_drawn_with_a_warning():
     run = pendulum_with_foot().simulate((0.0, 1.0))
     assert "foot" not in run.points
     with pytest.warns(fb.ModelWarning, match=r"not drawn: foot\. .*points="):
         run.plot_paths()
 
 
-def test_a_point_is_drawn_if_its_parameters_have_values():
+def test_point_that_nothing_needs_is_drawn_if_its_parameters_have_values():
     run = pendulum_with_foot(is_known=True).simulate((0.0, 1.0))
     assert run.model.parameters == ("l", "e", "a")
     angle = run["q"]
     np.testing.assert_allclose(run["foot"][0], 2.0 * np.cos(angle) + 0.5 * np.cos(angle + 0.3), rtol=0, atol=1e-14)
 
 
-def test_a_named_point_keeps_its_parameters():
+def test_point_named_in_points_keeps_its_parameters_in_the_model():
     model = pendulum_with_foot(points=["foot"])
     assert model.parameters == ("l", "a", "e")
     run = model.simulate((0.0, 1.0), parameters={"e": 0.7, "a": 0.2})
@@ -174,7 +174,7 @@ def test_a_named_point_keeps_its_parameters():
     assert drawn(found, "link") == {("O", "P", "foot")}
 
 
-def test_lines_by_hand():
+def test_lines_given_by_points_are_drawn_and_wrong_ones_refused():
     run = pendulum_with_foot(lines=[]).simulate((0.0, 1.0))
     assert drawn(scene_of(run), "line") == {("O", "foot"), ("P", "O")}
     system = fb.models.cartesian_pendulum().system
@@ -192,7 +192,7 @@ def test_lines_by_hand():
         fb.Model(system, points=[me.Point("lost")])
 
 
-def test_a_run_that_does_not_close_its_loop_has_no_pin_there(four_bar):
+def test_scene_of_a_run_with_an_open_loop_has_no_pin_there(four_bar):
     """What is open is drawn open."""
     x0 = four_bar.initial_state()
     x0[1] += 0.1
@@ -200,7 +200,7 @@ def test_a_run_that_does_not_close_its_loop_has_no_pin_there(four_bar):
     assert places(found, "ground") == {"P1"}
 
 
-def test_modes_are_drawn_alike(four_bar):
+def test_scene_of_assembly_modes_has_the_links_of_a_run(four_bar):
     """Two modes, each with the links of the other pictures."""
     modes = four_bar.initial_states()
     positions = np.stack([modes.model.drawing(0.0, x)[0] for x in modes.x], axis=2)
@@ -210,7 +210,7 @@ def test_modes_are_drawn_alike(four_bar):
     assert len(modes.plot().axes) == len(modes)
 
 
-def test_a_spatial_link_is_drawn_by_the_edges_of_its_hull():
+def test_scene_of_a_spatial_link_has_the_edges_of_its_hull():
     """A tetrahedron with a mass centre inside it has six edges; its base point is that of a ball joint."""
     q, u = me.dynamicsymbols("q u")
     ground, body = me.ReferenceFrame("N"), me.ReferenceFrame("B")
@@ -262,7 +262,7 @@ AXES = np.vstack((np.eye(3, dtype=int), -np.eye(3, dtype=int)))
 
 @pytest.mark.parametrize("down", AXES.tolist(), ids=["x", "y", "z", "-x", "-y", "-z"])
 @pytest.mark.parametrize("offset", [0.0, 0.2])
-def test_gravity_is_downwards(down, offset):
+def test_scene_of_a_hanging_body_shows_gravity_downwards_along_every_axis(down, offset):
     """Whatever axis it acts along; what is shown is turned, not mirrored, and in the plane if there is one."""
     about = np.roll(np.abs(down), 1)
     model = hanging(about.tolist(), down, offset)
@@ -322,13 +322,13 @@ M, PUSH, RHO = sm.symbols("m push rho")
         ),
     ],
 )
-def test_what_is_gravity(force, mass, gravity):
+def test_constant_force_counts_as_gravity_only_if_proportional_to_the_mass(force, mass, gravity):
     """The constant force that is proportional to the mass; of masses in numbers, as on the earth."""
     model = block(force, mass=mass, inputs="auto", parameters={} if mass else {M: 1.0})
     assert model.manifest["gravity"] == gravity
 
 
-def test_a_push_beside_gravity():
+def test_gravity_beside_a_constant_push_is_still_found():
     """A constant force on one of the mass centres does not hide the weight."""
     model = block(lambda n: {n.x: 9.81 * M}, lambda n: {n.y: PUSH}, parameters={M: 1.0, PUSH: 0.1})
     assert model.manifest["gravity"] == [1, 0, 0]
@@ -359,14 +359,14 @@ def frame_with(orient, position):
         (lambda f, n, q, u: f.orient_axis(n, n.z, q), lambda f, q, u: sm.Symbol("b", positive=True) * f.x, False),
     ],
 )
-def test_which_points_are_drawn_without_being_named(orient, position, is_drawn):
+def test_point_without_a_name_is_drawn_only_in_a_simple_and_known_place(orient, position, is_drawn):
     """Those in simple and known places; no others are asked for, and none makes a model that is refused."""
     model = block(others=[frame_with(orient, position)], parameters={"m": 1.0, "a": 0.3, "b": 0.5}, extra="ignore")
     assert ("foot" in model.points) is is_drawn
     assert model.simulate((0.0, 0.1), [0.0, 1.0]).success
 
 
-def test_an_angular_velocity_that_nobody_knows():
+def test_point_in_a_frame_of_unknown_angular_velocity_is_left_out():
     """Of a frame that only a point needs: the point is left out."""
 
     def add(ground, point, q, u):

@@ -27,7 +27,7 @@ def run(four_bar):
     )
 
 
-def test_a_dataset_has_everything_by_name(run):
+def test_dataset_of_a_run_has_all_quantities_by_name(run):
     dataset = run.to_xarray()
     for name in ("q1", "q2", "q3", "u1", "u2", "u3", "F"):
         np.testing.assert_array_equal(dataset[name], run[name])
@@ -39,7 +39,7 @@ def test_a_dataset_has_everything_by_name(run):
     assert dataset["kinetic_energy"].attrs["units"] == "J"
 
 
-def test_a_datasets_attributes_make_the_run_again(run, four_bar):
+def test_dataset_attributes_of_a_run_repeat_it_to_the_bit(run, four_bar):
     attributes = run.to_xarray().attrs
     assert attributes["fingerprint"] == four_bar.manifest["fingerprint"]
     settings = json.loads(attributes["settings"])
@@ -51,7 +51,7 @@ def test_a_datasets_attributes_make_the_run_again(run, four_bar):
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".nc"])
-def test_there_and_back(run, four_bar, tmp_path, suffix):
+def test_run_saved_and_loaded_has_the_same_values_and_settings(run, four_bar, tmp_path, suffix):
     path = run.save(tmp_path / f"run{suffix}")
     for model in (None, four_bar):
         back = fb.load_trajectory(path, model)
@@ -65,19 +65,19 @@ def test_there_and_back(run, four_bar, tmp_path, suffix):
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".nc"])
-def test_a_run_that_ended_early(four_bar, tmp_path, suffix):
+def test_run_that_ended_early_is_loaded_with_its_message(four_bar, tmp_path, suffix):
     run = four_bar.simulate((0.0, 8.0))
     back = fb.load_trajectory(run.save(tmp_path / f"run{suffix}"))
     assert back.success is False
     assert "singular position" in back.message
 
 
-def test_netcdf_is_read_by_others(run, tmp_path):
+def test_netcdf_file_of_a_run_is_read_by_xarray(run, tmp_path):
     with xarray.open_dataset(run.save(tmp_path / "run.nc")) as dataset:
         assert float(dataset["q1"].sel(time=2.0)) == run["q1"][-1]
 
 
-def test_what_cannot_be_read(run, tmp_path):
+def test_files_that_are_no_trajectories_or_of_other_models_are_refused(run, tmp_path):
     path = run.save(tmp_path / "run.npz")
     with pytest.raises(fb.ModelError, match="another model"):
         fb.load_trajectory(path, fb.compile_model(fb.models.cartesian_pendulum()))
@@ -110,7 +110,7 @@ def changed_file(run, path, changed=(), **attributes):
     return path
 
 
-def test_models_in_the_cache_are_found(slider_run, tmp_path, monkeypatch):
+def test_trajectory_of_a_cached_model_is_loaded_without_naming_it(slider_run, tmp_path, monkeypatch):
     path = slider_run.save(tmp_path / "run.npz")
     back = fb.load_trajectory(path)
     np.testing.assert_array_equal(back.energy, slider_run.energy)
@@ -129,7 +129,7 @@ STRANGER = "from pathlib import Path\nPath(__file__).with_name('ran').touch()\n"
     [None, "[]", "{", "[" * 100_000, '{"name": "stranger", "fingerprint": "another"}', '{"name": "slider"}'],
     ids=["none", "list", "broken", "deep", "another", "no fingerprint"],
 )
-def test_no_file_makes_strangers_run(four_bar, tmp_path, monkeypatch, manifest):
+def test_trajectory_that_names_packages_or_libraries_does_not_run_them(four_bar, tmp_path, monkeypatch, manifest):
     """Neither packages, by their names, nor libraries, by their paths."""
     run = four_bar.simulate((0.0, 0.1))
     package = tmp_path / "stranger"
@@ -159,7 +159,7 @@ def test_no_file_makes_strangers_run(four_bar, tmp_path, monkeypatch, manifest):
     assert (package / "ran").exists()
 
 
-def test_installed_models_are_found_but_not_in_the_current_folder(slider_run, tmp_path):
+def test_trajectory_of_an_installed_model_finds_it_but_not_in_the_current_folder(slider_run, tmp_path):
     wheel = fb.build_wheel(slider(), tmp_path / "dist")
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(tmp_path / "installed")
@@ -181,7 +181,7 @@ def test_installed_models_are_found_but_not_in_the_current_folder(slider_run, tm
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".nc"])
-def test_damaged_files(run, tmp_path, suffix):
+def test_truncated_files_of_trajectories_are_refused(run, tmp_path, suffix):
     whole = run.save(tmp_path / f"run{suffix}").read_bytes()
     for i, content in enumerate((b"", whole[: len(whole) // 2], whole[:200])):
         path = tmp_path / f"damaged{i}{suffix}"
@@ -214,7 +214,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("wrong", WRONG)
-def test_what_no_run_has(run, tmp_path, wrong):
+def test_files_with_entries_that_no_run_has_are_refused(run, tmp_path, wrong):
     changed, entries, sentence = WRONG[wrong]
     parameters = json.loads(run.to_xarray().attrs["parameters"])
     entries = {k: {**parameters, **v} if k == "parameters" else v for k, v in entries.items()}
@@ -223,7 +223,7 @@ def test_what_no_run_has(run, tmp_path, wrong):
         fb.load_trajectory(path)
 
 
-def test_settings_of_netcdf(run, tmp_path):
+def test_netcdf_file_with_wrong_settings_is_refused(run, tmp_path):
     path = run.save(tmp_path / "run.nc")
     with h5netcdf.File(path, "a") as file:
         file.attrs["settings"] = "[]"
@@ -232,7 +232,7 @@ def test_settings_of_netcdf(run, tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["link", "soft link", "external", "virtual"])
-def test_numbers_from_other_files_are_not_read(run, tmp_path, kind):
+def test_netcdf_file_whose_variables_lie_in_other_files_is_refused(run, tmp_path, kind):
     """HDF5 has four ways to say that a variable lies elsewhere."""
     secret = np.full(run.t.shape, 42.0)
     with h5py.File(tmp_path / "other.h5", "w") as other:
@@ -256,7 +256,7 @@ def test_numbers_from_other_files_are_not_read(run, tmp_path, kind):
         fb.load_trajectory(path)
 
 
-def test_headers_that_claim_more_than_there_is(run, tmp_path):
+def test_files_whose_headers_claim_more_than_there_is_are_refused(run, tmp_path):
     """Eight terabytes, in some kilobytes."""
     path = run.save(tmp_path / "run.npz")
     header = io.BytesIO()
@@ -278,7 +278,7 @@ def test_headers_that_claim_more_than_there_is(run, tmp_path):
 
 
 @pytest.mark.parametrize("method", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
-def test_damage_to_what_others_have_compressed(run, tmp_path, method):
+def test_npz_file_with_damaged_compressed_data_is_refused(run, tmp_path, method):
     """Every decoder has an error of its own."""
     path = run.save(tmp_path / "run.npz")
     with zipfile.ZipFile(path) as archive:
@@ -297,7 +297,7 @@ def test_damage_to_what_others_have_compressed(run, tmp_path, method):
         fb.load_trajectory(path)
 
 
-def test_a_heap_that_leads_nowhere(run, tmp_path):
+def test_netcdf_file_with_a_damaged_heap_is_refused(run, tmp_path):
     """HDF5 2.0.0 goes through the objects of a global heap for ever if one of them takes no space."""
     path = tmp_path / "run.nc"
     run.to_xarray().to_netcdf(path, engine="h5netcdf")
@@ -310,7 +310,7 @@ def test_a_heap_that_leads_nowhere(run, tmp_path):
         fb.load_trajectory(path)
 
 
-def test_paths_that_no_file_can_have(run, tmp_path, monkeypatch):
+def test_paths_that_no_file_can_have_are_refused_and_odd_ones_written(run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for path in (None, 3, b"run.npz", ["run.npz"], "run\0.npz", "run\ud800.npz"):
         for use in (run.save, fb.load_trajectory, fb.load, lambda p: fb.build_model(fb.models.four_bar(), p)):
@@ -330,13 +330,13 @@ def test_paths_that_no_file_can_have(run, tmp_path, monkeypatch):
             assert len(fb.load_trajectory(path).t) == 2
 
 
-def test_settings_of_other_kinds_of_numbers(four_bar, tmp_path):
+def test_settings_of_other_kinds_of_numbers_are_saved_and_loaded(four_bar, tmp_path):
     run = four_bar.simulate((0.0, 0.1), constraints="baumgarte", stabilization=np.float32(10.0))
     assert fb.load_trajectory(run.save(tmp_path / "run.npz")).settings["stabilization"] == 10.0
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # of h5netcdf, for files it cannot close
-def test_changed_bits(run, tmp_path):
+def test_files_with_changed_bits_are_refused_or_read_unchanged(run, tmp_path):
     """Checksums of both kinds of files tell, wherever they are changed, or what is read is the same."""
     generator = np.random.default_rng(0)
     for suffix in (".npz", ".nc"):
@@ -356,7 +356,7 @@ def test_changed_bits(run, tmp_path):
         assert told > 0
 
 
-def test_compression_that_nobody_knows(run, tmp_path):
+def test_npz_file_with_an_unknown_compression_is_refused(run, tmp_path):
     content = bytearray(run.save(tmp_path / "run.npz").read_bytes())
     content[content.index(b"PK\x01\x02") + 10] = 7
     (tmp_path / "changed.npz").write_bytes(content)
@@ -364,7 +364,7 @@ def test_compression_that_nobody_knows(run, tmp_path):
         fb.load_trajectory(tmp_path / "changed.npz")
 
 
-def test_what_is_no_path_and_no_model(run, tmp_path):
+def test_load_trajectory_of_no_path_or_no_model_is_refused(run, tmp_path):
     with pytest.raises(fb.ModelError, match="path"):
         fb.load_trajectory(None)
     with pytest.raises(fb.ModelError, match="CompiledModel"):
@@ -373,7 +373,7 @@ def test_what_is_no_path_and_no_model(run, tmp_path):
         fb.load_trajectory(tmp_path / "none.nc")
 
 
-def test_a_disk_that_is_full(tmp_path):
+def test_files_that_exceed_the_disk_leave_the_old_ones_with_a_message(tmp_path):
     """Told in a sentence; what was there stays, and nothing comes beside it."""
     code = f"""
 import resource, signal

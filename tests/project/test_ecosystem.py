@@ -6,5 +6,5 @@ from ecosystem.conformance import run
 
 
 @pytest.mark.parametrize("case", QUICK, ids=lambda case: f"{case.source}: {case.name}")
-def test_accepted_right_and_closed(case):
+def test_models_of_others_compile_agree_with_sympy_and_stay_closed(case):
     assert run(case).disagreement(case) == ""

@@ -105,20 +105,20 @@ def own(name):
             yield next((file for file in found if file in FILES), folder), within
 
 
-def test_every_file_has_a_layer():
+def test_files_of_the_package_are_each_in_a_layer():
     for name in FILES:
         assert layer(name) in ON
     assert set(ROOT) == {name for name in FILES if "." not in name}
 
 
 @pytest.mark.parametrize("name", sorted(FILES))
-def test_imports_go_down(name):
+def test_files_of_every_layer_import_lower_layers_only(name):
     for imported, within in own(name):
         if not (within and (name, imported) in DOORS) and layer(name) != "cli":
             assert layer(imported) in below(layer(name)), f"{name} imports {imported}"
 
 
-def test_no_cycles():
+def test_files_of_the_package_import_each_other_without_cycles():
     """Also within a folder, and counting imports in functions, but for what results do with themselves."""
     edges = {name: {imported for imported, _ in own(name) if (name, imported) not in DOORS} for name in FILES}
     del edges["__init__"]  # which imports what is asked of it
@@ -128,14 +128,14 @@ def test_no_cycles():
         edges = {name: on for name, on in edges.items() if name not in ready}
 
 
-def test_the_runtime_stands_on_errors_alone():
+def test_cython_files_of_the_runtime_import_errors_alone():
     for path in [path for suffix in ("pyx", "pxd", "pyi") for path in PACKAGE.glob(f"runtime/*.{suffix}")]:
         imported = re.findall(r"^\s*from fourbar_codegen\.(\w+)", path.read_text(), flags=re.MULTILINE)
         assert set(imported) <= {"errors", "runtime"}, path.name
 
 
 @pytest.mark.parametrize("name", sorted(FILES))
-def test_halves_import_their_own_libraries(name):
+def test_files_of_each_half_import_its_libraries_only(name):
     modules = {module.split(".")[0] for module, _ in imports(FILES[name])}
     if layer(name) in GENERATION:
         assert "scipy" not in modules
@@ -208,7 +208,7 @@ def drawing():
     ])  # fmt: skip
 
 
-def test_the_drawing_is_that_of_the_code():
+def test_drawing_of_the_folders_is_that_of_the_code():
     assert DRAWING.read_text() == drawing()
 
 
@@ -236,7 +236,7 @@ def test_the_prebuilt_model_needs_neither_sympy_nor_scipy_nor_a_compiler():
     assert done.stderr == ""
 
 
-def test_public_names_exist():
+def test_public_names_of_the_package_exist_and_others_raise():
     for name in fourbar_codegen.__all__:
         assert getattr(fourbar_codegen, name) is not None
     with pytest.raises(AttributeError, match="nonsense"):
@@ -247,7 +247,7 @@ def test_public_names_exist():
     ("name", "of_class"),
     [("compiled", "_restore"), ("trajectory", "Trajectory"), ("ensemble", "Ensemble"), ("model", "Parameter")],
 )
-def test_a_pickle_from_before_the_folders_says_so(name, of_class):
+def test_pickle_from_before_the_folders_is_refused_with_a_message(name, of_class):
     # As protocol 0 has a function or class, and its call without arguments.
     old = f"cfourbar_codegen.{name}\n{of_class}\n(tR.".encode()
     with pytest.raises((fourbar_codegen.ModelError, ImportError), match=r"earlier version.*make it again"):

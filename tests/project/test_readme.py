@@ -21,13 +21,13 @@ EXAMPLES = [(code, text) for (kind, code), (_, text) in itertools.pairwise(BLOCK
 
 
 @pytest.mark.parametrize(("code", "text"), EXAMPLES, ids=["own System", "four-bar"])
-def test_examples_print_what_stands_below_them(code, text, capsys, tmp_path, monkeypatch):
+def test_examples_of_the_readme_print_what_stands_below_them(code, text, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     exec(compile(code, "README.md", "exec"), {})
     assert capsys.readouterr().out == text
 
 
-def test_command_prints_what_stands_below_it(tmp_path, monkeypatch):
+def test_command_of_the_installation_page_prints_what_stands_below_it(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (shown,) = re.findall(r"```text\n(\$ fourbar.*?)```", INSTALLATION, flags=re.DOTALL)
     command, _, expected = shown.partition("\n")
@@ -41,14 +41,14 @@ def test_command_prints_what_stands_below_it(tmp_path, monkeypatch):
     assert comparable(result.output) == comparable(expected)
 
 
-def test_number_of_tests_is_the_one_shown(request):
+def test_number_of_tests_in_a_whole_run_is_the_one_of_the_readme(request):
     config = request.config
     if config.args_source is pytest.Config.ArgsSource.TESTPATHS and not config.option.keyword:  # the whole suite
         assert f" {request.session.testscollected} passed in " in README
 
 
 @pytest.mark.parametrize("ci", [False, True])
-def test_tests_without_the_programs_that_they_need(ci, tmp_path):
+def test_tests_without_their_programs_are_skipped_and_fail_on_ci(ci, tmp_path):
     """On a machine with Python, gcc and make they are skipped and say what to install; on CI that is a failure."""
     (tmp_path / "bin").mkdir()
     for folder in os.get_exec_path():
@@ -73,11 +73,11 @@ def test_tests_without_the_programs_that_they_need(ci, tmp_path):
     assert " passed, 23 skipped, " in done.stdout
 
 
-def test_it_is_read_in_three_minutes():
+def test_readme_has_at_most_120_lines():
     assert len(README.splitlines()) <= 120
 
 
-def test_files_that_are_linked_are_there():
+def test_files_linked_from_the_main_pages_exist():
     for page in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md"):
         links = re.findall(r"\]\((?!http)([^)#]+)", (PROJECT / page).read_text(encoding="utf-8"))
         assert [link for link in links if not (PROJECT / link).exists()] == []

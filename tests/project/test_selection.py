@@ -6,7 +6,9 @@ import sys
 
 from harness import PROJECT
 
-TABLE = re.findall(r"^\| (\w+) \| .* \| (\S+::\S+) \|$", (PROJECT / "tests" / "README.md").read_text(), flags=re.MULTILINE)
+TABLE = re.findall(
+    r"^\| (\w+) \| .* \| (\S+::\S+) \|$", (PROJECT / "tests" / "README.md").read_text(), flags=re.MULTILINE
+)
 
 
 def test_each_how_to_guide_has_a_published_number_in_the_quick_tests():

@@ -16,7 +16,7 @@ def bicycle():
     return fb.compile_model(fb.models.whipple_bicycle())
 
 
-def test_accelerations_of_basu_mandal(bicycle):
+def test_bicycle_in_a_general_state_has_the_accelerations_of_basu_mandal(bicycle):
     # P. Basu-Mandal, A. Chatterjee, J. M. Papadopoulos, "Hands-free circular motions of a benchmark bicycle",
     # Proc. R. Soc. A 463 (2007), Table 1, in the coordinates of Moore 2012.
     q = [0.0, -0.17447337661787718, 0.0, 0.6206670416476966, 0.3300446174593725, 0.0, -0.2311385135743, 0.0]
@@ -47,7 +47,7 @@ def test_accelerations_of_basu_mandal(bicycle):
     np.testing.assert_allclose(bicycle.velocity_constraints(0.0, x), 0.0, atol=1e-12)
 
 
-def test_symbrims_bicycle_against_published_accelerations():
+def test_symbrims_bicycle_in_a_general_state_has_the_published_accelerations():
     """Of the benchmark bicycle in a general state: P. Basu-Mandal, A. Chatterjee, J. M. Papadopoulos, Proc. R. Soc. A
     463 (2007), in the convention of J. K. Moore as SymBRiM's test has it."""
     built = whipple_bicycle(forces=True)()

@@ -31,7 +31,7 @@ EIGENVALUES = [
 ]
 
 
-def test_table_2_gives_the_constants_of_the_model(bicycle):
+def test_bicycle_parameters_from_meijaards_table_are_the_defaults(bicycle):
     # Meijaard's parameters in the geometry of Moore 2012, appendix: a steer axis tilted by lambda.
     w, c, tilt, rear, front = 1.02, 0.08, np.pi / 10, 0.3, 0.35
     d = bicycle.defaults
@@ -49,7 +49,7 @@ def test_table_2_gives_the_constants_of_the_model(bicycle):
 
 
 @pytest.mark.parametrize("row", EIGENVALUES, ids=lambda row: f"{row[0]} m/s")
-def test_eigenvalues_of_meijaard(bicycle, row):
+def test_bicycle_at_each_speed_has_the_eigenvalues_of_meijaard(bicycle, row):
     speed, *expected = row
     expected += [value.conjugate() for value in expected if isinstance(value, complex)]
     x = bicycle.initial_state(speeds={"u6": -speed / 0.3})

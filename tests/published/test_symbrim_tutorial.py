@@ -24,14 +24,14 @@ Q0 = [-0.5, -2.2464155373927537, -1.4978272691959325]
 ACCELERATIONS = [-9.26918156051222, 6.637036631995938, -2.5511097559793323]
 
 
-def test_initial_state_of_the_tutorial(four_bar):
+def test_initial_state_of_the_four_bar_is_that_of_the_tutorial(four_bar):
     x0 = four_bar.initial_state({"q1": -0.5}, {"u1": -0.1}, guess=[-1.5, -1.5])
     np.testing.assert_allclose(x0[:3], Q0, rtol=0, atol=1e-9)
     # The tutorial's own fsolve stopped 2e-12 short of the full-precision values.
     np.testing.assert_allclose(x0, [*Q0_PRINTED, *U0_PRINTED], rtol=0, atol=1e-9)
 
 
-def test_rates_of_the_tutorial(four_bar):
+def test_rates_of_the_four_bar_at_its_start_are_those_of_the_tutorial(four_bar):
     x0 = np.array([*Q0, *four_bar.initial_state({"q1": -0.5}, {"u1": -0.1})[3:]])
     rates = four_bar.rhs(0.0, x0)
     np.testing.assert_allclose(rates[3:], ACCELERATIONS, rtol=0, atol=1e-11)

@@ -9,7 +9,7 @@ from builders.systems import closed_by_auxiliary_speeds
 import fourbar_codegen as fb
 
 
-def test_four_bar_matrices_of_sympy(four_bar):
+def test_matrices_of_the_four_bar_without_loads_are_those_of_sympys_test(four_bar):
     # SymPy, test_jointsmethod.py, test_four_bar_linkage_with_manual_constraints: no gravity, no loads.
     p = {"l1": 0.13, "l2": 0.24, "l3": 0.21, "l4": 0.34, "rho": 997, "g": 0, "k": 0, "c": 0}
     x = [2.1, 0.6655470375077588, 2.527408138024188, 0.2, -0.17963733938852067, 0.1309060540601612]
@@ -64,7 +64,7 @@ def test_four_bar_matrices_of_sympy(four_bar):
         ),
     ],
 )
-def test_rolling_disc_of_sympy(q, u, expected):
+def test_rolling_disc_in_motion_has_the_rates_of_sympys_test(q, u, expected):
     # SymPy, test_kane5.py, and its tolerance.
     disc = fb.compile_model(fb.models.rolling_disc())
     x0 = disc.initial_state(q, u)
@@ -77,7 +77,7 @@ RECTANGLE = [np.pi / 2, -np.pi / 2, -np.pi / 2, 0.0, 0.0, 0.0]
 
 
 @pytest.mark.parametrize("unknown_forces", [True, False])
-def test_closing_joint_force_of_sympys_documentation(unknown_forces):
+def test_closing_joint_force_of_a_rectangle_is_that_of_sympys_documentation(unknown_forces):
     linkage = fb.compile_model(closed_by_auxiliary_speeds(unknown_forces=unknown_forces))
     names = ("F_x", "F_y") if unknown_forces else ("u_x", "u_y")
     assert linkage.outputs == (*names, "closing_x", "closing_y", "closing_z")

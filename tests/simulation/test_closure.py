@@ -35,7 +35,7 @@ def test_a_loop_closes_as_well_beside_a_wheel_that_has_turned_often(ring, turned
     np.testing.assert_allclose(closed[[0, 2]], [0.6 * size, 0.8 * size], rtol=2e-7)
 
 
-def test_states_are_made_and_linearized_at_every_size(ring):
+def test_initial_states_and_linearizations_close_the_loop_at_every_size(ring):
     for size in (1e-9, 1.0, 1e9):
         p = {"l": size}
         state = ring.initial_state({"x": 0.6 * size, "a": 1e6}, [0.0, 0.0], guess=[0.7 * size], parameters=p)
@@ -55,7 +55,7 @@ def test_a_state_that_is_zero_but_for_rounding_errors_is_closed():
     assert line.simulate((0.0, 1.0), closed).success
 
 
-def test_what_is_not_a_number_is_not_closed(root):
+def test_states_with_constraints_that_are_nan_do_not_count_as_closed(root):
     ode = root.ode()
     for state in ([-1e-9, 0.0, 0.0, 0.0, 0.0, 0.0], [-1.0, 0.0, 1.0, 0.0, 0.0, 0.0]):
         status, _ = ode.closest(0.0, state)
@@ -64,7 +64,7 @@ def test_what_is_not_a_number_is_not_closed(root):
         root.simulate((0.0, 1.0), [-1e-9, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
-def test_no_step_leads_beyond_a_constraint(root):
+def test_stepper_at_the_end_of_a_constraint_raises_and_keeps_its_state(root):
     """The bead slides towards x = 0, where the curve ends, at 1 m/s and more."""
     stepper = root.stepper(0.05, root.initial_state({"x": 0.04, "a": 0.0}, [-1.0, 0.0], guess=[0.2]))
     stepper.step()
@@ -75,7 +75,7 @@ def test_no_step_leads_beyond_a_constraint(root):
     np.testing.assert_array_equal(stepper.x, before)
 
 
-def test_states_within_a_step_where_a_constraint_has_no_value():
+def test_samples_where_a_constraint_has_no_value_are_nan_and_the_run_goes_on():
     """A bead at 1 m/s on a line with a gap between the stages of a step, which nothing but samples can meet."""
     line = sm.Piecewise((y, sm.Abs(x - gap) > width), (sm.sqrt(-1 - y**2), True))
     broken = fb.compile_model(bead_and_wheel(line, "broken"), check=False)
@@ -96,7 +96,7 @@ def test_states_within_a_step_where_a_constraint_has_no_value():
 
 
 @pytest.mark.parametrize("method", ["DOP853", "Radau"])
-def test_a_run_says_nothing_of_times_outside(root, method):
+def test_dense_output_outside_the_run_is_refused(root, method):
     start = root.initial_state({"x": 0.5, "a": 0.0}, [0.0, 0.0], guess=[0.7])
     run = root.simulate((0.0, 0.1), start, dense_output=True, method=method)
     np.testing.assert_allclose(run.sol([0.0, 0.1]).T, run.y[:, [0, -1]].T, atol=1e-9)
@@ -106,7 +106,7 @@ def test_a_run_says_nothing_of_times_outside(root, method):
 
 
 @pytest.mark.parametrize("size", [1e-9, 1e-3, 1e6])
-def test_a_slider_crank_of_any_size(size):
+def test_slider_crank_runs_at_any_size_give_the_same_motion(size):
     """Angles do not depend on the unit of length; neither do singular positions: it has none."""
     crank = fb.compile_model(fb.models.slider_crank())
     usual = crank.initial_state([1.0], [5.0])
@@ -124,14 +124,14 @@ def test_a_slider_crank_of_any_size(size):
     np.testing.assert_allclose(run.y[:, -1] / units, expected.y[:, -1], rtol=1e-7, atol=1e-7)
 
 
-def test_an_equilibrium_is_none_with_open_loops(ring):
+def test_equilibria_found_from_open_loops_are_closed_at_every_size(ring):
     """A bead on a ring of a nanometre, nothing pulls it: every place on the ring is one, and no other."""
     for size in (1e-9, 1.0, 1e6):
         q = ring.equilibrium([0.9 * size, 0.0, 0.1 * size], parameters={"l": size})[:3]
         assert np.hypot(q[0], q[2]) == pytest.approx(size, rel=1e-9)
 
 
-def test_dependent_speeds_in_initial():
+def test_dependent_speeds_in_initial_are_accepted_only_if_they_fit_the_constraints():
     """x vx + y vy = 0: at (0.6, 0.8) with vx = 0.4 is vy = -0.3; the state is that without it."""
     model = bead_and_wheel(x**2 + y**2 - length**2, "ring")
     how = {"name": "ring", "parameters": {length: 1.0}}
@@ -160,7 +160,7 @@ def test_dependent_speeds_in_initial():
     assert wrong.initial_state(speeds={"v_x": 0.8, "w": 1.0})[5] == pytest.approx(-0.6, rel=1e-14)
 
 
-def test_loops_without_independent_coordinates():
+def test_loops_without_independent_coordinates_are_closed_or_named_in_an_error():
     """A point on two circles that do not meet: the message names what there is."""
     frame, origin, point = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
     origin.set_vel(frame, 0)

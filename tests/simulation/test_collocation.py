@@ -33,7 +33,7 @@ def points(request):
     return model, generator.uniform(0.0, 1.0, N), {**arguments, "p": p}
 
 
-def test_jacobians_are_those_of_single_states(points):
+def test_batch_jacobians_equal_those_of_single_states_to_the_bit(points):
     model, t, arguments = points
     x, p, r = (arguments[name] for name in ("x", "p", "r"))
     batches = [
@@ -52,7 +52,7 @@ def test_jacobians_are_those_of_single_states(points):
 
 
 @pytest.mark.parametrize("formulation", ["index-1", "index-3"])
-def test_jacobians_of_the_residual_against_differences(points, formulation):
+def test_residual_jacobians_equal_differences_and_have_the_stated_sparsity(points, formulation):
     model, t, arguments = points
     found = model.residual_jacobian_batch(t, **arguments, formulation=formulation)
     for wrt in ("x", ("p", "rates"), ("r", "multipliers")):
@@ -73,7 +73,7 @@ def test_jacobians_of_the_residual_against_differences(points, formulation):
             np.testing.assert_allclose(found[name][:, j], (after - before) / 2e-4, rtol=0, atol=1e-7 * size)
 
 
-def test_the_residual_vanishes_on_solutions(four_bar):
+def test_residual_of_every_formulation_vanishes_along_a_run(four_bar):
     run = four_bar.simulate((0.0, 1.0), t_eval=np.linspace(0.0, 1.0, 21), rtol=1e-10, atol=1e-10)
     rates = four_bar.rhs_batch(run.t, run.y)
     for formulation in ("index-1", "index-3"):
@@ -81,7 +81,7 @@ def test_the_residual_vanishes_on_solutions(four_bar):
         assert np.abs(residual).max() < 1e-10
 
 
-def test_parameters_act_through_inputs():
+def test_parameters_of_an_inputs_expression_enter_jacobians_unless_it_is_given():
     t = me.dynamicsymbols._t
     model = fb.compile_model(driven_oscillator(parameters={"F_0": 3.0}, force=sm.Symbol("F_0") * sm.sin(3 * t)))
     place, times, x = model.parameters.index("F_0"), np.array([0.1, 0.2]), np.ones((2, 2))
@@ -94,7 +94,7 @@ def test_parameters_act_through_inputs():
     np.testing.assert_array_equal(held["p"][1, place], 0.0)
 
 
-def test_products_with_vectors(points):
+def test_products_with_vectors_equal_products_with_the_jacobians(points):
     model, t, arguments = points
     x, p, r = (arguments[name][:, 0] for name in ("x", "p", "r"))
     generator = np.random.default_rng(1)
@@ -116,7 +116,7 @@ def test_products_with_vectors(points):
         np.testing.assert_allclose(found, w @ matrix, rtol=0, atol=1e-12 * np.abs(matrix).sum(axis=0).max(initial=1.0))
 
 
-def test_bad_input(four_bar):
+def test_wrong_shapes_and_names_in_batches_are_refused_with_a_message(four_bar):
     x = np.tile(four_bar.initial_state(), (3, 1)).T
     for sentence, call in (
         (r"rates of the states must have shape \(6, 3\)", lambda: four_bar.residual_batch(0.0, x, x[:, :2], x[:2])),

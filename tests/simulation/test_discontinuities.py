@@ -83,7 +83,7 @@ STARTS_LATE = sm.Piecewise((0, t <= sm.Rational(1, 2)), (t - sm.Rational(1, 2), 
 
 @pytest.mark.parametrize("expression", [STARTS, STARTS_LATE, sm.Max(0, t - sm.Rational(1, 2))])
 @pytest.mark.parametrize("how", ["an input", "time itself", "a constraint"])
-def test_impulse_of_a_motion_that_starts_at_once(expression, how):
+def test_motion_that_starts_at_once_makes_speeds_jump_by_its_rate(expression, how):
     model = moved(expression, how)
     x0 = dict.fromkeys(model.states, 0.0) | {"q": 0.3}
     run = model.simulate((0.0, 1.0), x0, **TIGHT)
@@ -113,7 +113,7 @@ def test_impulse_of_a_motion_that_starts_at_once(expression, how):
         np.testing.assert_allclose(dense.sol(time)[model.states.index("q")], expected[0], atol=1e-6)
 
 
-def test_impulse_by_every_method(method):
+def test_motion_that_starts_at_once_makes_speeds_jump_by_every_method(method):
     how, error = method
     relative, held = compiled(s, STARTS), compiled(s, STARTS, held=True)
     run = relative.simulate((0.0, 1.0), [0.3, 0.0], **without_loops(how))
@@ -124,7 +124,7 @@ def test_impulse_by_every_method(method):
 
 
 @pytest.mark.parametrize("kind", ["cubic", "linear", "pchip"])
-def test_impulses_where_a_table_begins_and_ends(kind):
+def test_table_of_a_motion_makes_speeds_jump_where_it_begins_and_ends(kind):
     model = compiled(s, None)
     table = (np.linspace(0.2, 0.6, 9), np.linspace(0.0, 0.4, 9), kind)  # a straight line: each kind of it is exact
     run = model.simulate((0.0, 1.0), [0.3, 0.0], inputs={"s": table}, **TIGHT)
@@ -136,14 +136,14 @@ def test_impulses_where_a_table_begins_and_ends(kind):
     np.testing.assert_allclose(ensemble.y[0, :, -1], run.y[:, -1], rtol=0, atol=0)
 
 
-def test_linear_motions_kick_at_each_point():
+def test_linear_table_of_a_motion_makes_speeds_jump_at_each_point():
     model = compiled(s, None)
     table = ([0.0, 0.25, 0.5, 1.0], [0.0, 0.1, 0.0, 0.5], "linear")
     run = model.simulate((0.0, 1.0), [0.3, 0.0], inputs={"s": table}, **TIGHT)
     np.testing.assert_allclose(run.y[:, -1], kicked([0.25, 0.5], [-0.8, 1.4], 1.0), atol=1e-7)
 
 
-def test_monotone_tables_do_not_overshoot():
+def test_pchip_table_of_a_motion_does_not_overshoot_where_a_cubic_does():
     model = compiled(s, None)
     times, values = np.array([0.0, 0.4, 0.5, 1.0]), np.array([0.0, 0.0, 1.0, 1.0])
     at = np.linspace(0.0, 1.0, 201)
@@ -156,7 +156,7 @@ def test_monotone_tables_do_not_overshoot():
         model.simulate((0.0, 1.0), [0.3, 0.0], inputs={"s": (times, values, "quadratic")})
 
 
-def test_a_pendulums_pivot_that_starts_at_once():
+def test_pivot_that_starts_at_once_keeps_the_bobs_momentum_along_its_path():
     """The bob's momentum along its path is kept: l u+ + v cos q = l u-; as a pivot that gathers speed within 1e-6 s."""
     pendulum = fb.compile_model(driven_pendulum(None))
     table = ([0.0, 0.3, 1.0], [0.0, 0.0, 1.4], "linear")
@@ -174,7 +174,7 @@ def test_a_pendulums_pivot_that_starts_at_once():
     np.testing.assert_allclose(run.y[:, -1], x, atol=2e-5)  # the rise of 1e-6 s, some ten times
 
 
-def test_a_crank_that_starts_at_once():
+def test_driven_crank_that_starts_at_once_moves_the_slider_as_the_loop_requires():
     """Loops: the slider's speed follows from the crank's, v = dx/da w, and the energy from both."""
     crank = fb.compile_model(driven_slider_crank(None))
     table = ([0.0, 0.5, 1.0], [0.7, 0.7, 2.2], "linear")
@@ -189,7 +189,7 @@ def test_a_crank_that_starts_at_once():
 
 @pytest.mark.parametrize("jump", [sm.Piecewise((0, t < 1), (1, True)), sm.Piecewise((0, t <= 1), (t - 2, True))])
 @pytest.mark.parametrize("how", ["an input", "time itself", "a constraint"])
-def test_positions_that_jump_end_a_run(jump, how):
+def test_run_with_a_prescribed_position_that_jumps_ends_there_with_a_message(jump, how):
     model = moved(jump, how)
     run = model.simulate((0.0, 2.0), dict.fromkeys(model.states, 0.0))
     assert not run.success
@@ -217,7 +217,7 @@ def pushed(force=None):
 PULSE = ([0.0, 0.499, 0.5, 0.501, 1.0], [0.0, 0.0, 1e5, 0.0, 0.0])
 
 
-def test_no_method_steps_over_a_pulse(method):
+def test_pulse_of_2_ms_in_a_table_is_integrated_by_every_method(method):
     how, error = method
     model = pushed()
     for span, sign in (((0.0, 1.0), 1.0), ((1.0, 0.0), -1.0)):
@@ -226,7 +226,7 @@ def test_no_method_steps_over_a_pulse(method):
         np.testing.assert_allclose(run.y[:, -1], [50.0, sign * 100.0], rtol=10 * error)
 
 
-def test_ensembles_step_over_no_pulse():
+def test_pulse_of_2_ms_in_a_table_is_integrated_in_ensembles():
     model, masses = pushed(), np.array([1.0, 2.0, 4.0, 5.0, 8.0])
     for span in ((0.0, 1.0), (1.0, 0.0)):
         ensemble = model.ensemble(span, [0.0, 0.0], inputs={"F": PULSE}, parameters={"m": masses})
@@ -234,7 +234,7 @@ def test_ensembles_step_over_no_pulse():
         np.testing.assert_allclose(ensemble["q"][:, -1], 50.0 / masses, rtol=1e-9)
 
 
-def test_a_thousand_kinks_cost_a_thousand_steps():
+def test_table_with_a_thousand_kinks_takes_a_thousand_exact_steps():
     times = np.linspace(0.0, 10.0, 1001)
     values = np.sin(3 * times) + 0.1 * (-1.0) ** np.arange(1001)
     run = pushed().simulate((0.0, 10.0), [0.0, 0.0], inputs={"F": (times, values)})
@@ -242,7 +242,7 @@ def test_a_thousand_kinks_cost_a_thousand_steps():
     assert run["u"][-1] == pytest.approx(np.trapezoid(values, times), rel=1e-12)
 
 
-def test_steps_end_where_conditions_of_forces_change():
+def test_steps_end_where_a_condition_in_a_force_changes_also_by_parameters():
     """Also where parameters say when."""
     model = pushed(sm.Piecewise((1e3, (t >= T) & (t < T + sm.Rational(1, 1000))), (0, True)))
     for start in (0.1, 0.3, 0.99):
@@ -253,7 +253,7 @@ def test_steps_end_where_conditions_of_forces_change():
     np.testing.assert_allclose(ensemble["u"][:, -1], 1.0, rtol=1e-12)
 
 
-def test_sides_of_a_condition_whose_rounding_is_not_its_times():
+def test_condition_whose_rounding_exceeds_that_of_time_switches_at_its_time():
     """7.5 t - 0.39 < 6.2 t until t = 0.3, by products whose rounding is several of t's own."""
     a, b, c = sm.symbols("a b c")
     model = pushed(sm.Piecewise((1e3, a * t - b < c * t), (0, True)))
@@ -265,7 +265,7 @@ def test_sides_of_a_condition_whose_rounding_is_not_its_times():
 
 
 @pytest.mark.parametrize("jump", [sm.Heaviside(t - T), (1 + sm.sign(t - T)) / 2, sm.Piecewise((0, t < T), (1, True))])
-def test_steps_of_forces_by_other_functions(jump):
+def test_steps_end_at_jumps_and_kinks_by_heaviside_sign_and_abs(jump):
     pulsed, kinked = pushed(1e3 * (jump - jump.subs(T, T + sm.Rational(1, 1000)))), pushed(sm.Abs(t - T) - t + T)
     assert pulsed.simulate((0.0, 1.0), [0.0, 0.0])["u"][-1] == pytest.approx(1.0, rel=1e-12)
     run = kinked.simulate((0.0, 1.0), [0.0, 0.0])
@@ -278,7 +278,7 @@ def test_steps_of_forces_by_other_functions(jump):
         assert stepper.x[1] == pytest.approx(end, rel=1e-12)
 
 
-def test_events_of_a_jump():
+def test_event_of_a_speed_that_changes_sign_in_a_jump_is_at_the_jump():
     """Speeds that change their sign with it."""
     model = compiled(s, STARTS)
     for events, y in ((lambda time, x: x[1] + 0.7, 1), (lambda time, x: x[1] + 0.7, 1)):
@@ -290,7 +290,7 @@ def test_events_of_a_jump():
         assert run.t[-1] == run.t_events[0][0]
 
 
-def test_what_does_not_know_of_jumps_says_so():
+def test_steppers_and_solve_ivp_refuse_steps_across_a_jump_of_speeds():
     model = compiled(s, STARTS)
     stepper = model.stepper(0.3, [0.3, 0.0])
     stepper.step()
@@ -308,7 +308,7 @@ def test_what_does_not_know_of_jumps_says_so():
     ("begin", "end", "jump"), [(0.2, 1.5, 0.9), (0.6, 2.5, 2.0), (1.0, 0.0, 0.5), (-1.0, 1.0, 0.001), (0.2, 0.9, 0.9)]
 )
 @pytest.mark.parametrize("method", ["DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA", "ALI3P"])
-def test_either_side_of_a_jump_is_told_by_its_time(begin, end, jump, method, tmp_path):
+def test_states_beside_a_jump_are_told_apart_by_their_times_in_every_method(begin, end, jump, method, tmp_path):
     """Also where rounding makes the same of both, counted from the beginning. No finite force: u + s' is continuous."""
     model = compiled(s, None)
     motion = {"s": ([jump, jump + 1.0], [0.0, 0.5], "linear")}
@@ -360,7 +360,7 @@ KINKED = {
         if how != "time itself" or not expression.diff(t).has(sm.Derivative, sm.DiracDelta)
     ],
 )
-def test_kinks_of_nested_conditions(name, how):
+def test_kinks_of_nested_conditions_in_a_motion_make_speeds_jump(name, how):
     expression, kinks = KINKED[name]
     model = moved(expression.subs(T, sm.Rational(3, 10)), how)
     x0 = dict.fromkeys(model.states, 0.0) | {"q": 0.3}
@@ -389,14 +389,14 @@ def test_motions_with_kinks_at_unknown_times_are_refused(expression, how):
         moved(expression, how)
 
 
-def test_a_slider_by_a_root_is_smooth():
+def test_motion_with_a_root_that_never_vanishes_has_no_jumps():
     """Most roots are: that of a crank's slider is known to have no kink only by its numbers."""
     model = compiled(s, sm.cos(3 * t) / 5 + sm.sqrt(sm.Rational(1, 4) - sm.sin(3 * t) ** 2 / 25))
     assert model.manifest["n_jumps"] == 0
     assert model.simulate((0.0, 1.0), [0.3, 0.0]).success
 
 
-def test_pulses_at_late_times():
+def test_pulses_and_tables_at_unix_times_are_integrated_to_rounding():
     """At Unix times as well, to what these are rounded to: 2e-7 s, of a millisecond."""
     model = pushed(sm.Piecewise((1e3, (t >= T) & (t < T + sm.Rational(1, 1000))), (0, True)))
     begin, start = 1.7e9, 1.7e9 + 0.3
@@ -427,7 +427,7 @@ def test_a_change_of_sign_where_a_force_begins_is_one_event():
         assert run.t[-1] == 1.0
 
 
-def test_smooth_expressions_in_parts_do_not_jump():
+def test_motion_in_smooth_parts_makes_no_speeds_jump_and_steps_end_at_its_parts():
     """A rise from 0 to 1 within a second, with no jump of its acceleration either."""
     since = t - 1
     rise = sm.Piecewise((0, t < 1), (10 * since**3 - 15 * since**4 + 6 * since**5, t < 2), (1, True))
@@ -451,7 +451,7 @@ def test_smooth_expressions_in_parts_do_not_jump():
 
 
 @pytest.mark.parametrize("origin", [1.7e9, 1e15])
-def test_large_times_change_nothing(four_bar, method, origin):
+def test_runs_at_large_times_equal_runs_from_zero_by_every_method(four_bar, method, origin):
     how, _ = method
     inputs, times = {"F": 0.5}, np.array([0.0, 1.0, 2.0])
     early = four_bar.simulate((0.0, 2.0), inputs=inputs, t_eval=times, events=lambda t, x: x[3], **how)
@@ -466,7 +466,7 @@ def test_large_times_change_nothing(four_bar, method, origin):
     np.testing.assert_array_equal(late.sol(origin + 1.0), early.y[:, 1])
 
 
-def test_ensembles_at_large_times(four_bar):
+def test_ensembles_at_large_times_equal_ensembles_from_zero(four_bar):
     times = np.array([0.0, 1.0, 2.0])
     how = {"inputs": {"F": 0.5}, "parameters": {"k": [2.0, 3.0, 4.0]}}
     early = four_bar.ensemble((0.0, 2.0), t_eval=times, **how)
@@ -475,7 +475,7 @@ def test_ensembles_at_large_times(four_bar):
     np.testing.assert_array_equal(late.y, early.y)
 
 
-def test_long_steps_around_a_circle_are_not_looked_at_again(monkeypatch):
+def test_long_steps_around_a_circle_are_not_examined_for_singular_positions(monkeypatch):
     """A pendulum by Cartesian coordinates takes steps of a quarter turn; its constraint keeps its rank."""
     looked = []
     monkeypatch.setattr(integrate.Singular, "within_step", lambda self, run: looked.append(run.t) or "")

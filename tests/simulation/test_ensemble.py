@@ -76,7 +76,7 @@ def random_states(model, n):
     return GENERATOR.uniform(-1.0, 1.0, (model.n_x, n))
 
 
-def test_batch_is_the_right_hand_side(compiled):
+def test_batch_of_random_states_equals_the_right_hand_side_of_each(compiled):
     """To rounding errors, which grow with the condition of the equations at a state: the median shows the former."""
     x = random_states(compiled, 203)
     t = GENERATOR.uniform(0.0, 2.0, 203)
@@ -89,7 +89,7 @@ def test_batch_is_the_right_hand_side(compiled):
     assert max(errors) < 1e-9
 
 
-def test_constraints_that_are_redundant_where_loops_are_closed():
+def test_batch_and_ensemble_with_redundant_constraints_equal_single_states_and_runs():
     compiled = fb.compile_model(parallelogram())
     compiled.require_batch_functions()
     assert width(compiled) > 1
@@ -129,7 +129,7 @@ def test_batch_is_the_same_to_the_bit_in_any_company(compiled):
     np.testing.assert_array_equal(by_name, rates)
 
 
-def test_batch_marks_what_cannot_be_evaluated(four_bar):
+def test_batch_with_states_or_times_not_finite_is_nan_there_and_unchanged_elsewhere(four_bar):
     x = np.tile(four_bar.initial_state(), (11, 1)).T
     x[0, 3] = np.nan
     x[1, 5] = np.inf
@@ -142,7 +142,7 @@ def test_batch_marks_what_cannot_be_evaluated(four_bar):
     assert four_bar.rhs_batch(0.0, x[:, :0]).shape == (6, 0)
 
 
-def test_batch_with_large_angles_beside_others(four_bar):
+def test_batch_with_a_large_angle_in_one_state_leaves_the_others_unchanged(four_bar):
     x = random_states(four_bar, 8)
     alone = four_bar.rhs_batch(0.0, x)
     x[0, 3] = 3e6
@@ -152,7 +152,7 @@ def test_batch_with_large_angles_beside_others(four_bar):
     np.testing.assert_array_equal(rates[:, others], alone[:, others])
 
 
-def test_batch_inputs(four_bar):
+def test_batch_with_inputs_by_state_equals_single_evaluations(four_bar):
     x = random_states(four_bar, 9)
     F = np.linspace(-10.0, 10.0, 9)
     rates = four_bar.rhs_batch(0.0, x, r={"F": F})
@@ -174,7 +174,7 @@ def every_other(array):
 
 
 @pytest.mark.parametrize("layout", [lambda a: a.astype(">f8"), unaligned, every_other, np.asfortranarray])
-def test_numbers_are_the_same_however_they_lie_in_memory(four_bar, layout):
+def test_arguments_of_any_memory_layout_give_the_same_rates_to_the_bit(four_bar, layout):
     x = random_states(four_bar, 9)
     p = np.outer(list(four_bar.defaults.values()), np.linspace(0.9, 1.1, 9))
     arguments = {"t": np.linspace(0.0, 1.0, 9), "x": x, "p": p, "r": np.linspace(-5.0, 5.0, 9)[None]}
@@ -188,7 +188,7 @@ def test_numbers_are_the_same_however_they_lie_in_memory(four_bar, layout):
 
 
 @pytest.mark.parametrize("name", ["t", "x", "p", "r"])
-def test_results_never_come_where_arguments_lie(four_bar, name):
+def test_out_that_shares_memory_with_an_argument_is_refused(four_bar, name):
     x = random_states(four_bar, 9)
     p = np.tile(list(four_bar.defaults.values()), (9, 1)).T
     arguments = {"t": np.zeros(9), "x": x, "p": p, "r": np.ones((1, 9))}
@@ -212,7 +212,7 @@ def test_results_never_come_where_arguments_lie(four_bar, name):
         np.testing.assert_array_equal(rates, four_bar.rhs(**alone))
 
 
-def test_batch_refuses_wrong_arguments(four_bar):
+def test_batch_with_wrong_shapes_or_types_is_refused_by_the_arguments_name(four_bar):
     x = random_states(four_bar, 5)
     for wrong in (
         {"x": x[:, 0]},
@@ -245,7 +245,7 @@ def test_batch_refuses_wrong_arguments(four_bar):
             four_bar.rhs_batch(**{"t": 0.0, "x": x, **wrong})
 
 
-def test_instruction_sets_agree(four_bar):
+def test_kernels_of_all_instruction_sets_give_the_same_rates(four_bar):
     """Vectors of 2, 4 and 8 doubles: rounding errors, times the condition of the equations at states of the motion."""
     x = np.tile(four_bar.initial_state(), (50, 1)).T + 0.1 * random_states(four_bar, 50)
     reference = np.array([four_bar.rhs(0.3, column) for column in x.T]).T
@@ -256,7 +256,7 @@ def test_instruction_sets_agree(four_bar):
 
 @pytest.mark.parametrize("method", ["DOP853", "RK45"])
 @pytest.mark.parametrize("constraints", ["project", "none"])
-def test_members_are_simulations(compiled, method, constraints):
+def test_members_of_an_ensemble_equal_runs_with_the_same_steps(compiled, method, constraints):
     start, name = {"q3": 0.4}, compiled.parameters[0]
     start = {
         key: start.get(key, 0.1)
@@ -296,7 +296,7 @@ def test_a_member_is_the_same_to_the_bit_in_any_company(four_bar, method):
         np.testing.assert_array_equal(alone.y[0], reference.y[i])
 
 
-def test_members_against_lambdify_and_scipy(four_bar):
+def test_members_with_different_stiffness_equal_lambdify_with_scipy(four_bar):
     """The tutorial's code at 1e-12, whose own loop drifts open by 1e-9 m in 4 s, for each stiffness."""
     tutorial = tutorial_four_bar()
     x0, stiffness = four_bar.initial_state(), [80.0, 100.0, 120.0]
@@ -311,7 +311,7 @@ def test_members_against_lambdify_and_scipy(four_bar):
         np.testing.assert_allclose(ensemble.y[i, :, -1], run.y[:, -1], atol=1e-8)
 
 
-def test_loops_stay_closed(four_bar):
+def test_members_of_an_ensemble_keep_their_loops_closed(four_bar):
     t = np.linspace(0.0, 4.0, 101)
     ensemble = four_bar.ensemble((0.0, 4.0), parameters={"k": np.linspace(1.0, 5.0, 20)}, t_eval=t)
     for run in ensemble:
@@ -319,7 +319,7 @@ def test_loops_stay_closed(four_bar):
         assert np.abs(run.velocity_residual).max() < 1e-11
 
 
-def test_backwards_and_forwards(four_bar):
+def test_ensemble_run_backwards_from_its_end_returns_to_its_start(four_bar):
     """Back at the beginning, to what the tolerance allows over 4 s."""
     x0 = np.tile(four_bar.initial_state(), (5, 1))
     k = {"k": np.linspace(1.0, 5.0, 5)}
@@ -350,7 +350,7 @@ def test_failures_are_marked_and_others_go_on():
     assert not ensemble.success[3]
 
 
-def test_inputs(four_bar):
+def test_inputs_of_all_kinds_give_each_member_the_motion_of_a_run(four_bar):
     x0 = four_bar.initial_state()
     F = np.linspace(-5.0, 5.0, 7)
     table = ([0.0, 0.5, 2.0], [0.0, 10.0, -10.0])
@@ -371,7 +371,7 @@ def test_inputs(four_bar):
             )
 
 
-def test_names_and_shapes(four_bar):
+def test_ensemble_of_rows_or_names_has_members_by_index_and_quantities_by_name(four_bar):
     rows = np.tile(list(four_bar.defaults.values()), (4, 1))
     assert len(four_bar.ensemble((0.0, 0.1), parameters=rows)) == 4
     assert len(four_bar.ensemble((0.0, 0.1))) == 1
@@ -385,7 +385,7 @@ def test_names_and_shapes(four_bar):
         ensemble["q9"]
 
 
-def test_each_set_of_parameters_has_its_own_beginning(four_bar):
+def test_members_with_different_lengths_start_from_their_own_closed_states(four_bar):
     lengths = np.linspace(0.55, 0.65, 5)
     ensemble = four_bar.ensemble((0.0, 0.1), parameters={"l1": lengths})
     for i in range(5):
@@ -394,7 +394,7 @@ def test_each_set_of_parameters_has_its_own_beginning(four_bar):
         )
 
 
-def test_wrong_arguments_are_refused(four_bar):
+def test_ensemble_with_wrong_arguments_is_refused_by_the_arguments_name(four_bar):
     for wrong in (
         {"t_span": (0.0, 0.0)},
         {"x0": np.zeros((3, 5))},
@@ -426,7 +426,7 @@ def test_wrong_arguments_are_refused(four_bar):
             four_bar.ensemble(**{"t_span": (0.0, 1.0), **wrong})
 
 
-def test_no_members(four_bar):
+def test_ensemble_without_members_has_empty_results(four_bar):
     from joblib import Parallel
 
     for more in ({}, {"parallel": Parallel(n_jobs=1)}, {"inputs": {"F": np.array([])}}):
@@ -435,7 +435,7 @@ def test_no_members(four_bar):
         assert len(list(ensemble)) == 0
 
 
-def test_inputs_are_kept_as_they_were(four_bar):
+def test_inputs_changed_after_an_ensemble_leave_its_results_unchanged(four_bar):
     F = np.array([1.0, 2.0])
     ensemble = four_bar.ensemble((0.0, 0.1), inputs={"F": F})
     F[:] = 99.0
@@ -474,7 +474,7 @@ def test_callables_get_one_member_at_a_time(four_bar):
     ).success.all()
 
 
-def test_interrupt(four_bar):
+def test_ensemble_interrupted_from_the_keyboard_ends_with_other_threads_running(four_bar):
     """From the keyboard, in runs of weeks. Another thread of Python's goes on beside them, or there were none."""
     code = """
 import _thread, signal, threading, time
@@ -505,7 +505,7 @@ def test_a_member_that_cannot_be_assembled_is_named(four_bar):
         four_bar.ensemble((0.0, 1.0), parameters={"l1": [0.8, 3.0]})
 
 
-def test_members_that_explode(four_bar):
+def test_members_whose_energy_explodes_end_at_max_steps_with_a_message(four_bar):
     # Without a limit, those with k = 50 take 35 million steps.
     given = {"k": [50.0, 60.0, 50.0, 60.0], "l2": [0.45, 0.45, 0.45, 0.45]}
     ensemble = four_bar.ensemble((0.0, 20.0), parameters=given, max_steps=1000)
@@ -520,7 +520,7 @@ def test_members_that_explode(four_bar):
         four_bar.ensemble((0.0, 1.0), max_steps=0)
 
 
-def test_progress_bar_on_a_terminal():
+def test_progress_bar_appears_on_a_terminal_only_in_long_runs_unless_switched_off():
     code = "import fourbar_codegen as fb\n{}fb.load('four_bar').ensemble((0.0, 1.0){})"
     impatient = (
         "import fourbar_codegen.simulation.ensemble_run\nfourbar_codegen.simulation.ensemble_run.PATIENCE = 0.0\n"
@@ -535,7 +535,7 @@ def test_progress_bar_on_a_terminal():
     assert on_terminal("-c", alone).strip() == ""
 
 
-def test_joblib(four_bar):
+def test_ensemble_on_joblib_equals_the_one_on_threads(four_bar):
     from joblib import Parallel
 
     k = {"k": np.linspace(1.0, 5.0, 2100)}
@@ -548,7 +548,7 @@ def test_joblib(four_bar):
 
 
 @pytest.mark.filterwarnings("default")  # of dask's own
-def test_dask(four_bar):
+def test_ensemble_on_dask_equals_the_one_on_threads(four_bar):
     from distributed import Client, LocalCluster
     from joblib import Parallel, parallel_config
 
@@ -564,7 +564,7 @@ def restored(arguments):
     return str(_restore(*arguments).path)
 
 
-def test_a_worker_elsewhere_builds_once(tmp_path, monkeypatch):
+def test_workers_that_do_not_find_the_module_build_it_once_in_their_cache(tmp_path, monkeypatch):
     """Processes that do not find the module share one build in their node's cache."""
     model = fb.compile_model(fb.models.cartesian_pendulum())
     _, (kind, name, _, manifest, sources, *_) = model.__reduce__()
@@ -579,7 +579,7 @@ def test_a_worker_elsewhere_builds_once(tmp_path, monkeypatch):
     np.testing.assert_array_equal(fb.load(paths[0]).rhs_batch(0.0, x), model.rhs_batch(0.0, x))
 
 
-def test_another_model_in_the_same_place_is_not_taken(tmp_path, monkeypatch):
+def test_model_restored_where_another_has_its_path_is_rebuilt_or_refused(tmp_path, monkeypatch):
     model = fb.load(fb.build_model(fb.models.cartesian_pendulum(), tmp_path / "here"))
     _, (kind, name, _, manifest, sources, *_) = model.__reduce__()
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path / "cache"))

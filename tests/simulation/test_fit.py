@@ -22,7 +22,7 @@ def noisy():
     return model, t, 0.3 * np.cos(2.1 * t) + 0.01 * np.random.default_rng(1).normal(size=t.size)
 
 
-def test_errors_of_estimates_at_a_steady_motion():
+def test_standard_errors_of_a_fit_at_a_steady_motion_equal_the_closed_form():
     """Where x' does not change, S = exp(f_x t) S0, and the error of one estimate is sigma / |S|."""
     model, t = fb.compile_model(fb.models.whipple_bicycle()), np.linspace(0.0, 2.0, 41)
     x0, by = model.initial_state(derivatives=True)
@@ -34,7 +34,7 @@ def test_errors_of_estimates_at_a_steady_motion():
     assert found.values["u7"] == pytest.approx(measured @ roll / (np.transpose(roll) @ roll), rel=1e-3)
 
 
-def test_a_tiny_guess():
+def test_fit_from_a_tiny_or_zero_guess_finds_the_parameter():
     """The first trust region of SciPy has the size of the guess, below which no change counted as progress."""
     model = fb.compile_model(driven_oscillator(parameters={"F_0": 0.0}, force=sm.Symbol("F_0")))
     t = np.linspace(0.0, 5.0, 51)
@@ -46,7 +46,7 @@ def test_a_tiny_guess():
         assert found.values["F_0"] == pytest.approx(0.2, rel=1e-6)  # the runs' tolerance of 1e-8, accumulated
 
 
-def test_units_of_measurements_and_unknowns():
+def test_fit_of_micrometres_finds_stiffness_and_amplitude():
     """The gradient of the sum of squares has units: SciPy's limit of 1e-8 for it left guesses as they were."""
     t = np.linspace(0.0, 6.0, 121)
     small = fb.compile_model(oscillator())
@@ -55,7 +55,7 @@ def test_units_of_measurements_and_unknowns():
     assert found.values == pytest.approx({"k": 2.0 * 2.1**2, "x": 1e-6}, rel=1e-6)
 
 
-def test_an_estimate_of_zero_is_determined():
+def test_fit_with_an_estimate_of_zero_reports_finite_standard_errors():
     t = np.linspace(0.0, 6.0, 121)
     found = fb.fit(fb.compile_model(oscillator()), {"t": t, "v": -0.2 * np.sin(2.0 * t)}, {"x": 0.1, "v": 0.3})
     assert found.values["v"] == pytest.approx(0.0, abs=1e-6)
@@ -64,7 +64,7 @@ def test_an_estimate_of_zero_is_determined():
 
 
 @pytest.mark.parametrize("guess", [0.0, 1e-12, 1e-9, 0.1])
-def test_an_estimate_of_zero_from_any_guess(guess):
+def test_fit_of_zero_beside_a_large_offset_is_right_from_any_guess(guess):
     """Also beside a constant that is large: where an oscillator is on a line, with a standard deviation of 0.01."""
     offset, t, x = 1e6, np.linspace(0.0, 6.0, 121), me.dynamicsymbols("x")
     given = {"parameters": {"m": 2.0, "k": 8.0}, "initial": {"x": 0.0, "v": 0.0}, "outputs": {"place": offset + x}}
@@ -78,7 +78,7 @@ def test_an_estimate_of_zero_from_any_guess(guess):
     assert found.stderr["v"] == pytest.approx(0.01 / np.linalg.norm(by_speed), rel=1e-6)
 
 
-def test_an_unknown_without_effect_beside_one_with(four_bar):
+def test_fit_with_an_unknown_without_effect_names_it_and_finds_the_other(four_bar):
     """Without spring, damper and force, the density does not matter: its derivatives are rounding errors."""
     known = {"parameters": {"k": 0.0, "c": 0.0}, "inputs": {"F": 0.0}}
     t = np.linspace(0.0, 2.0, 101)
@@ -90,7 +90,7 @@ def test_an_unknown_without_effect_beside_one_with(four_bar):
     assert "do not determine rho" in found.message
 
 
-def test_only_a_ratio_is_determined(noisy):
+def test_fit_of_mass_and_stiffness_finds_their_ratio_with_infinite_errors(noisy):
     """An oscillator's mass and stiffness: the ratio is that of a fit of one of them."""
     model, t, x = noisy
     both = fb.fit(model, {"t": t, "x": x}, {"m": 2.5, "k": 7.0, "x": 0.2})
@@ -100,7 +100,7 @@ def test_only_a_ratio_is_determined(noisy):
     assert both.stderr["x"] == pytest.approx(one.stderr["x"], rel=1e-2)  # m - n is one less
 
 
-def test_where_the_first_guess_has_no_effect_or_no_derivative():
+def test_fit_from_a_guess_without_effect_or_derivative_is_refused():
     t, load = np.linspace(0.0, 1.0, 11), lambda x, v, _: -sm.Symbol("a") * sm.sqrt(x**2 + v**2)
     model = fb.compile_model(oscillator())
     with pytest.raises(fb.ModelError, match="the measured quantities do not change with k: give another guess"):
@@ -114,7 +114,7 @@ def closed_form(t, k, x):
 
 
 @pytest.mark.parametrize("sigma", [None, 0.02])
-def test_estimates_and_covariance_are_those_of_curve_fit(noisy, sigma):
+def test_fit_with_and_without_sigma_equals_curve_fit_with_its_covariance(noisy, sigma):
     model, t, x = noisy
     of_scipy = {} if sigma is None else {"sigma": np.full(t.size, sigma), "absolute_sigma": True}
     expected, covariance = curve_fit(closed_form, t, x, [8.0, 0.2], xtol=1e-12, ftol=1e-12, **of_scipy)
@@ -130,7 +130,7 @@ def test_estimates_and_covariance_are_those_of_curve_fit(noisy, sigma):
 
 
 @pytest.mark.parametrize("loss", ["soft_l1", "huber", "cauchy", "arctan"])
-def test_a_loss_against_outliers(noisy, loss):
+def test_fit_with_a_robust_loss_and_outliers_equals_curve_fit(noisy, loss):
     model, t, x = noisy
     spoiled = x.copy()
     spoiled[::20] += 1.0
@@ -141,7 +141,7 @@ def test_a_loss_against_outliers(noisy, loss):
 
 
 @pytest.mark.parametrize("loss", ["soft_l1", "huber", "cauchy"])
-def test_errors_beside_outliers_are_the_scatter_of_estimates(noisy, loss):
+def test_standard_errors_with_outliers_equal_the_scatter_of_many_fits(noisy, loss):
     model, t, _ = noisy
     generator, estimates, errors = np.random.default_rng(2), [], []
     for _ in range(200):
@@ -160,7 +160,7 @@ def measured(model, t, values, speeds, **how):
     return model.simulate((t[0], t[-1]), x0, parameters=p, t_eval=t, rtol=1e-11, atol=1e-12, **how)
 
 
-def test_several_experiments_with_initial_values_of_their_own(four_bar):
+def test_fit_of_several_experiments_finds_common_parameters_and_own_initial_values(four_bar):
     t, later = np.linspace(0.0, 2.0, 81), np.linspace(1.0, 2.0, 31)
     first = measured(four_bar, t, TRUE, {"u1": -0.1})
     second = measured(four_bar, later, TRUE | {"q1": -0.2}, {"u1": 0.1}, inputs={"F": 0.5})
@@ -179,7 +179,7 @@ def test_several_experiments_with_initial_values_of_their_own(four_bar):
     assert max(np.abs(left).max() for each in found.residuals for left in each.values()) < 1e-7
 
 
-def test_the_other_assembly_mode(four_bar):
+def test_fit_with_a_guess_near_another_assembly_mode_follows_that_mode(four_bar):
     t, (_, other) = np.linspace(0.0, 2.0, 81), four_bar.initial_states({"q1": -0.4}, {"u1": -0.1}).x
     run = four_bar.simulate((0.0, 2.0), other, t_eval=t, parameters={"k": 3.0}, rtol=1e-11, atol=1e-12)
     how = {"coordinates": {"q1": -0.4}, "speeds": {"u1": -0.1}}
@@ -190,7 +190,7 @@ def test_the_other_assembly_mode(four_bar):
     assert fb.fit(four_bar, fb.Experiment(t, {"q2": run["q2"]}, **how), {"k": 2.0}).cost > 1.0
 
 
-def test_outputs_are_fitted_with_their_derivatives(noisy):
+def test_fit_of_an_output_that_depends_on_the_parameter_finds_it(noisy):
     _, t, _ = noisy
     model = oscillator()
     k, (x,) = sm.Symbol("k"), model.system.q
@@ -208,21 +208,21 @@ def test_outputs_are_fitted_with_their_derivatives(noisy):
     assert found.values == pytest.approx({"k": 9.0, "x": 0.3}, rel=1e-6)
 
 
-def test_unknowns_that_the_measurements_do_not_determine(noisy):
+def test_fit_of_undetermined_unknowns_names_them_with_infinite_errors(noisy):
     model, t, x = noisy
     found = fb.fit(model, {"t": t, "x": x}, {"k": 8.0, "m": 2.0, "x": 0.3})  # only k / m matters
     assert "do not determine k, m." in found.message
     assert [np.isinf(found.stderr[name]) for name in ("k", "m", "x")] == [True, True, False]
 
 
-def test_unknowns_at_their_bounds_are_named(noisy):
+def test_fit_that_ends_at_a_bound_names_the_unknown(noisy):
     model, t, x = noisy
     found = fb.fit(model, {"t": t, "x": x}, ["k", "x"], bounds={"k": (7.0, 8.5)})  # it is 9
     assert "At a bound: k." in found.message
     assert found.values["k"] == pytest.approx(8.5, rel=1e-6)
 
 
-def test_a_data_frame(noisy):
+def test_fit_of_a_data_frame_by_column_or_index_equals_one_of_a_dict(noisy):
     pandas = pytest.importorskip("pandas")
     model, t, x = noisy
     by_column = fb.fit(model, pandas.DataFrame({"t": t, "x": x}), ["k", "x"])
@@ -230,7 +230,7 @@ def test_a_data_frame(noisy):
     assert by_column.values == by_index.values == fb.fit(model, {"t": t, "x": x}, ["k", "x"]).values
 
 
-def test_plot_and_tables(noisy):
+def test_fit_shows_measurements_run_and_estimates_in_plot_and_repr(noisy):
     pytest.importorskip("matplotlib")
     model, t, x = noisy
     found = fb.fit(model, {"t": t, "x": x}, ["k", "x"])
@@ -241,7 +241,7 @@ def test_plot_and_tables(noisy):
     assert "<table" in found._repr_html_()
 
 
-def test_bad_input(four_bar):
+def test_fit_with_wrong_data_unknowns_or_options_is_refused_with_a_message(four_bar):
     t = np.linspace(0.0, 1.0, 11)
     good = {"t": t, "q2": t}
 

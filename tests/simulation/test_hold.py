@@ -40,7 +40,7 @@ METHODS = {
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_value_holds_from_its_time_until_the_next_one(free, method):
+def test_held_table_in_every_method_holds_each_value_until_the_next(free, method):
     t = np.array([0.0, 0.1, 0.3, *TIMES[1:], 1.3])
     run = free.simulate((0.0, 1.3), inputs=TABLE, t_eval=t, **METHODS[method])
     # Multistep methods and the trapezoidal rule have errors of their tolerances, 1e-10, over some hundred steps.
@@ -50,14 +50,14 @@ def test_a_value_holds_from_its_time_until_the_next_one(free, method):
     np.testing.assert_allclose(back.y, motion(t)[:, ::-1], rtol=0, atol=1e-8)
 
 
-def test_steps_end_where_the_value_changes_alone(free):
+def test_held_table_ends_steps_only_where_its_value_changes(free):
     held = free.simulate((0.0, 2.0), inputs={"F": (np.linspace(0.0, 2.0, 2001), np.full(2001, 3.0), "hold")}, **TIGHT)
     assert held.nfev == free.simulate((0.0, 2.0), inputs={"F": 3.0}, **TIGHT).nfev
     assert set(TIMES[1:]) <= set(free.simulate((0.0, 2.0), inputs=TABLE, **TIGHT).t)
 
 
 @pytest.mark.parametrize("how", [{}, {"constraints": "none"}])
-def test_derivatives_by_the_values(free, how):
+def test_sensitivities_and_gradients_by_held_values_equal_closed_forms(free, how):
     t = np.array([0.1, 0.5, 0.55, 1.1, 1.3])
     run = free.simulate((0.0, 1.3), inputs=TABLE, t_eval=t, sensitivities=["F", "m"], gradient=True, **TIGHT, **how)
     # Polynomials of degree two, which Runge-Kutta methods integrate to rounding errors.
@@ -79,7 +79,7 @@ def test_derivatives_by_the_values(free, how):
     np.testing.assert_allclose(run.sol.sensitivity(t)["F"], by_values, rtol=0, atol=1e-13)
 
 
-def test_gradients_of_long_tables(free):
+def test_gradient_by_ten_thousand_held_values_equals_the_closed_form(free):
     """Of ten thousand values, in memory that is proportional to their number."""
     times = np.arange(10_000) * 1e-3
     force = np.cos(times)
@@ -88,7 +88,7 @@ def test_gradients_of_long_tables(free):
     np.testing.assert_allclose(run["v"][-1], force.sum() * 1e-3 / MASS, rtol=0, atol=1e-12)
 
 
-def test_ensembles(free):
+def test_members_of_an_ensemble_with_a_held_table_equal_closed_forms(free):
     t, masses = np.array([0.0, 0.5, 0.7, 1.3]), np.linspace(1.0, 4.0, 9)
     ensemble = free.ensemble((0.0, 1.3), [0.0, 0.0], parameters={"m": masses}, inputs=TABLE, t_eval=t, **TIGHT)
     assert ensemble.success.all()
@@ -98,7 +98,7 @@ def test_ensembles(free):
 
 
 @pytest.mark.parametrize("h", [0.05, 0.1, 0.13, -0.1])
-def test_a_stepper_ends_its_steps_at_jumps(free, h):
+def test_stepper_with_a_held_table_is_exact_across_its_jumps(free, h):
     """Also within a step, and the last stage of a step that ends there has the value before it."""
     start = 0.0 if h > 0.0 else 1.3
     stepper = free.stepper(h, motion(np.array([start]))[:, 0], t=start, inputs=TABLE)
@@ -110,7 +110,7 @@ def test_a_stepper_ends_its_steps_at_jumps(free, h):
         np.testing.assert_allclose(stepper.x, motion(np.array([stepper.t]))[:, 0], rtol=0, atol=1e-14)
 
 
-def test_a_stepper_has_no_end(free):
+def test_stepper_with_a_held_table_far_into_the_future_keeps_earlier_times_apart(free):
     """Times far ahead do not make those before them equal."""
     stepper = free.stepper(0.25, [0.0, 0.0], inputs={"F": ([0.0, 0.5, 1e300], [4.0, 0.0, 1.0], "hold")})
     for _ in range(4):
@@ -128,7 +128,7 @@ def upright_linkage():
     return four_bar, loose, start, lambda x: float((gain @ (upright - x)[[0, 3]])[0])
 
 
-def test_a_recorded_control_loop_is_replayed():
+def test_held_table_of_recorded_controls_repeats_the_control_loop_by_every_method():
     """A controller of 1 kHz; with ten steps a sample, the error of RK4, h^4 / 120 times the fifth derivative, is below
     1e-14 a second."""
     four_bar, loose, start, force = upright_linkage()
@@ -157,7 +157,7 @@ def test_a_recorded_control_loop_is_replayed():
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".nc", ".csv"])
-def test_files(free, tmp_path, suffix):
+def test_run_with_a_held_table_read_from_a_file_holds_values_between_samples(free, tmp_path, suffix):
     """A run that was read from a file still holds the values between its samples."""
     run = free.simulate((0.0, 1.3), inputs=TABLE, **TIGHT)
     path = run.save(tmp_path / f"run{suffix}")
@@ -173,13 +173,13 @@ def test_files(free, tmp_path, suffix):
         np.testing.assert_allclose(one.resample(t).y, motion(t), rtol=0, atol=1e-12)
 
 
-def test_a_prescribed_motion_cannot_be_held():
+def test_held_table_for_a_prescribed_motion_is_refused():
     pendulum = fb.compile_model(driven_pendulum(None))
     with pytest.raises(fb.ModelError, match=r"s prescribes a motion, which cannot jump .* linear, pchip or cubic"):
         pendulum.simulate((0.0, 1.0), [0.0, 0.0], inputs={"s": ([0.0, 0.5], [0.0, 0.1], "hold")})
 
 
-def test_in_jax(free):
+def test_gradient_by_held_values_in_jax_equals_the_closed_form(free):
     jax = pytest.importorskip("jax")
     jax.config.update("jax_enable_x64", True)
     try:

@@ -41,7 +41,7 @@ def case(request):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_coefficients_are_scipys(method):
+def test_tableau_coefficients_of_each_method_equal_scipys_to_the_bit(method):
     text = (Path(fb.get_include()) / "fourbar_tableau.h").read_text()
 
     def array(name):
@@ -66,7 +66,7 @@ def test_coefficients_are_scipys(method):
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-6, 1e-9])
 @pytest.mark.parametrize("forward", [True, False])
-def test_without_projection_the_steps_are_scipys(case, method, tolerance, forward):
+def test_runs_without_projection_take_scipys_steps(case, method, tolerance, forward):
     compiled, x0, duration = case
     end = duration if forward else -0.7 * duration
     how = {"rtol": tolerance, "atol": np.full(compiled.n_x, tolerance), "max_step": 0.4, "dense_output": True}
@@ -87,7 +87,7 @@ def test_without_projection_the_steps_are_scipys(case, method, tolerance, forwar
 
 
 @pytest.mark.parametrize("method", [*METHODS, "RK23", "Radau", "BDF", "LSODA"])
-def test_every_state_that_is_handed_out_satisfies_the_constraints(case, method):
+def test_states_at_steps_samples_and_between_them_satisfy_the_constraints(case, method):
     compiled, x0, duration = case
     times = np.linspace(0.0, duration, 33)
     how = {"method": method, "rtol": 1e-4, "atol": 1e-5}
@@ -110,7 +110,7 @@ def test_every_state_that_is_handed_out_satisfies_the_constraints(case, method):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_projection_does_not_cost_accuracy(case, method):
+def test_runs_with_projection_are_as_accurate_as_without(case, method):
     compiled, x0, duration = case
     exact = solve_ivp(compiled.ode(), (0.0, duration), x0, method="DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
     errors = {}
@@ -123,7 +123,7 @@ def test_projection_does_not_cost_accuracy(case, method):
 
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-6, 1e-10])
 @pytest.mark.parametrize("method", METHODS)
-def test_the_tutorials_linkage_runs_into_a_singular_position(four_bar, method, tolerance):
+def test_tutorial_linkage_run_over_20_s_stops_at_its_singular_position(four_bar, method, tolerance):
     # It is a change-point linkage, l1 + l4 = l2 + l3: whenever q1 reaches pi, all bars are collinear.
     run = four_bar.simulate((0.0, 20.0), method=method, rtol=tolerance, atol=1e-3 * tolerance)
     assert not run.success
@@ -137,7 +137,7 @@ def test_the_tutorials_linkage_runs_into_a_singular_position(four_bar, method, t
     assert run.nfev < 10000
 
 
-def test_a_near_miss_is_passed(four_bar):
+def test_four_bar_that_misses_a_singular_position_by_a_millimetre_passes_it(four_bar):
     # A millimetre more of l1 and the bars never are collinear. (The tutorial's spring feeds energy into a linkage that
     # turns around: it is left out.)
     parameters = {"l1": 0.801, "k": 0.0, "c": 0.0}
@@ -188,7 +188,7 @@ def linkage(driven):
     ],
     ids=["crank-rocker", "non-Grashof"],
 )
-def test_dead_points_of_the_chosen_coordinates_are_passed(lengths):
+def test_four_bar_passes_dead_points_whichever_coordinate_is_independent(lengths):
     # Driven from bar 2, the dependent speeds do not follow from the independent one wherever it turns around; driven
     # from bar 1, the same where that does. The motion is one and the same.
     parameters = {**lengths, "m": 1.0}
@@ -210,7 +210,7 @@ def test_dead_points_of_the_chosen_coordinates_are_passed(lengths):
         np.testing.assert_allclose(runs[0][name], runs[1][name], rtol=0, atol=1e-6)
 
 
-def test_energy_of_a_conservative_four_bar_over_1000_s(four_bar):
+def test_conservative_four_bar_over_1000_s_keeps_its_energy(four_bar):
     parameters = {"k": 0.0, "c": 0.0, "l1": 0.9}
     x0 = four_bar.initial_state({"q1": -0.5}, {"u1": -0.1}, parameters=parameters)
     run = four_bar.simulate((0.0, 1000.0), x0, parameters=parameters, inputs={"F": 0.0}, rtol=1e-10, atol=1e-10)
@@ -218,7 +218,7 @@ def test_energy_of_a_conservative_four_bar_over_1000_s(four_bar):
     np.testing.assert_allclose(run.energy, run.energy[0], rtol=1e-7)
 
 
-def test_events_are_scipys(four_bar):
+def test_events_without_projection_equal_those_of_solve_ivp(four_bar):
     def turning(t, x):
         return x[3]
 
@@ -240,7 +240,7 @@ def test_events_are_scipys(four_bar):
 
 
 @pytest.mark.parametrize("method", ["RK45", "DOP853", "BDF"])
-def test_an_event_that_ends_a_run_where_a_step_begins(four_bar, method):
+def test_terminal_event_at_a_step_boundary_is_kept_once_in_the_times_of_a_run(four_bar, method):
     """It counts at the end of a step and at the beginning of the next: beside `sol`, SciPy keeps that time once."""
     steps = four_bar.simulate((0.0, 2.0), method=method).t
     event = fb.Event(lambda t, x: t - steps[3], terminal=2)
@@ -250,7 +250,7 @@ def test_an_event_that_ends_a_run_where_a_step_begins(four_bar, method):
     assert run.y.shape == (6, 4)
 
 
-def test_an_event_at_the_start_says_so(four_bar):
+def test_run_with_an_event_at_its_start_names_it_in_the_message(four_bar):
     """By the rule of solve_ivp a function that is zero at the start has an event there: the message says which one."""
     x0 = four_bar.initial_state()
 
@@ -268,7 +268,7 @@ def test_an_event_at_the_start_says_so(four_bar):
 
 
 @pytest.mark.parametrize("t_eval", [None, np.linspace(0.0, 3.0, 61)])
-def test_an_output_as_terminal_event(t_eval):
+def test_run_with_an_output_as_terminal_event_ends_at_its_second_sign_change(t_eval):
     crank = fb.compile_model(fb.models.slider_crank())
     name = crank.outputs[0]
     x0 = crank.initial_state()
@@ -291,7 +291,7 @@ def test_an_output_as_terminal_event(t_eval):
     assert all(values[np.searchsorted(free.t, t)] >= 0 for t in up)
 
 
-def test_baumgartes_stabilization_decays_as_it_should(four_bar):
+def test_constraint_violation_with_baumgarte_decays_as_the_closed_form(four_bar):
     # Phi'' + 2 a Phi' + a^2 Phi = 0, whatever the motion: Phi = (Phi_0 + (Phi_0' + a Phi_0) t) exp(-a t).
     a, x0 = 8.0, np.add(four_bar.initial_state(), [0.01, -0.02, 0.03, 0.2, -0.1, 0.3])
     t = np.linspace(0.0, 2.0, 21)
@@ -307,7 +307,7 @@ def test_baumgartes_stabilization_decays_as_it_should(four_bar):
 
 
 @pytest.mark.parametrize("direction", [-1, 0, 1])
-def test_outputs_as_events_are_those_of_solve_ivp(direction):
+def test_events_of_an_output_in_each_direction_equal_those_of_solve_ivp(direction):
     crank = fb.compile_model(fb.models.slider_crank())
     ode, x0 = crank.ode(), crank.initial_state()
 
@@ -359,7 +359,7 @@ def test_constraints_that_always_are_nearly_parallel_are_not_singular():
     assert run["x"][-1] == pytest.approx(exact, rel=1e-4)
 
 
-def test_one_constraint_that_vanishes_is_a_singular_position():
+def test_run_to_where_a_single_constraint_vanishes_stops_at_a_singular_position():
     # x z = 0: two planes that cross. A particle on one of them comes to where they do.
     system = particle(lambda q: (0, 0, 0), lambda q: (q[0] * q[2],), 2)
     compiled = fb.compile_model(fb.Model(system, parameters={sm.Symbol("m"): 1.0}))
@@ -371,7 +371,7 @@ def test_one_constraint_that_vanishes_is_a_singular_position():
 
 @pytest.mark.parametrize("miss", [1e-5, -1e-5])
 @pytest.mark.parametrize("method", METHODS)
-def test_a_miss_by_a_hundredth_of_a_millimetre(four_bar, method, miss):
+def test_four_bar_that_misses_a_singular_position_by_10_um_passes_it(four_bar, method, miss):
     parameters = {"l1": 0.8 + miss, "c": 0.0}
     x0 = four_bar.initial_state(speeds={"u1": 6.0}, parameters=parameters)
     how = {"parameters": parameters, "inputs": {"F": 0.0}, "method": method, "atol": 1e-12}
@@ -381,7 +381,7 @@ def test_a_miss_by_a_hundredth_of_a_millimetre(four_bar, method, miss):
     np.testing.assert_allclose(runs[0].y[:3, -1], runs[1].y[:3, -1], rtol=0, atol=1e-3)
 
 
-def test_a_first_trial_beyond_where_the_equations_hold():
+def test_run_whose_first_trial_step_leaves_the_domain_goes_on_as_scipys():
     # The first step is chosen by a trial that leaves y > 0; SciPy goes on from there.
     system = particle(lambda q: (0, 1 / sm.sqrt(q[1]), 0), lambda q: (q[2],), 2)
     compiled = fb.compile_model(fb.Model(system, parameters={sm.Symbol("m"): 1.0}))
@@ -401,7 +401,7 @@ def test_samples_that_cannot_be_projected_are_the_interpolants():
     assert np.abs(run.q).max() < 100.0  # on a circle of radius 1, at tolerances of 1
 
 
-def test_limits(four_bar):
+def test_run_with_max_steps_or_max_step_keeps_them_and_wrong_limits_are_refused(four_bar):
     run = four_bar.simulate((0.0, 4.0), max_steps=7)
     assert not run.success
     assert len(run.t) == 8
@@ -415,7 +415,7 @@ def test_limits(four_bar):
 
 
 @pytest.mark.parametrize("method", ["DOP853", "RK23"])
-def test_without_a_step_there_is_no_interpolant(method):
+def test_run_that_stops_before_its_first_step_has_no_dense_output(method):
     # A parallelogram: the first step passes the position in which all bars are level, and is discarded.
     loop = fb.compile_model(fb.models.n_four_bar(1))
     x0 = np.zeros(loop.n_x)
@@ -426,7 +426,7 @@ def test_without_a_step_there_is_no_interpolant(method):
     assert run.sol is None
 
 
-def test_the_limit_of_steps_by_default(four_bar, monkeypatch):
+def test_default_limit_of_steps_depends_on_the_method_and_max_step(four_bar, monkeypatch):
     monkeypatch.setitem(fourbar_codegen.simulation.options.STEPS, "DOP853", 7)
     monkeypatch.setitem(fourbar_codegen.simulation.options.STEPS, "ALI3P", 7)
     assert "max_steps = 7 " in four_bar.simulate((0.0, 4.0)).message
@@ -451,7 +451,7 @@ def test_steps_that_rounding_swallows_are_refused(four_bar):
     np.testing.assert_allclose(late.y[:, -1], early.y[:, -1], atol=rounding)
 
 
-def test_energy_that_grows_beyond_reason(four_bar):
+def test_run_whose_energy_grows_without_loads_says_so_in_its_message(four_bar):
     # The tutorial's damper feeds the motion, which begins with -685 J: see its model.
     unstable = {"k": 50.0, "l2": 0.45}
     run = four_bar.simulate((0.0, 10.0), parameters=unstable, t_eval=[0.0, 5.0])
@@ -477,7 +477,7 @@ def keyboard_interrupts():
 
 
 @pytest.mark.usefixtures("keyboard_interrupts")
-def test_progress_and_interrupt(four_bar):
+def test_long_run_reports_progress_and_ends_on_keyboard_interrupt(four_bar):
     # A run of minutes, stopped from the keyboard when it has told five times how far it is.
     seen, on_its_way = [], threading.Event()
     parameters = {"l1": 0.9, "k": 0.0, "c": 0.0}
@@ -500,7 +500,7 @@ def test_progress_and_interrupt(four_bar):
     assert seen
 
 
-def test_a_state_far_from_the_constraints_is_refused(four_bar):
+def test_run_from_a_state_far_from_the_constraints_is_refused_a_rounded_one_not(four_bar):
     with pytest.raises(fb.ModelError, match="initial_state"):
         four_bar.simulate((0.0, 1.0), [0.1] * 6)
     turned = np.add(four_bar.initial_state(), [200 * np.pi, 0, 0.3, 0, 0, 0])
@@ -513,7 +513,7 @@ def test_a_state_far_from_the_constraints_is_refused(four_bar):
             fb.Event("F", **wrong)
 
 
-def test_the_tutorials_own_code_drifts(four_bar):
+def test_run_without_projection_drifts_as_the_tutorial_and_with_it_stays_closed(four_bar):
     # What projection removes: the tutorial's loop is open by 1.56e-2 m at t = 4 s.
     run = four_bar.simulate((0.0, 4.0), method="RK45", rtol=1e-3, atol=1e-6, constraints="none")
     assert np.abs(run.constraint_residual[:, -1]).max() == pytest.approx(1.56e-2, abs=5e-5)
@@ -531,7 +531,7 @@ def rk4(function, t, x, h):
     return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
 
-def test_stepper_is_the_classical_method(four_bar):
+def test_stepper_without_projection_equals_the_classical_runge_kutta_method(four_bar):
     ode, x = four_bar.ode(), four_bar.initial_state()
     stepper = four_bar.stepper(0.01, x, t=0.3, constraints="none")
     for i in range(100):
@@ -541,7 +541,7 @@ def test_stepper_is_the_classical_method(four_bar):
     assert stepper.t == pytest.approx(1.3, abs=1e-13)
 
 
-def test_stepper_ends_where_a_loop_over_its_time_does(four_bar):
+def test_stepper_counts_its_time_exactly_forwards_and_backwards(four_bar):
     stepper = four_bar.stepper(0.01)
     steps = 0
     while stepper.t < 5.0:
@@ -571,7 +571,7 @@ def test_stepper_holds_inputs_and_keeps_loops_closed(four_bar):
     np.testing.assert_allclose(states[-1], x, rtol=0, atol=1e-7)
 
 
-def test_stepper_holds_inputs_in_the_place_of_callables(four_bar):
+def test_stepper_with_given_inputs_holds_them_instead_of_calling_sources(four_bar):
     called = []
     source = {"F": lambda t, x: called.append(t) or 7.0}
     stepper, constant = four_bar.stepper(1e-3, inputs=source), four_bar.stepper(1e-3)
@@ -599,7 +599,7 @@ def carried_pendulum():
     return fb.Model(system, name="carried", inputs={s: sm.sin(3 * t) / 5, f: None})
 
 
-def test_inputs_that_a_step_does_not_name_come_from_their_sources():
+def test_stepper_takes_inputs_that_a_step_does_not_name_from_their_sources():
     """The force of a sampled controller; l a'' = -g sin a + (f - s'') cos a by SciPy, from sample to sample."""
     model, period = fb.compile_model(carried_pendulum()), 0.02
     x0 = model.initial_state({"x": 0.0}, {"u": 0.6}, guess=[-0.5])
@@ -643,7 +643,7 @@ def test_inputs_that_a_step_does_not_name_come_from_their_sources():
     assert (x[2] ** 2 + x[3] ** 2) / 2.0 == pytest.approx(9.81 * (x[0] - x[1] - 0.5), rel=1e-4)
 
 
-def test_a_step_passes_jumps_of_motions_that_it_holds():
+def test_stepper_passes_a_jump_of_a_motion_only_if_the_step_holds_it():
     """A support that starts to move at t = 0.05 makes speeds jump, unless it is held."""
     model, x0 = fb.compile_model(carried_pendulum()), [0.3, -0.4, 0.0, 0.0]
     table = {"s": ([0.05, 1.0], [0.0, 1.0], "linear"), "f": 0.0}
@@ -655,7 +655,7 @@ def test_a_step_passes_jumps_of_motions_that_it_holds():
     np.testing.assert_array_equal(stepper.step({"s": 0.0}), at_rest.step())
 
 
-def test_stepper_is_one_run(four_bar):
+def test_stepper_called_from_its_own_input_is_refused_and_keeps_its_state(four_bar):
     # A callable input runs Python in the middle of a step: it may ask for another one, or let another thread in.
     asking = False
     stepper = four_bar.stepper(1e-3, inputs={"F": lambda t, x: stepper.step({"F": 1.0})[0] if asking else 0.0})
@@ -668,7 +668,7 @@ def test_stepper_is_one_run(four_bar):
     np.testing.assert_array_equal(stepper.step([7.0]), alone.step([7.0]))
 
 
-def test_stepper_refuses_what_is_wrong(four_bar):
+def test_stepper_with_wrong_arguments_is_refused_and_keeps_its_state(four_bar):
     with pytest.raises(fb.ModelError, match="h must not be 0"):
         four_bar.stepper(0.0)
     with pytest.raises(fb.ModelError, match="initial_state"):

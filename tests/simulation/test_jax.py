@@ -21,13 +21,13 @@ def double_precision():
     jax.config.update("jax_enable_x64", False)
 
 
-def test_single_precision_is_refused(four_bar):
+def test_to_jax_in_single_precision_is_refused(four_bar):
     jax.config.update("jax_enable_x64", False)
     with pytest.raises(fb.ModelError, match="jax_enable_x64"):
         fb.to_jax(four_bar)
 
 
-def test_derivatives_of_the_right_hand_side(four_bar):
+def test_jax_derivatives_of_the_rates_equal_the_compiled_ones_in_both_modes(four_bar):
     rhs, x = fb.to_jax(four_bar).rhs, four_bar.initial_state()
     p, r = np.array([*four_bar.defaults.values()]), four_bar.default_inputs(0.0)
     for mode in (jax.jacfwd, jax.jacrev):
@@ -44,7 +44,7 @@ def test_derivatives_of_the_right_hand_side(four_bar):
     np.testing.assert_array_equal(jax.jit(jax.vmap(lambda x: rhs(0.0, x)))(states), expected)
 
 
-def test_what_the_right_hand_side_refuses(four_bar):
+def test_jax_functions_refuse_wrong_shapes_and_second_derivatives(four_bar):
     rhs, x = fb.to_jax(four_bar).rhs, four_bar.initial_state()
     for given in ({"x": x[:3]}, {"x": x[np.newaxis]}, {"x": x, "p": np.ones((8, 1))}, {"x": x, "t": np.zeros(2)}):
         with pytest.raises(fb.ModelError, match=r"must have the shape \(.*use jax\.vmap"):
@@ -55,7 +55,7 @@ def test_what_the_right_hand_side_refuses(four_bar):
             jax.grad(lambda at, function=function: jax.grad(function)(at).sum())(at)
 
 
-def test_the_right_hand_side_takes_names(four_bar):
+def test_jax_right_hand_side_takes_parameters_and_inputs_by_name(four_bar):
     rhs, x = fb.to_jax(four_bar).rhs, four_bar.initial_state()
     np.testing.assert_array_equal(rhs(0.3, x, {"k": 2.0}, {"F": 5.0}), four_bar.rhs(0.3, x, {"k": 2.0}, {"F": 5.0}))
     np.testing.assert_array_equal(rhs(0.3, x, {"k": 2.0}), four_bar.rhs(0.3, x, {"k": 2.0}))
@@ -71,7 +71,7 @@ def test_the_right_hand_side_takes_names(four_bar):
             rhs(**{"t": 0.0, "x": x, **given})
 
 
-def test_derivatives_through_the_expression_of_an_input():
+def test_jax_derivatives_pass_through_the_expression_of_an_input():
     a, t = sm.Symbol("a"), me.dynamicsymbols._t
     model = fb.compile_model(driven_oscillator(parameters={"a": 3.0}, force=a * sm.sin(2 * t)))
     x, p = np.array([0.1, 0.2]), np.array([*model.defaults.values()])
@@ -84,7 +84,7 @@ def test_derivatives_through_the_expression_of_an_input():
 
 
 @pytest.mark.parametrize("forward", [False, True])
-def test_an_oscillator(forward):
+def test_jax_derivatives_of_an_oscillators_run_equal_closed_forms_in_both_modes(forward):
     # x = a cos(w t): dx/dk = -a t sin(w t) / (2 m w), dx/da = cos(w t)
     simulate = fb.to_jax(fb.compile_model(oscillator())).simulation((0.0, 1.0), TIMES, forward=forward, rtol=1e-11)
     w, a = 2.0, 0.3
@@ -93,7 +93,7 @@ def test_an_oscillator(forward):
     np.testing.assert_allclose(by_a, np.cos(w * TIMES), rtol=0, atol=1e-9)
 
 
-def test_both_modes_and_the_closed_loop(four_bar):
+def test_jax_gradients_of_a_closed_loop_equal_differences_in_both_modes(four_bar):
     """Dependent initial values follow from the lengths: differences of runs from consistent states."""
     model = fb.to_jax(four_bar)
 
@@ -121,7 +121,7 @@ def test_both_modes_and_the_closed_loop(four_bar):
     np.testing.assert_allclose(tangent, expected[1], rtol=0, atol=1e-8)
 
 
-def test_the_other_assembly_mode(four_bar):
+def test_jax_simulation_with_a_guess_follows_the_other_assembly_mode(four_bar):
     _, other = four_bar.initial_states({"q1": -0.5}, {"u1": -0.1}).x
     run = four_bar.simulate((0.0, 0.5), other, t_eval=TIMES[:5], rtol=1e-8, atol=1e-10)
     simulate = fb.to_jax(four_bar).simulation((0.0, 0.5), TIMES[:5], guess=other[1:3])
@@ -130,7 +130,7 @@ def test_the_other_assembly_mode(four_bar):
         fb.to_jax(four_bar).simulation((0.0, 1.0), TIMES, guess={"k": 1.0})
 
 
-def test_a_control_in_a_loss():
+def test_jax_gradients_by_a_control_table_lead_to_the_minimum_of_a_loss():
     """Values of a table, by gradient descent: the work of a force that brings a mass to rest elsewhere falls."""
     model = fb.compile_model(driven_oscillator(parameters={"k": 0.0}))
     simulate = fb.to_jax(model).simulation((0.0, 1.0), [1.0], inputs={"F": (TIMES, np.zeros(11))})
@@ -153,13 +153,13 @@ def test_a_control_in_a_loss():
     np.testing.assert_allclose(by_force + 2e-3 * best / 11, gradient(best), rtol=0, atol=1e-11)
 
 
-def test_where_there_is_no_motion_results_are_nan(four_bar):
+def test_jax_simulation_whose_loops_do_not_close_gives_nan(four_bar):
     simulate = fb.to_jax(four_bar).simulation((0.0, 1.0), TIMES)
     assert np.isnan(simulate({"l2": 50.0})["q1"]).all()
     assert np.isnan(jax.grad(lambda l2: simulate({"l2": l2})["q1"].sum())(50.0))
 
 
-def test_bad_input(four_bar):
+def test_jax_simulation_with_wrong_names_or_shapes_is_refused_with_a_message(four_bar):
     model = fb.to_jax(four_bar)
     simulate = model.simulation((0.0, 1.0), TIMES, inputs={"F": ([0.0, 1.0], [1.0, 2.0])})
     for sentence, call in (

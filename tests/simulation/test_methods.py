@@ -45,7 +45,7 @@ def exact(four_bar):
     )
 
 
-def test_the_same_motion(four_bar, exact, method):
+def test_every_method_gives_the_reference_motion_within_its_error(four_bar, exact, method):
     how, error = method
     times = np.linspace(0.0, 2.0, 21)
     run = four_bar.simulate((0.0, 2.0), t_eval=times, **how)
@@ -58,7 +58,7 @@ def test_the_same_motion(four_bar, exact, method):
     np.testing.assert_allclose(stepped.y[:, -1], run.y[:, -1], rtol=0, atol=1e-12)
 
 
-def test_loops_are_closed_in_every_state(four_bar, method):
+def test_every_method_closes_loops_at_steps_samples_and_events(four_bar, method):
     how, _ = method
     for more in ({}, {"t_eval": np.linspace(0.0, 2.0, 33)}):
         run = four_bar.simulate((0.0, 2.0), **how, **more)
@@ -69,7 +69,7 @@ def test_loops_are_closed_in_every_state(four_bar, method):
         assert np.abs(four_bar.position_constraints(0.0, x[:3])).max() < 1e-12
 
 
-def test_events(four_bar, exact, method):
+def test_events_of_all_directions_are_found_at_the_reference_times_by_every_method(four_bar, exact, method):
     how, error = method
 
     def turns(t, x):
@@ -89,7 +89,7 @@ def test_events(four_bar, exact, method):
     assert len(falling.t_events[0]) < len(run.t_events[0])
 
 
-def test_dense_output(four_bar, exact, method):
+def test_dense_output_of_every_method_equals_the_reference_within_its_error(four_bar, exact, method):
     how, error = method
     run = four_bar.simulate((0.0, 2.0), dense_output=True, **how)
     times = np.linspace(0.0, 2.0, 101)
@@ -97,7 +97,7 @@ def test_dense_output(four_bar, exact, method):
     assert run.sol(0.7).shape == (6,)
 
 
-def test_inputs(four_bar, method):
+def test_inputs_of_all_kinds_give_the_same_motion_by_every_method(four_bar, method):
     how, error = method
     times = np.linspace(0.0, 1.0, 3)
     at_rest = four_bar.simulate((0.0, 1.0), inputs={"F": 0.0}, **how).y[:, -1]
@@ -114,7 +114,7 @@ def test_inputs(four_bar, method):
     np.testing.assert_allclose(damped["F"], -50.0 * damped["u1"], rtol=1e-12)
 
 
-def test_parameters(four_bar, method):
+def test_changed_parameters_give_the_reference_motion_by_every_method(four_bar, method):
     how, error = method
     parameters = {"k": 30.0, "l2": 0.49}
     run = four_bar.simulate((0.0, 1.0), parameters=parameters, **how)
@@ -123,7 +123,7 @@ def test_parameters(four_bar, method):
     np.testing.assert_allclose(run.y[:, -1], exact, rtol=0, atol=error)
 
 
-def test_a_callable_that_raises_ends_the_run(four_bar, method):
+def test_callable_input_that_raises_ends_the_run_with_its_error_by_every_method(four_bar, method):
     how, _ = method
 
     def force(t, x):
@@ -150,14 +150,14 @@ def test_a_callable_that_raises_ends_the_run(four_bar, method):
         {"progress": 1.0},
     ],
 )
-def test_wrong_arguments(four_bar, method, wrong):
+def test_wrong_arguments_are_refused_by_name_by_every_method(four_bar, method, wrong):
     how, _ = method
     said = {"x0": "state", "parameters": "parameter", "inputs": "input"}
     with pytest.raises(fb.ModelError, match=said.get(next(iter(wrong)), next(iter(wrong)))):
         four_bar.simulate(**{"t_span": (0.0, 1.0), **how, **wrong})
 
 
-def test_equations_that_end(method):
+def test_run_past_the_domain_of_a_force_stops_there_by_every_method(method):
     """A force that has no value behind t = 1: a sentence says where, and what there is before stays."""
     x, u = me.dynamicsymbols("x u")
     m, k = sm.symbols("m k")
@@ -181,7 +181,7 @@ def test_equations_that_end(method):
     assert np.isfinite(run.y).all()
 
 
-def test_singular_positions(four_bar, method):
+def test_singular_position_ends_the_run_of_every_method_but_ali3p(four_bar, method):
     """The tutorial's linkage comes to one at t = 5.337 s, where all its links lie on a line, q1 = pi, and from which it
     may go on in more than one way."""
     how, _ = method
@@ -196,7 +196,7 @@ def test_singular_positions(four_bar, method):
     assert np.abs(run.constraint_residual).max() < 1e-12
 
 
-def test_a_state_that_violates_the_constraints(four_bar, method):
+def test_initial_state_that_violates_constraints_is_refused_by_every_method(four_bar, method):
     how, _ = method
     with pytest.raises(fb.ModelError, match="violates the constraints"):
         four_bar.simulate((0.0, 1.0), np.ones(6), **how)
@@ -205,7 +205,7 @@ def test_a_state_that_violates_the_constraints(four_bar, method):
             four_bar.simulate((0.0, 1.0), np.ones(6), constraints="none", **how)
 
 
-def test_an_input_that_ends(four_bar, method):
+def test_input_that_becomes_nan_ends_the_run_there_by_every_method(four_bar, method):
     how, _ = method
     run = four_bar.simulate((0.0, 1.0), inputs={"F": lambda t, x: 1.0 if t < 0.5 else np.nan}, **how)
     assert not run.success
@@ -213,7 +213,7 @@ def test_an_input_that_ends(four_bar, method):
     assert run.t[-1] == pytest.approx(0.5, abs=0.05)
 
 
-def test_limits_and_progress(four_bar, method, monkeypatch):
+def test_max_steps_and_progress_are_kept_by_every_method(four_bar, method, monkeypatch):
     how, _ = method
     run = four_bar.simulate((0.0, 1.0), max_steps=5, **how)
     assert not run.success
@@ -230,7 +230,7 @@ def test_limits_and_progress(four_bar, method, monkeypatch):
     assert 0.0 < seen[0] <= seen[-1] <= 1.0
 
 
-def test_an_interrupt_ends_the_run(four_bar, method, monkeypatch):
+def test_keyboard_interrupt_ends_the_run_of_every_method(four_bar, method, monkeypatch):
     def interrupted(t):
         raise KeyboardInterrupt
 
@@ -240,7 +240,7 @@ def test_an_interrupt_ends_the_run(four_bar, method, monkeypatch):
         four_bar.simulate((0.0, 1.0), progress=interrupted, **how)
 
 
-def test_an_event_that_writes_into_its_state(four_bar, method):
+def test_event_that_writes_into_its_state_leaves_the_run_unchanged(four_bar, method):
     how, _ = method
 
     def event(t, x):
@@ -254,7 +254,7 @@ def test_an_event_that_writes_into_its_state(four_bar, method):
         four_bar.simulate((0.0, 1.0), events=lambda t, x: x, **how)
 
 
-def test_steps_that_are_too_short(four_bar, method):
+def test_max_step_below_rounding_errors_is_refused_by_every_method(four_bar, method):
     how, _ = method
     with pytest.raises(fb.ModelError, match="max_step = 1e-17 is below the rounding error"):
         four_bar.simulate((1.0, 2.0), **{**how, "max_step": 1e-17})
@@ -263,7 +263,7 @@ def test_steps_that_are_too_short(four_bar, method):
     assert "step" in run.message
 
 
-def test_coordinates_close_to_zero(method):
+def test_coordinates_close_to_zero_run_with_closed_loops_by_every_method(method):
     """Loops of links of 1 m are closed to rounding errors of these, though the coordinates be 1e-8."""
     loops = fb.compile_model(fb.models.n_four_bar(2))
     how, _ = method
@@ -274,7 +274,7 @@ def test_coordinates_close_to_zero(method):
         np.testing.assert_allclose(run["p0"], run.t, rtol=1e-4, atol=1e-15)
 
 
-def test_dense_output_at_no_time_and_at_too_many(four_bar, method):
+def test_dense_output_takes_no_or_one_time_and_refuses_arrays_of_two_dimensions(four_bar, method):
     how, _ = method
     run = four_bar.simulate((0.0, 1.0), dense_output=True, **how)
     assert run.sol([]).shape == (6, 0)
@@ -283,7 +283,7 @@ def test_dense_output_at_no_time_and_at_too_many(four_bar, method):
         run.sol(np.zeros((2, 2)))
 
 
-def test_backwards(four_bar, method):
+def test_run_backwards_returns_to_the_start_by_every_method(four_bar, method):
     how, error = method
     there = four_bar.simulate((0.0, 1.0), **how)
     back = four_bar.simulate((1.0, 0.0), there.y[:, -1], t_eval=[0.7, 0.2], **how)
@@ -292,7 +292,7 @@ def test_backwards(four_bar, method):
     np.testing.assert_allclose(ended.y[:, -1], there.y[:, 0], rtol=0, atol=5 * error)
 
 
-def test_a_planar_mechanism_closed_as_a_spatial_one(four_bar, method):
+def test_redundant_rows_of_a_spatial_loop_give_the_planar_motion_by_every_method(four_bar, method):
     """Five rows, two of them independent: the motion is that of the planar linkage with its two."""
     how, _ = method
     spatial = fb.compile_model(spatial_four_bar())
@@ -332,7 +332,7 @@ ON_A_STIFF_DRIVE = {
 
 
 @pytest.mark.parametrize("name", ON_A_STIFF_DRIVE)
-def test_a_stiff_drive(driven, name):
+def test_stiff_drive_is_followed_by_every_method_in_few_steps_by_implicit_ones(driven, name):
     """Of a shaft whose own motion dies away in 3 us, explicit methods have to follow what is left of it."""
     how, error, fewer = ON_A_STIFF_DRIVE[name]
     run = driven.simulate((0.0, 1.0), method=name.partition(",")[0], **how)
@@ -349,7 +349,7 @@ def test_a_stiff_drive(driven, name):
         assert run.nfev < explicit / fewer
 
 
-def test_index_3_says_what_its_tolerance_holds_for(four_bar, exact):
+def test_ida_with_index_3_says_that_its_tolerance_holds_for_coordinates_only(four_bar, exact):
     runs = {
         name: four_bar.simulate((0.0, 2.0), method="IDA", formulation=name, t_eval=exact.t, rtol=1e-8, atol=1e-8)
         for name in ("gear-gupta-leimkuhler", "index-3")
@@ -361,7 +361,7 @@ def test_index_3_says_what_its_tolerance_holds_for(four_bar, exact):
 
 
 @pytest.mark.parametrize(("name", "more"), [("IDA", {"formulation": "index-3"}), ("ALI3P", {"max_step": 1e-2})])
-def test_a_stiff_spring(driven, name, more):
+def test_stiff_spring_is_passed_in_long_steps_by_index_3_and_ali3p(driven, name, more):
     """10,000 rad/s; methods that do not control the speeds take steps as long as the motion asks for."""
     parameters = {"stiffness": 3e7, "damping": 6e3}
     how = {"rtol": 1e-6, "atol": 1e-6, **more}
@@ -374,7 +374,7 @@ def test_a_stiff_spring(driven, name, more):
     np.testing.assert_allclose(run.u[:, -1], exact.u[:, -1], rtol=0, atol=1e-3)
 
 
-def test_redundant_constraints_leave_multipliers_open():
+def test_ida_with_redundant_constraints_is_refused():
     repeated = fb.compile_model(pendulum(circle, 2 * circle))
     with pytest.raises(fb.ModelError, match="redundant"):
         repeated.simulate((0.0, 1.0), [-0.8, 0.6, 0.0, 0.0], method="IDA")
@@ -383,7 +383,7 @@ def test_redundant_constraints_leave_multipliers_open():
 
 
 @pytest.mark.parametrize("tolerance", [1e-2, 1e-3, 1e-5])
-def test_long_steps_across_a_singular_position(four_bar, tolerance):
+def test_long_steps_across_a_singular_position_end_the_run_with_a_message(four_bar, tolerance):
     """Whether they come upon it or, by loops that close in another way, to the other side."""
     for method in ("DOP853", "BDF", "IDA"):
         run = four_bar.simulate((0.0, 6.0), method=method, rtol=tolerance, atol=tolerance)
@@ -392,7 +392,7 @@ def test_long_steps_across_a_singular_position(four_bar, tolerance):
 
 
 @pytest.mark.parametrize("name", ["RK45", "BDF", "LSODA", "CVODE", "IDA"])
-def test_solvers_by_themselves_check_what_they_are_given(four_bar, name):
+def test_solvers_in_solve_ivp_refuse_wrong_shapes_and_options(four_bar, name):
     x0 = four_bar.initial_state()
     for wrong in (x0[:5], np.append(x0, 0.0)):
         with pytest.raises(fb.ModelError, match="shape"):
@@ -413,7 +413,7 @@ def test_a_failed_step_leaves_the_state_it_began_with(four_bar):
     np.testing.assert_array_equal(solver.y, four_bar.initial_state())
 
 
-def test_formulations(four_bar):
+def test_formulations_that_a_method_does_not_have_are_refused(four_bar):
     with pytest.raises(fb.ModelError, match="index-1"):
         four_bar.simulate((0.0, 1.0), method="IDA", formulation="index-4")
     with pytest.raises(fb.ModelError, match="baumgarte"):
@@ -422,7 +422,7 @@ def test_formulations(four_bar):
         four_bar.simulate((0.0, 1.0), method="Radau", formulation="index-1")
 
 
-def test_tolerance_and_motion_say_how_exact_the_end_is():
+def test_error_of_ida_in_a_fall_stays_within_the_tolerance_times_the_growth():
     """A bicycle that falls over, at speeds of 900 rad/s: an error on the way ends some 1e5 times as large."""
     bicycle = fb.compile_model(fb.models.whipple_bicycle())
     x0 = bicycle.initial_state({"q4": 0.0}, {"u6": -2.0 / 0.3, "u4": 0.5})

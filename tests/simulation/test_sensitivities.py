@@ -74,7 +74,7 @@ def differences(function, value, step):
     return sum(w * (function(value + k * h) - function(value - k * h)) for k, w in WEIGHTS) / (60.0 * h)
 
 
-def test_against_differences_of_runs(case):
+def test_sensitivities_of_runs_without_projection_equal_differences_of_runs(case):
     model, coordinates, speeds, names = case
     tight = {"t_eval": AT, "rtol": 1e-13, "atol": 1e-13, "constraints": "none"}
     given = start(model, coordinates, speeds)
@@ -95,7 +95,7 @@ def test_against_differences_of_runs(case):
         np.testing.assert_allclose(found.sensitivity[name], wanted, rtol=0, atol=1e-8 * size)
 
 
-def test_projected_runs_are_tangent_to_the_constraints(case):
+def test_sensitivities_of_projected_runs_equal_differences_and_are_tangent(case):
     model, coordinates, speeds, names = case
     given = start(model, coordinates, speeds)
     x0, by = model.initial_state(**given, derivatives=True)
@@ -127,7 +127,7 @@ def test_projected_runs_are_tangent_to_the_constraints(case):
 
 
 @pytest.mark.parametrize("rtol", [1e-2, 1e-4, 1e-8])
-def test_samples_are_tangent_to_the_constraints(case, rtol):
+def test_sensitivities_at_samples_at_every_tolerance_are_tangent_to_constraints(case, rtol):
     """Also where the projections' factors serve for derivatives, and where interpolants are too far away for that."""
     model, coordinates, speeds, names = case
     x0 = model.initial_state(**start(model, coordinates, speeds))
@@ -142,7 +142,7 @@ def test_samples_are_tangent_to_the_constraints(case, rtol):
             assert np.abs(left).max(initial=0.0) <= 1e-11 * size
 
 
-def test_initial_states_of_changed_values_are_predicted_and_corrected(case):
+def test_initial_states_of_changed_values_corrected_from_predictions_are_closed(case):
     """The states are those of `initial_state`, which finds them by other methods.
 
     Its derivatives, by which they are predicted, are compared with differences above.
@@ -167,7 +167,7 @@ def test_initial_states_of_changed_values_are_predicted_and_corrected(case):
         np.testing.assert_allclose(followed[: model.n_x], expected, rtol=0, atol=1e-9 * size)
 
 
-def test_states_near_singular_positions_are_not_predicted(four_bar):
+def test_states_of_changed_values_near_singular_positions_are_not_predicted(four_bar):
     """Where coupler and rocker cover each other, the crank can go no further, and their motion does not follow."""
     p = four_bar.parameter_vector({"l4": 0.6})
     ground, crank, coupler, rocker = (dict(zip(four_bar.parameters, p, strict=True))[f"l{i}"] for i in (1, 2, 3, 4))
@@ -186,7 +186,7 @@ AT_REST = {
 
 @pytest.mark.parametrize(("method", "rtol"), [("DOP853", 1e-6), ("DOP853", 1e-9), ("RK45", 1e-6)])
 @pytest.mark.parametrize("motion", AT_REST)
-def test_derivatives_choose_the_steps_of_steady_motions(motion, method, rtol):
+def test_sensitivities_of_steady_motions_limit_the_steps_and_equal_closed_forms(motion, method, rtol):
     """Where x' does not change, neither does f_x, and S = exp(f_x t) S0; errors of x do not limit the steps there.
 
     Ten steps whose errors may be ten times rtol.
@@ -209,7 +209,7 @@ def test_derivatives_choose_the_steps_of_steady_motions(motion, method, rtol):
 
 
 @pytest.mark.parametrize("n", [1, 2, 4, 5, 8])
-def test_few_directions_are_those_of_many(four_bar, n):
+def test_sensitivities_in_few_directions_equal_those_in_many(four_bar, n):
     """Blocks are four or eight directions wide; the last of several is filled with zeros.
 
     The step is so short that no derivative shortens it.
@@ -223,7 +223,7 @@ def test_few_directions_are_those_of_many(four_bar, n):
         np.testing.assert_allclose(few.sensitivity[name], many.sensitivity[name], rtol=1e-12, atol=1e-12)
 
 
-def test_gradients_are_those_of_forward_mode(case):
+def test_gradients_of_random_costs_equal_those_by_forward_sensitivities(case):
     model, coordinates, speeds, names = case
     given = start(model, coordinates, speeds)
     x0 = model.initial_state(**given)
@@ -241,7 +241,7 @@ def test_gradients_are_those_of_forward_mode(case):
             assert [gradient[n] for n in names] == pytest.approx([wanted[n] for n in names], rel=0, abs=1e-11 * size)
 
 
-def test_gradients_of_outputs():
+def test_gradients_of_joint_forces_equal_the_chain_rule_and_forward_mode():
     """Of joint forces, by all parameters, initial values and inputs, against the chain rule and forward mode."""
     model = fb.compile_model(fb.models.slider_crank())
     crank, rate = model.coordinates[0], model.speeds[0]
@@ -266,7 +266,7 @@ def test_gradients_of_outputs():
             np.testing.assert_allclose(of_outputs[name][:, place], wanted, rtol=1e-9, atol=1e-9)
 
 
-def test_gradients_by_inputs():
+def test_gradients_by_numbers_and_tables_of_a_force_equal_closed_forms():
     """Of a mass on a spring that a force drives: x(T) is the integral of h(T - s) F(s), h = sin(w t) / (m w)."""
     model = fb.compile_model(driven_oscillator())
     times, end, (m, k) = np.linspace(0.0, 3.0, 16), 2.9, (2.0, 8.0)
@@ -297,7 +297,7 @@ def test_gradients_by_inputs():
         np.testing.assert_allclose(by_values, wanted, rtol=0, atol=1e-9)
 
 
-def test_an_oscillator():
+def test_sensitivities_of_an_oscillator_equal_closed_forms():
     # x = a cos(w t): dx/dk = -a t sin(w t) / (2 m w), dx/dm = a w t sin(w t) / (2 m), dx/da = cos(w t).
     model = fb.compile_model(oscillator())
     times = np.linspace(0.0, 5.0, 11)
@@ -315,7 +315,7 @@ def test_an_oscillator():
             np.testing.assert_allclose(run.sensitivity[name][0], values, rtol=0, atol=1e-9)
 
 
-def test_more_directions_than_a_block_and_samples_after_each_step(four_bar):
+def test_sensitivities_beside_many_others_after_each_step_equal_those_alone(four_bar):
     names = [*four_bar.parameters, "q1", "u1"]
     how = {"rtol": 1e-8, "atol": 1e-8, "max_step": 0.01}  # so short that no derivative shortens it
     run = four_bar.simulate((0.0, 1.0), sensitivities=names, **how)
@@ -326,7 +326,7 @@ def test_more_directions_than_a_block_and_samples_after_each_step(four_bar):
     np.testing.assert_array_equal(four_bar.simulate((0.0, 1.0), **how).y, run.y)
 
 
-def test_dependent_initial_values(four_bar):
+def test_sensitivities_of_dependent_initial_values_follow_unless_x0_is_given(four_bar):
     x0, by = four_bar.initial_state(derivatives=True)
     run = four_bar.simulate((0.0, 0.1), t_eval=[0.0], sensitivities=["l2", "q1", "k"])
     for name in ("l2", "q1", "k"):
@@ -337,7 +337,7 @@ def test_dependent_initial_values(four_bar):
 
 
 @pytest.mark.parametrize("t_eval", [None, [0.5, 1.0, 2.4]])
-def test_events(t_eval):
+def test_sensitivities_of_an_oscillators_events_equal_closed_forms(t_eval):
     """An oscillator passes x = 0.1 at cos(w t) = 0.1 / a, where x depends on nothing, and v^2 = w^2 (a^2 - 0.01)."""
     model = oscillator()
     (x,), (v,) = model.system.q, model.system.u
@@ -362,7 +362,7 @@ def test_events(t_eval):
 
 
 @pytest.mark.parametrize("t_0", [-3.0, 4.0, 1e6])
-def test_the_state_at_an_event_of_a_driven_run_that_begins_later(t_0):
+def test_sensitivities_of_an_event_in_a_driven_run_at_any_start_equal_closed_forms(t_0):
     """By Duhamel's integral, x = c at S_x + v dt/dF_0 = 0, where v changes by S_v + v' dt/dF_0, m v' = F - k x.
 
     Up to the spacing of times, and the root of an interpolant.
@@ -391,7 +391,7 @@ def test_the_state_at_an_event_of_a_driven_run_that_begins_later(t_0):
 
 @pytest.mark.parametrize("kind", ["linear", "cubic"])
 @pytest.mark.parametrize("before", [0.0, 1e-12, 1e-6, 1e-3, 1e-2])
-def test_events_at_the_points_of_a_table(kind, before):
+def test_sensitivities_of_events_at_or_near_points_of_a_table_equal_closed_forms(kind, before):
     """F rises in a straight line, and is 2 at a point or shortly before it: dt/dF_i is minus the weight over the slope.
 
     Linear weights are those of the two values beside; those of a cubic interpolant have the same sum.
@@ -409,7 +409,7 @@ def test_events_at_the_points_of_a_table(kind, before):
         np.testing.assert_allclose(by_values, -np.array([0.0, 1.0 - share, share, 0.0, 0.0]) / slope, atol=1e-8)
 
 
-def test_an_event_where_a_function_touches_zero():
+def test_event_at_a_triple_root_has_a_time_and_no_sensitivity():
     """A triple root, at t = 1 for a speed of 0.2: the time is found, and has no derivative."""
     outputs = {"cube": (me.dynamicsymbols("x") - sm.Rational(1, 5)) ** 3}
     parameters = {"m": 2.0, "k": 0.0}
@@ -419,7 +419,7 @@ def test_an_event_where_a_function_touches_zero():
     assert np.isnan(run.event_sensitivity[0]["v"].t).all()
 
 
-def test_events_of_a_closed_loop(four_bar):
+def test_sensitivities_of_events_in_a_closed_loop_equal_differences(four_bar):
     """Against differences of order 6 of the times of runs at 1e-13: rounding errors divided by the change."""
     compiled = fb.compile_model(fb.models.slider_crank())
     how = {"events": ["pin_x"], "rtol": 1e-13, "atol": 1e-13}
@@ -437,7 +437,7 @@ def test_events_of_a_closed_loop(four_bar):
 
 
 @pytest.mark.parametrize("values", [[0.0, 1.0, 1.5, 1.4, 2.0, 2.6], [0.0, 0.1, 2.0, 2.0, -1.0, 3.0], [0.5, 2.0]])
-def test_values_of_a_monotone_interpolant(values):
+def test_sensitivities_by_values_of_a_pchip_table_equal_differences(values):
     """Between extrema, where an interpolant has slopes by the harmonic mean; its kinks are at equal values."""
     model, at = fb.compile_model(driven_oscillator()), np.linspace(0.0, 3.0, len(values))
     times = np.array([1.0, 2.9, 3.4])
@@ -469,7 +469,7 @@ KINDS = {"cubic": 1e-8, "pchip": 1e-8, "linear": 1e-7}
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", DRIVEN)
-def test_prescribed_motions(name, kind):
+def test_sensitivities_by_values_of_a_prescribed_motion_equal_differences(name, kind):
     """The initial state follows the motion, and speeds jump with its rate where it is linear."""
     make, more = DRIVEN[name]
     model = fb.compile_model(make())
@@ -508,7 +508,7 @@ def test_prescribed_motions(name, kind):
         np.testing.assert_allclose(gradient[key], forward, rtol=0, atol=1e-10 * size)
 
 
-def test_a_motion_prescribed_by_an_expression_of_parameters():
+def test_sensitivities_by_a_parameter_of_a_prescribed_motion_equal_closed_forms():
     """Its rate w moves the initial state of a driven crank; the crank's angle is w t + w / 10."""
     w = sm.Symbol("w")
     model = fb.compile_model(driven_slider_crank(w * (me.dynamicsymbols._t + sm.Rational(1, 10))))
@@ -526,7 +526,7 @@ def test_a_motion_prescribed_by_an_expression_of_parameters():
 
 @pytest.mark.parametrize("forwards", [True, False])
 @pytest.mark.parametrize("kind", ["linear", "cubic"])
-def test_jumps_of_a_motion_that_rests(kind, forwards):
+def test_sensitivities_at_jumps_of_a_resting_motion_equal_differences(kind, forwards):
     """Where a pivot rests, its rate does not jump, but the derivatives of its rate do: also at samples there."""
     model, at = fb.compile_model(driven_pendulum(None)), np.array([0.0, 1.0, 2.0])
     span = (-0.5, 2.5) if forwards else (2.5, -0.5)
@@ -545,7 +545,7 @@ def test_jumps_of_a_motion_that_rests(kind, forwards):
 
 
 @pytest.mark.parametrize("size", [0.0, 0.1])
-def test_runs_that_end_where_a_rate_jumps(size):
+def test_sensitivities_of_runs_that_end_where_a_rate_jumps_equal_differences(size):
     """The last sample is the state after the jump, and so are its derivatives, also of a pivot that rests."""
     model, at = fb.compile_model(driven_pendulum(None)), np.array([0.0, 1.0, 2.0, 3.0])
     values = size * np.array([0.0, 1.0, 0.0, 2.0])
@@ -562,7 +562,7 @@ def test_runs_that_end_where_a_rate_jumps(size):
 
 
 @pytest.mark.parametrize("forwards", [True, False])
-def test_outputs_where_a_force_jumps(forwards):
+def test_sensitivities_of_outputs_where_a_force_jumps_are_those_after_the_jump(forwards):
     """A sample there has the force after the jump in time: d(force)/dA = 1 before 1 s, and 2 from then on."""
     t, a, force, x = me.dynamicsymbols._t, sm.Symbol("A"), *me.dynamicsymbols("F x")
     steps, outputs = a * sm.Piecewise((1, t < 1), (2, True)), {"load": force, "both": force - 8 * x}
@@ -576,7 +576,7 @@ def test_outputs_where_a_force_jumps(forwards):
 
 
 @pytest.mark.parametrize("rate", [0.1, 0.0])
-def test_jumps_of_speeds_by_expressions(rate):
+def test_sensitivities_at_a_jump_by_an_expression_equal_closed_forms_or_are_refused(rate):
     """Where the rate of a pivot's motion jumps from 0 to a, the speed jumps by -a cos(q) / l, which by a is known."""
     t, a = me.dynamicsymbols._t, sm.Symbol("a")
     motion = a * sm.Piecewise((0, t < sm.Rational(1, 2)), (t - sm.Rational(1, 2), True))
@@ -602,7 +602,7 @@ def test_jumps_of_speeds_by_expressions(rate):
     assert run.gradient({"u": 1.0})["l"] == pytest.approx(run.sensitivity["l"][1, 0], rel=1e-11)
 
 
-def test_samples_beside_a_jump():
+def test_gradients_with_a_sample_within_rounding_of_a_jump_count_all_samples():
     """A sample within rounding errors of a jump does not hide the others before it."""
     model, at = fb.compile_model(driven_pendulum(None)), 0.3
     inputs = {"s": ([0.0, at, 1.0], [0.0, 0.1, 0.1], "linear")}
@@ -615,7 +615,7 @@ def test_samples_beside_a_jump():
         np.testing.assert_allclose(gradient["s"], run.sensitivity["s"][:, 0].sum(axis=1), rtol=1e-11)
 
 
-def test_between_the_samples(four_bar):
+def test_sensitivities_of_dense_output_equal_those_at_samples_and_of_another_run(four_bar):
     """The interpolant's derivatives: at the samples those of the samples, between them those of another run."""
     table = {"F": (np.linspace(0.0, 1.0, 5), np.arange(5.0))}
     how = {"inputs": table, "sensitivities": ["k", "l2", "F", "q1"], "rtol": 1e-9, "atol": 1e-9}
@@ -638,7 +638,7 @@ def test_between_the_samples(four_bar):
         run.sol.sensitivity(2.0)
 
 
-def test_outputs_by_inputs():
+def test_sensitivities_of_joint_forces_by_a_torque_equal_differences():
     """Joint forces by a torque that drives a crank, against differences of order 6."""
     model = fb.compile_model(fb.models.slider_crank())
     how = {"t_eval": [0.1, 0.2], "rtol": 1e-13, "atol": 1e-13}
@@ -661,7 +661,7 @@ def test_outputs_by_inputs():
         np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-8 * np.abs(wanted).max())
 
 
-def test_the_period_of_a_pendulum():
+def test_sensitivities_of_a_pendulums_period_equal_elliptic_integrals():
     """T = 4 sqrt(l / g) K(k), k = sin(a / 2), by the length, gravity and amplitude a: with K the elliptic integral."""
     model, a, length, g = fb.compile_model(swinging_pendulum()), 2.0, 0.5, 9.81
     run = model.simulate(
@@ -687,7 +687,7 @@ def swinging_pendulum():
     return fb.Model(model.system, name="swinging", parameters={"m": 2.0, "l": 0.5, "g": 9.81}, outputs={"angle": q})
 
 
-def test_an_input_given_as_an_expression_of_parameters():
+def test_sensitivities_by_a_force_amplitude_equal_closed_forms_unless_it_is_given():
     t = me.dynamicsymbols._t
     driven = driven_oscillator(parameters={"F_0": 3.0}, force=sm.Symbol("F_0") * sm.sin(3 * t))
     compiled = fb.compile_model(driven)
@@ -702,7 +702,7 @@ def test_an_input_given_as_an_expression_of_parameters():
 
 
 @pytest.mark.parametrize("of", ["parameter", "input", "beside an input", "beside a steady motion"])
-def test_derivatives_by_the_amplitude_of_a_force_that_is_zero(of):
+def test_sensitivities_by_an_amplitude_that_is_zero_equal_closed_forms(of):
     """m x'' = A sin(w t) - k x from rest, dx/dA = (sin(w t) - w / w0 sin(w0 t)) / (m (w0^2 - w^2)) with w0^2 = k / m.
 
     Only the derivative follows the force, over 120 steps whose errors may be ten times rtol.
@@ -736,7 +736,7 @@ def test_derivatives_by_the_amplitude_of_a_force_that_is_zero(of):
     np.testing.assert_allclose([run.gradient({"x": unit})["A"] for unit in np.eye(6)], wanted, **near)
 
 
-def test_gradients_by_many_small_amplitudes():
+def test_gradients_by_many_small_force_amplitudes_equal_closed_forms():
     """The same with a sum of forces, over 380 periods of the fastest, whose errors may be ten times rtol."""
     w0, frequencies, amplitudes = 2.0, np.array([*range(1, 10), 100, 200, 340]), sm.symbols("a1:13")
     force = sum(a * sm.sin(int(w) * me.dynamicsymbols._t) for a, w in zip(amplitudes, frequencies, strict=True))
@@ -779,14 +779,14 @@ STEADY = {
 
 
 @pytest.mark.parametrize(("function", "load"), JUMPING)
-def test_jumps_at_times_that_are_not_known(function, load):
+def test_sensitivities_with_jumps_at_unknown_times_warn_of_the_function(function, load):
     """By the time of such a jump states have derivatives that are left out: a warning names the function."""
     model = loaded(load, {F: 0.0} if function.endswith("F") else None)
     with pytest.warns(fb.ModelWarning, match=f"not known beforehand \\({function}\\).*leave out the change"):
         model.simulate((0.0, 0.1), [0.3, 0.1], sensitivities=["k"])
 
 
-def test_jumps_with_other_values_than_the_defaults():
+def test_sensitivities_warn_of_jumps_that_only_changed_parameters_cause():
     """With equal defaults nothing jumps."""
     model = loaded(lambda x, v, t: sm.Piecewise((A, x < S), (B, True)))
     assert model.simulate((0.0, 0.1), sensitivities=["k"]).success
@@ -794,7 +794,7 @@ def test_jumps_with_other_values_than_the_defaults():
         model.simulate((0.0, 0.1), sensitivities=["k"], parameters={"a": 1.0})
 
 
-def test_jumps_that_no_state_shows():
+def test_force_without_real_values_has_a_jump_that_is_stated_as_unknown():
     """The force has no real value anywhere, on neither side of v = 0: whether it jumps there is said to be unknown."""
     with pytest.warns(fb.ModelWarning, match="was not compared with its equations"):
         model = loaded(lambda x, v, t: A * sm.sign(v) * sm.sqrt(-1 - x**2))
@@ -803,7 +803,7 @@ def test_jumps_that_no_state_shows():
 
 
 @pytest.mark.parametrize("stiffness", [1e5, 1e6])
-def test_derivatives_through_a_contact(stiffness):
+def test_sensitivities_through_a_contact_equal_closed_forms(stiffness):
     """A fall from rest onto a spring, y + g / w^2 = R cos(w t - phase), and up again with the same speed.
 
     A derivative that is zero in the fall, of the speed by the height, grows from the kink on. At default tolerances,
@@ -832,12 +832,12 @@ def test_derivatives_through_a_contact(stiffness):
 
 
 @pytest.mark.parametrize("name", STEADY)
-def test_forces_that_do_not_jump_at_unknown_times(name):
+def test_sensitivities_with_continuous_forces_give_no_warning(name):
     model = loaded(STEADY[name])
     assert model.simulate((0.0, 0.1), sensitivities=["k"]).success
 
 
-def test_jumps_of_an_input_count_unless_it_is_given():
+def test_sensitivities_warn_of_jumps_of_an_input_unless_it_is_given():
     model = fb.compile_model(driven_oscillator(force=sm.sign(sm.sin(5 * me.dynamicsymbols._t))))
     with pytest.warns(fb.ModelWarning, match="sign of t"):
         model.simulate((0.0, 0.1), [0.3, 0.1], sensitivities=["k"])
@@ -852,7 +852,7 @@ def test_jumps_of_an_input_count_unless_it_is_given():
         lambda x, v, t: -A * v * sm.sqrt(v**2),
     ],
 )
-def test_powers_of_what_is_zero(load):
+def test_sensitivities_with_powers_of_zero_speeds_equal_differences(load):
     """From rest, where derivatives of powers are limits."""
     model, h = loaded(load), 1e-5
     names = [name for name in ("a", "b", "x") if name in (*model.parameters, "x")]
@@ -870,7 +870,7 @@ def test_powers_of_what_is_zero(load):
         assert run.gradient({"x": 1.0})[name] == pytest.approx(run.sensitivity[name][0, 0], rel=1e-10)
 
 
-def test_gradients_that_there_are_not(four_bar):
+def test_gradients_of_runs_without_them_and_wrong_costs_are_refused(four_bar):
     run = four_bar.simulate((0.0, 0.1), t_eval=[0.0, 0.1])
     with pytest.raises(fb.ModelError, match="gradient=True"):
         run.gradient({"q1": 1.0})
@@ -889,7 +889,7 @@ def test_gradients_that_there_are_not(four_bar):
         kept.resample([0.05]).gradient({"q1": 1.0})
 
 
-def test_parameters_that_redundant_constraints_lock():
+def test_sensitivities_by_parameters_locked_by_redundant_constraints_are_refused():
     """With a bar too many, loops close only if all bars have the same length, and are where they are."""
     model = fb.compile_model(parallelogram())
     given = {"coordinates": {"q_AB": 1.2}, "speeds": {"u_AB": 2.0}}
@@ -915,7 +915,7 @@ def test_parameters_that_redundant_constraints_lock():
 
 @pytest.mark.parametrize("how", [{"gradient": True}, {"sensitivities": ["q_AB"]}, {"gradient": True, "rtol": 1e-5}])
 @pytest.mark.parametrize("start", [(0.5, -1.0), (1.2, -2.0)])
-def test_derivatives_do_not_go_on_into_a_singular_position(start, how):
+def test_run_with_derivatives_into_a_singular_position_ends_before_it(start, how):
     """All bars come to lie along the ground, where no derivative exists: the run ends before, after some hundred steps.
 
     Rounding errors of derivatives grow there, whatever the length of steps.
@@ -929,7 +929,7 @@ def test_derivatives_do_not_go_on_into_a_singular_position(start, how):
     assert run.t.size < 1000
 
 
-def test_bad_input(four_bar):
+def test_sensitivities_by_wrong_names_or_methods_are_refused_with_a_message(four_bar):
     def refused(sentence, **how):
         with pytest.raises(fb.ModelError, match=sentence):
             four_bar.simulate((0.0, 1.0), **how)
@@ -951,7 +951,7 @@ def test_bad_input(four_bar):
     refused(r"of the shape \(2, 6\), not \(6,\)", x0=x0, sensitivities=["F"], inputs=table, dx0={"F": np.zeros(6)})
 
 
-def test_no_derivative_at_a_singular_position(four_bar):
+def test_run_with_derivatives_at_a_singular_position_fails_with_a_message(four_bar):
     for how in ({"sensitivities": ["k"]}, {"gradient": True}):
         run = four_bar.simulate((0.0, 8.0), rtol=1e-8, atol=1e-8, **how)
         assert not run.success
@@ -965,7 +965,7 @@ def test_no_derivative_at_a_singular_position(four_bar):
         four_bar.initial_state({"q1": 0.0}, {"u1": 0.7}, parameters={"l2": 0.9}, derivatives=True)
 
 
-def test_derivatives_that_outgrow_numbers_are_said():
+def test_sensitivities_of_a_chaotic_motion_that_overflow_are_reported():
     """A chaotic motion: they grow by e in about a second, up to 1e308."""
     model = fb.compile_model(fb.models.chain(2))
     run = model.simulate((0.0, 1000.0), sensitivities=["q1"], t_eval=[1.0, 500.0, 1000.0])

@@ -26,7 +26,7 @@ def reference(four_bar):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_every_method_reaches_the_same_end(four_bar, reference, method):
+def test_every_method_from_the_defaults_reaches_the_reference_state(four_bar, reference, method):
     run = four_bar.simulate((0.0, 4.0), method=method, rtol=1e-7, atol=1e-9)
     assert run.success
     assert run.t[-1] == 4.0
@@ -37,7 +37,7 @@ def test_every_method_reaches_the_same_end(four_bar, reference, method):
 @pytest.mark.parametrize("method", ["RK23", "RK45", "DOP853"])
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-6, 1e-10])
 @pytest.mark.parametrize("end", [4.0, -3.0])
-def test_steps_in_c_are_scipys(four_bar, method, tolerance, end):
+def test_solvers_in_solve_ivp_take_scipys_steps_at_every_tolerance(four_bar, method, tolerance, end):
     x0 = np.repeat(four_bar.initial_state(), 2)[::2]
     how = {"rtol": tolerance, "atol": np.full(6, tolerance), "max_step": 0.5, "dense_output": True}
     scipys = solve_ivp(four_bar.ode(), (0.0, end), x0, method=method, **how)
@@ -51,7 +51,7 @@ def test_steps_in_c_are_scipys(four_bar, method, tolerance, end):
     np.testing.assert_allclose(ours.sol(times), scipys.sol(times), rtol=0, atol=1e-9)
 
 
-def test_steps_in_c_take_scipys_options(four_bar):
+def test_solvers_take_first_step_and_refuse_functions_that_are_not_compiled(four_bar):
     x0 = four_bar.initial_state()
     first = fb.solvers.RK45(four_bar.ode(), 0.0, x0, 4.0, first_step=0.01)
     first.step()
@@ -71,7 +71,7 @@ def test_an_error_in_a_callable_input_ends_a_step_in_c(four_bar):
 
 
 @pytest.mark.parametrize("method", ["Radau", "BDF", "LSODA"])
-def test_implicit_methods_use_the_compiled_jacobian(four_bar, method, monkeypatch):
+def test_implicit_methods_use_the_compiled_jacobian_unless_there_is_feedback(four_bar, method, monkeypatch):
     given = {}
     scipys = getattr(scipy.integrate, method)
     construct = scipys.__init__
@@ -85,7 +85,7 @@ def test_implicit_methods_use_the_compiled_jacobian(four_bar, method, monkeypatc
     assert "jac" not in given
 
 
-def test_result_has_scipys_names_and_shapes(four_bar):
+def test_trajectory_of_a_run_has_scipys_names_and_shapes(four_bar):
     run = four_bar.simulate((0.0, 1.0), t_eval=np.linspace(0, 1, 11), dense_output=True)
     assert run.t.shape == (11,)
     assert run.y.shape == (6, 11)
@@ -101,7 +101,7 @@ def test_result_has_scipys_names_and_shapes(four_bar):
     assert run.y_events is None
 
 
-def test_residual_of_what_rolls_without_loops():
+def test_constraint_residual_of_a_rolling_disc_is_the_slip_of_its_contact():
     """The slip of the disc's contact, m/s: (u4 - r q3' cos q1, u5 - r q3' sin q1)."""
     disc = fb.compile_model(fb.models.rolling_disc())
     run = disc.simulate((0.0, 1.0), constraints="none", rtol=1e-3, atol=1e-3)
@@ -114,7 +114,7 @@ def test_residual_of_what_rolls_without_loops():
     assert bicycle.constraint_residual.shape == (5, len(bicycle.t))  # a wheel on the ground, and four of slip
 
 
-def test_residual_and_energies_along_a_trajectory_are_the_models(four_bar):
+def test_residual_and_energies_of_a_run_equal_those_of_the_model_at_its_states(four_bar):
     parameters = {"l2": 0.45}
     run = four_bar.simulate((0.0, 1.0), parameters=parameters, t_eval=[0.0, 0.7, 1.0])
     for i, t in enumerate(run.t):
@@ -124,7 +124,7 @@ def test_residual_and_energies_along_a_trajectory_are_the_models(four_bar):
         assert run.potential_energy[i] == four_bar.potential_energy(t, run.y[:, i], parameters)
 
 
-def test_events(four_bar):
+def test_terminal_event_ends_the_run_at_the_sign_change(four_bar):
     def lowest(t, x):
         return x[3]
 
@@ -143,16 +143,16 @@ class TestInputs:
     def end(self, four_bar, **options):
         return four_bar.simulate((0.0, 1.0), rtol=1e-10, atol=1e-10, **options).y[:, -1]
 
-    def test_callable_of_time_is_the_expression(self, four_bar):
+    def test_callable_input_of_time_gives_the_motion_of_the_same_expression(self, four_bar):
         end = self.end(four_bar, inputs={"F": lambda t, x: 100 * np.sin(np.pi * t)})
         np.testing.assert_allclose(end, self.end(four_bar), rtol=0, atol=1e-12)
 
-    def test_table(self, four_bar):
+    def test_table_input_of_a_sine_gives_the_motion_of_the_expression(self, four_bar):
         table = (self.t, 100 * np.sin(np.pi * self.t))
         # Linear interpolation errs by h^2/8 F'' = 3e-7 N, in accelerations of 10 rad/s^2 from some 100 N.
         np.testing.assert_allclose(self.end(four_bar, inputs={"F": table}), self.end(four_bar), rtol=0, atol=1e-7)
 
-    def test_table_agrees_with_numpy(self, four_bar):
+    def test_table_input_at_random_times_equals_numpys_interpolation(self, four_bar):
         generator = np.random.default_rng(1)
         times, values = np.sort(generator.uniform(0, 1, 30)), generator.normal(size=30)
         ode = four_bar.ode(inputs={"F": (times, values)})
@@ -160,13 +160,13 @@ class TestInputs:
         for t in [*generator.uniform(-0.2, 1.2, 500), times[0], times[-1], *times]:
             assert ode.input_values(t, x0)[0] == pytest.approx(np.interp(t, times, values), rel=1e-12, abs=1e-12)
 
-    def test_number(self, four_bar):
+    def test_constant_input_gives_the_motion_of_a_constant_table(self, four_bar):
         constant = self.end(four_bar, inputs={"F": 30.0})
         as_table = self.end(four_bar, inputs={me.dynamicsymbols("F"): ([0.0, 1.0], [30.0, 30.0])})
         np.testing.assert_allclose(constant, as_table, rtol=0, atol=1e-12)
         assert np.abs(constant - self.end(four_bar)).max() > 0.1
 
-    def test_feedback_sees_the_state(self, four_bar):
+    def test_callable_input_gets_the_state_of_each_evaluation(self, four_bar):
         seen = []
         run = four_bar.simulate((0.0, 0.1), inputs={"F": lambda t, x: seen.append(np.array(x)) or -20 * x[3]})
         assert run.success
@@ -174,14 +174,14 @@ class TestInputs:
         assert all(x.shape == (6,) for x in seen)
         np.testing.assert_array_equal(seen[0], run.y[:, 0])
 
-    def test_feedback_with_an_implicit_method(self, four_bar):
+    def test_callable_input_of_the_state_with_radau_gives_the_explicit_motion(self, four_bar):
         def feedback(t, x):
             return -200 * x[3]
 
         implicit = self.end(four_bar, inputs={"F": feedback}, method="Radau")
         np.testing.assert_allclose(implicit, self.end(four_bar, inputs={"F": feedback}), rtol=0, atol=1e-6)
 
-    def test_exception_in_a_callable_comes_through(self, four_bar):
+    def test_callable_input_that_raises_ends_simulate_with_its_error(self, four_bar):
         def broken(t, x):
             raise ZeroDivisionError("mine")
 
@@ -189,7 +189,7 @@ class TestInputs:
             four_bar.simulate((0.0, 1.0), inputs={"F": broken})
 
 
-def test_callables_of_the_right_hand_side_return_fresh_arrays(four_bar):
+def test_right_hand_side_called_again_returns_a_new_array(four_bar):
     ode, x0 = four_bar.ode(), four_bar.initial_state()
     first = ode(0.0, x0)
     kept = first.copy()
@@ -200,7 +200,7 @@ def test_callables_of_the_right_hand_side_return_fresh_arrays(four_bar):
     np.testing.assert_array_equal(ode.jac(0.0, x0), four_bar.jacobian(0.0, x0))
 
 
-def test_any_layout_of_the_state(four_bar):
+def test_state_in_any_memory_layout_gives_the_same_rates(four_bar):
     x0 = four_bar.initial_state()
     expected = four_bar.rhs(0.0, x0)
     strided = np.repeat(x0, 2)[::2]
@@ -214,7 +214,7 @@ def test_any_layout_of_the_state(four_bar):
     np.testing.assert_array_equal(out, expected)
 
 
-def test_parameters_by_name_by_symbol_and_in_order(four_bar):
+def test_parameters_by_name_symbol_and_order_give_the_same_rates(four_bar):
     import sympy as sm
 
     x0 = four_bar.initial_state()
@@ -227,7 +227,7 @@ def test_parameters_by_name_by_symbol_and_in_order(four_bar):
     assert np.abs(four_bar.rhs(0.0, x0) - expected).max() > 0.1
 
 
-def test_a_run_keeps_its_inputs_whatever_becomes_of_what_was_given(four_bar):
+def test_run_keeps_its_inputs_when_the_given_arrays_change(four_bar):
     times, values, number = np.array([0.0, 0.5, 1.0]), np.array([0.0, 10.0, -10.0]), np.array(4.0)
     table = [times, values]
     for source in (table, tuple(table), number):
@@ -243,7 +243,7 @@ def test_a_run_keeps_its_inputs_whatever_becomes_of_what_was_given(four_bar):
         table[:], values[:], number[...] = [times, values], [0.0, 10.0, -10.0], 4.0
 
 
-def test_a_callable_stays_the_one_that_was_given(four_bar):
+def test_callable_input_of_a_run_is_kept_as_the_same_object(four_bar):
     class Force:
         gain = 1.0
 
@@ -254,14 +254,14 @@ def test_a_callable_stays_the_one_that_was_given(four_bar):
     assert four_bar.simulate((0.0, 0.1), inputs={"F": force}).inputs["F"] is force
 
 
-def test_inputs_of_a_single_evaluation(four_bar):
+def test_inputs_by_order_name_or_default_give_the_same_rates(four_bar):
     x0 = four_bar.initial_state()
     np.testing.assert_array_equal(four_bar.rhs(0.5, x0, r=[100.0]), four_bar.rhs(0.5, x0))
     np.testing.assert_array_equal(four_bar.rhs(0.5, x0, r={"F": 100.0}), four_bar.rhs(0.5, x0))
     np.testing.assert_array_equal(four_bar.rhs(0.5, x0, r={}), four_bar.rhs(0.5, x0))
 
 
-def test_initial_state_finds_the_assembly_that_the_guess_is_near(four_bar):
+def test_initial_state_with_a_guess_finds_the_nearest_assembly_mode(four_bar):
     down = four_bar.initial_state({"q1": -0.5}, guess={"q2": -1.5, "q3": -1.5})
     up = four_bar.initial_state({"q1": -0.5}, guess={"q2": 1.5, "q3": 1.5})
     assert down[1] < 0 < up[1]
@@ -270,7 +270,7 @@ def test_initial_state_finds_the_assembly_that_the_guess_is_near(four_bar):
         np.testing.assert_allclose(four_bar.velocity_constraints(0.0, x), 0.0, atol=1e-14)
 
 
-def test_saved_files_hold_the_trajectory(four_bar, tmp_path):
+def test_run_saved_as_csv_npz_and_png_holds_the_trajectory(four_bar, tmp_path):
     run = four_bar.simulate((0.0, 1.0), t_eval=np.linspace(0, 1, 5))
     with run.save(tmp_path / "new folder" / "run.csv").open() as file:
         header, *rows = csv.reader(file)
@@ -283,7 +283,7 @@ def test_saved_files_hold_the_trajectory(four_bar, tmp_path):
     assert picture.startswith(b"\x89PNG")
 
 
-def test_run_into_a_singular_position_is_reported_in_the_message():
+def test_right_hand_side_at_a_singular_position_raises_an_error_that_says_so():
     # Both bars of a parallelogram in line: J loses rank, and the motion cannot go on along the constraint.
     four_bar = fb.load("four_bar")
     parameters = {"l1": 1.0, "l2": 1.0, "l3": 1.0, "l4": 1.0, "k": 0.0, "c": 0.0, "g": 0.0}
@@ -292,7 +292,7 @@ def test_run_into_a_singular_position_is_reported_in_the_message():
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_integrator_failure_is_reported_in_the_message(four_bar, method):
+def test_run_with_an_input_that_becomes_nan_stops_with_a_message_by_every_method(four_bar, method):
     run = four_bar.simulate((0.0, 1.0), method=method, inputs={"F": lambda t, x: 10.0 if t < 0.5 else np.nan})
     assert not run.success
     assert run.status == -1
@@ -302,7 +302,7 @@ def test_integrator_failure_is_reported_in_the_message(four_bar, method):
     assert np.isfinite(run.y).all()
 
 
-def test_models_and_trajectories_go_to_other_processes(four_bar):
+def test_pickled_model_and_trajectory_give_the_same_values(four_bar):
     run = four_bar.simulate((0.0, 0.5))
     again = pickle.loads(pickle.dumps(run))
     np.testing.assert_array_equal(again.y, run.y)
@@ -311,7 +311,7 @@ def test_models_and_trajectories_go_to_other_processes(four_bar):
 
 
 @pytest.mark.parametrize("method", [*METHODS, "ALI3P", "CVODE", "IDA"])
-def test_interpolants_go_to_other_processes(four_bar, method):
+def test_pickled_dense_output_of_every_method_gives_the_same_states(four_bar, method):
     inputs = {"F": ([0.0, 1.0, 2.0], [0.0, 50.0, -50.0])}
     run = four_bar.simulate((0.0, 0.5), method=method, inputs=inputs, dense_output=True, max_step=0.05)
     again = pickle.loads(pickle.dumps(run))
@@ -320,7 +320,7 @@ def test_interpolants_go_to_other_processes(four_bar, method):
     assert len(again.resample(times).t) == 23
 
 
-def test_right_hand_sides_and_steppers_go_to_other_processes(four_bar):
+def test_pickled_right_hand_side_and_stepper_go_on_with_the_same_values(four_bar):
     inputs = {"F": ([0.0, 1.0, 2.0], [0.0, 50.0, -50.0])}
     ode, stepper = four_bar.ode({"l2": 0.45}, inputs), four_bar.stepper(0.01, t=0.3, inputs=inputs)
     for _ in range(7):
@@ -334,7 +334,7 @@ def test_right_hand_sides_and_steppers_go_to_other_processes(four_bar):
         pickle.dumps(four_bar.ode(inputs={"F": lambda t, x: 0.0}))
 
 
-def test_threads_do_not_disturb_each_other(four_bar):
+def test_threads_that_evaluate_one_model_get_their_own_results(four_bar):
     # Mappings and callables run Python in the middle of a call, where another thread may come in.
     x0 = four_bar.initial_state()
     lengths = np.linspace(0.4, 0.5, 8)
@@ -349,7 +349,7 @@ def test_threads_do_not_disturb_each_other(four_bar):
         list(pool.map(work, range(8)))
 
 
-def test_threads_may_share_a_right_hand_side():
+def test_threads_that_integrate_one_right_hand_side_get_the_results_of_single_runs():
     # Of many loops: a step takes so long without Python that another thread's begins meanwhile.
     row = fb.compile_model(fb.models.n_four_bar(20))
     ode = row.ode()
@@ -367,7 +367,7 @@ def test_threads_may_share_a_right_hand_side():
             np.testing.assert_array_equal(found, alone)
 
 
-def test_feedback_may_ask_the_same_model(four_bar):
+def test_callable_input_that_evaluates_its_own_model_gives_scipys_motion(four_bar):
     def energy(t, x):
         # Other values, another layout and other parameters than those of the evaluation that asks.
         strided = np.repeat(0.5 * np.array(x), 2)[::2]
@@ -382,7 +382,7 @@ def test_feedback_may_ask_the_same_model(four_bar):
 
 
 @pytest.mark.parametrize("method", ["RK23", "RK45", "DOP853"])
-def test_a_step_without_bound_ends_the_run(four_bar, method):
+def test_run_to_infinite_time_ends_where_its_steps_overflow(four_bar, method):
     # In free fall, without gravity, every step is exact and the next one ten times as long.
     block = fb.compile_model(coordinate_free())
     run = solve_ivp(block.ode({"b": 0.0}), (0.0, np.inf), [1.0], method=getattr(fb.solvers, method))
@@ -394,7 +394,7 @@ def test_a_step_without_bound_ends_the_run(four_bar, method):
         solver._stepper.step(0.0, 0.1, four_bar.initial_state(), np.zeros((1, 1)))
 
 
-def test_a_live_solver_follows_its_settings(four_bar):
+def test_solver_whose_bound_and_tolerance_change_takes_scipys_steps(four_bar):
     x0 = four_bar.initial_state()
     ends = []
     for solvers in (fb.solvers, scipy.integrate):
@@ -410,7 +410,7 @@ def test_a_live_solver_follows_its_settings(four_bar):
 
 
 @pytest.mark.parametrize("method", ["BDF", "Radau", "RK45"])
-def test_a_callables_own_error_is_not_taken_for_a_failure(four_bar, method):
+def test_callable_input_that_raises_after_nan_raises_its_own_error(four_bar, method):
     count = 0
 
     def force(t, x):
@@ -426,7 +426,7 @@ def test_a_callables_own_error_is_not_taken_for_a_failure(four_bar, method):
         four_bar.simulate((0.0, 1.0), method=method, inputs={"F": force})
 
 
-def test_a_callable_may_use_the_state_as_its_own(four_bar):
+def test_callable_input_that_writes_into_its_state_leaves_the_run_unchanged(four_bar):
     def force(t, x):
         x[:] = 0.0
         return 10.0
@@ -435,7 +435,7 @@ def test_a_callable_may_use_the_state_as_its_own(four_bar):
     np.testing.assert_array_equal(four_bar.simulate((0.0, 1.0), inputs={"F": force}).y, expected.y)
 
 
-def test_lsoda_with_a_band(four_bar):
+def test_lsoda_with_band_options_runs_to_the_end(four_bar):
     x0 = four_bar.initial_state()
     run = solve_ivp(four_bar.ode(), (0.0, 1.0), x0, method=fb.solvers.LSODA, lband=5, uband=5)
     assert run.success

@@ -22,7 +22,7 @@ def columns(run):
     return zip(run.t, run.y.T, strict=True)
 
 
-def test_a_change_point_linkage_turns_over(four_bar):
+def test_ali3p_turns_a_change_point_linkage_over_with_second_order(four_bar):
     """The tutorial's linkage without spring, damper and force, fast enough to pass positions in which all links lie on
     a line: its energy is conserved, and the mechanism comes to the same place, to second order."""
     free = {"parameters": {"k": 0.0, "c": 0.0}, "inputs": {"F": 0.0}}
@@ -38,7 +38,7 @@ def test_a_change_point_linkage_turns_over(four_bar):
     assert np.log2(changes[0] / changes[1]) == pytest.approx(2.0, abs=0.3)
 
 
-def test_a_change_point_linkage_closed_as_a_spatial_one(four_bar):
+def test_ali3p_with_redundant_spatial_rows_gives_the_planar_motion(four_bar):
     """Rows that are redundant everywhere, and lose rank on top of that: through the same positions."""
     spatial = fb.compile_model(spatial_four_bar())
     free = {"parameters": {"k": 0.0, "c": 0.0}, "inputs": {"F": 0.0}}
@@ -63,7 +63,7 @@ def test_a_change_point_linkage_closed_as_a_spatial_one(four_bar):
         (fb.models.cartesian_pendulum, {"y": 0.0}, None),
     ],
 )
-def test_regular_motions_to_second_order(make, start, speeds):
+def test_ali3p_on_regular_motions_converges_to_dop853_with_second_order(make, start, speeds):
     """Against SciPy's DOP853 at 1e-11."""
     model = fb.compile_model(make())
     x0 = model.initial_state(start, speeds)
@@ -77,7 +77,7 @@ def test_regular_motions_to_second_order(make, start, speeds):
     np.testing.assert_allclose(np.log2(errors[:-1]) - np.log2(errors[1:]), 2.0, atol=0.1)
 
 
-def test_backwards(four_bar):
+def test_ali3p_backwards_returns_to_the_start(four_bar):
     x0 = four_bar.initial_state()
     there = four_bar.simulate((0.0, 1.0), x0, method="ALI3P", max_step=1e-3)
     back = four_bar.simulate((1.0, 0.0), there.y[:, -1], method="ALI3P", max_step=1e-3)
@@ -85,7 +85,7 @@ def test_backwards(four_bar):
     np.testing.assert_allclose(back.y[:, -1], x0, atol=1e-6)
 
 
-def test_redundant_constraints():
+def test_ali3p_with_repeated_constraints_gives_the_motion_of_single_ones():
     single = fb.compile_model(fb.models.cartesian_pendulum())
     repeated = fb.compile_model(pendulum(circle, 3 * circle, -0.2 * circle))
     x0 = single.initial_state([0.6], [0.5])
@@ -94,7 +94,7 @@ def test_redundant_constraints():
     np.testing.assert_allclose(runs[1].y, runs[0].y, rtol=0, atol=4e-9 * np.abs(runs[0].y[2:]).max())
 
 
-def test_a_parallelogram_with_a_bar_too_many_falls_over():
+def test_ali3p_on_redundant_parallelograms_equals_an_inverted_pendulum():
     """Through its level position: l p'' = g sin p, an inverted pendulum."""
     model = fb.compile_model(three_uprights())
     x0 = model.initial_state({"p0": 0.5}, {"v0": 0.7}, guess=[0.5, 0.5, 0.0])
@@ -110,7 +110,7 @@ def test_a_parallelogram_with_a_bar_too_many_falls_over():
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.2)
 
 
-def test_what_is_wrong_is_refused(four_bar):
+def test_ali3p_without_max_step_or_with_wrong_options_is_refused(four_bar):
     with pytest.raises(fb.ModelError, match="max_step"):
         four_bar.simulate((0.0, 1.0), method="ALI3P")
     with pytest.raises(fb.ModelError, match="baumgarte"):
@@ -120,17 +120,17 @@ def test_what_is_wrong_is_refused(four_bar):
 
 
 @pytest.mark.parametrize(("begin", "h"), [(0.0, 5e-6), (1000.0, 1e-4)])
-def test_rounding_errors_of_short_steps_and_late_times(four_bar, begin, h):
+def test_ali3p_with_short_steps_or_late_times_equals_dop853(four_bar, begin, h):
     """Speeds come to rest at t = 0.8; the times' rounding errors leave a sliver of a step at the end."""
     how = {"inputs": {"F": 0.0}, "t_eval": [begin + 1.0]}
     run = four_bar.simulate((begin, begin + 1.0), method="ALI3P", max_step=h, **how)
     exact = four_bar.simulate((begin, begin + 1.0), rtol=1e-12, atol=1e-12, **how)
     assert run.success
-    # h^2 times a constant of order one, as test_regular_motions_to_second_order has it.
+    # h^2 times a constant of order one, as test_ali3p_on_regular_motions_converges_to_dop853_with_second_order has it.
     np.testing.assert_allclose(run.y, exact.y, rtol=0, atol=20.0 * h**2)
 
 
-def test_limits(four_bar):
+def test_ali3p_with_max_steps_ends_there_with_a_message(four_bar):
     run = four_bar.simulate((0.0, 1.0), method="ALI3P", max_step=1e-3, max_steps=10)
     assert not run.success
     assert "max_steps = 10" in run.message
@@ -163,7 +163,7 @@ def test_nothing_is_evaluated_at_a_singular_position(loops, rate):
     np.testing.assert_allclose(model.rhs(0.0, x)[model.n_q : model.n_q + loops + 1], expected, rtol=1e-10)
 
 
-def test_a_run_begins_at_a_singular_position(parallelograms):
+def test_ali3p_from_a_singular_position_keeps_energy_and_the_branch(parallelograms):
     """What passes such positions may begin at one; the energy of N + 1 uprights and N bars across stays."""
     run = parallelograms.simulate((0.0, 0.1), level(parallelograms, 0.0, 1.0), method="ALI3P", max_step=1e-3)
     assert run.success
@@ -193,7 +193,7 @@ def knife_edge(repeated=False):
     return fb.compile_model(fb.Model(system, name="knife_edge"))
 
 
-def test_no_choice_is_made_of_speeds_that_constraints_leave_open():
+def test_initial_state_whose_dependent_speeds_are_undetermined_is_refused():
     """A constraint and its double determine one of two dependent speeds: any speed along the blade satisfies them."""
     twice = knife_edge(repeated=True)
     assert twice.rhs(0.0, [0.0, 0.0, 0.3, 0.5, np.cos(0.3), np.sin(0.3)]) == pytest.approx(
@@ -203,7 +203,7 @@ def test_no_choice_is_made_of_speeds_that_constraints_leave_open():
         twice.initial_state([0.0, 0.0, 0.3], [0.5])
 
 
-def test_rounding_errors_determine_no_dependent_speed():
+def test_dependent_speed_with_a_coefficient_of_rounding_size_is_undetermined():
     """cos(pi/2) is 6e-17 in double: vx says nothing of vy there, nor does its change."""
     blade = knife_edge()
     np.testing.assert_allclose(blade.initial_state([0.0, 0.0, 0.3], [1.0, 0.5])[5], np.tan(0.3), rtol=1e-14)
@@ -218,7 +218,7 @@ def test_rounding_errors_determine_no_dependent_speed():
 
 
 @pytest.mark.parametrize("factor", [1e-6, 1e6])
-def test_rows_of_very_different_size_are_kept_alike(factor):
+def test_ali3p_with_rows_of_very_different_size_keeps_its_second_order(factor):
     """A bead on a great circle, by a sphere times a factor and a plane: a pendulum, whose second order is kept."""
     names = "x y z"
     q, u = me.dynamicsymbols(names), me.dynamicsymbols("u v w")
@@ -244,7 +244,7 @@ def test_rows_of_very_different_size_are_kept_alike(factor):
     assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.2)
 
 
-def test_a_drive_that_locks_is_said():
+def test_run_with_a_drive_to_its_dead_centre_stops_there_with_a_message():
     """A rocker driven to its end, where crank and coupler are in line: by the law of cosines."""
     points = {"O": (0, 0), "A": (0.1, 0), "B": (0.22, 0.35), "R": (0.4, 0)}
     linkage = fb.Linkage("locked", points=points, ground="OR", links=["OA", "AB", "BR"], density=2.0)
@@ -259,7 +259,7 @@ def test_a_drive_that_locks_is_said():
     assert "ALI3P" not in run.message
 
 
-def test_speeds_at_a_lock_are_not_blamed_on_loads():
+def test_run_with_a_drive_that_locks_does_not_report_energy_growth():
     """Their squares are inverse to the distance from the lock, so that the kinetic energy grows beyond all bounds."""
     points = {"O": (0, 0), "A": (0.1, 0.05), "B": (0.22, 0.35), "R": (0.4, 0)}
     linkage = fb.Linkage("fast", points=points, ground="OR", links=["OA", "AB", "BR"], density=2.0, gravity=9.81)

@@ -75,7 +75,7 @@ slider-crank errs by 1.4e-4, compared with DOP853 at 1e-12; index 3 as tests/sim
 
 @pytest.mark.parametrize("name", METHODS)
 @pytest.mark.parametrize("which", CASES)
-def test_runs(which, name, four_bar, slider_crank):
+def test_runs_in_other_units_of_length_mass_and_time_give_the_same_motion(which, name, four_bar, slider_crank):
     model = {"four_bar": four_bar, "slider_crank": slider_crank}[which]
     how, error = METHODS[name]
     how = how | {"method": name.partition(",")[0]}
@@ -92,7 +92,7 @@ def test_runs(which, name, four_bar, slider_crank):
 
 
 @pytest.mark.parametrize("which", CASES)
-def test_positions(which, four_bar, slider_crank):
+def test_initial_states_modes_and_linearizations_in_other_units_are_the_same(which, four_bar, slider_crank):
     """Initial states, assembly modes, and the linear equations about a state; what is open is refused in all units."""
     model = {"four_bar": four_bar, "slider_crank": slider_crank}[which]
     x0 = model.initial_state()

@@ -35,14 +35,14 @@ def added(expression):
         (-2 * sm.sin(A) * sm.cos(B) - 2 * sm.cos(A) * sm.sin(B), -2 * math.sin(0.3 - 1.1)),
     ],
 )
-def test_addition_theorems(expression, closed_form):
+def test_sums_of_products_of_sines_become_one_sine_of_added_angles(expression, closed_form):
     """Numbers by the closed form; 4 units in the last place for its own rounding and that of the sum."""
     value, calls = added(expression)
     assert value == pytest.approx(closed_form, rel=1e-15)
     assert len(calls) == 1
 
 
-def test_chain_of_angles():
+def test_chain_of_three_angles_becomes_one_sine_of_their_sum():
     sine = sm.sin(A) * sm.cos(B) + sm.cos(A) * sm.sin(B)
     cosine = sm.cos(A) * sm.cos(B) - sm.sin(A) * sm.sin(B)
     value, calls = added(sine * sm.cos(C) + cosine * sm.sin(C))
@@ -62,7 +62,7 @@ def test_chain_of_angles():
         (sm.sin(A) * sm.cos(B) + sm.cos(A) * sm.sin(B)) * sm.sin(A) * sm.sin(B),
     ],
 )
-def test_what_is_left_alone(expression):
+def test_sums_of_products_that_no_addition_theorem_fits_stay_as_they_are(expression):
     value, calls = added(expression)
     assert value == pytest.approx(float(expression.subs({A: 0.3, B: -1.1, C: 2.5})), rel=1e-14)
     assert len(calls) == len(expression.atoms(sm.sin, sm.cos))

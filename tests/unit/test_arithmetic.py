@@ -28,7 +28,7 @@ def expressions():
 
 
 @given(expressions(), st.floats(-2.0, 2.0), st.floats(-2.0, 2.0))
-def test_values_are_pythons(text, t, k):
+def test_random_arithmetic_expressions_have_pythons_values(text, t, k):
     functions = {name: getattr(math, name) for name in ("sin", "cos", "exp", "tanh", "pi")}
     try:
         expected = eval(text, {"__builtins__": {}}, {"t": t, "k": k, "abs": abs, "max": max, **functions})
@@ -66,7 +66,7 @@ def test_values_are_pythons(text, t, k):
         ("kk", "Did you mean k"),
     ],
 )
-def test_what_is_no_arithmetic_is_refused(text, words):
+def test_expressions_that_are_no_arithmetic_are_refused(text, words):
     with pytest.raises(fb.ModelError, match=words):
         parse(text, ("t", "k"))
 
@@ -77,12 +77,12 @@ def test_what_is_no_arithmetic_is_refused(text, words):
      ("(-1)**0.5", "no value"), ("abs((-8)**(1/3))", "no value"),
      ("sqrt(-t)", "at t = 1"), ("sin(t, t)", "no value")],
 )  # fmt: skip
-def test_what_has_no_value_says_where(text, words):
+def test_expressions_without_a_value_are_refused_with_the_time(text, words):
     with pytest.raises(fb.ModelError, match=words):
         parse(text, {"t"})({"t": 1.0})
 
 
-def test_an_input_of_the_command_line_is_the_models_own_expression(four_bar, tmp_path):
+def test_command_line_input_expressions_give_the_run_of_the_models_expression(four_bar, tmp_path):
     """The tutorial's F, written once more, with parameters and in -i as well as in -r."""
     expected = four_bar.simulate((0.0, 1.0), rtol=1e-10, atol=1e-10)
     for options in (["-r", "F=100*sin(pi*t)"], ["-i", "F=1000*l2*sin(pi*t)/5"], ["-r", "F=k*sin(t*pi)", "-p", "k=100"]):

@@ -22,7 +22,7 @@ def runs(four_bar):
 
 
 @pytest.mark.parametrize("ending", [".csv", ".npz"])
-def test_those_who_write_at_the_same_time(runs, tmp_path, ending):
+def test_file_written_by_several_processes_is_always_whole(runs, tmp_path, ending):
     """Whoever reads finds one of the files that are written, whole."""
     path = tmp_path / f"run{ending}"
     whole = set()
@@ -44,7 +44,7 @@ def test_those_who_write_at_the_same_time(runs, tmp_path, ending):
 
 
 @pytest.mark.parametrize("ending", [".csv", ".npz", ".nc", ".html", ".png", ".gif"])
-def test_files_that_lie_beside_it(runs, tmp_path, ending):
+def test_file_written_beside_others_of_similar_names_leaves_these(runs, tmp_path, ending):
     mine, path = tmp_path / f"mine{ending}.part", tmp_path / f"run{ending}"
     mine.write_text("mine")
     path.with_name(f"{path.name}.part").symlink_to(mine)  # as somebody may plant it
@@ -59,7 +59,7 @@ def mode_of(path):
     return stat.S_IMODE(path.stat().st_mode)
 
 
-def test_modes_are_kept(runs, tmp_path):
+def test_file_that_is_replaced_keeps_its_mode(runs, tmp_path):
     old = os.umask(0o027)
     try:
         assert mode_of(runs[0].save(tmp_path / "new.csv")) == 0o640
@@ -77,7 +77,7 @@ def test_modes_are_kept(runs, tmp_path):
         assert path.stat().st_size == 3
 
 
-def test_what_a_link_points_to_is_written(runs, tmp_path):
+def test_file_behind_a_link_is_written_and_the_link_kept(runs, tmp_path):
     kept, link = tmp_path / "kept", tmp_path / "run.gif"
     kept.mkdir()
     link.symlink_to("kept/data.bin")
@@ -88,7 +88,7 @@ def test_what_a_link_points_to_is_written(runs, tmp_path):
     assert {*tmp_path.iterdir(), *kept.iterdir()} == {kept, link, kept / "data.bin"}
 
 
-def test_what_is_no_file_stays(runs, tmp_path, monkeypatch):
+def test_paths_that_are_no_regular_files_are_refused_and_stay(runs, tmp_path, monkeypatch):
     (tmp_path / "folder.csv").mkdir()
     os.mkfifo(tmp_path / "pipe.csv")
     (tmp_path / "loop.csv").symlink_to("loop.csv")
@@ -105,12 +105,12 @@ def test_what_is_no_file_stays(runs, tmp_path, monkeypatch):
     assert Path("/dev/null").is_char_device()
 
 
-def test_names_as_long_as_the_system_takes(runs, tmp_path):
+def test_file_with_the_longest_name_of_the_system_is_written(runs, tmp_path):
     path = tmp_path / f"{'n' * 251}.csv"
     assert runs[0].save(path).is_file()
 
 
-def test_what_was_written_is_on_the_disk_before_it_is_seen(tmp_path, monkeypatch):
+def test_file_is_synced_to_the_disk_before_it_replaces_the_old_one(tmp_path, monkeypatch):
     path = tmp_path / "run.csv"
     synced = []
     monkeypatch.setattr(files.os, "fsync", lambda file: synced.append((os.fstat(file).st_size, path.exists())))

@@ -46,12 +46,12 @@ def convert():
         ((1 + sm.Integer(2) ** 127 * a) / (1 + a) - 1, False),
     ],
 )
-def test_is_zero(convert, expression, same):
+def test_identities_of_all_kinds_are_told_from_other_expressions(convert, expression, same):
     scalar = convert(expression)
     assert is_zero(convert.tape, [scalar]) == [same]
 
 
-def test_existing_nodes_are_reused(convert):
+def test_expressions_equal_to_known_nodes_are_replaced_by_these(convert):
     # cos(a + b) by the direction cosines of two frames, associated in two ways
     first = convert((sm.cos(a) * sm.cos(b) - sm.sin(a) * sm.sin(b)) * sm.cos(c))
     known = convert.tape.reach([first])
@@ -85,14 +85,14 @@ def held_on(curve):
     ],
     ids=str,
 )
-def test_narrow_and_small_terms_stay(curve):
+def test_narrow_or_small_terms_of_a_constraint_stay_in_its_jacobian(curve):
     compiled = fb.compile_model(held_on(curve))
     for x in (0.02, -0.01):
         slope = float(curve.diff(q1).subs({q1: x, K: 1e16}))
         np.testing.assert_allclose(compiled.constraint_jacobian(0.0, [x, 0.1]), [[-slope, 1.0]], rtol=1e-9, atol=1e-12)
 
 
-def test_a_branch_that_is_not_taken_has_no_part():
+def test_derivative_of_a_branch_that_is_not_taken_has_no_part():
     # The root's slope is not a number where it is not taken.
     compiled = fb.compile_model(held_on(sm.Piecewise((sm.sqrt(q1), q1 > 0), (0, True))))
     for x, slope in ((0.25, 1.0), (-0.5, 0.0)):
@@ -100,7 +100,7 @@ def test_a_branch_that_is_not_taken_has_no_part():
         assert np.isfinite(compiled.jacobian(0.0, [x, 0.1, 0.3, 0.2])).all()
 
 
-def test_a_velocity_that_is_the_natural_one_in_places_stays():
+def test_velocity_equal_to_the_natural_one_in_places_stays_as_set():
     m = sm.Symbol("m")
     ground, origin = me.ReferenceFrame("N"), me.Point("O")
     origin.set_vel(ground, 0)
@@ -115,7 +115,7 @@ def test_a_velocity_that_is_the_natural_one_in_places_stays():
     assert [compiled.tree_mass_matrix(0.0, [q, 1.0])[0, 0] for q in (3.0, 5.0)] == [3.0, 12.0]
 
 
-def test_a_sum_with_a_common_part_as_a_term_of_its_own():
+def test_sums_with_a_common_part_as_a_term_have_closed_form_rates():
     x, y, z, u, v, w = me.dynamicsymbols("x y z u v w")
     ground, origin = me.ReferenceFrame("N"), me.Point("O")
     origin.set_vel(ground, 0)
@@ -201,7 +201,7 @@ FOUR = """{
 
 @pytest.mark.parametrize("loop", [ONE, FOUR], ids=["one", "four"])
 @pytest.mark.parametrize("flags", [[], ["-march=native"]], ids=["portable", "native"])
-def test_sine_and_cosine(tmp_path, loop, flags):
+def test_sine_and_cosine_in_loops_are_accurate_at_all_angles(tmp_path, loop, flags):
     (tmp_path / "angle.c").write_text(
         '#include "fourbar_angle.h"\n'
         f"void angles(const double *x, double *s, double *c, int n)\n{{\n    for (int i = 0; i < n; ++i) {loop}\n}}\n"

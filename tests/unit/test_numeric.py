@@ -31,7 +31,7 @@ def evaluated(expression, *values):
 
 
 @pytest.mark.parametrize("of", OF_ONE, ids=str)
-def test_functions(of):
+def test_functions_of_one_argument_equal_sympys_with_30_digits(of):
     """To a few units in the last place, which libraries for mathematics promise."""
     at = WITHIN.get(of, 0.3)
     expected = float(of(sm.Float(at, 30)).evalf(30))
@@ -49,14 +49,14 @@ def test_functions(of):
     ],
     ids=str,
 )  # fmt: skip
-def test_expressions_at_many_points(expression):
+def test_expressions_of_two_arguments_at_many_points_equal_sympys(expression):
     points = [(0.3, 0.7), (1.5, 0.2), (0.9, 1.6)]
     expected = [float(expression.doit().subs({X: sm.Float(x, 30), Y: sm.Float(y, 30)}).evalf(30)) for x, y in points]
     found = np.broadcast_to(evaluated(expression, *np.transpose(points)), len(points))
     np.testing.assert_allclose(found, expected, rtol=1e-14)
 
 
-def test_what_has_no_real_value_is_not_a_number():
+def test_functions_without_a_real_value_are_nan_also_in_branches_not_taken():
     """Nor an exception, which would take the values of all others with it; a branch that is not taken does no harm."""
     roots = [sm.sqrt(X), sm.log(X), sm.asin(X - 2), X ** sm.Rational(3, 2), 1 / (X + 1), sm.gamma(X), sm.exp(-1e5 * X)]
     assert not any(np.isfinite(evaluated(root, -1.0)) for root in roots)

@@ -26,6 +26,12 @@ def own_cache(tmp_path_factory):
     return folder
 
 
+@pytest.fixture
+def unoptimized(monkeypatch):
+    """Extension modules are compiled in a third of the time, for tests of what happens to their files."""
+    monkeypatch.setenv("CFLAGS", "-O0")
+
+
 @pytest.fixture(scope="session")
 def four_bar():
     return fb.load("four_bar")
@@ -46,6 +52,15 @@ def browser():
         browser = playwright.chromium.launch(executable_path=chromium, args=options)
         yield browser
         browser.close()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """``slow(but=["a", "b"])`` on a parametrized test leaves the cases a and b in `make test`."""
+    for item in items:
+        mark = item.get_closest_marker("slow")
+        if mark and hasattr(item, "callspec") and item.callspec.id in mark.kwargs.get("but", ()):
+            item.own_markers = [own for own in item.own_markers if own.name != "slow"]
 
 
 def pytest_deselected(items):

@@ -27,6 +27,15 @@ from fourbar_codegen import compile as pipeline
 from fourbar_codegen.building import cache, library, toolchain
 from fourbar_codegen.expressions import fingerprint
 
+
+@pytest.fixture(scope="module", autouse=True)
+def unoptimized():
+    """What is compiled here need not be fast."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CFLAGS", "-O0")
+        yield
+
+
 CHANGES = [
     "orientation", "angular velocity", "position", "velocity", "mass", "inertia", "body", "load", "point of a load",
     "actuator", "partition of the coordinates", "partition of the speeds", "kinematic equation", "holonomic constraint",

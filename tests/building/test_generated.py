@@ -13,7 +13,7 @@ import scipy
 import sympy as sm
 from builders.systems import coordinate_free, fixed, pendulum, slider
 from harness import PROJECT
-from harness.programs import compile_c, require
+from harness.programs import require
 
 import fourbar_codegen as fb
 from fourbar_codegen.codegen.c_expressions import Text
@@ -72,19 +72,23 @@ def sources_of(name):
     return fb.generate_sources(MODELS[name]())
 
 
-@pytest.mark.parametrize("compiler", ["gcc", "clang"])
-@pytest.mark.parametrize("optimization", ["-O3", "-O2 -mavx2", "-O2 -mavx512f"])
+# gcc warns of what it finds while it optimizes, clang of what it reads.
+@pytest.mark.parametrize("compiler", ["gcc -O1", "clang -fsyntax-only"])
+@pytest.mark.parametrize("instructions", ["", "-mavx2", "-mavx512f"])
 @pytest.mark.parametrize("name", MODELS)
-def test_kernel_compiles_without_warnings(tmp_path, compiler, optimization, name):
+def test_kernel_compiles_without_warnings(tmp_path, compiler, instructions, name):
     for file, text in sources_of(name).items():
         (tmp_path / file).write_text(text)
-    command = [require(compiler), *STRICTLY, *optimization.split()]
+    program, *options = compiler.split()
+    command = [require(program), *STRICTLY, *options, *instructions.split()]
+    include = ["-I", fb.get_include()]
     # Instruction sets matter to states side by side.
-    for source in sorted(tmp_path.glob("*_batch.c" if "-m" in optimization else "*.c")):
-        compile_c(command, [source], source.with_suffix(".o"), [fb.get_include()])
+    for source in sorted(tmp_path.glob("*_batch.c" if instructions else "*.c")):
+        done = subprocess.run([*command, *include, source, "-o", "/dev/null"], capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
 
 
-def test_built_module_works_with_numpy_alone(four_bar, tmp_path):
+def test_built_module_works_with_numpy_alone(four_bar, tmp_path, unoptimized):
     fb.build_model(fb.models.four_bar(), tmp_path)
     x0 = four_bar.initial_state()
     p = list(four_bar.defaults.values())

@@ -16,6 +16,8 @@ import fourbar_codegen as fb
 import fourbar_codegen.codegen.c_source
 import fourbar_codegen.dynamics.equations
 
+pytestmark = pytest.mark.usefixtures("unoptimized")
+
 WRONG_MULTIPLIERS = """\
 #include "fourbar_solve.h"
 #define fb_multipliers(mass_matrix, forcing, accelerations, s, multipliers) ((multipliers)[0] = 70.0)

@@ -17,6 +17,8 @@ from builders.systems import slider
 import fourbar_codegen as fb
 from fourbar_codegen.building.wheel import pack_wheel
 
+pytestmark = pytest.mark.usefixtures("unoptimized")
+
 USE = """
 import sys
 for name in ("sympy", "Cython", "click", "platformdirs", "filelock"):

@@ -55,7 +55,7 @@ def twice(center, origin, ground, bar):
         ({"angular": 2}, r"angular acceleration that was set for frame bar .* SymPy's use the former"),
     ],
 )
-def test_kinematics_that_contradict_each_other_compile_with_a_warning(changes, sentence, tmp_path):
+def test_kinematics_that_contradict_each_other_compile_with_a_warning(changes, sentence, tmp_path, unoptimized):
     model = pendulum(**changes, name=f"contradicts_{next(iter(changes))}")
     for _ in range(2):  # also where it comes from the cache
         with pytest.warns(fb.ModelWarning, match=sentence) as caught:

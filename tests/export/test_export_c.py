@@ -18,7 +18,7 @@ from builders.systems import (
 )
 from harness import PROJECT
 from harness.c_library import STRICT, Library
-from harness.programs import require, zig_cc
+from harness.programs import emulator, require, zig_cc
 
 import fourbar_codegen as fb
 from fourbar_codegen.codegen.c_library import RESERVED, RESERVED_FAMILIES
@@ -86,8 +86,13 @@ def random_states(compiled, library, generator):
         yield mechanism, (t, np.array(mechanism.x), p, r or None)
 
 
-@pytest.mark.parametrize("compiler", ["gcc", "clang"])
-@pytest.mark.parametrize("name", MODELS)
+BY_CLANG = ("four_bar", "sparse", "recursive", "driven_by_unknown_forces")
+"""One of each form of the equations; that clang compiles the others without a warning is tested below."""
+
+
+@pytest.mark.parametrize(
+    ("name", "compiler"), [*((name, "gcc") for name in MODELS), *((name, "clang") for name in BY_CLANG)]
+)
 def test_c_library_of_every_model_gives_pythons_numbers(exported, name, compiler):
     """Both evaluate the same operations, compiled with other flags: they differ by rounding, times the condition."""
     compiled, library = exported(name, compiler)
@@ -149,6 +154,14 @@ def test_c_library_of_every_model_gives_pythons_numbers(exported, name, compiler
             difference = (both[0] - both[1]) / (2 * h)
             size = np.abs(by_parameters).max() + np.abs(rates).max()
             np.testing.assert_allclose(by_parameters[:, k], difference, rtol=0, atol=1e-7 * size)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_c_library_of_every_model_compiles_by_clang_without_warnings(tmp_path, name):
+    folder = fb.export_c(MODELS[name](), tmp_path)
+    command = [require("clang"), "-fsyntax-only", *STRICT, f"-I{folder / 'runtime'}"]
+    done = subprocess.run([*command, *sorted(folder.glob("*.c"))], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
 
 
 def test_c_library_differentiates_an_inputs_expression_unless_it_is_held(exported):
@@ -479,13 +492,13 @@ def test_c_libraries_of_two_models_work_in_one_program(tmp_path):
     subprocess.run([tmp_path / "both"], check=True)
 
 
-@pytest.mark.parametrize("target", ["aarch64-linux-musl", "arm-linux-musleabihf"])
+@pytest.mark.parametrize("target", ["aarch64-linux-gnu", "arm-linux-gnueabihf"])
 def test_c_library_on_emulated_arm_processors_gives_pythons_states(tmp_path, four_bar, target):
     """Cross-compiled, and run by an emulator: the state after a second of steps."""
-    emulator = require(f"qemu-{target.partition('-')[0]}")
+    command = emulator(target.partition("-")[0], target)
     folder = fb.export_c(fb.models.four_bar(), tmp_path / "four_bar")
-    program = zig_cc(tmp_path, target, sorted(folder.glob("*.c")), "-static")
-    done = subprocess.run([emulator, program], capture_output=True, text=True, check=True)
+    program = zig_cc(tmp_path, f"{target}.2.17", sorted(folder.glob("*.c")), "-lm")
+    done = subprocess.run([*command, program], capture_output=True, text=True, check=True)
     last = [float(word) for word in done.stdout.splitlines()[-1].split()]
     stepper = four_bar.stepper(1e-3, four_bar.initial_state())
     for _ in range(1000):

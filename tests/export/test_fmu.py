@@ -16,9 +16,10 @@ from fmpy.build import build_platform_binary
 from fmpy.fmi2 import FMU2Model, FMU2Slave
 from fmpy.fmi3 import FMU3Model, FMU3Slave
 from fmpy.validation import validate_fmu
-from harness.programs import require
+from harness.programs import prepare_zig, require
 
 import fourbar_codegen as fb
+from fourbar_codegen.building.compiler import cross_compiler
 
 SLAVE, MODEL = {2: FMU2Slave, 3: FMU3Slave}, {2: FMU2Model, 3: FMU3Model}
 BOTH = pytest.mark.parametrize("fmi", [2, 3])
@@ -486,6 +487,8 @@ def test_fmu_exported_twice_is_the_same_to_the_byte(tmp_path):
 
 def test_fmu_export_for_other_platforms_has_their_binaries(tmp_path):
     """By zig: a DLL that exports the functions of the standard, and an object for 64-bit ARM."""
+    for target in ("x86_64-windows-gnu", "aarch64-linux-gnu.2.17"):
+        prepare_zig(cross_compiler(target))
     path = fb.export_fmu(fb.models.slider_crank(), tmp_path / "a.fmu", platforms=["x86_64-windows", "aarch64-linux"])
     with zipfile.ZipFile(path) as archive:
         windows = archive.read("binaries/x86_64-windows/slider_crank.dll")

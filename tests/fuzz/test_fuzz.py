@@ -12,7 +12,7 @@ from fuzz import assemblies, calls, damage, kills, mechanisms
 from fuzz.runner import PATHS, explore
 
 SEED = 1
-SHORT = {"calls": 2000, "mechanisms": 2, "assemblies": 200, "damage": 150, "kills": 2}
+SHORT = {"calls": 2000, "mechanisms": 1, "assemblies": 200, "damage": 150, "kills": 2}
 
 
 @pytest.mark.parametrize("kind", SHORT)

@@ -4,14 +4,16 @@ import hashlib
 import os
 import shutil
 import subprocess
+import tempfile
 from functools import cache
 from pathlib import Path
 
 import pytest
+from filelock import FileLock
 
 import fourbar_codegen as fb
-import fourbar_codegen.compile
 from fourbar_codegen.building import compiler as compilers
+from fourbar_codegen.building import toolchain
 
 PACKAGES = {
     "gcc": "gcc",
@@ -67,10 +69,34 @@ def _version(command):
 
 def zig_cc(folder, target, sources, *options):
     """Compile and link with zig, which brings other systems' libraries, as strictly as gcc is asked to."""
-    command = [str(compilers._ziglang()), "cc", "-target", target, "-std=c99", "-O2", "-Wall", "-Wextra", "-Werror"]
-    kept = str(Path(os.environ["FOURBAR_CODEGEN_CACHE"]) / "zig-of-tests")  # the libraries take a minute
-    environment = {"ZIG_GLOBAL_CACHE_DIR": kept, "ZIG_LOCAL_CACHE_DIR": str(folder / "zig")}
-    target = folder / "out"
+    compiler = compilers.cross_compiler(target)
+    prepare_zig(compiler)
+    command = [*compiler.command, "-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", *options]
     include = [*sorted({source.parent for source in sources}), fb.get_include()]
-    compile_c([*command, *options], sources, target, include, environment)
-    return target
+    compile_c(command, sources, folder / "out", include, toolchain._zig_folders(compiler, folder))
+    return folder / "out"
+
+
+def prepare_zig(compiler):
+    """Let zig compile a system's C library, which takes a minute or two, once for all processes."""
+    if not compiler.is_zig:
+        return
+    kept = Path(os.environ["FOURBAR_CODEGEN_CACHE"]) / "c-of-tests"
+    kept.mkdir(parents=True, exist_ok=True)
+    done = kept / hashlib.sha256(repr(compiler.command + compiler.flags).encode()).hexdigest()
+    with FileLock(f"{done}.lock"), tempfile.TemporaryDirectory() as folder:
+        if not done.exists():
+            source = Path(folder) / "empty.c"
+            source.write_text("int fourbar_empty(void) { return 0; }\n")
+            # The C library is compiled for the level of optimization that is asked for.
+            arguments = ["-O2", *compiler.flags, str(source), *compiler.link_flags]
+            toolchain._run_compiler(compiler, arguments, Path(folder) / "library")
+            done.touch()
+
+
+def emulator(machine, libraries):
+    """A command that runs programs of another processor, with a C library of it from Debian."""
+    if not Path("/usr", libraries).is_dir():
+        package = "libc6-arm64-cross" if machine == "aarch64" else "libc6-armhf-cross"
+        pytest.skip(f"the C library of {libraries} is not installed: apt install {package}")
+    return [require(f"qemu-{machine}"), "-L", f"/usr/{libraries}"]

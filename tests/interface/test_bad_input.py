@@ -17,6 +17,8 @@ from sympy.physics.units import meter
 import fourbar_codegen as fb
 from fourbar_codegen.models import four_bar as make_four_bar
 
+pytestmark = pytest.mark.usefixtures("unoptimized")
+
 X = [0.1] * 6
 
 

@@ -299,7 +299,7 @@ main()
     assert done.stderr.splitlines()[-1] == "Interrupted."
 
 
-def test_generate_and_build_write_sources_modules_and_wheels_that_load(tmp_path, four_bar):
+def test_generate_and_build_write_sources_modules_and_wheels_that_load(tmp_path, four_bar, unoptimized):
     assert run("generate", "-o", tmp_path / "sources").exit_code == 0
     assert json.loads((tmp_path / "sources" / "four_bar" / "manifest.json").read_text())["name"] == "four_bar"
     result = run("build", "four_bar", "-o", tmp_path / "built")

@@ -12,7 +12,7 @@ import sympy.physics.mechanics as me
 from builders.systems import pendulum
 from click.testing import CliRunner
 from harness import PROJECT
-from harness.programs import require
+from harness.programs import prepare_zig, require
 
 import fourbar_codegen as fb
 from fourbar_codegen.building import compiler
@@ -20,6 +20,11 @@ from fourbar_codegen.cli import main
 
 M, G, L = sm.symbols("m g l")
 EXAMPLES = PROJECT / "examples"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def wasm_libraries():
+    prepare_zig(compiler.wasm_compiler())
 
 
 @pytest.fixture(scope="module")

@@ -19,6 +19,8 @@ from builders.systems import slider
 import fourbar_codegen as fb
 from fourbar_codegen.building import toolchain
 
+pytestmark = pytest.mark.usefixtures("unoptimized")
+
 
 @pytest.fixture(scope="module")
 def run(four_bar):

@@ -67,7 +67,7 @@ def test_drawn_point_is_at_the_published_positions(pendulum):
     np.testing.assert_allclose(run["P"][:2].T, [POSITIONS[t] for t in (1, 2, 5, 10)], rtol=0, atol=1e-9)
 
 
-def test_module_that_is_shipped_has_the_published_positions(tmp_path):
+def test_module_that_is_shipped_has_the_published_positions(tmp_path, unoptimized):
     module = fb.load(fb.build_model(fb.models.cartesian_pendulum(), tmp_path))
     run = module.simulate((0.0, 10.0), t_eval=[1, 2, 5, 10], rtol=1e-11, atol=1e-11)
     np.testing.assert_allclose(run["x"], [POSITIONS[t][0] for t in (1, 2, 5, 10)], rtol=0, atol=1e-9)

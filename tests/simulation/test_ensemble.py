@@ -579,7 +579,7 @@ def test_workers_that_do_not_find_the_module_build_it_once_in_their_cache(tmp_pa
     np.testing.assert_array_equal(fb.load(paths[0]).rhs_batch(0.0, x), model.rhs_batch(0.0, x))
 
 
-def test_model_restored_where_another_has_its_path_is_rebuilt_or_refused(tmp_path, monkeypatch):
+def test_model_restored_where_another_has_its_path_is_rebuilt_or_refused(tmp_path, monkeypatch, unoptimized):
     model = fb.load(fb.build_model(fb.models.cartesian_pendulum(), tmp_path / "here"))
     _, (kind, name, _, manifest, sources, *_) = model.__reduce__()
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path / "cache"))

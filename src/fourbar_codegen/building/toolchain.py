@@ -240,6 +240,8 @@ def build_extension(
     BuildError
         If the folder cannot be written, or a tool is missing or fails; with the tool's output.
     """
+    if folder.exists() and not folder.is_dir():  # before minutes of compilation
+        raise BuildError(f"{folder} cannot be written: it is no folder.")
     with tempfile.TemporaryDirectory() as temporary:
         module = _build(name, sources, Path(temporary))
         if check is not None:
@@ -468,13 +470,16 @@ def _compile(source: Path, flags: Sequence[str], running: _Running, folders: Seq
 
 
 def _run_compiler(compiler: Compiler, arguments: Sequence[str], target: Path, running: _Running | None = None) -> Path:
-    environment = None
-    if compiler.is_zig:  # its cache, such as the system's libraries to link against, is kept
-        kept, once = tool_folder("ziglang", digest_of(_file_identity(program_of(compiler.command[0])))), target.parent
-        environment = {**os.environ, "ZIG_GLOBAL_CACHE_DIR": str(kept), "ZIG_LOCAL_CACHE_DIR": str(once / "zig-cache")}
+    environment = {**os.environ, **_zig_folders(compiler, target.parent)} if compiler.is_zig else None
     tool = f"the C compiler {compiler}"
     run_tool([*compiler.command, *arguments, "-o", str(target)], target, tool, running=running, environment=environment)
     return target
+
+
+def _zig_folders(compiler: Compiler, once: Path) -> dict[str, str]:
+    """Where zig keeps files: the systems' libraries to link against in the cache, the others in a temporary folder."""
+    kept = tool_folder("ziglang", digest_of(_file_identity(program_of(compiler.command[0]))))
+    return {"ZIG_GLOBAL_CACHE_DIR": str(kept), "ZIG_LOCAL_CACHE_DIR": str(once / "zig-cache")}
 
 
 def run_tool(

@@ -11,6 +11,8 @@ from tutorial import tutorial_four_bar
 import fourbar_codegen as fb
 
 pytest_plugins = ["harness.costs"]
+# In docstrings: they compile with a second compiler, or a whole FMU.
+SLOW_EXAMPLES = {"fourbar_codegen.compiled.CompiledModel.page", "fourbar_codegen.export.export_fmu"}
 LEFT_OUT = pytest.StashKey[list[str]]()
 
 
@@ -58,6 +60,8 @@ def browser():
 def pytest_collection_modifyitems(items):
     """``slow(but=["a", "b"])`` on a parametrized test leaves the cases a and b in `make test`."""
     for item in items:
+        if item.name in SLOW_EXAMPLES:
+            item.add_marker("slow")
         mark = item.get_closest_marker("slow")
         if mark and hasattr(item, "callspec") and item.callspec.id in mark.kwargs.get("but", ()):
             item.own_markers = [own for own in item.own_markers if own.name != "slow"]

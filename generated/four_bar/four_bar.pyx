@@ -516,6 +516,7 @@ manifest = (
     '  "states_velocity_constraints": false,\n'
     '  "velocity_rows": [],\n'
     '  "warnings": [],\n'
+    '  "compared": null,\n'
     '  "has_potential_energy": true,\n'
     '  "energy_without": [],\n'
     '  "form": "dense",\n'

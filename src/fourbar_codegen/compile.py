@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import pickle
 import re
 import sys
@@ -319,10 +320,50 @@ def _build(model: Model, folder: Path, *, check: bool) -> Path:
     with Progress(f"fourbar_codegen: {model.name}") as progress:
         equations, derivatives, sources = _generate(model, progress)
         progress.stage("compiling")
-        compare = _comparison(progress, equations, derivatives) if compares else None
-        module = build_extension(model.name, sources, folder, check=compare)
-    warn(equations.warnings, 4)
+        build = partial(build_extension, model.name, folder=folder)
+        if not compares:
+            module, warnings = build(sources), equations.warnings
+        else:
+            from fourbar_codegen.verify import STATES
+
+            compare = _comparison(progress, equations, derivatives)
+
+            def compare_anything(module: Path) -> None:
+                if not compare(module):
+                    raise _NothingComparedError
+
+            try:
+                # The module says how it was compared, which is known only after it has been compiled.
+                module, warnings = build(_saying(sources, model, STATES), check=compare_anything), equations.warnings
+            except _NothingComparedError:
+                module = build(_saying(sources, model, 0))
+                warnings = (*equations.warnings, not_compared(model.name))
+    warn(warnings, 4)
     return module
+
+
+class _NothingComparedError(Exception):
+    """The equations of motion have no real value at any of the states."""
+
+
+def _saying(sources: dict[str, str], model: Model, compared: int) -> dict[str, str]:
+    """A module's sources, with the number of states at which it is compared."""
+    from fourbar_codegen.codegen.cython_source import wrapper_text
+    from fourbar_codegen.codegen.manifest import manifest_text
+
+    manifest = {**json.loads(sources["manifest.json"]), "compared": compared}
+    return {**sources, f"{model.name}.pyx": wrapper_text(model, manifest), "manifest.json": manifest_text(manifest)}
+
+
+def not_compared(name: str) -> str:
+    """The warning where a model could not be compared with its equations."""
+    from fourbar_codegen.verify import NEAR
+
+    return (
+        f"The compiled motion of model {name} was not compared with its equations, which have no real value at any of "
+        f"{len(NEAR)} states: random ones, some near the initial values, and these. Give the Model initial values "
+        "(initial=) at which its expressions have a value."
+    )
 
 
 def warn(sentences: Iterable[str], level: int) -> None:
@@ -333,22 +374,23 @@ def warn(sentences: Iterable[str], level: int) -> None:
 
 def _comparison(
     progress: Progress, equations: Equations, derivatives: Derivatives | None = None
-) -> Callable[[Path], None]:
-    """A function that compares a compiled model with its equations."""
+) -> Callable[[Path], int]:
+    """A function that compares a compiled model with its equations; it returns at how many states."""
 
-    def compare(module: Path) -> None:
+    def compare(module: Path) -> int:
         from fourbar_codegen.kernel.comparison import compare_batch_functions, compare_variations
         from fourbar_codegen.verify import verify
 
         progress.stage("checking")
-        loaded = load_file(module)
+        loaded, compared = load_file(module), []
         for kernel in versions(loaded.kernel):
             model = CompiledModel(kernel, loaded.manifest)
-            verify(model, equations, derivatives)
+            compared.append(verify(model, equations, derivatives))
             if not model.lacks_batch_functions:
                 compare_batch_functions(model)
             if not model.lacks_variations:
                 compare_variations(model)
+        return min(compared)
 
     return compare
 
@@ -385,7 +427,8 @@ def compile_model(model: Model, *, check: bool = True) -> CompiledModel:
     -----
     ModelWarning
         If kinematics are inconsistent: an angular velocity or velocity that was set differs from the one that follows
-        from orientations or positions, or an acceleration from the one that follows from velocities.
+        from orientations or positions, or an acceleration from the one that follows from velocities. Also if `check` is
+        true and the equations have no real value at any of the states at which they would be compared.
 
     Examples
     --------
@@ -415,5 +458,6 @@ def compile_model(model: Model, *, check: bool = True) -> CompiledModel:
         key = key_of(model, checked=False)
     compiled = CompiledModel.from_loaded(load_cached(lambda: cached(model.name, key, build)))
     compiled.compares = check
-    warn(compiled.manifest["warnings"], 3)
+    unsure = (not_compared(model.name),) if check and not compiled.is_verified else ()
+    warn((*compiled.manifest["warnings"], *unsure), 3)
     return compiled

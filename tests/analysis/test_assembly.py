@@ -81,6 +81,7 @@ def rockers(lengths, angle):
     return [(one, *others) for one in found for others in rockers(lengths[4:], one)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("loops", "absolute"), [(1, True), (2, False), (3, False)])
 def test_assembly_modes_of_four_bars_in_a_row_equal_intersections_of_circles(loops, absolute):
     """Each loop has two modes for each of those before it, or none: as many, and the same, as circles have points."""
@@ -104,6 +105,7 @@ def test_assembly_modes_of_four_bars_in_a_row_equal_intersections_of_circles(loo
     assert {0, 2**loops} <= numbers  # some cannot be closed, some have all modes
 
 
+@pytest.mark.slow
 def test_assembly_modes_of_a_slider_crank_at_any_size_equal_pythagoras():
     """x = r cos a +- sqrt(l^2 - (r sin a)^2); none where the rod is too short."""
     model = fb.compile_model(fb.models.slider_crank())
@@ -198,6 +200,7 @@ def test_assembly_modes_of_a_folded_rhombus_name_the_coordinates_left_free():
         assert np.isnan(folded.x[:, 4:6]).all()
 
 
+@pytest.mark.slow
 def test_assembly_modes_of_a_spatial_four_bar_equal_the_planar_ones():
     """Five spatial rows of which two are independent: the first pairs that do not determine the unknowns are left."""
     modes = fb.compile_model(spatial_four_bar()).initial_states(speeds=[0.0])
@@ -321,6 +324,7 @@ def test_initial_state_of_a_constraint_by_half_an_angle_is_within_one_turn():
         assert abs(angle) == pytest.approx(2 * np.arccos(value), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_assembly_modes_by_displacements_of_all_sizes_equal_closed_forms():
     """Roots in closed form, in whatever unit: 1e-6 to 1e5, also where the constraint is flat at zero."""
     modes = on_a_line(
@@ -346,6 +350,7 @@ def test_assembly_modes_by_displacements_of_all_sizes_equal_closed_forms():
     assert less(2.0).x[:, 1].tolist() == [2.0]  # of a degree less than it could be
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [1e-6, 1.0, 1e6, 1e10])
 def test_assembly_modes_of_constraints_in_different_units_are_the_same(factor):
     modes = on_a_line([Y - S, factor * (S**2 - W)], [W, S, Y])(1.0)
@@ -387,6 +392,7 @@ def test_assembly_modes_of_a_rack_and_crank_are_a_lower_bound():
     assert 2 <= len(modes) <= 7
 
 
+@pytest.mark.slow
 def test_assembly_modes_near_a_dead_point_are_counted_to_rounding(four_bar):
     """None outside, two inside, and one where rounding errors leave no more: 1e-13 of the position, 1e-11 at most."""
     angle = np.pi - np.arccos((0.8**2 + 1.0**2 - 1.2**2) / (2 * 0.8))
@@ -451,6 +457,7 @@ def inverted_slider_crank():
     return on_a_line(rows, [a, b, x], parameters={crank: 1.0, ground: 3.0})
 
 
+@pytest.mark.slow
 def test_assembly_modes_of_an_inverted_slider_crank_at_round_angles_are_two():
     """Two modes always, x = +- the distance of the crank's end from the pivot; one number of a root may be rounding."""
     modes = inverted_slider_crank()
@@ -487,6 +494,7 @@ def test_assembly_modes_with_crank_and_rod_of_equal_length_equal_closed_forms():
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "roots",
     [
@@ -502,6 +510,7 @@ def test_assembly_modes_by_a_polynomial_of_high_degree_are_all_its_roots(roots, 
     np.testing.assert_allclose(modes.x[:, 1], sorted(roots), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_assembly_modes_of_two_cubics_equal_numpys_real_roots():
     """Of two cubics, each in one unknown of the other: as many as NumPy finds real roots of the nonic."""
     generator = np.random.default_rng(3)
@@ -522,6 +531,7 @@ def test_assembly_modes_of_two_cubics_equal_numpys_real_roots():
     assert max(numbers) > 3
 
 
+@pytest.mark.slow
 def test_assembly_modes_of_a_gear_of_ratio_two_equal_closed_forms():
     """P cos 2b + Q sin b = cos a is a quadratic in sin b; the ratio may be a parameter as well."""
     a, b = me.dynamicsymbols("a b")
@@ -558,6 +568,7 @@ def test_initial_state_of_a_rhombus_closes_within_one_turn(four_bar):
         assert abs(np.exp(1j * np.cumsum(q)).sum() + 1.0) < 1e-10
 
 
+@pytest.mark.slow
 def test_initial_state_of_chained_cubics_is_found_loop_by_loop():
     """Cubics with one real root, near -2.1, and a minimum between it and the guess, where a search ends: all of six are
     hardly met at once. Each has the one before it in it, in no order."""
@@ -574,6 +585,7 @@ def test_initial_state_of_chained_cubics_is_found_loop_by_loop():
         model.initial_state({"s0": 0.5}, [0.0], guess=[1.2] * 6)
 
 
+@pytest.mark.slow
 def test_initial_state_with_one_loop_open_names_that_loop_alone():
     rows = [lambda *s: sm.sin(s[1]) - s[0] / 2, lambda *s: sm.cos(s[2]) - 2 - s[1] / 10, lambda *s: sm.sin(s[3]) - s[1]]
     model = chained(rows, 0.3)
@@ -583,6 +595,7 @@ def test_initial_state_with_one_loop_open_names_that_loop_alone():
     assert "constraints 3," not in str(caught.value)
 
 
+@pytest.mark.slow
 def test_initial_state_with_bounds_is_within_them_or_refused():
     model = chained([lambda *s: sm.cos(s[1]) - s[0], lambda *s: sm.sin(s[2]) - sm.sin(s[1])], 2.0)
     for low, high, expected in ((0.0, np.pi, np.pi / 3), (-np.pi, 0.0, -np.pi / 3), (6.0, 8.0, 2 * np.pi + np.pi / 3)):
@@ -601,6 +614,7 @@ def test_initial_state_with_bounds_is_within_them_or_refused():
             model.initial_state({"s0": 0.5}, [0.0], bounds=bounds)
 
 
+@pytest.mark.slow
 def test_assembly_modes_behind_a_free_bar_are_at_the_rockers_angles():
     """A folded rhombus, whose rocker drives a loop that does not close where the rocker is at 0."""
     model = linkage(2, absolute=True)
@@ -659,6 +673,7 @@ def peaucellier(independent):
     return on_a_line([row for gap in gaps for row in gap], order, parameters={arm: ARM, side: SIDE, crank: CRANK})
 
 
+@pytest.mark.slow(but=["1.0", "1000.0"])
 @pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
 def test_assembly_modes_of_peaucelliers_cell_are_the_open_and_the_folded_ones(unit):
     """Both elbows are on one side or the other. Where they coincide, the pen turns about them with two bars; otherwise
@@ -684,6 +699,7 @@ def test_assembly_modes_of_peaucelliers_cell_are_the_open_and_the_folded_ones(un
     assert len(modes) == 6
 
 
+@pytest.mark.slow(but=["1.0", "1000.0"])
 @pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
 def test_assembly_modes_with_peaucelliers_constant_x_held_leave_all_else_free(unit):
     """The pen's x is the line's wherever the linkage is, so holding it leaves the mobility of 1."""
@@ -702,6 +718,7 @@ def test_assembly_modes_of_a_five_bar_held_by_one_angle_leave_three_free():
     assert not modes.is_complete
 
 
+@pytest.mark.slow
 def test_assembly_modes_of_a_redundant_parallelogram_are_isolated():
     """Three parallel cranks and a coupler: 3 * 4 - 2 * 6 = 0 by Gruebler, yet it moves.
 
@@ -724,6 +741,7 @@ def test_assembly_modes_of_a_redundant_parallelogram_are_isolated():
         np.testing.assert_allclose(found.x[:, 1:4], [[0.0, angle, angle]], atol=1e-7 if angle == 0.0 else 1e-13)
 
 
+@pytest.mark.slow
 def test_assembly_modes_of_bennetts_linkage_satisfy_its_closed_form():
     """Four hinges in space: 6 * 3 - 5 * 4 = -2 by Kutzbach, yet it moves, with tan(q0 / 2) tan(q1 / 2) constant.
 
@@ -751,6 +769,7 @@ def test_assembly_modes_of_bennetts_linkage_satisfy_its_closed_form():
         assert np.abs(found.x[:, 1:4] - [expected, -angle, -expected]).max(axis=1).min() < 1e-9
 
 
+@pytest.mark.slow
 def test_assembly_modes_of_a_platform_on_parallel_legs_leave_x_and_y_free():
     """As wide as its base, on legs of one length: it moves along a circle and does not turn, like a parallelogram."""
     modes = platform([(foot, foot) for foot, _ in LEGS], [2.4] * 3).initial_states([2.4], [0.0])
@@ -758,6 +777,7 @@ def test_assembly_modes_of_a_platform_on_parallel_legs_leave_x_and_y_free():
     assert not modes.is_complete
 
 
+@pytest.mark.slow
 def test_assembly_modes_of_a_taut_chain_are_the_straight_one_with_nothing_free():
     """As far as it reaches: all bars in line, where the Jacobian has rank 1 in three angles, and nothing moves."""
     angles = me.dynamicsymbols("q:4")
@@ -768,6 +788,7 @@ def test_assembly_modes_of_a_taut_chain_are_the_straight_one_with_nothing_free()
     np.testing.assert_allclose(modes.x[:, :4], 0.0, atol=1e-4)  # half of all digits, and the search's 1e-10 for them
 
 
+@pytest.mark.slow
 def test_assembly_modes_of_a_circle_are_free_and_those_of_a_point_are_not():
     """s^2 + y^2 = w twice: at 0 the Jacobian is zero, and the only solution is a point, known to half of all digits."""
     modes = on_a_line([S**2 + Y**2 - W, 2 * (S**2 + Y**2 - W)], [W, S, Y])

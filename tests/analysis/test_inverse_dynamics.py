@@ -34,6 +34,7 @@ def piston(angle):
     return first, -np.cos(angle) - np.cos(2 * angle) / s - np.sin(2 * angle) ** 2 / (4 * s**3)
 
 
+@pytest.mark.slow
 def test_torque_of_a_slider_crank_equals_the_closed_form_also_at_dead_points():
     """T = m w^2 x' x'', which follows from the kinetic energy; also at dead points, where no inertia is left.
 
@@ -47,6 +48,7 @@ def test_torque_of_a_slider_crank_equals_the_closed_form_also_at_dead_points():
     np.testing.assert_allclose(torque, 2.0 * RATE**2 * first * second, rtol=0, atol=1e-12 * 200)
 
 
+@pytest.mark.slow
 def test_torque_of_a_slider_crank_with_a_heavy_rod_equals_the_closed_form():
     """T = 1/2 w^2 dI/dt, with the inertia I reduced to the crank: of a uniform rod, differentiated by SymPy."""
     t = sm.Symbol("t")
@@ -61,6 +63,7 @@ def test_torque_of_a_slider_crank_with_a_heavy_rod_equals_the_closed_form():
     np.testing.assert_allclose(torque, expected(ANGLES), rtol=0, atol=1e-12 * 150)
 
 
+@pytest.mark.slow
 def test_torque_of_a_driven_run_equals_the_drives_multiplier():
     """A run in which a drive turns the crank, and its multiplier; the same run, of the model with a torque."""
     driven = slider_crank(1.5)
@@ -71,6 +74,7 @@ def test_torque_of_a_driven_run_equals_the_drives_multiplier():
     np.testing.assert_allclose(torque, run["torque_O"], rtol=0, atol=1e-9 * np.ptp(torque))
 
 
+@pytest.mark.slow
 def test_inverse_dynamics_of_a_run_use_its_own_inputs_and_parameters():
     """The load and the masses of the run count, not the model's defaults."""
     linkage = slider_crank(1.5)
@@ -125,6 +129,7 @@ def test_torques_of_a_robots_arm_equal_the_closed_form():
     assert one_state["shoulder"] == pytest.approx((m1 + m2) * l1 * g + m2 * l2 * g, rel=1e-14)
 
 
+@pytest.mark.slow
 def test_torque_with_redundant_constraints_equals_the_closed_form():
     """A parallelogram with a bar too many: the coupler of 1 kg on two cranks, T = m l^2 w' + m g l cos(q)."""
     points = {"A": (0, 0), "B": (0, 1), "C": (1, 1), "D": (1, 0), "E": (0.5, 0), "F": (0.5, 1)}
@@ -148,6 +153,7 @@ def test_force_against_friction_by_a_normal_force_equals_the_closed_form():
     np.testing.assert_allclose(found["F"], 2.0 * (2.0 + 0.3 * 9.81), rtol=1e-14)
 
 
+@pytest.mark.slow
 def test_torque_against_a_given_load_balances_its_power():
     """A load on the piston, as a function of time: its power is the torque's, without inertia."""
     linkage = slider_crank(piston=None)
@@ -162,6 +168,7 @@ def test_torque_against_a_given_load_balances_its_power():
     np.testing.assert_allclose(load[~dead], -5.0 / piston(ANGLES[~dead])[0], rtol=1e-11)
 
 
+@pytest.mark.slow
 def test_load_as_array_callable_or_table_along_a_branch_gives_one_torque():
     """The array, the callable of the position, and the table of a motion in time are one load.
 
@@ -296,6 +303,7 @@ T = me.dynamicsymbols._t
 F, G, A = me.dynamicsymbols("F G A")
 
 
+@pytest.mark.slow(but=["law1-8.0", "law0-10.0"])
 @pytest.mark.parametrize(
     ("law", "force"),
     [(F + F**3, 10.0), (F**3, 8.0), (sm.sqrt(F), 3.0), (1 / F, 0.5), (F * sm.Abs(F), 9.0), (sm.exp(F), 5.0)],
@@ -307,6 +315,7 @@ def test_input_that_enters_nonlinearly_is_found_by_newtons_method(law, force):
     assert float(law.subs(F, found)) == pytest.approx(force, rel=1e-8)
 
 
+@pytest.mark.slow(but=["law0", "law2"])
 @pytest.mark.parametrize("law", [F**3, F * sm.Abs(F), sm.sqrt(F), sm.sign(F) * sm.sqrt(sm.Abs(F)), F**2])
 def test_input_that_enters_nonlinearly_is_zero_for_a_zero_load(law):
     """0 is the solution, although the derivative there is 0 or infinite."""
@@ -350,6 +359,7 @@ def test_free_length_that_balances_an_arm_is_zero_in_all_positions():
     np.testing.assert_allclose(free, 0.0, rtol=0, atol=1e-14)
 
 
+@pytest.mark.slow
 def test_voltage_of_a_quadratic_torque_passes_zero_at_dead_points():
     """A torque of 3 V |V|, as of a fan or an orifice: at the dead points no torque is needed, so V = 0."""
     V = me.dynamicsymbols("V")
@@ -459,6 +469,7 @@ def test_inverse_dynamics_with_wrong_motions_or_inputs_are_refused():
         other.inverse_dynamics(branch, "torque")
 
 
+@pytest.mark.slow
 def test_inverse_dynamics_without_masses_are_refused_until_given():
     system = fb.models.four_bar().system
     lengths = {"l1": 0.8, "l2": 0.2, "l3": 0.7, "l4": 0.6}

@@ -22,6 +22,7 @@ def found_of(make, values=None, **how):
     return model.kinematics({drive: own if values is None else values}, **how)
 
 
+@pytest.mark.slow
 def test_peaucelliers_pen_moves_on_the_exact_line_in_every_branch():
     """x = (l^2 - s^2) / (2 p) = 16/3, exactly; |OB| |OD| = l^2 - s^2 = 16, in every branch where the cell is open."""
     found = found_of(mechanisms.peaucellier)
@@ -32,6 +33,7 @@ def test_peaucelliers_pen_moves_on_the_exact_line_in_every_branch():
     np.testing.assert_allclose(product, 16.0, rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_chebyshevs_point_stays_near_its_line_within_the_arms_limits():
     """Within sqrt(1029)/8 - 4 of y = 4 for 0 <= x <= 4, exact; the arm turns between acos(4/5) and acos(-1/5).
 
@@ -46,6 +48,7 @@ def test_chebyshevs_point_stays_near_its_line_within_the_arms_limits():
     np.testing.assert_allclose(limits, [acos(4 / 5), acos(-1 / 5)], rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_hoekens_point_moves_at_four_thirds_of_the_cranks_speed():
     """4/3 of the crank's speed in the middle of the line; P is at (4, 4), (2, 4), (0, 4) at quarter turns."""
     found = found_of(mechanisms.hoeken, np.array([pi / 2, pi, 3 * pi / 2]))
@@ -54,6 +57,7 @@ def test_hoekens_point_moves_at_four_thirds_of_the_cranks_speed():
     assert branch.velocities["P"][0, 1] == pytest.approx(-4 / 3, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_watts_point_leaves_its_line_with_the_fifth_power():
     """x = y^5 / (8 b^3 c) for small y: the first derivative that is not zero is the fifth."""
     found = found_of(mechanisms.watt, np.linspace(-0.06, 0.06, 13))
@@ -62,6 +66,7 @@ def test_watts_point_leaves_its_line_with_the_fifth_power():
     np.testing.assert_allclose(x, expected, rtol=2e-3, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_jansens_foot_at_quarter_turns_equals_intersections_of_circles():
     """The foot at quarters of a turn, by circles that intersect, with the published lengths."""
     found = found_of(mechanisms.jansen, np.radians([0.0, 90.0, 180.0, 270.0]))
@@ -74,11 +79,13 @@ def test_jansens_foot_at_quarter_turns_equals_intersections_of_circles():
     np.testing.assert_allclose(found[0]["H"][:2].T, expected, rtol=0, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_pantograph_along_its_drive_scales_by_its_ratio():
     branch = found_of(mechanisms.pantograph)[0]
     np.testing.assert_allclose(branch["Q"], 2.5 * branch["P"], rtol=0, atol=1e-11)
 
 
+@pytest.mark.slow
 def test_scissor_lift_along_its_drive_has_the_closed_form_height():
     """h = n l sin(theta), w = l cos(theta)."""
     branch = found_of(mechanisms.scissor_lift)[0]
@@ -86,6 +93,7 @@ def test_scissor_lift_along_its_drive_has_the_closed_form_height():
     np.testing.assert_allclose(branch["T"][1], 3 * np.sqrt(4 - width**2), rtol=0, atol=1e-11)
 
 
+@pytest.mark.slow
 def test_quick_return_along_its_drive_has_the_closed_form_stroke_and_speed():
     """The ram turns round where the crank is square to the lever, at 210 and 330 degrees: back in half of the time."""
     branch = found_of(mechanisms.quick_return, np.radians([90.0, 210.0, 330.0]))[0]
@@ -94,6 +102,7 @@ def test_quick_return_along_its_drive_has_the_closed_form_stroke_and_speed():
     assert abs(branch["C"][0, 1] - branch["C"][0, 2]) == pytest.approx(4.0, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_transmission_angles_of_a_crank_rocker_have_the_closed_form_extremes():
     """Their extremes, by the law of cosines: 25.2 and 58.4 degrees, where crank and ground are in line."""
     branch = found_of(mechanisms.crank_rocker)[0]
@@ -102,6 +111,7 @@ def test_transmission_angles_of_a_crank_rocker_have_the_closed_form_extremes():
     np.testing.assert_allclose([angle.min(), angle.max()], expected, rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_velocities_and_accelerations_of_a_slider_equal_closed_forms():
     """In closed form, at 3 rad/s and with 2 rad/s^2."""
     angles = np.linspace(0.1, 6.0, 40)
@@ -173,6 +183,7 @@ def crossings(drawn, at, one, other, name):
     return [at[one] + apart / abs(apart) * (along + side * 1j * height**0.5) for side in (1, -1) if height > 0]
 
 
+@pytest.mark.slow
 def test_branches_that_close_at_few_values_beside_others_are_all_found():
     """Pivots on circles: C by B and D, F by E and G, H by C and J. Two of ten values with 8 modes stand apart."""
     points = {
@@ -197,6 +208,7 @@ def test_branches_that_close_at_few_values_beside_others_are_all_found():
     assert found.is_complete
 
 
+@pytest.mark.slow(but=["1e-06", "1e-08"])
 @pytest.mark.parametrize("inset", [0.0, 1e-12, 1e-8, 1e-6, 1e-5, 1e-4, -0.01])
 def test_branches_of_a_slider_driven_over_its_stroke_end_at_dead_points(inset):
     """0.2 m for a crank of 0.1 m: two branches, whose ends are dead points if these are within the drive's ends."""
@@ -218,6 +230,7 @@ def test_branches_of_a_slider_driven_over_its_stroke_end_at_dead_points(inset):
         np.testing.assert_allclose(np.cos(branch["q_OA"][inside]), cosine, rtol=0, atol=2e-11)
 
 
+@pytest.mark.slow(but=["0.0001"])
 @pytest.mark.parametrize("offset", [0.0, 1e-6, 1e-4, 5e-3, 8e-3, 1e-2])
 def test_branches_of_a_parallelogram_cross_at_change_points_with_their_limits(offset):
     """A parallelogram, and its antiparallel branch with -3 / (5 - 4 cos q) of the speed: limits where they cross.
@@ -245,6 +258,7 @@ def test_branches_of_a_parallelogram_cross_at_change_points_with_their_limits(of
     np.testing.assert_allclose(torque[known], 3 * 9.81 * cosine[known], rtol=0, atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ground", [1.3, 1.1, 1.03, 1.01])
 def test_branches_of_a_near_rhombus_have_closed_form_rates_at_the_change_point(ground):
     """Nearly a rhombus: the antiparallel branch turns within ground - 1 rad, (d^2 - 1) / (d - 1)^2 times as fast.
@@ -266,6 +280,7 @@ def test_branches_of_a_near_rhombus_have_closed_form_rates_at_the_change_point(g
     np.testing.assert_allclose(across.ud[model.speeds.index("u_CD")], acceleration, rtol=0, atol=1e-7 * size)
 
 
+@pytest.mark.slow(but=["0.0001"])
 @pytest.mark.parametrize("longer", [1e-9, 1e-7, 5e-6, 1e-4])
 def test_branches_beside_a_change_point_stay_on_their_side(longer):
     """A rod that is longer than the crank by little: the slider goes on on its side, by Pythagoras."""
@@ -283,6 +298,7 @@ def test_branches_beside_a_change_point_stay_on_their_side(longer):
         np.testing.assert_allclose(branch["C"][0], expected, rtol=0, atol=1e-12 / side.min())
 
 
+@pytest.mark.slow
 def test_branches_of_a_folding_kite_go_through_its_folded_position():
     """Crank and ground of 1 m, coupler and rocker alike: folded, the rocker is free; two branches go on through it."""
     points = {"A": (0, 0), "B": (0.6, 0.8), "D": (1, 0), "C": (2.4, 1.2)}
@@ -293,6 +309,7 @@ def test_branches_of_a_folding_kite_go_through_its_folded_position():
     assert found.closes.all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wheels", [3, 4])
 def test_branches_of_coupled_wheels_satisfy_their_closed_form(wheels):
     """Each coupling is a parallelogram or antiparallelogram: tan(q/2) of a wheel is k times that of the one before."""
@@ -318,6 +335,7 @@ def test_branches_of_coupled_wheels_satisfy_their_closed_form(wheels):
         assert np.flatnonzero(np.isnan(torque)).tolist() == [0, 90, 180]
 
 
+@pytest.mark.slow
 def test_branches_of_two_drives_around_a_square_equal_intersections_of_circles():
     """Two drives of a five-bar around a square and back: each position by two circles that intersect."""
     points = {"A": (0, 0), "B": (-0.1, 0.3), "C": (0.2, 0.5), "D": (0.5, 0.25), "E": (0.4, 0)}
@@ -363,6 +381,7 @@ def test_open_chain_with_all_coordinates_driven_has_closed_form_accelerations():
 ARM = {"A": (0, 0), "B": (0.4, 0), "C": (0.7, 0)}
 
 
+@pytest.mark.slow
 def test_drive_by_a_prescribed_motion_gives_the_branches_of_the_coordinate():
     linkage = mechanisms.crank_rocker()
     linkage.drive("O", speed=1.0)
@@ -390,6 +409,7 @@ WISHBONE = {
 form, and by Newton's method for 15 unknown coordinates of points; both agree to 1e-16 m."""
 
 
+@pytest.mark.slow
 def test_double_wishbone_in_space_has_the_known_places_and_camber():
     found = found_of(mechanisms.double_wishbone, np.radians([*WISHBONE]))
     branch = found[0]
@@ -400,6 +420,7 @@ def test_double_wishbone_in_space_has_the_known_places_and_camber():
         assert camber[k] == pytest.approx(expected, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_kinematics_without_masses_need_lengths_only():
     system = fb.models.four_bar().system
     lengths = {"l1": 0.8, "l2": 0.2, "l3": 0.7, "l4": 0.6}
@@ -411,6 +432,7 @@ def test_kinematics_without_masses_need_lengths_only():
         bare.kinematics({"q1": [0.0, 1.0]})
 
 
+@pytest.mark.slow
 def test_links_drawn_along_every_mechanisms_branch_keep_their_lengths():
     """The ends of each link's lines, along the whole motion, to 1e-12 of the size of the mechanism."""
     from fourbar_codegen.presentation.scene import scene
@@ -457,6 +479,7 @@ def test_drives_of_wrong_names_or_values_are_refused_with_a_message(four_bar):
         fb.compile_model(fb.models.chain(2)).kinematics({"q1": [0.0]})
 
 
+@pytest.mark.slow
 def test_point_of_a_trammel_moves_on_its_ellipse():
     """Two blocks on the ground and no pin there: the end of the rod moves on an ellipse (Archimedes)."""
     points = {"X": (0.75, 0), "Y": (0, -sqrt(27) / 4), "P": (1.5, sqrt(27) / 4)}
@@ -477,6 +500,7 @@ def test_plot_of_branches_that_close_at_no_given_value_is_refused():
         found.plot_paths()
 
 
+@pytest.mark.slow
 def test_plots_of_branches_have_a_panel_each_and_refuse_wrong_names(four_bar):
     found = four_bar.kinematics({"q1": np.linspace(-0.5, 0.5, 5)})
     assert len(found.plot().axes) == 2
@@ -507,6 +531,7 @@ def test_circle_by_continuation_is_traced_once_with_two_folds(radius, angle):
     assert len(curve.branches()) == 2
 
 
+@pytest.mark.slow
 def test_branches_of_loops_with_paths_in_common_equal_intersections_of_circles():
     """By circles: C by A and G, D by A and G, F by D and E. The tree of links begins at G, and is driven at its end."""
     points = {

@@ -15,6 +15,7 @@ import fourbar_codegen as fb
 
 # In double precision, what SymPy substitutes for the four-bar cancels to no digit; with 40 digits, it takes the disc's
 # matrices for singular.
+@pytest.mark.slow(but=["slider_crank-40"])
 @pytest.mark.parametrize(("name", "digits"), [("four_bar", 40), ("rolling_disc", 15), ("slider_crank", 40)])
 def test_linearization_of_ready_models_equals_that_of_kanes_method(name, digits):
     model = getattr(fb.models, name)()
@@ -98,6 +99,7 @@ def test_equilibrium_in_other_units_of_length_mass_and_time_is_the_same(four_bar
         np.testing.assert_allclose(found / length, [1.0, 0.0, 0.0, 0.0], rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_equilibria_of_random_four_bars_are_minima_of_the_potential():
     """From closed positions where least squares end at a minimum of the accelerations that is no equilibrium.
 
@@ -129,6 +131,7 @@ def test_equilibria_of_random_four_bars_are_minima_of_the_potential():
         assert along**2 @ second > 0.0
 
 
+@pytest.mark.slow
 def test_equilibria_of_a_block_on_a_guide_satisfy_virtual_work():
     """From closed positions where a Newton step is millions of turns, or the only displacement is nearly zero.
 
@@ -235,6 +238,7 @@ def on_a_line(*forces, kdes=None, constraint=None, **inputs):
     return fb.Model(system, name="line", inputs={me.dynamicsymbols(name): value for name, value in inputs.items()})
 
 
+@pytest.mark.slow
 def test_equilibrium_of_one_part_alone_is_refused():
     q1, u1, v = me.dynamicsymbols("q1 u1 v")
     stiff = fb.compile_model(on_a_line(-1e9 * q1, sm.Float(9.81)))

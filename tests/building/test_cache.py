@@ -1,5 +1,6 @@
 """The cache: keys that digest everything, warm calls that form nothing, builds that are whole or absent."""
 
+import codecs
 import contextlib
 import ctypes
 import errno
@@ -44,6 +45,7 @@ CHANGES = [
 ]  # fmt: skip
 
 
+@pytest.mark.slow(but=["actuator", "angular velocity", "body", "default"])
 @pytest.mark.parametrize("change", CHANGES)
 def test_cache_key_changes_with_every_part_of_the_model(change):
     assert pipeline.key_of(slider()) == pipeline.key_of(slider())
@@ -95,6 +97,7 @@ def forget_digests():
     toolchain._headers_digest.cache_clear()
 
 
+@pytest.mark.slow
 def test_cache_key_is_the_same_in_processes_with_other_hash_seeds():
     code = (
         "import fourbar_codegen as fb\nfrom fourbar_codegen.compile import key_of\nprint(key_of(fb.models.four_bar()))"
@@ -152,6 +155,7 @@ def test_fingerprints_of_expressions_deeper_than_pythons_stack_differ():
     assert fingerprint.fingerprint(expr) != fingerprint.fingerprint(expr.args[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [slider, fb.models.whipple_bicycle, lambda: fb.models.chain(8, closed=True)])
 def test_parts_of_a_model_are_formed_at_their_first_use_with_a_modules_text(monkeypatch, tmp_path, make):
     """From the folder in the cache, to the text that a module has."""
@@ -211,6 +215,7 @@ def compilations(monkeypatch):
     return calls
 
 
+@pytest.mark.slow
 def test_change_of_a_default_unit_or_initial_value_compiles_nothing(monkeypatch, tmp_path):
     """Defaults, units and initial values are no part of a library."""
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
@@ -237,6 +242,7 @@ def sources_of(change):
     return fb.generate_sources(slider(change))
 
 
+@pytest.mark.slow
 def test_change_of_the_package_with_equal_sources_compiles_nothing(monkeypatch, tmp_path):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     first = fb.compile_model(slider())
@@ -273,6 +279,7 @@ def test_library_without_its_file_of_numbers_is_refused(tmp_path):
     assert fb.load(alone).defaults == fb.load(path).defaults
 
 
+@pytest.mark.slow
 def test_derivatives_are_compiled_at_their_first_use_and_not_by_explicit_runs(monkeypatch, tmp_path):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     model = fb.compile_model(slider())
@@ -304,6 +311,7 @@ def test_derivatives_are_compiled_at_their_first_use_and_not_by_explicit_runs(mo
         assert not model.lacks_derivatives, name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("part", "pattern", "replacement", "message"),
     [
@@ -343,6 +351,7 @@ def entries(folder):
     return sorted(path.name.rpartition("-")[0] for path in folder.iterdir() if path.is_dir())
 
 
+@pytest.mark.slow
 def test_batch_functions_are_compiled_at_the_first_batch_or_ensemble(monkeypatch, tmp_path):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     first = fb.compile_model(slider())
@@ -363,6 +372,7 @@ def test_batch_functions_are_compiled_at_the_first_batch_or_ensemble(monkeypatch
     assert calls == []
 
 
+@pytest.mark.slow
 def test_batch_functions_that_cannot_be_compiled_raise_and_are_tried_again(monkeypatch, tmp_path):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     model = fb.compile_model(slider())
@@ -377,6 +387,7 @@ def test_batch_functions_that_cannot_be_compiled_raise_and_are_tried_again(monke
     assert np.isfinite(model.rhs_batch(0.0, x)).all()
 
 
+@pytest.mark.slow
 def test_batch_functions_without_sources_are_refused_unless_the_model_is_loaded(monkeypatch, tmp_path):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     model = fb.compile_model(slider())
@@ -396,6 +407,7 @@ def test_batch_functions_without_sources_are_refused_unless_the_model_is_loaded(
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(model)).rhs_batch(0.0, x), rates)
 
 
+@pytest.mark.slow
 def test_cache_with_a_limit_of_one_byte_serves_models_and_their_parts(monkeypatch, tmp_path):
     """What was just made stays, and a model does not need what went."""
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
@@ -406,6 +418,7 @@ def test_cache_with_a_limit_of_one_byte_serves_models_and_their_parts(monkeypatc
     np.testing.assert_allclose(model.rhs_batch(0.0, x)[:, 0], fb.compile_model(slider()).rhs(0.0, x[:, 0]), rtol=1e-14)
 
 
+@pytest.mark.slow
 def test_library_that_vanishes_during_a_compilation_is_built_again(monkeypatch, tmp_path):
     """Another process may clear the cache between two steps of a compilation."""
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
@@ -423,6 +436,7 @@ def test_library_that_vanishes_during_a_compilation_is_built_again(monkeypatch, 
     assert len(removed) == 2
 
 
+@pytest.mark.slow
 def test_batch_source_of_another_model_in_the_folder_is_not_used(tmp_path):
     """Unknown forces are not found side by side; what is left of another model of the same name does not count."""
     batch = tmp_path / "rod_batch.c"
@@ -434,6 +448,7 @@ def test_batch_source_of_another_model_in_the_folder_is_not_used(tmp_path):
     np.testing.assert_array_equal(model.rhs_batch(0.0, x)[:, 0], model.rhs(0.0, x[:, 0]))
 
 
+@pytest.mark.slow
 def test_batch_functions_of_a_loaded_library_need_no_sympy(tmp_path, monkeypatch):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     path = fb.compile_model(slider()).path
@@ -447,6 +462,7 @@ print(fb.load({str(path)!r}).rhs_batch(0.0, [[0.5], [0.1], [0.2], [0.3]]).shape)
     assert done.stdout == "(4, 1)\n", done.stderr
 
 
+@pytest.mark.slow
 def test_module_moved_out_of_its_folder_has_all_functions(monkeypatch, tmp_path):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path / "cache"))
     module = fb.build_model(slider(), tmp_path / "folder")
@@ -473,6 +489,7 @@ def test_pickled_model_on_another_processor_is_built_anew(monkeypatch, tmp_path)
     assert pickle.loads(pickle.dumps(copied)).path == other.path
 
 
+@pytest.mark.slow
 def test_pickled_module_on_another_processor_is_used_unless_replaced(monkeypatch, tmp_path):
     model = fb.load(fb.build_model(slider(), tmp_path))
     sent, x = pickle.dumps(model), [0.5, 0.1, 0.2, 0.3]
@@ -489,6 +506,7 @@ def test_pickled_module_on_another_processor_is_used_unless_replaced(monkeypatch
         np.testing.assert_allclose(again.rhs(0.0, x), model.rhs(0.0, x), rtol=1e-12)  # with other instructions
 
 
+@pytest.mark.slow
 def test_pickled_module_without_sources_is_refused_where_it_is_missing(tmp_path):
     model = fb.load(fb.build_model(slider("name"), tmp_path))
     for path in tmp_path.glob("*.[ch]"):
@@ -500,6 +518,7 @@ def test_pickled_module_without_sources_is_refused_where_it_is_missing(tmp_path)
         pickle.loads(sent)
 
 
+@pytest.mark.slow
 def test_module_built_with_other_structs_is_refused_on_loading(monkeypatch, tmp_path):
     """Built with the headers of another version, in which a struct of ensembles has one more member."""
     headers = shutil.copytree(fb.get_include(), tmp_path / "headers")
@@ -513,6 +532,7 @@ def test_module_built_with_other_structs_is_refused_on_loading(monkeypatch, tmp_
         fb.load(module)
 
 
+@pytest.mark.slow
 def test_batch_functions_of_another_layout_are_refused_when_attached(monkeypatch):
     model, found = fb.compile_model(slider()), []
     attach = type(model)._attach_batch_functions
@@ -558,6 +578,7 @@ class Sleeper:
                     time.sleep(0.01)
 
 
+@pytest.mark.slow
 def test_cache_over_its_limit_loses_the_least_recently_used_entries(monkeypatch, tmp_path):
     """What was not used for longest goes first; use is what counts, not age."""
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
@@ -609,6 +630,7 @@ def sleeper(tmp_path, monkeypatch):
     return sleeper
 
 
+@pytest.mark.slow
 def test_compiler_beyond_its_time_limit_is_stopped_with_a_message(sleeper, monkeypatch, tmp_path):
     monkeypatch.setenv("FOURBAR_CODEGEN_TIME_LIMIT", "0.5")
     with pytest.raises(fb.BuildError, match=r"has not ended within 0.5 s .* FOURBAR_CODEGEN_TIME_LIMIT"):
@@ -631,6 +653,7 @@ COMPILES = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["compile_model(slider())", "build_model(slider(), sys.argv[1])"])
 def test_compilation_interrupted_from_the_keyboard_stops_its_tools(sleeper, tmp_path, how):
     code = (
@@ -650,6 +673,7 @@ def test_compilation_interrupted_from_the_keyboard_stops_its_tools(sleeper, tmp_
     assert not (tmp_path / "folder").exists()
 
 
+@pytest.mark.slow
 def test_process_that_waits_for_a_build_names_the_builder(sleeper, monkeypatch, capsys):
     monkeypatch.setattr(cache, "PATIENCE", 0.0)
     command = [sys.executable, "-c", f"{COMPILES}fb.compile_model(slider())"]
@@ -716,6 +740,7 @@ def flip(source):
     source.write_text(source.read_text().replace("cos(", "sin("))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "damage",
     [
@@ -740,6 +765,7 @@ def test_damaged_entry_is_built_anew(tmp_path, filled, damage):
     assert run_of_slider(tmp_path / "cache") == (tmp_path / "cache" / module, rates)
 
 
+@pytest.mark.slow
 def test_sources_damaged_in_the_cache_are_not_compiled_or_sent(tmp_path, monkeypatch):
     """They would be compiled for ensembles, and travel with a model."""
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
@@ -768,6 +794,7 @@ def as_user(number):
     if os.geteuid() != 0:
         pytest.skip("only root can be two users: run the tests as root as well")
     os.setegid(number)
+    codecs.lookup("ascii")  # which filelock needs, and another user may not be able to import
     os.seteuid(number)
     try:
         yield
@@ -932,6 +959,7 @@ def other_weight():
     return slider("mass")
 
 
+@pytest.mark.slow
 def test_module_whose_folder_was_built_anew_is_not_sent_with_new_sources(monkeypatch, tmp_path):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path / "cache"))
     loaded = fb.load(fb.build_model(slider(), tmp_path))
@@ -942,6 +970,7 @@ def test_module_whose_folder_was_built_anew_is_not_sent_with_new_sources(monkeyp
         pickle.loads(pickle.dumps(loaded))
 
 
+@pytest.mark.slow
 def test_a_build_that_is_interrupted_leaves_the_folder_as_it_was(monkeypatch, tmp_path):
     module = fb.build_model(slider(), tmp_path)
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
@@ -966,6 +995,7 @@ def test_a_build_that_is_interrupted_leaves_the_folder_as_it_was(monkeypatch, tm
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
+@pytest.mark.slow
 def test_models_of_one_name_with_shared_symbols_keep_their_own_rates(monkeypatch, tmp_path):
     """With RTLD_GLOBAL, the loader gives what was loaded first to all that ask for a name."""
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path / "cache"))
@@ -989,6 +1019,7 @@ for model in (fb.load({str(module)!r}), fb.compile_model(slider())):
     assert rates[0] != rates[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", ["numbers", "library"])
 def test_library_or_numbers_damaged_in_the_cache_are_refused_by_path(monkeypatch, tmp_path, damage):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
@@ -1000,6 +1031,7 @@ def test_library_or_numbers_damaged_in_the_cache_are_refused_by_path(monkeypatch
         fb.load(path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.05, 0.3, 0.95])
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="ELF")
 def test_module_truncated_anywhere_is_refused_on_loading(tmp_path, share):

@@ -22,6 +22,8 @@ from fourbar_codegen.kernel.loading import load_file
 from fourbar_codegen.runtime.batch import width
 from fourbar_codegen.runtime.evaluator import versions
 
+pytestmark = pytest.mark.slow
+
 SOURCES = PROJECT / "generated" / "four_bar"
 STATE = [-0.5, -1.5, -1.5, -0.1, 0.07, -0.03]
 # Two implementations add in different orders; the condition of J_d is near 3 here, and rates are near 10.

@@ -44,6 +44,7 @@ NAMES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", ["0", "4711"])
 def test_regenerating_gives_the_committed_text(tmp_path, seed):
     command = [sys.executable, "-m", "fourbar_codegen", "generate", "four_bar", "-o", str(tmp_path)]
@@ -73,6 +74,7 @@ def sources_of(name):
 
 
 # gcc warns of what it finds while it optimizes, clang of what it reads.
+@pytest.mark.slow
 @pytest.mark.parametrize("compiler", ["gcc -O1", "clang -fsyntax-only"])
 @pytest.mark.parametrize("instructions", ["", "-mavx2", "-mavx512f"])
 @pytest.mark.parametrize("name", MODELS)
@@ -88,6 +90,7 @@ def test_kernel_compiles_without_warnings(tmp_path, compiler, instructions, name
         assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.slow
 def test_built_module_works_with_numpy_alone(four_bar, tmp_path, unoptimized):
     fb.build_model(fb.models.four_bar(), tmp_path)
     x0 = four_bar.initial_state()
@@ -166,6 +169,7 @@ def test_printed_expressions_mean_what_they_say(expr):
     assert any("pow" in text.value(line) for line in scheduled.lines) == bool(powers)
 
 
+@pytest.mark.slow(but=["slider_crank", "<lambda>0", "<lambda>1", "four_bar"])
 @pytest.mark.parametrize(
     "make",
     [

@@ -24,6 +24,7 @@ def operations(name):
     return json.loads(fb.generate_sources(MODELS[name]())["manifest.json"])["operations"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MODELS)
 def test_equations_take_fewer_operations_than_sympys_joint_cse_of_them(name):
     system = MODELS[name]().system
@@ -41,6 +42,7 @@ def test_bicycle_takes_no_more_operations_than_sympys_and_symbrims():
     assert counted["prepare"] + counted["dynamics"] < 1909
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MODELS)
 def test_product_of_transposed_jacobian_and_vector_takes_at_most_five_times_the_equations(name):
     """The cheap gradient principle, for all of x, p and r at once: W. Baur and V. Strassen, "The complexity of partial

@@ -16,6 +16,8 @@ from harness.programs import compile_c
 
 import fourbar_codegen as fb
 
+pytestmark = pytest.mark.slow
+
 # All functions of a kernel, what follows from independent values, a projected run by each method with interpolated
 # samples, and its derivatives forwards and backwards, Jacobians at several states, steps of one length, the equations
 # for implicit solvers, and, side by side on three threads, more states than there are lanes, more runs, with samples, a

@@ -9,12 +9,14 @@ import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
 from builders.systems import pendulum, slider
+from click.testing import CliRunner
 from scipy.integrate import solve_ivp
 from sympy.physics.mechanics.system import System
 
 import fourbar_codegen as fb
 import fourbar_codegen.codegen.c_source
 import fourbar_codegen.dynamics.equations
+from fourbar_codegen.cli import main
 
 pytestmark = pytest.mark.usefixtures("unoptimized")
 
@@ -25,6 +27,7 @@ WRONG_MULTIPLIERS = """\
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "pattern", "replacement", "function"),
     [
@@ -58,15 +61,52 @@ def test_a_defect_is_found_and_named(tmp_path, monkeypatch, text, pattern, repla
         fb.compile_model(slider())
 
 
-def test_defect_of_a_force_with_values_near_the_initial_state_only_is_found(tmp_path, monkeypatch):
-    """Elsewhere the logarithm has no real value; where it has none at any state, a warning says so."""
+@pytest.mark.slow
+def with_a_logarithm(name, **more):
+    """A pendulum with a force that has a real value for q > 5 only."""
+    system = pendulum()
+    system.add_loads(me.Force(system.bodies[0].masscenter, sm.log(me.dynamicsymbols("q") - 5) * system.frame.y))
+    return fb.Model(system, name=name, parameters={"m": 1.0, "l": 1.0, "g": 9.81}, **more)
+
+
+def test_model_without_values_at_any_state_is_compiled_with_a_warning_each_time(tmp_path, monkeypatch):
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
+    model = with_a_logarithm("nowhere")
+    for _ in range(2):  # compiled, and from the cache
+        with pytest.warns(fb.ModelWarning, match="nowhere was not compared with its equations, .* no real value"):
+            compiled = fb.compile_model(model)
+        assert not compiled.is_verified
+    with pytest.warns(fb.ModelWarning, match="nowhere was not compared"):
+        built = fb.build_model(model, tmp_path / "built")
+    assert not fb.load(built).is_verified
+
+
+def test_model_with_values_at_its_initial_state_alone_is_verified_there(tmp_path, monkeypatch, caplog):
+    """The root of -(q - 6)^2 is real at q = 6 only."""
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     system = pendulum()
-    pull = sm.log(me.dynamicsymbols("q") - 5) * system.frame.y
-    system.add_loads(me.Force(system.bodies[0].masscenter, pull))
-    given = {"name": "pendulum", "parameters": {"m": 1.0, "l": 1.0, "g": 9.81}}
-    with pytest.warns(fb.ModelWarning, match="was not compared with its equations, which have no real value"):
-        fb.compile_model(fb.Model(system, **given))
+    system.add_loads(
+        me.Force(system.bodies[0].masscenter, sm.sqrt(-((me.dynamicsymbols("q") - 6) ** 2)) * system.frame.y)
+    )
+    model = fb.Model(system, name="there", parameters={"m": 1.0, "l": 1.0, "g": 9.81}, initial={"q": 6.0})
+    with caplog.at_level("INFO", "fourbar_codegen"):
+        compiled = fb.compile_model(model)
+    assert compiled.is_verified
+    assert "there: compared with its equations at 1 state" in caplog.text
+    assert not fb.compile_model(with_a_logarithm("unchecked", initial={"q": 6.0}), check=False).is_verified
+
+
+def test_info_says_whether_a_model_was_compared_with_its_equations(tmp_path, monkeypatch):
+    def said(name):
+        return CliRunner().invoke(main, ["info", name]).output
+
+    assert "compared with the equations: at 2 states" in said("slider_crank")
+    assert "compared with the equations: not" in said("four_bar")  # it comes with the package, built without SymPy
+
+
+def test_defect_of_a_force_with_values_near_the_initial_state_only_is_found(tmp_path, monkeypatch):
+    """Elsewhere the logarithm has no real value."""
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     original = fourbar_codegen.codegen.c_source.kernel_text
     monkeypatch.setattr(
         fourbar_codegen.codegen.c_source,
@@ -74,9 +114,10 @@ def test_defect_of_a_force_with_values_near_the_initial_state_only_is_found(tmp_
         lambda *arguments: re.sub(r"(forcing\[0\] = )", r"\g<1>1.001*", original(*arguments), count=1),
     )
     with pytest.raises(fb.BuildError, match="function dynamics, result forcing"):
-        fb.compile_model(fb.Model(system, initial={"q": 6.0}, **given))
+        fb.compile_model(with_a_logarithm("near", initial={"q": 6.0}))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("result", "entry", "identity"),
     [
@@ -105,6 +146,7 @@ def test_a_wrong_equation_is_found_and_named(tmp_path, monkeypatch, result, entr
         fb.compile_model(fb.models.four_bar())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "force",
     [lambda q: sm.Piecewise((-q, q > 0)), lambda q: -sm.interpolating_spline(1, q, [0, 1, 2], [0, 1, 4])],
@@ -128,6 +170,7 @@ def test_states_for_which_a_force_has_no_value_are_passed_over(force):
         model.rhs(0.0, [-0.5, 0.0])
 
 
+@pytest.mark.slow
 def test_force_with_values_close_to_the_start_only_compiles_silently(recwarn):
     """As of a spline through points 1 mm apart."""
     q, u = me.dynamicsymbols("q u")
@@ -141,6 +184,7 @@ def test_force_with_values_close_to_the_start_only_compiles_silently(recwarn):
     assert model.rhs(0.0, [0.0195, 0.0]).tolist() == pytest.approx([0.0, 0.5])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("force", [lambda q, F: F - sm.exp(-100 * q), lambda q, F: F - 1e15 * q**3])
 def test_forces_that_are_huge_at_random_states_compile_without_error(force):
     """Where a difference knows nothing, and energy and power are what rounding leaves of them: dx'/dF is 1/m."""
@@ -153,6 +197,7 @@ def test_forces_that_are_huge_at_random_states_compile_without_error(force):
     np.testing.assert_allclose(model.input_jacobian(0.0, [0.0, 0.0]), [[0.0], [0.2]], rtol=1e-14)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stair", [1e-4, 1e-5, 2.5e-7])
 @pytest.mark.parametrize("stiffness", [0.0, 1e6])
 def test_force_with_stairs_narrower_than_differences_compiles_without_error(stair, stiffness):
@@ -219,6 +264,7 @@ def test_derivatives_of_a_very_light_body_compile_and_equal_closed_forms(tmp_pat
     assert difference == pytest.approx(-9.81 * np.sin(x[1]), abs=1e-2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("of", ["derivatives", "variations"])
 def test_a_defect_of_derivatives_is_found_where_rounding_is_large(tmp_path, monkeypatch, of):
     text = f"{of}_text"
@@ -242,6 +288,7 @@ def test_a_defect_of_derivatives_is_found_where_rounding_is_large(tmp_path, monk
         light_pendulum(tmp_path, monkeypatch).require_variations()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("element", "law"),
     [

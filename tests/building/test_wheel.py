@@ -17,7 +17,7 @@ from builders.systems import slider
 import fourbar_codegen as fb
 from fourbar_codegen.building.wheel import pack_wheel
 
-pytestmark = pytest.mark.usefixtures("unoptimized")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("unoptimized")]
 
 USE = """
 import sys

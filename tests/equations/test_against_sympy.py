@@ -20,6 +20,7 @@ def random_states(four_bar, count, *, closed):
     return states
 
 
+@pytest.mark.slow(but=["on the manifold"])
 @pytest.mark.parametrize("closed", [False, True], ids=["off the manifold", "on the manifold"])
 def test_rates_and_mass_matrix_on_and_off_closed_loops_equal_sympys(four_bar, tutorial, closed):
     # form_eoms eliminates the dependent speeds with J_d, so its rounding errors grow with cond(J_d), squared

@@ -46,6 +46,7 @@ def twice(center, origin, ground, bar):
     return 2 * center.a2pt_theory(origin, ground, bar)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
@@ -77,6 +78,7 @@ def test_kinematics_set_as_they_follow_give_no_warning(changes):
         fb.generate_sources(pendulum(**changes))
 
 
+@pytest.mark.slow(but=["cartesian_pendulum", "slider_crank", "chain"])
 @pytest.mark.parametrize("name", fb.models.__all__)
 def test_models_of_the_package_give_no_warning(name):
     with warnings.catch_warnings():
@@ -256,6 +258,7 @@ def disc_on_a_curve(*, as_system, rolls):
     return fb.Model(system, name="disc", parameters={m: 1, radius: 2, g: 9.8}, initial={x: 7.5, u: 3.5})
 
 
+@pytest.mark.slow(but=["True"])
 @pytest.mark.parametrize("as_system", [False, True])
 def test_contact_point_that_moves_on_a_curve_warns_and_rolling_keeps_energy(as_system):
     """As in issue 24669 of SymPy, whose equations lose or gain energy then."""

@@ -80,6 +80,7 @@ def test_energy_growth_is_reported_for_negative_damping_and_not_for_forces():
     assert "has grown" in fed.message
 
 
+@pytest.mark.slow
 def test_energy_of_a_mechanism_at_rest_is_constant_without_a_report_of_growth():
     """Three cranks stand upright below a bar: 2 kg/m (3 0.2 m 0.1 m + 0.6 m 0.2 m) g, and nothing moves."""
     points = {"A": (0, 0), "B": (0, 0.2), "C": (0.3, 0), "D": (0.3, 0.2), "E": (0.6, 0), "F": (0.6, 0.2)}
@@ -191,6 +192,7 @@ def test_potential_energy_of_a_linkages_springs_equals_the_closed_form():
     np.testing.assert_allclose(run.energy, run.energy[0], rtol=0, atol=1e-8)  # steps of relative error 1e-11
 
 
+@pytest.mark.slow
 def test_spring_without_antiderivative_is_named_in_runs_files_and_plots(tmp_path):
     """In runs, files, tables and plots, also after a run was saved and read."""
     model = oscillators(law=lambda length: -30 * sm.sin(sm.exp(length)) / (1 + length**4))
@@ -238,6 +240,7 @@ def radial(n, _b, origin, centre, *_):
     return me.Force(centre, -10 * (arm.magnitude() - 0.4) * arm.normalize())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rates", ["inertial", "body", "sums"])
 def test_springs_as_loads_have_a_potential_with_every_choice_of_speeds(rates):
     """A spring at the centre, one at the rim, and a force and a torque that have a potential together alone."""
@@ -260,6 +263,7 @@ def test_springs_as_loads_have_a_potential_with_every_choice_of_speeds(rates):
     np.testing.assert_allclose(run.energy, run.energy[0], rtol=0, atol=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rates", ["inertial", "body"])
 def test_loads_without_potential_leave_that_of_a_spring_beside_them(rates):
     """A force with curl, one that turns with the body, a damper and a motor, beside a spring of two components."""
@@ -279,6 +283,7 @@ def test_loads_without_potential_leave_that_of_a_spring_beside_them(rates):
     np.testing.assert_allclose(np.diff(found), np.diff(expected), rtol=0, atol=1e-12)  # 20 J, to rounding
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("relative", [True, False])
 def test_spring_whose_integral_is_not_found_is_named_with_any_speeds(relative):
     """The loads of an actuator at a double pendulum, as KanesMethod takes them; its speeds are relative or absolute."""
@@ -372,6 +377,7 @@ def test_potential_of_a_body_with_some_of_the_loads_terms_counts_each_once(own, 
     np.testing.assert_allclose(np.diff(found), np.diff(expected(states[:, 0])), rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_antiderivatives_of_spring_laws_equal_closed_forms_or_none():
     x, b = sm.symbols("x b", real=True)
     for function, expected in (

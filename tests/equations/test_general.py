@@ -113,6 +113,7 @@ def compiled_and_reference(name):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:[\\s\\S]*Velocity of:UserWarning")
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_rates_and_jacobian_of_every_system_equal_sympys(name):
@@ -135,6 +136,7 @@ def test_rates_and_jacobian_of_every_system_equal_sympys(name):
         assert error <= 1e-8 * (np.abs(differences).max() + scale)
 
 
+@pytest.mark.slow
 def test_jacobian_at_an_open_contact_leaves_out_the_branch_not_taken():
     contact = fb.compile_model(fb.Model(SYSTEMS["contact"](), parameters={m: 1.0, g: 9.81}))
     np.testing.assert_array_equal(contact.jacobian(0.0, [1.0, 0.0]), [[0.0, 1.0], [0.0, 0.0]])
@@ -146,6 +148,7 @@ def test_jacobian_at_an_open_contact_leaves_out_the_branch_not_taken():
         np.testing.assert_allclose(energy, 9.81, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_derivatives_of_sinc_equal_series_also_at_zero():
     F = me.dynamicsymbols("F")
     model = fb.Model(sliding(sm.sinc(q) + F.diff(t, 2)), parameters={m: 1.0}, inputs={F: sm.sinc(t)})
@@ -175,6 +178,7 @@ def test_hyperbolic_functions_that_c_lacks_equal_sympys_from_tiny_to_large():
         np.testing.assert_allclose(compiled.default_inputs(x), expected, rtol=1e-13)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "condition",
     [
@@ -219,6 +223,7 @@ def bead(is_constrained):
     return system
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_constrained", [False, True])
 def test_bead_on_a_spline_moves_as_the_closed_form_within_its_ends(is_constrained):
     """(1 + s'^2) x'' = -s' (s'' x'^2 + g); beyond the ends of the spline s there is no value."""
@@ -236,6 +241,7 @@ def test_bead_on_a_spline_moves_as_the_closed_form_within_its_ends(is_constraine
             rhs(x)
 
 
+@pytest.mark.slow
 def test_derivatives_of_splines_of_states_and_of_time_equal_scipys():
     F = me.dynamicsymbols("F")
     model = fb.Model(sliding(F - k * spline(q)), parameters={m: 2.0, k: 0.8}, inputs={F: spline(k * t)})
@@ -258,11 +264,13 @@ def test_speed_without_a_coordinate_decays_as_the_closed_form():
     assert block.simulate((0.0, 1.0), [1.0], rtol=1e-10, atol=1e-12).y[0, -1] == pytest.approx(np.exp(-1.5), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_jacobian_of_friction_at_rest_has_no_infinite_slope():
     friction = fb.compile_model(fb.Model(SYSTEMS["friction"](), parameters={m: 1.0, k: 2.0}))
     np.testing.assert_array_equal(friction.jacobian(0.0, [0.0, 0.0]), [[0.0, 1.0], [0.0, 0.0]])
 
 
+@pytest.mark.slow
 def test_jacobian_that_does_not_exist_is_an_error():
     cone = fb.compile_model(fb.Model(sliding(-k * sm.sqrt(q**2 + u**2)), parameters={m: 1.0, k: 2.0}))
     assert cone.rhs(0.0, [0.0, 0.0]).tolist() == [0.0, 0.0]
@@ -270,6 +278,7 @@ def test_jacobian_that_does_not_exist_is_an_error():
         cone.jacobian(0.0, [0.0, 0.0])
 
 
+@pytest.mark.slow
 def test_quaternion_top_that_sympy_does_not_validate_has_sympys_rates():
     system = quaternion_top()
     with pytest.raises(ValueError, match="number of generalized coordinates 4"):
@@ -284,6 +293,7 @@ def test_quaternion_top_that_sympy_does_not_validate_has_sympys_rates():
         np.testing.assert_allclose(top.rhs(0.0, x), reference.rhs(0.0, x), rtol=0, atol=1000 * EPS)
 
 
+@pytest.mark.slow
 def test_potential_energy_of_gravity_in_a_tilted_frame_equals_the_closed_form():
     ground, tilted = me.ReferenceFrame("N"), me.ReferenceFrame("T")
     tilted.orient_axis(ground, ground.z, sm.pi / 6)
@@ -303,6 +313,7 @@ def test_potential_energy_of_gravity_in_a_tilted_frame_equals_the_closed_form():
     assert plane.potential_energy(0.0, [1.0, 0.0]) == pytest.approx(-9.81 / 2, rel=1e-15)
 
 
+@pytest.mark.slow
 def test_parameters_with_names_of_all_kinds_compile_and_keep_their_names():
     names = ["lambda", "I", "in", "double", "x1", "I_{xx}", "z0", "k3", "M_PI", "EOF", "N_Q", "math_errhandling", "a'"]
     names += ["unix", "constants", "\u03b8", "a b", "a_b", "A_B", "*/ abort(); /*", '"', "\\", "new\nline", "pow", "x"]

@@ -10,6 +10,7 @@ from sympy.physics.mechanics.system import System
 import fourbar_codegen as fb
 
 
+@pytest.mark.slow(but=["cartesian_pendulum"])
 @pytest.mark.parametrize("name", ["four_bar", "rolling_disc", "whipple_bicycle", "cartesian_pendulum"])
 def test_rates_from_kanes_method_equal_those_from_its_system(name):
     model = getattr(fb.models, name)()

@@ -66,6 +66,7 @@ def bars_of(links):
     return bars, [a + b for link in on_line for a, b in pairwise(link)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LINKAGES)
 def test_linkages_of_all_kinds_move_as_in_natural_coordinates(name):
     """All points, to 1e-10 of the linkage's size, by another formulation and another solver."""
@@ -134,6 +135,7 @@ BY_HAND = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", BY_HAND)
 def test_linkages_by_points_move_as_models_in_plain_sympy(make):
     """The motion of all points, from rest, is that of models in plain SymPy."""
@@ -160,6 +162,7 @@ def tutorials_linkage():
     )
 
 
+@pytest.mark.slow
 def test_tutorial_linkage_by_points_moves_as_the_ready_model(four_bar):
     """The flagship by its points: the same motion of all points as the model made by hand."""
     model = tutorials_linkage()
@@ -170,6 +173,7 @@ def test_tutorial_linkage_by_points_moves_as_the_ready_model(four_bar):
     np.testing.assert_allclose(run.kinetic_energy, hand_made.kinetic_energy, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_slider_crank_by_points_moves_as_the_ready_model():
     """As `models.slider_crank`, in its parameters' values; it is given a torque and a load."""
     hand_made = fb.compile_model(fb.models.slider_crank())
@@ -202,6 +206,7 @@ def test_linkages_of_the_tests_take_at_most_twelve_statements(make):
     assert len(statements) < 12
 
 
+@pytest.mark.slow
 def test_block_on_a_lever_by_points_moves_as_the_model_by_hand():
     """A quick-return mechanism, as by hand in test_scene."""
     hand_made = fb.compile_model(inverted_slider_crank("lever"))
@@ -243,6 +248,7 @@ def crank_rocker(**options):
     return fb.Linkage("rocker", points=points, ground="AD", links=["AB", "BC", "CD"], **options)
 
 
+@pytest.mark.slow
 def test_torque_of_a_drive_at_constant_speed_is_the_rate_of_energy():
     """At constant speed, the drive's power is the rate of the energy."""
     linkage = crank_rocker(density=1.0, gravity=9.81)
@@ -257,6 +263,7 @@ def test_torque_of_a_drive_at_constant_speed_is_the_rate_of_energy():
     np.testing.assert_allclose(power[1:-1], rate, rtol=0, atol=0.0005**2 / 6 * 30.0**3 * np.ptp(run.energy) * 5)
 
 
+@pytest.mark.slow
 def test_driven_block_follows_its_displacement_with_newtons_force():
     linkage = fb.Linkage("piston", points={"O": (0, 0), "A": (0.1, 0.1), "C": (0.4, 0)}, ground="O", links=["OA", "AC"])
     linkage.slider("C", along=(1, 0), mass=2.0)
@@ -267,6 +274,7 @@ def test_driven_block_follows_its_displacement_with_newtons_force():
     np.testing.assert_allclose(run["force_C"], -2.0 * 0.05 * 9.0 * np.sin(3 * run.t), rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_lengths_of_a_linkage_changed_as_parameters_hold_in_its_positions():
     """A longer coupler, and a plate's point by its distances: the law of cosines."""
     points, ground, links = LINKAGES["coupler plate"]
@@ -299,6 +307,7 @@ def test_degrees_of_freedom_and_redundant_joints_of_known_linkages_are_found(nam
     assert len(mobility.independent) == freedom
 
 
+@pytest.mark.slow
 def test_linkage_drawn_at_a_dead_point_has_one_degree_of_freedom():
     """Crank and coupler in line: the rocker cannot be driven there, the crank can. A parallelogram drawn flat."""
     points = {"A": (0, 0), "B": (1, 0), "C": (3, 0), "D": (2.5, 2)}
@@ -425,6 +434,7 @@ def test_linkage_takes_arrays_and_names_for_links():
     assert {s.name: p.value for s, p in model.parameter_symbols.items()}["F_C_y"] == 0.5
 
 
+@pytest.mark.slow
 def test_masses_of_a_point_and_its_block_are_added():
     """A point mass and a block of the same point; F = (3 + 2) m x''."""
     m = sm.Symbol("m1")
@@ -478,6 +488,7 @@ def test_symbols_of_a_linkage_whose_names_coincide_are_numbered():
     assert (values["k_BC"], values["k_BC_2"]) == (0.5, 40.0)
 
 
+@pytest.mark.slow
 def test_drive_with_a_name_is_an_input_of_that_name_or_refused():
     """The motion is an input of that name: held as drawn, or given; the crank's angle is what is given."""
     points = {"A": (0, 0), "B": (0, 0.1), "C": (0.3, 0.3), "D": (0.4, 0)}
@@ -500,6 +511,7 @@ def test_drive_with_a_name_is_an_input_of_that_name_or_refused():
             fb.Linkage("fast", points=points, ground="AD", links=["AB", "BC", "CD"]).drive("A", speed=wrong)
 
 
+@pytest.mark.slow
 def test_independent_coordinate_of_a_linkage_may_be_chosen_with_the_same_motion():
     """Of the four-bar each link may be the independent one; the motion is the same."""
     points = {"A": (0, 0), "B": (0, 0.1), "C": (0.3, 0.3), "D": (0.4, 0)}
@@ -546,6 +558,7 @@ def test_drive_with_a_name_that_is_taken_is_refused(motion, kind):
         linkage.model()
 
 
+@pytest.mark.slow
 def test_drive_starts_at_the_drawn_angle_also_at_a_dead_point():
     """Although the link is stated before those that place it; and a drive at its dead point is no drive too many."""
     linkage = fb.Linkage("one", points={"A": (0, 0), "B": (0.5, 1), "C": (0.9, 1.25), "D": (1.2, 0)}, ground="AD")
@@ -564,6 +577,7 @@ def test_drive_starts_at_the_drawn_angle_also_at_a_dead_point():
         fb.compile_model(linkage.model()).simulate((0.0, 0.1))
 
 
+@pytest.mark.slow
 def test_linkage_in_nanometres_has_torques_in_proportion():
     """With gravity in proportion, torques go with the third power of the size."""
     torques = []
@@ -580,6 +594,7 @@ def test_linkage_in_nanometres_has_torques_in_proportion():
     np.testing.assert_allclose(torques[1], torques[0], rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_lengths_of_a_plate_that_make_no_triangle_are_refused():
     points, ground, links = LINKAGES["coupler plate"]
     model = fb.compile_model(fb.Linkage("plate", points=points, ground=ground, links=links).model())
@@ -655,6 +670,7 @@ def test_linkage_from_csv_reads_points_and_links_and_refuses_bad_tables(tmp_path
         fb.Linkage.from_csv(None)
 
 
+@pytest.mark.slow
 def test_system_of_a_linkage_has_sympys_rates_and_is_formed_anew_after_changes():
     """SymPy's own equations of the System, at a state, are the compiled ones."""
     linkage = crank_rocker(density=1.0, gravity=9.81)

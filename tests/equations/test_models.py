@@ -46,6 +46,7 @@ def tolerance(compiled, x):
     return 1000 * EPS * np.linalg.cond(compiled.mass_matrix(0.3, x))
 
 
+@pytest.mark.slow(but=["cartesian pendulum", "slider-crank", "rolling disc"])
 def test_rates_of_every_ready_model_equal_sympys(pair):
     compiled, reference = pair
     r = reference.inputs(0.3)

@@ -87,6 +87,7 @@ def lift(request):
     return lift, fb.compile_model(fb.Model(lift.system, name="lift", parameters=lift.parameters))
 
 
+@pytest.mark.slow
 def test_system_with_a_muscle_has_its_states_and_sympys_rates(lift):
     lift, compiled = lift
     assert compiled.auxiliary_states == tuple(str(state.func) for state in lift.muscle.x)
@@ -100,6 +101,7 @@ def test_system_with_a_muscle_has_its_states_and_sympys_rates(lift):
     np.testing.assert_allclose(of_kane.rhs(0.0, x0, r=[0.7]), compiled.rhs(0.0, x0, r=[0.7]), rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("method", "tolerance"), [("DOP853", 1e-10), ("Radau", 1e-10), ("IDA", 1e-7)])
 def test_muscle_lifts_a_weight_as_scipy_on_lambdify_by_every_method(lift, method, tolerance):
     """To the tolerance of the reference, 1e-11; IDA's errors add up over some thousand steps of 1e-10."""
@@ -113,6 +115,7 @@ def test_muscle_lifts_a_weight_as_scipy_on_lambdify_by_every_method(lift, method
     np.testing.assert_allclose(run.y[:, -1], expected.y[:, -1], rtol=0, atol=tolerance)
 
 
+@pytest.mark.slow
 def test_muscle_with_a_step_of_excitation_moves_as_scipy_in_pieces():
     """Of a table, for several weights."""
     lift = Lift(MusculotendonFormulation.RIGID_TENDON)
@@ -148,6 +151,7 @@ def test_activation_as_a_coordinate_gives_the_rates_of_a_state_equation():
     np.testing.assert_allclose(rates[[0, 2, 1]], lift.rates([q, u, a], 0.7), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_arm_of_sympys_tutorial_has_the_printed_numbers_and_scipys_motion():
     """Its two runs, at its 301 times, by SciPy on SymPy's own KanesMethod and lambdify, as the page has it.
 
@@ -203,6 +207,7 @@ def test_rates_of_a_tendon_force_given_as_state_equations_equal_lambdify():
     np.testing.assert_allclose(fb.compile_model(given).rhs(0.0, x, r=[0.7]), lift.rates(x, 0.7), rtol=1e-10)
 
 
+@pytest.mark.slow
 def test_muscle_with_curve_constants_as_parameters_has_the_rates_of_numbers():
     """The published ones give the motion of SymPy's muscle with numbers, and the friction beside it is still found."""
     lift = Lift(MusculotendonFormulation.RIGID_TENDON)

@@ -142,11 +142,13 @@ def test_linearization_with_outputs_equals_the_closed_form_of_c_and_d():
             model.linearize(0.0, state, outputs=wrong)
 
 
+@pytest.mark.slow
 def test_derivatives_of_outputs_in_a_built_module_equal_complex_steps(tmp_path, unoptimized):
     model = fb.load(fb.build_model(pendulum_in_cartesian_coordinates(), tmp_path))
     hold(model, bobs_outputs, 0.7, [0.3, -0.4, 0.8, 0.6], [9.81, 2.0, 0.5, 3.0], [1.5])
 
 
+@pytest.mark.slow
 def test_derivatives_of_outputs_with_undetermined_multipliers_are_refused():
     made = pendulum_in_cartesian_coordinates()
     system = made.system

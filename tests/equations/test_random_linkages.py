@@ -1,6 +1,7 @@
 """Linkages drawn at random, against SymPy's own equations."""
 
 import numpy as np
+import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
 from hypothesis import HealthCheck, Phase, assume, given, settings
@@ -64,6 +65,7 @@ def linkages(draw):
 
 
 # Each example takes seconds: no shrinking. That most are dropped by what a test assumes is still an error.
+@pytest.mark.slow
 @settings(
     max_examples=15,
     deadline=None,

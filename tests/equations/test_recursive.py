@@ -242,10 +242,12 @@ def case(request):
     return system, options, fb.compile_model(fb.Model(system, **options))
 
 
+@pytest.mark.slow
 def test_trees_of_all_kinds_have_the_recursive_form(case):
     assert case[2].manifest["form"] == "recursive"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("links", [8, 32])
 def test_long_spatial_chains_have_the_recursive_form(links):
     """M is found regular by random numbers, which need not be the inertia of a body."""
@@ -253,6 +255,7 @@ def test_long_spatial_chains_have_the_recursive_form(links):
     assert lower(model.name, form_equations(model)).form == "recursive"
 
 
+@pytest.mark.slow
 def test_accelerations_of_the_recursive_form_equal_sympys(case):
     system, options, compiled = case
     expected = accelerations_by_sympy(system, **options)
@@ -264,6 +267,7 @@ def test_accelerations_of_the_recursive_form_equal_sympys(case):
         np.testing.assert_allclose(matrix @ wanted, forcing, rtol=0, atol=1e-10 * np.abs(matrix @ wanted).max())
 
 
+@pytest.mark.slow
 def test_batch_in_the_recursive_form_equals_single_states(case):
     *_, compiled = case
     states = random_states(compiled, 21)
@@ -273,6 +277,7 @@ def test_batch_in_the_recursive_form_equals_single_states(case):
         np.testing.assert_allclose(column, alone, rtol=0, atol=1e-12 * np.abs(alone).max())
 
 
+@pytest.mark.slow
 def test_jacobians_of_the_recursive_form_equal_differences(case):
     """Central differences of order 6, whose errors are near 1e-9 of the largest entry."""
     *_, compiled = case
@@ -297,6 +302,7 @@ def test_jacobians_of_the_recursive_form_equal_differences(case):
             np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-7 * np.abs(wanted).max())
 
 
+@pytest.mark.slow
 def test_singular_mass_matrix_in_the_recursive_form_raises_an_error():
     """Six joints that only a particle at the tip resists: M has rank 3, and rounding errors for pivots."""
     tree = Tree("massless_arm")
@@ -325,6 +331,7 @@ def test_singular_mass_matrix_in_the_recursive_form_raises_an_error():
         np.testing.assert_allclose(found, wanted, rtol=0, atol=rounding * np.abs(wanted).max())
 
 
+@pytest.mark.slow
 def test_unknown_force_at_the_root_of_a_chain_equals_sympys():
     """The force that holds the first joint of a chain, against SymPy's equation of its auxiliary speed."""
     tree = Tree("held_chain")
@@ -359,6 +366,7 @@ def closed():
     return model
 
 
+@pytest.mark.slow
 def test_members_of_a_closed_recursive_chain_equal_runs(closed):
     x0 = closed.initial_state()
     how = {"t_eval": [0.1, 0.2, 0.3], "rtol": 1e-9, "atol": 1e-9}

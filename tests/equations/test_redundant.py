@@ -11,6 +11,7 @@ from sympy.physics.mechanics.system import System
 import fourbar_codegen as fb
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("constraints", [(circle, 2 * circle), (circle, 3 * circle, -0.2 * circle)])
 def test_repeated_constraints_change_nothing_but_the_multipliers(constraints):
     single = fb.compile_model(fb.models.cartesian_pendulum())
@@ -35,6 +36,7 @@ def test_repeated_constraints_change_nothing_but_the_multipliers(constraints):
     )
 
 
+@pytest.mark.slow
 def test_redundant_parallelogram_moves_as_an_inverted_pendulum():
     compiled = fb.compile_model(three_uprights())
     x0 = compiled.initial_state({"p0": 0.5}, {"v0": 0.7}, guess=[0.4, 0.6, 0.1])
@@ -72,6 +74,7 @@ def test_redundant_rows_hold_to_the_size_of_their_terms(g):
                 np.testing.assert_allclose(rates, 0.0, atol=10 * (size + 1e-15) * (g + v**2))
 
 
+@pytest.mark.slow
 def test_contradictory_constraints_are_an_error():
     contradictory = fb.compile_model(pendulum(circle, circle - me.dynamicsymbols._t))
     with pytest.raises(fb.AssemblyError):
@@ -81,6 +84,7 @@ def test_contradictory_constraints_are_an_error():
         fb.compile_model(pendulum(circle, circle - me.dynamicsymbols._t**2)).rhs(0.0, [0.6, -0.8, 0.0, 0.0])
 
 
+@pytest.mark.slow
 def test_independent_constraints_with_too_few_dependent_speeds_are_refused():
     model = pendulum(circle, me.dynamicsymbols("x") - sm.S.Half * me.dynamicsymbols("y"))
     with pytest.raises(fb.ModelError, match=r"2 velocity constraints are independent .* 1 dependent speed \(v_x\)"):
@@ -97,6 +101,7 @@ def test_independent_constraints_with_too_few_dependent_speeds_are_refused():
         both.simulate((0.0, 1.0), x)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [1e-2, 1e-4, 1e-6])
 def test_constraint_that_is_nearly_another_one_counts_as_independent(share):
     """x vx + y vy + w vx = 0 on a circle: with the circle's own rate, vx = 0, however small w is."""
@@ -109,6 +114,7 @@ def test_constraint_that_is_nearly_another_one_counts_as_independent(share):
         nearly.rhs(0.0, [0.6, -0.8, 0.0, 0.0])
 
 
+@pytest.mark.slow
 def test_loop_with_one_dependent_speed_too_few_is_refused():
     """The tutorial's linkage with u3 alone dependent: SymPy's form_eoms refuses it too."""
     linkage = fb.models.four_bar()

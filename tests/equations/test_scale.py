@@ -63,6 +63,7 @@ def skewed(count):
     return [Link((X, Y, Z)[number % 3], X, X / 2 + Y / 5, 1.0, INERTIA) for number in range(count)]
 
 
+@pytest.mark.slow
 def test_long_spatial_chain_is_read_without_expanded_velocities():
     """SymPy's own, which is differentiated in the inertial frame, does not end for a third of these links."""
     model = by_positions(32)
@@ -70,6 +71,7 @@ def test_long_spatial_chain_is_read_without_expanded_velocities():
     assert all(point.velocity is None for point in model.mechanism.points[1:])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("model", "links", "gravity"),
     [
@@ -103,6 +105,7 @@ def test_long_chains_balance_the_torques_of_recursive_newton_euler(model, links,
         np.testing.assert_allclose(torques, reactions, rtol=0, atol=1e-10 * size)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("links", [1, 3, 6])
 def test_pendulum_on_a_cart_of_several_links_has_sympys_rates(links):
     kane = n_link_pendulum_on_cart(links)
@@ -145,6 +148,7 @@ def branches(arms, links):
     return fb.Model(system, name="branches", parameters={m: 1.1, length: 0.6, g: G})
 
 
+@pytest.mark.slow
 def test_branched_tree_in_recursive_form_has_sympys_rates():
     model = branches(5, 2)
     compiled = fb.compile_model(model)
@@ -157,6 +161,7 @@ def test_branched_tree_in_recursive_form_has_sympys_rates():
         np.testing.assert_allclose(compiled.rhs(0.0, x), expected, rtol=0, atol=1e-10 * np.abs(expected).max())
 
 
+@pytest.mark.slow(but=["1"])
 @pytest.mark.parametrize("loops", [1, 3, 20])
 def test_row_of_parallelograms_of_any_length_moves_as_the_closed_form(loops):
     # [(N + 1) / 3 + N] L phi'' = [(N + 1) / 2 + N] g sin(phi), the bars across stay level (IFToMM benchmark A02).
@@ -178,12 +183,14 @@ def operations(model, function="dynamics"):
     return json.loads(fb.generate_sources(model)["manifest.json"])["operations"][function]
 
 
+@pytest.mark.slow
 def test_operations_of_a_closed_chain_grow_at_most_quadratically():
     counts = [operations(fb.models.chain(links, closed=True)) for links in (6, 12, 24)]
     assert counts[1] < 4 * counts[0]
     assert counts[2] < 4 * counts[1]
 
 
+@pytest.mark.slow
 def test_operations_of_a_row_of_loops_grow_linearly():
     counts = [operations(fb.models.n_four_bar(loops)) for loops in (5, 10, 20)]
     assert counts[1] < 2.05 * counts[0]
@@ -207,6 +214,7 @@ def pieces(count):
     return fb.Model(system, name="pieces")
 
 
+@pytest.mark.slow
 def test_code_of_a_spline_grows_linearly_and_its_values_are_right():
     """With derivatives, along a direction and in reverse: equal numbers of pieces add equal text, but for digits."""
     lengths = [sum(map(len, fb.generate_sources(pieces(count)).values())) for count in (8, 16, 24)]
@@ -231,6 +239,7 @@ def rockers_on_one_crank(count):
     return fb.Linkage(f"rockers_{count}", points=points, ground=ground, links=links, density=2.0, gravity=9.81).model()
 
 
+@pytest.mark.slow
 def test_elimination_of_loops_on_one_crank_grows_linearly():
     """A loop has 2 speeds and 2 constraints; their columns have those of the loop, and the crank."""
     for count in (4, 12):
@@ -246,6 +255,7 @@ def test_lowering_to_a_form_that_a_model_lacks_is_refused():
         lower("four_bar", equations, "recursive")
 
 
+@pytest.mark.slow
 def test_sparse_equations_with_a_loop_at_its_dead_point_hold_to_rounding():
     """Where a coupler is in line with its rocker, its constraints are dependent without the crank's speed."""
     model = fb.compile_model(rockers_on_one_crank(4))

@@ -65,6 +65,7 @@ def test_motor_has_the_rates_jacobian_and_linearization_of_its_matrices():
     np.testing.assert_allclose(B, VOLTAGE, rtol=1e-14)
 
 
+@pytest.mark.slow(but=["ALI3P", "BDF", "CVODE", "DOP853"])
 @pytest.mark.parametrize("method", METHODS)
 def test_motor_by_every_method_moves_as_the_matrix_exponential(method):
     options, tolerance = METHODS[method]
@@ -77,6 +78,7 @@ def test_motor_by_every_method_moves_as_the_matrix_exponential(method):
     np.testing.assert_allclose(run["induced"], 1.0 - run["i"] - 0.01 * run["omega"], rtol=0, atol=1e-14)
 
 
+@pytest.mark.slow
 def test_motor_in_ensembles_batches_and_modules_moves_as_the_matrix_exponential(tmp_path):
     compiled = fb.compile_model(motor())
     x0 = compiled.initial_state()
@@ -109,6 +111,7 @@ def test_motor_in_ensembles_batches_and_modules_moves_as_the_matrix_exponential(
     np.testing.assert_allclose(module.simulate((0.0, 2.0), x0, **TIGHT).y[:, -1], expected, rtol=0, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_equilibrium_of_a_motor_against_a_spring_is_the_closed_form():
     system, body, inertia, angle, speed = rotor()
     stiffness, k, ohm, henry, voltage = sm.symbols("c K R L V")
@@ -124,6 +127,7 @@ def test_equilibrium_of_a_motor_against_a_spring_is_the_closed_form():
     np.testing.assert_allclose(x, [0.3 * 3.0 / 2.0, 0.0, 3.0], rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_filter_that_drives_a_mass_moves_it_as_the_closed_form():
     """m v' + c v = k e, RC e' = V - e, from rest."""
     m, c, k, tau = 2.0, 0.7, 3.0, 0.4
@@ -238,6 +242,7 @@ def test_index_3_with_accelerations_in_state_equations_is_refused():
         fb.compile_model(cartesian()).simulate((0.0, 1.0), method="IDA", formulation="index-3")
 
 
+@pytest.mark.slow
 def test_state_of_a_long_chain_has_rates_and_jacobian_of_the_chain():
     """Equations that are solved by their structure."""
     model = fb.models.chain(20)

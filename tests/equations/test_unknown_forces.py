@@ -31,6 +31,7 @@ def test_block_with_friction_on_an_accelerated_belt_moves_as_the_closed_form():
     assert model.multipliers(0.0, [0.0, 4.0]).shape == (0,)
 
 
+@pytest.mark.slow
 def test_block_with_friction_on_an_incline_moves_as_the_closed_form():
     """u' = g (sin a - mu cos a), for a block that slides down: closed form."""
     q, u, w, normal = me.dynamicsymbols("q u u_n N")
@@ -80,6 +81,7 @@ def test_normal_force_that_vanishes_is_a_terminal_event_at_the_closed_form_time(
     assert run.t_events[0][0] == pytest.approx(2.0 * 9.81 / 10.0, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_friction_not_linear_in_the_normal_force_equals_a_scalar_root():
     """Friction that falls as the contact is pressed harder, and lift that grows with it: one equation by brentq."""
     k = sm.Symbol("k")
@@ -107,6 +109,7 @@ def test_friction_not_linear_in_the_normal_force_equals_a_scalar_root():
 N_OF = 2.0 * 9.81  # of the block, where nothing else acts upwards
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "law",
     [
@@ -190,6 +193,7 @@ def test_two_contacts_with_absolute_friction_equal_all_choices_of_signs():
     assert found[0] > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", [lambda n: 30 * sm.tanh(n / 100), lambda n: MU * n * (1 - n / 100)])
 def test_two_contacts_with_smooth_friction_are_in_balance(law):
     model = compiled(table(law, "smooth_table"))
@@ -199,6 +203,7 @@ def test_two_contacts_with_smooth_friction_are_in_balance(law):
     assert 0.4 * n[0] - 0.7 * n[1] - 0.25 * friction.sum() == pytest.approx(0.0, abs=1e-11)
 
 
+@pytest.mark.slow
 def test_unknown_forces_of_very_different_units_give_the_same_rates():
     """One in units of 1e-15: pivots are judged by the terms of their rows and columns."""
     system, values, initial, _ = table(lambda n: MU * n, "units")
@@ -246,6 +251,7 @@ def test_sliding_rod_by_every_method_reaches_the_same_state(method):
     np.testing.assert_allclose(run.y[:, -1], reference.y[:, -1], rtol=0.0, atol=METHODS[method])
 
 
+@pytest.mark.slow
 def test_sliding_rod_in_painleves_paradox_raises_an_error_that_names_it():
     theta = 1.0
     s, c = np.sin(theta), np.cos(theta)
@@ -301,6 +307,7 @@ def cart(*, is_redundant):
     return system, values, {}, "sledge_in_cartesian_coordinates"
 
 
+@pytest.mark.slow
 def test_unknown_forces_beside_redundant_coordinates_give_the_same_motion():
     least, redundant = (compiled(cart(is_redundant=is_redundant)) for is_redundant in (False, True))
     for phi, u, omega in ((0.3, 1.0, -2.0), (-1.2, 0.5, 4.0), (2.0, -1.0, 0.5)):
@@ -342,6 +349,7 @@ def test_sliding_rod_has_the_rates_and_force_of_sympys_linear_equations():
         assert model.output(0.0, state)[0] == pytest.approx(solution[2], rel=1e-12)
 
 
+@pytest.mark.slow
 def test_state_equation_with_a_normal_force_moves_as_the_closed_form():
     """A relaxed normal force, such as that of a tyre: tau z' = N - z, with friction of z and of N."""
     z, tau = me.dynamicsymbols("z"), sm.Symbol("tau")
@@ -381,6 +389,7 @@ def test_forces_along_no_auxiliary_speed_are_inputs_or_refused():
         compiled(box(lambda n, u: -MU * n)).simulate((0.0, 1.0), method="ALI3P", max_step=1e-2)
 
 
+@pytest.mark.slow
 def test_ball_that_slides_on_a_spinning_disc_moves_as_the_closed_form():
     """Coulomb friction mu N against the slip relative to the disc: x'' and w' by hand, for a solid ball."""
     x, y, vx, vy, w, normal = me.dynamicsymbols("x y v_x v_y u_n N")
@@ -418,6 +427,7 @@ def test_ball_that_slides_on_a_spinning_disc_moves_as_the_closed_form():
     np.testing.assert_allclose(slipping, 1.0 - 3.5 * 0.3 * 9.81 * run.t, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["disc that slides, normal force", "disc on a linear tyre"])
 def test_symbrims_tyres_with_normal_forces_agree_with_sympy(name):
     case = next(case for case in LONG if case.name == name)
@@ -487,6 +497,7 @@ def elbows_rates(state, mu=0.0):
     return [*u, *solution[:2]], force
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "reactions"), [("System", ["fx", "fy"]), ("KanesMethod", "all")])
 def test_joint_force_on_one_body_warns_unless_named_as_a_reaction(kind, reactions):
     made = elbow(kind)
@@ -514,6 +525,7 @@ def test_joint_force_on_both_bodies_is_a_reaction_without_a_name():
     np.testing.assert_allclose(named.rhs(0.0, state), rates, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_friction_by_a_named_reaction_gives_closed_form_rates():
     """The joint force is named, so the torque that depends on it is all that drives the motion."""
     made = elbow("System", friction=True)
@@ -525,6 +537,7 @@ def test_friction_by_a_named_reaction_gives_closed_form_rates():
         np.testing.assert_allclose(model.output(0.0, state), force, rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["System", "KanesMethod"])
 @pytest.mark.parametrize("friction", [None, lambda v: MU, lambda v: MU * sm.tanh(v)])
 def test_normal_force_along_a_wedge_gives_newtons_accelerations(kind, friction):
@@ -571,6 +584,7 @@ def test_normal_force_along_a_wedge_gives_newtons_accelerations(kind, friction):
     np.testing.assert_allclose(model.output(0.0, [0.0, 0.0, 0.0, rate]), force, rtol=1e-13)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("angle", [sm.Symbol("beta"), me.dynamicsymbols("beta")])
 def test_joint_force_along_turned_axes_gives_the_motion_of_inertial_axes(angle):
     """Which axes a force is counted along makes no difference: see the joint along inertial axes."""
@@ -590,6 +604,7 @@ def test_joint_force_along_turned_axes_gives_the_motion_of_inertial_axes(angle):
     assert run["q2"][-1] == pytest.approx(0.0521971909, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_reactions_that_name_no_unknown_force_are_refused():
     made = elbow("System")
     compiled(made, reactions=[])  # says that they drive the motion, without a warning

@@ -64,6 +64,7 @@ STATED = {
 }
 
 
+@pytest.mark.slow(but=["by_a_function-ALI3P", "by_a_parameter-ALI3P", "by_a_parameter-IDA", "half-ALI3P"])
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("stated", STATED)
 def test_velocity_constraints_in_any_form_keep_the_positions(stated, method):
@@ -80,6 +81,7 @@ def test_velocity_constraints_in_any_form_keep_the_positions(stated, method):
     np.testing.assert_allclose(force, [-tension * y, -tension * x], rtol=0, atol=1e-8 * tension)
 
 
+@pytest.mark.slow
 def test_velocity_constraints_by_a_function_keep_positions_in_ensembles():
     model = fb.compile_model(pendulum(STATED["by_a_function"]))
     ensemble = model.ensemble((0.0, 1.0), parameters={"m": np.linspace(1.0, 2.0, 9)}, rtol=1e-11, atol=1e-11)
@@ -87,6 +89,7 @@ def test_velocity_constraints_by_a_function_keep_positions_in_ensembles():
     assert np.abs(ensemble["x"] ** 2 + ensemble["y"] ** 2 - 1.0).max() < 1e-13
 
 
+@pytest.mark.slow
 def test_velocity_constraints_with_roots_of_a_norm_keep_the_positions():
     """The rate is the constraint's own, with E^(-1/2) and E^(-3/2) of one E in it."""
     model = fb.compile_model(
@@ -106,6 +109,7 @@ def combined(system, matrix):
     return [*(sm.Matrix(matrix) * system.velocity_constraints)]
 
 
+@pytest.mark.slow
 def test_velocity_constraints_that_combine_rates_give_the_same_motion(four_bar):
     model = fb.models.four_bar()
     q1 = me.dynamicsymbols("q1")
@@ -128,6 +132,7 @@ def test_velocity_constraints_that_combine_rates_give_the_same_motion(four_bar):
             np.testing.assert_allclose(g.T @ runs[1].multipliers[:, -1], mu, rtol=0, atol=1e-5 * np.abs(mu).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "velocity",
     [
@@ -201,6 +206,7 @@ def direction_of_the_top(x0, t):
     return -run.y[:9, -1].reshape(3, 3)[:, 2]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stated", [False, True])
 def test_the_norm_of_a_quaternion_needs_no_velocity_constraint(stated):
     top = fb.compile_model(top_with_norm(stated=stated))
@@ -237,6 +243,7 @@ def test_top_in_quaternions_has_closed_form_equilibrium_and_frequencies():
     np.testing.assert_allclose(found, [0, 0, *np.sqrt([9.81 / 3] * 2), *np.sqrt([9.81 / 2] * 2)], atol=1e-5)
 
 
+@pytest.mark.slow
 def test_two_bars_in_quaternions_keep_their_norms_and_their_loop():
     """Two bars on ball joints whose ends meet: norms beside constraints that speeds change."""
     t = T
@@ -289,6 +296,7 @@ def test_two_bars_in_quaternions_keep_their_norms_and_their_loop():
     np.testing.assert_allclose(np.hypot(end[1], end[2]), np.sqrt(0.75), rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("norm", [False, True])
 def test_chain_of_bodies_in_quaternions_has_sympys_rates(norm):
     """Off their norms, velocities depend on the frames that sums go by; the check is at states where they hold."""
@@ -335,6 +343,7 @@ def test_chain_of_bodies_in_quaternions_has_sympys_rates(norm):
     )
 
 
+@pytest.mark.slow
 def test_velocity_constraints_that_hold_on_one_side_alone_are_refused():
     """Not where all coordinates are positive alone, and factors that are numbers there are not elsewhere."""
     with pytest.raises(fb.ModelError, match="do not keep"):
@@ -360,6 +369,7 @@ def bump(velocity):
     return fb.compile_model(fb.Model(kane, name="bump", parameters={sm.Symbol("m"): 1.0}, initial={x: 0.0, u: 4.0}))
 
 
+@pytest.mark.slow
 def test_run_that_comes_to_where_its_constraints_drift_ends_with_a_message():
     """The rate is that of a flat road: at random states it is right, and the run says where it is not."""
     flat = bump(lambda road, w: w).simulate((0.0, 4.0), rtol=1e-8, atol=1e-8, t_eval=np.linspace(0.0, 4.0, 201))
@@ -371,6 +381,7 @@ def test_run_that_comes_to_where_its_constraints_drift_ends_with_a_message():
     assert right["u"][-1] == pytest.approx(4.0, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_velocity_constraints_of_time_hold_in_a_run_that_begins_later():
     """A bead on a straight wire, whose speed u is relative to a belt: x' = u + cos t. It slides down as without one."""
     x, y, u, v = me.dynamicsymbols("x y u v")
@@ -390,6 +401,7 @@ def test_velocity_constraints_of_time_hold_in_a_run_that_begins_later():
     assert run["x"][-1] == pytest.approx(3.0 - 9.81 / 4.0 * 9.0, abs=1e-8)
 
 
+@pytest.mark.slow
 def test_velocity_constraints_with_poles_are_examined_there_and_passed(monkeypatch):
     """u_d - A u_i: where the last two bars of a chain are in line, A is infinite, and the loop moves on regularly."""
     looks = []

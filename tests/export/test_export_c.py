@@ -90,6 +90,7 @@ BY_CLANG = ("four_bar", "sparse", "recursive", "driven_by_unknown_forces")
 """One of each form of the equations; that clang compiles the others without a warning is tested below."""
 
 
+@pytest.mark.slow(but=["four_bar-gcc"])
 @pytest.mark.parametrize(
     ("name", "compiler"), [*((name, "gcc") for name in MODELS), *((name, "clang") for name in BY_CLANG)]
 )
@@ -156,6 +157,7 @@ def test_c_library_of_every_model_gives_pythons_numbers(exported, name, compiler
             np.testing.assert_allclose(by_parameters[:, k], difference, rtol=0, atol=1e-7 * size)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MODELS)
 def test_c_library_of_every_model_compiles_by_clang_without_warnings(tmp_path, name):
     folder = fb.export_c(MODELS[name](), tmp_path)
@@ -178,6 +180,7 @@ def test_c_library_differentiates_an_inputs_expression_unless_it_is_held(exporte
         np.testing.assert_allclose(by_parameters[1], [expected[name] for name in compiled.parameters], rtol=1e-15)
 
 
+@pytest.mark.slow(but=["chain", "driven", "driven_by_unknown_forces", "four_bar"])
 @pytest.mark.parametrize("name", MODELS)
 def test_c_library_closes_loops_to_the_states_of_initial_state(exported, name):
     """From disturbed guesses, the same states as `initial_state` finds."""
@@ -312,6 +315,7 @@ def test_c_library_with_changed_parameters_and_inputs_equals_python(exported):
     np.testing.assert_allclose(mechanism.x, stepper.x, rtol=0, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_c_library_refuses_steps_and_runs_across_a_jump_of_speeds(tmp_path):
     """It is refused to pass it, and to stop there: the speeds after it are unknown."""
     points = {"O": (0, 0), "A": (0.1, 0.05), "C": (0.4, 0)}
@@ -328,6 +332,7 @@ def test_c_library_refuses_steps_and_runs_across_a_jump_of_speeds(tmp_path):
     assert "jumps" in library.message(library.call("step", mechanism, 0.02, 4))
 
 
+@pytest.mark.slow
 def test_c_library_run_of_a_cam_that_returns_to_rest_equals_python(tmp_path):
     """A cubic, whose position and speed are zero at its end, but for rounding errors; its acceleration jumps there."""
     points = {"O": (0, 0), "A": (0.1, 0.05), "C": (0.4, 0)}
@@ -404,6 +409,7 @@ def test_c_library_statuses_of_failures_have_their_messages(exported):
     assert library.message(99) == "unknown status"
 
 
+@pytest.mark.slow
 def test_c_library_built_by_its_readme_prints_pythons_motion(tmp_path, four_bar):
     """The example prints the motion that Python's stepper finds; a C++ program includes the header."""
     require("gcc")
@@ -431,6 +437,7 @@ def test_c_library_built_by_its_readme_prints_pythons_motion(tmp_path, four_bar)
     )
 
 
+@pytest.mark.slow
 def test_c_library_controller_of_the_documentation_prints_what_stands_there(tmp_path):
     """It prints what stands there, and what Python's stepper finds with the same torque."""
     folder = fb.export_c(fb.models.slider_crank(), tmp_path / "slider_crank")
@@ -469,6 +476,7 @@ def test_export_of_contradictory_kinematics_gives_a_warning(tmp_path):
         fb.export_c(slider("velocity"), tmp_path)
 
 
+@pytest.mark.slow
 def test_c_libraries_of_two_models_work_in_one_program(tmp_path):
     gcc = require("gcc")
     for model in (fb.models.four_bar(), fb.models.slider_crank()):
@@ -492,6 +500,7 @@ def test_c_libraries_of_two_models_work_in_one_program(tmp_path):
     subprocess.run([tmp_path / "both"], check=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("target", ["aarch64-linux-gnu", "arm-linux-gnueabihf"])
 def test_c_library_on_emulated_arm_processors_gives_pythons_states(tmp_path, four_bar, target):
     """Cross-compiled, and run by an emulator: the state after a second of steps."""
@@ -506,6 +515,7 @@ def test_c_library_on_emulated_arm_processors_gives_pythons_states(tmp_path, fou
     np.testing.assert_allclose(last[1:], stepper.x[:3], rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_export_twice_gives_equal_texts_without_global_variables(tmp_path):
     texts = []
     for name in ("one", "two"):
@@ -523,6 +533,7 @@ def test_export_twice_gives_equal_texts_without_global_variables(tmp_path):
     assert data < 1000  # pointers of the constant table, which the linker fills in
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("optimization", ["-Os", "-O3"])
 def test_c_library_without_inputs_compiles_without_warnings(tmp_path, optimization):
     """gcc follows arrays without entries, such as those of the derivatives by inputs, into functions."""
@@ -531,6 +542,7 @@ def test_c_library_without_inputs_compiles_without_warnings(tmp_path, optimizati
         subprocess.run([require("gcc"), *STRICT, optimization, "-c", source, "-o", os.devnull], check=True)
 
 
+@pytest.mark.slow(but=["energy", "m0", "model", "motion"])
 @pytest.mark.parametrize("name", ["model", "motion", "state", "step", "x", "m0", "energy", "next"])
 def test_c_library_compiles_with_names_that_its_sources_use(tmp_path, name):
     """Functions and variables of the sources may have the model's name, which is a type in C and C++ for its users."""
@@ -573,6 +585,7 @@ def test_names_of_all_macros_of_standard_headers_are_reserved():
     assert not any(RESERVED_FAMILIES.fullmatch(name) for name in ("M1", "SCARA", "FD", "L_shaped", "M_arm", "RRR_2"))
 
 
+@pytest.mark.slow
 def test_export_of_models_without_values_or_with_reserved_names_is_refused(tmp_path):
     with pytest.raises(fb.ModelError, match="begins with defaults: give m"):
         fb.export_c(fb.Model(pendulum(), name="open", parameters={"g": 9.81, "l": 0.5}), tmp_path / "a")

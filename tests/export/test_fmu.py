@@ -21,6 +21,8 @@ from harness.programs import prepare_zig, require
 import fourbar_codegen as fb
 from fourbar_codegen.building.compiler import cross_compiler
 
+pytestmark = pytest.mark.slow
+
 SLAVE, MODEL = {2: FMU2Slave, 3: FMU3Slave}, {2: FMU2Model, 3: FMU3Model}
 BOTH = pytest.mark.parametrize("fmi", [2, 3])
 

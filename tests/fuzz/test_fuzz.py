@@ -11,6 +11,8 @@ from fourbar_codegen.analysis import groups, polynomials
 from fuzz import assemblies, calls, damage, kills, mechanisms
 from fuzz.runner import PATHS, explore
 
+pytestmark = pytest.mark.slow
+
 SEED = 1
 SHORT = {"calls": 2000, "mechanisms": 1, "assemblies": 200, "damage": 150, "kills": 2}
 

@@ -430,6 +430,7 @@ def test_build_error_of_a_wrong_flag_shows_the_compilers_message(monkeypatch, tm
     assert "unrecognized" in caught.value.output
 
 
+@pytest.mark.slow
 def test_failed_build_leaves_the_users_folder_alone(monkeypatch, tmp_path):
     monkeypatch.setenv("CC", "false")
     with pytest.raises(fb.BuildError):
@@ -437,6 +438,7 @@ def test_failed_build_leaves_the_users_folder_alone(monkeypatch, tmp_path):
     assert not (tmp_path / "built").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("variable", "text", "words"),
     [
@@ -453,6 +455,7 @@ def test_build_with_unreadable_compiler_settings_is_refused_with_their_name(
         fb.build_model(make_four_bar(), tmp_path)
 
 
+@pytest.mark.slow
 def test_module_built_with_fast_math_keeps_nan_and_denormal_numbers(monkeypatch, tmp_path):
     monkeypatch.setenv("CC", f"{os.environ.get('CC', 'cc')} -Ofast")
     monkeypatch.setenv("CFLAGS", "-ffast-math")
@@ -468,6 +471,7 @@ def test_module_built_with_fast_math_keeps_nan_and_denormal_numbers(monkeypatch,
     assert "not finite" in ode.failure
 
 
+@pytest.mark.slow
 def test_module_built_again_after_loading_is_refused_in_the_same_process(tmp_path):
     fb.load(fb.build_model(fb.Model(pendulum(), name="again", parameters={m: 1.0}), tmp_path))
     path = fb.build_model(fb.Model(pendulum(), name="again", parameters={m: 2.0}), tmp_path)
@@ -475,6 +479,7 @@ def test_module_built_again_after_loading_is_refused_in_the_same_process(tmp_pat
         fb.load(path)
 
 
+@pytest.mark.slow
 def test_module_built_after_a_failed_load_is_loaded(tmp_path):
     model = fb.Model(pendulum(), name="mended", parameters={m: 1.0})
     path = fb.build_model(model, tmp_path)
@@ -532,6 +537,7 @@ def test_series_as_parameters_or_inputs_are_read_by_their_index(four_bar):
     assert four_bar.simulate((0.0, 0.1), method="Radau", inputs=Series({"F": 1.0})).success
 
 
+@pytest.mark.slow(but=["1e-14-1", "1e-14-4"])
 @pytest.mark.parametrize("loops", [1, 4])
 @pytest.mark.parametrize("unit", [1e-13, 1e-14])
 def test_a_constraint_in_units_far_from_another_is_refused_and_not_dropped(loops, unit):

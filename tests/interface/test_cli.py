@@ -34,6 +34,7 @@ def test_simulate_with_several_outputs_writes_each_file(tmp_path, four_bar):
         assert len(list(csv.reader(file))) == 402
 
 
+@pytest.mark.slow
 def test_simulate_with_the_tutorials_options_prints_its_published_numbers():
     output = run("simulate", "--method", "RK45", "--rtol", "1e-3", "--atol", "1e-6", "--constraints", "none").output
     assert "-2.2464155374" in output  # published: q2 of the tutorial's initial state
@@ -50,6 +51,14 @@ def test_simulate_with_initial_values_and_guesses_prints_the_closed_state(four_b
         assert f"  {name:<8} {value:>16.10f}" in result.output
 
 
+@pytest.mark.slow(
+    but=[
+        "arguments0-'l9'",
+        "arguments1-NAME=VALUE",
+        "arguments10-give one, such as -o sweep.png",
+        "arguments11-F is an input, not a parameter: give it with -r",
+    ]
+)
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -124,6 +133,7 @@ def test_unfinished_simulation_exits_with_an_error(tmp_path):
     assert target.exists()  # what was reached is not lost
 
 
+@pytest.mark.slow
 def test_simulate_of_a_run_that_explodes_reports_progress_and_ends(monkeypatch):
     monkeypatch.setattr("fourbar_codegen.simulation.simulate.PATIENCE", 0.1)  # a million steps take longer
     # The damper feeds the motion: to 20 s it would be 35 million steps, up to 4e15 J.
@@ -182,6 +192,7 @@ def make():
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["json.py:make", "folder/json.py:make", "own:make"])
 def test_models_in_files_named_as_python_modules_do_not_replace_these(tmp_path, model):
     """Neither a model in a file json.py, nor one beside it; and the neighbours of a file can be imported."""
@@ -198,6 +209,7 @@ def test_models_in_files_named_as_python_modules_do_not_replace_these(tmp_path, 
     assert done.stdout.startswith("Model cartesian_pendulum")
 
 
+@pytest.mark.slow
 def test_export_command_writes_a_c_library_or_fmu_and_checks_its_options(tmp_path):
     result = run("export", "four_bar", "--to", "c", "-o", tmp_path / "c")
     assert result.stdout == f"Written: {tmp_path / 'c' / 'README.md'} says how to build it\n"
@@ -209,6 +221,7 @@ def test_export_command_writes_a_c_library_or_fmu_and_checks_its_options(tmp_pat
     assert "--fmi belongs to --to fmu" in result.output
 
 
+@pytest.mark.slow
 def test_info_on_a_linkage_or_its_function_describes_its_model(tmp_path):
     """A function that returns a Linkage, or one by its name."""
     points = {"A": (0, 0), "B": (0.1, 0.05), "C": (0.3, 0.3), "D": (0.4, 0)}
@@ -285,6 +298,7 @@ main()
     assert (done.returncode, done.stderr) == (130, "Interrupted.\n")
 
 
+@pytest.mark.slow
 def test_command_interrupted_during_a_run_ends_with_one_line():
     code = """
 import os, signal, sys, threading
@@ -299,6 +313,7 @@ main()
     assert done.stderr.splitlines()[-1] == "Interrupted."
 
 
+@pytest.mark.slow
 def test_generate_and_build_write_sources_modules_and_wheels_that_load(tmp_path, four_bar, unoptimized):
     assert run("generate", "-o", tmp_path / "sources").exit_code == 0
     assert json.loads((tmp_path / "sources" / "four_bar" / "manifest.json").read_text())["name"] == "four_bar"

@@ -70,6 +70,7 @@ def fourbar(*arguments, **environment):
     return on_terminal("-m", "fourbar_codegen", *arguments, **environment)
 
 
+@pytest.mark.slow
 def test_types_of_a_users_file_are_known_to_mypy(tmp_path):
     """What an editor knows of a user's file: by mypy, from the package as it is installed."""
     code = (
@@ -98,6 +99,7 @@ def test_output_of_info_on_a_terminal_has_no_colours(environment):
     assert "\x1b" not in fourbar("info", **environment)
 
 
+@pytest.mark.slow
 def test_animation_saved_on_a_terminal_shows_its_progress_in_frames(tmp_path):
     """On a terminal, up to all frames; not a word elsewhere. Without patience, however fast they are drawn."""
     code = (

@@ -18,6 +18,8 @@ import fourbar_codegen as fb
 from fourbar_codegen.building import compiler
 from fourbar_codegen.cli import main
 
+pytestmark = pytest.mark.slow
+
 M, G, L = sm.symbols("m g l")
 EXAMPLES = PROJECT / "examples"
 

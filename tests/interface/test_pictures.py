@@ -40,6 +40,7 @@ def test_points_of_a_four_bars_run_equal_trigonometry(four_bar, trajectory):
     np.testing.assert_array_equal(one["P2"], points["P2"][:, 3])
 
 
+@pytest.mark.slow(but=["slider_crank", "whipple_bicycle"])
 @pytest.mark.parametrize("make", [fb.models.whipple_bicycle, fb.models.slider_crank, lambda: fb.models.chain(3)])
 def test_points_of_ready_models_at_random_positions_equal_sympys(make):
     model = make()
@@ -141,6 +142,7 @@ def test_animations_saved_as_gif_have_moving_frames(trajectory, tmp_path):
         trajectory.animate(fps=0.0)
 
 
+@pytest.mark.slow
 def test_films_saved_as_mp4_have_all_frames(trajectory, tmp_path):
     require("ffmpeg")
     ffprobe = require("ffprobe")
@@ -180,6 +182,7 @@ def _arm(system):
     return position.args[0][1]
 
 
+@pytest.mark.slow
 def test_force_that_is_nan_has_no_arrow_and_leaves_others(tmp_path):
     """It has no arrow where it is none; another one keeps its own."""
     system, q = pendulum(), me.dynamicsymbols("q")
@@ -292,6 +295,7 @@ def wait(page, condition):
     pytest.fail("nothing happened in 10 s")
 
 
+@pytest.mark.slow
 def test_report_scrubbed_to_a_time_shows_the_state_at_that_time(opened, trajectory):
     page = opened(trajectory)
     scrub = page.locator("#scrub")
@@ -322,6 +326,7 @@ def test_report_scrubbed_to_a_time_shows_the_state_at_that_time(opened, trajecto
     assert float(shown) == pytest.approx(trajectory.q[0, -1], abs=1e-3)
 
 
+@pytest.mark.slow
 def test_report_play_moves_the_linkage_until_the_end(opened, trajectory):
     page = opened(trajectory)
     before = center(page, "P2")
@@ -340,6 +345,7 @@ def test_report_play_moves_the_linkage_until_the_end(opened, trajectory):
     assert page.locator("#scrub").input_value() == "240"
 
 
+@pytest.mark.slow
 def test_report_by_keyboard_on_a_phone_scrubs_and_fits_the_window(opened, trajectory):
     page = opened(trajectory, viewport={"width": 390, "height": 800})
     page.keyboard.press("End")
@@ -355,6 +361,7 @@ def test_report_by_keyboard_on_a_phone_scrubs_and_fits_the_window(opened, trajec
     assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
 
 
+@pytest.mark.slow
 def test_report_of_a_spatial_mechanism_turns_by_the_mouse(opened):
     bicycle = fb.compile_model(fb.models.whipple_bicycle())
     x0 = bicycle.initial_state({"q4": 0.1}, {"u6": -15.0})
@@ -381,6 +388,7 @@ def test_resampled_run_with_a_prescribed_motion_takes_its_source_in_between():
     np.testing.assert_allclose(dense.resample(shown).r, exact.r, rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", ["P", "Q"])
 def test_positions_of_a_system_with_two_roots_are_from_the_fixed_point(first):
     q1, q2, u1, u2 = me.dynamicsymbols("q1 q2 u1 u2")
@@ -403,6 +411,7 @@ def test_positions_of_a_system_with_two_roots_are_from_the_fixed_point(first):
     assert {name: place.tolist() for name, place in positions.items()} == {"O": [0.0, 0.0, 0.0], "Q": [0.0, 2.0, 0.0]}
 
 
+@pytest.mark.slow
 def test_pictures_and_datasets_of_runs_with_one_time_or_none_are_made_or_refused(four_bar, tmp_path):
     at_once = four_bar.simulate((0.0, 1.0), events=fb.Event(lambda t, x: t, terminal=True))
     assert at_once.t.tolist() == [0.0, 0.0]
@@ -430,6 +439,7 @@ def test_animations_with_wrong_options_or_a_full_disk_leave_no_file(trajectory, 
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_report_of_many_curves_at_late_times_shows_its_end(opened, tmp_path):
     """More numbers than a function takes arguments; times that single precision cannot tell apart."""
     q = me.dynamicsymbols("q")

@@ -51,6 +51,7 @@ def test_inputs_by_member_are_in_an_ensembles_files_and_plots(four_bar, tmp_path
     assert runs.plot("q1").axes[1].get_ylabel() == "F"
 
 
+@pytest.mark.slow
 def test_ensemble_with_names_reserved_in_files_is_refused_there(tmp_path):
     parameters = {"m": 1.0, "g": 9.81, "l": 1.0}
     model = fb.Model(pendulum(), name="named", parameters=parameters, outputs={"success": me.dynamicsymbols("q")})

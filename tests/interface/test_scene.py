@@ -64,6 +64,7 @@ def test_scene_of_a_slider_crank_has_a_guide_as_long_as_the_stroke():
     assert_rigid(found)
 
 
+@pytest.mark.slow(but=["lever-links0-P"])
 @pytest.mark.parametrize(
     ("carrier", "links", "block"),
     [("lever", {("O", "E"), ("B", "T")}, "P"), ("rod", {("O", "E"), ("P", "T")}, "B")],
@@ -102,6 +103,7 @@ def jointed():
     return fb.Model(system, name="jointed", parameters=values, initial={q: 0.0, u: 0.0, x: 2.0, v: 0.0})
 
 
+@pytest.mark.slow
 def test_scene_of_a_system_with_sympys_joints_has_plate_pins_and_ground(tmp_path):
     run = fb.compile_model(jointed()).simulate((0.0, 1.0))
     found = scene_of(run)
@@ -146,6 +148,7 @@ def pendulum_with_foot(*, is_known=False, **changes):
     return fb.compile_model(fb.Model(system, name="footed", parameters=values, initial={q: 0.1, u: 0.0}, **given))
 
 
+@pytest.mark.slow
 def test_point_with_an_unknown_parameter_is_not_drawn_with_a_warning():
     run = pendulum_with_foot().simulate((0.0, 1.0))
     assert "foot" not in run.points
@@ -153,6 +156,7 @@ def test_point_with_an_unknown_parameter_is_not_drawn_with_a_warning():
         run.plot_paths()
 
 
+@pytest.mark.slow
 def test_point_that_nothing_needs_is_drawn_if_its_parameters_have_values():
     run = pendulum_with_foot(is_known=True).simulate((0.0, 1.0))
     assert run.model.parameters == ("l", "e", "a")
@@ -210,6 +214,7 @@ def test_scene_of_assembly_modes_has_the_links_of_a_run(four_bar):
     assert len(modes.plot().axes) == len(modes)
 
 
+@pytest.mark.slow
 def test_scene_of_a_spatial_link_has_the_edges_of_its_hull():
     """A tetrahedron with a mass centre inside it has six edges; its base point is that of a ball joint."""
     q, u = me.dynamicsymbols("q u")
@@ -260,6 +265,7 @@ def hanging(turn_about, down, offset):
 AXES = np.vstack((np.eye(3, dtype=int), -np.eye(3, dtype=int)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("down", AXES.tolist(), ids=["x", "y", "z", "-x", "-y", "-z"])
 @pytest.mark.parametrize("offset", [0.0, 0.2])
 def test_scene_of_a_hanging_body_shows_gravity_downwards_along_every_axis(down, offset):
@@ -301,6 +307,7 @@ t = me.dynamicsymbols._t
 M, PUSH, RHO = sm.symbols("m push rho")
 
 
+@pytest.mark.slow(but=["<lambda>-None-gravity2"])
 @pytest.mark.parametrize(
     ("force", "mass", "gravity"),
     [
@@ -345,6 +352,9 @@ def frame_with(orient, position):
     return add
 
 
+@pytest.mark.slow(
+    but=["<lambda>-<lambda>-False1", "<lambda>-<lambda>-False2", "<lambda>-<lambda>-False3", "<lambda>-<lambda>-False4"]
+)
 @pytest.mark.parametrize(
     ("orient", "position", "is_drawn"),
     [

@@ -126,6 +126,7 @@ def test_trajectory_of_a_cached_model_is_loaded_without_naming_it(slider_run, tm
 STRANGER = "from pathlib import Path\nPath(__file__).with_name('ran').touch()\n"
 
 
+@pytest.mark.slow(but=["another", "deep", "list"])
 @pytest.mark.parametrize(
     "manifest",
     [None, "[]", "{", "[" * 100_000, '{"name": "stranger", "fingerprint": "another"}', '{"name": "slider"}'],
@@ -161,6 +162,7 @@ def test_trajectory_that_names_packages_or_libraries_does_not_run_them(four_bar,
     assert (package / "ran").exists()
 
 
+@pytest.mark.slow
 def test_trajectory_of_an_installed_model_finds_it_but_not_in_the_current_folder(slider_run, tmp_path):
     wheel = fb.build_wheel(slider(), tmp_path / "dist")
     with zipfile.ZipFile(wheel) as archive:
@@ -312,6 +314,7 @@ def test_netcdf_file_with_a_damaged_heap_is_refused(run, tmp_path):
         fb.load_trajectory(path)
 
 
+@pytest.mark.slow
 def test_paths_that_no_file_can_have_are_refused_and_odd_ones_written(run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for path in (None, 3, b"run.npz", ["run.npz"], "run\0.npz", "run\ud800.npz"):
@@ -375,6 +378,7 @@ def test_load_trajectory_of_no_path_or_no_model_is_refused(run, tmp_path):
         fb.load_trajectory(tmp_path / "none.nc")
 
 
+@pytest.mark.slow
 def test_files_that_exceed_the_disk_leave_the_old_ones_with_a_message(tmp_path):
     """Told in a sentence; what was there stays, and nothing comes beside it."""
     code = f"""

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from harness import PROJECT
 
+pytestmark = pytest.mark.slow
+
 EXAMPLES = PROJECT / "examples"
 
 

@@ -118,6 +118,7 @@ def test_files_of_every_layer_import_lower_layers_only(name):
             assert layer(imported) in below(layer(name)), f"{name} imports {imported}"
 
 
+@pytest.mark.slow
 def test_files_of_the_package_import_each_other_without_cycles():
     """Also within a folder, and counting imports in functions, but for what results do with themselves."""
     edges = {name: {imported for imported, _ in own(name) if (name, imported) not in DOORS} for name in FILES}
@@ -208,6 +209,7 @@ def drawing():
     ])  # fmt: skip
 
 
+@pytest.mark.slow
 def test_drawing_of_the_folders_is_that_of_the_code():
     assert DRAWING.read_text() == drawing()
 

@@ -20,6 +20,7 @@ BLOCKS = re.findall(r"```(python|text)\n(.*?)```", README, flags=re.DOTALL)
 EXAMPLES = [(code, text) for (kind, code), (_, text) in itertools.pairwise(BLOCKS) if kind == "python"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("code", "text"), EXAMPLES, ids=["own System", "four-bar"])
 def test_examples_of_the_readme_print_what_stands_below_them(code, text, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -42,11 +43,14 @@ def test_command_of_the_installation_page_prints_what_stands_below_it(tmp_path, 
 
 
 def test_number_of_tests_in_a_whole_run_is_the_one_of_the_readme(request):
-    config = request.config
-    if config.args_source is pytest.Config.ArgsSource.TESTPATHS and not config.option.keyword:  # the whole suite
-        assert f" {request.session.testscollected} passed in " in README
+    """`make test` prints both; `make test-all` runs their sum."""
+    config, count = request.config, request.session.testscollected
+    [more, quick] = map(int, re.search(r"^(\d+) more tests take.*\n=+ (\d+) passed in ", README, re.MULTILINE).groups())
+    if config.args_source is pytest.Config.ArgsSource.TESTPATHS and not config.option.keyword:
+        assert count == (quick if config.option.markexpr == "not slow" else quick + more)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ci", [False, True])
 def test_tests_without_their_programs_are_skipped_and_fail_on_ci(ci, tmp_path):
     """On a machine with Python, gcc and make they are skipped and say what to install; on CI that is a failure."""

@@ -47,6 +47,7 @@ def test_bicycle_in_a_general_state_has_the_accelerations_of_basu_mandal(bicycle
     np.testing.assert_allclose(bicycle.velocity_constraints(0.0, x), 0.0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_symbrims_bicycle_in_a_general_state_has_the_published_accelerations():
     """Of the benchmark bicycle in a general state: P. Basu-Mandal, A. Chatterjee, J. M. Papadopoulos, Proc. R. Soc. A
     463 (2007), in the convention of J. K. Moore as SymBRiM's test has it."""

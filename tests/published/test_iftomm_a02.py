@@ -44,6 +44,7 @@ def test_parallelograms_pass_their_level_positions_on_the_branch_of_parallel_bar
     np.testing.assert_allclose(run["c1"], 0.0, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("t", JOINT)
 def test_parallelograms_converge_with_second_order(parallelograms, t):
     errors = [
@@ -64,6 +65,7 @@ def test_energy_of_parallelograms_stays_within_the_benchmarks_0_1_joule(parallel
     assert np.abs(run.velocity_residual).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_parallelograms_with_exudyns_step_come_as_near_as_exudyn(parallelograms):
     """EXUDYN's documentation, NfourBar.py, h = 1.25e-4: 1.4e-6 m off, and an energy error of 1.795e-5 J."""
     run = simulated(parallelograms, 1.25e-4, t_eval=[10.0])

@@ -66,6 +66,7 @@ def test_bicycle_at_each_speed_has_the_eigenvalues_of_meijaard(bicycle, row):
     np.testing.assert_allclose(np.sort_complex(eigenvalues), np.sort_complex(expected), rtol=0, atol=1e-11)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("speed", "number"), [(4.29238253634111, 2), (6.02426201538837, 1)], ids=["weave", "capsize"])
 def test_an_eigenvalue_has_no_real_part_at_the_published_critical_speeds(bicycle, speed, number):
     """Table 2 and section 5: weave and capsize speed, to 14 decimals of m/s; real parts grow by about 1 per m/s."""

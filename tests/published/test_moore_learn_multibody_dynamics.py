@@ -7,6 +7,7 @@ from drift import model as point_mass_four_bar
 import fourbar_codegen as fb
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("tolerances", "published"), [((1e-3, 1e-6), 8e-3), ((1e-10, 1e-10), 5e-10)])
 def test_loops_that_ida_closes_by_itself_are_open_by_no_more_than_published(tolerances, published):
     """ "Equations of Motion with Holonomic Constraints": less than 8 mm in 30 s, and less than 5e-10 m at 1e-10."""

@@ -75,6 +75,7 @@ def test_stepper_at_the_end_of_a_constraint_raises_and_keeps_its_state(root):
     np.testing.assert_array_equal(stepper.x, before)
 
 
+@pytest.mark.slow
 def test_samples_where_a_constraint_has_no_value_are_nan_and_the_run_goes_on():
     """A bead at 1 m/s on a line with a gap between the stages of a step, which nothing but samples can meet."""
     line = sm.Piecewise((y, sm.Abs(x - gap) > width), (sm.sqrt(-1 - y**2), True))

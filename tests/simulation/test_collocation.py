@@ -33,6 +33,7 @@ def points(request):
     return model, generator.uniform(0.0, 1.0, N), {**arguments, "p": p}
 
 
+@pytest.mark.slow(but=["disc", "four_bar", "bicycle"])
 def test_batch_jacobians_equal_those_of_single_states_to_the_bit(points):
     model, t, arguments = points
     x, p, r = (arguments[name] for name in ("x", "p", "r"))
@@ -51,6 +52,7 @@ def test_batch_jacobians_equal_those_of_single_states_to_the_bit(points):
                 np.testing.assert_array_equal(found[..., i], expected)
 
 
+@pytest.mark.slow(but=["bicycle-index-3", "closed chain-index-3", "disc-index-3", "four_bar-index-3"])
 @pytest.mark.parametrize("formulation", ["index-1", "index-3"])
 def test_residual_jacobians_equal_differences_and_have_the_stated_sparsity(points, formulation):
     model, t, arguments = points
@@ -81,6 +83,7 @@ def test_residual_of_every_formulation_vanishes_along_a_run(four_bar):
         assert np.abs(residual).max() < 1e-10
 
 
+@pytest.mark.slow
 def test_parameters_of_an_inputs_expression_enter_jacobians_unless_it_is_given():
     t = me.dynamicsymbols._t
     model = fb.compile_model(driven_oscillator(parameters={"F_0": 3.0}, force=sm.Symbol("F_0") * sm.sin(3 * t)))

@@ -76,6 +76,7 @@ def random_states(model, n):
     return GENERATOR.uniform(-1.0, 1.0, (model.n_x, n))
 
 
+@pytest.mark.slow(but=["slider_crank"])
 def test_batch_of_random_states_equals_the_right_hand_side_of_each(compiled):
     """To rounding errors, which grow with the condition of the equations at a state: the median shows the former."""
     x = random_states(compiled, 203)
@@ -89,6 +90,7 @@ def test_batch_of_random_states_equals_the_right_hand_side_of_each(compiled):
     assert max(errors) < 1e-9
 
 
+@pytest.mark.slow
 def test_batch_and_ensemble_with_redundant_constraints_equal_single_states_and_runs():
     compiled = fb.compile_model(parallelogram())
     compiled.require_batch_functions()
@@ -474,6 +476,7 @@ def test_callables_get_one_member_at_a_time(four_bar):
     ).success.all()
 
 
+@pytest.mark.slow
 def test_ensemble_interrupted_from_the_keyboard_ends_with_other_threads_running(four_bar):
     """From the keyboard, in runs of weeks. Another thread of Python's goes on beside them, or there were none."""
     code = """
@@ -520,6 +523,7 @@ def test_members_whose_energy_explodes_end_at_max_steps_with_a_message(four_bar)
         four_bar.ensemble((0.0, 1.0), max_steps=0)
 
 
+@pytest.mark.slow
 def test_progress_bar_appears_on_a_terminal_only_in_long_runs_unless_switched_off():
     code = "import fourbar_codegen as fb\n{}fb.load('four_bar').ensemble((0.0, 1.0){})"
     impatient = (
@@ -547,6 +551,7 @@ def test_ensemble_on_joblib_equals_the_one_on_threads(four_bar):
         assert ensemble.success.all()
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # of dask's own
 def test_ensemble_on_dask_equals_the_one_on_threads(four_bar):
     from distributed import Client, LocalCluster
@@ -564,6 +569,7 @@ def restored(arguments):
     return str(_restore(*arguments).path)
 
 
+@pytest.mark.slow
 def test_workers_that_do_not_find_the_module_build_it_once_in_their_cache(tmp_path, monkeypatch):
     """Processes that do not find the module share one build in their node's cache."""
     model = fb.compile_model(fb.models.cartesian_pendulum())
@@ -579,6 +585,7 @@ def test_workers_that_do_not_find_the_module_build_it_once_in_their_cache(tmp_pa
     np.testing.assert_array_equal(fb.load(paths[0]).rhs_batch(0.0, x), model.rhs_batch(0.0, x))
 
 
+@pytest.mark.slow
 def test_model_restored_where_another_has_its_path_is_rebuilt_or_refused(tmp_path, monkeypatch, unoptimized):
     model = fb.load(fb.build_model(fb.models.cartesian_pendulum(), tmp_path / "here"))
     _, (kind, name, _, manifest, sources, *_) = model.__reduce__()

@@ -34,6 +34,7 @@ def test_standard_errors_of_a_fit_at_a_steady_motion_equal_the_closed_form():
     assert found.values["u7"] == pytest.approx(measured @ roll / (np.transpose(roll) @ roll), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_fit_from_a_tiny_or_zero_guess_finds_the_parameter():
     """The first trust region of SciPy has the size of the guess, below which no change counted as progress."""
     model = fb.compile_model(driven_oscillator(parameters={"F_0": 0.0}, force=sm.Symbol("F_0")))
@@ -63,6 +64,7 @@ def test_fit_with_an_estimate_of_zero_reports_finite_standard_errors():
     assert "do not determine" not in found.message
 
 
+@pytest.mark.slow(but=["0.1", "1e-09", "1e-12"])
 @pytest.mark.parametrize("guess", [0.0, 1e-12, 1e-9, 0.1])
 def test_fit_of_zero_beside_a_large_offset_is_right_from_any_guess(guess):
     """Also beside a constant that is large: where an oscillator is on a line, with a standard deviation of 0.01."""
@@ -100,6 +102,7 @@ def test_fit_of_mass_and_stiffness_finds_their_ratio_with_infinite_errors(noisy)
     assert both.stderr["x"] == pytest.approx(one.stderr["x"], rel=1e-2)  # m - n is one less
 
 
+@pytest.mark.slow
 def test_fit_from_a_guess_without_effect_or_derivative_is_refused():
     t, load = np.linspace(0.0, 1.0, 11), lambda x, v, _: -sm.Symbol("a") * sm.sqrt(x**2 + v**2)
     model = fb.compile_model(oscillator())
@@ -140,6 +143,7 @@ def test_fit_with_a_robust_loss_and_outliers_equals_curve_fit(noisy, loss):
     assert [*found.values.values()] == pytest.approx(expected, rel=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loss", ["soft_l1", "huber", "cauchy"])
 def test_standard_errors_with_outliers_equal_the_scatter_of_many_fits(noisy, loss):
     model, t, _ = noisy
@@ -190,6 +194,7 @@ def test_fit_with_a_guess_near_another_assembly_mode_follows_that_mode(four_bar)
     assert fb.fit(four_bar, fb.Experiment(t, {"q2": run["q2"]}, **how), {"k": 2.0}).cost > 1.0
 
 
+@pytest.mark.slow
 def test_fit_of_an_output_that_depends_on_the_parameter_finds_it(noisy):
     _, t, _ = noisy
     model = oscillator()

@@ -63,6 +63,14 @@ def test_tableau_coefficients_of_each_method_equal_scipys_to_the_bit(method):
         np.testing.assert_array_equal(array("c_extra"), scipys.C_EXTRA)
 
 
+@pytest.mark.slow(
+    but=[
+        "cartesian_pendulum-False-0.001-DOP853",
+        "cartesian_pendulum-False-0.001-RK45",
+        "cartesian_pendulum-False-1e-06-DOP853",
+        "cartesian_pendulum-False-1e-06-RK45",
+    ]
+)
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-6, 1e-9])
 @pytest.mark.parametrize("forward", [True, False])
@@ -86,6 +94,9 @@ def test_runs_without_projection_take_scipys_steps(case, method, tolerance, forw
     np.testing.assert_array_equal(sampled.t, times)
 
 
+@pytest.mark.slow(
+    but=["cartesian_pendulum-BDF", "cartesian_pendulum-DOP853", "cartesian_pendulum-LSODA", "cartesian_pendulum-RK23"]
+)
 @pytest.mark.parametrize("method", [*METHODS, "RK23", "Radau", "BDF", "LSODA"])
 def test_states_at_steps_samples_and_between_them_satisfy_the_constraints(case, method):
     compiled, x0, duration = case
@@ -180,6 +191,7 @@ def linkage(driven):
     return fb.compile_model(fb.Model(system, name=f"linkage_{driven}", inputs={}))
 
 
+@pytest.mark.slow(but=["non-Grashof"])
 @pytest.mark.parametrize(
     "lengths",
     [
@@ -414,6 +426,7 @@ def test_run_with_max_steps_or_max_step_keeps_them_and_wrong_limits_are_refused(
             four_bar.simulate((0.0, 1.0), **wrong)
 
 
+@pytest.mark.slow(but=["RK23"])
 @pytest.mark.parametrize("method", ["DOP853", "RK23"])
 def test_run_that_stops_before_its_first_step_has_no_dense_output(method):
     # A parallelogram: the first step passes the position in which all bars are level, and is discarded.

@@ -27,6 +27,7 @@ def test_to_jax_in_single_precision_is_refused(four_bar):
         fb.to_jax(four_bar)
 
 
+@pytest.mark.slow
 def test_jax_derivatives_of_the_rates_equal_the_compiled_ones_in_both_modes(four_bar):
     rhs, x = fb.to_jax(four_bar).rhs, four_bar.initial_state()
     p, r = np.array([*four_bar.defaults.values()]), four_bar.default_inputs(0.0)
@@ -71,6 +72,7 @@ def test_jax_right_hand_side_takes_parameters_and_inputs_by_name(four_bar):
             rhs(**{"t": 0.0, "x": x, **given})
 
 
+@pytest.mark.slow
 def test_jax_derivatives_pass_through_the_expression_of_an_input():
     a, t = sm.Symbol("a"), me.dynamicsymbols._t
     model = fb.compile_model(driven_oscillator(parameters={"a": 3.0}, force=a * sm.sin(2 * t)))
@@ -83,6 +85,7 @@ def test_jax_derivatives_pass_through_the_expression_of_an_input():
     assert np.isnan(simulate({"k": np.nan})["x"]).all()
 
 
+@pytest.mark.slow(but=["True"])
 @pytest.mark.parametrize("forward", [False, True])
 def test_jax_derivatives_of_an_oscillators_run_equal_closed_forms_in_both_modes(forward):
     # x = a cos(w t): dx/dk = -a t sin(w t) / (2 m w), dx/da = cos(w t)
@@ -130,6 +133,7 @@ def test_jax_simulation_with_a_guess_follows_the_other_assembly_mode(four_bar):
         fb.to_jax(four_bar).simulation((0.0, 1.0), TIMES, guess={"k": 1.0})
 
 
+@pytest.mark.slow
 def test_jax_gradients_by_a_control_table_lead_to_the_minimum_of_a_loss():
     """Values of a table, by gradient descent: the work of a force that brings a mass to rest elsewhere falls."""
     model = fb.compile_model(driven_oscillator(parameters={"k": 0.0}))
@@ -153,6 +157,7 @@ def test_jax_gradients_by_a_control_table_lead_to_the_minimum_of_a_loss():
     np.testing.assert_allclose(by_force + 2e-3 * best / 11, gradient(best), rtol=0, atol=1e-11)
 
 
+@pytest.mark.slow
 def test_jax_simulation_whose_loops_do_not_close_gives_nan(four_bar):
     simulate = fb.to_jax(four_bar).simulation((0.0, 1.0), TIMES)
     assert np.isnan(simulate({"l2": 50.0})["q1"]).all()

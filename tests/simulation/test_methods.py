@@ -263,6 +263,7 @@ def test_max_step_below_rounding_errors_is_refused_by_every_method(four_bar, met
     assert "step" in run.message
 
 
+@pytest.mark.slow(but=["Radau", "BDF", "CVODE", "IDA"])
 def test_coordinates_close_to_zero_run_with_closed_loops_by_every_method(method):
     """Loops of links of 1 m are closed to rounding errors of these, though the coordinates be 1e-8."""
     loops = fb.compile_model(fb.models.n_four_bar(2))
@@ -292,6 +293,7 @@ def test_run_backwards_returns_to_the_start_by_every_method(four_bar, method):
     np.testing.assert_allclose(ended.y[:, -1], there.y[:, 0], rtol=0, atol=5 * error)
 
 
+@pytest.mark.slow(but=["LSODA", "BDF", "CVODE", "IDA"])
 def test_redundant_rows_of_a_spatial_loop_give_the_planar_motion_by_every_method(four_bar, method):
     """Five rows, two of them independent: the motion is that of the planar linkage with its two."""
     how, _ = method
@@ -331,6 +333,7 @@ ON_A_STIFF_DRIVE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ON_A_STIFF_DRIVE)
 def test_stiff_drive_is_followed_by_every_method_in_few_steps_by_implicit_ones(driven, name):
     """Of a shaft whose own motion dies away in 3 us, explicit methods have to follow what is left of it."""
@@ -422,6 +425,7 @@ def test_formulations_that_a_method_does_not_have_are_refused(four_bar):
         four_bar.simulate((0.0, 1.0), method="Radau", formulation="index-1")
 
 
+@pytest.mark.slow
 def test_error_of_ida_in_a_fall_stays_within_the_tolerance_times_the_growth():
     """A bicycle that falls over, at speeds of 900 rad/s: an error on the way ends some 1e5 times as large."""
     bicycle = fb.compile_model(fb.models.whipple_bicycle())

@@ -74,6 +74,7 @@ def differences(function, value, step):
     return sum(w * (function(value + k * h) - function(value - k * h)) for k, w in WEIGHTS) / (60.0 * h)
 
 
+@pytest.mark.slow(but=["rolling disc", "slider_crank", "redundant", "four_bar"])
 def test_sensitivities_of_runs_without_projection_equal_differences_of_runs(case):
     model, coordinates, speeds, names = case
     tight = {"t_eval": AT, "rtol": 1e-13, "atol": 1e-13, "constraints": "none"}
@@ -184,6 +185,7 @@ AT_REST = {
 }
 
 
+@pytest.mark.slow(but=["chain hanging-DOP853-1e-09", "chain hanging-RK45-1e-06", "bicycle straight ahead-RK45-1e-06"])
 @pytest.mark.parametrize(("method", "rtol"), [("DOP853", 1e-6), ("DOP853", 1e-9), ("RK45", 1e-6)])
 @pytest.mark.parametrize("motion", AT_REST)
 def test_sensitivities_of_steady_motions_limit_the_steps_and_equal_closed_forms(motion, method, rtol):
@@ -336,6 +338,7 @@ def test_sensitivities_of_dependent_initial_values_follow_unless_x0_is_given(fou
     np.testing.assert_array_equal(held.sensitivity["k"][:, 0], 0.0)
 
 
+@pytest.mark.slow(but=["t_eval1"])
 @pytest.mark.parametrize("t_eval", [None, [0.5, 1.0, 2.4]])
 def test_sensitivities_of_an_oscillators_events_equal_closed_forms(t_eval):
     """An oscillator passes x = 0.1 at cos(w t) = 0.1 / a, where x depends on nothing, and v^2 = w^2 (a^2 - 0.01)."""
@@ -361,6 +364,7 @@ def test_sensitivities_of_an_oscillators_events_equal_closed_forms(t_eval):
     np.testing.assert_allclose(at_rest["x"].y[:, -1], [-1.0, 0.0], atol=1e-8)
 
 
+@pytest.mark.slow(but=["1000000.0", "4.0"])
 @pytest.mark.parametrize("t_0", [-3.0, 4.0, 1e6])
 def test_sensitivities_of_an_event_in_a_driven_run_at_any_start_equal_closed_forms(t_0):
     """By Duhamel's integral, x = c at S_x + v dt/dF_0 = 0, where v changes by S_v + v' dt/dF_0, m v' = F - k x.
@@ -389,6 +393,7 @@ def test_sensitivities_of_an_event_in_a_driven_run_at_any_start_equal_closed_for
     np.testing.assert_allclose(found.y[:, 0], [0.0, s_v - rate * s_x / (f_0 * s_v)], rtol=1e-7, atol=1e-7)
 
 
+@pytest.mark.slow(but=["0.0-cubic", "0.001-cubic", "0.001-linear", "0.01-cubic"])
 @pytest.mark.parametrize("kind", ["linear", "cubic"])
 @pytest.mark.parametrize("before", [0.0, 1e-12, 1e-6, 1e-3, 1e-2])
 def test_sensitivities_of_events_at_or_near_points_of_a_table_equal_closed_forms(kind, before):
@@ -409,6 +414,7 @@ def test_sensitivities_of_events_at_or_near_points_of_a_table_equal_closed_forms
         np.testing.assert_allclose(by_values, -np.array([0.0, 1.0 - share, share, 0.0, 0.0]) / slope, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_event_at_a_triple_root_has_a_time_and_no_sensitivity():
     """A triple root, at t = 1 for a speed of 0.2: the time is found, and has no derivative."""
     outputs = {"cube": (me.dynamicsymbols("x") - sm.Rational(1, 5)) ** 3}
@@ -467,6 +473,7 @@ KINDS = {"cubic": 1e-8, "pchip": 1e-8, "linear": 1e-7}
 """Of tables, and tolerances: with linear ones, runs end a step at each of the jumps of the speeds."""
 
 
+@pytest.mark.slow(but=["pendulum-pchip", "pendulum-linear", "slider-crank-linear"])
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", DRIVEN)
 def test_sensitivities_by_values_of_a_prescribed_motion_equal_differences(name, kind):
@@ -508,6 +515,7 @@ def test_sensitivities_by_values_of_a_prescribed_motion_equal_differences(name, 
         np.testing.assert_allclose(gradient[key], forward, rtol=0, atol=1e-10 * size)
 
 
+@pytest.mark.slow
 def test_sensitivities_by_a_parameter_of_a_prescribed_motion_equal_closed_forms():
     """Its rate w moves the initial state of a driven crank; the crank's angle is w t + w / 10."""
     w = sm.Symbol("w")
@@ -561,6 +569,7 @@ def test_sensitivities_of_runs_that_end_where_a_rate_jumps_equal_differences(siz
     np.testing.assert_allclose(found.gradient({"u": [0.0, 1.0]})["s"], found.sensitivity["s"][:, 1, 1], rtol=1e-10)
 
 
+@pytest.mark.slow(but=["False"])
 @pytest.mark.parametrize("forwards", [True, False])
 def test_sensitivities_of_outputs_where_a_force_jumps_are_those_after_the_jump(forwards):
     """A sample there has the force after the jump in time: d(force)/dA = 1 before 1 s, and 2 from then on."""
@@ -575,6 +584,7 @@ def test_sensitivities_of_outputs_where_a_force_jumps_are_those_after_the_jump(f
         assert run.gradient({"both": unit})["A"] == pytest.approx(wanted, rel=1e-11)
 
 
+@pytest.mark.slow(but=["0.0"])
 @pytest.mark.parametrize("rate", [0.1, 0.0])
 def test_sensitivities_at_a_jump_by_an_expression_equal_closed_forms_or_are_refused(rate):
     """Where the rate of a pivot's motion jumps from 0 to a, the speed jumps by -a cos(q) / l, which by a is known."""
@@ -661,6 +671,7 @@ def test_sensitivities_of_joint_forces_by_a_torque_equal_differences():
         np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-8 * np.abs(wanted).max())
 
 
+@pytest.mark.slow
 def test_sensitivities_of_a_pendulums_period_equal_elliptic_integrals():
     """T = 4 sqrt(l / g) K(k), k = sin(a / 2), by the length, gravity and amplitude a: with K the elliptic integral."""
     model, a, length, g = fb.compile_model(swinging_pendulum()), 2.0, 0.5, 9.81
@@ -701,6 +712,7 @@ def test_sensitivities_by_a_force_amplitude_equal_closed_forms_unless_it_is_give
     assert table.gradient({"x": 1.0})["F_0"] == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("of", ["parameter", "input", "beside an input", "beside a steady motion"])
 def test_sensitivities_by_an_amplitude_that_is_zero_equal_closed_forms(of):
     """m x'' = A sin(w t) - k x from rest, dx/dA = (sin(w t) - w / w0 sin(w0 t)) / (m (w0^2 - w^2)) with w0^2 = k / m.
@@ -736,6 +748,7 @@ def test_sensitivities_by_an_amplitude_that_is_zero_equal_closed_forms(of):
     np.testing.assert_allclose([run.gradient({"x": unit})["A"] for unit in np.eye(6)], wanted, **near)
 
 
+@pytest.mark.slow
 def test_gradients_by_many_small_force_amplitudes_equal_closed_forms():
     """The same with a sum of forces, over 380 periods of the fastest, whose errors may be ten times rtol."""
     w0, frequencies, amplitudes = 2.0, np.array([*range(1, 10), 100, 200, 340]), sm.symbols("a1:13")
@@ -778,6 +791,7 @@ STEADY = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("function", "load"), JUMPING)
 def test_sensitivities_with_jumps_at_unknown_times_warn_of_the_function(function, load):
     """By the time of such a jump states have derivatives that are left out: a warning names the function."""
@@ -786,6 +800,7 @@ def test_sensitivities_with_jumps_at_unknown_times_warn_of_the_function(function
         model.simulate((0.0, 0.1), [0.3, 0.1], sensitivities=["k"])
 
 
+@pytest.mark.slow
 def test_sensitivities_warn_of_jumps_that_only_changed_parameters_cause():
     """With equal defaults nothing jumps."""
     model = loaded(lambda x, v, t: sm.Piecewise((A, x < S), (B, True)))
@@ -802,6 +817,7 @@ def test_force_without_real_values_has_a_jump_that_is_stated_as_unknown():
     assert model.manifest["jumps"] == [entry]
 
 
+@pytest.mark.slow(but=["1000000.0"])
 @pytest.mark.parametrize("stiffness", [1e5, 1e6])
 def test_sensitivities_through_a_contact_equal_closed_forms(stiffness):
     """A fall from rest onto a spring, y + g / w^2 = R cos(w t - phase), and up again with the same speed.
@@ -831,6 +847,7 @@ def test_sensitivities_through_a_contact_equal_closed_forms(stiffness):
     assert run.sensitivity["x"][1, 0] == pytest.approx(wanted, abs=10 * 1e-5 * np.sqrt(stiffness))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STEADY)
 def test_sensitivities_with_continuous_forces_give_no_warning(name):
     model = loaded(STEADY[name])
@@ -844,6 +861,7 @@ def test_sensitivities_warn_of_jumps_of_an_input_unless_it_is_given():
     assert model.simulate((0.0, 0.1), sensitivities=["k"], inputs={"F": 1.0}).success
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "load",
     [

@@ -34,6 +34,7 @@ def test_every_method_from_the_defaults_reaches_the_reference_state(four_bar, re
     np.testing.assert_allclose(run.y[:, -1], reference, rtol=0, atol=1e-4)
 
 
+@pytest.mark.slow(but=["-3.0-0.001-DOP853", "-3.0-0.001-RK23", "-3.0-0.001-RK45", "-3.0-1e-06-DOP853"])
 @pytest.mark.parametrize("method", ["RK23", "RK45", "DOP853"])
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-6, 1e-10])
 @pytest.mark.parametrize("end", [4.0, -3.0])
@@ -349,6 +350,7 @@ def test_threads_that_evaluate_one_model_get_their_own_results(four_bar):
         list(pool.map(work, range(8)))
 
 
+@pytest.mark.slow
 def test_threads_that_integrate_one_right_hand_side_get_the_results_of_single_runs():
     # Of many loops: a step takes so long without Python that another thread's begins meanwhile.
     row = fb.compile_model(fb.models.n_four_bar(20))

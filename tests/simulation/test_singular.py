@@ -143,6 +143,7 @@ def level(model, offset, rate):
     return np.concatenate((np.full(n, np.pi / 2 + offset), np.zeros(n - 1), np.full(n, rate), np.zeros(n - 1)))
 
 
+@pytest.mark.slow(but=["1.0-2", "1.0-8"])
 @pytest.mark.parametrize("loops", [2, 8])  # by pivoting, and in an order chosen in advance
 @pytest.mark.parametrize("rate", [0.0, 1.0])
 def test_nothing_is_evaluated_at_a_singular_position(loops, rate):
@@ -163,8 +164,9 @@ def test_nothing_is_evaluated_at_a_singular_position(loops, rate):
     np.testing.assert_allclose(model.rhs(0.0, x)[model.n_q : model.n_q + loops + 1], expected, rtol=1e-10)
 
 
-def test_ali3p_from_a_singular_position_keeps_energy_and_the_branch(parallelograms):
+def test_ali3p_from_a_singular_position_keeps_energy_and_the_branch():
     """What passes such positions may begin at one; the energy of N + 1 uprights and N bars across stays."""
+    parallelograms = fb.compile_model(fb.models.n_four_bar(2))
     run = parallelograms.simulate((0.0, 0.1), level(parallelograms, 0.0, 1.0), method="ALI3P", max_step=1e-3)
     assert run.success
     assert np.ptp(run.energy) < 1e-3
@@ -193,6 +195,7 @@ def knife_edge(repeated=False):
     return fb.compile_model(fb.Model(system, name="knife_edge"))
 
 
+@pytest.mark.slow
 def test_initial_state_whose_dependent_speeds_are_undetermined_is_refused():
     """A constraint and its double determine one of two dependent speeds: any speed along the blade satisfies them."""
     twice = knife_edge(repeated=True)
@@ -203,6 +206,7 @@ def test_initial_state_whose_dependent_speeds_are_undetermined_is_refused():
         twice.initial_state([0.0, 0.0, 0.3], [0.5])
 
 
+@pytest.mark.slow
 def test_dependent_speed_with_a_coefficient_of_rounding_size_is_undetermined():
     """cos(pi/2) is 6e-17 in double: vx says nothing of vy there, nor does its change."""
     blade = knife_edge()
@@ -217,6 +221,7 @@ def test_dependent_speed_with_a_coefficient_of_rounding_size_is_undetermined():
     np.testing.assert_allclose(blade.rhs(0.0, x), [0.0, 1.0, 0.5, -0.5, 0.0, 0.0], atol=1e-15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [1e-6, 1e6])
 def test_ali3p_with_rows_of_very_different_size_keeps_its_second_order(factor):
     """A bead on a great circle, by a sphere times a factor and a plane: a pendulum, whose second order is kept."""
@@ -244,6 +249,7 @@ def test_ali3p_with_rows_of_very_different_size_keeps_its_second_order(factor):
     assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.2)
 
 
+@pytest.mark.slow
 def test_run_with_a_drive_to_its_dead_centre_stops_there_with_a_message():
     """A rocker driven to its end, where crank and coupler are in line: by the law of cosines."""
     points = {"O": (0, 0), "A": (0.1, 0), "B": (0.22, 0.35), "R": (0.4, 0)}
@@ -259,6 +265,7 @@ def test_run_with_a_drive_to_its_dead_centre_stops_there_with_a_message():
     assert "ALI3P" not in run.message
 
 
+@pytest.mark.slow
 def test_run_with_a_drive_that_locks_does_not_report_energy_growth():
     """Their squares are inverse to the distance from the lock, so that the kinetic energy grows beyond all bounds."""
     points = {"O": (0, 0), "A": (0.1, 0.05), "B": (0.22, 0.35), "R": (0.4, 0)}

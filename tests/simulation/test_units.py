@@ -73,6 +73,7 @@ common, and from SciPy's first step, which takes 1e-6 s where there is nothing b
 slider-crank errs by 1.4e-4, compared with DOP853 at 1e-12; index 3 as tests/simulation/test_methods.py has it."""
 
 
+@pytest.mark.slow(but=["four_bar-ALI3P", "four_bar-CVODE", "four_bar-IDA, index 1", "four_bar-IDA, index 3"])
 @pytest.mark.parametrize("name", METHODS)
 @pytest.mark.parametrize("which", CASES)
 def test_runs_in_other_units_of_length_mass_and_time_give_the_same_motion(which, name, four_bar, slider_crank):

@@ -21,6 +21,7 @@ def runs(four_bar):
     return [four_bar.simulate((0.0, 0.1), t_eval=np.linspace(0.0, 0.1, n)) for n in (2, 5, 50, 2000)]
 
 
+@pytest.mark.slow(but=[".npz"])
 @pytest.mark.parametrize("ending", [".csv", ".npz"])
 def test_file_written_by_several_processes_is_always_whole(runs, tmp_path, ending):
     """Whoever reads finds one of the files that are written, whole."""
@@ -43,6 +44,7 @@ def test_file_written_by_several_processes_is_always_whole(runs, tmp_path, endin
     assert list(tmp_path.iterdir()) == [path]
 
 
+@pytest.mark.slow(but=[".csv", ".html", ".npz", ".gif"])
 @pytest.mark.parametrize("ending", [".csv", ".npz", ".nc", ".html", ".png", ".gif"])
 def test_file_written_beside_others_of_similar_names_leaves_these(runs, tmp_path, ending):
     mine, path = tmp_path / f"mine{ending}.part", tmp_path / f"run{ending}"
@@ -119,6 +121,7 @@ def test_file_is_synced_to_the_disk_before_it_replaces_the_old_one(tmp_path, mon
     assert synced == [(3, False)]
 
 
+@pytest.mark.slow
 def test_a_module_that_cannot_be_written_leaves_the_old_one(tmp_path, monkeypatch):
     folder, built = tmp_path / "folder", tmp_path / "module.so"
     built.write_bytes(b"new module")

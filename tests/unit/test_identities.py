@@ -199,6 +199,7 @@ FOUR = """{
     }"""
 
 
+@pytest.mark.slow(but=["native-one"])
 @pytest.mark.parametrize("loop", [ONE, FOUR], ids=["one", "four"])
 @pytest.mark.parametrize("flags", [[], ["-march=native"]], ids=["portable", "native"])
 def test_sine_and_cosine_in_loops_are_accurate_at_all_angles(tmp_path, loop, flags):

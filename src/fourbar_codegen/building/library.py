@@ -49,7 +49,7 @@ INLINED = "#define FB_SHORT\n"
 ATTEMPTS = 5
 """Attempts to use an entry of the cache that other processes remove."""
 
-NUMBERS = ("fingerprint", "initial", "operations", "operations_before_sharing")
+NUMBERS = ("fingerprint", "initial", "operations", "operations_before_sharing", "compared")
 """Keys of a manifest that are not structure; ..."""
 
 PARAMETER_NUMBERS = ("default", "unit", "description", "range")
@@ -125,7 +125,7 @@ def install(
     folder: Path,
     *,
     later: bytes | None,
-    check: Callable[[Path], None] | None = None,
+    check: Callable[[Path], int] | None = None,
 ) -> Path:
     """Put a model's library into a folder, with its sources and numbers beside it.
 
@@ -140,7 +140,8 @@ def install(
     later : bytes or None
         From which `loading.generated` makes the sources of other parts.
     check : callable, optional
-        Called with the library before it is moved to the folder; if it raises, the library is discarded.
+        Called with the library before it is moved to the folder; if it raises, the library is discarded. It returns
+        at how many states the library was compared with the equations, which becomes one of the numbers.
 
     Returns
     -------
@@ -161,11 +162,10 @@ def install(
                 (folder / filename).write_text(text, encoding="utf-8")
         if later is not None:
             (folder / f"{name}{LATER}").write_bytes(later)
-        numbers = json.dumps(_numbers(manifest), indent=2) + "\n"
+        _write_numbers(manifest, built)
+        compared = None if check is None else check(built)
         for library in (built, folder / built.name):
-            numbers_path(library).write_text(numbers, encoding="utf-8")
-        if check is not None:
-            check(built)
+            _write_numbers({**manifest, "compared": compared}, library)
         checked = True
 
     for _ in range(ATTEMPTS):
@@ -197,10 +197,11 @@ def _structure(manifest: Mapping[str, Any]) -> dict[str, Any]:
     return structure | {"parameters": [{"name": entry["name"]} for entry in manifest["parameters"]]}
 
 
-def _numbers(manifest: Mapping[str, Any]) -> dict[str, Any]:
-    """The part of a manifest that is in the file beside the library."""
+def _write_numbers(manifest: Mapping[str, Any], library: Path) -> None:
+    """Write the part of a manifest that is in the file beside the library."""
     parameters = [{key: entry[key] for key in PARAMETER_NUMBERS} for entry in manifest["parameters"]]
-    return {**{key: manifest[key] for key in NUMBERS}, "parameters": parameters}
+    numbers = {**{key: manifest[key] for key in NUMBERS}, "parameters": parameters}
+    numbers_path(library).write_text(json.dumps(numbers, indent=2) + "\n", encoding="utf-8")
 
 
 def manifest_of(structure: Mapping[str, Any], numbers: Mapping[str, Any]) -> dict[str, Any]:

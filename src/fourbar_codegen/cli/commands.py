@@ -516,6 +516,8 @@ def info(model: str) -> None:
     for function, count in manifest["operations"].items():
         click.echo(f"  {function:<22} {count:>7} ({manifest['operations_before_sharing'][function]:.4g})")
     click.echo(f"instructions: {compiled.instructions}")
+    compared = f"at {manifest['compared']} states" if compiled.is_verified else "not"
+    click.echo(f"compared with the equations: {compared}")
     compiler = find_compiler()
     click.echo(f"C compiler: {compiler}{'' if compiler.origin else f'. {INSTALL}'}")
     click.echo(f"cache of compiled models: {cache_folder()}")

@@ -94,6 +94,7 @@ def manifest_of(
         "states_velocity_constraints": model.mechanism.states_velocity_constraints,
         "velocity_rows": [row for row, entry in enumerate(violation) if not entry],
         "warnings": list(equations.warnings),
+        "compared": None,  # known only after compilation
         "has_potential_energy": not energies[1].is_nan,
         "energy_without": list(equations.energy_without),
         "form": program.form,

@@ -7,6 +7,7 @@ import random
 import sys
 import time
 from collections.abc import Callable
+from inspect import CO_GENERATOR
 from itertools import count, pairwise
 from types import FrameType
 from typing import Any
@@ -159,11 +160,14 @@ def _within(seconds: float, search: Callable[[], sm.Expr]) -> sm.Expr | None:
     """What a search finds, or None if it takes longer; a profiler that is running is not disturbed."""
     if sys.getprofile() is not None:
         return search()
-    end, calls = time.thread_time() + seconds, count()
+    end, calls, late = time.thread_time() + seconds, count(), False
 
-    def watch(_frame: FrameType, _event: str, _argument: Any) -> None:
+    def watch(frame: FrameType, event: str, _argument: Any) -> None:
+        nonlocal late
         # The clock takes longer than most calls.
-        if next(calls) % CALLS == 0 and time.thread_time() > end:
+        late = late or (next(calls) % CALLS == 0 and time.thread_time() > end)
+        # Not in a generator: one that is being closed would swallow it, and the search would go on unwatched.
+        if late and event == "call" and not frame.f_code.co_flags & CO_GENERATOR:
             raise _TooLong
 
     sys.setprofile(watch)

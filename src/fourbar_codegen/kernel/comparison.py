@@ -6,6 +6,7 @@ when neither SymPy nor the equations are available.
 
 from __future__ import annotations
 
+import logging
 import random
 from collections.abc import Callable
 from functools import partial
@@ -73,7 +74,7 @@ def compare_derivatives(model: Evaluator) -> None:
     Source: L. F. Richardson, "The approximate arithmetical solution by finite differences of physical problems",
     *Philosophical Transactions of the Royal Society A* 210 (1911).
     """
-    _compare(model, _compare_derivatives_at)
+    _compare(model, "derivatives", _compare_derivatives_at)
 
 
 def compare_variations(model: Evaluator) -> None:
@@ -89,13 +90,13 @@ def compare_variations(model: Evaluator) -> None:
     BuildError
         If one differs.
     """
-    _compare(model, _compare_variations_at)
+    _compare(model, "products of derivatives with vectors", _compare_variations_at)
 
 
-def _compare(model: Evaluator, at: Callable[[Evaluator, float, Floats, Floats, Floats], None]) -> None:
+def _compare(model: Evaluator, what: str, at: Callable[[Evaluator, float, Floats, Floats, Floats], None]) -> None:
     generator, compared = random.Random(0), 0
-    for _ in range(ATTEMPTS):
-        t, x, p, r = _arguments(model, generator)
+    for attempt in range(ATTEMPTS + 1):
+        t, x, p, r = _arguments(model, generator, at_beginning=attempt == ATTEMPTS)
         try:
             with np.errstate(all="ignore"):
                 at(model, t, x, p, r)
@@ -104,6 +105,11 @@ def _compare(model: Evaluator, at: Callable[[Evaluator, float, Floats, Floats, F
         compared += 1
         if compared >= STATES:
             return
+    if not compared:
+        message = (
+            "%s: %s not compared, since the equations have no real value at %d random states nor at the initial values"
+        )
+        logging.getLogger("fourbar_codegen").warning(message, model.manifest["name"], what, ATTEMPTS)
 
 
 def _compare_variations_at(model: Evaluator, t: float, x: Floats, p: Floats, r: Floats) -> None:
@@ -268,7 +274,7 @@ def compare_batch_functions(model: Evaluator) -> None:
     """
     generator = random.Random(0)
     n = 2 * width(model) + 1  # full vectors and a remainder
-    arguments = [_arguments(model, generator) for _ in range(n)]
+    arguments = [_arguments(model, generator, at_beginning=i == n - 1) for i in range(n)]
     t, x, p, r = (np.array(columns).T.copy() for columns in zip(*arguments, strict=True))
     rates = np.empty_like(x)
     Batch(model, t, x, p, r, rates).evaluate(0, n)
@@ -290,12 +296,19 @@ def compare_batch_functions(model: Evaluator) -> None:
             )
 
 
-def _arguments(model: Evaluator, generator: random.Random) -> tuple[float, Floats, Floats, Floats]:
-    """Time, state, parameters and inputs, as `verify` takes them."""
+def _arguments(
+    model: Evaluator, generator: random.Random, *, at_beginning: bool = False
+) -> tuple[float, Floats, Floats, Floats]:
+    """Time, state, parameters and inputs, as `verify` takes them; the state may be that of the initial values."""
 
     def numbers(n: int, low: float, high: float) -> Floats:
         return np.array([generator.uniform(low, high) for _ in range(n)])
 
     defaults = np.array([entry["default"] for entry in model.manifest["parameters"]], dtype=float)
     p = np.where(np.isnan(defaults), numbers(model.n_p, 0.5, 1.5), defaults)
-    return generator.uniform(-1.0, 1.0), numbers(model.n_x, -1.0, 1.0), p, numbers(model.n_r, -1.0, 1.0)
+    t, x, r = generator.uniform(-1.0, 1.0), numbers(model.n_x, -1.0, 1.0), numbers(model.n_r, -1.0, 1.0)
+    if at_beginning:
+        initial = model.manifest["initial"]
+        kinds = ("coordinates", "speeds", "auxiliary_states")
+        x = np.array([initial.get(name, 0.0) for kind in kinds for name in model.manifest[kind]])
+    return t, x, p, r

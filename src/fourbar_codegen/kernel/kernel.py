@@ -227,6 +227,24 @@ class Kernel(Evaluator):
         return "Constraint residual" if self.manifest["velocity_rows"] else "Loop residual"
 
     @property
+    def is_verified(self) -> bool:
+        """Whether the compiled equations of motion were compared with those that they were generated from.
+
+        That happens at random states, or at the initial values, right after compilation. It is false with
+        ``check=False``, where the equations have no real value at any of these states, and for the models that come
+        with the package, which are compiled without SymPy.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> fb.compile_model(fb.models.four_bar()).is_verified
+        True
+        >>> fb.load("four_bar").is_verified
+        False
+        """
+        return bool(self.manifest.get("compared"))  # modules of earlier versions do not say
+
+    @property
     def energy_without(self) -> tuple[str, ...]:
         """Springs that the potential energy leaves out, since no antiderivative of their force was found.
 

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 from builders.hand_written_pendulum import loaded_pendulum
 from harness.programs import compile_c, require
+from harness.shims import Shims
 
 import fourbar_codegen as fb
 
@@ -47,3 +48,15 @@ def redundant_pendulum(shared):
 def either_pendulum(request):
     """The pendulum with its constraint written once, and twice."""
     return request.getfixturevalue(request.param)
+
+
+@pytest.fixture(scope="session")
+def shims(shared):
+    """The runtime's functions that depend on no model."""
+    return Shims(shared("shims", "shims.c"))
+
+
+@pytest.fixture(scope="session")
+def closing(shared):
+    """Loop closure in C, for the pendulum."""
+    return Shims(shared("closing", "shims_of_close.c"))

@@ -38,7 +38,9 @@ enum { LENGTH, GRAVITY, MASS, WEIGHT };
 
 #define FB_TABLE(name) pendulum_##name
 #define FB_DERIVATIVES pendulum_derivatives
+#ifndef ALONE /* without functions for several states */
 #define FB_HAS_BATCH_FUNCTIONS
+#endif
 #define FB_INSTRUCTIONS FB_BASELINE
 #define FB_FASTER NULL
 

@@ -1,0 +1,335 @@
+/* Functions of the runtime's headers that depend on no model, with names to call them by. */
+#include "fourbar_angle.h"
+#include "fourbar_augmented.h"
+#include "fourbar_batch.h"
+
+#include <stdlib.h>
+
+/* fourbar_array.h */
+
+int eliminate_full(int n, double *a, double *b, double least)
+{
+    return fb_eliminate_full(n, a, b, least);
+}
+
+int eliminate_rows(int m, int n, int k, double *a, double *b, int *order, double *solution, double *last)
+{
+    return fb_eliminate_rows(m, n, k, a, b, order, solution, last);
+}
+
+double violation(const double *violations, const double *scales, int n)
+{
+    return fb_violation(violations, scales, n);
+}
+
+int all_are_finite(const double *values, int n)
+{
+    return all_finite(values, n);
+}
+
+/* fourbar_angle.h */
+
+void sines(int n, const double *x, double *sine, double *cosine)
+{
+    for (int i = 0; i < n; ++i) {
+        sine[i] = fb_sin(x[i]);
+        cosine[i] = fb_cos(x[i]);
+    }
+}
+
+void sines_of_four(int n, const double *x, double *sine, double *cosine)
+{
+    for (int i = 0; i + 4 <= n; i += 4) {
+        const fb_angles angles = fb_angles_of(x[i], x[i + 1], x[i + 2], x[i + 3]);
+        memcpy(sine + i, angles.sin, sizeof angles.sin);
+        memcpy(cosine + i, angles.cos, sizeof angles.cos);
+    }
+}
+
+/* fourbar_problem.h */
+
+double table_value(int n_intervals, int n_coefficients, const double *times, const double *coefficients, double before,
+                   double after, double t, int *interval)
+{
+    const fb_table table = {n_intervals, n_coefficients, times, coefficients, before, after};
+    return fb_table_value(&table, t, interval);
+}
+
+double time_within(double origin, double first, double last, double since)
+{
+    const fb_clock clock = {origin, first, last};
+    return fb_time(&clock, since);
+}
+
+/* fourbar_batch.h */
+
+double entry(const double *values, int stride, int row, int i)
+{
+    const fb_columns columns = {values, stride};
+    return fb_entry(&columns, row, i);
+}
+
+/* fourbar_integrate.h: control of steps */
+
+double change(double factor, int taken, int rejected)
+{
+    return fb_change(factor, taken, rejected);
+}
+
+double least_step(double t, double direction)
+{
+    return fb_least_step(t, direction);
+}
+
+double first_length(double h_abs, double max_step, double min_step)
+{
+    return fb_first_length(h_abs, max_step, min_step);
+}
+
+int is_event(double before, double after, int direction)
+{
+    return fb_is_event(before, after, direction);
+}
+
+/* fourbar_tableau.h: the arrays of a method, by their names in fb_tableau */
+
+static const fb_tableau *const METHODS[] = {&fb_rk45, &fb_dop853, &fb_rk4};
+
+static int copy(const double *from, const int n, double *to)
+{
+    memcpy(to, from, (size_t)n * sizeof *to);
+    return n;
+}
+
+int tableau(int method, char name, double *values)
+{
+    const fb_tableau *const m = METHODS[method];
+    const int n = m->n_stages, all = n + 1 + m->n_extra;
+    switch (name) {
+    case 'a':
+        return copy(m->a, n * n, values);
+    case 'b':
+        return copy(m->b, n, values);
+    case 'c':
+        return copy(m->c, n, values);
+    case 'e':
+        return copy(m->error, m->n_errors * (n + 1), values);
+    case 'x':
+        return copy(m->a_extra, m->n_extra * all, values);
+    case 'y':
+        return copy(m->c_extra, m->n_extra, values);
+    default:
+        return copy(m->dense, m->n_dense * all, values);
+    }
+}
+
+/* fourbar_integrate.h: runs of x' = f(t, x) for any function f, as a kernel without constraints */
+
+enum { MOST = 8, WIDTH = FB_BLOCK, SAMPLES = 64 };
+
+typedef int rates_of(double t, const double *x, double *rates);
+
+typedef struct run {
+    fb_run run;
+    fb_problem problem;
+    fb_kernel kernel;
+    double memory[(5 + FB_MAX_STAGES + 1 + 8) * WIDTH], tolerances[2 * WIDTH], failed[MOST], moved[MOST];
+    double sample_t[SAMPLES], sample_x[SAMPLES * MOST], outputs[MOST], event_value[MOST], event_old[MOST];
+    int event_output[MOST], event_direction[MOST];
+    rates_of *rates;
+} run;
+
+/* The kernel's functions find f as their workspace. */
+static int mock_rhs(double t, const double *x, const double *constants, const double *r, double *rates, void *work)
+{
+    (void)constants, (void)r;
+    return ((run *)work)->rates(t, x, rates);
+}
+
+static int mock_orientation_changed(void *work)
+{
+    (void)work;
+    return 0;
+}
+
+static int mock_accelerations(double t, const double *x, const double *constants, const double *r, double *a,
+                              double *multipliers, void *work)
+{
+    (void)t, (void)x, (void)constants, (void)r, (void)a, (void)multipliers, (void)work;
+    return FB_OK;
+}
+
+/* The outputs are the state. */
+static void mock_output(double t, const double *x, const double *constants, const double *r, const double *a,
+                        const double *multipliers, double *outputs)
+{
+    (void)t, (void)constants, (void)r, (void)a, (void)multipliers;
+    memcpy(outputs, x, MOST * sizeof *x);
+}
+
+run *new_run(rates_of *rates, int method, int n, double t, const double *x, double t_bound, double max_step,
+             double rtol, double atol)
+{
+    run *const s = calloc(1, sizeof *s);
+    if (s == NULL)
+        return NULL;
+    s->rates = rates;
+    s->kernel.n_x = n;
+    s->kernel.n_o = MOST;
+    s->kernel.rhs = mock_rhs;
+    s->kernel.orientation_changed = mock_orientation_changed;
+    s->kernel.accelerations = mock_accelerations;
+    s->kernel.output = mock_output;
+    s->problem.kernel = &s->kernel;
+    s->problem.work = s;
+    s->problem.clock = fb_all_time;
+    s->problem.failed_x = s->failed;
+    s->problem.moved_x = s->moved;
+    fb_run *const r = &s->run;
+    r->problem = &s->problem;
+    r->method = METHODS[method];
+    r->step = fb_step_on;
+    r->n = n;
+    r->padded = WIDTH;
+    r->direction = t_bound >= t ? 1.0 : -1.0;
+    r->t_bound = t_bound;
+    r->max_step = max_step;
+    r->t = r->t_begin = t;
+    r->until = r->direction * INFINITY;
+    double **const arrays[] = {&r->x, &r->x_old, &r->scratch, &r->along};
+    for (int i = 0; i < 4; ++i)
+        *arrays[i] = s->memory + i * WIDTH;
+    r->stages = s->memory + 5 * WIDTH;
+    r->interpolant = r->stages + (FB_MAX_STAGES + 1) * WIDTH;
+    memcpy(r->x, x, (size_t)n * sizeof *x);
+    for (int i = 0; i < WIDTH; ++i) {
+        s->tolerances[i] = rtol;
+        s->tolerances[WIDTH + i] = atol;
+    }
+    r->rtol = s->tolerances;
+    r->atol = s->tolerances + WIDTH;
+    r->sample_t = s->sample_t;
+    r->sample_x = s->sample_x;
+    r->room = SAMPLES;
+    r->outputs = s->outputs;
+    r->event_output = s->event_output;
+    r->event_direction = s->event_direction;
+    r->event_value = s->event_value;
+    r->event_old = s->event_old;
+    fb_prepare_method(r);
+    return s;
+}
+
+void free_run(run *s)
+{
+    free(s);
+}
+
+int begin_run(run *s)
+{
+    return fb_begin(&s->run);
+}
+
+void sample_at(run *s, const double *times, int n)
+{
+    s->run.times = times;
+    s->run.n_times = n;
+}
+
+int watch_state(run *s, int i, int direction)
+{
+    const int place = s->run.n_events++;
+    s->event_output[place] = i;
+    s->event_direction[place] = direction;
+    return fb_event_values(&s->run, s->run.t, s->run.x, s->event_value);
+}
+
+int advance(run *s, int steps)
+{
+    return fb_run_on(&s->run, steps);
+}
+
+int fixed_step(run *s, double h)
+{
+    return fb_fixed_step(&s->run, h);
+}
+
+int state_at(run *s, double t, double *x)
+{
+    return fb_state_at(&s->run, t, x);
+}
+
+/* t, the step's length and the proposal for the next; the numbers of evaluations, steps and samples. */
+void read_run(const run *s, double *times, double *x, int *counts)
+{
+    times[0] = s->run.t;
+    times[1] = s->run.h;
+    times[2] = s->run.h_abs;
+    memcpy(x, s->run.x, (size_t)s->run.n * sizeof *x);
+    counts[0] = (int)s->run.n_evaluations;
+    counts[1] = (int)s->run.n_steps;
+    counts[2] = (int)s->run.n_samples;
+}
+
+void read_samples(const run *s, double *t, double *x)
+{
+    memcpy(t, s->sample_t, (size_t)s->run.n_samples * sizeof *t);
+    memcpy(x, s->sample_x, (size_t)(s->run.n_samples * s->run.n) * sizeof *x);
+}
+
+/* fourbar_augmented.h: the linear algebra of a state, given M, f, J and gamma */
+
+static fb_augmented augmented_of(fb_kernel *k, double **memory, int n_u, int n_c, const double *mass_matrix,
+                                 const double *forcing, const double *jacobian, const double *bias)
+{
+    fb_augmented a = {0};
+    k->n_u = n_u;
+    k->n_c = k->n_l = n_c;
+    k->n_x = n_u;
+    *memory = calloc(fb_place_augmented(k, &a, NULL), sizeof(double));
+    if (*memory == NULL)
+        abort();
+    fb_place_augmented(k, &a, *memory);
+    memcpy(a.mass_matrix, mass_matrix, (size_t)(n_u * n_u) * sizeof(double));
+    memcpy(a.forcing, forcing, (size_t)n_u * sizeof(double));
+    memcpy(a.jacobian, jacobian, (size_t)(n_u * n_c) * sizeof(double));
+    memcpy(a.bias, bias, (size_t)n_c * sizeof(double));
+    return a;
+}
+
+double penalty(int n_u, int n_c, const double *mass_matrix, const double *jacobian, double weight)
+{
+    fb_kernel k = {0};
+    double *memory;
+    const fb_augmented a = augmented_of(&k, &memory, n_u, n_c, mass_matrix, mass_matrix, jacobian, jacobian);
+    const double found = fb_penalty(&k, &a, weight);
+    free(memory);
+    return found;
+}
+
+int least_change(int n_u, int n_c, const double *mass_matrix, const double *jacobian, const double *violations,
+                 double *change_of_speeds)
+{
+    fb_kernel k = {0};
+    double *memory;
+    fb_augmented a = augmented_of(&k, &memory, n_u, n_c, mass_matrix, mass_matrix, jacobian, violations);
+    const int found = fb_least_change(&k, &a, violations);
+    memcpy(change_of_speeds, a.change, (size_t)n_u * sizeof(double));
+    free(memory);
+    return found;
+}
+
+/* u' and the multipliers of least norm. */
+int augmented_solution(int n_u, int n_c, const double *mass_matrix, const double *forcing, const double *jacobian,
+                       const double *bias, double *accelerations, double *multipliers)
+{
+    fb_kernel k = {0};
+    double *memory;
+    fb_augmented a = augmented_of(&k, &memory, n_u, n_c, mass_matrix, forcing, jacobian, bias);
+    fb_problem problem = {.kernel = &k};
+    fb_run s = {.problem = &problem, .augmented = &a};
+    const int found = fb_augmented_solution(&s, accelerations);
+    memcpy(multipliers, a.multipliers, (size_t)n_c * sizeof(double));
+    free(memory);
+    return found;
+}

@@ -10,7 +10,9 @@
 
 enum { N_U = SPEEDS, N_C = CONSTRAINTS, N_RANK = RANK };
 
+#if !defined(FB_SPARSE) || defined(FB_EARLY)
 static const int static_pivot_row[] = {PIVOT_ROWS}, static_pivot_speed[] = {PIVOT_SPEEDS};
+#endif
 
 #if defined(FB_SPARSE)
 static const int mass_row[] = {MASS_ROW}, mass_column[] = {MASS_COLUMN};

@@ -340,7 +340,7 @@ def shortest(multipliers, weights):
 
 
 @pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("scale", [1e-8, 1e-4, 1.0])
+@pytest.mark.parametrize("scale", [1e-8, 1e-4, 1.0, 1e4, 1e8])
 def test_redundant_constraints_have_the_accelerations_without_them_and_the_shortest_multipliers(solvers, seed, scale):
     """In any unit of the redundant row: each multiplier times its row is part of the force of the constraints."""
     M, J, f, gamma, weights = redundant(seed, scale)

@@ -374,18 +374,44 @@ static inline int fb_solve_first(const double *restrict forcing, const double *r
     return fb_solve(forcing, acceleration_bias, s, accelerations);
 }
 
-/* The minimum-norm lambda with y = K^T lambda, K = S^-1 P^T L: lambda = K (K^T K)^-1 y. Redundant rows leave lambda
- * undetermined; with full rank it is unique. */
+/* The minimum-norm lambda with y = K^T lambda, K = S^-1 P^T L. With K = G U by elimination with row pivoting, it is
+ * lambda = G (G^T G)^-1 U^-T y, where the entries of G are at most 1: in K^T K, what rows of small units add to those
+ * of large ones would be rounded away. Redundant rows leave lambda undetermined; with full rank it is unique.
+ *
+ * Source: G. Peters, J. H. Wilkinson, "The least squares problem and pseudo-inverses", Computer Journal 13 (1970). */
 static inline void fb_shortest(const fb_factors *restrict s, const double *restrict y, double *restrict multipliers)
 {
     double k[FB_AT_LEAST_1(N_C)][FB_AT_LEAST_1(N_C)] = {{0.0}}, normal[FB_AT_LEAST_1(N_C)][FB_AT_LEAST_1(N_C)];
     double z[FB_AT_LEAST_1(N_C)] = {0.0};
-    for (int i = 0; i < N_C; ++i)
+    int row[FB_AT_LEAST_1(N_C)];
+    for (int i = 0; i < N_C; ++i) {
+        row[i] = s->row[i];
         for (int j = 0; j < N_RANK; ++j)
             k[i][j] = s->scale[i] == 0.0 || j > i ? 0.0 : (j == i ? 1.0 : s->lu[i][j]) / s->scale[i];
-    /* K^T K = R^T R by Cholesky, R above the diagonal; z = R^-T y */
+    }
+    /* G below the diagonal, which is 1, and U; z = U^-T y */
     for (int j = 0; j < N_RANK; ++j) {
+        int pivot = j;
+        for (int i = j + 1; i < N_C; ++i)
+            pivot = fabs(k[i][j]) > fabs(k[pivot][j]) ? i : pivot;
+        for (int m = 0; m < N_RANK; ++m)
+            fb_swap_double(&k[j][m], &k[pivot][m]);
+        fb_swap_int(row + j, row + pivot);
+        for (int i = j + 1; i < N_C; ++i) {
+            k[i][j] /= k[j][j];
+            for (int m = j + 1; m < N_RANK; ++m)
+                k[i][m] -= k[i][j] * k[j][m];
+        }
         z[j] = y[j];
+        for (int i = 0; i < j; ++i)
+            z[j] -= k[i][j] * z[i];
+        z[j] /= k[j][j];
+    }
+    for (int j = 0; j < N_RANK; ++j)
+        for (int i = 0; i <= j; ++i)
+            k[i][j] = i == j ? 1.0 : 0.0;
+    /* G^T G = R^T R by Cholesky, R above the diagonal */
+    for (int j = 0; j < N_RANK; ++j) {
         for (int i = 0; i <= j; ++i) {
             double sum = 0.0;
             for (int m = 0; m < N_C; ++m)
@@ -407,7 +433,7 @@ static inline void fb_shortest(const fb_factors *restrict s, const double *restr
         double sum = 0.0;
         for (int j = 0; j < N_RANK; ++j)
             sum += k[i][j] * z[j];
-        multipliers[s->row[i]] = sum;
+        multipliers[row[i]] = sum;
     }
 }
 

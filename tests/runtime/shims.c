@@ -230,6 +230,15 @@ int begin_run(run *s)
     return fb_begin(&s->run);
 }
 
+/* Goes on from another state, with a proposal for the length of the next step. */
+int go_on_from(run *s, double t, const double *x, double h_abs)
+{
+    s->run.t = t;
+    s->run.h_abs = h_abs;
+    memcpy(s->run.x, x, (size_t)s->run.n * sizeof *x);
+    return fb_resume(&s->run);
+}
+
 void sample_at(run *s, const double *times, int n)
 {
     s->run.times = times;

@@ -405,6 +405,7 @@ static inline int fb_step_on(fb_run *s)
             return FB_RUN_PAUSED;
         }
         rejected = 1;
+        proposed = 0.0; /* too long, as it turned out */
     }
 }
 

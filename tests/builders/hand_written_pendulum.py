@@ -65,7 +65,7 @@ def manifest(rows):
         "forced_points": [1],
         "initial": {"x": 0.3, "y": -0.7, "u_x": 0.0},
         "invariants": [],
-        "position_rows": [0, None][:rows],
+        "position_rows": [*range(rows)],
         "states_velocity_constraints": False,
         "velocity_rows": [],
         "warnings": [],

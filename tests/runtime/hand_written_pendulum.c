@@ -50,7 +50,7 @@ extern const fb_variations pendulum_variations;
 extern const fb_batch_functions pendulum_batch_functions;
 
 #ifdef TWICE
-static const int position_row[] = {0, -1}, static_pivot_row[] = {0, 1};
+static const int position_row[] = {0, 1}, static_pivot_row[] = {0, 1};
 #else
 static const int position_row[] = {0}, static_pivot_row[] = {0};
 #endif

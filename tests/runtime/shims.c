@@ -2,6 +2,7 @@
 #include "fourbar_angle.h"
 #include "fourbar_augmented.h"
 #include "fourbar_batch.h"
+#include "fourbar_jumps.h"
 
 #include <stdlib.h>
 
@@ -341,4 +342,43 @@ int augmented_solution(int n_u, int n_c, const double *mass_matrix, const double
     memcpy(multipliers, a.multipliers, (size_t)n_c * sizeof(double));
     free(memory);
     return found;
+}
+
+/* fourbar_jumps.h: for u' = A r + b with two speeds and four inputs r, of which the last two are second derivatives of
+ * motions, and the first two their rates, 10 t + i before a jump at t = 1 and i^2 after it. */
+
+enum { JUMP_SPEEDS = 2, JUMP_INPUTS = 4 };
+
+static const double *jump_matrix;
+
+static int jump_accelerations(double t, const double *x, const double *constants, const double *r, double *a,
+                              double *multipliers, void *work)
+{
+    (void)t, (void)constants, (void)multipliers, (void)work;
+    for (int i = 0; i < JUMP_SPEEDS; ++i) {
+        a[i] = x[0];
+        for (int j = 0; j < JUMP_INPUTS; ++j)
+            a[i] += jump_matrix[i * JUMP_INPUTS + j] * r[j];
+    }
+    return FB_OK;
+}
+
+static void jump_inputs(double t, const double *constants, double *r)
+{
+    (void)constants;
+    for (int i = 0; i < JUMP_INPUTS; ++i)
+        r[i] = t < 1.0 ? 10.0 * t + i : i * i;
+}
+
+int speed_jump(const double *matrix, double t_before, double t_after, double *of_speeds)
+{
+    static const int rate[JUMP_INPUTS] = {-1, -1, 0, 1};
+    const double x[1] = {0.7};
+    double inputs[JUMP_INPUTS], before[JUMP_INPUTS], change_of_rates[JUMP_INPUTS], scratch[2 * JUMP_SPEEDS];
+    const fb_kernel kernel = {
+        .n_u = JUMP_SPEEDS, .n_r = JUMP_INPUTS, .accelerations = jump_accelerations, .default_inputs = jump_inputs};
+    fb_problem problem = {.kernel = &kernel, .inputs = inputs, .clock = fb_all_time};
+    fb_jump jump = {t_before, t_after, rate, before, change_of_rates};
+    jump_matrix = matrix;
+    return fb_speed_jump(&problem, &jump, x, of_speeds, scratch);
 }

@@ -74,6 +74,59 @@ int solve(const double *mass, const double *jacobian, const double *forcing, con
     return status;
 }
 
+#ifdef FORCES
+enum { N_N = FORCES, N_L = N_C + N_N };
+
+typedef void law_of(const double *n, double *effect, double *effect_jacobian, double *forcing,
+                    double *forcing_jacobian);
+static law_of *law;
+static const double *auxiliary_rows; /* M_a, then J_a^T */
+
+static void unknown_forces(double t, const double *x, const double *constants, const double *r, const double *forces,
+                           double *effect, double *effect_jacobian, double *auxiliary_forcing,
+                           double *auxiliary_forcing_jacobian, double *auxiliary_mass,
+                           double *auxiliary_constraint_jacobian)
+{
+    (void)t, (void)x, (void)constants, (void)r;
+    law(forces, effect, effect_jacobian, auxiliary_forcing, auxiliary_forcing_jacobian);
+    for (int i = 0; i < N_N * N_U; ++i)
+        auxiliary_mass[i] = auxiliary_rows[i];
+    for (int i = 0; i < N_N * N_C; ++i)
+        auxiliary_constraint_jacobian[i] = auxiliary_rows[N_N * N_U + i];
+}
+#include "fourbar_forces.h"
+
+/* u', and lambda followed by n, for forces by a law. */
+int solve_with_forces(law_of *given, const double *rows, const double *mass, const double *jacobian,
+                      const double *forcing, const double *bias, double *accelerations, double *multipliers)
+{
+    static fb_factors factors;
+    static fb_response response;
+    law = given;
+    auxiliary_rows = rows;
+    const int status = fb_factor(mass, jacobian, forcing, &factors);
+    return status != FB_OK ? status
+                           : fb_solve_with_forces(0.0, NULL, NULL, NULL, mass, forcing, bias, &factors, &response,
+                                                  accelerations, multipliers);
+}
+
+/* From weights of u' and of (lambda, n): the weights of the auxiliary rows; those of u' and lambda for held n. */
+int pull_back_forces(law_of *given, const double *rows, const double *mass, const double *jacobian,
+                     const double *forces, double *of_accelerations, double *of_multipliers, double *of_rows)
+{
+    static fb_factors factors;
+    static fb_response response;
+    const double none[N_U] = {0.0};
+    law = given;
+    auxiliary_rows = rows;
+    const int status = fb_factor(mass, jacobian, none, &factors);
+    if (status != FB_OK || !fb_evaluate_forces(0.0, NULL, NULL, NULL, forces, &response))
+        return status != FB_OK ? status : FB_NOT_FINITE;
+    fb_form_response(mass, &factors, &response);
+    return fb_pull_back_forces(&response, of_accelerations, of_multipliers, of_rows);
+}
+#endif
+
 #ifndef FB_SPARSE
 /* u' for n columns of right-hand sides (f, -gamma). */
 int solve_columns(const double *mass, const double *jacobian, int n, const double *sides, double *accelerations)

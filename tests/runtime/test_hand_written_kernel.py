@@ -140,6 +140,37 @@ def test_a_batch_marks_its_singular_state_alone(either_pendulum):
     np.testing.assert_allclose(np.delete(found, 3, axis=1), expected, rtol=1e-13)
 
 
+def residual(x, x_rates, multipliers, p, r, formulation):
+    """The equations of motion with everything on one side, for one state."""
+    q, u, a = x[:2], x[2:], x_rates[2:]
+    force = np.array([r[0], -p[2] * p[1]])
+    constraint = q @ q - p[0] ** 2 if formulation == "index-3" else 2.0 * (q @ a + u @ u)
+    rows = np.full(len(multipliers), constraint)
+    return np.concatenate((x_rates[:2] - u, p[2] * a - force - 2.0 * multipliers.sum() * q, rows))
+
+
+@pytest.mark.parametrize("formulation", ["index-1", "index-3"])
+def test_residuals_at_many_states_are_those_of_the_equations(either_pendulum, formulation):
+    """And their Jacobians are complex steps of them; at arbitrary numbers, which satisfy nothing."""
+    random, n = np.random.default_rng(4), 5
+    rows = either_pendulum.n_c
+    x, x_rates, multipliers = (random.normal(size=(k, n)) for k in (4, 4, rows))
+    r = random.normal(size=(1, n))
+    found = either_pendulum.residual_batch(0.0, x, x_rates, multipliers, r=r, formulation=formulation)
+    slopes = either_pendulum.residual_jacobian_batch(0.0, x, x_rates, multipliers, r=r, formulation=formulation)
+    for i in range(n):
+        given = {"x": x[:, i], "rates": x_rates[:, i], "multipliers": multipliers[:, i]}
+        given |= {"p": np.array(PARAMETERS), "r": r[:, i]}
+        expected = residual(*given.values(), formulation)
+        np.testing.assert_allclose(found[:, i], expected, rtol=0.0, atol=1e-13)
+        for name, point in given.items():
+            for j in range(len(point)):
+                moved = point.astype(complex)
+                moved[j] += 1e-30j
+                column = residual(*(given | {name: moved}).values(), formulation).imag / 1e-30
+                np.testing.assert_allclose(slopes[name][:, j, i], column, rtol=0.0, atol=1e-12, err_msg=name)
+
+
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_the_initial_state_is_on_the_side_of_its_guess(either_pendulum, sign):
     """y = +- sqrt(l^2 - x^2), u_y = -x u_x / y; Newton's method ends within 1e-14 of the size of Phi."""

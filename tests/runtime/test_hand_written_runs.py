@@ -236,6 +236,32 @@ def test_a_constant_force_tilts_gravity(pendulum, given):
     np.testing.assert_array_equal(run.r[0], 6.0)
 
 
+def test_a_stepper_holds_the_force_that_each_step_is_given(pendulum):
+    """As before, with the steps of length h of the classical method: its error is of the order of h^4."""
+    tilt, gravity = tilted(6.0)
+    swing = Swing(1.2, LENGTH, gravity)
+    errors = []
+    for n in (100, 200):
+        stepper = pendulum.stepper(1.0 / n, states_at(LENGTH, tilt + 1.2, 0.0), inputs={"F": -3.0})
+        for _ in range(n):
+            x = stepper.step({"F": 6.0})
+        angle, rate = swing.angles(1.0)
+        errors.append(np.abs(x - states_at(LENGTH, tilt + angle, rate)).max())
+    assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.15)
+    assert errors[1] < 1e-6
+
+
+@pytest.mark.parametrize("formulation", ["index-1", "index-3", "gear-gupta-leimkuhler"])
+def test_formulations_of_the_differential_algebraic_equations_follow_the_motion(pendulum, formulation):
+    """IDA controls no errors of the speeds in index 3, so that the bound is not theirs: a hundred times that."""
+    pytest.importorskip("sksundae")
+    motion = MOTIONS["small"]
+    run = pendulum.simulate((0.0, 1.0), motion.states(0.0), method="IDA", formulation=formulation, rtol=1e-9, atol=1e-9)
+    assert run.success
+    limit = bound(run, motion) * (100.0 if formulation == "index-3" else 1.0)
+    np.testing.assert_allclose(run.y, motion.states(run.t), rtol=0.0, atol=limit)
+
+
 @pytest.mark.parametrize("method", [*EXPLICIT, "Radau", "BDF"])
 def test_a_held_force_ends_at_its_time(pendulum, method):
     """It ends when the mass rests on the other side of the tilted vertical: from there, it swings by gravity alone."""

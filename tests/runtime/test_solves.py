@@ -428,3 +428,126 @@ def test_a_jacobian_close_to_losing_rank_is_told_by_its_least_pivot(solvers, dif
     solver = solvers("dense")
     J = np.array([[1.0, 0.5, 0.0, 0.0, 0.0], [1.0, 0.5 + difference, 0.0, 0.0, 0.0]])
     assert solver.shims.is_close_by(J, 1.0) == expected
+
+
+LAW = ctypes.CFUNCTYPE(None, *[ctypes.POINTER(ctypes.c_double)] * 5)
+
+
+class Forces:
+    """Unknown forces n: F(n) and Q(n) with their derivatives, and the rows M_a and J_a^T of the auxiliary speeds."""
+
+    def __init__(self, seed, law=None):
+        random = np.random.default_rng(seed)
+        self.B, self.C, self.c = random.normal(size=(5, 2)), random.normal(size=(2, 2)), random.normal(size=2)
+        self.M_a, self.J_a = random.normal(size=(2, 5)), random.normal(size=(2, 2))
+        self.law = law or (lambda n: (self.B @ n, self.B, self.c + self.C @ n, self.C))
+        self.rows = np.concatenate((self.M_a.ravel(), self.J_a.ravel()))
+
+        def given(n, *results):
+            for result, value in zip(results, self.law(np.array(n[:2])), strict=True):
+                for i, entry in enumerate(np.ravel(value)):
+                    result[i] = entry
+
+        self.callback = LAW(given)
+
+
+@pytest.fixture(scope="module")
+def forced(shared):
+    return Solver(shared, "forced", 5, 2, 2, "-DFORCES=2")
+
+
+def with_forces(forced, forces, M, J, f, gamma):
+    u, multipliers = np.full(5, np.nan), np.full(4, np.nan)
+    status = forced.shims.solve_with_forces(forces.callback, forces.rows, M, J, f, gamma, u, multipliers)
+    return status, u, multipliers
+
+
+def coupled(forces, M, J):
+    """The matrix of all equations, with u', lambda and linear forces as unknowns."""
+    return np.block(
+        [[M, -J.T, -forces.B], [J, np.zeros((2, 4))], [-forces.M_a, forces.J_a, forces.C]],
+    )
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_forces_that_keep_auxiliary_speeds_zero_solve_all_equations_at_once(forced, seed):
+    M, J, f, gamma = random_system(forced, seed)
+    forces = Forces(seed)
+    status, u, multipliers = with_forces(forced, forces, M, J, f, gamma)
+    expected = np.linalg.solve(coupled(forces, M, J), np.concatenate((f, -gamma, -forces.c)))
+    assert status == OK
+    # The condition number of the equations is below 1e3 here.
+    np.testing.assert_allclose(
+        np.concatenate((u, multipliers)), expected, rtol=0.0, atol=1e-11 * np.abs(expected).max()
+    )
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_forces_with_friction_satisfy_their_equations(forced, seed):
+    """F has a term of |n|, as of friction, and Q a cubic one: residuals are those of the rows, put in."""
+    M, J, f, gamma = random_system(forced, seed)
+    forces = Forces(seed)
+
+    def law(n):
+        effect = forces.B @ n + 0.1 * np.abs(n).sum()
+        slopes = forces.B + 0.1 * np.sign(n)
+        return effect, slopes, forces.c + 3.0 * n + n**3, np.diag(3.0 + 3.0 * n**2)
+
+    forces.law = law
+    status, u, multipliers = with_forces(forced, forces, M, J, f, gamma)
+    assert status == OK
+    n, effect, forcing = multipliers[2:], law(multipliers[2:])[0], law(multipliers[2:])[2]
+    # FB_BALANCED = 1e-13 of the terms, which are below 100.
+    np.testing.assert_allclose(M @ u - f - effect - J.T @ multipliers[:2], 0.0, atol=1e-11)
+    np.testing.assert_allclose(J @ u + gamma, 0.0, atol=1e-12)
+    np.testing.assert_allclose(forcing - forces.M_a @ u + forces.J_a @ multipliers[:2], 0.0, atol=1e-11)
+    assert np.abs(n).max() < 100.0
+
+
+def test_forces_without_effect_on_their_rows_are_undetermined(forced):
+    M, J, f, gamma = random_system(forced, 1)
+    forces = Forces(1)
+    forces.B[:, 1], forces.C[:, 1] = 0.0, 0.0
+    assert with_forces(forced, forces, M, J, f, gamma)[0] == 6  # FB_FORCES_UNDETERMINED
+
+
+def test_forces_without_solution_are_not_found(forced):
+    """exp(n_0) = 0, apart from the other equations: each step of Newton's method reduces n_0 by 1."""
+    M, J, f, gamma = random_system(forced, 1)
+    forces = Forces(1)
+    forces.B[:], forces.rows[:] = 0.0, 0.0
+
+    def law(n):
+        value = np.exp(min(n[0], 700.0))
+        return forces.B @ n, forces.B, [value, n[1] - 4.0], np.diag([value, 1.0])
+
+    forces.law = law
+    assert with_forces(forced, forces, M, J, f, gamma)[0] == 7  # FB_FORCES_NOT_FOUND
+
+
+def test_forces_are_found_from_a_start_where_their_law_has_a_derivative(forced):
+    """At 0, where Newton's method begins, that of n^2 vanishes."""
+    M, J, f, gamma = random_system(forced, 1)
+    forces = Forces(1)
+    forces.B[:], forces.rows[:] = 0.0, 0.0
+    forces.law = lambda n: (forces.B @ n, forces.B, n**2 - [9.0, 4.0], np.diag(2.0 * n))
+    status, _, multipliers = with_forces(forced, forces, M, J, f, gamma)
+    assert status == OK
+    np.testing.assert_allclose(np.abs(multipliers[2:]), [3.0, 2.0], rtol=1e-13)
+
+
+def test_weights_of_forces_are_those_of_the_transposed_equations(forced):
+    """With weights a of u', l of lambda and g of n, the weights v, m and w of all rows solve the transposed system."""
+    M, J, _, _ = random_system(forced, 2)
+    forces, random = Forces(2), np.random.default_rng(0)
+    a, l_and_g = random.normal(size=5), random.normal(size=4)
+    expected = np.linalg.solve(coupled(forces, M, J).T, np.concatenate((a, l_and_g)))
+    of_u, of_multipliers, of_rows = a.copy(), l_and_g.copy(), np.full(2, np.nan)
+    given = (forces.callback, forces.rows, M, J, np.zeros(2), of_u, of_multipliers, of_rows)
+    assert forced.shims.pull_back_forces(*given) == OK
+    # A residual is what is added to a row, on the other side than right-hand sides.
+    np.testing.assert_allclose(of_rows, -expected[7:], rtol=1e-10)
+    # What is left for u' and lambda with held forces: M v + J^T m = a', -J v = l'.
+    v, m = expected[:5], expected[5:7]
+    np.testing.assert_allclose(of_u, M @ v + J.T @ m, rtol=0.0, atol=1e-10)
+    np.testing.assert_allclose(of_multipliers[:2], -J @ v, rtol=0.0, atol=1e-10)

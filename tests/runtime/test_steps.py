@@ -266,3 +266,13 @@ def test_fixed_steps_have_the_increment_of_the_classical_method(shims):
             (t, _, _), x, _ = run.read()
             assert t == 1.0 + n * h
             assert x[0] == pytest.approx(2.0 * (1.0 + h + h**2 / 2.0 + h**3 / 6.0 + h**4 / 24.0) ** n, rel=1e-15)
+
+
+def test_a_jump_of_the_rates_of_motions_changes_speeds_by_their_accelerations(shims):
+    """u' is linear in the second derivatives r_2, r_3 of motions, with the rates r_0, r_1: du = A_2 dr_0 + A_3 dr_1. At
+    t = 0.8 the rates are 8 and 9; from t = 1 on, they are 0 and 1.
+    """
+    matrix = np.array([[1.0, 2.0, 3.0, 5.0], [7.0, 11.0, 13.0, 17.0]])
+    found = np.zeros(2)
+    assert shims.speed_jump(matrix, 0.8, 1.0, found) == 0
+    np.testing.assert_allclose(found, matrix[:, 2:] @ [0.0 - 8.0, 1.0 - 9.0], rtol=1e-13)

@@ -284,27 +284,33 @@ def test_a_held_force_ends_at_its_time(pendulum, method):
     np.testing.assert_allclose(run.y[:, ~before], second.states(run.t[~before] - end), rtol=0.0, atol=limit)
 
 
-def closed_form_slopes(motion, times):
-    """The derivatives of the states by the angle or rate of a motion, of the shape (4, n)."""
+def exact_states(kind, size, t, gravity=GRAVITY, length=LENGTH, tilt=0.0):
+    """The states of a motion by mpmath, in its present precision; gravity may have turned by an angle."""
+    g, length = mpmath.mpf(gravity), mpmath.mpf(length)
+    if kind is Swing:
+        k, w = mpmath.sin(size / 2), mpmath.sqrt(g / length)
+        u = mpmath.ellipk(k**2) - w * t
+        angle = 2 * mpmath.asin(k * mpmath.ellipfun("sn", u, m=k**2))
+        rate = -2 * k * w * mpmath.ellipfun("cn", u, m=k**2)
+    else:
+        u, m = size * t / 2, 4 * g / (length * size**2)
+        sn, cn, dn = (mpmath.ellipfun(name, u, m=m) for name in ("sn", "cn", "dn"))
+        angle, rate = 2 * mpmath.atan2(sn, cn), size * dn
+    sine, cosine = mpmath.sin(angle + tilt), mpmath.cos(angle + tilt)
+    return [length * entry for entry in (sine, -cosine, rate * cosine, rate * sine)]
 
-    def entries(size, t):
-        g, length = mpmath.mpf(motion.gravity), mpmath.mpf(motion.length)
-        if isinstance(motion, Swing):
-            k, w = mpmath.sin(size / 2), mpmath.sqrt(g / length)
-            u = mpmath.ellipk(k**2) - w * t
-            angle = 2 * mpmath.asin(k * mpmath.ellipfun("sn", u, m=k**2))
-            rate = -2 * k * w * mpmath.ellipfun("cn", u, m=k**2)
-        else:
-            u, m = size * t / 2, 4 * g / (length * size**2)
-            sn, cn, dn = (mpmath.ellipfun(name, u, m=m) for name in ("sn", "cn", "dn"))
-            angle, rate = 2 * mpmath.atan2(sn, cn), size * dn
-        sine, cosine = mpmath.sin(angle), mpmath.cos(angle)
-        return [length * entry for entry in (sine, -cosine, rate * cosine, rate * sine)]
 
+def slopes_of(states, value, times):
+    """The derivatives of states(value, t) by the value, of the shape (4, n), by central differences to 26 digits."""
     with mpmath.workdps(40):
-        step, size = mpmath.mpf(10) ** -13, mpmath.mpf(motion[0])  # leaves an error of the size of its square
-        pairs = [(entries(size + step, mpmath.mpf(t)), entries(size - step, mpmath.mpf(t))) for t in times]
+        step, value = mpmath.mpf(10) ** -13, mpmath.mpf(value)
+        pairs = [(states(value + step, mpmath.mpf(t)), states(value - step, mpmath.mpf(t))) for t in times]
         return np.array([[float((a - b) / (2 * step)) for a, b in zip(*pair, strict=True)] for pair in pairs]).T
+
+
+def closed_form_slopes(motion, times):
+    """By the angle or rate of a motion."""
+    return slopes_of(lambda size, t: exact_states(type(motion), size, t), motion[0], times)
 
 
 def by_gravity(model, motion, t):
@@ -387,6 +393,50 @@ def test_the_gradient_backwards_is_that_of_the_elliptic_functions(either_pendulu
     for name, slopes in {"g": by_gravity(either_pendulum, motion, TIMES), "m": 0.0 * of_angle, "x": of_angle}.items():
         size = (np.abs(weights) * np.maximum(np.abs(slopes), 1.0)).sum()
         assert gradient[name] == pytest.approx((weights * slopes).sum(), abs=limit * size), name
+
+
+@pytest.mark.parametrize("method", EXPLICIT)
+@pytest.mark.parametrize("kind", ["number", "hold", "linear", "cubic"])
+def test_derivatives_by_a_force_are_those_of_the_tilted_motion(pendulum, method, kind):
+    """Forwards and backwards, from rest at an angle that the force does not change. Changes
+    of all values of a table sum up to one of the constant.
+    """
+
+    def states(force, t):
+        tilt = mpmath.atan2(force, MASS * mpmath.mpf(GRAVITY))
+        gravity = mpmath.sqrt(mpmath.mpf(GRAVITY) ** 2 + (force / mpmath.mpf(MASS)) ** 2)
+        return exact_states(Swing, mpmath.mpf(1.2) - tilt, t, gravity, tilt=tilt)
+
+    slopes = slopes_of(states, 6.0, TIMES)
+    force = 6.0 if kind == "number" else ([0.0, 0.5, 1.5], [6.0] * 3, kind)
+    given = {"method": method, "inputs": {"F": force}, "rtol": 1e-11, "atol": 1e-12, "t_eval": TIMES}
+    x0 = states_at(LENGTH, 1.2, 0.0)
+    run = pendulum.simulate((0.0, 1.5), x0, sensitivities=["F"], gradient=True, **given)
+    swing = Swing(1.2 - tilted(6.0)[0], LENGTH, tilted(6.0)[1])
+    limit = slope_limit(run, swing, run.nfev // 6)
+    found = run.sensitivity["F"]
+    np.testing.assert_allclose(found if kind == "number" else found.sum(axis=0), slopes, rtol=0.0, atol=limit)
+    weights = np.random.default_rng(5).normal(size=slopes.shape)
+    expected = (weights * slopes).sum()
+    assert np.sum(run.gradient(weights)["F"]) == pytest.approx(expected, abs=limit * np.abs(weights).sum())
+
+
+@pytest.mark.parametrize("method", EXPLICIT)
+def test_derivatives_of_the_force_in_the_rod_are_those_of_its_closed_form(either_pendulum, method):
+    """Forwards and backwards. By energy, T = m g (3 cos a - 2 cos a_0) in a swing from rest at a_0, cos a = -y / l."""
+    motion = Swing(1.9)
+    run = either_pendulum.simulate(
+        (0.0, 1.5), motion.states(0.0), method=method, rtol=1e-11, atol=1e-12, t_eval=TIMES,
+        sensitivities=["g", "m"], gradient=True,
+    )  # fmt: skip
+    share = 3.0 * -motion.states(TIMES)[1] / LENGTH - 2.0 * np.cos(1.9)
+    by_g = MASS * share - 3.0 * MASS * GRAVITY / LENGTH * by_gravity(either_pendulum, motion, TIMES)[1]
+    limit = 3.0 * MASS * GRAVITY / LENGTH * slope_limit(run, motion, run.nfev // 6)
+    place, weights = either_pendulum.outputs.index("tension"), np.array([1.0, -2.0, 0.5, 3.0])
+    gradient = run.gradient({"tension": weights})
+    for name, slopes in {"g": by_g, "m": GRAVITY * share}.items():
+        np.testing.assert_allclose(run.output_sensitivity[name][place], slopes, rtol=0.0, atol=limit)
+        assert gradient[name] == pytest.approx(weights @ slopes, abs=limit * np.abs(weights).sum())
 
 
 def test_times_of_events_change_with_gravity_as_its_inverse_root(pendulum):

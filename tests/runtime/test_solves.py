@@ -203,6 +203,19 @@ def test_units_of_constraints_do_not_matter(solvers, name, exponent):
     np.testing.assert_allclose(found.multipliers * unit, multipliers, rtol=0.0, atol=1e-10)
 
 
+@pytest.mark.parametrize("name", ["dense", "dense without static order", "sparse", "sparse, early", "recursive"])
+@pytest.mark.parametrize("unit", [1e-20, 1e20])
+def test_a_unit_that_all_constraints_share_does_not_matter(solvers, name, unit):
+    """However small: no entry of J counts as a rounding error but by comparison with others."""
+    solver = solvers(name)
+    M, J, f, gamma = random_system(solver, 15)
+    u, multipliers = reference(M, J, f, gamma)
+    found = solver.solve(M, J * unit, f, gamma * unit)
+    assert found.status == OK
+    np.testing.assert_allclose(found.u, u, rtol=0.0, atol=1e-11)
+    np.testing.assert_allclose(found.multipliers * unit, multipliers, rtol=0.0, atol=1e-10)
+
+
 @pytest.mark.parametrize("name", ["dense", "recursive", "sparse"])
 def test_units_of_masses_do_not_matter(solvers, name):
     """M and f in units of 1e-6: the same accelerations, and multipliers in these units."""
@@ -225,6 +238,18 @@ def test_the_static_order_is_taken_only_if_its_pivots_are_large(solvers):
         assert (found.status, found.kind) == (OK, kind)
         np.testing.assert_allclose(found.u, u, rtol=0.0, atol=1e-11)
         np.testing.assert_allclose(found.multipliers, multipliers, rtol=0.0, atol=1e-10)
+
+
+@pytest.mark.parametrize(("unit", "kind"), [(1e-5, 1), (1e-7, 0)])
+def test_the_static_order_is_taken_only_if_rows_have_similar_units(solvers, unit, kind):
+    """FB_NEAR_DEPENDENCE = 1e-6: a smaller row may be what is left of two dependent ones."""
+    solver = solvers("dense")
+    M, _, f, gamma = random_system(solver, 3)
+    J = np.array([[unit, 0.5 * unit, 0.0, 0.0, 0.0], [0.0, 0.0, 0.5, 1.0, 0.0]])
+    gamma[0] *= unit
+    found, (u, _) = solver.solve(M, J, f, gamma), reference(M, J, f, gamma)
+    assert (found.status, found.kind) == (OK, kind)
+    np.testing.assert_allclose(found.u, u, rtol=0.0, atol=1e-11)
 
 
 def test_nearly_dependent_rows_are_solved_by_complete_pivoting(solvers):

@@ -142,6 +142,25 @@ def test_each_step_is_that_of_scipy(shims, method, f, x0, end, backwards):
         assert run.advance(1) == END
 
 
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    ("f", "x0"),
+    [
+        (lotka_volterra, [4.0, 1.0]),
+        (lambda t, x: [1.0], [0.0]),  # from 0: a hundred times a trial step of 1e-6
+        (lambda t, x: [0.0], [1.0]),  # at rest: a thousandth of it, or 1e-6
+        (lambda t, x: [1e3 * x[0]], [1.0]),
+        (lambda t, x: [1e-3 * t], [1.0]),
+    ],
+)
+@pytest.mark.parametrize("end", [10.0, 1e-7, -10.0])
+def test_the_first_length_is_that_of_scipy(shims, method, f, x0, end):
+    known = getattr(scipy.integrate, method)(f, 0.0, x0, end, rtol=1e-4, atol=1e-4)
+    with Run(shims, f, METHODS[method], 0.0, x0, end, rtol=1e-4, atol=1e-4) as run:
+        assert run.begin_run() == 0
+        assert run.read()[0][2] == pytest.approx(known.h_abs, rel=1e-12)
+
+
 @pytest.mark.parametrize("max_step", [0.01, 0.1])
 def test_steps_are_no_longer_than_allowed(shims, max_step):
     with Run(shims, lotka_volterra, RK45, 0.0, [4.0, 1.0], 1.0, max_step=max_step, rtol=1e-2, atol=1e-2) as run:
@@ -202,7 +221,9 @@ def test_a_run_stops_after_steps_with_a_change_of_sign(shims, direction, expecte
         found = []
         while run.advance(1000) == EVENT:
             (t, h, _), _, _ = run.read()
-            found += [zero for zero in (1, 2, 3) if t - h <= zero <= t]
+            zeros = [zero for zero in (1, 2, 3) if t - h <= zero <= t]
+            assert zeros  # no other step is reported
+            found += zeros
         assert found == expected
 
 

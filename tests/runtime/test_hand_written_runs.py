@@ -7,6 +7,7 @@ unit. It is carried on to later times as differences of neighbouring motions are
 
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import mpmath
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 from builders.hand_written_pendulum import GRAVITY, LENGTH, MASS, Swing, Turn, states_at
 from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
 from scipy.special import ellipk, ellipkinc
 
 import fourbar_codegen as fb
@@ -419,6 +421,49 @@ def test_derivatives_by_a_force_are_those_of_the_tilted_motion(pendulum, method,
     weights = np.random.default_rng(5).normal(size=slopes.shape)
     expected = (weights * slopes).sum()
     assert np.sum(run.gradient(weights)["F"]) == pytest.approx(expected, abs=limit * np.abs(weights).sum())
+
+
+@pytest.mark.parametrize("method", EXPLICIT)
+@pytest.mark.parametrize("kind", ["hold", "linear", "cubic"])
+def test_derivatives_by_values_of_a_table_are_those_of_the_equation_of_the_angle(pendulum, method, kind):
+    """Forwards and backwards. SciPy integrates m l a'' = F cos a - m g sin a and its derivatives by the values, of which
+    each changes F by a function of time: piece by piece, since these may jump.
+    """
+    times, values = np.array([0.0, 0.4, 0.9, 1.5]), np.array([3.0, -4.0, 6.0, 2.0])
+    spline = CubicSpline(times, np.eye(4))
+
+    def weights(t, begin):
+        """Of the values in the force at a time, in the piece from another time on."""
+        if kind == "cubic":
+            return spline(t)
+        if kind == "linear":
+            return np.array([np.interp(t, times, row) for row in np.eye(4)])
+        return np.eye(4)[np.searchsorted(times, begin, side="right") - 1]
+
+    def rates(t, y, begin):
+        a, a_rate, by, by_rate = y[0], y[1], y[2:6], y[6:]
+        w, unit = weights(t, begin), MASS * LENGTH
+        sine, cosine, force = np.sin(a), np.cos(a), weights(t, begin) @ values
+        slope = -(force * sine + MASS * GRAVITY * cosine) / unit
+        acceleration = (force * cosine - MASS * GRAVITY * sine) / unit
+        return np.concatenate(([a_rate, acceleration], by_rate, slope * by + w * cosine / unit))
+
+    y = np.concatenate(([1.2, 0.0], np.zeros(8)))
+    for begin, end in pairwise(times):
+        y = solve_ivp(rates, (begin, end), y, method="DOP853", rtol=1e-11, atol=1e-12, args=(begin,)).y[:, -1]
+    a, a_rate, by, by_rate = y[0], y[1], y[2:6], y[6:]
+    sine, cosine = np.sin(a), np.cos(a)
+    slopes = LENGTH * np.array([cosine * by, sine * by, cosine * by_rate - a_rate * sine * by,
+                                sine * by_rate + a_rate * cosine * by])  # fmt: skip
+    run = pendulum.simulate(
+        (0.0, 1.5), states_at(LENGTH, 1.2, 0.0), method=method, inputs={"F": (times, values, kind)}, t_eval=[1.5],
+        rtol=1e-11, atol=1e-12, sensitivities=["F"], gradient=True,
+    )  # fmt: skip
+    np.testing.assert_allclose(run.y[:, 0], states_at(LENGTH, a, a_rate), rtol=0.0, atol=1e-8)
+    # Some 100 steps of RK45 with ten times the tolerance in each, and the growth of differences.
+    np.testing.assert_allclose(run.sensitivity["F"][:, :, 0].T, slopes, rtol=0.0, atol=1e-8)
+    for i in range(4):
+        np.testing.assert_allclose(run.gradient(np.eye(4)[:, i : i + 1])["F"], slopes[i], rtol=0.0, atol=1e-8)
 
 
 @pytest.mark.parametrize("method", EXPLICIT)

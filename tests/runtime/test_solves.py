@@ -323,9 +323,9 @@ def test_a_negative_mass_has_its_status(solvers):
     assert solver.solve(-M, J, f, gamma).status == MASS_SINGULAR
 
 
-@pytest.mark.parametrize("entry", [0.0, 1e-9])
+@pytest.mark.parametrize("entry", [0.0, 1e-9, 1e-3])
 def test_an_early_constraint_with_a_small_pivot_takes_the_dense_solution(solvers, entry):
-    """Of constraint 0 only speed 0 comes before it."""
+    """Of constraint 0 only speed 0 comes before it; its pivot goes with the square, and is compared with 1e-4."""
     solver = solvers("sparse, early")
     M, J, f, gamma = random_system(solver, 10)
     assert solver.solve(M, J, f, gamma).kind == 0

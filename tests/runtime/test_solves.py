@@ -347,6 +347,17 @@ def test_products_take_the_dense_solution_if_constraints_are_nearly_dependent(so
     np.testing.assert_allclose(found.u, u, rtol=1e-9)
 
 
+def test_products_are_refined_where_constraints_are_less_nearly_dependent(solvers):
+    """The condition number of J M^-1 J^T, 1e6, is that of J squared: refinement leaves the errors of J's, 1e3."""
+    solver = solvers("recursive")
+    M, J, f, gamma = random_system(solver, 13)
+    J[1] = J[0] + 1e-3 * J[1]
+    found, (u, _) = solver.solve(M, J, f, gamma), reference(M, J, f, gamma)
+    assert (found.status, found.kind) == (OK, 0)
+    np.testing.assert_allclose(J @ found.u, -gamma, rtol=0.0, atol=1e-15 * np.abs(u).max() * 10.0)
+    np.testing.assert_allclose(found.u, u, rtol=0.0, atol=1e-12 * np.abs(u).max())
+
+
 def redundant(seed, scale=1.0):
     """Row 2 is a combination of the others, with the same weights in J and in gamma."""
     random = np.random.default_rng(seed)

@@ -405,7 +405,7 @@ def test_the_gradient_backwards_is_that_of_the_elliptic_functions(either_pendulu
 @pytest.mark.parametrize("method", EXPLICIT)
 def test_the_gradient_of_the_distance_from_the_pivot_is_that_of_the_length(pendulum, method):
     """(x^2 + y^2) / 2 = l^2 / 2 at any time, since projections move the given x0 as well: up to FB_SLIGHT of what the
-    steps leave.
+    steps leave. And its rate, x u_x + y u_y, is 0.
     """
     motion = Swing(1.9)
     run = pendulum.simulate(
@@ -418,6 +418,9 @@ def test_the_gradient_of_the_distance_from_the_pivot_is_that_of_the_length(pendu
         assert gradient["l"] == pytest.approx(LENGTH, rel=1e-12)
         for name in ("g", "m", "x", "u_x", "F"):
             assert gradient.get(name, 0.0) == pytest.approx(0.0, abs=1e-12), name
+        weights[:2, place], weights[2:, place] = run.y[2:, place], run.y[:2, place]
+        for name, slope in run.gradient(weights).items():
+            assert slope == pytest.approx(0.0, abs=1e-11), name
 
 
 @pytest.mark.parametrize("method", EXPLICIT)
@@ -495,15 +498,19 @@ def test_derivatives_of_the_force_in_the_rod_are_those_of_its_closed_form(either
     motion = Swing(1.9)
     run = either_pendulum.simulate(
         (0.0, 1.5), motion.states(0.0), method=method, rtol=1e-11, atol=1e-12, t_eval=TIMES,
-        sensitivities=["g", "m"], gradient=True,
+        sensitivities=["g", "m", "l"], gradient=True, dx0={"l": motion.states(0.0) / LENGTH},
     )  # fmt: skip
     share = 3.0 * -motion.states(TIMES)[1] / LENGTH - 2.0 * np.cos(1.9)
     by_g = MASS * share - 3.0 * MASS * GRAVITY / LENGTH * by_gravity(either_pendulum, motion, TIMES)[1]
+    y, by = motion.states(TIMES)[1], by_length(either_pendulum, motion, TIMES)[1]
+    by_l = 3.0 * MASS * GRAVITY * (y / LENGTH - by) / LENGTH
     limit = 3.0 * MASS * GRAVITY / LENGTH * slope_limit(run, motion, run.nfev // 6)
     place, weights = either_pendulum.outputs.index("tension"), np.array([1.0, -2.0, 0.5, 3.0])
     gradient = run.gradient({"tension": weights})
-    for name, slopes in {"g": by_g, "m": GRAVITY * share}.items():
+    for name, slopes in {"g": by_g, "m": GRAVITY * share, "l": by_l}.items():
         np.testing.assert_allclose(run.output_sensitivity[name][place], slopes, rtol=0.0, atol=limit)
+        if name == "l" and either_pendulum.n_c > 1:
+            continue  # a parameter that redundant constraints do not let change alone has no gradient
         assert gradient[name] == pytest.approx(weights @ slopes, abs=limit * np.abs(weights).sum())
 
 

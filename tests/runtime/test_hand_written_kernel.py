@@ -189,9 +189,9 @@ def test_derivatives_of_the_initial_state_are_those_of_the_circle(pendulum):
     assert not np.any(by["m"])
 
 
-def test_an_initial_state_outside_of_the_circle_is_refused(either_pendulum):
+def test_an_initial_state_outside_of_the_circle_is_refused(pendulum):
     with pytest.raises(fb.AssemblyError):
-        either_pendulum.initial_state([1.01 * LENGTH], [0.0], guess=[-0.1])
+        pendulum.initial_state([1.01 * LENGTH], [0.0], guess=[-0.1])
 
 
 @pytest.mark.parametrize("stretch", [1e-9, 1e-4, 0.05])

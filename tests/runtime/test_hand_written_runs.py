@@ -22,7 +22,7 @@ import fourbar_codegen as fb
 
 MOTIONS = {"small": Swing(0.2), "wide": Swing(2.8), "turning": Turn(10.5)}
 EXPLICIT = ["DOP853", "RK45"]
-TOLERANCES = {"DOP853": 1e-11, "RK45": 1e-11}
+TOLERANCES = {"DOP853": 1e-11, "RK45": 1e-11, "Radau": 1e-7}
 """As small as the order of a method allows in thousands of steps; 1e-9 for the others."""
 
 

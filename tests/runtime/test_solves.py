@@ -505,8 +505,16 @@ def coupled(forces, M, J):
     )
 
 
+@pytest.fixture(scope="module")
+def forced_linear(shared):
+    """For laws that one step of Newton's method solves."""
+    return Solver(shared, "forced_linear", 5, 2, 2, "-DFORCES=2", "-DFB_FORCES_LINEAR")
+
+
+@pytest.mark.parametrize("library", ["forced", "forced_linear"])
 @pytest.mark.parametrize("seed", range(5))
-def test_forces_that_keep_auxiliary_speeds_zero_solve_all_equations_at_once(forced, seed):
+def test_forces_that_keep_auxiliary_speeds_zero_solve_all_equations_at_once(request, library, seed):
+    forced = request.getfixturevalue(library)
     M, J, f, gamma = random_system(forced, seed)
     forces = Forces(seed)
     status, u, multipliers = with_forces(forced, forces, M, J, f, gamma)
@@ -570,6 +578,22 @@ def test_forces_are_found_from_a_start_where_their_law_has_a_derivative(forced):
     status, _, multipliers = with_forces(forced, forces, M, J, f, gamma)
     assert status == OK
     np.testing.assert_allclose(np.abs(multipliers[2:]), [3.0, 2.0], rtol=1e-13)
+
+
+def test_forces_are_found_by_shortened_steps_where_whole_ones_lead_away(forced):
+    """d / sqrt(1 + d^2) = 0 for the distance d from the root: whole steps of Newton's method take d to -d^3."""
+    M, J, f, gamma = random_system(forced, 1)
+    forces, root = Forces(1), -1.0001
+    forces.B[:], forces.rows[:] = 0.0, 0.0
+
+    def law(n):
+        size = np.sqrt(1.0 + (n - root) ** 2)
+        return forces.B @ n, forces.B, (n - root) / size, np.diag(size**-3.0)
+
+    forces.law = law
+    status, _, multipliers = with_forces(forced, forces, M, J, f, gamma)
+    assert status == OK
+    np.testing.assert_allclose(multipliers[2:], root, rtol=1e-12)
 
 
 def test_weights_of_forces_are_those_of_the_transposed_equations(forced):

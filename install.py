@@ -59,7 +59,7 @@ def together(steps: dict[str, list[str]]) -> None:
     begin = said = time.monotonic()
     running = {}
     for name, command in steps.items():
-        output = tempfile.TemporaryFile()
+        output = tempfile.TemporaryFile()  # noqa: SIM115  # closed with the process
         running[name] = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT), output
     while running:
         time.sleep(0.05)

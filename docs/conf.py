@@ -46,7 +46,7 @@ nb_execution_timeout = 300
 nb_execution_raise_on_error = True
 # pip builds cyipopt from source, with Ipopt and compilers of the system.
 IPOPT = "howto/optimal_control"
-WITHOUT_IPOPT = f"""```{{note}}
+WITHOUT_IPOPT = """```{note}
 This page was built without its outputs, since Ipopt was not found. On Debian and Ubuntu:
 `apt-get install coinor-libipopt-dev gfortran liblapack-dev pkg-config`.
 ```"""

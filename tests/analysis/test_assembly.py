@@ -480,6 +480,7 @@ def test_assembly_modes_with_the_cranks_end_on_the_pivot_leave_the_bar_free():
         np.testing.assert_allclose(found.x[:, 2], 0.0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_assembly_modes_with_crank_and_rod_of_equal_length_equal_closed_forms():
     """x = 2 r cos a, and x = 0 with the rod folded onto the crank."""
     model = fb.compile_model(fb.models.slider_crank())

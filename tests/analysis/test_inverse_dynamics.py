@@ -445,6 +445,7 @@ def test_inverse_dynamics_of_one_state_take_several_accelerations():
     np.testing.assert_allclose(model.inverse_dynamics(([0.0, 1.0], [0.0, 0.0], [3.0]))["F"], [6.0, 6.0])
 
 
+@pytest.mark.slow
 def test_inverse_dynamics_with_wrong_motions_or_inputs_are_refused():
     model = fb.compile_model(slider_crank().model())
     branch = model.kinematics({"q_OA": ANGLES}, rates={"q_OA": RATE})[0]

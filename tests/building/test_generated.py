@@ -169,7 +169,7 @@ def test_printed_expressions_mean_what_they_say(expr):
     assert any("pow" in text.value(line) for line in scheduled.lines) == bool(powers)
 
 
-@pytest.mark.slow(but=["slider_crank", "<lambda>0", "<lambda>1", "four_bar"])
+@pytest.mark.slow(but=["slider_crank", "four_bar"])
 @pytest.mark.parametrize(
     "make",
     [

@@ -35,6 +35,7 @@ def test_equations_take_fewer_operations_than_sympys_joint_cse_of_them(name):
     assert counted["prepare"] + counted["dynamics"] < sum(counts)
 
 
+@pytest.mark.slow
 def test_bicycle_takes_no_more_operations_than_sympys_and_symbrims():
     """2312 in M, f, J and gamma of SymPy's test bicycle after one joint CSE; SymBRiM's own baseline for its bicycle,
     for three choices of coordinates, has 1909, 2198 and 2389."""

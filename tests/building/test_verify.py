@@ -69,6 +69,7 @@ def with_a_logarithm(name, **more):
     return fb.Model(system, name=name, parameters={"m": 1.0, "l": 1.0, "g": 9.81}, **more)
 
 
+@pytest.mark.slow
 def test_model_without_values_at_any_state_is_compiled_with_a_warning_each_time(tmp_path, monkeypatch):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     model = with_a_logarithm("nowhere")
@@ -81,6 +82,7 @@ def test_model_without_values_at_any_state_is_compiled_with_a_warning_each_time(
     assert not fb.load(built).is_verified
 
 
+@pytest.mark.slow
 def test_model_with_values_at_its_initial_state_alone_is_verified_there(tmp_path, monkeypatch, caplog):
     """The root of -(q - 6)^2 is real at q = 6 only."""
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))

@@ -56,6 +56,7 @@ def test_rates_of_every_ready_model_equal_sympys(pair):
         assert error <= tolerance(compiled, x) * np.abs(expected).max()
 
 
+@pytest.mark.slow(but=["cartesian pendulum", "rolling disc", "slider-crank"])
 def test_jacobians_of_every_ready_model_equal_complex_steps(pair):
     # Im f(x + ih) / h has no cancellation, whatever the step (Squire and Trapp 1998).
     compiled, reference = pair

@@ -378,6 +378,7 @@ def test_members_of_a_closed_recursive_chain_equal_runs(closed):
         np.testing.assert_allclose(ensemble.y[i], run.y, rtol=0, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_nearly_dependent_constraints_in_the_recursive_form_still_hold(closed):
     """Near a stretched chain J loses rank, so that the dense solution is used; J u' + gamma = 0 holds on both sides."""
     for bend in (0.3, 1e-2, 1e-4, 1e-6):

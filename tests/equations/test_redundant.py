@@ -59,6 +59,7 @@ def test_redundant_parallelogram_moves_as_an_inverted_pendulum():
     np.testing.assert_allclose([run["p0"][-1], run["v0"][-1]], pendulum.y[:, -1], atol=1e-6)
 
 
+@pytest.mark.slow(but=["0.0"])
 @pytest.mark.parametrize("g", [9.81, 0.0])
 def test_redundant_rows_hold_to_the_size_of_their_terms(g):
     """Upright, or without gravity, p'' = (g / l) sin p = 0, and the terms l v^2 of gamma cancel: nothing is left that a

@@ -64,7 +64,7 @@ STATED = {
 }
 
 
-@pytest.mark.slow(but=["by_a_function-ALI3P", "by_a_parameter-ALI3P", "by_a_parameter-IDA", "half-ALI3P"])
+@pytest.mark.slow(but=["by_a_parameter-ALI3P"])
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("stated", STATED)
 def test_velocity_constraints_in_any_form_keep_the_positions(stated, method):

@@ -90,7 +90,7 @@ BY_CLANG = ("four_bar", "sparse", "recursive", "driven_by_unknown_forces")
 """One of each form of the equations; that clang compiles the others without a warning is tested below."""
 
 
-@pytest.mark.slow(but=["four_bar-gcc"])
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "compiler"), [*((name, "gcc") for name in MODELS), *((name, "clang") for name in BY_CLANG)]
 )
@@ -180,7 +180,7 @@ def test_c_library_differentiates_an_inputs_expression_unless_it_is_held(exporte
         np.testing.assert_allclose(by_parameters[1], [expected[name] for name in compiled.parameters], rtol=1e-15)
 
 
-@pytest.mark.slow(but=["chain", "driven", "driven_by_unknown_forces", "four_bar"])
+@pytest.mark.slow(but=["four_bar"])
 @pytest.mark.parametrize("name", MODELS)
 def test_c_library_closes_loops_to_the_states_of_initial_state(exported, name):
     """From disturbed guesses, the same states as `initial_state` finds."""
@@ -198,6 +198,7 @@ def test_c_library_closes_loops_to_the_states_of_initial_state(exported, name):
     assert library.call("violation", mechanism) < 1e-12
 
 
+@pytest.mark.slow(but=["chain", "driven_by_unknown_forces", "four_bar"])
 @pytest.mark.parametrize("name", MODELS)
 def test_c_library_steps_and_runs_as_stepper_and_simulate(exported, name):
     compiled, library = exported(name)

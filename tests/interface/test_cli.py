@@ -23,6 +23,7 @@ def run(*arguments):
     return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
+@pytest.mark.slow
 def test_simulate_with_several_outputs_writes_each_file(tmp_path, four_bar):
     paths = [tmp_path / name for name in ("run.csv", "run.npz", "run.png")]
     result = run("simulate", "-p", "l2=0.45", "-t", 0, 2, *(word for path in paths for word in ("-o", path)))

@@ -123,6 +123,7 @@ def test_ensemble_shows_members_failures_and_differences_in_its_repr(ensemble):
     )
 
 
+@pytest.mark.slow
 def test_ensemble_saved_to_files_has_the_states_of_its_members(ensemble, tmp_path):
     with ensemble.save(tmp_path / "runs.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))

@@ -145,6 +145,7 @@ def test_files_of_each_half_import_its_libraries_only(name):
     assert "subprocess" not in modules or name == "building.toolchain"
 
 
+@pytest.mark.slow
 def test_tests_and_their_helpers_import_no_test_module_even_inside_functions():
     modules = [path.relative_to(TESTS).with_suffix("").parts for path in TESTS.rglob("test_*.py")]
     known = tuple(f"{name}." for parts in modules for name in (parts[-1], ".".join(parts), f"tests.{'.'.join(parts)}"))

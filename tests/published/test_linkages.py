@@ -10,6 +10,7 @@ import fourbar_codegen as fb
 mechanisms = import_module("11_mechanisms")
 
 
+@pytest.mark.slow
 def test_foot_of_klanns_leg_has_the_inventors_stride_and_height():
     """Step height 52.3 % and stride 1.000: http://www.mechanicalspider.com/concept.html."""
     drive, values, _ = mechanisms.MECHANISMS[mechanisms.klann]
@@ -20,6 +21,7 @@ def test_foot_of_klanns_leg_has_the_inventors_stride_and_height():
     assert abs(x[0] - x[180]) == pytest.approx(1.000, abs=5e-4)
 
 
+@pytest.mark.slow
 def test_angles_of_a_four_bars_arms_are_those_of_mathgroup():
     """Upper arm's angles for those of the lower arm, degrees, both assemblies: message 64453 (2006)."""
     points = {"A": (0, 0), "C": (13, 0), "F": (13, 7), "D": (5, 7)}

@@ -106,6 +106,7 @@ def test_dense_output_outside_the_run_is_refused(root, method):
             run.sol(times)
 
 
+@pytest.mark.slow(but=["0.001", "1000000.0"])
 @pytest.mark.parametrize("size", [1e-9, 1e-3, 1e6])
 def test_slider_crank_runs_at_any_size_give_the_same_motion(size):
     """Angles do not depend on the unit of length; neither do singular positions: it has none."""

@@ -114,6 +114,7 @@ def test_motion_that_starts_at_once_makes_speeds_jump_by_its_rate(expression, ho
         np.testing.assert_allclose(dense.sol(time)[model.states.index("q")], expected[0], atol=1e-6)
 
 
+@pytest.mark.slow(but=["DOP853", "ALI3P", "BDF"])
 def test_motion_that_starts_at_once_makes_speeds_jump_by_every_method(method):
     how, error = method
     relative, held = compiled(s, STARTS), compiled(s, STARTS, held=True)

@@ -111,6 +111,7 @@ def test_batch_and_ensemble_with_redundant_constraints_equal_single_states_and_r
         np.testing.assert_allclose(member, run.y, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow(but=["slider_crank"])
 def test_batch_is_the_same_to_the_bit_in_any_company(compiled):
     x = random_states(compiled, 1500)
     names = compiled.parameters

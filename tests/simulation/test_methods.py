@@ -363,6 +363,7 @@ def test_ida_with_index_3_says_that_its_tolerance_holds_for_coordinates_only(fou
     assert "tolerance" not in runs["gear-gupta-leimkuhler"].message
 
 
+@pytest.mark.slow(but=["ALI3P-more1"])
 @pytest.mark.parametrize(("name", "more"), [("IDA", {"formulation": "index-3"}), ("ALI3P", {"max_step": 1e-2})])
 def test_stiff_spring_is_passed_in_long_steps_by_index_3_and_ali3p(driven, name, more):
     """10,000 rad/s; methods that do not control the speeds take steps as long as the motion asks for."""

@@ -75,6 +75,7 @@ def held_on(curve):
     return fb.Model(system, name="held", parameters={m: 1.0, g: 9.81, **({K: 1e16} if curve.has(K) else {})})
 
 
+@pytest.mark.slow(but=["1.0e-16*K*sin(q1(t))"])
 @pytest.mark.parametrize(
     "curve",
     [
@@ -134,6 +135,7 @@ def test_sums_with_a_common_part_as_a_term_have_closed_form_rates():
     np.testing.assert_allclose(compiled.rhs(0.0, [0.1, 0.2, 0.4, 0, 0, 0])[3:], expected, rtol=1e-14)
 
 
+@pytest.mark.slow(but=["1"])
 @pytest.mark.parametrize("copies", [1, 10])
 def test_dependent_constraints_that_cannot_hold_are_refused(copies):
     # x - y = 0 and x - y + k x^2 = 0 are the same at x = 0, but for the second's rate; few are solved as a full system
@@ -163,6 +165,7 @@ def test_dependent_constraints_that_cannot_hold_are_refused(copies):
         compiled.rhs(0.0, x)
 
 
+@pytest.mark.slow(but=["1"])
 @pytest.mark.parametrize("copies", [1, 10])
 def test_constraints_that_are_not_finite_are_refused(copies):
     d = sm.Symbol("d")

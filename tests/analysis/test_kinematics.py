@@ -515,6 +515,7 @@ def test_plots_of_branches_have_a_panel_each_and_refuse_wrong_names(four_bar):
     assert "2 branches" in repr(found)
 
 
+@pytest.mark.slow(but=["0.0-0.1", "0.0-0.7", "0.3-0.1"])
 @pytest.mark.parametrize("radius", [0.01, 0.1, 0.7, 3.0])
 @pytest.mark.parametrize("angle", [0.0, 0.3, 1.2, pi / 2, 2.7, 4.4])
 def test_circle_by_continuation_is_traced_once_with_two_folds(radius, angle):

@@ -1044,6 +1044,7 @@ def test_module_truncated_anywhere_is_refused_on_loading(tmp_path, share):
         fb.load(half)
 
 
+@pytest.mark.slow
 def test_cache_cleared_between_steps_is_built_again_up_to_five_times(monkeypatch, tmp_path):
     """Between any two steps another process may remove a folder; whoever looks for it builds it again."""
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))

@@ -106,6 +106,7 @@ def test_info_says_whether_a_model_was_compared_with_its_equations(tmp_path, mon
     assert "compared with the equations: not" in said("four_bar")  # it comes with the package, built without SymPy
 
 
+@pytest.mark.slow
 def test_defect_of_a_force_with_values_near_the_initial_state_only_is_found(tmp_path, monkeypatch):
     """Elsewhere the logarithm has no real value."""
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))

@@ -78,7 +78,7 @@ def test_kinematics_set_as_they_follow_give_no_warning(changes):
         fb.generate_sources(pendulum(**changes))
 
 
-@pytest.mark.slow(but=["cartesian_pendulum", "slider_crank", "chain"])
+@pytest.mark.slow(but=["cartesian_pendulum", "chain", "slider_crank"])
 @pytest.mark.parametrize("name", fb.models.__all__)
 def test_models_of_the_package_give_no_warning(name):
     with warnings.catch_warnings():
@@ -338,6 +338,7 @@ def bob_on_a_circle(length, *, moves=1, accelerations=None):
     return fb.Model(kane, name="circle")
 
 
+@pytest.mark.slow(but=["1", "100", "30"])
 @pytest.mark.parametrize("length", [1, 30, 100, 5000])
 def test_contradictions_are_found_at_every_size_of_the_mechanism(length):
     """Hard-coded ones, so that random states have to find them; the row is a rate on closed loops alone."""

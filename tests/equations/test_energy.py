@@ -168,6 +168,7 @@ def test_potential_energy_of_springs_equals_the_closed_form_and_is_conserved():
     np.testing.assert_allclose(run.energy, run.energy[0], rtol=0, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_potential_of_a_spring_that_a_body_states_is_not_counted_twice():
     states = np.random.default_rng(1).uniform(-1.5, 1.5, (10, 8))
     expected = [potential(*state[:4]) for state in states]

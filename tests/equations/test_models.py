@@ -82,6 +82,7 @@ def test_jacobians_of_every_ready_model_equal_complex_steps(pair):
                 assert error <= tolerance(compiled, x) * (np.abs(expected).max() + scale)
 
 
+@pytest.mark.slow(but=["cartesian pendulum", "rolling disc", "slider-crank"])
 def test_energy_of_every_ready_model_without_inputs_is_conserved(pair):
     compiled, _ = pair
     # The four-bar's spring and damper are no potential's: test_energy.py has more of it.

@@ -131,6 +131,7 @@ def test_loop_with_one_dependent_speed_too_few_is_refused():
         compiled.rhs(0.0, fb.load("four_bar").initial_state())
 
 
+@pytest.mark.slow
 def test_particle_with_two_constraints_and_one_dependent_speed_is_refused():
     """y = x and z = -x leave one degree of freedom: the compiler is not to blame."""
     (x, y, z), (vx, vy, vz) = me.dynamicsymbols("x y z"), me.dynamicsymbols("v_x v_y v_z")

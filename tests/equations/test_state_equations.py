@@ -65,7 +65,7 @@ def test_motor_has_the_rates_jacobian_and_linearization_of_its_matrices():
     np.testing.assert_allclose(B, VOLTAGE, rtol=1e-14)
 
 
-@pytest.mark.slow(but=["ALI3P", "BDF", "CVODE", "DOP853"])
+@pytest.mark.slow(but=["DOP853", "ALI3P", "BDF"])
 @pytest.mark.parametrize("method", METHODS)
 def test_motor_by_every_method_moves_as_the_matrix_exponential(method):
     options, tolerance = METHODS[method]
@@ -269,6 +269,7 @@ def refused(match, system_change=lambda system, z: None, **more):
         fb.Model(system, **{"state_equations": {z: -z}, **more})
 
 
+@pytest.mark.slow
 def test_auxiliary_states_in_energies_constraints_or_unknown_names_are_refused():
     speed, z = me.dynamicsymbols("omega z")
     refused("z.* in the potential energy cannot be compiled", potential_energy=z**2)

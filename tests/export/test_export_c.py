@@ -198,7 +198,7 @@ def test_c_library_closes_loops_to_the_states_of_initial_state(exported, name):
     assert library.call("violation", mechanism) < 1e-12
 
 
-@pytest.mark.slow(but=["chain", "driven_by_unknown_forces", "four_bar"])
+@pytest.mark.slow(but=["four_bar", "driven_by_unknown_forces"])
 @pytest.mark.parametrize("name", MODELS)
 def test_c_library_steps_and_runs_as_stepper_and_simulate(exported, name):
     compiled, library = exported(name)
@@ -457,6 +457,7 @@ def test_c_library_controller_of_the_documentation_prints_what_stands_there(tmp_
     assert float(printed[2]) == pytest.approx(x[3], abs=1e-6)
 
 
+@pytest.mark.slow
 def test_export_into_a_folder_keeps_the_users_main_c(tmp_path):
     """The page says to save one's controller as main.c: the next export replaces all but it."""
     folder = fb.export_c(fb.models.slider_crank(), tmp_path)

@@ -128,6 +128,7 @@ PLACES = {
 """Places (x, y) that a coordinate tells."""
 
 
+@pytest.mark.slow(but=["circle-False", "twice-True", "circle-True"])
 @pytest.mark.parametrize("has_positions", [True, False])
 @pytest.mark.parametrize("name", PLACES)
 def test_coordinate_counts_as_an_angle_only_if_its_point_returns_after_a_turn(name, has_positions):

@@ -111,6 +111,7 @@ def test_resampled_runs_in_either_direction_equal_exact_runs_with_closed_loops(f
         run.resample([0.0, 5.0])
 
 
+@pytest.mark.slow
 def test_plot_of_a_run_has_a_panel_for_each_group_of_quantities(trajectory, tmp_path):
     figure = trajectory.plot()
     titles = [axes.get_title(loc="left") for axes in figure.axes]

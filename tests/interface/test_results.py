@@ -149,6 +149,7 @@ def test_ensemble_saved_to_files_has_the_states_of_its_members(ensemble, tmp_pat
         fb.load_trajectory(tmp_path / "runs.npz")
 
 
+@pytest.mark.slow
 def test_ensemble_as_a_dataset_has_the_outputs_of_its_members():
     crank = fb.compile_model(fb.models.slider_crank())
     runs = crank.ensemble((0.0, 0.5), parameters={"r": [0.1, 0.11]})

@@ -126,7 +126,7 @@ def test_trajectory_of_a_cached_model_is_loaded_without_naming_it(slider_run, tm
 STRANGER = "from pathlib import Path\nPath(__file__).with_name('ran').touch()\n"
 
 
-@pytest.mark.slow(but=["another", "deep", "list"])
+@pytest.mark.slow(but=["another", "list", "deep"])
 @pytest.mark.parametrize(
     "manifest",
     [None, "[]", "{", "[" * 100_000, '{"name": "stranger", "fingerprint": "another"}', '{"name": "slider"}'],
@@ -301,6 +301,7 @@ def test_npz_file_with_damaged_compressed_data_is_refused(run, tmp_path, method)
         fb.load_trajectory(path)
 
 
+@pytest.mark.slow
 def test_netcdf_file_with_a_damaged_heap_is_refused(run, tmp_path):
     """HDF5 2.0.0 goes through the objects of a global heap for ever if one of them takes no space."""
     path = tmp_path / "run.nc"

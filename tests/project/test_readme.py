@@ -28,6 +28,7 @@ def test_examples_of_the_readme_print_what_stands_below_them(code, text, capsys,
     assert capsys.readouterr().out == text
 
 
+@pytest.mark.slow
 def test_command_of_the_installation_page_prints_what_stands_below_it(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (shown,) = re.findall(r"```text\n(\$ fourbar.*?)```", INSTALLATION, flags=re.DOTALL)

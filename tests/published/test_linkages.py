@@ -21,7 +21,6 @@ def test_foot_of_klanns_leg_has_the_inventors_stride_and_height():
     assert abs(x[0] - x[180]) == pytest.approx(1.000, abs=5e-4)
 
 
-@pytest.mark.slow
 def test_angles_of_a_four_bars_arms_are_those_of_mathgroup():
     """Upper arm's angles for those of the lower arm, degrees, both assemblies: message 64453 (2006)."""
     points = {"A": (0, 0), "C": (13, 0), "F": (13, 7), "D": (5, 7)}

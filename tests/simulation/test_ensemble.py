@@ -257,6 +257,7 @@ def test_kernels_of_all_instruction_sets_give_the_same_rates(four_bar):
         np.testing.assert_allclose(model.rhs_batch(0.3, x), reference, rtol=1e-11, atol=1e-11)
 
 
+@pytest.mark.slow(but=["bicycle-none-DOP853", "bicycle-none-RK45", "bicycle-project-RK45"])
 @pytest.mark.parametrize("method", ["DOP853", "RK45"])
 @pytest.mark.parametrize("constraints", ["project", "none"])
 def test_members_of_an_ensemble_equal_runs_with_the_same_steps(compiled, method, constraints):
@@ -299,6 +300,7 @@ def test_a_member_is_the_same_to_the_bit_in_any_company(four_bar, method):
         np.testing.assert_array_equal(alone.y[0], reference.y[i])
 
 
+@pytest.mark.slow
 def test_members_with_different_stiffness_equal_lambdify_with_scipy(four_bar):
     """The tutorial's code at 1e-12, whose own loop drifts open by 1e-9 m in 4 s, for each stiffness."""
     tutorial = tutorial_four_bar()

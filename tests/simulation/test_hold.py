@@ -156,6 +156,7 @@ def test_held_table_of_recorded_controls_repeats_the_control_loop_by_every_metho
             again.step()
 
 
+@pytest.mark.slow(but=[".csv", ".npz"])
 @pytest.mark.parametrize("suffix", [".npz", ".nc", ".csv"])
 def test_run_with_a_held_table_read_from_a_file_holds_values_between_samples(free, tmp_path, suffix):
     """A run that was read from a file still holds the values between its samples."""

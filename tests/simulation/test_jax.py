@@ -56,6 +56,7 @@ def test_jax_functions_refuse_wrong_shapes_and_second_derivatives(four_bar):
             jax.grad(lambda at, function=function: jax.grad(function)(at).sum())(at)
 
 
+@pytest.mark.slow
 def test_jax_right_hand_side_takes_parameters_and_inputs_by_name(four_bar):
     rhs, x = fb.to_jax(four_bar).rhs, four_bar.initial_state()
     np.testing.assert_array_equal(rhs(0.3, x, {"k": 2.0}, {"F": 5.0}), four_bar.rhs(0.3, x, {"k": 2.0}, {"F": 5.0}))
@@ -85,7 +86,7 @@ def test_jax_derivatives_pass_through_the_expression_of_an_input():
     assert np.isnan(simulate({"k": np.nan})["x"]).all()
 
 
-@pytest.mark.slow(but=["True"])
+@pytest.mark.slow
 @pytest.mark.parametrize("forward", [False, True])
 def test_jax_derivatives_of_an_oscillators_run_equal_closed_forms_in_both_modes(forward):
     # x = a cos(w t): dx/dk = -a t sin(w t) / (2 m w), dx/da = cos(w t)
@@ -96,6 +97,7 @@ def test_jax_derivatives_of_an_oscillators_run_equal_closed_forms_in_both_modes(
     np.testing.assert_allclose(by_a, np.cos(w * TIMES), rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_jax_gradients_of_a_closed_loop_equal_differences_in_both_modes(four_bar):
     """Dependent initial values follow from the lengths: differences of runs from consistent states."""
     model = fb.to_jax(four_bar)

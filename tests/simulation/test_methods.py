@@ -58,6 +58,7 @@ def test_every_method_gives_the_reference_motion_within_its_error(four_bar, exac
     np.testing.assert_allclose(stepped.y[:, -1], run.y[:, -1], rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow(but=["DOP853", "LSODA", "RK23"])
 def test_every_method_closes_loops_at_steps_samples_and_events(four_bar, method):
     how, _ = method
     for more in ({}, {"t_eval": np.linspace(0.0, 2.0, 33)}):

@@ -128,6 +128,7 @@ def test_sensitivities_of_projected_runs_equal_differences_and_are_tangent(case)
             assert np.abs(left).max(initial=0.0) <= 1e-11 * size
 
 
+@pytest.mark.slow(but=["bicycle-0.0001", "bicycle-1e-08", "closed chain of 8-0.0001"])
 @pytest.mark.parametrize("rtol", [1e-2, 1e-4, 1e-8])
 def test_sensitivities_at_samples_at_every_tolerance_are_tangent_to_constraints(case, rtol):
     """Also where the projections' factors serve for derivatives, and where interpolants are too far away for that."""
@@ -908,6 +909,7 @@ def test_gradients_of_runs_without_them_and_wrong_costs_are_refused(four_bar):
         kept.resample([0.05]).gradient({"q1": 1.0})
 
 
+@pytest.mark.slow
 def test_sensitivities_by_parameters_locked_by_redundant_constraints_are_refused():
     """With a bar too many, loops close only if all bars have the same length, and are where they are."""
     model = fb.compile_model(parallelogram())

@@ -271,6 +271,7 @@ def test_initial_state_with_a_guess_finds_the_nearest_assembly_mode(four_bar):
         np.testing.assert_allclose(four_bar.velocity_constraints(0.0, x), 0.0, atol=1e-14)
 
 
+@pytest.mark.slow
 def test_run_saved_as_csv_npz_and_png_holds_the_trajectory(four_bar, tmp_path):
     run = four_bar.simulate((0.0, 1.0), t_eval=np.linspace(0, 1, 5))
     with run.save(tmp_path / "new folder" / "run.csv").open() as file:

@@ -52,6 +52,7 @@ def test_ali3p_with_redundant_spatial_rows_gives_the_planar_motion(four_bar):
     np.testing.assert_allclose(run.y[:, -1], planar.y[:, -1], rtol=0, atol=1e-6)
 
 
+@pytest.mark.slow(but=["cartesian_pendulum-start5-None", "slider_crank-None-None", "rolling_disc-start3-speeds3"])
 @pytest.mark.parametrize(
     ("make", "start", "speeds"),
     [
@@ -119,6 +120,7 @@ def test_ali3p_without_max_step_or_with_wrong_options_is_refused(four_bar):
         four_bar.simulate((0.0, 1.0), np.ones(6), method="ALI3P", max_step=1e-3)
 
 
+@pytest.mark.slow(but=["1000.0-0.0001", "0.0-5e-06"])
 @pytest.mark.parametrize(("begin", "h"), [(0.0, 5e-6), (1000.0, 1e-4)])
 def test_ali3p_with_short_steps_or_late_times_equals_dop853(four_bar, begin, h):
     """Speeds come to rest at t = 0.8; the times' rounding errors leave a sliver of a step at the end."""

@@ -44,6 +44,7 @@ runpy.run_path(str(HERE / "live_pages.py"))["write"](HERE / "_live" / "pages")
 nb_execution_mode = "force"
 nb_execution_timeout = 300
 nb_execution_raise_on_error = True
+suppress_warnings = ["myst.header"]  # the benchmarks' tables begin below the headings of their pages
 # pip builds cyipopt from source, with Ipopt and compilers of the system.
 IPOPT = "howto/optimal_control"
 WITHOUT_IPOPT = """```{note}
@@ -55,10 +56,10 @@ if find_spec("cyipopt") is None:
         sys.exit("cyipopt is not installed: CI builds the whole documentation.")
     print(f"docs/{IPOPT}.md is built without its outputs, since Ipopt is missing.", file=sys.stderr)
     nb_execution_excludepatterns = [f"{IPOPT}.md"]
+    suppress_warnings.append("myst-nb.lexer")  # cells that were not executed have no language
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 3
 html_math_renderer = "mathml"
-suppress_warnings = ["myst.header"]  # the benchmarks' tables begin below the headings of their pages
 
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"

@@ -240,8 +240,9 @@ def build_extension(
     BuildError
         If the folder cannot be written, or a tool is missing or fails; with the tool's output.
     """
-    if folder.exists() and not folder.is_dir():  # before minutes of compilation
-        raise BuildError(f"{folder} cannot be written: it is no folder.")
+    place = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    if not place.is_dir():  # said before minutes of compilation
+        raise BuildError(f"{folder} cannot be written: {place} is no folder.")
     with tempfile.TemporaryDirectory() as temporary:
         module = _build(name, sources, Path(temporary))
         if check is not None:

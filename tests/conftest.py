@@ -5,14 +5,16 @@ import sys
 from pathlib import Path
 
 import pytest
-from harness.programs import require
+from harness.programs import prepare_zig, require
 from tutorial import tutorial_four_bar
 
 import fourbar_codegen as fb
+from fourbar_codegen.building.compiler import wasm_compiler
 
 pytest_plugins = ["harness.costs"]
 # In docstrings: they compile with a second compiler, or a whole FMU.
-SLOW_EXAMPLES = {"fourbar_codegen.compiled.CompiledModel.page", "fourbar_codegen.export.export_fmu"}
+PAGE_EXAMPLE = "fourbar_codegen.compiled.CompiledModel.page"
+SLOW_EXAMPLES = {PAGE_EXAMPLE, "fourbar_codegen.export.export_fmu"}
 LEFT_OUT = pytest.StashKey[list[str]]()
 
 
@@ -65,6 +67,11 @@ def pytest_collection_modifyitems(items):
         mark = item.get_closest_marker("slow")
         if mark and hasattr(item, "callspec") and item.callspec.id in mark.kwargs.get("but", ()):
             item.own_markers = [own for own in item.own_markers if own.name != "slow"]
+
+
+def pytest_runtest_setup(item):
+    if item.name == PAGE_EXAMPLE:
+        prepare_zig(wasm_compiler())
 
 
 def pytest_deselected(items):

@@ -315,7 +315,7 @@ def test_state_equation_with_undetermined_multipliers_is_refused():
 def test_command_line_takes_initial_values_of_auxiliary_states(tmp_path):
     """The motor by `fourbar simulate`, its current's initial value given, against the matrix exponential."""
     source = tmp_path / "motors.py"
-    source.write_text("from test_state_equations import motor\n")
+    source.write_text("from builders.state_equations import motor\n")
     path = tmp_path / "run.csv"
     arguments = ["-i", "i=0.7", "-t", "0", "0.5", "--rtol", "1e-10", "--atol", "1e-12", "-o", str(path)]
     result = CliRunner().invoke(main, ["simulate", f"{source}:motor", *arguments])

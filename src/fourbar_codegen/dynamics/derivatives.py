@@ -1,6 +1,6 @@
 """Equations -> Derivatives: of q', of the residual of the equations of motion, and of the constraints.
 
-A simulation by an explicit method needs none of them. They are formed while the compiler works on the rest.
+A simulation by an explicit method needs none of them. `compile_model` forms them at their first use.
 """
 
 from __future__ import annotations

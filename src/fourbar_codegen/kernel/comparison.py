@@ -97,7 +97,8 @@ def _compare(model: Evaluator, what: str, at: Callable[[Evaluator, float, Floats
     generator, compared = random.Random(0), 0
     # Derivatives with redundant constraints are unique along the constraints only.
     is_redundant = model.n_c > model.manifest["n_dependent_speeds"]
-    for attempt in range(ATTEMPTS if is_redundant else ATTEMPTS + 1):
+    attempts = ATTEMPTS if is_redundant else ATTEMPTS + 1
+    for attempt in range(attempts):
         t, x, p, r = _arguments(model, generator, at_beginning=attempt == ATTEMPTS)
         try:
             with np.errstate(all="ignore"):
@@ -108,10 +109,8 @@ def _compare(model: Evaluator, what: str, at: Callable[[Evaluator, float, Floats
         if compared >= STATES:
             return
     if not compared:
-        message = (
-            "%s: %s not compared, since the equations have no real value at %d random states nor at the initial values"
-        )
-        logging.getLogger("fourbar_codegen").warning(message, model.manifest["name"], what, ATTEMPTS)
+        message = "%s: %s not compared, since the equations have no solution at any of %d states"
+        logging.getLogger("fourbar_codegen").warning(message, model.manifest["name"], what, attempts)
 
 
 def _compare_variations_at(model: Evaluator, t: float, x: Floats, p: Floats, r: Floats) -> None:

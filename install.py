@@ -32,7 +32,10 @@ def main(folder: str, *extras: str) -> None:
     with (home / "pyproject.toml").open("rb") as file:
         described = tomllib.load(file)
     to_compile = described["build-system"]["requires"]
-    more = (described["project"]["optional-dependencies"][extra] for extra in extras)
+    known_extras = described["project"]["optional-dependencies"]
+    if unknown := [extra for extra in extras if extra not in known_extras]:
+        sys.exit(f"There is no extra {', '.join(unknown)}: pyproject.toml has {', '.join(known_extras)}.")
+    more = (known_extras[extra] for extra in extras)
     wanted = sorted({*described["project"]["dependencies"], *chain.from_iterable(more)})
 
     venv, record = Path(folder), Path(folder) / "installed"

@@ -4,8 +4,6 @@ Longer chains are measured by benchmarks/scale.py. Tolerances are the 1e-10 that
 relative to the size of the terms.
 """
 
-import json
-
 import numpy as np
 import pytest
 import sympy as sm
@@ -179,8 +177,9 @@ def test_row_of_parallelograms_of_any_length_moves_as_the_closed_form(loops):
         np.testing.assert_allclose(balance, 0.0, rtol=0, atol=1e-10 * np.abs(forcing).max())
 
 
-def operations(model, function="dynamics"):
-    return json.loads(fb.generate_sources(model)["manifest.json"])["operations"][function]
+def operations(model, name="dynamics"):
+    (count,) = (each.operations for each in lower("model", form_equations(model)).functions if each.name == name)
+    return count
 
 
 @pytest.mark.slow

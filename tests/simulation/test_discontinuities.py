@@ -289,15 +289,12 @@ def test_steps_end_at_jumps_and_kinks_by_heaviside_sign_and_abs(jump):
 
 
 def test_event_of_a_speed_that_changes_sign_in_a_jump_is_at_the_jump():
-    """Speeds that change their sign with it."""
-    model = compiled(s, STARTS)
-    for events, y in ((lambda time, x: x[1] + 0.7, 1), (lambda time, x: x[1] + 0.7, 1)):
-        events.terminal = y
-        run = model.simulate((0.0, 1.0), [0.3, 0.0], events=events, **TIGHT)
-        assert run.status == 1
-        assert run.t_events[0].tolist() == [pytest.approx(0.5, rel=1e-15)]
-        assert run.y_events[0][0][1] == pytest.approx(-0.6 * np.sin(1.0) - 1.0, abs=1e-7)
-        assert run.t[-1] == run.t_events[0][0]
+    event = fb.Event(lambda time, x: x[1] + 0.7, terminal=True)
+    run = compiled(s, STARTS).simulate((0.0, 1.0), [0.3, 0.0], events=event, **TIGHT)
+    assert run.status == 1
+    assert run.t_events[0].tolist() == [pytest.approx(0.5, rel=1e-15)]
+    assert run.y_events[0][0][1] == pytest.approx(-0.6 * np.sin(1.0) - 1.0, abs=1e-7)
+    assert run.t[-1] == run.t_events[0][0]
 
 
 def test_steppers_and_solve_ivp_refuse_steps_across_a_jump_of_speeds():

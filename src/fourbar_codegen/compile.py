@@ -271,6 +271,11 @@ def build_wheel(model: Model, folder: str | Path, *, version: str = "0.1.0", che
     Source: PEP 427, by setuptools.
     """
     _require_model(model)
+    pattern = r"[0-9]+(\.[0-9]+)*((a|b|rc|\.post|\.dev)[0-9]+)?"
+    if not isinstance(version, str) or not re.fullmatch(pattern, version):
+        raise ModelError(f"A version looks like 1.0 or 0.2.1, not {version!r}.")
+    folder = path_of(folder)
+    flag(check, "check")
     if _is_taken(model.name):
         raise ModelError(
             f"A wheel cannot be named {model.name!r}: a module of that name exists. Give the Model another name."
@@ -287,10 +292,6 @@ def build_wheel(model: Model, folder: str | Path, *, version: str = "0.1.0", che
             f"A wheel cannot be named {model.name!r}: pip refuses underscores at either end of a name. Give the Model "
             "another name."
         )
-    pattern = r"[0-9]+(\.[0-9]+)*((a|b|rc|\.post|\.dev)[0-9]+)?"
-    if not isinstance(version, str) or not re.fullmatch(pattern, version):
-        raise ModelError(f"A version looks like 1.0 or 0.2.1, not {version!r}.")
-    folder = path_of(folder)
     from importlib.metadata import version as distribution_version
 
     import numpy as np

@@ -7,7 +7,7 @@ import platform
 import sys
 import tempfile
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -135,8 +135,10 @@ def export_fmu(model: Model, path: str | Path, *, fmi: int = 3, platforms: Seque
     ['binaries', 'modelDescription.xml', 'sources']
     """
     path = path_of(path)
-    if fmi not in {2, 3}:
+    if not isinstance(fmi, int) or fmi not in {2, 3}:
         raise ModelError(f"The version of FMI is 2 or 3, not {shown(fmi)}.")
+    if not isinstance(platforms, Iterable) or isinstance(platforms, str):
+        raise ModelError(f"platforms= is a sequence of {', '.join(PLATFORMS)}, not {shown(platforms)}.")
     folders = {_platform(): _folder(_platform(), fmi)} | {name: _folder(name, fmi) for name in platforms}
     with Progress(f"fourbar_codegen: {getattr(model, 'name', '')}") as progress:
         generated = generate_kernel(model, progress)

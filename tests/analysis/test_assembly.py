@@ -431,11 +431,6 @@ def test_assembly_modes_after_many_turns_of_the_crank_are_the_same(four_bar):
     np.testing.assert_array_equal(often.x[:, 0], -0.5 + 2e5 * np.pi)
 
 
-def test_assembly_modes_by_a_dependent_coordinate_are_refused(four_bar):
-    with pytest.raises(fb.ModelError, match="'q2' is a dependent coordinate: give a guess"):
-        four_bar.initial_states({"q2": 1.0})
-
-
 def test_plots_of_assembly_modes_draw_each_mode_in_its_panel(four_bar, monkeypatch):
     figure = four_bar.initial_states().plot()
     assert len(figure.axes) == 2

@@ -464,17 +464,7 @@ def test_five_bar_with_one_drive_is_refused_and_with_two_has_two_branches():
     np.testing.assert_allclose(lengths, sqrt(0.3**2 + 0.2**2), rtol=0, atol=1e-12)
 
 
-def test_drives_of_wrong_names_or_values_are_refused_with_a_message(four_bar):
-    for drive, message in (
-        ({"q9": [0.0]}, "q9"),
-        ({}, "drive= is a mapping"),
-        ({"q1": [0.0, np.nan]}, "finite"),
-        ({"q1": [[0.0]]}, "one length"),
-        ({"q1": [0.0], "q2": [0.0, 1.0]}, "one length"),
-        ({"F": [0.0]}, "F"),
-    ):
-        with pytest.raises(fb.ModelError, match=message):
-            four_bar.kinematics(drive)
+def test_drives_that_close_nowhere_or_leave_freedom_are_refused(four_bar):
     with pytest.raises(fb.AssemblyError, match="close at none of the values"):
         four_bar.kinematics({"q1": [0.0, 1.0]}, parameters={"l1": 5.0})
     with pytest.raises(fb.ModelError, match="degree of freedom is left: with q1 held, 1 coord"):

@@ -200,7 +200,7 @@ def test_force_that_is_nan_has_no_arrow_and_leaves_others(tmp_path):
     assert run.save(tmp_path / "run.gif").stat().st_size > 1000
 
 
-def test_paths_of_points_are_drawn_as_arcs_and_refuse_unknown_points(four_bar, trajectory):
+def test_paths_of_points_are_drawn_as_arcs(four_bar, trajectory):
     """The path of the crank's end is an arc about the joint of the ground."""
     figure = trajectory.plot_paths(["P2"])
     path = figure.axes[0].lines[-1]
@@ -213,8 +213,6 @@ def test_paths_of_points_are_drawn_as_arcs_and_refuse_unknown_points(four_bar, t
     labels = [line.get_label() for line in trajectory.plot_paths().axes[0].lines]
     # Two joints move. What lies at one place is traced once, and the pin that closes the loop is at rest.
     assert [label for label in labels if not label.startswith("_")] == ["P2", "joint3_link3_joint"]
-    with pytest.raises(fb.ModelError, match="no point P9"):
-        trajectory.plot_paths(["P9"])
     assert trajectory.plot_paths(name for name in ["P2"]).axes[0].lines[-1].get_label() == "P2"
     assert len(trajectory.resample([1.0]).plot_paths(["P2"]).axes) == 1
 
@@ -425,12 +423,7 @@ def test_pictures_and_datasets_of_runs_with_one_time_or_none_are_made_or_refused
     assert none.to_xarray()["q1"].shape == (0,)
 
 
-def test_animations_with_wrong_options_or_a_full_disk_leave_no_file(trajectory, tmp_path, monkeypatch):
-    with pytest.raises(fb.ModelError, match="larger speed"):
-        trajectory.animate(speed=1e-4)
-    with pytest.raises(fb.ModelError, match="sequence of their names"):
-        trajectory.animate(traces="P2")
-
+def test_animation_on_a_full_disk_leaves_no_file(trajectory, tmp_path, monkeypatch):
     def save(image, *_, **__):
         raise OSError(28, "No space left on device")
 

@@ -19,8 +19,6 @@ from builders.systems import slider
 import fourbar_codegen as fb
 from fourbar_codegen.building import toolchain
 
-pytestmark = pytest.mark.usefixtures("unoptimized")
-
 
 @pytest.fixture(scope="module")
 def run(four_bar):
@@ -163,6 +161,7 @@ def test_trajectory_that_names_packages_or_libraries_does_not_run_them(four_bar,
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("unoptimized")
 def test_trajectory_of_an_installed_model_finds_it_but_not_in_the_current_folder(slider_run, tmp_path):
     wheel = fb.build_wheel(slider(), tmp_path / "dist")
     with zipfile.ZipFile(wheel) as archive:
@@ -316,6 +315,7 @@ def test_netcdf_file_with_a_damaged_heap_is_refused(run, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("unoptimized")
 def test_paths_that_no_file_can_have_are_refused_and_odd_ones_written(run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for path in (None, 3, b"run.npz", ["run.npz"], "run\0.npz", "run\ud800.npz"):
@@ -370,15 +370,6 @@ def test_npz_file_with_an_unknown_compression_is_refused(run, tmp_path):
         fb.load_trajectory(tmp_path / "changed.npz")
 
 
-def test_load_trajectory_of_no_path_or_no_model_is_refused(run, tmp_path):
-    with pytest.raises(fb.ModelError, match="path"):
-        fb.load_trajectory(None)
-    with pytest.raises(fb.ModelError, match="CompiledModel"):
-        fb.load_trajectory(run.save(tmp_path / "run.npz"), "four_bar")
-    with pytest.raises(fb.ModelError, match="no such file"):
-        fb.load_trajectory(tmp_path / "none.nc")
-
-
 @pytest.mark.slow
 def test_files_that_exceed_the_disk_leave_the_old_ones_with_a_message(tmp_path):
     """Told in a sentence; what was there stays, and nothing comes beside it."""
@@ -404,3 +395,18 @@ for suffix in ("csv", "npz", "nc", "html"):
         f"{tmp_path}/run.{suffix} cannot be written: File too large." for suffix in suffixes
     ]
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {f"run.{e}": "old" for e in suffixes}
+
+
+def test_failed_write_leaves_the_old_file(four_bar, tmp_path, monkeypatch):
+    run = four_bar.simulate((0.0, 0.1))
+    path = run.save(tmp_path / "run.csv")
+    old = path.read_text()
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("csv.writer", full)
+    with pytest.raises(fb.ModelError, match="No space left"):
+        run.save(path)
+    assert path.read_text() == old
+    assert [p.name for p in tmp_path.iterdir()] == ["run.csv"]

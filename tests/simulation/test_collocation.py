@@ -118,22 +118,3 @@ def test_products_with_vectors_equal_products_with_the_jacobians(points):
     )
     for found, matrix in zip(model.vjp(t[0], x, w, p, r), matrices, strict=True):
         np.testing.assert_allclose(found, w @ matrix, rtol=0, atol=1e-12 * np.abs(matrix).sum(axis=0).max(initial=1.0))
-
-
-def test_wrong_shapes_and_names_in_batches_are_refused_with_a_message(four_bar):
-    x = np.tile(four_bar.initial_state(), (3, 1)).T
-    for sentence, call in (
-        (r"rates of the states must have shape \(6, 3\)", lambda: four_bar.residual_batch(0.0, x, x[:, :2], x[:2])),
-        ("has 2 multipliers", lambda: four_bar.residual_batch(0.0, x, x)),
-        ("formulation", lambda: four_bar.residual_batch(0.0, x, x, x[:2], formulation="index-2")),
-        ("formulation", lambda: four_bar.residual_sparsity("index-2")),
-        ("wrt", lambda: four_bar.residual_jacobian_batch(0.0, x, x, x[:2], wrt=["x", "u"])),
-        ("wrt names nothing", lambda: four_bar.residual_jacobian_batch(0.0, x, x, x[:2], wrt=())),
-        ("must have shape", lambda: four_bar.jacobian_batch(0.0, x[:, 0])),
-        (r"has the shape \(6,\) or \(6, n\), not \(5,\)", lambda: four_bar.jvp(0.0, x[:, 0], np.ones(5))),
-        (r"has the shape \(1,\) or \(1, n\), not \(\)", lambda: four_bar.jvp(0.0, x[:, 0], dr=0.1)),
-        ("as many columns", lambda: four_bar.jvp(0.0, x[:, 0], np.ones((6, 2)), np.ones((8, 3)))),
-        ("The weights", lambda: four_bar.vjp(0.0, x[:, 0], np.ones(5))),
-    ):
-        with pytest.raises(fb.ModelError, match=sentence):
-            call()

@@ -215,39 +215,6 @@ def test_out_that_shares_memory_with_an_argument_is_refused(four_bar, name):
         np.testing.assert_array_equal(rates, four_bar.rhs(**alone))
 
 
-def test_batch_with_wrong_shapes_or_types_is_refused_by_the_arguments_name(four_bar):
-    x = random_states(four_bar, 5)
-    for wrong in (
-        {"x": x[:, 0]},
-        {"x": x[:5]},
-        {"t": [0.0, 1.0]},
-        {"p": np.ones((8, 4))},
-        {"p": np.ones((8, 1))},
-        {"p": np.ones((8, 5, 1))},
-        {"r": np.ones((1, 1))},
-        {"t": [[0.0]]},
-        {"t": [0.0]},
-        {"t": None},
-        {"t": np.zeros((5, 1))},
-        {"r": {"F": [5.0]}},
-        {"p": {"k": [1.0]}},
-        {"x": x + 0j},
-        {"x": [["a"] * 5] * 6},
-        {"p": {"k": np.ones(4)}},
-        {"p": {"stiffness": 1.0}},
-        {"r": [1.0, 2.0]},
-        {"workers": 0},
-        {"workers": 1.5},
-        {"out": np.empty((6, 4))},
-        {"out": np.empty((6, 5), dtype=np.float32)},
-        {"out": np.empty((5, 6)).T},
-        {"x": "states"},
-    ):
-        said = {"x": "state", "t": "time", "p": "parameter", "r": "input", "out": "^out must", "workers": "workers"}
-        with pytest.raises(fb.ModelError, match=said[next(iter(wrong))]):
-            four_bar.rhs_batch(**{"t": 0.0, "x": x, **wrong})
-
-
 def test_kernels_of_all_instruction_sets_give_the_same_rates(four_bar):
     """Vectors of 2, 4 and 8 doubles: rounding errors, times the condition of the equations at states of the motion."""
     x = np.tile(four_bar.initial_state(), (50, 1)).T + 0.1 * random_states(four_bar, 50)
@@ -397,38 +364,6 @@ def test_members_with_different_lengths_start_from_their_own_closed_states(four_
         np.testing.assert_allclose(
             ensemble.y[i, :, 0], four_bar.initial_state(parameters={"l1": lengths[i]}), atol=1e-12
         )
-
-
-def test_ensemble_with_wrong_arguments_is_refused_by_the_arguments_name(four_bar):
-    for wrong in (
-        {"t_span": (0.0, 0.0)},
-        {"x0": np.zeros((3, 5))},
-        {"x0": np.full((3, 6), np.nan)},
-        {"method": "Radau"},
-        {"parameters": {"k": [1.0, 2.0], "c": [1.0, 2.0, 3.0]}},
-        {"parameters": {"k": [1.0, 2.0]}, "x0": np.zeros((3, 6))},
-        {"parameters": {"k": [1.0, np.nan]}},
-        {"parameters": {"kk": 1.0}},
-        {"parameters": np.ones((3, 9))},
-        {"inputs": {"G": 1.0}},
-        {"inputs": {"F": np.ones(3)}, "parameters": {"k": [1.0, 2.0]}},
-        {"t_eval": [0.0, 2.0]},
-        {"rtol": -1.0},
-        {"atol": [1.0, 2.0]},
-        {"constraints": "baumgarte"},
-        {"max_step": 0.0},
-        {"max_step": np.array([1.0, 2.0])},
-        {"rtol": []},
-        {"workers": 0},
-        {"parallel": 3},
-        {"inputs": [1.0]},
-        {"inputs": {"F": np.array([1.0, np.nan])}},
-        {"inputs": {"F": np.array(["1", "b"])}},
-        {"inputs": {"F": np.array([1.0, lambda t, x: 1.0])}},
-    ):
-        said = {"x0": "x0|states", "parameters": "parameter", "inputs": "input"}
-        with pytest.raises(fb.ModelError, match=said.get(next(iter(wrong)), next(iter(wrong)))):
-            four_bar.ensemble(**{"t_span": (0.0, 1.0), **wrong})
 
 
 def test_ensemble_without_members_has_empty_results(four_bar):

@@ -414,7 +414,7 @@ def test_samples_that_cannot_be_projected_are_the_interpolants():
     assert np.abs(run.q).max() < 100.0  # on a circle of radius 1, at tolerances of 1
 
 
-def test_run_with_max_steps_or_max_step_keeps_them_and_wrong_limits_are_refused(four_bar):
+def test_run_with_max_steps_or_max_step_keeps_them(four_bar):
     run = four_bar.simulate((0.0, 4.0), max_steps=7)
     assert not run.success
     assert len(run.t) == 8
@@ -422,9 +422,6 @@ def test_run_with_max_steps_or_max_step_keeps_them_and_wrong_limits_are_refused(
     run = four_bar.simulate((0.0, 4.0), max_step=0.01)
     assert np.diff(run.t).max() <= 0.01 * (1 + 1e-12)
     assert len(run.t) >= 401
-    for wrong in ({"max_step": 0.0}, {"max_step": "long"}, {"max_steps": 0}, {"max_steps": 1.5}, {"progress": True}):
-        with pytest.raises(fb.ModelError, match=next(iter(wrong))):
-            four_bar.simulate((0.0, 1.0), **wrong)
 
 
 @pytest.mark.slow(but=["RK23"])
@@ -522,18 +519,13 @@ def test_run_from_a_state_far_from_the_constraints_is_refused_a_rounded_one_not(
         four_bar.simulate((0.0, 1.0), turned)
     rounded = four_bar.initial_state().round(4)
     assert four_bar.simulate((0.0, 1.0), rounded).success
-    for wrong in ({"direction": "up"}, {"direction": np.nan}, {"terminal": -1}, {"terminal": 2.7}):
-        with pytest.raises(fb.ModelError, match=next(iter(wrong))):
-            fb.Event("F", **wrong)
 
 
-def test_run_without_projection_drifts_as_the_tutorial_and_with_it_stays_closed(four_bar):
-    # What projection removes: the tutorial's loop is open by 1.56e-2 m at t = 4 s.
-    run = four_bar.simulate((0.0, 4.0), method="RK45", rtol=1e-3, atol=1e-6, constraints="none")
-    assert np.abs(run.constraint_residual[:, -1]).max() == pytest.approx(1.56e-2, abs=5e-5)
+def test_run_with_projection_stays_closed_in_as_many_steps_as_the_tutorials(four_bar):
+    """Without, it takes 18 steps and is open by 1.56e-2 m at 4 s: published/test_symbrim_tutorial.py."""
     closed = four_bar.simulate((0.0, 4.0), method="RK45", rtol=1e-3, atol=1e-6)
     assert np.abs(closed.constraint_residual).max() < 1e-14
-    assert len(closed.t) == len(run.t) == 19
+    assert len(closed.t) == 19
 
 
 def rk4(function, t, x, h):
@@ -682,11 +674,7 @@ def test_stepper_called_from_its_own_input_is_refused_and_keeps_its_state(four_b
     np.testing.assert_array_equal(stepper.step([7.0]), alone.step([7.0]))
 
 
-def test_stepper_with_wrong_arguments_is_refused_and_keeps_its_state(four_bar):
-    with pytest.raises(fb.ModelError, match="h must not be 0"):
-        four_bar.stepper(0.0)
-    with pytest.raises(fb.ModelError, match="initial_state"):
-        four_bar.stepper(0.1, [0.1] * 6)
+def test_stepper_with_wrong_inputs_keeps_its_state(four_bar):
     stepper = four_bar.stepper(1e-3)
     stepper.step()
     before = stepper.x.tolist()

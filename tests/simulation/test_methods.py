@@ -418,15 +418,6 @@ def test_a_failed_step_leaves_the_state_it_began_with(four_bar):
     np.testing.assert_array_equal(solver.y, four_bar.initial_state())
 
 
-def test_formulations_that_a_method_does_not_have_are_refused(four_bar):
-    with pytest.raises(fb.ModelError, match="index-1"):
-        four_bar.simulate((0.0, 1.0), method="IDA", formulation="index-4")
-    with pytest.raises(fb.ModelError, match="baumgarte"):
-        four_bar.simulate((0.0, 1.0), method="IDA", constraints="baumgarte")
-    with pytest.raises(fb.ModelError, match="formulation is for IDA; Radau"):
-        four_bar.simulate((0.0, 1.0), method="Radau", formulation="index-1")
-
-
 @pytest.mark.slow
 def test_error_of_ida_in_a_fall_stays_within_the_tolerance_times_the_growth():
     """A bicycle that falls over, at speeds of 900 rad/s: an error on the way ends some 1e5 times as large."""

@@ -146,7 +146,7 @@ def joint_force(name: str, directions: Mapping[int, Vector], frame: ReferenceFra
     Raises
     ------
     ModelError
-        If the directions are no mapping to vectors, or are not oriented relative to the frame.
+        If the name is no text, the directions are no mapping to vectors, or are not oriented relative to the frame.
 
     Source: Kane and Levinson 1985, section 4.9; Featherstone, *Rigid Body Dynamics Algorithms*, 2008, section 8.
 
@@ -157,6 +157,8 @@ def joint_force(name: str, directions: Mapping[int, Vector], frame: ReferenceFra
     >>> joint_force("pin", {1: N.x, 2: N.y}, N)
     {'pin_x': multiplier(1), 'pin_y': multiplier(2), 'pin_z': 0}
     """
+    if not isinstance(name, str):
+        raise ModelError(f"A joint's name must be text, not {shown(name)}.")
     frame = getattr(frame, "frame", frame)  # of a body
     try:
         return {

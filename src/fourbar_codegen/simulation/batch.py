@@ -36,7 +36,11 @@ def evaluate(
     times, states, parameters, inputs = given = _arguments(model, t, x, p, r)
     if out is None:
         out = np.empty(states.shape)
-    elif not (isinstance(out, np.ndarray) and out.shape == states.shape and out.dtype == float and out.flags.carray):
+    elif (
+        not (isinstance(out, np.ndarray) and out.dtype == float and out.flags.carray)
+        or out.shape != states.shape
+        or np.ma.is_masked(out)
+    ):
         raise ModelError(f"out must be a contiguous, writable array of double of the shape {states.shape}.")
     # For contiguous arrays, as these are, the bounds are sufficient.
     elif any(np.may_share_memory(out, array) for array in given if array is not None):

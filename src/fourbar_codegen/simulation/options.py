@@ -101,7 +101,7 @@ class RunOptions(NamedTuple):
         inputs: Any = None,
         t_eval: Any = None,
         events: Any = None,
-        stabilization: Any = None,
+        stabilization: Any = 10.0,
         dense_output: bool = False,
         formulation: str | None = None,
         progress: Any = None,
@@ -124,6 +124,7 @@ class RunOptions(NamedTuple):
             raise ModelError(f"A formulation is for IDA; {method} has none.")
         project = projects(model, constraints, stabilizes=method not in (FIXED_STEP, "IDA"))
         span = time_span(t_span)
+        stabilization = positive(stabilization, "stabilization")
         max_step = longest_step(max_step)
         if method == FIXED_STEP and max_step == math.inf:
             raise ModelError(f"{FIXED_STEP} has a fixed step size: give it as max_step.")
@@ -142,7 +143,7 @@ class RunOptions(NamedTuple):
             tolerance(atol, "atol", model.n_x),
             None if events is None else events_of(model, events),
             constraints,
-            positive(stabilization, "stabilization") if constraints == "baumgarte" else None,
+            stabilization if constraints == "baumgarte" else None,
             flag(dense_output, "dense_output"),
             max_step,
             _max_steps(max_steps, method, span, max_step),

@@ -3,9 +3,9 @@
 import sympy as sm
 import sympy.physics.mechanics as me
 from sympy.physics.mechanics.system import System
-from trees import revolute_chain
 
 import fourbar_codegen as fb
+from builders.forms import of_form
 from builders.systems import closed_by_auxiliary_speeds, parallelogram, pendulum, quaternion_top, spatial_four_bar
 
 
@@ -69,9 +69,9 @@ MODELS = {
     "rolling_disc": fb.models.rolling_disc,
     "whipple_bicycle": fb.models.whipple_bicycle,
     "chain": lambda: fb.models.chain(5, closed=True),
-    "sparse": lambda: fb.models.n_four_bar(12),
-    "recursive": lambda: revolute_chain(6),
-    "recursive_loop": lambda: fb.models.chain(12, closed=True),
+    "sparse": lambda: of_form("sparse"),
+    "recursive": lambda: of_form("recursive"),
+    "recursive_loop": lambda: of_form("recursive with a loop"),
     "redundant": parallelogram,
     "quaternion": lambda: fb.Model(
         quaternion_top(), name="top", initial={"e0": 0.8, "e1": 0.6, "e2": 0, "e3": 0, "w1": 1, "w2": 2, "w3": 3}

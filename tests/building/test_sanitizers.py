@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import sympy as sm
 from builders.exported import driven
+from builders.forms import of_form
 from builders.friction import MU, model_of, rod
 from builders.state_equations import cartesian, motor
 from builders.systems import parallelogram
@@ -405,10 +406,10 @@ MODELS = {
     "slider_crank": (fb.models.slider_crank, None),
     "rolling_disc": (fb.models.rolling_disc, {"q3": 0.4}),
     "chain": (lambda: fb.models.chain(2), None),
-    "tree": (lambda: fb.models.chain(10), None),
-    "tree with a loop": (lambda: fb.models.chain(10, closed=True), None),
+    "recursive": (lambda: of_form("recursive in the plane"), None),
+    "recursive with a loop": (lambda: of_form("recursive with a loop"), None),
     "redundant": (parallelogram, {"q_AB": 1.2}),
-    "n_four_bar": (lambda: fb.models.n_four_bar(4), {"p0": 0.1}),
+    "sparse": (lambda: of_form("sparse"), {"p0": 0.1}),
     "whipple_bicycle": (fb.models.whipple_bicycle, None),
     "cartesian_pendulum": (fb.models.cartesian_pendulum, {"y": 0.0}),
     "motor": (motor, None),

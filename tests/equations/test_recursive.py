@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
+from builders.forms import of_form
 from sympy.physics.mechanics.models import n_link_pendulum_on_cart
 from sympy.physics.mechanics.system import System
 from trees import revolute_chain
@@ -361,9 +362,7 @@ def test_unknown_force_at_the_root_of_a_chain_equals_sympys():
 
 @pytest.fixture(scope="module")
 def closed():
-    model = fb.compile_model(fb.models.chain(12, closed=True))
-    assert model.manifest["form"] == "recursive"
-    return model
+    return fb.compile_model(of_form("recursive with a loop"))
 
 
 @pytest.mark.slow
@@ -382,9 +381,9 @@ def test_members_of_a_closed_recursive_chain_equal_runs(closed):
 def test_nearly_dependent_constraints_in_the_recursive_form_still_hold(closed):
     """Near a stretched chain J loses rank, so that the dense solution is used; J u' + gamma = 0 holds on both sides."""
     for bend in (0.3, 1e-2, 1e-4, 1e-6):
-        q = np.zeros(12)
+        q = np.zeros(closed.n_q)
         q[0::2], q[1::2] = bend, -bend
-        x = np.concatenate((q, np.linspace(-1.0, 1.0, 12)))
+        x = np.concatenate((q, np.linspace(-1.0, 1.0, closed.n_u)))
         accelerations, multipliers = closed.accelerations(0.0, x)
         _, matrix, forcing, jacobian, bias = closed.dynamics(0.0, x)
         # Rounding errors grow with the condition of J, which is 1 / bend.

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
+from builders.forms import FORMS
 from formulations.newton_euler import Link, joint_torques
 from scale import spherical_chain
 from scipy.optimize import brentq
@@ -244,6 +245,12 @@ def test_elimination_of_loops_on_one_crank_grows_linearly():
     for count in (4, 12):
         structure = lower("rockers", form_equations(rockers_on_one_crank(count))).structure
         assert sum(map(len, structure.below)) <= count * (4 + 3 + 2 + 1)
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_models_for_tests_of_each_form_have_it(name):
+    make, form = FORMS[name]
+    assert lower("model", form_equations(make())).form == form
 
 
 def test_lowering_to_a_form_that_a_model_lacks_is_refused():

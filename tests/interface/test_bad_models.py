@@ -202,7 +202,7 @@ def test_values_without_default_have_to_be_given():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("loops", [1, 4])
+@pytest.mark.parametrize("loops", [1, 5])
 @pytest.mark.parametrize("unit", [1e-13, 1e-14])
 def test_a_constraint_in_units_far_from_another_is_refused_and_not_dropped(loops, unit):
     # Closed chains with one loop constraint in another unit: one for the dense solve, a row of them for the sparse one.

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
+from builders.forms import of_form
 from builders.oscillators import driven_oscillator
 from builders.systems import parallelogram
-from trees import revolute_chain
 
 import fourbar_codegen as fb
 
@@ -16,8 +16,8 @@ MODELS = {
     "closed chain": lambda: fb.models.chain(8, closed=True),
     "redundant": parallelogram,
     "disc": fb.models.rolling_disc,
-    "recursive": lambda: revolute_chain(5),
-    "sparse": lambda: fb.models.n_four_bar(10),
+    "recursive": lambda: of_form("recursive"),
+    "sparse": lambda: of_form("sparse"),
 }
 N = 5
 

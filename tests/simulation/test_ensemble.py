@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
+from builders.forms import of_form
 from builders.systems import parallelogram, pendulum, spatial_four_bar
 from harness.terminal import on_terminal
 from scipy.integrate import solve_ivp
-from trees import revolute_chain
 from tutorial import tutorial_four_bar
 
 import fourbar_codegen as fb
@@ -56,9 +56,9 @@ MODELS = {
     "closed chain": (lambda: fb.models.chain(4, closed=True), True),
     "bicycle": (fb.models.whipple_bicycle, True),
     "functions": (functions_of_the_state, True),
-    "sparse": (lambda: fb.models.n_four_bar(10), True),
-    "ten constraints": (lambda: fb.models.n_four_bar(5), True),
-    "recursive": (lambda: revolute_chain(5), True),
+    "sparse": (lambda: of_form("sparse"), True),
+    "eight constraints": (lambda: fb.models.n_four_bar(4), True),
+    "recursive": (lambda: of_form("recursive"), True),
     "redundant": (spatial_four_bar, True),
 }
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
+from builders.forms import of_form
 from builders.oscillators import driven_oscillator, loaded, oscillator
 from builders.prescribed import driven_pendulum, driven_slider_crank
 from builders.systems import parallelogram
@@ -20,7 +21,6 @@ from scipy.interpolate import make_interp_spline
 from scipy.linalg import expm
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipk
-from trees import revolute_chain
 
 import fourbar_codegen as fb
 from fourbar_codegen.kernel.sensitivity import corrected, directions_of, follow
@@ -39,9 +39,9 @@ MODELS = {
     "bicycle": (fb.models.whipple_bicycle, {"q4": 0.05}, {"u6": -6.0}, ("mc", "ic11", "u6", "q4")),
     "closed chain of 8": (lambda: fb.models.chain(8, closed=True), {}, {}, ("l", "g")),
     "redundant": (parallelogram, {"q_AB": 1.2}, {"u_AB": 2.0}, ("q_AB", "u_AB")),
-    "recursive": (lambda: revolute_chain(5), dict.fromkeys(("q1", "q2", "q3", "q4", "q5"), 0.3),
+    "recursive": (lambda: of_form("recursive"), dict.fromkeys(("q1", "q2", "q3", "q4", "q5"), 0.3),
                   dict.fromkeys(("u1", "u2", "u3", "u4", "u5"), 0.5), ("m", "l", "i_xy", "q3", "u2")),
-    "sparse": (lambda: fb.models.n_four_bar(10), {}, {}, ("l", "g")),
+    "sparse": (lambda: of_form("sparse"), {}, {}, ("l", "g")),
 }  # fmt: skip
 
 

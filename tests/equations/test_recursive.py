@@ -72,7 +72,7 @@ class Tree:
         return self.system, {"name": self.name, "parameters": self.parameters, **options}
 
 
-def chain(count=5):
+def chain(count=4):
     tree = Tree("chain_in_space")
     frame, joint = tree.ground, tree.origin
     for n in range(count):
@@ -221,9 +221,10 @@ def accelerations_by_sympy(system, parameters, inputs=(), t=0.3, **_):
         system.form_eoms()
         kane = system.eom_method
     states = dict(zip((*kane.q, *kane.u), sm.symbols(f"x:{len(kane.q) + len(kane.u)}"), strict=True))
+    numbers = {symbol: sm.sympify(value) for symbol, value in {**states, **parameters, T: t}.items()}
     rates = {f.diff(T, order): e.diff(T, order) for f, e in dict(inputs).items() for order in (2, 1)} | dict(inputs)
     expressions = [
-        me.msubs(me.msubs(expression, kane.kindiffdict()), rates).xreplace(states).subs({**parameters, T: t})
+        me.msubs(me.msubs(expression, kane.kindiffdict()), rates).xreplace(numbers)
         for expression in (kane.mass_matrix, kane.forcing)
     ]
     evaluate = sm.lambdify([[*states.values()]], expressions, cse=True)

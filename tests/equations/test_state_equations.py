@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
+from builders.forms import of_form
 from builders.state_equations import T, cartesian, motor, rotor
 from click.testing import CliRunner
 from scipy.integrate import solve_ivp
@@ -245,7 +246,7 @@ def test_index_3_with_accelerations_in_state_equations_is_refused():
 @pytest.mark.slow
 def test_state_of_a_long_chain_has_rates_and_jacobian_of_the_chain():
     """Equations that are solved by their structure."""
-    model = fb.models.chain(20)
+    model = of_form("recursive in the plane")
     z, tau = me.dynamicsymbols("z"), sm.Symbol("tau")
     speeds = model.mechanism.speeds
     values = dict(model.parameter_symbols.items())

@@ -61,7 +61,6 @@ def test_a_defect_is_found_and_named(tmp_path, monkeypatch, text, pattern, repla
         fb.compile_model(slider())
 
 
-@pytest.mark.slow
 def with_a_logarithm(name, **more):
     """A pendulum with a force that has a real value for q > 5 only."""
     system = pendulum()

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
-from builders.systems import coordinate_free, quaternion_top, slider
+from builders.systems import coordinate_free, pendulum, quaternion_top, slider
 from scipy.interpolate import CubicSpline
 from sympy.physics.mechanics.system import System
 from tutorial import Tutorial
 
 import fourbar_codegen as fb
+from fourbar_codegen.dynamics.equations import form_equations
 
 EPS = np.finfo(float).eps
 t = me.dynamicsymbols._t
@@ -262,6 +263,25 @@ def test_speed_without_a_coordinate_decays_as_the_closed_form():
     assert block.rhs(0.0, [4.0]).tolist() == [-6.0]
     assert block.jacobian(0.0, [4.0]).tolist() == [[-1.5]]
     assert block.simulate((0.0, 1.0), [1.0], rtol=1e-10, atol=1e-12).y[0, -1] == pytest.approx(np.exp(-1.5), rel=1e-9)
+
+
+def evaluated(model, numbers, *results):
+    """Results of a model's equations, for numbers of time, coordinates, speeds and parameters."""
+    e = form_equations(model)
+    at = dict(zip((e.time, *e.coordinates, *e.speeds, *e.parameters), numbers, strict=True))
+    found = [getattr(e, result) for result in results]
+    return [np.reshape(e.tape.evaluate(result.entries, at), result.shape) for result in found]
+
+
+def test_mass_that_varies_with_time_changes_its_momentum_as_the_closed_form():
+    """What joins it is at rest: (m + k t) l u has the rate -m g sin q, as in SymPy's KanesMethod."""
+    values = {"m": 2.0, "k": 0.5, "g": 9.81, "l": 0.7}
+    model = fb.Model(pendulum(mass=m + k * t), name="growing", parameters=values)
+    numbers = (1.2, 0.4, 1.5, *(values[name] for name in model.parameters))
+    matrix, forcing, power = evaluated(model, numbers, "mass_matrix", "forcing", "power")
+    assert matrix == pytest.approx((2.0 + 0.5 * 1.2) * 0.7**2, rel=1e-14)
+    assert forcing == pytest.approx((-2.0 * 9.81 * np.sin(0.4) - 0.5 * 0.7 * 1.5) * 0.7, rel=1e-14)
+    assert np.isnan(power).all()  # so that no check takes it for the rate of the kinetic energy
 
 
 @pytest.mark.slow

@@ -284,6 +284,28 @@ def test_mass_that_varies_with_time_changes_its_momentum_as_the_closed_form():
     assert np.isnan(power).all()  # so that no check takes it for the rate of the kinetic energy
 
 
+def test_unequal_moments_along_axes_that_bodies_turn_in_give_sympys_equations():
+    q, u = me.dynamicsymbols("q1:4"), me.dynamicsymbols("u1:4")
+    ground, yoke, gimbal, rotor = (me.ReferenceFrame(name) for name in "NABC")
+    centre = me.Point("O")
+    centre.set_vel(ground, 0)
+    for i, (frame, parent, axis) in enumerate(((yoke, ground, "z"), (gimbal, yoke, "x"), (rotor, gimbal, "y"))):
+        frame.orient_axis(parent, getattr(parent, axis), q[i])
+        frame.set_ang_vel(parent, u[i] * getattr(parent, axis))
+    inertia = me.inertia(gimbal, 1, 2, 4), centre
+    bodies = [me.RigidBody(frame.name, centre, frame, 1, inertia) for frame in (yoke, rotor)]
+    kde = [each - angle.diff(t) for each, angle in zip(u, q, strict=True)]
+    kane = me.KanesMethod(ground, q, u, kd_eqs=kde, bodies=bodies, forcelist=[(rotor, k * gimbal.y)])
+    kane.kanes_equations()
+    at = dict(zip((*q, *u, k), (0.3, 0.4, -0.6, 2.0, 0.5, 3.0, 0.7), strict=True))
+    model = fb.Model(kane, name="gimbal")
+    matrix, forcing, power = evaluated(model, (0.0, *at.values()), "mass_matrix", "forcing", "power")
+    # Sums of a few products of up to 30, to rounding.
+    np.testing.assert_allclose(matrix, np.array(kane.mass_matrix.subs(at), dtype=float), rtol=0, atol=1e-13)
+    np.testing.assert_allclose(forcing, np.array(kane.forcing.subs(at), dtype=float).ravel(), rtol=0, atol=1e-13)
+    assert np.isnan(power).all()  # it is not the rate of the kinetic energy
+
+
 @pytest.mark.slow
 def test_jacobian_of_friction_at_rest_has_no_infinite_slope():
     friction = fb.compile_model(fb.Model(SYSTEMS["friction"](), parameters={m: 1.0, k: 2.0}))

@@ -306,6 +306,27 @@ def test_unequal_moments_along_axes_that_bodies_turn_in_give_sympys_equations():
     assert np.isnan(power).all()  # it is not the rate of the kinetic energy
 
 
+def test_arm_that_grows_as_it_turns_has_the_closed_form_mass():
+    """One speed turns eight masses across the arm and moves them along it: they do not turn as one body about O."""
+    frame, arm, origin = me.ReferenceFrame("N"), me.ReferenceFrame("A"), me.Point("O")
+    arm.orient_axis(frame, frame.z, q)
+    arm.set_ang_vel(frame, u * frame.z)
+    origin.set_vel(frame, 0)
+    end = origin.locatenew("P", (1 + k * q) * arm.x)
+    end.set_vel(frame, k * u * arm.x + (1 + k * q) * u * arm.y)
+    system = System(frame, origin)
+    for i in range(8):
+        place = end.locatenew(f"P{i}", i * arm.y / 10)
+        place.v2pt_theory(end, frame, arm)
+        system.add_bodies(me.Particle(f"p{i}", place, 2))
+    system.add_coordinates(q)
+    system.add_speeds(u)
+    system.add_kdes(u - q.diff(t))
+    [matrix] = evaluated(fb.Model(system, name="growing_arm"), (0.0, 0.8, 0.0, 0.3), "mass_matrix")
+    # At 1 + k q along the arm, and i / 10 across it.
+    assert matrix == pytest.approx(sum(2.0 * ((0.3 - i / 10) ** 2 + 1.24**2) for i in range(8)), rel=1e-14)
+
+
 @pytest.mark.slow
 def test_jacobian_of_friction_at_rest_has_no_infinite_slope():
     friction = fb.compile_model(fb.Model(SYSTEMS["friction"](), parameters={m: 1.0, k: 2.0}))

@@ -327,6 +327,31 @@ def test_arm_that_grows_as_it_turns_has_the_closed_form_mass():
     assert matrix == pytest.approx(sum(2.0 * ((0.3 - i / 10) ** 2 + 1.24**2) for i in range(8)), rel=1e-14)
 
 
+def test_constraint_with_a_part_of_a_direction_cosine_has_the_closed_form_rate():
+    """The sine of 2 q is 2 sin(q) cos(q) in the orientation, and the constraint has it without the factor."""
+    (x, v), length = me.dynamicsymbols("x v"), sm.Symbol("l")
+    ground, arm, origin = me.ReferenceFrame("N"), me.ReferenceFrame("A"), me.Point("O")
+    double_sine, double_cosine = 2 * sm.sin(q) * sm.cos(q), sm.cos(q) ** 2 - sm.sin(q) ** 2
+    cosines = [[double_cosine, -double_sine, 0], [double_sine, double_cosine, 0], [0, 0, 1]]
+    arm.orient_explicit(ground, sm.Matrix(cosines))
+    arm.set_ang_vel(ground, 2 * u * ground.z)
+    origin.set_vel(ground, 0)
+    pin, slider = origin.locatenew("P", length * arm.x), origin.locatenew("S", x * ground.y)
+    pin.v2pt_theory(origin, ground, arm)
+    slider.set_vel(ground, v * ground.y)
+    system = System(ground, origin)
+    system.add_bodies(me.Particle("pin", pin, m), me.Particle("slider", slider, m))
+    system.q_ind, system.u_ind, system.u_dep = [q, x], [u], [v]
+    system.add_kdes(u - q.diff(t), v - x.diff(t))
+    system.add_nonholonomic_constraints(v - length * (1 + sm.sin(q) * sm.cos(q)) * u)
+    equations = form_equations(fb.Model(system, name="half"))
+    leaves = (*equations.coordinates, *equations.speeds, *equations.parameters, *equations.accelerations)
+    at = dict(zip(leaves, (0.4, 0.5, 1.5, 0.2, 0.7, 2.0, -3.0, 1.1), strict=True))
+    # -(v - l (1 + sin(2 q) / 2) u)'
+    expected = -1.1 + 0.7 * (np.cos(0.8) * 1.5**2 - 3.0 * (1 + np.sin(0.8) / 2))
+    assert equations.tape.evaluate(equations.residual.entries[2:], at) == pytest.approx([expected], rel=1e-14)
+
+
 @pytest.mark.slow
 def test_jacobian_of_friction_at_rest_has_no_infinite_slope():
     friction = fb.compile_model(fb.Model(SYSTEMS["friction"](), parameters={m: 1.0, k: 2.0}))

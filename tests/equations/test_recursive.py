@@ -211,7 +211,20 @@ def quaternion():
     return tree.model()
 
 
-MODELS = (chain, branched, floating, sliding, absolute, mixed_speeds, quaternion)
+def rotor_at_a_joint():
+    """A link carries a rotor whose centre is on the axis of the link's own joint, so that it moves with the arm."""
+    tree = Tree("rotor_at_a_joint")
+    base = tree.turned(tree.ground, tree.ground.z, "A")
+    arm = tree.turned(base, base.y, "B")
+    tree.body("arm", tree.point("CB", tree.origin, 0.2 * arm.x), arm)
+    joint = tree.point("P", tree.origin, 0.4 * arm.x)
+    link = tree.turned(arm, arm.z, "C")
+    tree.body("link", tree.point("CC", joint, 0.2 * link.x - 0.1 * link.z), link)
+    tree.body("rotor", joint, tree.turned(link, link.x, "D"), products=(0.004, -0.006, 0.005))
+    return tree.model()
+
+
+MODELS = (chain, branched, floating, sliding, absolute, mixed_speeds, quaternion, rotor_at_a_joint)
 
 
 def accelerations_by_sympy(system, parameters, inputs=(), t=0.3, **_):

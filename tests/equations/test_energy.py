@@ -56,6 +56,27 @@ def test_energy_changes_by_the_work_of_the_force(four_bar):
     np.testing.assert_allclose(run.energy - run.energy[0], work, atol=5e-3)
 
 
+def test_power_with_an_absolute_rate_of_a_relative_angle_equals_the_closed_form():
+    """Of a torque on the second bar, at its absolute rate; it is known as the rate follows from both angles."""
+    (q1, q2), (u1, u2), torque = me.dynamicsymbols("q1 q2"), me.dynamicsymbols("u1 u2"), sm.Symbol("torque")
+    n, a, b, origin = *(me.ReferenceFrame(name) for name in "NAB"), me.Point("O")
+    a.orient_axis(n, n.z, q1)
+    b.orient_axis(a, n.z, q2)
+    a.set_ang_vel(n, u1 * n.z)
+    b.set_ang_vel(n, u2 * n.z)
+    origin.set_vel(n, 0)
+    system = System(n, origin)
+    system.add_bodies(*(me.RigidBody(bar.name, origin, bar, 1, (me.inertia(bar, 0, 0, 1), origin)) for bar in (a, b)))
+    system.add_coordinates(q1, q2)
+    system.add_speeds(u1, u2)
+    system.add_kdes(u1 - q1.diff(), u2 - q1.diff() - q2.diff())
+    system.add_loads(me.Torque(b, torque * n.z))
+    equations = form_equations(fb.Model(system, name="absolute"))
+    leaves = (*equations.coordinates, *equations.speeds, *equations.parameters)
+    at = dict(zip(leaves, (0.3, -0.5, 2.0, 0.7, 11.0), strict=True))
+    assert equations.tape.evaluate(equations.power.entries, at) == pytest.approx([11.0 * 0.7], rel=1e-15)
+
+
 def test_energy_growth_is_reported_for_negative_damping_and_not_for_forces():
     """A mass from rest by forces t^n has 4^(n + 1) times the kinetic energy at the end that it had half way, though
     its steps grow so that none ends near there; what a negative damping feeds has grown."""

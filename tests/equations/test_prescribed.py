@@ -389,3 +389,14 @@ def test_inputs_at_samples_where_rates_jump_are_those_after_the_jump(t_0):
             assert run["s'"][0] == pytest.approx(0.2, rel=1e-9)
             assert run.t.tolist() == [time]
             assert np.abs(run.constraint_residual).max() < 1e-12 + np.spacing(t_0)
+
+
+def test_input_at_the_end_of_a_run_where_its_rate_jumps_is_that_before_the_jump():
+    """The state there is that before it, too; the value of Heaviside itself is the mean of both sides."""
+    turning = fb.compile_model(driven_slider_crank((t - w) * sm.Heaviside(t - w) / 5))
+    run = turning.simulate(
+        (0.0, 1.0), turning.initial_state(guess=[0.0, 0.9], parameters={"w": 1.0}), parameters={"w": 1.0}
+    )
+    assert run.t[-1] == 1.0
+    assert run["s'"][-1] == 0.0
+    assert run["rate"][-1] == pytest.approx(0.0, abs=1e-12)  # at rest, to rounding

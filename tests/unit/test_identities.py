@@ -12,6 +12,7 @@ from sympy.physics.mechanics.system import System
 
 import fourbar_codegen as fb
 from fourbar_codegen.expressions.convert import Conversion
+from fourbar_codegen.expressions.derivatives import Rounding
 from fourbar_codegen.expressions.identities import deduplicate, is_zero
 from fourbar_codegen.expressions.tape import Tape
 
@@ -99,6 +100,14 @@ def test_derivative_of_a_branch_that_is_not_taken_has_no_part():
     for x, slope in ((0.25, 1.0), (-0.5, 0.0)):
         np.testing.assert_allclose(compiled.constraint_jacobian(0.0, [x, 0.1]), [[-slope, 1.0]], rtol=1e-14)
         assert np.isfinite(compiled.jacobian(0.0, [x, 0.1, 0.3, 0.2])).all()
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.5])
+def test_rounding_error_of_a_sine_is_a_unit_beside_that_of_its_angle(convert, angle):
+    """3 sin a - b: 3 (|a cos a| + 1) + |b|, up to 1e-12 for each leaf, which counts if it is zero."""
+    error = Rounding(convert.tape)(convert(3 * sm.sin(a) - b))
+    leaves = {convert(a): angle, convert(b): -2.0}
+    assert convert.tape.evaluate([error], leaves) == pytest.approx([3 * (angle * np.cos(angle) + 1) + 2], abs=1e-11)
 
 
 def test_velocity_equal_to_the_natural_one_in_places_stays_as_set():

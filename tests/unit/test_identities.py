@@ -12,7 +12,7 @@ from sympy.physics.mechanics.system import System
 
 import fourbar_codegen as fb
 from fourbar_codegen.expressions.convert import Conversion
-from fourbar_codegen.expressions.derivatives import Rounding
+from fourbar_codegen.expressions.derivatives import Rounding, vjp
 from fourbar_codegen.expressions.identities import deduplicate, is_zero
 from fourbar_codegen.expressions.tape import Tape
 
@@ -108,6 +108,13 @@ def test_rounding_error_of_a_sine_is_a_unit_beside_that_of_its_angle(convert, an
     error = Rounding(convert.tape)(convert(3 * sm.sin(a) - b))
     leaves = {convert(a): angle, convert(b): -2.0}
     assert convert.tape.evaluate([error], leaves) == pytest.approx([3 * (angle * np.cos(angle) + 1) + 2], abs=1e-11)
+
+
+@pytest.mark.parametrize(("base", "expected"), [(0.0, 0.0), (2.0, 2.0**1.5 * np.log(2.0))])
+def test_derivative_of_a_power_by_its_exponent_is_zero_at_a_base_of_zero(convert, base, expected):
+    [slope] = vjp(convert.tape, [(convert(a**b), convert.tape.one)], [convert(b)])
+    [found] = convert.tape.evaluate([slope], {convert(a): base, convert(b): 1.5})
+    assert found == pytest.approx(expected, rel=1e-15)  # two functions and a product
 
 
 def test_velocity_equal_to_the_natural_one_in_places_stays_as_set():

@@ -436,6 +436,14 @@ def test_a_change_of_sign_where_a_force_begins_is_one_event():
         assert run.t[-1] == 1.0
 
 
+def test_event_that_falls_to_zero_where_a_force_begins_does_not_count_as_rising():
+    """A step ends at the zero and another one begins there: between both, it is zero before and after."""
+    model = pushed(sm.Piecewise((1.0, t >= T), (0, True)))
+    events = [fb.Event(lambda time, x: 0.3 - time, direction=direction) for direction in (1, -1)]
+    run = model.simulate((0.0, 1.0), [0.0, 0.0], events=events)
+    assert [times.tolist() for times in run.t_events] == [[], [0.3]]
+
+
 def test_motion_in_smooth_parts_makes_no_speeds_jump_and_steps_end_at_its_parts():
     """A rise from 0 to 1 within a second, with no jump of its acceleration either."""
     since = t - 1

@@ -246,13 +246,13 @@ def test_equilibrium_of_one_part_alone_is_refused():
         moving.equilibrium()
 
 
-def test_linearization_with_an_input_in_constraints_moves_dependent_coordinates():
-    # u1' = -4 (q1 - q2), and q2 follows the input s.
-    q1, q2, s = me.dynamicsymbols("q1 q2 s")
-    excited = fb.compile_model(on_a_line(-4 * (q1 - q2), 0 * q2, constraint=q2 - s, s=0))
+def test_linearization_with_an_input_in_constraints_moves_dependent_coordinates_and_speeds():
+    # u1' = -4 (q1 - q2) - 3 (u1 - u2), and q2 follows the input s, u2 its rate.
+    q1, q2, u1, u2, s = me.dynamicsymbols("q1 q2 u1 u2 s")
+    excited = fb.compile_model(on_a_line(-4 * (q1 - q2) - 3 * (u1 - u2), 0 * q2, constraint=q2 - s, s=0))
     A, B = excited.linearize(0.0, [0.0] * 4)
-    np.testing.assert_allclose(A, [[0.0, 1.0], [-4.0, 0.0]], atol=1e-14)
-    np.testing.assert_allclose(B, [[0.0, 0.0, 0.0], [4.0, 0.0, 0.0]], atol=1e-14)
+    np.testing.assert_allclose(A, [[0.0, 1.0], [-4.0, -3.0]], atol=1e-14)
+    np.testing.assert_allclose(B, [[0.0, 0.0, 0.0], [4.0, 3.0, 0.0]], atol=1e-14)
     with pytest.raises(fb.ModelError, match="violates the constraints"):
         excited.linearize(0.0, [1.0, 2.0, 3.0, 4.0])
     with pytest.raises(fb.ModelError, match="state"):

@@ -7,6 +7,7 @@ from math import acos, pi, radians, sqrt
 
 import numpy as np
 import pytest
+from builders.prescribed import driven_pendulum
 
 import fourbar_codegen as fb
 from fourbar_codegen.analysis.continuation import trace
@@ -380,6 +381,18 @@ def test_open_chain_with_all_coordinates_driven_has_closed_form_accelerations():
 
 
 ARM = {"A": (0, 0), "B": (0.4, 0), "C": (0.7, 0)}
+
+
+def test_bob_on_a_pivot_that_is_moved_has_the_closed_form_velocity_and_acceleration():
+    """s - i l exp(i q), which contains the prescribed motion s itself."""
+    model = fb.compile_model(driven_pendulum(None))
+    rates, second = {"s": 2.0, "q": 0.7}, {"s": 3.0, "q": -0.2}
+    [branch] = model.kinematics({"s": [0.1], "q": [0.4]}, rates=rates, accelerations=second)
+    arm = 0.5 * np.exp(0.4j)
+    velocity, acceleration = 2.0 + 0.7 * arm, 3.0 + (-0.2 + 0.49j) * arm
+    # Up to 3, to rounding.
+    np.testing.assert_allclose(branch.velocities["Q"][:, 0], [velocity.real, velocity.imag, 0.0], atol=1e-14)
+    np.testing.assert_allclose(branch.accelerations["Q"][:, 0], [acceleration.real, acceleration.imag, 0.0], atol=1e-14)
 
 
 @pytest.mark.slow

@@ -12,6 +12,7 @@ import sympy as sm
 import sympy.physics.mechanics as me
 from builders.beads import bead_and_wheel, length, vx, vy, x, y
 from builders.exported import MODELS
+from builders.state_equations import motor
 from builders.systems import (
     pendulum,
     slider,
@@ -517,6 +518,14 @@ def test_c_library_on_emulated_arm_processors_gives_pythons_states(tmp_path, fou
     for _ in range(1000):
         stepper.step()
     np.testing.assert_allclose(last[1:], stepper.x[:3], rtol=0, atol=1e-12)
+
+
+def test_header_of_a_library_has_auxiliary_states_last_and_counts_unknown_forces(tmp_path):
+    header = (fb.export_c(motor(), tmp_path / "motor") / "motor.h").read_text()
+    assert re.findall(r"motor_x_(\w+) = (\d)", header) == [("theta", "0"), ("omega", "1"), ("i", "2")]
+    # No constraint, and a normal force beside the multipliers.
+    header = (fb.export_c(MODELS["driven_by_unknown_forces"](), tmp_path / "rod") / "rod.h").read_text()
+    assert "rod_n_l = 1," in header
 
 
 @pytest.mark.slow

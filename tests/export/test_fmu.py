@@ -397,6 +397,13 @@ def test_fmu_dependencies_of_states_name_no_inputs(fmus):
     assert knowns["pin_x"] is None  # a force depends on everything
 
 
+@BOTH
+def test_fmu_derivatives_name_their_states(fmus, fmi, four_bar):
+    variables = fmpy.read_model_description(fmus(fmi)).modelVariables
+    found = {variable.name: variable.derivative.name for variable in variables if variable.derivative}
+    assert found == {f"der({name})": name for name in four_bar.states}
+
+
 def test_fmu_input_that_nobody_sets_is_zero(tmp_path):
     bare = fb.Model(_pushed(), name="bare", parameters={"m": 2.0}, inputs="auto")
     path = str(fb.export_fmu(bare, tmp_path / "bare.fmu"))

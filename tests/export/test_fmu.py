@@ -404,6 +404,16 @@ def test_fmu_derivatives_name_their_states(fmus, fmi, four_bar):
     assert found == {f"der({name})": name for name in four_bar.states}
 
 
+def test_fmu_inputs_start_with_their_expression_at_zero_or_without_one_as_zero(tmp_path):
+    system, (given, free), double = _pushed(), me.dynamicsymbols("F G"), sm.Symbol("double")
+    system.add_loads(me.Force(system.bodies[0].masscenter, free * system.frame.x))
+    values = {"m": 2.0, double: 2 * sm.Symbol("m")}
+    inputs = {given: double * sm.cos(me.dynamicsymbols._t), free: None}
+    model = fb.Model(system, name="starting", parameters=values, inputs=inputs)
+    variables = fmpy.read_model_description(str(fb.export_fmu(model, tmp_path / "starting.fmu"))).modelVariables
+    assert {v.name: float(v.start) for v in variables if v.causality == "input"} == {"F": 4.0, "G": 0.0}
+
+
 def test_fmu_input_that_nobody_sets_is_zero(tmp_path):
     bare = fb.Model(_pushed(), name="bare", parameters={"m": 2.0}, inputs="auto")
     path = str(fb.export_fmu(bare, tmp_path / "bare.fmu"))

@@ -11,6 +11,7 @@ import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
 from builders.exported import MODELS
+from builders.prescribed import driven_pendulum
 from builders.redundant import three_uprights
 from fmpy.build import build_platform_binary
 from fmpy.fmi2 import FMU2Model, FMU2Slave
@@ -369,6 +370,15 @@ def test_fmu_of_a_drive_moves_only_if_its_rate_is_set(fmus, tmp_path):
     other = Instance(path, 3, tmp_path / "other")
     other.begin(**{angle: 0.3, rate: 2.0})
     assert np.abs(other.get(*model.speeds)).max() > 0.1
+
+
+def test_fmu_of_a_motion_whose_rate_is_set_keeps_its_second_derivative(tmp_path):
+    """-a w^2 sin(w t), of the expression, until that is set."""
+    t, a, w = me.dynamicsymbols._t, *sm.symbols("a w")
+    path = str(fb.export_fmu(driven_pendulum(a * sm.sin(w * t)), tmp_path / "driven.fmu"))
+    instance = Instance(path, 3, tmp_path / "one")
+    instance.begin(t=0.3, **{"s'": 2.0})
+    assert instance.get("s'", "s''") == pytest.approx([2.0, -0.1 * 5.0**2 * np.sin(1.5)], rel=1e-14)
 
 
 def test_fmu_export_needs_no_values_of_masses_that_drop_out(tmp_path):

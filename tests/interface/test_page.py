@@ -716,6 +716,15 @@ def test_page_takes_ranges_of_sliders_from_parameters_arguments_and_defaults(fou
             four_bar.page(ranges={"k": wrong})
 
 
+def test_page_without_a_known_potential_plots_the_kinetic_energy_alone():
+    system = pendulum()
+    system.bodies[0].potential_energy = M * me.dynamicsymbols("q") ** 4  # which is not that of its weight
+    model = fb.compile_model(fb.Model(system, name="unknown", parameters={M: 1.0, G: 9.81, L: 1.0}))
+    page = data_of(model.page(x0=[0.1, 0.0]))
+    [panel] = [panel for panel in page["panels"] if panel["title"] == "Energy (J)"]
+    assert [page["columns"][number] for number in panel["columns"]] == ["kinetic energy"]
+
+
 def test_page_of_a_model_that_cannot_run_in_a_browser_is_refused(four_bar, tmp_path, monkeypatch):
     path = tmp_path / "page.html"
     with pytest.raises(fb.ModelError, match=r"saved as \.html"):

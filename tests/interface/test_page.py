@@ -725,6 +725,13 @@ def test_page_without_a_known_potential_plots_the_kinetic_energy_alone():
     assert [page["columns"][number] for number in panel["columns"]] == ["kinetic energy"]
 
 
+def test_page_of_a_run_that_begins_after_whole_turns_has_each_assembly_mode_once(four_bar):
+    turned = np.add(four_bar.initial_state(), [0.0, 2.0 * np.pi, 0.0, 0.0, 0.0, 0.0])
+    modes = data_of(four_bar.page(x0=turned))["modes"]
+    assert len(modes) == 2
+    np.testing.assert_allclose(modes[0], turned, rtol=0, atol=1e-12)
+
+
 def test_page_of_a_model_that_cannot_run_in_a_browser_is_refused(four_bar, tmp_path, monkeypatch):
     path = tmp_path / "page.html"
     with pytest.raises(fb.ModelError, match=r"saved as \.html"):

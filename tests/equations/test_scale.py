@@ -247,6 +247,7 @@ def test_elimination_of_loops_on_one_crank_grows_linearly():
         assert sum(map(len, structure.below)) <= count * (4 + 3 + 2 + 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FORMS)
 def test_models_for_tests_of_each_form_have_it(name):
     make, form = FORMS[name]

@@ -4,6 +4,7 @@ import re
 import subprocess
 import sys
 
+import pytest
 from harness import PROJECT
 
 TABLE = re.findall(
@@ -11,6 +12,7 @@ TABLE = re.findall(
 )
 
 
+@pytest.mark.slow
 def test_each_how_to_guide_has_a_published_number_in_the_quick_tests():
     assert [page for page, _ in TABLE] == sorted(path.stem for path in (PROJECT / "docs" / "howto").glob("*.md"))
     named = [f"tests/{test}" for _, test in TABLE]

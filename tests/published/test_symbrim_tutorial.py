@@ -74,7 +74,7 @@ def test_c_library_closes_the_loop_and_has_the_printed_rates(tmp_path):
     np.testing.assert_allclose(rates, RATES_PRINTED, rtol=0, atol=LAST_DIGIT)
 
 
-def test_fmu_begins_in_the_printed_state_with_the_printed_rates(tmp_path):
+def test_fmu_begins_in_the_printed_state_with_the_printed_rates(tmp_path, unoptimized):
     path = str(fb.export_fmu(fb.models.four_bar(), tmp_path / "four_bar.fmu"))
     names = ["q1", "q2", "q3", "u1", "u2", "u3"]
     found = fmpy.simulate_fmu(path, stop_time=0.01, output=[*names, "der(u1)", "der(u2)", "der(u3)"])[0]

@@ -581,7 +581,7 @@ def test_fmu_states_with_damaged_bytes_are_refused_under_sanitizers(tmp_path, fm
         archive.extractall(tmp_path, [name for name in archive.namelist() if name.startswith("sources/")])
     folder = tmp_path / "sources"
     (folder / "program.c").write_text(DAMAGED)
-    flags = ["-std=c99", "-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", f"-DFMI={fmi}"]
+    flags = ["-std=c99", "-O0", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", f"-DFMI={fmi}"]
     sources = [folder / name for name in ("program.c", "driven.c", "driven_derivatives.c")]
     compile_c([os.environ.get("CC", "cc"), *flags, "-lm"], sources, tmp_path / "program", [folder / "runtime"])
     done = subprocess.run([tmp_path / "program"], capture_output=True, text=True, check=False)

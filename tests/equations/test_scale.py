@@ -185,7 +185,7 @@ def operations(model, name="dynamics"):
 
 @pytest.mark.slow
 def test_operations_of_a_closed_chain_grow_at_most_quadratically():
-    counts = [operations(fb.models.chain(links, closed=True)) for links in (6, 12, 24)]
+    counts = [operations(fb.models.chain(links, closed=True)) for links in (5, 10, 20)]
     assert counts[1] < 4 * counts[0]
     assert counts[2] < 4 * counts[1]
 

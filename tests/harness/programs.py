@@ -71,7 +71,7 @@ def zig_cc(folder, target, sources, *options):
     """Compile and link with zig, which brings other systems' libraries, as strictly as gcc is asked to."""
     compiler = compilers.cross_compiler(target)
     prepare_zig(compiler)
-    command = [*compiler.command, "-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", *options]
+    command = [*compiler.command, "-std=c99", "-g0", "-O2", "-Wall", "-Wextra", "-Werror", *options]
     include = [*sorted({source.parent for source in sources}), fb.get_include()]
     compile_c(command, sources, folder / "out", include, toolchain._zig_folders(compiler, folder))
     return folder / "out"
@@ -88,8 +88,8 @@ def prepare_zig(compiler):
         if not done.exists():
             source = Path(folder) / "empty.c"
             source.write_text("int fourbar_empty(void) { return 0; }\n")
-            # The C library is compiled for the level of optimization that is asked for.
-            arguments = ["-O2", *compiler.flags, str(source), *compiler.link_flags]
+            # The C library is compiled for the level of optimization that is asked for, and with or without symbols.
+            arguments = ["-g0", "-O2", *compiler.flags, str(source), *compiler.link_flags]
             toolchain._run_compiler(compiler, arguments, Path(folder) / "library")
             done.touch()
 

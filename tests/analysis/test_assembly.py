@@ -405,6 +405,7 @@ def test_assembly_modes_near_a_dead_point_are_counted_to_rounding(four_bar):
         assert 1 <= len(four_bar.initial_states([angle + change], [1.0], parameters=lengths)) <= 2
 
 
+@pytest.mark.slow
 def test_assembly_modes_in_threads_keep_their_precision_beside_mpmaths(four_bar):
     """Each thread computes with as many digits as alone, while mpmath's own precision is changed beside it."""
     angles = np.linspace(-0.6, 0.6, 12)
@@ -431,6 +432,7 @@ def test_assembly_modes_after_many_turns_of_the_crank_are_the_same(four_bar):
     np.testing.assert_array_equal(often.x[:, 0], -0.5 + 2e5 * np.pi)
 
 
+@pytest.mark.slow
 def test_plots_of_assembly_modes_draw_each_mode_in_its_panel(four_bar, monkeypatch):
     figure = four_bar.initial_states().plot()
     assert len(figure.axes) == 2

@@ -169,6 +169,7 @@ def test_dead_points_of_a_driven_slider_are_where_crank_and_rod_are_in_line():
     assert [branch.limits["slide"] for branch in found] == [pytest.approx((0.2, 0.4), abs=1e-12)] * 2
 
 
+@pytest.mark.slow
 def test_branches_that_close_in_a_small_part_of_the_drive_are_found():
     """The loop closes between 0.2 and 0.4 m, of 5: at given values alone, and the first of these is a dead point."""
     crank = fb.compile_model(fb.models.slider_crank())
@@ -383,6 +384,7 @@ def test_open_chain_with_all_coordinates_driven_has_closed_form_accelerations():
 ARM = {"A": (0, 0), "B": (0.4, 0), "C": (0.7, 0)}
 
 
+@pytest.mark.slow
 def test_bob_on_a_pivot_that_is_moved_has_the_closed_form_velocity_and_acceleration():
     """s - i l exp(i q), which contains the prescribed motion s itself."""
     model = fb.compile_model(driven_pendulum(None))

@@ -148,6 +148,7 @@ def test_fingerprints_of_dummies_depend_on_their_first_appearance():
     assert len(set(different)) == len(different)
 
 
+@pytest.mark.slow
 def test_fingerprints_of_expressions_deeper_than_pythons_stack_differ():
     expr = sm.Symbol("x")
     for _ in range(5 * sys.getrecursionlimit()):
@@ -183,6 +184,7 @@ def test_compile_model_of_a_cached_model_forms_no_equations(monkeypatch):
     assert warm.rhs(0.0, x).tolist() == cold.rhs(0.0, x).tolist()
 
 
+@pytest.mark.slow
 def test_failed_build_leaves_nothing_and_the_next_one_succeeds(monkeypatch, tmp_path):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     monkeypatch.setenv("CC", "false")
@@ -193,6 +195,7 @@ def test_failed_build_leaves_nothing_and_the_next_one_succeeds(monkeypatch, tmp_
     assert fb.compile_model(slider()).n_x == 4
 
 
+@pytest.mark.slow
 def test_concurrent_compilations_of_one_model_build_it_once(monkeypatch, tmp_path):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     calls = compilations(monkeypatch)
@@ -258,6 +261,7 @@ def test_change_of_the_package_with_equal_sources_compiles_nothing(monkeypatch, 
     assert calls == ["slider_kernel.so", "slider_derivatives.so"]
 
 
+@pytest.mark.slow
 def test_folder_in_the_cache_after_a_build_holds_known_files_only(monkeypatch, tmp_path):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     model = fb.compile_model(slider())
@@ -610,6 +614,7 @@ def test_cache_over_its_limit_loses_the_least_recently_used_entries(monkeypatch,
             fb.compile_model(slider("body"))
 
 
+@pytest.mark.slow
 def test_cache_that_cannot_be_written_still_serves_its_models(monkeypatch, tmp_path):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     path = fb.compile_model(slider()).path
@@ -927,6 +932,7 @@ def mounted(folder, options):
         subprocess.run(["umount", "--lazy", str(folder)], check=True)
 
 
+@pytest.mark.slow
 def test_a_full_disk_leaves_the_cache_as_it_was(monkeypatch, tmp_path):
     with mounted(tmp_path, "size=400k"):
         monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path / "cache"))

@@ -242,6 +242,7 @@ def light_pendulum(tmp_path, monkeypatch, *, check=True):
     return fb.compile_model(fb.Model(system, name="light", parameters=values), check=check)
 
 
+@pytest.mark.slow
 def test_derivatives_of_a_very_light_body_compile_and_equal_closed_forms(tmp_path, monkeypatch):
     """The first pendulum swings as if it were alone: l q'' = -g sin(q), whose derivative s by l has
     l s'' = -g cos(q) s - q''."""

@@ -154,6 +154,7 @@ def test_simulate_of_a_run_that_explodes_reports_progress_and_ends(monkeypatch):
     assert "max_steps must be" in run("simulate", "--max-steps", "many").output
 
 
+@pytest.mark.slow
 def test_sweep_over_ranges_runs_all_combinations_and_marks_failures(four_bar, tmp_path):
     ranges = ["-p", "k=50:150:3", "-p", "c=0,5", "-p", "l2=0.45"]
     done = run("sweep", *ranges, "-t", 0, 2, "-i", "q1=-0.6", "-o", tmp_path / "s.npz")
@@ -334,6 +335,7 @@ def test_info_on_the_four_bar_lists_names_defaults_and_operations():
         assert words in output
 
 
+@pytest.mark.slow
 def test_cache_command_lists_and_clears_models_and_keeps_other_files(tmp_path, monkeypatch):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     assert "0 libraries and models, 0.00 MB" in run("cache").output

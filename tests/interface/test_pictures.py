@@ -122,6 +122,7 @@ def test_plot_of_a_run_has_a_panel_for_each_group_of_quantities(trajectory, tmp_
     assert trajectory.save(tmp_path / "run.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_animations_saved_as_gif_have_moving_frames(trajectory, tmp_path):
     from PIL import Image
 

@@ -168,6 +168,7 @@ def test_plot_of_members_that_differ_in_one_parameter_is_coloured_by_it(ensemble
     assert "failed" in figure.get_suptitle()
 
 
+@pytest.mark.slow
 def test_plot_of_members_that_differ_in_several_parameters_has_percentiles(four_bar):
     varied = {"k": np.linspace(1.0, 200.0, 40), "c": np.linspace(0.0, 10.0, 40)}
     ensemble = four_bar.ensemble((0.0, 4.0), parameters=varied, t_eval=np.linspace(0.0, 4.0, 81))

@@ -570,6 +570,7 @@ def test_a_run_without_possible_motion_ends_with_its_reason(pendulum):
         pendulum.simulate((0.0, 1.0), MOTIONS["small"].states(0.0), inputs={"F": 1e308}, parameters={"m": 1e-300})
 
 
+@pytest.mark.slow
 def test_a_simulation_of_a_loaded_kernel_does_not_import_sympy(pendulum_path):
     """The half of the package that runs is independent of the one that forms equations."""
     program = f"""

@@ -35,6 +35,7 @@ def test_a_loop_closes_as_well_beside_a_wheel_that_has_turned_often(ring, turned
     np.testing.assert_allclose(closed[[0, 2]], [0.6 * size, 0.8 * size], rtol=2e-7)
 
 
+@pytest.mark.slow
 def test_initial_states_and_linearizations_close_the_loop_at_every_size(ring):
     for size in (1e-9, 1.0, 1e9):
         p = {"l": size}

@@ -441,6 +441,7 @@ except KeyboardInterrupt:
         assert done.stdout == "interrupted after 100\n"
 
 
+@pytest.mark.slow
 def test_a_member_that_cannot_be_assembled_is_named(four_bar):
     with pytest.raises(fb.AssemblyError, match="Member 1: The loops do not close"):
         four_bar.ensemble((0.0, 1.0), parameters={"l1": [0.8, 3.0]})

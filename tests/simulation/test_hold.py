@@ -79,6 +79,7 @@ def test_sensitivities_and_gradients_by_held_values_equal_closed_forms(free, how
     np.testing.assert_allclose(run.sol.sensitivity(t)["F"], by_values, rtol=0, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_gradient_by_ten_thousand_held_values_equals_the_closed_form(free):
     """Of ten thousand values, in memory that is proportional to their number."""
     times = np.arange(10_000) * 1e-3

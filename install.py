@@ -25,8 +25,15 @@ SOURCES = ("pyproject.toml", "setup.py", *(f"src/fourbar_codegen/runtime/*.{kind
 """What the extension modules are made of, beside the generated models; Python files are used where they stand."""
 
 
-def main(folder: str, *extras: str) -> None:
+def main(*arguments: str) -> None:
     """Bring a virtual environment up to date."""
+    if not arguments or arguments[0].startswith("-"):
+        sys.exit(
+            "python install.py FOLDER [EXTRA ...]: the folder of a virtual environment, and extras of the package."
+        )
+    folder, *extras = arguments
+    if Path(folder).exists() and not Path(folder).is_dir():
+        sys.exit(f"{folder} is a file: give the folder of a virtual environment.")
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # SymPy would be compiled anew in each process, which takes seconds
     home, begin = Path(__file__).parent, time.monotonic()
     with (home / "pyproject.toml").open("rb") as file:

@@ -216,9 +216,12 @@ def _shaped(name: str, value: Any, shape: tuple[int, ...]) -> Any:
     import jax.numpy as jnp
 
     try:
-        array = jnp.asarray(value, float)
-    except (TypeError, ValueError) as error:
+        # JAX would leave an imaginary part out without a word.
+        array = jnp.asarray(value, complex if jnp.iscomplexobj(value) else float)
+    except (TypeError, ValueError, OverflowError) as error:
         raise ModelError(f"{name} must be an array of the shape {shape}, not {shown(value)}.") from error
+    if jnp.iscomplexobj(array):
+        raise ModelError(f"{name} must be real numbers, not {shown(value)}.")
     if array.shape != shape:
         raise ModelError(f"{name} must have the shape {shape}, not {array.shape}; for several, use jax.vmap.")
     return array

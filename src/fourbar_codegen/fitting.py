@@ -622,8 +622,8 @@ def _measured(
     times = numbers(experiment.t, f"The times of {which}")
     if times.ndim != 1 or len(times) < 2 or not np.isfinite(times).all() or not (np.diff(times) > 0).all():
         raise ModelError(f"The times of {which} must be finite and increasing, and at least two.")
-    if experiment.start is not None and finite_number(experiment.start, f"start of {which}") > times[0]:
-        raise ModelError(f"The start of {which}, {experiment.start:g}, is after its first measurement, {times[0]:g}.")
+    if experiment.start is not None and (start := finite_number(experiment.start, f"start of {which}")) > times[0]:
+        raise ModelError(f"The start of {which}, {start:g}, is after its first measurement, {times[0]:g}.")
     columns = _mapping(experiment.measured, f"The measurements of {which}")
     if outputs is not None:
         wanted, given = _names(outputs, "outputs"), {name_of(key): values for key, values in columns.items()}

@@ -11,7 +11,7 @@ FORMS = {
     "recursive in the plane": (lambda: fb.models.chain(5), "recursive"),
     "recursive with a loop": (lambda: fb.models.chain(9, closed=True), "recursive"),
 }
-"""Makers, and the form that is the fastest for each."""
+"""Makers, and the form that is chosen for each."""
 
 
 def of_form(name):

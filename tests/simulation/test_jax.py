@@ -47,6 +47,9 @@ def test_jax_derivatives_of_the_rates_equal_the_compiled_ones_in_both_modes(four
 
 def test_jax_functions_refuse_wrong_shapes_and_second_derivatives(four_bar):
     rhs, x = fb.to_jax(four_bar).rhs, four_bar.initial_state()
+    for given in ({"x": x * (1 + 1j)}, {"x": 10**400}, {"t": 1j}):
+        with pytest.raises(fb.ModelError, match=r"must be (real numbers|an array)"):
+            rhs(**{"t": 0.0, "x": x, **given})
     for given in ({"x": x[:3]}, {"x": x[np.newaxis]}, {"x": x, "p": np.ones((8, 1))}, {"x": x, "t": np.zeros(2)}):
         with pytest.raises(fb.ModelError, match=r"must have the shape \(.*use jax\.vmap"):
             rhs(**{"t": 0.0, **given})

@@ -275,7 +275,6 @@ def build_wheel(model: Model, folder: str | Path, *, version: str = "0.1.0", che
     if not isinstance(version, str) or not re.fullmatch(pattern, version):
         raise ModelError(f"A version looks like 1.0 or 0.2.1, not {version!r}.")
     folder = path_of(folder)
-    flag(check, "check")
     if _is_taken(model.name):
         raise ModelError(
             f"A wheel cannot be named {model.name!r}: a module of that name exists. Give the Model another name."

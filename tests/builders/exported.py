@@ -71,7 +71,7 @@ MODELS = {
     "chain": lambda: fb.models.chain(5, closed=True),
     "sparse": lambda: of_form("sparse"),
     "recursive": lambda: of_form("recursive"),
-    "recursive_loop": lambda: of_form("recursive with a loop"),
+    "recursive_loop": lambda: fb.models.chain(12, closed=True),
     "redundant": parallelogram,
     "quaternion": lambda: fb.Model(
         quaternion_top(), name="top", initial={"e0": 0.8, "e1": 0.6, "e2": 0, "e3": 0, "w1": 1, "w2": 2, "w3": 3}

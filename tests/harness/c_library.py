@@ -8,18 +8,18 @@ import numpy as np
 import fourbar_codegen as fb
 from harness.programs import compile_c
 
-STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
+STRICT = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
 
 
 class Library:
     """Export, compile and load a model; `new` makes mechanisms, functions have the names of the header."""
 
-    def __init__(self, model, folder, compiler="gcc", level="-O2"):
+    def __init__(self, model, folder, compiler="gcc"):
         self.name = model.name
         self.folder = fb.export_c(model, folder)
         shared = folder / f"lib{self.name}.so"
         sources = [folder / f"{self.name}.c", folder / f"{self.name}_derivatives.c"]
-        compile_c((compiler, level, *STRICT, "-fPIC", "-shared", "-lm"), sources, shared, include=[folder / "runtime"])
+        compile_c((compiler, *STRICT, "-fPIC", "-shared", "-lm"), sources, shared, include=[folder / "runtime"])
         header = (folder / f"{self.name}.h").read_text()
         self.sizes = {name: int(n) for name, n in re.findall(rf"    {self.name}_n_(\w+) = (\d+)", header)}
         n, double = self.sizes, ctypes.c_double

@@ -98,10 +98,8 @@ static int fb_close(const double t, double *x, const double *constants, const do
     if (all_finite(x, N_X) != FB_OK)
         return FB_NOT_FINITE;
     double open = N_H > 0 ? fb_open(t, x, constants, r, errors, slopes) : 0.0;
-    /* One step more than the tolerance asks for: from there, Newton's method ends in rounding errors. */
-    for (int i = 0, is_last = open <= FB_CLOSED; i < FB_CLOSE_STEPS && !is_last; ++i) {
+    for (int i = 0; i < FB_CLOSE_STEPS && open > FB_CLOSED; ++i) {
         double begin[FB_AT_LEAST_1(N_DQ)], before = open;
-        is_last = open <= FB_CLOSED;
         for (int row = 0; row < N_H; ++row)
             for (int j = 0; j < N_DQ; ++j)
                 matrix[row * N_DQ + j] = slopes[row * N_Q + N_Q - N_DQ + j];
@@ -118,11 +116,9 @@ static int fb_close(const double t, double *x, const double *constants, const do
             length *= 0.5;
         }
         if (!(open < before)) { /* rounding errors, or no way on */
-            if (before > FB_NEARLY_CLOSED)
-                return FB_NOT_CLOSED;
-            memcpy(x + N_Q - N_DQ, begin, N_DQ * sizeof *begin);
-            open = before;
-            break;
+            if (before <= FB_NEARLY_CLOSED)
+                break;
+            return FB_NOT_CLOSED;
         }
     }
     if (!(open <= FB_NEARLY_CLOSED))

@@ -16,8 +16,10 @@ __all__ = [
     "Values",
     "finite_number",
     "flag",
+    "is_finite",
     "is_integer",
     "is_mapping",
+    "listed",
     "longest_step",
     "name_of",
     "named",
@@ -228,6 +230,8 @@ def tolerance(value: ArrayLike, name: str, size: int = 0) -> float | NDArray[np.
 
 def of_time_and_state(function: Callable[..., Any], what: str) -> None:
     """Raise a ModelError if a callable cannot be called with (t, x)."""
+    if isinstance(function, type):
+        raise ModelError(f"{what} is a function of (t, x), not the class {function.__name__}.")
     import inspect  # takes some milliseconds, so only if there are callables
 
     try:
@@ -252,6 +256,16 @@ def flag(value: object, name: str) -> bool:
     if not isinstance(value, bool | np.bool_):
         raise ModelError(f"{name} must be True or False, not {shown(value)}.")
     return bool(value)
+
+
+def listed(given: Any, what: str) -> list[Any]:
+    """The entries of a sequence, or a ModelError that says what it has to be; a str is none."""
+    try:
+        if not isinstance(given, str | bytes):
+            return list(given)
+    except TypeError:  # no iterable, or an array without dimensions
+        pass
+    raise ModelError(f"{what}, not {shown(given)}.")
 
 
 def one_of(value: object, allowed: Collection[str], kind: str) -> str:

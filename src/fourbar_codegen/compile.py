@@ -362,7 +362,7 @@ def not_compared(name: str) -> str:
     return (
         f"The compiled motion of model {name} was not compared with its equations, which have no real value at any of "
         f"{len(NEAR)} states: random ones, some near the initial values, and these. Give the Model initial values "
-        "(initial=) at which its expressions have a value."
+        "(initial=) and parameters (parameters=) at which its expressions have a value."
     )
 
 

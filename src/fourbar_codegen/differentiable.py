@@ -9,6 +9,7 @@ https://docs.jax.dev.
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,13 +18,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.analysis.initial_state import dependent_guess
-from fourbar_codegen.arguments import Values, flag, is_mapping, name_of, named, sample_times, time_span
+from fourbar_codegen.arguments import Values, flag, is_mapping, listed, name_of, named, numbers
 from fourbar_codegen.compiled import CompiledModel
 from fourbar_codegen.errors import AssemblyError, ModelError, SimulationError, shown
-from fourbar_codegen.kernel.inputs import InputSource, own_source
+from fourbar_codegen.kernel.inputs import InputSource
 from fourbar_codegen.kernel.kernel import parameter_array
 from fourbar_codegen.kernel.sensitivity import independent_states, moving_breakpoints
 from fourbar_codegen.results.trajectory import Trajectory
+from fourbar_codegen.simulation.options import RunOptions
 
 __all__ = ["JaxModel", "to_jax"]
 
@@ -192,15 +194,26 @@ class JaxModel:
         >>> jax.jacobian(lambda l2: simulate({"l2": l2})["q2"])(0.6).shape
         (2,)
         """
-        return _Simulation.of(
+        how: dict[str, Any] = {
+            "method": method,
+            "rtol": rtol,
+            "atol": atol,
+            "constraints": constraints,
+            "progress": False,
+        }
+        options = RunOptions.of(
             self.model,
-            time_span(t_span),
-            sample_times(t_eval, *time_span(t_span)),
-            guess,
-            inputs or {},
-            outputs,
-            {"method": method, "rtol": rtol, "atol": atol, "constraints": constraints, "progress": False},
-        ).function(forward=flag(forward, "forward"))
+            t_span=t_span,
+            t_eval=t_eval,
+            parameters=dict.fromkeys(self.model.parameters, 1.0),  # the function's arguments
+            inputs=inputs,
+            max_step=math.inf,
+            max_steps="auto",
+            sensitivities=self.model.states[:1] if flag(forward, "forward") else (),
+            gradient=not forward,
+            **how,
+        )
+        return _Simulation.of(self.model, options, guess, outputs, how).function(forward=forward)
 
 
 def _replaced(values: Any, names: Sequence[str], given: Mapping[str, Any]) -> Any:
@@ -342,19 +355,20 @@ class _Simulation:
     def of(
         cls,
         model: CompiledModel,
-        t_span: tuple[float, float],
-        t_eval: Floats,
+        options: RunOptions,
         guess: Values | None,
-        inputs: Mapping[Any, InputSource],
         outputs: Sequence[Any],
         how: dict[str, Any],
     ) -> _Simulation:
-        sources = {name_of(key): own_source(name_of(key), source) for key, source in inputs.items()}
-        names = tuple(named(dict.fromkeys(outputs), model.outputs, "output"))
+        own = [entry["name"] for entry in model.manifest["inputs"] if not entry["order"]]
+        sources = named(options.inputs or {}, own, "input")
+        wanted = map(name_of, listed(outputs, "outputs is a sequence of names"))
+        names = tuple(named(dict.fromkeys(wanted), model.outputs, "output"))
         tables = tuple(name for name, source in sources.items() if isinstance(source, tuple))
         q, u, z = independent_states(model)
         start = None if guess is None else dependent_guess(model, guess)
-        return cls(model, t_span, t_eval, start, sources, tables, (*q, *u, *z), names, how)
+        times = numbers(options.t_eval, "t_eval")
+        return cls(model, options.t_span, times, start, sources, tables, (*q, *u, *z), names, how)
 
     def function(self, *, forward: bool) -> Callable[..., dict[str, Any]]:
         import jax
@@ -432,9 +446,9 @@ def _vector(given: Arrays, known: Mapping[str, Any], kind: str) -> Any:
     for name, value in parts.items():
         if value is None:
             raise ModelError(f"The {kind} {name} has no value in the model: give one.")
-        if jnp.shape(value) != jnp.shape(known[name]) and known[name] is not None:
-            raise ModelError(f"The {kind} {name} has the shape {jnp.shape(known[name])}, not {jnp.shape(value)}.")
-    return jnp.concatenate([jnp.ravel(jnp.asarray(value, float)) for value in parts.values()] or [jnp.zeros(0)])
+        shape = () if known[name] is None else np.shape(known[name])
+        parts[name] = jnp.ravel(_shaped(f"The {kind} {name}", value, shape))
+    return jnp.concatenate([*parts.values()] or [jnp.zeros(0)])
 
 
 def _reverse(simulation: _Simulation, shape: Any, _: tuple[str, ...]) -> Callable[..., Any]:

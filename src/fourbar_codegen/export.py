@@ -7,10 +7,11 @@ import platform
 import sys
 import tempfile
 import zipfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
+from fourbar_codegen.arguments import listed
 from fourbar_codegen.building.toolchain import compile_shared, get_include
 from fourbar_codegen.compile import Generated, generate_derivatives, generate_kernel, warn
 from fourbar_codegen.errors import BuildError, ModelError, shown
@@ -137,9 +138,8 @@ def export_fmu(model: Model, path: str | Path, *, fmi: int = 3, platforms: Seque
     path = path_of(path)
     if not isinstance(fmi, int) or fmi not in {2, 3}:
         raise ModelError(f"The version of FMI is 2 or 3, not {shown(fmi)}.")
-    if not isinstance(platforms, Iterable) or isinstance(platforms, str):
-        raise ModelError(f"platforms= is a sequence of {', '.join(PLATFORMS)}, not {shown(platforms)}.")
-    folders = {_platform(): _folder(_platform(), fmi)} | {name: _folder(name, fmi) for name in platforms}
+    several = [_platform(), *listed(platforms, f"platforms= is a sequence of {', '.join(PLATFORMS)}")]
+    folders = {name: _folder(name, fmi) for name in several}
     with Progress(f"fourbar_codegen: {getattr(model, 'name', '')}") as progress:
         generated = generate_kernel(model, progress)
         manifest = generated.manifest

@@ -33,7 +33,7 @@ def path_of(given: object) -> Path:
         raise ModelError(f"A path is text or a Path, not {given!r}.")
     try:
         path = Path(given)
-        possible = b"\0" not in os.fsencode(path)
+        possible = bool(os.fspath(given)) and b"\0" not in os.fsencode(path)
     except (TypeError, UnicodeEncodeError):  # bytes, or a lone surrogate
         possible = False
     if not possible:

@@ -12,7 +12,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.analysis.initial_state import nearby_state
-from fourbar_codegen.arguments import finite_number, is_integer, is_mapping, name_of, named, numbers, one_of, positive
+from fourbar_codegen.arguments import (
+    finite_number,
+    is_integer,
+    is_mapping,
+    listed,
+    name_of,
+    named,
+    numbers,
+    one_of,
+    positive,
+)
 from fourbar_codegen.compiled import CompiledModel
 from fourbar_codegen.errors import AssemblyError, ModelError, SimulationError, meant, shown
 from fourbar_codegen.kernel.inputs import InputSource
@@ -592,9 +602,7 @@ class _Problem:
 def _names(given: Any, what: str) -> list[str]:
     """Names of one or several things."""
     several = [given] if isinstance(given, str) or hasattr(given, "name") else given
-    if not isinstance(several, Sequence) and not is_mapping(several):
-        raise ModelError(f"{what} must be a sequence of names, or a mapping from them, not {shown(given)}.")
-    return [name_of(key) for key in several]
+    return [name_of(key) for key in listed(several, f"{what} is a sequence of names, or a mapping from them")]
 
 
 def _mapping(given: Any, what: str) -> Mapping[Any, Any]:
@@ -619,6 +627,8 @@ def _measured(
     which = f"experiment {i + 1}"
     for part in ("coordinates", "speeds", "auxiliary_states", "parameters"):
         _mapping(getattr(experiment, part), f"The {part.replace('_', ' ')} of {which}")
+    if experiment.inputs is not None:
+        _mapping(experiment.inputs, f"The inputs of {which}")
     times = numbers(experiment.t, f"The times of {which}")
     if times.ndim != 1 or len(times) < 2 or not np.isfinite(times).all() or not (np.diff(times) > 0).all():
         raise ModelError(f"The times of {which} must be finite and increasing, and at least two.")

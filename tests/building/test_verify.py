@@ -267,9 +267,8 @@ def test_derivatives_of_a_very_light_body_compile_and_equal_closed_forms(tmp_pat
     assert difference == pytest.approx(-9.81 * np.sin(x[1]), abs=1e-2)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("of", ["derivatives", "variations"])
-def test_a_defect_of_derivatives_is_found_where_rounding_is_large(tmp_path, monkeypatch, of):
+def damage_results(monkeypatch, of):
+    """Multiply all results of a part's functions by 1.125."""
     text = f"{of}_text"
     original = getattr(fourbar_codegen.codegen.c_source, text)
 
@@ -279,6 +278,28 @@ def test_a_defect_of_derivatives_is_found_where_rounding_is_large(tmp_path, monk
         return changed
 
     monkeypatch.setattr(fourbar_codegen.codegen.c_source, text, damaged)
+
+
+@pytest.mark.parametrize("of", ["derivatives", "variations"])
+def test_defect_of_constraints_derivatives_is_found_where_nothing_has_a_mass(tmp_path, monkeypatch, caplog, of):
+    """Accelerations have no value anywhere; kinematics take the constraints' derivatives all the same."""
+    points = {"A": (0, 0), "B": (0.1, 0), "C": (0.3, 0.3), "D": (0.4, 0)}
+    model = fb.Linkage("massless", points=points, ground="AD", links=["AB", "BC", "CD"]).model()
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path / "right"))
+    with caplog.at_level("INFO", "fourbar_codegen"):
+        fb.compile_model(model).require_variations()
+    assert "derivatives of x' not compared" in caplog.text
+    assert {record.levelname for record in caplog.records} == {"INFO"}
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path / "wrong"))
+    damage_results(monkeypatch, of)
+    with pytest.raises(fb.BuildError, match=r"d\(J u [+] b\)/dq|constraint violations"):
+        fb.compile_model(model).require_variations()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("of", ["derivatives", "variations"])
+def test_a_defect_of_derivatives_is_found_where_rounding_is_large(tmp_path, monkeypatch, of):
+    damage_results(monkeypatch, of)
     model = light_pendulum(tmp_path, monkeypatch)
     with pytest.raises(fb.BuildError, match="check=False"):
         model.require_variations()

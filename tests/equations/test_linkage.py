@@ -402,7 +402,7 @@ FOUR_BAR = {"A": (0, 0), "B": (0.1, 0.05), "C": (0.3, 0.3), "D": (0.4, 0)}
         (lambda linkage: linkage.joint("AB", (1, 1)), "AB is a link"),
         (lambda linkage: linkage.bar("A", "C", name="1st", density=1.0), "a letter, then letters"),
         (lambda linkage: linkage.bar("A", "C", density=-1.0), "mass of AC by length is -1 kg/m"),
-        (lambda linkage: linkage.slider("C", along=1), "along= of C takes names of points"),
+        (lambda linkage: linkage.slider("C", along=1), "along= of C is a direction .x, y., or two points, not 1"),
         (lambda linkage: linkage.slider("A", along=(1, 0)), "A is a point of ground itself"),
         (lambda linkage: linkage.slider("C", along="BC"), "C is a point of BC itself"),
     ],
@@ -420,7 +420,7 @@ def test_mistakes_in_a_linkages_loads_and_drives_are_refused_with_a_message(chan
 
 @pytest.mark.parametrize("given", [{"links": None}, {"links": "AB"}, {"ground": 5}, {"ground": None}, {"links": [3]}])
 def test_links_or_ground_that_are_no_sequences_are_refused(given):
-    with pytest.raises(fb.ModelError, match=r"takes names of points|is a sequence of links"):
+    with pytest.raises(fb.ModelError, match=r"is a sequence of (names of points|links)"):
         fb.Linkage("one", points=FOUR_BAR, **{"ground": "AD", "links": ["AB", "BC", "CD"], **given})
 
 
@@ -666,8 +666,6 @@ def test_linkage_from_csv_reads_points_and_links_and_refuses_bad_tables(tmp_path
         fb.Linkage.from_csv(path)
     with pytest.raises(fb.ModelError, match="cannot be read"):
         fb.Linkage.from_csv(tmp_path / "none.csv")
-    with pytest.raises(fb.ModelError, match="cannot be read"):
-        fb.Linkage.from_csv(None)
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ import inspect
 import math
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import timedelta
 from decimal import Decimal
@@ -328,6 +328,17 @@ def calls_of(name: str) -> dict[str, Call]:
     calls.add("ensemble[]", several.__getitem__, key=1, errors=(IndexError,), may_be_nan=True)
     modes = model.initial_states()
     calls.add("modes[]", modes.__getitem__, number=0, errors=(IndexError,), may_be_nan=True)
+    calls.add("modes.plot", modes.plot, share=0.01)
+    branches = model.kinematics({first: x0[0] + np.array([0.0, 0.1])})
+    branch, three = branches[0], dict(zip(("a", "joint", "b"), model.points[-3:], strict=True))
+    calls.add("kinematics[]", branches.__getitem__, number=0, errors=(IndexError,))
+    calls.add("kinematics.plot_paths", branches.plot_paths, points=[model.points[0]], share=0.02)
+    calls.add("branch[]", branch.__getitem__, name=first, may_be_nan=True)
+    calls.add("branch.transmission_angle", branch.transmission_angle, **three, may_be_nan=True)
+    calls.add("branch.plot_paths", branch.plot_paths, points=[model.points[0]], share=0.02)
+    for suffix in ("csv", "npz"):
+        calls.add(f"branch.save {suffix}", lambda path: branch.save(path), path=f"branch.{suffix}", share=0.1)
+    _add_linkages(calls, folder)
 
     pushed, force = _pushed(me.dynamicsymbols("F")), me.dynamicsymbols("F")
     of_user = fb.Model(pushed, name="pushed", inputs={force: 1.0})
@@ -365,6 +376,45 @@ def calls_of(name: str) -> dict[str, Call]:
     calls.add("models.chain", fb.models.chain, links=2, closed=False, share=0.1)
     calls.add("models.n_four_bar", fb.models.n_four_bar, loops=1, share=0.1)
     return calls.all
+
+
+def _add_linkages(calls: Calls, folder: Path) -> None:
+    """A four-bar by its points, and statements about it."""
+    drawn: dict[str, Any] = {
+        "points": {"A": (0.0, 0.0), "B": (0.1, 0.0), "C": (0.3, 0.3), "D": (0.4, 0.0), "P": (0.2, 0.4)},
+        "ground": ["A", "D"],
+        "links": ["AB", "CD"],
+    }
+
+    def state(kind: str) -> Callable[..., Any]:
+        def stated(**arguments: Any) -> Any:
+            linkage = fb.Linkage("drawn", **drawn)
+            if kind == "plate":
+                return linkage.plate("B", "C", arguments.pop("point"), **arguments)
+            if kind != "bar":
+                linkage.plate("B", "C", "P", name="BCP")
+            return getattr(linkage, kind)(**arguments)
+
+        return stated
+
+    calls.add("Linkage", fb.Linkage, name="drawn", **drawn, density=1.0, gravity=9.81, independent=["AB"])
+    calls.add("linkage.joint", state("joint"), name="E", place=np.array([0.1, 0.2]), mass=1.0)
+    calls.add("linkage.ground", state("ground"), name="E", place=np.array([0.1, 0.2]))
+    calls.add("linkage.bar", state("bar"), a="B", b="C", density=1.0)
+    plate = {"mass": 0.5, "inertia": 0.1, "center": np.array([0.2, 0.3])}
+    calls.add("linkage.plate", state("plate"), point="P", name="coupler", **plate)
+    calls.add("linkage.slider", state("slider"), point="P", along=np.array([1.0, 0.0]), mass=1.0)
+    calls.add("linkage.force", state("force"), point="P", components=np.array([1.0, 0.0]))
+    calls.add("linkage.torque", state("torque"), at="B", value=1.0, link="AB")
+    calls.add("linkage.spring", state("spring"), a="A", b="C", stiffness=1.0, length=0.3)
+    calls.add("linkage.damper", state("damper"), a="A", b="C", coefficient=1.0)
+    calls.add("linkage.drive", state("drive"), at="A", angle=1.0)
+    calls.add("linkage.drive at a speed", state("drive"), at="A", speed=1.0)
+    own = {"initial": {"q_AB": 0.1}, "outputs": {"o": m}}
+    calls.add("linkage.model", state("model"), name="made", parameters={"l_AB": 0.1}, inputs={}, **own, share=0.1)
+    table = folder / "linkage.csv"
+    table.write_text("point,x,y,links\nA,0,0,ground AB\nB,0.1,0,AB\n")
+    calls.add("linkage.from_csv", fb.Linkage.from_csv, path=table, name="drawn")
 
 
 def _solve(model: fb.CompiledModel, name: str) -> Callable[..., Any]:
@@ -422,17 +472,33 @@ def is_same(result: Any, expected: Any) -> bool:
     return True
 
 
+CLASSES = {
+    "branch": fb.Branch,
+    "ensemble": fb.Ensemble,
+    "fit": fb.Fit,
+    "kinematics": fb.Kinematics,
+    "linkage": fb.Linkage,
+    "modes": fb.AssemblyModes,
+    "trajectory": fb.Trajectory,
+}
+"""What functions return, or users make, by the name that it has in calls."""
+
+
 def missing() -> set[str]:
     """Public names that no call has."""
     called = {name.split(" ")[0].removesuffix("[]") for name in calls_of("four_bar")}
-    trajectory = {f"trajectory.{name}" for name, _ in inspect.getmembers(fb.Trajectory, inspect.isfunction)}
+    results = {
+        f"{name}.{method}"
+        for name, kind in CLASSES.items()
+        for method, _ in inspect.getmembers(kind, lambda member: inspect.isfunction(member) or inspect.ismethod(member))
+        if method not in dir(Sequence)  # index() and count()
+    }
     methods = {name for name in dir(fb.CompiledModel) if callable(getattr(fb.CompiledModel, name))} - NOT_FOR_USERS
     solvers = {f"solvers.{name}" for name in fb.solvers.__all__}
     functions = {name for name in fb.__all__ if inspect.isfunction(getattr(fb, name))}
-    public = {
-        name for name in trajectory | methods | solvers | functions if not name.rpartition(".")[2].startswith("_")
-    }
+    public = {name for name in results | methods | solvers | functions if not name.rpartition(".")[2].startswith("_")}
     doors = {f"trajectory.{name}" for name in ("plot", "columns", "to_xarray", "to_dataframe")}
+    doors |= {"ensemble.to_xarray", "branch.columns", "fit.plot", "kinematics.plot"}
     without_arguments = {*doors, "get_include"}
     elsewhere = {"to_jax"}  # tests/simulation/test_jax.py: JAX has settings of its own
     return public - called - without_arguments - elsewhere

@@ -1,7 +1,7 @@
 """Whatever is wrong in a call gets an error of the package's own, which names it and says what is allowed.
 
 The calls with good arguments are those of fuzz/calls.py, which lists every public function. Wrong models are in
-test_bad_models.py, linkages in equations/test_linkage.py, commands in test_cli.py, functions of JAX in
+test_bad_models.py, drawings of linkages in equations/test_linkage.py, commands in test_cli.py, functions of JAX in
 simulation/test_jax.py.
 """
 
@@ -118,7 +118,11 @@ TABLE = {
         ({"parameters": "abc"}, "parameters p", "'abc'"),
     ],
     "initial_states": [({"coordinates": {"q2": 1.0}}, "'q2' is a dependent coordinate: give a guess")],
-    "modes[]": [({"number": [1.0, [2.0, 3.0]]}, "mode", "[2.0, 3.0]")],
+    "modes[]": [
+        ({"number": [1.0, [2.0, 3.0]]}, "known by its number", "[2.0, 3.0]"),
+        ({"number": None}, "known by its number", "None"),
+        ({"number": True}, "known by its number", "True"),
+    ],
     "kinematics": [
         ({"drive": {"q9": [0.0]}}, "q9"),
         ({"drive": {}}, "drive= is a mapping"),
@@ -127,6 +131,9 @@ TABLE = {
         ({"drive": {"q1": [0.0], "q2": [0.0, 1.0]}}, "one length"),
         ({"drive": {"F": [0.0]}}, "F"),
     ],
+    "kinematics[]": [({"number": None}, "known by its number", "None"), ({"number": True}, "number", "True")],
+    "branch.transmission_angle": [({"joint": np.array(["A", "B"])}, "There is no point array")],
+    "inverse_dynamics": [({"find": np.array("x")}, "find= is an input, or a sequence of inputs", "array('x'")],
     "equilibrium": [
         ({"guess": [0.0]}, "coordinate"),
         ({"inputs": {"F": lambda t, x: 5.0}}, "not callables"),
@@ -156,6 +163,7 @@ TABLE = {
         ({"t_eval": [0.5, 0.2]}, "t_eval", "order"),
         ({"t_eval": "now"}, "t_eval", "'now'"),
         ({"events": 5}, "events", "5"),
+        ({"events": int}, "a function of (t, x), not the class int"),
         ({"rtol": np.nan}, "rtol", "nan"),
         ({"rtol": -1.0}, "rtol", "-1.0"),
         ({"atol": -1.0}, "atol", "-1.0"),
@@ -236,6 +244,7 @@ TABLE = {
         ({"data": fb.Experiment(T, {"q2": T}, coordinates=[-0.4])}, "coordinates of experiment 1 must be a mapping"),
         ({"data": fb.Experiment(T, {"q2": T}, start="a")}, "start of experiment 1 must be a real number"),
         ({"data": fb.Experiment(T, {"q2": T}, start=Fraction(1, 2))}, "start of experiment 1, 0.5, is after its first"),
+        ({"data": fb.Experiment(T, {"q2": T}, inputs=np.ones(1))}, "inputs of experiment 1 must be a mapping"),
         ({"data": fb.Experiment(T, {"q2": T}, parameters={"k": 1.0})}, "k is an unknown, and has a known value"),
         ({"data": {"t": T[:2], "q2": T[:2]}, "parameters": ["k", "c", "g"]}, "2 measurements do not determine 3"),
         ({"parameters": ["q2"]}, "'q2' is dependent"),
@@ -312,12 +321,15 @@ TABLE = {
         ({"direction": np.nan}, "direction"),
         ({"terminal": -1}, "terminal"),
         ({"terminal": 2.7}, "terminal"),
+        ({"function": 5}, "callables of (t, x) or names of outputs, not 5"),
+        ({"function": int}, "a function of (t, x), not the class int"),
+        ({"function": lambda t: t}, "called with (t, x)", "its arguments are (t)"),
     ],
     "multiplier": [({"number": 0}, "0", "from 1"), ({"number": "a"}, "'a'")],
     "joint_force": [({"directions": {1: K}}, "joint_force", "vectors"), ({"directions": [K]}, "mapping")],
     "compile_model": [({"model": fb.models.four_bar().system}, "Model", "System"), ({"check": 1}, "check", "1")],
     "generate_sources": [({"model": fb.models.four_bar().system}, "Model", "System")],
-    "export_c": [({"model": "four_bar"}, "A Model is needed")],
+    "export_c": [({"model": "four_bar"}, "A Model is needed"), ({"folder": ""}, "No file can have the path ''")],
     "export_fmu": [
         ({"fmi": 1}, "2 or 3, not 1"),
         ({"fmi": [3]}, "2 or 3, not [3]"),
@@ -330,6 +342,33 @@ TABLE = {
         ({"closed": []}, "closed", "True or False", "[]"),
         ({"links": 2, "closed": True}, "links", "3 to 1000", "2"),
     ],
+    "Linkage": [
+        ({"name": 5}, "name is text, not 5"),
+        ({"points": [("A", (0, 0))]}, "mapping from names to coordinates"),
+        ({"points": {"A": 1.0}}, "two finite coordinates, (x, y), not 1.0"),
+        ({"points": {"A": np.zeros((2, 2))}}, "two finite coordinates"),
+        ({"points": {"A": (0.0, np.nan)}}, "two finite coordinates"),
+        ({"points": {5: (0.0, 1.0)}}, "The name of a point is a letter", "5"),
+        ({"ground": np.array("A")}, "ground= is a sequence of names of points"),
+        ({"ground": [["A"]]}, "There is no point ['A']; there are A, B, C, D, P"),
+        ({"links": np.array("AB")}, "links= is a sequence of links"),
+        ({"density": "a b"}, "made of letters, digits", "'a b'"),
+        ({"gravity": np.ones(2)}, "gravitational acceleration must be a real number"),
+        ({"independent": np.array("AB")}, "independent= is the name of a link or block, or a sequence of these"),
+    ],
+    "linkage.joint": [({"place": np.ma.array([0.1, 0.2], mask=[True, False])}, "(x, y) of point E must be real")],
+    "linkage.plate": [({"name": 5}, "A link's name is a letter", "5 is not")],
+    "linkage.slider": [({"along": 1.0}, "along= of P is a direction (x, y), or two points, not 1.0")],
+    "linkage.force": [
+        ({"components": np.array(1.0)}, "two components, along x and y"),
+        ({"components": [np.ones(2), 0.0]}, "force on P along x must be a real number"),
+    ],
+    "linkage.torque": [
+        ({"at": []}, "There is no joint or link [] for a torque"),
+        ({"link": np.array(["AB", "CD"])}, "name the link on which it acts"),
+    ],
+    "linkage.drive": [({"at": ["A"]}, "There is no joint or link ['A'] for a drive")],
+    "linkage.model": [({"outputs": {1: 2}}, "mapping from names to expressions, and 1 is no name")],
     "models.n_four_bar": [({"loops": 10**400}, "loops", "1 to 1000", "10000")],
 }
 
@@ -357,7 +396,8 @@ WORDS = {
     **dict.fromkeys(("constraints", "workers", "progress", "dense_output", "stabilization", "max_steps", "out"), "{}"),
     **dict.fromkeys(("max_nfev", "direction", "terminal", "check", "closed", "version", "drive", "names"), "{}"),
     **dict.fromkeys(("ranges", "watch", "platforms", "initial", "potential_energy", "unit", "description"), "{}"),
-    **dict.fromkeys(("links", "loops", "value", "number", "events", "method", "parallel"), "{}"),
+    **dict.fromkeys(("links", "loops", "number", "events", "method", "parallel"), "{}"),
+    "value": "value|torque",
     "max_step": r"max_step\b",
     "h": r"of h\b",
     "t": "time t|value of t|times",
@@ -367,22 +407,35 @@ WORDS = {
     "q": "coordinates",
     "p": "parameters",
     "r": "inputs",
-    "dx": "direction",
-    "dp": "direction",
-    "dr": "direction",
+    "dx": "direction in the states",
+    "dp": "direction in the parameters",
+    "dr": "direction in the inputs",
     "inputs": "inputs",
     "parameters": "parameters",
     "coordinates": "independent coordinates",
     "speeds": "independent speeds",
     "guess": "coordinate",
     "motion": "A motion is",
-    "find": "no input",
+    "find": "find=",
+    **dict.fromkeys(("a", "b", "joint"), "no point"),
+    **dict.fromkeys(("mass", "inertia", "stiffness", "length", "coefficient"), "{} "),
+    "density": "by length",
+    **dict.fromkeys(("ground", "independent"), "{}="),
+    "along": "along= of P|guide of P|no point",
+    "at": "no joint or link",
+    "link": "name the link",
+    "place": "coordinates .* of point",
+    "center": "mass centre",
+    "components": "force on P",
+    "gravity": "gravitational acceleration",
+    "angle": "drive",
+    "point": "no point",
     "data": "Data are",
     "model": "[Mm]odel",
     "system": "System",
     "name": "name|quantity",
     "key": "quantity",
-    "points": "Points",
+    "points": "Points|points= is a mapping|no point",
     "traces": "Points",
     "path": "path",
     "folder": "path",
@@ -461,8 +514,9 @@ def test_arguments_that_are_no_numbers_are_refused_by_name_in_every_call():
     for name, call in calls_of("four_bar").items():
         for argument, good in call.arguments.items():
             of_numbers = isinstance(good, float | np.ndarray) and np.size(good)
-            if of_numbers and (name, argument) != ("Parameter", "value"):  # which may be a symbol
-                for value in no_numbers(np.shape(good)):
+            for value in no_numbers(np.shape(good)) if of_numbers else ():
+                may_be_symbol = name == "Parameter" or name.lower().startswith("linkage")
+                if not (may_be_symbol and isinstance(value, sm.Symbol)):
                     said = not_refused(replacing(call, argument), value, WORDS[argument].format(argument))
                     found[name, argument, shown(value)] = said
     assert len(found) > 5000

@@ -256,7 +256,7 @@ def test_events_without_projection_equal_those_of_solve_ivp(four_bar):
 def test_terminal_event_at_a_step_boundary_is_kept_once_in_the_times_of_a_run(four_bar, method):
     """It counts at the end of a step and at the beginning of the next: beside `sol`, SciPy keeps that time once."""
     steps = four_bar.simulate((0.0, 2.0), method=method).t
-    event = fb.Event(lambda t, x: t - steps[3], terminal=2)
+    event = fb.Event(lambda t, x: t - steps[3], terminal=np.int64(2))
     run = four_bar.simulate((0.0, 2.0), method=method, events=event, dense_output=True)
     np.testing.assert_array_equal(run.t_events[0], [steps[3]] * 2)
     np.testing.assert_array_equal(run.t, steps[:4])

@@ -175,10 +175,20 @@ def test_jax_simulation_with_wrong_names_or_shapes_is_refused_with_a_message(fou
     for sentence, call in (
         ("no parameter 'kk'. Did you mean k", lambda: simulate({"kk": 1.0})),
         ("no initial value 'q2'", lambda: simulate({}, {"q2": 1.0})),
-        (r"parameter k has the shape \(\), not \(2,\)", lambda: simulate({"k": np.ones(2)})),
-        (r"F has the shape \(2,\), not \(3,\)", lambda: simulate(inputs={"F": np.ones(3)})),
+        (r"parameter k must have the shape \(\), not \(2,\)", lambda: simulate({"k": np.ones(2)})),
+        (r"F must have the shape \(2,\), not \(3,\)", lambda: simulate(inputs={"F": np.ones(3)})),
+        ("parameter k must be an array of the shape .* not 'a'", lambda: simulate({"k": "a"})),
+        ("initial value q1 must be real numbers, not 1j", lambda: simulate({}, {"q1": 1j})),
         ("no output 'zz'", lambda: model.simulation((0.0, 1.0), TIMES, outputs=["zz"])),
         ("a mapping from names, not list", lambda: simulate([1.0])),
+        ("no method 'Euler'", lambda: model.simulation((0.0, 1.0), TIMES, method="Euler")),
+        ("Radau has no gradient", lambda: model.simulation((0.0, 1.0), TIMES, method="Radau")),
+        ("Radau has no sens", lambda: model.simulation((0.0, 1.0), TIMES, method="Radau", forward=True)),
+        ("rtol must be a positive", lambda: model.simulation((0.0, 1.0), TIMES, rtol=-1.0)),
+        ("constraints must be .* not 'glue'", lambda: model.simulation((0.0, 1.0), TIMES, constraints="glue")),
+        ("no input 'G'", lambda: model.simulation((0.0, 1.0), TIMES, inputs={"G": 1.0})),
+        ("inputs must be a mapping", lambda: model.simulation((0.0, 1.0), TIMES, inputs="text")),
+        ("outputs is a sequence of names, not None", lambda: model.simulation((0.0, 1.0), TIMES, outputs=None)),
     ):
         with pytest.raises(fb.ModelError, match=sentence):
             call()

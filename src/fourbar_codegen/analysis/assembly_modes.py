@@ -98,10 +98,12 @@ class AssemblyModes:
     free: tuple[str, ...] = ()
 
     def __getitem__(self, number: int) -> Floats:
-        """The state of a mode."""
+        """The state of a mode, or of several, as NumPy selects rows."""
         try:
+            if number is None or isinstance(number, bool | np.bool_):  # which would add a dimension
+                raise TypeError
             state: Floats = self.x[number]
-        except ValueError as error:  # NumPy's, for ragged lists
+        except (TypeError, ValueError) as error:  # NumPy's, for ragged lists
             raise ModelError(f"A mode is known by its number, below {len(self)}, not by {shown(number)}.") from error
         return state
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.analysis.loop_closure import require_closed
-from fourbar_codegen.arguments import Values, finite_number, name_of, named_array
-from fourbar_codegen.errors import ModelError, shown
+from fourbar_codegen.arguments import Values, finite_number, listed, name_of, named_array
+from fourbar_codegen.errors import ModelError
 from fourbar_codegen.kernel.dependent import eliminate
 from fourbar_codegen.kernel.kernel import Kernel
 
@@ -89,9 +89,7 @@ def linearize(
 
 def _names(model: Kernel, outputs: Sequence[Any]) -> tuple[str, ...]:
     """The names of outputs and states that are given by name or as SymPy's functions of time."""
-    if isinstance(outputs, str) or not isinstance(outputs, Iterable):
-        raise ModelError(f"outputs must be a sequence of names, not {shown(outputs)}.")
-    names = tuple(name_of(output) for output in outputs)
+    names = tuple(map(name_of, listed(outputs, "outputs is a sequence of names")))
     for name in names:
         if name not in model.outputs and name not in model.states:
             raise ModelError(

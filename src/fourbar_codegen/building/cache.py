@@ -225,6 +225,8 @@ def tool_folder(name: str, key: str) -> Path:
 
 
 def _unusable(root: Path, error: OSError) -> CacheError:
+    if isinstance(error, FileNotFoundError):
+        return CacheError(f"{error.filename} was removed by another process while it was needed: compile once more.")
     return CacheError(
         f"The cache folder {root} cannot be used: {error.strerror or error}. Set another one in the environment "
         f"variable {VARIABLE}."

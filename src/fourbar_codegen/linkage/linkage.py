@@ -5,15 +5,15 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from numbers import Number
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-import numpy as np
 import sympy as sm
 import sympy.physics.mechanics as me
 from sympy.core.function import AppliedUndef
 
-from fourbar_codegen.arguments import finite_number, is_mapping
+from fourbar_codegen.arguments import finite_number, is_finite, is_mapping, listed, numbers
 from fourbar_codegen.errors import ModelError, meant, shown
 from fourbar_codegen.linkage.checks import SAME, check_mobility, check_parts, size_of
 from fourbar_codegen.linkage.mobility import Mobility, find_mobility
@@ -97,10 +97,11 @@ class Linkage:
         gravity: Quantity | None = None,
         independent: str | Sequence[str] = (),
     ) -> None:
+        if not isinstance(name, str):
+            raise ModelError(f"A linkage's name is text, not {shown(name)}.")
         self.name = name
-        if not isinstance(independent, Iterable):
-            raise ModelError(f"independent= is the name of a link or block, or a sequence, not {shown(independent)}.")
-        self._wanted = [independent] if isinstance(independent, str) else [*independent]
+        several = [independent] if isinstance(independent, str) else independent
+        self._wanted = listed(several, "independent= is the name of a link or block, or a sequence of these")
         self._parts = Parts()
         self._analysis: tuple[Tree, Mobility] | None = None
         self._system: tuple[System, list[me.Point]] | None = None
@@ -113,7 +114,8 @@ class Linkage:
             self.joint(point, place)
         for point in self._points(ground, "ground="):
             self._parts.ground.append(point)
-        named_links = links.items() if is_mapping(links) else ((None, link) for link in _listed(links))
+        stated = "links= is a sequence of links, such as ['AB', 'BC'], or a mapping"
+        named_links = links.items() if is_mapping(links) else ((None, link) for link in listed(links, stated))
         for own_name, link in named_links:
             self.plate(*self._points(link, "links="), name=own_name)
 
@@ -300,9 +302,10 @@ class Linkage:
         parts = self._change()
         members = tuple(self._known(point) for point in points)
         own = name if name is not None else "".join(members) if all(len(m) == 1 for m in members) else "_".join(members)
-        if not re.fullmatch(r"[A-Za-z]\w*", own, re.ASCII) or own == GROUND:
+        if not isinstance(own, str) or not re.fullmatch(r"[A-Za-z]\w*", own, re.ASCII) or own == GROUND:
             raise ModelError(
-                f"A link's name is a letter, then letters, digits and underscores, and not {GROUND}; {own!r} is not."
+                f"A link's name is a letter, then letters, digits and underscores, and not {GROUND}; {shown(own)} is "
+                "not."
             )
         if own in parts.links:
             raise ModelError(f"There are two links {own}.")
@@ -362,13 +365,15 @@ class Linkage:
         point = self._known(point)
         if point in parts.slides:
             raise ModelError(f"There are two blocks at {point}: state one guide for each point.")
-        if isinstance(along, Sequence | np.ndarray) and not any(isinstance(x, str) for x in along):
-            direction = _pair(along, f"the guide of {point}")
+        what = f"along= of {point}"
+        given = along if isinstance(along, str) else listed(along, f"{what} is a direction (x, y), or two points")
+        if not isinstance(given, str) and not any(isinstance(x, str) for x in given):
+            direction = _pair(given, f"the guide of {point}")
             if not abs(direction):
                 raise ModelError(f"The guide of {point} has no direction: along={shown(along)}.")
             parts.slides[point] = Slide(point, GROUND, parts.points[point], direction / abs(direction), None)
         else:
-            ends = self._points(along, f"along= of {point}")
+            ends = self._points(given, what)
             on = [name for name, members in parts.carriers.items() if len(ends) == 2 and {*ends} <= {*members}]
             if not on:
                 raise ModelError(f"The guide of {point} goes through two points of one link, not {', '.join(ends)}.")
@@ -404,12 +409,13 @@ class Linkage:
         """
         parts = self._change()
         point = self._known(point)
-        if isinstance(components, str) or not isinstance(components, Sequence | np.ndarray) or len(components) != 2:
-            raise ModelError(f"The force on {point} has two components, along x and y, not {shown(components)}.")
+        two = listed(components, f"The force on {point} is two components, along x and y")
+        if len(two) != 2:
+            raise ModelError(f"The force on {point} is two components, along x and y, not {shown(components)}.")
         x, y = (
-            sm.S.Zero if not isinstance(value, str) and value == 0 else
+            sm.S.Zero if isinstance(value, Number) and not value else
             self._quantity(value, f"F_{point}_{axis}", "N", f"force on {point} along {axis}")
-            for axis, value in zip("xy", components, strict=True)
+            for axis, value in zip("xy", two, strict=True)
         )  # fmt: skip
         parts.forces.append(PointForce(point, x, y))
 
@@ -533,7 +539,7 @@ class Linkage:
         ('torque_A',)
         """
         parts = self._change()
-        is_block = at in parts.slides
+        is_block = isinstance(at, str) and at in parts.slides
         on = at if is_block else self._joined(at, None, "drive")[0]
         given = [value for value in (displacement if is_block else angle, speed) if value is not None]
         if len(given) != 1 or (angle if is_block else displacement) is not None:
@@ -707,9 +713,7 @@ class Linkage:
     def _points(self, given: Any, what: str) -> list[str]:
         """Names of points, of a sequence, or of a text without gaps or with them."""
         if not isinstance(given, str):
-            if not isinstance(given, Iterable):
-                raise ModelError(f"{what} takes names of points, not {shown(given)}.")
-            return [self._known(point) for point in given]
+            return [self._known(point) for point in listed(given, f"{what} is a sequence of names of points")]
         if re.search(r"[\s,-]", given.strip()):
             return [self._known(point) for point in re.split(r"[\s,-]+", given.strip())]
         found = _split(given, tuple(self._parts.points))
@@ -723,19 +727,19 @@ class Linkage:
     def _joined(self, at: str, link: str | None, what: str) -> tuple[str, str]:
         """The link that a torque in a joint acts on, and the other one."""
         parts = self._parts
+        if not isinstance(at, str) or at not in {*parts.points, *parts.links}:
+            known = [*parts.points, *parts.links]
+            raise ModelError(f"There is no joint or link {shown(at)} for a {what}.{meant(str(at), known)}")
         if at in parts.links:
             if link is not None:
                 raise ModelError(f"A {what} on link {at} acts between it and the ground: name a joint, or no link=.")
             return at, GROUND
-        if at not in parts.points:
-            known = [*parts.points, *parts.links]
-            raise ModelError(f"There is no joint or link {shown(at)} for a {what}.{meant(str(at), known)}")
         at_joint = [name for name, members in parts.links.items() if at in members.points]
         others = [GROUND] * (at in parts.ground) + at_joint
         if link is None and at_joint and (len(at_joint) == 1 or others == [GROUND, at_joint[-1]]):
             return at_joint[0], GROUND
-        if link in at_joint and len(others) == 2:
-            return str(link), next(name for name in others if name != link)
+        if isinstance(link, str) and link in at_joint and len(others) == 2:
+            return link, next(name for name in others if name != link)
         raise ModelError(
             f"The {what} at {at} is between two of {', '.join(others) or 'no links'}: name the link on which it acts."
         )
@@ -776,7 +780,7 @@ class Linkage:
         """The mobility with the independent coordinates that are asked for."""
         names = [*tree.coordinates]
         for name in self._wanted:
-            if name not in names:
+            if not isinstance(name, str) or name not in names:
                 raise ModelError(
                     f"independent= names {shown(name)}, which is no link or block.{meant(str(name), names)} There are "
                     f"{', '.join(names)}."
@@ -808,18 +812,12 @@ class Linkage:
         return *self._system, {**shape.parameters, **own}
 
 
-def _listed(links: Any) -> Iterable[Any]:
-    if not isinstance(links, Iterable) or isinstance(links, str):
-        raise ModelError(f"links= is a sequence of links, such as ['AB', 'BC'], or a mapping, not {shown(links)}.")
-    return links
-
-
 def _pair(given: Any, what: str) -> complex:
     """Two finite numbers as a complex one."""
-    if isinstance(given, str) or not isinstance(given, Sequence | np.ndarray) or len(given) != 2:
-        raise ModelError(f"{what[0].upper()}{what[1:]} has two coordinates, (x, y), not {shown(given)}.")
-    x, y = (finite_number(value, f"the {axis} of {what}") for axis, value in zip("xy", given, strict=True))
-    return complex(x, y)
+    values = numbers(given, f"The coordinates (x, y) of {what}")
+    if values.shape != (2,) or not is_finite(values):
+        raise ModelError(f"{what[0].upper()}{what[1:]} has two finite coordinates, (x, y), not {shown(given)}.")
+    return complex(*values)
 
 
 def _split(text: str, names: tuple[str, ...]) -> list[tuple[str, ...]]:

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from fourbar_codegen.errors import ModelError
+from fourbar_codegen.files import path_of
 
 __all__ = ["name_of_file", "rows"]
 
@@ -21,8 +22,8 @@ def name_of_file(path: str | Path) -> str:
 def rows(path: str | Path) -> Iterator[tuple[int, dict[str, str]]]:
     """The numbers of lines of a table, and what stands in the columns; blank lines and comments are left out."""
     try:
-        text = Path(path).read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError, TypeError, ValueError) as error:
+        text = path_of(path).read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
         raise ModelError(f"{path} cannot be read: {error}") from error
     lines = [(k, line) for k, line in enumerate(text.splitlines(), start=1) if line.strip(" ,;\t")]
     lines = [(k, line) for k, line in lines if not line.lstrip().startswith("#")]

@@ -11,7 +11,7 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fourbar_codegen.arguments import name_of
+from fourbar_codegen.arguments import is_integer, name_of
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.files import save, write_csv
 from fourbar_codegen.kernel.kernel import Kernel
@@ -200,7 +200,7 @@ class Branch:
         (11,)
         """
         for name in (a, joint, b):
-            if name not in self.model.points:
+            if not isinstance(name, str) or name not in self.model.points:
                 raise ModelError(f"There is no point {shown(name)}; there are {', '.join(self.model.points)}.")
         first, second = (self.points[end] - self.points[joint] for end in (a, b))
         return np.asarray(
@@ -260,6 +260,8 @@ class Kinematics(Sequence[Branch]):
         return len(self.branches)
 
     def __getitem__(self, number: Any) -> Any:
+        if not (is_integer(number) or isinstance(number, slice)):
+            raise ModelError(f"A branch is known by its number, below {len(self)}, not by {shown(number)}.")
         return self.branches[number]
 
     def __iter__(self) -> Iterator[Branch]:

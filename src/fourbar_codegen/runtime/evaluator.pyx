@@ -807,8 +807,9 @@ cdef class Evaluator:
         True
         """
         t = time_of(t)
-        given = [None if part is None else numbers(part, "A direction") for part in (dx, dp, dr)]
         sizes = ((self.n_x, "states"), (self.n_p, "parameters"), (self.n_r, "inputs"))
+        given = [None if part is None else numbers(part, f"A direction in the {what}")
+                 for part, (_, what) in zip((dx, dp, dr), sizes)]
         for part, (size, what) in zip(given, sizes):
             if part is not None and (np.ndim(part) not in (1, 2) or len(part) != size):
                 raise ModelError(

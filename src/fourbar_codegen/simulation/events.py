@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fourbar_codegen.arguments import finite_number, name_of, number, of_time_and_state
+from fourbar_codegen.arguments import finite_number, is_integer, name_of, number, of_time_and_state
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.runtime.integrator import Run
@@ -52,8 +52,12 @@ class Event:
     direction: float = 0.0
 
     def __post_init__(self) -> None:
+        if callable(self.function):
+            of_time_and_state(self.function, "An event")
+        elif not isinstance(getattr(self.function, "name", self.function), str):
+            raise ModelError(f"events are callables of (t, x) or names of outputs, not {shown(self.function)}.")
         finite_number(self.direction, "an event's direction")
-        if not isinstance(self.terminal, int) or self.terminal < 0:
+        if not (isinstance(self.terminal, bool | np.bool_) or is_integer(self.terminal)) or self.terminal < 0:
             raise ModelError(
                 f"An event's terminal must be True, False or a number of events, not {shown(self.terminal)}."
             )
@@ -76,11 +80,9 @@ def events_of(model: Kernel, events: object) -> list[Event] | None:
             if name not in model.outputs:
                 known = ", ".join(model.outputs) or "none"
                 raise ModelError(
-                    f"events must be callables of (t, x) or names of outputs ({known}), not {shown(event.function)}."
+                    f"events are callables of (t, x) or names of outputs ({known}), not {shown(event.function)}."
                 )
             event = replace(event, function=name)
-        else:
-            of_time_and_state(event.function, "An event")
         watched.append(event)
     return watched
 

@@ -27,6 +27,7 @@ from fourbar_codegen.analysis.continuation import null_space
 from fourbar_codegen.analysis.groups import DISTINCT, ROUNDING, Chart, Group, Solved, solving_order
 from fourbar_codegen.analysis.loop_closure import DEAD, MAX_CORRECTIONS, Loops
 from fourbar_codegen.analysis.polynomials import terms_of
+from fourbar_codegen.arguments import is_integer
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.kernel.dependent import SINGULAR, row_sizes
 from fourbar_codegen.kernel.kernel import Kernel
@@ -103,7 +104,9 @@ class AssemblyModes:
             if number is None or isinstance(number, bool | np.bool_):  # which would add a dimension
                 raise TypeError
             state: Floats = self.x[number]
-        except (TypeError, ValueError) as error:  # NumPy's, for ragged lists
+        except (TypeError, ValueError, IndexError) as error:  # NumPy's, for ragged lists, text and fractions
+            if is_integer(number):
+                raise  # beyond the last one: the end of an iteration
             raise ModelError(f"A mode is known by its number, below {len(self)}, not by {shown(number)}.") from error
         return state
 

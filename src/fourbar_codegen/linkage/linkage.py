@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import replace
-from numbers import Number
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -101,7 +100,7 @@ class Linkage:
             raise ModelError(f"A linkage's name is text, not {shown(name)}.")
         self.name = name
         several = [independent] if isinstance(independent, str) else independent
-        self._wanted = listed(several, "independent= is the name of a link or block, or a sequence of these")
+        self._wanted = _in_order(several, "independent= is the name of a link or block, or a sequence of these")
         self._parts = Parts()
         self._analysis: tuple[Tree, Mobility] | None = None
         self._system: tuple[System, list[me.Point]] | None = None
@@ -115,9 +114,9 @@ class Linkage:
         for point in self._points(ground, "ground="):
             self._parts.ground.append(point)
         stated = "links= is a sequence of links, such as ['AB', 'BC'], or a mapping"
-        named_links = links.items() if is_mapping(links) else ((None, link) for link in listed(links, stated))
+        named_links = links.items() if is_mapping(links) else ((None, link) for link in _in_order(links, stated))
         for own_name, link in named_links:
-            self.plate(*self._points(link, "links="), name=own_name)
+            self.plate(*self._points(link, "Each of links="), name=own_name)
 
     @classmethod
     def from_csv(cls, path: str | Path, name: str | None = None, **options: Any) -> Linkage:
@@ -301,6 +300,11 @@ class Linkage:
         """
         parts = self._change()
         members = tuple(self._known(point) for point in points)
+        if len(members) < 2 or len({*members}) < len(members):
+            raise ModelError(
+                f"Link {'' if name is None else f'{shown(name)} '}needs two and more different points, not "
+                f"{', '.join(members) or 'none'}."
+            )
         own = name if name is not None else "".join(members) if all(len(m) == 1 for m in members) else "_".join(members)
         if not isinstance(own, str) or not re.fullmatch(r"[A-Za-z]\w*", own, re.ASCII) or own == GROUND:
             raise ModelError(
@@ -309,8 +313,6 @@ class Linkage:
             )
         if own in parts.links:
             raise ModelError(f"There are two links {own}.")
-        if len(members) < 2 or len({*members}) < len(members):
-            raise ModelError(f"Link {own} needs two and more different points, not {', '.join(members) or 'none'}.")
         if own in parts.points:
             raise ModelError(f"{own} is a point: give the link another name.")
         if density is not None and mass is not None:
@@ -366,7 +368,7 @@ class Linkage:
         if point in parts.slides:
             raise ModelError(f"There are two blocks at {point}: state one guide for each point.")
         what = f"along= of {point}"
-        given = along if isinstance(along, str) else listed(along, f"{what} is a direction (x, y), or two points")
+        given = along if isinstance(along, str) else _in_order(along, f"{what} is a direction (x, y), or two points")
         if not isinstance(given, str) and not any(isinstance(x, str) for x in given):
             direction = _pair(given, f"the guide of {point}")
             if not abs(direction):
@@ -409,14 +411,10 @@ class Linkage:
         """
         parts = self._change()
         point = self._known(point)
-        two = listed(components, f"The force on {point} is two components, along x and y")
+        two = _in_order(components, f"The force on {point} is two components, along x and y")
         if len(two) != 2:
             raise ModelError(f"The force on {point} is two components, along x and y, not {shown(components)}.")
-        x, y = (
-            sm.S.Zero if isinstance(value, Number) and not value else
-            self._quantity(value, f"F_{point}_{axis}", "N", f"force on {point} along {axis}")
-            for axis, value in zip("xy", two, strict=True)
-        )  # fmt: skip
+        x, y = (self._component(value, point, axis) for axis, value in zip("xy", two, strict=True))
         parts.forces.append(PointForce(point, x, y))
 
     def torque(self, at: str, value: Quantity, *, link: str | None = None) -> None:
@@ -704,6 +702,14 @@ class Linkage:
         self._parts.parameters[symbol] = Parameter(known, unit, description)
         return symbol
 
+    def _component(self, value: Quantity, point: str, axis: str) -> sm.Expr:
+        """A component of a force: of the number zero, no parameter."""
+        what = f"force on {point} along {axis}"
+        is_number = not (isinstance(value, str) or (isinstance(value, sm.Expr) and not value.is_number))
+        if is_number and finite_number(value, what) == 0.0:
+            return sm.S.Zero
+        return self._quantity(value, f"F_{point}_{axis}", "N", what)
+
     def _known(self, point: Any) -> str:
         points = self._parts.points
         if not isinstance(point, str) or point not in points:
@@ -713,7 +719,7 @@ class Linkage:
     def _points(self, given: Any, what: str) -> list[str]:
         """Names of points, of a sequence, or of a text without gaps or with them."""
         if not isinstance(given, str):
-            return [self._known(point) for point in listed(given, f"{what} is a sequence of names of points")]
+            return [self._known(point) for point in _in_order(given, f"{what} is a sequence of names of points")]
         if re.search(r"[\s,-]", given.strip()):
             return [self._known(point) for point in re.split(r"[\s,-]+", given.strip())]
         found = _split(given, tuple(self._parts.points))
@@ -740,8 +746,10 @@ class Linkage:
             return at_joint[0], GROUND
         if isinstance(link, str) and link in at_joint and len(others) == 2:
             return link, next(name for name in others if name != link)
+        given = "" if link is None else f", not {shown(link)}"
         raise ModelError(
-            f"The {what} at {at} is between two of {', '.join(others) or 'no links'}: name the link on which it acts."
+            f"The {what} at {at} is between two of {', '.join(others) or 'no links'}: name the link on which it "
+            f"acts{given}."
         )
 
     def _ends(self, a: str, b: str, what: str) -> tuple[tuple[str, str], str]:
@@ -810,6 +818,13 @@ class Linkage:
         if self._density is not None and all(link.density != self._density for link in self._parts.links.values()):
             own.pop(self._density, None)
         return *self._system, {**shape.parameters, **own}
+
+
+def _in_order(given: Any, what: str) -> list[Any]:
+    """The entries of a sequence: a set has no order, and a mapping more than its keys."""
+    if isinstance(given, Set | Mapping):
+        raise ModelError(f"{what}, not {shown(given)}.")
+    return listed(given, what)
 
 
 def _pair(given: Any, what: str) -> complex:

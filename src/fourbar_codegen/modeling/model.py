@@ -280,7 +280,7 @@ class Model:
         parameters = _mapping(parameters, "parameters")
         numbers = {key for key, v in parameters.items() if _is_number(getattr(v, "value", v))}
         for key in _mapping(outputs, "outputs"):
-            if not isinstance(getattr(key, "name", key), str):
+            if not isinstance(getattr(key, "name", key), str) or not name_of(key):
                 raise ModelError(f"outputs= is a mapping from names to expressions, and {shown(key)} is no name.")
         taken = set(map(name_of, _mapping(outputs, "outputs")))
         drawing = {key for key in numbers if isinstance(key, sm.Symbol | str) and name_of(key) not in taken}

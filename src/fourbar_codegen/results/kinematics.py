@@ -11,7 +11,7 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fourbar_codegen.arguments import is_integer, name_of
+from fourbar_codegen.arguments import name_of
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.files import save, write_csv
 from fourbar_codegen.kernel.kernel import Kernel
@@ -260,9 +260,12 @@ class Kinematics(Sequence[Branch]):
         return len(self.branches)
 
     def __getitem__(self, number: Any) -> Any:
-        if not (is_integer(number) or isinstance(number, slice)):
-            raise ModelError(f"A branch is known by its number, below {len(self)}, not by {shown(number)}.")
-        return self.branches[number]
+        try:
+            if isinstance(number, bool | np.bool_):
+                raise TypeError
+            return self.branches[number]
+        except (TypeError, ValueError) as error:
+            raise ModelError(f"A branch is known by its number, below {len(self)}, not by {shown(number)}.") from error
 
     def __iter__(self) -> Iterator[Branch]:
         return iter(self.branches)

@@ -26,6 +26,7 @@ __all__ = [
     "named_array",
     "named_columns",
     "named_values",
+    "names_of",
     "number",
     "numbers",
     "of_time_and_state",
@@ -266,6 +267,12 @@ def listed(given: Any, what: str) -> list[Any]:
     except TypeError:  # no iterable, or an array without dimensions
         pass
     raise ModelError(f"{what}, not {shown(given)}.")
+
+
+def names_of(given: Any, what: str) -> list[str]:
+    """The names of one symbol, function of time or str, or of several, or of a mapping's keys."""
+    several = [given] if isinstance(given, str) or hasattr(given, "name") else given
+    return [name_of(key) for key in listed(several, what)]
 
 
 def one_of(value: object, allowed: Collection[str], kind: str) -> str:

@@ -16,9 +16,9 @@ from fourbar_codegen.arguments import (
     finite_number,
     is_integer,
     is_mapping,
-    listed,
     name_of,
     named,
+    names_of,
     numbers,
     one_of,
     positive,
@@ -56,6 +56,8 @@ SMALL = 1e-3
 
 ROUNDING = 1e-11
 """Of simulated values: relative changes of an unknown that change them less are rounding errors of derivatives."""
+
+NAMES = "is a sequence of names, or a mapping from them"
 
 QUICK = 0.1
 """A fit that takes less, in s, reports no progress."""
@@ -403,7 +405,7 @@ class _Problem:
         atol: float,
         constraints: str,
     ) -> _Problem:
-        names = _names(unknowns, "parameters")
+        names = names_of(unknowns, f"parameters {NAMES}")
         for name in names:
             if name in model.inputs:
                 raise ModelError(f"{name!r} is an input: give its expression a parameter, and fit this.")
@@ -599,12 +601,6 @@ class _Problem:
         return np.concatenate(residuals), np.hstack(columns).T
 
 
-def _names(given: Any, what: str) -> list[str]:
-    """Names of one or several things."""
-    several = [given] if isinstance(given, str) or hasattr(given, "name") else given
-    return [name_of(key) for key in listed(several, f"{what} is a sequence of names, or a mapping from them")]
-
-
 def _mapping(given: Any, what: str) -> Mapping[Any, Any]:
     if not is_mapping(given):
         raise ModelError(f"{what} must be a mapping from names, not {shown(given)}.")
@@ -636,7 +632,7 @@ def _measured(
         raise ModelError(f"The start of {which}, {start:g}, is after its first measurement, {times[0]:g}.")
     columns = _mapping(experiment.measured, f"The measurements of {which}")
     if outputs is not None:
-        wanted, given = _names(outputs, "outputs"), {name_of(key): values for key, values in columns.items()}
+        wanted, given = names_of(outputs, f"outputs {NAMES}"), {name_of(key): values for key, values in columns.items()}
         for name in wanted:
             if name not in given:
                 raise ModelError(f"Nothing was measured of {name!r} in {which}.{meant(name, given)}")

@@ -195,6 +195,17 @@ def test_failed_build_leaves_nothing_and_the_next_one_succeeds(monkeypatch, tmp_
     assert fb.compile_model(slider()).n_x == 4
 
 
+def test_cache_that_is_removed_during_a_build_is_told_from_one_that_cannot_be_used(monkeypatch, tmp_path):
+    def build(folder):
+        shutil.rmtree(tmp_path / "cache")
+        return folder / "module.so"
+
+    for folder, words in ((tmp_path / "cache", "was removed by another process"), ("/proc/cache", "cannot be used")):
+        monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(folder))
+        with pytest.raises(fb.CacheError, match=words):
+            cache.cached("removed", "0" * 64, build)
+
+
 @pytest.mark.slow
 def test_concurrent_compilations_of_one_model_build_it_once(monkeypatch, tmp_path):
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))

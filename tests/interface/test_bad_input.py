@@ -410,7 +410,8 @@ WORDS = {
     **dict.fromkeys(("max_nfev", "direction", "terminal", "check", "closed", "version", "drive", "names"), "{}"),
     **dict.fromkeys(("ranges", "watch", "platforms", "initial", "potential_energy", "unit", "description"), "{}"),
     **dict.fromkeys(("links", "loops", "number", "events", "method", "parallel"), "{}"),
-    "value": "value|torque",
+    "value": "value",
+    "linkage.torque.value": "torque on AB",
     "max_step": r"max_step\b",
     "h": r"of h\b",
     "t": "time t|value of t|times",
@@ -448,7 +449,8 @@ WORDS = {
     "system": "System",
     "name": "name|quantity",
     "key": "quantity",
-    "points": "Points|points= is a mapping|no point",
+    "points": "Points",
+    "Linkage.points": "points= is a mapping",
     "traces": "Points",
     "path": "path",
     "folder": "path",
@@ -457,7 +459,11 @@ WORDS = {
     "function": "events",
     "frame": "frame",
 }
-"""What an error names an argument, by default by its name; a regular expression."""
+"""What an error names an argument, by default by its name; a regular expression. Of one call, if that is named."""
+
+
+def words_of(name, argument):
+    return WORDS.get(f"{name}.{argument}", WORDS[argument]).format(argument)
 
 
 def replacing(call, argument):
@@ -476,8 +482,7 @@ def test_arguments_of_another_kind_are_refused_by_name_in_every_call():
     found = {}
     for name, call in calls_of("four_bar").items():
         for argument in call.arguments.keys() - {"force"}:  # which SymPy refuses
-            said = not_refused(replacing(call, argument), object(), WORDS[argument].format(argument))
-            found[name, argument] = said
+            found[name, argument] = not_refused(replacing(call, argument), object(), words_of(name, argument))
     assert len(found) > 500
     assert not {case: said for case, said in found.items() if said}
 
@@ -529,7 +534,7 @@ def test_arguments_that_are_no_numbers_are_refused_by_name_in_every_call():
             for value in no_numbers(np.shape(good)) if of_numbers else ():
                 may_be_symbol = name == "Parameter" or name.lower().startswith("linkage")
                 if not (may_be_symbol and isinstance(value, sm.Symbol)):
-                    said = not_refused(replacing(call, argument), value, WORDS[argument].format(argument))
+                    said = not_refused(replacing(call, argument), value, words_of(name, argument))
                     found[name, argument, shown(value)] = said
     assert len(found) > 5000
     assert not {case: said for case, said in found.items() if said}

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.analysis.loop_closure import require_closed, row_scales
-from fourbar_codegen.arguments import Values, is_mapping, listed, name_of, named, named_columns, numbers
+from fourbar_codegen.arguments import Values, is_mapping, named, named_columns, names_of, numbers
 from fourbar_codegen.errors import ModelError, ModelWarning, SimulationError, meant, shown
 from fourbar_codegen.kernel.dependent import solve_redundant
 from fourbar_codegen.kernel.inputs import InputSource, bind, by_name, is_by_member
@@ -168,8 +168,7 @@ def _unknown(model: Kernel, find: Any, given: Mapping[str, InputSource | Floats]
     if find is None:
         names = [name for name in forces if name not in given]
     else:
-        several = [find] if isinstance(find, str) or hasattr(find, "name") else find
-        names = [name_of(name) for name in listed(several, "find= is an input, or a sequence of inputs")]
+        names = names_of(find, "find= is an input, or a sequence of inputs")
         for name in names:
             if name in model.prescribed:
                 raise ModelError(f"{name} cannot be found: it prescribes a motion. Others are {_listed(forces)}.")

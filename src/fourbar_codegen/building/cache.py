@@ -225,7 +225,7 @@ def tool_folder(name: str, key: str) -> Path:
 
 
 def _unusable(root: Path, error: OSError) -> CacheError:
-    if isinstance(error, FileNotFoundError):
+    if isinstance(error, FileNotFoundError) and root in Path(error.filename or "").parents:
         return CacheError(f"{error.filename} was removed by another process while it was needed: compile once more.")
     return CacheError(
         f"The cache folder {root} cannot be used: {error.strerror or error}. Set another one in the environment "

@@ -22,7 +22,7 @@ __all__ = ["compare_batch_functions", "compare_derivatives", "compare_variations
 
 Floats = NDArray[np.float64]
 Function = Callable[..., Floats]
-Products = Callable[[Floats, Floats, Floats], tuple[Floats, Floats, Floats]]
+Products = list[tuple[str, Floats, Floats, Floats]]
 
 STATES = 2
 ATTEMPTS = 8
@@ -75,7 +75,7 @@ def compare_derivatives(model: Evaluator) -> None:
     Source: L. F. Richardson, "The approximate arithmetical solution by finite differences of physical problems",
     *Philosophical Transactions of the Royal Society A* 210 (1911).
     """
-    _compare(model, "derivatives", _compare_derivatives_at)
+    _compare(model, "derivatives of x'", _compare_derivatives_at)
 
 
 def compare_variations(model: Evaluator) -> None:
@@ -91,7 +91,7 @@ def compare_variations(model: Evaluator) -> None:
     BuildError
         If one differs.
     """
-    _compare(model, "products of derivatives with vectors", _compare_variations_at)
+    _compare(model, "products of derivatives of x' with vectors", _compare_variations_at)
 
 
 def _compare(model: Evaluator, what: str, at: Callable[[Evaluator, float, Floats, Floats, Floats], None]) -> None:
@@ -111,7 +111,7 @@ def _compare(model: Evaluator, what: str, at: Callable[[Evaluator, float, Floats
         if compared >= STATES:
             return
     if not compared:
-        message = "%s: %s of x' not compared, since the equations have no solution at any of %d states"
+        message = "%s: %s not compared, since the equations have no solution at any of %d states"
         level = logging.INFO if is_defined else logging.WARNING
         logging.getLogger("fourbar_codegen").log(level, message, model.manifest["name"], what, attempts)
 
@@ -124,46 +124,45 @@ def _compare_variations_at(model: Evaluator, t: float, x: Floats, p: Floats, r: 
 
     along = np.concatenate((dx, dp))
 
-    # Of each, the result, the expected one, and the terms of both; first what needs no solution of the equations.
-    def constraints_along(x: Floats, p: Floats, r: Floats) -> tuple[Floats, Floats, Floats]:
-        changes = np.concatenate(model.constraint_variation(t, x, along[:, np.newaxis], p, r))[:, 0]
-        expected, sure = _differences(
-            lambda s: np.concatenate(model.constraint_violation(t, x + s * dx, p + s * dp, r)), np.zeros(1)
-        )
-        return changes, np.where(sure[:, 0], expected[:, 0], changes), expected
-
-    def constraints_gradient(x: Floats, p: Floats, r: Floats) -> tuple[Floats, Floats, Floats]:
+    # What is compared, the result, the expected one, and the terms of both.
+    def of_constraints(x: Floats, p: Floats, r: Floats) -> Products:
         changes = np.concatenate(model.constraint_variation(t, x, along[:, np.newaxis], p, r))[:, 0]
         pulled = model.constraint_pullback(t, x, v, p, r)[: model.n_x + model.n_p]
-        return np.atleast_1d(pulled @ along), np.atleast_1d(v @ changes), changes
+        return [
+            ("constraint violations along a direction", changes, changes, changes),
+            ("gradient of constraint violations", np.atleast_1d(pulled @ along), np.atleast_1d(v @ changes), changes),
+        ]
 
-    def rates_along(x: Floats, p: Floats, r: Floats) -> tuple[Floats, Floats, Floats]:
+    def of_rates(x: Floats, p: Floats, r: Floats) -> Products:
         matrices = (model.jacobian(t, x, p, r), model.parameter_jacobian(t, x, p, r), model.input_jacobian(t, x, p, r))
-        terms = np.hstack([matrix * part for matrix, part in zip(matrices, (dx, dp, dr), strict=True)])
-        return model.jvp(t, x, dx, dp, dr, p, r), terms.sum(axis=1), terms
-
-    def rates_gradient(x: Floats, p: Floats, r: Floats) -> tuple[Floats, Floats, Floats]:
-        matrices = (model.jacobian(t, x, p, r), model.parameter_jacobian(t, x, p, r), model.input_jacobian(t, x, p, r))
+        terms = [matrix * part for matrix, part in zip(matrices, (dx, dp, dr), strict=True)]
         gradient = np.concatenate([w @ matrix for matrix in matrices])
-        return np.concatenate(model.vjp(t, x, w, p, r)), gradient, gradient
+        rates = sum((part.sum(axis=1) for part in terms), np.zeros(model.n_x))
+        return [
+            ("dx' along a direction", model.jvp(t, x, dx, dp, dr, p, r), rates, np.hstack(terms)),
+            ("gradient of weights times x'", np.concatenate(model.vjp(t, x, w, p, r)), gradient, gradient),
+        ]
 
-    for what, products, n_exact in (
-        ("constraint violations along a direction", constraints_along, 1),  # the other one is of differences
-        ("gradient of constraint violations", constraints_gradient, 2),
-        ("dx' along a direction", rates_along, 2),
-        ("gradient of weights times x'", rates_gradient, 2),
-    ):
-        got, wanted, size = products(x, p, r)
+    def violations(s: Floats) -> Floats:
+        return np.concatenate(model.constraint_violation(t, x + s * dx, p + s * dp, r))
 
-        def exact(*arguments: Floats, products: Products = products, n: int = n_exact) -> Floats:
-            return np.concatenate(products(*arguments)[:n])
+    def compare(products: Callable[[Floats, Floats, Floats], Products], found: Products) -> None:
+        for place, (what, got, wanted, size) in enumerate(found):
 
-        largest = np.abs(size[np.isfinite(size)]).max(initial=0.0)
-        if not _agree(got, wanted, TOLERANCE * (1.0 + largest), partial(_rounding, exact, x, p, r)):
-            raise BuildError(
-                f"The compiled product {what} of the model {model.manifest['name']} is\n{got}\nat a random state, "
-                f"where it should be\n{wanted}\n{DEFECT}"
-            )
+            def both(*arguments: Floats, place: int = place) -> Floats:
+                return np.concatenate(products(*arguments)[place][1:3])
+
+            largest = np.abs(size[np.isfinite(size)]).max(initial=0.0)
+            if not _agree(got, wanted, TOLERANCE * (1.0 + largest), partial(_rounding, both, x, p, r)):
+                raise BuildError(
+                    f"The compiled product {what} of the model {model.manifest['name']} is\n{got}\nat a random state, "
+                    f"where it should be\n{wanted}\n{DEFECT}"
+                )
+
+    [(what, changes, *_), *others] = of_constraints(x, p, r)
+    expected, sure = _differences(violations, np.zeros(1))
+    compare(of_constraints, [(what, changes, np.where(sure[:, 0], expected[:, 0], changes), expected), *others])
+    compare(of_rates, of_rates(x, p, r))  # which needs a solution of the equations
 
 
 def _compare_derivatives_at(model: Evaluator, t: float, x: Floats, p: Floats, r: Floats) -> None:

@@ -279,10 +279,11 @@ class Model:
         self.name = name
         parameters = _mapping(parameters, "parameters")
         numbers = {key for key, v in parameters.items() if _is_number(getattr(v, "value", v))}
-        for key in _mapping(outputs, "outputs"):
+        outputs = _mapping(outputs, "outputs")
+        for key in outputs:
             if not isinstance(getattr(key, "name", key), str) or not name_of(key):
                 raise ModelError(f"outputs= is a mapping from names to expressions, and {shown(key)} is no name.")
-        taken = set(map(name_of, _mapping(outputs, "outputs")))
+        taken = set(map(name_of, outputs))
         drawing = {key for key in numbers if isinstance(key, sm.Symbol | str) and name_of(key) not in taken}
         self.mechanism: Mechanism = read_mechanism(system, points, lines, drawing)
         for label, expressions in (*self.mechanism.labelled_loads(), *self.mechanism.labelled_structure()):
@@ -291,9 +292,7 @@ class Model:
         is_automatic = isinstance(inputs, str) and inputs == "auto"
         self.input_expressions: dict[sm.Expr, sm.Expr | None] = {}
         self.potential_energy = None if potential_energy is None else _expression(potential_energy, "potential_energy")
-        self.output_expressions = {
-            name_of(key): _expression(e, f"output {name_of(key)}") for key, e in _mapping(outputs, "outputs").items()
-        }
+        self.output_expressions = {name_of(key): _expression(e, f"output {name_of(key)}") for key, e in outputs.items()}
         if not is_automatic:
             functions = {_name(function): function for function in self._functions()}
             self.input_expressions = self._read_inputs(

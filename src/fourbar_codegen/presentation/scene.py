@@ -14,6 +14,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from fourbar_codegen.arguments import listed
 from fourbar_codegen.errors import ModelError, ModelWarning, shown
 from fourbar_codegen.kernel.kernel import Kernel
 
@@ -299,12 +300,10 @@ def scene(model: Kernel, positions: Floats, view: View | None = None) -> Scene:
 
 def known_points(model: Kernel, points: Iterable[str]) -> list[str]:
     """Names of points of a model, checked."""
-    try:
-        names = [] if isinstance(points, str) else list(points)
-    except TypeError:  # not a sequence
-        names = []
+    what = "Points are given as a sequence of their names"
+    names = listed(points, what)
     if not all(isinstance(name, str) for name in names) or not (names or isinstance(points, list | tuple)):
-        raise ModelError(f"Points are given as a sequence of their names, not {shown(points)}.")
+        raise ModelError(f"{what}, not {shown(points)}.")
     unknown = [name for name in names if name not in model.points]
     if unknown:
         raise ModelError(f"There is no point {', '.join(map(str, unknown))}; there are {', '.join(model.points)}.")
